@@ -1,0 +1,25 @@
+# `make demo` and `make test` do all the set-up that they need; a second call reuses it.
+
+VENV := .venv
+PYTHON := $(VENV)/bin/python
+READY := $(VENV)/.ready
+
+.PHONY: demo test clean
+
+demo: $(READY)
+	$(VENV)/bin/scanloom fuse samples/furnished_room.mcap -o out/demo
+	@echo "The results are in $(CURDIR)/out/demo"
+
+test: $(READY)
+	$(PYTHON) -m ruff check .
+	$(PYTHON) -m ruff format --check .
+	$(PYTHON) -m mypy
+	$(PYTHON) -m pytest
+
+$(READY): pyproject.toml .ci/setup
+	bash .ci/setup $(VENV)
+	@touch $@
+
+clean:
+	rm -rf $(VENV) out build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis .benchmarks
+	find app fusion_core tests -name __pycache__ -type d -prune -exec rm -rf {} +

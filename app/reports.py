@@ -1,0 +1,68 @@
+"""What the commands tell people. The same results go out whole under ``--json``."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+NS_PER_S = 1e9
+
+
+def info_lines(info: Mapping[str, Any]) -> list[str]:
+    """Format, times, a table of topics, what can be done, and warnings."""
+    lines = [f"format    {info['format']}"]
+    if info["start_ns"] is None:
+        lines.append("time      none in this format")
+    else:
+        start_s, end_s = info["start_ns"] / NS_PER_S, info["end_ns"] / NS_PER_S
+        lines.append(f"time      {start_s:.3f} s to {end_s:.3f} s, {info['duration_s']:.3f} s")
+    lines.append("")
+    header = ("topic", "role", "count", "rate (Hz)", "type")
+    rows = [
+        (
+            topic["name"],
+            topic["role"],
+            str(topic["count"]),
+            "-" if topic["rate_hz"] is None else f"{topic['rate_hz']:.2f}",
+            topic["type"],
+        )
+        for topic in info["topics"]
+    ]
+    lines += _table([header, *rows])
+    lines.append("")
+    lines += info["can"]
+    lines += [f"warning: {warning}" for warning in info["warnings"]]
+    return lines
+
+
+def scene_lines(listed: Mapping[str, Any]) -> list[str]:
+    """A table of scenes, and where the built-in recording is."""
+    rows = [(scene["name"], scene["description"]) for scene in listed["scenes"]]
+    return [*_table(rows), "", f"built-in recording: {listed['built_in']}"]
+
+
+def measure_lines(measures: Mapping[str, Any]) -> list[str]:
+    """One line for each number, named by its path; tables of numbers are left to ``--json``."""
+    named = [(name, value) for name, value in _flat(measures, "") if not isinstance(value, list)]
+    width = max((len(name) for name, _ in named), default=0)
+    return [f"{name:<{width}}  {_value(value)}" for name, value in named]
+
+
+def _flat(measures: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    for name, value in measures.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def _value(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _table(rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]

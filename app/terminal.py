@@ -1,0 +1,68 @@
+"""What the command line shows: progress on stderr, and texts that cannot steer the terminal."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from fusion_core.model.progress import Progress
+
+
+def printable(text: str) -> str:
+    """``text`` on one line, with control characters written as escapes.
+
+    Topic and file names come out of recordings, and a terminal obeys escape sequences.
+    """
+    return "".join(
+        char if char.isprintable() else char.encode("unicode_escape").decode() for char in text
+    )
+
+
+@contextmanager
+def progress_on_stderr() -> Iterator[Progress]:
+    """A bar for each kind of work on a terminal, one line for each kind of work elsewhere."""
+    if sys.stderr.isatty():
+        yield from _bars()
+    else:
+        yield _Lines()
+
+
+class _Lines:
+    def __init__(self) -> None:
+        self._said: set[str] = set()
+
+    def __call__(self, done: int, total: int | None, what: str) -> None:
+        if what not in self._said:
+            self._said.add(what)
+            sys.stderr.write(f"{printable(what)}\n")
+            sys.stderr.flush()
+
+
+def _bars() -> Iterator[Progress]:
+    # Not needed for --help, which must be quick.
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        TaskID,
+        TextColumn,
+        TimeElapsedColumn,
+    )
+    from rich.progress import Progress as RichProgress
+
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    tasks: dict[str, TaskID] = {}
+    with RichProgress(
+        *columns, console=Console(stderr=True), transient=True, redirect_stdout=False
+    ) as bars:
+
+        def report(done: int, total: int | None, what: str) -> None:
+            if what not in tasks:
+                tasks[what] = bars.add_task(printable(what), total=total)
+            bars.update(tasks[what], completed=done, total=total)
+
+        yield report

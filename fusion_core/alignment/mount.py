@@ -1,0 +1,464 @@
+"""The mount of the rig on the LiDAR, estimated once from the whole recording.
+
+The LiDAR's plane does not meet the image in a row: what lies Delta z below the camera at depth z
+appears Delta z f / z below the centre. So the offset u of the rows gives the yaw (Xu 2024's idea,
+over the whole recording), and from there the mount is refined where LiDAR points, projected into
+the image, agree best with the depth found there.
+
+Three ways to disagree are not the same. A camera that sees *through* a LiDAR point (depth beyond
+it) contradicts the mount; one that sees something *nearer* may just be occluded; a point outside
+the image says little, but must cost something, since a large Delta z would otherwise hide every
+near point that could disagree.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+from scipy.optimize import minimize
+
+from fusion_core.alignment.time import parabola_offset
+from fusion_core.model.conventions import (
+    NS_PER_S,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    read_only,
+)
+from fusion_core.model.errors import AlignmentFailed
+from fusion_core.model.geometry import inverse, rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.rig import Camera, Mount
+from fusion_core.model.sensors import LaserScan
+from fusion_core.settings import StageSettings, setting
+
+
+class MountSettings(StageSettings):
+    """How the mount is refined around the recording's offset u."""
+
+    frames: int = setting(48, "Depth images kept for the refinement", unit="images", ge=4, le=400)
+    tolerance_m: float = setting(0.03, "Agreement tolerance at range 0", unit="m", gt=0.0)
+    tolerance_share: float = setting(0.02, "Growth of the tolerance with range", gt=0.0, le=0.2)
+    nearer_cost: float = setting(
+        0.6, "Cost of depth nearer than the LiDAR point (1: beyond it)", ge=0.0, le=1.0
+    )
+    hidden_cost: float = setting(
+        0.3, "Cost of a LiDAR point outside the image or on a hole", ge=0.0, le=1.0
+    )
+    delta_z_min_m: float = setting(-0.8, "Lowest camera against the LiDAR", unit="m")
+    delta_z_max_m: float = setting(1.6, "Highest camera against the LiDAR", unit="m")
+    clearance_m: float = setting(
+        0.1, "Least height of the LiDAR's plane over the lowest surface seen", unit="m", ge=0.0
+    )
+    frame_yaw_sd_deg: float = setting(
+        0.5, "How far a frame's yaw may stray from the mount's (0: not at all)", unit="deg", ge=0.0
+    )
+    min_agreement: float = setting(
+        0.8, "Least share of visible points that agree, to pair along the curve", gt=0.0, le=1.0
+    )
+
+
+# Beyond these standard deviations (in the order of MOUNT_PARAMETERS) a value is not observable:
+# it could not be told from its neighbours by the classes and repairs that use it.
+_OBSERVABLE_SD = np.array([np.deg2rad(1.5), 0.15, 0.10, 0.10, np.deg2rad(2.0), 25.0])
+# Weak priors keep what the data do not show near zero: a rig is compact and nearly level.
+_PRIOR_SD = np.array([np.deg2rad(10.0), 1.0, 0.15, 0.15, np.deg2rad(5.0), 80.0])
+_RECORDED_SD = np.array([np.deg2rad(1.0), 0.02, 0.02, 0.02, np.deg2rad(0.5), 80.0])
+# Steps of the search and of the finite differences: large against a pixel, small against a mode.
+_STEP = np.array([np.deg2rad(0.6), 0.04, 0.04, 0.04, np.deg2rad(0.8), 20.0])
+# Noise that only one sensor has moves the cost of two heights apart by this much.
+_RIVAL_COST = 0.01
+# Neighbouring frames see the same walls: they count as one observation.
+_FRAMES_PER_BLOCK = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MountFrame:
+    """One scan and one image of the subset that the refinement keeps.
+
+    ``points_m``: (N, 2) valid LiDAR points in the LiDAR frame at the scan's stamp.
+    ``raw_depth_m``: (H, W) upright view, ``depth_m`` the same without speckle.
+    ``image_after_scan_s``: image stamp - scan stamp.
+    """
+
+    camera: Camera
+    scan: LaserScan
+    raw_depth_m: Float32Array
+    points_m: FloatArray
+    depth_m: Float32Array
+    turn_rate_rad_s: float
+    image_after_scan_s: float
+
+    def __post_init__(self) -> None:
+        read_only(self.points_m)
+        read_only(self.depth_m)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MountEstimate:
+    """The mount, and how far the recording supports it.
+
+    ``agreement``: share of visible points within the tolerance; ``visible``: share of the points
+    in front of a camera that fall on a valid depth; ``delta_z_profile``: (K, 2) Delta z and cost.
+    """
+
+    mount: Mount
+    agreement: float
+    visible: float
+    confident: bool
+    from_recorded: bool
+    delta_z_profile: FloatArray
+
+
+def mount_frame(
+    camera: Camera, scan: LaserScan, depth_m: Float32Array, image_stamp_ns: int, turn_rate: float
+) -> MountFrame:
+    """Keep what the refinement needs of one pair. An unknown turn rate counts as standing still
+    only here, where one frame of many cannot move the mount."""
+    valid = np.isfinite(scan.ranges_m)
+    angles = scan.angles_rad[valid]
+    ranges = scan.ranges_m[valid]
+    return MountFrame(
+        camera=camera,
+        scan=scan,
+        raw_depth_m=depth_m,
+        points_m=np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=1),
+        depth_m=without_speckle(depth_m),
+        turn_rate_rad_s=turn_rate if np.isfinite(turn_rate) else 0.0,
+        image_after_scan_s=(image_stamp_ns - scan.stamp_ns) / NS_PER_S,
+    )
+
+
+def without_speckle(depth_m: Float32Array) -> Float32Array:
+    """The depth image without lone values, by a 3 x 3 median, and without lone holes.
+
+    A hole among at least four valid pixels of one surface in the 5 x 5 around becomes their mean
+    (dark furniture answers in every other pixel); other holes stay.
+    """
+    zeroed = np.where(np.isfinite(depth_m), depth_m, np.float32(0.0))
+    filtered = cv2.medianBlur(zeroed, 3)
+    square = np.ones((5, 5), dtype=np.uint8)
+    valid = (zeroed > 0.0).astype(np.float32)
+    count = cv2.boxFilter(valid, -1, (5, 5), normalize=False)
+    total = cv2.boxFilter(zeroed, -1, (5, 5), normalize=False)
+    highest = cv2.dilate(zeroed, square)
+    lowest = cv2.erode(np.where(valid > 0.0, zeroed, np.float32(1e6)), square)
+    mean = total / np.maximum(count, 1.0)
+    one_surface = (count >= 4.0) & (highest - lowest < 0.05 * mean)
+    filled = np.where((filtered <= 0.0) & one_surface, mean, filtered)
+    return np.where(filled > 0.0, filled, np.float32(np.nan)).astype(np.float32)
+
+
+def estimate_mount(
+    frames: Sequence[MountFrame],
+    settings: MountSettings,
+    *,
+    yaw_rad: float,
+    recorded: Mount | None = None,
+) -> MountEstimate:
+    """Refine the mount from the yaw of the recording's offset u.
+
+    ``recorded``: extrinsics that the recording itself gives; used as a prior where they agree
+    with ``yaw_rad`` to 5 degrees.
+
+    Raises AlignmentFailed where there are too few frames or points.
+    """
+    if len(frames) < 4 or sum(frame.points_m.shape[0] for frame in frames) < 100:
+        raise AlignmentFailed(
+            f"the mount needs 4 paired depth images with 100 LiDAR points, got {len(frames)}",
+            advice="Use a longer recording.",
+        )
+    problem = _Problem(frames, settings)
+    trusted = bool(recorded is not None and abs(recorded.yaw_rad - yaw_rad) < np.deg2rad(5.0))
+    if recorded is not None and trusted:
+        centre, spread = recorded.vector(), _RECORDED_SD
+    else:
+        centre, spread = np.zeros(6), _PRIOR_SD
+        centre[0] = yaw_rad
+
+    highest_m = min(settings.delta_z_max_m, -problem.lowest_seen_m() - settings.clearance_m)
+
+    def cost(values: FloatArray) -> float:
+        if not trusted and values[1] > highest_m:
+            return 1.0 + float(values[1] - highest_m)
+        return problem.mean_cost(values) + float(
+            np.sum(((values - centre) / spread) ** 2) / (2.0 * problem.blocks * 20.0)
+        )
+
+    heights_m = np.arange(
+        settings.delta_z_min_m, max(highest_m, settings.delta_z_min_m + 0.1), 0.05
+    )
+    profile = _delta_z_profile(problem, centre, heights_m)
+    starts = [centre] if trusted else _starts(profile, centre)
+    fits = [_descend(cost, start) for start in starts]
+    best = min(fits, key=cost)
+    sd = _sandwich_sd(problem, best, centre, spread)
+    if not trusted and _rival_height(problem, fits, best):
+        sd[[1, 4]] = np.inf
+    mount = Mount.from_vector(
+        best,
+        tuple(
+            float(value) if value <= limit else None
+            for value, limit in zip(sd, _OBSERVABLE_SD, strict=True)
+        ),
+    )
+    agreement, visible = problem.agreement(best)
+    return MountEstimate(
+        mount=mount,
+        agreement=agreement,
+        visible=visible,
+        confident=bool(agreement >= settings.min_agreement and mount.sd[0] is not None),
+        from_recorded=trusted,
+        delta_z_profile=profile[:, [1, -1]],
+    )
+
+
+def frame_yaw_offset_rad(frame: MountFrame, mount: Mount, settings: MountSettings) -> float:
+    """How far one frame's own best yaw lies from the mount's: its check against the recording.
+
+    The sum of what the frame shows and of a prior of ``frame_yaw_sd_deg`` around the mount: a
+    plain wall fits at any yaw and must not pull. What remains is the turn that stamps do not
+    explain (a clock offset, a scan that is not instantaneous).
+    """
+    problem = _Problem([frame], settings)
+    sd_rad = np.deg2rad(settings.frame_yaw_sd_deg)
+    offsets = np.linspace(-3.0, 3.0, 25) * sd_rad
+    values = np.tile(mount.vector(), (offsets.size, 1))
+    values[:, 0] += offsets
+    # Four neighbouring beams count as one observation; the loss is 1/16 of a log likelihood.
+    costs = np.array([4.0 * problem.frame_tallies(row)[0, 0] for row in values])
+    costs += 0.5 * (offsets / sd_rad) ** 2
+    best = int(costs.argmin())
+    return float(offsets[best] + parabola_offset(costs, best) * (offsets[1] - offsets[0]))
+
+
+class _Problem:
+    """The kept frames as flat arrays, and the cost of a mount on each of them."""
+
+    def __init__(self, frames: Sequence[MountFrame], settings: MountSettings) -> None:
+        self._settings = settings
+        self._points = np.concatenate([frame.points_m for frame in frames])
+        sizes = [frame.points_m.shape[0] for frame in frames]
+        self._first_point = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        self._pixels = np.concatenate([frame.depth_m.ravel() for frame in frames])
+        areas = [frame.depth_m.size for frame in frames]
+        self._first_pixel = np.concatenate([[0], np.cumsum(areas)[:-1]]).astype(np.int64)
+        self._lens = np.array(
+            [
+                [lens.fx, lens.fy, lens.cx, lens.cy, lens.width, lens.height]
+                for lens in (frame.camera.intrinsics for frame in frames)
+            ]
+        )
+        self._T_camera_rig = [inverse(frame.camera.T_rig_camera) for frame in frames]
+        self._turn = np.array([frame.turn_rate_rad_s for frame in frames])
+        self._after_s = np.array([frame.image_after_scan_s for frame in frames])
+        self.blocks = max(1, len(frames) // _FRAMES_PER_BLOCK)
+
+    def lowest_seen_m(self) -> float:
+        """Height of the lowest surface in the rig frame: the floor, where it is in the image.
+
+        A LiDAR plane below it would be nowhere in the images.
+        """
+        lowest = []
+        for index, T_camera_rig in enumerate(self._T_camera_rig):
+            fx, fy, cx, cy, width, height = self._lens[index]
+            first = self._first_pixel[index]
+            depth = self._pixels[first : first + int(width * height)].reshape(int(height), -1)
+            v, u = np.mgrid[0 : int(height) : 4, 0 : int(width) : 4]
+            z = depth[::4, ::4]
+            up = T_camera_rig[:3, 2]
+            heights = z * ((u - cx) / fx * up[0] + (v - cy) / fy * up[1] + up[2])
+            heights = heights[np.isfinite(heights)] - float(up @ T_camera_rig[:3, 3])
+            if heights.size:
+                lowest.append(np.quantile(heights, 0.01))
+        return float(np.median(lowest)) if lowest else float("-inf")
+
+    def frame_tallies(self, values: FloatArray) -> FloatArray:
+        """(F, 4): cost, points in front of the camera, points on valid depth, points in accord."""
+        mount = Mount.from_vector(values)
+        T_rig_lidar = inverse(mount.T_lidar_rig)
+        turned_rad = self._turn * (self._after_s - mount.clock_offset_ms * 1e-3)
+        transforms = np.stack(
+            [
+                T_camera_rig
+                @ T_rig_lidar
+                @ transform(rotation_from_yaw_pitch_roll(-angle, 0.0, 0.0), np.zeros(3))
+                for T_camera_rig, angle in zip(self._T_camera_rig, turned_rad, strict=True)
+            ]
+        )
+        tallies: FloatArray = _tally(
+            self._points,
+            self._first_point,
+            self._pixels,
+            self._first_pixel,
+            self._lens,
+            transforms,
+            self._settings.tolerance_m,
+            self._settings.tolerance_share,
+            self._settings.nearer_cost,
+            self._settings.hidden_cost,
+        )
+        return tallies
+
+    def mean_cost(self, values: FloatArray) -> float:
+        tallies = self.frame_tallies(values)
+        return float(tallies[:, 0].sum() / max(tallies[:, 1].sum(), 1.0))
+
+    def block_costs(self, values: FloatArray) -> FloatArray:
+        """(blocks,) mean cost of runs of neighbouring frames."""
+        tallies = self.frame_tallies(values)
+        return np.array(
+            [
+                block[:, 0].sum() / max(block[:, 1].sum(), 1.0)
+                for block in np.array_split(tallies, self.blocks)
+            ]
+        )
+
+    def agreement(self, values: FloatArray) -> tuple[float, float]:
+        tallies = self.frame_tallies(values).sum(axis=0)
+        return float(tallies[3] / max(tallies[2], 1.0)), float(tallies[2] / max(tallies[1], 1.0))
+
+
+def _delta_z_profile(problem: _Problem, centre: FloatArray, heights_m: FloatArray) -> FloatArray:
+    """(K, 3): best yaw, Delta z, cost, over a grid of Delta z with the yaw free by 3 degrees."""
+    rows = []
+    for delta_z in heights_m:
+        best = (np.inf, 0.0)
+        for yaw in centre[0] + np.deg2rad([-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0]):
+            values = centre.copy()
+            values[:2] = yaw, delta_z
+            best = min(best, (problem.mean_cost(values), float(yaw)))
+        rows.append([best[1], float(delta_z), best[0]])
+    return np.array(rows)
+
+
+def _starts(profile: FloatArray, centre: FloatArray) -> list[FloatArray]:
+    """The lowest local minima of the profile, at most four."""
+    cost = np.concatenate([[np.inf], profile[:, 2], [np.inf]])
+    minima = np.flatnonzero((cost[1:-1] <= cost[:-2]) & (cost[1:-1] <= cost[2:]))
+    starts = []
+    for index in minima[np.argsort(profile[minima, 2])][:4]:
+        start = centre.copy()
+        start[:2] = profile[index, :2]
+        starts.append(start)
+    return starts
+
+
+def _descend(cost: Callable[[FloatArray], float], start: FloatArray) -> FloatArray:
+    simplex = np.vstack([start, start + np.diag(2.0 * _STEP)])
+    # The pixels make the cost piecewise constant at the finest scale: no gradients.
+    result = minimize(
+        cost,
+        start,
+        method="Nelder-Mead",
+        options={
+            "initial_simplex": simplex,
+            "maxfev": 700,
+            "xatol": 1e-4,
+            "fatol": 1e-6,
+            "adaptive": True,
+        },
+    )
+    found: FloatArray = result.x
+    return found
+
+
+def _sandwich_sd(
+    problem: _Problem, values: FloatArray, centre: FloatArray, spread: FloatArray
+) -> FloatArray:
+    """One standard deviation of each parameter: H^-1 G H^-1 over blocks of frames, G the spread of
+    the blocks' gradients, H the curvature of their mean with the prior's."""
+    count = values.size
+    steps = np.diag(_STEP)
+    ahead = [problem.block_costs(values + step) for step in steps]
+    behind = [problem.block_costs(values - step) for step in steps]
+    middle = problem.block_costs(values)
+    gradients = np.stack(
+        [(a - b) / (2.0 * h) for a, b, h in zip(ahead, behind, _STEP, strict=True)]
+    )
+    hessian = np.zeros((count, count))
+    for i in range(count):
+        hessian[i, i] = np.mean(ahead[i] - 2.0 * middle + behind[i]) / _STEP[i] ** 2
+        for j in range(i):
+            corners = (
+                problem.mean_cost(values + steps[i] + steps[j])
+                - problem.mean_cost(values + steps[i] - steps[j])
+                - problem.mean_cost(values - steps[i] + steps[j])
+                + problem.mean_cost(values - steps[i] - steps[j])
+            )
+            hessian[i, j] = hessian[j, i] = corners / (4.0 * _STEP[i] * _STEP[j])
+    scale = np.diag(_STEP)
+    # In units of the steps, so that metres, radians and milliseconds compare.
+    curvature = scale @ hessian @ scale + np.diag((_STEP / spread) ** 2 / (problem.blocks * 20.0))
+    noise = np.atleast_2d(np.cov(scale @ gradients)) / problem.blocks
+    eigenvalues, vectors = np.linalg.eigh(curvature)
+    flat = eigenvalues < 1e-4 * max(float(eigenvalues.max()), 1e-12)
+    back = (vectors / np.where(flat, 1.0, eigenvalues)) @ vectors.T
+    variance = np.diag(back @ noise @ back)
+    # A direction without curvature is not observable, whatever the gradients say.
+    loose = (np.abs(vectors[:, flat]) > 0.3).any(axis=1)
+    # The finite steps cannot resolve better than a fraction of themselves.
+    sd: FloatArray = np.maximum(np.sqrt(variance), 0.25) * _STEP
+    sd[loose] = np.inf
+    return sd
+
+
+def _rival_height(problem: _Problem, fits: list[FloatArray], best: FloatArray) -> bool:
+    """Whether another Delta z explains the recording as well (paired over blocks, 2 sigma)."""
+    reference = problem.block_costs(best)
+    for fit in fits:
+        if abs(fit[1] - best[1]) < 0.15:
+            continue
+        difference = problem.block_costs(fit) - reference
+        doubt = 2.0 * np.std(difference) / np.sqrt(difference.size)
+        if np.mean(difference) < max(doubt, _RIVAL_COST):
+            return True
+    return False
+
+
+@njit(cache=True)
+def _tally(
+    points: FloatArray,
+    first_point: IntArray,
+    pixels: Float32Array,
+    first_pixel: IntArray,
+    lens: FloatArray,
+    T_camera_lidar: FloatArray,
+    tolerance_m: float,
+    tolerance_share: float,
+    nearer_cost: float,
+    hidden_cost: float,
+) -> FloatArray:
+    """Per frame: cost, points in front, points on valid depth, points within 2.5 tolerances."""
+    frames = lens.shape[0]
+    out = np.zeros((frames, 4))
+    for frame in range(frames):
+        fx, fy, cx, cy, width, height = lens[frame]
+        T = T_camera_lidar[frame]
+        for index in range(first_point[frame], first_point[frame + 1]):
+            x, y = points[index]
+            depth = T[2, 0] * x + T[2, 1] * y + T[2, 3]
+            if depth < 0.1:
+                continue
+            u = cx + fx * (T[0, 0] * x + T[0, 1] * y + T[0, 3]) / depth
+            if u < -0.5 or u >= width - 0.5:
+                continue
+            v = cy + fy * (T[1, 0] * x + T[1, 1] * y + T[1, 3]) / depth
+            out[frame, 1] += 1.0
+            if v < -0.5 or v >= height - 0.5:
+                out[frame, 0] += hidden_cost
+                continue
+            column = int(np.floor(u + 0.5))
+            row = int(np.floor(v + 0.5))
+            seen = pixels[first_pixel[frame] + row * int(width) + column]
+            if np.isnan(seen):
+                out[frame, 0] += hidden_cost
+                continue
+            out[frame, 2] += 1.0
+            off = (seen - depth) / (tolerance_m + tolerance_share * depth)
+            loss = 1.0 - np.exp(-0.125 * off * off)
+            out[frame, 0] += loss if off > 0.0 else nearer_cost * loss
+            if abs(off) < 2.5:
+                out[frame, 3] += 1.0
+    return out

@@ -1,0 +1,131 @@
+"""Xu 2024 §2.2, eq. (1): the peak (u, v) of the similarity field, of one frame or of a recording.
+
+Eq. (1) prints ``max[arg min ...]``; what the text and Fig. 4 do is the arg max over (u, v).
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from fusion_core.alignment.similarity import Metric, SimilarityField
+from fusion_core.alignment.time import parabola_offset
+from fusion_core.model.conventions import FloatArray
+from fusion_core.model.errors import AlignmentFailed
+from fusion_core.settings import StageSettings, setting
+
+
+class SearchSettings(StageSettings):
+    """How the field is scored and its peak picked."""
+
+    metric: Literal["pearson", "cosine", "inverse_cosine", "euclidean"] = setting(
+        "euclidean", "Score that decides on (u, v); all four are reported"
+    )
+    min_overlap: float = setting(
+        0.5, "Least share of a row's samples valid on both sides", gt=0.0, le=1.0
+    )
+    partial: bool = setting(False, "Let the row reach beyond the ends of the LiDAR curve")
+    mask_holes: bool = setting(True, "Leave holes out (published: holes count as zeros)")
+    prior_samples: int = setting(
+        2, "How far a frame's u may lie from the recording's", unit="samples", ge=0
+    )
+    use_prior: bool = setting(True, "Search each frame around the recording's u")
+    runner_up_distance: int = setting(
+        4, "Least distance in u of the runner-up from the peak", unit="samples", ge=1
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Peak:
+    """The best offset. ``u`` and ``v`` are refined below a sample by a parabola.
+
+    ``ratio`` = score / runner-up's score, NaN where there is no positive runner-up.
+    """
+
+    u: float
+    v: float
+    score: float
+    ratio: float
+    overlap: float
+    runner_up_u: float
+    runner_up_v: float
+
+
+def find_peak(
+    field: SimilarityField, settings: SearchSettings, *, prior_u: float | None = None
+) -> Peak:
+    """arg max of the field, within ``prior_samples`` of ``prior_u`` where one is given.
+
+    Raises AlignmentFailed where the field has no score there.
+    """
+    scores = field.scores
+    if prior_u is not None:
+        offsets = field.u_first + np.arange(scores.shape[1])
+        near = np.abs(offsets - round(prior_u)) <= settings.prior_samples
+        scores = np.where(near, scores, np.nan)
+    if not np.isfinite(scores).any():
+        raise AlignmentFailed(
+            "no offset (u, v) has enough samples valid on both sides",
+            advice="Lower search.min_overlap, or check that both sensors see the same side.",
+        )
+    row, column = np.unravel_index(int(np.nanargmax(scores)), scores.shape)
+    score = float(scores[row, column])
+    away = np.abs(np.arange(scores.shape[1]) - column) >= settings.runner_up_distance
+    others = np.where(away, field.scores, np.nan)
+    runner_u = runner_v = runner_score = float("nan")
+    if np.isfinite(others).any():
+        other_row, other_column = np.unravel_index(int(np.nanargmax(others)), others.shape)
+        runner_u, runner_v = float(field.u_first + other_column), float(other_row)
+        runner_score = float(others[other_row, other_column])
+    return Peak(
+        u=field.u_first + column + parabola_offset(field.scores[row], int(column)),
+        v=float(row) + parabola_offset(field.scores[:, column], int(row)),
+        score=score,
+        ratio=score / runner_score if runner_score > 0.0 else float("nan"),
+        overlap=float(field.overlap[row, column]),
+        runner_up_u=runner_u,
+        runner_up_v=runner_v,
+    )
+
+
+class FieldMean:
+    """The mean field of many frames, in memory that does not grow with their number.
+
+    A cell has a mean only where at least half of the frames have a score.
+    """
+
+    def __init__(self) -> None:
+        self._sums: dict[Metric, FloatArray] = {}
+        self._counts: dict[Metric, FloatArray] = {}
+        self._overlap: FloatArray | None = None
+        self._u_first = 0
+        self.frames = 0
+
+    def add(self, fields: dict[Metric, SimilarityField]) -> None:
+        """Add the fields of one frame."""
+        self.frames += 1
+        for metric, field in fields.items():
+            valid = np.isfinite(field.scores)
+            if metric not in self._sums:
+                self._sums[metric] = np.zeros(field.scores.shape)
+                self._counts[metric] = np.zeros(field.scores.shape)
+                self._u_first = field.u_first
+            self._sums[metric] += np.where(valid, field.scores, 0.0)
+            self._counts[metric] += valid
+        overlap = next(iter(fields.values())).overlap
+        self._overlap = overlap.copy() if self._overlap is None else self._overlap + overlap
+
+    def mean(self, metric: Metric) -> SimilarityField:
+        """The mean field. Raises AlignmentFailed where no frame was added."""
+        if self._overlap is None:
+            raise AlignmentFailed(
+                "no depth image has a scan close enough in time",
+                advice="Raise time.max_gap_ms, or check the topics and their clocks.",
+            )
+        counts = self._counts[metric]
+        enough = counts * 2 >= max(self.frames, 1)
+        scores = np.full(counts.shape, np.nan)
+        np.divide(self._sums[metric], counts, out=scores, where=enough & (counts > 0))
+        return SimilarityField(
+            scores=scores, overlap=self._overlap / self.frames, u_first=self._u_first
+        )

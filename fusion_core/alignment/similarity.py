@@ -1,0 +1,120 @@
+"""The similarity field S[v, u] of Xu 2024 §2.2, eqs. (2)-(4): how well each depth row fits each
+place of the LiDAR curve, over the samples that both have.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from fusion_core.alignment.masked_products import (
+    COSINE,
+    EUCLIDEAN,
+    INVERSE_COSINE,
+    PEARSON,
+    masked_scores,
+)
+from fusion_core.model.conventions import Float32Array, FloatArray, read_only
+from fusion_core.model.errors import AlignmentFailed
+
+Metric = Literal["pearson", "cosine", "inverse_cosine", "euclidean"]
+
+_KERNELS: dict[Metric, int] = {
+    "pearson": PEARSON,
+    "cosine": COSINE,
+    "inverse_cosine": INVERSE_COSINE,
+    "euclidean": EUCLIDEAN,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimilarityField:
+    """Scores of H depth rows at U offsets along the LiDAR curve.
+
+    ``scores``: (H, U), NaN where there is no score; greater is better for every metric.
+    ``overlap``: (H, U) share of the row's samples valid on both sides.
+    ``u_first``: the offset u of column 0: 0, or negative with partial overlaps.
+    """
+
+    scores: FloatArray
+    overlap: FloatArray
+    u_first: int
+
+    def __post_init__(self) -> None:
+        if self.scores.ndim != 2 or self.scores.shape != self.overlap.shape:
+            raise ValueError(
+                f"scores and overlap must be (H, U), got {self.scores.shape}, {self.overlap.shape}"
+            )
+        read_only(self.scores)
+        read_only(self.overlap)
+
+
+def similarity_field(
+    curve_m: FloatArray | Float32Array,
+    rows_m: FloatArray | Float32Array,
+    *,
+    metric: Metric,
+    min_overlap: float = 0.5,
+    partial: bool = False,
+) -> SimilarityField:
+    """One metric's field; see :func:`similarity_fields`."""
+    fields = similarity_fields(
+        curve_m, rows_m, metrics=(metric,), min_overlap=min_overlap, partial=partial
+    )
+    return fields[metric]
+
+
+def similarity_fields(
+    curve_m: FloatArray | Float32Array,
+    rows_m: FloatArray | Float32Array,
+    *,
+    metrics: Sequence[Metric],
+    min_overlap: float = 0.5,
+    partial: bool = False,
+) -> dict[Metric, SimilarityField]:
+    """The fields of several metrics, from the same sums.
+
+    ``curve_m``: (Ψ,) LiDAR samples, ``rows_m``: (H, W) depth samples, both left to right in metres,
+    NaN where missing. Sample w of a row lies on sample u + w of the curve; each score is over the
+    pairs that are valid on both sides:
+
+    * ``pearson``: Xu 2024 eq. (2), in [-1, 1];
+    * ``cosine``: D·L / (‖D‖ ‖L‖);
+    * ``inverse_cosine``: 1 - cosine, eq. (3) as printed: a dissimilarity that the paper maximises;
+    * ``euclidean``: 1 - ‖D - L‖ / max(‖D‖, ‖L‖), eq. (4).
+
+    There is no score (NaN) where fewer than ``min_overlap`` of the row's W samples are valid on
+    both sides, where a side is constant (Pearson) or all zero (the others).
+
+    u runs over 0 … Ψ - W, or with ``partial`` from ``k - W`` to ``Ψ - k``, where k is the least
+    number of samples that ``min_overlap`` asks for, at least 1.
+
+    Raises ValueError for arrays of the wrong shape or a ``min_overlap`` outside [0, 1], and
+    AlignmentFailed where the curve is too short for any offset.
+    """
+    if curve_m.ndim != 1 or rows_m.ndim != 2 or rows_m.size == 0:
+        raise ValueError(f"need a (Ψ,) curve and (H, W) rows, got {curve_m.shape}, {rows_m.shape}")
+    if not 0.0 <= min_overlap <= 1.0:
+        raise ValueError(f"min_overlap must lie in [0, 1], got {min_overlap}")
+    width = rows_m.shape[1]
+    # The tolerance keeps a product such as 0.55 * 100 from being rounded up to 56.
+    min_samples = max(1, math.ceil(min_overlap * width - 1e-9))
+    shortest = min_samples if partial else width
+    if curve_m.size < shortest:
+        raise AlignmentFailed(
+            f"the LiDAR curve has {curve_m.size} samples, a depth row of {width} needs {shortest}",
+            advice="Sample the curve finer or the rows coarser, or allow partial overlaps.",
+        )
+    margin = width - min_samples if partial else 0
+    scores, overlap = masked_scores(
+        np.pad(curve_m.astype(np.float64), margin, constant_values=np.nan),
+        rows_m.astype(np.float64, copy=False),
+        [_KERNELS[metric] for metric in metrics],
+        min_samples,
+    )
+    return {
+        metric: SimilarityField(scores=score, overlap=overlap, u_first=-margin)
+        for metric, score in zip(metrics, scores, strict=True)
+    }

@@ -1,0 +1,117 @@
+"""A camera's image as the stages want it: upright and without distortion.
+
+Robot@Home's cameras stand on their side, and some drivers publish distorted depth. Both are taken
+out by one index map, so that every stage works on an ideal upright image and every result can name
+the pixel in the stored one. No depth is interpolated.
+"""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from fusion_core.model.conventions import Float32Array, FloatArray, IntArray, read_only
+from fusion_core.model.sensors import CameraIntrinsics
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UprightView:
+    """``stored_index``: (H', W') flat index into the stored image, -1 where it has no pixel; None
+    for an image that is upright and undistorted already. ``intrinsics`` are the view's;
+    ``R_stored_view`` turns the view's optical axes into the stored image's."""
+
+    intrinsics: CameraIntrinsics
+    stored_shape: tuple[int, int]
+    stored_index: IntArray | None
+    R_stored_view: FloatArray
+
+    def __post_init__(self) -> None:
+        read_only(self.R_stored_view)
+        if self.stored_index is not None:
+            read_only(self.stored_index)
+
+    def of(self, depth_m: Float32Array) -> Float32Array:
+        """(H', W') view of a stored (H, W) image."""
+        if self.stored_index is None:
+            return depth_m
+        seen = depth_m.ravel()[np.maximum(self.stored_index, 0)]
+        return np.where(self.stored_index >= 0, seen, np.float32(np.nan))
+
+    def stored_pixels(self, row: IntArray, column: IntArray) -> tuple[IntArray, IntArray]:
+        """Stored (row, column) of the view's pixels; -1 stays -1."""
+        if self.stored_index is None:
+            return row, column
+        inside = row >= 0
+        flat = self.stored_index[np.where(inside, row, 0), np.where(inside, column, 0)]
+        inside &= flat >= 0
+        width = self.stored_shape[1]
+        return np.where(inside, flat // width, -1), np.where(inside, flat % width, -1)
+
+
+def upright_view(intrinsics: CameraIntrinsics, up_in_camera: FloatArray | None) -> UprightView:
+    """The view of a camera. ``up_in_camera``: (3,) the world's up in the stored image's optical
+    axes, or None where nobody says, which counts as upright."""
+    turns = 0 if up_in_camera is None else _quarter_turns(up_in_camera)
+    shape = (intrinsics.height, intrinsics.width)
+    index = np.arange(shape[0] * shape[1], dtype=np.int64).reshape(shape)
+    lens = intrinsics
+    if any(intrinsics.distortion):
+        index, lens = _without_distortion(index, intrinsics)
+    index = np.rot90(index, turns)
+    plain = turns == 0 and lens is intrinsics
+    return UprightView(
+        intrinsics=_turned(lens, turns),
+        stored_shape=shape,
+        stored_index=None if plain else np.ascontiguousarray(index),
+        R_stored_view=_R_STORED_VIEW[turns].copy(),
+    )
+
+
+# Columns: the view's right, down and forward in the stored image's optical axes, after 0 to 3
+# quarter turns counter-clockwise.
+_R_STORED_VIEW: list[FloatArray] = [
+    np.eye(3),
+    np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+    np.array([[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]),
+    np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+]
+
+
+def _quarter_turns(up_in_camera: FloatArray) -> int:
+    """Turns counter-clockwise after which the image's top is up."""
+    right, down = float(up_in_camera[0]), float(up_in_camera[1])
+    if abs(right) > abs(down):
+        return 1 if right > 0.0 else 3
+    return 2 if down > 0.0 else 0
+
+
+def _turned(lens: CameraIntrinsics, turns: int) -> CameraIntrinsics:
+    for _ in range(turns):
+        lens = replace(
+            lens,
+            width=lens.height,
+            height=lens.width,
+            fx=lens.fy,
+            fy=lens.fx,
+            cx=lens.cy,
+            cy=lens.width - 1 - lens.cx,
+        )
+    return lens
+
+
+def _without_distortion(
+    index: IntArray, lens: CameraIntrinsics
+) -> tuple[IntArray, CameraIntrinsics]:
+    K = np.array([[lens.fx, 0.0, lens.cx], [0.0, lens.fy, lens.cy], [0.0, 0.0, 1.0]])
+    size = (lens.width, lens.height)
+    coefficients = np.array(lens.distortion)
+    if lens.distortion_model in ("equidistant", "fisheye"):
+        u, v = cv2.fisheye.initUndistortRectifyMap(
+            K, coefficients[:4], np.eye(3), K, size, cv2.CV_32FC1
+        )
+    else:
+        u, v = cv2.initUndistortRectifyMap(K, coefficients, np.eye(3), K, size, cv2.CV_32FC1)
+    column, row = np.rint(u).astype(np.int64), np.rint(v).astype(np.int64)
+    inside = (column >= 0) & (column < lens.width) & (row >= 0) & (row < lens.height)
+    taken = index[np.where(inside, row, 0), np.where(inside, column, 0)]
+    return np.where(inside, taken, -1), replace(lens, distortion=())

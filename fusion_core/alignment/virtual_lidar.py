@@ -1,0 +1,72 @@
+"""A LiDAR curve cut from a row of the depth image, to inspect recordings with depth alone.
+
+The curve is the row's full width as depthimage_to_laserscan makes it. So that alignment has
+something to find, the depth rows are then cropped to their middle and lose the rows around the
+cut. Results made of it are labelled virtual: both curves are one sensor's.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from fusion_core.alignment.upright import UprightView
+from fusion_core.model.conventions import Float32Array
+from fusion_core.model.errors import SettingsError
+from fusion_core.model.rig import Camera
+from fusion_core.model.sensors import DepthImage, LaserScan
+
+FRAME_ID = "virtual_lidar"
+_KEPT_WIDTH = 0.6
+_ROWS_LEFT_OUT = 3
+_RANGE_MAX_M = 10.0
+
+
+def virtual_scan(image: DepthImage, camera: Camera, row: int) -> LaserScan:
+    """The scan of an upright image's ``row``: one beam a column, on equal angles.
+
+    Raises SettingsError for a row that the image does not have.
+    """
+    lens = camera.intrinsics
+    if not 0 <= row < lens.height:
+        raise SettingsError(
+            f"--virtual-lidar {row}: the depth image has rows 0 to {lens.height - 1}.",
+            advice="Name one of these.",
+        )
+    ends_rad = camera.column_azimuths_rad(np.array([0.0, lens.width - 1.0]))
+    azimuths_rad = np.linspace(float(ends_rad[1]), float(ends_rad[0]), lens.width)
+    columns = np.rint(lens.cx - lens.fx * np.tan(azimuths_rad)).astype(np.int64)
+    columns = np.clip(columns, 0, lens.width - 1)
+    ranges_m = image.depth_m[row, columns].astype(np.float64) / np.cos(azimuths_rad)
+    ranges_m[ranges_m > _RANGE_MAX_M] = np.nan
+    return LaserScan(
+        stamp_ns=image.stamp_ns,
+        received_ns=image.received_ns,
+        frame_id=FRAME_ID,
+        angle_min_rad=float(azimuths_rad[0]),
+        angle_increment_rad=float(azimuths_rad[1] - azimuths_rad[0]),
+        range_min_m=0.1,
+        range_max_m=_RANGE_MAX_M,
+        ranges_m=ranges_m,
+    )
+
+
+def without_cut(depth_m: Float32Array, row: int) -> Float32Array:
+    """The image without the rows around the cut (NaN there)."""
+    kept = depth_m.copy()
+    kept[max(0, row - _ROWS_LEFT_OUT) : row + _ROWS_LEFT_OUT + 1] = np.nan
+    return kept
+
+
+def cropped_view(view: UprightView) -> UprightView:
+    """The middle columns of a view, so that the curve is wider than the rows laid on it."""
+    lens = view.intrinsics
+    first = round(0.5 * (1.0 - _KEPT_WIDTH) * lens.width)
+    last = lens.width - first
+    index = view.stored_index
+    if index is None:
+        index = np.arange(lens.height * lens.width, dtype=np.int64).reshape(lens.height, lens.width)
+    return replace(
+        view,
+        intrinsics=replace(lens, width=last - first, cx=lens.cx - first),
+        stored_index=np.ascontiguousarray(index[:, first:last]),
+    )

@@ -1,0 +1,356 @@
+"""Which depth pixel belongs to which LiDAR beam, and what each sensor says about the other's value.
+
+Every beam inside the camera's view is kept: nothing is decimated. Along the projected curve (the
+default, where the mount is known) a beam with a range meets the pixel onto which its point falls.
+Every beam, with a range or without, is also followed through the depth image as a ray: where it
+first meets the surface that the camera sees is the camera's answer for that beam. In the row
+(where the mount is not known, and in the paper) a beam meets the row's pixel of the same azimuth.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numba import njit
+
+from fusion_core.model.conventions import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    read_only,
+)
+from fusion_core.model.geometry import apply, inverse
+from fusion_core.model.rig import Camera
+from fusion_core.model.sensors import LaserScan
+
+RowModel = Literal["curve", "row"]
+
+# A seen depth that changes by more than this between two steps of a ray is an edge, not a surface
+# that the ray pierces.
+_EDGE_M = 0.25
+_RAY_STEP_M = 0.03
+_NEAREST_M = 0.15
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Correspondence:
+    """One scan against one image: arrays over the B beams inside the camera's view.
+
+    ``beam``: index in the scan. ``row``, ``column``: pixel in the upright view, -1 where the
+    beam's point lies outside the image (or nothing tells where it lies).
+    ``lidar_range_m``: the beam's own range; ``depth_m``: the pixel's own depth along the optical
+    axis; ``depth_as_range_m``: that pixel's point as a horizontal range from the LiDAR's origin;
+    ``lidar_as_depth_m``: the beam's point as a depth along the optical axis;
+    ``camera_range_m``: the range at which the beam, followed as a ray, meets what the camera sees.
+    ``azimuth_rad``: the beam in the LiDAR frame. ``residual_m``: what eq. (6) compares with
+    epsilon, signed depth - LiDAR where both are ranges. NaN where missing.
+    """
+
+    model: RowModel
+    beam: IntArray
+    row: IntArray
+    column: IntArray
+    azimuth_rad: FloatArray
+    lidar_range_m: FloatArray
+    depth_m: FloatArray
+    depth_as_range_m: FloatArray
+    lidar_as_depth_m: FloatArray
+    camera_range_m: FloatArray
+    residual_m: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("beam", "row", "column", "lidar_range_m", "depth_m", "camera_range_m"):
+            read_only(getattr(self, name))
+
+
+def along_curve(
+    scan: LaserScan,
+    depth_m: Float32Array,
+    smooth_depth_m: Float32Array,
+    camera: Camera,
+    T_lidar_camera: FloatArray,
+) -> Correspondence:
+    """Pair beams and pixels along the LiDAR's projected curve.
+
+    ``depth_m``: (H, W) upright view, ``smooth_depth_m`` the same without speckle (rays follow
+    it). ``T_lidar_camera``: (4, 4) optical frame at the image's stamp to the LiDAR frame at the
+    scan's stamp.
+    """
+    lens = camera.intrinsics
+    azimuth_rad = scan.angles_rad
+    camera_range = _follow_rays(
+        azimuth_rad,
+        smooth_depth_m,
+        inverse(T_lidar_camera),
+        np.array([lens.fx, lens.fy, lens.cx, lens.cy]),
+        scan.range_max_m,
+    )
+    own = np.isfinite(scan.ranges_m)
+    guess = np.where(own, scan.ranges_m, camera_range)
+    in_view = _column_in_view(azimuth_rad, guess, T_lidar_camera, camera)
+    beam = np.flatnonzero(in_view)
+    guess = guess[beam]
+    azimuth_rad = azimuth_rad[beam]
+    points = _at_range(azimuth_rad, guess)
+    in_camera = apply(inverse(T_lidar_camera), points)
+    ahead = in_camera[:, 2] > _NEAREST_M
+    scale = np.where(ahead, in_camera[:, 2], np.nan)
+    u = lens.cx + lens.fx * in_camera[:, 0] / scale
+    v = lens.cy + lens.fy * in_camera[:, 1] / scale
+    row, column = _pixel(u, v, lens.height, lens.width)
+    return _paired("curve", scan, beam, row, column, depth_m, camera, T_lidar_camera, camera_range)
+
+
+def in_row(
+    scan: LaserScan,
+    depth_m: Float32Array,
+    smooth_depth_m: Float32Array,
+    camera: Camera,
+    T_lidar_camera: FloatArray,
+    row: int,
+) -> Correspondence:
+    """Pair beams with the pixels of one row that have the same azimuth (the paper's way).
+
+    The camera counts as standing in the LiDAR's axis, level: only the yaw of ``T_lidar_camera``
+    is used, and a row's horizontal range is compared as it is.
+    """
+    lens = camera.intrinsics
+    yaw_rad = float(np.arctan2(T_lidar_camera[1, 2], T_lidar_camera[0, 2]))
+    relative = np.angle(np.exp(1j * (scan.angles_rad - yaw_rad)))
+    ahead = np.abs(relative) < np.deg2rad(85.0)
+    u = np.where(ahead, lens.cx - lens.fx * np.tan(np.where(ahead, relative, 0.0)), np.nan)
+    beam = np.flatnonzero((u >= -0.5) & (u < lens.width - 0.5))
+    column = np.floor(u[beam] + 0.5).astype(np.int64)
+    range_per_depth = 1.0 / np.cos(relative[beam])
+    lidar = scan.ranges_m[beam]
+    depth = depth_m[row, column].astype(np.float64)
+    return Correspondence(
+        model="row",
+        beam=beam,
+        row=np.full(beam.size, row, dtype=np.int64),
+        column=column,
+        azimuth_rad=scan.angles_rad[beam],
+        lidar_range_m=lidar,
+        depth_m=depth,
+        depth_as_range_m=depth * range_per_depth,
+        lidar_as_depth_m=lidar / range_per_depth,
+        camera_range_m=smooth_depth_m[row, column] * range_per_depth,
+        residual_m=depth * range_per_depth - lidar,
+    )
+
+
+def by_sample(
+    scan: LaserScan,
+    depth_m: Float32Array,
+    curve_beams: IntArray,
+    row_columns: IntArray,
+    u: float,
+    v: float,
+) -> tuple[Correspondence, FloatArray, FloatArray]:
+    """The paper's pairs: sample u + w of the curve and sample w of row v, values as they come.
+
+    Returns the pairs, not yet compared, and the (W, 2) points (x, z) of L and D for eq. (5): z the
+    value, holes as 0, and x = w s with s the frame's median range times the angle of a sample (our
+    reading: the paper names no unit, and so both axes are metres).
+    """
+    first = round(u)
+    inside = (first + np.arange(row_columns.size) >= 0) & (
+        first + np.arange(row_columns.size) < curve_beams.size
+    )
+    column = row_columns[inside]
+    beam = curve_beams[first + np.flatnonzero(inside)]
+    lidar = scan.ranges_m[beam]
+    depth = depth_m[round(v), column].astype(np.float64)
+    step_rad = abs(scan.angle_increment_rad) * scan.ranges_m.size / curve_beams.size
+    valid = lidar[np.isfinite(lidar)]
+    spacing_m = float(np.median(valid)) * step_rad if valid.size else step_rad
+    x = np.arange(beam.size) * spacing_m
+    missing = np.full(beam.size, np.nan)
+    pairs = Correspondence(
+        model="row",
+        beam=beam,
+        row=np.full(beam.size, round(v), dtype=np.int64),
+        column=column,
+        azimuth_rad=scan.angles_rad[beam],
+        lidar_range_m=lidar,
+        depth_m=depth,
+        depth_as_range_m=missing,
+        lidar_as_depth_m=missing,
+        camera_range_m=missing,
+        residual_m=missing,
+    )
+    L = np.stack([x, np.nan_to_num(lidar, nan=0.0)], axis=1)
+    D = np.stack([x, np.nan_to_num(depth, nan=0.0)], axis=1)
+    return pairs, L, D
+
+
+def compared(
+    pairs: Correspondence,
+    L: FloatArray,
+    D: FloatArray,
+    A: FloatArray,
+    A_inverse: FloatArray,
+    residual_m: FloatArray,
+) -> Correspondence:
+    """The paper's pairs with what A makes of them: D A^-1 (7) for beams, L A (8) for pixels."""
+    has_lidar, has_depth = np.isfinite(pairs.lidar_range_m), np.isfinite(pairs.depth_m)
+    as_range = np.where(has_depth, _through(D, A_inverse)[:, 1], np.nan)
+    return replace(
+        pairs,
+        depth_as_range_m=as_range,
+        camera_range_m=as_range,
+        lidar_as_depth_m=np.where(has_lidar, _through(L, A)[:, 1], np.nan),
+        residual_m=np.where(has_lidar & has_depth, residual_m, np.nan),
+    )
+
+
+def _through(points: FloatArray, matrix: FloatArray) -> FloatArray:
+    """(N, 2) row vectors through a (3, 3) map."""
+    image = np.column_stack([points, np.ones(points.shape[0])]) @ matrix
+    through: FloatArray = image[:, :2] / image[:, 2:]
+    return through
+
+
+def planar_points(pairs: Correspondence, range_m: FloatArray) -> FloatArray:
+    """(B, 2) points (x to the right, z ahead) of ranges on the pairs' beams, as eq. (5) has them.
+
+    Ahead is the middle of the beams in view.
+    """
+    middle_rad = float(np.median(pairs.azimuth_rad)) if pairs.azimuth_rad.size else 0.0
+    relative = pairs.azimuth_rad - middle_rad
+    return np.stack([-range_m * np.sin(relative), range_m * np.cos(relative)], axis=1)
+
+
+def mapped(pairs: Correspondence, A: FloatArray, A_inverse: FloatArray) -> Correspondence:
+    """The pairs with each sensor's value carried to the other through A, eqs. (7) and (8).
+
+    For pairs in the row, whose mount is not known: what a pixel says of a beam is the length of
+    D A^-1, and what a beam says of a pixel scales its depth by the length of L A.
+    """
+
+    def carried(range_m: FloatArray, matrix: FloatArray) -> FloatArray:
+        image = _through(planar_points(pairs, range_m), matrix)
+        return np.hypot(image[:, 0], image[:, 1])
+
+    as_range = carried(pairs.depth_as_range_m, A_inverse)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        depth_per_range = pairs.lidar_as_depth_m / pairs.lidar_range_m
+    return replace(
+        pairs,
+        depth_as_range_m=as_range,
+        camera_range_m=carried(pairs.camera_range_m, A_inverse),
+        lidar_as_depth_m=carried(pairs.lidar_range_m, A) * depth_per_range,
+        residual_m=as_range - pairs.lidar_range_m,
+    )
+
+
+def _paired(
+    model: RowModel,
+    scan: LaserScan,
+    beam: IntArray,
+    row: IntArray,
+    column: IntArray,
+    depth_m: Float32Array,
+    camera: Camera,
+    T_lidar_camera: FloatArray,
+    camera_range: FloatArray,
+) -> Correspondence:
+    lens = camera.intrinsics
+    inside = row >= 0
+    depth = np.where(inside, depth_m[row, column], np.nan).astype(np.float64)
+    rays = np.stack([(column - lens.cx) / lens.fx, (row - lens.cy) / lens.fy, np.ones(row.size)], 1)
+    seen = apply(T_lidar_camera, depth[:, np.newaxis] * rays)
+    azimuth_rad = scan.angles_rad[beam]
+    lidar = scan.ranges_m[beam]
+    in_camera = apply(inverse(T_lidar_camera), _at_range(azimuth_rad, lidar))
+    return Correspondence(
+        model=model,
+        beam=beam,
+        row=row,
+        column=column,
+        azimuth_rad=azimuth_rad,
+        lidar_range_m=lidar,
+        depth_m=depth,
+        depth_as_range_m=np.hypot(seen[:, 0], seen[:, 1]),
+        lidar_as_depth_m=in_camera[:, 2],
+        camera_range_m=camera_range[beam],
+        residual_m=np.hypot(seen[:, 0], seen[:, 1]) - lidar,
+    )
+
+
+def _at_range(azimuth_rad: FloatArray, range_m: FloatArray) -> FloatArray:
+    """(N, 3) points of the LiDAR's plane."""
+    zero = np.zeros(azimuth_rad.size)
+    return np.stack([range_m * np.cos(azimuth_rad), range_m * np.sin(azimuth_rad), zero], axis=1)
+
+
+def _pixel(u: FloatArray, v: FloatArray, height: int, width: int) -> tuple[IntArray, IntArray]:
+    inside = (u >= -0.5) & (u < width - 0.5) & (v >= -0.5) & (v < height - 0.5)
+    row = np.where(inside, np.floor(np.where(inside, v, 0.0) + 0.5), -1).astype(np.int64)
+    column = np.where(inside, np.floor(np.where(inside, u, 0.0) + 0.5), -1).astype(np.int64)
+    return row, column
+
+
+def _column_in_view(
+    azimuth_rad: FloatArray, range_m: FloatArray, T_lidar_camera: FloatArray, camera: Camera
+) -> BoolArray:
+    """Beams whose column lies in the image; without any range, at the range of its neighbours."""
+    known = np.isfinite(range_m)
+    if not known.any():
+        return np.zeros(range_m.size, dtype=np.bool_)
+    index = np.arange(range_m.size)
+    filled = np.interp(index, index[known], range_m[known])
+    in_camera = apply(inverse(T_lidar_camera), _at_range(azimuth_rad, filled))
+    ahead = in_camera[:, 2] > _NEAREST_M
+    lens = camera.intrinsics
+    u = lens.cx + lens.fx * in_camera[:, 0] / np.where(ahead, in_camera[:, 2], np.nan)
+    in_view: BoolArray = (u >= -0.5) & (u < lens.width - 0.5)
+    return in_view
+
+
+@njit(cache=True)
+def _follow_rays(
+    azimuth_rad: FloatArray,
+    depth_m: Float32Array,
+    T_camera_lidar: FloatArray,
+    lens: FloatArray,
+    range_max_m: float,
+) -> FloatArray:
+    """(N,) range at which each beam first meets the seen surface, NaN where it never does.
+
+    A ray that disappears behind something nearer (a table top) goes on: it may come out again.
+    """
+    height, width = depth_m.shape
+    fx, fy, cx, cy = lens
+    T = T_camera_lidar
+    found = np.full(azimuth_rad.size, np.nan)
+    for index in range(azimuth_rad.size):
+        x, y = np.cos(azimuth_rad[index]), np.sin(azimuth_rad[index])
+        dx = T[0, 0] * x + T[0, 1] * y
+        dy = T[1, 0] * x + T[1, 1] * y
+        dz = T[2, 0] * x + T[2, 1] * y
+        if dz < 0.2:
+            continue
+        ahead_before = np.nan
+        seen_before = np.nan
+        distance = _NEAREST_M
+        while distance <= range_max_m:
+            depth = T[2, 3] + distance * dz
+            distance += _RAY_STEP_M
+            if depth < _NEAREST_M:
+                continue
+            u = cx + fx * (T[0, 3] + (distance - _RAY_STEP_M) * dx) / depth
+            v = cy + fy * (T[1, 3] + (distance - _RAY_STEP_M) * dy) / depth
+            if u < -0.5 or u >= width - 0.5 or v < -0.5 or v >= height - 0.5:
+                ahead_before = np.nan
+                continue
+            seen = depth_m[int(np.floor(v + 0.5)), int(np.floor(u + 0.5))]
+            ahead = seen - depth
+            if ahead <= 0.0 and ahead_before > 0.0 and abs(seen - seen_before) < _EDGE_M:
+                share = ahead_before / (ahead_before - ahead)
+                found[index] = distance - _RAY_STEP_M * (2.0 - share)
+                break
+            ahead_before = ahead
+            seen_before = seen
+    return found

@@ -1,0 +1,290 @@
+"""Xu 2024 §2.3.2, eq. (6): a class for each beam and each pixel of a frame.
+
+Eq. (6) finds pairs that disagree by more than epsilon; it does not say which sensor is wrong. Here
+the one that breaks its own neighbourhood is: a LiDAR beam that no adjacent beam supports, a pixel
+that stands alone in the 5 x 5 around it. The paper's types follow from the classes:
+① hole on both, ② hole on one, ③ burr. A *conflict*, which the paper lacks, is a pair in which both
+sides stand on surfaces of their own, e.g. a low cabinet that only the LiDAR meets: no noise.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numba import njit
+
+from fusion_core.denoising.correspondence import Correspondence
+from fusion_core.denoising.noise_scale import NoiseScale
+from fusion_core.model.classes import NoiseClass
+from fusion_core.model.conventions import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    read_only,
+)
+from fusion_core.model.sensors import LaserScan
+from fusion_core.settings import StageSettings, setting
+
+# A disagreement is as likely anywhere within this span (for the confidences).
+_OUTLIER_SPAN_M = 4.0
+_OUTLIER_SHARE = 0.05
+
+
+class NoiseSettings(StageSettings):
+    """The threshold epsilon and what counts as support by neighbours."""
+
+    epsilon: float = setting(3.0, "Threshold of eq. (6), in epsilon_unit", gt=0.0, le=100.0)
+    epsilon_unit: Literal["sigma", "E", "m"] = setting(
+        "sigma", "Unit of epsilon: the learned noise scale, the frame's mean error E, or metres"
+    )
+    support_sigma: float = setting(
+        3.0, "A neighbour within this many standard deviations supports a beam", gt=0.0, le=10.0
+    )
+    slope_share: float = setting(
+        0.02, "Change of range from beam to beam that a slanted wall may have", ge=0.0, le=0.2
+    )
+    pixel_tolerance_share: float = setting(
+        0.03,
+        "A neighbouring pixel within 3 cm and this share of the depth supports a pixel",
+        ge=0.0,
+    )
+    fault: Literal["support", "rougher"] = setting(
+        "support",
+        "Which side of a disagreeing pair is a burr: one without support, or the one that strays "
+        "more from its neighbours (published; there are no conflicts then)",
+    )
+    pixel_support: int = setting(
+        2, "Pixels of the 5 x 5 around that must support one, else it is a burr", ge=1, le=24
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameWindow:
+    """What classes need: the pair, and each sensor's own neighbourhood.
+
+    ``scan_before``, ``scan_after``: neighbours in time with the beams by which the LiDAR turned
+    from them (``shift_before``, ``shift_after``), or None. ``depth_m``: (H, W) upright view.
+    """
+
+    pairs: Correspondence
+    scan: LaserScan
+    depth_m: Float32Array
+    scan_before: LaserScan | None = None
+    scan_after: LaserScan | None = None
+    shift_before: int = 0
+    shift_after: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Classes:
+    """Codes of NoiseClass for the B beams of the pairs and for their pixels.
+
+    ``depth_class`` is -1 where the beam has no pixel. Confidences in [0, 1]. ``epsilon_m``: (B,).
+    """
+
+    lidar_class: IntArray
+    depth_class: IntArray
+    lidar_confidence: FloatArray
+    depth_confidence: FloatArray
+    epsilon_m: FloatArray
+
+    def __post_init__(self) -> None:
+        for array in (self.lidar_class, self.depth_class, self.lidar_confidence):
+            read_only(array)
+
+
+def classify(
+    window: FrameWindow,
+    settings: NoiseSettings,
+    scale: NoiseScale,
+    mean_error_m: float,
+) -> Classes:
+    """Class and confidence of each beam and pixel. ``mean_error_m`` is the frame's E."""
+    pairs = window.pairs
+    has_lidar = np.isfinite(pairs.lidar_range_m)
+    has_depth = np.isfinite(pairs.depth_m)
+    has_pixel = pairs.row >= 0
+    sigma_m = scale.at(np.where(has_lidar, pairs.lidar_range_m, 0.0))
+    epsilon_m = _epsilon(settings, sigma_m, mean_error_m)
+    residual_m = np.abs(pairs.residual_m)
+    disagree = has_lidar & has_depth & (residual_m > epsilon_m)
+
+    beam_support, beam_neighbours = _beam_support(window, settings, scale)
+    pixel_support, pixel_neighbours = _pixel_support(window, settings)
+    near, beyond, in_time = beam_support.T
+    # An edge may part a beam from both adjacent ones; then the next, or other scans, must vouch.
+    lone_beam = (near == 0) & ((beyond < 2) | (in_time < 2))
+    lone_pixel = pixel_support < settings.pixel_support
+    if settings.fault == "rougher":
+        rougher = _roughness(pairs.lidar_range_m) >= _roughness(pairs.depth_m)
+        lone_beam, lone_pixel = rougher, ~rougher
+    # Without a counterpart, e.g. behind glass, most neighbours must be of the beam's own surface.
+    beside = near + beyond
+    unseen = has_lidar & ~has_depth & (settings.fault == "support")
+    unseen &= (beside < 2) | (2 * beside < beam_neighbours[:, 0])
+
+    lidar_class = np.full(pairs.beam.size, int(NoiseClass.GOOD))
+    depth_class = np.full(pairs.beam.size, int(NoiseClass.GOOD))
+    conflict = disagree & ~lone_beam & ~lone_pixel
+    lidar_class[conflict] = depth_class[conflict] = NoiseClass.CONFLICT
+    lidar_class[(disagree & lone_beam) | unseen] = NoiseClass.BURR
+    depth_class[disagree & lone_pixel] = NoiseClass.BURR
+    lidar_class[~has_lidar] = NoiseClass.HOLE
+    depth_class[~has_depth] = NoiseClass.HOLE
+    depth_class[~has_pixel] = -1
+
+    agreement = _probability_good(residual_m, sigma_m)
+    beam_share = beam_support.sum(axis=1) / np.maximum(beam_neighbours.sum(axis=1), 1)
+    pixel_share = pixel_support / np.maximum(pixel_neighbours, 1)
+    return Classes(
+        lidar_class=lidar_class,
+        depth_class=depth_class,
+        lidar_confidence=_confidence(lidar_class, agreement, beam_share, has_depth),
+        depth_confidence=_confidence(depth_class, agreement, pixel_share, has_lidar),
+        epsilon_m=epsilon_m,
+    )
+
+
+def _roughness(values_m: FloatArray) -> FloatArray:
+    """(B,) distance of each value from the mean of its two neighbours, 0 where one is missing."""
+    padded = np.pad(values_m, 1, mode="edge")
+    rough = np.abs(values_m - 0.5 * (padded[:-2] + padded[2:]))
+    return np.nan_to_num(rough, nan=0.0)
+
+
+def _epsilon(settings: NoiseSettings, sigma_m: FloatArray, mean_error_m: float) -> FloatArray:
+    if settings.epsilon_unit == "sigma":
+        return settings.epsilon * sigma_m
+    factor_m = 1.0 if settings.epsilon_unit == "m" else mean_error_m
+    return np.full(sigma_m.size, settings.epsilon * factor_m)
+
+
+def _probability_good(residual_m: FloatArray, sigma_m: FloatArray) -> FloatArray:
+    """Posterior that a pair agrees: a normal residual against a uniform one, 0.5 without a pair."""
+    normal = np.exp(-0.5 * (residual_m / sigma_m) ** 2) / (sigma_m * np.sqrt(2.0 * np.pi))
+    good = (1.0 - _OUTLIER_SHARE) * normal
+    probability: FloatArray = good / (good + _OUTLIER_SHARE / _OUTLIER_SPAN_M)
+    return np.where(np.isfinite(probability), probability, 0.5)
+
+
+def _confidence(
+    classes: IntArray,
+    agreement: FloatArray,
+    support: FloatArray,
+    has_other: BoolArray,
+) -> FloatArray:
+    """Evidence for the class given: agreement of the pair times what the neighbours say."""
+    disagreement = np.where(has_other, 1.0 - agreement, 0.6)
+    good = np.where(has_other, agreement + (1.0 - agreement) * support, 0.5 + 0.5 * support)
+    by_class = {
+        NoiseClass.GOOD: good,
+        NoiseClass.HOLE: np.ones(classes.size),
+        NoiseClass.BURR: disagreement * (1.0 - support),
+        NoiseClass.CONFLICT: disagreement * np.maximum(support, 0.25),
+    }
+    confidence = np.zeros(classes.size)
+    for noise_class, values in by_class.items():
+        confidence = np.where(classes == noise_class, values, confidence)
+    return np.clip(confidence, 0.0, 1.0)
+
+
+def _beam_support(
+    window: FrameWindow, settings: NoiseSettings, scale: NoiseScale
+) -> tuple[IntArray, IntArray]:
+    """(B, 3) supporters among adjacent beams, beams two and three away, and the scans before and
+    after; (B, 2) how many neighbours in the scan and in time had a value at all."""
+    nothing = np.full(window.scan.ranges_m.size, np.nan)
+
+    def in_time(scan: LaserScan | None) -> FloatArray:
+        same = scan is not None and scan.ranges_m.size == nothing.size
+        return scan.ranges_m if scan is not None and same else nothing
+
+    counted: tuple[IntArray, IntArray] = _count_beam_support(
+        window.scan.ranges_m,
+        np.stack([in_time(window.scan_before), in_time(window.scan_after)]),
+        np.array([window.shift_before, window.shift_after]),
+        window.pairs.beam,
+        settings.support_sigma * scale.floor_m,
+        settings.support_sigma * scale.share,
+        settings.slope_share,
+    )
+    return counted
+
+
+def _pixel_support(window: FrameWindow, settings: NoiseSettings) -> tuple[IntArray, IntArray]:
+    """(B,) supporters among the 5 x 5 pixels around, and how many of those had a value."""
+    counted: tuple[IntArray, IntArray] = _count_pixel_support(
+        window.depth_m,
+        window.pairs.row,
+        window.pairs.column,
+        settings.pixel_tolerance_share,
+    )
+    return counted
+
+
+@njit(cache=True)
+def _count_beam_support(
+    ranges: FloatArray,
+    in_time: FloatArray,
+    shifts: IntArray,
+    beams: IntArray,
+    floor_m: float,
+    share: float,
+    slope: float,
+) -> tuple[IntArray, IntArray]:
+    support = np.zeros((beams.size, 3), dtype=np.int64)
+    neighbours = np.zeros((beams.size, 2), dtype=np.int64)
+    count = ranges.size
+    for index in range(beams.size):
+        beam = beams[index]
+        own = ranges[beam]
+        if np.isnan(own):
+            continue
+        tolerance = np.hypot(floor_m, share * own)
+        for step in (-3, -2, -1, 1, 2, 3):
+            other = beam + step
+            if other < 0 or other >= count or np.isnan(ranges[other]):
+                continue
+            neighbours[index, 0] += 1
+            if abs(ranges[other] - own) <= tolerance + slope * own * abs(step):
+                support[index, 0 if abs(step) == 1 else 1] += 1
+        for neighbour in range(2):
+            scan, shift = in_time[neighbour], shifts[neighbour]
+            # The robot moves between scans: the surface may have come nearer by a little.
+            reach = tolerance + 0.05
+            seen = False
+            met = False
+            for step in (-1, 0, 1):
+                other = beam + shift + step
+                if 0 <= other < count and not np.isnan(scan[other]):
+                    seen = True
+                    met = met or abs(scan[other] - own) <= reach
+            neighbours[index, 1] += seen
+            support[index, 2] += met
+    return support, neighbours
+
+
+@njit(cache=True)
+def _count_pixel_support(
+    depth: Float32Array, rows: IntArray, columns: IntArray, share: float
+) -> tuple[IntArray, IntArray]:
+    height, width = depth.shape
+    support = np.zeros(rows.size, dtype=np.int64)
+    neighbours = np.zeros(rows.size, dtype=np.int64)
+    for index in range(rows.size):
+        row, column = rows[index], columns[index]
+        if row < 0 or np.isnan(depth[row, column]):
+            continue
+        own = depth[row, column]
+        for other_row in range(max(0, row - 2), min(height, row + 3)):
+            for other_column in range(max(0, column - 2), min(width, column + 3)):
+                if other_row == row and other_column == column:
+                    continue
+                other = depth[other_row, other_column]
+                if np.isnan(other):
+                    continue
+                neighbours[index] += 1
+                if abs(other - own) <= 0.03 + share * own:
+                    support[index] += 1
+    return support, neighbours

@@ -1,0 +1,1 @@
+"""Measures against truth, one definition each, for tests and commands alike."""

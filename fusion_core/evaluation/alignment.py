@@ -1,0 +1,285 @@
+"""How well the offset u, the mount and the clock were found, against the truth.
+
+The true u of a frame is the median, over its good pairs, of the offset of the row on the LiDAR
+curve, lever arm included. Its pairs come from the truth alone: the true point of each good beam is
+projected through the true mount, and the pair is good where the true pixel it falls on is good and
+has, seen from the LiDAR's origin, a horizontal range within 10 cm of the beam's.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fusion_core.evaluation.fuse_folder import (
+    MISSING,
+    FuseFolder,
+    RecordedLidar,
+    open_fuse_folder,
+    read_frames,
+)
+from fusion_core.evaluation.scene import SAME_SURFACE_M, Scene, SceneCamera, join
+from fusion_core.evaluation.truth import Truth
+from fusion_core.model.classes import NoiseClass
+from fusion_core.model.conventions import FloatArray, IntArray, read_only, wrap_angle
+from fusion_core.model.geometry import apply, inverse, transform
+
+U_TOLERANCE_SAMPLES = 2.0
+LEAST_OVERLAP = 0.5
+CLOCK_INTERVAL_SD = 2.0
+"""Half width of the clock's interval in standard deviations, about 95 %."""
+
+METRICS = ("pearson", "cosine", "inverse_cosine", "euclidean")
+
+# Where the panorama's ends are looked at: beyond the baselines of a rig, within a room.
+_PANORAMA_END_M = 2.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OffsetHits:
+    """Of the frames that count, how many have u within 2 samples of the truth."""
+
+    frames: int
+    within: int
+
+    @property
+    def share(self) -> float | None:
+        """Hits / frames that count, None without frames."""
+        return self.within / self.frames if self.frames else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlignmentReport:
+    """Alignment of one recording.
+
+    ``u_true``: (F,) true u of each row of frames.csv, NaN where a frame has no good pair.
+    ``hits``: for each column of offsets ("u", "u_alone", "u_<metric>", "u_alone_<metric>"), over
+    the frames with a true u and an overlap of at least half; a frame without u is a miss.
+    ``mount_error``: estimate - truth of each parameter of the mount, None where it was not
+    observable; of several cameras the mean optical centre, heading and pitch. The clock's interval
+    is its estimate +- 2 sd.
+    """
+
+    u_true: FloatArray
+    hits: dict[str, OffsetHits]
+    mount_error: dict[str, float | None]
+    clock_offset_true_ms: float | None
+    clock_interval_ms: tuple[float, float] | None
+
+    def __post_init__(self) -> None:
+        read_only(self.u_true)
+
+    @property
+    def yaw_error_deg(self) -> float | None:
+        """Estimated - true yaw, None where none was estimated."""
+        error_rad = self.mount_error["yaw_rad"]
+        return None if error_rad is None else float(np.degrees(error_rad))
+
+    @property
+    def clock_contains_truth(self) -> bool | None:
+        """Whether the interval contains the true offset, None where either is unknown."""
+        if self.clock_interval_ms is None or self.clock_offset_true_ms is None:
+            return None
+        low, high = self.clock_interval_ms
+        return low <= self.clock_offset_true_ms <= high
+
+    def to_json(self) -> dict[str, Any]:
+        """Shares with their counts, errors of the mount and the clock's interval."""
+        known = self.u_true[np.isfinite(self.u_true)]
+        return {
+            "u_true_median": float(np.median(known)) if known.size else None,
+            "frames": int(self.u_true.size),
+            "frames_with_true_u": int(known.size),
+            "within_2_samples": {name: _hits_json(hits) for name, hits in self.hits.items()},
+            "yaw_error_deg": self.yaw_error_deg,
+            "mount_error": dict(self.mount_error),
+            "clock_offset_true_ms": self.clock_offset_true_ms,
+            "clock_interval_ms": None
+            if self.clock_interval_ms is None
+            else list(self.clock_interval_ms),
+            "clock_contains_truth": self.clock_contains_truth,
+        }
+
+
+def _hits_json(hits: OffsetHits) -> dict[str, Any]:
+    return {"share": hits.share, "within": hits.within, "frames": hits.frames}
+
+
+def evaluate_alignment(fuse_dir: Path, truth: Truth) -> AlignmentReport:
+    """Compare frames.csv and alignment.json in ``fuse_dir`` with ``truth``.
+
+    Raises ScanLoomError where a file is unfit, the two do not belong together, or the truth knows
+    no mount.
+    """
+    folder = open_fuse_folder(fuse_dir)
+    scene = join(truth, folder)
+    frames = read_frames(folder)
+    u_true = np.full(frames.stamp_ns.shape, np.nan)
+    paired = np.flatnonzero(frames.scan_stamp_ns != MISSING)
+    scan = scene.scan_index(frames.scan_stamp_ns[paired])
+    image = scene.image_index(frames.camera[paired], frames.stamp_ns[paired])
+    T_lidar_rig = _true_rig(scene)
+    left_rad = _left_of_row_rad(scene, T_lidar_rig, folder.lidar)
+    for frame, scan_index, image_index in zip(paired, scan, image, strict=True):
+        offsets = _good_pair_offsets(
+            scene,
+            scene.cameras[frames.camera[frame]],
+            (int(scan_index), int(image_index)),
+            T_lidar_rig,
+            left_rad,
+            folder.lidar,
+        )
+        if offsets.size:
+            u_true[frame] = np.median(offsets)
+    return AlignmentReport(
+        u_true=u_true,
+        hits=_hits(folder, frames.number, u_true),
+        mount_error=_mount_error(folder, scene),
+        clock_offset_true_ms=truth.clock_offset_ms,
+        clock_interval_ms=_clock_interval_ms(folder),
+    )
+
+
+def pool_hits(reports: Sequence[AlignmentReport]) -> dict[str, OffsetHits]:
+    """The hits over the frames of several recordings, for the columns that all of them have."""
+    names = [name for name in reports[0].hits if all(name in own.hits for own in reports)]
+    return {
+        name: OffsetHits(
+            frames=sum(report.hits[name].frames for report in reports),
+            within=sum(report.hits[name].within for report in reports),
+        )
+        for name in names
+    }
+
+
+def _good_pair_offsets(
+    scene: Scene,
+    camera: SceneCamera,
+    scan_and_image: tuple[int, int],
+    T_lidar_rig: FloatArray,
+    left_rad: float,
+    lidar: RecordedLidar,
+) -> FloatArray:
+    """LiDAR sample of the beam - row sample of the pixel, of each good pair of a frame."""
+    scan, image = scan_and_image
+    beam = np.flatnonzero(scene.truth.kind[scan] == NoiseClass.GOOD)
+    range_m = scene.truth.range_m[scan, beam]
+    angle_rad = scene.beam_angle_rad[beam]
+    points = np.stack([np.cos(angle_rad), np.sin(angle_rad), np.zeros(beam.size)], axis=-1)
+    row, column, inside = camera.pixels(points * range_m[:, np.newaxis])
+    shown: IntArray = np.full(beam.shape, image)
+    depth_m = camera.truth.depth_m(shown, row, column)
+    near = np.abs(camera.horizontal_range_m(row, column, depth_m) - range_m) < SAME_SURFACE_M
+    good = inside & near & (camera.truth.kind[image, row, column] == NoiseClass.GOOD)
+    in_lidar = apply(
+        camera.T_lidar_camera, camera.points_in_camera(row[good], column[good], depth_m[good])
+    )
+    in_rig = apply(inverse(T_lidar_rig), in_lidar)
+    azimuth_rad = np.arctan2(in_rig[:, 1], in_rig[:, 0])
+    step_rad = _step_rad(lidar)
+    from_left_rad = _curve_left_rad(scene, step_rad) - angle_rad[good]
+    offsets: FloatArray = (from_left_rad - (left_rad - azimuth_rad)) / step_rad
+    return offsets
+
+
+def _step_rad(lidar: RecordedLidar) -> float:
+    """Angle of one LiDAR sample: Psi of them tile the beams' field of view."""
+    return abs(lidar.angle_increment_rad) * lidar.beams / lidar.samples
+
+
+def _curve_left_rad(scene: Scene, step_rad: float) -> float:
+    """Azimuth of LiDAR sample 0: half a sample inside the left end of the field of view."""
+    angles = scene.beam_angle_rad
+    half_beam_rad = 0.5 * abs(angles[1] - angles[0])
+    return float(angles.max() + half_beam_rad - 0.5 * step_rad)
+
+
+def _true_rig(scene: Scene) -> FloatArray:
+    """(4, 4) T_lidar_rig, about whose origin the row's azimuths are taken.
+
+    One camera is its own rig, x along its optical axis. Several have theirs at the mean optical
+    centre, level, x along their mean heading.
+    """
+    mounts = [camera.T_lidar_camera for camera in scene.cameras]
+    forward = np.sum([mount[:3, 2] for mount in mounts], axis=0)
+    if len(mounts) > 1:
+        forward[2] = 0.0
+    forward = forward / np.linalg.norm(forward)
+    left = np.array([-forward[1], forward[0], 0.0]) / np.hypot(forward[0], forward[1])
+    axes = np.stack([forward, left, np.cross(forward, left)], axis=-1)
+    return transform(axes, np.mean([mount[:3, 3] for mount in mounts], axis=0))
+
+
+def _left_of_row_rad(scene: Scene, T_lidar_rig: FloatArray, lidar: RecordedLidar) -> float:
+    """Azimuth in the rig of row sample 0: half a sample inside the image's left edge."""
+    edges = []
+    for camera in scene.cameras:
+        _, _, cx, cy = camera.intrinsics
+        _, height, width = camera.truth.depth_mm.shape
+        column = np.array([-0.5, width - 0.5, cx, cx])
+        row = np.array([cy, cy, -0.5, height - 0.5])
+        edge = camera.points_in_camera(row, column, np.full(4, _PANORAMA_END_M))
+        in_rig = apply(inverse(T_lidar_rig) @ camera.T_lidar_camera, edge)
+        edges.append(np.arctan2(in_rig[:, 1], in_rig[:, 0]).max())
+    return float(max(edges)) - 0.5 * _step_rad(lidar)
+
+
+def _hits(
+    folder: FuseFolder, number: dict[str, FloatArray], u_true: FloatArray
+) -> dict[str, OffsetHits]:
+    counts = np.isfinite(u_true) & (number["overlap"] >= LEAST_OVERLAP)
+    names = [
+        f"{column}{suffix}"
+        for suffix in ("", *(f"_{metric}" for metric in METRICS))
+        for column in ("u", "u_alone")
+    ]
+    return {
+        name: OffsetHits(
+            frames=int(counts.sum()),
+            within=int((np.abs(number[name] - u_true)[counts] <= U_TOLERANCE_SAMPLES).sum()),
+        )
+        for name in names
+        if name in number
+    }
+
+
+def _mount_error(folder: FuseFolder, scene: Scene) -> dict[str, float | None]:
+    true_mounts = [camera.T_lidar_camera for camera in scene.cameras]
+    centre_m = np.mean([mount[:3, 3] for mount in true_mounts], axis=0)
+    errors: dict[str, float | None] = {}
+    for name, true_m in zip(("forward_m", "left_m", "delta_z_m"), centre_m, strict=True):
+        estimate_m = folder.alignment.get(name)
+        errors[name] = None if estimate_m is None else float(estimate_m - true_m)
+    for name, angle_rad in (("yaw_rad", _heading_rad), ("pitch_rad", _looks_down_rad)):
+        if len(true_mounts) == 1:
+            estimates = [folder.alignment.get(name)]
+        else:
+            # A rig's own axes are anybody's choice; the headings of its cameras are not.
+            mounts = [camera.T_lidar_camera for camera in folder.cameras]
+            estimates = [None if mount is None else angle_rad(mount) for mount in mounts]
+        known = [
+            wrap_angle(estimate_rad - angle_rad(mount))
+            for estimate_rad, mount in zip(estimates, true_mounts, strict=True)
+            if estimate_rad is not None
+        ]
+        errors[name] = float(np.mean(known)) if known else None
+    return errors
+
+
+def _heading_rad(T_lidar_camera: FloatArray) -> float:
+    return float(np.arctan2(T_lidar_camera[1, 2], T_lidar_camera[0, 2]))
+
+
+def _looks_down_rad(T_lidar_camera: FloatArray) -> float:
+    return float(-np.arcsin(np.clip(T_lidar_camera[2, 2], -1.0, 1.0)))
+
+
+def _clock_interval_ms(folder: FuseFolder) -> tuple[float, float] | None:
+    offset_ms = folder.alignment.get("clock_offset_ms")
+    sd_ms = folder.alignment.get("clock_offset_ms_sd")
+    if offset_ms is None or sd_ms is None:
+        return None
+    half_ms = CLOCK_INTERVAL_SD * float(sd_ms)
+    return float(offset_ms) - half_ms, float(offset_ms) + half_ms

@@ -1,0 +1,155 @@
+"""Errors of the repaired samples of one sensor, beside those of its rivals."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fusion_core.model.classes import RepairSource
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
+
+MOVED_FARTHER_M = 0.05
+MOVED_FARTHER_SHARE = 0.02
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RepairErrors:
+    """Absolute errors over the repaired samples of one sensor, and what there was to repair.
+
+    ``wide``: (n,) whether the sample lies in a gap of 3 degrees and more. ``source``: (n,) codes
+    of RepairSource. ``error_m``: (n,). ``rival_error_m``: (n,) for each rival, NaN where it has no
+    value; empty where no rival could be computed.
+    ``wanted_wide``, ``wanted_narrow``: holes and burrs, repaired or not.
+    ``returns``, ``moved_farther``: true returns, and those whose repaired value is not the raw
+    one and lies farther than both raw and true value by more than 5 cm + 2 %.
+    The arrays hold a few numbers a frame, far less than the truth itself.
+    """
+
+    wide: BoolArray
+    source: IntArray
+    error_m: FloatArray
+    rival_error_m: dict[str, FloatArray]
+    wanted_wide: int
+    wanted_narrow: int
+    returns: int
+    moved_farther: int
+
+    def __post_init__(self) -> None:
+        for array in (self.wide, self.source, self.error_m, *self.rival_error_m.values()):
+            if array.shape != self.wide.shape:
+                raise ValueError("all arrays of repair errors must have one length")
+            read_only(array)
+
+    @property
+    def moved_farther_share(self) -> float | None:
+        """True returns that were moved farther / true returns."""
+        return self.moved_farther / self.returns if self.returns else None
+
+    def to_json(self) -> dict[str, Any]:
+        """Median, 90th percentile and RMS by width of the gap, beside those of the rivals."""
+        return {
+            "wide": self._gap_json(self.wide, self.wanted_wide),
+            "narrow": self._gap_json(~self.wide, self.wanted_narrow),
+            "by_source": {
+                source.name.lower(): _spread(self.error_m[self.source == source])
+                for source in (RepairSource.OTHER_SENSOR, RepairSource.NEIGHBOURS)
+            },
+            "returns": self.returns,
+            "moved_farther": self.moved_farther_share,
+        }
+
+    def _gap_json(self, chosen: BoolArray, wanted: int) -> dict[str, Any]:
+        own = _spread(self.error_m[chosen])
+        entry: dict[str, Any] = {
+            "wanted": wanted,
+            "repaired": int(chosen.sum()) / wanted if wanted else None,
+            "own": own,
+        }
+        for rival, error_m in self.rival_error_m.items():
+            spread = _spread(error_m[chosen])
+            entry[rival] = spread | {
+                f"own_to_{name}": _ratio(own[f"{name}_m"], spread[f"{name}_m"])
+                for name in ("median", "p90", "rms")
+            }
+        return entry
+
+
+def was_repaired(source: IntArray, repaired_m: FloatArray) -> BoolArray:
+    """Whether each sample got a value that is not its own."""
+    filled = (source == RepairSource.OTHER_SENSOR) | (source == RepairSource.NEIGHBOURS)
+    repaired: BoolArray = filled & np.isfinite(repaired_m)
+    return repaired
+
+
+def repair_errors(
+    *,
+    wanted: BoolArray,
+    repaired: BoolArray,
+    wide: BoolArray,
+    source: IntArray,
+    true_m: FloatArray,
+    repaired_m: FloatArray,
+    rival_m: dict[str, FloatArray],
+    returns: BoolArray,
+    raw_m: FloatArray,
+) -> RepairErrors:
+    """Errors over the samples that were repaired; all arrays are (n,).
+
+    ``wanted``: holes and burrs in truth. ``repaired``: those of them with a repair.
+    ``wide``: in a wide gap. ``source``: codes of RepairSource. ``true_m``, ``repaired_m``,
+    ``raw_m``: values of the sensor. ``rival_m``: what each rival gives.
+    ``returns``: good in truth with a raw value.
+    """
+    farthest_m = np.fmax(true_m, raw_m)
+    limit_m = farthest_m + MOVED_FARTHER_M + MOVED_FARTHER_SHARE * farthest_m
+    return RepairErrors(
+        wide=wide[repaired],
+        source=source[repaired],
+        error_m=np.abs(repaired_m - true_m)[repaired],
+        rival_error_m={
+            name: np.abs(value_m - true_m)[repaired] for name, value_m in rival_m.items()
+        },
+        wanted_wide=int((wanted & wide).sum()),
+        wanted_narrow=int((wanted & ~wide).sum()),
+        returns=int(returns.sum()),
+        moved_farther=int((returns & (repaired_m > limit_m)).sum()),
+    )
+
+
+def pool_errors(parts: Sequence[RepairErrors], rivals: Sequence[str]) -> RepairErrors:
+    """All parts as one, with the named rivals, which each part must have."""
+    return RepairErrors(
+        wide=_joined([part.wide for part in parts], np.bool_),
+        source=_joined([part.source for part in parts], np.int64),
+        error_m=_joined([part.error_m for part in parts], np.float64),
+        rival_error_m={
+            name: _joined([part.rival_error_m[name] for part in parts], np.float64)
+            for name in rivals
+        },
+        wanted_wide=sum(part.wanted_wide for part in parts),
+        wanted_narrow=sum(part.wanted_narrow for part in parts),
+        returns=sum(part.returns for part in parts),
+        moved_farther=sum(part.moved_farther for part in parts),
+    )
+
+
+def _joined(parts: Sequence[Any], dtype: Any) -> Any:
+    return np.concatenate([np.empty(0, dtype), *parts])
+
+
+def _spread(error_m: FloatArray) -> dict[str, Any]:
+    """Count, median, 90th percentile and root mean square; None where there is nothing."""
+    known = error_m[np.isfinite(error_m)]
+    if known.size == 0:
+        return {"count": 0, "median_m": None, "p90_m": None, "rms_m": None}
+    return {
+        "count": int(known.size),
+        "median_m": float(np.median(known)),
+        "p90_m": float(np.percentile(known, 90.0)),
+        "rms_m": float(np.sqrt(np.mean(known**2))),
+    }
+
+
+def _ratio(own: float | None, rival: float | None) -> float | None:
+    return own / rival if own is not None and rival else None

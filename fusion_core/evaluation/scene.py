@@ -1,0 +1,179 @@
+"""The truth joined to a result folder: stamps matched, and the true geometry to compare in."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fusion_core.evaluation.fuse_folder import FuseFolder, RecordedCamera
+from fusion_core.evaluation.truth import CameraTruth, Truth
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
+from fusion_core.model.errors import ScanLoomError
+from fusion_core.model.geometry import apply, inverse
+
+SAME_SURFACE_M = 0.10
+"""True horizontal ranges that differ by less belong to one surface (a good pair)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneCamera:
+    """A depth camera with its truth and its true geometry."""
+
+    topic: str
+    truth: CameraTruth
+    intrinsics: tuple[float, float, float, float]
+    T_lidar_camera: FloatArray
+
+    @property
+    def rows_are_level(self) -> bool:
+        """Whether the image's rows, not its columns, lie along the LiDAR's plane."""
+        return bool(abs(self.T_lidar_camera[2, 0]) <= abs(self.T_lidar_camera[2, 1]))
+
+    def points_in_camera(
+        self, row: FloatArray | IntArray, column: FloatArray | IntArray, depth_m: FloatArray
+    ) -> FloatArray:
+        """(..., 3) points in the optical frame of pixels with a depth."""
+        fx, fy, cx, cy = self.intrinsics
+        ray = np.stack([(column - cx) / fx, (row - cy) / fy, np.ones(np.shape(row))], axis=-1)
+        points: FloatArray = ray * depth_m[..., np.newaxis]
+        return points
+
+    def horizontal_range_m(
+        self, row: IntArray, column: IntArray, depth_m: FloatArray
+    ) -> FloatArray:
+        """Distance in the LiDAR's plane, from its origin, of pixels with a depth."""
+        points = apply(self.T_lidar_camera, self.points_in_camera(row, column, depth_m))
+        return np.hypot(points[..., 0], points[..., 1])
+
+    def pixels(self, points_in_lidar: FloatArray) -> tuple[IntArray, IntArray, BoolArray]:
+        """Nearest row and column of (..., 3) points, and whether they lie in the image.
+
+        Row and column are 0 where the point does not.
+        """
+        fx, fy, cx, cy = self.intrinsics
+        x, y, z = np.moveaxis(apply(inverse(self.T_lidar_camera), points_in_lidar), -1, 0)
+        ahead = z > 0.0  # NaN compares false.
+        depth_m = np.where(ahead, z, 1.0)
+        _, height, width = self.truth.depth_mm.shape
+        column = np.rint(fx * x / depth_m + cx)
+        row = np.rint(fy * y / depth_m + cy)
+        inside = ahead & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        return (
+            np.where(inside, row, 0).astype(np.int64),
+            np.where(inside, column, 0).astype(np.int64),
+            inside,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """What both files together say. ``cameras`` are in the folder's order.
+
+    ``beam_angle_rad``: (N,) azimuth of each beam.
+    """
+
+    truth: Truth
+    beam_angle_rad: FloatArray
+    cameras: tuple[SceneCamera, ...]
+
+    def scan_index(self, stamp_ns: IntArray) -> IntArray:
+        """Positions of scans in the truth. Raises ScanLoomError for a stamp that it lacks."""
+        return stamp_positions(self.truth.scan_stamp_ns, stamp_ns, "scan", self.truth.file)
+
+    def image_index(self, camera: IntArray, stamp_ns: IntArray) -> IntArray:
+        """Positions of depth images in their camera's truth. Raises as ``scan_index``."""
+        positions = np.zeros(stamp_ns.shape, dtype=np.int64)
+        for code, own in enumerate(self.cameras):
+            mine = camera == code
+            positions[mine] = stamp_positions(
+                own.truth.stamp_ns, stamp_ns[mine], "depth image", self.truth.file
+            )
+        return positions
+
+
+def join(truth: Truth, folder: FuseFolder) -> Scene:
+    """Join the two. What the truth does not know of angles and intrinsics, the recording says.
+
+    Raises ScanLoomError where they do not belong together, or where the truth knows no mount.
+    """
+    return Scene(
+        truth=truth,
+        beam_angle_rad=_beam_angles_rad(truth, folder),
+        cameras=tuple(_scene_camera(truth, recorded, folder) for recorded in folder.cameras),
+    )
+
+
+def _scene_camera(truth: Truth, recorded: RecordedCamera, folder: FuseFolder) -> SceneCamera:
+    own = _truth_of(truth, recorded, alone=len(folder.cameras) == 1)
+    if own.depth_mm.shape[1:] != (recorded.height, recorded.width):
+        raise ScanLoomError(
+            f"has images of {own.depth_mm.shape[2]} x {own.depth_mm.shape[1]} pixels, "
+            f"{recorded.topic} has {recorded.width} x {recorded.height}.",
+            file=truth.file,
+            advice=_OTHER_RECORDING,
+        )
+    if own.T_lidar_camera is None:
+        raise ScanLoomError(
+            f"does not say how the camera {recorded.topic} is mounted.",
+            file=truth.file,
+            advice="Give the lever arm and the heights by hand.",
+        )
+    intrinsics = own.intrinsics if own.intrinsics is not None else recorded.intrinsics
+    if intrinsics is None:
+        raise ScanLoomError(
+            f"does not say the intrinsics of {recorded.topic}, nor does the recording.",
+            file=truth.file,
+            advice="Write the truth with its array 'intrinsics'.",
+        )
+    return SceneCamera(
+        topic=recorded.topic,
+        truth=own,
+        intrinsics=intrinsics,
+        T_lidar_camera=own.T_lidar_camera,
+    )
+
+
+_OTHER_RECORDING = "Give the truth of this recording."
+
+
+def _truth_of(truth: Truth, recorded: RecordedCamera, *, alone: bool) -> CameraTruth:
+    """By topic; a truth of one camera that names none serves a folder of one camera."""
+    for own in truth.cameras:
+        if own.topic == recorded.topic:
+            return own
+    if alone and len(truth.cameras) == 1 and truth.cameras[0].topic is None:
+        return truth.cameras[0]
+    raise ScanLoomError(
+        f"knows nothing of the camera {recorded.topic}.", file=truth.file, advice=_OTHER_RECORDING
+    )
+
+
+def _beam_angles_rad(truth: Truth, folder: FuseFolder) -> FloatArray:
+    """(N,) azimuth of each beam: the truth's, else the recording's."""
+    beams = truth.range_m.shape[1]
+    if beams != folder.lidar.beams:
+        raise ScanLoomError(
+            f"has scans of {beams} beams, the recording {folder.lidar.beams}.",
+            file=truth.file,
+            advice=_OTHER_RECORDING,
+        )
+    start_rad, step_rad = truth.angle_min_rad, truth.angle_increment_rad
+    if start_rad is None or step_rad is None:
+        start_rad, step_rad = folder.lidar.angle_min_rad, folder.lidar.angle_increment_rad
+    return start_rad + step_rad * np.arange(beams, dtype=np.float64)
+
+
+def stamp_positions(known_ns: IntArray, stamp_ns: IntArray, what: str, file: Path) -> IntArray:
+    """Where each stamp stands in ``known_ns``, which may be in any order."""
+    order = np.argsort(known_ns, kind="stable")
+    place = np.searchsorted(known_ns, stamp_ns, sorter=order)
+    found = place < known_ns.size
+    positions = order[np.where(found, place, 0)] if known_ns.size else np.zeros_like(stamp_ns)
+    found[found] = known_ns[positions[found]] == stamp_ns[found]
+    if not found.all():
+        raise ScanLoomError(
+            f"knows no {what} of stamp {stamp_ns[~found][0]} ns.",
+            file=file,
+            advice=_OTHER_RECORDING,
+        )
+    return positions

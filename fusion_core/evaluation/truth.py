@@ -1,0 +1,235 @@
+"""What a simulator knows of a recording: true ranges, true depths, and which samples are noise."""
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fusion_core.model.classes import NoiseClass
+from fusion_core.model.conventions import (
+    R_BODY_OPTICAL,
+    ByteArray,
+    FloatArray,
+    IntArray,
+    read_only,
+)
+from fusion_core.model.errors import ScanLoomError
+from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+MM_PER_M = 1000.0
+_TRUE_CLASSES = (NoiseClass.GOOD, NoiseClass.HOLE, NoiseClass.BURR)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeverArm:
+    """A mount measured by hand, for a truth that knows the camera's yaw alone.
+
+    ``forward_m`` and ``left_m``: the camera's origin seen from the LiDAR's. A pitch of 0 is a
+    level camera, positive looks down.
+    """
+
+    forward_m: float
+    left_m: float
+    lidar_height_m: float
+    camera_height_m: float
+    pitch_rad: float = 0.0
+
+    def mount(self, yaw_rad: float) -> FloatArray:
+        """(4, 4) T_lidar_camera of an optical frame that looks ``yaw_rad`` to the left."""
+        rotation = rotation_from_yaw_pitch_roll(yaw_rad, self.pitch_rad, 0.0) @ R_BODY_OPTICAL
+        up_m = self.camera_height_m - self.lidar_height_m
+        return transform(rotation, np.array([self.forward_m, self.left_m, up_m]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraTruth:
+    """The truth of one depth camera.
+
+    ``stamp_ns``: (K,) as recorded. ``depth_mm``: (K, H, W) along the optical axis, 0 or NaN where
+    there is none; kept in the file's unit because it is by far the largest array.
+    ``kind``: (K, H, W) class codes. ``intrinsics``: (fx, fy, cx, cy) or None.
+    ``T_lidar_camera``: (4, 4) or None. ``topic`` is None where the file names none.
+    """
+
+    topic: str | None
+    stamp_ns: IntArray
+    depth_mm: npt.NDArray[Any]
+    kind: ByteArray
+    intrinsics: tuple[float, float, float, float] | None
+    T_lidar_camera: FloatArray | None
+
+    def __post_init__(self) -> None:
+        for array in (self.stamp_ns, self.depth_mm, self.kind):
+            read_only(array)
+
+    def depth_m(self, frame: IntArray, row: IntArray, column: IntArray) -> FloatArray:
+        """True depth at pixels, NaN where the truth has none."""
+        depth_mm = self.depth_mm[frame, row, column].astype(np.float64)
+        return np.where(depth_mm > 0.0, depth_mm / MM_PER_M, np.nan)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Truth:
+    """The truth of a recording, as its file has it.
+
+    ``scan_stamp_ns``: (S,). ``range_m``: (S, N), NaN where there is none; it may exceed what the
+    LiDAR can measure. ``kind``: (S, N) class codes. Angles and clock are None where unknown.
+    """
+
+    file: Path
+    scan_stamp_ns: IntArray
+    range_m: FloatArray
+    kind: ByteArray
+    angle_min_rad: float | None
+    angle_increment_rad: float | None
+    clock_offset_ms: float | None
+    cameras: tuple[CameraTruth, ...]
+
+    def __post_init__(self) -> None:
+        for array in (self.scan_stamp_ns, self.range_m, self.kind):
+            read_only(array)
+
+
+def load_truth(
+    path: Path, *, lever_arm: LeverArm | None = None, clock_offset_ms: float | None = None
+) -> Truth:
+    """Read and check a truth file.
+
+    ``lever_arm`` and ``clock_offset_ms`` (camera stamp - LiDAR stamp of the same instant) serve
+    where the file has no ``T_lidar_camera`` and no ``clock_offset_ms``; the file's own win.
+
+    Raises ScanLoomError where the file cannot be read, lacks an array, or has one of a wrong shape.
+    """
+    arrays = _arrays(path)
+    scan_stamp_ns = _stamps(arrays, "scan_stamp", path)
+    range_m = _array(arrays, "scan_true", path, ndim=2).astype(np.float64)
+    _same_shape(range_m.shape[:1], scan_stamp_ns.shape, "scan_true", path)
+    range_m[~(np.isfinite(range_m) & (range_m > 0.0))] = np.nan
+    own_clock = _scalar(arrays, "clock_offset_ms")
+    return Truth(
+        file=path,
+        scan_stamp_ns=scan_stamp_ns,
+        range_m=range_m,
+        kind=_classes(arrays, "scan_kind", range_m.shape, path),
+        angle_min_rad=_scalar(arrays, "lidar_angle_min"),
+        angle_increment_rad=_scalar(arrays, "lidar_angle_increment"),
+        clock_offset_ms=clock_offset_ms if own_clock is None else own_clock,
+        cameras=_cameras(arrays, path, lever_arm),
+    )
+
+
+def _arrays(path: Path) -> Arrays:
+    try:
+        loaded = np.load(path, allow_pickle=False)
+        if isinstance(loaded, np.lib.npyio.NpzFile):
+            with loaded as file:
+                return dict(file)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ScanLoomError(
+            f"cannot be read as a truth: {error}.", file=path, advice=_ADVICE
+        ) from error
+    raise ScanLoomError("holds a single array, not a truth.", file=path, advice=_ADVICE)
+
+
+_ADVICE = "Give the .npz that was written with the recording."
+
+
+def _cameras(arrays: Arrays, path: Path, lever_arm: LeverArm | None) -> tuple[CameraTruth, ...]:
+    """One camera under plain names, or several under names that end in _0, _1, ..."""
+    suffixes = [""]
+    if "depth_true" not in arrays:
+        count = sum(name.removeprefix("depth_true_").isdigit() for name in arrays)
+        suffixes = [f"_{camera}" for camera in range(max(count, 1))]
+    count = len(suffixes)
+    topics = _per_camera(arrays, "camera_topics", (), count, path)
+    intrinsics = _per_camera(arrays, "intrinsics", (4,), count, path)
+    mounts = _per_camera(arrays, "T_lidar_camera", (4, 4), count, path)
+    if mounts is None and lever_arm is not None:
+        yaws = _per_camera(arrays, "cam_yaw", (), count, path)
+        if yaws is not None:
+            mounts = np.stack([lever_arm.mount(float(yaw_rad)) for yaw_rad in yaws])
+    cameras = []
+    for camera, suffix in enumerate(suffixes):
+        depth_mm = _array(arrays, f"depth_true{suffix}", path, ndim=3)
+        shared = "depth_stamp" if f"depth_stamp{suffix}" not in arrays else f"depth_stamp{suffix}"
+        stamp_ns = _stamps(arrays, shared, path)
+        _same_shape(depth_mm.shape[:1], stamp_ns.shape, f"depth_true{suffix}", path)
+        lens = None
+        if intrinsics is not None:
+            fx, fy, cx, cy = map(float, intrinsics[camera])
+            lens = fx, fy, cx, cy
+        cameras.append(
+            CameraTruth(
+                topic=None if topics is None else str(topics[camera]),
+                stamp_ns=stamp_ns,
+                depth_mm=depth_mm,
+                kind=_classes(arrays, f"depth_kind{suffix}", depth_mm.shape, path),
+                intrinsics=lens,
+                T_lidar_camera=None if mounts is None else mounts[camera].astype(np.float64),
+            )
+        )
+    return tuple(cameras)
+
+
+def _array(arrays: Arrays, name: str, path: Path, *, ndim: int) -> npt.NDArray[Any]:
+    if name not in arrays:
+        raise ScanLoomError(f"has no array {name!r}.", file=path, advice=_ADVICE)
+    array = arrays[name]
+    if array.ndim != ndim or array.dtype.kind not in "iuf":
+        raise ScanLoomError(
+            f"{name} must be numbers of {ndim} dimensions, is {array.dtype} {array.shape}.",
+            file=path,
+            advice=_ADVICE,
+        )
+    return array
+
+
+def _stamps(arrays: Arrays, name: str, path: Path) -> IntArray:
+    stamps = _array(arrays, name, path, ndim=1)
+    if stamps.dtype.kind not in "iu":
+        raise ScanLoomError(
+            f"{name} must be whole nanoseconds, is {stamps.dtype}.", file=path, advice=_ADVICE
+        )
+    return stamps.astype(np.int64)
+
+
+def _classes(arrays: Arrays, name: str, shape: tuple[int, ...], path: Path) -> ByteArray:
+    kind = _array(arrays, name, path, ndim=len(shape))
+    _same_shape(kind.shape, shape, name, path)
+    if kind.size and not (kind.min() >= min(_TRUE_CLASSES) and kind.max() <= max(_TRUE_CLASSES)):
+        raise ScanLoomError(
+            f"{name} holds codes from {kind.min()} to {kind.max()}, not only 0 good, 1 hole, "
+            "2 burr.",
+            file=path,
+            advice=_ADVICE,
+        )
+    return kind.astype(np.uint8, copy=False)
+
+
+def _same_shape(shape: tuple[int, ...], wanted: tuple[int, ...], name: str, path: Path) -> None:
+    if shape != wanted:
+        raise ScanLoomError(
+            f"{name} has {shape} entries where {wanted} belong.", file=path, advice=_ADVICE
+        )
+
+
+def _scalar(arrays: Arrays, name: str) -> float | None:
+    return float(arrays[name].reshape(-1)[0]) if name in arrays else None
+
+
+def _per_camera(
+    arrays: Arrays, name: str, shape: tuple[int, ...], count: int, path: Path
+) -> npt.NDArray[Any] | None:
+    """(count, *shape); with one camera the first axis may be left out."""
+    if name not in arrays:
+        return None
+    array = arrays[name]
+    if count == 1 and array.shape == shape:
+        array = array[np.newaxis]
+    _same_shape(array.shape, (count, *shape), name, path)
+    return array

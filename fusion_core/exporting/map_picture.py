@@ -1,0 +1,101 @@
+"""Maps as pictures for people: colours that the colour-blind can tell apart, and a scale bar."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from fusion_core.exporting.atomic import write_bytes
+from fusion_core.model.conventions import ByteArray
+from fusion_core.model.errors import ExportError
+from fusion_core.model.grids import MapDifference, OccupancyGrid
+
+_Color = tuple[int, int, int]
+
+# Okabe & Ito 2008, which deuteranopes and protanopes can tell apart, darkest for what all maps
+# share. By the bit mask of MapDifference, for two and for three maps.
+_OBSTACLES: dict[int, tuple[_Color, ...]] = {
+    2: ((0, 114, 178), (213, 94, 0), (0, 0, 0)),
+    3: (
+        (0, 114, 178),  # first
+        (213, 94, 0),  # second
+        (204, 121, 167),  # first and second
+        (240, 228, 66),  # third
+        (86, 180, 233),  # first and third
+        (230, 159, 0),  # second and third
+        (0, 0, 0),  # all
+    ),
+}
+_UNKNOWN: _Color = (196, 204, 214)
+_FREE: _Color = (255, 255, 255)
+_INK: _Color = (0, 0, 0)
+_PAPER: _Color = (255, 255, 255)
+
+_LONGEST_SIDE_PX = 800
+_ZOOM_MAX = 16
+_WIDTH_MIN_PX = 360
+_MARGIN_PX = 12
+_LINE_PX = 22
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_FONT_SCALE = 0.45
+
+
+def write_grid_picture(path: Path, grid: OccupancyGrid) -> None:
+    """A map: the darker a cell, the surer an obstacle; unknown cells are blue-grey."""
+    shade = np.round(255.0 * (1.0 - np.where(grid.known, grid.probability, 0.0)))
+    rgb = np.repeat(shade.astype(np.uint8)[:, :, np.newaxis], 3, axis=2)
+    rgb[~grid.known] = _UNKNOWN
+    legend = [((0, 0, 0), "occupied"), (_FREE, "free"), (_UNKNOWN, "unknown")]
+    _write(path, _compose(rgb, grid.resolution_m, legend))
+
+
+def write_difference_picture(path: Path, difference: MapDifference) -> None:
+    """The difference of two or three maps, each state in its colour."""
+    colors = (_UNKNOWN, _FREE, *_OBSTACLES[len(difference.names)])
+    rgb = np.array(colors, dtype=np.uint8)[difference.states]
+    legend = [(colors[state], words) for state, words in difference.legend.items()]
+    _write(path, _compose(rgb, difference.resolution_m, legend))
+
+
+def scale_bar_m(width_m: float) -> float:
+    """The longest of 1, 2 or 5 times a power of ten that is at most a third of a width."""
+    longest_m = width_m / 3.0
+    power = 10.0 ** np.floor(np.log10(longest_m))
+    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= longest_m))
+
+
+def _compose(rgb: ByteArray, resolution_m: float, legend: list[tuple[_Color, str]]) -> ByteArray:
+    """The map enlarged with y upwards, and below it the scale bar and the legend."""
+    zoom = int(np.clip(_LONGEST_SIDE_PX // max(rgb.shape[:2]), 1, _ZOOM_MAX))
+    cells = np.flipud(rgb).repeat(zoom, axis=0).repeat(zoom, axis=1)
+    height, width = cells.shape[:2]
+    top = height + 2 * _MARGIN_PX
+    sheet_shape = (
+        top + _LINE_PX * (1 + len(legend)),
+        max(width + 2 * _MARGIN_PX, _WIDTH_MIN_PX),
+        3,
+    )
+    sheet = np.full(sheet_shape, _PAPER, dtype=np.uint8)
+    sheet[_MARGIN_PX : _MARGIN_PX + height, _MARGIN_PX : _MARGIN_PX + width] = cells
+
+    bar_m = scale_bar_m(sheet_shape[1] / zoom * resolution_m)
+    bar_px = round(bar_m / resolution_m * zoom)
+    cv2.rectangle(sheet, (_MARGIN_PX, top + 4), (_MARGIN_PX + bar_px - 1, top + 9), _INK, -1)
+    _text(sheet, f"{bar_m:g} m", _MARGIN_PX + bar_px + 8, top + 11)
+    for i, (color, words) in enumerate(legend):
+        y = top + _LINE_PX * (i + 1)
+        cv2.rectangle(sheet, (_MARGIN_PX, y), (_MARGIN_PX + 14, y + 14), color, -1)
+        cv2.rectangle(sheet, (_MARGIN_PX, y), (_MARGIN_PX + 14, y + 14), _INK, 1)
+        _text(sheet, words, _MARGIN_PX + 24, y + 12)
+    return sheet
+
+
+def _text(sheet: ByteArray, text: str, x: int, y: int) -> None:
+    cv2.putText(sheet, text, (x, y), _FONT, _FONT_SCALE, _INK, 1, cv2.LINE_AA)
+
+
+def _write(path: Path, rgb: ByteArray) -> None:
+    done, png = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+    if not done:
+        raise ExportError("cannot be encoded as PNG.", file=path)
+    write_bytes(path, png.tobytes())

@@ -1,0 +1,125 @@
+"""The settings of a run as TOML: one table for each stage, each key with its help beside it."""
+
+import json
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+import tomlkit
+from pydantic import ValidationError
+from pydantic.fields import FieldInfo
+
+from fusion_core.model.errors import SettingsError
+from fusion_core.settings import StageSettings
+
+_PRESET_KEY = "preset"
+_RANGE_WORDS = {"ge": "at least", "gt": "more than", "le": "at most", "lt": "less than"}
+
+
+def dump_toml(stages: Mapping[str, StageSettings], preset: str) -> str:
+    """Every setting of every stage, so that the file alone repeats the run."""
+    document = tomlkit.document()
+    document.add(_PRESET_KEY, tomlkit.item(preset))
+    for stage, settings in stages.items():
+        table = tomlkit.table()
+        values = settings.model_dump(mode="json")
+        for name, field in type(settings).model_fields.items():
+            allowed = _allowed(field)
+            table.add(tomlkit.comment(f"{field.description}{f': {allowed}' if allowed else ''}"))
+            if values[name] is None:
+                # TOML has no null: a key that is left out takes its default.
+                table.add(tomlkit.comment(f"{name} is not set"))
+            else:
+                table.add(name, tomlkit.item(values[name]))
+        document.add(tomlkit.nl())
+        document.add(stage, table)
+    return tomlkit.dumps(document)
+
+
+def read_preset(path: Path) -> str | None:
+    """The preset that a settings file starts from, None where it names none."""
+    preset = _read(path).get(_PRESET_KEY)
+    if preset is not None and not isinstance(preset, str):
+        raise SettingsError(f"preset must be text, got {preset!r}.", file=path)
+    return preset
+
+
+def load_toml(
+    path: Path,
+    stages: Mapping[str, type[StageSettings]],
+    base: Mapping[str, StageSettings] | None = None,
+) -> dict[str, StageSettings]:
+    """The settings of every stage in ``stages``; what the file leaves out comes from ``base``.
+
+    Without ``base``, or for a stage it lacks, that is the default. Raises SettingsError, naming
+    the file, key, value and allowed range, for unknown stages and keys, wrong types and values
+    out of range.
+    """
+    document = _read(path)
+    document.pop(_PRESET_KEY, None)
+    for stage, table in document.items():
+        if stage not in stages:
+            raise SettingsError(
+                f"unknown stage {stage!r}.", file=path, advice=f"Stages: {', '.join(stages)}."
+            )
+        if not isinstance(table, dict):
+            raise SettingsError(f"{stage} must be a table, got {table!r}.", file=path)
+    result = {}
+    for stage, settings_class in stages.items():
+        given = document.get(stage, {})
+        start = {} if base is None or stage not in base else base[stage].model_dump(mode="json")
+        # JSON, since there a list may become a tuple and text an enum member while text is
+        # still no number.
+        text = json.dumps(start | given, default=str)
+        try:
+            result[stage] = settings_class.model_validate_json(text, strict=True)
+        except ValidationError as error:
+            raise _settings_error(path, stage, settings_class, given, error) from error
+    return result
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise SettingsError(f"cannot be read: {error.strerror}.", file=path) from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise SettingsError(f"is not TOML: {error}.", file=path) from error
+
+
+def _settings_error(
+    path: Path,
+    stage: str,
+    settings_class: type[StageSettings],
+    given: Mapping[str, Any],
+    error: ValidationError,
+) -> SettingsError:
+    first = error.errors(include_url=False)[0]
+    fields = settings_class.model_fields
+    if not first["loc"]:
+        return SettingsError(f"{stage}: {first['msg']}.", file=path)
+    name = str(first["loc"][0])
+    if first["type"] == "extra_forbidden":
+        return SettingsError(
+            f"unknown key {stage}.{name}.", file=path, advice=f"Keys: {', '.join(fields)}."
+        )
+    allowed = _allowed(fields[name])
+    return SettingsError(
+        f"{stage}.{name} = {given.get(name, first['input'])!r}: {first['msg']}.",
+        file=path,
+        advice=f"Allowed: {allowed}." if allowed else "",
+    )
+
+
+def _allowed(field: FieldInfo) -> str:
+    """The choices or the range of a field in words, empty where anything of its type goes."""
+    if get_origin(field.annotation) is Literal:
+        return " | ".join(str(choice) for choice in get_args(field.annotation))
+    bounds = [
+        f"{words} {bound}"
+        for name, words in _RANGE_WORDS.items()
+        for constraint in field.metadata
+        if (bound := getattr(constraint, name, None)) is not None
+    ]
+    return ", ".join(bounds)

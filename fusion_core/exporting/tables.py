@@ -1,0 +1,132 @@
+"""Tables written row by row or block by block, without ever holding a whole one."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Self
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from fusion_core.exporting.atomic import atomic_path, atomic_stream
+
+
+class CsvTable:
+    """A CSV file (UTF-8, comma, "\\n") that appears when the ``with`` block ends without error.
+
+    None and NaN become empty fields; floats are written with the fewest digits that read back to
+    the same value.
+    """
+
+    def __init__(self, path: Path, columns: Sequence[str]) -> None:
+        self._path = path
+        self._columns = tuple(columns)
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        stream: BinaryIO = self._stack.enter_context(atomic_stream(self._path))
+        self._text = io.TextIOWrapper(stream, encoding="utf-8", newline="", write_through=True)
+        self._stack.callback(self._text.detach)
+        self._writer = csv.writer(self._text, lineterminator="\n")
+        self._writer.writerow(self._columns)
+        return self
+
+    def append(self, row: Mapping[str, object]) -> None:
+        """Write one row. Raises ValueError unless its keys are the table's columns."""
+        if row.keys() != set(self._columns):
+            raise ValueError(f"row and columns differ in {sorted(row.keys() ^ set(self._columns))}")
+        self._writer.writerow([_field(row[column]) for column in self._columns])
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._stack.__exit__(kind, error, traceback)
+
+
+def _field(value: object) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool | np.bool_):
+        return "true" if value else "false"
+    if isinstance(value, float | np.floating):
+        # str, not repr: numpy's scalars of any width then give their own shortest digits.
+        return "" if np.isnan(value) else str(value)
+    text = str(value)
+    if "\r" in text:
+        # The csv module would leave it unquoted, and a reader would end the row there.
+        raise ValueError(f"a field cannot hold a carriage return: {text!r}")
+    return text
+
+
+class ParquetTable:
+    """A Parquet file that appears when the ``with`` block ends without error.
+
+    ``schema`` names the columns and their Arrow types (``{"stamp_ns": pa.int64()}``). NaN becomes
+    null, in columns of whole numbers too. At most one row group is held in memory, and the bytes
+    do not depend on how the rows were split among the calls of ``append``.
+    """
+
+    def __init__(
+        self, path: Path, schema: Mapping[str, pa.DataType], *, rows_per_group: int = 65_536
+    ) -> None:
+        self._path = path
+        self._schema = pa.schema(list(schema.items()))
+        self._rows_per_group = rows_per_group
+        self._pending: list[Any] = []
+        self._pending_rows = 0
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        aside = self._stack.enter_context(atomic_path(self._path))
+        self._writer = self._stack.enter_context(
+            pq.ParquetWriter(aside, self._schema, compression="zstd")
+        )
+        self._stack.push(self._write_rest)
+        return self
+
+    def append(self, columns: Mapping[str, npt.NDArray[Any]]) -> None:
+        """Add rows: one array of equal length for each column.
+
+        Raises ValueError for missing or unknown columns, unequal lengths, or values that the
+        column's type cannot hold.
+        """
+        names = self._schema.names
+        if columns.keys() != set(names):
+            raise ValueError(f"columns and schema differ in {sorted(columns.keys() ^ set(names))}")
+        arrays = [_arrow(columns[field.name], field.type) for field in self._schema]
+        table = pa.Table.from_arrays(arrays, schema=self._schema)
+        self._pending.append(table)
+        self._pending_rows += table.num_rows
+        while self._pending_rows >= self._rows_per_group:
+            self._write_group(self._rows_per_group)
+
+    def _write_group(self, rows: int) -> None:
+        pending = pa.concat_tables(self._pending)
+        self._writer.write_table(pending.slice(0, rows).combine_chunks(), row_group_size=rows)
+        self._pending = [pending.slice(rows)]
+        self._pending_rows -= rows
+
+    def _write_rest(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None and self._pending_rows > 0:
+            self._write_group(self._pending_rows)
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._stack.__exit__(kind, error, traceback)
+
+
+def _arrow(values: npt.NDArray[Any], column_type: pa.DataType) -> Any:
+    # from_pandas turns NaN to null; the safe cast refuses fractions and overflow.
+    return pa.array(values, from_pandas=True).cast(column_type)

@@ -1,0 +1,89 @@
+"""Which cells a ray passes (Amanatides & Woo 1987), and one scan's update of the cells it meets.
+
+Cell (row, column) covers ``column <= x < column + 1`` and ``row <= y < row + 1`` in cell units.
+"""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
+
+# numba ships no types, so its decorator is untyped for mypy.
+
+
+@njit(cache=True)
+def trace_ray(x0: float, y0: float, x1: float, y1: float, cells: IntArray) -> int:
+    """Write the cells on the segment (x0, y0)-(x1, y1) to ``cells`` in order, return their count.
+
+    All in cell units. ``cells``: (at least the count, 2) int64 rows and columns; the first holds
+    the start, the last the end. A segment through a corner goes straight to the cell across it.
+    Each crossing is computed from the segment itself and not by adding steps, so that nothing
+    drifts along a long ray.
+    """
+    column, row = math.floor(x0), math.floor(y0)
+    column_end, row_end = math.floor(x1), math.floor(y1)
+    column_step = 1 if column_end > column else -1
+    row_step = 1 if row_end > row else -1
+    dx, dy = x1 - x0, y1 - y0
+    cells[0, 0], cells[0, 1] = row, column
+    count = 1
+    while column != column_end or row != row_end:
+        t_column = math.inf
+        if column != column_end:
+            t_column = (column + (column_step > 0) - x0) / dx
+        t_row = math.inf
+        if row != row_end:
+            t_row = (row + (row_step > 0) - y0) / dy
+        if t_column <= t_row:
+            column += column_step
+        if t_row <= t_column:
+            row += row_step
+        cells[count, 0], cells[count, 1] = row, column
+        count += 1
+    return count
+
+
+@njit(cache=True)
+def update_cells(
+    log_odds: FloatArray,
+    updated_in_scan: npt.NDArray[np.int32],
+    first_row: int,
+    first_column: int,
+    scan: int,
+    origin: FloatArray,
+    ends: FloatArray,
+    is_hit: BoolArray,
+    hit: float,
+    miss: float,
+    lowest: float,
+    highest: float,
+) -> None:
+    """Update a map in place by the rays of one scan, each cell at most once.
+
+    A cell in which a beam hit is occupied even where another beam of the scan passes it
+    (the discretised insertion of OctoMap; Hornung 2013).
+
+    ``log_odds``: (rows, columns), NaN unknown; its element (0, 0) is cell (first_row,
+    first_column). ``updated_in_scan``: the same shape, the number of the scan that last changed a
+    cell. ``origin``: (2,) and ``ends``: (N, 2) x, y in cell units, inside the map. ``is_hit``:
+    (N,), False where the ray was cut short. The cell in which a ray ends is never freed by it.
+    """
+    for i in range(ends.shape[0]):
+        column = math.floor(ends[i, 0]) - first_column
+        row = math.floor(ends[i, 1]) - first_row
+        if is_hit[i] and updated_in_scan[row, column] != scan:
+            updated_in_scan[row, column] = scan
+            before = log_odds[row, column]
+            log_odds[row, column] = min((0.0 if math.isnan(before) else before) + hit, highest)
+    cells = np.empty((log_odds.shape[0] + log_odds.shape[1], 2), dtype=np.int64)
+    for i in range(ends.shape[0]):
+        count = trace_ray(origin[0], origin[1], ends[i, 0], ends[i, 1], cells)
+        for k in range(count - 1):
+            row, column = cells[k, 0] - first_row, cells[k, 1] - first_column
+            if updated_in_scan[row, column] != scan:
+                updated_in_scan[row, column] = scan
+                before = log_odds[row, column]
+                log_odds[row, column] = max((0.0 if math.isnan(before) else before) + miss, lowest)

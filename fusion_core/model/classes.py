@@ -1,0 +1,21 @@
+"""The noise classes of a LiDAR beam or a depth pixel (Xu 2024 §2.3.2, and one that it lacks)."""
+
+from enum import IntEnum
+
+
+class NoiseClass(IntEnum):
+    """One class for each sample. The codes are stable: files and labels hold them."""
+
+    GOOD = 0
+    HOLE = 1
+    BURR = 2
+    CONFLICT = 3
+
+
+class RepairSource(IntEnum):
+    """Where a repaired value came from. The codes are stable: files hold their names."""
+
+    RAW = 0
+    OTHER_SENSOR = 1
+    NEIGHBOURS = 2
+    NONE = 3

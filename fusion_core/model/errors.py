@@ -1,0 +1,63 @@
+"""Typed failures. Each names the file or value at fault and what to do about it."""
+
+from pathlib import Path
+
+
+class ScanLoomError(Exception):
+    """A failure that a person can act on: what is wrong, in which file, and what to do.
+
+    ``str(error)`` is one line; ``file`` and ``advice`` go into ``--json`` output.
+    """
+
+    def __init__(self, problem: str, *, file: Path | str | None = None, advice: str = "") -> None:
+        self.problem = problem
+        self.file = None if file is None else str(file)
+        self.advice = advice
+        where = f"{self.file}: " if self.file else ""
+        then = f" {advice}" if advice else ""
+        super().__init__(f"{where}{problem}{then}")
+
+
+class RecordingError(ScanLoomError):
+    """A recording, or a part of it, cannot be read."""
+
+
+class SettingsError(ScanLoomError):
+    """A setting is unknown, of the wrong type or out of range."""
+
+
+class AlignmentFailed(ScanLoomError):
+    """No offset (u, v) or mount can be supported by the data."""
+
+
+class RegistrationFailed(ScanLoomError):
+    """No acceptable map A explains the pairs of a frame."""
+
+
+class MissingStream(ScanLoomError):
+    """The recording lacks a stream that the work needs, or the named one is not there."""
+
+
+class ExportError(ScanLoomError):
+    """A result cannot be written where it was asked for."""
+
+
+class FramesNotConnected(MissingStream):
+    """No chain of recorded transforms leads from one frame to the other."""
+
+
+class StampOutsideRange(ScanLoomError):
+    """A pose is asked for at an instant that its samples do not bracket.
+
+    ``start_ns`` and ``end_ns`` are the first and last instant that would have been answered.
+    """
+
+    def __init__(self, problem: str, *, stamp_ns: int, start_ns: int, end_ns: int) -> None:
+        super().__init__(f"{problem} at {stamp_ns} ns: known from {start_ns} to {end_ns} ns.")
+        self.stamp_ns = stamp_ns
+        self.start_ns = start_ns
+        self.end_ns = end_ns
+
+
+class MappingFailed(ScanLoomError):
+    """The scans give no map, or one that is larger than the settings allow."""

@@ -1,0 +1,79 @@
+"""Rigid transforms as plain arrays: (4, 4) in space, (x, y, yaw) in the plane."""
+
+import numpy as np
+
+from fusion_core.model.conventions import FloatArray, wrap_angle
+
+
+def transform(rotation: FloatArray, translation_m: FloatArray) -> FloatArray:
+    """(4, 4) from a (3, 3) rotation and a (3,) translation."""
+    result = np.eye(4)
+    result[:3, :3] = rotation
+    result[:3, 3] = translation_m
+    return result
+
+
+def inverse(T_a_b: FloatArray) -> FloatArray:
+    """T_b_a of a rigid (4, 4) T_a_b."""
+    rotation = T_a_b[:3, :3].T
+    return transform(rotation, -rotation @ T_a_b[:3, 3])
+
+
+def apply(T_a_b: FloatArray, points_in_b: FloatArray) -> FloatArray:
+    """(..., 3) points in b to (..., 3) points in a."""
+    moved: FloatArray = points_in_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
+    return moved
+
+
+def rotation_from_yaw_pitch_roll(yaw_rad: float, pitch_rad: float, roll_rad: float) -> FloatArray:
+    """R = Rz(yaw) Ry(pitch) Rx(roll); positive pitch turns x towards -z (looks down)."""
+    cy, sy = np.cos(yaw_rad), np.sin(yaw_rad)
+    cp, sp = np.cos(pitch_rad), np.sin(pitch_rad)
+    cr, sr = np.cos(roll_rad), np.sin(roll_rad)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> FloatArray:
+    """(3, 3) from a quaternion of any positive length.
+
+    Raises ValueError for a quaternion that is not finite or has no length.
+    """
+    q = np.array([x, y, z, w], dtype=np.float64)
+    length = float(np.linalg.norm(q))
+    if not np.isfinite(length) or length < 1e-12:
+        raise ValueError(f"a quaternion must be finite and not zero, got {q}")
+    x, y, z, w = q / length
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def planar_from_transform(T_a_b: FloatArray) -> FloatArray:
+    """(x, y, yaw) of a (4, 4), dropping height, pitch and roll."""
+    return np.array([T_a_b[0, 3], T_a_b[1, 3], np.arctan2(T_a_b[1, 0], T_a_b[0, 0])])
+
+
+def transform_from_planar(pose: FloatArray) -> FloatArray:
+    """(4, 4) of (x, y, yaw)."""
+    return transform(
+        rotation_from_yaw_pitch_roll(float(pose[2]), 0.0, 0.0), np.array([pose[0], pose[1], 0.0])
+    )
+
+
+def interpolate_planar(before: FloatArray, after: FloatArray, share: float) -> FloatArray:
+    """(x, y, yaw) at ``share`` in [0, 1] of the way, the yaw along the shorter arc."""
+    step = after - before
+    step[2] = wrap_angle(step[2])
+    result: FloatArray = before + share * step
+    result[2] = wrap_angle(result[2])
+    return result

@@ -1,0 +1,51 @@
+"""Rigid poses between two samples: translation along the line, rotation along the shorter arc."""
+
+import numpy as np
+
+from fusion_core.model.conventions import FloatArray
+from fusion_core.model.geometry import rotation_from_quaternion, transform
+
+# Below this angle sin(angle) loses digits; the normalised straight line is then exact enough.
+_SMALL_ANGLE_RAD = 1e-4
+
+
+def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:
+    """(4,) unit quaternion x, y, z, w with w >= 0 of a (3, 3) rotation.
+
+    It is the eigenvector of the largest eigenvalue of the matrix K (Bar-Itzhack 2000, eq. 5), so
+    a matrix that is slightly off a rotation gives the nearest quaternion.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
+    k = np.array(
+        [
+            [xx - yy - zz, yx + xy, zx + xz, zy - yz],
+            [yx + xy, yy - xx - zz, zy + yz, xz - zx],
+            [zx + xz, zy + yz, zz - xx - yy, yx - xy],
+            [zy - yz, xz - zx, yx - xy, xx + yy + zz],
+        ]
+    )
+    quaternion: FloatArray = np.linalg.eigh(k)[1][:, -1]
+    return -quaternion if quaternion[3] < 0.0 else quaternion
+
+
+def slerp(before: FloatArray, after: FloatArray, share: float) -> FloatArray:
+    """(4,) unit quaternion at ``share`` in [0, 1] of the shorter arc (Shoemake 1985)."""
+    cosine = float(before @ after)
+    if cosine < 0.0:
+        after, cosine = -after, -cosine
+    angle_rad = np.arccos(min(cosine, 1.0))
+    if angle_rad < _SMALL_ANGLE_RAD:
+        mixed = (1.0 - share) * before + share * after
+    else:
+        mixed = np.sin((1.0 - share) * angle_rad) * before + np.sin(share * angle_rad) * after
+    result: FloatArray = mixed / np.linalg.norm(mixed)
+    return result
+
+
+def interpolate_transform(T_before: FloatArray, T_after: FloatArray, share: float) -> FloatArray:
+    """Rigid (4, 4) at ``share`` in [0, 1] of the way between two rigid (4, 4)."""
+    quaternion = slerp(
+        quaternion_from_rotation(T_before[:3, :3]), quaternion_from_rotation(T_after[:3, :3]), share
+    )
+    position_m = (1.0 - share) * T_before[:3, 3] + share * T_after[:3, 3]
+    return transform(rotation_from_quaternion(*quaternion), position_m)

@@ -1,0 +1,163 @@
+"""What the sensors deliver: metres, radians, nanoseconds, NaN for missing."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray, read_only
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LaserScan:
+    """One sweep of a 2D LiDAR, in its own frame (x forward, angles counter-clockwise).
+
+    ``ranges_m``: (N,) float64, NaN where the beam gave nothing (0, inf, out of limits).
+    ``intensities``: (N,) float64 or None. ``angle_increment_rad`` may be negative.
+    """
+
+    stamp_ns: int
+    received_ns: int | None
+    frame_id: str
+    angle_min_rad: float
+    angle_increment_rad: float
+    range_min_m: float
+    range_max_m: float
+    ranges_m: FloatArray
+    intensities: FloatArray | None = None
+    scan_time_s: float = 0.0
+    time_increment_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.ranges_m.ndim != 1 or self.ranges_m.dtype != np.float64:
+            raise ValueError(f"ranges_m must be (N,) float64, got {self.ranges_m.shape}")
+        if not np.isfinite(self.angle_increment_rad) or self.angle_increment_rad == 0.0:
+            raise ValueError(
+                f"angle_increment_rad must be non-zero, got {self.angle_increment_rad}"
+            )
+        if self.intensities is not None and self.intensities.shape != self.ranges_m.shape:
+            raise ValueError("intensities must have the shape of ranges_m")
+        read_only(self.ranges_m)
+
+    @property
+    def angles_rad(self) -> FloatArray:
+        """(N,) azimuth of each beam in the LiDAR's frame."""
+        steps = np.arange(self.ranges_m.size, dtype=np.float64)
+        return self.angle_min_rad + self.angle_increment_rad * steps
+
+    def with_ranges(self, ranges_m: FloatArray, intensities: FloatArray | None) -> "LaserScan":
+        """The same sweep with other values."""
+        return replace(self, ranges_m=ranges_m, intensities=intensities)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraIntrinsics:
+    """Pinhole model of an image of ``width`` x ``height`` pixels; pixel centres are integers.
+
+    ``distortion`` are OpenCV's coefficients in the order of ``distortion_model``
+    (``plumb_bob``: k1 k2 p1 p2 k3); empty or all zero means none.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion_model: str = "plumb_bob"
+    distortion: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        values = np.array([self.fx, self.fy, self.cx, self.cy, *self.distortion])
+        if not np.isfinite(values).all() or self.fx <= 0.0 or self.fy <= 0.0:
+            raise ValueError(f"intrinsics must be finite with positive focal lengths, got {values}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DepthImage:
+    """A depth image: z along the optical axis.
+
+    ``depth_m``: (H, W) float32 metres, NaN where missing.
+    ``encoding``: how the file had it, "16UC1" (millimetres) or "32FC1" (metres), so that an
+    export can be of the same kind.
+    """
+
+    stamp_ns: int
+    received_ns: int | None
+    frame_id: str
+    depth_m: Float32Array
+    encoding: str = "32FC1"
+
+    def __post_init__(self) -> None:
+        if self.depth_m.ndim != 2 or self.depth_m.dtype != np.float32:
+            raise ValueError(f"depth_m must be (H, W) float32, got {self.depth_m.shape}")
+        read_only(self.depth_m)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColorImage:
+    """A colour image. ``rgb``: (H, W, 3) uint8."""
+
+    stamp_ns: int
+    received_ns: int | None
+    frame_id: str
+    rgb: ByteArray
+
+    def __post_init__(self) -> None:
+        if self.rgb.ndim != 3 or self.rgb.shape[2] != 3 or self.rgb.dtype != np.uint8:
+            raise ValueError(f"rgb must be (H, W, 3) uint8, got {self.rgb.shape}")
+        read_only(self.rgb)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraInfo:
+    """A camera's calibration as recorded; ``intrinsics`` is None where it is uncalibrated."""
+
+    stamp_ns: int
+    received_ns: int | None
+    frame_id: str
+    intrinsics: CameraIntrinsics | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Transform:
+    """``T_parent_child`` at one instant: (4, 4) float64, maps child coordinates to the parent's."""
+
+    stamp_ns: int
+    parent: str
+    child: str
+    T_parent_child: FloatArray
+
+    def __post_init__(self) -> None:
+        if self.T_parent_child.shape != (4, 4):
+            raise ValueError(f"T_parent_child must be (4, 4), got {self.T_parent_child.shape}")
+        read_only(self.T_parent_child)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseSample:
+    """A pose as odometry or a PoseStamped message reports it: ``T_parent_child``.
+
+    ``child`` is empty where the message does not say which body it means (PoseStamped).
+    """
+
+    stamp_ns: int
+    received_ns: int | None
+    parent: str
+    child: str
+    T_parent_child: FloatArray
+
+    def __post_init__(self) -> None:
+        if self.T_parent_child.shape != (4, 4):
+            raise ValueError(f"T_parent_child must be (4, 4), got {self.T_parent_child.shape}")
+        read_only(self.T_parent_child)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TransformBatch:
+    """One message of /tf or /tf_static."""
+
+    received_ns: int | None
+    transforms: tuple[Transform, ...]
+
+
+SensorValue = LaserScan | DepthImage | ColorImage | CameraInfo | PoseSample | TransformBatch

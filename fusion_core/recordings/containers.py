@@ -1,0 +1,110 @@
+"""What every message container (ROS 1 bag, MCAP, SQLite) offers: channels, an index, payloads."""
+
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from fusion_core.model.errors import RecordingError
+
+Payload = bytes | memoryview
+
+# One message of a container: its log time, its channel (the place in ``Container.channels``), the
+# block that holds it (the file position of a chunk) and its place in that block.
+ENTRY = np.dtype([("received_ns", "<i8"), ("channel", "<i4"), ("block", "<i8"), ("offset", "<i8")])
+Entries = npt.NDArray[np.void]
+
+# No recorder writes chunks of this size; a damaged or hostile file may claim them.
+MAX_CHUNK_BYTES = 1 << 30
+_CACHED_CHUNK_BYTES = 64 << 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Channel:
+    """Messages of one topic with one type and one definition.
+
+    ``message_type`` is spelled as in ROS 2 (``sensor_msgs/msg/Image``). ``definition`` is empty
+    where the file has none.
+    """
+
+    topic: str
+    message_type: str
+    serialization: str
+    definition: str = ""
+    definition_format: Literal["msg", "idl"] = "msg"
+
+
+class Container(Protocol):
+    """One file, opened read-only. Not safe for threads: the caller takes turns."""
+
+    path: Path
+    channels: list[Channel]
+
+    def index(self) -> Entries:
+        """(N,) ENTRY of every message, in the order of the file."""
+        ...
+
+    def payload(self, block: int, offset: int) -> Payload:
+        """The serialised message at an entry's place. Raises RecordingError."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class ChunkCache:
+    """The last unpacked chunks, at most 64 MiB of them but always one."""
+
+    def __init__(self, unpack: Callable[[int], bytes]) -> None:
+        self._unpack = unpack
+        self._chunks: OrderedDict[int, bytes] = OrderedDict()
+        self._size = 0
+
+    def __getitem__(self, block: int) -> bytes:
+        chunk = self._chunks.get(block)
+        if chunk is not None:
+            self._chunks.move_to_end(block)
+            return chunk
+        chunk = self._unpack(block)
+        self._chunks[block] = chunk
+        self._size += len(chunk)
+        while self._size > _CACHED_CHUNK_BYTES and len(self._chunks) > 1:
+            _, oldest = self._chunks.popitem(last=False)
+            self._size -= len(oldest)
+        return chunk
+
+
+def ros2_type_name(name: str) -> str:
+    """A type's name as ROS 2 spells it: ROS 1 and old ROS 2 files leave out the middle part."""
+    package, separator, rest = name.partition("/")
+    return f"{package}/msg/{rest}" if separator and "/" not in rest else name
+
+
+def entries_from(
+    received_ns: npt.ArrayLike, channel: npt.ArrayLike, block: npt.ArrayLike, offset: npt.ArrayLike
+) -> Entries:
+    """(N,) ENTRY from columns, each an array or one value for all."""
+    columns = np.broadcast_arrays(received_ns, channel, block, offset)
+    entries = np.empty(columns[0].shape, dtype=ENTRY)
+    for name, column in zip(ENTRY.names or (), columns, strict=True):
+        entries[name] = column
+    return entries
+
+
+def in_file_order(parts: list[Entries]) -> Entries:
+    """All entries in the order in which the file holds them."""
+    entries = np.concatenate([np.empty(0, dtype=ENTRY), *parts])
+    return entries[np.lexsort((entries["offset"], entries["block"]))]
+
+
+def damaged(path: Path, what: str) -> RecordingError:
+    """The error for a file that breaks off or contradicts its format."""
+    one_line = " ".join(what.split())
+    return RecordingError(
+        f"is cut short or damaged: {one_line}.",
+        file=path,
+        advice="Copy it again from its source, or repair it with the tools of its format.",
+    )

@@ -1,0 +1,123 @@
+"""The table of formats, told by content, and the one function that opens a recording."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from fusion_core.model.errors import RecordingError
+from fusion_core.model.recording import Recording
+from fusion_core.recordings import mcap_file, rosbag1, sqlite_file
+from fusion_core.recordings.frame_folder import frame_layout, open_frame_folder
+from fusion_core.recordings.rosbag1 import open_rosbag1
+from fusion_core.recordings.rosbag2 import (
+    is_rosbag2_folder,
+    open_mcap,
+    open_rosbag2_folder,
+    open_sqlite,
+)
+
+READABLE = (
+    "Readable are ROS 1 bags (.bag), ROS 2 recordings (a folder, .mcap or .db3), and folders of "
+    "depth and colour images in the layouts of 7-Scenes, Redwood and slambook."
+)
+_HEAD_BYTES = 512
+
+
+@dataclass(frozen=True, slots=True)
+class _FileFormat:
+    magic: bytes
+    open: Callable[[Path], Recording]
+
+
+@dataclass(frozen=True, slots=True)
+class _FolderFormat:
+    matches: Callable[[Path], bool]
+    open: Callable[[Path], Recording]
+
+
+_FILE_FORMATS = (
+    _FileFormat(rosbag1.MAGIC, open_rosbag1),
+    _FileFormat(mcap_file.MAGIC, open_mcap),
+    _FileFormat(sqlite_file.MAGIC, open_sqlite),
+)
+_FOLDER_FORMATS = (
+    _FolderFormat(is_rosbag2_folder, open_rosbag2_folder),
+    _FolderFormat(lambda path: frame_layout(path) is not None, open_frame_folder),
+)
+# What people try by mistake, told by the first bytes.
+_NO_RECORDINGS = (
+    (b"#ROSBAG V1", "a ROS 1 bag of version 1; convert a copy with `rosbag fix`"),
+    (b"\x89PNG", "a single PNG image"),
+    (b"\xff\xd8\xff", "a single JPEG image"),
+    (b"P5", "a single PGM image"),
+    (b"# .PCD", "a point cloud (PCD)"),
+    (b"ply", "a point cloud or mesh (PLY)"),
+    (b"PK\x03\x04", "a ZIP archive; unpack it first"),
+    (b"BZh", "a bzip2 archive; unpack it first"),
+    (b"\x1f\x8b", "a gzip archive; unpack it first"),
+    (b"\x28\xb5\x2f\xfd", "a zstd archive; unpack it first"),
+)
+
+
+def open_recording(path: Path) -> Recording:
+    """Open a recording of any known format, told by its content and not by its name.
+
+    Raises RecordingError, in one line, for what is no recording, is damaged, or is not there.
+    """
+    try:
+        if path.is_dir():
+            return _open_folder(path)
+        if path.is_file():
+            return _open_file(path)
+        exists = path.exists()
+    except OSError as error:
+        raise RecordingError(
+            f"cannot be opened: {error.strerror or error}.",
+            file=path,
+            advice="Check the path and its permissions.",
+        ) from error
+    if exists:
+        raise RecordingError("is neither a file nor a folder.", file=path, advice=READABLE)
+    raise RecordingError("does not exist.", file=path, advice="Check the path.")
+
+
+def _open_file(path: Path) -> Recording:
+    with path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    if not head:
+        raise RecordingError(
+            "is empty.", file=path, advice="Copy it again from its source, or record again."
+        )
+    for format in _FILE_FORMATS:
+        if head.startswith(format.magic):
+            return format.open(path)
+    raise RecordingError(f"is no recording: {_kind(head)}.", file=path, advice=READABLE)
+
+
+def _kind(head: bytes) -> str:
+    for magic, kind in _NO_RECORDINGS:
+        if head.startswith(magic):
+            return kind
+    is_text = b"\0" not in head and not any(byte < 9 for byte in head)
+    return "a text file" if is_text else "its content is of no known format"
+
+
+def _open_folder(path: Path) -> Recording:
+    for format in _FOLDER_FORMATS:
+        if format.matches(path):
+            return format.open(path)
+    inside = sorted(child.name for child in path.iterdir() if _could_be_recording(child))
+    if inside:
+        problem = f"is a folder around recordings, such as {', '.join(inside[:3])}."
+        raise RecordingError(problem, file=path, advice="Name one of them.")
+    raise RecordingError("is a folder without a recording.", file=path, advice=READABLE)
+
+
+def _could_be_recording(path: Path) -> bool:
+    if path.is_dir():
+        return any(format.matches(path) for format in _FOLDER_FORMATS)
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    return any(head.startswith(format.magic) for format in _FILE_FORMATS)

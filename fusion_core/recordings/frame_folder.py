@@ -1,0 +1,344 @@
+"""Folders of depth and colour images: 7-Scenes, Redwood (Open3D) and slambook layouts.
+
+They have no clock: a frame's stamp is its number / 30 s, counted from the first. Depth is in
+millimetres. The nominal stamp also stands in for the log time in ranges.
+"""
+
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from fusion_core.model.conventions import NS_PER_S, ByteArray, FloatArray, IntArray
+from fusion_core.model.errors import RecordingError
+from fusion_core.model.recording import Message, Recording, Role, Topic
+from fusion_core.model.sensors import (
+    CameraInfo,
+    ColorImage,
+    DepthImage,
+    PoseSample,
+    SensorValue,
+)
+from fusion_core.recordings.decode import depth_m_from_millimetres
+from fusion_core.recordings.frame_files import (
+    read_image,
+    read_intrinsics,
+    read_matrix,
+    read_pose_lines,
+    read_trajectory_log,
+)
+from fusion_core.recordings.skipped import SkippedMessages
+from fusion_core.recordings.topics import unknown_topic
+
+DEPTH_TOPIC = "/camera/depth/image_raw"
+COLOR_TOPIC = "/camera/color/image_raw"
+CAMERA_INFO_TOPIC = "/camera/depth/camera_info"
+POSE_TOPIC = "/camera/pose"
+CAMERA_FRAME = "camera"
+WORLD_FRAME = "world"
+FRAMES_PER_S = 30
+
+_SEVEN_SCENES_NAME = re.compile(r"frame-(\d{6})\.(depth\.png|color\.(?:png|jpg)|pose\.txt)$")
+_NUMBERED_IMAGE = re.compile(r"(\d{1,12})\.(png|jpg|jpeg)$", re.IGNORECASE)
+# A pose is rigid if its rotation's columns are orthonormal to this; text files round.
+_RIGID_TOLERANCE = 1e-2
+
+
+@dataclass(frozen=True, slots=True)
+class FrameLayout:
+    """Where a folder keeps what: files by frame number.
+
+    ``poses`` holds the file of one pose, or the numbers read from a file of all poses.
+    """
+
+    format: str
+    depth: Mapping[int, Path]
+    color: Mapping[int, Path]
+    intrinsics: Path | None
+    poses: Mapping[int, Path | FloatArray]
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Stream:
+    topic: Topic
+    numbers: IntArray
+    value: Callable[[int, int], SensorValue] = field(repr=False)
+
+
+def frame_layout(path: Path) -> str | None:
+    """The name of the layout that a folder has, or None."""
+    if next(_seven_scenes_files(path), None) is not None:
+        return "7-Scenes folder"
+    if not (path / "depth").is_dir() or not (path / "color").is_dir():
+        return None
+    # The marks also vouch for millimetres: TUM and ICL-NUIM folders look alike and have 1/5000 m.
+    if (path / "trajectory.log").is_file() or any(path.glob("camera_*.json")):
+        return "Redwood folder"
+    return "slambook folder" if (path / "pose.txt").is_file() else None
+
+
+def open_frame_folder(path: Path) -> Recording:
+    """A folder in a layout that ``frame_layout`` knows. Raises RecordingError."""
+    name = frame_layout(path)
+    if name is None:
+        raise RecordingError(
+            "is no folder of frames.",
+            file=path,
+            advice="Known layouts are those of 7-Scenes, Redwood and slambook.",
+        )
+    layout = _seven_scenes(path, name) if name == "7-Scenes folder" else _numbered(path, name)
+    if not layout.depth:
+        raise RecordingError(
+            "has no depth images.", file=path, advice="Put them into depth/ as numbered PNG files."
+        )
+    return FrameFolder(path, layout)
+
+
+class FrameFolder:
+    """Recording over a folder of images."""
+
+    start_ns: int | None = None
+    end_ns: int | None = None
+    stamps_are_nominal = True
+
+    def __init__(self, path: Path, layout: FrameLayout) -> None:
+        self.path = path
+        self.format = layout.format
+        self.warnings = list(layout.warnings)
+        self._skipped = SkippedMessages(self.warnings)
+        self._closed = False
+        self._first = min(min(layout.depth), min(layout.color, default=min(layout.depth)))
+        self._streams: dict[str, _Stream] = {}
+        if layout.color:
+            self._add(COLOR_TOPIC, "image", "color", layout.color, partial(_color, layout.color))
+        if layout.intrinsics is not None:
+            self._add_camera_info(layout.intrinsics, layout.depth)
+        self._add(DEPTH_TOPIC, "image", "depth", layout.depth, partial(_depth, layout.depth))
+        if layout.poses:
+            self._add(POSE_TOPIC, "pose", "pose", layout.poses, partial(_pose, layout.poses))
+        self.topics = tuple(stream.topic for stream in self._streams.values())
+
+    def received_ns(self, topic: str) -> IntArray:
+        """(count,) nominal stamps: there is no log."""
+        return self._stamps(self._stream(topic).numbers)
+
+    def messages(
+        self,
+        topics: Collection[str] | None = None,
+        start_ns: int | None = None,
+        end_ns: int | None = None,
+    ) -> Iterator[Message]:
+        """Messages with start <= nominal stamp < end, by frame number, then by topic name."""
+        names = sorted(self._streams if topics is None else set(topics))
+        return self._iterate([self._stream(name) for name in names], start_ns, end_ns)
+
+    def read(self, topic: str, index: int) -> Message:
+        """The ``index``-th message of a topic. Raises IndexError beyond its count."""
+        stream = self._stream(topic)
+        if not 0 <= index < len(stream.numbers):
+            raise IndexError(f"{topic} has {len(stream.numbers)} messages, there is no {index}")
+        number = int(stream.numbers[index])
+        stamp = int(self._stamps(np.array([number]))[0])
+        return Message(
+            topic=topic,
+            index=index,
+            received_ns=None,
+            stamp_ns=stamp,
+            value=stream.value(number, stamp),
+        )
+
+    def close(self) -> None:
+        """Refuse further reading; no file is held open."""
+        self._closed = True
+
+    def __enter__(self) -> "FrameFolder":
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _stamps(self, numbers: IntArray) -> IntArray:
+        return (numbers - self._first) * NS_PER_S // FRAMES_PER_S
+
+    def _iterate(
+        self, streams: Sequence[_Stream], start_ns: int | None, end_ns: int | None
+    ) -> Iterator[Message]:
+        numbers = np.concatenate([np.empty(0, dtype=np.int64), *[s.numbers for s in streams]])
+        owners = np.repeat(np.arange(len(streams)), [len(s.numbers) for s in streams])
+        indexes = np.concatenate(
+            [np.empty(0, dtype=np.int64), *[np.arange(len(s.numbers)) for s in streams]]
+        )
+        stamps = self._stamps(numbers)
+        for place in np.lexsort((owners, numbers)):
+            if start_ns is not None and stamps[place] < start_ns:
+                continue
+            if end_ns is not None and stamps[place] >= end_ns:
+                return
+            stream, index = streams[owners[place]], int(indexes[place])
+            try:
+                message = self.read(stream.topic.name, index)
+            except RecordingError as error:
+                self._require_open()
+                self._skipped.add(stream.topic.name, index, stream.topic.count, error)
+            else:
+                yield message
+
+    def _stream(self, topic: str) -> _Stream:
+        self._require_open()
+        if topic not in self._streams:
+            raise unknown_topic(topic, self.topics, self.path)
+        return self._streams[topic]
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise RecordingError("is closed.", file=self.path, advice="Open it again.")
+
+    def _add(
+        self,
+        name: str,
+        kind: str,
+        role: Role,
+        numbers: Collection[int],
+        value: Callable[[int, int], SensorValue],
+    ) -> None:
+        topic = Topic(name=name, type=kind, role=role, count=len(numbers), rate_hz=None)
+        ordered = np.array(sorted(numbers), dtype=np.int64)
+        self._streams[name] = _Stream(topic, ordered, value)
+
+    def _add_camera_info(self, file: Path, depth: Mapping[int, Path]) -> None:
+        try:
+            shape = _depth_pixels(depth[min(depth)]).shape
+            intrinsics = read_intrinsics(file, shape)
+        except RecordingError as error:
+            self.warnings.append(f"There are no intrinsics: {error}")
+            return
+        self._add(
+            CAMERA_INFO_TOPIC,
+            "intrinsics",
+            "camera_info",
+            depth,
+            lambda _, stamp: CameraInfo(
+                stamp_ns=stamp, received_ns=None, frame_id=CAMERA_FRAME, intrinsics=intrinsics
+            ),
+        )
+
+
+def _seven_scenes_files(path: Path) -> Iterator[tuple[int, str, Path]]:
+    for child in path.iterdir():
+        match = _SEVEN_SCENES_NAME.match(child.name)
+        if match is not None:
+            yield int(match[1]), match[2].partition(".")[0], child
+
+
+def _seven_scenes(path: Path, name: str) -> FrameLayout:
+    files: dict[str, dict[int, Path]] = {"depth": {}, "color": {}, "pose": {}}
+    for number, kind, file in _seven_scenes_files(path):
+        files[kind][number] = file
+    intrinsics = path / "camera-intrinsics.txt"
+    return FrameLayout(
+        format=name,
+        depth=files["depth"],
+        color=files["color"],
+        intrinsics=intrinsics if intrinsics.is_file() else None,
+        poses=files["pose"],
+    )
+
+
+def _numbered(path: Path, name: str) -> FrameLayout:
+    """depth/N.png and color/N.jpg|png, with the poses of all frames in one file."""
+    depth, color = _numbered_images(path / "depth"), _numbered_images(path / "color")
+    read_poses, file = (
+        (read_trajectory_log, path / "trajectory.log")
+        if name == "Redwood folder"
+        else (read_pose_lines, path / "pose.txt")
+    )
+    warnings: list[str] = []
+    poses: dict[int, Path | FloatArray] = {}
+    numbers = sorted(depth)
+    if file.is_file():
+        by_place = read_poses(file)
+        poses = {numbers[i]: pose for i, pose in by_place.items() if i < len(numbers)}
+        if len(poses) != len(numbers):
+            warnings.append(
+                f"{file.name} has {len(by_place)} poses for {len(numbers)} depth images; "
+                "they are paired in order."
+            )
+    cameras = sorted(path.glob("camera_*.json"))
+    if len(cameras) > 1:
+        names = ", ".join(camera.name for camera in cameras)
+        warnings.append(f"There are no intrinsics: {names} exclude each other.")
+    return FrameLayout(
+        format=name,
+        depth=depth,
+        color=color,
+        intrinsics=cameras[0] if len(cameras) == 1 else None,
+        poses=poses,
+        warnings=tuple(warnings),
+    )
+
+
+def _numbered_images(folder: Path) -> dict[int, Path]:
+    matches = ((_NUMBERED_IMAGE.match(child.name), child) for child in sorted(folder.iterdir()))
+    return {int(match[1]): child for match, child in matches if match is not None}
+
+
+def _depth(files: Mapping[int, Path], number: int, stamp_ns: int) -> DepthImage:
+    return DepthImage(
+        stamp_ns=stamp_ns,
+        received_ns=None,
+        frame_id=CAMERA_FRAME,
+        depth_m=depth_m_from_millimetres(_depth_pixels(files[number])),
+        encoding="16UC1",
+    )
+
+
+def _depth_pixels(file: Path) -> np.ndarray[Any, Any]:
+    pixels = read_image(file, cv2.IMREAD_UNCHANGED)
+    if pixels.dtype != np.uint16 or pixels.ndim != 2:
+        raise RecordingError(
+            f"is no depth image: {pixels.dtype} of shape {pixels.shape}.",
+            file=file,
+            advice="Depth is 16-bit PNG in millimetres.",
+        )
+    return pixels
+
+
+def _color(files: Mapping[int, Path], number: int, stamp_ns: int) -> ColorImage:
+    bgr = read_image(files[number], cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    rgb: ByteArray = np.ascontiguousarray(bgr[:, :, ::-1])
+    return ColorImage(stamp_ns=stamp_ns, received_ns=None, frame_id=CAMERA_FRAME, rgb=rgb)
+
+
+def _pose(poses: Mapping[int, Path | FloatArray], number: int, stamp_ns: int) -> PoseSample:
+    """Camera to world, as all three layouts have it."""
+    source = poses[number]
+    if isinstance(source, Path):
+        matrix = read_matrix(source, (4, 4))
+        where = str(source)
+    else:
+        matrix, where = source, f"the pose of frame {number}"
+    rotation = matrix[:3, :3]
+    rigid = (
+        np.isfinite(matrix).all()
+        and np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0])
+        and np.allclose(rotation.T @ rotation, np.eye(3), atol=_RIGID_TOLERANCE)
+        and np.linalg.det(rotation) > 0.0
+    )
+    if not rigid:
+        raise RecordingError(
+            f"{where} is not a rigid transform: {matrix.tolist()}.",
+            advice="Tracking was lost there; the frame has no pose.",
+        )
+    return PoseSample(
+        stamp_ns=stamp_ns,
+        received_ns=None,
+        parent=WORLD_FRAME,
+        child=CAMERA_FRAME,
+        T_parent_child=matrix,
+    )

@@ -1,0 +1,276 @@
+"""A recording over message containers: one index in memory, messages decoded on demand."""
+
+import threading
+from collections import defaultdict
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fusion_core.model.conventions import NS_PER_S, IntArray
+from fusion_core.model.errors import RecordingError
+from fusion_core.model.recording import Message, Role, Topic
+from fusion_core.recordings.containers import ENTRY, Channel, Container, Entries
+from fusion_core.recordings.decode import READABLE_TYPES, decode, stamp_ns
+from fusion_core.recordings.message_types import Deserializer, UnreadableType, deserializer
+from fusion_core.recordings.skipped import SkippedMessages
+from fusion_core.recordings.topics import image_role, role_of_type, unknown_topic
+
+_BATCH = 1024
+# An image topic is an image topic by its first message, or by one of the next if that is broken.
+_PEEKED_MESSAGES = 5
+_UNKNOWN_TYPE = "messages of its type are not read"
+
+
+@dataclass(slots=True)
+class _Stream:
+    """What is known of a topic: where its messages stand in the index, and how to read them."""
+
+    name: str
+    message_type: str
+    positions: IntArray
+    readers: dict[int, Deserializer] = field(default_factory=dict)
+    role: Role = "other"
+    unreadable: str = ""
+
+
+class IndexedRecording:
+    """Recording over one or more containers, in the order of log time, then of the files.
+
+    A topic that cannot be read keeps its place in ``topics`` with role "other" and costs a
+    warning; so does a message, which iteration passes over and ``read`` refuses.
+    """
+
+    stamps_are_nominal = False
+
+    def __init__(
+        self,
+        path: Path,
+        format: str,
+        containers: list[Container],
+        warnings: Collection[str] = (),
+    ) -> None:
+        self.path = path
+        self.format = format
+        self.warnings = list(warnings)
+        self._containers = containers
+        self._lock = threading.Lock()
+        self._closed = False
+        self._skipped = SkippedMessages(self.warnings)
+        try:
+            channels, self._files, self._entries = _merge(containers)
+            received = self._entries["received_ns"]
+            self.start_ns = int(received[0]) if len(received) else None
+            self.end_ns = int(received[-1]) if len(received) else None
+            self._streams = self._read_streams(channels)
+        except BaseException:
+            self.close()
+            raise
+        self.topics = tuple(self._topic(stream) for stream in self._streams.values())
+
+    def received_ns(self, topic: str) -> IntArray:
+        """(count,) log times of a topic's messages, in the order of iteration."""
+        positions = self._stream(topic).positions
+        return self._entries["received_ns"][positions].astype(np.int64)
+
+    def messages(
+        self,
+        topics: Collection[str] | None = None,
+        start_ns: int | None = None,
+        end_ns: int | None = None,
+    ) -> Iterator[Message]:
+        """Messages with start <= received < end, in order; broken ones cost a warning."""
+        self._require_open()
+        if topics is None:
+            streams = [s for s in self._streams.values() if not s.unreadable]
+        else:
+            streams = [self._readable(name) for name in dict.fromkeys(topics)]
+        first = 0 if start_ns is None else self._place(start_ns)
+        last = len(self._entries) if end_ns is None else self._place(end_ns)
+        return self._iterate(streams, first, last)
+
+    def read(self, topic: str, index: int) -> Message:
+        """The ``index``-th message of a topic. Raises IndexError beyond its count."""
+        stream = self._readable(topic)
+        if not 0 <= index < len(stream.positions):
+            raise IndexError(f"{topic} has {len(stream.positions)} messages, there is no {index}")
+        received, channel, block, offset = self._entries[stream.positions[index]].item()
+        return self._decode(stream, index, received, channel, block, offset)
+
+    def close(self) -> None:
+        """Free the files."""
+        with self._lock:
+            self._closed = True
+            for container in self._containers:
+                container.close()
+
+    def __enter__(self) -> "IndexedRecording":
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _place(self, time_ns: int) -> int:
+        return int(np.searchsorted(self._entries["received_ns"], time_ns, side="left"))
+
+    def _iterate(self, streams: list[_Stream], first: int, last: int) -> Iterator[Message]:
+        by_channel = {channel: s for s in streams for channel in s.readers}
+        chosen = [s.positions[(s.positions >= first) & (s.positions < last)] for s in streams]
+        positions = np.sort(np.concatenate([np.empty(0, dtype=np.int64), *chosen]))
+        next_index = {s.name: int(np.searchsorted(s.positions, first)) for s in streams}
+        for start in range(0, len(positions), _BATCH):
+            batch = self._entries[positions[start : start + _BATCH]]
+            for received, channel, block, offset in batch.tolist():
+                stream = by_channel[channel]
+                index = next_index[stream.name]
+                next_index[stream.name] = index + 1
+                try:
+                    message = self._decode(stream, index, received, channel, block, offset)
+                except RecordingError as error:
+                    self._require_open()
+                    self._skipped.add(stream.name, index, len(stream.positions), error)
+                else:
+                    yield message
+
+    def _raw(self, stream: _Stream, channel: int, block: int, offset: int) -> Any:
+        with self._lock:
+            self._require_open()
+            try:
+                payload = self._files[channel].payload(block, offset)
+            except OSError as error:
+                raise RecordingError(
+                    f"{stream.name}: reading failed, {error.strerror or error}.",
+                    file=self.path,
+                    advice="Check the disk or the network that holds the file.",
+                ) from error
+        try:
+            return stream.readers[channel](payload)
+        except ValueError as error:
+            raise RecordingError(
+                f"{stream.name}: a message cannot be read, {error}.",
+                file=self.path,
+                advice="Check the driver that recorded it.",
+            ) from error
+
+    def _decode(
+        self, stream: _Stream, index: int, received: int, channel: int, block: int, offset: int
+    ) -> Message:
+        raw = self._raw(stream, channel, block, offset)
+        value = decode(raw, stream.message_type, topic=stream.name, received_ns=received)
+        stamp = stamp_ns(value)
+        return Message(
+            topic=stream.name,
+            index=index,
+            received_ns=received,
+            stamp_ns=received if stamp is None else stamp,
+            value=value,
+        )
+
+    def _stream(self, topic: str) -> _Stream:
+        self._require_open()
+        if topic not in self._streams:
+            raise unknown_topic(topic, self.topics, self.path)
+        return self._streams[topic]
+
+    def _readable(self, topic: str) -> _Stream:
+        stream = self._stream(topic)
+        if stream.unreadable:
+            raise RecordingError(
+                f"{topic} cannot be read: {stream.unreadable}.",
+                file=self.path,
+                advice="Name another topic.",
+            )
+        return stream
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise RecordingError("is closed.", file=self.path, advice="Open it again.")
+
+    def _read_streams(self, channels: list[Channel]) -> dict[str, _Stream]:
+        numbers = defaultdict(list)
+        for number, channel in enumerate(channels):
+            numbers[channel.topic].append(number)
+        order = np.argsort(self._entries["channel"], kind="stable")
+        bounds = np.searchsorted(self._entries["channel"][order], np.arange(len(channels) + 1))
+        streams = {}
+        for name, own in sorted(numbers.items()):
+            positions = [order[bounds[n] : bounds[n + 1]] for n in own]
+            streams[name] = stream = _Stream(
+                name=name,
+                message_type=" and ".join(sorted({channels[n].message_type for n in own})),
+                positions=np.sort(np.concatenate(positions)).astype(np.int64),
+            )
+            self._prepare(stream, {n: channels[n] for n in own})
+        self._warn_of_unreadable(streams)
+        return streams
+
+    def _prepare(self, stream: _Stream, channels: dict[int, Channel]) -> None:
+        """Find the stream's role and deserialisers, or why there are none."""
+        if len({channel.message_type for channel in channels.values()}) > 1:
+            stream.unreadable = "its messages are of several types"
+        elif stream.message_type not in READABLE_TYPES:
+            stream.unreadable = _UNKNOWN_TYPE
+        else:
+            try:
+                stream.readers = {n: deserializer(channel) for n, channel in channels.items()}
+            except UnreadableType as error:
+                stream.unreadable = str(error)
+        if stream.unreadable:
+            return
+        role = role_of_type(stream.message_type, stream.name)
+        stream.role = role or self._role_of_image(stream)
+        if stream.role == "other" and len(stream.positions):
+            stream.unreadable = "its images are of an encoding that is not read"
+
+    def _role_of_image(self, stream: _Stream) -> Role:
+        for position in stream.positions[:_PEEKED_MESSAGES]:
+            _, channel, block, offset = self._entries[position].item()
+            try:
+                encoding = str(self._raw(stream, channel, block, offset).encoding)
+            except (RecordingError, AttributeError):
+                # Broken, or the file's own definition lacks the field: reading it will say so.
+                continue
+            return image_role(encoding, stream.name)
+        return "other"
+
+    def _warn_of_unreadable(self, streams: dict[str, _Stream]) -> None:
+        unknown_types = set()
+        for stream in streams.values():
+            if stream.unreadable == _UNKNOWN_TYPE:
+                unknown_types.add(stream.message_type)
+            elif stream.unreadable:
+                self.warnings.append(f"{stream.name} is left out: {stream.unreadable}.")
+        if unknown_types:
+            listed = ", ".join(sorted(unknown_types))
+            self.warnings.append(f"Topics of these types are left out: {listed}.")
+
+    def _topic(self, stream: _Stream) -> Topic:
+        count = len(stream.positions)
+        rate_hz = None
+        if count >= 2:
+            first, last = self._entries["received_ns"][stream.positions[[0, -1]]].tolist()
+            rate_hz = (count - 1) * NS_PER_S / (last - first) if last > first else None
+        return Topic(
+            name=stream.name,
+            type=stream.message_type,
+            role=stream.role,
+            count=count,
+            rate_hz=rate_hz,
+        )
+
+
+def _merge(containers: list[Container]) -> tuple[list[Channel], list[Container], Entries]:
+    """Channels of all containers, the container of each, and their entries in order of time."""
+    channels: list[Channel] = []
+    files: list[Container] = []
+    parts = [np.empty(0, dtype=ENTRY)]
+    for container in containers:
+        entries = container.index()
+        entries["channel"] += len(channels)
+        channels.extend(container.channels)
+        files.extend([container] * len(container.channels))
+        parts.append(entries)
+    entries = np.concatenate(parts)
+    return channels, files, entries[np.argsort(entries["received_ns"], kind="stable")]

@@ -1,0 +1,77 @@
+"""What a recording holds and what can be done with it."""
+
+from typing import Any
+
+from fusion_core.model.conventions import NS_PER_S
+from fusion_core.model.recording import Recording
+from fusion_core.recordings.topics import Streams, choose_streams
+
+
+def describe(recording: Recording) -> dict[str, Any]:
+    """A recording as plain values for JSON: times in nanoseconds, null where there is no clock.
+
+    ``end_ns`` is the log time of the last message.
+    """
+    start_ns, end_ns = recording.start_ns, recording.end_ns
+    duration_s = None
+    if start_ns is not None and end_ns is not None:
+        duration_s = (end_ns - start_ns) / NS_PER_S
+    streams = choose_streams(recording)
+    return {
+        "format": recording.format,
+        "start_ns": start_ns,
+        "end_ns": end_ns,
+        "duration_s": duration_s,
+        "topics": [
+            {
+                "name": topic.name,
+                "type": topic.type,
+                "role": topic.role,
+                "count": topic.count,
+                "rate_hz": topic.rate_hz,
+            }
+            for topic in recording.topics
+        ],
+        "can": what_can_be_done(recording, streams),
+        "warnings": list(recording.warnings),
+    }
+
+
+def what_can_be_done(recording: Recording, streams: Streams) -> list[str]:
+    """Plain sentences: which work this recording supports, and why not the rest."""
+    return [
+        *_fusing(streams),
+        *_posing(recording, streams),
+        *(["Its stamps are made from frame numbers."] if recording.stamps_are_nominal else []),
+        *streams.notes,
+    ]
+
+
+def _fusing(streams: Streams) -> list[str]:
+    if not streams.depth and streams.lidar is None:
+        return ["It cannot be fused: there is neither a 2D LiDAR nor a depth camera."]
+    if not streams.depth:
+        return [f"It cannot be fused: there is {streams.lidar}, but no depth camera."]
+    without = [d for d, info in zip(streams.depth, streams.camera_info, strict=True) if not info]
+    lacking = [f"{name} has no intrinsics: its rows are sampled by index." for name in without]
+    depths = ", ".join(streams.depth)
+    if streams.lidar is not None:
+        return [f"It can be fused: {streams.lidar} with {depths}.", *lacking]
+    if len(without) == len(streams.depth):
+        return ["It cannot be fused: there is no 2D LiDAR, and a virtual one needs intrinsics."]
+    return [
+        f"It can be fused with --virtual-lidar, a LiDAR cut from {depths}: there is no 2D LiDAR.",
+        *lacking,
+    ]
+
+
+def _posing(recording: Recording, streams: Streams) -> list[str]:
+    if streams.lidar is None and not streams.depth:
+        return []
+    sources = [s for s in (streams.tf, streams.odometry) if s is not None]
+    if sources:
+        return [f"It can be mapped with the poses of {' or '.join(sources)}."]
+    named = [t.name for t in recording.topics if t.role == "pose" and t.count > 0]
+    if named:
+        return [f"It can be mapped only if a pose topic is named: {', '.join(named)}."]
+    return ["It cannot be mapped with recorded poses: there are none."]

@@ -1,0 +1,321 @@
+"""Model values to one MCAP file of ROS 2 messages, as ROS 2 tools open it."""
+
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from fusion_core.model.conventions import NS_PER_S, FloatArray
+from fusion_core.model.errors import ExportError
+from fusion_core.model.grids import OccupancyGrid
+from fusion_core.model.sensors import (
+    CameraInfo,
+    ColorImage,
+    DepthImage,
+    LaserScan,
+    PoseSample,
+    TransformBatch,
+)
+from fusion_core.recordings.decode import millimetres_from_depth_m
+
+# A late subscriber must still get /tf_static (QoS durability "transient local", depth 1).
+_LATCHED = (
+    "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n"
+    "  deadline:\n    sec: 9223372036\n    nsec: 854775807\n"
+    "  lifespan:\n    sec: 9223372036\n    nsec: 854775807\n"
+    "  liveliness: 1\n"
+    "  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n"
+    "  avoid_ros_namespace_conventions: false"
+)
+_TYPESTORE = get_typestore(Stores.ROS2_HUMBLE)
+
+
+class Ros2McapWriter:
+    """Writes one .mcap file: profile ros2, zstd chunks, an index, and the message definitions.
+
+    The file appears under its name when ``close`` (or the ``with`` block) ends well, and then
+    replaces what was there; after an error nothing is left behind. The same calls give the same
+    bytes. The log time of a message is ``received_ns``, or the stamp where that is None.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+        self._channels: dict[str, tuple[int, str]] = {}
+        self._schemas: dict[str, int] = {}
+        self._open = False
+        try:
+            self._file = self._partial.open("xb")
+        except OSError as error:
+            raise _cannot_write(path, error) from error
+        self._open = True
+        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
+        self._writer.start(profile="ros2", library="scanloom")
+
+    def write_laser_scan(self, topic: str, scan: LaserScan) -> None:
+        """sensor_msgs/LaserScan; a missing range is NaN."""
+        last = max(scan.ranges_m.size - 1, 0)
+        intensities = np.zeros(0) if scan.intensities is None else scan.intensities
+        message = _message(
+            "sensor_msgs/msg/LaserScan",
+            header=_header(scan.stamp_ns, scan.frame_id),
+            angle_min=scan.angle_min_rad,
+            angle_max=scan.angle_min_rad + last * scan.angle_increment_rad,
+            angle_increment=scan.angle_increment_rad,
+            time_increment=scan.time_increment_s,
+            scan_time=scan.scan_time_s,
+            range_min=scan.range_min_m,
+            range_max=scan.range_max_m,
+            ranges=scan.ranges_m.astype(np.float32),
+            intensities=intensities.astype(np.float32),
+        )
+        self._write(topic, message, scan.stamp_ns, scan.received_ns)
+
+    def write_depth(self, topic: str, image: DepthImage) -> None:
+        """sensor_msgs/Image: 16UC1 in millimetres with 0 for missing, or 32FC1 in metres with NaN.
+
+        16UC1 ends at 65.534 m; what is farther becomes missing.
+        """
+        pixels: np.ndarray[Any, Any]
+        if image.encoding == "16UC1":
+            pixels = millimetres_from_depth_m(image.depth_m).astype("<u2")
+        elif image.encoding == "32FC1":
+            pixels = image.depth_m.astype("<f4")
+        else:
+            raise ValueError(f"depth is written as 16UC1 or 32FC1, not as {image.encoding}")
+        self._write_image(topic, image, image.encoding, pixels)
+
+    def write_color(self, topic: str, image: ColorImage) -> None:
+        """sensor_msgs/Image, rgb8."""
+        self._write_image(topic, image, "rgb8", image.rgb)
+
+    def write_camera_info(self, topic: str, info: CameraInfo) -> None:
+        """sensor_msgs/CameraInfo; all zero where the camera is uncalibrated."""
+        k, p = np.zeros((3, 3)), np.zeros((3, 4))
+        camera = info.intrinsics
+        if camera is not None:
+            k[:] = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
+            p[:, :3] = k
+        message = _message(
+            "sensor_msgs/msg/CameraInfo",
+            header=_header(info.stamp_ns, info.frame_id),
+            height=0 if camera is None else camera.height,
+            width=0 if camera is None else camera.width,
+            distortion_model="" if camera is None else camera.distortion_model,
+            d=np.array([] if camera is None else camera.distortion, dtype=np.float64),
+            k=k.ravel(),
+            r=np.eye(3).ravel(),
+            p=p.ravel(),
+            binning_x=0,
+            binning_y=0,
+            roi=_message(
+                "sensor_msgs/msg/RegionOfInterest",
+                x_offset=0,
+                y_offset=0,
+                height=0,
+                width=0,
+                do_rectify=False,
+            ),
+        )
+        self._write(topic, message, info.stamp_ns, info.received_ns)
+
+    def write_transforms(self, topic: str, batch: TransformBatch) -> None:
+        """tf2_msgs/TFMessage. An empty batch has no time of its own and is written at time 0."""
+        entries = [
+            _message(
+                "geometry_msgs/msg/TransformStamped",
+                header=_header(entry.stamp_ns, entry.parent),
+                child_frame_id=entry.child,
+                transform=_message(
+                    "geometry_msgs/msg/Transform",
+                    translation=_vector("Vector3", entry.T_parent_child[:3, 3]),
+                    rotation=_quaternion(entry.T_parent_child[:3, :3]),
+                ),
+            )
+            for entry in batch.transforms
+        ]
+        stamp_ns = batch.transforms[0].stamp_ns if batch.transforms else 0
+        message = _message("tf2_msgs/msg/TFMessage", transforms=entries)
+        self._write(topic, message, stamp_ns, batch.received_ns)
+
+    def write_odometry(self, topic: str, sample: PoseSample) -> None:
+        """nav_msgs/Odometry without twist or covariance."""
+        zero = np.zeros(3)
+        message = _message(
+            "nav_msgs/msg/Odometry",
+            header=_header(sample.stamp_ns, sample.parent),
+            child_frame_id=sample.child,
+            pose=_message(
+                "geometry_msgs/msg/PoseWithCovariance",
+                pose=_pose(sample.T_parent_child),
+                covariance=np.zeros(36),
+            ),
+            twist=_message(
+                "geometry_msgs/msg/TwistWithCovariance",
+                twist=_message(
+                    "geometry_msgs/msg/Twist",
+                    linear=_vector("Vector3", zero),
+                    angular=_vector("Vector3", zero),
+                ),
+                covariance=np.zeros(36),
+            ),
+        )
+        self._write(topic, message, sample.stamp_ns, sample.received_ns)
+
+    def write_pose_stamped(self, topic: str, sample: PoseSample) -> None:
+        """geometry_msgs/PoseStamped; the message has no place for the child frame."""
+        message = _message(
+            "geometry_msgs/msg/PoseStamped",
+            header=_header(sample.stamp_ns, sample.parent),
+            pose=_pose(sample.T_parent_child),
+        )
+        self._write(topic, message, sample.stamp_ns, sample.received_ns)
+
+    def write_occupancy_grid(
+        self, topic: str, grid: OccupancyGrid, stamp_ns: int, received_ns: int | None = None
+    ) -> None:
+        """nav_msgs/OccupancyGrid: the probability as 0..100, -1 where unknown."""
+        percent = np.where(grid.known, np.rint(100.0 * grid.probability), -1.0)
+        rows, columns = grid.log_odds.shape
+        origin = np.eye(4)
+        origin[:2, 3] = grid.origin_m
+        message = _message(
+            "nav_msgs/msg/OccupancyGrid",
+            header=_header(stamp_ns, grid.frame_id),
+            info=_message(
+                "nav_msgs/msg/MapMetaData",
+                map_load_time=_time(stamp_ns),
+                resolution=grid.resolution_m,
+                width=columns,
+                height=rows,
+                origin=_pose(origin),
+            ),
+            data=percent.astype(np.int8).ravel(),
+        )
+        self._write(topic, message, stamp_ns, received_ns)
+
+    def close(self) -> None:
+        """Finish the file and give it its name."""
+        if not self._open:
+            return
+        try:
+            self._writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves it bare
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._file.close()
+            self._partial.replace(self.path)
+        except OSError as error:
+            self.abort()
+            raise _cannot_write(self.path, error) from error
+        self._open = False
+
+    def abort(self) -> None:
+        """Leave nothing behind."""
+        if self._open:
+            self._open = False
+            # What could not be written is to be thrown away in any case.
+            with suppress(OSError):
+                self._file.close()
+            self._partial.unlink(missing_ok=True)
+
+    def __enter__(self) -> "Ros2McapWriter":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abort()
+
+    def _write_image(
+        self,
+        topic: str,
+        image: DepthImage | ColorImage,
+        encoding: str,
+        pixels: np.ndarray[Any, Any],
+    ) -> None:
+        height, width = pixels.shape[:2]
+        data = np.ascontiguousarray(pixels).reshape(height, -1).view(np.uint8)
+        message = _message(
+            "sensor_msgs/msg/Image",
+            header=_header(image.stamp_ns, image.frame_id),
+            height=height,
+            width=width,
+            encoding=encoding,
+            is_bigendian=0,
+            step=data.shape[1],
+            data=data.ravel(),
+        )
+        self._write(topic, message, image.stamp_ns, image.received_ns)
+
+    def _write(self, topic: str, message: Any, stamp_ns: int, received_ns: int | None) -> None:
+        if not self._open:
+            raise ValueError(f"{self.path} is closed")
+        message_type: str = message.__msgtype__
+        channel, channel_type = self._channels.get(topic) or self._register(topic, message_type)
+        if channel_type != message_type:
+            raise ValueError(f"{topic} holds {channel_type}, not {message_type}")
+        log_time_ns = stamp_ns if received_ns is None else received_ns
+        data = _TYPESTORE.serialize_cdr(message, message_type, little_endian=True)
+        try:
+            self._writer.add_message(
+                channel, log_time=log_time_ns, publish_time=stamp_ns, data=bytes(data)
+            )
+        except OSError as error:
+            self.abort()
+            raise _cannot_write(self.path, error) from error
+
+    def _register(self, topic: str, message_type: str) -> tuple[int, str]:
+        if message_type not in self._schemas:
+            definition, _ = _TYPESTORE.generate_msgdef(message_type, ros_version=2)
+            self._schemas[message_type] = self._writer.register_schema(
+                message_type, "ros2msg", definition.encode()
+            )
+        latched = {"offered_qos_profiles": _LATCHED} if topic == "/tf_static" else {}
+        channel = self._writer.register_channel(topic, "cdr", self._schemas[message_type], latched)
+        self._channels[topic] = (channel, message_type)
+        return self._channels[topic]
+
+
+def _cannot_write(path: Path, error: OSError) -> ExportError:
+    reason = error.strerror or error
+    return ExportError(
+        f"cannot be written: {reason}.", file=path, advice="Choose a folder with room to write in."
+    )
+
+
+def _message(message_type: str, **fields: Any) -> Any:
+    return _TYPESTORE.types[message_type](**fields)
+
+
+def _time(stamp_ns: int) -> Any:
+    seconds, nanoseconds = divmod(stamp_ns, NS_PER_S)
+    return _message("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+
+
+def _header(stamp_ns: int, frame_id: str) -> Any:
+    return _message("std_msgs/msg/Header", stamp=_time(stamp_ns), frame_id=frame_id)
+
+
+def _vector(kind: str, xyz: FloatArray) -> Any:
+    x, y, z = (float(value) for value in xyz)
+    return _message(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)
+
+
+def _quaternion(rotation: FloatArray) -> Any:
+    # Canonical: of the two quaternions of a rotation, the one with w >= 0.
+    x, y, z, w = (float(v) for v in Rotation.from_matrix(rotation).as_quat(canonical=True))
+    return _message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+
+def _pose(T_parent_child: FloatArray) -> Any:
+    return _message(
+        "geometry_msgs/msg/Pose",
+        position=_vector("Point", T_parent_child[:3, 3]),
+        orientation=_quaternion(T_parent_child[:3, :3]),
+    )

@@ -1,0 +1,207 @@
+"""What each topic is for, and which topics the work takes when nobody names them."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from fusion_core.model.errors import MissingStream, RecordingError
+from fusion_core.model.recording import Recording, Role, Topic
+from fusion_core.model.sensors import CameraInfo, DepthImage
+from fusion_core.recordings.decode import is_color_encoding, is_depth_encoding
+
+_ROLES: Final[dict[str, Role]] = {
+    "sensor_msgs/msg/LaserScan": "lidar",
+    "sensor_msgs/msg/CameraInfo": "camera_info",
+    "nav_msgs/msg/Odometry": "odometry",
+    "geometry_msgs/msg/PoseStamped": "pose",
+    "tf2_msgs/msg/TFMessage": "tf",
+    "tf/msg/tfMessage": "tf",
+}
+# A truth is for evaluation: a map built from it would prove nothing.
+_TRUTH_NAMES = ("ground_truth", "groundtruth", "ground-truth", "truth")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Streams:
+    """The topics that the work reads.
+
+    ``color`` and ``camera_info`` belong to the depth topic at the same place; None where a depth
+    camera has none. ``pose`` is only ever a topic named by hand. ``notes`` say what was chosen
+    among several.
+    """
+
+    lidar: str | None
+    depth: tuple[str, ...]
+    color: tuple[str | None, ...]
+    camera_info: tuple[str | None, ...]
+    odometry: str | None
+    tf: str | None
+    tf_static: str | None
+    pose: str | None
+    notes: tuple[str, ...] = ()
+
+
+def role_of_type(message_type: str, name: str) -> Role | None:
+    """The role by type and name; None for images, which must be looked into."""
+    if message_type == "sensor_msgs/msg/Image":
+        return None
+    role = _ROLES.get(message_type, "other")
+    return "tf_static" if role == "tf" and name.endswith("tf_static") else role
+
+
+def image_role(encoding: str, name: str) -> Role:
+    """The role of an image topic by the encoding of its images.
+
+    The name decides only for ``mono16``, which drivers use for depth and for infrared.
+    """
+    if is_depth_encoding(encoding) and (encoding != "mono16" or "depth" in name.lower()):
+        return "depth"
+    return "color" if is_color_encoding(encoding) else "other"
+
+
+def unknown_topic(name: str, topics: Iterable[Topic], path: Path) -> MissingStream:
+    """The error for a topic that is not there, with those that are."""
+    there = ", ".join(topic.name for topic in topics) or "no topics"
+    return MissingStream(f"has no topic {name!r}.", file=path, advice=f"It holds {there}.")
+
+
+def choose_streams(
+    recording: Recording,
+    *,
+    lidar: str | None = None,
+    depth: str | Sequence[str] | None = None,
+    color: str | Sequence[str] | None = None,
+    camera_info: str | Sequence[str] | None = None,
+    odometry: str | None = None,
+    pose: str | None = None,
+) -> Streams:
+    """The topics to work with: those named, else those that the recording offers.
+
+    Not named: the LaserScan topic with the most messages; every depth topic, each with the colour
+    topic nearest by name and its own CameraInfo; the odometry with the most messages that is not
+    called a truth. ``pose`` may name a PoseStamped or an Odometry topic and is never guessed.
+
+    Raises MissingStream for a name that is not there or is of another kind.
+    """
+    chooser = _Chooser(recording)
+    depths = chooser.named_list(depth, "depth")
+    if depths is None:
+        depths = chooser.with_messages("depth")
+    colors = chooser.named_list(color, "color")
+    infos = chooser.named_list(camera_info, "camera_info")
+    for named, what in ((colors, "colour"), (infos, "CameraInfo")):
+        if named is not None and len(named) != len(depths):
+            raise MissingStream(
+                f"{len(named)} {what} topics are named for {len(depths)} depth topics.",
+                file=recording.path,
+                advice="Name one for each depth topic, in the same order.",
+            )
+    return Streams(
+        lidar=chooser.named(lidar, "lidar") or chooser.busiest("lidar", "LaserScan"),
+        depth=tuple(depths),
+        color=tuple(colors or [chooser.color_of(name, len(depths)) for name in depths]),
+        camera_info=tuple(infos or [chooser.camera_info_of(name) for name in depths]),
+        odometry=chooser.named(odometry, "odometry") or chooser.busiest("odometry", "odometry"),
+        tf=chooser.busiest("tf", "TF"),
+        tf_static=chooser.busiest("tf_static", "static TF"),
+        pose=chooser.named(pose, "pose", "odometry"),
+        notes=tuple(chooser.notes),
+    )
+
+
+class _Chooser:
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._topics = {topic.name: topic for topic in recording.topics}
+        self.notes: list[str] = []
+
+    def named(self, name: str | None, *roles: Role) -> str | None:
+        if name is None:
+            return None
+        if name not in self._topics:
+            raise unknown_topic(name, self._recording.topics, self._recording.path)
+        topic = self._topics[name]
+        if topic.role not in roles:
+            fitting = [t.name for t in self._topics.values() if t.role in roles]
+            raise MissingStream(
+                f"{name} holds {topic.type} and cannot serve as {' or '.join(roles)}.",
+                file=self._recording.path,
+                advice=f"Topics that can: {', '.join(fitting) or 'none'}.",
+            )
+        return name
+
+    def named_list(self, names: str | Sequence[str] | None, role: Role) -> list[str] | None:
+        if names is None:
+            return None
+        listed = [names] if isinstance(names, str) else list(names)
+        return [name for name in listed if self.named(name, role)]
+
+    def with_messages(self, role: Role) -> list[str]:
+        return [t.name for t in self._topics.values() if t.role == role and t.count > 0]
+
+    def busiest(self, role: Role, what: str) -> str | None:
+        names = [n for n in self.with_messages(role) if not _is_truth(n)]
+        if not names:
+            return None
+        best = max(names, key=lambda name: self._topics[name].count)
+        if len(names) > 1:
+            others = ", ".join(name for name in names if name != best)
+            self.notes.append(f"Of {len(names)} {what} topics {best} is taken, not {others}.")
+        return best
+
+    def color_of(self, depth: str, depth_count: int) -> str | None:
+        """The colour topic that shares most of the depth topic's name."""
+        names = self.with_messages("color")
+        if not names:
+            return None
+        best = max(names, key=lambda name: _shared_parts(name, depth))
+        related = _shared_parts(best, depth) > 0
+        return best if related or (len(names) == 1 and depth_count == 1) else None
+
+    def camera_info_of(self, depth: str) -> str | None:
+        """The CameraInfo beside the depth topic, else one of the same frame and image size.
+
+        A nearer guess could be the colour camera's, whose intrinsics would bend the depth.
+        """
+        names = self.with_messages("camera_info")
+        beside = [name for name in names if _parent(name) == _parent(depth)]
+        if len(beside) == 1:
+            return beside[0]
+        try:
+            image = self._recording.read(depth, 0).value
+            infos = {name: self._recording.read(name, 0).value for name in beside or names}
+        except RecordingError:
+            # A first message that cannot be read proves nothing; reading it later will say so.
+            return None
+        fitting = [name for name, info in infos.items() if _same_camera(image, info)]
+        return fitting[0] if fitting else None
+
+
+def _same_camera(image: object, info: object) -> bool:
+    if not isinstance(image, DepthImage) or not isinstance(info, CameraInfo):
+        return False
+    camera = info.intrinsics
+    return (
+        camera is not None
+        and info.frame_id == image.frame_id
+        and (camera.height, camera.width) == image.depth_m.shape
+    )
+
+
+def _is_truth(name: str) -> bool:
+    return any(word in name.lower() for word in _TRUTH_NAMES)
+
+
+def _parent(name: str) -> str:
+    return name.rpartition("/")[0]
+
+
+def _shared_parts(first: str, second: str) -> int:
+    """How many leading parts two topic names share."""
+    count = 0
+    for a, b in zip(first.strip("/").split("/"), second.strip("/").split("/"), strict=False):
+        if a != b:
+            break
+        count += 1
+    return count

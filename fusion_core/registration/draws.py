@@ -1,0 +1,123 @@
+"""The random draws of RANSAC (Xu 2024 §2.3.1): made in blocks, and replayed one by one."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
+from fusion_core.registration.models import Model, least_squares, residuals
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Draw:
+    """One draw: ``pairs`` (n,) of the m given pairs, their ``A`` (3, 3), and who agrees with it.
+
+    ``mask``: (m,), ``inliers`` its sum. A is NaN where the n pairs do not determine it.
+    """
+
+    index: int
+    pairs: IntArray
+    A: FloatArray
+    inliers: int
+    mask: BoolArray
+
+    def __post_init__(self) -> None:
+        read_only(self.pairs)
+        read_only(self.A)
+        read_only(self.mask)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Draws:
+    """The draws of one model, recomputed from the seed when asked for: ``draws[i]``, iteration.
+
+    A whole block is recomputed as it was at first, so a replay equals the original to the bit.
+    ``lidar_points_m`` and ``depth_points_m``: (m, 2) as given, NaN where missing.
+    """
+
+    model: Model
+    count: int
+    block_size: int
+    sample_size: int
+    inlier_threshold_m: float
+    seed: int
+    lidar_points_m: FloatArray
+    depth_points_m: FloatArray
+
+    def __post_init__(self) -> None:
+        read_only(self.lidar_points_m)
+        read_only(self.depth_points_m)
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, index: int) -> Draw:
+        if not -self.count <= index < self.count:
+            raise IndexError(f"draw {index} of {self.count}")
+        block, within = divmod(index % self.count, self.block_size)
+        return self._block(block)[within]
+
+    def __iter__(self) -> Iterator[Draw]:
+        for block in range(-(-self.count // self.block_size)):
+            yield from self._block(block)
+
+    def _block(self, block: int) -> list[Draw]:
+        valid = np.flatnonzero(both_valid(self.lidar_points_m, self.depth_points_m))
+        lidar, depth = self.lidar_points_m[valid], self.depth_points_m[valid]
+        first = block * self.block_size
+        size = min(self.block_size, self.count - first)
+        samples = draw_samples(valid.size, self.sample_size, size, (self.seed, block))
+        A, agree = evaluate_samples(self.model, lidar, depth, samples, self.inlier_threshold_m)
+        masks = np.zeros((size, self.lidar_points_m.shape[0]), dtype=np.bool_)
+        masks[:, valid] = agree
+        return [
+            Draw(
+                index=first + i,
+                pairs=valid[samples[i]],
+                A=A[i].copy(),
+                inliers=int(agree[i].sum()),
+                mask=masks[i].copy(),
+            )
+            for i in range(size)
+        ]
+
+
+def both_valid(lidar_points_m: FloatArray, depth_points_m: FloatArray) -> BoolArray:
+    """(m,): pairs whose two points are both there."""
+    given = np.isfinite(np.hstack([lidar_points_m, depth_points_m]))
+    valid: BoolArray = np.logical_and.reduce(given, axis=1)
+    return valid
+
+
+def draw_samples(pairs: int, sample_size: int, draws: int, seed: tuple[int, int]) -> IntArray:
+    """(draws, sample_size) distinct indices below ``pairs``, each subset equally likely."""
+    generator = np.random.default_rng(seed)
+    samples = np.empty((draws, sample_size), dtype=np.int64)
+    for k in range(sample_size):
+        # A rank among the pairs not drawn yet, moved past the drawn ones in rising order.
+        index = generator.integers(0, pairs - k, size=draws)
+        for taken in np.sort(samples[:, :k], axis=1).T:
+            index += index >= taken
+        samples[:, k] = index
+    return samples
+
+
+def evaluate_samples(
+    model: Model, lidar_m: FloatArray, depth_m: FloatArray, samples: IntArray, threshold_m: float
+) -> tuple[FloatArray, BoolArray]:
+    """A (draws, 3, 3) of each sample of pairs, and (draws, m): the pairs that agree with it."""
+    A = least_squares(model, lidar_m[samples], depth_m[samples])
+    agree: BoolArray = np.less_equal(residuals(A, lidar_m, depth_m), threshold_m)
+    return A, agree
+
+
+def draws_needed(inlier_share: float, sample_size: int, confidence: float) -> float:
+    """N = ln(1 - p) / ln(1 - cⁿ): draws that hold a clean one with the confidence p.
+
+    ``inlier_share`` is c; infinite where it is 0.
+    """
+    clean = inlier_share**sample_size
+    if clean >= 1.0:
+        return 1.0
+    return float(np.log1p(-confidence) / np.log1p(-clean)) if clean > 0.0 else np.inf

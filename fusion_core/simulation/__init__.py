@@ -1,0 +1,1 @@
+"""Synthetic recordings with truth: worlds, sensor models, rigs, scenes."""

@@ -1,0 +1,194 @@
+"""A structured-light depth camera (Kinect, Xtion): its truth, its report, and why they differ."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.model.classes import NoiseClass
+from fusion_core.model.conventions import BoolArray, ByteArray, Float32Array, FloatArray
+from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.settings import StageSettings, setting
+
+
+class DepthNoise(StageSettings):
+    """The errors of a depth camera.
+
+    Khoshelham & Elberink 2012 measured, on a Kinect, one step of disparity to be
+    2.85e-3 z² metres and the standard deviation 1.425e-3 z² with the quantisation in it. Taken
+    apart: 2.85e-3 / sqrt(12) = 0.82e-3 from the steps, 1.16e-3 before them.
+    """
+
+    sigma_per_m: float = setting(
+        1.16e-3,
+        "Standard deviation of the inverse depth before its quantisation",
+        unit="1/m",
+        ge=0.0,
+    )
+    disparity_step_per_m: float = setting(2.85e-3, "Step of the inverse depth", unit="1/m", gt=0.0)
+    step_m: float = setting(0.001, "Resolution of the image that is sent", unit="m", gt=0.0)
+    near_m: float = setting(0.5, "Nearer surfaces give nothing", unit="m", gt=0.0)
+    far_m: float = setting(8.0, "Farther surfaces give nothing", unit="m", gt=0.0)
+    projector_baseline_m: float = setting(
+        0.075,
+        "The projector's place to the right of the camera: what it does not light is a hole",
+        unit="m",
+    )
+    grazing_rad: float = setting(
+        1.35,
+        "From this incidence on pixels begin to be lost; at a right angle all are",
+        unit="rad",
+        ge=0.0,
+        le=1.57,
+    )
+    dark_lost_share: float = setting(0.1, "Pixels lost on dark surfaces at 0 m", ge=0.0, le=1.0)
+    dark_lost_per_m: float = setting(
+        0.15, "Further pixels lost on dark surfaces, per metre of depth", unit="1/m", ge=0.0
+    )
+    edge_jump_per_m: float = setting(
+        0.012,
+        "What counts as an edge: second difference of the inverse depth, zero on a plane",
+        unit="1/m",
+        gt=0.0,
+    )
+    edge_lost_share: float = setting(
+        0.3,
+        "Pixels beside an edge that are lost: the matching window covers two surfaces",
+        ge=0.0,
+        le=1.0,
+    )
+    edge_mixed_share: float = setting(
+        0.12, "Pixels beside an edge that fly between the two surfaces", ge=0.0, le=1.0
+    )
+    speckles: float = setting(
+        22.0, "Mean number of speckles in 320 x 240 pixels: blobs of a wrong match", ge=0.0
+    )
+    patches: float = setting(
+        1.5, "Mean number of patches without depth in an image: glare, other light", ge=0.0
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DepthView:
+    """What the noise depends on. All (H, W).
+
+    ``true_m``: z of the first surface along the optical axis, finite. ``incidence_cos`` in
+    [0, 1], 1 is head on. ``glass``, ``dark``: its material. ``shadowed``: seen by the camera,
+    not lit by the projector.
+    """
+
+    true_m: FloatArray
+    incidence_cos: FloatArray
+    glass: BoolArray
+    dark: BoolArray
+    shadowed: BoolArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoisyDepth:
+    """``depth_m``: (H, W) float32, NaN where lost. ``kinds``: (H, W) uint8 of NoiseClass."""
+
+    depth_m: Float32Array
+    kinds: ByteArray
+
+
+def sigma_m(true_m: FloatArray, noise: DepthNoise) -> FloatArray:
+    """The ordinary noise of a depth: before the quantisation, and of both quantisations."""
+    disparity = noise.sigma_per_m**2 + noise.disparity_step_per_m**2 / 12.0
+    return np.sqrt(disparity * true_m**4 + noise.step_m**2 / 12.0)
+
+
+def add_noise(view: DepthView, noise: DepthNoise, rng: np.random.Generator) -> NoisyDepth:
+    """A depth image as the sensor reports it, and each pixel's kind.
+
+    A pixel is a burr where something other than ordinary noise formed its value *and* the value
+    lies beyond three standard deviations of the truth; at an edge it may well be good.
+    """
+    true_m = view.true_m
+    shape = true_m.shape
+    inverse = 1.0 / true_m
+
+    # The pattern is mirrored away or passes through a pane.
+    lost = view.shadowed | view.glass
+    lost |= view.dark & (rng.random(shape) < noise.dark_lost_share + noise.dark_lost_per_m * true_m)
+    grazing = np.arccos(np.minimum(view.incidence_cos, 1.0)) - noise.grazing_rad
+    lost |= rng.random(shape) < grazing / (0.5 * np.pi - noise.grazing_rad)
+    lost |= _patches(shape, noise, rng)
+
+    beside, other = _edges(inverse, noise.edge_jump_per_m)
+    draw = rng.random(shape)
+    lost |= beside & (draw < noise.edge_lost_share)
+    mixed = beside & (draw > 1.0 - noise.edge_mixed_share)
+    weight = rng.uniform(0.15, 0.85, shape)
+    aimed = np.where(mixed, inverse + weight * (other - inverse), inverse)
+    speckled, shift_m = _speckles(shape, noise, rng)
+    aimed[speckled] = 1.0 / np.maximum(1.0 / aimed[speckled] + shift_m[speckled], noise.near_m)
+    disturbed = mixed | speckled
+
+    measured = aimed + rng.standard_normal(shape) * noise.sigma_per_m
+    steps = np.rint(measured / noise.disparity_step_per_m)
+    lost |= steps < 1.0
+    value_m = 1.0 / (np.maximum(steps, 1.0) * noise.disparity_step_per_m)
+    value_m = np.rint(value_m / noise.step_m) * noise.step_m
+    lost |= (value_m < noise.near_m) | (value_m > noise.far_m)
+
+    far_off = disturbed & (np.abs(value_m - true_m) > 3.0 * sigma_m(true_m, noise))
+    kinds = np.where(far_off, NoiseClass.BURR, NoiseClass.GOOD)
+    kinds = np.where(lost, NoiseClass.HOLE, kinds).astype(np.uint8)
+    return NoisyDepth(depth_m=np.where(lost, np.nan, value_m).astype(np.float32), kinds=kinds)
+
+
+def pixel_rays(intrinsics: CameraIntrinsics) -> FloatArray:
+    """(H * W, 3) rays in the optical frame with z = 1, row by row: a distance along one is z."""
+    u, v = np.meshgrid(np.arange(intrinsics.width), np.arange(intrinsics.height))
+    x = (u - intrinsics.cx) / intrinsics.fx
+    y = (v - intrinsics.cy) / intrinsics.fy
+    return np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
+
+
+def _edges(inverse: FloatArray, jump: float) -> tuple[BoolArray, FloatArray]:
+    """(H, W) whether a pixel lies beside an edge, and the inverse depth across it."""
+    beside = np.zeros(inverse.shape, dtype=np.bool_)
+    other = inverse.copy()
+    for axis in (0, 1):
+        width = [(1, 1) if axis == 0 else (0, 0), (1, 1) if axis == 1 else (0, 0)]
+        padded = np.pad(inverse, width, mode="edge")
+        before = padded[:-2] if axis == 0 else padded[:, :-2]
+        after = padded[2:] if axis == 0 else padded[:, 2:]
+        # On a plane the inverse depth is linear in u and v.
+        bent = np.abs(before - 2.0 * inverse + after) > jump
+        across = np.where(np.abs(before - inverse) > np.abs(after - inverse), before, after)
+        other = np.where(bent, across, other)
+        beside |= bent
+    return beside, other
+
+
+def _speckles(
+    shape: tuple[int, ...], noise: DepthNoise, rng: np.random.Generator
+) -> tuple[BoolArray, FloatArray]:
+    """Blobs of 1 to about 20 pixels, each with a shift of 0.15-1 m nearer or farther."""
+    speckled = np.zeros(shape, dtype=np.bool_)
+    shift_m = np.zeros(shape)
+    for _ in range(int(rng.poisson(noise.speckles * shape[0] * shape[1] / (320 * 240)))):
+        blob = _disc(shape, rng, (0.5, 2.5))
+        speckled |= blob
+        shift_m[blob] = rng.uniform(0.15, 1.0) * rng.choice([-1.0, 1.0])
+    return speckled, shift_m
+
+
+def _patches(shape: tuple[int, ...], noise: DepthNoise, rng: np.random.Generator) -> BoolArray:
+    """Ellipses with half axes of 4 to 18 pixels."""
+    lost = np.zeros(shape, dtype=np.bool_)
+    for _ in range(int(rng.poisson(noise.patches))):
+        lost |= _disc(shape, rng, (4.0, 18.0))
+    return lost
+
+
+def _disc(
+    shape: tuple[int, ...], rng: np.random.Generator, radii: tuple[float, float]
+) -> BoolArray:
+    row, column = rng.uniform(0.0, shape[0]), rng.uniform(0.0, shape[1])
+    height, width = rng.uniform(*radii, 2)
+    rows = (np.arange(shape[0])[:, None] - row) / height
+    columns = (np.arange(shape[1])[None, :] - column) / width
+    inside: BoolArray = rows**2 + columns**2 < 1.0
+    return inside

@@ -1,0 +1,168 @@
+"""A 2D LiDAR like the URG-04LX: what it should measure, what it reports, and why they differ."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.model.classes import NoiseClass
+from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray
+from fusion_core.settings import StageSettings, setting
+
+
+class LidarNoise(StageSettings):
+    """The errors of a LiDAR. The defaults are those of a URG-04LX as far as its sheet tells."""
+
+    sigma_near_m: float = setting(
+        0.01, "Standard deviation up to 1 m (data sheet of the URG-04LX: 10 mm)", unit="m", ge=0.0
+    )
+    sigma_share: float = setting(
+        0.01, "Standard deviation beyond 1 m, per metre of range (data sheet: 1 %)", ge=0.0, le=0.2
+    )
+    step_m: float = setting(0.001, "Resolution of a range (data sheet: 1 mm)", unit="m", gt=0.0)
+    glass_front_rad: float = setting(
+        0.14,
+        "A pane answers only within this angle of its normal, where its mirror image of the"
+        " emitter meets the receiver",
+        unit="rad",
+        ge=0.0,
+        le=1.6,
+    )
+    glass_through_share: float = setting(
+        0.15, "Of the other beams on glass, the share that reports what lies behind", ge=0.0, le=1.0
+    )
+    dark_lost_share: float = setting(
+        0.25,
+        "Beams lost on dark surfaces at 0 m; the sheet's range is for white paper",
+        ge=0.0,
+        le=1.0,
+    )
+    dark_lost_per_m: float = setting(
+        0.12, "Further beams lost on dark surfaces, per metre of range", unit="1/m", ge=0.0
+    )
+    grazing_rad: float = setting(
+        1.4,
+        "From this incidence on beams begin to be lost; at a right angle all are",
+        unit="rad",
+        ge=0.0,
+        le=1.57,
+    )
+    lost_runs: float = setting(
+        3.0,
+        "Mean number of runs of lost beams in a sweep, as other light and cables make them",
+        ge=0.0,
+    )
+    lost_run_beams: float = setting(6.0, "Mean length of such a run", unit="beams", ge=1.0)
+    edge_mixed_share: float = setting(
+        0.7,
+        "Beams beside an edge that average both surfaces (mixed pixels: Kneip et al. 2009 on"
+        " the URG-04LX)",
+        ge=0.0,
+        le=1.0,
+    )
+    edge_jump: float = setting(
+        0.02,
+        "What counts as an edge: second difference of the inverse range, zero on a plane",
+        unit="1/m",
+        gt=0.0,
+    )
+    spurious_share: float = setting(
+        0.005,
+        "Isolated returns from nowhere: dust, cross talk, a second reflection",
+        ge=0.0,
+        le=1.0,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LidarView:
+    """What the noise depends on. All (N,), in the order of the beams.
+
+    ``true_m``: range of the first surface, finite. ``incidence_cos`` in [0, 1], 1 is head on.
+    ``glass``, ``dark``: its material. ``behind_m``: range of what lies behind a pane (NaN
+    where there is none).
+    """
+
+    true_m: FloatArray
+    incidence_cos: FloatArray
+    glass: BoolArray
+    dark: BoolArray
+    behind_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoisySweep:
+    """``ranges_m``: (N,) float64, NaN where lost. ``kinds``: (N,) uint8 of NoiseClass."""
+
+    ranges_m: FloatArray
+    kinds: ByteArray
+
+
+def sigma_m(true_m: FloatArray, noise: LidarNoise) -> FloatArray:
+    """The ordinary noise of a range."""
+    return np.maximum(noise.sigma_near_m, noise.sigma_share * true_m)
+
+
+def add_noise(
+    view: LidarView,
+    noise: LidarNoise,
+    range_limits_m: tuple[float, float],
+    rng: np.random.Generator,
+) -> NoisySweep:
+    """A sweep as the sensor reports it, and each beam's kind.
+
+    A beam is a burr where something other than ordinary noise formed its value *and* the value
+    lies beyond three standard deviations of the truth; at an edge it may well be good.
+    """
+    true_m = view.true_m
+    count = true_m.size
+    aimed_m = true_m.copy()
+    disturbed = np.zeros(count, dtype=np.bool_)
+
+    silent_glass = view.glass & (view.incidence_cos < np.cos(noise.glass_front_rad))
+    through = silent_glass & (rng.random(count) < noise.glass_through_share)
+    aimed_m[through] = view.behind_m[through]
+    disturbed |= through
+    lost = silent_glass & ~through
+
+    lost |= view.dark & (rng.random(count) < noise.dark_lost_share + noise.dark_lost_per_m * true_m)
+
+    grazing = np.arccos(np.minimum(view.incidence_cos, 1.0)) - noise.grazing_rad
+    lost |= rng.random(count) < grazing / (0.5 * np.pi - noise.grazing_rad)
+
+    beside, other_m = _edges(true_m, noise.edge_jump)
+    mixed = beside & (rng.random(count) < noise.edge_mixed_share)
+    weight = rng.uniform(0.1, 0.9, count)
+    aimed_m[mixed] += (weight * (other_m - true_m))[mixed]
+    disturbed |= mixed
+
+    spurious = rng.random(count) < noise.spurious_share
+    aimed_m[spurious] = rng.uniform(*range_limits_m, count)[spurious]
+    disturbed |= spurious
+
+    value_m = aimed_m + rng.standard_normal(count) * sigma_m(aimed_m, noise)
+    value_m = np.rint(value_m / noise.step_m) * noise.step_m
+    lost |= _lost_runs(count, noise, rng)
+    lost |= ~np.isfinite(value_m) | (value_m < range_limits_m[0]) | (value_m > range_limits_m[1])
+
+    far_off = disturbed & (np.abs(value_m - true_m) > 3.0 * sigma_m(true_m, noise))
+    kinds = np.where(far_off, NoiseClass.BURR, NoiseClass.GOOD)
+    kinds = np.where(lost, NoiseClass.HOLE, kinds).astype(np.uint8)
+    return NoisySweep(ranges_m=np.where(lost, np.nan, value_m), kinds=kinds)
+
+
+def _edges(true_m: FloatArray, jump: float) -> tuple[BoolArray, FloatArray]:
+    """(N,) whether a beam lies beside an edge, and the neighbour's range across it."""
+    padded = np.pad(true_m, 1, mode="edge")
+    before, after = padded[:-2], padded[2:]
+    # On a plane 1/r is a sine of the azimuth: its second difference over one beam vanishes.
+    bend = np.abs(1.0 / before - 2.0 / true_m + 1.0 / after)
+    across = np.where(np.abs(before - true_m) > np.abs(after - true_m), before, after)
+    return bend > jump, across
+
+
+def _lost_runs(count: int, noise: LidarNoise, rng: np.random.Generator) -> BoolArray:
+    lost = np.zeros(count, dtype=np.bool_)
+    for _ in range(int(rng.poisson(noise.lost_runs))):
+        start = int(rng.integers(count))
+        lost[start : start + int(rng.geometric(1.0 / noise.lost_run_beams))] = True
+    return lost

@@ -1,0 +1,51 @@
+"""Wheel odometry that drifts."""
+
+import numpy as np
+
+from fusion_core.model.conventions import FloatArray
+from fusion_core.model.geometry import (
+    inverse,
+    planar_from_transform,
+    transform_from_planar,
+)
+from fusion_core.settings import StageSettings, setting
+
+
+class OdometryNoise(StageSettings):
+    """The errors of wheel odometry; the defaults are those of a small robot on a hard floor."""
+
+    distance_scale: float = setting(
+        1.02, "Reported over true distance: the wheels' size is not quite known", gt=0.0
+    )
+    yaw_drift_rad_per_s: float = setting(
+        0.004, "Steady drift of the heading: two wheels of unequal size", unit="rad/s"
+    )
+    distance_sigma_share: float = setting(
+        0.02, "Standard deviation of a step, per metre of it", ge=0.0
+    )
+    yaw_sigma_share: float = setting(0.03, "Standard deviation of a turn, per radian of it", ge=0.0)
+
+
+class DriftingOdometry:
+    """Adds up noisy steps between true poses. It starts at zero, as odometry does."""
+
+    def __init__(self, noise: OdometryNoise, rng: np.random.Generator) -> None:
+        self._noise = noise
+        self._rng = rng
+        self._before: tuple[float, FloatArray] | None = None
+        self._T_odom_base = np.eye(4)
+
+    def step(self, time_s: float, pose: FloatArray) -> FloatArray:
+        """(4, 4) T_odom_base at ``time_s``, from the true (x, y, yaw); times must rise."""
+        T_map_base = transform_from_planar(pose)
+        if self._before is not None:
+            time_before_s, T_map_before = self._before
+            moved = planar_from_transform(inverse(T_map_before) @ T_map_base)
+            draw = self._rng.standard_normal(2)
+            scale = self._noise.distance_scale + self._noise.distance_sigma_share * draw[0]
+            turn = moved[2] * (1.0 + self._noise.yaw_sigma_share * draw[1])
+            turn += self._noise.yaw_drift_rad_per_s * (time_s - time_before_s)
+            reported = np.array([moved[0] * scale, moved[1] * scale, turn])
+            self._T_odom_base = self._T_odom_base @ transform_from_planar(reported)
+        self._before = (time_s, T_map_base)
+        return self._T_odom_base.copy()

@@ -1,0 +1,199 @@
+"""The mounts: where LiDAR and cameras stand on the robot, and what they are."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from fusion_core.model.conventions import R_BODY_OPTICAL, FloatArray
+from fusion_core.model.geometry import inverse, rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.sensors import CameraIntrinsics
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LidarMount:
+    """A 2D LiDAR on the robot. Its sweep turns with the rate, of which the beams see a part."""
+
+    T_base_lidar: FloatArray
+    beams: int = 682
+    angle_increment_rad: float = 2.0 * np.pi / 1024.0
+    rate_hz: float = 10.0
+    range_min_m: float = 0.06
+    range_max_m: float = 5.6
+    frame_id: str = "laser"
+
+    @property
+    def angle_min_rad(self) -> float:
+        """The beams lie symmetric about straight ahead."""
+        return -0.5 * (self.beams - 1) * self.angle_increment_rad
+
+    @property
+    def time_increment_s(self) -> float:
+        """Time between two beams of a turning mirror."""
+        return self.angle_increment_rad / (2.0 * np.pi * self.rate_hz)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraMount:
+    """An RGB-D camera on the robot, its topics below ``namespace``."""
+
+    namespace: str
+    frame_id: str
+    intrinsics: CameraIntrinsics
+    T_base_optical: FloatArray
+
+    @property
+    def depth_topic(self) -> str:
+        return f"{self.namespace}/depth/image_raw"
+
+    @property
+    def color_topic(self) -> str:
+        return f"{self.namespace}/color/image_raw"
+
+    @property
+    def info_topic(self) -> str:
+        return f"{self.namespace}/depth/camera_info"
+
+    def scaled(self, scale: float) -> "CameraMount":
+        """The same camera with ``scale`` times as many pixels a side (integers are centres)."""
+        full = self.intrinsics
+        intrinsics = replace(
+            full,
+            width=round(full.width * scale),
+            height=round(full.height * scale),
+            fx=full.fx * scale,
+            fy=full.fy * scale,
+            cx=(full.cx + 0.5) * scale - 0.5,
+            cy=(full.cy + 0.5) * scale - 0.5,
+        )
+        return replace(self, intrinsics=intrinsics)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rig:
+    """A LiDAR and its cameras, leftmost first.
+
+    ``camera_yaw_rad``: by how much the camera, or the whole rig of cameras, looks to the left of
+    the LiDAR's zero. ``T_base_rig``: the frame in which a rig of cameras is calibrated.
+    """
+
+    lidar: LidarMount
+    cameras: tuple[CameraMount, ...]
+    camera_yaw_rad: float
+    T_base_rig: FloatArray
+
+    def scaled(self, scale: float) -> "Rig":
+        """The same rig with scaled images."""
+        return replace(self, cameras=tuple(camera.scaled(scale) for camera in self.cameras))
+
+    def T_lidar_camera(self) -> FloatArray:
+        """(C, 4, 4) optical frames in the LiDAR's."""
+        T_lidar_base = inverse(self.lidar.T_base_lidar)
+        return np.stack([T_lidar_base @ camera.T_base_optical for camera in self.cameras])
+
+
+def _lidar(height_m: float, forward_m: float = 0.0) -> LidarMount:
+    return LidarMount(T_base_lidar=transform(np.eye(3), np.array([forward_m, 0.0, height_m])))
+
+
+def _single_camera(
+    *,
+    lidar_height_m: float,
+    position_m: Sequence[float],
+    yaw_deg: float,
+    focal_px: float,
+) -> Rig:
+    yaw_rad = float(np.radians(yaw_deg))
+    body = rotation_from_yaw_pitch_roll(yaw_rad, 0.0, 0.0)
+    T_base_optical = transform(body @ R_BODY_OPTICAL, np.array(position_m))
+    camera = CameraMount(
+        namespace="/camera",
+        frame_id="camera_depth_optical_frame",
+        intrinsics=CameraIntrinsics(
+            width=320,
+            height=240,
+            fx=focal_px,
+            fy=focal_px,
+            cx=159.5,
+            cy=119.5,
+            distortion=(0.0, 0.0, 0.0, 0.0, 0.0),
+        ),
+        T_base_optical=T_base_optical,
+    )
+    return Rig(
+        lidar=_lidar(lidar_height_m),
+        cameras=(camera,),
+        camera_yaw_rad=yaw_rad,
+        T_base_rig=np.eye(4),
+    )
+
+
+@cache
+def home_robot() -> Rig:
+    """A camera high above a LiDAR, turned 7° to the left, 5 cm ahead and 3 cm to the left."""
+    return _single_camera(
+        lidar_height_m=0.31, position_m=(0.05, 0.03, 0.92), yaw_deg=7.0, focal_px=288.0
+    )
+
+
+@cache
+def turtlebot_high() -> Rig:
+    """Xu 2024 Fig. 2b: a Kinect at 0.96 m over a LiDAR at 0.25 m (structured light, half size)."""
+    return _single_camera(
+        lidar_height_m=0.25, position_m=(-0.08, -0.02, 0.96), yaw_deg=-3.0, focal_px=287.5
+    )
+
+
+@cache
+def turtlebot_low() -> Rig:
+    """Xu 2024 Fig. 2c: a Kinect at 0.25 m under a LiDAR at 0.31 m (structured light, half size)."""
+    return _single_camera(
+        lidar_height_m=0.31, position_m=(0.06, 0.01, 0.25), yaw_deg=4.0, focal_px=287.5
+    )
+
+
+@cache
+def robot_at_home() -> Rig:
+    """The rig of Robot@Home: four Xtions in portrait over a LiDAR at 0.31 m.
+
+    Each camera is rolled by -90°: a stored image is landscape, its columns run upwards. The whole
+    rig is turned by 2.5° against the LiDAR, which its own calibration does not tell.
+    """
+    yaw_rad = float(np.radians(2.5))
+    middle_m = np.array([0.26, 0.0, 1.045])
+    T_base_rig = transform(rotation_from_yaw_pitch_roll(yaw_rad, 0.0, 0.0), middle_m)
+    # From the robot's base, as published, with the LiDAR at (0.205, 0, 0.31).
+    places = [
+        ((0.271, 0.031, 1.045), 45.0),
+        ((0.285, 0.0, 1.045), 0.0),
+        ((0.271, -0.031, 1.045), -45.0),
+        ((0.240, -0.045, 1.045), -90.0),
+    ]
+    intrinsics = CameraIntrinsics(
+        width=320,
+        height=240,
+        fx=286.441384,
+        fy=271.36999,
+        cx=157.3245865,
+        cy=120.0802295,
+        distortion=(0.0, 0.0, 0.0, 0.0, 0.0),
+    )
+    cameras = []
+    for number, (position_m, yaw_deg) in enumerate(places, start=1):
+        body = rotation_from_yaw_pitch_roll(float(np.radians(yaw_deg)), 0.0, -0.5 * np.pi)
+        T_rig_optical = transform(body @ R_BODY_OPTICAL, np.array(position_m) - middle_m)
+        cameras.append(
+            CameraMount(
+                namespace=f"/camera_{number}",
+                frame_id=f"camera_{number}_depth_optical_frame",
+                intrinsics=intrinsics,
+                T_base_optical=T_base_rig @ T_rig_optical,
+            )
+        )
+    return Rig(
+        lidar=_lidar(0.31, forward_m=0.205),
+        cameras=tuple(cameras),
+        camera_yaw_rad=yaw_rad,
+        T_base_rig=T_base_rig,
+    )

@@ -1,0 +1,289 @@
+"""Pass 1: the offset (u, v), the mount and the noise scale of a whole recording."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import get_args
+
+import numpy as np
+
+from fusion_core.alignment.curves import (
+    CurveSampling,
+    RowSampling,
+    curve_samples_m,
+    row_samples_m,
+    sample_curve,
+    sample_row,
+    yaw_of_offset_rad,
+)
+from fusion_core.alignment.mount import (
+    MountEstimate,
+    MountFrame,
+    estimate_mount,
+    frame_yaw_offset_rad,
+    mount_frame,
+)
+from fusion_core.alignment.panorama import Panorama
+from fusion_core.alignment.search import FieldMean, Peak, SearchSettings, find_peak
+from fusion_core.alignment.similarity import Metric, SimilarityField, similarity_fields
+from fusion_core.alignment.time import turn_rate_rad_s
+from fusion_core.denoising.correspondence import along_curve
+from fusion_core.denoising.noise_scale import STATED, NoiseScale, learn_noise_scale
+from fusion_core.model.conventions import NS_PER_MS, Float32Array, FloatArray
+from fusion_core.model.errors import AlignmentFailed
+from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.progress import Progress
+from fusion_core.model.rig import Mount
+from fusion_core.model.sensors import LaserScan
+from fusion_core.workflows.pairing import PairedImage
+from fusion_core.workflows.presets import ChainSettings
+from fusion_core.workflows.rig import Rig
+
+METRICS: tuple[Metric, ...] = get_args(Metric)
+
+# Fields of this many frames make the mean; evenly spread, they see what all would.
+_FIELD_FRAMES = 400
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alignment:
+    """What pass 1 found. ``estimate`` is None where the pairs are taken frame by frame.
+
+    ``curve`` and ``row`` sample the recording's field (a panorama's where there are several
+    cameras). ``fields`` are the mean fields, ``peaks`` their peaks. ``lidar``: a scan, for its
+    geometry.
+    """
+
+    fields: dict[Metric, SimilarityField]
+    peaks: dict[Metric, Peak]
+    metric: Metric
+    curve: CurveSampling
+    row: RowSampling
+    mount: Mount
+    estimate: MountEstimate | None
+    scale: NoiseScale
+    lidar: LaserScan
+    frames: int
+
+    @property
+    def peak(self) -> Peak:
+        """The peak of the metric that decides."""
+        return self.peaks[self.metric]
+
+    @property
+    def along_curve(self) -> bool:
+        """Whether pairs lie along the projected curve (else in the row)."""
+        return self.estimate is not None and self.estimate.confident
+
+
+def search_rows(
+    scan: LaserScan,
+    curve: CurveSampling,
+    rows_m: FloatArray,
+    settings: ChainSettings,
+    metrics: Iterable[Metric] = METRICS,
+) -> dict[Metric, SimilarityField]:
+    """The fields of one frame over all its rows; rows outside the searched band have no score."""
+    height = rows_m.shape[0]
+    first = max(settings.sampling.row_first, round((1.0 - settings.sampling.row_band) * height))
+    curve_m = curve_samples_m(scan, curve)
+    searched_m = rows_m[first:]
+    if not settings.search.mask_holes:
+        curve_m, searched_m = np.nan_to_num(curve_m, nan=0.0), np.nan_to_num(searched_m, nan=0.0)
+    fields = similarity_fields(
+        curve_m,
+        searched_m,
+        metrics=tuple(metrics),
+        min_overlap=settings.search.min_overlap,
+        partial=settings.search.partial or rows_m.shape[1] > curve_m.size,
+    )
+    return {metric: _below(field, first) for metric, field in fields.items()}
+
+
+def _below(field: SimilarityField, first: int) -> SimilarityField:
+    """The field with ``first`` unsearched rows above it, so that v counts from the image's top."""
+    if first == 0:
+        return field
+    above = np.full((first, field.scores.shape[1]), np.nan)
+    return SimilarityField(
+        scores=np.vstack([above, field.scores]),
+        overlap=np.vstack([np.zeros_like(above), field.overlap]),
+        u_first=field.u_first,
+    )
+
+
+def align(
+    pairs: Callable[[], Iterable[LaserScan | PairedImage]],
+    rig: Rig,
+    settings: ChainSettings,
+    image_count: int,
+    progress: Progress,
+    *,
+    depth_of: Callable[[int, Float32Array], Float32Array],
+    refine: bool = True,
+) -> Alignment:
+    """Search the offset over the recording, then refine the mount around it.
+
+    ``pairs`` starts a new pass over the recording; ``depth_of(camera, stored)`` gives the upright
+    view that is searched. ``refine``: False for a virtual LiDAR, whose mount is the camera.
+
+    Raises AlignmentFailed where nothing pairs in time or no offset has a score.
+    """
+    collected = _collect(pairs(), rig, settings, image_count, progress, depth_of)
+    fields = {metric: collected.mean.mean(metric) for metric in METRICS}
+    peaks = {metric: _peak_or_none(field, settings.search) for metric, field in fields.items()}
+    metric = settings.search.metric
+    known = {name: peak for name, peak in peaks.items() if peak is not None}
+    if metric not in known or collected.scan is None or collected.curve is None:
+        raise AlignmentFailed(
+            f"the mean field of {collected.mean.frames} frames has no peak",
+            advice="Lower search.min_overlap, or check that both sensors see the same side.",
+        )
+    yaw_rad = yaw_of_offset_rad(known[metric].u, collected.curve, collected.row.left_rad)
+    mount = Mount(yaw_rad=yaw_rad, sd=(np.deg2rad(1.0), *(None,) * 5))
+    estimate = None
+    scale = STATED
+    calibrated = all(camera.calibrated for camera in rig.cameras)
+    if refine and calibrated and settings.pairing == "mount":
+        estimate = estimate_mount(
+            collected.kept, settings.mount, yaw_rad=yaw_rad, recorded=rig.recorded
+        )
+        mount = estimate.mount
+        scale = _scale_of(collected.kept, mount, settings)
+    return Alignment(
+        fields=fields,
+        peaks=known,
+        metric=metric,
+        curve=collected.curve,
+        row=collected.row,
+        mount=mount,
+        estimate=estimate,
+        scale=scale,
+        lidar=collected.scan,
+        frames=collected.mean.frames,
+    )
+
+
+class _Collected:
+    """What one pass over the recording keeps: mean fields and a bounded subset of pairs."""
+
+    def __init__(self, row: RowSampling) -> None:
+        self.mean = FieldMean()
+        self.kept: list[MountFrame] = []
+        self.curve: CurveSampling | None = None
+        self.row = row
+        self.scan: LaserScan | None = None
+
+    @property
+    def scan_size(self) -> int:
+        return 0 if self.scan is None else self.scan.ranges_m.size
+
+
+def _collect(
+    pairs: Iterable[LaserScan | PairedImage],
+    rig: Rig,
+    settings: ChainSettings,
+    image_count: int,
+    progress: Progress,
+    depth_of: Callable[[int, Float32Array], Float32Array],
+) -> _Collected:
+    several = len(rig.cameras) > 1
+    panorama = Panorama(rig.cameras, settings.sampling) if several else None
+    row = panorama.sampling if panorama else sample_row(rig.cameras[0], settings.sampling)
+    collected = _Collected(row)
+    # The time span of the subset is the recording's, however long it is.
+    field_every = max(1, image_count // len(rig.cameras) // _FIELD_FRAMES)
+    keep_every = max(1, image_count // settings.mount.frames)
+    latest: dict[int, tuple[int, Float32Array]] = {}
+    done = 0
+    for entry in pairs:
+        if isinstance(entry, LaserScan):
+            continue
+        done += 1
+        progress(done, image_count, "searching (u, v)")
+        if entry.window is None:
+            continue
+        scan = entry.window.scan
+        if collected.curve is None:
+            collected.curve, collected.scan = sample_curve(scan, settings.sampling), scan
+        wanted_field = (done // len(rig.cameras)) % field_every == 0
+        wanted_mount = done % keep_every == 0
+        if not (wanted_field or wanted_mount):
+            continue
+        depth_m = depth_of(entry.camera, entry.image.depth_m)
+        if wanted_mount:
+            collected.kept.append(
+                mount_frame(
+                    rig.cameras[entry.camera],
+                    scan,
+                    depth_m,
+                    scan.stamp_ns + entry.gap_ns,
+                    turn_rate_rad_s(entry.window, settings.time),
+                )
+            )
+        if not wanted_field or scan.ranges_m.size != collected.scan_size:
+            continue
+        rows_m: FloatArray | None = None
+        if panorama is None:
+            rows_m = row_samples_m(depth_m, row)
+        else:
+            latest[entry.camera] = (entry.image.stamp_ns, depth_m)
+            if _together(latest, len(rig.cameras), settings.time.max_gap_ms):
+                rows_m = panorama.samples_m([latest[i][1] for i in range(len(rig.cameras))])
+                latest.clear()
+        if rows_m is not None:
+            collected.mean.add(search_rows(scan, collected.curve, rows_m, settings))
+    return collected
+
+
+def _together(latest: dict[int, tuple[int, Float32Array]], cameras: int, max_gap_ms: float) -> bool:
+    """Whether every camera has an image of nearly the same instant."""
+    stamps = [stamp for stamp, _ in latest.values()]
+    return len(latest) == cameras and max(stamps) - min(stamps) <= max_gap_ms * NS_PER_MS
+
+
+def _peak_or_none(field: SimilarityField, settings: SearchSettings) -> Peak | None:
+    try:
+        return find_peak(field, settings)
+    except AlignmentFailed:
+        return None
+
+
+def T_lidar_camera_at(rig: Rig, camera: int, mount: Mount, turned_rad: float) -> FloatArray:
+    """(4, 4): a camera's optical frame at the image's stamp to the LiDAR frame at the scan's,
+    between which the LiDAR turned by ``turned_rad``."""
+    turn = transform(rotation_from_yaw_pitch_roll(turned_rad, 0.0, 0.0), np.zeros(3))
+    T_lidar_camera: FloatArray = turn @ mount.T_lidar_rig @ rig.cameras[camera].T_rig_camera
+    return T_lidar_camera
+
+
+def turned_rad(frame: MountFrame, mount: Mount, settings: ChainSettings) -> float:
+    """Turn of the LiDAR from the scan's stamp to the image's, as the stamps say, corrected by the
+    frame's own check against the mount."""
+    stamped = frame.turn_rate_rad_s * frame.image_after_scan_s
+    if not settings.time.compensate_turn:
+        stamped = 0.0
+    if settings.mount.frame_yaw_sd_deg == 0.0:
+        return stamped
+    # The clock offset is applied to the stamps where it is asked for, and only there.
+    applied = replace(mount, clock_offset_ms=0.0)
+    return stamped + frame_yaw_offset_rad(frame, applied, settings.mount)
+
+
+def _scale_of(kept: list[MountFrame], mount: Mount, settings: ChainSettings) -> NoiseScale:
+    """The noise scale from the kept frames' own pairs."""
+    ranges = []
+    residuals = []
+    for frame in kept:
+        turn = transform(
+            rotation_from_yaw_pitch_roll(turned_rad(frame, mount, settings), 0.0, 0.0), np.zeros(3)
+        )
+        pairs = along_curve(
+            frame.scan,
+            frame.raw_depth_m,
+            frame.depth_m,
+            frame.camera,
+            turn @ mount.T_lidar_rig @ frame.camera.T_rig_camera,
+        )
+        ranges.append(pairs.lidar_range_m)
+        residuals.append(pairs.residual_m)
+    return learn_noise_scale(np.concatenate(ranges), np.concatenate(residuals))

@@ -1,0 +1,104 @@
+"""The measures of a result against the truth, ready for JSON.
+
+Where a truth does not know how the camera is mounted, ``lever_arm_m`` gives its origin seen from
+the LiDAR's (forward, left, up) and ``pitch_rad`` how far it looks down; ``clock_offset_ms`` is
+camera stamp - LiDAR stamp of one instant. What the truth itself knows wins.
+
+Each function raises ScanLoomError where a file is unfit or the two do not belong together.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fusion_core.evaluation.alignment import evaluate_alignment
+from fusion_core.evaluation.noise import evaluate_noise
+from fusion_core.evaluation.recall_curve import recall_over_epsilon
+from fusion_core.evaluation.repair import evaluate_repair
+from fusion_core.evaluation.truth import LeverArm, Truth, load_truth
+from fusion_core.model.conventions import Float32Array
+from fusion_core.model.errors import SettingsError
+from fusion_core.model.recording import Recording
+from fusion_core.model.sensors import DepthImage
+from fusion_core.recordings.formats import open_recording
+
+# Fig. 6 of Xu 2024 shows [1, sqrt 2]; the rest shows what lies beside the band.
+_EPSILON_OVER_E = np.linspace(0.2, 6.0, 30)
+
+
+def alignment(
+    fuse_dir: Path,
+    truth: Path,
+    *,
+    lever_arm_m: tuple[float, float, float] | None = None,
+    pitch_rad: float = 0.0,
+    clock_offset_ms: float | None = None,
+) -> dict[str, Any]:
+    """Offset of each frame, yaw of the mount and clock against the truth."""
+    known = _load(truth, lever_arm_m, pitch_rad, clock_offset_ms)
+    return evaluate_alignment(fuse_dir, known).to_json()
+
+
+def noise(
+    fuse_dir: Path,
+    truth: Path,
+    *,
+    lever_arm_m: tuple[float, float, float] | None = None,
+    pitch_rad: float = 0.0,
+    clock_offset_ms: float | None = None,
+) -> dict[str, Any]:
+    """Recalls of good, noise and conflict pairs, and the curves of Fig. 6 (``over_epsilon``)."""
+    known = _load(truth, lever_arm_m, pitch_rad, clock_offset_ms)
+    curve = recall_over_epsilon(fuse_dir, known, _EPSILON_OVER_E)
+    return {**evaluate_noise(fuse_dir, known).to_json(), "over_epsilon": curve.to_json()}
+
+
+def repair(
+    fuse_dir: Path,
+    truth: Path,
+    *,
+    lever_arm_m: tuple[float, float, float] | None = None,
+    pitch_rad: float = 0.0,
+    clock_offset_ms: float | None = None,
+    recording: Path | None = None,
+) -> dict[str, Any]:
+    """Errors of repaired values against the truth and against plain interpolation.
+
+    ``recording``, what was fused, adds the rivals that fill whole depth images.
+    """
+    known = _load(truth, lever_arm_m, pitch_rad, clock_offset_ms)
+    if recording is None:
+        return evaluate_repair(fuse_dir, known).to_json()
+    with open_recording(recording) as opened:
+        return evaluate_repair(fuse_dir, known, _depth_images(opened)).to_json()
+
+
+def _depth_images(recording: Recording) -> Iterator[tuple[str, int, Float32Array]]:
+    topics = [topic.name for topic in recording.topics if topic.role == "depth"]
+    for message in recording.messages(topics):
+        if isinstance(message.value, DepthImage):
+            yield message.topic, message.stamp_ns, message.value.depth_m
+
+
+def _load(
+    path: Path,
+    lever_arm_m: tuple[float, float, float] | None,
+    pitch_rad: float,
+    clock_offset_ms: float | None,
+) -> Truth:
+    by_hand = (*(lever_arm_m or ()), pitch_rad, clock_offset_ms or 0.0)
+    if not np.isfinite(by_hand).all():
+        raise SettingsError(f"lever arm, pitch and clock offset must be finite, got {by_hand}.")
+    lever_arm = None
+    if lever_arm_m is not None:
+        forward_m, left_m, up_m = lever_arm_m
+        lever_arm = LeverArm(
+            forward_m=forward_m,
+            left_m=left_m,
+            lidar_height_m=0.0,
+            camera_height_m=up_m,
+            pitch_rad=pitch_rad,
+        )
+    return load_truth(path, lever_arm=lever_arm, clock_offset_ms=clock_offset_ms)

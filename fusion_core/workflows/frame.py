@@ -1,0 +1,219 @@
+"""Pass 2: one scan against one depth image, from correspondence to repair."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.alignment.curves import (
+    CurveSampling,
+    RowSampling,
+    offset_of_yaw,
+    row_samples_m,
+    sample_curve,
+    sample_row,
+    yaw_of_offset_rad,
+)
+from fusion_core.alignment.mount import mount_frame
+from fusion_core.alignment.search import Peak, find_peak
+from fusion_core.alignment.similarity import Metric, SimilarityField
+from fusion_core.alignment.time import ScanWindow, turn_rate_rad_s
+from fusion_core.denoising.correspondence import (
+    Correspondence,
+    RowModel,
+    along_curve,
+    by_sample,
+    compared,
+    in_row,
+    mapped,
+    planar_points,
+)
+from fusion_core.denoising.noise import Classes, FrameWindow, classify
+from fusion_core.denoising.repair import Repair, repair
+from fusion_core.model.conventions import NS_PER_S, Float32Array
+from fusion_core.model.errors import AlignmentFailed, RegistrationFailed
+from fusion_core.model.rig import Mount
+from fusion_core.model.sensors import DepthImage, LaserScan
+from fusion_core.registration.ransac import Registration, register
+from fusion_core.workflows.align import Alignment, T_lidar_camera_at, search_rows, turned_rad
+from fusion_core.workflows.presets import ChainSettings
+from fusion_core.workflows.rig import Rig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FusedFrame:
+    """Everything that pass 2 says of one depth image.
+
+    ``image`` is the stored one, ``depth_m`` its upright view.
+
+    ``peaks``: each metric's peak with the recording as prior; ``peaks_alone`` without it. A metric
+    without a peak is absent. ``registration`` is None where it failed, and ``refusal`` says why.
+    ``turned_rad``: the turn from scan to image that the pairs were corrected by.
+    """
+
+    camera: int
+    stamp_ns: int
+    image: DepthImage
+    depth_m: Float32Array
+    scan: LaserScan
+    gap_ns: int
+    turned_rad: float
+    fields: dict[Metric, SimilarityField]
+    peaks: dict[Metric, Peak]
+    peaks_alone: dict[Metric, Peak]
+    row_model: RowModel
+    registration: Registration | None
+    refusal: str
+    pairs: Correspondence
+    classes: Classes
+    repair: Repair
+
+    @property
+    def sigma_m(self) -> float:
+        """Robust standard deviation of the residuals (1.4826 median |r|), NaN without pairs."""
+        residual_m = np.abs(self.pairs.residual_m)
+        residual_m = residual_m[np.isfinite(residual_m)]
+        return 1.4826 * float(np.median(residual_m)) if residual_m.size else float("nan")
+
+    @property
+    def epsilon_m(self) -> float:
+        """Median threshold over the pairs, NaN without pairs."""
+        valid = self.classes.epsilon_m[np.isfinite(self.pairs.residual_m)]
+        return float(np.median(valid)) if valid.size else float("nan")
+
+
+def fuse_frame(
+    rig: Rig,
+    camera: int,
+    depth_m: Float32Array,
+    stamp_ns: int,
+    window: ScanWindow,
+    gap_ns: int,
+    alignment: Alignment,
+    settings: ChainSettings,
+    *,
+    image: DepthImage,
+) -> FusedFrame:
+    """Run the chain on one pair. ``depth_m``: (H', W') upright view.
+
+    Raises AlignmentFailed where the frame is paired by its own (u, v) and has none.
+    """
+    scan = window.scan
+    model = rig.cameras[camera]
+    curve, row = sample_curve(scan, settings.sampling), sample_row(model, settings.sampling)
+    fields = search_rows(scan, curve, row_samples_m(depth_m, row), settings)
+    prior_u = offset_of_yaw(alignment.mount.yaw_rad, curve, row.left_rad)
+    alone = _peaks(fields, settings, None)
+    peaks = _peaks(fields, settings, prior_u) if settings.search.use_prior else alone
+    rate = turn_rate_rad_s(window, settings.time)
+    kept = mount_frame(model, scan, depth_m, scan.stamp_ns + gap_ns, rate)
+
+    turned = 0.0
+    registration = None
+    refusal = ""
+    if settings.pairing == "frame":
+        pairs, registration, refusal = _by_own_peak(
+            scan, depth_m, curve, row, peaks.get(settings.search.metric), settings
+        )
+    elif alignment.along_curve:
+        turned = turned_rad(kept, alignment.mount, settings)
+        T_lidar_camera = T_lidar_camera_at(rig, camera, alignment.mount, turned)
+        pairs = along_curve(scan, depth_m, kept.depth_m, model, T_lidar_camera)
+        registration, refusal = _register(pairs, settings)
+    else:
+        mount = Mount(yaw_rad=alignment.mount.yaw_rad)
+        peak = peaks.get(settings.search.metric)
+        if peak is not None:
+            yaw_rad = yaw_of_offset_rad(peak.u, curve, row.left_rad)
+            mount = Mount(yaw_rad=yaw_rad)
+        v = round(peak.v if peak is not None else alignment.peak.v)
+        pairs = in_row(
+            scan, depth_m, kept.depth_m, model, T_lidar_camera_at(rig, camera, mount, 0.0), v
+        )
+        registration, refusal = _register(pairs, settings)
+        if registration is not None:
+            pairs = mapped(pairs, registration.A, registration.A_inverse)
+
+    mean_error_m = registration.mean_error_m if registration is not None else float("nan")
+    classes = classify(
+        FrameWindow(
+            pairs=pairs,
+            scan=scan,
+            depth_m=depth_m,
+            scan_before=window.before,
+            scan_after=window.after,
+            shift_before=_beams_turned(window.before, scan, rate),
+            shift_after=_beams_turned(window.after, scan, rate),
+        ),
+        settings.noise,
+        alignment.scale,
+        mean_error_m,
+    )
+    return FusedFrame(
+        camera=camera,
+        stamp_ns=stamp_ns,
+        image=image,
+        depth_m=depth_m,
+        scan=scan,
+        gap_ns=gap_ns,
+        turned_rad=turned,
+        fields=fields,
+        peaks=peaks,
+        peaks_alone=alone,
+        row_model=pairs.model,
+        registration=registration,
+        refusal=refusal,
+        pairs=pairs,
+        classes=classes,
+        repair=repair(pairs, classes, depth_m, alignment.scale, settings.repair),
+    )
+
+
+def _peaks(
+    fields: dict[Metric, SimilarityField], settings: ChainSettings, prior_u: float | None
+) -> dict[Metric, Peak]:
+    peaks = {}
+    for metric, field in fields.items():
+        try:
+            peaks[metric] = find_peak(field, settings.search, prior_u=prior_u)
+        except AlignmentFailed:
+            continue
+    return peaks
+
+
+def _register(pairs: Correspondence, settings: ChainSettings) -> tuple[Registration | None, str]:
+    lidar = planar_points(pairs, pairs.lidar_range_m)
+    depth = planar_points(pairs, pairs.depth_as_range_m)
+    try:
+        return register(lidar, depth, settings.registration), ""
+    except RegistrationFailed as error:
+        return None, error.problem
+
+
+def _by_own_peak(
+    scan: LaserScan,
+    depth_m: Float32Array,
+    curve: CurveSampling,
+    row: RowSampling,
+    peak: Peak | None,
+    settings: ChainSettings,
+) -> tuple[Correspondence, Registration | None, str]:
+    """The paper's way: samples of the frame's own (u, v), tied by A alone."""
+    if peak is None:
+        raise AlignmentFailed("the frame's field has no peak.")
+    pairs, lidar, depth = by_sample(scan, depth_m, curve.beams, row.columns, peak.u, peak.v)
+    try:
+        registration = register(lidar, depth, settings.registration)
+    except RegistrationFailed as error:
+        return pairs, None, error.problem
+    pairs = compared(
+        pairs, lidar, depth, registration.A, registration.A_inverse, registration.residual_m
+    )
+    return pairs, registration, ""
+
+
+def _beams_turned(other: LaserScan | None, scan: LaserScan, rate_rad_s: float) -> int:
+    """Beams by which a surface moves from ``scan`` to its neighbour in time."""
+    if other is None or not np.isfinite(rate_rad_s):
+        return 0
+    seconds = (other.stamp_ns - scan.stamp_ns) / NS_PER_S
+    return round(-rate_rad_s * seconds / scan.angle_increment_rad)

@@ -1,0 +1,425 @@
+"""The chain of Xu 2024 over a whole recording: align, then correspond, classify and repair."""
+
+import json
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fusion_core.alignment.virtual_lidar import without_cut
+from fusion_core.exporting.atomic import write_text
+from fusion_core.exporting.manifest import OutputPlan, plan_output, results_folder
+from fusion_core.exporting.settings_file import dump_toml
+from fusion_core.exporting.tables import CsvTable, ParquetTable
+from fusion_core.model.conventions import Float32Array
+from fusion_core.model.errors import AlignmentFailed
+from fusion_core.model.grids import OccupancyGrid
+from fusion_core.model.progress import Progress, silent
+from fusion_core.model.recording import Recording
+from fusion_core.model.rig import MOUNT_PARAMETERS
+from fusion_core.model.sensors import DepthImage, LaserScan
+from fusion_core.recordings.formats import open_recording
+from fusion_core.recordings.ros2_writer import Ros2McapWriter
+from fusion_core.recordings.topics import Streams, choose_streams
+from fusion_core.workflows.align import Alignment, align
+from fusion_core.workflows.figures import FigureCollector, write_figures
+from fusion_core.workflows.frame import FusedFrame, fuse_frame
+from fusion_core.workflows.maps import Maps
+from fusion_core.workflows.pairing import PairedImage, paired_images
+from fusion_core.workflows.poses import Poses, recorded_poses
+from fusion_core.workflows.presets import ChainSettings, PresetName, chain_settings
+from fusion_core.workflows.rig import Rig, build_rig
+from fusion_core.workflows.scan_merge import ScanMerge
+from fusion_core.workflows.tables import (
+    FRAME_COLUMNS,
+    SAMPLE_SCHEMA,
+    alignment_document,
+    frame_row,
+    sample_columns,
+    unpaired_row,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FuseOptions:
+    """What a person asks of a run; the chain's own settings are in the preset and the file."""
+
+    preset: PresetName = "default"
+    settings_file: Path | None = None
+    virtual_lidar_row: int | None = None
+    lidar_topic: str | None = None
+    depth_topics: tuple[str, ...] = ()
+    pose_topic: str | None = None
+    apply_clock_offset: bool = False
+    maps: bool = True
+    figures: bool = True
+    truth: Path | None = None
+    seed: int = 0
+    force: bool = False
+    overwrite: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class FuseSummary:
+    """What a run has to report. ``document`` is alignment.json's content."""
+
+    output: Path
+    skipped: bool
+    document: dict[str, Any]
+    frames: int
+    paired: int
+    lidar_counts: dict[str, int]
+    notes: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """One machine-readable result."""
+        return {
+            "output": str(self.output),
+            "skipped": self.skipped,
+            "frames": self.frames,
+            "paired": self.paired,
+            "classes": self.lidar_counts,
+            "alignment": self.document,
+            "notes": list(self.notes),
+        }
+
+    def lines(self) -> list[str]:
+        """The same for people."""
+        if self.skipped:
+            return [f"{self.output} already holds this result; nothing was done (--force redoes)."]
+        document = self.document
+        virtual = " (virtual LiDAR)" if document["virtual_lidar"] else ""
+        lines = [
+            f"preset     {document['preset']}{virtual}, pairs along the {document['row_model']}",
+            f"offset     u = {document['u']:.2f} samples, v = {document['v']:.1f}, "
+            f"{document['metric']} score {document['score']:.3f}",
+            *_mount_lines(document),
+            f"frames     {self.paired} of {self.frames} depth images paired with a scan",
+        ]
+        counts = ", ".join(f"{name} {count}" for name, count in self.lidar_counts.items())
+        lines.append(f"LiDAR      {counts}")
+        lines.extend(f"note       {note}" for note in self.notes)
+        lines.append(f"results    {self.output}")
+        return lines
+
+
+def _mount_lines(document: dict[str, Any]) -> Iterator[str]:
+    units = {"rad": ("deg", 180.0 / np.pi), "m": ("m", 1.0), "ms": ("ms", 1.0)}
+    for name in MOUNT_PARAMETERS:
+        unit, factor = units[name.rsplit("_", 1)[1]]
+        label = name.rsplit("_", 1)[0].replace("_", " ")
+        if document[f"{name}_sd"] is None:
+            yield f"mount      {label}: not observable in this recording"
+        else:
+            value, sd = document[name] * factor, document[f"{name}_sd"] * factor
+            yield f"mount      {label} {value:.2f} +- {sd:.2f} {unit}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Session:
+    """An opened recording with all that its frames need: the rig and a way to run over it."""
+
+    recording: Recording
+    streams: Streams
+    rig: Rig
+    settings: ChainSettings
+    virtual_row: int | None
+
+    def pairs(self, clock_offset_ms: float = 0.0) -> Iterator[LaserScan | PairedImage]:
+        """A new pass over scans and images."""
+        return paired_images(
+            self.recording,
+            self.streams,
+            self.rig,
+            self.settings.time,
+            clock_offset_ms=clock_offset_ms,
+            virtual_row=self.virtual_row,
+        )
+
+    def depth_of(self, camera: int, stored_m: Float32Array) -> Float32Array:
+        """(H', W') upright view of a stored image, without the rows of a virtual LiDAR."""
+        depth_m = self.rig.views[camera].of(stored_m)
+        return depth_m if self.virtual_row is None else without_cut(depth_m, self.virtual_row)
+
+    @property
+    def image_count(self) -> int:
+        """Depth images of the rig's cameras."""
+        wanted = {camera.topic for camera in self.rig.cameras}
+        return sum(topic.count for topic in self.recording.topics if topic.name in wanted)
+
+
+def open_session(recording: Recording, options: FuseOptions, settings: ChainSettings) -> Session:
+    """Choose the streams and build the rig."""
+    streams = choose_streams(
+        recording,
+        lidar=options.lidar_topic,
+        depth=options.depth_topics or None,
+        pose=options.pose_topic,
+    )
+    virtual = options.virtual_lidar_row is not None
+    rig = build_rig(recording, streams, settings.sampling, virtual=virtual)
+    return Session(
+        recording=recording,
+        streams=streams,
+        rig=rig,
+        settings=settings,
+        virtual_row=options.virtual_lidar_row,
+    )
+
+
+def align_session(session: Session, progress: Progress = silent) -> Alignment:
+    """Pass 1 over a session."""
+    return align(
+        session.pairs,
+        session.rig,
+        session.settings,
+        session.image_count,
+        progress,
+        depth_of=session.depth_of,
+        refine=session.virtual_row is None,
+    )
+
+
+def fuse_session(
+    session: Session, alignment: Alignment, clock_offset_ms: float = 0.0
+) -> Iterator[LaserScan | PairedImage | FusedFrame]:
+    """Pass 2: scans as they arrive, fused frames, and the images that could not be fused."""
+    for entry in session.pairs(clock_offset_ms):
+        if isinstance(entry, LaserScan) or entry.window is None:
+            yield entry
+            continue
+        try:
+            yield fuse_frame(
+                session.rig,
+                entry.camera,
+                session.depth_of(entry.camera, entry.image.depth_m),
+                entry.image.stamp_ns,
+                entry.window,
+                entry.gap_ns,
+                alignment,
+                session.settings,
+                image=entry.image,
+            )
+        except AlignmentFailed:
+            yield entry
+
+
+def fuse(
+    recording: Path, output: Path, options: FuseOptions, progress: Progress = silent
+) -> FuseSummary:
+    """Fuse a recording into a folder of results.
+
+    Raises ScanLoomError: RecordingError and MissingStream for the input, SettingsError,
+    AlignmentFailed where LiDAR and depth cannot be laid on each other, ExportError for the folder.
+    """
+    preset, settings = chain_settings(options.preset, options.settings_file, options.seed)
+    settings_text = dump_toml(settings.stages(), preset)
+    inputs = [recording] if options.truth is None else [recording, options.truth]
+    with open_recording(recording) as opened:
+        plan = plan_output(
+            output,
+            inputs=inputs,
+            settings_text=settings_text + _asked(options),
+            seed=options.seed,
+            force=options.force,
+            overwrite=options.overwrite,
+            progress=progress,
+        )
+        if plan.skip:
+            return _skipped(output)
+        session = open_session(opened, options, settings)
+        return _run(session, plan, options, preset, settings_text, progress)
+
+
+def _asked(options: FuseOptions) -> str:
+    """What was asked beyond the settings, as part of what makes two runs the same."""
+    asked = {
+        "command": "fuse",
+        "virtual_lidar_row": options.virtual_lidar_row,
+        "lidar": options.lidar_topic,
+        "depth": options.depth_topics,
+        "pose": options.pose_topic,
+        "apply_clock_offset": options.apply_clock_offset,
+        "maps": options.maps,
+        "figures": options.figures,
+    }
+    return json.dumps(asked)
+
+
+def _skipped(output: Path) -> FuseSummary:
+    summary = json.loads((output / "summary.json").read_text(encoding="utf-8"))
+    return FuseSummary(
+        output=output,
+        skipped=True,
+        document=json.loads((output / "alignment.json").read_text(encoding="utf-8")),
+        frames=summary["frames"],
+        paired=summary["paired"],
+        lidar_counts=summary["classes"],
+        notes=tuple(summary["notes"]),
+    )
+
+
+def _run(
+    session: Session,
+    plan: OutputPlan,
+    options: FuseOptions,
+    preset: PresetName,
+    settings_text: str,
+    progress: Progress,
+) -> FuseSummary:
+    alignment = align_session(session, progress)
+    notes = list(session.rig.notes)
+    clock_offset_ms = _clock_offset_to_apply(alignment, options, notes)
+    poses: Poses | None = None
+    if options.maps and session.virtual_row is None:
+        poses = recorded_poses(session.recording, session.streams, session.rig.lidar_frame)
+        notes.append(f"Poses from {poses.source}." if poses else "No recorded poses: no maps.")
+    with results_folder(plan) as folder:
+        outcome = _write_frames(session, alignment, clock_offset_ms, poses, folder, progress)
+        notes.extend(outcome.notes)
+        document = alignment_document(
+            alignment,
+            session.rig,
+            preset,
+            virtual=session.virtual_row is not None,
+            notes=notes,
+        )
+        write_text(
+            folder / "alignment.json", json.dumps(document, indent=2, allow_nan=False) + "\n"
+        )
+        write_text(folder / "settings.toml", settings_text)
+        if options.figures:
+            progress(0, None, "drawing figures")
+            write_figures(
+                folder / "figures",
+                session,
+                alignment,
+                outcome.figures,
+                outcome.grids,
+                fuse_dir=folder,
+                truth=options.truth,
+            )
+        summary = FuseSummary(
+            output=plan.folder,
+            skipped=False,
+            document=document,
+            frames=outcome.frames,
+            paired=outcome.paired,
+            lidar_counts=outcome.lidar_counts,
+            notes=(*notes, *session.recording.warnings),
+        )
+        kept = summary.to_json()
+        kept = {key: kept[key] for key in ("frames", "paired", "classes", "notes")}
+        write_text(folder / "summary.json", json.dumps(kept, indent=2) + "\n")
+    return summary
+
+
+def _clock_offset_to_apply(alignment: Alignment, options: FuseOptions, notes: list[str]) -> float:
+    if not options.apply_clock_offset:
+        return 0.0
+    if alignment.mount.sd[MOUNT_PARAMETERS.index("clock_offset_ms")] is None:
+        raise AlignmentFailed(
+            "the clock offset is not observable in this recording and cannot be applied.",
+            advice="Leave --apply-clock-offset out.",
+        )
+    notes.append(f"Camera stamps taken {alignment.mount.clock_offset_ms:.1f} ms earlier.")
+    return alignment.mount.clock_offset_ms
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Outcome:
+    frames: int
+    paired: int
+    lidar_counts: dict[str, int]
+    figures: FigureCollector
+    grids: dict[str, OccupancyGrid]
+    notes: list[str]
+
+
+def _write_frames(
+    session: Session,
+    alignment: Alignment,
+    clock_offset_ms: float,
+    poses: Poses | None,
+    folder: Path,
+    progress: Progress,
+) -> _Outcome:
+    """Run pass 2 and write what it yields as it comes."""
+    maps = None if poses is None else Maps(poses, session.settings.grid)
+    topics = [camera.topic for camera in session.rig.cameras]
+    lidar_topic = session.streams.lidar if session.virtual_row is None else None
+    figures = FigureCollector(alignment)
+    counts: dict[str, int] = {}
+    frames = paired = last_stamp_ns = 0
+    grids: dict[str, OccupancyGrid] = {}
+    notes: list[str] = []
+    with ExitStack() as stack:
+        frame_table = stack.enter_context(CsvTable(folder / "frames.csv", FRAME_COLUMNS))
+        sample_table = stack.enter_context(ParquetTable(folder / "samples.parquet", SAMPLE_SCHEMA))
+        mcap = stack.enter_context(Ros2McapWriter(folder / "fused.mcap"))
+        merge = ScanMerge()
+
+        def write_scan(raw: LaserScan, repaired: LaserScan) -> None:
+            mcap.write_laser_scan(lidar_topic or "/virtual_lidar/scan", repaired)
+            if maps is not None:
+                maps.add_scan(raw, repaired)
+
+        for entry in fuse_session(session, alignment, clock_offset_ms):
+            if isinstance(entry, LaserScan):
+                merge.arrive(entry)
+                continue
+            frames += 1
+            progress(frames, session.image_count, "fusing")
+            if isinstance(entry, PairedImage):
+                topic = topics[entry.camera]
+                frame_table.append(unpaired_row(topic, entry))
+                mcap.write_depth(topic, entry.image)
+                continue
+            paired += 1
+            topic = topics[entry.camera]
+            frame_table.append(frame_row(topic, entry, alignment))
+            sample_table.append(sample_columns(topic, entry, session.rig))
+            mcap.write_depth(topic, repaired_image(entry, session.rig))
+            merge.add(entry)
+            figures.add(entry)
+            if maps is not None:
+                maps.add_camera(entry)
+            for name, count in zip(
+                ("good", "hole", "burr", "conflict"),
+                np.bincount(entry.classes.lidar_class, minlength=4),
+                strict=True,
+            ):
+                counts[name] = counts.get(name, 0) + int(count)
+            last_stamp_ns = max(last_stamp_ns, entry.stamp_ns)
+            for raw, repaired in merge.finished(entry.scan.stamp_ns):
+                write_scan(raw, repaired)
+        for raw, repaired in merge.rest():
+            write_scan(raw, repaired)
+        if maps is not None:
+            grids, notes = maps.write(folder)
+            if maps.scans_without_pose:
+                notes.append(f"{maps.scans_without_pose} scans have no pose and are in no map.")
+            if "fused" in grids:
+                mcap.write_occupancy_grid("/map_fused", grids["fused"], last_stamp_ns)
+    return _Outcome(
+        frames=frames,
+        paired=paired,
+        lidar_counts=counts,
+        figures=figures,
+        grids=grids,
+        notes=notes,
+    )
+
+
+def repaired_image(frame: FusedFrame, rig: Rig) -> DepthImage:
+    """The stored depth image with the repaired pixels of the curve."""
+    depth_m = frame.image.depth_m.copy()
+    row, column = rig.views[frame.camera].stored_pixels(frame.pairs.row, frame.pairs.column)
+    changed = (row >= 0) & np.isfinite(frame.repair.depth_m)
+    changed &= frame.repair.depth_m != frame.pairs.depth_m
+    depth_m[row[changed], column[changed]] = frame.repair.depth_m[changed]
+    return replace(frame.image, depth_m=depth_m)
+

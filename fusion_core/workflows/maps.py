@@ -1,0 +1,66 @@
+"""LiDAR-only, camera-only and fused maps of one recording, from the same poses (Xu Fig. 9)."""
+
+from pathlib import Path
+
+import numpy as np
+
+from fusion_core.exporting.map_picture import write_difference_picture, write_grid_picture
+from fusion_core.exporting.ros_map import write_ros_map
+from fusion_core.mapping.difference import map_difference
+from fusion_core.mapping.grid import GridBuilder, GridSettings
+from fusion_core.model.conventions import FloatArray
+from fusion_core.model.errors import MappingFailed
+from fusion_core.model.grids import OccupancyGrid
+from fusion_core.model.sensors import LaserScan
+from fusion_core.workflows.frame import FusedFrame
+from fusion_core.workflows.poses import Poses
+
+
+class Maps:
+    """Three grids that grow with the mapped area only."""
+
+    def __init__(self, poses: Poses, settings: GridSettings) -> None:
+        self._poses = poses
+        self._builders = {name: GridBuilder(settings) for name in ("lidar", "camera", "fused")}
+        self.scans_without_pose = 0
+
+    def add_camera(self, frame: FusedFrame) -> None:
+        """What the camera alone says along the LiDAR's plane."""
+        pose = self._poses.at(frame.scan.stamp_ns)
+        if pose is not None:
+            self._add(
+                "camera", pose, frame.pairs.azimuth_rad, frame.pairs.camera_range_m, frame.scan
+            )
+
+    def add_scan(self, raw: LaserScan, repaired: LaserScan) -> None:
+        """A scan as it came, and as it was repaired."""
+        pose = self._poses.at(raw.stamp_ns)
+        if pose is None:
+            self.scans_without_pose += 1
+            return
+        self._add("lidar", pose, raw.angles_rad, raw.ranges_m, raw)
+        self._add("fused", pose, repaired.angles_rad, repaired.ranges_m, raw)
+
+    def _add(
+        self, name: str, pose: FloatArray, angles: FloatArray, ranges: FloatArray, scan: LaserScan
+    ) -> None:
+        self._builders[name].add_scan(
+            pose, np.ascontiguousarray(angles), np.ascontiguousarray(ranges), scan.range_max_m
+        )
+
+    def write(self, folder: Path) -> tuple[dict[str, OccupancyGrid], list[str]]:
+        """Write each map that has a known cell, and the difference of all; returns the maps and
+        why any is missing."""
+        grids: dict[str, OccupancyGrid] = {}
+        notes = []
+        for name, builder in self._builders.items():
+            try:
+                grids[name] = builder.build()
+            except MappingFailed as error:
+                notes.append(f"No {name} map: {error.problem}")
+                continue
+            write_ros_map(folder, f"map_{name}", grids[name])
+            write_grid_picture(folder / f"map_{name}.png", grids[name])
+        if len(grids) > 1:
+            write_difference_picture(folder / "map_difference.png", map_difference(grids))
+        return grids, notes

@@ -1,0 +1,131 @@
+"""Where the LiDAR was: recorded poses from TF, else odometry, else a topic named by hand.
+
+A ground truth is never used unless it is named.
+"""
+
+from typing import Protocol
+
+from fusion_core.model.conventions import FloatArray
+from fusion_core.model.errors import MissingStream, ScanLoomError
+from fusion_core.model.geometry import planar_from_transform
+from fusion_core.model.recording import Recording
+from fusion_core.model.sensors import PoseSample, Transform, TransformBatch
+from fusion_core.model.transform_tree import TransformTree
+from fusion_core.recordings.topics import Streams
+
+# The frame that a map hangs on, best first.
+_MAP_FRAMES = ("map", "odom", "world")
+_POSE_FRAME = "scanloom_pose_parent"
+
+
+class Poses(Protocol):
+    """``source`` says in words where the poses come from."""
+
+    source: str
+
+    def at(self, stamp_ns: int) -> FloatArray | None:
+        """(x, y, yaw) of T_map_lidar, None where the recording does not say."""
+        ...
+
+
+class _TreePoses:
+    def __init__(self, tree: TransformTree, map_frame: str, lidar_frame: str, source: str) -> None:
+        self._tree, self._map, self._lidar = tree, map_frame, lidar_frame
+        self.source = source
+
+    def at(self, stamp_ns: int) -> FloatArray | None:
+        try:
+            return planar_from_transform(self._tree.lookup(self._map, self._lidar, stamp_ns))
+        except ScanLoomError:
+            # Before the first pose and after the last there is none.
+            return None
+
+
+def recorded_poses(recording: Recording, streams: Streams, lidar_frame: str) -> Poses | None:
+    """The recorded poses of the LiDAR, None where the recording has none.
+
+    Raises MissingStream where a pose topic is named and holds no pose.
+    """
+    lidar = lidar_frame.lstrip("/")
+    tree = TransformTree(samples_per_pair=None)
+    _add_transforms(recording, streams.tf_static, tree, static=True)
+    if streams.pose is not None:
+        return _from_topic(recording, streams.pose, tree, lidar)
+    _add_transforms(recording, streams.tf, tree, static=False)
+    if streams.tf is not None and lidar in tree.frames:
+        for frame in _MAP_FRAMES:
+            if frame in tree.frames and _ever_connected(tree, recording, streams.tf, frame, lidar):
+                return _TreePoses(tree, frame, lidar, f"{streams.tf} ({frame} to {lidar})")
+    if streams.odometry is not None:
+        return _from_topic(recording, streams.odometry, tree, lidar)
+    return None
+
+
+def _add_transforms(
+    recording: Recording, topic: str | None, tree: TransformTree, *, static: bool
+) -> None:
+    if topic is None:
+        return
+    for message in recording.messages([topic]):
+        if isinstance(message.value, TransformBatch):
+            for sample in message.value.transforms:
+                tree.add(
+                    Transform(
+                        stamp_ns=sample.stamp_ns,
+                        parent=sample.parent.lstrip("/"),
+                        child=sample.child.lstrip("/"),
+                        T_parent_child=sample.T_parent_child.copy(),
+                    ),
+                    static=static,
+                )
+
+
+def _ever_connected(
+    tree: TransformTree, recording: Recording, topic: str, target: str, source: str
+) -> bool:
+    count = next(entry.count for entry in recording.topics if entry.name == topic)
+    for index in {0, count // 2, count - 1}:
+        batch = recording.read(topic, index).value
+        if not isinstance(batch, TransformBatch) or not batch.transforms:
+            continue
+        try:
+            tree.lookup(target, source, batch.transforms[0].stamp_ns)
+        except ScanLoomError:
+            continue
+        return True
+    return False
+
+
+def _from_topic(recording: Recording, topic: str, tree: TransformTree, lidar_frame: str) -> Poses:
+    """Poses of a topic. The body is the message's child where static transforms join it to the
+    LiDAR; otherwise the LiDAR itself is taken to be what the topic means."""
+    body = ""
+    found = False
+    for message in recording.messages([topic]):
+        sample = message.value
+        if not isinstance(sample, PoseSample):
+            continue
+        if not found:
+            body = sample.child.lstrip("/")
+            found = True
+        tree.add(
+            Transform(
+                stamp_ns=sample.stamp_ns,
+                parent=_POSE_FRAME,
+                child=body or lidar_frame,
+                T_parent_child=sample.T_parent_child.copy(),
+            ),
+            static=False,
+        )
+    if not found:
+        raise MissingStream(f"{topic} holds no poses.", file=recording.path)
+    target = lidar_frame if _joined(tree, body, lidar_frame) else body or lidar_frame
+    return _TreePoses(tree, _POSE_FRAME, target, topic)
+
+
+def _joined(tree: TransformTree, body: str, lidar_frame: str) -> bool:
+    try:
+        tree.lookup(body, lidar_frame, 0)
+    except ScanLoomError:
+        return False
+    return True

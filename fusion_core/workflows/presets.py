@@ -1,0 +1,92 @@
+"""The settings of the whole chain, and its two presets.
+
+``default`` is what is right; ``published`` is Xu 2024 as far as its text decides. Where it does
+not, the reading is ours: pairs by nearest stamp, samples by index, values as they come with holes
+as zeros, rows of the lower half, Pearson, each frame's own peak, an affine A from 84 draws of 6,
+epsilon 1.2 E (the middle of [E, sqrt 2 E]), the rougher side at fault, repairs by (7) and (8).
+"""
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import ConfigDict
+
+from fusion_core.alignment.curves import SamplingSettings
+from fusion_core.alignment.mount import MountSettings
+from fusion_core.alignment.search import SearchSettings
+from fusion_core.alignment.time import TimeSettings
+from fusion_core.denoising.noise import NoiseSettings
+from fusion_core.denoising.repair import RepairSettings
+from fusion_core.exporting.settings_file import load_toml, read_preset
+from fusion_core.mapping.grid import GridSettings
+from fusion_core.model.errors import SettingsError
+from fusion_core.registration.ransac import PUBLISHED, RegistrationSettings
+from fusion_core.settings import StageSettings, setting
+
+PresetName = Literal["default", "published"]
+
+
+class ChainSettings(StageSettings):
+    """Every stage's settings, in the order of the chain."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    time: TimeSettings = TimeSettings()
+    sampling: SamplingSettings = SamplingSettings()
+    search: SearchSettings = SearchSettings()
+    mount: MountSettings = MountSettings()
+    registration: RegistrationSettings = RegistrationSettings(model="rigid")
+    noise: NoiseSettings = NoiseSettings()
+    repair: RepairSettings = RepairSettings()
+    grid: GridSettings = GridSettings()
+    pairing: Literal["mount", "frame"] = setting(
+        "mount", "Pair beams and pixels by the recording's mount, or each frame by its own (u, v)"
+    )
+
+    def stages(self) -> dict[str, StageSettings]:
+        """Each stage's settings by name, for the settings file."""
+        return {
+            name: value
+            for name in type(self).model_fields
+            if isinstance(value := getattr(self, name), StageSettings)
+        }
+
+
+PRESETS: dict[PresetName, ChainSettings] = {
+    "default": ChainSettings(),
+    "published": ChainSettings(
+        time=TimeSettings(compensate_turn=False),
+        sampling=SamplingSettings(by="index", row_band=0.5),
+        search=SearchSettings(metric="pearson", mask_holes=False, use_prior=False),
+        registration=PUBLISHED,
+        noise=NoiseSettings(epsilon=1.2, epsilon_unit="E", fault="rougher"),
+        repair=RepairSettings(prefer="other_sensor", farther_confidence=0.0),
+        pairing="frame",
+    ),
+}
+
+
+def chain_settings(
+    preset: PresetName, settings_file: Path | None, seed: int
+) -> tuple[PresetName, ChainSettings]:
+    """The preset with a settings file's values over it and the seed of the run.
+
+    A file that names a preset decides on it. Raises SettingsError for what the file has wrong.
+    """
+    if settings_file is not None:
+        named = read_preset(settings_file)
+        if named is not None:
+            if named not in PRESETS:
+                raise SettingsError(
+                    f"unknown preset {named!r}.",
+                    file=settings_file,
+                    advice=f"Presets: {', '.join(PRESETS)}.",
+                )
+            preset = "published" if named == "published" else "default"
+    base = PRESETS[preset]
+    stages = base.stages()
+    if settings_file is not None:
+        classes = {name: type(value) for name, value in stages.items()}
+        stages = load_toml(settings_file, classes, stages)
+    stages["registration"] = stages["registration"].model_copy(update={"seed": seed})
+    return preset, base.model_copy(update=dict(stages))

@@ -1,0 +1,237 @@
+"""The rig of a recording: its cameras, and what its own transforms say of their mount."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.alignment.curves import SamplingSettings
+from fusion_core.alignment.upright import UprightView, upright_view
+from fusion_core.alignment.virtual_lidar import cropped_view
+from fusion_core.model.conventions import R_BODY_OPTICAL, FloatArray
+from fusion_core.model.errors import MissingStream, ScanLoomError
+from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.recording import Recording
+from fusion_core.model.rig import Camera, Mount
+from fusion_core.model.sensors import (
+    CameraInfo,
+    CameraIntrinsics,
+    DepthImage,
+    LaserScan,
+    Transform,
+    TransformBatch,
+)
+from fusion_core.model.transform_tree import TransformTree
+from fusion_core.recordings.topics import Streams
+
+# Static transforms are repeated by latching drivers; these many messages hold any tree.
+_STATIC_MESSAGES = 500
+_T_LEVEL = transform(R_BODY_OPTICAL, np.zeros(3))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rig:
+    """Cameras in upright views on one frame. ``recorded`` is the mount by the recording's own
+    transforms, None where they do not connect it with the LiDAR. ``full_views`` are not cropped
+    for a virtual LiDAR. ``notes`` are for people."""
+
+    cameras: tuple[Camera, ...]
+    views: tuple[UprightView, ...]
+    full_views: tuple[UprightView, ...]
+    stored_intrinsics: tuple[CameraIntrinsics, ...]
+    lidar_frame: str
+    recorded: Mount | None
+    notes: tuple[str, ...]
+
+    def index_of(self, topic: str) -> int:
+        """Position of a depth topic's camera."""
+        return [camera.topic for camera in self.cameras].index(topic)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Lens:
+    topic: str
+    frame_id: str
+    intrinsics: CameraIntrinsics
+    calibrated: bool
+
+
+def build_rig(
+    recording: Recording, streams: Streams, sampling: SamplingSettings, *, virtual: bool = False
+) -> Rig:
+    """Read what the rig needs: one image and CameraInfo of each camera, and the static transforms.
+
+    ``virtual``: the LiDAR is cut from the depth itself, so the views are cropped.
+
+    Raises MissingStream where the recording has no depth, or no LiDAR and none is ``virtual``.
+    """
+    if not streams.depth:
+        raise MissingStream(
+            "has no depth images.",
+            file=recording.path,
+            advice="Name a depth topic with --depth, or use a recording with a depth camera.",
+        )
+    if streams.lidar is None and not virtual:
+        raise MissingStream(
+            "has no 2D LiDAR.",
+            file=recording.path,
+            advice="Inspect depth alone with --virtual-lidar ROW, or name a topic with --lidar.",
+        )
+    notes = list(streams.notes)
+    lenses = [
+        _lens(recording, topic, info, sampling, notes)
+        for topic, info in zip(streams.depth, streams.camera_info, strict=True)
+    ]
+    tree, roots = _static_tree(recording, streams.tf_static)
+    lidar_frame = ""
+    if streams.lidar is not None:
+        scan = recording.read(streams.lidar, 0).value
+        lidar_frame = scan.frame_id if isinstance(scan, LaserScan) else ""
+    T_base_camera, base = _poses(tree, roots, lenses, lidar_frame)
+    if T_base_camera is None:
+        if len(lenses) > 1:
+            left_out = ", ".join(lens.topic for lens in lenses[1:])
+            notes.append(
+                f"No static transforms connect the cameras: {lenses[0].topic} alone is used, not "
+                f"{left_out}."
+            )
+        lenses = lenses[:1]
+        T_base_camera = [_T_LEVEL]
+    cameras, views, recorded = _assemble(lenses, T_base_camera, base == "lidar" and not virtual)
+    full_views = tuple(views)
+    if virtual:
+        views = [cropped_view(view) for view in views]
+        cameras = [
+            Camera(
+                topic=camera.topic,
+                intrinsics=view.intrinsics,
+                T_rig_camera=camera.T_rig_camera,
+                calibrated=camera.calibrated,
+            )
+            for camera, view in zip(cameras, views, strict=True)
+        ]
+    return Rig(
+        cameras=tuple(cameras),
+        views=tuple(views),
+        full_views=full_views,
+        stored_intrinsics=tuple(lens.intrinsics for lens in lenses),
+        lidar_frame=lidar_frame,
+        recorded=recorded,
+        notes=tuple(notes),
+    )
+
+
+def _lens(
+    recording: Recording,
+    topic: str,
+    info_topic: str | None,
+    sampling: SamplingSettings,
+    notes: list[str],
+) -> _Lens:
+    image = recording.read(topic, 0).value
+    if not isinstance(image, DepthImage):
+        raise MissingStream(f"{topic} holds no depth images.", file=recording.path)
+    height, width = image.depth_m.shape
+    if info_topic is not None:
+        info = recording.read(info_topic, 0).value
+        lens = info.intrinsics if isinstance(info, CameraInfo) else None
+        if lens is not None and (lens.height, lens.width) == (height, width):
+            return _Lens(topic=topic, frame_id=image.frame_id, intrinsics=lens, calibrated=True)
+    notes.append(
+        f"{topic} has no usable intrinsics: a horizontal field of view of "
+        f"{sampling.assumed_fov_deg:g} degrees is assumed, and pairs are taken in the row."
+    )
+    focal = 0.5 * width / np.tan(np.deg2rad(0.5 * sampling.assumed_fov_deg))
+    assumed = CameraIntrinsics(
+        width=width,
+        height=height,
+        fx=float(focal),
+        fy=float(focal),
+        cx=0.5 * (width - 1),
+        cy=0.5 * (height - 1),
+    )
+    return _Lens(topic=topic, frame_id=image.frame_id, intrinsics=assumed, calibrated=False)
+
+
+def _static_tree(recording: Recording, topic: str | None) -> tuple[TransformTree, dict[str, str]]:
+    """The static transforms and each frame's parent."""
+    tree = TransformTree()
+    parents: dict[str, str] = {}
+    if topic is None:
+        return tree, parents
+    count = next(entry.count for entry in recording.topics if entry.name == topic)
+    for index in range(min(count, _STATIC_MESSAGES)):
+        batch = recording.read(topic, index).value
+        if isinstance(batch, TransformBatch):
+            for sample in batch.transforms:
+                tree.add(_normal(sample), static=True)
+                parents[sample.child.lstrip("/")] = sample.parent.lstrip("/")
+    return tree, parents
+
+
+def _normal(sample: Transform) -> Transform:
+    """ROS 1 names may begin with a slash; they mean the same frame."""
+    return Transform(
+        stamp_ns=sample.stamp_ns,
+        parent=sample.parent.lstrip("/"),
+        child=sample.child.lstrip("/"),
+        T_parent_child=sample.T_parent_child.copy(),
+    )
+
+
+def _poses(
+    tree: TransformTree, parents: dict[str, str], lenses: Sequence[_Lens], lidar_frame: str
+) -> tuple[list[FloatArray] | None, str]:
+    """Each camera's (4, 4) pose on a level base, and which base: the LiDAR, or a common root."""
+    frames = [lens.frame_id.lstrip("/") for lens in lenses]
+    root = frames[0]
+    seen = {root}
+    while root in parents and parents[root] not in seen:
+        root = parents[root]
+        seen.add(root)
+    for base, name in ((lidar_frame.lstrip("/"), "lidar"), (root, "root")):
+        # An optical frame is not level: it is no base for its own camera.
+        if not base or base == frames[0]:
+            continue
+        try:
+            return [tree.lookup(base, frame, 0) for frame in frames], name
+        except ScanLoomError:
+            continue
+    return None, ""
+
+
+def _assemble(
+    lenses: Sequence[_Lens], T_base_camera: Sequence[FloatArray], base_is_lidar: bool
+) -> tuple[list[Camera], list[UprightView], Mount | None]:
+    """Cameras on a rig frame whose origin is the mean optical centre. One camera looks along the
+    rig's x; several keep the axes of the base that their poses share."""
+    centre = np.mean([T[:3, 3] for T in T_base_camera], axis=0)
+    yaw_rad = 0.0
+    if len(lenses) == 1:
+        yaw_rad = float(np.arctan2(T_base_camera[0][1, 2], T_base_camera[0][0, 2]))
+    R_rig_base = rotation_from_yaw_pitch_roll(-yaw_rad, 0.0, 0.0)
+    cameras = []
+    views = []
+    for lens, T in zip(lenses, T_base_camera, strict=True):
+        R_rig_stored = R_rig_base @ T[:3, :3]
+        view = upright_view(lens.intrinsics, R_rig_stored[2, :])
+        views.append(view)
+        cameras.append(
+            Camera(
+                topic=lens.topic,
+                intrinsics=view.intrinsics,
+                T_rig_camera=transform(
+                    R_rig_stored @ view.R_stored_view, R_rig_base @ (T[:3, 3] - centre)
+                ),
+                calibrated=lens.calibrated,
+            )
+        )
+    recorded = None
+    if base_is_lidar:
+        recorded = Mount(
+            yaw_rad=yaw_rad,
+            forward_m=float(centre[0]),
+            left_m=float(centre[1]),
+            delta_z_m=float(centre[2]),
+        )
+    return cameras, views, recorded

@@ -1,0 +1,415 @@
+"""The command line: exit codes, what goes to which stream, and what people are spared."""
+
+import importlib.metadata
+import io
+import json
+import os
+import subprocess
+import sys
+import tomllib
+import types
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import pytest
+
+from app.cli import main
+from fusion_core.model.errors import MissingStream, RecordingError
+
+ROOT = Path(__file__).parents[2]
+INFO = {
+    "format": "ros1",
+    "start_ns": 1_000_000_000,
+    "end_ns": 3_500_000_000,
+    "duration_s": 2.5,
+    "topics": [
+        {"name": "/scan", "type": "S", "role": "lidar", "count": 20, "rate_hz": 10.0},
+        {"name": "/depth", "type": "I", "role": "depth", "count": 1, "rate_hz": None},
+    ],
+    "can": ["It can be fused: /scan with /depth."],
+    "warnings": ["2 messages of /scan were cut off"],
+}
+
+
+def scanloom(*args: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    """The command in a process of its own, from the checkout."""
+    return subprocess.run(
+        [sys.executable, "-m", "app.cli", *args],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        **options,
+    )
+
+
+@pytest.fixture
+def stub(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Put functions in the place of a workflow: ``stub("inspect", info=...)``."""
+
+    def put(workflow: str, **functions: Any) -> None:
+        module = types.ModuleType(f"fusion_core.workflows.{workflow}")
+        module.__dict__.update(functions)
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+        monkeypatch.setattr("fusion_core.workflows." + workflow, module, raising=False)
+
+    return put
+
+
+def raising(error: BaseException) -> Callable[..., Any]:
+    def work(*args: Any, **kwargs: Any) -> Any:
+        raise error
+
+    return work
+
+
+def test_help_is_quick_because_nothing_heavy_is_imported() -> None:
+    heavy = {"numpy", "open3d", "matplotlib", "numba", "pyarrow", "scipy", "cv2", "rosbags", "rich"}
+    code = (
+        "import sys\n"
+        "from app.cli import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit as leave:\n    assert leave.code == 0\n"
+        f"print(sorted({heavy!r} & sys.modules.keys()), file=sys.stderr)"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert run.stderr.strip() == "[]"
+    for command in ("info", "fuse", "evaluate", "sample", "--version"):
+        assert command in run.stdout
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (["info"], ["RECORDING", "--json"]),
+        (
+            ["fuse"],
+            [
+                *("RECORDING", "-o DIR", "--preset {default,published}", "--settings FILE"),
+                *("--virtual-lidar ROW", "--lidar TOPIC", "--depth TOPIC", "--pose TOPIC"),
+                *("--force", "--overwrite", "--seed INT", "--json", "--truth TRUTH.npz"),
+            ],
+        ),
+        (["evaluate"], ["alignment", "noise", "repair"]),
+        (["evaluate", "alignment"], ["FUSE_DIR", "TRUTH.npz", "--json"]),
+        (["evaluate", "noise"], ["FUSE_DIR", "TRUTH.npz", "--lever-arm FORWARD LEFT UP"]),
+        (["evaluate", "repair"], ["FUSE_DIR", "TRUTH.npz", "--json"]),
+        (["sample"], ["SCENE", "-o FILE", "--list", "--seed INT", "--json"]),
+    ],
+)
+def test_help_names_every_option(
+    command: list[str], words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as leave:
+        main([*command, "--help"])
+    assert leave.value.code == 0
+    shown = capsys.readouterr().out
+    assert [word for word in words if word not in shown] == []
+
+
+def test_version_is_that_of_the_distribution(capsys: pytest.CaptureFixture[str]) -> None:
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert importlib.metadata.version("scanloom") == declared["version"]
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"scanloom {declared['version']}\n"
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        [],
+        ["weave"],
+        ["info"],
+        ["info", "a.bag", "b.bag"],
+        ["info", "a.bag", "--jsn"],
+        ["fuse", "a.bag"],
+        ["fuse", "a.bag", "-o", "out", "--preset", "better"],
+        ["fuse", "a.bag", "-o", "out", "--seed", "x"],
+        ["evaluate"],
+        ["evaluate", "noise", "out"],
+        ["evaluate", "noise", "out", "t.npz", "--lever-arm", "1", "2"],
+    ],
+    ids=" ".join,
+)
+def test_wrong_usage_leaves_with_2(args: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as leave:
+        main(args)
+    assert leave.value.code == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert "--help" in shown.err
+
+
+@pytest.mark.parametrize("args", [["sample"], ["sample", "room"], ["sample", "-o", "x.mcap"]])
+def test_sample_without_scene_and_file_is_wrong_usage(
+    args: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(args) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err.count("\n") == 1
+    assert "SCENE" in shown.err
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ["fuse", "a.bag", "-o", "out", "--seed", "-1"],
+        ["fuse", "a.bag", "-o", "out", "--virtual-lidar", "-1"],
+        ["sample", "furnished_room", "-o", "x.mcap", "--seed", "-1"],
+    ],
+    ids=" ".join,
+)
+def test_a_number_below_zero_is_wrong_usage(
+    args: list[str], stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    stub("fuse", FuseOptions=None, fuse=None)
+    stub("sample", write=None)
+    assert main(args) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err == f"{args[-2]} must be 0 or more, got -1\n"
+
+
+def test_info_for_people_and_for_programs(
+    stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = []
+    stub("inspect", info=lambda path: asked.append(path) or INFO)
+    assert main(["info", "a.bag", "--json"]) == 0
+    shown = capsys.readouterr()
+    assert json.loads(shown.out) == INFO
+    assert main(["info", "a.bag"]) == 0
+    text = capsys.readouterr().out
+    for word in ("/scan", "lidar", "10.00", "2.500 s", "It can be fused", "2 messages of /scan"):
+        assert word in text
+    assert asked == [Path("a.bag")] * 2
+
+
+def test_info_of_a_format_without_a_clock(
+    stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    nothing_timed = {"start_ns": None, "end_ns": None, "duration_s": None}
+    stub("inspect", info=lambda path: {**INFO, **nothing_timed})
+    assert main(["info", "frames"]) == 0
+    assert "time      none in this format" in capsys.readouterr().out
+
+
+def test_options_of_fuse_reach_the_workflow(
+    stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    calls: list[tuple[Path, Path, dict[str, Any]]] = []
+
+    def fuse(recording: Path, output: Path, options: dict[str, Any], progress: Any) -> Any:
+        progress(1, 2, "frames")
+        calls.append((recording, output, options))
+        return types.SimpleNamespace(to_json=lambda: {"frames": 3}, lines=lambda: ["3 frames"])
+
+    stub("fuse", FuseOptions=dict, fuse=fuse)
+    assert main(["fuse", "a.bag", "-o", "out"]) == 0
+    shown = capsys.readouterr()
+    assert shown.out == "3 frames\n"
+    assert shown.err == "frames\n"
+    assert calls.pop() == (
+        Path("a.bag"),
+        Path("out"),
+        {
+            "preset": "default",
+            "settings_file": None,
+            "virtual_lidar_row": None,
+            "lidar_topic": None,
+            "depth_topics": (),
+            "pose_topic": None,
+            "apply_clock_offset": False,
+            "maps": True,
+            "figures": True,
+            "truth": None,
+            "seed": 0,
+            "force": False,
+            "overwrite": False,
+        },
+    )
+    every = (
+        "--preset published --settings s.toml --virtual-lidar 240 --lidar /s --depth /a --depth /b "
+        "--pose /p --apply-clock-offset --no-maps --no-figures --truth t.npz --seed 7 --force "
+        "--overwrite --json --output"
+    )
+    assert main(["fuse", *every.split(), "out", "a.bag"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"frames": 3}
+    assert calls.pop() == (
+        Path("a.bag"),
+        Path("out"),
+        {
+            "preset": "published",
+            "settings_file": Path("s.toml"),
+            "virtual_lidar_row": 240,
+            "lidar_topic": "/s",
+            "depth_topics": ("/a", "/b"),
+            "pose_topic": "/p",
+            "apply_clock_offset": True,
+            "maps": False,
+            "figures": False,
+            "truth": Path("t.npz"),
+            "seed": 7,
+            "force": True,
+            "overwrite": True,
+        },
+    )
+
+
+@pytest.mark.parametrize("measure", ["alignment", "noise", "repair"])
+def test_each_measure_is_its_own_function(
+    measure: str, stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    def answer(name: str) -> Callable[..., dict[str, Any]]:
+        return lambda *args, **options: {
+            "measure": name,
+            "args": [str(arg) for arg in args],
+            "u": {"share": 0.98765, "none": None},
+            "curve": [1.0, 2.0],
+            **{name: value for name, value in options.items() if name != "recording"},
+        }
+
+    names = ("alignment", "noise", "repair")
+    stub("evaluate", **{name: answer(name) for name in names})
+    hand = ["--lever-arm", "0.05", "-0.03", "0.61", "--pitch", "-0.1", "--clock-offset-ms", "40"]
+    assert main(["evaluate", measure, "out", "t.npz", *hand, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["measure"] == measure
+    assert result["args"] == ["out", "t.npz"]
+    assert result["lever_arm_m"] == [0.05, -0.03, 0.61]
+    assert (result["pitch_rad"], result["clock_offset_ms"]) == (-0.1, 40.0)
+    assert main(["evaluate", measure, "out", "t.npz"]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["u.share", "0.9877"] in lines
+    assert ["u.none", "-"] in lines
+    assert not any(line[0] == "curve" for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("error", "line", "result"),
+    [
+        (
+            RecordingError("is cut off at byte 7.", file="a.bag", advice="Run rosbag reindex."),
+            "a.bag: is cut off at byte 7. Run rosbag reindex.",
+            {
+                "error": "is cut off at byte 7.",
+                "file": "a.bag",
+                "advice": "Run rosbag reindex.",
+            },
+        ),
+        (
+            MissingStream("no LaserScan."),
+            "no LaserScan.",
+            {"error": "no LaserScan.", "file": None, "advice": ""},
+        ),
+        (
+            PermissionError(13, "Permission denied", "a.bag"),
+            "a.bag: Permission denied.",
+            {"error": "Permission denied.", "file": "a.bag", "advice": ""},
+        ),
+        (
+            OSError("odd"),
+            "odd.",
+            {"error": "odd.", "file": None, "advice": ""},
+        ),
+        (
+            RecordingError("topic \x1b[2J\nnever ends."),
+            "topic \\x1b[2J\\nnever ends.",
+            {"error": "topic \x1b[2J\nnever ends.", "file": None, "advice": ""},
+        ),
+    ],
+)
+def test_a_failure_is_one_line_or_one_object(
+    error: Exception,
+    line: str,
+    result: dict[str, str | None],
+    stub: Callable[..., None],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    stub("inspect", info=raising(error))
+    assert main(["info", "a.bag"]) == 1
+    shown = capsys.readouterr()
+    assert (shown.out, shown.err) == ("", f"{line}\n")
+    assert main(["info", "a.bag", "--json"]) == 1
+    shown = capsys.readouterr()
+    assert (json.loads(shown.out), shown.err) == (result, "")
+
+
+def test_a_defect_is_not_dressed_up_as_bad_input(stub: Callable[..., None]) -> None:
+    stub("inspect", info=raising(ZeroDivisionError()))
+    with pytest.raises(ZeroDivisionError):
+        main(["info", "a.bag"])
+
+
+def test_an_interrupt_is_one_line(
+    stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    stub("inspect", info=raising(KeyboardInterrupt()))
+    assert main(["info", "a.bag"]) == 130
+    shown = capsys.readouterr()
+    assert (shown.out, shown.err) == ("", "interrupted\n")
+
+
+def test_names_from_a_recording_cannot_steer_the_terminal(
+    stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    stub("inspect", info=lambda path: {**INFO, "warnings": ["\x1b]0;title\x07 [red]é\udc80"]})
+    assert main(["info", "a.bag"]) == 0
+    shown = capsys.readouterr().out
+    assert "warning: \\x1b]0;title\\x07 [red]é\\udc80" in shown
+
+
+def test_a_narrow_encoding_of_stdout_is_no_failure(
+    stub: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stdout = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr("sys.stdout", stdout)
+    stub("inspect", info=lambda path: {**INFO, "warnings": ["σ"]})
+    assert main(["info", "a.bag"]) == 0
+    assert b"warning: \\u03c3\n" in stdout.buffer.getvalue()  # type: ignore[attr-defined]
+
+
+def test_a_missing_recording_is_refused_without_a_traceback(tmp_path: Path) -> None:
+    missing = str(tmp_path / "none.bag")
+    run = scanloom("info", missing)
+    assert (run.returncode, run.stdout) == (1, "")
+    assert run.stderr.count("\n") == 1
+    assert missing in run.stderr
+    run = scanloom("info", missing, "--json")
+    assert (run.returncode, run.stderr) == (1, "")
+    assert json.loads(run.stdout).keys() == {"error", "file", "advice"}
+    assert json.loads(run.stdout)["file"] == missing
+
+
+def version_into(stdout: BinaryIO) -> subprocess.CompletedProcess[str]:
+    """Its return code and stderr; stdout is buffered, so that it fails late, and again at exit."""
+    return subprocess.run(
+        [sys.executable, "-m", "app.cli", "--version"],
+        cwd=ROOT,
+        env={name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"},
+        stdout=stdout,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
+
+
+def test_a_reader_that_has_gone_is_no_traceback() -> None:
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    with os.fdopen(write_end, "wb") as gone:
+        run = version_into(gone)
+    assert (run.returncode, run.stderr) == (141, "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_behind_stdout_is_one_line() -> None:
+    with Path("/dev/full").open("wb") as full:
+        run = version_into(full)
+    assert run.returncode == 1
+    assert run.stderr.count("\n") == 1
+    assert run.stderr.startswith("stdout: ")

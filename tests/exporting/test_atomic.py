@@ -1,0 +1,89 @@
+"""Files that appear whole or not at all."""
+
+import errno
+from pathlib import Path
+
+import pytest
+
+from fusion_core.exporting import atomic
+from fusion_core.exporting.atomic import atomic_path, atomic_stream, write_bytes, write_text
+from fusion_core.model.errors import ExportError
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_the_old_file_stays_until_the_new_one_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / "map.pgm"
+    path.write_bytes(b"old")
+    with atomic_path(path) as aside:
+        assert (aside.parent, aside.suffix) == (path.parent, ".pgm")
+        aside.write_bytes(b"new")
+        assert path.read_bytes() == b"old"
+    assert path.read_bytes() == b"new"
+    assert names(tmp_path) == ["map.pgm"]
+
+
+def test_an_error_leaves_the_folder_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "map.pgm"
+    path.write_bytes(b"old")
+    for manager in (atomic_path, atomic_stream):
+        with pytest.raises(RuntimeError, match="stop"), manager(path):
+            raise RuntimeError("stop")
+    assert path.read_bytes() == b"old"
+    assert names(tmp_path) == ["map.pgm"]
+
+
+def test_an_interrupt_leaves_nothing_behind(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt), atomic_path(tmp_path / "a"):
+        raise KeyboardInterrupt
+    assert names(tmp_path) == []
+
+
+def test_whole_files(tmp_path: Path) -> None:
+    write_bytes(tmp_path / "a", b"\x00\r\n")
+    write_text(tmp_path / "b", "ε = 1\r\n\n")
+    with atomic_stream(tmp_path / "c") as stream:
+        stream.write(b"1")
+        stream.write(b"2")
+    assert (tmp_path / "a").read_bytes() == b"\x00\r\n"
+    assert (tmp_path / "b").read_bytes() == "ε = 1\r\n\n".encode()
+    assert (tmp_path / "c").read_bytes() == b"12"
+
+
+def test_it_has_the_permissions_of_any_new_file(tmp_path: Path) -> None:
+    write_bytes(tmp_path / "a", b"")
+    (tmp_path / "b").write_bytes(b"")
+    assert (tmp_path / "a").stat().st_mode == (tmp_path / "b").stat().st_mode
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match=r"nowhere.*cannot be written: No such file"):
+        write_bytes(tmp_path / "nowhere" / "a", b"")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(ExportError, match=r"folder: cannot be written"):
+        write_bytes(tmp_path / "folder", b"")
+    assert names(tmp_path) == ["folder"]
+
+
+def test_a_full_disk_is_an_export_error_and_other_errors_are_the_callers(tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match=r"a: cannot be written"), atomic_path(tmp_path / "a"):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "a"):
+        (tmp_path / "input").read_bytes()
+    assert names(tmp_path) == []
+
+
+def test_the_content_is_on_disk_before_the_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a"
+    seen = []
+
+    def flush(flushed: Path) -> None:
+        seen.append((flushed.is_dir(), path.exists()))
+
+    monkeypatch.setattr(atomic, "_flush_to_disk", flush)
+    write_bytes(path, b"1")
+    assert seen == [(False, False), (True, True)]

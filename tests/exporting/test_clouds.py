@@ -1,0 +1,42 @@
+"""Point clouds, read back."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fusion_core.exporting.clouds import write_cloud
+from fusion_core.model.errors import ExportError
+
+POINTS_M = np.random.default_rng(3).normal(size=(50, 3))
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".pcd"])
+@pytest.mark.parametrize("with_color", [False, True])
+def test_round_trip_and_same_bytes(tmp_path: Path, suffix: str, with_color: bool) -> None:
+    import open3d as o3d
+
+    rgb = np.random.default_rng(4).integers(0, 256, (50, 3), dtype=np.uint8)
+    paths = [tmp_path / f"{name}{suffix}" for name in "ab"]
+    for path in paths:
+        write_cloud(path, POINTS_M, rgb if with_color else None)
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    assert sorted(tmp_path.iterdir()) == paths
+    cloud = o3d.io.read_point_cloud(paths[0])
+    assert np.allclose(np.asarray(cloud.points), POINTS_M, atol=1e-6)
+    if with_color:
+        assert np.array_equal(np.round(np.asarray(cloud.colors) * 255), rgb)
+
+
+@pytest.mark.parametrize(
+    ("name", "points_m", "words"),
+    [("a.xyz", POINTS_M, "no cloud format"), ("a.ply", np.empty((0, 3)), "no points")],
+)
+def test_what_cannot_be_written_is_refused(
+    tmp_path: Path, name: str, points_m: np.ndarray, words: str
+) -> None:
+    with pytest.raises(ExportError, match=words):
+        write_cloud(tmp_path / name, points_m)
+    with pytest.raises(ValueError, match="finite"):
+        write_cloud(tmp_path / "b.ply", np.full((1, 3), np.nan))
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,108 @@
+"""What opens is told by content; what is no recording is refused in one line."""
+
+import os
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fusion_core.model.errors import RecordingError
+from fusion_core.recordings.formats import open_recording
+
+NO_RECORDINGS = {
+    "pairs.relations": (b"1.0 2.0 0.1 0.2 0.3 0 0 0\n", "text file"),
+    "trajectory.txt": (b"# timestamp tx ty tz\n1 0 0 0 0 0 0 1\n", "text file"),
+    "map.yaml": (b"image: map.pgm\nresolution: 0.05\n", "text file"),
+    "cloud.pcd": (b"# .PCD v0.7\nVERSION 0.7\n", "PCD"),
+    "cloud.ply": (b"ply\nformat ascii 1.0\n", "PLY"),
+    "picture.png": (b"\x89PNG\r\n\x1a\n" + bytes(20), "PNG"),
+    "picture.jpg": (b"\xff\xd8\xff\xe0" + bytes(20), "JPEG"),
+    "log.clf.bz2": (b"BZh91AY&SY" + bytes(20), "unpack"),
+    "log.gz": (b"\x1f\x8b\x08" + bytes(20), "unpack"),
+    "scene.zip": (b"PK\x03\x04" + bytes(20), "unpack"),
+    "old.bag": (b"#ROSBAG V1.2\n", "rosbag fix"),
+    "noise.bin": (bytes(range(256)), "no known format"),
+    "text.bag": (b"not a bag at all\n", "text file"),
+    "text.mcap": (b"not an mcap\n", "text file"),
+    "empty.bag": (b"", "is empty"),
+}
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(RecordingError) as caught:
+        open_recording(path)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert str(path) in text
+    assert caught.value.advice
+    return text
+
+
+@pytest.mark.parametrize("name", NO_RECORDINGS)
+def test_files_that_are_no_recordings(tmp_path: Path, name: str) -> None:
+    content, said = NO_RECORDINGS[name]
+    (tmp_path / name).write_bytes(content)
+    assert said in refused(tmp_path / name)
+
+
+def test_a_missing_path(tmp_path: Path) -> None:
+    assert "does not exist" in refused(tmp_path / "nothing.bag")
+
+
+def test_an_empty_folder(tmp_path: Path) -> None:
+    assert "without a recording" in refused(tmp_path)
+
+
+def test_a_folder_around_recordings_names_them(tmp_path: Path, build: Callable[[str], Any]) -> None:
+    build("rosbag1")
+    assert "sample.bag" in refused(tmp_path)
+
+
+def test_two_recordings_in_one_folder(tmp_path: Path, build: Callable[[str], Any]) -> None:
+    build("mcap zstd")
+    build("rosbag1")
+    text = refused(tmp_path)
+    assert "a.mcap" in text
+    assert "sample.bag" in text
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no pipes")
+def test_a_pipe_is_refused_without_waiting_for_it(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    assert "neither a file nor a folder" in refused(tmp_path / "pipe")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_no_permission(tmp_path: Path) -> None:
+    file = tmp_path / "secret.bag"
+    file.write_bytes(b"#ROSBAG V2.0\n")
+    file.chmod(0)
+    assert "Permission denied" in refused(file)
+
+
+def test_a_database_of_something_else(tmp_path: Path) -> None:
+    connection = sqlite3.connect(tmp_path / "other.db3")
+    connection.execute("CREATE TABLE people (name TEXT)")
+    connection.commit()
+    connection.close()
+    assert "ROS 2" in refused(tmp_path / "other.db3")
+
+
+@pytest.mark.parametrize("name", ["rosbag1", "mcap zstd", "db3"])
+def test_the_suffix_does_not_matter(build: Callable[[str], Any], name: str) -> None:
+    sample = build(name)
+    renamed = sample.path.rename(sample.path.with_name("recording.txt"))
+    with open_recording(renamed) as recording:
+        assert sum(topic.count for topic in recording.topics) == len(sample.written)
+
+
+@pytest.mark.parametrize("marks", [[], ["depth.txt", "rgb.txt"]])
+def test_image_folders_of_unknown_depth_unit_are_refused(tmp_path: Path, marks: list[str]) -> None:
+    for name in ("depth", "color"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "1.png").write_bytes(b"\x89PNG")
+    for mark in marks:
+        (tmp_path / mark).write_text("# timestamp filename\n")
+    refused(tmp_path)

@@ -1,0 +1,139 @@
+"""Imports go downwards only, and each folder knows no more than it needs."""
+
+import ast
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+# What each folder may import of the project, beside itself.
+BASE = {"fusion_core.model", "fusion_core.settings"}
+ALGORITHMS = {
+    "fusion_core.alignment": BASE,
+    "fusion_core.registration": BASE,
+    "fusion_core.mapping": BASE,
+    "fusion_core.denoising": BASE | {"fusion_core.alignment", "fusion_core.registration"},
+    "fusion_core.motion": BASE | {"fusion_core.registration"},
+    "fusion_core.calibration": BASE | {"fusion_core.registration"},
+    "fusion_core.slam": BASE
+    | {"fusion_core.registration", "fusion_core.motion", "fusion_core.mapping"},
+}
+SIDES = {
+    "fusion_core.recordings": BASE,
+    "fusion_core.exporting": BASE,
+    "fusion_core.evaluation": BASE,
+    "fusion_core.annotation": BASE,
+    "fusion_core.simulation": BASE | {"fusion_core.recordings"},
+}
+ALLOWED: dict[str, set[str]] = {
+    "fusion_core.model": set(),
+    "fusion_core.settings": {"fusion_core.model"},
+    **ALGORITHMS,
+    **SIDES,
+    "fusion_core.workflows": BASE | ALGORITHMS.keys() | SIDES.keys(),
+    "app": BASE | {"fusion_core.workflows"},
+}
+# The core serves the command line and the browser alike, and knows neither.
+NEVER_IN_CORE = {"app", "viser", "tyro", "rich"}
+VAGUE_NAMES = {"utils", "util", "helpers", "helper", "common", "misc"}
+
+
+def imported(module: str, source: str) -> Iterator[str]:
+    """Full names of all that ``source`` imports, inside functions too."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module}: imports are absolute, line {node.lineno}"
+            assert node.module is not None
+            # The name may be a module itself: ``from fusion_core import recordings``.
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def folder_of(name: str) -> str:
+    """The entry of ALLOWED that a module belongs to."""
+    return "app" if name.split(".")[0] == "app" else ".".join(name.split(".")[:2])
+
+
+def violations(module: str, source: str) -> list[str]:
+    """What ``source`` imports and ``module`` may not."""
+    folder = folder_of(module)
+    found = []
+    for name in imported(module, source):
+        top = name.split(".")[0]
+        if top in {"app", "fusion_core"}:
+            wrong = folder_of(name) not in ALLOWED[folder] | {folder}
+        elif folder == "fusion_core.model":
+            wrong = top != "numpy" and top not in sys.stdlib_module_names
+        else:
+            wrong = folder != "app" and top in NEVER_IN_CORE
+        if wrong:
+            found.append(f"{module} imports {name}")
+    return found
+
+
+MODULES = {
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+    for package in ("app", "fusion_core")
+    for path in sorted((ROOT / package).rglob("*.py"))
+}
+
+
+@pytest.mark.parametrize("module", [name for name in MODULES if name != "fusion_core"])
+def test_imports_go_downwards(module: str) -> None:
+    assert folder_of(module) in ALLOWED, f"{module} stands in a folder that the table lacks"
+    assert violations(module, MODULES[module].read_text(encoding="utf-8")) == []
+
+
+def test_the_package_itself_imports_nothing() -> None:
+    assert list(imported("fusion_core", MODULES["fusion_core"].read_text(encoding="utf-8"))) == []
+
+
+def test_the_table_has_no_cycle() -> None:
+    reached: set[str] = set()
+    while ready := {folder for folder, below in ALLOWED.items() if below <= reached} - reached:
+        reached |= ready
+    assert reached == ALLOWED.keys()
+
+
+@pytest.mark.parametrize(
+    "path",
+    [*MODULES.values(), *sorted(ROOT.glob("tests/**/*.py"))],
+    ids=lambda path: str(path.relative_to(ROOT)),
+)
+def test_a_file_is_named_for_its_subject(path: Path) -> None:
+    assert path.stem.removeprefix("test_") not in VAGUE_NAMES
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("fusion_core.alignment.search", "from fusion_core.recordings.decode import decode"),
+        ("fusion_core.alignment.search", "from fusion_core import recordings"),
+        ("fusion_core.alignment.search", "def f():\n    import app.cli"),
+        ("fusion_core.alignment.search", "import viser.transforms"),
+        ("fusion_core.workflows.fuse", "from app import cli"),
+        ("fusion_core.recordings.ros1", "from fusion_core.simulation import scenes"),
+        ("fusion_core.model.grids", "import scipy"),
+        ("fusion_core.model.grids", "from fusion_core.settings import StageSettings"),
+        ("app.panels.noise", "from fusion_core.denoising import noise"),
+    ],
+)
+def test_the_check_sees_a_wrong_import(module: str, source: str) -> None:
+    assert len(violations(module, source)) == 1
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("fusion_core.simulation.scenes", "from fusion_core.recordings import ros2_writer"),
+        ("fusion_core.denoising.noise", "from fusion_core.registration.ransac import fit"),
+        ("fusion_core.model.grids", "import dataclasses\nimport numpy as np"),
+        ("app.cli", "import tyro\nfrom fusion_core.workflows.fuse import fuse"),
+    ],
+)
+def test_the_check_lets_right_imports_pass(module: str, source: str) -> None:
+    assert violations(module, source) == []
