@@ -26,6 +26,7 @@ from fusion_core.model.conventions import (
     FloatArray,
     IntArray,
     read_only,
+    wrap_angle,
 )
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.geometry import inverse, rotation_from_yaw_pitch_roll, transform
@@ -64,7 +65,14 @@ class MountSettings(StageSettings):
 _OBSERVABLE_SD = np.array([np.deg2rad(1.5), 0.15, 0.10, 0.10, np.deg2rad(2.0), 25.0])
 # Weak priors keep what the data do not show near zero: a rig is compact and nearly level.
 _PRIOR_SD = np.array([np.deg2rad(10.0), 1.0, 0.15, 0.15, np.deg2rad(5.0), 80.0])
-_RECORDED_SD = np.array([np.deg2rad(1.0), 0.02, 0.02, 0.02, np.deg2rad(0.5), 80.0])
+_RECORDED_SD = np.array([np.deg2rad(0.3), 0.01, 0.01, 0.01, np.deg2rad(0.3), 80.0])
+# One standard deviation of a prior weighs as much as this many blocks of frames.
+_PRIOR_BLOCKS = 20.0
+# What systematic causes (occlusion, furniture edges, slanted walls) left as error in simulated
+# rooms; no recording's own scatter shows it.
+_LEAST_SD = np.array([np.deg2rad(0.3), 0.05, 0.02, 0.015, np.deg2rad(1.0), 5.0])
+_STARTS = 3
+_RIVAL_YAWS = 3
 # Steps of the search and of the finite differences: large against a pixel, small against a mode.
 _STEP = np.array([np.deg2rad(0.6), 0.04, 0.04, 0.04, np.deg2rad(0.8), 20.0])
 # Noise that only one sensor has moves the cost of two heights apart by this much.
@@ -159,43 +167,49 @@ def estimate_mount(
 ) -> MountEstimate:
     """Refine the mount from the yaw of the recording's offset u.
 
-    ``recorded``: extrinsics that the recording itself gives; used as a prior where they agree
-    with ``yaw_rad`` to 5 degrees.
+    Where the plane of the LiDAR lies far from any one row, the rows can favour a wrong yaw: other
+    yaws are tried as well, and taken only where they agree better beyond doubt.
+    ``recorded``: extrinsics that the recording itself gives; used as a prior where their yaw is
+    within 5 degrees of ``yaw_rad`` or points agree under them.
 
     Raises AlignmentFailed where there are too few frames or points.
     """
     if len(frames) < 4 or sum(frame.points_m.shape[0] for frame in frames) < 100:
         raise AlignmentFailed(
-            f"the mount needs 4 paired depth images with 100 LiDAR points, got {len(frames)}",
+            f"the mount needs 4 paired depth images with 100 LiDAR points, got {len(frames)}.",
             advice="Use a longer recording.",
         )
     problem = _Problem(frames, settings)
-    trusted = bool(recorded is not None and abs(recorded.yaw_rad - yaw_rad) < np.deg2rad(5.0))
-    if recorded is not None and trusted:
-        centre, spread = recorded.vector(), _RECORDED_SD
-    else:
-        centre, spread = np.zeros(6), _PRIOR_SD
-        centre[0] = yaw_rad
-
     highest_m = min(settings.delta_z_max_m, -problem.lowest_seen_m() - settings.clearance_m)
-
-    def cost(values: FloatArray) -> float:
-        if not trusted and values[1] > highest_m:
-            return 1.0 + float(values[1] - highest_m)
-        return problem.mean_cost(values) + float(
-            np.sum(((values - centre) / spread) ** 2) / (2.0 * problem.blocks * 20.0)
-        )
-
     heights_m = np.arange(
         settings.delta_z_min_m, max(highest_m, settings.delta_z_min_m + 0.1), 0.05
     )
-    profile = _delta_z_profile(problem, centre, heights_m)
-    starts = [centre] if trusted else _starts(profile, centre)
-    fits = [_descend(cost, start) for start in starts]
-    best = min(fits, key=cost)
-    sd = _sandwich_sd(problem, best, centre, spread)
+    trusted = recorded is not None and (
+        _apart_rad(recorded.yaw_rad, yaw_rad) < np.deg2rad(5.0)
+        or problem.agreement(recorded.vector())[0] >= settings.min_agreement
+    )
+    if recorded is not None and trusted:
+        centre, spread = recorded.vector(), _RECORDED_SD
+        fits = [_descend(_with_prior(problem, centre, spread, np.inf), centre)]
+        yaws = [centre[0]]
+    else:
+        spread = _PRIOR_SD
+        yaws = [yaw_rad, *_other_yaws(problem.thinned(), yaw_rad, heights_m[::3])]
+        fits = []
+        for yaw in yaws:
+            centre = _level(yaw)
+            cost = _with_prior(problem, centre, spread, highest_m)
+            # A rival yaw must only show how well it can agree; the rows' own is refined fully.
+            count = _STARTS if yaw == yaw_rad else 1
+            for start in _starts(_delta_z_profile(problem, centre, heights_m), centre, count):
+                fits.append(_descend(cost, start))
+    best, doubtful_yaw = _choose(problem, fits, yaws[0])
+    least_sd = np.minimum(_LEAST_SD, _RECORDED_SD) if trusted else _LEAST_SD
+    sd = np.maximum(_sandwich_sd(problem, best, spread), least_sd)
     if not trusted and _rival_height(problem, fits, best):
         sd[[1, 4]] = np.inf
+    if doubtful_yaw:
+        sd[0] = np.inf
     mount = Mount.from_vector(
         best,
         tuple(
@@ -209,9 +223,73 @@ def estimate_mount(
         agreement=agreement,
         visible=visible,
         confident=bool(agreement >= settings.min_agreement and mount.sd[0] is not None),
-        from_recorded=trusted,
-        delta_z_profile=profile[:, [1, -1]],
+        from_recorded=bool(trusted),
+        delta_z_profile=_delta_z_profile(problem, best, heights_m)[:, 1:],
     )
+
+
+def _apart_rad(first_rad: float, second_rad: float) -> float:
+    return float(np.abs(wrap_angle(first_rad - second_rad)))
+
+
+def _level(yaw_rad: float) -> FloatArray:
+    """A mount of which only the yaw is known."""
+    values = np.zeros(6)
+    values[0] = yaw_rad
+    return values
+
+
+def _with_prior(
+    problem: "_Problem", centre: FloatArray, spread: FloatArray, highest_m: float
+) -> Callable[[FloatArray], float]:
+    weight = 1.0 / (2.0 * problem.blocks * _PRIOR_BLOCKS)
+
+    def cost(values: FloatArray) -> float:
+        if values[1] > highest_m:
+            return 1.0 + float(values[1] - highest_m)
+        prior = float(np.sum(((values - centre) / spread) ** 2))
+        return problem.mean_cost(values) + weight * prior
+
+    return cost
+
+
+def _other_yaws(problem: "_Problem", yaw_rad: float, heights_m: FloatArray) -> list[float]:
+    """The best few yaws all around, more than 5 degrees from ``yaw_rad`` and from each other.
+
+    A yaw counts where at least half as many points lie in front of a camera as at the best one.
+    """
+    yaws = yaw_rad + np.deg2rad(np.arange(-180.0, 180.0, 2.0))
+    costs = np.full(yaws.size, np.inf)
+    in_front = np.zeros(yaws.size)
+    for index, yaw in enumerate(yaws):
+        for height in heights_m:
+            values = _level(float(yaw))
+            values[1] = height
+            tallies = problem.frame_tallies(values).sum(axis=0)
+            in_front[index] = tallies[1]
+            costs[index] = min(costs[index], tallies[0] / max(tallies[1], 1.0))
+    costs[in_front < 0.5 * in_front.max()] = np.inf
+    found: list[float] = []
+    for index in np.argsort(costs):
+        yaw = float(yaws[index])
+        if not np.isfinite(costs[index]) or len(found) == _RIVAL_YAWS:
+            break
+        if min(_apart_rad(yaw, other) for other in [yaw_rad, *found]) > np.deg2rad(5.0):
+            found.append(yaw)
+    return found
+
+
+def _choose(problem: "_Problem", fits: list[FloatArray], yaw_rad: float) -> tuple[FloatArray, bool]:
+    """The best fit near the rows' yaw, unless another is better beyond doubt (paired over blocks,
+    3 sigma); and whether the two remain in doubt."""
+    near = [fit for fit in fits if _apart_rad(fit[0], yaw_rad) < np.deg2rad(5.0)]
+    best = min(near or fits, key=problem.mean_cost)
+    rival = min(fits, key=problem.mean_cost)
+    if _apart_rad(rival[0], best[0]) < np.deg2rad(5.0):
+        return best, False
+    gain = problem.block_costs(best) - problem.block_costs(rival)
+    sure = np.mean(gain) > 3.0 * np.std(gain) / np.sqrt(gain.size)
+    return (rival, False) if sure else (best, True)
 
 
 def frame_yaw_offset_rad(frame: MountFrame, mount: Mount, settings: MountSettings) -> float:
@@ -237,6 +315,7 @@ class _Problem:
     """The kept frames as flat arrays, and the cost of a mount on each of them."""
 
     def __init__(self, frames: Sequence[MountFrame], settings: MountSettings) -> None:
+        self._frames = frames
         self._settings = settings
         self._points = np.concatenate([frame.points_m for frame in frames])
         sizes = [frame.points_m.shape[0] for frame in frames]
@@ -254,6 +333,10 @@ class _Problem:
         self._turn = np.array([frame.turn_rate_rad_s for frame in frames])
         self._after_s = np.array([frame.image_after_scan_s for frame in frames])
         self.blocks = max(1, len(frames) // _FRAMES_PER_BLOCK)
+
+    def thinned(self) -> "_Problem":
+        """Every third frame, to look far around."""
+        return _Problem(self._frames[::3], self._settings)
 
     def lowest_seen_m(self) -> float:
         """Height of the lowest surface in the rig frame: the floor, where it is in the image.
@@ -333,12 +416,12 @@ def _delta_z_profile(problem: _Problem, centre: FloatArray, heights_m: FloatArra
     return np.array(rows)
 
 
-def _starts(profile: FloatArray, centre: FloatArray) -> list[FloatArray]:
-    """The lowest local minima of the profile, at most four."""
+def _starts(profile: FloatArray, centre: FloatArray, count: int) -> list[FloatArray]:
+    """The ``count`` lowest local minima of the profile."""
     cost = np.concatenate([[np.inf], profile[:, 2], [np.inf]])
     minima = np.flatnonzero((cost[1:-1] <= cost[:-2]) & (cost[1:-1] <= cost[2:]))
     starts = []
-    for index in minima[np.argsort(profile[minima, 2])][:4]:
+    for index in minima[np.argsort(profile[minima, 2])][:count]:
         start = centre.copy()
         start[:2] = profile[index, :2]
         starts.append(start)
@@ -364,9 +447,7 @@ def _descend(cost: Callable[[FloatArray], float], start: FloatArray) -> FloatArr
     return found
 
 
-def _sandwich_sd(
-    problem: _Problem, values: FloatArray, centre: FloatArray, spread: FloatArray
-) -> FloatArray:
+def _sandwich_sd(problem: _Problem, values: FloatArray, spread: FloatArray) -> FloatArray:
     """One standard deviation of each parameter: H^-1 G H^-1 over blocks of frames, G the spread of
     the blocks' gradients, H the curvature of their mean with the prior's."""
     count = values.size

@@ -27,7 +27,7 @@ class SearchSettings(StageSettings):
     partial: bool = setting(False, "Let the row reach beyond the ends of the LiDAR curve")
     mask_holes: bool = setting(True, "Leave holes out (published: holes count as zeros)")
     prior_samples: int = setting(
-        2, "How far a frame's u may lie from the recording's", unit="samples", ge=0
+        1, "How far a frame's u may lie from the recording's", unit="samples", ge=0
     )
     use_prior: bool = setting(True, "Search each frame around the recording's u")
     runner_up_distance: int = setting(

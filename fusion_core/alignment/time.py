@@ -78,15 +78,16 @@ def _rate_between(first: LaserScan, second: LaserScan, settings: TimeSettings) -
 
 
 def parabola_offset(values: FloatArray, best: int) -> float:
-    """Offset in (-0.5, 0.5) of the extremum of the parabola through three neighbours of ``best``.
+    """Offset in [-0.5, 0.5] of the extremum of the parabola through three neighbours of ``best``.
 
-    0 at the ends and where a neighbour is missing.
+    0 at the ends, where a neighbour is missing, and on a slope, where ``best`` is no extremum.
     """
     if best == 0 or best == values.size - 1:
         return 0.0
     left, middle, right = values[best - 1 : best + 2]
     curvature = left - 2.0 * middle + right
-    if not np.isfinite(curvature) or curvature == 0.0:
+    on_slope = (left - middle) * (right - middle) < 0.0
+    if not np.isfinite(curvature) or curvature == 0.0 or on_slope:
         return 0.0
     return float(np.clip(0.5 * (left - right) / curvature, -0.5, 0.5))
 

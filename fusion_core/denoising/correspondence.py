@@ -7,7 +7,7 @@ first meets the surface that the camera sees is the camera's answer for that bea
 (where the mount is not known, and in the paper) a beam meets the row's pixel of the same azimuth.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -23,6 +23,7 @@ from fusion_core.model.conventions import (
 from fusion_core.model.geometry import apply, inverse
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import LaserScan
+from fusion_core.registration.models import map_points
 
 RowModel = Literal["curve", "row"]
 
@@ -60,8 +61,9 @@ class Correspondence:
     residual_m: FloatArray
 
     def __post_init__(self) -> None:
-        for name in ("beam", "row", "column", "lidar_range_m", "depth_m", "camera_range_m"):
-            read_only(getattr(self, name))
+        for field in fields(self):
+            if field.name != "model":
+                read_only(getattr(self, field.name))
 
 
 def along_curve(
@@ -195,21 +197,14 @@ def compared(
 ) -> Correspondence:
     """The paper's pairs with what A makes of them: D A^-1 (7) for beams, L A (8) for pixels."""
     has_lidar, has_depth = np.isfinite(pairs.lidar_range_m), np.isfinite(pairs.depth_m)
-    as_range = np.where(has_depth, _through(D, A_inverse)[:, 1], np.nan)
+    as_range = np.where(has_depth, map_points(A_inverse, D)[:, 1], np.nan)
     return replace(
         pairs,
         depth_as_range_m=as_range,
         camera_range_m=as_range,
-        lidar_as_depth_m=np.where(has_lidar, _through(L, A)[:, 1], np.nan),
+        lidar_as_depth_m=np.where(has_lidar, map_points(A, L)[:, 1], np.nan),
         residual_m=np.where(has_lidar & has_depth, residual_m, np.nan),
     )
-
-
-def _through(points: FloatArray, matrix: FloatArray) -> FloatArray:
-    """(N, 2) row vectors through a (3, 3) map."""
-    image = np.column_stack([points, np.ones(points.shape[0])]) @ matrix
-    through: FloatArray = image[:, :2] / image[:, 2:]
-    return through
 
 
 def planar_points(pairs: Correspondence, range_m: FloatArray) -> FloatArray:
@@ -230,7 +225,7 @@ def mapped(pairs: Correspondence, A: FloatArray, A_inverse: FloatArray) -> Corre
     """
 
     def carried(range_m: FloatArray, matrix: FloatArray) -> FloatArray:
-        image = _through(planar_points(pairs, range_m), matrix)
+        image = map_points(matrix, planar_points(pairs, range_m))
         return np.hypot(image[:, 0], image[:, 1])
 
     as_range = carried(pairs.depth_as_range_m, A_inverse)
@@ -325,6 +320,10 @@ def _follow_rays(
     fx, fy, cx, cy = lens
     T = T_camera_lidar
     found = np.full(azimuth_rad.size, np.nan)
+    farthest = 0.0
+    for value in depth_m.ravel():
+        if value > farthest:
+            farthest = float(value)
     for index in range(azimuth_rad.size):
         x, y = np.cos(azimuth_rad[index]), np.sin(azimuth_rad[index])
         dx = T[0, 0] * x + T[0, 1] * y
@@ -340,6 +339,9 @@ def _follow_rays(
             distance += _RAY_STEP_M
             if depth < _NEAREST_M:
                 continue
+            # One step behind all that is seen, nothing can be met any more.
+            if depth > farthest + _RAY_STEP_M:
+                break
             u = cx + fx * (T[0, 3] + (distance - _RAY_STEP_M) * dx) / depth
             v = cy + fy * (T[1, 3] + (distance - _RAY_STEP_M) * dy) / depth
             if u < -0.5 or u >= width - 0.5 or v < -0.5 or v >= height - 0.5:

@@ -34,15 +34,18 @@ _OUTLIER_SHARE = 0.05
 class NoiseSettings(StageSettings):
     """The threshold epsilon and what counts as support by neighbours."""
 
-    epsilon: float = setting(3.0, "Threshold of eq. (6), in epsilon_unit", gt=0.0, le=100.0)
+    epsilon: float = setting(2.6, "Threshold of eq. (6), in epsilon_unit", gt=0.0, le=100.0)
     epsilon_unit: Literal["sigma", "E", "m"] = setting(
         "sigma", "Unit of epsilon: the learned noise scale, the frame's mean error E, or metres"
     )
     support_sigma: float = setting(
-        3.0, "A neighbour within this many standard deviations supports a beam", gt=0.0, le=10.0
+        3.2, "A neighbour within this many standard deviations supports a beam", gt=0.0, le=10.0
     )
     slope_share: float = setting(
-        0.02, "Change of range from beam to beam that a slanted wall may have", ge=0.0, le=0.2
+        0.02,
+        "Change of range a beam that a slanted wall may have where no camera tells",
+        ge=0.0,
+        le=0.2,
     )
     pixel_tolerance_share: float = setting(
         0.03,
@@ -57,6 +60,12 @@ class NoiseSettings(StageSettings):
     pixel_support: int = setting(
         2, "Pixels of the 5 x 5 around that must support one, else it is a burr", ge=1, le=24
     )
+    motion_pixels: int = setting(
+        4, "How far a surface may have moved in the image since the one before", unit="px", ge=1
+    )
+    pixel_support_share: float = setting(
+        0.3, "Least share of the valid pixels around that must support one", ge=0.0, le=1.0
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +73,9 @@ class FrameWindow:
     """What classes need: the pair, and each sensor's own neighbourhood.
 
     ``scan_before``, ``scan_after``: neighbours in time with the beams by which the LiDAR turned
-    from them (``shift_before``, ``shift_after``), or None. ``depth_m``: (H, W) upright view.
+    from them (``shift_before``, ``shift_after``), or None. ``depth_m``: (H, W) upright view;
+    ``depth_before_m`` that of the image before, in which a surface lay ``columns_before`` to the
+    right, or None.
     """
 
     pairs: Correspondence
@@ -74,6 +85,8 @@ class FrameWindow:
     scan_after: LaserScan | None = None
     shift_before: int = 0
     shift_after: int = 0
+    depth_before_m: Float32Array | None = None
+    columns_before: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,7 +128,12 @@ def classify(
     near, beyond, in_time = beam_support.T
     # An edge may part a beam from both adjacent ones; then the next, or other scans, must vouch.
     lone_beam = (near == 0) & ((beyond < 2) | (in_time < 2))
-    lone_pixel = pixel_support < settings.pixel_support
+    lone_beam |= (near + beyond < 2) & (in_time == 0)
+    lone_pixel = pixel_support < np.maximum(
+        settings.pixel_support, settings.pixel_support_share * pixel_neighbours
+    )
+    small = pixel_support < 0.6 * pixel_neighbours
+    lone_pixel |= _gone_before(window, disagree & small, settings)
     if settings.fault == "rougher":
         rougher = _roughness(pairs.lidar_range_m) >= _roughness(pairs.depth_m)
         lone_beam, lone_pixel = rougher, ~rougher
@@ -128,8 +146,12 @@ def classify(
     depth_class = np.full(pairs.beam.size, int(NoiseClass.GOOD))
     conflict = disagree & ~lone_beam & ~lone_pixel
     lidar_class[conflict] = depth_class[conflict] = NoiseClass.CONFLICT
-    lidar_class[(disagree & lone_beam) | unseen] = NoiseClass.BURR
-    depth_class[disagree & lone_pixel] = NoiseClass.BURR
+    # At one edge both sensors may mix the same two surfaces, and agree on a point that is on none.
+    astray = disagree | (settings.fault == "support") & (
+        lone_beam & lone_pixel & has_lidar & has_depth
+    )
+    lidar_class[(astray & lone_beam) | unseen] = NoiseClass.BURR
+    depth_class[astray & lone_pixel] = NoiseClass.BURR
     lidar_class[~has_lidar] = NoiseClass.HOLE
     depth_class[~has_depth] = NoiseClass.HOLE
     depth_class[~has_pixel] = -1
@@ -144,6 +166,28 @@ def classify(
         depth_confidence=_confidence(depth_class, agreement, pixel_share, has_lidar),
         epsilon_m=epsilon_m,
     )
+
+
+def _gone_before(window: FrameWindow, wanted: BoolArray, settings: NoiseSettings) -> BoolArray:
+    """(B,) pixels of which the image before shows nothing at their place: a speckle of several
+    pixels vouches for itself in its own image, but not in another."""
+    gone = np.zeros(wanted.size, dtype=np.bool_)
+    before = window.depth_before_m
+    if before is None:
+        return gone
+    height, width = before.shape
+    reach = settings.motion_pixels
+    for index in np.flatnonzero(wanted & (window.pairs.row >= 0)):
+        row = int(window.pairs.row[index])
+        column = round(int(window.pairs.column[index]) + window.columns_before)
+        if not reach <= row < height - reach or not reach <= column < width - reach:
+            continue
+        around = before[row - reach : row + reach + 1, column - reach : column + reach + 1]
+        own = window.pairs.depth_m[index]
+        valid = np.isfinite(around)
+        near = np.abs(around - own) <= 0.05 + settings.pixel_tolerance_share * own
+        gone[index] = valid.mean() > 0.8 and not near.any()
+    return gone
 
 
 def _roughness(values_m: FloatArray) -> FloatArray:
@@ -205,6 +249,7 @@ def _beam_support(
         np.stack([in_time(window.scan_before), in_time(window.scan_after)]),
         np.array([window.shift_before, window.shift_after]),
         window.pairs.beam,
+        window.pairs.camera_range_m,
         settings.support_sigma * scale.floor_m,
         settings.support_sigma * scale.share,
         settings.slope_share,
@@ -229,6 +274,7 @@ def _count_beam_support(
     in_time: FloatArray,
     shifts: IntArray,
     beams: IntArray,
+    camera: FloatArray,
     floor_m: float,
     share: float,
     slope: float,
@@ -236,6 +282,8 @@ def _count_beam_support(
     support = np.zeros((beams.size, 3), dtype=np.int64)
     neighbours = np.zeros((beams.size, 2), dtype=np.int64)
     count = ranges.size
+    seen_by_camera = np.full(count, np.nan)
+    seen_by_camera[beams] = camera
     for index in range(beams.size):
         beam = beams[index]
         own = ranges[beam]
@@ -247,8 +295,18 @@ def _count_beam_support(
             if other < 0 or other >= count or np.isnan(ranges[other]):
                 continue
             neighbours[index, 0] += 1
-            if abs(ranges[other] - own) <= tolerance + slope * own * abs(step):
+            slant = seen_by_camera[other] - seen_by_camera[beam]
+            allowed = tolerance
+            if np.isnan(slant):
+                slant = 0.0
+                allowed += slope * own * abs(step)
+            elif abs(slant) > 0.03 * own * abs(step):
+                # The camera sees an edge here: the beams are on one side of it or the other.
+                slant = 0.0
+            if abs(ranges[other] - own - slant) <= allowed:
                 support[index, 0 if abs(step) == 1 else 1] += 1
+        if _between_surfaces(ranges, beam, tolerance):
+            support[index, 0] = support[index, 1] = 0
         for neighbour in range(2):
             scan, shift = in_time[neighbour], shifts[neighbour]
             # The robot moves between scans: the surface may have come nearer by a little.
@@ -263,6 +321,27 @@ def _count_beam_support(
             neighbours[index, 1] += seen
             support[index, 2] += met
     return support, neighbours
+
+
+@njit(cache=True)
+def _between_surfaces(ranges: FloatArray, beam: int, tolerance: float) -> bool:
+    """Whether a beam, alone or with one like it beside it, steps from one surface to another.
+
+    Mixed pixels do; a thin object of its own stands before both.
+    """
+    for width in (1, 2):
+        for first in range(beam - width + 1, beam + 1):
+            left, right = first - 1, first + width
+            if left < 0 or right >= ranges.size:
+                continue
+            low = min(ranges[left], ranges[right])
+            high = max(ranges[left], ranges[right])
+            inside = low == low and high == high
+            for index in range(first, first + width):
+                inside = inside and low + tolerance < ranges[index] < high - tolerance
+            if inside:
+                return True
+    return False
 
 
 @njit(cache=True)

@@ -15,6 +15,8 @@ from fusion_core.model.conventions import FloatArray
 
 # A normal deviate's standard deviation over its median absolute deviation.
 _SD_PER_MAD = 1.4826
+# No pair of sensors agrees better; a scale of zero would make each rounding a disagreement.
+_LEAST_FLOOR_M = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,11 +58,15 @@ def learn_noise_scale(range_m: FloatArray, residual_m: FloatArray) -> NoiseScale
 
 def _fit_line(squares: Sequence[Sequence[float]]) -> NoiseScale:
     """sd² = floor² + share² range², both terms kept physical."""
-    data = np.array(squares)
-    slope, offset = np.polyfit(data[:, 0], data[:, 1], 1)
+    square_m2, variance_m2 = np.array(squares).T
+    slope = offset = 0.0
+    # Pairs of one range alone say nothing of the growth.
+    if np.ptp(square_m2) > 1e-6 * square_m2.max():
+        slope, offset = map(float, np.polyfit(square_m2, variance_m2, 1))
     if slope <= 0.0:
-        return NoiseScale(floor_m=float(np.sqrt(data[:, 1].mean())), share=0.0)
-    if offset <= 0.0:
-        share = np.sqrt(float(data[:, 0] @ data[:, 1]) / float(data[:, 0] @ data[:, 0]))
-        return NoiseScale(floor_m=1e-3, share=float(share))
-    return NoiseScale(floor_m=float(np.sqrt(offset)), share=float(np.sqrt(slope)))
+        floor_m, share = np.sqrt(variance_m2.mean()), 0.0
+    elif offset <= 0.0:
+        floor_m, share = 0.0, np.sqrt((square_m2 @ variance_m2) / (square_m2 @ square_m2))
+    else:
+        floor_m, share = np.sqrt(offset), np.sqrt(slope)
+    return NoiseScale(floor_m=max(float(floor_m), _LEAST_FLOOR_M), share=float(share))

@@ -38,6 +38,9 @@ class RepairSettings(StageSettings):
     max_gap_deg: float = setting(
         8.0, "Widest gap of the LiDAR curve filled from its own neighbours", unit="deg", ge=0.0
     )
+    depth_burr_confidence: float = setting(
+        0.8, "Least confidence of a burr in the depth image that is repaired", ge=0.0, le=1.0
+    )
     narrow_gap_deg: float = setting(
         1.5,
         "Up to here a gap's own sides are believed against the other sensor",
@@ -125,7 +128,9 @@ def _repair_depth(
     settings: RepairSettings,
 ) -> tuple[FloatArray, IntArray]:
     raw = pairs.depth_m
-    noisy = np.isin(classes.depth_class, (NoiseClass.HOLE, NoiseClass.BURR))
+    burr = classes.depth_class == NoiseClass.BURR
+    burr &= classes.depth_confidence >= settings.depth_burr_confidence
+    noisy = burr | (classes.depth_class == NoiseClass.HOLE)
     reliable = classes.lidar_class == NoiseClass.GOOD
     lidar = np.where(reliable, pairs.lidar_as_depth_m, np.nan)
     lidar_error = scale.at(lidar)
@@ -141,7 +146,7 @@ def _repair_depth(
     return _choose(
         raw,
         noisy,
-        classes.depth_class == NoiseClass.BURR,
+        burr,
         classes.depth_confidence,
         (lidar, lidar_error),
         (planes[:, 0], planes[:, 1]),

@@ -12,6 +12,10 @@ class NoiseClass(IntEnum):
     CONFLICT = 3
 
 
+BURR_LEAST_M = 0.10
+"""Ranges nearer than this tell of one surface, for truths and measures alike."""
+
+
 class RepairSource(IntEnum):
     """Where a repaired value came from. The codes are stable: files hold their names."""
 

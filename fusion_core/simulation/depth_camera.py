@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.model.classes import NoiseClass
+from fusion_core.model.classes import BURR_LEAST_M, NoiseClass
 from fusion_core.model.conventions import BoolArray, ByteArray, Float32Array, FloatArray
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.settings import StageSettings, setting
@@ -101,7 +101,8 @@ def add_noise(view: DepthView, noise: DepthNoise, rng: np.random.Generator) -> N
     """A depth image as the sensor reports it, and each pixel's kind.
 
     A pixel is a burr where something other than ordinary noise formed its value *and* the value
-    lies beyond three standard deviations of the truth; at an edge it may well be good.
+    lies beyond three standard deviations of the truth and beyond BURR_LEAST_M; at an edge it may
+    well be good.
     """
     true_m = view.true_m
     shape = true_m.shape
@@ -131,7 +132,8 @@ def add_noise(view: DepthView, noise: DepthNoise, rng: np.random.Generator) -> N
     value_m = np.rint(value_m / noise.step_m) * noise.step_m
     lost |= (value_m < noise.near_m) | (value_m > noise.far_m)
 
-    far_off = disturbed & (np.abs(value_m - true_m) > 3.0 * sigma_m(true_m, noise))
+    ordinary_m = np.maximum(3.0 * sigma_m(true_m, noise), BURR_LEAST_M)
+    far_off = disturbed & (np.abs(value_m - true_m) > ordinary_m)
     kinds = np.where(far_off, NoiseClass.BURR, NoiseClass.GOOD)
     kinds = np.where(lost, NoiseClass.HOLE, kinds).astype(np.uint8)
     return NoisyDepth(depth_m=np.where(lost, np.nan, value_m).astype(np.float32), kinds=kinds)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.model.classes import NoiseClass
+from fusion_core.model.classes import BURR_LEAST_M, NoiseClass
 from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray
 from fusion_core.settings import StageSettings, setting
 
@@ -111,7 +111,8 @@ def add_noise(
     """A sweep as the sensor reports it, and each beam's kind.
 
     A beam is a burr where something other than ordinary noise formed its value *and* the value
-    lies beyond three standard deviations of the truth; at an edge it may well be good.
+    lies beyond three standard deviations of the truth and beyond BURR_LEAST_M; at an edge it may
+    well be good.
     """
     true_m = view.true_m
     count = true_m.size
@@ -144,7 +145,8 @@ def add_noise(
     lost |= _lost_runs(count, noise, rng)
     lost |= ~np.isfinite(value_m) | (value_m < range_limits_m[0]) | (value_m > range_limits_m[1])
 
-    far_off = disturbed & (np.abs(value_m - true_m) > 3.0 * sigma_m(true_m, noise))
+    ordinary_m = np.maximum(3.0 * sigma_m(true_m, noise), BURR_LEAST_M)
+    far_off = disturbed & (np.abs(value_m - true_m) > ordinary_m)
     kinds = np.where(far_off, NoiseClass.BURR, NoiseClass.GOOD)
     kinds = np.where(lost, NoiseClass.HOLE, kinds).astype(np.uint8)
     return NoisySweep(ranges_m=np.where(lost, np.nan, value_m), kinds=kinds)

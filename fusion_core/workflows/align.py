@@ -10,6 +10,7 @@ from fusion_core.alignment.curves import (
     CurveSampling,
     RowSampling,
     curve_samples_m,
+    offset_of_yaw,
     row_samples_m,
     sample_curve,
     sample_row,
@@ -29,11 +30,11 @@ from fusion_core.alignment.time import turn_rate_rad_s
 from fusion_core.denoising.correspondence import along_curve
 from fusion_core.denoising.noise_scale import STATED, NoiseScale, learn_noise_scale
 from fusion_core.model.conventions import NS_PER_MS, Float32Array, FloatArray
-from fusion_core.model.errors import AlignmentFailed
+from fusion_core.model.errors import AlignmentFailed, SettingsError
 from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
 from fusion_core.model.progress import Progress
 from fusion_core.model.rig import Mount
-from fusion_core.model.sensors import LaserScan
+from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.workflows.pairing import PairedImage
 from fusion_core.workflows.presets import ChainSettings
 from fusion_core.workflows.rig import Rig
@@ -49,12 +50,13 @@ class Alignment:
     """What pass 1 found. ``estimate`` is None where the pairs are taken frame by frame.
 
     ``curve`` and ``row`` sample the recording's field (a panorama's where there are several
-    cameras). ``fields`` are the mean fields, ``peaks`` their peaks. ``lidar``: a scan, for its
-    geometry.
+    cameras). ``fields`` are the mean fields, ``peaks`` their peaks anywhere; ``peak`` is that of the
+    metric that decides, at the mount's yaw. ``lidar``: a scan, for its geometry.
     """
 
     fields: dict[Metric, SimilarityField]
     peaks: dict[Metric, Peak]
+    peak: Peak
     metric: Metric
     curve: CurveSampling
     row: RowSampling
@@ -63,11 +65,6 @@ class Alignment:
     scale: NoiseScale
     lidar: LaserScan
     frames: int
-
-    @property
-    def peak(self) -> Peak:
-        """The peak of the metric that decides."""
-        return self.peaks[self.metric]
 
     @property
     def along_curve(self) -> bool:
@@ -82,9 +79,18 @@ def search_rows(
     settings: ChainSettings,
     metrics: Iterable[Metric] = METRICS,
 ) -> dict[Metric, SimilarityField]:
-    """The fields of one frame over all its rows; rows outside the searched band have no score."""
+    """The fields of one frame over all its rows; rows outside the searched band have no score.
+
+    Raises SettingsError where the band holds no row, AlignmentFailed for too short a curve.
+    """
     height = rows_m.shape[0]
     first = max(settings.sampling.row_first, round((1.0 - settings.sampling.row_band) * height))
+    if first >= height:
+        raise SettingsError(
+            f"sampling.row_first = {settings.sampling.row_first}: the depth images have {height} "
+            "rows.",
+            advice="Lower it, or raise sampling.row_band.",
+        )
     curve_m = curve_samples_m(scan, curve)
     searched_m = rows_m[first:]
     if not settings.search.mask_holes:
@@ -139,6 +145,7 @@ def align(
             advice="Lower search.min_overlap, or check that both sensors see the same side.",
         )
     yaw_rad = yaw_of_offset_rad(known[metric].u, collected.curve, collected.row.left_rad)
+    peak = known[metric]
     mount = Mount(yaw_rad=yaw_rad, sd=(np.deg2rad(1.0), *(None,) * 5))
     estimate = None
     scale = STATED
@@ -148,10 +155,12 @@ def align(
             collected.kept, settings.mount, yaw_rad=yaw_rad, recorded=rig.recorded
         )
         mount = estimate.mount
+        peak = _peak_at(fields[metric], peak, mount, collected, settings.search)
         scale = _scale_of(collected.kept, mount, settings)
     return Alignment(
         fields=fields,
         peaks=known,
+        peak=peak,
         metric=metric,
         curve=collected.curve,
         row=collected.row,
@@ -161,6 +170,25 @@ def align(
         lidar=collected.scan,
         frames=collected.mean.frames,
     )
+
+
+def _peak_at(
+    field: SimilarityField,
+    peak: Peak,
+    mount: Mount,
+    collected: "_Collected",
+    search: SearchSettings,
+) -> Peak:
+    """The field's peak where the refined mount lies, if the rows alone favoured another place."""
+    if collected.curve is None:
+        return peak
+    u = offset_of_yaw(mount.yaw_rad, collected.curve, collected.row.left_rad)
+    if abs(u - peak.u) <= search.runner_up_distance:
+        return peak
+    try:
+        return find_peak(field, search, prior_u=u)
+    except AlignmentFailed:
+        return peak
 
 
 class _Collected:
@@ -193,51 +221,45 @@ def _collect(
     # The time span of the subset is the recording's, however long it is.
     field_every = max(1, image_count // len(rig.cameras) // _FIELD_FRAMES)
     keep_every = max(1, image_count // settings.mount.frames)
-    latest: dict[int, tuple[int, Float32Array]] = {}
-    done = 0
+    seen = [0] * len(rig.cameras)
+    latest: dict[int, DepthImage] = {}
+    views = 0
     for entry in pairs:
         if isinstance(entry, LaserScan):
             continue
-        done += 1
-        progress(done, image_count, "searching (u, v)")
+        # Counted for each camera, so that a steady order of the cameras leaves none out.
+        seen[entry.camera] += 1
+        progress(sum(seen), image_count, "searching (u, v)")
         if entry.window is None:
             continue
         scan = entry.window.scan
         if collected.curve is None:
             collected.curve, collected.scan = sample_curve(scan, settings.sampling), scan
-        wanted_field = (done // len(rig.cameras)) % field_every == 0
-        wanted_mount = done % keep_every == 0
-        if not (wanted_field or wanted_mount):
-            continue
-        depth_m = depth_of(entry.camera, entry.image.depth_m)
-        if wanted_mount:
+        if seen[entry.camera] % keep_every == 0:
             collected.kept.append(
                 mount_frame(
                     rig.cameras[entry.camera],
                     scan,
-                    depth_m,
+                    depth_of(entry.camera, entry.image.depth_m),
                     scan.stamp_ns + entry.gap_ns,
                     turn_rate_rad_s(entry.window, settings.time),
                 )
             )
-        if not wanted_field or scan.ranges_m.size != collected.scan_size:
+        latest[entry.camera] = entry.image
+        if not _together(latest, len(rig.cameras), settings.time.max_gap_ms):
             continue
-        rows_m: FloatArray | None = None
-        if panorama is None:
-            rows_m = row_samples_m(depth_m, row)
-        else:
-            latest[entry.camera] = (entry.image.stamp_ns, depth_m)
-            if _together(latest, len(rig.cameras), settings.time.max_gap_ms):
-                rows_m = panorama.samples_m([latest[i][1] for i in range(len(rig.cameras))])
-                latest.clear()
-        if rows_m is not None:
+        views += 1
+        if views % field_every == 0 and scan.ranges_m.size == collected.scan_size:
+            depths_m = [depth_of(i, latest[i].depth_m) for i in range(len(rig.cameras))]
+            rows_m = panorama.samples_m(depths_m) if panorama else row_samples_m(depths_m[0], row)
             collected.mean.add(search_rows(scan, collected.curve, rows_m, settings))
+        latest.clear()
     return collected
 
 
-def _together(latest: dict[int, tuple[int, Float32Array]], cameras: int, max_gap_ms: float) -> bool:
+def _together(latest: dict[int, DepthImage], cameras: int, max_gap_ms: float) -> bool:
     """Whether every camera has an image of nearly the same instant."""
-    stamps = [stamp for stamp, _ in latest.values()]
+    stamps = [image.stamp_ns for image in latest.values()]
     return len(latest) == cameras and max(stamps) - min(stamps) <= max_gap_ms * NS_PER_MS
 
 

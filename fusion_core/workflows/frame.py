@@ -31,7 +31,7 @@ from fusion_core.denoising.noise import Classes, FrameWindow, classify
 from fusion_core.denoising.repair import Repair, repair
 from fusion_core.model.conventions import NS_PER_S, Float32Array
 from fusion_core.model.errors import AlignmentFailed, RegistrationFailed
-from fusion_core.model.rig import Mount
+from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.registration.ransac import Registration, register
 from fusion_core.workflows.align import Alignment, T_lidar_camera_at, search_rows, turned_rad
@@ -47,6 +47,8 @@ class FusedFrame:
 
     ``peaks``: each metric's peak with the recording as prior; ``peaks_alone`` without it. A metric
     without a peak is absent. ``registration`` is None where it failed, and ``refusal`` says why.
+    ``u_of_rig``: what to add to a peak's u, which is the camera's own, to get that of the
+    recording's field; not 0 where several cameras make a panorama.
     ``turned_rad``: the turn from scan to image that the pairs were corrected by.
     """
 
@@ -60,6 +62,7 @@ class FusedFrame:
     fields: dict[Metric, SimilarityField]
     peaks: dict[Metric, Peak]
     peaks_alone: dict[Metric, Peak]
+    u_of_rig: float
     row_model: RowModel
     registration: Registration | None
     refusal: str
@@ -92,8 +95,10 @@ def fuse_frame(
     settings: ChainSettings,
     *,
     image: DepthImage,
+    before: tuple[int, Float32Array] | None = None,
 ) -> FusedFrame:
-    """Run the chain on one pair. ``depth_m``: (H', W') upright view.
+    """Run the chain on one pair. ``depth_m``: (H', W') upright view; ``before``: stamp and view of
+    the camera's image before, where there is one.
 
     Raises AlignmentFailed where the frame is paired by its own (u, v) and has none.
     """
@@ -143,6 +148,8 @@ def fuse_frame(
             scan_after=window.after,
             shift_before=_beams_turned(window.before, scan, rate),
             shift_after=_beams_turned(window.after, scan, rate),
+            depth_before_m=None if before is None else before[1],
+            columns_before=_columns_turned(before, stamp_ns, rate, model),
         ),
         settings.noise,
         alignment.scale,
@@ -159,6 +166,7 @@ def fuse_frame(
         fields=fields,
         peaks=peaks,
         peaks_alone=alone,
+        u_of_rig=(row.left_rad - alignment.row.left_rad) / curve.step_rad,
         row_model=pairs.model,
         registration=registration,
         refusal=refusal,
@@ -209,6 +217,17 @@ def _by_own_peak(
         pairs, lidar, depth, registration.A, registration.A_inverse, registration.residual_m
     )
     return pairs, registration, ""
+
+
+def _columns_turned(
+    before: tuple[int, Float32Array] | None, stamp_ns: int, rate_rad_s: float, camera: Camera
+) -> float:
+    """Columns to the right by which a surface lay in the image before."""
+    if before is None or not np.isfinite(rate_rad_s):
+        return 0.0
+    turned = rate_rad_s * (stamp_ns - before[0]) / NS_PER_S
+    # A camera that turns left moves what it sees to the right.
+    return -turned * camera.intrinsics.fx
 
 
 def _beams_turned(other: LaserScan | None, scan: LaserScan, rate_rad_s: float) -> int:

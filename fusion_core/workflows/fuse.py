@@ -45,7 +45,10 @@ from fusion_core.workflows.tables import (
 
 @dataclass(frozen=True, kw_only=True)
 class FuseOptions:
-    """What a person asks of a run; the chain's own settings are in the preset and the file."""
+    """What a person asks of a run; the chain's own settings are in the preset and the file.
+
+    ``seed`` goes over theirs; None leaves it to them.
+    """
 
     preset: PresetName = "default"
     settings_file: Path | None = None
@@ -57,7 +60,7 @@ class FuseOptions:
     maps: bool = True
     figures: bool = True
     truth: Path | None = None
-    seed: int = 0
+    seed: int | None = None
     force: bool = False
     overwrite: bool = False
 
@@ -187,24 +190,28 @@ def fuse_session(
     session: Session, alignment: Alignment, clock_offset_ms: float = 0.0
 ) -> Iterator[LaserScan | PairedImage | FusedFrame]:
     """Pass 2: scans as they arrive, fused frames, and the images that could not be fused."""
+    before: dict[int, tuple[int, Float32Array]] = {}
     for entry in session.pairs(clock_offset_ms):
         if isinstance(entry, LaserScan) or entry.window is None:
             yield entry
             continue
+        depth_m = session.depth_of(entry.camera, entry.image.depth_m)
         try:
             yield fuse_frame(
                 session.rig,
                 entry.camera,
-                session.depth_of(entry.camera, entry.image.depth_m),
+                depth_m,
                 entry.image.stamp_ns,
                 entry.window,
                 entry.gap_ns,
                 alignment,
                 session.settings,
                 image=entry.image,
+                before=before.get(entry.camera),
             )
         except AlignmentFailed:
             yield entry
+        before[entry.camera] = (entry.image.stamp_ns, depth_m)
 
 
 def fuse(
@@ -223,7 +230,7 @@ def fuse(
             output,
             inputs=inputs,
             settings_text=settings_text + _asked(options),
-            seed=options.seed,
+            seed=settings.registration.seed,
             force=options.force,
             overwrite=options.overwrite,
             progress=progress,
@@ -291,14 +298,16 @@ def _run(
             folder / "alignment.json", json.dumps(document, indent=2, allow_nan=False) + "\n"
         )
         write_text(folder / "settings.toml", settings_text)
+        figure_notes: list[str] = []
         if options.figures:
             progress(0, None, "drawing figures")
-            write_figures(
+            figure_notes = write_figures(
                 folder / "figures",
                 session,
                 alignment,
                 outcome.figures,
                 outcome.grids,
+                preset=preset,
                 fuse_dir=folder,
                 truth=options.truth,
             )
@@ -309,7 +318,7 @@ def _run(
             frames=outcome.frames,
             paired=outcome.paired,
             lidar_counts=outcome.lidar_counts,
-            notes=(*notes, *session.recording.warnings),
+            notes=(*notes, *figure_notes, *session.recording.warnings),
         )
         kept = summary.to_json()
         kept = {key: kept[key] for key in ("frames", "paired", "classes", "notes")}
@@ -370,6 +379,8 @@ def _write_frames(
         for entry in fuse_session(session, alignment, clock_offset_ms):
             if isinstance(entry, LaserScan):
                 merge.arrive(entry)
+                for raw, repaired in merge.finished():
+                    write_scan(raw, repaired)
                 continue
             frames += 1
             progress(frames, session.image_count, "fusing")
@@ -380,7 +391,7 @@ def _write_frames(
                 continue
             paired += 1
             topic = topics[entry.camera]
-            frame_table.append(frame_row(topic, entry, alignment))
+            frame_table.append(frame_row(topic, entry, alignment, session.rig))
             sample_table.append(sample_columns(topic, entry, session.rig))
             mcap.write_depth(topic, repaired_image(entry, session.rig))
             merge.add(entry)
@@ -394,8 +405,6 @@ def _write_frames(
             ):
                 counts[name] = counts.get(name, 0) + int(count)
             last_stamp_ns = max(last_stamp_ns, entry.stamp_ns)
-            for raw, repaired in merge.finished(entry.scan.stamp_ns):
-                write_scan(raw, repaired)
         for raw, repaired in merge.rest():
             write_scan(raw, repaired)
         if maps is not None:
@@ -422,4 +431,3 @@ def repaired_image(frame: FusedFrame, rig: Rig) -> DepthImage:
     changed &= frame.repair.depth_m != frame.pairs.depth_m
     depth_m[row[changed], column[changed]] = frame.repair.depth_m[changed]
     return replace(frame.image, depth_m=depth_m)
-

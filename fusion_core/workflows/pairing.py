@@ -13,7 +13,7 @@ from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.rig import Rig
 
 # Streams of a log arrive a little out of step; what lies farther apart belongs to no pair.
-_SCANS_KEPT = 64
+SCANS_KEPT = 64
 _IMAGES_WAITING = 32
 
 
@@ -46,7 +46,7 @@ def paired_images(
     assert streams.lidar is not None, "build_rig refuses a recording without LiDAR"
     offset_ns = round(clock_offset_ms * NS_PER_MS)
     max_gap_ns = round(settings.max_gap_ms * NS_PER_MS)
-    scans: deque[LaserScan] = deque(maxlen=_SCANS_KEPT)
+    scans: deque[LaserScan] = deque(maxlen=SCANS_KEPT)
     waiting: deque[tuple[int, DepthImage]] = deque()
     topics = [camera.topic for camera in rig.cameras]
     for message in recording.messages([streams.lidar, *topics]):

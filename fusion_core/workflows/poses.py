@@ -119,8 +119,10 @@ def _from_topic(recording: Recording, topic: str, tree: TransformTree, lidar_fra
         )
     if not found:
         raise MissingStream(f"{topic} holds no poses.", file=recording.path)
-    target = lidar_frame if _joined(tree, body, lidar_frame) else body or lidar_frame
-    return _TreePoses(tree, _POSE_FRAME, target, topic)
+    if not body or _joined(tree, body, lidar_frame):
+        return _TreePoses(tree, _POSE_FRAME, lidar_frame, topic)
+    source = f"{topic} (of {body}, taken as {lidar_frame}: no static transforms join the two)"
+    return _TreePoses(tree, _POSE_FRAME, body, source)
 
 
 def _joined(tree: TransformTree, body: str, lidar_frame: str) -> bool:

@@ -60,16 +60,18 @@ PRESETS: dict[PresetName, ChainSettings] = {
         search=SearchSettings(metric="pearson", mask_holes=False, use_prior=False),
         registration=PUBLISHED,
         noise=NoiseSettings(epsilon=1.2, epsilon_unit="E", fault="rougher"),
-        repair=RepairSettings(prefer="other_sensor", farther_confidence=0.0),
+        repair=RepairSettings(
+            prefer="other_sensor", farther_confidence=0.0, depth_burr_confidence=0.0
+        ),
         pairing="frame",
     ),
 }
 
 
 def chain_settings(
-    preset: PresetName, settings_file: Path | None, seed: int
+    preset: PresetName, settings_file: Path | None, seed: int | None
 ) -> tuple[PresetName, ChainSettings]:
-    """The preset with a settings file's values over it and the seed of the run.
+    """The preset with a settings file's values over it and, where given, the seed over both.
 
     A file that names a preset decides on it. Raises SettingsError for what the file has wrong.
     """
@@ -88,5 +90,6 @@ def chain_settings(
     if settings_file is not None:
         classes = {name: type(value) for name, value in stages.items()}
         stages = load_toml(settings_file, classes, stages)
-    stages["registration"] = stages["registration"].model_copy(update={"seed": seed})
+    if seed is not None:
+        stages["registration"] = stages["registration"].model_copy(update={"seed": seed})
     return preset, base.model_copy(update=dict(stages))

@@ -26,6 +26,8 @@ from fusion_core.recordings.topics import Streams
 
 # Static transforms are repeated by latching drivers; these many messages hold any tree.
 _STATIC_MESSAGES = 500
+# A base in which a camera looks straight up or down is another optical frame: it is not level.
+_STEEPEST = 0.95
 _T_LEVEL = transform(R_BODY_OPTICAL, np.zeros(3))
 
 
@@ -42,10 +44,6 @@ class Rig:
     lidar_frame: str
     recorded: Mount | None
     notes: tuple[str, ...]
-
-    def index_of(self, topic: str) -> int:
-        """Position of a depth topic's camera."""
-        return [camera.topic for camera in self.cameras].index(topic)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,10 +76,11 @@ def build_rig(
             advice="Inspect depth alone with --virtual-lidar ROW, or name a topic with --lidar.",
         )
     notes = list(streams.notes)
-    lenses = [
-        _lens(recording, topic, info, sampling, notes)
-        for topic, info in zip(streams.depth, streams.camera_info, strict=True)
-    ]
+    topics = list(zip(streams.depth, streams.camera_info, strict=True))
+    if virtual and len(topics) > 1:
+        notes.append(f"The virtual LiDAR is cut from {topics[0][0]}; other cameras are left out.")
+        topics = topics[:1]
+    lenses = [_lens(recording, topic, info, sampling, notes) for topic, info in topics]
     tree, roots = _static_tree(recording, streams.tf_static)
     lidar_frame = ""
     if streams.lidar is not None:
@@ -190,13 +189,14 @@ def _poses(
         root = parents[root]
         seen.add(root)
     for base, name in ((lidar_frame.lstrip("/"), "lidar"), (root, "root")):
-        # An optical frame is not level: it is no base for its own camera.
         if not base or base == frames[0]:
             continue
         try:
-            return [tree.lookup(base, frame, 0) for frame in frames], name
+            poses = [tree.lookup(base, frame, 0) for frame in frames]
         except ScanLoomError:
             continue
+        if all(abs(T_base_camera[2, 2]) < _STEEPEST for T_base_camera in poses):
+            return poses, name
     return None, ""
 
 

@@ -5,12 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from fusion_core.model.classes import NoiseClass
-from fusion_core.model.conventions import NS_PER_S, FloatArray
+from fusion_core.model.conventions import FloatArray
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.frame import FusedFrame
-
-# Images arrive in the order of their log; a scan this much older than the last one waits for none.
-_PATIENCE_NS = 2 * NS_PER_S
+from fusion_core.workflows.pairing import SCANS_KEPT
 
 
 class _Pending:
@@ -30,17 +28,16 @@ class ScanMerge:
     """
 
     def __init__(self) -> None:
+        # By identity: some drivers give two scans one stamp.
         self._pending: dict[int, _Pending] = {}
 
     def arrive(self, scan: LaserScan) -> None:
         """A scan as it comes from the recording."""
-        self._pending.setdefault(scan.stamp_ns, _Pending(scan))
+        self._pending[id(scan)] = _Pending(scan)
 
     def add(self, frame: FusedFrame) -> None:
-        """The repairs of one image."""
-        pending = self._pending.get(frame.scan.stamp_ns)
-        if pending is None:
-            return
+        """The repairs of one image, whose scan must still wait."""
+        pending = self._pending[id(frame.scan)]
         beam = frame.pairs.beam
         nearer = abs(frame.gap_ns) < pending.gap_ns[beam]
         beam = beam[nearer]
@@ -48,16 +45,16 @@ class ScanMerge:
         pending.ranges_m[beam] = frame.repair.lidar_range_m[nearer]
         pending.codes[beam] = frame.classes.lidar_class[nearer]
 
-    def finished(self, stamp_ns: int) -> Iterator[tuple[LaserScan, LaserScan]]:
-        """Raw and repaired scans that are old enough at ``stamp_ns``, in order of arrival."""
-        for key in [key for key in self._pending if key < stamp_ns - _PATIENCE_NS]:
-            yield self._take(key)
+    def finished(self) -> Iterator[tuple[LaserScan, LaserScan]]:
+        """Raw and repaired scans that no image can be paired with any more, in order of arrival."""
+        while len(self._pending) > SCANS_KEPT:
+            yield self._take_oldest()
 
     def rest(self) -> Iterator[tuple[LaserScan, LaserScan]]:
         """All that still wait."""
-        for key in list(self._pending):
-            yield self._take(key)
+        while self._pending:
+            yield self._take_oldest()
 
-    def _take(self, key: int) -> tuple[LaserScan, LaserScan]:
-        pending = self._pending.pop(key)
+    def _take_oldest(self) -> tuple[LaserScan, LaserScan]:
+        pending = self._pending.pop(next(iter(self._pending)))
         return pending.scan, pending.scan.with_ranges(pending.ranges_m, pending.codes)

@@ -72,42 +72,48 @@ def unpaired_row(topic: str, entry: PairedImage) -> dict[str, object]:
     return row
 
 
-def frame_row(topic: str, frame: FusedFrame, alignment: Alignment) -> dict[str, object]:
-    """The row of a fused image."""
+def frame_row(topic: str, frame: FusedFrame, alignment: Alignment, rig: Rig) -> dict[str, object]:
+    """The row of a fused image. Depth is counted where the stored image has the pixel."""
     peak = frame.peaks.get(alignment.metric)
     alone = frame.peaks_alone.get(alignment.metric)
     registration = frame.registration
+    stored_row, _ = rig.views[frame.camera].stored_pixels(frame.pairs.row, frame.pairs.column)
+    stored = stored_row >= 0
     row: dict[str, object] = dict.fromkeys(FRAME_COLUMNS)
     row.update(
         camera=topic,
         stamp_ns=frame.stamp_ns,
         scan_stamp_ns=frame.scan.stamp_ns,
         gap_ms=frame.gap_ns / NS_PER_MS,
-        u_alone=None if alone is None else alone.u,
+        u_alone=None if alone is None else alone.u + frame.u_of_rig,
         row_model=frame.row_model,
         inliers=None if registration is None else int(registration.inliers.sum()),
         mean_error_m=None if registration is None else registration.mean_error_m,
         sigma_m=frame.sigma_m,
         epsilon_m=frame.epsilon_m,
         repaired_lidar=_repaired(frame.repair.lidar_source),
-        repaired_depth=_repaired(frame.repair.depth_source),
+        repaired_depth=_repaired(frame.repair.depth_source[stored]),
         registration_refused=frame.refusal or None,
     )
     if peak is not None:
         row.update(
-            u=peak.u, v=peak.v, score=peak.score, peak_ratio=peak.ratio, overlap=peak.overlap
+            u=peak.u + frame.u_of_rig,
+            v=peak.v,
+            score=peak.score,
+            peak_ratio=peak.ratio,
+            overlap=peak.overlap,
         )
     for name, classes in (
         ("lidar", frame.classes.lidar_class),
-        ("depth", frame.classes.depth_class),
+        ("depth", frame.classes.depth_class[stored]),
     ):
         for noise in NoiseClass:
             row[f"{name}_{noise.name.lower()}"] = int((classes == noise).sum())
     for metric in METRICS:
         if metric in frame.peaks:
-            row[f"u_{metric}"] = frame.peaks[metric].u
+            row[f"u_{metric}"] = frame.peaks[metric].u + frame.u_of_rig
         if metric in frame.peaks_alone:
-            row[f"u_alone_{metric}"] = frame.peaks_alone[metric].u
+            row[f"u_alone_{metric}"] = frame.peaks_alone[metric].u + frame.u_of_rig
     return row
 
 

@@ -1,0 +1,164 @@
+"""What all figures share: one look, one way to draw an image, and the same bytes each time."""
+
+import io
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fusion_core.exporting.atomic import write_bytes
+from fusion_core.exporting.palette import HOLE
+from fusion_core.model.conventions import (
+    NS_PER_S,
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    wrap_angle,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap
+    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.image import AxesImage
+
+_DPI = 100
+_STYLE = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "figure.titlesize": 11.5,
+    "legend.fontsize": 8.5,
+    "legend.framealpha": 0.9,
+    "axes.linewidth": 0.6,
+    "axes.grid": False,
+    "image.interpolation": "nearest",
+    # A dollar sign in a name is no mathematics.
+    "text.parse_math": False,
+}
+NO_VALUE_COLOR = "#d9d9d9"
+# Few shades keep the files small, and a shade can be found in the colour bar.
+_DEPTH_SHADES = 64
+
+
+@contextmanager
+def drawing(path: Path, heading: str, *, width_px: int, height_px: int) -> Iterator["Figure"]:
+    """A figure that is written as PNG when the block ends without error.
+
+    The bytes do not depend on the clock or on the user's matplotlib settings. Raises ExportError
+    where the file cannot be written.
+    """
+    import matplotlib.style
+    from matplotlib.figure import Figure
+
+    with matplotlib.style.context(["default", _STYLE]):
+        figure = Figure(figsize=(width_px / _DPI, height_px / _DPI), dpi=_DPI, layout="constrained")
+        figure.suptitle(heading)
+        yield figure
+        png = io.BytesIO()
+        figure.savefig(
+            png, format="png", metadata={"Software": None}, pil_kwargs={"optimize": True}
+        )
+    write_bytes(path, png.getvalue())
+
+
+def show_color(axes: "Axes", rgb: ByteArray) -> None:
+    """A colour image with its pixel numbers."""
+    axes.imshow(rgb)
+    _name_pixels(axes)
+
+
+def depth_shades() -> "Colormap":
+    """Grey for depths, near dark; holes in their colour."""
+    import matplotlib as mpl
+
+    return mpl.colormaps["gray"].resampled(_DEPTH_SHADES).with_extremes(bad=HOLE)
+
+
+def show_depth(axes: "Axes", depth_m: Float32Array, *, far_m: float) -> None:
+    """A depth image with a colour bar."""
+    image = axes.imshow(depth_m, cmap=depth_shades(), vmin=0.0, vmax=far_m)
+    _name_pixels(axes)
+    add_color_bar(axes, image, "depth along the optical axis (m)")
+
+
+def add_color_bar(axes: "Axes", image: "AxesImage", label: str) -> None:
+    """A colour bar to the right of ``axes``."""
+    figure = axes.get_figure()
+    assert figure is not None, "axes are made by a figure"
+    figure.colorbar(image, ax=axes, label=label, pad=0.02)
+
+
+def add_legend_below(
+    figure: "Figure | SubFigure", panels: "Iterable[Axes]", *, columns: int
+) -> None:
+    """One legend for all panels, below them, each entry once."""
+    entries: dict[str, Artist] = {}
+    for axes in panels:
+        handles, labels = axes.get_legend_handles_labels()
+        for handle, label in zip(handles, labels, strict=True):
+            entries.setdefault(label, handle)
+    figure.legend(
+        entries.values(), entries.keys(), loc="outside lower center", ncols=columns, frameon=False
+    )
+
+
+def _name_pixels(axes: "Axes") -> None:
+    axes.set_xlabel("column (px)")
+    axes.set_ylabel("row (px)")
+
+
+def show_holes(axes: "Axes", azimuth_deg: FloatArray, range_m: FloatArray) -> None:
+    """A tick at range 0 for each beam without a value."""
+    empty = ~np.isfinite(range_m)
+    if empty.any():
+        axes.plot(
+            azimuth_deg[empty],
+            np.zeros(empty.sum()),
+            "|",
+            color=HOLE,
+            ms=10,
+            mew=1.2,
+            clip_on=False,
+            label="hole: beam without a value",
+        )
+
+
+def far_limit_m(depth_m: Float32Array) -> float:
+    """Where the depth scale ends: beyond nearly all depths, 1 m for an image of holes."""
+    valid = depth_m[np.isfinite(depth_m)]
+    return float(np.percentile(valid, 99.5)) if valid.size else 1.0
+
+
+def continuous_deg(azimuth_rad: FloatArray, middle_rad: float) -> FloatArray:
+    """Azimuths in degrees without a jump near ``middle_rad``."""
+    degrees: FloatArray = np.rad2deg(middle_rad + wrap_angle(azimuth_rad - middle_rad))
+    return degrees
+
+
+def middle_of_view_rad(azimuth_rad: FloatArray) -> float:
+    """Mean direction of azimuths, 0 for none."""
+    return float(np.angle(np.exp(1j * azimuth_rad).sum()))
+
+
+def name_azimuth(axes: "Axes") -> None:
+    """Label an axis of azimuths; they rise to the left, as seen."""
+    axes.set_xlabel("azimuth in the LiDAR frame (°)")
+    if not axes.xaxis_inverted():
+        axes.invert_xaxis()
+
+
+def later(delay_ms: float, than: str) -> str:
+    """How long after ``than``, in words."""
+    if delay_ms == 0.0:
+        return f"at the stamp of {than}"
+    return f"{abs(delay_ms):.1f} ms {'after' if delay_ms > 0.0 else 'before'} {than}"
+
+
+def seconds(stamp_ns: int) -> str:
+    """A stamp in seconds, to the millisecond."""
+    whole, rest_ns = divmod(stamp_ns, NS_PER_S)
+    return f"{whole}.{rest_ns // 1_000_000:03d} s"

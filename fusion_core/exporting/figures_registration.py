@@ -1,0 +1,142 @@
+"""Figs. 5 and 6 of Xu 2024: pairs before and after RANSAC, and the recalls over epsilon."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fusion_core.exporting.figures import add_legend_below, drawing
+from fusion_core.exporting.palette import BURR, DEPTH, GOOD, LIDAR
+from fusion_core.model.conventions import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+def write_pairs(
+    path: Path,
+    heading: str,
+    *,
+    lidar_points_m: FloatArray,
+    depth_points_m: FloatArray,
+    inliers: BoolArray,
+    model: str,
+    mean_error_m: float,
+    threshold_m: float,
+    axis_names: tuple[str, str],
+) -> None:
+    """Fig. 5: points of both curves, lines between all pairs, and between RANSAC's inliers.
+
+    The points are (m, 2), NaN where missing, as RANSAC had them; ``inliers``: (m,).
+    ``axis_names`` say what x and z are.
+    """
+    paired = np.isfinite(lidar_points_m).all(axis=1) & np.isfinite(depth_points_m).all(axis=1)
+    kept = paired & inliers
+    with drawing(path, heading, width_px=1560, height_px=660) as figure:
+        panels = figure.subplots(1, 3)
+        titles = (
+            f"(a) {_count(lidar_points_m)} LiDAR points, {_count(depth_points_m)} depth points",
+            f"(b) all {paired.sum()} pairs, mean error under A: E = {mean_error_m:.3f} m",
+            f"(c) {kept.sum()} inliers, to within {threshold_m:g} m under A ({model})",
+        )
+        x_limits, z_limits = _square_limits(np.vstack([lidar_points_m, depth_points_m]))
+        for axes, title in zip(panels, titles, strict=True):
+            axes.set_title(title)
+            axes.set_aspect("equal")
+            axes.set_xlim(*x_limits)
+            axes.set_ylim(*z_limits)
+            axes.set_xlabel(axis_names[0])
+            axes.set_ylabel(axis_names[1])
+            axes.grid(lw=0.3, color="0.85")
+        _show_points(panels[0], lidar_points_m, depth_points_m)
+        _show_points(panels[1], lidar_points_m[paired], depth_points_m[paired])
+        _show_points(panels[2], lidar_points_m[kept], depth_points_m[kept])
+        outlier = paired & ~inliers
+        _join(panels[1], lidar_points_m[kept], depth_points_m[kept], GOOD, "inlier")
+        _join(panels[1], lidar_points_m[outlier], depth_points_m[outlier], BURR, "outlier")
+        _join(panels[2], lidar_points_m[kept], depth_points_m[kept], GOOD, "inlier")
+        add_legend_below(figure, panels, columns=4)
+
+
+def _square_limits(points_m: FloatArray) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Limits of x and z of one length around all (m, 2) points."""
+    points_m = points_m[np.isfinite(points_m).all(axis=1)]
+    if points_m.size == 0:
+        return (-1.0, 1.0), (-1.0, 1.0)
+    low, high = points_m.min(axis=0), points_m.max(axis=0)
+    half = 0.54 * max(float((high - low).max()), 0.1)
+    (x, z) = 0.5 * (low + high)
+    return (x - half, x + half), (z - half, z + half)
+
+
+def _count(points_m: FloatArray) -> int:
+    return int(np.isfinite(points_m).all(axis=1).sum())
+
+
+def _show_points(axes: "Axes", lidar_m: FloatArray, depth_m: FloatArray) -> None:
+    axes.plot(*lidar_m.T, ".", color=LIDAR, ms=5, label="LiDAR", zorder=3)
+    axes.plot(*depth_m.T, ".", color=DEPTH, ms=3, label="depth", zorder=3)
+
+
+def _join(axes: "Axes", lidar_m: FloatArray, depth_m: FloatArray, color: str, label: str) -> None:
+    from matplotlib.collections import LineCollection
+
+    lines = np.stack([lidar_m, depth_m], axis=1)
+    if len(lines):
+        axes.add_collection(
+            LineCollection(list(lines), colors=color, linewidths=0.9, label=f"{label} pair")
+        )
+
+
+def write_recall(
+    path: Path,
+    heading: str,
+    *,
+    epsilon_over_E: FloatArray,
+    xi: Sequence[float] | None,
+    eta: Sequence[float] | None,
+    band: tuple[float, float],
+    own_epsilon_over_E: float,
+    own_xi: float | None,
+    own_eta: float | None,
+) -> None:
+    """Fig. 6: share of good pairs kept (xi) and of noise pairs found (eta) over epsilon / E.
+
+    ``own_...``: the run's own threshold (median over its frames, NaN where there is none) and what
+    its classes reach, which see neighbours too.
+    """
+    with drawing(path, heading, width_px=1000, height_px=700) as figure:
+        axes = figure.subplots()
+        axes.axvspan(*band, color="0.88", label="band of Xu 2024: E to √2 E")
+        if np.isfinite(own_epsilon_over_E):
+            axes.axvline(
+                own_epsilon_over_E,
+                color="black",
+                lw=1.0,
+                ls="--",
+                label=f"this run's median ε = {own_epsilon_over_E:.2f} E",
+            )
+        for recall, own, color, label in (
+            (xi, own_xi, GOOD, "ξ: good pairs kept"),
+            (eta, own_eta, BURR, "η: noise pairs found"),
+        ):
+            if recall is not None:
+                axes.plot(epsilon_over_E, recall, ".-", color=color, label=f"{label}, by ε alone")
+            if own is not None and np.isfinite(own_epsilon_over_E):
+                axes.plot(
+                    own_epsilon_over_E,
+                    own,
+                    "*",
+                    color=color,
+                    ms=15,
+                    mec="black",
+                    mew=0.6,
+                    label=f"{label}, by this run's classes: {own:.3f}",
+                )
+        axes.set_xlabel("threshold ε in multiples of the frame's mean error E")
+        axes.set_ylabel("recall")
+        axes.set_xlim(0.0, float(max(epsilon_over_E[-1], np.nan_to_num(own_epsilon_over_E))) + 0.2)
+        axes.set_ylim(-0.02, 1.04)
+        axes.grid(lw=0.3, color="0.85")
+        add_legend_below(figure, [axes], columns=2)

@@ -1,0 +1,319 @@
+"""Figs. 7 and 8 of Xu 2024: a frame before and after denoising, and its fused depth image."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fusion_core.exporting.figures import (
+    add_legend_below,
+    continuous_deg,
+    depth_shades,
+    drawing,
+    far_limit_m,
+    middle_of_view_rad,
+    name_azimuth,
+    show_color,
+    show_depth,
+    show_holes,
+)
+from fusion_core.exporting.palette import BURR, CONFLICT, DEPTH, GOOD, LIDAR
+from fusion_core.model.classes import NoiseClass, RepairSource
+from fusion_core.model.conventions import (
+    BoolArray,
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_BAND_ROWS = 7
+"""Rows shown above and below the curve in the enlarged band."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RepairedCurve:
+    """The beams in view with their pixels, raw and repaired: arrays over the B beams.
+
+    ``row``, ``column``: -1 where a beam has no pixel. ``lidar_m``: ranges, ``depth_m``: depths
+    along the optical axis, ``depth_as_range_m``: as horizontal ranges. NaN where missing.
+    Classes are codes of NoiseClass (-1 without a pixel), sources of RepairSource.
+    """
+
+    azimuth_rad: FloatArray
+    beam: IntArray
+    row: IntArray
+    column: IntArray
+    lidar_m: FloatArray
+    lidar_repaired_m: FloatArray
+    lidar_class: IntArray
+    lidar_source: IntArray
+    depth_m: FloatArray
+    depth_repaired_m: FloatArray
+    depth_class: IntArray
+    depth_source: IntArray
+    depth_as_range_m: FloatArray
+    camera_range_m: FloatArray
+
+    @property
+    def azimuth_deg(self) -> FloatArray:
+        """(B,) without a jump inside the view."""
+        return continuous_deg(self.azimuth_rad, middle_of_view_rad(self.azimuth_rad))
+
+    @property
+    def depth_changed(self) -> BoolArray:
+        """(B,) pixels that have another value than before."""
+        return _is_repaired(self.depth_source)
+
+
+def _is_repaired(source: IntArray) -> BoolArray:
+    return np.isin(source, (RepairSource.OTHER_SENSOR, RepairSource.NEIGHBOURS))
+
+
+def fused_depth_m(depth_m: Float32Array, curve: RepairedCurve) -> Float32Array:
+    """(H, W) image with the repaired pixels of the curve."""
+    fused = depth_m.copy()
+    changed = curve.depth_changed
+    fused[curve.row[changed], curve.column[changed]] = curve.depth_repaired_m[changed]
+    return fused
+
+
+def write_repair(
+    path: Path, heading: str, depth_m: Float32Array, curve: RepairedCurve, *, range_max_m: float
+) -> None:
+    """Fig. 7: depth image, the band around the curve enlarged, and the LiDAR curve, before and
+    after."""
+    far_m = far_limit_m(depth_m)
+    with drawing(path, heading, width_px=1500, height_px=1320) as figure:
+        grid = figure.subplots(3, 2, height_ratios=(1.6, 0.6, 1.1))
+        for i, (when, image_m) in enumerate(
+            (("before", depth_m), ("after", fused_depth_m(depth_m, curve)))
+        ):
+            show_depth(grid[0, i], image_m, far_m=far_m)
+            grid[0, i].set_title(f"({'ab'[i]}) depth image {when} denoising, holes in blue")
+            _show_curve_in_image(grid[0, i], curve, after=i == 1)
+            _show_band(grid[1, i], image_m, curve, far_m, after=i == 1)
+            _show_lidar(grid[2, i], curve, range_max_m, after=i == 1)
+            grid[1, i].sharex(grid[2, i])
+        add_legend_below(figure, grid.ravel(), columns=5)
+        figure.supxlabel(
+            "Noise types of Xu 2024 §2.3.2, each at its longest stretch. A: hole on both sensors. "
+            "B: hole on this sensor alone. C: burr. Hatched: beams that meet no pixel.",
+            fontsize=9,
+        )
+
+
+def _show_curve_in_image(axes: "Axes", curve: RepairedCurve, *, after: bool) -> None:
+    inside = curve.row >= 0
+    order = np.argsort(curve.column[inside], kind="stable")
+    axes.plot(
+        curve.column[inside][order],
+        curve.row[inside][order],
+        color=LIDAR,
+        lw=1.0,
+        label="LiDAR curve in the image",
+    )
+    if after:
+        _mark_sources(axes, curve.column, curve.row, curve.depth_source, "LiDAR", LIDAR)
+
+
+def _mark_sources(
+    axes: "Axes",
+    x: FloatArray | IntArray,
+    y: FloatArray | IntArray,
+    source: IntArray,
+    other: str,
+    color: str,
+) -> None:
+    for code, label, face in (
+        (RepairSource.OTHER_SENSOR, f"repaired from the {other}", color),
+        (RepairSource.NEIGHBOURS, "repaired from neighbours", GOOD),
+    ):
+        mine = source == code
+        if mine.any():
+            axes.plot(
+                x[mine], y[mine], "o", color=face, ms=4, mec="black", mew=0.4, label=label, zorder=4
+            )
+
+
+def _show_band(
+    axes: "Axes", depth_m: Float32Array, curve: RepairedCurve, far_m: float, *, after: bool
+) -> None:
+    """The rows around the curve, straightened: one column of the band for each beam."""
+    from matplotlib.colors import Normalize
+
+    azimuth_deg = curve.azimuth_deg
+    band_m, outside = straightened_band_m(depth_m, curve)
+    shades = depth_shades()(Normalize(0.0, far_m)(np.ma.masked_invalid(band_m)))
+    shades[outside, 3] = 0.0
+    half_beam_deg = 0.5 * (azimuth_deg.max() - azimuth_deg.min()) / max(1, band_m.shape[1] - 1)
+    axes.patch.set(hatch="////", edgecolor="0.75")
+    axes.imshow(
+        shades,
+        aspect="auto",
+        extent=(
+            azimuth_deg.max() + half_beam_deg,
+            azimuth_deg.min() - half_beam_deg,
+            _BAND_ROWS + 0.5,
+            -_BAND_ROWS - 0.5,
+        ),
+    )
+    for edge in (-0.5, 0.5):
+        axes.axhline(edge, color=LIDAR, lw=0.6)
+    if after:
+        above = np.full(azimuth_deg.size, -1.6)
+        _mark_sources(axes, azimuth_deg, above, curve.depth_source, "LiDAR", LIDAR)
+    else:
+        _label_noise(axes, curve, curve.depth_class, curve.lidar_class, (-5.8, -3.2, 4.5))
+    axes.set_ylabel("rows from\nthe curve (px)")
+    axes.set_title("the band around the curve, straightened and enlarged")
+    name_azimuth(axes)
+
+
+def straightened_band_m(
+    depth_m: Float32Array, curve: RepairedCurve
+) -> tuple[FloatArray, BoolArray]:
+    """Depths of the rows around the curve, (2 k + 1, beams from left to right), NaN where missing,
+    and where there is no pixel at all."""
+    azimuth_rad = np.deg2rad(curve.azimuth_deg)
+    step_rad = float(np.abs(np.diff(np.sort(azimuth_rad))).min(initial=np.inf))
+    place = np.rint((azimuth_rad.max() - azimuth_rad) / step_rad).astype(np.int64)
+    rows = curve.row + np.arange(-_BAND_ROWS, _BAND_ROWS + 1)[:, np.newaxis]
+    inside = (curve.row >= 0) & (rows >= 0) & (rows < depth_m.shape[0])
+    band_m = np.full((rows.shape[0], int(place.max()) + 1), np.nan)
+    outside = np.ones(band_m.shape, dtype=np.bool_)
+    band_m[:, place] = np.where(inside, depth_m[np.where(inside, rows, 0), curve.column], np.nan)
+    outside[:, place] = ~inside
+    return band_m, outside
+
+
+def _show_lidar(axes: "Axes", curve: RepairedCurve, range_max_m: float, *, after: bool) -> None:
+    azimuth_deg = curve.azimuth_deg
+    axes.plot(
+        azimuth_deg,
+        curve.camera_range_m,
+        ".",
+        color=DEPTH,
+        ms=2,
+        label="what the camera sees there",
+    )
+    repaired = _is_repaired(curve.lidar_source) & after
+    shown_m = curve.lidar_repaired_m if after else curve.lidar_m
+    for noise, color, marker, label in (
+        (NoiseClass.GOOD, LIDAR, ".", "good beam"),
+        (NoiseClass.BURR, BURR, "X", "burr"),
+        (NoiseClass.CONFLICT, CONFLICT, "D", "conflict: two real surfaces"),
+    ):
+        mine = ~repaired & (curve.lidar_class == noise)
+        if mine.any():
+            axes.plot(azimuth_deg[mine], shown_m[mine], marker, color=color, ms=5, label=label)
+    show_holes(axes, azimuth_deg, shown_m)
+    if after:
+        _mark_sources(axes, azimuth_deg, shown_m, curve.lidar_source, "depth image", DEPTH)
+    else:
+        heights_m = tuple(share * range_max_m for share in (1.05, 0.94, 0.83))
+        _label_noise(axes, curve, curve.lidar_class, curve.depth_class, heights_m)
+    axes.set_ylim(0.0, 1.12 * range_max_m)
+    axes.set_ylabel("horizontal range (m)")
+    axes.set_title(f"LiDAR curve {'after' if after else 'before'} denoising")
+    name_azimuth(axes)
+
+
+def _label_noise(
+    axes: "Axes", curve: RepairedCurve, own: IntArray, other: IntArray, heights: tuple[float, ...]
+) -> None:
+    """A, B and C, each at its height, over the longest stretch of each noise type."""
+    hole = own == NoiseClass.HOLE
+    types = {
+        "A": hole & (other == NoiseClass.HOLE),
+        "B": hole & (other >= 0) & (other != NoiseClass.HOLE),
+        "C": own == NoiseClass.BURR,
+    }
+    azimuth_deg = curve.azimuth_deg
+    for (letter, mask), y in zip(types.items(), heights, strict=True):
+        stretch = longest_stretch(mask, curve.beam)
+        if stretch.size == 0:
+            continue
+        ends = azimuth_deg[stretch]
+        axes.axvspan(ends.min() - 0.2, ends.max() + 0.2, color=BURR, alpha=0.18, lw=0)
+        axes.text(
+            float(ends.mean()),
+            y,
+            letter,
+            ha="center",
+            va="center",
+            weight="bold",
+            bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "linewidth": 0.5},
+        )
+
+
+def longest_stretch(mask: BoolArray, beam: IntArray) -> IntArray:
+    """Positions of the longest run of adjacent beams in ``mask``, the first of equal ones."""
+    chosen = np.flatnonzero(mask)
+    if chosen.size == 0:
+        return chosen
+    breaks = np.flatnonzero((np.diff(chosen) != 1) | (np.diff(beam[chosen]) != 1)) + 1
+    return max(np.split(chosen, breaks), key=len)
+
+
+def write_fused_depth(
+    path: Path,
+    heading: str,
+    *,
+    color: ByteArray | None,
+    depth_m: Float32Array,
+    curve: RepairedCurve,
+) -> None:
+    """Fig. 8: colour and depth image, LiDAR and depth curve, and the fused depth image."""
+    far_m = far_limit_m(depth_m)
+    fused_m = fused_depth_m(depth_m, curve)
+    with drawing(path, heading, width_px=1400, height_px=1060) as figure:
+        axes = _four_panels(figure, color)
+        letters = iter("abcd")
+        if color is not None:
+            show_color(axes["color"], color)
+            axes["color"].set_title(f"({next(letters)}) colour image")
+        show_depth(axes["depth"], depth_m, far_m=far_m)
+        axes["depth"].set_title(f"({next(letters)}) depth image, holes in blue")
+        _show_both_curves(axes["curves"], curve)
+        axes["curves"].set_title(f"({next(letters)}) LiDAR curve and depth curve, raw")
+        show_depth(axes["fused"], fused_m, far_m=far_m)
+        changed = curve.depth_changed
+        axes["fused"].scatter(
+            curve.column[changed],
+            curve.row[changed],
+            c=curve.depth_repaired_m[changed],
+            cmap=depth_shades(),
+            vmin=0.0,
+            vmax=far_m,
+            marker="s",
+            s=16,
+            edgecolor=LIDAR,
+            linewidth=0.5,
+        )
+        axes["fused"].set_title(
+            f"({next(letters)}) fused depth image: {changed.sum()} repaired pixels,\n"
+            "drawn enlarged with an orange edge"
+        )
+
+
+def _four_panels(figure: "Figure", color: ByteArray | None) -> "dict[str, Axes]":
+    if color is None:
+        return figure.subplot_mosaic([["depth", "fused"], ["curves", "curves"]])
+    return figure.subplot_mosaic([["color", "depth"], ["curves", "fused"]])
+
+
+def _show_both_curves(axes: "Axes", curve: RepairedCurve) -> None:
+    azimuth_deg = curve.azimuth_deg
+    axes.plot(azimuth_deg, curve.lidar_m, ".", color=LIDAR, ms=5, label="LiDAR")
+    axes.plot(azimuth_deg, curve.depth_as_range_m, ".", color=DEPTH, ms=3, label="depth")
+    axes.set_ylabel("horizontal range (m)")
+    axes.set_ylim(bottom=0.0)
+    name_azimuth(axes)
+    axes.grid(lw=0.3, color="0.85")
+    axes.legend(loc="lower right")

@@ -1,0 +1,136 @@
+"""A rig of cameras in a room of boxes: the panorama against closed-form ranges."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from fusion_core.alignment.curves import SamplingSettings
+from fusion_core.alignment.panorama import Panorama
+from fusion_core.model.conventions import R_BODY_OPTICAL
+from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.rig import Camera
+from fusion_core.model.sensors import CameraIntrinsics
+
+LENS = CameraIntrinsics(width=120, height=60, fx=100.0, fy=100.0, cx=59.5, cy=29.5)
+SETTINGS = SamplingSettings(step_deg=1.0)
+RIG_IN_ROOM = np.array([2.6, 2.1, 1.2])
+HALF_STEP = 0.5 * np.deg2rad(1.0)
+
+# Yaw, pitch in degrees, and position in the rig: side by side with baselines of up to 12 cm.
+POSES = {
+    "three": [(50, 0, (0.0, 0.1, 0.0)), (0, 0, (0.04, 0, 0.02)), (-50, 0, (-0.03, -0.1, 0.0))],
+    "four": [
+        (0, 0, (0.05, 0.0, 0.0)),
+        (84, -4, (0.0, 0.12, 0.03)),
+        (-42, 3, (0.02, -0.06, 0.0)),
+        (42, 5, (0.02, 0.06, -0.05)),
+    ],
+}
+
+
+def camera_at(yaw_deg: float, pitch_deg: float, position: tuple[float, float, float]) -> Camera:
+    turn = rotation_from_yaw_pitch_roll(*np.deg2rad([yaw_deg, pitch_deg]), 0.0)
+    return Camera(
+        topic=f"depth {yaw_deg}",
+        intrinsics=LENS,
+        T_rig_camera=transform(turn @ R_BODY_OPTICAL, np.array(position, dtype=np.float64)),
+    )
+
+
+def seen(room, camera: Camera) -> np.ndarray:
+    T_room_rig = transform(np.eye(3), RIG_IN_ROOM)
+    return room.depth_m(T_room_rig @ camera.T_rig_camera, LENS).astype(np.float32)
+
+
+def walls_m(azimuths: np.ndarray) -> np.ndarray:
+    """Horizontal range from the rig's origin to the walls of the 6 m by 5 m room."""
+    x, y = RIG_IN_ROOM[:2]
+    with np.errstate(divide="ignore"):
+        to_x = np.where(np.cos(azimuths) > 0, 6.0 - x, -x) / np.cos(azimuths)
+        to_y = np.where(np.sin(azimuths) > 0, 5.0 - y, -y) / np.sin(azimuths)
+    return np.minimum(to_x, to_y)
+
+
+def expected_bounds(values: Callable[[np.ndarray], np.ndarray], azimuths: np.ndarray):
+    """Lowest and highest of a closed form within each sample's share of azimuth."""
+    around = azimuths + np.linspace(-HALF_STEP, HALF_STEP, 21)[:, np.newaxis]
+    return values(around).min(axis=0), values(around).max(axis=0)
+
+
+@pytest.mark.parametrize("name", POSES)
+def test_walls_lie_at_their_azimuth_and_range_from_the_rig(name: str, box_room) -> None:
+    cameras = [camera_at(*pose) for pose in POSES[name]]
+    room = box_room()
+    panorama = Panorama(cameras, SETTINGS)
+    samples_m = panorama.samples_m([seen(room, camera) for camera in cameras])
+    sampling = panorama.sampling
+    azimuths = sampling.left_rad - sampling.step_rad * np.arange(sampling.columns.size)
+    assert samples_m.shape == (LENS.height, azimuths.size)
+    low, high = expected_bounds(walls_m, azimuths)
+    # Rows near the horizon see walls only, whatever the small pitch of a camera.
+    middle = samples_m[27:33]
+    assert np.isfinite(middle).mean() > 0.97
+    near, far = middle >= low - 0.001, middle <= high + 0.001
+    assert (near & far)[np.isfinite(middle)].all()
+
+
+def test_the_field_of_view_is_that_of_all_cameras() -> None:
+    sampling = Panorama([camera_at(*pose) for pose in POSES["three"]], SETTINGS).sampling
+    half_fov = np.arctan(59.5 / 100.0)
+    right = sampling.left_rad - sampling.step_rad * (sampling.columns.size - 1)
+    # The outer cameras stand 0.1 m to the side; at 2 m that is at most 3 degrees.
+    assert sampling.left_rad == pytest.approx(np.deg2rad(50) + half_fov, abs=np.deg2rad(3.5))
+    assert right == pytest.approx(-np.deg2rad(50) - half_fov, abs=np.deg2rad(3.5))
+
+
+def test_rows_are_elevations_of_the_first_camera(box_room) -> None:
+    """The floor's range at row v is height / tan(elevation), seen from the rig's origin."""
+    cameras = [camera_at(0, 0, (0.0, 0.0, 0.0)), camera_at(45, 0, (0.0, 0.1, 0.0))]
+    room = box_room(size_m=(40.0, 40.0, 2.6))
+    T_room_rig = transform(np.eye(3), np.array([20.0, 20.0, 1.2]))
+    depths_m = [
+        room.depth_m(T_room_rig @ camera.T_rig_camera, LENS).astype(np.float32)
+        for camera in cameras
+    ]
+    samples_m = Panorama(cameras, SETTINGS).samples_m(depths_m)
+    for v in (45, 50, 55):
+        share = [(v - 0.5 - LENS.cy) / LENS.fy, (v + 0.5 - LENS.cy) / LENS.fy]
+        values = samples_m[v][np.isfinite(samples_m[v])]
+        assert values.size > 40
+        assert (values >= 1.2 / share[1] - 1e-3).all()
+        assert (values <= 1.2 / share[0] + 1e-3).all()
+
+
+def test_the_nearest_surface_wins() -> None:
+    cameras = [camera_at(0, 0, (0.0, 0.0, 0.0)), camera_at(0, 0, (0.0, 0.0, 0.0))]
+    near = np.full((60, 120), 1.5, dtype=np.float32)
+    far = np.full((60, 120), 3.0, dtype=np.float32)
+    near[:, :60] = np.nan
+    panorama = Panorama(cameras, SETTINGS)
+    one, other = panorama.samples_m([near, far]), panorama.samples_m([far, near])
+    np.testing.assert_array_equal(one, other)
+    azimuths = panorama.sampling.left_rad - panorama.sampling.step_rad * np.arange(one.shape[1])
+    across = one[29] * np.cos(azimuths)
+    assert across[azimuths > 0.02] == pytest.approx(3.0, rel=0.01)
+    assert across[azimuths < -0.02] == pytest.approx(1.5, rel=0.01)
+
+
+def test_where_no_camera_sees_anything_is_missing() -> None:
+    cameras = [camera_at(40, 0, (0.0, 0.0, 0.0)), camera_at(-40, 0, (0.0, 0.0, 0.0))]
+    depth = np.full((60, 120), 2.0, dtype=np.float32)
+    panorama = Panorama(cameras, SETTINGS)
+    samples_m = panorama.samples_m([depth, np.full_like(depth, np.nan)])
+    azimuths = panorama.sampling.left_rad - panorama.sampling.step_rad * np.arange(
+        samples_m.shape[1]
+    )
+    half_fov = np.arctan(60.0 / 100.0)
+    inside = azimuths > np.deg2rad(40) - half_fov + HALF_STEP
+    assert np.isfinite(samples_m[29, inside]).all()
+    assert np.isnan(samples_m[:, azimuths < np.deg2rad(40) - half_fov - HALF_STEP]).all()
+
+
+def test_each_camera_needs_its_image() -> None:
+    cameras = [camera_at(*pose) for pose in POSES["three"]]
+    with pytest.raises(ValueError, match="zip"):
+        Panorama(cameras, SETTINGS).samples_m([np.ones((60, 120), dtype=np.float32)])

@@ -1,0 +1,112 @@
+"""The noise scale: simulated residuals of a known scale, and what must never come out."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fusion_core.denoising.noise_scale import STATED, NoiseScale, learn_noise_scale
+
+
+def simulated(scale, *, count=6000, outliers=0.1, seed=0):
+    """Residuals of a known scale, with outliers spread over four metres."""
+    rng = np.random.default_rng(seed)
+    range_m = rng.uniform(0.5, 5.5, count)
+    residual_m = rng.normal(0.0, np.sqrt(scale.floor_m**2 + (scale.share * range_m) ** 2))
+    outlier = rng.random(count) < outliers
+    residual_m[outlier] = rng.uniform(-2.0, 2.0, outlier.sum())
+    return range_m, residual_m
+
+
+def test_the_scale_is_the_root_of_two_squares():
+    scale = NoiseScale(floor_m=0.03, share=0.01)
+    np.testing.assert_allclose(scale.at(np.array([0.0, 4.0])), [0.03, 0.05], rtol=1e-12)
+    assert np.isnan(scale.at(np.array([np.nan]))).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("floor_m", [0.008, 0.02])
+@pytest.mark.parametrize("share", [0.004, 0.015])
+def test_floor_and_share_are_recovered_among_outliers(floor_m, share, seed):
+    truth = NoiseScale(floor_m=floor_m, share=share)
+    learned = learn_noise_scale(*simulated(truth, seed=seed))
+    range_m = np.array([1.0, 2.0, 3.5, 5.0])
+    # Outliers within the first cut pass for noise: a few percent more than the truth.
+    np.testing.assert_allclose(learned.at(range_m), truth.at(range_m), rtol=0.15)
+
+
+def test_without_outliers_the_parameters_themselves_are_near():
+    truth = NoiseScale(floor_m=0.012, share=0.01)
+    learned = learn_noise_scale(*simulated(truth, count=60_000, outliers=0.0))
+    assert learned.floor_m == pytest.approx(truth.floor_m, rel=0.1)
+    assert learned.share == pytest.approx(truth.share, rel=0.05)
+
+
+def test_conflicts_far_beyond_the_noise_do_not_count():
+    range_m, residual_m = simulated(STATED, outliers=0.0)
+    with_conflicts = np.concatenate([residual_m, np.full(4000, 0.9)])
+    ranges = np.concatenate([range_m, np.linspace(1.0, 5.0, 4000)])
+    assert learn_noise_scale(ranges, with_conflicts) == learn_noise_scale(range_m, residual_m)
+
+
+def test_noise_that_does_not_grow_has_no_share_and_noise_in_proportion_no_floor():
+    rng = np.random.default_rng(4)
+    range_m = rng.uniform(1.0, 5.0, 5000)
+    shrinking = rng.normal(0.0, 0.03 - 0.004 * range_m)
+    assert learn_noise_scale(range_m, shrinking).share == 0.0
+    assert learn_noise_scale(range_m, shrinking).floor_m == pytest.approx(0.018, rel=0.15)
+    steeper = rng.normal(0.0, 0.002 * range_m**2)
+    learned = learn_noise_scale(range_m, steeper)
+    assert learned.floor_m == pytest.approx(1e-3)
+    assert 0.002 < learned.share < 0.010
+
+
+@pytest.mark.parametrize("valid", [0, 1, 199])
+def test_too_few_pairs_give_the_stated_scale(valid):
+    range_m, residual_m = simulated(NoiseScale(floor_m=0.002, share=0.001), count=400, outliers=0.0)
+    residual_m[valid:] = np.nan
+    assert learn_noise_scale(range_m, residual_m) is STATED
+
+
+def test_two_hundred_pairs_are_enough():
+    range_m, residual_m = simulated(NoiseScale(floor_m=0.002, share=0.001), count=200, outliers=0.0)
+    assert learn_noise_scale(range_m, residual_m) != STATED
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    count=st.integers(0, 500),
+    spread=st.floats(0.0, 0.2),
+    growth=st.floats(-2.0, 3.0),
+)
+def test_a_scale_is_positive_whatever_it_is_learned_from(seed, count, spread, growth):
+    rng = np.random.default_rng(seed)
+    range_m = rng.uniform(0.1, 10.0, count)
+    residual_m = spread * rng.standard_normal(count) * range_m**growth
+    residual_m[rng.random(count) < 0.1] = np.nan
+    range_m[np.isnan(residual_m) & (rng.random(count) < 0.5)] = np.nan
+    learned = learn_noise_scale(range_m, residual_m)
+    assert learned.floor_m > 0.0
+    assert learned.share >= 0.0
+
+
+def test_a_room_without_noise_keeps_a_positive_floor():
+    range_m = np.linspace(1.0, 5.0, 400)
+    assert learn_noise_scale(range_m, np.zeros(400)).floor_m > 0.0
+
+
+def test_one_range_alone_gives_its_own_deviation():
+    residual_m = np.random.default_rng(1).normal(0.0, 0.02, 2000)
+    learned = learn_noise_scale(np.full(2000, 2.0), residual_m)
+    assert float(learned.at(np.array([2.0]))[0]) == pytest.approx(0.02, rel=0.1)
+
+
+@given(seed=st.integers(0, 10_000))
+def test_the_order_of_the_pairs_does_not_matter(seed):
+    range_m, residual_m = simulated(STATED, count=600, seed=seed)
+    order = np.random.default_rng(seed).permutation(range_m.size)
+    learned, shuffled = (
+        learn_noise_scale(range_m, residual_m),
+        learn_noise_scale(range_m[order], -residual_m[order]),
+    )
+    assert shuffled == learned
