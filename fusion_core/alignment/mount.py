@@ -449,8 +449,11 @@ def _descend(cost: Callable[[FloatArray], float], start: FloatArray) -> FloatArr
 
 def _sandwich_sd(problem: _Problem, values: FloatArray, spread: FloatArray) -> FloatArray:
     """One standard deviation of each parameter: H^-1 G H^-1 over blocks of frames, G the spread of
-    the blocks' gradients, H the curvature of their mean with the prior's."""
+    the blocks' gradients, H the curvature of their mean with the prior's. One block has no spread:
+    nothing is known then."""
     count = values.size
+    if problem.blocks < 2:
+        return np.full(count, np.inf)
     steps = np.diag(_STEP)
     ahead = [problem.block_costs(values + step) for step in steps]
     behind = [problem.block_costs(values - step) for step in steps]

@@ -7,7 +7,7 @@ that stands alone in the 5 x 5 around it. The paper's types follow from the clas
 sides stand on surfaces of their own, e.g. a low cabinet that only the LiDAR meets: no noise.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
@@ -39,7 +39,7 @@ class NoiseSettings(StageSettings):
         "sigma", "Unit of epsilon: the learned noise scale, the frame's mean error E, or metres"
     )
     support_sigma: float = setting(
-        3.2, "A neighbour within this many standard deviations supports a beam", gt=0.0, le=10.0
+        2.5, "A neighbour within this many standard deviations supports a beam", gt=0.0, le=10.0
     )
     slope_share: float = setting(
         0.02,
@@ -103,8 +103,8 @@ class Classes:
     epsilon_m: FloatArray
 
     def __post_init__(self) -> None:
-        for array in (self.lidar_class, self.depth_class, self.lidar_confidence):
-            read_only(array)
+        for field in fields(self):
+            read_only(getattr(self, field.name))
 
 
 def classify(
@@ -191,9 +191,12 @@ def _gone_before(window: FrameWindow, wanted: BoolArray, settings: NoiseSettings
 
 
 def _roughness(values_m: FloatArray) -> FloatArray:
-    """(B,) distance of each value from the mean of its two neighbours, 0 where one is missing."""
-    padded = np.pad(values_m, 1, mode="edge")
-    rough = np.abs(values_m - 0.5 * (padded[:-2] + padded[2:]))
+    """(B,) distance of each value from the mean of its two neighbours, 0 where one is missing.
+
+    The first and the last stand in for the neighbour that they lack.
+    """
+    padded = np.concatenate([values_m[:1], values_m, values_m[-1:]])
+    rough: FloatArray = np.abs(values_m - 0.5 * (padded[:-2] + padded[2:]))
     return np.nan_to_num(rough, nan=0.0)
 
 

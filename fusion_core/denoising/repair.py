@@ -41,6 +41,9 @@ class RepairSettings(StageSettings):
     depth_burr_confidence: float = setting(
         0.8, "Least confidence of a burr in the depth image that is repaired", ge=0.0, le=1.0
     )
+    lidar_confidence: float = setting(
+        0.8, "Least confidence of a good beam from which a pixel is repaired", ge=0.0, le=1.0
+    )
     narrow_gap_deg: float = setting(
         1.5,
         "Up to here a gap's own sides are believed against the other sensor",
@@ -108,7 +111,8 @@ def _repair_lidar(
     # Where the two contradict each other over a narrow gap, an edge of the camera lies a beam off.
     narrow = gap_rad <= np.deg2rad(settings.narrow_gap_deg)
     contradict = np.abs(camera - neighbours) > 4.0 * scale.at(neighbours)
-    camera_error = np.where(narrow & contradict, np.inf, camera_error)
+    doubtful = narrow & contradict & (settings.prefer == "smaller_error")
+    camera_error = np.where(doubtful, np.inf, camera_error)
     return _choose(
         raw,
         noisy,
@@ -132,17 +136,30 @@ def _repair_depth(
     burr &= classes.depth_confidence >= settings.depth_burr_confidence
     noisy = burr | (classes.depth_class == NoiseClass.HOLE)
     reliable = classes.lidar_class == NoiseClass.GOOD
+    reliable &= classes.lidar_confidence >= settings.lidar_confidence
     lidar = np.where(reliable, pairs.lidar_as_depth_m, np.nan)
     lidar_error = scale.at(lidar)
-    planes = np.full((raw.size, 2), np.nan)
-    planes[noisy] = _image_planes(
-        depth_m,
-        pairs.row[noisy],
-        pairs.column[noisy],
-        lidar[noisy],
-        settings.max_gap_pixels,
-        settings.edge_m,
-    )
+
+    def planes_near(expected_m: FloatArray, wanted: BoolArray) -> FloatArray:
+        found = np.full((raw.size, 2), np.nan)
+        found[wanted] = _image_planes(
+            depth_m,
+            pairs.row[wanted],
+            pairs.column[wanted],
+            expected_m[wanted],
+            settings.max_gap_pixels,
+            settings.edge_m,
+        )
+        return found
+
+    planes = planes_near(lidar, noisy)
+    # Where the image shows nothing at the LiDAR's depth, what it shows may hide that: a table top
+    # over the LiDAR's plane. Only something nearer can.
+    alone = noisy & ~np.isfinite(planes[:, 0])
+    image_only = planes_near(np.full(raw.size, np.nan), alone)
+    hides = alone & ~(image_only[:, 0] > lidar - settings.edge_m)
+    planes = np.where(hides[:, np.newaxis], image_only, planes)
+    lidar = np.where(hides & np.isfinite(image_only[:, 0]), np.nan, lidar)
     return _choose(
         raw,
         noisy,
@@ -163,7 +180,9 @@ def _choose(
     neighbours: tuple[FloatArray, FloatArray],
     settings: RepairSettings,
 ) -> tuple[FloatArray, IntArray]:
-    other_error = np.where(np.isfinite(other[0]), other[1], np.inf)
+    # A map A may send a value behind the sensor: that is none.
+    usable = np.isfinite(other[0]) & (other[0] > 0.0)
+    other_error = np.where(usable, other[1], np.inf)
     neighbour_error = np.where(np.isfinite(neighbours[0]), neighbours[1], np.inf)
     better = (other_error <= neighbour_error) | (settings.prefer == "other_sensor")
     from_other = noisy & np.isfinite(other_error) & better
@@ -216,8 +235,7 @@ def _across_gaps(
     one_surface = step <= edge_m + gap * np.minimum(range_m[good[right]], range_m[good[left]])
     low = np.minimum(range_m[good[right]], range_m[good[left]]) - edge_m
     high = np.maximum(range_m[good[right]], range_m[good[left]]) + edge_m
-    within = np.where(support, np.nan, range_m)[index[inner]]
-    lost = np.where(np.isfinite(within), within, np.inf)
+    lost = np.where(np.isfinite(range_m[inner]), range_m[inner], np.inf)
     nearest = np.full(good.size + 1, np.inf)
     np.minimum.at(nearest, order[inner], lost)
     hides = nearest[order[inner]] < crossing - edge_m
@@ -284,9 +302,9 @@ def _image_planes(
                     dv[count] = r - row
                     count += 1
             if count >= 8:
-                middle = np.median(values[:count])
-                if not np.isnan(expected_m[index]):
-                    middle = expected_m[index]
+                middle = expected_m[index]
+                if np.isnan(middle):
+                    middle = np.median(values[:count])
                 result = _fit_inverse_plane(values[:count], du[:count], dv[:count], middle, edge_m)
                 if not np.isnan(result[0]):
                     out[index, 0] = result[0]

@@ -4,19 +4,21 @@ import io
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
+import cv2
 import numpy as np
 
 from fusion_core.exporting.atomic import write_bytes
 from fusion_core.exporting.palette import HOLE
 from fusion_core.model.conventions import (
-    NS_PER_S,
+    NS_PER_MS,
     ByteArray,
     Float32Array,
     FloatArray,
     wrap_angle,
 )
+from fusion_core.model.errors import ExportError
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -58,11 +60,14 @@ def drawing(path: Path, heading: str, *, width_px: int, height_px: int) -> Itera
         figure = Figure(figsize=(width_px / _DPI, height_px / _DPI), dpi=_DPI, layout="constrained")
         figure.suptitle(heading)
         yield figure
-        png = io.BytesIO()
-        figure.savefig(
-            png, format="png", metadata={"Software": None}, pil_kwargs={"optimize": True}
-        )
-    write_bytes(path, png.getvalue())
+        drawn = io.BytesIO()
+        figure.savefig(drawn, format="rgba")
+    rgba = np.frombuffer(drawn.getbuffer(), dtype=np.uint8).reshape(height_px, width_px, 4)
+    # OpenCV's file is smaller than matplotlib's, and holds no date or version.
+    done, png = cv2.imencode(".png", rgba[:, :, 2::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    if not done:
+        raise ExportError("cannot be encoded as PNG.", file=path)
+    write_bytes(path, png.tobytes())
 
 
 def show_color(axes: "Axes", rgb: ByteArray) -> None:
@@ -82,33 +87,53 @@ def show_depth(axes: "Axes", depth_m: Float32Array, *, far_m: float) -> None:
     """A depth image with a colour bar."""
     image = axes.imshow(depth_m, cmap=depth_shades(), vmin=0.0, vmax=far_m)
     _name_pixels(axes)
-    add_color_bar(axes, image, "depth along the optical axis (m)")
+    add_color_bar(axes, image, "depth along the optical axis (m)", beyond="max")
 
 
-def add_color_bar(axes: "Axes", image: "AxesImage", label: str) -> None:
-    """A colour bar to the right of ``axes``."""
+def _name_pixels(axes: "Axes") -> None:
+    axes.set_xlabel("column (px)")
+    axes.set_ylabel("row (px)")
+
+
+def add_color_bar(
+    axes: "Axes",
+    image: "AxesImage",
+    label: str,
+    *,
+    beyond: Literal["neither", "max"] = "neither",
+    left: float = 1.02,
+) -> None:
+    """A colour bar as high as ``axes``, from ``left`` of their width on."""
     figure = axes.get_figure()
     assert figure is not None, "axes are made by a figure"
-    figure.colorbar(image, ax=axes, label=label, pad=0.02)
+    place = axes.inset_axes((left, 0.0, 0.04, 1.0))
+    figure.colorbar(image, cax=place, label=label, extend=beyond, extendfrac=0.03)
 
 
 def add_legend_below(
-    figure: "Figure | SubFigure", panels: "Iterable[Axes]", *, columns: int
+    figure: "Figure | SubFigure", panels: "Iterable[Axes]", *, columns: int, words: str = ""
 ) -> None:
-    """One legend for all panels, below them, each entry once."""
+    """One legend for all panels, below them, each entry once, under a line or two of ``words``."""
     entries: dict[str, Artist] = {}
     for axes in panels:
         handles, labels = axes.get_legend_handles_labels()
         for handle, label in zip(handles, labels, strict=True):
             entries.setdefault(label, handle)
     figure.legend(
-        entries.values(), entries.keys(), loc="outside lower center", ncols=columns, frameon=False
+        list(entries.values()),
+        list(entries),
+        loc="outside lower center",
+        ncols=columns,
+        frameon=False,
+        title=words or None,
+        title_fontsize=9.0,
     )
 
 
-def _name_pixels(axes: "Axes") -> None:
-    axes.set_xlabel("column (px)")
-    axes.set_ylabel("row (px)")
+def start_at_zero(axes: "Axes", *, headroom: float = 0.08) -> None:
+    """Limits of a range axis: from 0 to a little more than what is drawn."""
+    top = float(axes.dataLim.y1)
+    axes.set_ylim(0.0, (1.0 + headroom) * top if np.isfinite(top) and top > 0.0 else 1.0)
 
 
 def show_holes(axes: "Axes", azimuth_deg: FloatArray, range_m: FloatArray) -> None:
@@ -159,6 +184,6 @@ def later(delay_ms: float, than: str) -> str:
 
 
 def seconds(stamp_ns: int) -> str:
-    """A stamp in seconds, to the millisecond."""
-    whole, rest_ns = divmod(stamp_ns, NS_PER_S)
-    return f"{whole}.{rest_ns // 1_000_000:03d} s"
+    """A stamp in seconds, rounded to the millisecond."""
+    milliseconds = round(stamp_ns / NS_PER_MS)
+    return f"{milliseconds // 1000}.{milliseconds % 1000:03d} s"

@@ -20,6 +20,7 @@ from fusion_core.exporting.figures import (
     show_color,
     show_depth,
     show_holes,
+    start_at_zero,
 )
 from fusion_core.exporting.palette import DEPTH, LIDAR
 from fusion_core.model.conventions import (
@@ -34,7 +35,7 @@ from fusion_core.model.sensors import LaserScan
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_SCORE_SHADES = 24
+_SCORE_SHADES = 16
 
 
 def write_aligned(
@@ -88,7 +89,7 @@ def _show_scan(axes: "Axes", scan: LaserScan, beams_in_view: IntArray) -> None:
     show_holes(axes, azimuth_deg, scan.ranges_m)
     name_azimuth(axes)
     axes.set_ylabel("LiDAR range (m)")
-    axes.set_ylim(bottom=0.0, top=1.3 * axes.get_ylim()[1])
+    start_at_zero(axes, headroom=0.35)
     axes.legend(loc="upper right")
 
 
@@ -141,32 +142,30 @@ def write_similarity(
 
     ``frames``: how many fields the recording's mean is made of.
     """
-    with drawing(path, heading, width_px=400 * len(columns), height_px=1180) as figure:
+    with drawing(path, heading, width_px=385 * len(columns), height_px=1150) as figure:
         parts = figure.subfigures(2, 1, height_ratios=(2.1, 1.0), squeeze=False)
         above, below = parts[:, 0]
         fields = above.subplots(2, len(columns), squeeze=False)
         curves = below.subplots(1, len(columns), squeeze=False)[0]
         for i, column in enumerate(columns):
-            _show_field(fields[0, i], column.frame, f"{column.name}, this frame")
-            _show_field(fields[1, i], column.recording, f"{column.name}, mean of {frames} frames")
+            last = i == len(columns) - 1
+            _show_field(fields[0, i], column.frame, f"{column.name}, this frame", last)
+            mean = f"{column.name}, mean of {frames} frames"
+            _show_field(fields[1, i], column.recording, mean, last)
             _show_curves(curves[i], column)
-        for axes, panel in zip(
-            fields[:, -1], (columns[-1].frame, columns[-1].recording), strict=True
-        ):
-            if panel is not None:
-                _name_elevation(axes, panel)
-        add_legend_below(below, curves, columns=2)
-        below.supxlabel(
-            "u: LiDAR sample that falls on the leftmost sample of the depth row, from the left. "
-            "v: depth row, from the top. Grey: no score, too few samples on both sides or not "
-            "searched.\n"
-            "Yaw: how far the camera looks to the left of the LiDAR at this u. Samples under a "
-            "peak are those that were compared.",
-            fontsize=8.5,
+        add_legend_below(
+            below,
+            curves,
+            columns=2,
+            words="u: LiDAR sample that falls on the leftmost sample of the depth row, counted "
+            "from the left. v: depth row, counted from the top.\n"
+            "Yaw: how far the camera looks to the left of the LiDAR at this u. Grey: no score (not "
+            "searched, or too few samples valid on both sides).\n"
+            "Curves: the samples that were compared at the peak.",
         )
 
 
-def _show_field(axes: "Axes", panel: FieldPanel | None, title: str) -> None:
+def _show_field(axes: "Axes", panel: FieldPanel | None, title: str, last: bool) -> None:
     import matplotlib as mpl
 
     if panel is None or not np.isfinite(panel.scores).any():
@@ -180,12 +179,13 @@ def _show_field(axes: "Axes", panel: FieldPanel | None, title: str) -> None:
         aspect="auto",
         extent=(panel.u_first - 0.5, panel.u_first + offsets - 0.5, rows - 0.5, -0.5),
     )
-    add_color_bar(axes, image, "")
+    # The last column tells the elevations, between the field and its colour bar.
+    add_color_bar(axes, image, "score" if last else "", left=1.25 if last else 1.02)
     for place, marker, size in ((panel.runner_up, "o", 7), (panel.peak, "X", 8)):
         if place is not None:
             # White around black stands out on every shade.
-            axes.plot(*place, marker, ms=size + 1, mfc="none", mec="white", mew=3.0)
-            axes.plot(*place, marker, ms=size, mfc="none", mec="black", mew=1.2)
+            axes.plot(*place, marker, ms=size + 1, mfc="none", mec="white", mew=3.0, clip_on=False)
+            axes.plot(*place, marker, ms=size, mfc="none", mec="black", mew=1.2, clip_on=False)
     found = ""
     if panel.peak is not None:
         found = f"\n✕ peak {panel.peak_score:.3f} at u {panel.peak[0]:.1f}, v {panel.peak[1]:.0f}"
@@ -195,6 +195,8 @@ def _show_field(axes: "Axes", panel: FieldPanel | None, title: str) -> None:
     axes.set_xlabel("u (samples)")
     axes.set_ylabel("v (rows)")
     _name_yaw(axes, panel)
+    if last:
+        _name_elevation(axes, panel)
 
 
 def _name_yaw(axes: "Axes", panel: FieldPanel) -> None:
@@ -209,10 +211,14 @@ def _name_yaw(axes: "Axes", panel: FieldPanel) -> None:
 
 def _name_elevation(axes: "Axes", panel: FieldPanel) -> None:
     def elevation_deg(v: ArrayLike) -> FloatArray:
-        return np.rad2deg(np.arctan((panel.middle_row - np.asarray(v)) / panel.focal_px))
+        degrees: FloatArray = np.rad2deg(
+            np.arctan((panel.middle_row - np.asarray(v)) / panel.focal_px)
+        )
+        return degrees
 
     def row(deg: ArrayLike) -> FloatArray:
-        return panel.middle_row - panel.focal_px * np.tan(np.deg2rad(np.asarray(deg)))
+        rows: FloatArray = panel.middle_row - panel.focal_px * np.tan(np.deg2rad(np.asarray(deg)))
+        return rows
 
     axes.secondary_yaxis("right", functions=(elevation_deg, row)).set_ylabel("elevation (°)")
 
@@ -231,7 +237,7 @@ def _show_curves(axes: "Axes", column: MetricColumn) -> None:
     axes.set_title(f"{column.name}\nthis frame's curves at u {u:.0f}, v {v:.0f}")
     axes.set_xlabel(f"sample of the row ({column.frame.step_deg:.2f}° each)")
     axes.set_ylabel("range (m)")
-    axes.set_ylim(bottom=0.0)
+    start_at_zero(axes)
 
 
 def _say(axes: "Axes", words: str) -> None:

@@ -12,6 +12,7 @@ from fusion_core.model.grids import MapDifference, OccupancyGrid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.patches import Patch
 
 _UNKNOWN = "#c4ccd6"
 _NAMES = {"lidar": "LiDAR map", "fused": "fused map", "camera": "camera map"}
@@ -25,6 +26,8 @@ def write_maps(
     difference: MapDifference | None,
 ) -> None:
     """Fig. 9: maps by name ("lidar", "fused", "camera"), and where two of them differ."""
+    from matplotlib.patches import Patch
+
     shown = [name for name in _NAMES if name in grids]
     panels = len(shown) + (difference is not None)
     columns = 2 if panels > 1 else 1
@@ -42,13 +45,17 @@ def write_maps(
         for letter, axes, name in zip("abc", every, shown, strict=False):
             _show_map(axes, grids[name])
             axes.set_title(f"({letter}) {_NAMES[name]}, {_SOURCES[name]}")
+        handles = [Patch(facecolor=_UNKNOWN, label="unknown")]
         if difference is not None:
-            _show_difference(every[panels - 1], difference)
+            handles += _show_difference(every[panels - 1], difference)
             first, second = (_NAMES[name] for name in difference.names)
             every[panels - 1].set_title(
                 f"({'abcd'[panels - 1]}) obstacles of {first} and {second}, "
                 "differences drawn enlarged"
             )
+        figure.legend(
+            handles=handles, loc="outside lower center", ncols=len(handles), frameon=False
+        )
 
 
 _SOURCES = {
@@ -60,7 +67,6 @@ _SOURCES = {
 
 def _show_map(axes: "Axes", grid: OccupancyGrid) -> None:
     import matplotlib as mpl
-    from matplotlib.patches import Patch
 
     shades = mpl.colormaps["gray_r"].resampled(_SHADES)
     image = axes.imshow(
@@ -72,10 +78,10 @@ def _show_map(axes: "Axes", grid: OccupancyGrid) -> None:
         extent=_extent(grid.origin_m, grid.resolution_m, grid.log_odds.shape),
     )
     add_color_bar(axes, image, "probability of an obstacle")
-    axes.legend(handles=[Patch(facecolor=_UNKNOWN, label="unknown")], loc="upper right")
 
 
-def _show_difference(axes: "Axes", difference: MapDifference) -> None:
+def _show_difference(axes: "Axes", difference: MapDifference) -> "list[Patch]":
+    """Draw it and say what the colours mean."""
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
@@ -90,7 +96,7 @@ def _show_difference(axes: "Axes", difference: MapDifference) -> None:
         origin="lower",
         extent=extent,
     )
-    handles = [Patch(facecolor=FUSED, label=f"in both: {(common == 2).sum()} cells")]
+    handles = [Patch(facecolor=FUSED, label=f"obstacle in both: {(common == 2).sum()} cells")]
     for mask, color in ((1, LIDAR), (2, BURR)):
         rows, columns = np.nonzero(difference.states == free + mask)
         axes.plot(
@@ -102,7 +108,7 @@ def _show_difference(axes: "Axes", difference: MapDifference) -> None:
         )
         name = _NAMES[difference.names[mask - 1]]
         handles.append(Patch(facecolor=color, label=f"only in the {name}: {rows.size} cells"))
-    axes.legend(handles=handles, loc="upper right")
+    return handles
 
 
 def _extent(

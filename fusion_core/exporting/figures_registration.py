@@ -24,6 +24,7 @@ def write_pairs(
     model: str,
     mean_error_m: float,
     threshold_m: float,
+    draws: int,
     axis_names: tuple[str, str],
 ) -> None:
     """Fig. 5: points of both curves, lines between all pairs, and between RANSAC's inliers.
@@ -38,7 +39,7 @@ def write_pairs(
         titles = (
             f"(a) {_count(lidar_points_m)} LiDAR points, {_count(depth_points_m)} depth points",
             f"(b) all {paired.sum()} pairs, mean error under A: E = {mean_error_m:.3f} m",
-            f"(c) {kept.sum()} inliers, to within {threshold_m:g} m under A ({model})",
+            f"(c) {kept.sum()} inliers: within {threshold_m:g} m under A ({model}), {draws} draws",
         )
         x_limits, z_limits = _square_limits(np.vstack([lidar_points_m, depth_points_m]))
         for axes, title in zip(panels, titles, strict=True):

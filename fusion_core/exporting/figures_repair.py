@@ -17,6 +17,7 @@ from fusion_core.exporting.figures import (
     show_color,
     show_depth,
     show_holes,
+    start_at_zero,
 )
 from fusion_core.exporting.palette import BURR, CONFLICT, DEPTH, GOOD, LIDAR
 from fusion_core.model.classes import NoiseClass, RepairSource
@@ -46,7 +47,6 @@ class RepairedCurve:
     """
 
     azimuth_rad: FloatArray
-    beam: IntArray
     row: IntArray
     column: IntArray
     lidar_m: FloatArray
@@ -83,9 +83,7 @@ def fused_depth_m(depth_m: Float32Array, curve: RepairedCurve) -> Float32Array:
     return fused
 
 
-def write_repair(
-    path: Path, heading: str, depth_m: Float32Array, curve: RepairedCurve, *, range_max_m: float
-) -> None:
+def write_repair(path: Path, heading: str, depth_m: Float32Array, curve: RepairedCurve) -> None:
     """Fig. 7: depth image, the band around the curve enlarged, and the LiDAR curve, before and
     after."""
     far_m = far_limit_m(depth_m)
@@ -98,25 +96,28 @@ def write_repair(
             grid[0, i].set_title(f"({'ab'[i]}) depth image {when} denoising, holes in blue")
             _show_curve_in_image(grid[0, i], curve, after=i == 1)
             _show_band(grid[1, i], image_m, curve, far_m, after=i == 1)
-            _show_lidar(grid[2, i], curve, range_max_m, after=i == 1)
+            _show_lidar(grid[2, i], curve, after=i == 1)
             grid[1, i].sharex(grid[2, i])
-        add_legend_below(figure, grid.ravel(), columns=5)
-        figure.supxlabel(
-            "Noise types of Xu 2024 §2.3.2, each at its longest stretch. A: hole on both sensors. "
-            "B: hole on this sensor alone. C: burr. Hatched: beams that meet no pixel.",
-            fontsize=9,
+        grid[2, 1].set_ylim(grid[2, 0].get_ylim())
+        add_legend_below(
+            figure,
+            grid.ravel(),
+            columns=5,
+            words="Noise types of Xu 2024 §2.3.2, framed where each has its longest stretch. A: "
+            "hole on both sensors. B: hole on this sensor alone. C: burr. Hatched: beams that "
+            "meet no pixel.",
         )
 
 
 def _show_curve_in_image(axes: "Axes", curve: RepairedCurve, *, after: bool) -> None:
     inside = curve.row >= 0
-    order = np.argsort(curve.column[inside], kind="stable")
     axes.plot(
-        curve.column[inside][order],
-        curve.row[inside][order],
+        curve.column[inside],
+        curve.row[inside],
+        ".",
         color=LIDAR,
-        lw=1.0,
-        label="LiDAR curve in the image",
+        ms=2.5,
+        label="pixel on the LiDAR's curve",
     )
     if after:
         _mark_sources(axes, curve.column, curve.row, curve.depth_source, "LiDAR", LIDAR)
@@ -137,7 +138,15 @@ def _mark_sources(
         mine = source == code
         if mine.any():
             axes.plot(
-                x[mine], y[mine], "o", color=face, ms=4, mec="black", mew=0.4, label=label, zorder=4
+                x[mine],
+                y[mine],
+                "o",
+                color=face,
+                ms=3.5,
+                mec="black",
+                mew=0.25,
+                label=label,
+                zorder=4,
             )
 
 
@@ -148,17 +157,19 @@ def _show_band(
     from matplotlib.colors import Normalize
 
     azimuth_deg = curve.azimuth_deg
+    if azimuth_deg.size < 2:
+        axes.set_axis_off()
+        return
     band_m, outside = straightened_band_m(depth_m, curve)
     shades = depth_shades()(Normalize(0.0, far_m)(np.ma.masked_invalid(band_m)))
     shades[outside, 3] = 0.0
-    half_beam_deg = 0.5 * (azimuth_deg.max() - azimuth_deg.min()) / max(1, band_m.shape[1] - 1)
     axes.patch.set(hatch="////", edgecolor="0.75")
     axes.imshow(
         shades,
         aspect="auto",
         extent=(
-            azimuth_deg.max() + half_beam_deg,
-            azimuth_deg.min() - half_beam_deg,
+            azimuth_deg.max(),
+            azimuth_deg.min(),
             _BAND_ROWS + 0.5,
             -_BAND_ROWS - 0.5,
         ),
@@ -178,21 +189,21 @@ def _show_band(
 def straightened_band_m(
     depth_m: Float32Array, curve: RepairedCurve
 ) -> tuple[FloatArray, BoolArray]:
-    """Depths of the rows around the curve, (2 k + 1, beams from left to right), NaN where missing,
-    and where there is no pixel at all."""
-    azimuth_rad = np.deg2rad(curve.azimuth_deg)
-    step_rad = float(np.abs(np.diff(np.sort(azimuth_rad))).min(initial=np.inf))
-    place = np.rint((azimuth_rad.max() - azimuth_rad) / step_rad).astype(np.int64)
-    rows = curve.row + np.arange(-_BAND_ROWS, _BAND_ROWS + 1)[:, np.newaxis]
-    inside = (curve.row >= 0) & (rows >= 0) & (rows < depth_m.shape[0])
-    band_m = np.full((rows.shape[0], int(place.max()) + 1), np.nan)
-    outside = np.ones(band_m.shape, dtype=np.bool_)
-    band_m[:, place] = np.where(inside, depth_m[np.where(inside, rows, 0), curve.column], np.nan)
-    outside[:, place] = ~inside
-    return band_m, outside
+    """Depths of the rows around the curve, (2 k + 1, 2 B) with equal angles from left to right,
+    NaN where missing, and where there is no pixel at all."""
+    azimuth_deg = curve.azimuth_deg
+    step_deg = float(np.median(np.abs(np.diff(np.sort(azimuth_deg)))))
+    shown_deg = np.linspace(azimuth_deg.max(), azimuth_deg.min(), 2 * azimuth_deg.size)
+    away_deg = np.abs(shown_deg[:, np.newaxis] - azimuth_deg)
+    beam = away_deg.argmin(axis=1)
+    row, column = curve.row[beam], curve.column[beam]
+    rows = row + np.arange(-_BAND_ROWS, _BAND_ROWS + 1)[:, np.newaxis]
+    inside = (row >= 0) & (rows >= 0) & (rows < depth_m.shape[0])
+    inside &= away_deg.min(axis=1) < step_deg
+    return np.where(inside, depth_m[np.where(inside, rows, 0), column], np.nan), ~inside
 
 
-def _show_lidar(axes: "Axes", curve: RepairedCurve, range_max_m: float, *, after: bool) -> None:
+def _show_lidar(axes: "Axes", curve: RepairedCurve, *, after: bool) -> None:
     azimuth_deg = curve.azimuth_deg
     axes.plot(
         azimuth_deg,
@@ -216,9 +227,10 @@ def _show_lidar(axes: "Axes", curve: RepairedCurve, range_max_m: float, *, after
     if after:
         _mark_sources(axes, azimuth_deg, shown_m, curve.lidar_source, "depth image", DEPTH)
     else:
-        heights_m = tuple(share * range_max_m for share in (1.05, 0.94, 0.83))
+        top_m = float(axes.dataLim.y1)
+        heights_m = (1.32 * top_m, 1.20 * top_m, 1.08 * top_m)
         _label_noise(axes, curve, curve.lidar_class, curve.depth_class, heights_m)
-    axes.set_ylim(0.0, 1.12 * range_max_m)
+    start_at_zero(axes, headroom=0.4)
     axes.set_ylabel("horizontal range (m)")
     axes.set_title(f"LiDAR curve {'after' if after else 'before'} denoising")
     name_azimuth(axes)
@@ -236,11 +248,13 @@ def _label_noise(
     }
     azimuth_deg = curve.azimuth_deg
     for (letter, mask), y in zip(types.items(), heights, strict=True):
-        stretch = longest_stretch(mask, curve.beam)
+        stretch = longest_stretch(mask)
         if stretch.size == 0:
             continue
         ends = azimuth_deg[stretch]
-        axes.axvspan(ends.min() - 0.2, ends.max() + 0.2, color=BURR, alpha=0.18, lw=0)
+        axes.axvspan(
+            ends.min() - 0.2, ends.max() + 0.2, facecolor="none", edgecolor="black", ls="--", lw=0.9
+        )
         axes.text(
             float(ends.mean()),
             y,
@@ -252,13 +266,11 @@ def _label_noise(
         )
 
 
-def longest_stretch(mask: BoolArray, beam: IntArray) -> IntArray:
-    """Positions of the longest run of adjacent beams in ``mask``, the first of equal ones."""
+def longest_stretch(mask: BoolArray) -> IntArray:
+    """Positions of the longest run in ``mask``, the first of equal ones."""
     chosen = np.flatnonzero(mask)
-    if chosen.size == 0:
-        return chosen
-    breaks = np.flatnonzero((np.diff(chosen) != 1) | (np.diff(beam[chosen]) != 1)) + 1
-    return max(np.split(chosen, breaks), key=len)
+    runs = np.split(chosen, np.flatnonzero(np.diff(chosen) != 1) + 1)
+    return max(runs, key=len)
 
 
 def write_fused_depth(
@@ -272,7 +284,7 @@ def write_fused_depth(
     """Fig. 8: colour and depth image, LiDAR and depth curve, and the fused depth image."""
     far_m = far_limit_m(depth_m)
     fused_m = fused_depth_m(depth_m, curve)
-    with drawing(path, heading, width_px=1400, height_px=1060) as figure:
+    with drawing(path, heading, width_px=1240, height_px=960) as figure:
         axes = _four_panels(figure, color)
         letters = iter("abcd")
         if color is not None:
@@ -313,7 +325,7 @@ def _show_both_curves(axes: "Axes", curve: RepairedCurve) -> None:
     axes.plot(azimuth_deg, curve.lidar_m, ".", color=LIDAR, ms=5, label="LiDAR")
     axes.plot(azimuth_deg, curve.depth_as_range_m, ".", color=DEPTH, ms=3, label="depth")
     axes.set_ylabel("horizontal range (m)")
-    axes.set_ylim(bottom=0.0)
+    start_at_zero(axes)
     name_azimuth(axes)
     axes.grid(lw=0.3, color="0.85")
     axes.legend(loc="lower right")

@@ -50,8 +50,8 @@ class Alignment:
     """What pass 1 found. ``estimate`` is None where the pairs are taken frame by frame.
 
     ``curve`` and ``row`` sample the recording's field (a panorama's where there are several
-    cameras). ``fields`` are the mean fields, ``peaks`` their peaks anywhere; ``peak`` is that of the
-    metric that decides, at the mount's yaw. ``lidar``: a scan, for its geometry.
+    cameras). ``fields`` are the mean fields, ``peaks`` their peaks anywhere; ``peak`` is
+    that of the metric that decides, at the mount's yaw. ``lidar``: a scan, for its geometry.
     """
 
     fields: dict[Metric, SimilarityField]

@@ -21,6 +21,7 @@ from fusion_core.alignment.search import Peak
 from fusion_core.alignment.similarity import Metric, SimilarityField
 from fusion_core.alignment.upright import UprightView
 from fusion_core.evaluation.fuse_folder import open_fuse_folder, read_frames
+from fusion_core.exporting.figures import seconds
 from fusion_core.exporting.figures_alignment import (
     CurvePair,
     FieldPanel,
@@ -231,7 +232,7 @@ def _curves_at(
 
 def _frame_name(session: "Session", frame: FusedFrame) -> str:
     topic = printable(session.rig.cameras[frame.camera].topic)
-    return f"{topic} at {frame.stamp_ns / 1e9:.3f} s"
+    return f"{topic} at {seconds(frame.stamp_ns)}"
 
 
 def _write_showcase(folder: Path, heading: str, session: "Session", frame: FusedFrame) -> None:
@@ -262,6 +263,7 @@ def _write_showcase(folder: Path, heading: str, session: "Session", frame: Fused
             model=frame.registration.model,
             mean_error_m=frame.registration.mean_error_m,
             threshold_m=frame.registration.draws.inlier_threshold_m,
+            draws=frame.registration.draws.count,
             axis_names=(
                 ("x: sample number × median arc of a sample (m)", "range or depth, holes as 0 (m)")
                 if by_sample
@@ -270,7 +272,6 @@ def _write_showcase(folder: Path, heading: str, session: "Session", frame: Fused
         )
     curve = RepairedCurve(
         azimuth_rad=frame.pairs.azimuth_rad,
-        beam=frame.pairs.beam,
         row=frame.pairs.row,
         column=frame.pairs.column,
         lidar_m=frame.pairs.lidar_range_m,
@@ -289,7 +290,6 @@ def _write_showcase(folder: Path, heading: str, session: "Session", frame: Fused
         f"Fig. 7, before and after denoising: {about}",
         frame.depth_m,
         curve,
-        range_max_m=frame.scan.range_max_m,
     )
     write_fused_depth(
         folder / "fig8_fused_depth.png",

@@ -61,7 +61,10 @@ PRESETS: dict[PresetName, ChainSettings] = {
         registration=PUBLISHED,
         noise=NoiseSettings(epsilon=1.2, epsilon_unit="E", fault="rougher"),
         repair=RepairSettings(
-            prefer="other_sensor", farther_confidence=0.0, depth_burr_confidence=0.0
+            prefer="other_sensor",
+            farther_confidence=0.0,
+            depth_burr_confidence=0.0,
+            lidar_confidence=0.0,
         ),
         pairing="frame",
     ),

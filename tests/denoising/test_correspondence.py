@@ -38,7 +38,7 @@ LEFT_WALL = ((-9.0, 2.4, -0.4), (9.0, 2.6, 2.5))
 RIGHT_WALL = ((-9.0, -2.9, -0.4), (9.0, -2.7, 2.5))
 ROOM = (FLOOR, WALL, LEFT_WALL, RIGHT_WALL)
 # Above the LiDAR's plane and below the camera: it hides the wall from the camera alone.
-TABLE_TOP = ((1.5, 0.1, 0.25), (2.3, 1.2, 0.30))
+TABLE_TOP = ((1.5, 0.1, 0.25), (2.9, 1.4, 0.30))
 CABINET = ((2.2, -1.1, -0.3), (2.6, -0.4, 0.2))
 
 

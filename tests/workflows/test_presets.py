@@ -94,7 +94,7 @@ def test_what_a_file_has_wrong_is_named(tmp_path, text, named):
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(SettingsError, match="nowhere.toml"):
+    with pytest.raises(SettingsError, match=r"nowhere\.toml"):
         chain_settings("default", tmp_path / "nowhere.toml", None)
 
 

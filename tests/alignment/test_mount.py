@@ -1,0 +1,357 @@
+"""The mount of a camera on a LiDAR in simulated rooms, where the true one is known."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from fusion_core.alignment.mount import (
+    MountEstimate,
+    MountFrame,
+    MountSettings,
+    estimate_mount,
+    frame_yaw_offset_rad,
+    mount_frame,
+    without_speckle,
+)
+from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, R_BODY_OPTICAL
+from fusion_core.model.errors import AlignmentFailed
+from fusion_core.model.geometry import transform, transform_from_planar
+from fusion_core.model.rig import MOUNT_PARAMETERS, Camera, Mount
+from fusion_core.model.sensors import CameraIntrinsics, LaserScan
+
+LENS = CameraIntrinsics(width=80, height=60, fx=70.0, fy=70.0, cx=39.5, cy=29.5)
+CAMERA = Camera(
+    topic="depth", intrinsics=LENS, T_rig_camera=transform(R_BODY_OPTICAL, np.zeros(3))
+)
+LIDAR_HEIGHT_M = 0.3
+SETTINGS = MountSettings()
+
+
+def noisy_ranges(ranges_m: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """1 cm of noise, holes, and burrs in front of the surface."""
+    noisy = ranges_m + rng.normal(0.0, 0.01, ranges_m.shape)
+    burr = rng.random(ranges_m.shape) < 0.02
+    noisy = np.where(burr, ranges_m * rng.uniform(0.3, 0.9, ranges_m.shape), noisy)
+    return np.where(rng.random(ranges_m.shape) < 0.03, np.nan, noisy)
+
+
+def noisy_depth(depth_m: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Noise that grows with depth, patches and speckles of holes, and burrs on both sides."""
+    noisy = depth_m * (1.0 + rng.normal(0.0, 0.008, depth_m.shape))
+    burr = rng.random(depth_m.shape) < 0.02
+    noisy = np.where(burr, depth_m * rng.uniform(0.4, 1.3, depth_m.shape), noisy)
+    noisy[rng.random(depth_m.shape) < 0.03] = np.nan
+    for _ in range(4):
+        row, column = rng.integers(0, 55), rng.integers(0, 72)
+        noisy[row : row + 5, column : column + 8] = np.nan
+    return noisy
+
+
+def frame_at(
+    room,
+    mount: Mount,
+    pose: tuple[float, float, float],
+    *,
+    rate: float = 0.0,
+    known_rate: float | None = None,
+    late_s: float = 0.0,
+    extra_turn: float = 0.0,
+    field_of_view_deg: float = 240.0,
+    rng: np.random.Generator | None = None,
+) -> MountFrame:
+    """A scan at ``pose`` (x, y, yaw), and an image ``late_s`` after it in true time."""
+    angles = np.deg2rad(np.arange(-field_of_view_deg / 2, field_of_view_deg / 2, 0.5))
+    x, y, yaw = pose
+    ranges_m = room.scan_m(x, y, LIDAR_HEIGHT_M, yaw, angles)
+    T_room_lidar = transform_from_planar(np.array([x, y, yaw + rate * late_s + extra_turn]))
+    T_room_lidar[2, 3] = LIDAR_HEIGHT_M
+    depth_m = room.depth_m(T_room_lidar @ mount.T_lidar_rig @ CAMERA.T_rig_camera, LENS)
+    if rng is not None:
+        ranges_m, depth_m = noisy_ranges(ranges_m, rng), noisy_depth(depth_m, rng)
+    scan = LaserScan(
+        stamp_ns=NS_PER_S,
+        received_ns=None,
+        frame_id="laser",
+        angle_min_rad=float(angles[0]),
+        angle_increment_rad=float(np.deg2rad(0.5)),
+        range_min_m=0.1,
+        range_max_m=20.0,
+        ranges_m=ranges_m,
+    )
+    stamp_ns = NS_PER_S + round(late_s * NS_PER_S + mount.clock_offset_ms * NS_PER_MS)
+    known = rate if known_rate is None else known_rate
+    return mount_frame(CAMERA, scan, depth_m.astype(np.float32), stamp_ns, known)
+
+
+def drive(
+    room, mount: Mount, seed: int, *, rate: float | None = None, count: int = 16, **values: float
+) -> list[MountFrame]:
+    """A tour around the middle of the room that turns at ``rate``, or ever differently."""
+    rng = np.random.default_rng(seed)
+    frames = []
+    for angle in 2.0 * np.pi * np.arange(count) / count:
+        x, y = rng.normal((3.0 + 0.7 * np.cos(angle), 2.4 + 0.6 * np.sin(angle)), 0.05)
+        true_rate = float(rng.uniform(-0.7, 0.7)) if rate is None else rate
+        frames.append(
+            frame_at(
+                room,
+                mount,
+                (x, y, 3.0 * angle + rng.normal(0.0, 0.2)),
+                rate=true_rate,
+                known_rate=true_rate + float(rng.normal(0.0, 0.02)),
+                late_s=float(rng.uniform(-0.025, 0.025)),
+                rng=rng,
+                **values,
+            )
+        )
+    return frames
+
+
+def random_mount(seed: int) -> Mount:
+    half_widths = np.array([0.5, 0.2, 0.12, 0.1, 0.08, 50.0])
+    values = np.random.default_rng(seed).uniform(-half_widths, half_widths)
+    values[1] += 0.27
+    return Mount.from_vector(values)
+
+
+@dataclass(frozen=True)
+class Trial:
+    truth: Mount
+    estimate: MountEstimate
+
+    @property
+    def errors(self) -> np.ndarray:
+        return self.estimate.mount.vector() - self.truth.vector()
+
+    @property
+    def sd(self) -> np.ndarray:
+        """NaN where not observable."""
+        return np.array([np.nan if sd is None else sd for sd in self.estimate.mount.sd])
+
+
+def trial(frames: list[MountFrame], truth: Mount, yaw_error_deg: float = 0.6) -> Trial:
+    """From a yaw that is off by as much as an offset of one sample a degree may be."""
+    yaw_rad = truth.yaw_rad + np.deg2rad(yaw_error_deg)
+    return Trial(truth, estimate_mount(frames, SETTINGS, yaw_rad=float(yaw_rad)))
+
+
+@pytest.fixture(scope="module")
+def trials(furnished_room) -> list[Trial]:
+    """Random mounts, each on its own drive through the furnished room."""
+    found = []
+    for seed in range(10):
+        truth = random_mount(seed)
+        yaw_error_deg = np.random.default_rng(seed).uniform(-1.0, 1.0)
+        found.append(trial(drive(furnished_room, truth, seed), truth, yaw_error_deg))
+    return found
+
+
+def test_the_mount_is_recovered(trials: list[Trial]) -> None:
+    errors = np.abs([one.errors for one in trials])
+    typical = [np.deg2rad(0.6), 0.12, 0.02, 0.02, np.deg2rad(2.5), 5.0]
+    largest = [np.deg2rad(1.2), 0.3, 0.06, 0.05, np.deg2rad(5.0), 12.0]
+    assert (np.median(errors, axis=0) < typical).all()
+    assert (errors.max(axis=0) < largest).all()
+    for one in trials:
+        assert one.estimate.confident
+        assert not one.estimate.from_recorded
+        assert one.estimate.agreement > 0.9
+        assert one.estimate.visible > 0.9
+
+
+def test_errors_are_no_larger_than_reported(trials: list[Trial]) -> None:
+    normalised = np.array([one.errors / one.sd for one in trials])
+    assert np.isfinite(normalised[:, [0, 2, 3, 5]]).all()
+    assert np.isfinite(normalised).any(axis=0).all()
+    rms = np.sqrt(np.nanmean(normalised**2, axis=0))
+    assert (rms < 2.5).all(), dict(zip(MOUNT_PARAMETERS, rms, strict=True))
+
+
+def test_the_profile_is_lowest_near_the_height(trials: list[Trial]) -> None:
+    for one in trials:
+        heights_m, costs = one.estimate.delta_z_profile.T
+        assert heights_m.size > 10
+        assert (np.diff(heights_m) > 0.0).all()
+        if one.estimate.mount.sd[1] is None:
+            continue
+        assert abs(heights_m[costs.argmin()] - one.estimate.mount.delta_z_m) <= 0.06
+
+
+def test_a_plain_room_does_not_show_height_and_pitch(box_room) -> None:
+    for seed in (0, 1, 2, 3):
+        truth = random_mount(100 + seed)
+        found = trial(drive(box_room(), truth, seed), truth)
+        assert found.estimate.mount.sd[1] is None
+        assert found.estimate.mount.sd[4] is None
+        assert found.errors[0] == pytest.approx(0.0, abs=np.deg2rad(1.0))
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.4], ids=["standing still", "turning steadily"])
+def test_only_changing_turns_show_the_clock(furnished_room, rate: float) -> None:
+    for seed in (0, 1):
+        truth = random_mount(100 + seed)
+        found = trial(drive(furnished_room, truth, seed, rate=rate), truth)
+        assert found.estimate.mount.sd[5] is None
+
+
+def test_a_recorded_mount_is_the_prior(furnished_room) -> None:
+    truth = random_mount(3)
+    frames = drive(furnished_room, truth, 3)
+    estimate = estimate_mount(
+        frames, SETTINGS, yaw_rad=truth.yaw_rad + np.deg2rad(3.0), recorded=truth
+    )
+    assert estimate.from_recorded
+    errors = np.abs(estimate.mount.vector() - truth.vector())
+    assert (errors < [np.deg2rad(0.6), 0.02, 0.02, 0.02, np.deg2rad(0.7), 10.0]).all()
+    assert all(sd is not None for sd in estimate.mount.sd[:5])
+
+
+def test_a_recorded_mount_across_the_seam_is_one_too(furnished_room) -> None:
+    truth = Mount(yaw_rad=np.pi - 0.01, delta_z_m=0.3)
+    frames = drive(furnished_room, truth, 1, count=8, field_of_view_deg=360.0)
+    estimate = estimate_mount(frames, SETTINGS, yaw_rad=0.02 - np.pi, recorded=truth)
+    assert estimate.from_recorded
+    assert estimate.mount.yaw_rad == pytest.approx(truth.yaw_rad, abs=np.deg2rad(1.0))
+
+
+def test_a_recorded_mount_that_contradicts_the_data_is_left_out(furnished_room) -> None:
+    truth = random_mount(2)
+    frames = drive(furnished_room, truth, 2, count=8)
+    wrong = Mount(yaw_rad=truth.yaw_rad + np.deg2rad(40.0), delta_z_m=0.2)
+    with_wrong = estimate_mount(frames, SETTINGS, yaw_rad=truth.yaw_rad, recorded=wrong)
+    without = estimate_mount(frames, SETTINGS, yaw_rad=truth.yaw_rad)
+    assert not with_wrong.from_recorded
+    assert with_wrong.mount == without.mount
+
+
+def test_the_same_frames_give_the_same_mount(furnished_room) -> None:
+    truth = random_mount(4)
+    one, other = (
+        estimate_mount(drive(furnished_room, truth, 4, count=5), SETTINGS, yaw_rad=truth.yaw_rad)
+        for _ in range(2)
+    )
+    assert one.mount == other.mount
+    np.testing.assert_array_equal(one.delta_z_profile, other.delta_z_profile)
+
+
+def test_a_handful_of_frames_shows_no_uncertainty(furnished_room) -> None:
+    """One block of frames has no spread: a mount is found, and is not trusted."""
+    truth = random_mount(4)
+    frames = drive(furnished_room, truth, 4, count=7)
+    estimate = estimate_mount(frames, SETTINGS, yaw_rad=truth.yaw_rad)
+    assert estimate.mount.sd == (None,) * 6
+    assert not estimate.confident
+
+
+def test_too_few_frames_or_points_are_a_failure(furnished_room) -> None:
+    truth = random_mount(4)
+    frames = drive(furnished_room, truth, 4, count=4)
+    with pytest.raises(AlignmentFailed, match="got 3"):
+        estimate_mount(frames[:3], SETTINGS, yaw_rad=truth.yaw_rad)
+    nothing = frames[0].scan.with_ranges(np.full(frames[0].scan.ranges_m.size, np.nan), None)
+    blind = [mount_frame(CAMERA, nothing, frame.raw_depth_m, NS_PER_S, 0.0) for frame in frames]
+    with pytest.raises(AlignmentFailed, match="100 LiDAR points"):
+        estimate_mount(blind, SETTINGS, yaw_rad=truth.yaw_rad)
+
+
+def test_a_frame_keeps_its_valid_points_and_stamps(furnished_room) -> None:
+    mount = Mount(yaw_rad=0.3, clock_offset_ms=12.0)
+    frame = frame_at(
+        furnished_room,
+        mount,
+        (3.0, 2.4, 0.5),
+        late_s=0.02,
+        known_rate=float("nan"),
+        rng=np.random.default_rng(0),
+    )
+    ranges_m, angles = frame.scan.ranges_m, frame.scan.angles_rad
+    expected = [
+        (r * np.cos(a), r * np.sin(a)) for r, a in zip(ranges_m, angles, strict=True) if r == r
+    ]
+    np.testing.assert_allclose(frame.points_m, expected, atol=1e-12)
+    assert frame.image_after_scan_s == pytest.approx(0.032)
+    assert frame.turn_rate_rad_s == 0.0
+
+
+@pytest.mark.parametrize("extra_deg", [-1.0, -0.5, 0.5, 1.0])
+def test_an_extra_turn_of_one_frame_is_found(furnished_room, extra_deg: float) -> None:
+    """Partly: the prior holds it back, but never pulls it beyond the truth."""
+    mount = Mount(yaw_rad=0.2, delta_z_m=0.25, forward_m=0.05, left_m=-0.04)
+    shares = []
+    for seed, yaw in enumerate(np.arange(0.0, 6.0, 1.0)):
+        frame = frame_at(
+            furnished_room,
+            mount,
+            (3.0, 2.4, yaw),
+            extra_turn=np.deg2rad(extra_deg),
+            rng=np.random.default_rng(seed),
+        )
+        shares.append(frame_yaw_offset_rad(frame, mount, SETTINGS) / np.deg2rad(extra_deg))
+    assert 0.4 < np.median(shares) < 1.1
+    assert np.min(shares) > -0.2
+
+
+def test_a_plain_wall_ahead_does_not_pull(box_room) -> None:
+    """A wall right ahead looks the same under a small turn, to first order."""
+    mount = Mount(yaw_rad=0.0, delta_z_m=0.25)
+    wall = box_room(size_m=(6.0, 40.0, 2.6))
+    for extra_deg in (-0.5, 0.0, 0.5):
+        frame = frame_at(wall, mount, (3.0, 20.0, 0.0), extra_turn=np.deg2rad(extra_deg))
+        found = frame_yaw_offset_rad(frame, mount, SETTINGS)
+        assert abs(found) < np.deg2rad(0.3)
+
+
+def plane() -> np.ndarray:
+    """A slanted wall, 24 by 32 pixels."""
+    return np.tile(np.linspace(2.0, 2.3, 32, dtype=np.float32), (24, 1))
+
+
+def test_lone_values_go_and_lone_holes_are_filled() -> None:
+    depth_m = plane()
+    depth_m[5, 6], depth_m[15, 20] = 0.9, 4.0
+    depth_m[10, 10] = np.nan
+    clean = without_speckle(depth_m)
+    np.testing.assert_allclose(clean, plane(), atol=0.02)
+    assert clean.dtype == np.float32
+
+
+def test_every_other_pixel_is_filled() -> None:
+    """Dark furniture: a chequered surface keeps its shape."""
+    depth_m = plane()
+    depth_m[::2, ::2] = np.nan
+    depth_m[1::2, 1::2] = np.nan
+    np.testing.assert_allclose(without_speckle(depth_m)[2:-2, 2:-2], plane()[2:-2, 2:-2], atol=0.03)
+
+
+def test_a_lone_value_among_holes_goes() -> None:
+    depth_m = np.full((24, 32), np.nan, dtype=np.float32)
+    depth_m[12, 12] = 1.5
+    assert np.isnan(without_speckle(depth_m)).all()
+
+
+def test_big_holes_stay() -> None:
+    depth_m = plane()
+    depth_m[6:18, 8:24] = np.nan
+    clean = without_speckle(depth_m)
+    assert np.isnan(clean[8:16, 10:22]).all()
+    np.testing.assert_allclose(clean[:5], plane()[:5], atol=0.02)
+
+
+def test_no_value_between_two_surfaces_is_made_up() -> None:
+    rng = np.random.default_rng(0)
+    depth_m = np.where(np.arange(32) < 16, np.float32(1.2), np.float32(2.9))
+    depth_m = np.tile(depth_m, (24, 1))
+    depth_m[rng.random(depth_m.shape) < 0.4] = np.nan
+    clean = without_speckle(depth_m)
+    known = clean[np.isfinite(clean)]
+    assert known.size > 300
+    assert np.minimum(np.abs(known - 1.2), np.abs(known - 2.9)).max() < 1e-5
+
+
+def test_the_image_is_left_as_it_was() -> None:
+    depth_m = plane()
+    depth_m[3, 3] = np.nan
+    before = depth_m.copy()
+    without_speckle(depth_m)
+    np.testing.assert_array_equal(depth_m, before)
