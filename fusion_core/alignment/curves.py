@@ -73,8 +73,13 @@ class RowSampling:
         read_only(self.range_per_depth)
 
 
-def sample_curve(scan: LaserScan, settings: SamplingSettings) -> CurveSampling:
-    """The sampling of a LiDAR's curve (the paper's Psi: 240 of 682 beams)."""
+def sample_curve(
+    scan: LaserScan, settings: SamplingSettings, *, shift: float = 0.0
+) -> CurveSampling:
+    """The sampling of a LiDAR's curve (the paper's Psi: 240 of 682 beams).
+
+    ``shift``: by which share of a sample every sample lies to the right (not by index).
+    """
     beams = scan.ranges_m.size
     fov_rad = abs(scan.angle_increment_rad) * beams
     count = max(2, round(fov_rad / np.deg2rad(settings.step_deg)))
@@ -87,7 +92,7 @@ def sample_curve(scan: LaserScan, settings: SamplingSettings) -> CurveSampling:
     else:
         step_rad = float(np.deg2rad(settings.step_deg))
         middle_rad = 0.5 * float(azimuths_rad[0] + azimuths_rad[-1])
-        left_rad = middle_rad + 0.5 * (count - 1) * step_rad
+        left_rad = middle_rad + (0.5 * (count - 1) - shift) * step_rad
         wanted_rad = left_rad - step_rad * np.arange(count)
         positions = (azimuths_rad[0] - wanted_rad) / abs(scan.angle_increment_rad)
     nearest = np.clip(np.rint(positions), 0, beams - 1).astype(np.int64)

@@ -12,7 +12,7 @@ near point that could disagree.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -29,7 +29,7 @@ from fusion_core.model.conventions import (
     wrap_angle,
 )
 from fusion_core.model.errors import AlignmentFailed
-from fusion_core.model.geometry import inverse, rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import inverse
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import LaserScan
 from fusion_core.settings import StageSettings, setting
@@ -302,10 +302,8 @@ def frame_yaw_offset_rad(frame: MountFrame, mount: Mount, settings: MountSetting
     problem = _Problem([frame], settings)
     sd_rad = np.deg2rad(settings.frame_yaw_sd_deg)
     offsets = np.linspace(-3.0, 3.0, 25) * sd_rad
-    values = np.tile(mount.vector(), (offsets.size, 1))
-    values[:, 0] += offsets
     # Four neighbouring beams count as one observation; the loss is 1/16 of a log likelihood.
-    costs = np.array([4.0 * problem.frame_tallies(row)[0, 0] for row in values])
+    costs = 4.0 * problem.costs_at_yaws(mount, mount.yaw_rad + offsets)
     costs += 0.5 * (offsets / sd_rad) ** 2
     best = int(costs.argmin())
     return float(offsets[best] + parabola_offset(costs, best) * (offsets[1] - offsets[0]))
@@ -329,7 +327,7 @@ class _Problem:
                 for lens in (frame.camera.intrinsics for frame in frames)
             ]
         )
-        self._T_camera_rig = [inverse(frame.camera.T_rig_camera) for frame in frames]
+        self._T_camera_rig = np.stack([inverse(frame.camera.T_rig_camera) for frame in frames])
         self._turn = np.array([frame.turn_rate_rad_s for frame in frames])
         self._after_s = np.array([frame.image_after_scan_s for frame in frames])
         self.blocks = max(1, len(frames) // _FRAMES_PER_BLOCK)
@@ -360,23 +358,25 @@ class _Problem:
     def frame_tallies(self, values: FloatArray) -> FloatArray:
         """(F, 4): cost, points in front of the camera, points on valid depth, points in accord."""
         mount = Mount.from_vector(values)
-        T_rig_lidar = inverse(mount.T_lidar_rig)
+        return self._tallies(inverse(mount.T_lidar_rig), mount)
+
+    def costs_at_yaws(self, mount: Mount, yaws_rad: FloatArray) -> FloatArray:
+        """(K,) cost of all frames for the mount at other yaws."""
+        pitched = replace(mount, yaw_rad=0.0, forward_m=0.0, left_m=0.0, delta_z_m=0.0)
+        back = np.eye(4)
+        back[:3, 3] = -mount.T_lidar_rig[:3, 3]
+        T_rig_lidar = inverse(pitched.T_lidar_rig) @ _turns(-yaws_rad) @ back
+        return np.array([self._tallies(T, mount)[:, 0].sum() for T in T_rig_lidar])
+
+    def _tallies(self, T_rig_lidar: FloatArray, mount: Mount) -> FloatArray:
         turned_rad = self._turn * (self._after_s - mount.clock_offset_ms * 1e-3)
-        transforms = np.stack(
-            [
-                T_camera_rig
-                @ T_rig_lidar
-                @ transform(rotation_from_yaw_pitch_roll(-angle, 0.0, 0.0), np.zeros(3))
-                for T_camera_rig, angle in zip(self._T_camera_rig, turned_rad, strict=True)
-            ]
-        )
         tallies: FloatArray = _tally(
             self._points,
             self._first_point,
             self._pixels,
             self._first_pixel,
             self._lens,
-            transforms,
+            self._T_camera_rig @ T_rig_lidar @ _turns(-turned_rad),
             self._settings.tolerance_m,
             self._settings.tolerance_share,
             self._settings.nearer_cost,
@@ -401,6 +401,15 @@ class _Problem:
     def agreement(self, values: FloatArray) -> tuple[float, float]:
         tallies = self.frame_tallies(values).sum(axis=0)
         return float(tallies[3] / max(tallies[2], 1.0)), float(tallies[2] / max(tallies[1], 1.0))
+
+
+def _turns(angles_rad: FloatArray) -> FloatArray:
+    """(F, 4, 4) rotations about z."""
+    turns = np.tile(np.eye(4), (angles_rad.size, 1, 1))
+    turns[:, 0, 0] = turns[:, 1, 1] = np.cos(angles_rad)
+    turns[:, 1, 0] = np.sin(angles_rad)
+    turns[:, 0, 1] = -turns[:, 1, 0]
+    return turns
 
 
 def _delta_z_profile(problem: _Problem, centre: FloatArray, heights_m: FloatArray) -> FloatArray:

@@ -26,6 +26,9 @@ class SearchSettings(StageSettings):
     )
     partial: bool = setting(False, "Let the row reach beyond the ends of the LiDAR curve")
     mask_holes: bool = setting(True, "Leave holes out (published: holes count as zeros)")
+    sub_samples: int = setting(
+        4, "Places within a sample at which a frame's u is tried", ge=1, le=8
+    )
     prior_samples: int = setting(
         1, "How far a frame's u may lie from the recording's", unit="samples", ge=0
     )
@@ -58,28 +61,30 @@ def find_peak(
 
     Raises AlignmentFailed where the field has no score there.
     """
-    scores = field.scores
+    best_of_offset = np.fmax.reduce(field.scores, axis=0)
+    allowed = np.isfinite(best_of_offset)
     if prior_u is not None:
-        offsets = field.u_first + np.arange(scores.shape[1])
-        near = np.abs(offsets - round(prior_u)) <= settings.prior_samples
-        scores = np.where(near, scores, np.nan)
-    if not np.isfinite(scores).any():
+        offsets = field.u_first + np.arange(best_of_offset.size)
+        allowed &= np.abs(offsets - round(prior_u)) <= settings.prior_samples
+    if not allowed.any():
         raise AlignmentFailed(
-            "no offset (u, v) has enough samples valid on both sides",
+            "no offset (u, v) has enough samples valid on both sides.",
             advice="Lower search.min_overlap, or check that both sensors see the same side.",
         )
-    row, column = np.unravel_index(int(np.nanargmax(scores)), scores.shape)
-    score = float(scores[row, column])
-    away = np.abs(np.arange(scores.shape[1]) - column) >= settings.runner_up_distance
-    others = np.where(away, field.scores, np.nan)
+    column = int(np.argmax(np.where(allowed, best_of_offset, -np.inf)))
+    row = int(np.nanargmax(field.scores[:, column]))
+    score = float(field.scores[row, column])
+    away = np.abs(np.arange(best_of_offset.size) - column) >= settings.runner_up_distance
+    away &= np.isfinite(best_of_offset)
     runner_u = runner_v = runner_score = float("nan")
-    if np.isfinite(others).any():
-        other_row, other_column = np.unravel_index(int(np.nanargmax(others)), others.shape)
-        runner_u, runner_v = float(field.u_first + other_column), float(other_row)
-        runner_score = float(others[other_row, other_column])
+    if away.any():
+        other = int(np.argmax(np.where(away, best_of_offset, -np.inf)))
+        runner_u = float(field.u_first + other)
+        runner_v = float(np.nanargmax(field.scores[:, other]))
+        runner_score = float(best_of_offset[other])
     return Peak(
-        u=field.u_first + column + parabola_offset(field.scores[row], int(column)),
-        v=float(row) + parabola_offset(field.scores[:, column], int(row)),
+        u=field.u_first + column + parabola_offset(field.scores[row], column),
+        v=float(row) + parabola_offset(field.scores[:, column], row),
         score=score,
         ratio=score / runner_score if runner_score > 0.0 else float("nan"),
         overlap=float(field.overlap[row, column]),

@@ -136,11 +136,11 @@ class MetricColumn:
 
 
 def write_similarity(
-    path: Path, heading: str, columns: Sequence[MetricColumn], *, frames: int
+    path: Path, heading: str, columns: Sequence[MetricColumn], *, mean_of: str
 ) -> None:
     """Fig. 4: distributions of the scores, and the two curves at the frame's peaks.
 
-    ``frames``: how many fields the recording's mean is made of.
+    ``mean_of`` says what the recording's mean field is made of ("90 frames").
     """
     with drawing(path, heading, width_px=385 * len(columns), height_px=1150) as figure:
         parts = figure.subfigures(2, 1, height_ratios=(2.1, 1.0), squeeze=False)
@@ -150,7 +150,7 @@ def write_similarity(
         for i, column in enumerate(columns):
             last = i == len(columns) - 1
             _show_field(fields[0, i], column.frame, f"{column.name}, this frame", last)
-            mean = f"{column.name}, mean of {frames} frames"
+            mean = f"{column.name}, mean of {mean_of}"
             _show_field(fields[1, i], column.recording, mean, last)
             _show_curves(curves[i], column)
         add_legend_below(
@@ -159,8 +159,8 @@ def write_similarity(
             columns=2,
             words="u: LiDAR sample that falls on the leftmost sample of the depth row, counted "
             "from the left. v: depth row, counted from the top.\n"
-            "Yaw: how far the camera looks to the left of the LiDAR at this u. Grey: no score (not "
-            "searched, or too few samples valid on both sides).\n"
+            "Yaw: how far the camera (its rig) looks to the left of the LiDAR at this u. Grey: no "
+            "score (not searched, or too few samples valid on both sides).\n"
             "Curves: the samples that were compared at the peak.",
         )
 

@@ -190,7 +190,10 @@ def _write_similarity(
     shown = f"Fig. 4, scores over (u, v): {heading}"
     if frame is not None:
         shown += f"\n{_frame_name(session, frame)}, its own peaks, without the recording's"
-    write_similarity(folder / "fig4_similarity.png", shown, columns, frames=alignment.frames)
+    kind = "frames" if len(cameras) == 1 else "panoramas"
+    write_similarity(
+        folder / "fig4_similarity.png", shown, columns, mean_of=f"{alignment.frames} {kind}"
+    )
 
 
 def _field_panel(

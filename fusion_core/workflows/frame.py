@@ -1,6 +1,7 @@
 """Pass 2: one scan against one depth image, from correspondence to repair."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,12 +30,18 @@ from fusion_core.denoising.correspondence import (
 )
 from fusion_core.denoising.noise import Classes, FrameWindow, classify
 from fusion_core.denoising.repair import Repair, repair
-from fusion_core.model.conventions import NS_PER_S, Float32Array
+from fusion_core.model.conventions import NS_PER_S, Float32Array, FloatArray
 from fusion_core.model.errors import AlignmentFailed, RegistrationFailed
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.registration.ransac import Registration, register
-from fusion_core.workflows.align import Alignment, T_lidar_camera_at, search_rows, turned_rad
+from fusion_core.workflows.align import (
+    METRICS,
+    Alignment,
+    T_lidar_camera_at,
+    search_rows,
+    turned_rad,
+)
 from fusion_core.workflows.presets import ChainSettings
 from fusion_core.workflows.rig import Rig
 
@@ -105,10 +112,18 @@ def fuse_frame(
     scan = window.scan
     model = rig.cameras[camera]
     curve, row = sample_curve(scan, settings.sampling), sample_row(model, settings.sampling)
-    fields = search_rows(scan, curve, row_samples_m(depth_m, row), settings)
     prior_u = offset_of_yaw(alignment.mount.yaw_rad, curve, row.left_rad)
+    rows_m = row_samples_m(depth_m, row)
+    fields = search_rows(scan, curve, rows_m, settings)
     alone = _peaks(fields, settings, None)
-    peaks = _peaks(fields, settings, prior_u) if settings.search.use_prior else alone
+    peaks = _peaks(fields, settings, prior_u) if settings.search.use_prior else dict(alone)
+    if settings.search.use_prior:
+        reach = settings.search.prior_samples
+        _refine(peaks, scan, rows_m, (prior_u - reach, prior_u + reach), METRICS, settings)
+    metric = settings.search.metric
+    if metric in alone:
+        u = alone[metric].u
+        _refine(alone, scan, rows_m, (u - 1.0, u + 1.0), (metric,), settings)
     rate = turn_rate_rad_s(window, settings.time)
     kept = mount_frame(model, scan, depth_m, scan.stamp_ns + gap_ns, rate)
 
@@ -174,6 +189,43 @@ def fuse_frame(
         classes=classes,
         repair=repair(pairs, classes, depth_m, alignment.scale, settings.repair),
     )
+
+
+def _refine(
+    peaks: dict[Metric, Peak],
+    scan: LaserScan,
+    rows_m: FloatArray,
+    between: tuple[float, float],
+    metrics: Sequence[Metric],
+    settings: ChainSettings,
+) -> None:
+    """Replace peaks by better ones at offsets between two whole samples.
+
+    An offset of half a sample blurs every edge of the curve against the row's, and rows far from
+    the true one may then fit as well: so the curve is sampled again a share of a sample further
+    right, over the few samples that matter.
+    """
+    if settings.sampling.by == "index":
+        return
+    for part in range(1, settings.search.sub_samples):
+        shift = part / settings.search.sub_samples
+        curve = sample_curve(scan, settings.sampling, shift=shift)
+        first = max(0, round(between[0] - shift))
+        last = min(curve.beams.size - rows_m.shape[1], round(between[1] - shift))
+        if last < first:
+            continue
+        window = replace(curve, beams=curve.beams[first : last + rows_m.shape[1]].copy())
+        fields = search_rows(scan, window, rows_m, settings, metrics)
+        for metric, peak in _peaks(fields, settings, None).items():
+            if metric not in peaks or peak.score > peaks[metric].score:
+                coarse = peaks.get(metric, peak)
+                peaks[metric] = replace(
+                    coarse,
+                    u=peak.u + first + shift,
+                    v=peak.v,
+                    score=peak.score,
+                    overlap=peak.overlap,
+                )
 
 
 def _peaks(

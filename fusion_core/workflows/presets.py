@@ -57,7 +57,7 @@ PRESETS: dict[PresetName, ChainSettings] = {
     "published": ChainSettings(
         time=TimeSettings(compensate_turn=False),
         sampling=SamplingSettings(by="index", row_band=0.5),
-        search=SearchSettings(metric="pearson", mask_holes=False, use_prior=False),
+        search=SearchSettings(metric="pearson", mask_holes=False, use_prior=False, sub_samples=1),
         registration=PUBLISHED,
         noise=NoiseSettings(epsilon=1.2, epsilon_unit="E", fault="rougher"),
         repair=RepairSettings(

@@ -74,6 +74,19 @@ def test_each_sample_is_the_beam_nearest_to_its_azimuth(name: str) -> None:
     assert centre == pytest.approx(0.5 * (scan.angles_rad[0] + scan.angles_rad[-1]), abs=1e-12)
 
 
+@pytest.mark.parametrize("shift", [0.25, 0.5, 0.75])
+def test_a_shifted_curve_lies_a_share_of_a_sample_to_the_right(shift: float) -> None:
+    scan = SCANS["off centre"]
+    plain, shifted = sample_curve(scan, BY_ANGLE), sample_curve(scan, BY_ANGLE, shift=shift)
+    assert shifted.beams.size == plain.beams.size
+    assert plain.left_rad - shifted.left_rad == pytest.approx(shift * plain.step_rad)
+    wanted = shifted.left_rad - shifted.step_rad * np.arange(shifted.beams.size)
+    off = np.abs(scan.angles_rad[shifted.beams] - wanted)
+    # Half a beam; the last sample may have been shifted beyond the last beam.
+    assert off[:-1].max() <= 0.5 * scan.angle_increment_rad + 1e-9
+    assert off[-1] <= shift * shifted.step_rad
+
+
 @pytest.mark.parametrize("settings", [BY_ANGLE, BY_INDEX], ids=["angle", "index"])
 @pytest.mark.parametrize("name", SCANS)
 def test_curves_run_left_to_right(name: str, settings: SamplingSettings) -> None:
