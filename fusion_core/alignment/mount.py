@@ -206,10 +206,16 @@ def estimate_mount(
     best, doubtful_yaw = _choose(problem, fits, yaws[0])
     least_sd = np.minimum(_LEAST_SD, _RECORDED_SD) if trusted else _LEAST_SD
     sd = np.maximum(_sandwich_sd(problem, best, spread), least_sd)
-    if not trusted and _rival_height(problem, fits, best):
-        sd[[1, 4]] = np.inf
+    if not trusted:
+        level = [np.concatenate([best[:1], [height], best[2:]]) for height in heights_m]
+        for rival in _rivals(problem, [*fits, *level], best):
+            sd = np.maximum(sd, np.abs(rival - best))
+            sd[[1, 4]] = np.inf
     if doubtful_yaw:
         sd[0] = np.inf
+    # Pairs need the turn of yaw and delay together, which is known even where neither is.
+    sure_yaw = bool(sd[0] <= _OBSERVABLE_SD[0])
+    sd = _with_delay(sd, problem.turn_rates_rad_s, spread[5], settings)
     mount = Mount.from_vector(
         best,
         tuple(
@@ -222,7 +228,7 @@ def estimate_mount(
         mount=mount,
         agreement=agreement,
         visible=visible,
-        confident=bool(agreement >= settings.min_agreement and mount.sd[0] is not None),
+        confident=bool(agreement >= settings.min_agreement and sure_yaw),
         from_recorded=bool(trusted),
         delta_z_profile=_delta_z_profile(problem, best, heights_m)[:, 1:],
     )
@@ -328,7 +334,7 @@ class _Problem:
             ]
         )
         self._T_camera_rig = np.stack([inverse(frame.camera.T_rig_camera) for frame in frames])
-        self._turn = np.array([frame.turn_rate_rad_s for frame in frames])
+        self.turn_rates_rad_s = np.array([frame.turn_rate_rad_s for frame in frames])
         self._after_s = np.array([frame.image_after_scan_s for frame in frames])
         self.blocks = max(1, len(frames) // _FRAMES_PER_BLOCK)
 
@@ -369,7 +375,7 @@ class _Problem:
         return np.array([self._tallies(T, mount)[:, 0].sum() for T in T_rig_lidar])
 
     def _tallies(self, T_rig_lidar: FloatArray, mount: Mount) -> FloatArray:
-        turned_rad = self._turn * (self._after_s - mount.clock_offset_ms * 1e-3)
+        turned_rad = self.turn_rates_rad_s * (self._after_s - mount.clock_offset_ms * 1e-3)
         tallies: FloatArray = _tally(
             self._points,
             self._first_point,
@@ -483,8 +489,12 @@ def _sandwich_sd(problem: _Problem, values: FloatArray, spread: FloatArray) -> F
             hessian[i, j] = hessian[j, i] = corners / (4.0 * _STEP[i] * _STEP[j])
     scale = np.diag(_STEP)
     # In units of the steps, so that metres, radians and milliseconds compare.
-    curvature = scale @ hessian @ scale + np.diag((_STEP / spread) ** 2 / (problem.blocks * 20.0))
-    noise = np.atleast_2d(np.cov(scale @ gradients)) / problem.blocks
+    curvature = scale @ hessian @ scale + np.diag(
+        (_STEP / spread) ** 2 / (problem.blocks * _PRIOR_BLOCKS)
+    )
+    # A prior's centre is off by its own spread: where the data say nothing, that is the answer.
+    prior = (_STEP / spread) ** 2 / (problem.blocks * _PRIOR_BLOCKS) ** 2
+    noise = np.cov(scale @ gradients) / problem.blocks + np.diag(prior)
     eigenvalues, vectors = np.linalg.eigh(curvature)
     flat = eigenvalues < 1e-4 * max(float(eigenvalues.max()), 1e-12)
     back = (vectors / np.where(flat, 1.0, eigenvalues)) @ vectors.T
@@ -497,17 +507,33 @@ def _sandwich_sd(problem: _Problem, values: FloatArray, spread: FloatArray) -> F
     return sd
 
 
-def _rival_height(problem: _Problem, fits: list[FloatArray], best: FloatArray) -> bool:
-    """Whether another Delta z explains the recording as well (paired over blocks, 2 sigma)."""
+def _with_delay(
+    sd: FloatArray, rates_rad_s: FloatArray, delay_spread_ms: float, settings: MountSettings
+) -> FloatArray:
+    """The deviations where a delay looks like a yaw: only changes of the turn rate tell the two
+    apart (a line fitted to the frames' yaws over their rates, each ``frame_yaw_sd_deg`` off)."""
+    changes_rad_s = np.std(rates_rad_s) * np.sqrt(rates_rad_s.size)
+    delay_ms = 1e3 * np.deg2rad(settings.frame_yaw_sd_deg) / max(float(changes_rad_s), 1e-6)
+    widened = sd.copy()
+    widened[5] = max(sd[5], delay_ms)
+    delay_s = 1e-3 * min(widened[5], delay_spread_ms)
+    widened[0] = np.hypot(sd[0], np.mean(rates_rad_s) * delay_s)
+    return widened
+
+
+def _rivals(problem: _Problem, fits: list[FloatArray], best: FloatArray) -> list[FloatArray]:
+    """The fits with another Delta z that explain the recording as well (paired over blocks,
+    2 sigma)."""
     reference = problem.block_costs(best)
+    rivals = []
     for fit in fits:
         if abs(fit[1] - best[1]) < 0.15:
             continue
         difference = problem.block_costs(fit) - reference
         doubt = 2.0 * np.std(difference) / np.sqrt(difference.size)
         if np.mean(difference) < max(doubt, _RIVAL_COST):
-            return True
-    return False
+            rivals.append(fit)
+    return rivals
 
 
 @njit(cache=True)

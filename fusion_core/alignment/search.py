@@ -65,7 +65,8 @@ def find_peak(
     allowed = np.isfinite(best_of_offset)
     if prior_u is not None:
         offsets = field.u_first + np.arange(best_of_offset.size)
-        allowed &= np.abs(offsets - round(prior_u)) <= settings.prior_samples
+        # Half a sample: with no reach at all the nearest whole offset still counts.
+        allowed &= np.abs(offsets - prior_u) <= max(settings.prior_samples, 0.5)
     if not allowed.any():
         raise AlignmentFailed(
             "no offset (u, v) has enough samples valid on both sides.",

@@ -60,6 +60,7 @@ def drawing(path: Path, heading: str, *, width_px: int, height_px: int) -> Itera
         figure = Figure(figsize=(width_px / _DPI, height_px / _DPI), dpi=_DPI, layout="constrained")
         figure.suptitle(heading)
         yield figure
+        _settle(figure)
         drawn = io.BytesIO()
         figure.savefig(drawn, format="rgba")
     rgba = np.frombuffer(drawn.getbuffer(), dtype=np.uint8).reshape(height_px, width_px, 4)
@@ -68,6 +69,16 @@ def drawing(path: Path, heading: str, *, width_px: int, height_px: int) -> Itera
     if not done:
         raise ExportError("cannot be encoded as PNG.", file=path)
     write_bytes(path, png.tobytes())
+
+
+def _settle(figure: "Figure") -> None:
+    """Lay out the panels once, and round where they stand: the layout's solver orders its terms by
+    memory address, so that its last digits are not the same in every run."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    for axes in figure.get_axes():
+        x, y, width, height = (round(value, 5) for value in axes.get_position(True).bounds)
+        axes.set_position((x, y, width, height))
 
 
 def show_color(axes: "Axes", rgb: ByteArray) -> None:

@@ -82,8 +82,8 @@ class FigureCollector:
 
     def add(self, frame: FusedFrame) -> None:
         """Take note of one frame."""
-        self.scores[score_range(frame.peaks_alone.get("pearson"))] += 1
-        peak = frame.peaks.get(self._alignment.metric)
+        self.scores[score_range(frame.search.peaks_alone.get("pearson"))] += 1
+        peak = frame.search.peaks.get(self._alignment.metric)
         is_sound = frame.registration is not None and peak is not None and peak.overlap >= 0.5
         rank = (is_sound, _repaired_count(frame))
         if rank > self._rank:
@@ -123,7 +123,7 @@ def write_figures(
     cannot be written.
     """
     folder.mkdir(exist_ok=True)
-    name = session.recording.path.name
+    name = session.recording.path.resolve().name
     heading = f"{printable(name)}, preset {preset}"
     if session.virtual_row is not None:
         heading += f", virtual LiDAR, row {session.virtual_row}"
@@ -182,8 +182,8 @@ def _write_similarity(
             camera = cameras[frame.camera]
             curve = sample_curve(frame.scan, session.settings.sampling)
             row = sample_row(camera, session.settings.sampling)
-            peak = frame.peaks_alone.get(metric)
-            panel = _field_panel(frame.fields[metric], peak, curve, row, camera)
+            peak = frame.search.peaks_alone.get(metric)
+            panel = _field_panel(frame.search.fields[metric], peak, curve, row, camera)
             if peak is not None:
                 curves = _curves_at(frame, peak, curve, row, session.settings.search.mask_holes)
         columns.append(MetricColumn(name=name, frame=panel, recording=recording, curves=curves))

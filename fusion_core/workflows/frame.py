@@ -1,7 +1,6 @@
 """Pass 2: one scan against one depth image, from correspondence to repair."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,14 +8,12 @@ from fusion_core.alignment.curves import (
     CurveSampling,
     RowSampling,
     offset_of_yaw,
-    row_samples_m,
     sample_curve,
     sample_row,
     yaw_of_offset_rad,
 )
 from fusion_core.alignment.mount import mount_frame
-from fusion_core.alignment.search import Peak, find_peak
-from fusion_core.alignment.similarity import Metric, SimilarityField
+from fusion_core.alignment.search import Peak
 from fusion_core.alignment.time import ScanWindow, turn_rate_rad_s
 from fusion_core.denoising.correspondence import (
     Correspondence,
@@ -30,18 +27,13 @@ from fusion_core.denoising.correspondence import (
 )
 from fusion_core.denoising.noise import Classes, FrameWindow, classify
 from fusion_core.denoising.repair import Repair, repair
-from fusion_core.model.conventions import NS_PER_S, Float32Array, FloatArray
+from fusion_core.model.conventions import NS_PER_S, Float32Array
 from fusion_core.model.errors import AlignmentFailed, RegistrationFailed
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.registration.ransac import Registration, register
-from fusion_core.workflows.align import (
-    METRICS,
-    Alignment,
-    T_lidar_camera_at,
-    search_rows,
-    turned_rad,
-)
+from fusion_core.workflows.align import Alignment, T_lidar_camera_at, turned_rad
+from fusion_core.workflows.frame_search import FrameSearch, search_frame
 from fusion_core.workflows.presets import ChainSettings
 from fusion_core.workflows.rig import Rig
 
@@ -52,8 +44,8 @@ class FusedFrame:
 
     ``image`` is the stored one, ``depth_m`` its upright view.
 
-    ``peaks``: each metric's peak with the recording as prior; ``peaks_alone`` without it. A metric
-    without a peak is absent. ``registration`` is None where it failed, and ``refusal`` says why.
+    ``search``: its fields and peaks. ``registration`` is None where it failed, and ``refusal``
+    says why.
     ``u_of_rig``: what to add to a peak's u, which is the camera's own, to get that of the
     recording's field; not 0 where several cameras make a panorama.
     ``turned_rad``: the turn from scan to image that the pairs were corrected by.
@@ -66,9 +58,7 @@ class FusedFrame:
     scan: LaserScan
     gap_ns: int
     turned_rad: float
-    fields: dict[Metric, SimilarityField]
-    peaks: dict[Metric, Peak]
-    peaks_alone: dict[Metric, Peak]
+    search: FrameSearch
     u_of_rig: float
     row_model: RowModel
     registration: Registration | None
@@ -112,36 +102,27 @@ def fuse_frame(
     scan = window.scan
     model = rig.cameras[camera]
     curve, row = sample_curve(scan, settings.sampling), sample_row(model, settings.sampling)
-    prior_u = offset_of_yaw(alignment.mount.yaw_rad, curve, row.left_rad)
-    rows_m = row_samples_m(depth_m, row)
-    fields = search_rows(scan, curve, rows_m, settings)
-    alone = _peaks(fields, settings, None)
-    peaks = _peaks(fields, settings, prior_u) if settings.search.use_prior else dict(alone)
-    if settings.search.use_prior:
-        reach = settings.search.prior_samples
-        _refine(peaks, scan, rows_m, (prior_u - reach, prior_u + reach), METRICS, settings)
-    metric = settings.search.metric
-    if metric in alone:
-        u = alone[metric].u
-        _refine(alone, scan, rows_m, (u - 1.0, u + 1.0), (metric,), settings)
     rate = turn_rate_rad_s(window, settings.time)
     kept = mount_frame(model, scan, depth_m, scan.stamp_ns + gap_ns, rate)
 
     turned = 0.0
-    registration = None
-    refusal = ""
-    if settings.pairing == "frame":
-        pairs, registration, refusal = _by_own_peak(
-            scan, depth_m, curve, row, peaks.get(settings.search.metric), settings
-        )
-    elif alignment.along_curve:
+    prior_u = offset_of_yaw(alignment.mount.yaw_rad, curve, row.left_rad)
+    pairs = None
+    if alignment.along_curve and settings.pairing == "mount":
         turned = turned_rad(kept, alignment.mount, settings)
         T_lidar_camera = T_lidar_camera_at(rig, camera, alignment.mount, turned)
         pairs = along_curve(scan, depth_m, kept.depth_m, model, T_lidar_camera)
+        # The rows are searched at rest: what the LiDAR turned meanwhile is no part of the offset.
+        prior_u = _offset_of_pairs(pairs, curve, row, model, prior_u - turned / curve.step_rad)
+        prior_u += turned / curve.step_rad
+    found = search_frame(scan, depth_m, curve, row, prior_u, settings)
+    peak = found.peaks.get(settings.search.metric)
+    if pairs is not None:
         registration, refusal = _register(pairs, settings)
+    elif settings.pairing == "frame":
+        pairs, registration, refusal = _by_own_peak(scan, depth_m, curve, row, peak, settings)
     else:
         mount = Mount(yaw_rad=alignment.mount.yaw_rad)
-        peak = peaks.get(settings.search.metric)
         if peak is not None:
             yaw_rad = yaw_of_offset_rad(peak.u, curve, row.left_rad)
             mount = Mount(yaw_rad=yaw_rad)
@@ -178,9 +159,7 @@ def fuse_frame(
         scan=scan,
         gap_ns=gap_ns,
         turned_rad=turned,
-        fields=fields,
-        peaks=peaks,
-        peaks_alone=alone,
+        search=found,
         u_of_rig=(row.left_rad - alignment.row.left_rad) / curve.step_rad,
         row_model=pairs.model,
         registration=registration,
@@ -191,53 +170,22 @@ def fuse_frame(
     )
 
 
-def _refine(
-    peaks: dict[Metric, Peak],
-    scan: LaserScan,
-    rows_m: FloatArray,
-    between: tuple[float, float],
-    metrics: Sequence[Metric],
-    settings: ChainSettings,
-) -> None:
-    """Replace peaks by better ones at offsets between two whole samples.
-
-    An offset of half a sample blurs every edge of the curve against the row's, and rows far from
-    the true one may then fit as well: so the curve is sampled again a share of a sample further
-    right, over the few samples that matter.
-    """
-    if settings.sampling.by == "index":
-        return
-    for part in range(1, settings.search.sub_samples):
-        shift = part / settings.search.sub_samples
-        curve = sample_curve(scan, settings.sampling, shift=shift)
-        first = max(0, round(between[0] - shift))
-        last = min(curve.beams.size - rows_m.shape[1], round(between[1] - shift))
-        if last < first:
-            continue
-        window = replace(curve, beams=curve.beams[first : last + rows_m.shape[1]].copy())
-        fields = search_rows(scan, window, rows_m, settings, metrics)
-        for metric, peak in _peaks(fields, settings, None).items():
-            if metric not in peaks or peak.score > peaks[metric].score:
-                coarse = peaks.get(metric, peak)
-                peaks[metric] = replace(
-                    coarse,
-                    u=peak.u + first + shift,
-                    v=peak.v,
-                    score=peak.score,
-                    overlap=peak.overlap,
-                )
-
-
-def _peaks(
-    fields: dict[Metric, SimilarityField], settings: ChainSettings, prior_u: float | None
-) -> dict[Metric, Peak]:
-    peaks = {}
-    for metric, field in fields.items():
-        try:
-            peaks[metric] = find_peak(field, settings.search, prior_u=prior_u)
-        except AlignmentFailed:
-            continue
-    return peaks
+def _offset_of_pairs(
+    pairs: Correspondence,
+    curve: CurveSampling,
+    row: RowSampling,
+    camera: Camera,
+    otherwise: float,
+) -> float:
+    """The offset u that the mount expects in this frame: the median over the pairs, so with the
+    lever arm at the ranges that are there. ``otherwise`` where nothing pairs."""
+    paired = np.isfinite(pairs.residual_m)
+    if not paired.any():
+        return otherwise
+    on_curve = curve.sample_of_azimuth(pairs.azimuth_rad[paired])
+    in_rig_rad = camera.column_azimuths_rad(pairs.column[paired].astype(np.float64))
+    in_row = (row.left_rad - camera.yaw_rad - in_rig_rad) / row.step_rad
+    return float(np.median(on_curve - in_row))
 
 
 def _register(pairs: Correspondence, settings: ChainSettings) -> tuple[Registration | None, str]:

@@ -42,6 +42,9 @@ from fusion_core.workflows.tables import (
     unpaired_row,
 )
 
+# Small row groups: what waits for one counts in the memory of every run.
+_SAMPLES_PER_GROUP = 8192
+
 
 @dataclass(frozen=True, kw_only=True)
 class FuseOptions:
@@ -367,7 +370,11 @@ def _write_frames(
     notes: list[str] = []
     with ExitStack() as stack:
         frame_table = stack.enter_context(CsvTable(folder / "frames.csv", FRAME_COLUMNS))
-        sample_table = stack.enter_context(ParquetTable(folder / "samples.parquet", SAMPLE_SCHEMA))
+        sample_table = stack.enter_context(
+            ParquetTable(
+                folder / "samples.parquet", SAMPLE_SCHEMA, rows_per_group=_SAMPLES_PER_GROUP
+            )
+        )
         mcap = stack.enter_context(Ros2McapWriter(folder / "fused.mcap"))
         merge = ScanMerge()
 

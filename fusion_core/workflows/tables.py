@@ -74,8 +74,8 @@ def unpaired_row(topic: str, entry: PairedImage) -> dict[str, object]:
 
 def frame_row(topic: str, frame: FusedFrame, alignment: Alignment, rig: Rig) -> dict[str, object]:
     """The row of a fused image. Depth is counted where the stored image has the pixel."""
-    peak = frame.peaks.get(alignment.metric)
-    alone = frame.peaks_alone.get(alignment.metric)
+    peak = frame.search.peaks.get(alignment.metric)
+    alone = frame.search.peaks_alone.get(alignment.metric)
     registration = frame.registration
     stored_row, _ = rig.views[frame.camera].stored_pixels(frame.pairs.row, frame.pairs.column)
     stored = stored_row >= 0
@@ -110,10 +110,10 @@ def frame_row(topic: str, frame: FusedFrame, alignment: Alignment, rig: Rig) -> 
         for noise in NoiseClass:
             row[f"{name}_{noise.name.lower()}"] = int((classes == noise).sum())
     for metric in METRICS:
-        if metric in frame.peaks:
-            row[f"u_{metric}"] = frame.peaks[metric].u + frame.u_of_rig
-        if metric in frame.peaks_alone:
-            row[f"u_alone_{metric}"] = frame.peaks_alone[metric].u + frame.u_of_rig
+        if metric in frame.search.peaks:
+            row[f"u_{metric}"] = frame.search.peaks[metric].u + frame.u_of_rig
+        if metric in frame.search.peaks_alone:
+            row[f"u_alone_{metric}"] = frame.search.peaks_alone[metric].u + frame.u_of_rig
     return row
 
 

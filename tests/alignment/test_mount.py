@@ -177,7 +177,6 @@ def test_the_profile_is_lowest_near_the_height(trials: list[Trial]) -> None:
         assert abs(heights_m[costs.argmin()] - one.estimate.mount.delta_z_m) <= 0.06
 
 
-@pytest.mark.xfail(strict=True, reason="a local minimum of a flat cost is reported as observed")
 def test_a_plain_room_does_not_show_height_and_pitch(box_room) -> None:
     for seed in (0, 1, 2, 3):
         truth = random_mount(100 + seed)
@@ -187,7 +186,6 @@ def test_a_plain_room_does_not_show_height_and_pitch(box_room) -> None:
         assert found.errors[0] == pytest.approx(0.0, abs=np.deg2rad(1.0))
 
 
-@pytest.mark.xfail(strict=True, reason="the prior's curvature counts as if the data had it")
 @pytest.mark.parametrize("rate", [0.0, 0.4], ids=["standing still", "turning steadily"])
 def test_only_changing_turns_show_the_clock(furnished_room, rate: float) -> None:
     for seed in (0, 1):
@@ -208,12 +206,13 @@ def test_a_recorded_mount_is_the_prior(furnished_room) -> None:
     assert all(sd is not None for sd in estimate.mount.sd[:5])
 
 
-def test_a_recorded_mount_across_the_seam_is_one_too(furnished_room) -> None:
+def test_a_recorded_yaw_is_compared_across_the_seam(furnished_room) -> None:
     truth = Mount(yaw_rad=np.pi - 0.01, delta_z_m=0.3)
     frames = drive(furnished_room, truth, 1, count=8, field_of_view_deg=360.0)
-    estimate = estimate_mount(frames, SETTINGS, yaw_rad=0.02 - np.pi, recorded=truth)
+    # Its lever arm is wrong, so that only the yaw speaks for it.
+    recorded = Mount(yaw_rad=truth.yaw_rad, delta_z_m=0.3, left_m=1.5)
+    estimate = estimate_mount(frames, SETTINGS, yaw_rad=0.02 - np.pi, recorded=recorded)
     assert estimate.from_recorded
-    assert estimate.mount.yaw_rad == pytest.approx(truth.yaw_rad, abs=np.deg2rad(1.0))
 
 
 def test_a_recorded_mount_that_contradicts_the_data_is_left_out(furnished_room) -> None:

@@ -43,6 +43,8 @@ def test_score_and_overlap_are_those_of_the_highest_cell() -> None:
 def test_runner_up_is_the_best_at_least_the_distance_away(distance: int) -> None:
     scores = np.random.default_rng(3).uniform(0.1, 0.8, (12, 50))
     scores[5, 20] = 0.9
+    # Just far enough, and just too near.
+    scores[7, 20 - distance], scores[8, 20 + distance - 1] = 0.85, 0.87
     scores[scores < 0.2] = np.nan
     peak = find_peak(field_of(scores, -4), SearchSettings(runner_up_distance=distance))
     best, place = -np.inf, (0, 0)
@@ -84,9 +86,11 @@ def test_peak_stays_within_the_window_and_half_a_sample(
 ) -> None:
     scores = np.random.default_rng(seed).uniform(0.0, 1.0, (8, 40))
     peak = find_peak(field_of(scores), SearchSettings(prior_samples=reach), prior_u=prior)
-    low, high = max(round(prior) - reach, 0), min(round(prior) + reach, 39)
-    assert low - 0.5 <= peak.u <= high + 0.5
-    assert peak.score == scores[:, low : high + 1].max()
+    # Without any reach the nearest whole offset still counts.
+    reach_or_nearest = max(reach, 0.5)
+    within = [u for u in range(40) if abs(u - prior) <= reach_or_nearest]
+    assert abs(peak.u - prior) <= reach_or_nearest + 0.5
+    assert peak.score == scores[:, within].max()
 
 
 @pytest.mark.parametrize("prior", [10.0, 30.0])

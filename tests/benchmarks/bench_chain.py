@@ -38,7 +38,7 @@ ROUNDS = 7
 BAR, AIM = 100, 150
 # Where pass 2 looks each of its stages up.
 STAGES = {
-    "search": ((frame, "search_rows"), (frame, "find_peak")),
+    "search": ((frame, "search_frame"),),
     "turn rate": ((frame, "turn_rate_rad_s"),),
     "mount frame": ((frame, "mount_frame"),),
     "frame yaw check": ((frame, "turned_rad"),),

@@ -33,11 +33,11 @@ def fuse(recording: Path, output: Path, more: Sequence[str] = ()) -> float:
     command = [sys.executable, "-c", FUSE, "fuse", str(recording), "-o", str(output)]
     measure = (
         "import resource, subprocess, sys;"
-        "subprocess.run(sys.argv[1:], check=True, capture_output=True);"
+        "subprocess.run(sys.argv[1:], check=True, stdout=sys.stderr);"
         "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
     )
     command = [sys.executable, "-c", measure, *command, "--no-figures", *more]
-    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
     return int(done.stdout) / 1024.0
 
 

@@ -278,6 +278,9 @@ def test_rays_end_behind_all_that_is_seen_whatever_the_lidar_reaches(range_max_m
     near = along_curve(scan_of(ranges), depth, depth, CAMERA, T)
     far = along_curve(scan_of(ranges, range_max_m=range_max_m), depth, depth, CAMERA, T)
     np.testing.assert_array_equal(far.camera_range_m, near.camera_range_m)
+    # Beams that look away from the image end too.
+    around = scan_of(np.full(90, np.nan), first_rad=-3.1, range_max_m=range_max_m)
+    assert along_curve(around, depth, depth, CAMERA, T).beam.size > 10
 
 
 def test_rays_end_at_the_range_of_the_lidar():

@@ -139,6 +139,26 @@ def test_a_mixed_beam_and_a_column_of_mixed_pixels_at_an_edge():
     assert_classes(classes_of(window_of(edge, image, camera=edge)), depth={20: BURR})
 
 
+def test_at_an_edge_both_may_mix_alike_and_agree_on_a_point_that_is_on_neither_surface():
+    edge = np.where(np.arange(BEAMS) < 20, 2.0, 3.0)
+    edge[20] = 2.5
+    image = np.tile(edge, (2 * ROW + 1, 1)).astype(np.float32)
+    classes = classes_of(window_of(edge, image))
+    assert_classes(classes, lidar={20: BURR}, depth={20: BURR})
+    # Eq. (6) alone has nothing against a pair that agrees.
+    assert_classes(classes_of(window_of(edge, image), PUBLISHED))
+
+
+@pytest.mark.parametrize(("alike", "code"), [(0, BURR), (1, BURR), (2, CONFLICT)])
+def test_a_pixel_among_holes_needs_so_many_of_its_kind_whatever_their_share(alike, code):
+    image = wall_image()
+    image[:, 17:24] = np.nan
+    image[ROW, 20] = 1.2
+    image[ROW - 1, 20 : 20 + alike] = 1.2
+    classes = classes_of(window_of(wall(), image, camera=wall()))
+    assert classes.depth_class[20] == code
+
+
 @pytest.mark.parametrize("camera_sees", ["the wall", "nothing"])
 def test_a_low_cabinet_that_the_lidar_alone_meets_is_a_conflict_and_no_noise(camera_sees):
     lidar = wall()
@@ -165,6 +185,17 @@ def test_behind_glass_scattered_returns_are_burrs():
     lidar[16], lidar[20], lidar[25] = 3.1, 0.9, 4.4
     classes = classes_of(window_of(lidar, image))
     assert_classes(classes, lidar={pane: HOLE, (16, 20, 25): BURR}, depth={pane: HOLE})
+
+
+def test_behind_glass_two_returns_of_a_kind_among_six_others_vouch_for_nothing():
+    lidar, image = wall(), wall_image()
+    image[:, 12:29] = np.nan
+    lidar[12:29] = np.nan
+    lidar[17:24] = 4.0, 3.0, 1.1, 3.0, 5.0, 3.0, 2.2
+    assert classes_of(window_of(lidar, image)).lidar_class[20] == BURR
+    lidar[[17, 23]] = np.nan
+    lidar[19] = 3.0
+    assert classes_of(window_of(lidar, image)).lidar_class[20] == GOOD
 
 
 def test_a_dark_thing_seen_by_a_few_beams_that_agree_is_good():
@@ -214,6 +245,19 @@ def test_other_scans_vouch_for_a_thin_thing_where_the_lidar_turns():
     assert class_of_the_middle_bar() == BURR
     assert class_of_the_middle_bar(**turning) == BURR
     assert class_of_the_middle_bar(**turning, shift_before=-6, shift_after=7) == BURR
+
+
+def test_two_beams_side_by_side_need_another_scan_that_vouches_for_them():
+    lidar = wall()
+    lidar[20:22] = 1.2
+
+    def classes_with(**neighbours):
+        window = window_of(lidar, wall_image(), camera=wall(), **neighbours)
+        return classes_of(window).lidar_class[20:22].tolist()
+
+    assert classes_with() == [BURR, BURR]
+    assert classes_with(scan_before=scan_of(wall())) == [BURR, BURR]
+    assert classes_with(scan_before=scan_of(lidar)) == [CONFLICT, CONFLICT]
 
 
 def test_a_scan_of_another_kind_vouches_for_nothing():
@@ -375,6 +419,21 @@ def test_confidence_falls_with_the_residual_for_good_and_grows_for_noise(case):
             assert (np.diff(confidence[codes == code]) >= 0.0).all()
     expected = {"lidar burr": [BURR, GOOD], "pixel burr": [GOOD, BURR]}
     assert kinds == expected.get(case, [CONFLICT, CONFLICT])
+
+
+def test_a_burr_that_other_scans_have_too_is_less_sure():
+    lidar = wall()
+    lidar[20] = 1.2
+
+    def confidence(**neighbours):
+        classes = classes_of(window_of(lidar, wall_image(), camera=wall(), **neighbours))
+        assert classes.lidar_class[20] == BURR
+        return classes.lidar_confidence[20]
+
+    once = confidence(scan_before=scan_of(lidar), scan_after=scan_of(wall()))
+    never = confidence(scan_before=scan_of(wall()), scan_after=scan_of(wall()))
+    assert once < never - 0.05
+    assert never > 0.9
 
 
 # Against loops.
