@@ -6,6 +6,7 @@ from typing import get_args
 
 import numpy as np
 
+from fusion_core.alignment.agreement import MountFrame, mount_frame
 from fusion_core.alignment.curves import (
     CurveSampling,
     RowSampling,
@@ -16,13 +17,7 @@ from fusion_core.alignment.curves import (
     sample_row,
     yaw_of_offset_rad,
 )
-from fusion_core.alignment.mount import (
-    MountEstimate,
-    MountFrame,
-    estimate_mount,
-    frame_yaw_offset_rad,
-    mount_frame,
-)
+from fusion_core.alignment.mount import MountEstimate, estimate_mount, frame_yaw_offset_rad
 from fusion_core.alignment.panorama import Panorama
 from fusion_core.alignment.search import FieldMean, Peak, SearchSettings, find_peak
 from fusion_core.alignment.similarity import Metric, SimilarityField, similarity_fields

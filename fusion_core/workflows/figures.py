@@ -141,7 +141,7 @@ def write_figures(
         try:
             _write_recall(folder, heading, fuse_dir, truth)
         except ScanLoomError as error:
-            notes.append(f"Fig. 6 is left out: {error}")
+            notes.append(f"Fig. 6 is left out: {truth.name} {error.problem}")
     if grids:
         _write_maps(folder, heading, grids)
     return notes

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fusion_core.alignment.agreement import mount_frame
 from fusion_core.alignment.curves import (
     CurveSampling,
     RowSampling,
@@ -12,7 +13,6 @@ from fusion_core.alignment.curves import (
     sample_row,
     yaw_of_offset_rad,
 )
-from fusion_core.alignment.mount import mount_frame
 from fusion_core.alignment.search import Peak
 from fusion_core.alignment.time import ScanWindow, turn_rate_rad_s
 from fusion_core.denoising.correspondence import (

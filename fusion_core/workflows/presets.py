@@ -11,8 +11,8 @@ from typing import Literal
 
 from pydantic import ConfigDict
 
+from fusion_core.alignment.agreement import MountSettings
 from fusion_core.alignment.curves import SamplingSettings
-from fusion_core.alignment.mount import MountSettings
 from fusion_core.alignment.search import SearchSettings
 from fusion_core.alignment.time import TimeSettings
 from fusion_core.denoising.noise import NoiseSettings

@@ -5,15 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from fusion_core.alignment.mount import (
-    MountEstimate,
+from fusion_core.alignment.agreement import (
     MountFrame,
     MountSettings,
-    estimate_mount,
-    frame_yaw_offset_rad,
     mount_frame,
     without_speckle,
 )
+from fusion_core.alignment.mount import MountEstimate, estimate_mount, frame_yaw_offset_rad
 from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, R_BODY_OPTICAL
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.geometry import transform, transform_from_planar

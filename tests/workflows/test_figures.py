@@ -293,6 +293,7 @@ def test_a_truth_that_does_not_serve_costs_its_figure_alone(
         )
     assert [note.split(":")[0] for note in notes] == ["No frame to show", "Fig. 6 is left out"]
     assert "mounted" in notes[1]
+    assert str(tmp_path) not in notes[1]
     written = {path.name for path in (tmp_path / "figures").iterdir()}
     assert written == {"fig4_similarity.png", "table1.csv"}
 

@@ -1,0 +1,266 @@
+"""How well a mount lays LiDAR points onto what the cameras see: the cost that the mount minimises.
+
+Three ways to disagree are not the same. A camera that sees *through* a LiDAR point (depth beyond
+it) contradicts the mount; one that sees something *nearer* may just be occluded; a point above or
+below the image says little, but must cost something, since a large Delta z would otherwise hide
+every near point that could disagree. Points to the side of the image cost nothing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numba import njit
+
+from fusion_core.model.conventions import (
+    NS_PER_S,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    read_only,
+)
+from fusion_core.model.geometry import inverse
+from fusion_core.model.rig import Camera, Mount
+from fusion_core.model.sensors import LaserScan
+from fusion_core.settings import StageSettings, setting
+
+
+class MountSettings(StageSettings):
+    """How the mount is refined around the recording's offset u."""
+
+    frames: int = setting(48, "Depth images kept for the refinement", unit="images", ge=4, le=400)
+    tolerance_m: float = setting(0.03, "Agreement tolerance at range 0", unit="m", gt=0.0)
+    tolerance_share: float = setting(0.02, "Growth of the tolerance with range", gt=0.0, le=0.2)
+    nearer_cost: float = setting(
+        0.6, "Cost of depth nearer than the LiDAR point (1: beyond it)", ge=0.0, le=1.0
+    )
+    hidden_cost: float = setting(
+        0.3, "Cost of a LiDAR point outside the image or on a hole", ge=0.0, le=1.0
+    )
+    delta_z_min_m: float = setting(-0.8, "Lowest camera against the LiDAR", unit="m")
+    delta_z_max_m: float = setting(1.6, "Highest camera against the LiDAR", unit="m")
+    clearance_m: float = setting(
+        0.1, "Least height of the LiDAR's plane over the lowest surface seen", unit="m", ge=0.0
+    )
+    frame_yaw_sd_deg: float = setting(
+        0.5, "How far a frame's yaw may stray from the mount's (0: not at all)", unit="deg", ge=0.0
+    )
+    min_agreement: float = setting(
+        0.8, "Least share of visible points that agree, to pair along the curve", gt=0.0, le=1.0
+    )
+
+
+# Neighbouring frames see the same walls: they count as one observation.
+_FRAMES_PER_BLOCK = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MountFrame:
+    """One scan and one image of the subset that the refinement keeps.
+
+    ``points_m``: (N, 2) valid LiDAR points in the LiDAR frame at the scan's stamp.
+    ``raw_depth_m``: (H, W) upright view, ``depth_m`` the same without speckle.
+    ``image_after_scan_s``: image stamp - scan stamp.
+    """
+
+    camera: Camera
+    scan: LaserScan
+    raw_depth_m: Float32Array
+    points_m: FloatArray
+    depth_m: Float32Array
+    turn_rate_rad_s: float
+    image_after_scan_s: float
+
+    def __post_init__(self) -> None:
+        read_only(self.points_m)
+        read_only(self.depth_m)
+
+
+def mount_frame(
+    camera: Camera, scan: LaserScan, depth_m: Float32Array, image_stamp_ns: int, turn_rate: float
+) -> MountFrame:
+    """Keep what the refinement needs of one pair. An unknown turn rate counts as standing still
+    only here, where one frame of many cannot move the mount."""
+    valid = np.isfinite(scan.ranges_m)
+    angles = scan.angles_rad[valid]
+    ranges = scan.ranges_m[valid]
+    return MountFrame(
+        camera=camera,
+        scan=scan,
+        raw_depth_m=depth_m,
+        points_m=np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=1),
+        depth_m=without_speckle(depth_m),
+        turn_rate_rad_s=turn_rate if np.isfinite(turn_rate) else 0.0,
+        image_after_scan_s=(image_stamp_ns - scan.stamp_ns) / NS_PER_S,
+    )
+
+
+def without_speckle(depth_m: Float32Array) -> Float32Array:
+    """The depth image without lone values, by a 3 x 3 median, and without lone holes.
+
+    A hole among at least four valid pixels of one surface in the 5 x 5 around becomes their mean
+    (dark furniture answers in every other pixel); other holes stay.
+    """
+    zeroed = np.where(np.isfinite(depth_m), depth_m, np.float32(0.0))
+    filtered = cv2.medianBlur(zeroed, 3)
+    square = np.ones((5, 5), dtype=np.uint8)
+    valid = (zeroed > 0.0).astype(np.float32)
+    count = cv2.boxFilter(valid, -1, (5, 5), normalize=False)
+    total = cv2.boxFilter(zeroed, -1, (5, 5), normalize=False)
+    highest = cv2.dilate(zeroed, square)
+    lowest = cv2.erode(np.where(valid > 0.0, zeroed, np.float32(1e6)), square)
+    mean = total / np.maximum(count, 1.0)
+    one_surface = (count >= 4.0) & (highest - lowest < 0.05 * mean)
+    filled = np.where((filtered <= 0.0) & one_surface, mean, filtered)
+    return np.where(filled > 0.0, filled, np.float32(np.nan)).astype(np.float32)
+
+
+class Agreement:
+    """The kept frames as flat arrays, and the cost of a mount on each of them."""
+
+    def __init__(self, frames: Sequence[MountFrame], settings: MountSettings) -> None:
+        self._frames = frames
+        self._settings = settings
+        self._points = np.concatenate([frame.points_m for frame in frames])
+        sizes = [frame.points_m.shape[0] for frame in frames]
+        self._first_point = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        self._pixels = np.concatenate([frame.depth_m.ravel() for frame in frames])
+        areas = [frame.depth_m.size for frame in frames]
+        self._first_pixel = np.concatenate([[0], np.cumsum(areas)[:-1]]).astype(np.int64)
+        self._lens = np.array(
+            [
+                [lens.fx, lens.fy, lens.cx, lens.cy, lens.width, lens.height]
+                for lens in (frame.camera.intrinsics for frame in frames)
+            ]
+        )
+        self._T_camera_rig = np.stack([inverse(frame.camera.T_rig_camera) for frame in frames])
+        self.turn_rates_rad_s = np.array([frame.turn_rate_rad_s for frame in frames])
+        self._after_s = np.array([frame.image_after_scan_s for frame in frames])
+        self.blocks = max(1, len(frames) // _FRAMES_PER_BLOCK)
+
+    def thinned(self) -> "Agreement":
+        """Every third frame, to look far around."""
+        return Agreement(self._frames[::3], self._settings)
+
+    def lowest_seen_m(self) -> float:
+        """Height of the lowest surface in the rig frame: the floor, where it is in the image.
+
+        A LiDAR plane below it would be nowhere in the images.
+        """
+        lowest = []
+        for index, T_camera_rig in enumerate(self._T_camera_rig):
+            fx, fy, cx, cy, width, height = self._lens[index]
+            first = self._first_pixel[index]
+            depth = self._pixels[first : first + int(width * height)].reshape(int(height), -1)
+            v, u = np.mgrid[0 : int(height) : 4, 0 : int(width) : 4]
+            z = depth[::4, ::4]
+            up = T_camera_rig[:3, 2]
+            heights = z * ((u - cx) / fx * up[0] + (v - cy) / fy * up[1] + up[2])
+            heights = heights[np.isfinite(heights)] - float(up @ T_camera_rig[:3, 3])
+            if heights.size:
+                lowest.append(np.quantile(heights, 0.01))
+        return float(np.median(lowest)) if lowest else float("-inf")
+
+    def frame_tallies(self, values: FloatArray) -> FloatArray:
+        """(F, 4): cost, points in front of the camera, points on valid depth, points in accord."""
+        mount = Mount.from_vector(values)
+        return self._tallies(inverse(mount.T_lidar_rig), mount)
+
+    def costs_at_yaws(self, mount: Mount, yaws_rad: FloatArray) -> FloatArray:
+        """(K,) cost of all frames for the mount at other yaws."""
+        pitched = replace(mount, yaw_rad=0.0, forward_m=0.0, left_m=0.0, delta_z_m=0.0)
+        back = np.eye(4)
+        back[:3, 3] = -mount.T_lidar_rig[:3, 3]
+        T_rig_lidar = inverse(pitched.T_lidar_rig) @ _turns(-yaws_rad) @ back
+        return np.array([self._tallies(T, mount)[:, 0].sum() for T in T_rig_lidar])
+
+    def _tallies(self, T_rig_lidar: FloatArray, mount: Mount) -> FloatArray:
+        turned_rad = self.turn_rates_rad_s * (self._after_s - mount.clock_offset_ms * 1e-3)
+        tallies: FloatArray = _tally(
+            self._points,
+            self._first_point,
+            self._pixels,
+            self._first_pixel,
+            self._lens,
+            self._T_camera_rig @ T_rig_lidar @ _turns(-turned_rad),
+            self._settings.tolerance_m,
+            self._settings.tolerance_share,
+            self._settings.nearer_cost,
+            self._settings.hidden_cost,
+        )
+        return tallies
+
+    def mean_cost(self, values: FloatArray) -> float:
+        tallies = self.frame_tallies(values)
+        return float(tallies[:, 0].sum() / max(tallies[:, 1].sum(), 1.0))
+
+    def block_costs(self, values: FloatArray) -> FloatArray:
+        """(blocks,) mean cost of runs of neighbouring frames."""
+        tallies = self.frame_tallies(values)
+        return np.array(
+            [
+                block[:, 0].sum() / max(block[:, 1].sum(), 1.0)
+                for block in np.array_split(tallies, self.blocks)
+            ]
+        )
+
+    def agreement(self, values: FloatArray) -> tuple[float, float]:
+        tallies = self.frame_tallies(values).sum(axis=0)
+        return float(tallies[3] / max(tallies[2], 1.0)), float(tallies[2] / max(tallies[1], 1.0))
+
+
+def _turns(angles_rad: FloatArray) -> FloatArray:
+    """(F, 4, 4) rotations about z."""
+    turns = np.tile(np.eye(4), (angles_rad.size, 1, 1))
+    turns[:, 0, 0] = turns[:, 1, 1] = np.cos(angles_rad)
+    turns[:, 1, 0] = np.sin(angles_rad)
+    turns[:, 0, 1] = -turns[:, 1, 0]
+    return turns
+
+
+@njit(cache=True)
+def _tally(
+    points: FloatArray,
+    first_point: IntArray,
+    pixels: Float32Array,
+    first_pixel: IntArray,
+    lens: FloatArray,
+    T_camera_lidar: FloatArray,
+    tolerance_m: float,
+    tolerance_share: float,
+    nearer_cost: float,
+    hidden_cost: float,
+) -> FloatArray:
+    """Per frame: cost, points in front, points on valid depth, points within 2.5 tolerances."""
+    frames = lens.shape[0]
+    out = np.zeros((frames, 4))
+    for frame in range(frames):
+        fx, fy, cx, cy, width, height = lens[frame]
+        T = T_camera_lidar[frame]
+        for index in range(first_point[frame], first_point[frame + 1]):
+            x, y = points[index]
+            depth = T[2, 0] * x + T[2, 1] * y + T[2, 3]
+            if depth < 0.1:
+                continue
+            u = cx + fx * (T[0, 0] * x + T[0, 1] * y + T[0, 3]) / depth
+            if u < -0.5 or u >= width - 0.5:
+                continue
+            v = cy + fy * (T[1, 0] * x + T[1, 1] * y + T[1, 3]) / depth
+            out[frame, 1] += 1.0
+            if v < -0.5 or v >= height - 0.5:
+                out[frame, 0] += hidden_cost
+                continue
+            column = int(np.floor(u + 0.5))
+            row = int(np.floor(v + 0.5))
+            seen = pixels[first_pixel[frame] + row * int(width) + column]
+            if np.isnan(seen):
+                out[frame, 0] += hidden_cost
+                continue
+            out[frame, 2] += 1.0
+            off = (seen - depth) / (tolerance_m + tolerance_share * depth)
+            loss = 1.0 - np.exp(-0.125 * off * off)
+            out[frame, 0] += loss if off > 0.0 else nearer_cost * loss
+            if abs(off) < 2.5:
+                out[frame, 3] += 1.0
+    return out
