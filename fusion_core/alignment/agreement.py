@@ -80,8 +80,8 @@ class MountFrame:
 def mount_frame(
     camera: Camera, scan: LaserScan, depth_m: Float32Array, image_stamp_ns: int, turn_rate: float
 ) -> MountFrame:
-    """Keep what the refinement needs of one pair. An unknown turn rate counts as standing still
-    only here, where one frame of many cannot move the mount."""
+    """Keep what the agreement needs of one pair. Without neighbours in time the turn rate (rad/s)
+    is NaN, and no turn between the two stamps can be taken out."""
     valid = np.isfinite(scan.ranges_m)
     angles = scan.angles_rad[valid]
     ranges = scan.ranges_m[valid]

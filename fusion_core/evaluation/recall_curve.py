@@ -71,7 +71,7 @@ def recall_over_epsilon(fuse_dir: Path, truth: Truth, factors: FloatArray) -> Re
         row = samples.paired
         pairs = true_pairs(samples, scene)
         epsilon_m = mean_error_m[samples.camera[row], pairs.image][:, np.newaxis] * factors
-        residual_m = samples.residual_m[row][:, np.newaxis]
+        residual_m = np.abs(samples.residual_m[row])[:, np.newaxis]
         good = pairs.kind == PairKind.GOOD
         noise = pairs.kind >= PairKind.LIDAR_BURR
         kept += (residual_m[good] <= epsilon_m[good]).sum(axis=0)

@@ -8,6 +8,7 @@ from fusion_core.exporting.map_picture import write_difference_picture, write_gr
 from fusion_core.exporting.ros_map import write_ros_map
 from fusion_core.mapping.difference import map_difference
 from fusion_core.mapping.grid import GridBuilder, GridSettings
+from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import MappingFailed
 from fusion_core.model.grids import OccupancyGrid
@@ -39,7 +40,10 @@ class Maps:
             self.scans_without_pose += 1
             return
         self._add("lidar", pose, raw.angles_rad, raw.ranges_m, raw)
-        self._add("fused", pose, repaired.angles_rad, repaired.ranges_m, raw)
+        # A burr that nothing could repair is no obstacle, and what lies before it need not be free.
+        left = (repaired.intensities == NoiseClass.BURR) & (repaired.ranges_m == raw.ranges_m)
+        trusted = np.where(left, np.nan, repaired.ranges_m)
+        self._add("fused", pose, repaired.angles_rad, trusted, raw)
 
     def _add(
         self, name: str, pose: FloatArray, angles: FloatArray, ranges: FloatArray, scan: LaserScan

@@ -20,6 +20,7 @@ PUBLISHED = {
     "search.mask_holes": False,
     "search.partial": False,
     "search.use_prior": False,
+    "search.sub_samples": 1,
     "registration.model": "affine",
     "registration.sample_size": 6,
     "registration.stopping": "fixed",
@@ -29,9 +30,10 @@ PUBLISHED = {
     "noise.epsilon_unit": "E",
     "noise.fault": "rougher",
     "repair.prefer": "other_sensor",
-    # Every burr is repaired, however sure its class.
+    # Every burr is repaired and every good value believed, however sure its class.
     "repair.farther_confidence": 0.0,
     "repair.depth_burr_confidence": 0.0,
+    "repair.lidar_confidence": 0.0,
 }
 
 
