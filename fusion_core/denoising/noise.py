@@ -94,6 +94,7 @@ class Classes:
     """Codes of NoiseClass for the B beams of the pairs and for their pixels.
 
     ``depth_class`` is -1 where the beam has no pixel. Confidences in [0, 1]. ``epsilon_m``: (B,).
+    ``lidar_steady``: beams whose value the scans before and after have in the same place.
     """
 
     lidar_class: IntArray
@@ -101,6 +102,7 @@ class Classes:
     lidar_confidence: FloatArray
     depth_confidence: FloatArray
     epsilon_m: FloatArray
+    lidar_steady: BoolArray
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -165,6 +167,7 @@ def classify(
         lidar_confidence=_confidence(lidar_class, agreement, beam_share, has_depth),
         depth_confidence=_confidence(depth_class, agreement, pixel_share, has_lidar),
         epsilon_m=epsilon_m,
+        lidar_steady=in_time == 2,
     )
 
 

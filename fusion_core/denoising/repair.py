@@ -101,8 +101,11 @@ def _repair_lidar(
     pairs: Correspondence, classes: Classes, scale: NoiseScale, settings: RepairSettings
 ) -> tuple[FloatArray, IntArray]:
     raw = pairs.lidar_range_m
-    noisy = np.isin(classes.lidar_class, (NoiseClass.HOLE, NoiseClass.BURR))
-    neighbours, gap_rad = _across_gaps(pairs.azimuth_rad, raw, ~noisy, settings.edge_m)
+    # What three scans show in one place is kept, whatever its own scan makes of it.
+    burr = (classes.lidar_class == NoiseClass.BURR) & ~classes.lidar_steady
+    noisy = burr | (classes.lidar_class == NoiseClass.HOLE)
+    support = np.isin(classes.lidar_class, (NoiseClass.GOOD, NoiseClass.CONFLICT))
+    neighbours, gap_rad = _across_gaps(pairs.azimuth_rad, raw, support, settings.edge_m)
     neighbours = np.where(gap_rad <= np.deg2rad(settings.max_gap_deg), neighbours, np.nan)
     camera = pairs.camera_range_m
     camera_error = settings.camera_noise_share * scale.at(camera)
@@ -116,7 +119,7 @@ def _repair_lidar(
     return _choose(
         raw,
         noisy,
-        classes.lidar_class == NoiseClass.BURR,
+        burr,
         classes.lidar_confidence,
         (camera, camera_error),
         (neighbours, neighbour_error),

@@ -72,10 +72,11 @@ def repair(
     if recording is None:
         return evaluate_repair(fuse_dir, known).to_json()
     with open_recording(recording) as opened:
-        return evaluate_repair(fuse_dir, known, _depth_images(opened)).to_json()
+        return evaluate_repair(fuse_dir, known, depth_images(opened)).to_json()
 
 
-def _depth_images(recording: Recording) -> Iterator[tuple[str, int, Float32Array]]:
+def depth_images(recording: Recording) -> Iterator[tuple[str, int, Float32Array]]:
+    """Topic, stamp and stored image (m) of every depth image."""
     topics = [topic.name for topic in recording.topics if topic.role == "depth"]
     for message in recording.messages(topics):
         if isinstance(message.value, DepthImage):

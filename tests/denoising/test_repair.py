@@ -69,6 +69,7 @@ def frame(
         lidar_confidence=more.get("lidar_confidence", ones.copy()),
         depth_confidence=more.get("depth_confidence", ones.copy()),
         epsilon_m=0.1 * ones,
+        lidar_steady=more.get("lidar_steady", np.zeros(ones.size, dtype=np.bool_)),
     )
     return pairs, classes
 
@@ -340,10 +341,12 @@ def test_what_the_image_alone_shows_may_hide_the_beams_end_and_never_lie_behind_
     image_m, found_m
 ):
     """A table top over the LiDAR's plane hides the wall; a wall does not hide a table leg."""
-    image = np.full((61, 81), image_m, dtype=np.float32)
+    # Rough, so that the LiDAR's error would be the smaller one.
+    rng = np.random.default_rng(0)
+    image = (image_m + rng.uniform(-0.15, 0.15, (61, 81))).astype(np.float32)
     image[28:33, 38:43] = np.nan
     value, source = depth_repair(image, expected_m=2.0)
-    assert value == pytest.approx(found_m, rel=1e-5)
+    assert value == pytest.approx(found_m, abs=0.05)
     assert source == (NEIGHBOURS if image_m < 2.0 else OTHER)
 
 
