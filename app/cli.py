@@ -90,8 +90,8 @@ class Fuse:
     """Leave the figures out."""
     truth: Annotated[Path | None, conf.arg(metavar="TRUTH.npz", help_behavior_hint="")] = None
     """The truth of a simulated recording, for the figure of noise recall."""
-    seed: int = 0
-    """The seed of every random draw."""
+    seed: Annotated[int | None, conf.arg(help_behavior_hint="")] = None
+    """Another seed of the random draws than the settings'."""
     force: Flag = False
     """Work again where the folder already holds this very result."""
     overwrite: Flag = False

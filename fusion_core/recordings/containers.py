@@ -20,7 +20,8 @@ Entries = npt.NDArray[np.void]
 
 # No recorder writes chunks of this size; a damaged or hostile file may claim them.
 MAX_CHUNK_BYTES = 1 << 30
-_CACHED_CHUNK_BYTES = 64 << 20
+# Chunks hold a few seconds at most: this is enough to read forward, and to step back once.
+_CACHED_CHUNK_BYTES = 16 << 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +57,7 @@ class Container(Protocol):
 
 
 class ChunkCache:
-    """The last unpacked chunks, at most 64 MiB of them but always one."""
+    """The last unpacked chunks, at most 16 MiB of them but always one."""
 
     def __init__(self, unpack: Callable[[int], bytes]) -> None:
         self._unpack = unpack

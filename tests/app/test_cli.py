@@ -227,7 +227,7 @@ def test_options_of_fuse_reach_the_workflow(
             "maps": True,
             "figures": True,
             "truth": None,
-            "seed": 0,
+            "seed": None,
             "force": False,
             "overwrite": False,
         },

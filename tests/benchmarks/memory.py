@@ -9,7 +9,6 @@ recordings are simulated, with images of half size. One run before these compile
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 
 from fusion_core.simulation.scenes import SceneSettings, find_scene, write_scene
@@ -27,16 +26,17 @@ def write(scene: str, folder: Path, duration_s: float) -> Path:
     return path
 
 
-def fuse(recording: Path, output: Path, more: Sequence[str] = ()) -> float:
+def fuse(recording: Path, output: Path) -> float:
     """MiB at the peak of one run. The measuring process in between starts small, since a child
     counts at least what its parent held."""
     command = [sys.executable, "-c", FUSE, "fuse", str(recording), "-o", str(output)]
     measure = (
-        "import resource, subprocess, sys;"
-        "subprocess.run(sys.argv[1:], check=True, stdout=sys.stderr);"
+        "import resource, subprocess, sys\n"
+        "done = subprocess.run(sys.argv[1:], capture_output=True, text=True)\n"
+        "if done.returncode: sys.exit(done.stderr)\n"
         "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
     )
-    command = [sys.executable, "-c", measure, *command, "--no-figures", *more]
+    command = [sys.executable, "-c", measure, *command, "--no-figures"]
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
     return int(done.stdout) / 1024.0
 

@@ -121,13 +121,31 @@ def test_the_ends_of_a_gap_are_means_of_three_beams_of_one_surface():
     lidar = np.full(21, 2.0)
     lidar[7:10] = 2.03, 2.00, 1.97
     lidar[11:14] = 1.96, 2.01, 2.03
-    lidar[[3, 4, 5, 6, 14, 15]] = 2.1
+    lidar[[3, 4, 5, 6, 14, 15]] = 2.05
     without, classes = holes(lidar, [10])
     value, _ = lidar_repair(without, classes, settings=changed(max_gap_deg=2.0))
     assert value[10] == pytest.approx(2.0, abs=2e-3)
     without[12] = without[8] = 1.7
     value, _ = lidar_repair(without, classes, settings=changed(max_gap_deg=2.0))
     assert value[10] == pytest.approx(np.mean([2.03, 1.97, 1.96, 2.03]), abs=4e-3)
+
+
+def test_at_the_end_of_the_view_there_are_fewer_beams_to_take_the_mean_of():
+    lidar, classes = holes(np.full(21, 2.03), [2])
+    lidar[:2] = 2.0, 2.06
+    value, _ = lidar_repair(lidar, classes)
+    assert value[2] == pytest.approx(2.03, abs=2e-3)
+
+
+def test_no_gap_is_so_wide_that_its_chord_cuts_through_the_room():
+    """Across 60 degrees of a round wall the chord runs up to 30 cm before it."""
+    azimuth = -np.deg2rad(2.0) * (np.arange(60) - 30)
+    lidar, classes = holes(np.full(60, 2.0), slice(16, 45))
+    value, _ = lidar_repair(lidar, classes, azimuth=azimuth, settings=changed(max_gap_deg=90.0))
+    ahead_m = 2.0 * np.cos(np.deg2rad([30.0, 32.0, 34.0])).mean()
+    sagging = ahead_m / np.cos(azimuth[16:45]) < 2.0 - 0.25
+    assert 0 < sagging.sum() < 29
+    np.testing.assert_array_equal(np.isnan(value[16:45]), sagging)
 
 
 @pytest.mark.parametrize(("width", "filled"), [(14, True), (16, False)])
@@ -334,6 +352,35 @@ def test_a_hole_at_an_edge_is_filled_only_on_the_side_that_the_lidar_names(expec
         assert source == OTHER
     else:
         assert value == pytest.approx(found_m, abs=0.03)
+
+
+def test_beside_an_edge_a_hole_is_filled_from_the_surface_of_most():
+    image = np.full((61, 81), 2.0, dtype=np.float32)
+    image[:, 43:] = 3.0
+    image[28:33, 38:43] = np.nan
+    value, source = depth_repair(image)
+    assert value == pytest.approx(2.0, rel=1e-6)
+    assert source == NEIGHBOURS
+
+
+def test_a_few_scattered_pixels_are_no_surface():
+    """What they would say must be of the surface that the LiDAR names, and it is not theirs."""
+    image = np.full((61, 81), 3.0, dtype=np.float32)
+    image[::3, ::3] = 2.0
+    image[28:33, 38:43] = np.nan
+    assert depth_repair(image, expected_m=2.02) == (2.02, OTHER)
+
+
+def test_the_window_reaches_as_far_up_as_down():
+    image = np.full((61, 81), np.nan, dtype=np.float32)
+    image[[28, 32]] = 2.0
+    value, _ = depth_repair(image, settings=changed(max_gap_pixels=2))
+    assert value == pytest.approx(2.0, rel=1e-6)
+    for column in (38, 39):
+        image = np.full((61, 81), np.nan, dtype=np.float32)
+        image[:, [column, 80 - column]] = 2.0
+        value, _ = depth_repair(image, settings=changed(max_gap_pixels=2))
+        assert value == pytest.approx(2.0, rel=1e-6)
 
 
 @pytest.mark.parametrize(("image_m", "found_m"), [(1.2, 1.2), (3.0, 2.0)])

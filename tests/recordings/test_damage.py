@@ -167,10 +167,10 @@ def test_the_chunk_cache_is_bounded() -> None:
 
     def unpack(block: int) -> bytes:
         unpacked.append(block)
-        return bytes(30 << 20)
+        return bytes(7 << 20)
 
     cache = ChunkCache(unpack)
     for block in (1, 2, 1, 3, 1, 2):
-        assert len(cache[block]) == 30 << 20
+        assert len(cache[block]) == 7 << 20
     # Two chunks fit: 3 drops 2, the least used, and not 1.
     assert unpacked == [1, 2, 3, 2]
