@@ -72,8 +72,8 @@ class NoiseSettings(StageSettings):
 class FrameWindow:
     """What classes need: the pair, and each sensor's own neighbourhood.
 
-    ``scan_before``, ``scan_after``: neighbours in time with the beams by which the LiDAR turned
-    from them (``shift_before``, ``shift_after``), or None. ``depth_m``: (H, W) upright view;
+    ``scan_before``, ``scan_after``: neighbours in time, or None; what beam b of the scan meets,
+    their beam b + ``shift_before`` or b + ``shift_after`` met. ``depth_m``: (H, W) upright view;
     ``depth_before_m`` that of the image before, in which a surface lay ``columns_before`` to the
     right, or None.
     """
@@ -128,7 +128,7 @@ def classify(
     beam_support, beam_neighbours = _beam_support(window, settings, scale)
     pixel_support, pixel_neighbours = _pixel_support(window, settings)
     near, beyond, in_time = beam_support.T
-    # An edge may part a beam from both adjacent ones; then the next, or other scans, must vouch.
+    # An edge may part a beam from both adjacent ones; then the next and other scans must vouch.
     lone_beam = (near == 0) & ((beyond < 2) | (in_time < 2))
     lone_beam |= (near + beyond < 2) & (in_time == 0)
     lone_pixel = pixel_support < np.maximum(

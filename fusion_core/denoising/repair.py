@@ -101,8 +101,10 @@ def _repair_lidar(
     pairs: Correspondence, classes: Classes, scale: NoiseScale, settings: RepairSettings
 ) -> tuple[FloatArray, IntArray]:
     raw = pairs.lidar_range_m
-    # What three scans show in one place is kept, whatever its own scan makes of it.
-    burr = (classes.lidar_class == NoiseClass.BURR) & ~classes.lidar_steady
+    burr = classes.lidar_class == NoiseClass.BURR
+    if settings.prefer == "smaller_error":
+        # What three scans show in one place is kept, whatever its own scan makes of it.
+        burr &= ~classes.lidar_steady
     noisy = burr | (classes.lidar_class == NoiseClass.HOLE)
     support = np.isin(classes.lidar_class, (NoiseClass.GOOD, NoiseClass.CONFLICT))
     neighbours, gap_rad = _across_gaps(pairs.azimuth_rad, raw, support, settings.edge_m)
@@ -159,6 +161,8 @@ def _repair_depth(
     # Where the image shows nothing at the LiDAR's depth, what it shows may hide that: a table top
     # over the LiDAR's plane. Only something nearer can.
     alone = noisy & ~np.isfinite(planes[:, 0])
+    if settings.prefer == "other_sensor":
+        alone &= ~np.isfinite(lidar)
     image_only = planes_near(np.full(raw.size, np.nan), alone)
     hides = alone & ~(image_only[:, 0] > lidar - settings.edge_m)
     planes = np.where(hides[:, np.newaxis], image_only, planes)
@@ -336,10 +340,12 @@ def _fit_inverse_plane(
             for j in range(3):
                 normal[i, j] += weight * a[i] * a[j]
         count += 1
-        left += du[k] < 0
-        right += du[k] > 0
-        up += dv[k] < 0
-        down += dv[k] > 0
+        # Opposite sectors, not half planes: pixels on one side alone have some above and below.
+        beside = abs(du[k]) >= abs(dv[k])
+        left += beside and du[k] < 0
+        right += beside and du[k] > 0
+        up += not beside and dv[k] < 0
+        down += not beside and dv[k] > 0
     both_sides = (left >= 2 and right >= 2) or (up >= 2 and down >= 2)
     if count < 8 or not both_sides or 2 * count < values.size:
         return np.nan, np.nan

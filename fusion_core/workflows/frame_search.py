@@ -38,15 +38,21 @@ def search_frame(
     rows_m = row_samples_m(depth_m, row)
     fields = search_rows(scan, curve, rows_m, settings)
     alone = _peaks(fields, settings, None)
+    near = alone
     metric = settings.search.metric
-    if metric in alone:
-        u = alone[metric].u
-        alone = _refined(alone, scan, rows_m, (u - 1.0, u + 1.0), (metric,), settings)
-    peaks = alone
+    expected = False
     if settings.search.use_prior:
         reach = settings.search.prior_samples
         near = _peaks(fields, settings, prior_u)
-        peaks = _refined(near, scan, rows_m, (prior_u - reach, prior_u + reach), METRICS, settings)
+        near = _refined(near, scan, rows_m, (prior_u - reach, prior_u + reach), METRICS, settings)
+        expected = metric in alone and metric in near and abs(alone[metric].u - prior_u) <= reach
+    if expected:
+        # The frame found by itself what the recording expects: one refinement serves both.
+        alone[metric] = max(alone[metric], near[metric], key=lambda peak: peak.score)
+    elif metric in alone:
+        u = alone[metric].u
+        alone = _refined(alone, scan, rows_m, (u - 1.0, u + 1.0), (metric,), settings)
+    peaks = near if settings.search.use_prior else alone
     return FrameSearch(fields=fields, peaks=peaks, peaks_alone=alone)
 
 

@@ -191,7 +191,7 @@ def test_behind_glass_two_returns_of_a_kind_among_six_others_vouch_for_nothing()
     lidar, image = wall(), wall_image()
     image[:, 12:29] = np.nan
     lidar[12:29] = np.nan
-    lidar[17:24] = 4.0, 3.0, 1.1, 3.0, 5.0, 3.0, 2.2
+    lidar[17:24] = 4.0, 3.0, 1.1, 3.0, 1.3, 3.0, 2.2
     assert classes_of(window_of(lidar, image)).lidar_class[20] == BURR
     lidar[[17, 23]] = np.nan
     lidar[19] = 3.0
@@ -258,6 +258,25 @@ def test_two_beams_side_by_side_need_another_scan_that_vouches_for_them():
     assert classes_with() == [BURR, BURR]
     assert classes_with(scan_before=scan_of(wall())) == [BURR, BURR]
     assert classes_with(scan_before=scan_of(lidar)) == [CONFLICT, CONFLICT]
+
+
+def test_steady_is_what_both_other_scans_have_in_the_same_place():
+    lidar, once = wall(), wall()
+    lidar[20] = once[20] = 1.2
+    lidar[30] = np.nan
+    lidar[10], once[11] = 1.2, 1.2
+
+    def steady(**neighbours):
+        classes = classes_of(window_of(lidar, wall_image(), camera=wall(), **neighbours))
+        # Nothing beside it in its own scan: still a burr, though one that is kept.
+        assert classes.lidar_class[20] == BURR
+        return np.flatnonzero(~classes.lidar_steady).tolist()
+
+    both = {"scan_before": scan_of(once), "scan_after": scan_of(once)}
+    # A surface may have moved by a beam.
+    assert steady(**both) == [30]
+    assert steady(scan_before=scan_of(once), scan_after=scan_of(wall())) == [10, 20, 30]
+    assert steady(scan_before=scan_of(once)) == list(range(BEAMS))
 
 
 def test_a_scan_of_another_kind_vouches_for_nothing():

@@ -268,6 +268,19 @@ def test_a_burr_is_moved_farther_only_with_confidence_and_nearer_always(raw_m, c
     assert source[30] == (OTHER if moved else RAW)
 
 
+def test_a_burr_that_three_scans_show_is_kept_and_bounds_no_gap():
+    lidar, classes = holes(np.full(60, 2.0), [30])
+    lidar[[29, 31]], classes[[29, 31]] = 1.9, BURR
+    steady = np.isin(np.arange(60), [29, 30, 31])
+    for camera in (np.full(60, 1.5), np.full(60, 2.5), nothing(60)):
+        value, source = lidar_repair(lidar, classes, camera=camera, lidar_steady=steady)
+        assert value[[29, 31]].tolist() == [1.9, 1.9]
+        assert source[[29, 31]].tolist() == [RAW, RAW]
+        assert np.isfinite(value[30])
+    # Between the good beams around, not between the burrs.
+    assert value[30] == pytest.approx(2.0, abs=1e-3)
+
+
 @pytest.mark.parametrize("behind_m", [-0.4, 0.0])
 def test_a_value_behind_the_sensor_repairs_nothing(behind_m):
     """An affine A of few pairs may send a pixel there."""
@@ -369,6 +382,14 @@ def test_a_few_scattered_pixels_are_no_surface():
     image[::3, ::3] = 2.0
     image[28:33, 38:43] = np.nan
     assert depth_repair(image, expected_m=2.02) == (2.02, OTHER)
+
+
+def test_a_slanted_wall_is_not_prolonged_far_from_what_is_seen_of_it():
+    image = plane_image(1.0 / 2.6, -0.03, 0.0)
+    image[:, 36:] = np.nan
+    value, source = depth_repair(image)
+    assert np.isnan(value)
+    assert source == NONE
 
 
 def test_the_window_reaches_as_far_up_as_down():
@@ -487,6 +508,7 @@ def random_frame(seed):
         depth_class=np.where(row >= 0, depth_class, -1),
         lidar_confidence=rng.random(count),
         depth_confidence=rng.random(count),
+        lidar_steady=rng.random(count) < 0.3,
     )
 
 
@@ -503,6 +525,9 @@ def test_what_no_repair_may_do(seed, prefer, farther):
         pairs, classes, image, SCALE, changed(prefer=prefer, farther_confidence=farther)
     )
     np.testing.assert_array_equal(image, image_before)
+    # The published preset knows no other scans: it repairs every burr.
+    steady = (classes.lidar_class == BURR) & classes.lidar_steady & (prefer == "smaller_error")
+    assert result.lidar_range_m[steady].tobytes() == pairs.lidar_range_m[steady].tobytes()
     reliable = (classes.lidar_class == GOOD) & (classes.lidar_confidence >= 0.5)
     for raw, value, source, code, confidence, other in (
         (
@@ -551,6 +576,7 @@ def test_in_a_mirror_the_lidar_is_repaired_alike(seed):
         camera=pairs.camera_range_m[::-1].copy(),
         azimuth=-pairs.azimuth_rad[::-1],
         lidar_confidence=classes.lidar_confidence[::-1].copy(),
+        lidar_steady=classes.lidar_steady[::-1].copy(),
     )
     np.testing.assert_array_equal(source[::-1], result.lidar_source)
     np.testing.assert_allclose(value[::-1], result.lidar_range_m, rtol=1e-12)
