@@ -29,6 +29,7 @@ from fusion_core.denoising.noise import Classes, FrameWindow, classify
 from fusion_core.denoising.repair import Repair, repair
 from fusion_core.model.conventions import NS_PER_S, Float32Array
 from fusion_core.model.errors import AlignmentFailed, RegistrationFailed
+from fusion_core.model.geometry import apply
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.registration.ransac import Registration, register
@@ -160,7 +161,7 @@ def fuse_frame(
         gap_ns=gap_ns,
         turned_rad=turned,
         search=found,
-        u_of_rig=(row.left_rad - alignment.row.left_rad) / curve.step_rad,
+        u_of_rig=_offset_to_rig(pairs, row, model, alignment.row),
         row_model=pairs.model,
         registration=registration,
         refusal=refusal,
@@ -186,6 +187,26 @@ def _offset_of_pairs(
     in_rig_rad = camera.column_azimuths_rad(pairs.column[paired].astype(np.float64))
     in_row = (row.left_rad - camera.yaw_rad - in_rig_rad) / row.step_rad
     return float(np.median(on_curve - in_row))
+
+
+def _offset_to_rig(
+    pairs: Correspondence, row: RowSampling, camera: Camera, rig_row: RowSampling
+) -> float:
+    """What a camera's own u lacks to the recording's: the median over the pairs of how much
+    further left their pixels lie on its own row than on the rig's, whose origin is elsewhere."""
+    paired = np.isfinite(pairs.residual_m) & (pairs.row >= 0)
+    if not camera.T_rig_camera[:3, 3].any() or not paired.any():
+        return (row.left_rad - rig_row.left_rad) / rig_row.step_rad
+    lens = camera.intrinsics
+    column, line = pairs.column[paired], pairs.row[paired]
+    rays = np.stack(
+        [(column - lens.cx) / lens.fx, (line - lens.cy) / lens.fy, np.ones(column.size)], axis=1
+    )
+    in_rig = apply(camera.T_rig_camera, pairs.depth_m[paired, np.newaxis] * rays)
+    on_rig = rig_row.left_rad - np.arctan2(in_rig[:, 1], in_rig[:, 0])
+    own_rad = camera.yaw_rad + camera.column_azimuths_rad(column.astype(np.float64))
+    on_own = row.left_rad - own_rad
+    return float(np.median(on_own - on_rig)) / rig_row.step_rad
 
 
 def _register(pairs: Correspondence, settings: ChainSettings) -> tuple[Registration | None, str]:
