@@ -102,7 +102,8 @@ class Fuse:
     def run(self, progress: Progress) -> Report:
         _require_natural("--seed", self.seed)
         _require_natural("--virtual-lidar", self.virtual_lidar)
-        from fusion_core.workflows.fuse import FuseOptions, fuse
+        from fusion_core.workflows.fuse import fuse
+        from fusion_core.workflows.session import FuseOptions
 
         options = FuseOptions(
             preset=self.preset,

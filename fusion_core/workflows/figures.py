@@ -45,7 +45,7 @@ from fusion_core.workflows.align import Alignment
 from fusion_core.workflows.frame import FusedFrame
 
 if TYPE_CHECKING:
-    from fusion_core.workflows.fuse import Session
+    from fusion_core.workflows.session import Session
 
 _METRIC_NAMES: dict[Metric, str] = {
     "pearson": "Pearson, eq. (2)",

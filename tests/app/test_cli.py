@@ -166,7 +166,8 @@ def test_sample_without_scene_and_file_is_wrong_usage(
 def test_a_number_below_zero_is_wrong_usage(
     args: list[str], stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stub("fuse", FuseOptions=None, fuse=None)
+    stub("session", FuseOptions=None)
+    stub("fuse", fuse=None)
     stub("sample", write=None)
     assert main(args) == 2
     shown = capsys.readouterr()
@@ -208,7 +209,8 @@ def test_options_of_fuse_reach_the_workflow(
         calls.append((recording, output, options))
         return types.SimpleNamespace(to_json=lambda: {"frames": 3}, lines=lambda: ["3 frames"])
 
-    stub("fuse", FuseOptions=dict, fuse=fuse)
+    stub("session", FuseOptions=dict)
+    stub("fuse", fuse=fuse)
     assert main(["fuse", "a.bag", "-o", "out"]) == 0
     shown = capsys.readouterr()
     assert shown.out == "3 frames\n"

@@ -28,10 +28,17 @@ import numpy as np
 from fusion_core.model.progress import silent
 from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows import frame, fuse, tables
+from fusion_core.workflows import session as session_module
 from fusion_core.workflows.align import Alignment
 from fusion_core.workflows.frame import FusedFrame
-from fusion_core.workflows.fuse import FuseOptions, Session
 from fusion_core.workflows.presets import PRESETS
+from fusion_core.workflows.session import (
+    FuseOptions,
+    Session,
+    align_session,
+    fuse_session,
+    open_session,
+)
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "furnished_room.mcap"
 ROUNDS = 7
@@ -53,7 +60,7 @@ STAGES = {
 def chain(session: Session, alignment: Alignment) -> int:
     """Pass 2 with everything but files; returns the pairs."""
     pairs = 0
-    for entry in fuse.fuse_session(session, alignment):
+    for entry in fuse_session(session, alignment):
         if isinstance(entry, FusedFrame):
             pairs += 1
             topic = session.rig.cameras[entry.camera].topic
@@ -70,7 +77,7 @@ def without_decoding(session: Session) -> Any:
     def from_memory(*_: Any, **__: Any) -> Iterator[Any]:
         return iter(kept)
 
-    return patch.object(fuse, "paired_images", from_memory)
+    return patch.object(session_module, "paired_images", from_memory)
 
 
 def seconds(call: Callable[[], object]) -> float:
@@ -105,8 +112,8 @@ def breakdown(session: Session, alignment: Alignment) -> dict[str, float]:
 def main() -> None:
     cv2.setNumThreads(1)
     with open_recording(SAMPLE) as recording:
-        session = fuse.open_session(recording, FuseOptions(), PRESETS["default"])
-        alignment = fuse.align_session(session, silent)
+        session = open_session(recording, FuseOptions(), PRESETS["default"])
+        alignment = align_session(session, silent)
         pairs = chain(session, alignment)
         lens = session.rig.cameras[0].intrinsics
         with_decoding = [seconds(lambda: chain(session, alignment)) for _ in range(ROUNDS)]

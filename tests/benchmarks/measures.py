@@ -21,7 +21,8 @@ from fusion_core.recordings.formats import open_recording
 from fusion_core.simulation.scenes import write_scene
 from fusion_core.simulation.truth import truth_path
 from fusion_core.workflows.evaluate import depth_images
-from fusion_core.workflows.fuse import FuseOptions, fuse
+from fusion_core.workflows.fuse import fuse
+from fusion_core.workflows.session import FuseOptions
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "furnished_room.mcap"
 ROOMS_MOUNT = LeverArm(

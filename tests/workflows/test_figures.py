@@ -19,6 +19,7 @@ from fusion_core.recordings.formats import open_recording
 from fusion_core.simulation.scenes import SceneSettings, write_scene
 from fusion_core.simulation.truth import truth_path
 from fusion_core.workflows import evaluate, figures, fuse
+from fusion_core.workflows import session as sessions
 from fusion_core.workflows.figures import (
     FigureCollector,
     printable,
@@ -227,16 +228,18 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     truth = truth_path(recording)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fuse, "write_figures", write_and_remember)
-        summary = fuse.fuse(recording, folder / "fused", fuse.FuseOptions(truth=truth))
+        summary = fuse.fuse(recording, folder / "fused", sessions.FuseOptions(truth=truth))
     return SimpleNamespace(
         recording=recording, truth=truth, output=folder / "fused", summary=summary, **called
     )
 
 
 @contextmanager
-def opened(run: SimpleNamespace, options: fuse.FuseOptions | None = None) -> Iterator[fuse.Session]:
+def opened(
+    run: SimpleNamespace, options: sessions.FuseOptions | None = None
+) -> Iterator[sessions.Session]:
     with open_recording(run.recording) as recording:
-        yield fuse.open_session(recording, options or fuse.FuseOptions(), ChainSettings())
+        yield sessions.open_session(recording, options or sessions.FuseOptions(), ChainSettings())
 
 
 def test_every_figure_is_written_and_listed(run: SimpleNamespace) -> None:
@@ -317,7 +320,7 @@ def test_the_headings_say_preset_frame_and_virtual_lidar(
         monkeypatch.setattr(figures, name, note_heading)
     named = {"preset": "published", "fuse_dir": run.output, "truth": None}
     alignment, collected, grids = run.args[1:]
-    with opened(run, fuse.FuseOptions(virtual_lidar_row=60)) as session:
+    with opened(run, sessions.FuseOptions(virtual_lidar_row=60)) as session:
         write_figures(tmp_path / "figures", session, alignment, collected, grids, **named)
     assert len(headings) == 6
     for heading in headings:

@@ -18,7 +18,8 @@ from fusion_core.model.errors import AlignmentFailed, ExportError, MissingStream
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows import evaluate
-from fusion_core.workflows.fuse import FuseOptions, fuse
+from fusion_core.workflows.fuse import fuse
+from fusion_core.workflows.session import FuseOptions
 
 TOPIC = "/camera/depth/image_raw"
 MAPS = ("map_lidar", "map_camera", "map_fused")

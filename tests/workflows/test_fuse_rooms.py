@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from fusion_core.workflows import evaluate
-from fusion_core.workflows.fuse import FuseOptions, fuse
+from fusion_core.workflows.fuse import fuse
+from fusion_core.workflows.session import FuseOptions
 
 pytestmark = pytest.mark.data
 

@@ -12,9 +12,14 @@ from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows import align as align_module
 from fusion_core.workflows import evaluate
-from fusion_core.workflows.fuse import FuseOptions, align_session, fuse_session, open_session
 from fusion_core.workflows.pairing import PairedImage
 from fusion_core.workflows.presets import PRESETS
+from fusion_core.workflows.session import (
+    FuseOptions,
+    align_session,
+    fuse_session,
+    open_session,
+)
 
 TOPICS = [f"/camera_{number}/depth/image_raw" for number in (1, 2, 3, 4)]
 

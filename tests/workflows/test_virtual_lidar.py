@@ -11,7 +11,8 @@ from mcap.reader import make_reader
 from fusion_core.model.errors import MissingStream, SettingsError
 from fusion_core.recordings.decode import millimetres_from_depth_m
 from fusion_core.recordings.formats import open_recording
-from fusion_core.workflows.fuse import FuseOptions, fuse
+from fusion_core.workflows.fuse import fuse
+from fusion_core.workflows.session import FuseOptions
 
 ROW, WIDTH, HEIGHT, FOCAL = 60, 160, 120, 144.0
 
