@@ -14,10 +14,7 @@ from scipy.optimize import minimize
 
 from fusion_core.alignment.agreement import Agreement, MountFrame, MountSettings
 from fusion_core.alignment.time import parabola_offset
-from fusion_core.model.conventions import (
-    FloatArray,
-    wrap_angle,
-)
+from fusion_core.model.conventions import FloatArray, wrap_angle
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.rig import Mount
 

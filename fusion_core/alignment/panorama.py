@@ -32,9 +32,7 @@ class Panorama:
             stride = max(1, int(0.5 * step_rad * lens.fx))
             columns = np.arange(0, lens.width, stride)
             u, v = np.meshgrid(columns, np.arange(lens.height))
-            rays = np.stack(
-                [(u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, np.ones(u.shape)], axis=-1
-            )
+            rays = camera.rays(v, u)
             self._rays.append((columns, rays))
             ends = apply(camera.T_rig_camera, 2.0 * rays[lens.height // 2, [0, -1]])
             azimuths.extend(np.arctan2(ends[:, 1], ends[:, 0]))

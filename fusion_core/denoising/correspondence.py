@@ -80,28 +80,39 @@ def along_curve(
     scan's stamp.
     """
     lens = camera.intrinsics
-    azimuth_rad = scan.angles_rad
+    T_camera_lidar = inverse(T_lidar_camera)
     camera_range = _follow_rays(
-        azimuth_rad,
+        scan.angles_rad,
         smooth_depth_m,
-        inverse(T_lidar_camera),
+        T_camera_lidar,
         np.array([lens.fx, lens.fy, lens.cx, lens.cy]),
         scan.range_max_m,
     )
-    own = np.isfinite(scan.ranges_m)
-    guess = np.where(own, scan.ranges_m, camera_range)
-    in_view = _column_in_view(azimuth_rad, guess, T_lidar_camera, camera)
-    beam = np.flatnonzero(in_view)
-    guess = guess[beam]
-    azimuth_rad = azimuth_rad[beam]
-    points = _at_range(azimuth_rad, guess)
-    in_camera = apply(inverse(T_lidar_camera), points)
-    ahead = in_camera[:, 2] > _NEAREST_M
-    scale = np.where(ahead, in_camera[:, 2], np.nan)
+    guess = np.where(np.isfinite(scan.ranges_m), scan.ranges_m, camera_range)
+    beam = np.flatnonzero(_column_in_view(scan.angles_rad, guess, T_camera_lidar, camera))
+    azimuth_rad = scan.angles_rad[beam]
+    lidar = scan.ranges_m[beam]
+    in_camera = apply(T_camera_lidar, _at_range(azimuth_rad, guess[beam]))
+    scale = np.where(in_camera[:, 2] > _NEAREST_M, in_camera[:, 2], np.nan)
     u = lens.cx + lens.fx * in_camera[:, 0] / scale
     v = lens.cy + lens.fy * in_camera[:, 1] / scale
     row, column = _pixel(u, v, lens.height, lens.width)
-    return _paired("curve", scan, beam, row, column, depth_m, camera, T_lidar_camera, camera_range)
+    depth = np.where(row >= 0, depth_m[row, column], np.nan).astype(np.float64)
+    seen = apply(T_lidar_camera, depth[:, np.newaxis] * camera.rays(row, column))
+    depth_as_range = np.hypot(seen[:, 0], seen[:, 1])
+    return Correspondence(
+        model="curve",
+        beam=beam,
+        row=row,
+        column=column,
+        azimuth_rad=azimuth_rad,
+        lidar_range_m=lidar,
+        depth_m=depth,
+        depth_as_range_m=depth_as_range,
+        lidar_as_depth_m=np.where(np.isfinite(lidar), in_camera[:, 2], np.nan),
+        camera_range_m=camera_range[beam],
+        residual_m=depth_as_range - lidar,
+    )
 
 
 def in_row(
@@ -240,40 +251,6 @@ def mapped(pairs: Correspondence, A: FloatArray, A_inverse: FloatArray) -> Corre
     )
 
 
-def _paired(
-    model: RowModel,
-    scan: LaserScan,
-    beam: IntArray,
-    row: IntArray,
-    column: IntArray,
-    depth_m: Float32Array,
-    camera: Camera,
-    T_lidar_camera: FloatArray,
-    camera_range: FloatArray,
-) -> Correspondence:
-    lens = camera.intrinsics
-    inside = row >= 0
-    depth = np.where(inside, depth_m[row, column], np.nan).astype(np.float64)
-    rays = np.stack([(column - lens.cx) / lens.fx, (row - lens.cy) / lens.fy, np.ones(row.size)], 1)
-    seen = apply(T_lidar_camera, depth[:, np.newaxis] * rays)
-    azimuth_rad = scan.angles_rad[beam]
-    lidar = scan.ranges_m[beam]
-    in_camera = apply(inverse(T_lidar_camera), _at_range(azimuth_rad, lidar))
-    return Correspondence(
-        model=model,
-        beam=beam,
-        row=row,
-        column=column,
-        azimuth_rad=azimuth_rad,
-        lidar_range_m=lidar,
-        depth_m=depth,
-        depth_as_range_m=np.hypot(seen[:, 0], seen[:, 1]),
-        lidar_as_depth_m=in_camera[:, 2],
-        camera_range_m=camera_range[beam],
-        residual_m=np.hypot(seen[:, 0], seen[:, 1]) - lidar,
-    )
-
-
 def _at_range(azimuth_rad: FloatArray, range_m: FloatArray) -> FloatArray:
     """(N, 3) points of the LiDAR's plane."""
     zero = np.zeros(azimuth_rad.size)
@@ -288,7 +265,7 @@ def _pixel(u: FloatArray, v: FloatArray, height: int, width: int) -> tuple[IntAr
 
 
 def _column_in_view(
-    azimuth_rad: FloatArray, range_m: FloatArray, T_lidar_camera: FloatArray, camera: Camera
+    azimuth_rad: FloatArray, range_m: FloatArray, T_camera_lidar: FloatArray, camera: Camera
 ) -> BoolArray:
     """Beams whose column lies in the image; without any range, at the range of its neighbours."""
     known = np.isfinite(range_m)
@@ -296,7 +273,7 @@ def _column_in_view(
         return np.zeros(range_m.size, dtype=np.bool_)
     index = np.arange(range_m.size)
     filled = np.interp(index, index[known], range_m[known])
-    in_camera = apply(inverse(T_lidar_camera), _at_range(azimuth_rad, filled))
+    in_camera = apply(T_camera_lidar, _at_range(azimuth_rad, filled))
     ahead = in_camera[:, 2] > _NEAREST_M
     lens = camera.intrinsics
     u = lens.cx + lens.fx * in_camera[:, 0] / np.where(ahead, in_camera[:, 2], np.nan)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.model.conventions import FloatArray, read_only
+from fusion_core.model.conventions import FloatArray, IntArray, read_only
 from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
 from fusion_core.model.sensors import CameraIntrinsics
 
@@ -31,6 +31,12 @@ class Camera:
     def yaw_rad(self) -> float:
         """Azimuth of the optical axis in the rig frame."""
         return float(np.arctan2(self.T_rig_camera[1, 2], self.T_rig_camera[0, 2]))
+
+    def rays(self, rows: FloatArray | IntArray, columns: FloatArray | IntArray) -> FloatArray:
+        """(..., 3) points of pixels at 1 m along the optical axis, in the optical frame."""
+        lens = self.intrinsics
+        x, y = (columns - lens.cx) / lens.fx, (rows - lens.cy) / lens.fy
+        return np.stack([x, y, np.ones(np.shape(x))], axis=-1)
 
     def column_azimuths_rad(self, columns: FloatArray) -> FloatArray:
         """Azimuth about the optical axis of pixel columns, positive to the left, level camera."""

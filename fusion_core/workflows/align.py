@@ -28,7 +28,7 @@ from fusion_core.model.conventions import NS_PER_MS, Float32Array, FloatArray
 from fusion_core.model.errors import AlignmentFailed, SettingsError
 from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
 from fusion_core.model.progress import Progress
-from fusion_core.model.rig import Mount
+from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.workflows.pairing import PairedImage
 from fusion_core.workflows.presets import ChainSettings
@@ -150,7 +150,8 @@ def align(
             collected.kept, settings.mount, yaw_rad=yaw_rad, recorded=rig.recorded
         )
         mount = estimate.mount
-        peak = _peak_at(fields[metric], peak, mount, collected, settings.search)
+        u = offset_of_yaw(mount.yaw_rad, collected.curve, collected.row.left_rad)
+        peak = _peak_at(fields[metric], peak, u, settings.search)
         scale = _scale_of(collected.kept, mount, settings)
     return Alignment(
         fields=fields,
@@ -167,17 +168,8 @@ def align(
     )
 
 
-def _peak_at(
-    field: SimilarityField,
-    peak: Peak,
-    mount: Mount,
-    collected: "_Collected",
-    search: SearchSettings,
-) -> Peak:
-    """The field's peak where the refined mount lies, if the rows alone favoured another place."""
-    if collected.curve is None:
-        return peak
-    u = offset_of_yaw(mount.yaw_rad, collected.curve, collected.row.left_rad)
+def _peak_at(field: SimilarityField, peak: Peak, u: float, search: SearchSettings) -> Peak:
+    """The field's peak at the refined mount's ``u``, if the rows alone favoured another place."""
     if abs(u - peak.u) <= search.runner_up_distance:
         return peak
     try:
@@ -265,11 +257,11 @@ def _peak_or_none(field: SimilarityField, settings: SearchSettings) -> Peak | No
         return None
 
 
-def T_lidar_camera_at(rig: Rig, camera: int, mount: Mount, turned_rad: float) -> FloatArray:
+def T_lidar_camera_at(camera: Camera, mount: Mount, turned_rad: float) -> FloatArray:
     """(4, 4): a camera's optical frame at the image's stamp to the LiDAR frame at the scan's,
     between which the LiDAR turned by ``turned_rad``."""
     turn = transform(rotation_from_yaw_pitch_roll(turned_rad, 0.0, 0.0), np.zeros(3))
-    T_lidar_camera: FloatArray = turn @ mount.T_lidar_rig @ rig.cameras[camera].T_rig_camera
+    T_lidar_camera: FloatArray = turn @ mount.T_lidar_rig @ camera.T_rig_camera
     return T_lidar_camera
 
 
@@ -291,15 +283,13 @@ def _scale_of(kept: list[MountFrame], mount: Mount, settings: ChainSettings) -> 
     ranges = []
     residuals = []
     for frame in kept:
-        turn = transform(
-            rotation_from_yaw_pitch_roll(turned_rad(frame, mount, settings), 0.0, 0.0), np.zeros(3)
-        )
+        turned = turned_rad(frame, mount, settings)
         pairs = along_curve(
             frame.scan,
             frame.raw_depth_m,
             frame.depth_m,
             frame.camera,
-            turn @ mount.T_lidar_rig @ frame.camera.T_rig_camera,
+            T_lidar_camera_at(frame.camera, mount, turned),
         )
         ranges.append(pairs.lidar_range_m)
         residuals.append(pairs.residual_m)

@@ -53,7 +53,6 @@ class FusedFrame:
     """
 
     camera: int
-    stamp_ns: int
     image: DepthImage
     depth_m: Float32Array
     scan: LaserScan
@@ -67,6 +66,11 @@ class FusedFrame:
     pairs: Correspondence
     classes: Classes
     repair: Repair
+
+    @property
+    def stamp_ns(self) -> int:
+        """The image's stamp."""
+        return self.image.stamp_ns
 
     @property
     def sigma_m(self) -> float:
@@ -86,7 +90,6 @@ def fuse_frame(
     rig: Rig,
     camera: int,
     depth_m: Float32Array,
-    stamp_ns: int,
     window: ScanWindow,
     gap_ns: int,
     alignment: Alignment,
@@ -111,7 +114,7 @@ def fuse_frame(
     pairs = None
     if alignment.along_curve and settings.pairing == "mount":
         turned = turned_rad(kept, alignment.mount, settings)
-        T_lidar_camera = T_lidar_camera_at(rig, camera, alignment.mount, turned)
+        T_lidar_camera = T_lidar_camera_at(model, alignment.mount, turned)
         pairs = along_curve(scan, depth_m, kept.depth_m, model, T_lidar_camera)
         # The rows are searched at rest: what the LiDAR turned meanwhile is no part of the offset.
         prior_u = _offset_of_pairs(pairs, curve, row, model, prior_u - turned / curve.step_rad)
@@ -128,9 +131,7 @@ def fuse_frame(
             yaw_rad = yaw_of_offset_rad(peak.u, curve, row.left_rad)
             mount = Mount(yaw_rad=yaw_rad)
         v = round(peak.v if peak is not None else alignment.peak.v)
-        pairs = in_row(
-            scan, depth_m, kept.depth_m, model, T_lidar_camera_at(rig, camera, mount, 0.0), v
-        )
+        pairs = in_row(scan, depth_m, kept.depth_m, model, T_lidar_camera_at(model, mount, 0.0), v)
         registration, refusal = _register(pairs, settings)
         if registration is not None:
             pairs = mapped(pairs, registration.A, registration.A_inverse)
@@ -146,7 +147,7 @@ def fuse_frame(
             shift_before=_beams_turned(window.before, scan, rate),
             shift_after=_beams_turned(window.after, scan, rate),
             depth_before_m=None if before is None else before[1],
-            columns_before=_columns_turned(before, stamp_ns, rate, model),
+            columns_before=_columns_turned(before, image.stamp_ns, rate, model),
         ),
         settings.noise,
         alignment.scale,
@@ -154,7 +155,6 @@ def fuse_frame(
     )
     return FusedFrame(
         camera=camera,
-        stamp_ns=stamp_ns,
         image=image,
         depth_m=depth_m,
         scan=scan,
@@ -197,11 +197,8 @@ def _offset_to_rig(
     paired = np.isfinite(pairs.residual_m) & (pairs.row >= 0)
     if not camera.T_rig_camera[:3, 3].any() or not paired.any():
         return (row.left_rad - rig_row.left_rad) / rig_row.step_rad
-    lens = camera.intrinsics
-    column, line = pairs.column[paired], pairs.row[paired]
-    rays = np.stack(
-        [(column - lens.cx) / lens.fx, (line - lens.cy) / lens.fy, np.ones(column.size)], axis=1
-    )
+    column = pairs.column[paired]
+    rays = camera.rays(pairs.row[paired], column)
     in_rig = apply(camera.T_rig_camera, pairs.depth_m[paired, np.newaxis] * rays)
     on_rig = rig_row.left_rad - np.arctan2(in_rig[:, 1], in_rig[:, 0])
     own_rad = camera.yaw_rad + camera.column_azimuths_rad(column.astype(np.float64))

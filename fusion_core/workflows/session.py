@@ -120,7 +120,6 @@ def fuse_session(
                 session.rig,
                 entry.camera,
                 depth_m,
-                entry.image.stamp_ns,
                 entry.window,
                 entry.gap_ns,
                 alignment,
