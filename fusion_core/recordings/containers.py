@@ -40,10 +40,14 @@ class Channel:
 
 
 class Container(Protocol):
-    """One file, opened read-only. Not safe for threads: the caller takes turns."""
+    """One file, opened read-only. Not safe for threads: the caller takes turns.
+
+    ``warnings`` name what of a damaged file is lost; they are complete after ``index``.
+    """
 
     path: Path
     channels: list[Channel]
+    warnings: list[str]
 
     def index(self) -> Entries:
         """(N,) ENTRY of every message, in the order of the file."""

@@ -5,8 +5,8 @@ millimetres. The nominal stamp also stands in for the log time in ranges.
 """
 
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from fusion_core.model.conventions import NS_PER_S, ByteArray, FloatArray, IntArray
+from fusion_core.model.conventions import NS_PER_S, ByteArray, FloatArray
 from fusion_core.model.errors import RecordingError
-from fusion_core.model.recording import Message, Recording, Role, Topic
+from fusion_core.model.recording import Recording, Role
 from fusion_core.model.sensors import (
     CameraInfo,
+    CameraIntrinsics,
     ColorImage,
     DepthImage,
     PoseSample,
@@ -32,8 +33,7 @@ from fusion_core.recordings.frame_files import (
     read_pose_lines,
     read_trajectory_log,
 )
-from fusion_core.recordings.skipped import SkippedMessages
-from fusion_core.recordings.topics import unknown_topic
+from fusion_core.recordings.stamped import StampedRecording, StampedStream
 
 DEPTH_TOPIC = "/camera/depth/image_raw"
 COLOR_TOPIC = "/camera/color/image_raw"
@@ -64,13 +64,6 @@ class FrameLayout:
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class _Stream:
-    topic: Topic
-    numbers: IntArray
-    value: Callable[[int, int], SensorValue] = field(repr=False)
-
-
 def frame_layout(path: Path) -> str | None:
     """The name of the layout that a folder has, or None."""
     if next(_seven_scenes_files(path), None) is not None:
@@ -97,136 +90,55 @@ def open_frame_folder(path: Path) -> Recording:
         raise RecordingError(
             "has no depth images.", file=path, advice="Put them into depth/ as numbered PNG files."
         )
-    return FrameFolder(path, layout)
+    return _recording(path, layout)
 
 
-class FrameFolder:
-    """Recording over a folder of images."""
+def _recording(path: Path, layout: FrameLayout) -> Recording:
+    first = min(min(layout.depth), min(layout.color, default=min(layout.depth)))
+    warnings = list(layout.warnings)
 
-    start_ns: int | None = None
-    end_ns: int | None = None
-    stamps_are_nominal = True
-
-    def __init__(self, path: Path, layout: FrameLayout) -> None:
-        self.path = path
-        self.format = layout.format
-        self.warnings = list(layout.warnings)
-        self._skipped = SkippedMessages(self.warnings)
-        self._closed = False
-        self._first = min(min(layout.depth), min(layout.color, default=min(layout.depth)))
-        self._streams: dict[str, _Stream] = {}
-        if layout.color:
-            self._add(COLOR_TOPIC, "image", "color", layout.color, partial(_color, layout.color))
-        if layout.intrinsics is not None:
-            self._add_camera_info(layout.intrinsics, layout.depth)
-        self._add(DEPTH_TOPIC, "image", "depth", layout.depth, partial(_depth, layout.depth))
-        if layout.poses:
-            self._add(POSE_TOPIC, "pose", "pose", layout.poses, partial(_pose, layout.poses))
-        self.topics = tuple(stream.topic for stream in self._streams.values())
-
-    def received_ns(self, topic: str) -> IntArray:
-        """(count,) nominal stamps: there is no log."""
-        return self._stamps(self._stream(topic).numbers)
-
-    def messages(
-        self,
-        topics: Collection[str] | None = None,
-        start_ns: int | None = None,
-        end_ns: int | None = None,
-    ) -> Iterator[Message]:
-        """Messages with start <= nominal stamp < end, by frame number, then by topic name."""
-        names = sorted(self._streams if topics is None else set(topics))
-        return self._iterate([self._stream(name) for name in names], start_ns, end_ns)
-
-    def read(self, topic: str, index: int) -> Message:
-        """The ``index``-th message of a topic. Raises IndexError beyond its count."""
-        stream = self._stream(topic)
-        if not 0 <= index < len(stream.numbers):
-            raise IndexError(f"{topic} has {len(stream.numbers)} messages, there is no {index}")
-        number = int(stream.numbers[index])
-        stamp = int(self._stamps(np.array([number]))[0])
-        return Message(
-            topic=topic,
-            index=index,
-            received_ns=None,
-            stamp_ns=stamp,
-            value=stream.value(number, stamp),
-        )
-
-    def close(self) -> None:
-        """Refuse further reading; no file is held open."""
-        self._closed = True
-
-    def __enter__(self) -> "FrameFolder":
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
-    def _stamps(self, numbers: IntArray) -> IntArray:
-        return (numbers - self._first) * NS_PER_S // FRAMES_PER_S
-
-    def _iterate(
-        self, streams: Sequence[_Stream], start_ns: int | None, end_ns: int | None
-    ) -> Iterator[Message]:
-        numbers = np.concatenate([np.empty(0, dtype=np.int64), *[s.numbers for s in streams]])
-        owners = np.repeat(np.arange(len(streams)), [len(s.numbers) for s in streams])
-        indexes = np.concatenate(
-            [np.empty(0, dtype=np.int64), *[np.arange(len(s.numbers)) for s in streams]]
-        )
-        stamps = self._stamps(numbers)
-        for place in np.lexsort((owners, numbers)):
-            if start_ns is not None and stamps[place] < start_ns:
-                continue
-            if end_ns is not None and stamps[place] >= end_ns:
-                return
-            stream, index = streams[owners[place]], int(indexes[place])
-            try:
-                message = self.read(stream.topic.name, index)
-            except RecordingError as error:
-                self._require_open()
-                self._skipped.add(stream.topic.name, index, stream.topic.count, error)
-            else:
-                yield message
-
-    def _stream(self, topic: str) -> _Stream:
-        self._require_open()
-        if topic not in self._streams:
-            raise unknown_topic(topic, self.topics, self.path)
-        return self._streams[topic]
-
-    def _require_open(self) -> None:
-        if self._closed:
-            raise RecordingError("is closed.", file=self.path, advice="Open it again.")
-
-    def _add(
-        self,
+    def stream(
         name: str,
         kind: str,
         role: Role,
-        numbers: Collection[int],
+        files: Collection[int],
         value: Callable[[int, int], SensorValue],
-    ) -> None:
-        topic = Topic(name=name, type=kind, role=role, count=len(numbers), rate_hz=None)
-        ordered = np.array(sorted(numbers), dtype=np.int64)
-        self._streams[name] = _Stream(topic, ordered, value)
-
-    def _add_camera_info(self, file: Path, depth: Mapping[int, Path]) -> None:
-        try:
-            shape = _depth_pixels(depth[min(depth)]).shape
-            intrinsics = read_intrinsics(file, shape)
-        except RecordingError as error:
-            self.warnings.append(f"There are no intrinsics: {error}")
-            return
-        self._add(
-            CAMERA_INFO_TOPIC,
-            "intrinsics",
-            "camera_info",
-            depth,
-            lambda _, stamp: CameraInfo(
-                stamp_ns=stamp, received_ns=None, frame_id=CAMERA_FRAME, intrinsics=intrinsics
-            ),
+    ) -> StampedStream:
+        numbers = np.array(sorted(files), dtype=np.int64)
+        stamps = (numbers - first) * NS_PER_S // FRAMES_PER_S
+        return StampedStream(
+            name=name,
+            type=kind,
+            role=role,
+            stamp_ns=stamps,
+            value=lambda index: value(int(numbers[index]), int(stamps[index])),
         )
+
+    streams = [stream(DEPTH_TOPIC, "image", "depth", layout.depth, partial(_depth, layout.depth))]
+    if layout.color:
+        read_color = partial(_color, layout.color)
+        streams.append(stream(COLOR_TOPIC, "image", "color", layout.color, read_color))
+    if layout.poses:
+        streams.append(
+            stream(POSE_TOPIC, "pose", "pose", layout.poses, partial(_pose, layout.poses))
+        )
+    if layout.intrinsics is not None:
+        try:
+            shape = _depth_pixels(layout.depth[min(layout.depth)]).shape
+            read_info = partial(_camera_info, read_intrinsics(layout.intrinsics, shape))
+        except RecordingError as error:
+            warnings.append(f"There are no intrinsics: {error}")
+        else:
+            streams.append(
+                stream(CAMERA_INFO_TOPIC, "intrinsics", "camera_info", layout.depth, read_info)
+            )
+    return StampedRecording(path, layout.format, streams, warnings, stamps_are_nominal=True)
+
+
+def _camera_info(intrinsics: CameraIntrinsics, number: int, stamp_ns: int) -> CameraInfo:
+    return CameraInfo(
+        stamp_ns=stamp_ns, received_ns=None, frame_id=CAMERA_FRAME, intrinsics=intrinsics
+    )
 
 
 def _seven_scenes_files(path: Path) -> Iterator[tuple[int, str, Path]]:

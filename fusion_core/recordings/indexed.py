@@ -61,6 +61,7 @@ class IndexedRecording:
         self._skipped = SkippedMessages(self.warnings)
         try:
             channels, self._files, self._entries = _merge(containers)
+            self.warnings.extend(line for file in containers for line in file.warnings)
             received = self._entries["received_ns"]
             self.start_ns = int(received[0]) if len(received) else None
             self.end_ns = int(received[-1]) if len(received) else None

@@ -59,6 +59,7 @@ class McapFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.channels: list[Channel] = []
+        self.warnings: list[str] = []
         self._numbers: dict[int, int] = {}
         self._file = path.open("rb")
         self._chunks = ChunkCache(self._unpack)

@@ -46,6 +46,7 @@ class BagFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.warnings: list[str] = []
         self._file = path.open("rb")
         self._reader = Reader(path)
         try:

@@ -26,6 +26,7 @@ class SqliteFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.channels: list[Channel] = []
+        self.warnings: list[str] = []
         self._numbers: dict[int, int] = {}
         # Immutable: SQLite then makes no lock and no journal beside the recording.
         self._connection = sqlite3.connect(

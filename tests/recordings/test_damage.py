@@ -102,6 +102,7 @@ class Zeros:
     path = Path("zeros")
 
     def __init__(self, message_type: str, definition: str, payload: bytes = bytes(3)) -> None:
+        self.warnings: list[str] = []
         self.channels = [
             Channel(
                 topic="/broken",
