@@ -29,6 +29,11 @@ from fusion_core.settings import StageSettings, setting
 # A disagreement is as likely anywhere within this span (for the confidences).
 _OUTLIER_SPAN_M = 4.0
 _OUTLIER_SHARE = 0.05
+# Within so many beams the camera must see an edge for a beam to be its mixed pixel. How far off
+# both of its sides the beam must lie, as a share of what supports it: an edge that is seen needs
+# less than one that is guessed.
+_EDGE_BEAMS = 2
+_OFF_EDGE_SHARE = 0.7
 
 
 class NoiseSettings(StageSettings):
@@ -311,7 +316,9 @@ def _count_beam_support(
                 slant = 0.0
             if abs(ranges[other] - own - slant) <= allowed:
                 support[index, 0 if abs(step) == 1 else 1] += 1
-        if _between_surfaces(ranges, beam, tolerance):
+        if _between_surfaces(ranges, beam, tolerance) or _between_seen(
+            seen_by_camera, beam, own, _OFF_EDGE_SHARE * tolerance
+        ):
             support[index, 0] = support[index, 1] = 0
         for neighbour in range(2):
             scan, shift = in_time[neighbour], shifts[neighbour]
@@ -348,6 +355,19 @@ def _between_surfaces(ranges: FloatArray, beam: int, tolerance: float) -> bool:
             if inside:
                 return True
     return False
+
+
+@njit(cache=True)
+def _between_seen(seen: FloatArray, beam: int, own: float, tolerance: float) -> bool:
+    """Whether the camera sees an edge at a beam whose range lies on neither of its sides."""
+    low, high = np.inf, -np.inf
+    for other in range(max(0, beam - _EDGE_BEAMS), min(seen.size, beam + _EDGE_BEAMS + 1)):
+        if not np.isnan(seen[other]):
+            if abs(seen[other] - own) <= tolerance:
+                return False
+            low = min(low, seen[other])
+            high = max(high, seen[other])
+    return low < own < high
 
 
 @njit(cache=True)

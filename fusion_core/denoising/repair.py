@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numba import njit
 
 from fusion_core.denoising.correspondence import Correspondence
 from fusion_core.denoising.noise import Classes
 from fusion_core.denoising.noise_scale import NoiseScale
+from fusion_core.denoising.surfaces import image_planes, ranges_across_gaps, smoothed_ranges
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.conventions import (
     BoolArray,
@@ -107,7 +107,7 @@ def _repair_lidar(
         burr &= ~classes.lidar_steady
     noisy = burr | (classes.lidar_class == NoiseClass.HOLE)
     support = np.isin(classes.lidar_class, (NoiseClass.GOOD, NoiseClass.CONFLICT))
-    neighbours, gap_rad = _across_gaps(pairs.azimuth_rad, raw, support, settings.edge_m)
+    neighbours, gap_rad = ranges_across_gaps(pairs.azimuth_rad, raw, support, settings.edge_m)
     neighbours = np.where(gap_rad <= np.deg2rad(settings.max_gap_deg), neighbours, np.nan)
     camera = pairs.camera_range_m
     camera_error = settings.camera_noise_share * scale.at(camera)
@@ -144,10 +144,19 @@ def _repair_depth(
     reliable &= classes.lidar_confidence >= settings.lidar_confidence
     lidar = np.where(reliable, pairs.lidar_as_depth_m, np.nan)
     lidar_error = scale.at(lidar)
+    if settings.prefer == "smaller_error":
+        # A beam's noise is its own; the surface that it shares with its neighbours is not.
+        smooth = smoothed_ranges(
+            pairs.azimuth_rad,
+            np.where(reliable, pairs.lidar_range_m, np.nan),
+            scale.at(pairs.lidar_range_m),
+        )
+        lidar = lidar * smooth.range_m / pairs.lidar_range_m
+        lidar_error = np.minimum(lidar_error, smooth.error_m)
 
     def planes_near(expected_m: FloatArray, wanted: BoolArray) -> FloatArray:
         found = np.full((raw.size, 2), np.nan)
-        found[wanted] = _image_planes(
+        found[wanted] = image_planes(
             depth_m,
             pairs.row[wanted],
             pairs.column[wanted],
@@ -203,165 +212,3 @@ def _choose(
     source[farther] = RepairSource.RAW
     source[~np.isfinite(value)] = RepairSource.NONE
     return value, source
-
-
-def _across_gaps(
-    azimuth_rad: FloatArray,
-    range_m: FloatArray,
-    support: BoolArray,
-    edge_m: float,
-) -> tuple[FloatArray, FloatArray]:
-    """(B,) range on the straight line between the ends of the gap around each beam, and the gap's
-    width. An end is the mean point of up to three supporting beams of one surface. NaN where an
-    end is missing, the ends lie on different surfaces, or a return within the gap is nearer: it
-    may be all that is seen of a dark table leg."""
-    count = range_m.size
-    index = np.arange(count)
-    good = np.flatnonzero(support)
-    filled = np.full(count, np.nan)
-    width = np.full(count, np.inf)
-    if good.size < 2:
-        return filled, width
-    order = np.searchsorted(good, index)
-    inner = (order > 0) & (order < good.size) & ~support
-    left, right = order[inner] - 1, order[inner]
-    points = range_m[good, np.newaxis] * np.stack(
-        [np.cos(azimuth_rad[good]), np.sin(azimuth_rad[good])], axis=1
-    )
-    left_end = _end_points(points, range_m[good], left, -1, edge_m)
-    right_end = _end_points(points, range_m[good], right, 1, edge_m)
-    chord = right_end - left_end
-    direction = np.stack([np.cos(azimuth_rad[inner]), np.sin(azimuth_rad[inner])], axis=1)
-    turn = direction[:, 0] * chord[:, 1] - direction[:, 1] * chord[:, 0]
-    reach = left_end[:, 0] * chord[:, 1] - left_end[:, 1] * chord[:, 0]
-    crossing = np.full(turn.size, np.nan)
-    np.divide(reach, turn, out=crossing, where=np.abs(turn) > 1e-6)
-    gap = np.abs(azimuth_rad[good[right]] - azimuth_rad[good[left]])
-    step = np.abs(range_m[good[right]] - range_m[good[left]])
-    # A slanted wall changes its range across a wide gap; an edge jumps.
-    one_surface = step <= edge_m + gap * np.minimum(range_m[good[right]], range_m[good[left]])
-    low = np.minimum(range_m[good[right]], range_m[good[left]]) - edge_m
-    high = np.maximum(range_m[good[right]], range_m[good[left]]) + edge_m
-    lost = np.where(np.isfinite(range_m[inner]), range_m[inner], np.inf)
-    nearest = np.full(good.size + 1, np.inf)
-    np.minimum.at(nearest, order[inner], lost)
-    hides = nearest[order[inner]] < crossing - edge_m
-    usable = one_surface & (crossing > low) & (crossing < high) & ~hides
-    filled[inner] = np.where(usable, crossing, np.nan)
-    width[inner] = gap
-    return filled, width
-
-
-def _end_points(
-    points: FloatArray, ranges: FloatArray, nearest: IntArray, step: int, edge_m: float
-) -> FloatArray:
-    """(N, 2) mean of the good beam ``nearest`` and up to two more away from the gap."""
-    total = points[nearest].copy()
-    count = np.ones(nearest.size)
-    for away in (1, 2):
-        other = nearest + step * away
-        inside = (other >= 0) & (other < ranges.size)
-        clipped = np.clip(other, 0, ranges.size - 1)
-        same = inside & (np.abs(ranges[clipped] - ranges[nearest]) < 0.5 * edge_m)
-        total += np.where(same[:, np.newaxis], points[clipped], 0.0)
-        count += same
-    return total / count[:, np.newaxis]
-
-
-@njit(cache=True)
-def _image_planes(
-    depth: Float32Array,
-    rows: IntArray,
-    columns: IntArray,
-    expected_m: FloatArray,
-    reach: int,
-    edge_m: float,
-) -> FloatArray:
-    """(N, 2) depth and its expected error, from the plane through the good pixels around a pixel.
-
-    A plane's inverse depth is linear in the pixel, so three parameters are fitted to it over the
-    smallest window that has enough pixels of one surface on both sides of the row or column.
-    """
-    height, width = depth.shape
-    out = np.full((rows.size, 2), np.nan)
-    for index in range(rows.size):
-        row, column = rows[index], columns[index]
-        if row < 0:
-            continue
-        size = 2
-        while size <= reach:
-            low_r, high_r = max(0, row - size), min(height, row + size + 1)
-            low_c, high_c = max(0, column - size), min(width, column + size + 1)
-            step = max(1, size // 6)
-            values = np.empty(((high_r - low_r), (high_c - low_c))).ravel()
-            du = np.empty(values.size)
-            dv = np.empty(values.size)
-            count = 0
-            for r in range(low_r, high_r, step):
-                for c in range(low_c, high_c, step):
-                    if r == row and c == column:
-                        continue
-                    value = depth[r, c]
-                    if np.isnan(value):
-                        continue
-                    values[count] = value
-                    du[count] = c - column
-                    dv[count] = r - row
-                    count += 1
-            if count >= 8:
-                middle = expected_m[index]
-                if np.isnan(middle):
-                    middle = np.median(values[:count])
-                result = _fit_inverse_plane(values[:count], du[:count], dv[:count], middle, edge_m)
-                if not np.isnan(result[0]):
-                    out[index, 0] = result[0]
-                    out[index, 1] = result[1]
-                    break
-            size = size * 2 if size < 16 else size + 8
-    return out
-
-
-@njit(cache=True)
-def _fit_inverse_plane(
-    values: FloatArray, du: FloatArray, dv: FloatArray, middle: float, edge_m: float
-) -> tuple[float, float]:
-    """Depth at (0, 0) and its expected error; NaN where the pixels are one-sided or no plane."""
-    normal = np.zeros((3, 3))
-    target = np.zeros(3)
-    count = 0
-    left = right = up = down = 0
-    for k in range(values.size):
-        if abs(values[k] - middle) > edge_m:
-            continue
-        weight = values[k] ** 2
-        a = np.array([1.0, du[k], dv[k]])
-        for i in range(3):
-            target[i] += weight * a[i] / values[k]
-            for j in range(3):
-                normal[i, j] += weight * a[i] * a[j]
-        count += 1
-        # Opposite sectors, not half planes: pixels on one side alone have some above and below.
-        beside = abs(du[k]) >= abs(dv[k])
-        left += beside and du[k] < 0
-        right += beside and du[k] > 0
-        up += not beside and dv[k] < 0
-        down += not beside and dv[k] > 0
-    both_sides = (left >= 2 and right >= 2) or (up >= 2 and down >= 2)
-    if count < 8 or not both_sides or 2 * count < values.size:
-        return np.nan, np.nan
-    for i in range(3):
-        normal[i, i] += 1e-9
-    solution = np.linalg.solve(normal, target)
-    if solution[0] <= 0.0 or abs(1.0 / solution[0] - middle) > edge_m:
-        return np.nan, np.nan
-    square = 0.0
-    for k in range(values.size):
-        if abs(values[k] - middle) > edge_m:
-            continue
-        inverse = solution[0] + solution[1] * du[k] + solution[2] * dv[k]
-        square += (values[k] * (1.0 - values[k] * inverse)) ** 2
-    rms = np.sqrt(square / count)
-    covariance = np.linalg.inv(normal)
-    spread = rms * np.sqrt(covariance[0, 0]) / solution[0]
-    # What the plane leaves unexplained is structure as much as noise.
-    return 1.0 / solution[0], spread + 0.3 * rms

@@ -554,7 +554,11 @@ def test_what_no_repair_may_do(seed, prefer, farther):
         # Sources say where a value is from.
         assert value[source == RAW].tobytes() == raw[source == RAW].tobytes()
         np.testing.assert_array_equal(source == NONE, np.isnan(value))
-        np.testing.assert_array_equal(value[source == OTHER], other[source == OTHER])
+        # A beam is smoothed along its wall before a pixel takes it, and stays near itself.
+        smoothing = 0.0 if prefer == "other_sensor" or raw is pairs.lidar_range_m else 2.5
+        taken = source == OTHER
+        limit = smoothing * SCALE.floor_m
+        assert (np.abs(value[taken] - other[taken]) <= limit + 1e-12).all()
         assert ((code == HOLE) | (code == BURR))[(source == OTHER) | (source == NEIGHBOURS)].all()
         # A valid return is never lost, and moved farther only as a burr of the set confidence.
         assert np.isfinite(value[np.isfinite(raw)]).all()
