@@ -12,17 +12,21 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from tyro import conf
 
-from app.reports import info_lines, measure_lines, scene_lines
+from app.reports import conversion_lines, info_lines, measure_lines, scene_lines
 from app.resources import sample_path
 from app.terminal import printable, progress_on_stderr
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.progress import Progress
+
+if TYPE_CHECKING:
+    from fusion_core.workflows.source import RoomChoice
 
 _DONE, _FAILED, _WRONG_USAGE, _INTERRUPTED, _READER_GONE = 0, 1, 2, 130, 141
 
@@ -44,6 +48,8 @@ Flag = Annotated[bool, conf.arg(help_behavior_hint="")]
 RecordingArgument = Annotated[conf.Positional[Path], conf.arg(metavar="RECORDING")]
 SettingsOption = Annotated[Path | None, conf.arg(metavar="FILE", help_behavior_hint="")]
 TopicOption = Annotated[str | None, conf.arg(metavar="TOPIC", help_behavior_hint="")]
+HomeOption = Annotated[str | None, conf.arg(metavar="SESSION", help_behavior_hint="")]
+RoomOption = Annotated[str | None, conf.arg(metavar="ROOM", help_behavior_hint="")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,15 +57,67 @@ class Info:
     """What is inside a recording, and what can be done with it."""
 
     recording: RecordingArgument
-    """A ROS 1 bag, a ROS 2 folder or file, or a folder of frames."""
+    """A recording of any readable format, or the root of a Robot@Home data set."""
+    home: HomeOption = None
+    """A session of the data set, such as alma-s1."""
+    room: RoomOption = None
+    """A room of that session, such as bedroom1."""
+    subsession: int = 1
+    """The passage through that room, where there are several."""
     json: Flag = False
     """Print one JSON object on stdout."""
 
     def run(self, progress: Progress) -> Report:
         from fusion_core.workflows.inspect import info
 
-        result = info(self.recording)
+        room = _room_of(self.home, self.room, self.subsession)
+        result = info(self.recording, room, self.home)
         return Report(result=result, lines=info_lines(result))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Convert:
+    """Write a recording of any format as one ROS 2 MCAP, so that other tools can open it."""
+
+    recording: RecordingArgument
+    """A recording of any format that info reads."""
+    output: Annotated[Path, conf.arg(aliases=["-o"], metavar="FILE")]
+    """The .mcap file to write."""
+    topic: Annotated[conf.UseAppendAction[tuple[str, ...]], conf.arg(metavar="TOPIC")] = ()
+    """A topic to write, where it should not be all of them."""
+    home: HomeOption = None
+    """A session of a Robot@Home data set, such as alma-s1, with --room."""
+    room: RoomOption = None
+    """A room of that session, such as bedroom1."""
+    subsession: int = 1
+    """The passage through that room, where there are several."""
+    start: Annotated[float | None, conf.arg(metavar="S", help_behavior_hint="")] = None
+    """Leave out what was logged less than S seconds after the first message."""
+    end: Annotated[float | None, conf.arg(metavar="S", help_behavior_hint="")] = None
+    """Leave out what was logged S seconds after the first message, and later."""
+    overwrite: Flag = False
+    """Replace a file that is already there."""
+    json: Flag = False
+    """Print one JSON object on stdout."""
+
+    def run(self, progress: Progress) -> Report:
+        start_s = 0.0 if self.start is None else self.start
+        end_s = inf if self.end is None else self.end
+        if not 0.0 <= start_s < end_s:
+            raise WrongUsage("--start must be 0 or more, and --end later")
+        if self.home is not None and self.room is None:
+            raise WrongUsage("--home needs --room, the one to convert")
+        from fusion_core.workflows.convert import ConvertOptions, convert
+
+        options = ConvertOptions(
+            room=_room_of(self.home, self.room, self.subsession),
+            topics=self.topic,
+            start_s=self.start,
+            end_s=self.end,
+            overwrite=self.overwrite,
+        )
+        result = convert(self.recording, self.output, options, progress)
+        return Report(result=result, lines=conversion_lines(result))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,13 +125,20 @@ class Fuse:
     """Align LiDAR and depth, find the noise, repair both, and build the maps of a recording."""
 
     recording: RecordingArgument
-    """A recording with a 2D LiDAR and a depth camera, or depth alone with --virtual-lidar."""
+    """A recording with a 2D LiDAR and a depth camera, depth alone with --virtual-lidar, or the
+    root of a Robot@Home data set with --home."""
     output: Annotated[Path, conf.arg(aliases=["-o"], metavar="DIR")]
     """The folder for the results."""
     preset: Literal["default", "published"] = "default"
     """The project's own settings, or those of Xu 2024."""
     settings: SettingsOption = None
     """A TOML file whose values go over the preset's."""
+    home: HomeOption = None
+    """A session of the data set, such as alma-s1: all its rooms, and Table 1, unless --room."""
+    room: RoomOption = None
+    """A room of that session, such as bedroom1."""
+    subsession: int = 1
+    """The passage through that room, where there are several."""
     lidar: TopicOption = None
     """The LaserScan topic, where it should not be found by type."""
     depth: Annotated[conf.UseAppendAction[tuple[str, ...]], conf.arg(metavar="TOPIC")] = ()
@@ -102,12 +167,14 @@ class Fuse:
     def run(self, progress: Progress) -> Report:
         _require_natural("--seed", self.seed)
         _require_natural("--virtual-lidar", self.virtual_lidar)
-        from fusion_core.workflows.fuse import fuse
+        from fusion_core.workflows.fuse import FuseSummary, fuse
+        from fusion_core.workflows.rooms import RoomsSummary, fuse_rooms
         from fusion_core.workflows.session import FuseOptions
 
         options = FuseOptions(
             preset=self.preset,
             settings_file=self.settings,
+            room=_room_of(self.home, self.room, self.subsession),
             virtual_lidar_row=self.virtual_lidar,
             lidar_topic=self.lidar,
             depth_topics=self.depth,
@@ -120,7 +187,11 @@ class Fuse:
             force=self.force,
             overwrite=self.overwrite,
         )
-        summary = fuse(self.recording, self.output, options, progress)
+        summary: FuseSummary | RoomsSummary
+        if self.home is not None and self.room is None:
+            summary = fuse_rooms(self.recording, self.home, self.output, options, progress)
+        else:
+            summary = fuse(self.recording, self.output, options, progress)
         return Report(result=summary.to_json(), lines=summary.lines())
 
 
@@ -251,6 +322,7 @@ class Scanloom:
 
     command: conf.OmitSubcommandPrefixes[
         Annotated[Info, conf.subcommand("info")]
+        | Annotated[Convert, conf.subcommand("convert")]
         | Annotated[Fuse, conf.subcommand("fuse")]
         | Annotated[Evaluate, conf.subcommand("evaluate")]
         | Annotated[Sample, conf.subcommand("sample")]
@@ -307,6 +379,16 @@ def _run(args: Sequence[str]) -> int:
 def _require_natural(option: str, number: int | None) -> None:
     if number is not None and number < 0:
         raise WrongUsage(f"{option} must be 0 or more, got {number}")
+
+
+def _room_of(home: str | None, room: str | None, subsession: int) -> "RoomChoice | None":
+    if room is None:
+        return None
+    if home is None:
+        raise WrongUsage("--room needs --home, the session that the room is in")
+    from fusion_core.workflows.source import RoomChoice
+
+    return RoomChoice(session=home, room=room, subsession=subsession)
 
 
 def _say_failure(error: ScanLoomError | OSError, *, as_json: bool) -> None:

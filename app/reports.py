@@ -9,6 +9,8 @@ NS_PER_S = 1e9
 def info_lines(info: Mapping[str, Any]) -> list[str]:
     """Format, times, a table of topics, what can be done, and warnings."""
     lines = [f"format    {info['format']}"]
+    if "rooms" in info:
+        return [*lines, "", *_room_table(info["rooms"]), "", *info["can"]]
     if info["start_ns"] is None:
         lines.append("time      none in this format")
     else:
@@ -31,6 +33,29 @@ def info_lines(info: Mapping[str, Any]) -> list[str]:
     lines += info["can"]
     lines += [f"warning: {warning}" for warning in info["warnings"]]
     return lines
+
+
+def conversion_lines(conversion: Mapping[str, Any]) -> list[str]:
+    """File, times, a table of the topics written, those skipped, and notes."""
+    lines = [f"file      {conversion['file']}", f"from      {conversion['format']}"]
+    if conversion["start_ns"] is not None:
+        start_s, end_s = conversion["start_ns"] / NS_PER_S, conversion["end_ns"] / NS_PER_S
+        lines.append(f"time      {start_s:.3f} s to {end_s:.3f} s, {end_s - start_s:.3f} s")
+    lines += [f"messages  {conversion['written']}, left out {conversion['left_out']}", ""]
+    rows = [
+        (topic["name"], str(topic["count"]), str(topic["left_out"]), topic["type"])
+        for topic in conversion["topics"]
+    ]
+    lines += _table([("topic", "written", "left out", "type"), *rows])
+    lines += [f"skipped: {topic['name']}: {topic['reason']}" for topic in conversion["skipped"]]
+    lines += [f"note: {note}" for note in conversion["notes"]]
+    return lines
+
+
+def _room_table(rooms: Sequence[Mapping[str, Any]]) -> list[str]:
+    columns = ("home", "session", "room", "subsession", "scans", "images", "depth_bits")
+    shown = [[_value(room[column]) for column in columns] for room in rooms]
+    return _table([[column.replace("_", " ") for column in columns], *shown])
 
 
 def scene_lines(listed: Mapping[str, Any]) -> list[str]:

@@ -6,7 +6,7 @@ it. The paper's E is inflated by the very noise that it should judge.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -29,6 +29,15 @@ class NoiseScale:
     def at(self, range_m: FloatArray) -> FloatArray:
         """(N,) standard deviations at horizontal ranges."""
         return np.hypot(self.floor_m, self.share * range_m)
+
+    def with_steps(self, quantum_m: float | None) -> "NoiseScale":
+        """No finer than depths in steps of ``quantum_m`` allow (None: steps that do not matter).
+
+        A value anywhere within its step is off by quantum / sqrt(12) on average.
+        """
+        if quantum_m is None:
+            return self
+        return replace(self, floor_m=max(self.floor_m, quantum_m / np.sqrt(12.0)))
 
 
 # What a URG-class LiDAR (1 % of range) and a structured-light camera state together; used where

@@ -17,6 +17,8 @@ Role = Literal[
     "pose",
     "tf",
     "tf_static",
+    "points",
+    "joints",
     "other",
 ]
 

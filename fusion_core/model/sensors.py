@@ -69,7 +69,8 @@ class CameraIntrinsics:
     def __post_init__(self) -> None:
         values = np.array([self.fx, self.fy, self.cx, self.cy, *self.distortion])
         if not np.isfinite(values).all() or self.fx <= 0.0 or self.fy <= 0.0:
-            raise ValueError(f"intrinsics must be finite with positive focal lengths, got {values}")
+            listed = " ".join(f"{value:g}" for value in values)
+            raise ValueError(f"intrinsics must be finite with positive focal lengths, got {listed}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,6 +80,8 @@ class DepthImage:
     ``depth_m``: (H, W) float32 metres, NaN where missing.
     ``encoding``: how the file had it, "16UC1" (millimetres) or "32FC1" (metres), so that an
     export can be of the same kind.
+    ``quantum_m``: the step between two depths that the file can tell apart, where it is coarse
+    enough to matter; the value lies in the middle of its step. None means fine.
     """
 
     stamp_ns: int
@@ -86,10 +89,13 @@ class DepthImage:
     frame_id: str
     depth_m: Float32Array
     encoding: str = "32FC1"
+    quantum_m: float | None = None
 
     def __post_init__(self) -> None:
         if self.depth_m.ndim != 2 or self.depth_m.dtype != np.float32:
             raise ValueError(f"depth_m must be (H, W) float32, got {self.depth_m.shape}")
+        if self.quantum_m is not None and not self.quantum_m > 0.0:
+            raise ValueError(f"quantum_m must be positive, got {self.quantum_m}")
         read_only(self.depth_m)
 
 
@@ -160,4 +166,60 @@ class TransformBatch:
     transforms: tuple[Transform, ...]
 
 
-SensorValue = LaserScan | DepthImage | ColorImage | CameraInfo | PoseSample | TransformBatch
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PointCloud:
+    """Points of a 3D LiDAR or a depth camera, in the order in which they were sent.
+
+    ``xyz_m``: (N, 3) float32; a point without a position is NaN in all three, and keeps its place,
+    since drivers of spinning scanners tell ring and azimuth by it.
+    ``intensity``: (N,) float32 in the driver's own unit, or None where the cloud has none.
+    """
+
+    stamp_ns: int
+    received_ns: int | None
+    frame_id: str
+    xyz_m: Float32Array
+    intensity: Float32Array | None = None
+
+    def __post_init__(self) -> None:
+        if self.xyz_m.ndim != 2 or self.xyz_m.shape[1] != 3 or self.xyz_m.dtype != np.float32:
+            raise ValueError(f"xyz_m must be (N, 3) float32, got {self.xyz_m.shape}")
+        if self.intensity is not None:
+            if self.intensity.shape != self.xyz_m.shape[:1] or self.intensity.dtype != np.float32:
+                raise ValueError(f"intensity must be (N,) float32, got {self.intensity.shape}")
+            read_only(self.intensity)
+        read_only(self.xyz_m)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointSample:
+    """Positions and velocities of named joints: wheels, or the axis that turns a scanner.
+
+    ``positions``, ``velocities``: (N,) float64 in rad and rad/s (m and m/s for a sliding joint),
+    NaN where a driver does not know one; None where the message does not give them.
+    """
+
+    stamp_ns: int
+    received_ns: int | None
+    names: tuple[str, ...]
+    positions: FloatArray | None
+    velocities: FloatArray | None
+
+    def __post_init__(self) -> None:
+        for values in (self.positions, self.velocities):
+            if values is not None:
+                if values.shape != (len(self.names),) or values.dtype != np.float64:
+                    raise ValueError(f"{len(self.names)} joints cannot have {values.shape} values")
+                read_only(values)
+
+
+SensorValue = (
+    LaserScan
+    | DepthImage
+    | ColorImage
+    | CameraInfo
+    | PoseSample
+    | TransformBatch
+    | PointCloud
+    | JointSample
+)

@@ -19,7 +19,7 @@ ENTRY = np.dtype([("received_ns", "<i8"), ("channel", "<i4"), ("block", "<i8"), 
 Entries = npt.NDArray[np.void]
 
 # No recorder writes chunks of this size; a damaged or hostile file may claim them.
-MAX_CHUNK_BYTES = 1 << 30
+MAX_CHUNK_BYTES = 128 << 20
 # Chunks hold a few seconds at most: this is enough to read forward, and to step back once.
 _CACHED_CHUNK_BYTES = 16 << 20
 
@@ -57,6 +57,12 @@ class Container(Protocol):
         """The serialised message at an entry's place. Raises RecordingError."""
         ...
 
+    def published_ns(self, block: int, offset: int) -> int | None:
+        """When the message at an entry's place was published, None where the format has no such
+        time. Its payload can be read.
+        """
+        ...
+
     def close(self) -> None: ...
 
 
@@ -73,6 +79,10 @@ class ChunkCache:
         if chunk is not None:
             self._chunks.move_to_end(block)
             return chunk
+        if self._size > _CACHED_CHUNK_BYTES:
+            # An outsized chunk is not held while the next one takes its memory.
+            self._chunks.clear()
+            self._size = 0
         chunk = self._unpack(block)
         self._chunks[block] = chunk
         self._size += len(chunk)

@@ -1,57 +1,53 @@
 """ROS 1 and ROS 2 messages to model values.
 
 This is the only module that changes units: millimetres, seconds, and every way in which a file
-says "missing" (0, inf, out of limits, 65535) end here.
+says "missing" (0, inf, out of limits, 65535) end here. What is missing by a layout's own rule is
+NaN before: the inverse 0 of ``compressed_image``, the point 0 0 0 of ``point_cloud``.
 """
 
+import struct
 from collections.abc import Callable
 from math import inf, isfinite
 from typing import Any
 
 import numpy as np
 
-from fusion_core.model.conventions import NS_PER_S, ByteArray, Float32Array, FloatArray
+from fusion_core.model.conventions import NS_PER_S, Float32Array, FloatArray
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.sensors import (
     CameraInfo,
     CameraIntrinsics,
     ColorImage,
     DepthImage,
+    JointSample,
     LaserScan,
+    PointCloud,
     PoseSample,
     SensorValue,
     Transform,
     TransformBatch,
 )
+from fusion_core.recordings.bad_message import BadMessage
+from fusion_core.recordings.compressed_image import packed_encoding, unpacked
+from fusion_core.recordings.image_pixels import depth_pixels, is_depth_encoding, rgb_pixels
+from fusion_core.recordings.point_cloud import cloud_points
+from fusion_core.recordings.ros1_transforms import TransformRow
 
 MILLIMETRES_PER_METRE = 1000.0
 # Kinect drivers and 7-Scenes write the largest value where they saw nothing.
-SATURATED_MM = 65535
+SATURATED = 65535
 _SHORTEST_QUATERNION = 1e-12
+_MATRIX = struct.Struct("=16d")
 
-# Bytes a pixel, and the channels in the order red, green, blue.
-_COLOR_ENCODINGS: dict[str, tuple[int, list[int]]] = {
-    "rgb8": (3, [0, 1, 2]),
-    "bgr8": (3, [2, 1, 0]),
-    "8UC3": (3, [2, 1, 0]),
-    "rgba8": (4, [0, 1, 2]),
-    "bgra8": (4, [2, 1, 0]),
-    "mono8": (1, [0, 0, 0]),
-    "8UC1": (1, [0, 0, 0]),
-}
-_DEPTH_DTYPES = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
+# A sensor's clock counts from 1970, and ROS 2 holds the seconds in 31 bits.
+_END_OF_STAMPS_NS = 2**31 * NS_PER_S
+_MAX_BEAMS = 1_000_000
+_MAX_NAME_CHARACTERS = 4096
+# OpenCV knows no model with more.
+_MAX_DISTORTION = 14
 
-# A raw message is an object with the fields of its ROS definition.
+# A raw message is an object with the fields of its ROS definition; a tf message may be its rows.
 RawMessage = Any
-
-
-class BadMessage(ValueError):
-    """A message contradicts itself: ``problem`` names the value, ``advice`` what to do."""
-
-    def __init__(self, problem: str, advice: str) -> None:
-        super().__init__(problem)
-        self.problem = problem
-        self.advice = advice
 
 
 def decode(
@@ -65,9 +61,10 @@ def decode(
         return _DECODERS[message_type](raw, received_ns)
     except BadMessage as error:
         raise RecordingError(f"{topic}: {error.problem}.", advice=error.advice) from error
-    except (ValueError, TypeError, AttributeError, IndexError) as error:
+    except (ValueError, TypeError, AttributeError, IndexError, OverflowError) as error:
+        problem = " ".join(str(error).split())
         raise RecordingError(
-            f"{topic}: {message_type} does not hold what its type promises: {error}.",
+            f"{topic}: {message_type} does not hold what its type promises: {problem}.",
             advice="Check the driver that recorded it.",
         ) from error
 
@@ -79,14 +76,10 @@ def stamp_ns(value: SensorValue) -> int | None:
     return value.stamp_ns
 
 
-def is_depth_encoding(encoding: str) -> bool:
-    """Whether an image of this encoding holds depth. ``mono16`` may also be a grey image."""
-    return encoding in _DEPTH_DTYPES
-
-
-def is_color_encoding(encoding: str) -> bool:
-    """Whether an image of this encoding can be shown as colour."""
-    return encoding in _COLOR_ENCODINGS
+def image_encoding(raw: RawMessage) -> str:
+    """The encoding of a raw Image, or of a raw CompressedImage when it is unpacked."""
+    packed = hasattr(raw, "format")
+    return str(packed_encoding(raw.format, raw.data) if packed else raw.encoding)
 
 
 def ranges_m(ranges: FloatArray, range_min_m: float, range_max_m: float) -> FloatArray:
@@ -99,33 +92,60 @@ def ranges_m(ranges: FloatArray, range_min_m: float, range_max_m: float) -> Floa
     return np.where(valid, ranges, np.nan).astype(np.float64)
 
 
+def depth_m_from_units(depth: np.ndarray[Any, Any], units_per_metre: float) -> Float32Array:
+    """(H, W) uint16 in parts of a metre to float32 metres, NaN for 0 and 65535."""
+    depth_m = depth.astype(np.float32)
+    depth_m /= np.float32(units_per_metre)
+    # One mask at a time: a camera's image may have tens of millions of pixels.
+    depth_m[depth == 0] = np.nan
+    depth_m[depth == SATURATED] = np.nan
+    return depth_m
+
+
 def depth_m_from_millimetres(depth_mm: np.ndarray[Any, Any]) -> Float32Array:
     """(H, W) uint16 millimetres to float32 metres, NaN for 0 and 65535."""
-    depth_m = depth_mm.astype(np.float32)
-    depth_m /= np.float32(MILLIMETRES_PER_METRE)
-    depth_m[(depth_mm == 0) | (depth_mm == SATURATED_MM)] = np.nan
-    return depth_m
+    return depth_m_from_units(depth_mm, MILLIMETRES_PER_METRE)
 
 
 def millimetres_from_depth_m(depth_m: Float32Array) -> np.ndarray[Any, np.dtype[np.uint16]]:
     """(H, W) metres to uint16 millimetres; 0 for NaN and for what does not fit."""
     depth_mm = np.rint(depth_m.astype(np.float64) * MILLIMETRES_PER_METRE)
-    fits = (depth_mm > 0) & (depth_mm < SATURATED_MM)
+    fits = (depth_mm > 0) & (depth_mm < SATURATED)
     return np.where(fits, depth_mm, 0).astype(np.uint16)
 
 
-def _depth_m_from_metres(depth: Float32Array) -> Float32Array:
-    return np.where(np.isfinite(depth) & (depth > 0.0), depth, np.nan).astype(np.float32)
+def depth_m_from_metres(depth: np.ndarray[Any, Any]) -> Float32Array:
+    """(H, W) floating metres to float32, NaN for what is not positive and finite."""
+    valid = np.isfinite(depth) & (depth > 0.0)
+    return np.where(valid, depth, np.nan).astype(np.float32, copy=False)
 
 
 def _stamp(header: RawMessage) -> int:
-    stamp = header.stamp
-    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+    return _time_ns(int(header.stamp.sec), int(header.stamp.nanosec))
+
+
+def _time_ns(seconds: int, nanoseconds: int) -> int:
+    stamp_ns = seconds * NS_PER_S + nanoseconds
+    if not 0 <= stamp_ns < _END_OF_STAMPS_NS:
+        raise BadMessage(
+            f"header stamp {seconds} s {nanoseconds} ns is not between 1970 and 2038",
+            "Check the clock of the computer that recorded it.",
+        )
+    return stamp_ns
 
 
 def _frame(name: str) -> str:
     """A frame's name as tf2 has it: the first tf wrote a leading slash."""
+    if len(name) > _MAX_NAME_CHARACTERS:
+        raise _long_name("a frame", name)
     return name.lstrip("/")
+
+
+def _long_name(what: str, name: str) -> BadMessage:
+    return BadMessage(
+        f"the name of {what} has {len(name)} characters, more than {_MAX_NAME_CHARACTERS}",
+        "The message is damaged; leave the topic out.",
+    )
 
 
 def _laser_scan(raw: RawMessage, received_ns: int | None) -> LaserScan:
@@ -136,14 +156,23 @@ def _laser_scan(raw: RawMessage, received_ns: int | None) -> LaserScan:
             "Set the scanner's range limits in its driver.",
         )
     increment_rad = float(raw.angle_increment)
-    if not np.isfinite([raw.angle_min, increment_rad]).all() or increment_rad == 0.0:
+    if not (isfinite(raw.angle_min) and isfinite(increment_rad)) or increment_rad == 0.0:
         raise BadMessage(
             f"angle_min {raw.angle_min} and angle_increment {increment_rad} give no angles",
             "Set the scanner's field of view in its driver.",
         )
+    if len(raw.ranges) > _MAX_BEAMS:
+        raise BadMessage(
+            f"the scan claims {len(raw.ranges)} beams, more than {_MAX_BEAMS}",
+            "The message is damaged; leave the topic out.",
+        )
     # Compared as the file has them: range_max in float32, so that a sentinel equal to it is met.
     ranges = ranges_m(raw.ranges, raw.range_min, raw.range_max)
-    has_intensities = len(raw.intensities) == len(ranges) > 0
+    intensities = None
+    if len(raw.intensities) == len(ranges) > 0:
+        # A signalling NaN is no failure.
+        with np.errstate(invalid="ignore"):
+            intensities = raw.intensities.astype(np.float64)
     return LaserScan(
         stamp_ns=_stamp(raw.header),
         received_ns=received_ns,
@@ -153,68 +182,36 @@ def _laser_scan(raw: RawMessage, received_ns: int | None) -> LaserScan:
         range_min_m=range_min_m,
         range_max_m=range_max_m,
         ranges_m=ranges,
-        intensities=raw.intensities.astype(np.float64) if has_intensities else None,
+        intensities=intensities,
         scan_time_s=float(raw.scan_time),
         time_increment_s=float(raw.time_increment),
     )
 
 
 def _image(raw: RawMessage, received_ns: int | None) -> DepthImage | ColorImage:
-    encoding = raw.encoding
-    if is_depth_encoding(encoding):
-        return _depth_image(raw, received_ns)
-    if is_color_encoding(encoding):
-        return _color_image(raw, received_ns)
-    known = ", ".join([*_DEPTH_DTYPES, *_COLOR_ENCODINGS])
-    raise BadMessage(f"image encoding {encoding!r} is not read", f"Readable are {known}.")
+    pixels = depth_pixels(raw) if is_depth_encoding(raw.encoding) else rgb_pixels(raw)
+    return _image_value(raw, received_ns, pixels)
 
 
-def _depth_image(raw: RawMessage, received_ns: int | None) -> DepthImage:
-    kind = _DEPTH_DTYPES[raw.encoding]
-    dtype = np.dtype((">" if raw.is_bigendian else "<") + kind)
-    pixels = _pixel_bytes(raw, dtype.itemsize).view(dtype)
+def _compressed_image(raw: RawMessage, received_ns: int | None) -> DepthImage | ColorImage:
+    return _image_value(raw, received_ns, unpacked(raw.format, raw.data))
+
+
+def _image_value(
+    raw: RawMessage, received_ns: int | None, pixels: np.ndarray[Any, Any]
+) -> DepthImage | ColorImage:
+    """``pixels``: (H, W, 3) uint8 RGB, (H, W) uint16 millimetres or (H, W) float32 metres."""
+    stamp_ns, frame_id = _stamp(raw.header), _frame(raw.header.frame_id)
+    if pixels.ndim == 3:
+        return ColorImage(stamp_ns=stamp_ns, received_ns=received_ns, frame_id=frame_id, rgb=pixels)
+    in_metres = pixels.dtype.kind == "f"
     return DepthImage(
-        stamp_ns=_stamp(raw.header),
+        stamp_ns=stamp_ns,
         received_ns=received_ns,
-        frame_id=_frame(raw.header.frame_id),
-        depth_m=depth_m_from_millimetres(pixels) if kind == "u2" else _depth_m_from_metres(pixels),
-        encoding="16UC1" if kind == "u2" else "32FC1",
+        frame_id=frame_id,
+        depth_m=depth_m_from_metres(pixels) if in_metres else depth_m_from_millimetres(pixels),
+        encoding="32FC1" if in_metres else "16UC1",
     )
-
-
-def _color_image(raw: RawMessage, received_ns: int | None) -> ColorImage:
-    pixel_bytes, order = _COLOR_ENCODINGS[raw.encoding]
-    pixels = _pixel_bytes(raw, pixel_bytes).reshape(raw.height, raw.width, pixel_bytes)
-    return ColorImage(
-        stamp_ns=_stamp(raw.header),
-        received_ns=received_ns,
-        frame_id=_frame(raw.header.frame_id),
-        # The copy frees the chunk of the file that the message points into.
-        rgb=pixels.copy() if order == [0, 1, 2] == [*range(pixel_bytes)] else pixels[:, :, order],
-    )
-
-
-def _pixel_bytes(raw: RawMessage, pixel_bytes: int) -> ByteArray:
-    """(H, W * pixel_bytes) rows of an image without the padding at their ends."""
-    height, width, step = int(raw.height), int(raw.width), int(raw.step)
-    row_bytes = width * pixel_bytes
-    if height == 0 or width == 0 or step < row_bytes:
-        raise BadMessage(
-            f"a {raw.encoding} image of {width} x {height} pixels cannot have step {step}",
-            "Check the camera driver's image settings.",
-        )
-    data: ByteArray = raw.data
-    # The last row may lack its padding.
-    needed = (height - 1) * step + row_bytes
-    if data.size < needed:
-        raise BadMessage(
-            f"the image holds {data.size} bytes, {width} x {height} {raw.encoding} need {needed}",
-            "The message was cut short; record again or leave the topic out.",
-        )
-    if data.size < height * step:
-        data = np.concatenate([data, np.zeros(height * step - data.size, dtype=np.uint8)])
-    rows = data[: height * step].reshape(height, step)[:, :row_bytes]
-    return np.ascontiguousarray(rows)
 
 
 def _camera_info(raw: RawMessage, received_ns: int | None) -> CameraInfo:
@@ -222,6 +219,13 @@ def _camera_info(raw: RawMessage, received_ns: int | None) -> CameraInfo:
     k = raw.K if hasattr(raw, "K") else raw.k
     d = raw.D if hasattr(raw, "D") else raw.d
     intrinsics = None
+    if len(d) > _MAX_DISTORTION:
+        raise BadMessage(
+            f"{len(d)} distortion coefficients are given, no model has more than {_MAX_DISTORTION}",
+            "Calibrate the camera, or leave this topic out.",
+        )
+    if len(raw.distortion_model) > _MAX_NAME_CHARACTERS:
+        raise _long_name("the distortion model", raw.distortion_model)
     # K[0] == 0 is how an uncalibrated camera says so.
     if k[0] != 0.0:
         try:
@@ -245,29 +249,37 @@ def _camera_info(raw: RawMessage, received_ns: int | None) -> CameraInfo:
     )
 
 
-def _pose_matrix(position: RawMessage, orientation: RawMessage) -> FloatArray:
+def _pose_matrix(
+    px: float, py: float, pz: float, x: float, y: float, z: float, w: float
+) -> FloatArray:
     """(4, 4) in plain floats: recordings hold transforms by the ten thousand, and arrays of four
     numbers would take several times as long (as ``geometry.rotation_from_quaternion`` does).
     """
-    px, py, pz = position.x, position.y, position.z
-    x, y, z, w = orientation.x, orientation.y, orientation.z, orientation.w
     if not isfinite(px + py + pz):
         raise BadMessage(f"position {px} {py} {pz} is not finite", "Check the source of the pose.")
-    squared = x * x + y * y + z * z + w * w
+    xx, yy, zz = x * x, y * y, z * z
+    squared = xx + yy + zz + w * w
     if not _SHORTEST_QUATERNION**2 < squared < inf:
         raise BadMessage(
             f"quaternion {x} {y} {z} {w} is no rotation", "Check the source of the pose."
         )
     s = 2.0 / squared
-    matrix: FloatArray = np.array(
-        (
-            *(1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w), px),
-            *(s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w), py),
-            *(s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y), pz),
-            *(0.0, 0.0, 0.0, 1.0),
-        )
-    ).reshape(4, 4)
-    return matrix
+    xy, xz, yz, xw, yw, zw = x * y, x * z, y * z, x * w, y * w, z * w
+    # fmt: off
+    rows = _MATRIX.pack(
+        1.0 - s * (yy + zz), s * (xy - zw), s * (xz + yw), px,
+        s * (xy + zw), 1.0 - s * (xx + zz), s * (yz - xw), py,
+        s * (xz - yw), s * (yz + xw), 1.0 - s * (xx + yy), pz,
+        0.0, 0.0, 0.0, 1.0,
+    )
+    # fmt: on
+    return np.ndarray((4, 4), np.float64, rows)
+
+
+def _numbers(position: RawMessage, orientation: RawMessage) -> tuple[float, ...]:
+    """Position, and the rotation as x y z w."""
+    q = orientation
+    return position.x, position.y, position.z, q.x, q.y, q.z, q.w
 
 
 def _odometry(raw: RawMessage, received_ns: int | None) -> PoseSample:
@@ -277,7 +289,7 @@ def _odometry(raw: RawMessage, received_ns: int | None) -> PoseSample:
         received_ns=received_ns,
         parent=_frame(raw.header.frame_id),
         child=_frame(raw.child_frame_id),
-        T_parent_child=_pose_matrix(pose.position, pose.orientation),
+        T_parent_child=_pose_matrix(*_numbers(pose.position, pose.orientation)),
     )
 
 
@@ -287,29 +299,78 @@ def _pose_stamped(raw: RawMessage, received_ns: int | None) -> PoseSample:
         received_ns=received_ns,
         parent=_frame(raw.header.frame_id),
         child="",
-        T_parent_child=_pose_matrix(raw.pose.position, raw.pose.orientation),
+        T_parent_child=_pose_matrix(*_numbers(raw.pose.position, raw.pose.orientation)),
     )
 
 
 def _transforms(raw: RawMessage, received_ns: int | None) -> TransformBatch:
-    return TransformBatch(
-        received_ns=received_ns,
-        transforms=tuple(
-            Transform(
-                stamp_ns=_stamp(entry.header),
-                parent=_frame(entry.header.frame_id),
-                child=_frame(entry.child_frame_id),
-                T_parent_child=_pose_matrix(entry.transform.translation, entry.transform.rotation),
-            )
-            for entry in raw.transforms
-        ),
+    rows = raw if isinstance(raw, list) else [_transform_row(entry) for entry in raw.transforms]
+    transforms = [
+        Transform(
+            stamp_ns=_time_ns(seconds, nanoseconds),
+            parent=_frame(parent),
+            child=_frame(child),
+            T_parent_child=_pose_matrix(*numbers),
+        )
+        for seconds, nanoseconds, parent, child, numbers in rows
+    ]
+    return TransformBatch(received_ns=received_ns, transforms=tuple(transforms))
+
+
+def _transform_row(entry: RawMessage) -> TransformRow:
+    return (
+        int(entry.header.stamp.sec),
+        int(entry.header.stamp.nanosec),
+        entry.header.frame_id,
+        entry.child_frame_id,
+        _numbers(entry.transform.translation, entry.transform.rotation),
     )
+
+
+def _point_cloud(raw: RawMessage, received_ns: int | None) -> PointCloud:
+    xyz_m, intensity = cloud_points(raw)
+    return PointCloud(
+        stamp_ns=_stamp(raw.header),
+        received_ns=received_ns,
+        frame_id=_frame(raw.header.frame_id),
+        xyz_m=xyz_m,
+        intensity=intensity,
+    )
+
+
+def _joint_state(raw: RawMessage, received_ns: int | None) -> JointSample:
+    names = tuple(raw.name)
+    for name in names:
+        if len(name) > _MAX_NAME_CHARACTERS:
+            raise _long_name("a joint", name)
+    return JointSample(
+        stamp_ns=_stamp(raw.header),
+        received_ns=received_ns,
+        names=names,
+        positions=_joint_values(raw.position, names, "positions"),
+        velocities=_joint_values(raw.velocity, names, "velocities"),
+    )
+
+
+def _joint_values(values: FloatArray, names: tuple[str, ...], what: str) -> FloatArray | None:
+    """A copy, NaN where not finite; None where the message leaves the array empty."""
+    if len(values) == 0:
+        return None
+    if len(values) != len(names):
+        raise BadMessage(
+            f"{len(names)} joints have {len(values)} {what}",
+            "Check the driver that publishes the joints.",
+        )
+    return np.where(np.isfinite(values), values, np.nan).astype(np.float64)
 
 
 _DECODERS: dict[str, Callable[[RawMessage, int | None], SensorValue]] = {
     "sensor_msgs/msg/LaserScan": _laser_scan,
     "sensor_msgs/msg/Image": _image,
+    "sensor_msgs/msg/CompressedImage": _compressed_image,
     "sensor_msgs/msg/CameraInfo": _camera_info,
+    "sensor_msgs/msg/PointCloud2": _point_cloud,
+    "sensor_msgs/msg/JointState": _joint_state,
     "nav_msgs/msg/Odometry": _odometry,
     "geometry_msgs/msg/PoseStamped": _pose_stamped,
     "tf2_msgs/msg/TFMessage": _transforms,

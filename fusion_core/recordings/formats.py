@@ -6,19 +6,24 @@ from pathlib import Path
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording
-from fusion_core.recordings import mcap_file, rosbag1, sqlite_file
+from fusion_core.recordings import compressed_storage, mcap_file, rosbag1, sqlite_file
+from fusion_core.recordings.carmen import is_carmen_log, open_carmen_log
 from fusion_core.recordings.frame_folder import frame_layout, open_frame_folder
+from fusion_core.recordings.image_folder import is_image_folder, open_image_folder
+from fusion_core.recordings.robot_at_home_rooms import is_robot_at_home, open_only_room
 from fusion_core.recordings.rosbag1 import open_rosbag1
 from fusion_core.recordings.rosbag2 import (
     is_rosbag2_folder,
-    open_mcap,
     open_rosbag2_folder,
-    open_sqlite,
+    open_storage_file,
 )
+from fusion_core.recordings.tum_folder import is_tum_folder, open_tum_folder
 
 READABLE = (
-    "Readable are ROS 1 bags (.bag), ROS 2 recordings (a folder, .mcap or .db3), and folders of "
-    "depth and colour images in the layouts of 7-Scenes, Redwood and slambook."
+    "Readable are ROS 1 bags (.bag), ROS 2 recordings (a folder, .mcap or .db3), CARMEN "
+    "logs (plain, .gz or .bz2), roots and rooms of "
+    "Robot@Home (plain text) and Robot@Home2 (rh.db), and folders of "
+    "depth and colour images: TUM RGB-D, 7-Scenes, Redwood, slambook, or plain rgb/ and depth/."
 )
 _HEAD_BYTES = 512
 
@@ -37,12 +42,18 @@ class _FolderFormat:
 
 _FILE_FORMATS = (
     _FileFormat(rosbag1.MAGIC, open_rosbag1),
-    _FileFormat(mcap_file.MAGIC, open_mcap),
-    _FileFormat(sqlite_file.MAGIC, open_sqlite),
+    _FileFormat(mcap_file.MAGIC, open_storage_file),
+    _FileFormat(sqlite_file.MAGIC, open_storage_file),
+    _FileFormat(compressed_storage.ZSTD_MAGIC, open_storage_file),
+    _FileFormat(compressed_storage.LZ4_MAGIC, open_storage_file),
 )
 _FOLDER_FORMATS = (
     _FolderFormat(is_rosbag2_folder, open_rosbag2_folder),
+    _FolderFormat(is_tum_folder, open_tum_folder),
     _FolderFormat(lambda path: frame_layout(path) is not None, open_frame_folder),
+    _FolderFormat(is_robot_at_home, open_only_room),
+    # Last: their marks are the weakest, and they do not vouch for the unit of depth.
+    _FolderFormat(is_image_folder, open_image_folder),
 )
 # What people try by mistake, told by the first bytes.
 _NO_RECORDINGS = (
@@ -53,9 +64,8 @@ _NO_RECORDINGS = (
     (b"# .PCD", "a point cloud (PCD)"),
     (b"ply", "a point cloud or mesh (PLY)"),
     (b"PK\x03\x04", "a ZIP archive; unpack it first"),
-    (b"BZh", "a bzip2 archive; unpack it first"),
-    (b"\x1f\x8b", "a gzip archive; unpack it first"),
-    (b"\x28\xb5\x2f\xfd", "a zstd archive; unpack it first"),
+    (b"BZh", "a bzip2 archive without a CARMEN log that can be read; unpack it first"),
+    (b"\x1f\x8b", "a gzip archive without a CARMEN log that can be read; unpack it first"),
 )
 
 
@@ -88,9 +98,14 @@ def _open_file(path: Path) -> Recording:
         raise RecordingError(
             "is empty.", file=path, advice="Copy it again from its source, or record again."
         )
+    # rh.db is a database too, so that its tables must tell it.
+    if is_robot_at_home(path):
+        return open_only_room(path)
     for format in _FILE_FORMATS:
         if head.startswith(format.magic):
             return format.open(path)
+    if is_carmen_log(path):
+        return open_carmen_log(path)
     raise RecordingError(f"is no recording: {_kind(head)}.", file=path, advice=READABLE)
 
 
@@ -120,4 +135,4 @@ def _could_be_recording(path: Path) -> bool:
         return False
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
-    return any(head.startswith(format.magic) for format in _FILE_FORMATS)
+    return any(head.startswith(format.magic) for format in _FILE_FORMATS) or is_carmen_log(path)

@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from fusion_core.model.conventions import NS_PER_S, ByteArray, FloatArray
+from fusion_core.model.conventions import NS_PER_S, FloatArray
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording, Role
 from fusion_core.model.sensors import (
@@ -31,6 +31,7 @@ from fusion_core.recordings.frame_files import (
     read_intrinsics,
     read_matrix,
     read_pose_lines,
+    read_rgb,
     read_trajectory_log,
 )
 from fusion_core.recordings.stamped import StampedRecording, StampedStream
@@ -174,7 +175,7 @@ def _numbered(path: Path, name: str) -> FrameLayout:
     poses: dict[int, Path | FloatArray] = {}
     numbers = sorted(depth)
     if file.is_file():
-        by_place = read_poses(file)
+        by_place = read_poses(file, warnings)
         poses = {numbers[i]: pose for i, pose in by_place.items() if i < len(numbers)}
         if len(poses) != len(numbers):
             warnings.append(
@@ -222,8 +223,7 @@ def _depth_pixels(file: Path) -> np.ndarray[Any, Any]:
 
 
 def _color(files: Mapping[int, Path], number: int, stamp_ns: int) -> ColorImage:
-    bgr = read_image(files[number], cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    rgb: ByteArray = np.ascontiguousarray(bgr[:, :, ::-1])
+    rgb = read_rgb(files[number])
     return ColorImage(stamp_ns=stamp_ns, received_ns=None, frame_id=CAMERA_FRAME, rgb=rgb)
 
 

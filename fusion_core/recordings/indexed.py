@@ -2,19 +2,24 @@
 
 import threading
 from collections import defaultdict
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S, IntArray
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Message, Role, Topic
-from fusion_core.recordings.containers import ENTRY, Channel, Container, Entries
-from fusion_core.recordings.decode import READABLE_TYPES, decode, stamp_ns
-from fusion_core.recordings.message_types import Deserializer, UnreadableType, deserializer
+from fusion_core.recordings.containers import ENTRY, Channel, Container, Entries, Payload
+from fusion_core.recordings.decode import READABLE_TYPES, decode, image_encoding, stamp_ns
+from fusion_core.recordings.message_types import (
+    READABLE_ENCODINGS,
+    Deserializer,
+    UnreadableType,
+    deserializer,
+)
 from fusion_core.recordings.skipped import SkippedMessages
 from fusion_core.recordings.topics import image_role, role_of_type, unknown_topic
 
@@ -22,6 +27,8 @@ _BATCH = 1024
 # An image topic is an image topic by its first message, or by one of the next if that is broken.
 _PEEKED_MESSAGES = 5
 _UNKNOWN_TYPE = "messages of its type are not read"
+
+_Read = TypeVar("_Read")
 
 
 @dataclass(slots=True)
@@ -36,11 +43,25 @@ class _Stream:
     unreadable: str = ""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SerializedMessage:
+    """A message as its file holds it. ``channel`` is its place in the recording's ``channels``.
+
+    ``published_ns`` is None where the file does not say when it was published.
+    """
+
+    channel: int
+    received_ns: int
+    published_ns: int | None
+    payload: Payload
+
+
 class IndexedRecording:
     """Recording over one or more containers, in the order of log time, then of the files.
 
     A topic that cannot be read keeps its place in ``topics`` with role "other" and costs a
-    warning; so does a message, which iteration passes over and ``read`` refuses.
+    warning, one of ``unread``; so does a message, which iteration passes over and ``read``
+    refuses. ``serialized_messages`` passes over no topic.
     """
 
     stamps_are_nominal = False
@@ -65,7 +86,10 @@ class IndexedRecording:
             received = self._entries["received_ns"]
             self.start_ns = int(received[0]) if len(received) else None
             self.end_ns = int(received[-1]) if len(received) else None
+            self.channels = tuple(channels)
             self._streams = self._read_streams(channels)
+            self.unread = self._say_unreadable(self._streams)
+            self.warnings.extend(self.unread)
         except BaseException:
             self.close()
             raise
@@ -88,9 +112,17 @@ class IndexedRecording:
             streams = [s for s in self._streams.values() if not s.unreadable]
         else:
             streams = [self._readable(name) for name in dict.fromkeys(topics)]
-        first = 0 if start_ns is None else self._place(start_ns)
-        last = len(self._entries) if end_ns is None else self._place(end_ns)
-        return self._iterate(streams, first, last)
+        return self._iterate(streams, start_ns, end_ns, self._decode)
+
+    def serialized_messages(
+        self,
+        topics: Collection[str],
+        start_ns: int | None = None,
+        end_ns: int | None = None,
+    ) -> Iterator[SerializedMessage]:
+        """Messages of any type with start <= received < end, in order, without decoding."""
+        streams = [self._stream(name) for name in dict.fromkeys(topics)]
+        return self._iterate(streams, start_ns, end_ns, self._serialized)
 
     def read(self, topic: str, index: int) -> Message:
         """The ``index``-th message of a topic. Raises IndexError beyond its count."""
@@ -116,36 +148,57 @@ class IndexedRecording:
     def _place(self, time_ns: int) -> int:
         return int(np.searchsorted(self._entries["received_ns"], time_ns, side="left"))
 
-    def _iterate(self, streams: list[_Stream], first: int, last: int) -> Iterator[Message]:
-        by_channel = {channel: s for s in streams for channel in s.readers}
+    def _iterate(
+        self,
+        streams: list[_Stream],
+        start_ns: int | None,
+        end_ns: int | None,
+        read: Callable[[_Stream, int, int, int, int, int], _Read],
+    ) -> Iterator[_Read]:
+        first = 0 if start_ns is None else self._place(start_ns)
+        last = len(self._entries) if end_ns is None else self._place(end_ns)
         chosen = [s.positions[(s.positions >= first) & (s.positions < last)] for s in streams]
         positions = np.sort(np.concatenate([np.empty(0, dtype=np.int64), *chosen]))
         next_index = {s.name: int(np.searchsorted(s.positions, first)) for s in streams}
         for start in range(0, len(positions), _BATCH):
             batch = self._entries[positions[start : start + _BATCH]]
             for received, channel, block, offset in batch.tolist():
-                stream = by_channel[channel]
+                stream = self._streams[self.channels[channel].topic]
                 index = next_index[stream.name]
                 next_index[stream.name] = index + 1
                 try:
-                    message = self._decode(stream, index, received, channel, block, offset)
+                    message = read(stream, index, received, channel, block, offset)
                 except RecordingError as error:
                     self._require_open()
                     self._skipped.add(stream.name, index, len(stream.positions), error)
                 else:
                     yield message
 
-    def _raw(self, stream: _Stream, channel: int, block: int, offset: int) -> Any:
+    def _payload(self, stream: _Stream, channel: int, block: int, offset: int) -> Payload:
         with self._lock:
             self._require_open()
             try:
-                payload = self._files[channel].payload(block, offset)
+                return self._files[channel].payload(block, offset)
             except OSError as error:
                 raise RecordingError(
                     f"{stream.name}: reading failed, {error.strerror or error}.",
                     file=self.path,
                     advice="Check the disk or the network that holds the file.",
                 ) from error
+
+    def _serialized(
+        self, stream: _Stream, index: int, received: int, channel: int, block: int, offset: int
+    ) -> SerializedMessage:
+        payload = self._payload(stream, channel, block, offset)
+        with self._lock:
+            self._require_open()
+            published_ns = self._files[channel].published_ns(block, offset)
+        return SerializedMessage(
+            channel=channel, received_ns=received, published_ns=published_ns, payload=payload
+        )
+
+    def _raw(self, stream: _Stream, channel: int, block: int, offset: int) -> Any:
+        payload = self._payload(stream, channel, block, offset)
         try:
             return stream.readers[channel](payload)
         except ValueError as error:
@@ -204,15 +257,17 @@ class IndexedRecording:
                 positions=np.sort(np.concatenate(positions)).astype(np.int64),
             )
             self._prepare(stream, {n: channels[n] for n in own})
-        self._warn_of_unreadable(streams)
         return streams
 
     def _prepare(self, stream: _Stream, channels: dict[int, Channel]) -> None:
         """Find the stream's role and deserialisers, or why there are none."""
         if len({channel.message_type for channel in channels.values()}) > 1:
             stream.unreadable = "its messages are of several types"
-        elif stream.message_type not in READABLE_TYPES:
-            stream.unreadable = _UNKNOWN_TYPE
+        elif stream.message_type not in READABLE_TYPES and READABLE_ENCODINGS.issuperset(
+            channel.serialization for channel in channels.values()
+        ):
+            known = stream.message_type != ""
+            stream.unreadable = _UNKNOWN_TYPE if known else "the file does not tell its type"
         else:
             try:
                 stream.readers = {n: deserializer(channel) for n, channel in channels.items()}
@@ -229,23 +284,27 @@ class IndexedRecording:
         for position in stream.positions[:_PEEKED_MESSAGES]:
             _, channel, block, offset = self._entries[position].item()
             try:
-                encoding = str(self._raw(stream, channel, block, offset).encoding)
-            except (RecordingError, AttributeError):
-                # Broken, or the file's own definition lacks the field: reading it will say so.
+                raw = self._raw(stream, channel, block, offset)
+                role = image_role(image_encoding(raw), stream.name)
+            except (RecordingError, AttributeError, TypeError):
+                # Broken, or the file's own definition has other fields: reading it will say so.
                 continue
-            return image_role(encoding, stream.name)
+            if role != "other":
+                return role
         return "other"
 
-    def _warn_of_unreadable(self, streams: dict[str, _Stream]) -> None:
+    def _say_unreadable(self, streams: dict[str, _Stream]) -> tuple[str, ...]:
+        lines = []
         unknown_types = set()
         for stream in streams.values():
             if stream.unreadable == _UNKNOWN_TYPE:
                 unknown_types.add(stream.message_type)
             elif stream.unreadable:
-                self.warnings.append(f"{stream.name} is left out: {stream.unreadable}.")
+                lines.append(f"{stream.name} is left out: {stream.unreadable}.")
         if unknown_types:
             listed = ", ".join(sorted(unknown_types))
-            self.warnings.append(f"Topics of these types are left out: {listed}.")
+            lines.append(f"Topics of these types are left out: {listed}.")
+        return tuple(lines)
 
     def _topic(self, stream: _Stream) -> Topic:
         count = len(stream.positions)

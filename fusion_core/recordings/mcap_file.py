@@ -1,56 +1,61 @@
-"""MCAP files: the index from the summary, or from a walk over the records where it is missing.
-
-Layout: mcap.dev/spec. Records are one byte of opcode, eight of length, then the content.
-"""
+"""MCAP files: the index from the summary, or from a walk over the records where that fails."""
 
 import struct
-from collections.abc import Iterator
-from io import BytesIO
+import zlib
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
-from mcap.records import Channel as McapChannel
-from mcap.records import Chunk, ChunkIndex, Schema
-from mcap.stream_reader import get_chunk_data_stream
-from mcap.summary import Summary
 
 from fusion_core.recordings.containers import (
+    ENTRY,
     MAX_CHUNK_BYTES,
     Channel,
     ChunkCache,
     Entries,
     Payload,
     damaged,
-    entries_from,
-    in_file_order,
-    ros2_type_name,
 )
+from fusion_core.recordings.mcap_channels import DEFINING, McapChannels
+from fusion_core.recordings.mcap_records import (
+    MESSAGE_HEADER,
+    RECORD_HEADER,
+    RecordFile,
+    index_entries,
+)
+from fusion_core.recordings.mcap_walk import NOT_IN_A_CHUNK, Walk
 
 MAGIC = b"\x89MCAP0\r\n"
 
-_RECORD_HEADER = struct.Struct("<BQ")
-# Opcode, length, channel, sequence, log time, publish time; the payload follows.
-_MESSAGE_HEADER = struct.Struct("<BQHIQQ")
-_INDEX_HEADER = struct.Struct("<BQHI")
-_INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
-_FOOTER_BYTES = 37
-_NOT_IN_A_CHUNK = -1
-# What the mcap package raises on bytes that are not as they should be.
-_DAMAGE = (
-    McapError,
-    ValueError,
-    KeyError,
-    OverflowError,
-    RuntimeError,
-    StopIteration,
-    struct.error,
-    zstandard.ZstdError,
-)
+# Opcode, length, where the summary and its offsets start, CRC of the summary.
+_FOOTER = struct.Struct("<BQQQI")
+# First and last log time, place and size of the chunk; the lengths of what follows.
+_CHUNK_INDEX = struct.Struct("<QQQQI")
+_MESSAGE_INDEX_BYTES = struct.Struct("<QI")
+_UNPACKED_BYTES = struct.Struct("<QQ")
+_PIECE_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class _ChunkPlace:
+    """A chunk as the summary describes it."""
+
+    start_ns: int
+    end_ns: int
+    position: int
+    end: int
+    index_bytes: int
+    size: int
+
+
+@dataclass(slots=True)
+class _Summary:
+    """What the summary says; ``problem`` says why it is not to be relied on."""
+
+    chunks: list[_ChunkPlace] = field(default_factory=list)
+    message_count: int | None = None
+    problem: str = ""
 
 
 class McapFile:
@@ -58,174 +63,168 @@ class McapFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.channels: list[Channel] = []
         self.warnings: list[str] = []
-        self._numbers: dict[int, int] = {}
-        self._file = path.open("rb")
+        self._channels = McapChannels()
+        # A buffer would be filled anew at every record of a walk.
+        self._file = path.open("rb", buffering=0)
+        self._records = RecordFile(self._file)
         self._chunks = ChunkCache(self._unpack)
-        try:
-            self._size = self._file.seek(0, 2)
-            self._summary = self._read_summary()
-        except BaseException:
-            self._file.close()
-            raise
+
+    @property
+    def channels(self) -> list[Channel]:
+        return self._channels.channels
 
     def index(self) -> Entries:
-        entries = self._index_from_summary()
-        return self._index_from_walk() if entries is None else entries
+        """Every message that can be found; ``warnings`` then name what a damaged file has lost.
+
+        Raises RecordingError where the file is damaged and nothing can be found.
+        """
+        summary = self._read_summary()
+        if not summary.problem:
+            entries = self._index_from_summary(summary)
+            if entries is not None:
+                self._channels.add_spare()
+                return entries
+        return self._salvage(summary)
 
     def payload(self, block: int, offset: int) -> Payload:
-        if block == _NOT_IN_A_CHUNK:
-            _, length = _RECORD_HEADER.unpack(self._read(offset, _RECORD_HEADER.size))
-            start = offset + _MESSAGE_HEADER.size
-            return self._read(start, offset + _RECORD_HEADER.size + length - start)
-        chunk = self._chunks[block]
-        header = chunk[offset : offset + _MESSAGE_HEADER.size]
-        if len(header) < _MESSAGE_HEADER.size or header[0] != Opcode.MESSAGE:
-            raise damaged(self.path, f"no message at byte {offset} of the chunk at {block}")
-        end = offset + _RECORD_HEADER.size + _RECORD_HEADER.unpack_from(header)[1]
-        if end > len(chunk):
-            raise damaged(self.path, f"a message ends behind its chunk at byte {block}")
-        return memoryview(chunk)[offset + _MESSAGE_HEADER.size : end]
+        header = self._header(block, offset)
+        start = offset + MESSAGE_HEADER.size
+        end = offset + RECORD_HEADER.size + RECORD_HEADER.unpack_from(header)[1]
+        if block == NOT_IN_A_CHUNK and start <= end <= min(
+            self._records.size, start + MAX_CHUNK_BYTES
+        ):
+            return self._records.read(start, end - start)
+        if block != NOT_IN_A_CHUNK and start <= end <= len(self._chunks[block]):
+            return memoryview(self._chunks[block])[start:end]
+        raise damaged(self.path, f"the message at byte {offset}{_of_chunk(block)} breaks off")
+
+    def published_ns(self, block: int, offset: int) -> int:
+        return int(MESSAGE_HEADER.unpack(self._header(block, offset))[-1])
 
     def close(self) -> None:
         self._file.close()
 
-    def _read(self, position: int, size: int) -> bytes:
-        if not 0 <= size <= self._size - position:
-            raise damaged(self.path, f"{size} bytes at byte {position} are not there")
-        self._file.seek(position)
-        return self._file.read(size)
-
-    def _read_summary(self) -> Summary | None:
-        if self._size < len(MAGIC) + _FOOTER_BYTES or self._read(0, 8) != MAGIC:
-            raise damaged(self.path, "it ends before its first record")
-        if self._read(self._size - len(MAGIC), len(MAGIC)) != MAGIC:
-            raise damaged(self.path, "its end is missing")
-        try:
-            self._file.seek(0)
-            return SeekingReader(self._file, record_size_limit=MAX_CHUNK_BYTES).get_summary()
-        except _DAMAGE as error:
-            raise damaged(self.path, f"its summary cannot be read ({error})") from error
+    def _header(self, block: int, offset: int) -> bytes:
+        if block != NOT_IN_A_CHUNK:
+            header = self._chunks[block][offset : offset + MESSAGE_HEADER.size]
+        else:
+            size = max(min(MESSAGE_HEADER.size, self._records.size - offset), 0)
+            header = self._records.read(offset, size)
+        if len(header) < MESSAGE_HEADER.size or header[0] != Opcode.MESSAGE:
+            raise damaged(self.path, f"no message at byte {offset}{_of_chunk(block)}")
+        return header
 
     def _unpack(self, block: int) -> bytes:
-        _, length = _RECORD_HEADER.unpack(self._read(block, _RECORD_HEADER.size))
-        record = self._read(block + _RECORD_HEADER.size, length)
         try:
-            chunk = Chunk.read(ReadDataStream(BytesIO(record)))
-            if chunk.uncompressed_size > MAX_CHUNK_BYTES:
-                raise ValueError(f"it claims {chunk.uncompressed_size} bytes")
-            if chunk.compression == "zstd":
-                # zstandard takes memory for what the frame claims, whatever the chunk says.
-                claimed = zstandard.frame_content_size(chunk.data)
-                if claimed not in (-1, chunk.uncompressed_size):
-                    raise ValueError(f"its frame claims {claimed} bytes")
-            stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-            return stream.read(size)
-        except _DAMAGE as error:
-            raise damaged(self.path, f"the chunk at byte {block} ({error})") from error
+            unpacked = self._records.unpack(self._records.chunk(block))
+        except ValueError as error:
+            raise damaged(self.path, f"the chunk at byte {block}, {error}") from error
+        if unpacked.problem:
+            raise damaged(self.path, f"the chunk at byte {block}, {unpacked.problem}")
+        return unpacked.content
 
-    def _register(self, channel: McapChannel, schemas: dict[int, Schema]) -> None:
-        if channel.id in self._numbers:
-            return
-        schema = schemas.get(channel.schema_id)
-        encoding = "" if schema is None else schema.encoding
-        name = "" if schema is None else schema.name
-        readable = schema is not None and encoding in ("ros1msg", "ros2msg", "ros2idl", "omgidl")
-        self._numbers[channel.id] = len(self.channels)
-        self.channels.append(
-            Channel(
-                topic=channel.topic,
-                message_type=ros2_type_name(name) if readable else name,
-                serialization=channel.message_encoding,
-                definition=schema.data.decode(errors="replace") if schema and readable else "",
-                definition_format="idl" if encoding.endswith("idl") else "msg",
-            )
-        )
+    def _read_summary(self) -> _Summary:
+        footer_start = self._records.size - len(MAGIC) - _FOOTER.size
+        if footer_start < len(MAGIC):
+            return _Summary(problem="its end is missing")
+        end = self._records.read(footer_start, _FOOTER.size + len(MAGIC))
+        opcode, length, start, _, crc = _FOOTER.unpack_from(end)
+        if not end.endswith(MAGIC) or (opcode, length) != (Opcode.FOOTER, _FOOTER.size - 9):
+            return _Summary(problem="its end is missing")
+        if not start:
+            return _Summary()
+        if start > footer_start:
+            return _Summary(problem="its end does not tell where its summary is")
+        summary = _Summary()
+        try:
+            if crc and crc != self._crc(start, footer_start + _FOOTER.size - 4):
+                summary.problem = "the checksum of its summary is wrong"
+            self._read_records(summary, start, footer_start)
+        except (ValueError, struct.error) as error:
+            summary.problem = f"its summary is damaged, {error}"
+        return summary
 
-    def _index_from_summary(self) -> Entries | None:
+    def _crc(self, start: int, end: int) -> int:
+        crc = 0
+        while start < end:
+            piece = self._records.read(start, min(_PIECE_BYTES, end - start))
+            crc = zlib.crc32(piece, crc)
+            start += len(piece)
+        return crc
+
+    def _read_records(self, summary: _Summary, start: int, end: int) -> None:
+        while start < end:
+            record = self._records.record(start)
+            if record is None or record.end > end:
+                raise ValueError(f"no record at byte {start}")
+            content_start = start + RECORD_HEADER.size
+            size = record.end - content_start
+            if record.opcode in (*DEFINING, Opcode.STATISTICS, Opcode.CHUNK_INDEX):
+                content = self._records.read(content_start, min(size, _PIECE_BYTES))
+                if record.opcode == Opcode.STATISTICS:
+                    summary.message_count = int.from_bytes(content[:8], "little")
+                elif record.opcode == Opcode.CHUNK_INDEX:
+                    summary.chunks.append(_chunk_place(content))
+                else:
+                    self._channels.define_spare(record.opcode, content)
+            start = record.end
+
+    def _index_from_summary(self, summary: _Summary) -> Entries | None:
         """None where the summary does not account for every message."""
-        summary = self._summary
-        if summary is None or summary.statistics is None:
-            return None
-        for channel in summary.channels.values():
-            self._register(channel, summary.schemas)
-        entries = in_file_order(
-            [part for chunk in summary.chunk_indexes for part in self._chunk_entries(chunk)]
-        )
-        complete = len(entries) == summary.statistics.message_count
-        return entries if complete else None
-
-    def _chunk_entries(self, chunk: ChunkIndex) -> Iterator[Entries]:
-        """The message index records that follow a chunk."""
-        records = self._read(
-            chunk.chunk_start_offset + chunk.chunk_length, chunk.message_index_length
-        )
-        position = 0
-        while position < len(records):
-            try:
-                _, length, channel, size = _INDEX_HEADER.unpack_from(records, position)
-                index = np.frombuffer(
-                    records, _INDEX_ENTRY, size // 16, position + _INDEX_HEADER.size
+        parts = [np.empty(0, dtype=ENTRY)]
+        end = 0
+        try:
+            for chunk in sorted(summary.chunks, key=lambda chunk: chunk.position):
+                if chunk.position < end or max(chunk.index_bytes, chunk.size) > MAX_CHUNK_BYTES:
+                    return None
+                end = chunk.end + chunk.index_bytes
+                parts.append(
+                    index_entries(
+                        self._records.read(chunk.end, chunk.index_bytes),
+                        self._channels.number,
+                        block=chunk.position,
+                        size=chunk.size,
+                        start_ns=chunk.start_ns,
+                        end_ns=chunk.end_ns,
+                    )
                 )
-                number = self._numbers[channel]
-            except (struct.error, ValueError, KeyError) as error:
-                raise damaged(
-                    self.path, f"the index of the chunk at byte {chunk.chunk_start_offset}"
-                ) from error
-            yield entries_from(index["log_time"], number, chunk.chunk_start_offset, index["offset"])
-            position += _RECORD_HEADER.size + length
+        except ValueError:
+            return None
+        if sum(map(len, parts)) != summary.message_count:
+            return None
+        return np.concatenate(parts)
 
-    def _index_from_walk(self) -> Entries:
-        schemas: dict[int, Schema] = {}
-        parts: list[Entries] = []
-        position, end = len(MAGIC), self._size - len(MAGIC)
-        while position < end:
-            opcode, length = _RECORD_HEADER.unpack(self._read(position, _RECORD_HEADER.size))
-            content = position + _RECORD_HEADER.size
-            if opcode == Opcode.DATA_END:
-                break
-            if opcode == Opcode.CHUNK:
-                parts.append(self._walk_chunk(position, schemas))
-            elif opcode == Opcode.MESSAGE:
-                header = self._read(position, _MESSAGE_HEADER.size)
-                parts.append(self._entry(header, 0, _NOT_IN_A_CHUNK, position))
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._define(opcode, self._read(content, length), schemas)
-            position = content + length
-        return in_file_order(parts)
+    def _salvage(self, summary: _Summary) -> Entries:
+        walk = Walk(self._records, self._channels)
+        begins = self._records.size >= len(MAGIC) and self._records.read(0, len(MAGIC)) == MAGIC
+        entries = walk.entries(len(MAGIC) if begins else 0)
+        if not summary.problem:
+            self._channels.add_spare()
+        problem = summary.problem or ("" if begins else "its beginning is missing")
+        told = walk.losses.warnings(entries, self._records.size)
+        if (problem or told) and not len(entries):
+            raise damaged(self.path, f"no message of it can be read ({problem or told[0]})")
+        if problem:
+            nothing = "" if told else ", and none is lost"
+            told.insert(0, f"Damaged or cut short ({problem}): messages were looked for{nothing}.")
+        if summary.message_count not in (None, len(entries)):
+            told.append(
+                f"Its statistics count {summary.message_count} messages, {len(entries)} were found."
+            )
+        # A recording may be of several files.
+        self.warnings += [f"{self.path.name}: {line}" for line in told]
+        return entries
 
-    def _walk_chunk(self, block: int, schemas: dict[int, Schema]) -> Entries:
-        chunk = self._chunks[block]
-        parts: list[Entries] = []
-        position = 0
-        while position < len(chunk):
-            try:
-                opcode, length = _RECORD_HEADER.unpack_from(chunk, position)
-            except struct.error as error:
-                raise damaged(self.path, f"the chunk at byte {block} breaks off") from error
-            content = position + _RECORD_HEADER.size
-            if opcode == Opcode.MESSAGE:
-                parts.append(self._entry(chunk, position, block, position))
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._define(opcode, chunk[content : content + length], schemas)
-            position = content + length
-        return in_file_order(parts)
 
-    def _entry(self, buffer: bytes, position: int, block: int, offset: int) -> Entries:
-        try:
-            _, _, channel, _, log_time, _ = _MESSAGE_HEADER.unpack_from(buffer, position)
-            return entries_from([log_time], self._numbers[channel], block, offset)
-        except (struct.error, KeyError, OverflowError) as error:
-            raise damaged(self.path, f"the message at byte {offset}") from error
+def _of_chunk(block: int) -> str:
+    return "" if block == NOT_IN_A_CHUNK else f" of the chunk at byte {block}"
 
-    def _define(self, opcode: int, content: bytes, schemas: dict[int, Schema]) -> None:
-        stream = ReadDataStream(BytesIO(content))
-        try:
-            if opcode == Opcode.SCHEMA:
-                schema = Schema.read(stream)
-                schemas[schema.id] = schema
-            else:
-                self._register(McapChannel.read(stream), schemas)
-        except _DAMAGE as error:
-            raise damaged(self.path, f"a schema or channel ({error})") from error
+
+def _chunk_place(content: bytes) -> _ChunkPlace:
+    start_ns, end_ns, position, length, map_bytes = _CHUNK_INDEX.unpack_from(content)
+    place = _CHUNK_INDEX.size + map_bytes
+    index_bytes, name_bytes = _MESSAGE_INDEX_BYTES.unpack_from(content, place)
+    place += _MESSAGE_INDEX_BYTES.size + name_bytes
+    _, size = _UNPACKED_BYTES.unpack_from(content, place)
+    return _ChunkPlace(start_ns, end_ns, position, position + length, index_bytes, size)

@@ -1,61 +1,44 @@
 """Model values to one MCAP file of ROS 2 messages, as ROS 2 tools open it."""
 
-import os
-from contextlib import suppress
+import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from fusion_core.model.conventions import NS_PER_S, FloatArray
-from fusion_core.model.errors import ExportError
+from fusion_core.model.conventions import NS_PER_S, Float32Array, FloatArray
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.sensors import (
     CameraInfo,
     ColorImage,
     DepthImage,
+    JointSample,
     LaserScan,
+    PointCloud,
     PoseSample,
     TransformBatch,
 )
+from fusion_core.recordings.bad_message import BadMessage
 from fusion_core.recordings.decode import millimetres_from_depth_m
+from fusion_core.recordings.mcap_output import McapOutput
 
-# A late subscriber must still get /tf_static (QoS durability "transient local", depth 1).
-_LATCHED = (
-    "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n"
-    "  deadline:\n    sec: 9223372036\n    nsec: 854775807\n"
-    "  lifespan:\n    sec: 9223372036\n    nsec: 854775807\n"
-    "  liveliness: 1\n"
-    "  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n"
-    "  avoid_ros_namespace_conventions: false"
-)
 _TYPESTORE = get_typestore(Stores.ROS2_HUMBLE)
+_POINT_FIELD_FLOAT32 = 7
 
 
 class Ros2McapWriter:
-    """Writes one .mcap file: profile ros2, zstd chunks, an index, and the message definitions.
+    """Writes model values to one .mcap file, which appears whole or not at all.
 
-    The file appears under its name when ``close`` (or the ``with`` block) ends well, and then
-    replaces what was there; after an error nothing is left behind. The same calls give the same
-    bytes. The log time of a message is ``received_ns``, or the stamp where that is None.
+    The log time of a message is ``received_ns``, or the stamp where that is None. A value that its
+    ROS message cannot hold raises BadMessage and costs itself alone.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+        self._output = McapOutput(path)
         self._channels: dict[str, tuple[int, str]] = {}
-        self._schemas: dict[str, int] = {}
-        self._open = False
-        try:
-            self._file = self._partial.open("xb")
-        except OSError as error:
-            raise _cannot_write(path, error) from error
-        self._open = True
-        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
-        self._writer.start(profile="ros2", library="scanloom")
 
     def write_laser_scan(self, topic: str, scan: LaserScan) -> None:
         """sensor_msgs/LaserScan; a missing range is NaN."""
@@ -71,8 +54,8 @@ class Ros2McapWriter:
             scan_time=scan.scan_time_s,
             range_min=scan.range_min_m,
             range_max=scan.range_max_m,
-            ranges=scan.ranges_m.astype(np.float32),
-            intensities=intensities.astype(np.float32),
+            ranges=_float32(scan.ranges_m),
+            intensities=_float32(intensities),
         )
         self._write(topic, message, scan.stamp_ns, scan.received_ns)
 
@@ -199,29 +182,58 @@ class Ros2McapWriter:
         )
         self._write(topic, message, stamp_ns, received_ns)
 
+    def write_point_cloud(self, topic: str, cloud: PointCloud) -> None:
+        """sensor_msgs/PointCloud2: one row of x, y, z and, where it is known, intensity."""
+        columns = [cloud.xyz_m] if cloud.intensity is None else [cloud.xyz_m, cloud.intensity]
+        points = np.column_stack(columns).astype("<f4")
+        names = ("x", "y", "z", "intensity")[: points.shape[1]]
+        message = _message(
+            "sensor_msgs/msg/PointCloud2",
+            header=_header(cloud.stamp_ns, cloud.frame_id),
+            height=1,
+            width=points.shape[0],
+            fields=[
+                _message(
+                    "sensor_msgs/msg/PointField",
+                    name=name,
+                    offset=points.itemsize * place,
+                    datatype=_POINT_FIELD_FLOAT32,
+                    count=1,
+                )
+                for place, name in enumerate(names)
+            ],
+            is_bigendian=False,
+            point_step=points.itemsize * len(names),
+            row_step=points.nbytes,
+            data=points.reshape(-1).view(np.uint8),
+            is_dense=bool(np.isfinite(cloud.xyz_m).all()),
+        )
+        self._write(topic, message, cloud.stamp_ns, cloud.received_ns)
+
+    def write_joint_state(self, topic: str, sample: JointSample) -> None:
+        """sensor_msgs/JointState without effort."""
+        none = np.zeros(0)
+        message = _message(
+            "sensor_msgs/msg/JointState",
+            header=_header(sample.stamp_ns, ""),
+            name=list(sample.names),
+            position=none if sample.positions is None else sample.positions,
+            velocity=none if sample.velocities is None else sample.velocities,
+            effort=none,
+        )
+        self._write(topic, message, sample.stamp_ns, sample.received_ns)
+
+    def message_type(self, topic: str) -> str:
+        """The type of a topic's messages. Raises KeyError where none was written."""
+        return self._channels[topic][1]
+
     def close(self) -> None:
         """Finish the file and give it its name."""
-        if not self._open:
-            return
-        try:
-            self._writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves it bare
-            self._file.flush()
-            os.fsync(self._file.fileno())
-            self._file.close()
-            self._partial.replace(self.path)
-        except OSError as error:
-            self.abort()
-            raise _cannot_write(self.path, error) from error
-        self._open = False
+        self._output.close()
 
     def abort(self) -> None:
         """Leave nothing behind."""
-        if self._open:
-            self._open = False
-            # What could not be written is to be thrown away in any case.
-            with suppress(OSError):
-                self._file.close()
-            self._partial.unlink(missing_ok=True)
+        self._output.abort()
 
     def __enter__(self) -> "Ros2McapWriter":
         return self
@@ -254,43 +266,38 @@ class Ros2McapWriter:
         self._write(topic, message, image.stamp_ns, image.received_ns)
 
     def _write(self, topic: str, message: Any, stamp_ns: int, received_ns: int | None) -> None:
-        if not self._open:
-            raise ValueError(f"{self.path} is closed")
         message_type: str = message.__msgtype__
+        log_time_ns = stamp_ns if received_ns is None else received_ns
+        if log_time_ns < 0:
+            raise BadMessage(
+                f"its log time is {log_time_ns} ns, before 1970", "Check the clock of the log."
+            )
+        try:
+            data = _TYPESTORE.serialize_cdr(message, message_type, little_endian=True)
+        except (struct.error, OverflowError, UnicodeEncodeError) as error:
+            problem = f"{message_type} cannot hold it: {error}"
+            raise BadMessage(problem, "Check the values that it has.") from error
         channel, channel_type = self._channels.get(topic) or self._register(topic, message_type)
         if channel_type != message_type:
             raise ValueError(f"{topic} holds {channel_type}, not {message_type}")
-        log_time_ns = stamp_ns if received_ns is None else received_ns
-        data = _TYPESTORE.serialize_cdr(message, message_type, little_endian=True)
-        try:
-            self._writer.add_message(
-                channel, log_time=log_time_ns, publish_time=stamp_ns, data=bytes(data)
-            )
-        except OSError as error:
-            self.abort()
-            raise _cannot_write(self.path, error) from error
+        # The message can have a stamp before 1970, the file cannot.
+        published_ns = stamp_ns if stamp_ns >= 0 else log_time_ns
+        self._output.write(channel, data, log_time_ns=log_time_ns, publish_time_ns=published_ns)
 
     def _register(self, topic: str, message_type: str) -> tuple[int, str]:
-        if message_type not in self._schemas:
-            definition, _ = _TYPESTORE.generate_msgdef(message_type, ros_version=2)
-            self._schemas[message_type] = self._writer.register_schema(
-                message_type, "ros2msg", definition.encode()
-            )
-        latched = {"offered_qos_profiles": _LATCHED} if topic == "/tf_static" else {}
-        channel = self._writer.register_channel(topic, "cdr", self._schemas[message_type], latched)
-        self._channels[topic] = (channel, message_type)
+        definition, _ = _TYPESTORE.generate_msgdef(message_type, ros_version=2)
+        self._channels[topic] = self._output.channel(topic, message_type, definition), message_type
         return self._channels[topic]
-
-
-def _cannot_write(path: Path, error: OSError) -> ExportError:
-    reason = error.strerror or error
-    return ExportError(
-        f"cannot be written: {reason}.", file=path, advice="Choose a folder with room to write in."
-    )
 
 
 def _message(message_type: str, **fields: Any) -> Any:
     return _TYPESTORE.types[message_type](**fields)
+
+
+def _float32(values: FloatArray) -> Float32Array:
+    """Infinite where float32 ends."""
+    with np.errstate(over="ignore"):
+        return values.astype(np.float32)
 
 
 def _time(stamp_ns: int) -> Any:

@@ -1,39 +1,28 @@
-"""ROS 1 bags, version 2.0: chunks plain, bz2 or lz4, read through the index at their end."""
+"""ROS 1 bags, version 2.0: chunks plain, bz2 or lz4, whole or as much of them as is left."""
 
 import struct
 from pathlib import Path
 
-import numpy as np
-from rosbags.rosbag1.reader import Reader, ReaderError
-
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording
-from fusion_core.recordings.containers import (
-    Channel,
-    ChunkCache,
-    Entries,
-    Payload,
-    damaged,
-    entries_from,
-    in_file_order,
-)
+from fusion_core.recordings.containers import Channel, ChunkCache, Entries, Payload, damaged
 from fusion_core.recordings.indexed import IndexedRecording
-
-MAGIC = b"#ROSBAG V2.0\n"
-
-_LENGTH = struct.Struct("<I")
-_OP_MESSAGE, _OP_CONNECTION = b"\x02", b"\x07"
-# rosbags asserts some of the format's rules, and seeks to whatever position a record names.
-_DAMAGE = (
-    ReaderError,
-    AssertionError,
-    struct.error,
-    ValueError,
-    KeyError,
-    IndexError,
-    OverflowError,
-    OSError,
+from fusion_core.recordings.rosbag1_chunks import unpack_chunk
+from fusion_core.recordings.rosbag1_index import read_contents
+from fusion_core.recordings.rosbag1_records import (
+    LENGTH,
+    MAGIC,
+    NOT_IN_A_CHUNK,
+    OP_CHUNK,
+    OP_CONNECTION,
+    OP_MESSAGE,
+    op_field,
+    read_record,
 )
+
+__all__ = ["MAGIC", "BagFile", "open_rosbag1"]
+
+_IS_MESSAGE, _IS_CONNECTION = op_field(OP_MESSAGE), op_field(OP_CONNECTION)
 
 
 def open_rosbag1(path: Path) -> Recording:
@@ -46,84 +35,74 @@ class BagFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.channels: list[Channel] = []
         self.warnings: list[str] = []
         self._file = path.open("rb")
-        self._reader = Reader(path)
-        try:
-            self._reader.open()
-        except _DAMAGE as error:
-            self._file.close()
-            problem = str(error) or "a record contradicts the format"
-            if "not indexed" in problem:
-                raise RecordingError(
-                    "has no index, since its recorder did not finish.",
-                    file=path,
-                    advice="Run `rosbag reindex` on a copy.",
-                ) from error
-            raise damaged(path, problem.rstrip(".")) from error
-        self.channels = [
-            Channel(
-                topic=connection.topic,
-                message_type=connection.msgtype,
-                serialization="ros1",
-                definition=connection.msgdef.data,
-            )
-            for connection in self._reader.connections
-        ]
+        self._size = self._file.seek(0, 2)
         self._chunks = ChunkCache(self._unpack)
+        self._chunk_ends: dict[int, int] = {}
+        self._problems: dict[int, str] = {}
 
     def index(self) -> Entries:
-        parts = []
-        for number, connection in enumerate(self._reader.connections):
-            # A tuple for each message; only the columns are kept.
-            found = self._reader.indexes.pop(connection.id)
-            columns = np.array(found, dtype=np.int64).reshape(-1, 3)
-            parts.append(entries_from(columns[:, 0], number, columns[:, 1], columns[:, 2]))
-        return in_file_order(parts)
+        contents = read_contents(self._file, self._size)
+        if contents.encryptor:
+            raise RecordingError(
+                f"is encrypted with {contents.encryptor!r}.",
+                file=self.path,
+                advice="Decrypt a copy with the tools of ROS.",
+            )
+        if contents.warnings and not len(contents.entries):
+            told = " ".join(dict.fromkeys([contents.warnings[0], contents.warnings[-1]]))
+            raise damaged(self.path, f"no message can be read. {told}".rstrip("."))
+        self.channels = contents.channels
+        self.warnings += contents.warnings
+        self._chunk_ends = contents.chunk_ends
+        return contents.entries
 
     def payload(self, block: int, offset: int) -> Payload:
+        if offset == NOT_IN_A_CHUNK:
+            return self._message_in_the_file(block)
         chunk = self._chunks[block]
         try:
             while True:
-                op, start = _record_header(chunk, offset)
-                (size,) = _LENGTH.unpack_from(chunk, start)
-                offset = start + _LENGTH.size + size
-                # Some writers let the index point at the connection before the message.
-                if op != _OP_CONNECTION:
+                (size,) = LENGTH.unpack_from(chunk, offset)
+                header, offset = offset, offset + LENGTH.size + size
+                (size,) = LENGTH.unpack_from(chunk, offset)
+                start, offset = offset + LENGTH.size, offset + LENGTH.size + size
+                if chunk.find(_IS_MESSAGE, header, start) >= 0:
                     break
+                # Some writers let the index point at the connection before the message.
+                if chunk.find(_IS_CONNECTION, header, start) < 0:
+                    raise self._broken(block)
         except struct.error as error:
-            raise damaged(self.path, f"the chunk at byte {block} breaks off") from error
-        if op != _OP_MESSAGE or offset > len(chunk):
-            raise damaged(self.path, f"no whole message where the index of chunk {block} points")
-        return memoryview(chunk)[start + _LENGTH.size : offset]
+            raise self._broken(block) from error
+        if offset > len(chunk):
+            raise self._broken(block)
+        return memoryview(chunk)[start:offset]
+
+    def published_ns(self, block: int, offset: int) -> None:
+        return None
 
     def close(self) -> None:
         self._file.close()
-        if self._reader.bio is not None:
-            self._reader.close()
+
+    def _message_in_the_file(self, start: int) -> bytes:
+        record = read_record(self._file, start, self._size)
+        if record is None or record.op != OP_MESSAGE:
+            raise damaged(self.path, f"no message is at byte {start} any more")
+        self._file.seek(record.data_start)
+        return self._file.read(record.data_size)
 
     def _unpack(self, block: int) -> bytes:
-        chunk = self._reader.chunks[block]
-        self._file.seek(chunk.datapos)
-        packed = self._file.read(chunk.datasize)
-        if len(packed) < chunk.datasize:
-            raise damaged(self.path, f"the chunk at byte {block} breaks off")
-        try:
-            return chunk.decompressor(packed)
-        except (OSError, ValueError, RuntimeError, EOFError) as error:
-            raise damaged(self.path, f"the chunk at byte {block} ({error})") from error
+        chunk = read_record(self._file, block, self._size)
+        if chunk is None or chunk.op != OP_CHUNK:
+            raise damaged(self.path, f"no chunk is at byte {block} any more")
+        end = self._chunk_ends.get(block, min(chunk.end, self._size))
+        unpacked = unpack_chunk(self._file, chunk, end)
+        if unpacked.problem:
+            self._problems[block] = unpacked.problem
+        return unpacked.content
 
-
-def _record_header(chunk: bytes, offset: int) -> tuple[bytes, int]:
-    """The opcode of a record and where its data's length stands."""
-    (size,) = _LENGTH.unpack_from(chunk, offset)
-    position = offset + _LENGTH.size
-    end = position + size
-    op = b""
-    while position < end:
-        (field_size,) = _LENGTH.unpack_from(chunk, position)
-        position += _LENGTH.size
-        if chunk.startswith(b"op=", position):
-            op = chunk[position + 3 : position + field_size]
-        position += field_size
-    return op, end
+    def _broken(self, block: int) -> RecordingError:
+        problem = self._problems.get(block, "no whole message stands where its index points")
+        return damaged(self.path, f"the chunk at byte {block}: {problem}")

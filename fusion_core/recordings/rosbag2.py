@@ -1,143 +1,144 @@
-"""ROS 2 recordings: a folder of .mcap or .db3 files with or without metadata.yaml, or one file.
+"""ROS 2 recordings: a folder of storage files with or without metadata.yaml, or one file.
 
 The files themselves are scanned. ``metadata.yaml`` gives the order of split files and is a
-cross-check: where it disagrees, the files are right and a warning says so.
+cross-check: where it disagrees, the files are right and a warning says so. A file of a folder
+that is missing or cannot be read costs its own messages.
 """
 
 import re
-from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
-
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording
-from fusion_core.recordings.containers import Container
+from fusion_core.recordings.compressed_storage import StorageFile, is_storage, plain_name
 from fusion_core.recordings.indexed import IndexedRecording
-from fusion_core.recordings.mcap_file import McapFile
-from fusion_core.recordings.sqlite_file import SqliteFile
+from fusion_core.recordings.rosbag2_metadata import METADATA, Metadata, read_metadata
 
-METADATA = "metadata.yaml"
-_CONTAINERS: Mapping[str, type[McapFile] | type[SqliteFile]] = {
-    ".mcap": McapFile,
-    ".db3": SqliteFile,
-}
-_NAMES = {".mcap": "MCAP", ".db3": "SQLite"}
 # rosbag2 numbers the parts of a split recording: name_0, name_1, ...
-_SPLIT_NAME = re.compile(r"(.*)_(\d+)$")
-_MAX_METADATA_BYTES = 64 << 20
-
-
-@dataclass(frozen=True, slots=True)
-class _Metadata:
-    files: tuple[str, ...] = ()
-    counts: Mapping[str, int] = field(default_factory=dict)
-    compression: str = ""
-    problem: str = ""
+_SPLIT_NAME = re.compile(r"(.*)_(\d{1,9})")
+_LISTED = 20
 
 
 def is_rosbag2_folder(path: Path) -> bool:
-    """Whether a folder holds storage files of ROS 2."""
-    return any(child.suffix in _CONTAINERS and child.is_file() for child in path.iterdir())
+    """Whether a folder holds storage files of ROS 2, plain or packed."""
+    return any(is_storage(child) for child in path.iterdir())
 
 
-def open_mcap(path: Path) -> Recording:
-    """One .mcap file. Raises RecordingError."""
-    return IndexedRecording(path, "MCAP file", [McapFile(path)])
-
-
-def open_sqlite(path: Path) -> Recording:
-    """One .db3 file. Raises RecordingError."""
-    return IndexedRecording(path, "ROS 2 SQLite file", [SqliteFile(path)])
+def open_storage_file(path: Path) -> Recording:
+    """One .mcap or .db3 file, plain or packed by zstd or lz4. Raises RecordingError."""
+    file = StorageFile(path)
+    format = "MCAP file" if file.kind == "MCAP" else f"ROS 2 {file.kind} file"
+    return IndexedRecording(path, format, [file])
 
 
 def open_rosbag2_folder(path: Path) -> Recording:
-    """A folder of ROS 2 storage files. Raises RecordingError."""
-    metadata = _read_metadata(path)
-    if metadata.compression:
+    """A folder of ROS 2 storage files. Raises RecordingError where none of them can be read."""
+    metadata = read_metadata(path)
+    if metadata.packing not in ("", "zstd"):
         raise RecordingError(
-            f"is compressed by {metadata.compression}, which is not read.",
+            f"holds messages compressed by {metadata.packing}, which is not read.",
             file=path,
-            advice="Unpack it with `ros2 bag convert`; compressed chunks inside MCAP are fine.",
+            advice="Unpack it with `ros2 bag convert`.",
         )
-    files, warnings = _storage_files(path, metadata)
-    containers: list[Container] = []
+    parts, warnings = _parts(path, metadata)
+    files: list[StorageFile] = []
+    first_failure = None
     try:
-        for file in files:
-            containers.append(_CONTAINERS[file.suffix](file))
+        for part in parts:
+            try:
+                files.append(StorageFile(part))
+            except RecordingError as error:
+                warnings.append(f"{part.name} is left out: it {error.problem}")
+                first_failure = first_failure or error
+            except OSError as error:
+                warnings.append(f"{part.name} is left out: {error.strerror or error}.")
+        if not files:
+            raise first_failure or RecordingError(
+                "holds no file that can be opened.", file=path, advice="Check its permissions."
+            )
     except BaseException:
-        for container in containers:
-            container.close()
+        for file in files:
+            file.close()
         raise
-    recording = IndexedRecording(
-        path, f"ROS 2 folder ({_NAMES[files[0].suffix]})", containers, warnings
-    )
+    kinds = " and ".join(sorted({file.kind for file in files}))
+    recording = IndexedRecording(path, f"ROS 2 folder ({kinds})", [*files], warnings)
     recording.warnings.extend(_disagreements(metadata, recording))
     return recording
 
 
-def _storage_files(path: Path, metadata: _Metadata) -> tuple[list[Path], list[str]]:
-    """The files of the recording in order, and what metadata.yaml says otherwise."""
-    there = {c.name: c for c in sorted(path.iterdir()) if c.suffix in _CONTAINERS and c.is_file()}
+def _parts(path: Path, metadata: Metadata) -> tuple[list[Path], list[str]]:
+    """The files of the recording in order, and what is wrong with their number."""
     warnings = [metadata.problem] if metadata.problem else []
-    named = [name for name in metadata.files if name in there]
-    lost = [name for name in metadata.files if name not in there]
-    if lost:
-        warnings.append(f"{METADATA} names files that are missing: {', '.join(lost)}.")
-    if named:
-        extra = [name for name in there if name not in named]
+    there = _storage_files(path)
+    named = list(dict.fromkeys(plain_name(name) for name in metadata.files))
+    if not any(name in there for name in named):
+        parts = sorted(there, key=_split_order)
+        _require_one_recording(path, [there[name] for name in parts])
+    else:
+        # A recorder that was killed did not name its last parts.
+        stems = {_split_order(name)[0] for name in named}
+        forgotten = [name for name in there if name not in named]
+        extra = sorted(name for name in forgotten if _split_order(name)[0] not in stems)
+        joined = sorted(set(forgotten) - set(extra), key=_split_order)
+        if joined:
+            warnings.append(f"{METADATA} does not name {_listed(joined)}, read all the same.")
         if extra:
-            warnings.append(f"Files that {METADATA} does not name are left out: {extra}.")
-        return [there[name] for name in named], warnings
-    files = sorted(there.values(), key=_split_order)
+            warnings.append(f"Files that {METADATA} does not name are left out: {_listed(extra)}.")
+        parts = [name for name in named if name in there] + joined
+    lost = [name for name in named if name not in there]
+    if lost:
+        warnings.append(f"{METADATA} names files that are missing: {_listed(lost)}.")
+    else:
+        warnings += _gaps([_split_order(name) for name in parts])
+    return [there[name] for name in parts], warnings
+
+
+def _storage_files(path: Path) -> dict[str, Path]:
+    """The storage files of a folder by the names they have unpacked."""
+    there: dict[str, Path] = {}
+    for child in sorted(path.iterdir()):
+        # `ros2 bag play` leaves a part unpacked beside the packed one: the same part twice, and
+        # the unpacked one comes first.
+        if is_storage(child):
+            there.setdefault(plain_name(child.name), child)
+    return there
+
+
+def _require_one_recording(path: Path, parts: list[Path]) -> None:
     others = sorted(child for child in path.iterdir() if child.suffix == ".bag")
-    kinds = {(file.suffix, _split_order(file)[0]) for file in [*files, *others]}
-    if len(kinds) > 1:
-        names = ", ".join(file.name for file in [*files, *others])
+    recordings = {
+        (Path(name).suffix, _split_order(name)[0])
+        for name in (plain_name(file.name) for file in [*parts, *others])
+    }
+    if len(recordings) > 1:
         raise RecordingError(
             f"holds several recordings and no {METADATA} that joins them.",
             file=path,
-            advice=f"Name one of them: {names}.",
+            advice=f"Name one of them: {_listed(file.name for file in [*parts, *others])}.",
         )
-    return files, warnings
 
 
-def _split_order(file: Path) -> tuple[str, int]:
-    match = _SPLIT_NAME.match(file.stem)
-    return (match[1], int(match[2])) if match else (file.stem, -1)
+def _split_order(name: str) -> tuple[str, int]:
+    stem = Path(name).stem
+    match = _SPLIT_NAME.fullmatch(stem)
+    return (match[1], int(match[2])) if match else (stem, -1)
 
 
-def _read_metadata(path: Path) -> _Metadata:
-    file = path / METADATA
-    if not file.is_file():
-        return _Metadata()
-    try:
-        if file.stat().st_size > _MAX_METADATA_BYTES:
-            raise ValueError("it is too large")
-        document = YAML(typ="safe", pure=True).load(file.read_text(encoding="utf-8"))
-        return _parse_metadata(document["rosbag2_bagfile_information"])
-    except (YAMLError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        return _Metadata(problem=f"{METADATA} cannot be read; the files themselves were scanned.")
+def _gaps(orders: list[tuple[str, int]]) -> list[str]:
+    """Parts that are missing between others, as their numbers tell."""
+    warnings = []
+    for (stem, before), (next_stem, after) in pairwise(orders):
+        if stem == next_stem and before >= 0 and after > before + 1:
+            lost = f"{stem}_{before + 1}"
+            if after > before + 2:
+                lost += f" to {stem}_{after - 1}"
+            warnings.append(f"Parts of the recording are missing: {lost}.")
+    return warnings
 
 
-def _parse_metadata(information: Any) -> _Metadata:
-    mode = str(information.get("compression_mode") or "none").lower()
-    counts = Counter[str]()
-    for topic in information.get("topics_with_message_count") or []:
-        counts[str(topic["topic_metadata"]["name"])] += int(topic["message_count"])
-    return _Metadata(
-        # Old versions wrote the folder's name before the file's.
-        files=tuple(Path(name).name for name in information["relative_file_paths"]),
-        counts=counts,
-        compression="" if mode == "none" else mode,
-    )
-
-
-def _disagreements(metadata: _Metadata, recording: Recording) -> list[str]:
+def _disagreements(metadata: Metadata, recording: Recording) -> list[str]:
     if metadata.problem or not metadata.files:
         return []
     found = {topic.name: topic.count for topic in recording.topics}
@@ -148,4 +149,11 @@ def _disagreements(metadata: _Metadata, recording: Recording) -> list[str]:
     ]
     if not differing:
         return []
-    return [f"{METADATA} and the files disagree on counts, the files hold: {'; '.join(differing)}."]
+    listed = _listed(differing, "; ")
+    return [f"{METADATA} and the files disagree on counts, the files hold: {listed}."]
+
+
+def _listed(names: Iterable[str], separator: str = ", ") -> str:
+    names = list(names)
+    shown = separator.join(names[:_LISTED])
+    return shown if len(names) <= _LISTED else f"{shown} and {len(names) - _LISTED} more"

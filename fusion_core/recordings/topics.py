@@ -7,8 +7,8 @@ from typing import Final
 
 from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.model.recording import Recording, Role, Topic
-from fusion_core.model.sensors import CameraInfo, DepthImage
-from fusion_core.recordings.decode import is_color_encoding, is_depth_encoding
+from fusion_core.model.sensors import CameraInfo, DepthImage, SensorValue
+from fusion_core.recordings.image_pixels import is_color_encoding, is_depth_encoding
 
 _ROLES: Final[dict[str, Role]] = {
     "sensor_msgs/msg/LaserScan": "lidar",
@@ -17,7 +17,13 @@ _ROLES: Final[dict[str, Role]] = {
     "geometry_msgs/msg/PoseStamped": "pose",
     "tf2_msgs/msg/TFMessage": "tf",
     "tf/msg/tfMessage": "tf",
+    "sensor_msgs/msg/PointCloud2": "points",
+    "sensor_msgs/msg/JointState": "joints",
 }
+_IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+_TRIED_MESSAGES = 5
+# image_transport publishes the same images again under the topic's name and one of these.
+_TRANSPORTS = ("compressed", "compressedDepth")
 # A truth is for evaluation: a map built from it would prove nothing.
 _TRUTH_NAMES = ("ground_truth", "groundtruth", "ground-truth", "truth")
 
@@ -44,7 +50,7 @@ class Streams:
 
 def role_of_type(message_type: str, name: str) -> Role | None:
     """The role by type and name; None for images, which must be looked into."""
-    if message_type == "sensor_msgs/msg/Image":
+    if message_type in _IMAGE_TYPES:
         return None
     role = _ROLES.get(message_type, "other")
     return "tf_static" if role == "tf" and name.endswith("tf_static") else role
@@ -87,7 +93,7 @@ def choose_streams(
     chooser = _Chooser(recording)
     depths = chooser.named_list(depth, "depth")
     if depths is None:
-        depths = chooser.with_messages("depth")
+        depths = chooser.cameras("depth")
     colors = chooser.named_list(color, "color")
     infos = chooser.named_list(camera_info, "camera_info")
     for named, what in ((colors, "colour"), (infos, "CameraInfo")):
@@ -140,6 +146,17 @@ class _Chooser:
     def with_messages(self, role: Role) -> list[str]:
         return [t.name for t in self._topics.values() if t.role == role and t.count > 0]
 
+    def cameras(self, role: Role) -> list[str]:
+        """One topic for each camera: its images as such, else the first of their packed copies."""
+        chosen: dict[str, str] = {}
+        for name in sorted(self.with_messages(role)):
+            camera = _without_transport(name)
+            if camera in chosen:
+                self._note(f"{name} repeats the images of {chosen[camera]}.")
+            else:
+                chosen[camera] = name
+        return list(chosen.values())
+
     def busiest(self, role: Role, what: str) -> str | None:
         names = [n for n in self.with_messages(role) if not _is_truth(n)]
         if not names:
@@ -152,7 +169,7 @@ class _Chooser:
 
     def color_of(self, depth: str, depth_count: int) -> str | None:
         """The colour topic that shares most of the depth topic's name."""
-        names = self.with_messages("color")
+        names = self.cameras("color")
         if not names:
             return None
         best = max(names, key=lambda name: _shared_parts(name, depth))
@@ -165,17 +182,29 @@ class _Chooser:
         A nearer guess could be the colour camera's, whose intrinsics would bend the depth.
         """
         names = self.with_messages("camera_info")
-        beside = [name for name in names if _parent(name) == _parent(depth)]
-        if len(beside) == 1:
+        folder = _parent(_without_transport(depth))
+        beside = [name for name in names if _parent(name) == folder]
+        infos = {name: self._first_value(name) for name in beside or names}
+        if len(beside) == 1 and infos[beside[0]] is not None:
             return beside[0]
-        try:
-            image = self._recording.read(depth, 0).value
-            infos = {name: self._recording.read(name, 0).value for name in beside or names}
-        except RecordingError:
-            # A first message that cannot be read proves nothing; reading it later will say so.
-            return None
+        image = self._first_value(depth)
         fitting = [name for name, info in infos.items() if _same_camera(image, info)]
         return fitting[0] if fitting else None
+
+    def _first_value(self, name: str) -> SensorValue | None:
+        """The value of the first message, or of one of the next if that cannot be read."""
+        problem = None
+        for index in range(min(self._topics[name].count, _TRIED_MESSAGES)):
+            try:
+                return self._recording.read(name, index).value
+            except RecordingError as error:
+                problem = problem or error
+        self._note(f"{name} is not used: {problem}")
+        return None
+
+    def _note(self, note: str) -> None:
+        if note not in self.notes:
+            self.notes.append(note)
 
 
 def _same_camera(image: object, info: object) -> bool:
@@ -191,6 +220,11 @@ def _same_camera(image: object, info: object) -> bool:
 
 def _is_truth(name: str) -> bool:
     return any(word in name.lower() for word in _TRUTH_NAMES)
+
+
+def _without_transport(name: str) -> str:
+    base, _, last = name.rpartition("/")
+    return base if last in _TRANSPORTS else name
 
 
 def _parent(name: str) -> str:

@@ -162,7 +162,7 @@ def align(
         row=collected.row,
         mount=mount,
         estimate=estimate,
-        scale=scale,
+        scale=scale.with_steps(rig.depth_quantum_m),
         lidar=collected.scan,
         frames=collected.mean.frames,
     )

@@ -3,8 +3,9 @@
 Figs. 3, 4, 5, 7 and 8 show one frame, the showcase; Fig. 6 needs a truth and Fig. 9 maps.
 """
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -128,7 +129,7 @@ def write_figures(
     if session.virtual_row is not None:
         heading += f", virtual LiDAR, row {session.virtual_row}"
     notes: list[str] = []
-    _write_table(folder / "table1.csv", name, collected.scores)
+    write_table_1(folder / "table1.csv", [table_1_row(name, collected.scores)])
     frame = collected.showcase
     _write_similarity(folder, heading, session, alignment, frame)
     if frame is None:
@@ -152,12 +153,18 @@ def printable(name: str) -> str:
     return name.encode("latin-1", errors="replace").decode("latin-1")
 
 
-def _write_table(path: Path, name: str, scores: dict[str, int]) -> None:
-    """Table 1: frames by the greatest Pearson score that each reaches alone."""
+def table_1_row(room: str, scores: dict[str, int]) -> dict[str, Any]:
+    """A row of Table 1: frames by the greatest Pearson score that each reaches alone."""
     scored = scores["low"] + scores["middle"] + scores["high"]
     share = 100.0 * scores["high"] / scored if scored else float("nan")
+    return {"room": room, "high_percent": round(share, 2), **scores}
+
+
+def write_table_1(path: Path, rows: Iterable[dict[str, Any]]) -> None:
+    """Table 1 of one or more rooms as CSV."""
     with CsvTable(path, TABLE_1_COLUMNS) as table:
-        table.append({"room": name, "high_percent": round(share, 2), **scores})
+        for row in rows:
+            table.append(row)
 
 
 def _write_similarity(

@@ -1,6 +1,6 @@
 """Pass 2: one scan against one depth image, from correspondence to repair."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -40,32 +40,37 @@ from fusion_core.workflows.rig import Rig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FusedFrame:
-    """Everything that pass 2 says of one depth image.
+class FrameMatch:
+    """What pairs a depth image with its scan: everything before the classes.
 
-    ``image`` is the stored one, ``depth_m`` its upright view.
-
-    ``search``: its fields and peaks. ``registration`` is None where it failed, and ``refusal``
-    says why.
+    ``image`` is the stored one, ``depth_m`` its upright view; ``before``: stamp and view of the
+    camera's image before, where there is one. ``search``: the fields and peaks. ``registration`` is
+    None where it failed, and ``refusal`` says why.
     ``u_of_rig``: what to add to a peak's u, which is the camera's own, to get that of the
     recording's field; not 0 where several cameras make a panorama.
     ``turned_rad``: the turn from scan to image that the pairs were corrected by.
+    ``turn_rate_rad_s``: how fast the LiDAR turns, NaN where its scans do not tell.
     """
 
     camera: int
     image: DepthImage
     depth_m: Float32Array
-    scan: LaserScan
+    before: tuple[int, Float32Array] | None
+    window: ScanWindow
     gap_ns: int
     turned_rad: float
+    turn_rate_rad_s: float
     search: FrameSearch
     u_of_rig: float
     row_model: RowModel
     registration: Registration | None
     refusal: str
     pairs: Correspondence
-    classes: Classes
-    repair: Repair
+
+    @property
+    def scan(self) -> LaserScan:
+        """The scan that the image is paired with."""
+        return self.window.scan
 
     @property
     def stamp_ns(self) -> int:
@@ -78,6 +83,14 @@ class FusedFrame:
         residual_m = np.abs(self.pairs.residual_m)
         residual_m = residual_m[np.isfinite(residual_m)]
         return 1.4826 * float(np.median(residual_m)) if residual_m.size else float("nan")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FusedFrame(FrameMatch):
+    """Everything that pass 2 says of one depth image."""
+
+    classes: Classes
+    repair: Repair
 
     @property
     def epsilon_m(self) -> float:
@@ -103,6 +116,32 @@ def fuse_frame(
 
     Raises AlignmentFailed where the frame is paired by its own (u, v) and has none.
     """
+    match = match_frame(
+        rig, camera, depth_m, window, gap_ns, alignment, settings, image=image, before=before
+    )
+    return judge_frame(match, rig, alignment, settings)
+
+
+def match_frame(
+    rig: Rig,
+    camera: int,
+    depth_m: Float32Array,
+    window: ScanWindow,
+    gap_ns: int,
+    alignment: Alignment,
+    settings: ChainSettings,
+    *,
+    image: DepthImage,
+    before: tuple[int, Float32Array] | None = None,
+    picked: tuple[float, float] | None = None,
+) -> FrameMatch:
+    """Search, pair and register one frame, as in ``fuse_frame``.
+
+    ``picked``: an offset (u, v) of the camera's own row, chosen by hand; the pairs are then those
+    of row v.
+
+    Raises AlignmentFailed where the frame is paired by its own (u, v) and has none.
+    """
     scan = window.scan
     model = rig.cameras[camera]
     curve, row = sample_curve(scan, settings.sampling), sample_row(model, settings.sampling)
@@ -112,7 +151,7 @@ def fuse_frame(
     turned = 0.0
     prior_u = offset_of_yaw(alignment.mount.yaw_rad, curve, row.left_rad)
     pairs = None
-    if alignment.along_curve and settings.pairing == "mount":
+    if picked is None and alignment.along_curve and settings.pairing == "mount":
         turned = turned_rad(kept, alignment.mount, settings)
         T_lidar_camera = T_lidar_camera_at(model, alignment.mount, turned)
         pairs = along_curve(scan, depth_m, kept.depth_m, model, T_lidar_camera)
@@ -124,51 +163,68 @@ def fuse_frame(
     if pairs is not None:
         registration, refusal = _register(pairs, settings)
     elif settings.pairing == "frame":
-        pairs, registration, refusal = _by_own_peak(scan, depth_m, curve, row, peak, settings)
+        chosen = picked if picked is not None else _place_of(peak)
+        pairs, registration, refusal = _by_own_peak(scan, depth_m, curve, row, chosen, settings)
     else:
         mount = Mount(yaw_rad=alignment.mount.yaw_rad)
-        if peak is not None:
-            yaw_rad = yaw_of_offset_rad(peak.u, curve, row.left_rad)
-            mount = Mount(yaw_rad=yaw_rad)
-        v = round(peak.v if peak is not None else alignment.peak.v)
+        chosen = picked if picked is not None else _place_of(peak)
+        if chosen is not None:
+            mount = Mount(yaw_rad=yaw_of_offset_rad(chosen[0], curve, row.left_rad))
+        v = round(chosen[1] if chosen is not None else alignment.peak.v)
         pairs = in_row(scan, depth_m, kept.depth_m, model, T_lidar_camera_at(model, mount, 0.0), v)
         registration, refusal = _register(pairs, settings)
         if registration is not None:
             pairs = mapped(pairs, registration.A, registration.A_inverse)
-
-    mean_error_m = registration.mean_error_m if registration is not None else float("nan")
-    classes = classify(
-        FrameWindow(
-            pairs=pairs,
-            scan=scan,
-            depth_m=depth_m,
-            scan_before=window.before,
-            scan_after=window.after,
-            shift_before=_beams_turned(window.before, scan, rate),
-            shift_after=_beams_turned(window.after, scan, rate),
-            depth_before_m=None if before is None else before[1],
-            columns_before=_columns_turned(before, image.stamp_ns, rate, model),
-        ),
-        settings.noise,
-        alignment.scale,
-        mean_error_m,
-    )
-    return FusedFrame(
+    return FrameMatch(
         camera=camera,
         image=image,
         depth_m=depth_m,
-        scan=scan,
+        before=before,
+        window=window,
         gap_ns=gap_ns,
         turned_rad=turned,
+        turn_rate_rad_s=rate,
         search=found,
         u_of_rig=_offset_to_rig(pairs, row, model, alignment.row),
         row_model=pairs.model,
         registration=registration,
         refusal=refusal,
         pairs=pairs,
-        classes=classes,
-        repair=repair(pairs, classes, depth_m, alignment.scale, settings.repair),
     )
+
+
+def judge_frame(
+    match: FrameMatch, rig: Rig, alignment: Alignment, settings: ChainSettings
+) -> FusedFrame:
+    """Classify and repair a frame that is matched already."""
+    window, rate, scan = match.window, match.turn_rate_rad_s, match.scan
+    model = rig.cameras[match.camera]
+    registration = match.registration
+    classes = classify(
+        FrameWindow(
+            pairs=match.pairs,
+            scan=scan,
+            depth_m=match.depth_m,
+            scan_before=window.before,
+            scan_after=window.after,
+            shift_before=_beams_turned(window.before, scan, rate),
+            shift_after=_beams_turned(window.after, scan, rate),
+            depth_before_m=None if match.before is None else match.before[1],
+            columns_before=_columns_turned(match.before, match.stamp_ns, rate, model),
+        ),
+        settings.noise,
+        alignment.scale,
+        registration.mean_error_m if registration is not None else float("nan"),
+    )
+    return FusedFrame(
+        **{field.name: getattr(match, field.name) for field in fields(FrameMatch)},
+        classes=classes,
+        repair=repair(match.pairs, classes, match.depth_m, alignment.scale, settings.repair),
+    )
+
+
+def _place_of(peak: Peak | None) -> tuple[float, float] | None:
+    return None if peak is None else (peak.u, peak.v)
 
 
 def _offset_of_pairs(
@@ -220,13 +276,13 @@ def _by_own_peak(
     depth_m: Float32Array,
     curve: CurveSampling,
     row: RowSampling,
-    peak: Peak | None,
+    place: tuple[float, float] | None,
     settings: ChainSettings,
 ) -> tuple[Correspondence, Registration | None, str]:
     """The paper's way: samples of the frame's own (u, v), tied by A alone."""
-    if peak is None:
+    if place is None:
         raise AlignmentFailed("the frame's field has no peak.")
-    pairs, lidar, depth = by_sample(scan, depth_m, curve.beams, row.columns, peak.u, peak.v)
+    pairs, lidar, depth = by_sample(scan, depth_m, curve.beams, row.columns, *place)
     try:
         registration = register(lidar, depth, settings.registration)
     except RegistrationFailed as error:

@@ -18,7 +18,6 @@ from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rig import MOUNT_PARAMETERS
 from fusion_core.model.sensors import DepthImage, LaserScan
-from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.ros2_writer import Ros2McapWriter
 from fusion_core.workflows.align import Alignment
 from fusion_core.workflows.figures import FigureCollector, write_figures
@@ -36,6 +35,7 @@ from fusion_core.workflows.session import (
     fuse_session,
     open_session,
 )
+from fusion_core.workflows.source import input_files, open_source
 from fusion_core.workflows.tables import (
     FRAME_COLUMNS,
     SAMPLE_SCHEMA,
@@ -51,7 +51,8 @@ _SAMPLES_PER_GROUP = 8192
 
 @dataclass(frozen=True, kw_only=True)
 class FuseSummary:
-    """What a run has to report. ``document`` is alignment.json's content."""
+    """What a run has to report. ``document`` is alignment.json's content; ``scores`` counts the
+    frames in the columns of Table 1."""
 
     output: Path
     skipped: bool
@@ -59,6 +60,7 @@ class FuseSummary:
     frames: int
     paired: int
     lidar_counts: dict[str, int]
+    scores: dict[str, int]
     notes: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
@@ -69,6 +71,7 @@ class FuseSummary:
             "frames": self.frames,
             "paired": self.paired,
             "classes": self.lidar_counts,
+            "scores": self.scores,
             "alignment": self.document,
             "notes": list(self.notes),
         }
@@ -115,8 +118,8 @@ def fuse(
     """
     preset, settings = chain_settings(options.preset, options.settings_file, options.seed)
     settings_text = dump_toml(settings.stages(), preset)
-    inputs = [recording] if options.truth is None else [recording, options.truth]
-    with open_recording(recording) as opened:
+    with open_source(recording, options.room) as opened:
+        inputs = input_files(opened) + ([] if options.truth is None else [options.truth])
         plan = plan_output(
             output,
             inputs=inputs,
@@ -144,6 +147,8 @@ def _asked(options: FuseOptions) -> str:
         "maps": options.maps,
         "figures": options.figures,
     }
+    if options.room is not None:
+        asked["room"] = str(options.room)
     return json.dumps(asked)
 
 
@@ -156,6 +161,7 @@ def _skipped(output: Path) -> FuseSummary:
         frames=summary["frames"],
         paired=summary["paired"],
         lidar_counts=summary["classes"],
+        scores=summary["scores"],
         notes=tuple(summary["notes"]),
     )
 
@@ -209,10 +215,11 @@ def _run(
             frames=outcome.frames,
             paired=outcome.paired,
             lidar_counts=outcome.lidar_counts,
+            scores=outcome.figures.scores,
             notes=(*notes, *figure_notes, *session.recording.warnings),
         )
         kept = summary.to_json()
-        kept = {key: kept[key] for key in ("frames", "paired", "classes", "notes")}
+        kept = {key: kept[key] for key in ("frames", "paired", "classes", "scores", "notes")}
         write_text(folder / "summary.json", json.dumps(kept, indent=2) + "\n")
     return summary
 

@@ -1,16 +1,33 @@
-"""What is inside a recording."""
+"""What is inside a recording, or inside a data set of many."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from fusion_core.recordings.formats import open_recording
-from fusion_core.recordings.info import describe
+from fusion_core.recordings.info import describe as describe
+from fusion_core.workflows.source import RoomChoice, is_data_set, open_source, rooms_of
 
 
-def info(path: Path) -> dict[str, Any]:
+def info(path: Path, room: RoomChoice | None = None, session: str | None = None) -> dict[str, Any]:
     """Format, times, topics and warnings of a recording, ready for JSON.
 
-    Raises RecordingError where the file cannot be read as a recording.
+    A data set of rooms has no times and no topics of its own, but ``rooms``: home, session,
+    subsession, room, counts of scans and images, and the bits of a depth. ``room`` looks into one
+    of them, ``session`` lists those of one session.
+
+    Raises RecordingError where the path cannot be read.
     """
-    with open_recording(path) as recording:
+    if room is None and (session is not None or is_data_set(path)):
+        rooms = rooms_of(path, session)
+        return {
+            "format": "Robot@Home",
+            "start_ns": None,
+            "end_ns": None,
+            "duration_s": None,
+            "topics": [],
+            "rooms": [asdict(listing) for listing in rooms],
+            "can": ["One room is chosen by --home SESSION --room ROOM."],
+            "warnings": [],
+        }
+    with open_source(path, room) as recording:
         return describe(recording)

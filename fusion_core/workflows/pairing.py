@@ -1,8 +1,8 @@
 """Pairs of scan and depth image, streamed from a recording in bounded memory."""
 
 from collections import deque
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 from fusion_core.alignment.time import ScanWindow, TimeSettings
 from fusion_core.alignment.virtual_lidar import virtual_scan
@@ -10,6 +10,7 @@ from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.recordings.topics import Streams
+from fusion_core.workflows.fitting import Fitting
 from fusion_core.workflows.rig import Rig
 
 # Streams of a log arrive a little out of step; what lies farther apart belongs to no pair.
@@ -34,6 +35,7 @@ def paired_images(
     recording: Recording,
     streams: Streams,
     rig: Rig,
+    fitting: Fitting,
     settings: TimeSettings,
     *,
     clock_offset_ms: float = 0.0,
@@ -41,7 +43,7 @@ def paired_images(
 ) -> Iterator[LaserScan | PairedImage]:
     """Every scan as it arrives, and every depth image once the scans around it are known."""
     if virtual_row is not None:
-        yield from _with_virtual_scans(recording, rig, virtual_row)
+        yield from _with_virtual_scans(recording, rig, fitting, virtual_row)
         return
     assert streams.lidar is not None, "build_rig refuses a recording without LiDAR"
     offset_ns = round(clock_offset_ms * NS_PER_MS)
@@ -49,7 +51,7 @@ def paired_images(
     scans: deque[LaserScan] = deque(maxlen=SCANS_KEPT)
     waiting: deque[tuple[int, DepthImage]] = deque()
     topics = [camera.topic for camera in rig.cameras]
-    for message in recording.messages([streams.lidar, *topics]):
+    for message in fitting.of(recording.messages([streams.lidar, *topics])):
         value = message.value
         if isinstance(value, LaserScan):
             scans.append(value)
@@ -57,9 +59,9 @@ def paired_images(
         elif isinstance(value, DepthImage):
             waiting.append((topics.index(message.topic), value))
         while waiting and _settled(waiting[0][1].stamp_ns - offset_ns, scans, max_gap_ns, waiting):
-            yield _pair(*waiting.popleft(), scans, offset_ns, max_gap_ns)
+            yield pair_with(*waiting.popleft(), scans, offset_ns, max_gap_ns)
     while waiting:
-        yield _pair(*waiting.popleft(), scans, offset_ns, max_gap_ns)
+        yield pair_with(*waiting.popleft(), scans, offset_ns, max_gap_ns)
 
 
 def _settled(
@@ -73,13 +75,17 @@ def _settled(
     return after >= 2 or len(waiting) > _IMAGES_WAITING
 
 
-def _pair(
+def pair_with(
     camera: int,
     image: DepthImage,
-    scans: deque[LaserScan],
+    scans: Iterable[LaserScan],
     offset_ns: int,
     max_gap_ns: int,
 ) -> PairedImage:
+    """The pair of an image and the nearest of ``scans``, which come in any order.
+
+    ``offset_ns``: the clock offset that is applied, camera stamp - LiDAR stamp of one instant.
+    """
     stamp_ns = image.stamp_ns - offset_ns
     ordered = sorted(scans, key=lambda scan: scan.stamp_ns)
     best = min(range(len(ordered)), key=lambda i: abs(ordered[i].stamp_ns - stamp_ns), default=None)
@@ -98,27 +104,24 @@ def _pair(
 
 
 def _with_virtual_scans(
-    recording: Recording, rig: Rig, row: int
+    recording: Recording, rig: Rig, fitting: Fitting, row: int
 ) -> Iterator[LaserScan | PairedImage]:
-    camera, view = rig.cameras[0], rig.full_views[0]
-    for message in recording.messages([camera.topic]):
+    camera = rig.cameras[0]
+    for message in fitting.of(recording.messages([camera.topic])):
         image = message.value
         if not isinstance(image, DepthImage):
             continue
-        upright = DepthImage(
-            stamp_ns=image.stamp_ns,
-            received_ns=image.received_ns,
-            frame_id=image.frame_id,
-            depth_m=view.of(image.depth_m),
-        )
-        full = type(camera)(
-            topic=camera.topic, intrinsics=view.intrinsics, T_rig_camera=camera.T_rig_camera
-        )
-        scan = virtual_scan(upright, full, row)
-        yield scan
-        yield PairedImage(
-            camera=0,
-            image=image,
-            window=ScanWindow(before=None, scan=scan, after=None),
-            gap_ns=0,
-        )
+        paired = virtual_pair(rig, image, row)
+        if paired.window is not None:
+            yield paired.window.scan
+        yield paired
+
+
+def virtual_pair(rig: Rig, image: DepthImage, row: int) -> PairedImage:
+    """An image of the first camera with the scan that is cut from its own ``row``."""
+    camera, view = rig.cameras[0], rig.full_views[0]
+    upright = replace(image, depth_m=view.of(image.depth_m))
+    full = replace(camera, intrinsics=view.intrinsics)
+    scan = virtual_scan(upright, full, row)
+    window = ScanWindow(before=None, scan=scan, after=None)
+    return PairedImage(camera=0, image=image, window=window, gap_ns=0)

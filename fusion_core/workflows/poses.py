@@ -6,7 +6,7 @@ A ground truth is never used unless it is named.
 from typing import Protocol
 
 from fusion_core.model.conventions import FloatArray
-from fusion_core.model.errors import MissingStream, ScanLoomError
+from fusion_core.model.errors import MissingStream, RecordingError, ScanLoomError
 from fusion_core.model.geometry import planar_from_transform
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import PoseSample, Transform, TransformBatch
@@ -85,7 +85,11 @@ def _ever_connected(
 ) -> bool:
     count = next(entry.count for entry in recording.topics if entry.name == topic)
     for index in {0, count // 2, count - 1}:
-        batch = recording.read(topic, index).value
+        try:
+            batch = recording.read(topic, index).value
+        except RecordingError:
+            # Iteration has warned of it already.
+            continue
         if not isinstance(batch, TransformBatch) or not batch.transforms:
             continue
         try:

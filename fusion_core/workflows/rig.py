@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from fusion_core.model.sensors import (
 )
 from fusion_core.model.transform_tree import TransformTree
 from fusion_core.recordings.topics import Streams
+from fusion_core.workflows.fitting import ScanGeometry, first_value, usual_geometry
 
 # Static transforms are repeated by latching drivers; these many messages hold any tree.
 _STATIC_MESSAGES = 500
@@ -35,13 +37,16 @@ _T_LEVEL = transform(R_BODY_OPTICAL, np.zeros(3))
 class Rig:
     """Cameras in upright views on one frame. ``recorded`` is the mount by the recording's own
     transforms, None where they do not connect it with the LiDAR. ``full_views`` are not cropped
-    for a virtual LiDAR. ``notes`` are for people."""
+    for a virtual LiDAR. ``depth_quantum_m``: the coarsest step between depths that a camera's file
+    can tell apart, None where all are fine. ``notes`` are for people."""
 
     cameras: tuple[Camera, ...]
     views: tuple[UprightView, ...]
     full_views: tuple[UprightView, ...]
     stored_intrinsics: tuple[CameraIntrinsics, ...]
     lidar_frame: str
+    scan_geometry: ScanGeometry | None
+    depth_quantum_m: float | None
     recorded: Mount | None
     notes: tuple[str, ...]
 
@@ -52,6 +57,7 @@ class _Lens:
     frame_id: str
     intrinsics: CameraIntrinsics
     calibrated: bool
+    quantum_m: float | None
 
 
 def build_rig(
@@ -83,9 +89,17 @@ def build_rig(
     lenses = [_lens(recording, topic, info, sampling, notes) for topic, info in topics]
     tree, roots = _static_tree(recording, streams.tf_static)
     lidar_frame = ""
-    if streams.lidar is not None:
-        scan = recording.read(streams.lidar, 0).value
-        lidar_frame = scan.frame_id if isinstance(scan, LaserScan) else ""
+    geometry = None
+    if streams.lidar is not None and not virtual:
+        scan = first_value(recording, streams.lidar)
+        if not isinstance(scan, LaserScan):
+            raise MissingStream(
+                f"{streams.lidar} holds no scan that can be read.",
+                file=recording.path,
+                advice="Name another topic with --lidar.",
+            )
+        lidar_frame = scan.frame_id
+        geometry = usual_geometry(recording, streams.lidar)
     T_base_camera, base = _poses(tree, roots, lenses, lidar_frame)
     if T_base_camera is None:
         if len(lenses) > 1:
@@ -98,6 +112,7 @@ def build_rig(
         T_base_camera = [_T_LEVEL]
     cameras, views, recorded = _assemble(lenses, T_base_camera, base == "lidar" and not virtual)
     full_views = tuple(views)
+    quanta = [lens.quantum_m for lens in lenses if lens.quantum_m is not None]
     if virtual:
         views = [cropped_view(view) for view in views]
         cameras = [
@@ -115,6 +130,8 @@ def build_rig(
         full_views=full_views,
         stored_intrinsics=tuple(lens.intrinsics for lens in lenses),
         lidar_frame=lidar_frame,
+        scan_geometry=geometry,
+        depth_quantum_m=max(quanta, default=None),
         recorded=recorded,
         notes=tuple(notes),
     )
@@ -127,15 +144,25 @@ def _lens(
     sampling: SamplingSettings,
     notes: list[str],
 ) -> _Lens:
-    image = recording.read(topic, 0).value
+    image = first_value(recording, topic)
     if not isinstance(image, DepthImage):
-        raise MissingStream(f"{topic} holds no depth images.", file=recording.path)
+        raise MissingStream(
+            f"{topic} holds no depth image that can be read.",
+            file=recording.path,
+            advice="Name another topic with --depth.",
+        )
     height, width = image.depth_m.shape
     if info_topic is not None:
-        info = recording.read(info_topic, 0).value
+        info = first_value(recording, info_topic)
         lens = info.intrinsics if isinstance(info, CameraInfo) else None
         if lens is not None and (lens.height, lens.width) == (height, width):
-            return _Lens(topic=topic, frame_id=image.frame_id, intrinsics=lens, calibrated=True)
+            return _Lens(
+                topic=topic,
+                frame_id=image.frame_id,
+                intrinsics=lens,
+                calibrated=True,
+                quantum_m=image.quantum_m,
+            )
     notes.append(
         f"{topic} has no usable intrinsics: a horizontal field of view of "
         f"{sampling.assumed_fov_deg:g} degrees is assumed, and pairs are taken in the row."
@@ -149,7 +176,13 @@ def _lens(
         cx=0.5 * (width - 1),
         cy=0.5 * (height - 1),
     )
-    return _Lens(topic=topic, frame_id=image.frame_id, intrinsics=assumed, calibrated=False)
+    return _Lens(
+        topic=topic,
+        frame_id=image.frame_id,
+        intrinsics=assumed,
+        calibrated=False,
+        quantum_m=image.quantum_m,
+    )
 
 
 def _static_tree(recording: Recording, topic: str | None) -> tuple[TransformTree, dict[str, str]]:
@@ -158,11 +191,9 @@ def _static_tree(recording: Recording, topic: str | None) -> tuple[TransformTree
     parents: dict[str, str] = {}
     if topic is None:
         return tree, parents
-    count = next(entry.count for entry in recording.topics if entry.name == topic)
-    for index in range(min(count, _STATIC_MESSAGES)):
-        batch = recording.read(topic, index).value
-        if isinstance(batch, TransformBatch):
-            for sample in batch.transforms:
+    for message in islice(recording.messages([topic]), _STATIC_MESSAGES):
+        if isinstance(message.value, TransformBatch):
+            for sample in message.value.transforms:
                 tree.add(_normal(sample), static=True)
                 parents[sample.child.lstrip("/")] = sample.parent.lstrip("/")
     return tree, parents

@@ -12,21 +12,24 @@ from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import Streams, choose_streams
 from fusion_core.workflows.align import Alignment, align
+from fusion_core.workflows.fitting import Fitting
 from fusion_core.workflows.frame import FusedFrame, fuse_frame
 from fusion_core.workflows.pairing import PairedImage, paired_images
 from fusion_core.workflows.presets import ChainSettings, PresetName
 from fusion_core.workflows.rig import Rig, build_rig
+from fusion_core.workflows.source import RoomChoice
 
 
 @dataclass(frozen=True, kw_only=True)
 class FuseOptions:
     """What a person asks of a run; the chain's own settings are in the preset and the file.
 
-    ``seed`` goes over theirs; None leaves it to them.
+    ``seed`` goes over theirs; None leaves it to them. ``room`` is a room of a data set.
     """
 
     preset: PresetName = "default"
     settings_file: Path | None = None
+    room: RoomChoice | None = None
     virtual_lidar_row: int | None = None
     lidar_topic: str | None = None
     depth_topics: tuple[str, ...] = ()
@@ -47,6 +50,7 @@ class Session:
     recording: Recording
     streams: Streams
     rig: Rig
+    fitting: Fitting
     settings: ChainSettings
     virtual_row: int | None
 
@@ -56,6 +60,7 @@ class Session:
             self.recording,
             self.streams,
             self.rig,
+            self.fitting,
             self.settings.time,
             clock_offset_ms=clock_offset_ms,
             virtual_row=self.virtual_row,
@@ -87,9 +92,18 @@ def open_session(recording: Recording, options: FuseOptions, settings: ChainSett
         recording=recording,
         streams=streams,
         rig=rig,
+        fitting=fitting_of(recording, rig),
         settings=settings,
         virtual_row=options.virtual_lidar_row,
     )
+
+
+def fitting_of(recording: Recording, rig: Rig) -> Fitting:
+    """What tells the messages that fit a rig from the others."""
+    shapes = {
+        camera.topic: view.stored_shape for camera, view in zip(rig.cameras, rig.views, strict=True)
+    }
+    return Fitting(recording, rig.scan_geometry, shapes)
 
 
 def align_session(session: Session, progress: Progress = silent) -> Alignment:

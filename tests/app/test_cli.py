@@ -16,6 +16,7 @@ import pytest
 
 from app.cli import main
 from fusion_core.model.errors import MissingStream, RecordingError
+from fusion_core.workflows.source import RoomChoice
 
 ROOT = Path(__file__).parents[2]
 INFO = {
@@ -77,7 +78,7 @@ def test_help_is_quick_because_nothing_heavy_is_imported() -> None:
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
     )
     assert run.stderr.strip() == "[]"
-    for command in ("info", "fuse", "evaluate", "sample", "--version"):
+    for command in ("info", "convert", "fuse", "evaluate", "sample", "--version"):
         assert command in run.stdout
 
 
@@ -85,6 +86,18 @@ def test_help_is_quick_because_nothing_heavy_is_imported() -> None:
     ("command", "words"),
     [
         (["info"], ["RECORDING", "--json"]),
+        (
+            ["convert"],
+            [
+                "RECORDING",
+                "-o FILE",
+                "--topic TOPIC",
+                "--start S",
+                "--end S",
+                "--overwrite",
+                "--room ROOM",
+            ],
+        ),
         (
             ["fuse"],
             [
@@ -125,6 +138,8 @@ def test_version_is_that_of_the_distribution(capsys: pytest.CaptureFixture[str])
         ["info"],
         ["info", "a.bag", "b.bag"],
         ["info", "a.bag", "--jsn"],
+        ["convert", "a.bag"],
+        ["convert", "a.bag", "-o", "a.mcap", "--start", "now"],
         ["fuse", "a.bag"],
         ["fuse", "a.bag", "-o", "out", "--preset", "better"],
         ["fuse", "a.bag", "-o", "out", "--seed", "x"],
@@ -179,7 +194,7 @@ def test_info_for_people_and_for_programs(
     stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     asked = []
-    stub("inspect", info=lambda path: asked.append(path) or INFO)
+    stub("inspect", info=lambda path, room, session: asked.append(path) or INFO)
     assert main(["info", "a.bag", "--json"]) == 0
     shown = capsys.readouterr()
     assert json.loads(shown.out) == INFO
@@ -194,9 +209,65 @@ def test_info_of_a_format_without_a_clock(
     stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     nothing_timed = {"start_ns": None, "end_ns": None, "duration_s": None}
-    stub("inspect", info=lambda path: {**INFO, **nothing_timed})
+    stub("inspect", info=lambda path, room, session: {**INFO, **nothing_timed})
     assert main(["info", "frames"]) == 0
     assert "time      none in this format" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "times", [["--start", "-1"], ["--end", "0"], ["--start", "2", "--end", "1"], ["--end", "nan"]]
+)
+def test_a_range_without_time_in_it_is_wrong_usage(
+    times: list[str], stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    stub("convert", ConvertOptions=None, convert=None)
+    assert main(["convert", "a.bag", "-o", "a.mcap", *times]) == 2
+    assert capsys.readouterr().err == "--start must be 0 or more, and --end later\n"
+
+
+def test_convert_takes_one_room(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["convert", "data", "-o", "a.mcap", "--home", "alma-s1"]) == 2
+    assert capsys.readouterr().err == "--home needs --room, the one to convert\n"
+
+
+def test_options_of_convert_reach_the_workflow(
+    stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    calls: list[tuple[Path, Path, dict[str, Any]]] = []
+    result = {
+        "file": "a.mcap",
+        "format": "ROS 1 bag",
+        "start_ns": 1_000_000_000,
+        "end_ns": 3_500_000_000,
+        "topics": [{"name": "/scan", "type": "S", "count": 19, "left_out": 1}],
+        "skipped": [{"name": "/log", "type": "L", "count": 4, "reason": "it is JSON"}],
+        "written": 19,
+        "left_out": 5,
+        "notes": ["the first is broken"],
+    }
+
+    def convert(recording: Path, output: Path, options: dict[str, Any], progress: Any) -> Any:
+        progress(1, 2, "messages")
+        calls.append((recording, output, options))
+        return result
+
+    stub("convert", ConvertOptions=dict, convert=convert)
+    command = ["convert", "a.bag", "-o", "a.mcap"]
+    assert main(command) == 0
+    shown = capsys.readouterr()
+    assert shown.err == "messages\n"
+    for words in (
+        *("from      ROS 1 bag", "1.000 s to 3.500 s, 2.500 s", "messages  19, left out 5"),
+        *("/scan  19       1         S", "skipped: /log: it is JSON", "note: the first is broken"),
+    ):
+        assert words in shown.out
+    options = {"room": None, "topics": (), "start_s": None, "end_s": None, "overwrite": False}
+    assert calls.pop() == (Path("a.bag"), Path("a.mcap"), options)
+    more = ["--topic", "/a", "--topic", "/b", "--start", "0", "--end", "1.5", "--overwrite"]
+    assert main([*command, *more, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == result
+    options |= {"topics": ("/a", "/b"), "start_s": 0.0, "end_s": 1.5, "overwrite": True}
+    assert calls.pop() == (Path("a.bag"), Path("a.mcap"), options)
 
 
 def test_options_of_fuse_reach_the_workflow(
@@ -209,8 +280,14 @@ def test_options_of_fuse_reach_the_workflow(
         calls.append((recording, output, options))
         return types.SimpleNamespace(to_json=lambda: {"frames": 3}, lines=lambda: ["3 frames"])
 
+    def fuse_rooms(
+        root: Path, home: str, output: Path, options: dict[str, Any], progress: Any
+    ) -> Any:
+        return fuse(root / home, output, options, progress)
+
     stub("session", FuseOptions=dict)
-    stub("fuse", fuse=fuse)
+    stub("fuse", fuse=fuse, FuseSummary=object)
+    stub("rooms", fuse_rooms=fuse_rooms, RoomsSummary=object)
     assert main(["fuse", "a.bag", "-o", "out"]) == 0
     shown = capsys.readouterr()
     assert shown.out == "3 frames\n"
@@ -221,6 +298,7 @@ def test_options_of_fuse_reach_the_workflow(
         {
             "preset": "default",
             "settings_file": None,
+            "room": None,
             "virtual_lidar_row": None,
             "lidar_topic": None,
             "depth_topics": (),
@@ -235,7 +313,8 @@ def test_options_of_fuse_reach_the_workflow(
         },
     )
     every = (
-        "--preset published --settings s.toml --virtual-lidar 240 --lidar /s --depth /a --depth /b "
+        "--preset published --settings s.toml --home alma-s1 --room bedroom1 --subsession 2 "
+        "--virtual-lidar 240 --lidar /s --depth /a --depth /b "
         "--pose /p --apply-clock-offset --no-maps --no-figures --truth t.npz --seed 7 --force "
         "--overwrite --json --output"
     )
@@ -247,6 +326,7 @@ def test_options_of_fuse_reach_the_workflow(
         {
             "preset": "published",
             "settings_file": Path("s.toml"),
+            "room": RoomChoice(session="alma-s1", room="bedroom1", subsession=2),
             "virtual_lidar_row": 240,
             "lidar_topic": "/s",
             "depth_topics": ("/a", "/b"),
@@ -260,6 +340,10 @@ def test_options_of_fuse_reach_the_workflow(
             "overwrite": True,
         },
     )
+    # A session without a room is all its rooms.
+    assert main(["fuse", "root", "--home", "alma-s1", "-o", "out"]) == 0
+    assert calls.pop()[0] == Path("root/alma-s1")
+    assert main(["fuse", "root", "--room", "bedroom1", "-o", "out"]) == 2
 
 
 @pytest.mark.parametrize("measure", ["alignment", "noise", "repair"])
@@ -359,7 +443,10 @@ def test_an_interrupt_is_one_line(
 def test_names_from_a_recording_cannot_steer_the_terminal(
     stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stub("inspect", info=lambda path: {**INFO, "warnings": ["\x1b]0;title\x07 [red]é\udc80"]})
+    stub(
+        "inspect",
+        info=lambda path, room, session: {**INFO, "warnings": ["\x1b]0;title\x07 [red]é\udc80"]},
+    )
     assert main(["info", "a.bag"]) == 0
     shown = capsys.readouterr().out
     assert "warning: \\x1b]0;title\\x07 [red]é\\udc80" in shown
@@ -370,7 +457,7 @@ def test_a_narrow_encoding_of_stdout_is_no_failure(
 ) -> None:
     stdout = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     monkeypatch.setattr("sys.stdout", stdout)
-    stub("inspect", info=lambda path: {**INFO, "warnings": ["σ"]})
+    stub("inspect", info=lambda path, room, session: {**INFO, "warnings": ["σ"]})
     assert main(["info", "a.bag"]) == 0
     assert b"warning: \\u03c3\n" in stdout.buffer.getvalue()  # type: ignore[attr-defined]
 

@@ -110,3 +110,15 @@ def test_the_order_of_the_pairs_does_not_matter(seed):
         learn_noise_scale(range_m[order], -residual_m[order]),
     )
     assert shuffled == learned
+
+
+def test_coarse_depth_keeps_the_scale_above_its_steps():
+    fine = NoiseScale(floor_m=0.004, share=0.01)
+    rng = np.random.default_rng(0)
+    true_m = rng.uniform(1.0, 1.2, 20_000)
+    stored_m = 0.039 * (np.floor(true_m / 0.039) + 0.5)
+    coarse = fine.with_steps(0.039)
+    assert coarse.floor_m == pytest.approx(np.std(stored_m - true_m), rel=0.02)
+    assert coarse.share == fine.share
+    assert coarse.with_steps(0.001) == coarse
+    assert fine.with_steps(None) == fine

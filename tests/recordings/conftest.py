@@ -1,10 +1,15 @@
 """Recordings built in code: the same messages in every format, with the values they must give."""
 
+import bz2
+import gzip
+import importlib.util
 import json
 import sqlite3
 import struct
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +19,7 @@ import pytest
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapLibraryWriter
 from rosbags.rosbag1 import Writer as Rosbag1Writer
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -58,12 +63,18 @@ class Written:
 
 @dataclass(frozen=True)
 class Sample:
-    """A file and what must come out of it. ``received`` is None where a format has no log."""
+    """A file and what must come out of it. ``received`` is None where a format has no log.
+
+    ``nominal``: the format has no clock, and its stamps are made from frame numbers.
+    ``warnings``: what reading all of it must say.
+    """
 
     path: Path
     written: list[Written]
     has_log: bool = True
     types: dict[str, str] = field(default_factory=dict)
+    nominal: bool = False
+    warnings: tuple[str, ...] = ()
 
     @property
     def expected(self) -> list[Written]:
@@ -332,8 +343,12 @@ def build_rosbag1(path: Path, compression: Any = None, chunk_bytes: int = 2000) 
     return Sample(path / "sample.bag", MESSAGES, types=TYPES)
 
 
-def build_rosbag2(path: Path, storage: StoragePlugin) -> Sample:
-    with Rosbag2Writer(path / "sample", version=9, storage_plugin=storage) as writer:
+def build_rosbag2(
+    path: Path, storage: StoragePlugin, compression: CompressionMode = CompressionMode.NONE
+) -> Sample:
+    writer = Rosbag2Writer(path / "sample", version=9, storage_plugin=storage)
+    writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer:
         connections = {t: writer.add_connection(t, n, typestore=ROS2) for t, n in TYPES.items()}
         for m in MESSAGES:
             data = ROS2.serialize_cdr(ros_message(ROS2, m.value), TYPES[m.topic])
@@ -585,7 +600,7 @@ def build_seven_scenes(path: Path) -> Sample:
         write_png(folder / f"frame-{n:06d}.color.png", frame_rgb(n))
         np.savetxt(folder / f"frame-{n:06d}.pose.txt", pose(n), fmt="%.17e")
     np.savetxt(folder / "camera-intrinsics.txt", [[3.5, 0, 1.5], [0, 3.25, 1.0], [0, 0, 1]])
-    return Sample(folder, frame_messages(numbers, True), has_log=False)
+    return Sample(folder, frame_messages(numbers, True), has_log=False, nominal=True)
 
 
 def build_redwood(path: Path) -> Sample:
@@ -601,7 +616,7 @@ def build_redwood(path: Path) -> Sample:
     (folder / "trajectory.log").write_text("\n".join(lines) + "\n")
     camera = {"width": 4, "height": 3, "intrinsic_matrix": [3.5, 0, 0, 0, 3.25, 0, 1.5, 1.0, 1]}
     (folder / "camera_primesense.json").write_text(json.dumps(camera))
-    return Sample(folder, frame_messages(range(FRAME_COUNT), True), has_log=False)
+    return Sample(folder, frame_messages(range(FRAME_COUNT), True), has_log=False, nominal=True)
 
 
 def build_slambook(path: Path) -> Sample:
@@ -617,7 +632,213 @@ def build_slambook(path: Path) -> Sample:
         q = ros_message(ROS2, pose_sample(n, MS, "a", "")).pose.orientation
         lines.append(" ".join(f"{v:.17e}" for v in (*pose(n)[:3, 3], q.x, q.y, q.z, q.w)))
     (folder / "pose.txt").write_text("\n".join(lines) + "\n")
-    return Sample(folder, frame_messages(numbers, False), has_log=False)
+    return Sample(folder, frame_messages(numbers, False), has_log=False, nominal=True)
+
+
+def timed_frames(topic_of_truth: str | None, units_per_metre: float) -> list[Written]:
+    """Depth at 30 Hz and colour 7 ms later, each with its own stamps, and poses at 100 Hz."""
+    written = []
+    for n in range(FRAME_COUNT):
+        stamp = T0 + n * 33_333_333
+        values = frame_depth_mm(n)
+        metres = values.astype(np.float32) / np.float32(units_per_metre)
+        metres[(values == 0) | (values == 65535)] = np.nan
+        head = {"stamp_ns": stamp, "received_ns": None, "frame_id": "camera"}
+        info = CameraInfo(
+            **head,
+            intrinsics=CameraIntrinsics(width=4, height=3, fx=3.5, fy=3.25, cx=1.5, cy=1.0),
+        )
+        encoding = "16UC1" if units_per_metre == 1000.0 else "32FC1"
+        image = DepthImage(**head, depth_m=metres, encoding=encoding)
+        later = stamp + 7 * MS
+        picture = ColorImage(stamp_ns=later, received_ns=None, frame_id="camera", rgb=frame_rgb(n))
+        written.append(Written("/camera/depth/camera_info", stamp, info))
+        written.append(Written("/camera/depth/image_raw", stamp, image))
+        written.append(Written("/camera/color/image_raw", later, picture))
+    for n in range(12 if topic_of_truth else 0):
+        stamp = T0 - 5 * MS + n * 10 * MS
+        sample = PoseSample(
+            stamp_ns=stamp,
+            received_ns=None,
+            parent="world",
+            child="camera",
+            T_parent_child=pose(n),
+        )
+        written.append(Written(str(topic_of_truth), stamp, sample))
+    return written
+
+
+def decimal_seconds(ns: int) -> str:
+    return f"{ns // 10**9}.{ns % 10**9:09d}"
+
+
+def build_tum(path: Path) -> Sample:
+    folder = path / "rgbd_dataset"
+    lists = {"depth": ["# depth maps", "# timestamp filename"], "rgb": ["# color images"]}
+    truth = ["# ground truth trajectory", "# timestamp tx ty tz qx qy qz qw"]
+    for name in lists:
+        (folder / name).mkdir(parents=True)
+    written = timed_frames("/camera/ground_truth", 5000.0)
+    n = 0
+    for m in written:
+        at = decimal_seconds(m.stamp_ns)
+        if isinstance(m.value, PoseSample):
+            q = ros_message(ROS2, m.value).pose.pose.orientation
+            numbers = (*m.value.T_parent_child[:3, 3], q.x, q.y, q.z, q.w)
+            truth.append(" ".join([at, *(f"{v:.17e}" for v in numbers)]))
+        elif isinstance(m.value, DepthImage):
+            write_png(folder / f"depth/{at}.png", frame_depth_mm(n))
+            lists["depth"].append(f"{at} depth/{at}.png")
+        elif isinstance(m.value, ColorImage):
+            write_png(folder / f"rgb/{at}.png", m.value.rgb)
+            lists["rgb"].append(f"{at} rgb/{at}.png")
+            n += 1
+    for name, lines in (*lists.items(), ("groundtruth", truth)):
+        (folder / f"{name}.txt").write_text("\n".join(lines) + "\n")
+    (folder / "accelerometer.txt").write_text("# timestamp ax ay az\n1.5 0.1 8.0 -5.0\n")
+    (folder / "calibration.txt").write_text("3.5 3.25 1.5 1.0\n")
+    return Sample(folder, written, has_log=False)
+
+
+def build_timed_images(path: Path) -> Sample:
+    """Depth named by nanoseconds and colour by decimal seconds."""
+    folder = path / "images by time"
+    for name in ("depth", "rgb"):
+        (folder / name).mkdir(parents=True)
+    written = timed_frames(None, 1000.0)
+    n = 0
+    for m in written:
+        if isinstance(m.value, DepthImage):
+            write_png(folder / f"depth/{m.stamp_ns}.png", frame_depth_mm(n))
+        elif isinstance(m.value, ColorImage):
+            write_png(folder / f"rgb/{decimal_seconds(m.stamp_ns)}.png", m.value.rgb)
+            n += 1
+    keys = {"fx": 3.5, "fy": 3.25, "cx": 1.5, "cy": 1, "width": 4, "height": 3}
+    (folder / "camera.json").write_text(json.dumps(keys | {"depth_scale": 1000}))
+    return Sample(folder, written, has_log=False)
+
+
+def build_numbered_images(path: Path) -> Sample:
+    folder = path / "images by number"
+    for name in ("depth", "images"):
+        (folder / name).mkdir(parents=True)
+    # Frame 10 follows frame 9, not frame 1.
+    numbers = [2, 9, 10, 11]
+    for n in numbers:
+        write_png(folder / f"depth/depth_{n}.png", frame_depth_mm(n))
+        write_png(folder / f"images/frame{n:06d}.png", frame_rgb(n))
+    camera = {"width": 4, "height": 3, "intrinsic_matrix": [3.5, 0, 0, 0, 3.25, 0, 1.5, 1.0, 1]}
+    (folder / "intrinsics.json").write_text(json.dumps(camera | {"depth_scale": 0.001}))
+    written = [m for m in frame_messages(numbers, True) if m.topic != "/camera/pose"]
+    return Sample(folder, written, has_log=False, nominal=True)
+
+
+def builders(name: str) -> Any:
+    """A module of builders beside this file, which is on no import path."""
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    # Dataclasses look their module up.
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+ROBOT_AT_HOME = builders("robot_at_home_trees")
+CARMEN = builders("carmen_logs")
+
+
+def robot_at_home_messages(source: Any, depth_bits: int) -> list[Written]:
+    """What a room gives, from what the exporters store of it."""
+    lens = CameraIntrinsics(
+        width=320,
+        height=240,
+        fx=286.441384,
+        fy=271.36999,
+        cx=157.3245865,
+        cy=120.0802295,
+        distortion=(0.0, 0.0, 0.0, 0.0, 0.0),
+    )
+    written, transforms = [], {}
+    for sweep in source.sweeps[2]:
+        step = 4.1847 / sweep.ranges_m.size
+        value = LaserScan(
+            stamp_ns=sweep.stamp_ns,
+            received_ns=None,
+            frame_id="laser",
+            angle_min_rad=-0.5 * (sweep.ranges_m.size - 1) * step,
+            angle_increment_rad=step,
+            range_min_m=0.0,
+            range_max_m=5.6,
+            ranges_m=sweep.ranges_m,
+            scan_time_s=0.1,
+        )
+        written.append(Written("/laser", sweep.stamp_ns, value))
+        transforms["laser"] = sweep.pose
+    for sight in source.sights:
+        name = sight.label.lower()
+        transforms[f"{name}_optical"] = sight.pose
+        head = {
+            "stamp_ns": sight.stamp_ns,
+            "received_ns": None,
+            "frame_id": f"{name}_optical",
+        }
+        units = ROBOT_AT_HOME.stored_depth(sight.depth_m).astype(np.float64)
+        if depth_bits == 8:
+            units = np.where(units >= 256, 256 * (units // 256) + 127.5, 0)
+        metres = np.where(units > 0, units / 6553.5, np.nan)
+        values = {
+            "camera_info": CameraInfo(**head, intrinsics=lens),
+            "color": ColorImage(**head, rgb=sight.rgb.copy()),
+            "depth": DepthImage(
+                **head,
+                depth_m=metres.astype(np.float32),
+                quantum_m=256 / 6553.5 if depth_bits == 8 else None,
+            ),
+        }
+        for kind, image in values.items():
+            written.append(Written(f"/{name}/{kind}", sight.stamp_ns, image))
+    first = min(m.received_ns for m in written)
+    # Optical axes in those of the body: right is -y, down is -z, forward is x.
+    optical = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    batch = TransformBatch(
+        received_ns=None,
+        transforms=tuple(
+            Transform(
+                stamp_ns=first,
+                parent="base_link",
+                child=child,
+                T_parent_child=transform(
+                    rotation_from_yaw_pitch_roll(*p[3:]) @ (optical if p[5] else np.eye(3)),
+                    np.array(p[:3]),
+                ),
+            )
+            for child, p in sorted(transforms.items())
+        ),
+    )
+    written.append(Written("/tf_static", first, batch))
+    return sorted(written, key=lambda m: (m.received_ns, m.topic))
+
+
+def build_plain_text_room(path: Path) -> Sample:
+    source = ROBOT_AT_HOME.small_room()
+    root = ROBOT_AT_HOME.write_plain_text(path / "robot_at_home", [source])
+    written = robot_at_home_messages(source, depth_bits=16)
+    return Sample(root, written, has_log=False)
+
+
+def build_robot_at_home2_room(path: Path) -> Sample:
+    source = ROBOT_AT_HOME.small_room()
+    root = ROBOT_AT_HOME.write_robot_at_home2(path / "R@H2", [source])
+    written = robot_at_home_messages(source, depth_bits=8)
+    return Sample(root, written, has_log=False, warnings=("steps of 39 mm",))
+
+
+def build_carmen(file: Path, pack: Callable[[bytes], bytes] = bytes) -> Sample:
+    text, given = CARMEN.small_log()
+    file.write_bytes(pack(text.encode()))
+    return Sample(file, [Written(topic, value.received_ns, value) for topic, value in given])
 
 
 def build_old_sqlite(path: Path) -> Sample:
@@ -659,6 +880,13 @@ BUILDERS: dict[str, Callable[[Path], Sample]] = {
     "rosbag1 by bytes": build_rosbag1_by_bytes,
     "rosbag2 sqlite": lambda p: build_rosbag2(p, StoragePlugin.SQLITE3),
     "rosbag2 mcap": lambda p: build_rosbag2(p, StoragePlugin.MCAP),
+    **{
+        f"rosbag2 {storage.name.lower()} packed by {mode.name.lower()}": partial(
+            build_rosbag2, storage=storage, compression=mode
+        )
+        for storage in (StoragePlugin.SQLITE3, StoragePlugin.MCAP)
+        for mode in (CompressionMode.FILE, CompressionMode.MESSAGE)
+    },
     "rosbag2 sqlite, no metadata": lambda p: without_metadata(
         build_rosbag2(p, StoragePlugin.SQLITE3)
     ),
@@ -677,6 +905,14 @@ BUILDERS: dict[str, Callable[[Path], Sample]] = {
     "7-Scenes": build_seven_scenes,
     "Redwood": build_redwood,
     "slambook": build_slambook,
+    "TUM RGB-D": build_tum,
+    "images by time": build_timed_images,
+    "images by number": build_numbered_images,
+    "Robot@Home": build_plain_text_room,
+    "Robot@Home2": build_robot_at_home2_room,
+    "CARMEN": lambda p: build_carmen(p / "log.clf"),
+    "CARMEN gz": lambda p: build_carmen(p / "log.clf.gz", gzip.compress),
+    "CARMEN bz2": lambda p: build_carmen(p / "packed", bz2.compress),
 }
 
 
@@ -690,6 +926,18 @@ def sample(request: pytest.FixtureRequest, tmp_path: Path) -> Sample:
 def build(tmp_path: Path) -> Callable[[str], Sample]:
     """Build a recording of a format by its name in BUILDERS."""
     return lambda name: BUILDERS[name](tmp_path)
+
+
+@pytest.fixture
+def robot_at_home_trees() -> Any:
+    """The writers of both versions of Robot@Home."""
+    return ROBOT_AT_HOME
+
+
+@pytest.fixture
+def carmen_logs() -> Any:
+    """The writer of a CARMEN log with every kind of line."""
+    return CARMEN
 
 
 @pytest.fixture

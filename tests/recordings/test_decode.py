@@ -1,5 +1,6 @@
 """Every way in which a message says "missing", and every way in which it can contradict itself."""
 
+import tracemalloc
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,6 +21,10 @@ from fusion_core.recordings.decode import (
 HEADER = SimpleNamespace(
     stamp=SimpleNamespace(sec=1_700_000_000, nanosec=123_456_789), frame_id="/laser"
 )
+
+
+def header(sec: float = 1, nanosec: int = 0, frame_id: str = "laser") -> SimpleNamespace:
+    return SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec), frame_id=frame_id)
 
 
 def read(raw: Any, kind: str) -> Any:
@@ -75,14 +80,49 @@ def test_unlimited_range_max() -> None:
         ({"range_min": 6.0}, "range_min 6.0"),
         ({"angle_increment": 0.0}, "angle_increment 0.0"),
         ({"angle_min": np.nan}, "angle_min nan"),
+        ({"header": header(frame_id="x" * 4097)}, "4097 characters"),
+        ({"header": header(sec=-1, nanosec=5)}, "-1 s 5 ns"),
+        ({"header": header(sec=2**31)}, "2147483648 s"),
+        ({"header": header(sec=2**63 - 1)}, "9223372036854775807 s"),
+        ({"header": header(sec=float("inf"))}, "promises"),
     ],
 )
-def test_scans_that_contradict_themselves(change: dict[str, float], named: str) -> None:
+def test_scans_that_contradict_themselves(change: dict[str, Any], named: str) -> None:
     with pytest.raises(RecordingError, match=named) as caught:
         read_scan([1.0], **change)
     assert "/topic" in str(caught.value)
     assert caught.value.advice
     assert "\n" not in str(caught.value)
+
+
+def test_signalling_nan() -> None:
+    """Damaged bytes hold it, and a processor reports it where it is converted."""
+    values = np.full(3, 0x7F800001, np.uint32).view(np.float32)
+    raw = scan_message([], intensities=values)
+    raw.ranges = values
+    scan = read(raw, "sensor_msgs/msg/LaserScan")
+    assert np.isnan(scan.ranges_m).all()
+    assert np.isnan(scan.intensities).all()
+
+
+@pytest.mark.parametrize(
+    ("sec", "nanosec", "expected"),
+    [(0, 0, 0), (2**31 - 1, 999_999_999, 2147483647999999999), (1, 2_000_000_000, 3_000_000_000)],
+)
+def test_stamps(sec: int, nanosec: int, expected: int) -> None:
+    assert read_scan([1.0], header=header(sec, nanosec)).stamp_ns == expected
+
+
+def test_as_many_beams_and_letters_as_are_read() -> None:
+    name = "x" * 4096
+    scan = read_scan([1.0] * 1_000_000, header=header(frame_id=name))
+    assert (scan.ranges_m.size, scan.frame_id) == (1_000_000, name)
+    with pytest.raises(RecordingError, match="/topic: the scan claims 1000001 beams"):
+        read_scan([1.0] * 1_000_001)
+
+
+def test_scans_of_changing_length() -> None:
+    assert [read_scan([1.0] * n).ranges_m.size for n in (3, 0, 5)] == [3, 0, 5]
 
 
 def image(encoding: str, data: bytes, **changes: Any) -> SimpleNamespace:
@@ -165,8 +205,12 @@ def test_pixels_do_not_hold_the_buffer_they_came_from() -> None:
         ("16UC1", bytes(8), {"step": 3}, "step 3"),
         ("32FC1", bytes(8), {}, "step 4"),
         ("16UC1", b"", {"height": 0, "step": 4}, "2 x 0"),
-        ("16UC1", bytes(8), {"height": 2**32 - 1, "step": 2**32 - 1}, "8 bytes"),
+        ("16UC1", bytes(8), {"height": 2**25, "step": 2**32 - 1}, "8 bytes"),
+        ("16UC1", bytes(8), {"height": 2**32 - 1, "step": 2**32 - 1}, "2 x 4294967295"),
         ("bayer_rggb8", bytes(4), {}, "bayer_rggb8"),
+        ("x" * 5000, bytes(4), {}, "xxx...'"),
+        ("mono8", bytes(8), {"height": 2**14, "width": 2**13, "step": 2**13}, "more than"),
+        ("mono8", bytes(8), {"header": header(sec=-4)}, "-4 s"),
     ],
 )
 def test_images_that_contradict_themselves(
@@ -176,6 +220,17 @@ def test_images_that_contradict_themselves(
         read_image(encoding, data, **changes)
     assert "/topic" in str(caught.value)
     assert caught.value.advice
+
+
+def test_a_huge_step_takes_no_memory() -> None:
+    """The step of a single row means nothing."""
+    tracemalloc.start()
+    try:
+        row = read_image("16UC1", bytes([232, 3] * 4), height=1, width=4, step=2**32 - 1)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()
+    assert row.depth_m.tolist() == [[1.0] * 4]
 
 
 def info(k: list[float], spelled: str, **changes: Any) -> SimpleNamespace:
@@ -201,10 +256,81 @@ def test_uncalibrated_camera(spelled: str) -> None:
     assert read(info([0.0] * 9, spelled), "sensor_msgs/msg/CameraInfo").intrinsics is None
 
 
-def test_intrinsics_that_are_not_numbers() -> None:
-    raw = info([np.nan, 0.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0], "ROS 2")
-    with pytest.raises(RecordingError, match="nan"):
+@pytest.mark.parametrize(
+    ("place", "value"), [(0, np.nan), (2, np.inf), (4, 0.0), (4, -1.0), (5, np.nan)]
+)
+@pytest.mark.parametrize("coefficients", [0, 14])
+def test_intrinsics_that_cannot_be_used(place: int, value: float, coefficients: int) -> None:
+    k = [100.0, 0.0, 1.0, 0.0, 100.0, 1.0, 0.0, 0.0, 1.0]
+    k[place] = value
+    raw = info(k, "ROS 2", d=np.full(coefficients, 0.123456789))
+    with pytest.raises(RecordingError, match=f"/topic: intrinsics .*{value:g}") as caught:
         read(raw, "sensor_msgs/msg/CameraInfo")
+    assert "\n" not in str(caught.value)
+    assert caught.value.advice
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"d": np.zeros(100_000)}, "100000 distortion coefficients"),
+        ({"d": np.array([0.1, np.nan])}, "nan"),
+        ({"distortion_model": "x" * 5000}, "5000 characters"),
+        ({"header": header(sec=-1)}, "-1 s"),
+    ],
+)
+def test_camera_infos_that_contradict_themselves(change: dict[str, Any], named: str) -> None:
+    k = [100.0, 0.0, 1.0, 0.0, 100.0, 1.0, 0.0, 0.0, 1.0]
+    with pytest.raises(RecordingError, match=named) as caught:
+        read(info(k, "ROS 2", **change), "sensor_msgs/msg/CameraInfo")
+    assert len(str(caught.value)) < 300
+
+
+def test_a_camera_info_with_fewer_numbers_than_its_type_has() -> None:
+    with pytest.raises(RecordingError, match="promises"):
+        read(info([100.0, 0.0], "ROS 2"), "sensor_msgs/msg/CameraInfo")
+
+
+def joints(names: list[str], position: list[float], velocity: list[float]) -> Any:
+    raw = SimpleNamespace(
+        header=HEADER,
+        name=names,
+        position=np.array(position),
+        velocity=np.array(velocity),
+        effort=np.zeros(0),
+    )
+    return read(raw, "sensor_msgs/msg/JointState")
+
+
+def test_joints() -> None:
+    value = joints(["left", "right"], [1.0, np.nan], [0.5, np.inf])
+    assert value.names == ("left", "right")
+    np.testing.assert_array_equal(value.positions, [1.0, np.nan])
+    np.testing.assert_array_equal(value.velocities, [0.5, np.nan])
+    assert (value.stamp_ns, value.received_ns) == (1_700_000_000_123_456_789, 5)
+
+
+def test_joints_without_values() -> None:
+    value = joints(["left"], [], [2.0])
+    assert value.positions is None
+    assert value.velocities.tolist() == [2.0]
+    assert joints([], [], []).names == ()
+
+
+@pytest.mark.parametrize(
+    ("names", "position", "velocity", "named"),
+    [
+        (["left"], [1.0, 2.0], [], "1 joints have 2 positions"),
+        (["left", "right"], [1.0, 2.0], [1.0], "2 joints have 1 velocities"),
+        ([], [1.0], [], "0 joints have 1 positions"),
+        (["x" * 4097], [1.0], [], "4097 characters"),
+    ],
+)
+def test_joints_that_contradict_themselves(
+    names: list[str], position: list[float], velocity: list[float], named: str
+) -> None:
+    with pytest.raises(RecordingError, match=named):
+        joints(names, position, velocity)
 
 
 def stamped(xyz: list[float], q: list[float]) -> SimpleNamespace:

@@ -1,5 +1,6 @@
 """Folders of images: what is wrong with one file costs that file, or the intrinsics."""
 
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -78,6 +79,7 @@ def test_an_image_that_claims_to_be_huge(build: Callable[[str], Any]) -> None:
     file = sample.path / "frame-000006.depth.png"
     content = bytearray(file.read_bytes())
     content[16:20] = (1 << 26).to_bytes(4, "big")
+    content[29:33] = zlib.crc32(content[12:29]).to_bytes(4, "big")
     file.write_bytes(content)
     with (
         open_recording(sample.path) as recording,
@@ -126,8 +128,24 @@ def test_fewer_poses_than_frames(build: Callable[[str], Any]) -> None:
 def test_a_pose_file_of_another_kind(build: Callable[[str], Any], name: str, file: str) -> None:
     sample = build(name)
     (sample.path / file).write_text("1 2 3\n")
-    with pytest.raises(RecordingError, match="holds 3 numbers"):
-        open_recording(sample.path)
+    with open_recording(sample.path) as recording:
+        assert any("after 0 poses" in line for line in recording.warnings)
+        assert all(topic.role != "pose" for topic in recording.topics)
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "whole"), [("slambook", "pose.txt", 7), ("Redwood", "trajectory.log", 19)]
+)
+def test_a_pose_file_that_is_cut_keeps_its_whole_poses(
+    build: Callable[[str], Any], name: str, file: str, whole: int
+) -> None:
+    sample = build(name)
+    words = (sample.path / file).read_text().split()
+    (sample.path / file).write_text(" ".join(words[: 2 * whole + 3]) + " 5.0e-")
+    with open_recording(sample.path) as recording:
+        assert any("after 2 poses" in line for line in recording.warnings)
+        poses = [topic for topic in recording.topics if topic.role == "pose"]
+        assert [topic.count for topic in poses] == [2]
 
 
 def test_no_depth_images(build: Callable[[str], Any]) -> None:

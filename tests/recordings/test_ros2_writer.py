@@ -16,7 +16,16 @@ from rosbags.highlevel import AnyReader
 
 from fusion_core.model.errors import ExportError
 from fusion_core.model.grids import OccupancyGrid
-from fusion_core.model.sensors import DepthImage, LaserScan, PoseSample, TransformBatch
+from fusion_core.model.sensors import (
+    DepthImage,
+    JointSample,
+    LaserScan,
+    PointCloud,
+    PoseSample,
+    Transform,
+    TransformBatch,
+)
+from fusion_core.recordings.bad_message import BadMessage
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.ros2_writer import Ros2McapWriter
 
@@ -140,6 +149,71 @@ def test_missing_ranges_are_nan_for_others(tmp_path: Path) -> None:
     np.testing.assert_array_equal(message.ranges, np.array([1.0, np.nan, 2.0], np.float32))
     assert message.angle_max == 0.0
     assert message.intensities.size == 0
+
+
+@pytest.mark.parametrize("with_intensity", [True, False])
+def test_point_clouds(tmp_path: Path, with_intensity: bool) -> None:
+    xyz = np.array([[1.0, 2.0, 3.0], [np.nan] * 3, [-4.0, 0.5, 0.0]], np.float32)
+    intensity = np.array([7.0, 8.0, np.nan], np.float32) if with_intensity else None
+    cloud = PointCloud(stamp_ns=5, received_ns=9, frame_id="lidar", xyz_m=xyz, intensity=intensity)
+    with Ros2McapWriter(tmp_path / "p.mcap") as writer:
+        writer.write_point_cloud("/points", cloud)
+    _, logged, message = rosbags_messages(tmp_path / "p.mcap")[0]
+    names = ["x", "y", "z", "intensity"][: 3 + with_intensity]
+    assert (logged, message.header.stamp.nanosec, message.header.frame_id) == (9, 5, "lidar")
+    assert [(f.name, f.offset, f.datatype) for f in message.fields] == [
+        (name, 4 * i, 7) for i, name in enumerate(names)
+    ]
+    assert (message.height, message.width, message.point_step) == (1, 3, 4 * len(names))
+    assert (message.row_step, message.is_dense) == (12 * len(names), False)
+    columns = np.frombuffer(message.data, "<f4").reshape(3, -1)
+    np.testing.assert_array_equal(columns[:, :3], xyz)
+    with open_recording(tmp_path / "p.mcap") as recording:
+        value = recording.read("/points", 0).value
+    np.testing.assert_array_equal(value.xyz_m, xyz)
+    assert (value.intensity is not None) is with_intensity
+    if with_intensity:
+        np.testing.assert_array_equal(value.intensity, intensity)
+
+
+@pytest.mark.parametrize("positions", [np.array([1.0, np.nan]), None])
+def test_joints(tmp_path: Path, positions: np.ndarray | None) -> None:
+    velocities = np.array([0.5, -0.5])
+    sample = JointSample(
+        stamp_ns=5,
+        received_ns=9,
+        names=("left", "right"),
+        positions=positions,
+        velocities=velocities,
+    )
+    with Ros2McapWriter(tmp_path / "j.mcap") as writer:
+        writer.write_joint_state("/joints", sample)
+    _, _, message = rosbags_messages(tmp_path / "j.mcap")[0]
+    assert (message.name, message.velocity.tolist()) == (["left", "right"], [0.5, -0.5])
+    np.testing.assert_array_equal(message.position, [] if positions is None else positions)
+    with open_recording(tmp_path / "j.mcap") as recording:
+        value = recording.read("/joints", 0).value
+    assert (value.positions is None) is (positions is None)
+    assert (value.names, value.stamp_ns) == (sample.names, 5)
+
+
+def test_a_value_that_its_message_cannot_hold_costs_itself(tmp_path: Path) -> None:
+    def at(stamp_ns: int, received_ns: int | None, child: str = "b") -> TransformBatch:
+        entry = Transform(stamp_ns=stamp_ns, parent="a", child=child, T_parent_child=np.eye(4))
+        return TransformBatch(received_ns=received_ns, transforms=(entry,))
+
+    with Ros2McapWriter(tmp_path / "t.mcap") as writer:
+        for bad in (at(1 << 62, None), at(-1, None), at(1, -1), at(1, 1, "\udc80")):
+            with pytest.raises(BadMessage):
+                writer.write_transforms("/tf", bad)
+        writer.write_transforms("/tf", at(-1, 7))
+    with (tmp_path / "t.mcap").open("rb") as stream:
+        ((_, _, message),) = make_reader(stream).iter_messages()
+    # The message has its stamp before 1970, which the file has no room for.
+    assert (message.log_time, message.publish_time) == (7, 7)
+    _, _, seen = rosbags_messages(tmp_path / "t.mcap")[0]
+    stamp = seen.transforms[0].header.stamp
+    assert (stamp.sec, stamp.nanosec) == (-1, 999_999_999)
 
 
 def test_the_file_appears_only_when_whole(tmp_path: Path) -> None:

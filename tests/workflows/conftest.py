@@ -47,8 +47,16 @@ class Log:
     def _add(self, received_ns: int, write: Callable[[Ros2McapWriter], None]) -> None:
         self._writes.append((received_ns, write))
 
-    def scan(self, at_ms: float, *, late_ms: float = 0.0, frame: str = "laser", mark: float = 2.0):
-        """A scan of nine beams at ``mark`` metres."""
+    def scan(
+        self,
+        at_ms: float,
+        *,
+        late_ms: float = 0.0,
+        frame: str = "laser",
+        mark: float = 2.0,
+        beams: int = 9,
+    ):
+        """A scan of ``beams`` beams at ``mark`` metres."""
         stamp_ns, received_ns = _stamps(at_ms, late_ms)
         scan = LaserScan(
             stamp_ns=stamp_ns,
@@ -58,20 +66,26 @@ class Log:
             angle_increment_rad=0.25,
             range_min_m=0.1,
             range_max_m=10.0,
-            ranges_m=np.full(9, mark),
+            ranges_m=np.full(beams, mark),
         )
         self._add(received_ns, lambda writer: writer.write_laser_scan("/scan", scan))
 
     def image(
-        self, at_ms: float, *, late_ms: float = 0.0, name: str = "camera", frame: str | None = None
+        self,
+        at_ms: float,
+        *,
+        late_ms: float = 0.0,
+        name: str = "camera",
+        frame: str | None = None,
+        shape: tuple[int, int] = (LENS.height, LENS.width),
     ):
-        """A depth image of 16 x 12 pixels on ``/NAME/depth/image_raw``."""
+        """A depth image, by default of 16 x 12 pixels, on ``/NAME/depth/image_raw``."""
         stamp_ns, received_ns = _stamps(at_ms, late_ms)
         image = DepthImage(
             stamp_ns=stamp_ns,
             received_ns=received_ns,
             frame_id=frame or f"{name}_optical",
-            depth_m=np.full((LENS.height, LENS.width), 2.0, dtype=np.float32),
+            depth_m=np.full(shape, 2.0, dtype=np.float32),
             encoding="16UC1",
         )
         topic = f"/{name}/depth/image_raw"

@@ -265,11 +265,8 @@ def test_table_1_counts_every_paired_frame_once(run: SimpleNamespace) -> None:
 
 
 def test_table_1_leaves_the_share_open_where_nothing_is_scored(tmp_path: Path) -> None:
-    figures._write_table(
-        tmp_path / "t.csv",
-        "room",
-        {"low": 0, "middle": 0, "high": 0, "not_positive": 2, "missing": 1},
-    )
+    scores = {"low": 0, "middle": 0, "high": 0, "not_positive": 2, "missing": 1}
+    figures.write_table_1(tmp_path / "t.csv", [figures.table_1_row("room", scores)])
     assert (tmp_path / "t.csv").read_text().splitlines()[1] == "room,0,0,0,,2,1"
 
 

@@ -15,6 +15,7 @@ from fusion_core.recordings.topics import choose_streams
 from fusion_core.workflows import pairing
 from fusion_core.workflows.pairing import PairedImage, paired_images
 from fusion_core.workflows.rig import build_rig
+from fusion_core.workflows.session import fitting_of
 
 
 def entries(log, *, max_gap_ms=60.0, clock_offset_ms=0.0):
@@ -23,7 +24,14 @@ def entries(log, *, max_gap_ms=60.0, clock_offset_ms=0.0):
         rig = build_rig(recording, streams, SamplingSettings())
         wanted = TimeSettings(max_gap_ms=max_gap_ms)
         found = list(
-            paired_images(recording, streams, rig, wanted, clock_offset_ms=clock_offset_ms)
+            paired_images(
+                recording,
+                streams,
+                rig,
+                fitting_of(recording, rig),
+                wanted,
+                clock_offset_ms=clock_offset_ms,
+            )
         )
         return found, [camera.topic for camera in rig.cameras]
 

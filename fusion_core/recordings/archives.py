@@ -1,0 +1,125 @@
+"""Text packed by gzip or bzip2: unpacked once, since neither can be read from the middle."""
+
+import bz2
+import gzip
+import shutil
+import tempfile
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from fusion_core.model.errors import RecordingError
+
+# Where an archive is damaged, the piece that is being unpacked is lost.
+_PIECE_BYTES = 4 << 10
+# A log is some ten times its packed size; what unpacks to more than this is no log.
+_MAX_UNPACKED_BYTES = 8 << 30
+_MAX_RATIO = 100
+_SMALLEST_LIMIT_BYTES = 256 << 20
+# What a full disk would take from everybody else.
+_KEPT_FREE_BYTES = 256 << 20
+# gzip and bz2 tell damage by OSError, a cut by EOFError; zlib has its own error.
+_DAMAGE = (OSError, EOFError, zlib.error)
+
+
+@dataclass(frozen=True, slots=True)
+class Packing:
+    """A way to pack one file. ``open`` gives a stream that has ``read1``."""
+
+    name: str
+    magic: bytes
+    open: Callable[[Path], gzip.GzipFile | bz2.BZ2File]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Unpacked:
+    """``file`` is nameless and goes with its closing. ``lost`` says why it is not the whole text,
+    and is empty where it is."""
+
+    file: BinaryIO
+    lost: str
+
+
+PACKINGS = (Packing("gzip", b"\x1f\x8b\x08", gzip.GzipFile), Packing("bzip2", b"BZh", bz2.BZ2File))
+
+
+def packing_of(path: Path) -> Packing | None:
+    """How a file is packed, told by its first bytes; None if it is neither gzip nor bzip2."""
+    with path.open("rb") as file:
+        head = file.read(max(len(packing.magic) for packing in PACKINGS))
+    return next((packing for packing in PACKINGS if head.startswith(packing.magic)), None)
+
+
+def first_bytes(path: Path, count: int) -> bytes:
+    """Up to ``count`` bytes from the beginning of a file, unpacked if it is packed.
+
+    What of an archive cannot be unpacked is left out.
+    """
+    packing = packing_of(path)
+    if packing is None:
+        with path.open("rb") as plain:
+            return plain.read(count)
+    head = b""
+    with packing.open(path) as packed:
+        while len(head) < count:
+            try:
+                piece = packed.read1(min(_PIECE_BYTES, count - len(head)))
+            except _DAMAGE:
+                break
+            if not piece:
+                break
+            head += piece
+    return head
+
+
+def unpack(path: Path, packing: Packing) -> Unpacked:
+    """Unpack to a temporary file, as far as the archive can be read and the limits allow.
+
+    The limits are 8 GiB, 100 times the packed size and the free space of the disk.
+    Raises RecordingError where the temporary file cannot be written.
+    """
+    limit, reason = _limit(path)
+    file = tempfile.TemporaryFile()  # noqa: SIM115  # The caller closes it.
+    try:
+        lost = _copy(path, packing, file, limit, reason)
+        file.seek(0)
+    except BaseException:
+        file.close()
+        raise
+    return Unpacked(file=file, lost=lost)
+
+
+def _limit(path: Path) -> tuple[int, str]:
+    """The most bytes to unpack, and what to say where the archive holds more."""
+    most = min(_MAX_UNPACKED_BYTES, max(_SMALLEST_LIMIT_BYTES, _MAX_RATIO * path.stat().st_size))
+    room = max(0, shutil.disk_usage(tempfile.gettempdir()).free - _KEPT_FREE_BYTES)
+    if room < most:
+        return room, f"the disk of temporary files has room for no more than {room} bytes of it"
+    return most, f"the archive unpacks to more than {most} bytes"
+
+
+def _copy(path: Path, packing: Packing, file: BinaryIO, limit: int, reason: str) -> str:
+    """Unpack into ``file``; why it is not the whole archive, or nothing if it is."""
+    size = 0
+    with packing.open(path) as packed:
+        while True:
+            try:
+                piece = packed.read1(_PIECE_BYTES)
+            except _DAMAGE as error:
+                said = " ".join(str(error).split()).rstrip(".")
+                return f"the {packing.name} archive breaks off after {size} unpacked bytes ({said})"
+            if not piece:
+                return ""
+            if size + len(piece) > limit:
+                return reason
+            try:
+                file.write(piece)
+            except OSError as error:
+                raise RecordingError(
+                    f"cannot be unpacked: {error.strerror or error}.",
+                    file=path,
+                    advice="Free space for temporary files, or name another folder in TMPDIR.",
+                ) from error
+            size += len(piece)

@@ -1,0 +1,205 @@
+"""Records of ROS 1 bags, version 2.0 (wiki.ros.org/Bags/Format/2.0), taken one by one.
+
+A record is the length of its header, the header, the length of its data, the data. A header is
+fields of a length and ``name=value``. Numbers are little-endian. Nothing that a record claims is
+believed before it fits: a damaged file is read through what is left of it.
+"""
+
+import re
+import struct
+from dataclasses import dataclass
+from typing import BinaryIO
+
+from fusion_core.recordings.containers import MAX_CHUNK_BYTES, Channel, ros2_type_name
+
+MAGIC = b"#ROSBAG V2.0\n"
+# The offset of a message outside of chunks; its block is its own place in the file.
+NOT_IN_A_CHUNK = -1
+
+OP_MESSAGE, OP_BAG, OP_INDEX, OP_CHUNK, OP_CHUNK_INFO, OP_CONNECTION = range(2, 8)
+
+LENGTH = struct.Struct("<I")
+_TIME = struct.Struct("<II")
+_NS_PER_S = 1_000_000_000
+# The fields that a record cannot do without, and their sizes; None for text.
+_FIELDS: dict[int, dict[bytes, int | None]] = {
+    OP_MESSAGE: {b"conn": 4, b"time": 8},
+    OP_BAG: {b"index_pos": 8, b"conn_count": 4, b"chunk_count": 4},
+    OP_INDEX: {b"ver": 4, b"conn": 4, b"count": 4},
+    OP_CHUNK: {b"compression": None, b"size": 4},
+    OP_CHUNK_INFO: {b"ver": 4, b"chunk_pos": 8, b"count": 4},
+    OP_CONNECTION: {b"conn": 4, b"topic": None},
+}
+# Bytes for each of the ``count`` things in a record's data.
+_COUNTED = {OP_INDEX: 12, OP_CHUNK_INFO: 8}
+_MAX_HEADER_BYTES = 4096
+_MAX_NAME_BYTES = 1024
+# Real definitions have a few KB; their parser takes a second for each 100 KB.
+_MAX_DEFINITION_BYTES = 1 << 17
+
+_OP_FIELD = b"\x04\0\0\0op="
+_ANY_OP_FIELD = re.compile(re.escape(_OP_FIELD) + rb"[\x02-\x07]")
+_HEADER_START = re.compile(
+    rb"(?=..\0\0..\0\0(?:op|conn|time|topic|ver|count|size|compression"
+    rb"|index_pos|conn_count|chunk_count|chunk_pos|start_time|end_time)=)",
+    re.DOTALL,
+)
+_PLACES_PER_SEARCH = 10
+_SEARCH_BLOCK = 1 << 16
+# Further than this no header reaches back from its opcode.
+_SEARCH_OVERLAP = _MAX_NAME_BYTES + 256
+
+
+@dataclass(frozen=True, slots=True)
+class BagRecord:
+    """A record whose header holds what its kind needs. Places are bytes from the file's start.
+
+    The data of a chunk may reach beyond the end of the file; that of other records does not.
+    """
+
+    op: int
+    fields: dict[bytes, bytes]
+    start: int
+    data_start: int
+    data_size: int
+
+    @property
+    def end(self) -> int:
+        return self.data_start + self.data_size
+
+    def number(self, name: bytes) -> int:
+        return int.from_bytes(self.fields[name], "little")
+
+    def time_ns(self, name: bytes) -> int:
+        seconds, nanoseconds = _TIME.unpack(self.fields[name])
+        return int(seconds) * _NS_PER_S + int(nanoseconds)
+
+
+def op_field(op: int) -> bytes:
+    """The field of a header that says what its record is."""
+    return _OP_FIELD + bytes([op])
+
+
+def read_record(stream: BinaryIO, start: int, end: int) -> BagRecord | None:
+    """The record at ``start`` of a stream that ends at ``end``; None where none can stand."""
+    if end - start < 2 * LENGTH.size:
+        return None
+    stream.seek(start)
+    (header_size,) = LENGTH.unpack(stream.read(LENGTH.size))
+    data_start = start + header_size + 2 * LENGTH.size
+    if header_size > _MAX_HEADER_BYTES or data_start > end:
+        return None
+    head = stream.read(header_size + LENGTH.size)
+    if len(head) < header_size + LENGTH.size:
+        return None
+    fields = _fields(head[:header_size])
+    if fields is None:
+        return None
+    (data_size,) = LENGTH.unpack_from(head, header_size)
+    record = BagRecord(fields[b"op"][0], fields, start, data_start, data_size)
+    return record if _is_plausible(record, end) else None
+
+
+@dataclass(slots=True)
+class SearchBudget:
+    """What a search may still look at: a hostile file offers millions of places."""
+
+    places: int = 100_000
+    file_bytes: int = 2 << 30
+
+
+def find_record(
+    stream: BinaryIO,
+    start: int,
+    end: int,
+    budget: SearchBudget,
+    ops: frozenset[int] = frozenset(_FIELDS),
+) -> int:
+    """Where the next record of a kind in ``ops`` stands at or behind ``start``, or else ``end``.
+
+    Another record must follow it: compressed data show single records of their content as they
+    are. A chunk may be the last thing in the file.
+    """
+    budget.places -= _PLACES_PER_SEARCH
+    if budget.places < 0:
+        return end
+    for position in range(start, end, _SEARCH_BLOCK):
+        stream.seek(position)
+        block = stream.read(min(_SEARCH_BLOCK + _SEARCH_OVERLAP, end - position))
+        budget.file_bytes -= len(block)
+        # Where the field before this one was looked for.
+        last = 0
+        for field in _ANY_OP_FIELD.finditer(block):
+            window = max(last, field.start() - _SEARCH_OVERLAP)
+            for header in _HEADER_START.finditer(block, window, field.end()):
+                record = read_record(stream, position + header.start(), end)
+                if record is not None and record.op in ops and _is_followed(stream, record, end):
+                    return record.start
+                budget.places -= 1
+            budget.places -= 1
+            if budget.places < 0:
+                return end
+            last = field.start()
+        if budget.file_bytes < 0:
+            return end
+    return end
+
+
+def read_channel(stream: BinaryIO, record: BagRecord) -> Channel | None:
+    """The channel of a connection record; None where its content is broken."""
+    stream.seek(record.data_start)
+    fields = _fields(stream.read(record.data_size), needs_op=False)
+    if fields is None or not {b"type", b"message_definition"} <= fields.keys():
+        return None
+    if len(fields[b"type"]) > _MAX_NAME_BYTES:
+        return None
+    topic = record.fields[b"topic"].decode(errors="replace")
+    return Channel(
+        # Old recorders wrote doubled slashes.
+        topic="/" * topic.startswith("/") + "/".join(part for part in topic.split("/") if part),
+        message_type=ros2_type_name(fields[b"type"].decode(errors="replace")),
+        serialization="ros1",
+        definition=fields[b"message_definition"].decode(errors="replace"),
+    )
+
+
+def _is_followed(stream: BinaryIO, record: BagRecord, end: int) -> bool:
+    is_last = record.op == OP_CHUNK or record.end == end
+    return is_last or read_record(stream, record.end, end) is not None
+
+
+def _fields(header: bytes, needs_op: bool = True) -> dict[bytes, bytes] | None:
+    """None where the lengths of the fields do not lead to the end of the header."""
+    fields = {}
+    position, end = 0, len(header)
+    while position + LENGTH.size <= end:
+        (size,) = LENGTH.unpack_from(header, position)
+        position += LENGTH.size + size
+        name, separator, value = header[position - size : position].partition(b"=")
+        if position > end or not separator:
+            return None
+        fields[name] = value
+    if position != end or (needs_op and len(fields.get(b"op", b"")) != 1):
+        return None
+    return fields
+
+
+def _is_plausible(record: BagRecord, end: int) -> bool:
+    needed = _FIELDS.get(record.op)
+    if needed is None:
+        return False
+    for name, size in needed.items():
+        value = record.fields.get(name)
+        if value is None or (size is not None and len(value) != size):
+            return False
+    if record.op == OP_CHUNK:
+        return True
+    if record.end > end or record.data_size > MAX_CHUNK_BYTES:
+        return False
+    if record.op in _COUNTED:
+        counted = record.number(b"count") * _COUNTED[record.op]
+        return record.number(b"ver") == 1 and record.data_size == counted
+    if record.op == OP_CONNECTION:
+        is_short = len(record.fields[b"topic"]) <= _MAX_NAME_BYTES
+        return is_short and record.data_size <= _MAX_DEFINITION_BYTES
+    return True

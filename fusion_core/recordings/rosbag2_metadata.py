@@ -1,0 +1,94 @@
+"""metadata.yaml of rosbag2 folders: which files belong together, and how many messages they had.
+
+The files themselves are what is read. This is a cross-check, so that what is wrong with it is a
+sentence for the warnings and no error.
+"""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.constructor import SafeConstructor
+from ruamel.yaml.error import YAMLError
+from ruamel.yaml.nodes import MappingNode
+
+METADATA = "metadata.yaml"
+# A thousand parts and some hundred topics; the parser takes seconds for it.
+_MAX_BYTES = 1 << 20
+_MAX_NAME_CHARS = 1024
+_MERGE = "tag:yaml.org,2002:merge"
+
+
+@dataclass(frozen=True, slots=True)
+class Metadata:
+    """``files`` in order and by name alone. ``packing`` is the format of compressed messages.
+
+    ``problem`` is empty where the file is read, and where there is none.
+    """
+
+    files: tuple[str, ...] = ()
+    counts: Mapping[str, int] = field(default_factory=dict)
+    packing: str = ""
+    problem: str = ""
+
+
+def read_metadata(folder: Path) -> Metadata:
+    """What metadata.yaml of a folder says; empty where there is none."""
+    file = folder / METADATA
+    if not file.is_file():
+        return Metadata()
+    try:
+        with file.open("rb") as stream:
+            content = stream.read(_MAX_BYTES + 1)
+        if len(content) > _MAX_BYTES:
+            raise ValueError("it is too large")
+        yaml = YAML(typ="safe", pure=True)
+        yaml.Constructor = _WithoutMerges
+        return _parse(yaml.load(content.decode())["rosbag2_bagfile_information"])
+    except (
+        YAMLError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        RecursionError,
+        OverflowError,
+        OSError,
+    ):
+        return Metadata(problem=f"{METADATA} cannot be read; the files themselves were scanned.")
+
+
+class _WithoutMerges(SafeConstructor):
+    """Refuses merge keys, which rosbag2 does not write: nested, they grow exponentially."""
+
+    def flatten_mapping(self, node: MappingNode) -> Any:
+        if any(key.tag == _MERGE for key, _ in node.value):
+            raise ValueError("it has merge keys")
+        return super().flatten_mapping(node)
+
+
+def _parse(information: Any) -> Metadata:
+    counts = Counter[str]()
+    for topic in information.get("topics_with_message_count") or []:
+        count = topic["message_count"]
+        if not isinstance(count, int):
+            raise ValueError("a count is no number")
+        counts[_name(topic["topic_metadata"]["name"])] += count
+    mode = _name(information.get("compression_mode") or "none").lower()
+    packing = _name(information.get("compression_format") or "")
+    return Metadata(
+        # Old versions wrote the folder's name before the file's.
+        files=tuple(Path(_name(name)).name for name in information["relative_file_paths"]),
+        counts=counts,
+        packing=packing if mode == "message" else "",
+    )
+
+
+def _name(value: Any) -> str:
+    """A text that can stand in a line. Anything else may be a tree of aliases without end."""
+    if not isinstance(value, str) or len(value) > _MAX_NAME_CHARS or not value.isprintable():
+        raise ValueError("a name is no name")
+    return value

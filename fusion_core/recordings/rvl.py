@@ -1,0 +1,67 @@
+"""RVL, the lossless depth codec of A. D. Wilson, "Fast Lossless Depth Image Compression" (2017).
+
+The stream is a row of numbers, each in nibbles of 3 bits and a continuation bit, least significant
+first, packed into 32-bit little-endian words from their top. Runs of zeros and of other values
+take turns: the length of each, and for a value its zigzag difference from the last value.
+"""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+_WORD_BYTES = 4
+_NIBBLES_IN_WORD = 8
+# A longer number is beyond any run and any difference of 16-bit values.
+_MOST_BITS = 30
+
+
+def decompress(stream: bytes, pixel_count: int) -> npt.NDArray[np.uint16]:
+    """(pixel_count,) uint16. Raises ValueError for a stream that does not hold as many."""
+    words = np.frombuffer(stream, "<u4", len(stream) // _WORD_BYTES).astype(np.uint32)
+    pixels = np.zeros(pixel_count, np.uint16)
+    found = _decompress(words, pixels)
+    if found < pixel_count:
+        raise ValueError(f"breaks off after {found} of {pixel_count} pixels")
+    return pixels
+
+
+@njit(cache=True)
+def _decompress(words: npt.NDArray[np.uint32], pixels: npt.NDArray[np.uint16]) -> int:
+    """Fill ``pixels``, zeros so far; how many of them the words hold."""
+    zeros: int
+    others: int
+    place = 0
+    at = 0
+    value = 0
+    while at < pixels.size:
+        zeros, place = _number(words, place)
+        if zeros < 0 or zeros > pixels.size - at:
+            return at
+        at += zeros
+        others, place = _number(words, place)
+        if others < 0 or others > pixels.size - at:
+            return at
+        for _ in range(others):
+            zigzag, place = _number(words, place)
+            if zigzag < 0:
+                return at
+            value += (zigzag >> 1) ^ -(zigzag & 1)
+            pixels[at] = value & 0xFFFF
+            at += 1
+    return at
+
+
+@njit(cache=True)
+def _number(words: npt.NDArray[np.uint32], place: int) -> tuple[int, int]:
+    """The number at a nibble's place and the place behind it; -1 where there is none."""
+    number = 0
+    bits = 0
+    while place < words.size * _NIBBLES_IN_WORD and bits < _MOST_BITS:
+        word = int(words[place // _NIBBLES_IN_WORD])
+        nibble = (word >> (28 - 4 * (place % _NIBBLES_IN_WORD))) & 0xF
+        place += 1
+        number |= (nibble & 0x7) << bits
+        bits += 3
+        if nibble < 0x8:
+            return number, place
+    return -1, place

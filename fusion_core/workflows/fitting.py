@@ -1,0 +1,105 @@
+"""Which scans and images fit the rig.
+
+A driver that is set anew in mid recording changes the size of its images or the beams of its
+scans: what comes then belongs to another rig, and is left out with a warning.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+
+from fusion_core.model.errors import RecordingError
+from fusion_core.model.recording import Message, Recording
+from fusion_core.model.sensors import DepthImage, LaserScan, SensorValue
+from fusion_core.recordings.skipped import SkippedMessages
+
+# The geometry that most of the first scans have is the scanner's.
+_SCANS_LOOKED_AT = 50
+# Drivers round their angles; what moves no beam by more than this share of a step is the same.
+_SAME_STEP_SHARE = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanGeometry:
+    """The beams of a scanner."""
+
+    beams: int
+    angle_min_rad: float
+    angle_increment_rad: float
+
+    @classmethod
+    def of(cls, scan: LaserScan) -> "ScanGeometry":
+        """That of one sweep."""
+        return cls(
+            beams=scan.ranges_m.size,
+            angle_min_rad=scan.angle_min_rad,
+            angle_increment_rad=scan.angle_increment_rad,
+        )
+
+    def is_of(self, scan: LaserScan) -> bool:
+        """Whether every beam of a sweep lies where this geometry has it."""
+        limit_rad = _SAME_STEP_SHARE * abs(self.angle_increment_rad)
+        first_rad = abs(scan.angle_min_rad - self.angle_min_rad)
+        last_rad = abs(scan.angle_increment_rad - self.angle_increment_rad) * self.beams
+        return scan.ranges_m.size == self.beams and first_rad + last_rad <= limit_rad
+
+
+def first_value(recording: Recording, topic: str) -> SensorValue | None:
+    """The first value of a topic that can be read, None where there is none."""
+    message = next(iter(recording.messages([topic])), None)
+    return None if message is None else message.value
+
+
+def usual_geometry(recording: Recording, topic: str) -> ScanGeometry | None:
+    """The geometry of most of a topic's first scans, None where it has no readable scan."""
+    scans = (message.value for message in recording.messages([topic]))
+    seen = Counter(
+        ScanGeometry.of(scan)
+        for scan in islice(scans, _SCANS_LOOKED_AT)
+        if isinstance(scan, LaserScan)
+    )
+    return seen.most_common(1)[0][0] if seen else None
+
+
+class Fitting:
+    """Passes on the messages that fit, and keeps the recording's warnings about the others."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        geometry: ScanGeometry | None,
+        image_shapes: dict[str, tuple[int, int]],
+    ) -> None:
+        self._geometry = geometry
+        self._shapes = image_shapes
+        self._counts = {topic.name: topic.count for topic in recording.topics}
+        self._skipped = SkippedMessages(recording.warnings)
+
+    def of(self, messages: Iterator[Message]) -> Iterator[Message]:
+        """The messages that fit the rig, in order."""
+        for message in messages:
+            problem = self._problem(message.topic, message.value)
+            if problem:
+                count = self._counts[message.topic]
+                error = RecordingError(problem, advice="It is of another rig than the rest.")
+                self._skipped.add(message.topic, message.index, count, error)
+            else:
+                yield message
+
+    def _problem(self, topic: str, value: SensorValue) -> str:
+        shape = self._shapes.get(topic)
+        if isinstance(value, DepthImage) and shape is not None and value.depth_m.shape != shape:
+            height, width = value.depth_m.shape
+            return f"an image of {width} x {height} pixels, not {shape[1]} x {shape[0]}."
+        usual = self._geometry
+        if isinstance(value, LaserScan) and usual is not None and not usual.is_of(value):
+            return f"a scan of {_said(ScanGeometry.of(value))}, not {_said(usual)}."
+        return ""
+
+
+def _said(geometry: ScanGeometry) -> str:
+    return (
+        f"{geometry.beams} beams from {geometry.angle_min_rad:.4f} rad "
+        f"in steps of {geometry.angle_increment_rad:.5f} rad"
+    )
