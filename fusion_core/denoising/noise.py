@@ -100,6 +100,12 @@ class Classes:
 
     ``depth_class`` is -1 where the beam has no pixel. Confidences in [0, 1]. ``epsilon_m``: (B,).
     ``lidar_steady``: beams whose value the scans before and after have in the same place.
+
+    What the classes rest on: ``beam_support`` (B, 3), how many adjacent beams, beams two and three
+    away, and scans before and after support a beam (none beside one that lies between two
+    surfaces); ``pixel_support`` (B, 2), how many of the 5 x 5 pixels around support a pixel, and
+    how many of them have a depth; ``pixel_gone`` (B,), pixels in a disagreement of which the image
+    before shows nothing.
     """
 
     lidar_class: IntArray
@@ -108,6 +114,9 @@ class Classes:
     depth_confidence: FloatArray
     epsilon_m: FloatArray
     lidar_steady: BoolArray
+    beam_support: IntArray
+    pixel_support: IntArray
+    pixel_gone: BoolArray
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -140,7 +149,8 @@ def classify(
         settings.pixel_support, settings.pixel_support_share * pixel_neighbours
     )
     small = pixel_support < 0.6 * pixel_neighbours
-    lone_pixel |= _gone_before(window, disagree & small, settings)
+    gone = _gone_before(window, disagree & small, settings)
+    lone_pixel |= gone
     if settings.fault == "rougher":
         rougher = _roughness(pairs.lidar_range_m) >= _roughness(pairs.depth_m)
         lone_beam, lone_pixel = rougher, ~rougher
@@ -173,6 +183,9 @@ def classify(
         depth_confidence=_confidence(depth_class, agreement, pixel_share, has_lidar),
         epsilon_m=epsilon_m,
         lidar_steady=in_time == 2,
+        beam_support=beam_support,
+        pixel_support=np.stack([pixel_support, pixel_neighbours], axis=1),
+        pixel_gone=gone,
     )
 
 

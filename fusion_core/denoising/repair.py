@@ -9,7 +9,7 @@ A repair never removes an obstacle: a valid return is moved farther only where i
 least a set confidence, and conflicts are left as they are.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
@@ -70,16 +70,20 @@ class Repair:
 
     ``lidar_range_m``: horizontal ranges; ``depth_m``: along the optical axis; NaN where missing
     and not repaired. ``lidar_source``, ``depth_source``: codes of RepairSource.
+    ``lidar_errors_m``, ``depth_errors_m``: (B, 2) expected errors of what the other sensor and
+    what the neighbours offer, infinite where they offer nothing, NaN where nothing was asked.
     """
 
     lidar_range_m: FloatArray
     lidar_source: IntArray
+    lidar_errors_m: FloatArray
     depth_m: FloatArray
     depth_source: IntArray
+    depth_errors_m: FloatArray
 
     def __post_init__(self) -> None:
-        for array in (self.lidar_range_m, self.lidar_source, self.depth_m, self.depth_source):
-            read_only(array)
+        for field in fields(self):
+            read_only(getattr(self, field.name))
 
 
 def repair(
@@ -90,16 +94,21 @@ def repair(
     settings: RepairSettings,
 ) -> Repair:
     """Repair the holes and burrs of one frame. ``depth_m``: (H, W) upright view."""
-    lidar, lidar_source = _repair_lidar(pairs, classes, scale, settings)
-    depth, depth_source = _repair_depth(pairs, classes, depth_m, scale, settings)
+    lidar, lidar_source, lidar_errors = _repair_lidar(pairs, classes, scale, settings)
+    depth, depth_source, depth_errors = _repair_depth(pairs, classes, depth_m, scale, settings)
     return Repair(
-        lidar_range_m=lidar, lidar_source=lidar_source, depth_m=depth, depth_source=depth_source
+        lidar_range_m=lidar,
+        lidar_source=lidar_source,
+        lidar_errors_m=lidar_errors,
+        depth_m=depth,
+        depth_source=depth_source,
+        depth_errors_m=depth_errors,
     )
 
 
 def _repair_lidar(
     pairs: Correspondence, classes: Classes, scale: NoiseScale, settings: RepairSettings
-) -> tuple[FloatArray, IntArray]:
+) -> tuple[FloatArray, IntArray, FloatArray]:
     raw = pairs.lidar_range_m
     burr = classes.lidar_class == NoiseClass.BURR
     if settings.prefer == "smaller_error":
@@ -135,7 +144,7 @@ def _repair_depth(
     depth_m: Float32Array,
     scale: NoiseScale,
     settings: RepairSettings,
-) -> tuple[FloatArray, IntArray]:
+) -> tuple[FloatArray, IntArray, FloatArray]:
     raw = pairs.depth_m
     burr = classes.depth_class == NoiseClass.BURR
     burr &= classes.depth_confidence >= settings.depth_burr_confidence
@@ -195,7 +204,7 @@ def _choose(
     other: tuple[FloatArray, FloatArray],
     neighbours: tuple[FloatArray, FloatArray],
     settings: RepairSettings,
-) -> tuple[FloatArray, IntArray]:
+) -> tuple[FloatArray, IntArray, FloatArray]:
     # A map A may send a value behind the sensor: that is none.
     usable = np.isfinite(other[0]) & (other[0] > 0.0)
     other_error = np.where(usable, other[1], np.inf)
@@ -211,4 +220,5 @@ def _choose(
     value[farther] = raw[farther]
     source[farther] = RepairSource.RAW
     source[~np.isfinite(value)] = RepairSource.NONE
-    return value, source
+    errors = np.stack([other_error, neighbour_error], axis=1)
+    return value, source, np.where(noisy[:, np.newaxis], errors, np.nan)

@@ -10,11 +10,11 @@ from fusion_core.model.conventions import ByteArray
 from fusion_core.model.errors import ExportError
 from fusion_core.model.grids import MapDifference, OccupancyGrid
 
-_Color = tuple[int, int, int]
+Color = tuple[int, int, int]
 
 # Okabe & Ito 2008, which deuteranopes and protanopes can tell apart, darkest for what all maps
 # share. By the bit mask of MapDifference, for two and for three maps.
-_OBSTACLES: dict[int, tuple[_Color, ...]] = {
+_OBSTACLES: dict[int, tuple[Color, ...]] = {
     2: ((0, 114, 178), (213, 94, 0), (0, 0, 0)),
     3: (
         (0, 114, 178),  # first
@@ -26,10 +26,10 @@ _OBSTACLES: dict[int, tuple[_Color, ...]] = {
         (0, 0, 0),  # all
     ),
 }
-_UNKNOWN: _Color = (196, 204, 214)
-_FREE: _Color = (255, 255, 255)
-_INK: _Color = (0, 0, 0)
-_PAPER: _Color = (255, 255, 255)
+UNKNOWN: Color = (196, 204, 214)
+FREE: Color = (255, 255, 255)
+_INK: Color = (0, 0, 0)
+_PAPER: Color = (255, 255, 255)
 
 _LONGEST_SIDE_PX = 800
 _ZOOM_MAX = 16
@@ -44,17 +44,22 @@ def write_grid_picture(path: Path, grid: OccupancyGrid) -> None:
     """A map: the darker a cell, the surer an obstacle; unknown cells are blue-grey."""
     shade = np.round(255.0 * (1.0 - np.where(grid.known, grid.probability, 0.0)))
     rgb = np.repeat(shade.astype(np.uint8)[:, :, np.newaxis], 3, axis=2)
-    rgb[~grid.known] = _UNKNOWN
-    legend = [((0, 0, 0), "occupied"), (_FREE, "free"), (_UNKNOWN, "unknown")]
+    rgb[~grid.known] = UNKNOWN
+    legend = [((0, 0, 0), "occupied"), (FREE, "free"), (UNKNOWN, "unknown")]
     _write(path, _compose(rgb, grid.resolution_m, legend))
 
 
 def write_difference_picture(path: Path, difference: MapDifference) -> None:
     """The difference of two or three maps, each state in its colour."""
-    colors = (_UNKNOWN, _FREE, *_OBSTACLES[len(difference.names)])
+    colors = difference_colors(len(difference.names))
     rgb = np.array(colors, dtype=np.uint8)[difference.states]
     legend = [(colors[state], words) for state, words in difference.legend.items()]
     _write(path, _compose(rgb, difference.resolution_m, legend))
+
+
+def difference_colors(maps: int) -> tuple[Color, ...]:
+    """The colour of each state of a MapDifference of two or three maps."""
+    return (UNKNOWN, FREE, *_OBSTACLES[maps])
 
 
 def scale_bar_m(width_m: float) -> float:
@@ -64,7 +69,7 @@ def scale_bar_m(width_m: float) -> float:
     return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= longest_m))
 
 
-def _compose(rgb: ByteArray, resolution_m: float, legend: list[tuple[_Color, str]]) -> ByteArray:
+def _compose(rgb: ByteArray, resolution_m: float, legend: list[tuple[Color, str]]) -> ByteArray:
     """The map enlarged with y upwards, and below it the scale bar and the legend."""
     zoom = int(np.clip(_LONGEST_SIDE_PX // max(rgb.shape[:2]), 1, _ZOOM_MAX))
     cells = np.flipud(rgb).repeat(zoom, axis=0).repeat(zoom, axis=1)

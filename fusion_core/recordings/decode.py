@@ -27,11 +27,11 @@ from fusion_core.model.sensors import (
     Transform,
     TransformBatch,
 )
-from fusion_core.recordings.bad_message import BadMessage
-from fusion_core.recordings.compressed_image import packed_encoding, unpacked
-from fusion_core.recordings.image_pixels import depth_pixels, is_depth_encoding, rgb_pixels
-from fusion_core.recordings.point_cloud import cloud_points
-from fusion_core.recordings.ros1_transforms import TransformRow
+from fusion_core.recordings.messages.bad_message import BadMessage
+from fusion_core.recordings.messages.compressed_image import packed_encoding, unpacked
+from fusion_core.recordings.messages.image_pixels import depth_pixels, is_depth_encoding, rgb_pixels
+from fusion_core.recordings.messages.point_cloud import cloud_points
+from fusion_core.recordings.rosbag1.transforms import TransformRow
 
 MILLIMETRES_PER_METRE = 1000.0
 # Kinect drivers and 7-Scenes write the largest value where they saw nothing.

@@ -6,18 +6,20 @@ from pathlib import Path
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording
-from fusion_core.recordings import compressed_storage, mcap_file, rosbag1, sqlite_file
-from fusion_core.recordings.carmen import is_carmen_log, open_carmen_log
-from fusion_core.recordings.frame_folder import frame_layout, open_frame_folder
-from fusion_core.recordings.image_folder import is_image_folder, open_image_folder
-from fusion_core.recordings.robot_at_home_rooms import is_robot_at_home, open_only_room
-from fusion_core.recordings.rosbag1 import open_rosbag1
-from fusion_core.recordings.rosbag2 import (
+from fusion_core.recordings.carmen.log import is_carmen_log, open_carmen_log
+from fusion_core.recordings.images.frame_folder import frame_layout, open_frame_folder
+from fusion_core.recordings.images.image_folder import is_image_folder, open_image_folder
+from fusion_core.recordings.images.tum_folder import is_tum_folder, open_tum_folder
+from fusion_core.recordings.mcap import file as mcap_file
+from fusion_core.recordings.robot_at_home.rooms import is_robot_at_home, open_only_room
+from fusion_core.recordings.rosbag1 import bag
+from fusion_core.recordings.rosbag1.bag import open_rosbag1
+from fusion_core.recordings.rosbag2 import compressed_storage, sqlite_file
+from fusion_core.recordings.rosbag2.storage import (
     is_rosbag2_folder,
     open_rosbag2_folder,
     open_storage_file,
 )
-from fusion_core.recordings.tum_folder import is_tum_folder, open_tum_folder
 
 READABLE = (
     "Readable are ROS 1 bags (.bag), ROS 2 recordings (a folder, .mcap or .db3), CARMEN "
@@ -41,7 +43,7 @@ class _FolderFormat:
 
 
 _FILE_FORMATS = (
-    _FileFormat(rosbag1.MAGIC, open_rosbag1),
+    _FileFormat(bag.MAGIC, open_rosbag1),
     _FileFormat(mcap_file.MAGIC, open_storage_file),
     _FileFormat(sqlite_file.MAGIC, open_storage_file),
     _FileFormat(compressed_storage.ZSTD_MAGIC, open_storage_file),

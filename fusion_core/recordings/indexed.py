@@ -14,7 +14,7 @@ from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Message, Role, Topic
 from fusion_core.recordings.containers import ENTRY, Channel, Container, Entries, Payload
 from fusion_core.recordings.decode import READABLE_TYPES, decode, image_encoding, stamp_ns
-from fusion_core.recordings.message_types import (
+from fusion_core.recordings.messages.types import (
     READABLE_ENCODINGS,
     Deserializer,
     UnreadableType,

@@ -20,9 +20,9 @@ from fusion_core.model.sensors import (
     PoseSample,
     TransformBatch,
 )
-from fusion_core.recordings.bad_message import BadMessage
 from fusion_core.recordings.decode import millimetres_from_depth_m
-from fusion_core.recordings.mcap_output import McapOutput
+from fusion_core.recordings.mcap.output import McapOutput
+from fusion_core.recordings.messages.bad_message import BadMessage
 
 _TYPESTORE = get_typestore(Stores.ROS2_HUMBLE)
 _POINT_FIELD_FLOAT32 = 7

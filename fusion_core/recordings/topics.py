@@ -8,7 +8,7 @@ from typing import Final
 from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.model.recording import Recording, Role, Topic
 from fusion_core.model.sensors import CameraInfo, DepthImage, SensorValue
-from fusion_core.recordings.image_pixels import is_color_encoding, is_depth_encoding
+from fusion_core.recordings.messages.image_pixels import is_color_encoding, is_depth_encoding
 
 _ROLES: Final[dict[str, Role]] = {
     "sensor_msgs/msg/LaserScan": "lidar",

@@ -24,11 +24,11 @@ from fusion_core.model.sensors import (
     SensorValue,
     TransformBatch,
 )
-from fusion_core.recordings.bad_message import BadMessage
 from fusion_core.recordings.indexed import IndexedRecording, SerializedMessage
-from fusion_core.recordings.mcap_output import McapOutput
-from fusion_core.recordings.message_types import UnreadableType
-from fusion_core.recordings.ros2_channels import Ros2Channel, ros2_channel
+from fusion_core.recordings.mcap.output import McapOutput
+from fusion_core.recordings.messages.bad_message import BadMessage
+from fusion_core.recordings.messages.ros2_channels import Ros2Channel, ros2_channel
+from fusion_core.recordings.messages.types import UnreadableType
 from fusion_core.recordings.ros2_writer import Ros2McapWriter
 from fusion_core.recordings.skipped import SkippedMessages
 from fusion_core.recordings.topics import unknown_topic

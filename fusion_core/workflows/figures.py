@@ -12,10 +12,6 @@ import numpy as np
 from fusion_core.alignment.curves import (
     CurveSampling,
     RowSampling,
-    curve_samples_m,
-    row_samples_m,
-    sample_curve,
-    sample_row,
     yaw_of_offset_rad,
 )
 from fusion_core.alignment.search import Peak
@@ -43,7 +39,7 @@ from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import ColorImage
 from fusion_core.workflows import evaluate
 from fusion_core.workflows.align import Alignment
-from fusion_core.workflows.frame import FusedFrame
+from fusion_core.workflows.frame import FusedFrame, curves_at
 
 if TYPE_CHECKING:
     from fusion_core.workflows.session import Session
@@ -187,12 +183,13 @@ def _write_similarity(
         panel = curves = None
         if frame is not None:
             camera = cameras[frame.camera]
-            curve = sample_curve(frame.scan, session.settings.sampling)
-            row = sample_row(camera, session.settings.sampling)
             peak = frame.search.peaks_alone.get(metric)
-            panel = _field_panel(frame.search.fields[metric], peak, curve, row, camera)
+            panel = _field_panel(frame.search.fields[metric], peak, frame.curve, frame.row, camera)
             if peak is not None:
-                curves = _curves_at(frame, peak, curve, row, session.settings.search.mask_holes)
+                lidar_m, depth_m = curves_at(
+                    frame, (peak.u, peak.v), masked=session.settings.search.mask_holes
+                )
+                curves = CurvePair(lidar_m=lidar_m, depth_m=depth_m)
         columns.append(MetricColumn(name=name, frame=panel, recording=recording, curves=curves))
     shown = f"Fig. 4, scores over (u, v): {heading}"
     if frame is not None:
@@ -221,23 +218,6 @@ def _field_panel(
         middle_row=camera.intrinsics.cy,
         focal_px=camera.intrinsics.fy,
     )
-
-
-def _curves_at(
-    frame: FusedFrame, peak: Peak, curve: CurveSampling, row: RowSampling, mask_holes: bool
-) -> CurvePair:
-    """The samples that were compared at the peak, as they were compared."""
-    height = frame.depth_m.shape[0]
-    v = int(np.clip(round(peak.v), 0, height - 1))
-    depth_m = row_samples_m(frame.depth_m[v : v + 1], row)[0]
-    index = round(peak.u) + np.arange(depth_m.size)
-    inside = (index >= 0) & (index < curve.beams.size)
-    lidar_m = np.full(depth_m.size, np.nan)
-    lidar_m[inside] = curve_samples_m(frame.scan, curve)[index[inside]]
-    if not mask_holes:
-        depth_m = np.nan_to_num(depth_m, nan=0.0)
-        lidar_m[inside] = np.nan_to_num(lidar_m[inside], nan=0.0)
-    return CurvePair(lidar_m=lidar_m, depth_m=depth_m)
 
 
 def _frame_name(session: "Session", frame: FusedFrame) -> str:

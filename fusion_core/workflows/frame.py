@@ -8,7 +8,9 @@ from fusion_core.alignment.agreement import mount_frame
 from fusion_core.alignment.curves import (
     CurveSampling,
     RowSampling,
+    curve_samples_m,
     offset_of_yaw,
+    row_samples_m,
     sample_curve,
     sample_row,
     yaw_of_offset_rad,
@@ -27,7 +29,7 @@ from fusion_core.denoising.correspondence import (
 )
 from fusion_core.denoising.noise import Classes, FrameWindow, classify
 from fusion_core.denoising.repair import Repair, repair
-from fusion_core.model.conventions import NS_PER_S, Float32Array
+from fusion_core.model.conventions import NS_PER_S, Float32Array, FloatArray
 from fusion_core.model.errors import AlignmentFailed, RegistrationFailed
 from fusion_core.model.geometry import apply
 from fusion_core.model.rig import Camera, Mount
@@ -44,8 +46,8 @@ class FrameMatch:
     """What pairs a depth image with its scan: everything before the classes.
 
     ``image`` is the stored one, ``depth_m`` its upright view; ``before``: stamp and view of the
-    camera's image before, where there is one. ``search``: the fields and peaks. ``registration`` is
-    None where it failed, and ``refusal`` says why.
+    camera's image before, where there is one. ``curve`` and ``row`` sample the fields of
+    ``search``. ``registration`` is None where it failed, and ``refusal`` says why.
     ``u_of_rig``: what to add to a peak's u, which is the camera's own, to get that of the
     recording's field; not 0 where several cameras make a panorama.
     ``turned_rad``: the turn from scan to image that the pairs were corrected by.
@@ -60,6 +62,8 @@ class FrameMatch:
     gap_ns: int
     turned_rad: float
     turn_rate_rad_s: float
+    curve: CurveSampling
+    row: RowSampling
     search: FrameSearch
     u_of_rig: float
     row_model: RowModel
@@ -184,6 +188,8 @@ def match_frame(
         gap_ns=gap_ns,
         turned_rad=turned,
         turn_rate_rad_s=rate,
+        curve=curve,
+        row=row,
         search=found,
         u_of_rig=_offset_to_rig(pairs, row, model, alignment.row),
         row_model=pairs.model,
@@ -221,6 +227,23 @@ def judge_frame(
         classes=classes,
         repair=repair(match.pairs, classes, match.depth_m, alignment.scale, settings.repair),
     )
+
+
+def curves_at(
+    match: FrameMatch, place: tuple[float, float], *, masked: bool = True
+) -> tuple[FloatArray, FloatArray]:
+    """(W,) samples of the LiDAR's curve and of the depth row that are compared at an offset (u, v)
+    of the frame's own row. ``masked``: holes are NaN, else 0."""
+    v = int(np.clip(round(place[1]), 0, match.depth_m.shape[0] - 1))
+    depth_m = row_samples_m(match.depth_m[v : v + 1], match.row)[0]
+    index = round(place[0]) + np.arange(depth_m.size)
+    inside = (index >= 0) & (index < match.curve.beams.size)
+    lidar_m = np.full(depth_m.size, np.nan)
+    lidar_m[inside] = curve_samples_m(match.scan, match.curve)[index[inside]]
+    if not masked:
+        depth_m = np.nan_to_num(depth_m, nan=0.0)
+        lidar_m[inside] = np.nan_to_num(lidar_m[inside], nan=0.0)
+    return lidar_m, depth_m
 
 
 def _place_of(peak: Peak | None) -> tuple[float, float] | None:

@@ -1,9 +1,9 @@
 """The chain of Xu 2024 over a whole recording: align, then correspond, classify and repair."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,6 @@ import numpy as np
 
 from fusion_core.exporting.atomic import write_text
 from fusion_core.exporting.manifest import OutputPlan, plan_output, results_folder
-from fusion_core.exporting.settings_file import dump_toml
 from fusion_core.exporting.tables import CsvTable, ParquetTable
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.grids import OccupancyGrid
@@ -25,7 +24,7 @@ from fusion_core.workflows.frame import FusedFrame
 from fusion_core.workflows.maps import Maps
 from fusion_core.workflows.pairing import PairedImage
 from fusion_core.workflows.poses import Poses, recorded_poses
-from fusion_core.workflows.presets import PresetName, chain_settings
+from fusion_core.workflows.presets import PresetName, chain_settings, settings_toml
 from fusion_core.workflows.rig import Rig
 from fusion_core.workflows.scan_merge import ScanMerge
 from fusion_core.workflows.session import (
@@ -52,7 +51,8 @@ _SAMPLES_PER_GROUP = 8192
 @dataclass(frozen=True, kw_only=True)
 class FuseSummary:
     """What a run has to report. ``document`` is alignment.json's content; ``scores`` counts the
-    frames in the columns of Table 1."""
+    frames in the columns of Table 1; ``pose_source`` says where the maps' poses come from, None
+    without; ``grids`` are the maps by name. Both are left out where a run is skipped."""
 
     output: Path
     skipped: bool
@@ -62,6 +62,8 @@ class FuseSummary:
     lidar_counts: dict[str, int]
     scores: dict[str, int]
     notes: tuple[str, ...]
+    pose_source: str | None = None
+    grids: Mapping[str, OccupancyGrid] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """One machine-readable result."""
@@ -117,7 +119,7 @@ def fuse(
     AlignmentFailed where LiDAR and depth cannot be laid on each other, ExportError for the folder.
     """
     preset, settings = chain_settings(options.preset, options.settings_file, options.seed)
-    settings_text = dump_toml(settings.stages(), preset)
+    settings_text = settings_toml(preset, settings)
     with open_source(recording, options.room) as opened:
         inputs = input_files(opened) + ([] if options.truth is None else [options.truth])
         plan = plan_output(
@@ -217,6 +219,8 @@ def _run(
             lidar_counts=outcome.lidar_counts,
             scores=outcome.figures.scores,
             notes=(*notes, *figure_notes, *session.recording.warnings),
+            pose_source=None if poses is None else poses.source,
+            grids=outcome.grids,
         )
         kept = summary.to_json()
         kept = {key: kept[key] for key in ("frames", "paired", "classes", "scores", "notes")}

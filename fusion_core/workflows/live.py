@@ -10,7 +10,9 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import Any
 
-from fusion_core.model.errors import AlignmentFailed
+from fusion_core.alignment.search import FieldMean
+from fusion_core.alignment.similarity import SimilarityField
+from fusion_core.model.errors import AlignmentFailed, ScanLoomError
 from fusion_core.workflows.align import Alignment
 from fusion_core.workflows.frame import FrameMatch, FusedFrame, judge_frame, match_frame
 from fusion_core.workflows.frame_reader import FrameReader
@@ -120,3 +122,29 @@ class _Kept:
             while len(self._values) > self._most:
                 self._values.popitem(last=False)
         return value
+
+
+def window_field(
+    chain: LiveChain, number: int, settings: ChainSettings, beside: int
+) -> tuple[SimilarityField, int]:
+    """The mean field of a frame and ``beside`` frames of its camera to either side, and how many
+    they are. Frames without a scan or a peak are left out.
+
+    Raises AlignmentFailed where none is left.
+    """
+    mean = FieldMean()
+    camera = chain.frames.camera_of(number)
+    shape = None
+    step = max(1, len(chain.session.rig.cameras))
+    for other in range(number - beside * step, number + beside * step + 1):
+        if not 0 <= other < len(chain.frames) or chain.frames.camera_of(other) != camera:
+            continue
+        try:
+            fields = chain.matched(FrameChoice(number=other), settings).search.fields
+        except ScanLoomError:
+            continue
+        own = next(iter(fields.values())).scores.shape
+        shape = shape or own
+        if own == shape:
+            mean.add(fields)
+    return mean.mean(settings.search.metric), mean.frames

@@ -1,5 +1,6 @@
 """LiDAR-only, camera-only and fused maps of one recording, from the same poses (Xu Fig. 9)."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from fusion_core.mapping.grid import GridBuilder, GridSettings
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import MappingFailed
-from fusion_core.model.grids import OccupancyGrid
+from fusion_core.model.grids import MapDifference, OccupancyGrid
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.frame import FusedFrame
 from fusion_core.workflows.poses import Poses
@@ -65,6 +66,12 @@ class Maps:
                 continue
             write_ros_map(folder, f"map_{name}", grids[name])
             write_grid_picture(folder / f"map_{name}.png", grids[name])
-        if len(grids) > 1:
-            write_difference_picture(folder / "map_difference.png", map_difference(grids))
+        difference = difference_of(grids)
+        if difference is not None:
+            write_difference_picture(folder / "map_difference.png", difference)
         return grids, notes
+
+
+def difference_of(grids: Mapping[str, OccupancyGrid]) -> MapDifference | None:
+    """Where the maps of a recording differ, None where there are not two."""
+    return map_difference(grids) if len(grids) > 1 else None

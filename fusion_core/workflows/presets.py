@@ -17,7 +17,7 @@ from fusion_core.alignment.search import SearchSettings
 from fusion_core.alignment.time import TimeSettings
 from fusion_core.denoising.noise import NoiseSettings
 from fusion_core.denoising.repair import RepairSettings
-from fusion_core.exporting.settings_file import load_toml, read_preset
+from fusion_core.exporting.settings_file import dump_toml, load_toml, read_preset
 from fusion_core.mapping.grid import GridSettings
 from fusion_core.model.errors import SettingsError
 from fusion_core.registration.ransac import PUBLISHED, RegistrationSettings
@@ -69,6 +69,11 @@ PRESETS: dict[PresetName, ChainSettings] = {
         pairing="frame",
     ),
 }
+
+
+def settings_toml(preset: PresetName, settings: ChainSettings) -> str:
+    """The settings file that repeats a run. How frames are paired comes with the preset alone."""
+    return dump_toml(settings.stages(), preset)
 
 
 def chain_settings(

@@ -7,8 +7,8 @@ from pathlib import Path
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording
 from fusion_core.recordings.formats import open_recording
-from fusion_core.recordings.robot_at_home_room import RoomListing
-from fusion_core.recordings.robot_at_home_rooms import is_robot_at_home, list_rooms, open_room
+from fusion_core.recordings.robot_at_home.room import RoomListing
+from fusion_core.recordings.robot_at_home.rooms import is_robot_at_home, list_rooms, open_room
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

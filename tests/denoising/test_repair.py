@@ -70,6 +70,9 @@ def frame(
         depth_confidence=more.get("depth_confidence", ones.copy()),
         epsilon_m=0.1 * ones,
         lidar_steady=more.get("lidar_steady", np.zeros(ones.size, dtype=np.bool_)),
+        beam_support=np.zeros((count, 3), dtype=np.int64),
+        pixel_support=np.zeros((count, 2), dtype=np.int64),
+        pixel_gone=np.zeros(count, dtype=np.bool_),
     )
     return pairs, classes
 

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.recordings import archives
-from fusion_core.recordings.carmen import is_carmen_log, open_carmen_log
-from fusion_core.recordings.carmen_lines import LaserDefaults, laser_scan, parse_line
+from fusion_core.recordings.carmen.lines import LaserDefaults, laser_scan, parse_line
+from fusion_core.recordings.carmen.log import is_carmen_log, open_carmen_log
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.topics import choose_streams
 from fusion_core.workflows.poses import recorded_poses

@@ -18,9 +18,9 @@ from PIL import Image as PillowImage
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.sensors import ColorImage, DepthImage
-from fusion_core.recordings.compressed_image import packed_encoding
 from fusion_core.recordings.decode import decode, image_encoding
-from fusion_core.recordings.rvl import decompress
+from fusion_core.recordings.messages.compressed_image import packed_encoding
+from fusion_core.recordings.messages.rvl import decompress
 from fusion_core.recordings.topics import image_role
 
 HEADER = SimpleNamespace(stamp=SimpleNamespace(sec=7, nanosec=5), frame_id="/camera")

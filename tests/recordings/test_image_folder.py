@@ -16,9 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion_core.model.errors import RecordingError
-from fusion_core.recordings.camera_files import read_camera_file
 from fusion_core.recordings.formats import open_recording
-from fusion_core.recordings.image_headers import BadImage, checked_image_size
+from fusion_core.recordings.images.camera_files import read_camera_file
+from fusion_core.recordings.messages.image_headers import BadImage, checked_image_size
 
 DEPTH, COLOR = "/camera/depth/image_raw", "/camera/color/image_raw"
 INFO = "/camera/depth/camera_info"
@@ -471,7 +471,7 @@ def test_no_permission(folder: Path) -> None:
 
 
 def test_more_files_than_are_indexed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fusion_core.recordings.image_folder.MAX_FILES", 2)
+    monkeypatch.setattr("fusion_core.recordings.images.image_folder.MAX_FILES", 2)
     with pytest.raises(RecordingError, match="more than 2 files"):
         open_recording(folder)
 

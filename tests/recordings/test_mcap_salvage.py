@@ -21,7 +21,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 from fusion_core.model.errors import RecordingError
 from fusion_core.recordings.containers import MAX_CHUNK_BYTES
 from fusion_core.recordings.indexed import IndexedRecording
-from fusion_core.recordings.mcap_file import McapFile
+from fusion_core.recordings.mcap.file import McapFile
 
 MAGIC = b"\x89MCAP0\r\n"
 S = 10**9

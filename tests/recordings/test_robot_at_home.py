@@ -18,8 +18,8 @@ from fusion_core.alignment.curves import SamplingSettings
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.formats import open_recording
-from fusion_core.recordings.robot_at_home_rig import RawScan, laser_scan, stamp_ns_of_ticks
-from fusion_core.recordings.robot_at_home_rooms import list_rooms, open_room
+from fusion_core.recordings.robot_at_home.rig import RawScan, laser_scan, stamp_ns_of_ticks
+from fusion_core.recordings.robot_at_home.rooms import list_rooms, open_room
 from fusion_core.recordings.topics import choose_streams
 from fusion_core.workflows.rig import build_rig
 

@@ -14,7 +14,7 @@ import pytest
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.recordings.formats import open_recording
-from fusion_core.recordings.robot_at_home_rooms import list_rooms, open_room
+from fusion_core.recordings.robot_at_home.rooms import list_rooms, open_room
 from fusion_core.recordings.topics import choose_streams
 
 QUANTUM_M = 256 / 6553.5

@@ -10,8 +10,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fusion_core.recordings.containers import Channel
 from fusion_core.recordings.decode import decode
-from fusion_core.recordings.message_types import deserializer
-from fusion_core.recordings.ros1_transforms import is_ros1_tf, read_transforms
+from fusion_core.recordings.messages.types import deserializer
+from fusion_core.recordings.rosbag1.transforms import is_ros1_tf, read_transforms
 
 NAME = "tf2_msgs/msg/TFMessage"
 STORE = get_typestore(Stores.ROS1_NOETIC)

@@ -5,8 +5,8 @@ import struct
 import pytest
 
 from fusion_core.recordings.containers import Channel
-from fusion_core.recordings.message_types import UnreadableType
-from fusion_core.recordings.ros2_channels import Ros2Channel, ros2_channel
+from fusion_core.recordings.messages.ros2_channels import Ros2Channel, ros2_channel
+from fusion_core.recordings.messages.types import UnreadableType
 
 LINE = "=" * 80 + "\n"
 HEADER = f"{LINE}MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"

@@ -25,8 +25,8 @@ from fusion_core.model.sensors import (
     Transform,
     TransformBatch,
 )
-from fusion_core.recordings.bad_message import BadMessage
 from fusion_core.recordings.formats import open_recording
+from fusion_core.recordings.messages.bad_message import BadMessage
 from fusion_core.recordings.ros2_writer import Ros2McapWriter
 
 

@@ -21,8 +21,8 @@ from hypothesis import strategies as st
 from rosbags.rosbag1 import Reader
 
 from fusion_core.model.errors import RecordingError
-from fusion_core.recordings.rosbag1 import open_rosbag1
-from fusion_core.recordings.rosbag1_records import SearchBudget, find_record
+from fusion_core.recordings.rosbag1.bag import open_rosbag1
+from fusion_core.recordings.rosbag1.records import SearchBudget, find_record
 
 T0_S = 1_700_000_000
 MAGIC = b"#ROSBAG V2.0\n"

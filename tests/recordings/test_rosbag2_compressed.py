@@ -15,10 +15,10 @@ import pytest
 import zstandard
 
 from fusion_core.model.errors import RecordingError
-from fusion_core.recordings import compressed_storage
-from fusion_core.recordings.compressed_storage import StorageFile
 from fusion_core.recordings.formats import open_recording
-from fusion_core.recordings.rosbag2 import is_rosbag2_folder
+from fusion_core.recordings.rosbag2 import compressed_storage
+from fusion_core.recordings.rosbag2.compressed_storage import StorageFile
+from fusion_core.recordings.rosbag2.storage import is_rosbag2_folder
 
 PACKED = [f"rosbag2 {s} packed by {m}" for s in ("sqlite3", "mcap") for m in ("file", "message")]
 

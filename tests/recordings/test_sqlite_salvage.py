@@ -13,10 +13,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fusion_core.model.errors import RecordingError
-from fusion_core.recordings import sqlite_file
 from fusion_core.recordings.formats import open_recording
-from fusion_core.recordings.sqlite_file import SqliteFile
-from fusion_core.recordings.sqlite_pages import DatabasePages
+from fusion_core.recordings.rosbag2 import sqlite_file
+from fusion_core.recordings.rosbag2.sqlite_file import SqliteFile
+from fusion_core.recordings.rosbag2.sqlite_pages import DatabasePages
 
 T0 = 1_700_000_000_000_000_000
 SCHEMA = """
@@ -375,7 +375,7 @@ def test_data_beyond_measure_is_refused(
     path = write(tmp_path / "a.db3", written)
     path.write_bytes(path.read_bytes()[: -cut or None])
     monkeypatch.setattr(sqlite_file, "MAX_CHUNK_BYTES", 40_000)
-    monkeypatch.setattr("fusion_core.recordings.sqlite_pages.MAX_CHUNK_BYTES", 40_000)
+    monkeypatch.setattr("fusion_core.recordings.rosbag2.sqlite_pages.MAX_CHUNK_BYTES", 40_000)
     with closing(SqliteFile(path)) as file:
         entries = file.index()
         assert file.payload(int(entries["block"][-1]), 5) == b"end"

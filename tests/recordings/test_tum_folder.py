@@ -290,9 +290,9 @@ def test_a_list_without_permission_costs_its_topic(folder: Path) -> None:
 
 
 def test_a_list_beyond_the_limit(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fusion_core.recordings.tum_folder.MAX_FILES", 5)
+    monkeypatch.setattr("fusion_core.recordings.images.tum_folder.MAX_FILES", 5)
     assert "what follows line 5 is left out" in warnings(folder)[0]
-    monkeypatch.setattr("fusion_core.recordings.tum_folder._MAX_LIST_BYTES", 300)
+    monkeypatch.setattr("fusion_core.recordings.images.tum_folder._MAX_LIST_BYTES", 300)
     assert any("larger than 300 bytes" in warning for warning in warnings(folder))
 
 

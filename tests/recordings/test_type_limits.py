@@ -3,7 +3,7 @@
 import pytest
 
 from fusion_core.recordings.containers import Channel
-from fusion_core.recordings.message_types import UnreadableType, type_store
+from fusion_core.recordings.messages.types import UnreadableType, type_store
 
 LINE = "=" * 80 + "\n"
 NOTHING = LINE + "MSG: std_msgs/Empty\n"

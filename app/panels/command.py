@@ -1,0 +1,42 @@
+"""The command that does what a build does: ``scanloom fuse`` with its options, to copy."""
+
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+from fusion_core.workflows.session import FuseOptions
+
+
+def fuse_command(recording: Path, output: Path, options: FuseOptions) -> str:
+    """A line for a POSIX shell that gives ``options`` to ``scanloom fuse``."""
+    words = ["scanloom", "fuse", str(recording), "--output", str(output), *_words(options)]
+    return shlex.join(words)
+
+
+def _words(options: FuseOptions) -> Iterator[str]:
+    if options.preset != "default":
+        yield from ("--preset", options.preset)
+    if options.room is not None:
+        yield from ("--home", options.room.session, "--room", options.room.room)
+        yield from ("--subsession", str(options.room.subsession))
+    named = (
+        ("--settings", options.settings_file),
+        ("--lidar", options.lidar_topic),
+        *(("--depth", topic) for topic in options.depth_topics),
+        ("--pose", options.pose_topic),
+        ("--virtual-lidar", options.virtual_lidar_row),
+        ("--truth", options.truth),
+        ("--seed", options.seed),
+    )
+    for option, value in named:
+        if value is not None:
+            # In one word: a topic may begin with a dash.
+            yield f"{option}={value}"
+    switches = (
+        ("--apply-clock-offset", options.apply_clock_offset),
+        ("--no-maps", not options.maps),
+        ("--no-figures", not options.figures),
+        ("--force", options.force),
+        ("--overwrite", options.overwrite),
+    )
+    yield from (switch for switch, is_on in switches if is_on)

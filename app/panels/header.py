@@ -1,0 +1,86 @@
+"""What is always in sight: the recording, the preset and what differs from it, undo, the link."""
+
+import html
+from typing import get_args
+
+import viser
+
+from app.desk import Desk
+from app.panels.controls import put
+from app.shown import Shown
+from app.state.view import View
+from fusion_core.workflows.presets import PresetName
+
+_MOST_DIFFERENCES = 6
+
+
+class HeaderPanel:
+    """Preset, reset, undo, redo and link."""
+
+    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
+        self._desk = desk
+        self._title = gui.add_html("")
+        presets = get_args(PresetName)
+        self._preset = gui.add_dropdown(
+            "Preset", presets, initial_value=desk.view.preset, hint="Default, or what Xu 2024 does"
+        )
+        self._differs = gui.add_html("")
+        buttons = gui.add_button_group("Settings", ("Undo", "Redo", "Reset", "Link"))
+
+        @self._preset.on_update
+        def _(event: viser.GuiEvent[viser.GuiDropdownHandle[str]]) -> None:
+            if event.client is not None:
+                desk.set_preset("published" if self._preset.value == "published" else "default")
+
+        @buttons.on_click
+        def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
+            match buttons.value:
+                case "Undo":
+                    desk.undo()
+                case "Redo":
+                    desk.redo()
+                case "Reset":
+                    desk.set_preset(desk.view.preset)
+                case "Link":
+                    self._tell_link()
+
+    def show(self, shown: Shown) -> None:
+        """Set title, preset and differences."""
+        view = shown.view
+        put(self._preset, value=view.preset)
+        put(self._title, content=_title(view))
+        put(self._differs, content=_differences(view))
+
+    def _tell_link(self) -> None:
+        link = f"/go?view={self._desk.view.to_link()}"
+        with self._desk.client.gui.add_modal("A link to this view") as modal:
+            self._desk.client.gui.add_markdown(
+                "Add this to the server's address. It restores recording, time, settings and panel."
+            )
+            self._desk.client.gui.add_text("Link", link, multiline=True)
+            close = self._desk.client.gui.add_button("Close")
+        close.on_click(lambda _: modal.close())
+
+
+def _title(view: View) -> str:
+    virtual = "" if view.virtual_row is None else f" · virtual LiDAR from row {view.virtual_row}"
+    name = html.escape(view.recording)
+    return (
+        '<div style="padding:0.2em 0.5em"><b>ScanLoom</b> '
+        f'<span style="opacity:0.75">{name}{virtual}</span></div>'
+    )
+
+
+def _differences(view: View) -> str:
+    """One line that says what differs from the preset."""
+    changed = [
+        f"{stage}.{name} = {value}" if stage else f"{name} = {value}"
+        for stage, values in view.differing().items()
+        for name, value in values.items()
+    ]
+    said = f"as the preset {view.preset} has it"
+    if changed:
+        more = len(changed) - _MOST_DIFFERENCES
+        tail = f" and {more} more" if more > 0 else ""
+        said = "differs: " + ", ".join(changed[:_MOST_DIFFERENCES]) + tail
+    return f'<div style="padding:0 0.5em;font-size:0.85em;opacity:0.75">{html.escape(said)}</div>'

@@ -1,0 +1,336 @@
+"""The Map panel: the maps of the whole recording, all results as files, and the command for it."""
+
+import html
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import viser
+
+from app.desk import Desk
+from app.jobs.build import (
+    Build,
+    build,
+    export,
+    free_folder,
+    fuse_options,
+    results_in,
+    settings_in,
+    zipped,
+)
+from app.jobs.long import LongJob
+from app.panels.command import fuse_command
+from app.panels.controls import put
+from app.scene.map_picture import map_pictures
+from app.shown import Shown
+from app.state.view import View
+from fusion_core.model.errors import ScanLoomError
+from fusion_core.model.grids import OccupancyGrid
+from fusion_core.model.progress import Progress
+from fusion_core.workflows.export_clouds import CloudExport
+from fusion_core.workflows.maps import difference_of
+
+_PICTURE_PX = (1100, 1400)
+_TITLES = {"lidar": "LiDAR alone", "camera": "camera alone", "fused": "fused"}
+_CLOSE_S = 10.0
+_EMPTY = np.full((2, 2, 3), 255, dtype=np.uint8)
+_BOX = (
+    "width:100%;box-sizing:border-box;border:1px solid #c4ccd6;border-radius:4px;padding:0.4em;"
+    "font-family:ui-monospace,monospace;font-size:0.8em;resize:vertical"
+)
+
+
+class MapPanel:
+    """Builds, shows and exports the results of a whole recording.
+
+    ``output_root``: results go into new folders below it. ``on_map`` gets the fused map of the
+    recording that is shown, None where there is none, in the thread that shows views.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        desk: Desk,
+        output_root: Path,
+        on_map: Callable[[OccupancyGrid | None], None],
+    ) -> None:
+        self._desk = desk
+        # Commands are for shells that stand elsewhere.
+        self._root = output_root.resolve()
+        self._on_map = on_map
+        self._lock = threading.RLock()
+        self._job: LongJob | None = None
+        self._cancelling = False
+        self._closed = False
+        self._built: Build | None = None
+        self._clouds = ""
+        # What the widgets show now; a view changes many times while these stay.
+        self._drawn: Build | None = None
+        self._on_floor: OccupancyGrid | None = None
+        self._commanded: object = None
+
+        gui.add_html(
+            _paragraph(
+                "Fuses the whole recording with the settings as they are, and builds the maps of "
+                "the LiDAR alone, the camera alone and both, from the same recorded poses."
+            )
+        )
+        self._figures = gui.add_checkbox(
+            "Draw the figures too", True, hint="Pictures of each stage, as in Xu 2024"
+        )
+        self._build_button = gui.add_button("Build", icon=viser.Icon.MAP)
+        self._progress_text = gui.add_html("", visible=False)
+        self._progress = gui.add_progress_bar(0.0, visible=False)
+        self._cancel_button = gui.add_button("Cancel", color="gray", visible=False)
+        self._said = gui.add_html("")
+        self._picture = gui.add_image(_EMPTY, label="Maps", format="png", visible=False)
+        self._files = gui.add_folder("Files", visible=False)
+        with self._files:
+            self._folder = gui.add_html("")
+            self._download = gui.add_button(
+                "Download", icon=viser.Icon.DOWNLOAD, hint="All but what grows with each frame"
+            )
+            self._voxel = gui.add_number(
+                "Voxel (m)", 0.02, min=0.005, max=1.0, step=0.005, hint="One point is kept in each"
+            )
+            self._export_button = gui.add_button("Export clouds (PLY, PCD)")
+            self._exported = gui.add_html("")
+        with gui.add_folder("The same from the command line"):
+            self._command = gui.add_html("")
+
+        self._build_button.on_click(lambda _: self._begin_build())
+        self._cancel_button.on_click(lambda _: self._cancel())
+        self._export_button.on_click(lambda _: self._begin_export())
+        self._download.on_click(lambda _: self._send())
+
+        @self._figures.on_update
+        def _(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None:
+                desk.refresh()
+
+    def show(self, shown: Shown) -> None:
+        """The maps of the recording that is shown, and the command of the view."""
+        with self._lock:
+            built = self._built
+            if built is not None and built.view.recording != shown.view.recording:
+                built = None
+            fused = None if built is None else built.summary.grids.get("fused")
+            if fused is not self._on_floor:
+                self._on_floor = fused
+                self._on_map(fused)
+            if shown.view.panel != "Map":
+                return
+            self._show_command(shown.view, built)
+            self._show_built(shown.view, built)
+
+    def close(self) -> None:
+        """The browser has gone: what it builds is of no use any more."""
+        with self._lock:
+            self._closed = True
+            job = self._job
+        if job is not None:
+            job.cancel()
+            job.wait(_CLOSE_S)
+
+    def _begin_build(self) -> None:
+        view, figures = self._desk.view, bool(self._figures.value)
+
+        def work(progress: Progress) -> Build:
+            recording = self._desk.library.path(view.recording)
+            return build(view, recording, self._root, progress, figures=figures)
+
+        def done(built: Build) -> None:
+            with self._lock:
+                self._built, self._clouds = built, ""
+            self._end()
+
+        self._begin("build", work, done)
+
+    def _begin_export(self) -> None:
+        built, voxel_m = self._built, float(self._voxel.value)
+        if built is None:
+            return
+
+        def done(exported: CloudExport) -> None:
+            with self._lock:
+                if self._built is built:
+                    self._clouds = _clouds_said(exported)
+            self._end()
+
+        self._begin("export", lambda progress: export(built, voxel_m, progress), done)
+
+    def _begin(
+        self, name: str, work: Callable[[Progress], Any], done: Callable[[Any], None]
+    ) -> None:
+        """Start a job unless one is at work or the browser has gone."""
+        with self._lock:
+            if self._job is not None or self._closed:
+                return
+            self._cancelling = False
+            put(self._said, content="")
+            self._advance(0, None, "starting")
+            self._show_working(True)
+            self._job = LongJob(
+                name,
+                work,
+                on_progress=self._advance,
+                on_done=done,
+                on_failed=self._fail,
+                on_cancelled=lambda: self._end("Cancelled; nothing was kept."),
+            )
+
+    def _cancel(self) -> None:
+        with self._lock:
+            if self._job is not None:
+                self._cancelling = True
+                self._job.cancel()
+                put(self._cancel_button, disabled=True)
+                put(self._progress_text, content=_paragraph("Stopping at the next step …"))
+
+    def _advance(self, done: int, total: int | None, what: str) -> None:
+        if self._cancelling:
+            return
+        share = 100.0 * done / total if total else 0.0
+        count = f", {done} of {total}" if total else ""
+        put(self._progress, value=round(min(share, 100.0), 1), animated=not total)
+        put(self._progress_text, content=_paragraph(f"{what.capitalize()}{count}"))
+
+    def _fail(self, error: Exception) -> None:
+        said = (
+            str(error) if isinstance(error, ScanLoomError) else f"{type(error).__name__}: {error}"
+        )
+        self._end(f"Failed: {said}")
+        if not self._closed:
+            self._desk.fail(error)
+
+    def _end(self, said: str = "") -> None:
+        """The job's last step, in its thread: the worker draws what came of it."""
+        with self._lock:
+            self._job = None
+            put(self._said, content=_paragraph(said) if said else "")
+            self._drawn = self._commanded = None
+            self._show_working(False)
+            closed = self._closed
+        if not closed:
+            self._desk.refresh()
+
+    def _show_working(self, working: bool) -> None:
+        for handle in (self._progress, self._progress_text, self._cancel_button):
+            put(handle, visible=working)
+        put(self._cancel_button, disabled=False)
+        put(self._build_button, disabled=working)
+        put(self._export_button, disabled=working)
+
+    def _show_command(self, view: View, built: Build | None) -> None:
+        key = (_asked(view), self._figures.value, built)
+        if key == self._commanded:
+            return
+        self._commanded = key
+        recording = self._desk.library.path(view.recording)
+        if built is not None and _asked(view) == _asked(built.view):
+            folder, options = built.folder, built.options
+        else:
+            folder = free_folder(self._root, recording)
+            options = fuse_options(view, settings_in(folder), figures=bool(self._figures.value))
+        command = fuse_command(recording, results_in(folder), options)
+        notes = []
+        if options.settings_file is not None and not options.settings_file.exists():
+            notes.append("The settings file is written by Build.")
+        if view.picked is not None:
+            notes.append("An offset picked by hand is for looking; a build finds its own.")
+        self._command.content = _text_box(command) + "".join(map(_paragraph, notes))
+
+    def _show_built(self, view: View, built: Build | None) -> None:
+        put(self._files, visible=built is not None)
+        if built is None:
+            put(self._picture, visible=False)
+            if self._drawn is not None:
+                self._drawn = None
+                put(self._said, content="")
+            return
+        if built is not self._drawn:
+            self._drawn = built
+            grids = {_TITLES[name]: grid for name, grid in built.summary.grids.items()}
+            if grids:
+                width_px, height_px = _PICTURE_PX
+                self._picture.image = map_pictures(
+                    grids, difference_of(grids), width_px=width_px, height_px=height_px
+                )
+            put(self._picture, visible=bool(grids))
+            put(self._folder, content=_text_box(str(built.folder)))
+        put(self._exported, content=_paragraph(self._clouds) if self._clouds else "")
+        put(self._said, content=_summary(built, changed=_asked(view) != _asked(built.view)))
+
+    def _send(self) -> None:
+        built = self._built
+        if built is None:
+            return
+        try:
+            content = zipped(built)
+        except ScanLoomError as error:
+            self._desk.fail(error)
+            return
+        self._desk.client.send_file_download(f"{built.folder.name}.zip", content)
+
+
+def _asked(view: View) -> tuple[object, ...]:
+    """What of a view a build depends on."""
+    return (
+        view.recording,
+        view.preset,
+        view.settings,
+        view.lidar_topic,
+        view.depth_topics,
+        view.virtual_row,
+        view.apply_clock_offset,
+        view.picked is None,
+    )
+
+
+def _summary(built: Build, *, changed: bool) -> str:
+    """What a run has to report, as HTML."""
+    said = []
+    if changed:
+        said.append("<b>Settings or streams changed since this build.</b>")
+    if not built.summary.grids:
+        said.append(html.escape(_why_no_maps(built)))
+    lines = html.escape("\n".join(built.summary.lines()))
+    paragraphs = "".join(f"<p style='margin:0.3em 0'>{line}</p>" for line in said)
+    return (
+        f"<div style='padding:0 0.5em;font-size:0.85em'>{paragraphs}"
+        "<pre style='margin:0.3em 0;white-space:pre-wrap;overflow-wrap:anywhere;font-size:0.9em'>"
+        f"{lines}</pre></div>"
+    )
+
+
+def _why_no_maps(built: Build) -> str:
+    if built.options.virtual_lidar_row is not None:
+        why = "A virtual LiDAR is cut from the camera's own images, so there is nothing to compare."
+    elif built.summary.pose_source is None:
+        why = "The recording does not say where the LiDAR was: no TF, odometry or pose topic."
+    else:
+        why = "No scan could be placed."
+    return f"No maps. {why} All other results are there."
+
+
+def _clouds_said(exported: CloudExport) -> str:
+    counts = ", ".join(f"{name} {count:,} points" for name, count in exported.points.items())
+    return " ".join([f"Clouds: {counts}, in {exported.output}.", *exported.notes])
+
+
+def _paragraph(text: str) -> str:
+    return (
+        "<div style='padding:0.2em 0.5em;font-size:0.85em;overflow-wrap:anywhere'>"
+        f"{html.escape(text)}</div>"
+    )
+
+
+def _text_box(text: str) -> str:
+    """A field to copy from; viser's own text fields can be written in."""
+    rows = min(2 + len(text) // 60, 8)
+    return (
+        f"<div style='padding:0.2em 0.5em'><textarea readonly spellcheck='false' rows='{rows}' "
+        f"style='{_BOX}'>{html.escape(text)}</textarea></div>"
+    )

@@ -1,0 +1,178 @@
+"""The Match panel: the similarity field, its peak, and the two curves laid on each other."""
+
+from collections.abc import Callable
+from typing import Any, get_args
+
+import numpy as np
+import viser
+import viser.uplot
+
+from app.desk import Desk
+from app.panels.controls import Controls, put
+from app.panels.mount_words import mount_words
+from app.scene.field_axis import AzimuthAxis, Mark, ScoreField
+from app.scene.heatmap import Heatmap, heatmap
+from app.scene.palette import color_of
+from app.shown import Shown
+from app.state.view import Scope
+from fusion_core.workflows.frame import FrameMatch, curves_at
+from fusion_core.workflows.live import window_field
+
+_WIDTH_PX, _HEIGHT_PX = 640, 470
+_METRICS = ("euclidean", "pearson", "cosine", "inverse_cosine")
+# Frames to either side that make a window's field.
+_WINDOW_FRAMES = 2
+
+
+class MatchPanel:
+    """Heatmap, curves and mount. ``on_heatmap`` gets each new heatmap, for the scene's board."""
+
+    def __init__(
+        self, gui: viser.GuiApi, desk: Desk, on_heatmap: Callable[[Heatmap], None]
+    ) -> None:
+        self._desk = desk
+        self._on_heatmap = on_heatmap
+        self._drawn: object = None
+        self._field_of: dict[str, ScoreField] = {}
+        controls = Controls(gui, desk)
+        scope = gui.add_dropdown(
+            "Field of", get_args(Scope), initial_value=desk.view.scope, hint="What is averaged"
+        )
+        controls.bind(scope, "scope", str)
+        controls.dropdown("search", "metric", "Score", _METRICS)
+        self._picture = gui.add_image(
+            np.full((_HEIGHT_PX, _WIDTH_PX, 3), 255, np.uint8), format="png"
+        )
+        self._words = gui.add_markdown("")
+        with gui.add_folder("Pick by hand"):
+            self._u = gui.add_number("u (samples)", 0.0, step=0.25)
+            self._v = gui.add_number("v (row)", 0.0, step=1.0)
+            buttons = gui.add_button_group("Offset", ("Use", "Peak", "Clear"))
+            lock = gui.add_checkbox(
+                "Lock u", desk.view.lock_picked, hint="Keep the picked offset in other frames"
+            )
+            controls.bind(lock, "lock_picked", bool)
+        self._curves = gui.add_uplot(
+            (np.arange(2.0), np.zeros(2), np.zeros(2)),
+            (
+                viser.uplot.Series(label="sample"),
+                viser.uplot.Series(label="LiDAR (m)", stroke=_css("lidar"), width=2),
+                viser.uplot.Series(label="depth row (m)", stroke=_css("depth"), width=2),
+            ),
+            title="The curve and the row at this offset",
+            aspect=1.9,
+        )
+        with gui.add_folder("Sampling and masks"):
+            controls.slider("sampling", "step_deg", "Degrees a sample", 0.25, 4.0, 0.25)
+            controls.slider("sampling", "row_band", "Rows used, from below", 0.1, 1.0, 0.05)
+            controls.slider("search", "min_overlap", "Least overlap", 0.1, 1.0, 0.05)
+            controls.checkbox("search", "mask_holes", "Leave holes out")
+            controls.checkbox("search", "partial", "Row may reach beyond the curve")
+            controls.checkbox("search", "use_prior", "Search around the recording's u")
+        with gui.add_folder("Mount"):
+            self._mount = gui.add_markdown("")
+        self._controls = controls
+
+        @buttons.on_click
+        def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
+            match buttons.value:
+                case "Use":
+                    desk.change_settings(picked=(float(self._u.value), float(self._v.value)))
+                case "Peak" | "Clear":
+                    desk.change_settings(picked=None)
+
+    def show(self, shown: Shown) -> None:
+        """Draw the field, the curves and the words of this view."""
+        self._controls.show(shown.view)
+        match = shown.match
+        if match is None or shown.chain is None:
+            reason = "" if shown.failure is None else shown.failure.problem
+            put(self._words, content=reason)
+            return
+        drawn = self._draw(shown, match)
+        self._on_heatmap(drawn)
+        if shown.view.panel == "Match":
+            self._picture.image = drawn.rgb
+            put(self._words, content=_peak_words(shown, match))
+            self._show_curves(shown, match)
+            put(self._mount, content=mount_words(shown.chain.alignment.mount))
+
+    def _draw(self, shown: Shown, match: FrameMatch) -> Heatmap:
+        view, chain = shown.view, shown.chain
+        assert chain is not None, "a match was made by a chain"
+        metric = view.settings.search.metric
+        alignment = chain.alignment
+        if view.scope == "recording":
+            field: ScoreField = alignment.fields[metric]
+            curve = alignment.curve
+            peak = alignment.peaks.get(metric)
+            prior_u, title = alignment.peak.u, f"Mean of {alignment.frames} frames"
+        else:
+            field, curve = match.search.fields[metric], match.curve
+            peak = match.search.peaks.get(metric)
+            prior_u, title = alignment.peak.u - match.u_of_rig, f"Frame {view.number}"
+            if view.scope == "window":
+                field, count = window_field(chain, view.number, view.settings, _WINDOW_FRAMES)
+                title = f"Mean of {count} frames around {view.number}"
+        marks = [Mark("prior", prior_u)]
+        if peak is not None:
+            marks += [Mark("runner_up", peak.runner_up_u, peak.runner_up_v)]
+            marks += [Mark("peak", peak.u, peak.v)]
+        if view.picked is not None:
+            marks += [Mark("picked", *view.picked)]
+        return heatmap(
+            field,
+            marks,
+            AzimuthAxis.of_curve(curve.left_rad, curve.step_rad),
+            width_px=_WIDTH_PX,
+            height_px=_HEIGHT_PX,
+            title=f"{title}, {metric.replace('_', ' ')}",
+        )
+
+    def _show_curves(self, shown: Shown, match: FrameMatch) -> None:
+        place = _place(shown, match)
+        if place is None:
+            return
+        lidar_m, depth_m = curves_at(match, place, masked=shown.view.settings.search.mask_holes)
+        self._curves.data = (np.arange(float(lidar_m.size)), lidar_m, depth_m)
+        if shown.view.picked is None:
+            put(self._u, value=round(place[0], 2))
+            put(self._v, value=round(place[1], 1))
+
+
+def _place(shown: Shown, match: FrameMatch) -> tuple[float, float] | None:
+    """The offset that is shown: the picked one, else the frame's peak."""
+    if shown.view.picked is not None:
+        return shown.view.picked
+    peak = match.search.peaks.get(shown.view.settings.search.metric)
+    return None if peak is None else (peak.u, peak.v)
+
+
+def _peak_words(shown: Shown, match: FrameMatch) -> str:
+    metric = shown.view.settings.search.metric
+    peak = match.search.peaks.get(metric)
+    if peak is None:
+        return "No offset has enough samples valid on both sides: lower the least overlap."
+    lines = [
+        f"Peak **u = {peak.u:.2f}**, **v = {peak.v:.1f}**, score {peak.score:.3f}, "
+        f"{_times(peak.ratio)} the runner-up, overlap {peak.overlap:.0%}."
+    ]
+    alone = match.search.peaks_alone.get(metric)
+    if alone is not None and abs(alone.u - peak.u) > 0.5:
+        lines.append(f"Without the recording's u it would be at u = {alone.u:.2f}.")
+    if shown.view.picked is not None:
+        u, v = shown.view.picked
+        lines.append(f"Picked by hand: u = {u:.2f}, v = {v:.1f}; pairs are those of row {v:.0f}.")
+    else:
+        along = "the LiDAR's projected curve" if match.row_model == "curve" else "the row"
+        lines.append(f"Pairs lie along {along}.")
+    return "  \n".join(lines)
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.2f} times" if np.isfinite(ratio) else "without"
+
+
+def _css(name: Any) -> str:
+    red, green, blue = color_of(name)
+    return f"rgb({red},{green},{blue})"

@@ -1,0 +1,37 @@
+"""The mount in words: where the camera sits on the LiDAR, and what the recording does not show."""
+
+import numpy as np
+
+from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
+
+_NAMES = {
+    "yaw_rad": (
+        "looks {} {} of the LiDAR's zero",
+        "to the left",
+        "to the right",
+        "°",
+        180.0 / np.pi,
+    ),
+    "delta_z_m": ("sits {} {} the LiDAR", "above", "below", " m", 1.0),
+    "forward_m": ("sits {} {} it", "in front of", "behind", " m", 1.0),
+    "left_m": ("sits {} {} of it", "to the left", "to the right", " m", 1.0),
+    "pitch_rad": ("looks {} {}", "down", "up", "°", 180.0 / np.pi),
+    "clock_offset_ms": ("stamps {} {}", "later", "earlier", " ms", 1.0),
+}
+
+
+def mount_words(mount: Mount) -> str:
+    """One line for each parameter, as Markdown; what is not observable is named."""
+    lines = []
+    unknown = []
+    for name, sd in zip(MOUNT_PARAMETERS, mount.sd, strict=True):
+        form, positive, negative, unit, factor = _NAMES[name]
+        if sd is None:
+            unknown.append(name.rsplit("_", 1)[0].replace("_", " "))
+            continue
+        value = getattr(mount, name) * factor
+        number = f"**{abs(value):.2f} ± {sd * factor:.2f}{unit}**"
+        lines.append(f"- It {form.format(number, positive if value >= 0.0 else negative)}.")
+    if unknown:
+        lines.append(f"- Not observable in this recording: {', '.join(unknown)}.")
+    return "The camera:\n\n" + "\n".join(lines)

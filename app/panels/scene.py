@@ -1,0 +1,172 @@
+"""The scene: the frame in 3D, the boards with heatmap and depth, what a click means, the views."""
+
+from typing import Any
+
+import numpy as np
+import viser
+
+from app.desk import Desk
+from app.panels.controls import Controls
+from app.scene import camera_views
+from app.scene.boards import Board, Layout, layout_of
+from app.scene.color_picture import upright_color
+from app.scene.depth_picture import DepthPicture, depth_picture
+from app.scene.frame_geometry import FrameGeometry, frame_geometry, unmatched_geometry
+from app.scene.heatmap import Heatmap
+from app.scene.layers import LAYERS
+from app.scene.nodes import Picked, SceneNodes
+from app.scene.pair_pixels import pixels_of_match, repaired_depth_m
+from app.shown import Shown
+
+_VIEWS = ("Perspective", "Curve", "Map", "Heatmap", "Depth")
+_BOARD_PX = (560, 470)
+
+
+class ScenePanel:
+    """Draws each view in the browser's scene and reads its clicks."""
+
+    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
+        self._desk = desk
+        self._nodes = SceneNodes(desk.client.scene)
+        self._layout: Layout | None = None
+        self._opened: object = None
+        self._boards: dict[str, Board] = {}
+        self._heatmap: Heatmap | None = None
+        self._depth: DepthPicture | None = None
+        self._views = gui.add_button_group("View", _VIEWS, hint="From where the scene is looked at")
+        with gui.add_folder("Shown in 3D", expand_by_default=False):
+            rows = gui.add_slider(
+                "Every k-th row", min=1, max=40, step=1, initial_value=desk.view.row_step
+            )
+            switches = {name: gui.add_checkbox(name.capitalize(), True) for name in LAYERS}
+        self._controls = Controls(gui, desk)
+        self._controls.bind(rows, "row_step", int)
+
+        def switch(_: viser.GuiEvent[Any]) -> None:
+            with desk.client.atomic():
+                self._nodes.show_layers(
+                    frozenset(name for name, box in switches.items() if box.value)
+                )
+
+        for box in switches.values():
+            box.on_update(switch)
+        self._views.on_click(lambda _: self._look(self._views.value))
+        desk.client.scene.on_click()(self._clicked)
+
+    def take_heatmap(self, drawn: Heatmap) -> None:
+        """The picture of the heatmap's board, until the next one."""
+        self._heatmap = drawn
+
+    def show(self, shown: Shown) -> None:
+        """Draw the frame; what could not be matched is drawn without pairs."""
+        self._controls.show(shown.view)
+        geometry = _geometry(shown)
+        if geometry is None or shown.chain is None:
+            return
+        if self._opened is not shown.opened:
+            self._opened = shown.opened
+            self._nodes.clear()
+            self._layout = layout_of(geometry, shown.chain.alignment.mount.yaw_rad)
+            self._look("Perspective")
+        self._nodes.show(geometry)
+        if shown.color is not None:
+            rgb = upright_color(shown.color.rgb, shown.opened.session.rig, geometry.camera)
+            self._nodes.show_color(geometry.camera, rgb)
+        self._nodes.mark_beam(shown.view.beam)
+        self._show_boards(shown)
+
+    def _show_boards(self, shown: Shown) -> None:
+        if self._layout is None:
+            return
+        self._depth = _depth(shown)
+        if self._depth is not None:
+            self._boards["depth"] = self._layout.depth_board(self._depth.rgb)
+        if self._heatmap is not None:
+            self._boards["heatmap"] = self._layout.heatmap_board(self._heatmap.rgb)
+        for board in self._boards.values():
+            self._nodes.show_board(board)
+
+    def _look(self, name: str) -> None:
+        if self._layout is None:
+            return
+        match name:
+            case "Curve":
+                view = camera_views.curve(self._layout)
+            case "Map":
+                view = camera_views.curve(self._layout)
+            case "Heatmap" | "Depth" if name.lower() in self._boards:
+                view = camera_views.board(self._boards[name.lower()])
+            case _:
+                view = camera_views.perspective(self._layout)
+        with self._desk.client.atomic():
+            self._nodes.show_layers(frozenset(LAYERS) - view.hides)
+            camera_views.apply(self._desk.client.camera, view)
+
+    def _clicked(self, event: viser.SceneClickEvent) -> None:
+        origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
+        picked = self._nodes.pick(origin, direction)
+        if picked is not None:
+            self._take(picked)
+
+    def _take(self, picked: Picked) -> None:
+        if picked.beam is not None:
+            self._desk.change(beam=picked.beam)
+        elif picked.board == "heatmap" and self._heatmap is not None and picked.pixel is not None:
+            place = self._heatmap.offset_at(*picked.pixel)
+            if place is not None:
+                self._desk.change_settings(picked=place)
+        elif picked.board == "depth" and self._depth is not None and picked.pixel is not None:
+            pixel = self._depth.pixel_at(*picked.pixel)
+            if pixel is not None:
+                self._desk.change(beam=self._beam_near(*pixel))
+
+    def _beam_near(self, row: int, column: int) -> int | None:
+        match = self._desk.shown.match if self._desk.shown is not None else None
+        return None if match is None else pixels_of_match(match).beam_near(row, column)
+
+
+def _geometry(shown: Shown) -> FrameGeometry | None:
+    chain, view = shown.chain, shown.view
+    if chain is None or shown.paired is None:
+        return None
+    rig = shown.opened.session.rig
+    match = shown.fused or shown.match
+    if match is not None:
+        return frame_geometry(
+            match,
+            rig,
+            chain.alignment,
+            row_step=view.row_step,
+            classes=view.classes,
+            repaired=view.repaired,
+        )
+    paired = shown.paired
+    return unmatched_geometry(
+        paired.camera,
+        paired.image.stamp_ns,
+        shown.opened.session.depth_of(paired.camera, paired.image.depth_m),
+        None if paired.window is None else paired.window.scan,
+        rig,
+        chain.alignment,
+        row_step=view.row_step,
+    )
+
+
+def _depth(shown: Shown) -> DepthPicture | None:
+    view = shown.view
+    match = shown.fused or shown.match
+    if match is None:
+        return None
+    depth_m = match.depth_m
+    title = f"Depth, frame {view.number}"
+    if shown.fused is not None and view.repaired:
+        depth_m, title = repaired_depth_m(shown.fused), f"{title}, repaired"
+    width_px, height_px = _BOARD_PX
+    return depth_picture(
+        {title: depth_m},
+        pixels_of_match(match),
+        width_px=width_px,
+        height_px=height_px,
+        classes=view.classes,
+        beam=view.beam,
+    )

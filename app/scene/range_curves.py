@@ -1,0 +1,55 @@
+"""The LiDAR's curve before and after its repair, beside what the camera answers, to be plotted."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from app.scene.findings import unwrapped_deg
+from fusion_core.model.classes import NoiseClass
+from fusion_core.model.conventions import FloatArray, read_only
+from fusion_core.workflows.frame import FusedFrame
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RangeCurves:
+    """(B,) arrays over the beams in view, from the right to the left as the camera sees them.
+
+    ``azimuth_deg`` rises. Ranges in metres, NaN where missing: ``raw_m`` and ``repaired_m`` of the
+    chosen classes, ``camera_m`` where each beam meets what the camera sees, ``looked_at_m`` the one
+    beam that is looked at.
+    """
+
+    azimuth_deg: FloatArray
+    camera_m: FloatArray
+    repaired_m: FloatArray
+    raw_m: FloatArray
+    looked_at_m: FloatArray
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            read_only(getattr(self, field.name))
+
+
+def range_curves(
+    frame: FusedFrame, classes: frozenset[NoiseClass], beam: int | None
+) -> RangeCurves:
+    """The curves of a frame. ``classes``: whose beams are shown; ``beam``: the one looked at."""
+    pairs = frame.pairs
+    raw_m, repaired_m, camera_m = (
+        pairs.lidar_range_m,
+        frame.repair.lidar_range_m,
+        pairs.camera_range_m,
+    )
+    shown = np.isin(frame.classes.lidar_class, [int(noise_class) for noise_class in classes])
+    first_known_m = np.where(np.isfinite(repaired_m), repaired_m, camera_m)
+    first_known_m = np.where(np.isfinite(raw_m), raw_m, first_known_m)
+    looked_at = pairs.beam == (-1 if beam is None else beam)
+    azimuth_deg = unwrapped_deg(pairs.azimuth_rad)
+    order = np.argsort(azimuth_deg, kind="stable")
+    return RangeCurves(
+        azimuth_deg=azimuth_deg[order],
+        camera_m=camera_m[order],
+        repaired_m=np.where(shown, repaired_m, np.nan)[order],
+        raw_m=np.where(shown, raw_m, np.nan)[order],
+        looked_at_m=np.where(looked_at, first_known_m, np.nan)[order],
+    )

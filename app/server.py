@@ -1,0 +1,162 @@
+"""The workbench's server: a guarded viser server that gives every browser a desk of its own."""
+
+import io
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+
+import viser
+
+from app.desk import STORED_VIEW, Desk
+from app.panels.header import HeaderPanel
+from app.panels.match import MatchPanel
+from app.panels.recording import RecordingPanel
+from app.panels.scene import ScenePanel
+from app.panels.switch import PanelSwitch
+from app.panels.timeline import TimelinePanel
+from app.resources import sample_path
+from app.security import LINK_KEY, Guard, guard_for, guarded
+from app.state.library import Library
+from app.state.view import View, view_of_link
+from fusion_core.model.errors import ScanLoomError, SettingsError
+
+# A browser answers from its own storage; one that does not starts afresh.
+_STORAGE_TIMEOUT_S = 3.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServeOptions:
+    """Where the workbench listens, and what it may open."""
+
+    recordings: Sequence[Path] = ()
+    roots: Sequence[Path] = ()
+    host: str = "127.0.0.1"
+    port: int = 8080
+    output_root: Path = Path("out")
+    virtual_row: int | None = None
+
+
+class Workbench:
+    """A running server. Use as a context manager, or ``close`` it."""
+
+    def __init__(self, options: ServeOptions) -> None:
+        recordings = list(options.recordings) or [sample_path()]
+        self._library = Library(recordings, list(options.roots))
+        self._first_view = View(recording=self._library.names()[0], virtual_row=options.virtual_row)
+        # What cannot be opened is told before anything listens.
+        self._library.open(self._first_view)
+        self.guard: Guard = guard_for(options.host)
+        self._desks: dict[int, tuple[Desk, TimelinePanel]] = {}
+        self._lock = threading.Lock()
+        # viser greets on stdout, which belongs to the command.
+        with guarded(self.guard), redirect_stdout(io.StringIO()):
+            self._server = viser.ViserServer(
+                host=options.host, port=options.port, label="ScanLoom", verbose=False
+            )
+        self._server.gui.configure_theme(
+            control_width="large", show_logo=False, show_share_button=False, dark_mode=False
+        )
+        # Floating, the panel would cover what the scene shows at its right.
+        self._server.gui.main_panel.dock_right()
+        self._server.scene.set_up_direction("+z")
+        self._server.on_client_connect(self._welcome)
+        self._server.on_client_disconnect(self._part)
+
+    @property
+    def address(self) -> str:
+        """What to open in a browser, with the token where one is asked for."""
+        host = self._server.get_host()
+        name = f"[{host}]" if ":" in host else host
+        token = "" if self.guard.token is None else f"/?token={self.guard.token}"
+        return f"http://{name}:{self._server.get_port()}{token}"
+
+    @property
+    def desks(self) -> list[Desk]:
+        """The desks of the browsers that are connected."""
+        with self._lock:
+            return [desk for desk, _ in self._desks.values()]
+
+    def run(self) -> None:
+        """Serve until interrupted."""
+        while True:
+            time.sleep(3600.0)
+
+    def close(self) -> None:
+        """Stop serving and free the files."""
+        with self._lock:
+            parting = list(self._desks)
+        for client_id in parting:
+            self._close_desk(client_id)
+        with redirect_stdout(io.StringIO()):
+            self._server.stop()
+        self._library.close()
+
+    def __enter__(self) -> "Workbench":
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _welcome(self, client: viser.ClientHandle) -> None:
+        view, problem = self._view_for(client)
+        desk = Desk(client, self._library, view)
+        timeline = _furnish(desk)
+        with self._lock:
+            self._desks[client.client_id] = (desk, timeline)
+        if problem is not None:
+            desk.fail(problem)
+        desk.begin()
+
+    def _view_for(self, client: viser.ClientHandle) -> tuple[View, ScanLoomError | None]:
+        """The view of a link, else the browser's last one, else the first."""
+        storage = client.local_storage
+        problem: ScanLoomError | None = None
+        for key in (LINK_KEY, STORED_VIEW):
+            try:
+                link = storage.get_item(key, timeout=_STORAGE_TIMEOUT_S)
+            except (TimeoutError, RuntimeError):
+                break
+            if link is None:
+                continue
+            if key == LINK_KEY:
+                storage.remove_item(key)
+            try:
+                view = view_of_link(link)
+                self._library.open(view)
+            except SettingsError as error:
+                problem = error
+            except ScanLoomError as error:
+                problem = error
+            else:
+                return view, None
+        return self._first_view, problem
+
+    def _part(self, client: viser.ClientHandle) -> None:
+        self._close_desk(client.client_id)
+
+    def _close_desk(self, client_id: int) -> None:
+        with self._lock:
+            parting = self._desks.pop(client_id, None)
+        if parting is not None:
+            desk, timeline = parting
+            timeline.close()
+            desk.close()
+
+
+def _furnish(desk: Desk) -> TimelinePanel:
+    """Put the panels on a desk, in the order from top to bottom."""
+    gui = desk.client.gui
+    header = HeaderPanel(gui, desk)
+    timeline = TimelinePanel(gui, desk)
+    scene = ScenePanel(gui, desk)
+    switch = PanelSwitch(gui, desk)
+    with switch.folder("Recording"):
+        recording = RecordingPanel(gui, desk)
+    with switch.folder("Match"):
+        match = MatchPanel(gui, desk, scene.take_heatmap)
+    # The scene last: it shows the heatmap that the Match panel has just drawn.
+    desk.panels = [header, timeline, switch, recording, match, scene]
+    return timeline

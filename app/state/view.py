@@ -1,0 +1,145 @@
+"""What one person looks at: the recording, the frame, the settings and how all that is shown.
+
+A view is frozen and validated: whatever a browser, a link or a stored page sends becomes a view, or
+an error in one line. It goes whole into a link, the settings as what differs from their preset.
+"""
+
+import base64
+import binascii
+import json
+import zlib
+from typing import Any, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from fusion_core.model.classes import NoiseClass
+from fusion_core.model.errors import SettingsError
+from fusion_core.workflows.presets import PRESETS, ChainSettings, PresetName
+
+PanelName = Literal["Recording", "Match", "Register", "Repair", "Map"]
+PANELS: tuple[PanelName, ...] = get_args(PanelName)
+Scope = Literal["frame", "window", "recording"]
+_MAX_TEXT = 65_536
+
+
+class View(BaseModel):
+    """One person's view of a recording. ``recording`` is its name in the library.
+
+    ``settings`` are those of the frame that is shown, ``aligned`` those with which the whole
+    recording was aligned: moving a slider does not align it again.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    recording: str = Field(max_length=4096)
+    number: int = Field(0, ge=0, description="Frame, counted from 0")
+    panel: PanelName = "Recording"
+    preset: PresetName = "default"
+    settings: ChainSettings = PRESETS["default"]
+    aligned: ChainSettings = PRESETS["default"]
+    lidar_topic: str | None = Field(None, max_length=4096)
+    depth_topics: tuple[str, ...] = Field((), max_length=64)
+    virtual_row: int | None = Field(None, ge=0, le=100_000)
+    apply_clock_offset: bool = False
+    scope: Scope = "frame"
+    picked: tuple[float, float] | None = None
+    lock_picked: bool = False
+    draw: int = Field(0, ge=0, le=99_999, description="Draw of RANSAC, counted from 0")
+    classes: frozenset[NoiseClass] = frozenset(NoiseClass)
+    repaired: bool = Field(True, description="Show repaired values, else raw ones")
+    both: bool = Field(True, description="Show raw and repaired depth images together")
+    beam: int | None = Field(None, ge=0, description="Beam that is looked at")
+    row_step: int = Field(6, ge=1, le=60, description="Every so many rows of depth are drawn")
+    speed: float = Field(1.0, ge=0.1, le=8.0)
+    loop: bool = True
+
+    def with_setting(self, stage: str, name: str, value: Any) -> "View":
+        """The view with one setting of one stage changed.
+
+        Raises SettingsError, in one line, for a value that the stage refuses.
+        """
+        try:
+            if stage == "":
+                chain = self.settings.model_dump() | {name: value}
+            else:
+                chain = self.settings.model_dump()
+                chain[stage] = chain[stage] | {name: value}
+            settings = ChainSettings.model_validate(chain)
+        except ValidationError as error:
+            raise SettingsError(said(error), advice="The value before is kept.") from error
+        return self.model_copy(update={"settings": settings})
+
+    def changed(self, **values: Any) -> "View":
+        """The view with other values. Raises SettingsError for one that is refused."""
+        try:
+            return View.model_validate(dict(self) | values)
+        except ValidationError as error:
+            raise SettingsError(said(error), advice="The value before is kept.") from error
+
+    def needs_alignment(self) -> bool:
+        """Whether settings that the alignment read were changed since."""
+        stages = ("time", "sampling", "search", "mount", "pairing")
+        return any(getattr(self.settings, s) != getattr(self.aligned, s) for s in stages)
+
+    def differing(self, settings: ChainSettings | None = None) -> dict[str, dict[str, Any]]:
+        """The settings that differ from the preset's, by stage; the chain's own under ""."""
+        mine = (self.settings if settings is None else settings).model_dump()
+        base = PRESETS[self.preset].model_dump()
+        differing: dict[str, dict[str, Any]] = {}
+        for stage, value in mine.items():
+            if not isinstance(value, dict):
+                if value != base[stage]:
+                    differing.setdefault("", {})[stage] = value
+                continue
+            other = {name: v for name, v in value.items() if v != base[stage][name]}
+            if other:
+                differing[stage] = other
+        return differing
+
+    def to_link(self) -> str:
+        """The view as text for a URL."""
+        values = self.model_dump(mode="json", exclude={"settings", "aligned"})
+        values["settings"] = self.differing()
+        values["aligned"] = self.differing(self.aligned)
+        # In a fixed order: the same view is the same link.
+        values["classes"] = sorted(values["classes"])
+        packed = zlib.compress(json.dumps(values, sort_keys=True).encode(), 9)
+        return base64.urlsafe_b64encode(packed).decode().rstrip("=")
+
+
+def view_of_link(link: str) -> View:
+    """The view that ``to_link`` wrote. Raises SettingsError for what is none."""
+    try:
+        packed = base64.urlsafe_b64decode(link + "=" * (-len(link) % 4))
+        unpacker = zlib.decompressobj()
+        text = unpacker.decompress(packed, _MAX_TEXT)
+        if not unpacker.eof:
+            raise ValueError("it is cut short or too long")
+        values = json.loads(text)
+        for name in ("settings", "aligned"):
+            chain = PRESETS[values["preset"]].model_dump()
+            chain |= values[name].pop("", {})
+            for stage, other in values[name].items():
+                chain[stage] = chain[stage] | other
+            values[name] = chain
+        return View.model_validate(values)
+    except (
+        binascii.Error,
+        zlib.error,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        RecursionError,
+    ) as error:
+        reason = said(error) if isinstance(error, ValidationError) else "it is no link of a view"
+        raise SettingsError(
+            f"the link cannot be followed: {reason}", advice="Copy it again, whole."
+        ) from error
+
+
+def said(error: ValidationError) -> str:
+    """A validation error in one line."""
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"])
+    return f"{where}: {first['msg'].lower()}" if where else str(first["msg"]).lower()

@@ -1,0 +1,1 @@
+"""Folders of depth and colour images."""

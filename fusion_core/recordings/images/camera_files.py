@@ -1,0 +1,209 @@
+"""Files that state a depth camera: ROS YAML, JSON of Open3D or of plain keys, and text.
+
+Every function raises RecordingError naming its file.
+"""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
+
+from fusion_core.model.errors import RecordingError
+from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.recordings.images.frame_files import read_text
+
+_STEMS = (
+    "calibration",
+    "camera",
+    "camera-intrinsics",
+    "camera_info",
+    "camera_intrinsics",
+    "intrinsic",
+    "intrinsics",
+)
+_MAX_TEXT_BYTES = 64 << 10
+_MAX_NESTING = 16
+_MAX_SIDE = 1 << 16
+_SCALE_KEYS = ("depth_scale", "depth_factor")
+_DISTORTION_KEYS = ("distortion_coefficients", "distortion")
+# As many coefficients as OpenCV's models have.
+_DISTORTION_SIZES = (0, 4, 5, 8, 12, 14)
+# 16-bit depth in coarser or finer units than these reaches no room, or resolves no wall.
+_UNITS_PER_METRE = (100.0, 100_000.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StatedCamera:
+    """What a file says of a depth camera.
+
+    ``pinhole``: fx, fy, cx, cy in pixels. ``shape``: (rows, columns) of its images.
+    ``units_per_metre`` is that of 16-bit depth. Each is None where the file does not say it.
+    """
+
+    pinhole: tuple[float, float, float, float] | None = None
+    shape: tuple[int, int] | None = None
+    distortion_model: str = "plumb_bob"
+    distortion: tuple[float, ...] = ()
+    units_per_metre: float | None = None
+
+    def intrinsics(self, shape: tuple[int, int]) -> CameraIntrinsics | None:
+        """For images of ``shape``. Raises ValueError if they are not this camera's."""
+        if self.pinhole is None:
+            return None
+        if self.shape not in (None, shape):
+            raise ValueError(
+                f"it is for images of {self.shape[::-1]}, the depth images are {shape[::-1]}"
+            )
+        fx, fy, cx, cy = self.pinhole
+        return CameraIntrinsics(
+            width=shape[1],
+            height=shape[0],
+            fx=fx,
+            fy=fy,
+            cx=cx,
+            cy=cy,
+            distortion_model=self.distortion_model,
+            distortion=self.distortion,
+        )
+
+
+def camera_files(folder: Path) -> list[Path]:
+    """The files directly in a folder that are named like a camera's, in order of their names."""
+    names = {stem + suffix for stem in _STEMS for suffix in _PARSERS}
+    return [folder / name for name in sorted(names) if (folder / name).is_file()]
+
+
+def read_camera_file(file: Path) -> StatedCamera:
+    """The camera that a file states. Raises RecordingError.
+
+    Text and plain keys hold fx, fy, cx, cy; a matrix has its rows one after another, but for
+    ``intrinsic_matrix``, which Open3D writes by columns. ``depth_scale`` counts units in a metre,
+    or metres in a unit where it is below 1.
+    """
+    text = read_text(file, _MAX_TEXT_BYTES)
+    try:
+        return _PARSERS[file.suffix](text)
+    except (ValueError, OverflowError) as error:
+        raise RecordingError(
+            f"states no camera: {error}.",
+            file=file,
+            advice="It needs fx, fy, cx, cy and the size of the depth images.",
+        ) from error
+
+
+def _units_per_metre(depth_scale: float) -> float:
+    least, most = _UNITS_PER_METRE
+    units = 1.0 / depth_scale if 0.0 < depth_scale < 1.0 else depth_scale
+    if not least <= units <= most:
+        raise ValueError(f"depth_scale {depth_scale:g} gives no depth; millimetres are 1000")
+    return units
+
+
+def _text_camera(text: str) -> StatedCamera:
+    values = [float(word) for word in text.split()]
+    if len(values) == 4:
+        fx, fy, cx, cy = values
+        return StatedCamera(pinhole=(fx, fy, cx, cy))
+    return StatedCamera(pinhole=_pinhole(values))
+
+
+def _pinhole(k: Sequence[float]) -> tuple[float, float, float, float]:
+    if len(k) != 9 or [k[1], k[3], *k[6:]] != [0.0, 0.0, 0.0, 0.0, 1.0]:
+        raise ValueError(f"{len(k)} numbers are no 3 x 3 matrix fx 0 cx, 0 fy cy, 0 0 1")
+    return k[0], k[4], k[2], k[5]
+
+
+def _json_camera(text: str) -> StatedCamera:
+    try:
+        return _mapped_camera(json.loads(text))
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+
+
+def _yaml_camera(text: str) -> StatedCamera:
+    yaml = YAML(typ="safe", pure=True)
+    try:
+        # Events come without recursion and without following aliases, which could multiply.
+        depth = 0
+        for event in yaml.parse(text):
+            if isinstance(event, AliasEvent):
+                raise ValueError("it uses aliases")
+            depth += isinstance(event, CollectionStartEvent)
+            depth -= isinstance(event, CollectionEndEvent)
+            if depth > _MAX_NESTING:
+                raise ValueError("it is nested too deeply")
+        return _mapped_camera(yaml.load(text))
+    except YAMLError as error:
+        problem = " ".join(str(error).split())
+        raise ValueError(f"it is no YAML: {problem}") from error
+
+
+def _mapped_camera(camera: object) -> StatedCamera:
+    if not isinstance(camera, dict):
+        raise ValueError("it holds no keys")
+    scale_key = next((key for key in _SCALE_KEYS if key in camera), None)
+    units_per_metre = _units_per_metre(_number(camera, scale_key)) if scale_key else None
+    if scale_key is not None and len(camera) == 1:
+        return StatedCamera(units_per_metre=units_per_metre)
+    if "intrinsic_matrix" in camera:
+        by_column = _numbers(camera, "intrinsic_matrix")
+        pinhole = _pinhole([*by_column[0::3], *by_column[1::3], *by_column[2::3]])
+    elif "camera_matrix" in camera:
+        pinhole = _pinhole(_numbers(camera, "camera_matrix"))
+    else:
+        fx, fy, cx, cy = (_number(camera, key) for key in ("fx", "fy", "cx", "cy"))
+        pinhole = (fx, fy, cx, cy)
+    width, height = (
+        _pixels(camera, key if key in camera else f"image_{key}") for key in ("width", "height")
+    )
+    key = next((key for key in _DISTORTION_KEYS if key in camera), None)
+    distortion = tuple(_numbers(camera, key)) if key else ()
+    if len(distortion) not in _DISTORTION_SIZES:
+        raise ValueError(f"it has {len(distortion)} distortion coefficients")
+    return StatedCamera(
+        pinhole=pinhole,
+        shape=(height, width),
+        distortion_model=str(camera.get("distortion_model") or "plumb_bob"),
+        distortion=distortion,
+        units_per_metre=units_per_metre,
+    )
+
+
+def _number(camera: dict[Any, Any], key: str) -> float:
+    value = camera.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+        raise ValueError(f"{key} is missing or no finite number")
+    return float(value)
+
+
+def _pixels(camera: dict[Any, Any], key: str) -> int:
+    value = _number(camera, key)
+    if not value.is_integer() or not 0 < value <= _MAX_SIDE:
+        raise ValueError(f"{key} {value:g} is no number of pixels")
+    return int(value)
+
+
+def _numbers(camera: dict[Any, Any], key: str) -> list[float]:
+    """A list of numbers, flat or by rows, or a matrix of ROS, whose list is under ``data``."""
+    value = camera[key]
+    if isinstance(value, dict):
+        value = value.get("data")
+    rows = value if isinstance(value, list) else []
+    flat = [v for row in rows for v in (row if isinstance(row, list) else [row])]
+    if not isinstance(value, list):
+        raise ValueError(f"{key} holds no list of numbers")
+    return [_number({key: number}, key) for number in flat]
+
+
+_PARSERS: dict[str, Callable[[str], StatedCamera]] = {
+    ".json": _json_camera,
+    ".yaml": _yaml_camera,
+    ".yml": _yaml_camera,
+    ".txt": _text_camera,
+}

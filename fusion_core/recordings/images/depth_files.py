@@ -1,0 +1,164 @@
+"""Depth images as files: 16-bit PNG, PGM, TIFF and NPY in parts of a metre, floats in metres.
+
+Every function raises RecordingError naming its file.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from fusion_core.model.conventions import Float32Array
+from fusion_core.model.errors import RecordingError
+from fusion_core.recordings.decode import (
+    MILLIMETRES_PER_METRE,
+    SATURATED,
+    depth_m_from_metres,
+    depth_m_from_units,
+)
+from fusion_core.recordings.images.frame_files import decode_image, read_packed
+from fusion_core.recordings.messages.image_headers import (
+    MAX_DECODED_BYTES,
+    BadImage,
+    checked_image_size,
+)
+
+_NPY_MAGIC = b"\x93NUMPY"
+# The header that numpy writes for a plain array of two dimensions. It is a Python literal;
+# matching it whole spares evaluating what a stranger wrote.
+_NPY_HEADER = re.compile(
+    rb"\x93NUMPY\x01\0..\{'descr': '([<>](?:u2|f4|f8))', 'fortran_order': (True|False), "
+    rb"'shape': \((\d{1,6}), (\d{1,6})\), \} *\n",
+    re.DOTALL,
+)
+# Fewer values than these prove no encoding.
+_ENOUGH_PIXELS = 100
+# And not many more are needed of a large image.
+_LOOKED_AT = 1 << 20
+_FARTHEST_MM = 10_000
+# What a rotation makes of about one metre.
+_ROTATED_MM = 8_191
+_MOST = 0.99
+
+
+def read_depth(file: Path, units_per_metre: float) -> tuple[Float32Array, str]:
+    """(H, W) metres, NaN where missing, and the encoding for DepthImage.
+
+    ``units_per_metre`` is for 16-bit files; floating files hold metres. Encoding "16UC1" promises
+    millimetres, so that other units are given as "32FC1", which loses none of their steps.
+    """
+    pixels = _read_pixels(file)
+    if pixels.dtype == np.uint16:
+        encoding = "16UC1" if units_per_metre == MILLIMETRES_PER_METRE else "32FC1"
+        return depth_m_from_units(pixels, units_per_metre), encoding
+    with np.errstate(over="ignore"):
+        metres = pixels.astype(np.float32)
+    return depth_m_from_metres(metres), "32FC1"
+
+
+def depth_shape(file: Path) -> tuple[int, int]:
+    """(rows, columns) without decoding."""
+    packed = read_packed(file)
+    if packed.startswith(_NPY_MAGIC):
+        rows, columns = _npy_pixels(file, packed).shape
+        return rows, columns
+    try:
+        size = checked_image_size(packed)
+    except BadImage as error:
+        raise RecordingError(f"{error}.", file=file, advice="Copy it again.") from error
+    return size.height, size.width
+
+
+@dataclass(frozen=True, slots=True)
+class StoredDepth:
+    """What the values of some files tell: whether any is of 16 bits, whose unit must be known.
+
+    ``disorder``: why such values cannot be distances in their order of size, whatever their unit;
+    ``other_unit``: why they cannot be millimetres. Each names its file; None for no doubt.
+    """
+
+    counts_units: bool = False
+    disorder: str | None = None
+    other_unit: str | None = None
+
+
+def examine_depth(files: Sequence[Path]) -> StoredDepth:
+    """Look into ``files``; those that cannot be read tell nothing."""
+    stored = StoredDepth()
+    for file in files:
+        try:
+            pixels = _read_pixels(file)
+        except RecordingError:
+            continue
+        if pixels.dtype == np.uint16:
+            values = pixels.ravel()[:: 1 + pixels.size // _LOOKED_AT]
+            values = values[(values != 0) & (values != SATURATED)]
+            known = values.size >= _ENOUGH_PIXELS
+            disorder = _disorder(values) if known else None
+            other_unit = _other_unit(values) if known else None
+            stored = StoredDepth(
+                True,
+                stored.disorder or (disorder and f"{file.name}: {disorder}"),
+                stored.other_unit or (other_unit and f"{file.name}: {other_unit}"),
+            )
+    return stored
+
+
+def _disorder(values: np.ndarray[Any, Any]) -> str | None:
+    low, high = int((values & 0xFF).max()), int((values >> 8).max())
+    if 2 <= low < _FARTHEST_MM >> 8 < high:
+        return "its two bytes seem swapped, as in raw dumps of NYU Depth"
+    # A rotation left by 3 puts the topmost bits of a short distance, which are 0, at the bottom.
+    if values.max() > _ROTATED_MM and not (values & 0b110).any():
+        return "its bits seem rotated, as in SUN RGB-D"
+    return None
+
+
+def _other_unit(values: np.ndarray[Any, Any]) -> str | None:
+    if values.max() > _FARTHEST_MM and (values % 5 == 0).mean() > _MOST:
+        return "its steps are 5 and it reaches beyond 10 m, as in TUM RGB-D with 1/5000 m"
+    return None
+
+
+def _read_pixels(file: Path) -> np.ndarray[Any, Any]:
+    """(H, W) uint16 or floating."""
+    packed = read_packed(file)
+    if packed.startswith(_NPY_MAGIC):
+        return _npy_pixels(file, packed)
+    pixels = decode_image(file, packed, cv2.IMREAD_UNCHANGED)
+    if pixels.ndim != 2 or pixels.dtype not in (np.uint16, np.float32):
+        raise RecordingError(
+            f"is no depth image: {pixels.dtype} of shape {pixels.shape}.",
+            file=file,
+            advice="Depth is a 16-bit PNG, PGM or TIFF, or metres as float TIFF or NPY.",
+        )
+    return pixels
+
+
+def _npy_pixels(file: Path, packed: bytes) -> np.ndarray[Any, Any]:
+    """An array over ``packed``, so that a header can claim no more memory than the file has."""
+    header = _NPY_HEADER.match(packed)
+    if header is None:
+        raise RecordingError(
+            "is no NPY array of a depth image.",
+            file=file,
+            advice="Save rows x columns as float32 metres or uint16.",
+        )
+    dtype = np.dtype(header[1].decode())
+    rows, columns = int(header[3]), int(header[4])
+    needed = rows * columns * dtype.itemsize
+    there = len(packed) - header.end()
+    if not 0 < needed <= min(there, MAX_DECODED_BYTES):
+        raise RecordingError(
+            f"claims {rows} x {columns} values, {there} bytes follow.",
+            file=file,
+            advice="Copy it again from its source.",
+        )
+    values = np.frombuffer(packed, dtype, rows * columns, header.end())
+    by_columns = header[2] == b"True"
+    pixels = values.reshape(columns, rows).T if by_columns else values.reshape(rows, columns)
+    return pixels.astype(dtype.newbyteorder("="), copy=False)

@@ -1,0 +1,200 @@
+"""The single files of a folder of frames: images, poses and intrinsics as text.
+
+Every function raises RecordingError naming its file.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from fusion_core.model.conventions import ByteArray, FloatArray
+from fusion_core.model.errors import RecordingError
+from fusion_core.model.geometry import rotation_from_quaternion, transform
+from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.recordings.messages.image_headers import (
+    MAX_DECODED_BYTES,
+    BadImage,
+    checked_image_size,
+)
+
+# Frames are numbered with at most twelve digits.
+_MOST_FRAMES = 10**12
+_MAX_TEXT_BYTES = 256 << 20
+# No packed image is larger than what it may unpack to and its header.
+_MAX_PACKED_BYTES = MAX_DECODED_BYTES + (1 << 20)
+_COPY_AGAIN = "Copy it again from its source."
+
+
+def read_packed(file: Path) -> bytes:
+    """The bytes of an image file."""
+    try:
+        # Opening a pipe would wait for its other end.
+        if not file.is_file():
+            raise RecordingError("is no file, or missing.", file=file, advice=_COPY_AGAIN)
+        if file.stat().st_size > _MAX_PACKED_BYTES:
+            raise RecordingError(
+                f"is larger than {_MAX_PACKED_BYTES} bytes.", file=file, advice=_COPY_AGAIN
+            )
+        return file.read_bytes()
+    except OSError as error:
+        raise RecordingError(
+            f"cannot be read: {error.strerror or error}.", file=file, advice=_COPY_AGAIN
+        ) from error
+
+
+def read_image(file: Path, flags: int) -> np.ndarray[Any, Any]:
+    """The pixels of an image file; ``flags`` are OpenCV's IMREAD flags."""
+    return decode_image(file, read_packed(file), flags)
+
+
+def decode_image(file: Path, packed: bytes, flags: int) -> np.ndarray[Any, Any]:
+    """The pixels of ``packed``, the bytes of an image file."""
+    try:
+        checked_image_size(packed)
+        pixels = cv2.imdecode(np.frombuffer(packed, np.uint8), flags)
+    except BadImage as error:
+        raise RecordingError(f"{error}.", file=file, advice=_COPY_AGAIN) from error
+    except cv2.error as error:
+        problem = " ".join(str(error).split())
+        raise RecordingError(
+            f"cannot be read: {problem}.", file=file, advice=_COPY_AGAIN
+        ) from error
+    if pixels is None:
+        raise RecordingError("is a damaged image.", file=file, advice=_COPY_AGAIN)
+    return np.asarray(pixels)
+
+
+def read_rgb(file: Path) -> ByteArray:
+    """(H, W, 3) uint8 of a colour or grey image, as its rows are stored."""
+    bgr = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    rgb: ByteArray = np.ascontiguousarray(bgr[:, :, ::-1])
+    return rgb
+
+
+def read_intrinsics(file: Path, shape: tuple[int, ...]) -> CameraIntrinsics:
+    """Intrinsics for images of ``shape`` (rows, columns): Open3D's JSON, or a 3 x 3 text file."""
+    if file.suffix == ".json":
+        k, size = _read_open3d_camera(file)
+        if size != shape:
+            raise RecordingError(
+                f"is for images of {size[::-1]}, the depth images are {shape[::-1]}.",
+                file=file,
+                advice="Put the depth camera's own file there.",
+            )
+    else:
+        k = read_matrix(file, (3, 3))
+    try:
+        return CameraIntrinsics(
+            width=shape[1], height=shape[0], fx=k[0, 0], fy=k[1, 1], cx=k[0, 2], cy=k[1, 2]
+        )
+    except ValueError as error:
+        raise RecordingError(
+            f"{error}.", file=file, advice="Calibrate the camera, or remove the file."
+        ) from error
+
+
+def _read_open3d_camera(file: Path) -> tuple[FloatArray, tuple[int, int]]:
+    try:
+        camera = json.loads(read_text(file))
+        # Open3D writes the matrix by columns.
+        k = np.array(camera["intrinsic_matrix"], dtype=np.float64).reshape(3, 3).T
+        return k, (int(camera["height"]), int(camera["width"]))
+    except (ValueError, KeyError, TypeError) as error:
+        raise RecordingError(
+            f"is no camera of Open3D: {error}.",
+            file=file,
+            advice="It needs width, height and intrinsic_matrix.",
+        ) from error
+
+
+def read_trajectory_log(file: Path, warnings: list[str]) -> dict[int, FloatArray]:
+    """{place of the frame: (4, 4)}: blocks of a line "place id next" and four rows.
+
+    What follows a damaged place is lost; ``warnings`` gets a line about it.
+    """
+    blocks = _leading_rows(file, 19, "five lines: three numbers, and four rows of four", warnings)
+    named = blocks[np.isfinite(blocks[:, 0]) & (np.abs(blocks[:, 0]) < _MOST_FRAMES)]
+    if len(named) < len(blocks):
+        warnings.append(f"{file.name}: {len(blocks) - len(named)} poses name no frame.")
+    return {int(block[0]): block[3:].reshape(4, 4) for block in named}
+
+
+def read_pose_lines(file: Path, warnings: list[str]) -> dict[int, FloatArray]:
+    """{place of the frame: (4, 4)}: one line tx ty tz qx qy qz qw for each frame.
+
+    As ``read_trajectory_log`` where it is damaged; a quaternion that is no rotation costs its pose.
+    """
+    poses = {}
+    rows = _leading_rows(file, 7, "a line tx ty tz qx qy qz qw", warnings)
+    for place, row in enumerate(rows):
+        try:
+            poses[place] = transform(rotation_from_quaternion(*row[3:]), row[:3])
+        except ValueError:
+            continue
+    if len(poses) < len(rows):
+        warnings.append(f"{file.name}: {len(rows) - len(poses)} poses are no rotations.")
+    return poses
+
+
+def _leading_rows(file: Path, width: int, form: str, warnings: list[str]) -> FloatArray:
+    """(n, width) whole rows of numbers before the first word that is none."""
+    words = read_text(file).split()
+    numbers: list[float] = []
+    for word in words:
+        try:
+            numbers.append(float(word))
+        except ValueError:
+            break
+    count = len(numbers) // width
+    if count * width < len(words):
+        warnings.append(
+            f"{file.name} is damaged or cut short after {count} poses: a pose is {form}."
+        )
+    return np.array(numbers[: count * width]).reshape(count, width)
+
+
+def read_matrix(file: Path, shape: tuple[int, int]) -> FloatArray:
+    """A text file of exactly the numbers of one matrix."""
+    values = _read_numbers(file)
+    if values.size != shape[0] * shape[1]:
+        raise RecordingError(
+            f"holds {values.size} numbers, a {shape[0]} x {shape[1]} matrix is needed.",
+            file=file,
+            advice="Write one row of the matrix on each line.",
+        )
+    return values.reshape(shape)
+
+
+def _read_numbers(file: Path) -> FloatArray:
+    try:
+        return np.array(read_text(file).split(), dtype=np.float64)
+    except ValueError as error:
+        raise RecordingError(
+            f"is no table of numbers: {error}.", file=file, advice="Write numbers and spaces alone."
+        ) from error
+
+
+def read_text(file: Path, max_bytes: int = _MAX_TEXT_BYTES) -> str:
+    """The text of a file of at most ``max_bytes``."""
+    try:
+        size = file.stat().st_size
+        if size > max_bytes:
+            raise RecordingError(
+                f"holds {size} bytes, too many for a text of its kind ({max_bytes}).",
+                file=file,
+                advice="Check what it holds.",
+            )
+        return file.read_text(encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(
+            f"cannot be read: {error.strerror or error}.",
+            file=file,
+            advice="Check the path and its permissions.",
+        ) from error
+    except UnicodeDecodeError as error:
+        raise RecordingError(
+            f"is no text: {error}.", file=file, advice="Check what it holds."
+        ) from error

@@ -1,0 +1,307 @@
+"""Plain folders of images: depth/ and rgb/, color/ or images/, named by number or by time.
+
+A time is decimal seconds or nanoseconds; numbers have no clock, and a frame's stamp is then its
+number / 30 s, counted from the first. Intrinsics and the unit of 16-bit depth come from a file
+beside the images (``camera_files``). Depth and colour keep their own stamps: nothing is paired.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fusion_core.model.conventions import NS_PER_S, IntArray
+from fusion_core.model.errors import RecordingError
+from fusion_core.model.recording import Recording, Role
+from fusion_core.model.sensors import (
+    CameraInfo,
+    CameraIntrinsics,
+    ColorImage,
+    DepthImage,
+    SensorValue,
+)
+from fusion_core.recordings.decimal_time import ns_from_decimal_seconds
+from fusion_core.recordings.decode import MILLIMETRES_PER_METRE
+from fusion_core.recordings.images.camera_files import StatedCamera, camera_files, read_camera_file
+from fusion_core.recordings.images.depth_files import depth_shape, examine_depth, read_depth
+from fusion_core.recordings.images.frame_files import read_rgb
+from fusion_core.recordings.images.frame_folder import (
+    CAMERA_FRAME,
+    CAMERA_INFO_TOPIC,
+    COLOR_TOPIC,
+    DEPTH_TOPIC,
+    FRAMES_PER_S,
+)
+from fusion_core.recordings.stamped import StampedRecording, StampedStream
+
+MAX_FILES = 1 << 20
+_DEPTH_FOLDER = "depth"
+_COLOR_FOLDERS = ("rgb", "color", "images")
+_DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".npy")
+_COLOR_SUFFIXES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm")
+_NAME = re.compile(r"(?:[A-Za-z][A-Za-z_-]*)?(\d{1,19}(?:\.\d{1,9})?)", re.ASCII)
+# Whole numbers: below, frames; from here on, nanoseconds (since 1973); between, neither.
+_END_OF_FRAMES = 10**9
+_FIRST_NS = 10**17
+_SHAPE_ATTEMPTS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class ImageSeries:
+    """The images of one sensor, names below ``folder``. ``stamp_ns``: (count,), ascending."""
+
+    folder: Path
+    names: tuple[str, ...]
+    stamp_ns: IntArray
+
+    def file(self, index: int) -> Path:
+        """The ``index``-th image."""
+        return self.folder / self.names[index]
+
+
+@dataclass(frozen=True, slots=True)
+class FoundCamera:
+    """Intrinsics and unit of 16-bit depth; None where no file says them."""
+
+    intrinsics: CameraIntrinsics | None = None
+    units_per_metre: float | None = None
+
+
+def is_image_folder(path: Path) -> bool:
+    """Whether a folder holds depth/ with images, or beside a folder of colour images."""
+    depth = path / _DEPTH_FOLDER
+    if not depth.is_dir():
+        return False
+    return _color_folder(path) is not None or any(
+        _number_or_stamp(Path(child.name), _DEPTH_SUFFIXES) for child in depth.iterdir()
+    )
+
+
+def open_image_folder(path: Path) -> Recording:
+    """A folder that ``is_image_folder`` knows. Raises RecordingError."""
+    warnings: list[str] = []
+    depth = _named_images(path / _DEPTH_FOLDER, _DEPTH_SUFFIXES, warnings)
+    if depth is None:
+        raise RecordingError(
+            "has no depth images.",
+            file=path / _DEPTH_FOLDER,
+            advice=f"Name them by number or time stamp, as {', '.join(_DEPTH_SUFFIXES)}.",
+        )
+    color_folder = _color_folder(path)
+    color = _named_images(color_folder, _COLOR_SUFFIXES, warnings) if color_folder else None
+    if color is not None and color.are_numbers != depth.are_numbers:
+        warnings.append(
+            f"{color.folder.name}/ is left out: its images and those of {_DEPTH_FOLDER}/ are not "
+            "both named by number or both by time."
+        )
+        color = None
+    first = min(int(images.values[0]) for images in (depth, color) if images is not None)
+    series = depth.series(first)
+    camera = find_camera(series, [path, path / _DEPTH_FOLDER], warnings)
+    return StampedRecording(
+        path,
+        "image folder",
+        camera_streams(
+            series,
+            color.series(first) if color else None,
+            camera.intrinsics,
+            _units_per_metre(series, camera.units_per_metre, warnings),
+        ),
+        warnings,
+        stamps_are_nominal=depth.are_numbers,
+    )
+
+
+def find_camera(depth: ImageSeries, folders: Sequence[Path], warnings: list[str]) -> FoundCamera:
+    """What the one camera file in ``folders`` says; what it cannot say goes to ``warnings``."""
+    files = [file for folder in folders for file in camera_files(folder)]
+    if len(files) > 1:
+        names = ", ".join(file.name for file in files)
+        warnings.append(f"There are no intrinsics: {names} exclude each other.")
+    if len(files) != 1:
+        return FoundCamera()
+    stated = StatedCamera()
+    try:
+        stated = read_camera_file(files[0])
+        intrinsics = stated.intrinsics(first_shape(depth))
+    except RecordingError as error:
+        warnings.append(f"There are no intrinsics: {error}")
+    except ValueError as error:
+        warnings.append(f"There are no intrinsics: {files[0].name}: {error}.")
+    else:
+        return FoundCamera(intrinsics, stated.units_per_metre)
+    return FoundCamera(None, stated.units_per_metre)
+
+
+def first_shape(depth: ImageSeries) -> tuple[int, int]:
+    """(rows, columns) of the first image that can be read. Raises RecordingError."""
+    last = min(len(depth.names), _SHAPE_ATTEMPTS) - 1
+    for index in range(last):
+        with suppress(RecordingError):
+            return depth_shape(depth.file(index))
+    return depth_shape(depth.file(last))
+
+
+def camera_streams(
+    depth: ImageSeries | None,
+    color: ImageSeries | None,
+    intrinsics: CameraIntrinsics | None,
+    units_per_metre: float,
+) -> list[StampedStream]:
+    """The topics of a camera. ``intrinsics`` come with each depth image."""
+    streams = []
+    if depth is not None:
+        streams.append(
+            _stream(
+                DEPTH_TOPIC, "image", "depth", depth, lambda i: _depth(depth, i, units_per_metre)
+            )
+        )
+    if depth is not None and intrinsics is not None:
+        streams.append(
+            _stream(
+                CAMERA_INFO_TOPIC,
+                "intrinsics",
+                "camera_info",
+                depth,
+                lambda i: CameraInfo(
+                    stamp_ns=int(depth.stamp_ns[i]),
+                    received_ns=None,
+                    frame_id=CAMERA_FRAME,
+                    intrinsics=intrinsics,
+                ),
+            )
+        )
+    if color is not None:
+        streams.append(_stream(COLOR_TOPIC, "image", "color", color, lambda i: _color(color, i)))
+    return streams
+
+
+def frame_stamps_ns(numbers: IntArray, first: int) -> IntArray:
+    """(count,) nominal stamps of frame numbers, 0 at the number ``first``."""
+    return (numbers - first) * NS_PER_S // FRAMES_PER_S
+
+
+def _stream(
+    name: str, kind: str, role: Role, series: ImageSeries, value: Callable[[int], SensorValue]
+) -> StampedStream:
+    return StampedStream(name=name, type=kind, role=role, stamp_ns=series.stamp_ns, value=value)
+
+
+def _depth(series: ImageSeries, index: int, units_per_metre: float) -> DepthImage:
+    depth_m, encoding = read_depth(series.file(index), units_per_metre)
+    return DepthImage(
+        stamp_ns=int(series.stamp_ns[index]),
+        received_ns=None,
+        frame_id=CAMERA_FRAME,
+        depth_m=depth_m,
+        encoding=encoding,
+    )
+
+
+def _color(series: ImageSeries, index: int) -> ColorImage:
+    return ColorImage(
+        stamp_ns=int(series.stamp_ns[index]),
+        received_ns=None,
+        frame_id=CAMERA_FRAME,
+        rgb=read_rgb(series.file(index)),
+    )
+
+
+def _units_per_metre(depth: ImageSeries, stated: float | None, warnings: list[str]) -> float:
+    """``stated``, else millimetres where the values do not speak against it."""
+    last = len(depth.names) - 1
+    stored = examine_depth([depth.file(index) for index in sorted({0, last // 2, last})])
+    if stated is not None:
+        if stored.disorder:
+            warnings.append(f"Depth is read as stated, but doubtful: {stored.disorder}.")
+        return stated
+    if doubt := stored.disorder or stored.other_unit:
+        raise RecordingError(
+            f"is no depth in millimetres: {doubt}.",
+            file=depth.folder,
+            advice='Convert it to millimetres, or state its unit as "depth_scale" in camera.json.',
+        )
+    if stored.counts_units:
+        warnings.append(
+            "Depth is taken as millimetres: no file that can be read says its unit "
+            '("depth_scale" in camera.json).'
+        )
+    return MILLIMETRES_PER_METRE
+
+
+@dataclass(frozen=True, slots=True)
+class _NamedImages:
+    """``values``: (count,) frame numbers, or stamps in nanoseconds, ascending."""
+
+    folder: Path
+    names: tuple[str, ...]
+    values: IntArray
+    are_numbers: bool
+
+    def series(self, first: int) -> ImageSeries:
+        stamps = frame_stamps_ns(self.values, first) if self.are_numbers else self.values
+        return ImageSeries(self.folder, self.names, stamps)
+
+
+def _color_folder(path: Path) -> Path | None:
+    return next((path / name for name in _COLOR_FOLDERS if (path / name).is_dir()), None)
+
+
+def _named_images(
+    folder: Path, suffixes: Iterable[str], warnings: list[str]
+) -> _NamedImages | None:
+    """The images of a folder by what their names say; None where there are none."""
+    by_value: dict[int, str] = {}
+    kinds: set[bool] = set()
+    left_out = 0
+    for count, child in enumerate(folder.iterdir()):
+        if count == MAX_FILES:
+            raise RecordingError(
+                f"holds more than {MAX_FILES} files.", file=folder, advice="Split the recording."
+            )
+        name = Path(child.name)
+        if name.suffix.lower() not in suffixes:
+            continue
+        found = _number_or_stamp(name, suffixes)
+        if found is None:
+            left_out += 1
+            continue
+        value, is_number = found
+        kinds.add(is_number)
+        if value in by_value:
+            left_out += 1
+        # Folders are listed in any order; the same input must give the same choice.
+        by_value[value] = min(by_value.get(value, child.name), child.name)
+    if len(kinds) > 1:
+        raise RecordingError(
+            "names some images by number and others by time.",
+            file=folder,
+            advice="Put them into two folders.",
+        )
+    if left_out:
+        warnings.append(
+            f"{folder.name}/: {left_out} images are left out, whose names say no number or time, "
+            "or the same as another."
+        )
+    if not by_value:
+        return None
+    values = np.array(sorted(by_value), dtype=np.int64)
+    names = tuple(by_value[value] for value in values.tolist())
+    return _NamedImages(folder, names, values, kinds == {True})
+
+
+def _number_or_stamp(name: Path, suffixes: Iterable[str]) -> tuple[int, bool] | None:
+    """(frame number, True) or (nanoseconds, False), as a file's name says; None if neither."""
+    match = _NAME.fullmatch(name.stem)
+    if match is None or name.suffix.lower() not in suffixes:
+        return None
+    if "." in match[1]:
+        stamp_ns = ns_from_decimal_seconds(match[1])
+        return None if stamp_ns is None else (stamp_ns, False)
+    number = int(match[1])
+    if number < _END_OF_FRAMES:
+        return number, True
+    return (number, False) if _FIRST_NS <= number < 1 << 63 else None

@@ -1,0 +1,1 @@
+"""MCAP files: index, walk over damaged ones, and writing."""

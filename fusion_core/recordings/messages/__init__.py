@@ -1,0 +1,1 @@
+"""ROS messages: their definitions, limits, and the values of images and clouds."""

@@ -1,0 +1,85 @@
+"""sensor_msgs/PointCloud2 to points: any layout of fields, byte order, padded points and rows."""
+
+from typing import Any
+
+import numpy as np
+
+from fusion_core.model.conventions import Float32Array
+from fusion_core.recordings.messages.bad_message import BadMessage
+
+# More than any scanner sends at once; the values and their masks stay well below 256 MiB.
+MAX_POINTS = 1 << 23
+# PointField's INT8 to FLOAT64.
+_DTYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+_AXES = ("x", "y", "z")
+
+
+def cloud_points(raw: Any) -> tuple[Float32Array, Float32Array | None]:
+    """(N, 3) metres and (N,) intensity of a cloud, in its order; None where it has no intensity.
+
+    A point is NaN where a coordinate is not finite, whatever ``is_dense`` says, and where all are
+    0, which is how some drivers say that they saw nothing. Other fields are passed over.
+
+    Raises BadMessage for a cloud whose sizes, fields and data contradict each other.
+    """
+    width, height = int(raw.width), int(raw.height)
+    count = width * height
+    if count > MAX_POINTS:
+        raise BadMessage(
+            f"the cloud claims {width} x {height} points, more than {MAX_POINTS}",
+            "The message is damaged; leave the topic out.",
+        )
+    fields = {field.name: field for field in reversed(raw.fields)}
+    with_intensity = "intensity" in fields
+    xyz_m = np.empty((count, 3), np.float32)
+    intensity = np.empty(count, np.float32) if with_intensity else None
+    if count == 0:
+        return xyz_m, intensity
+    _check_data(raw, width, height)
+    # A float64 beyond float32 becomes infinite, and then NaN; a signalling NaN is one as well.
+    with np.errstate(over="ignore", invalid="ignore"):
+        for axis, name in enumerate(_AXES):
+            xyz_m.reshape(height, width, 3)[:, :, axis] = _column(raw, fields, name)
+        if intensity is not None:
+            intensity.reshape(height, width)[:] = _column(raw, fields, "intensity")
+            intensity[~np.isfinite(intensity)] = np.nan
+        xyz_m[~np.isfinite(xyz_m).all(axis=1) | ~xyz_m.any(axis=1)] = np.nan
+    return xyz_m, intensity
+
+
+def _check_data(raw: Any, width: int, height: int) -> None:
+    row_bytes, row_step = width * int(raw.point_step), int(raw.row_step)
+    # Drivers of unordered clouds, which are one row, may leave row_step empty.
+    if height > 1 and row_step < row_bytes:
+        raise BadMessage(
+            f"rows of {width} points of {raw.point_step} bytes cannot have row_step {row_step}",
+            "Check the driver that publishes the cloud.",
+        )
+    needed = (height - 1) * row_step + row_bytes
+    if raw.data.nbytes < needed:
+        raise BadMessage(
+            f"the cloud holds {raw.data.nbytes} bytes, {width} x {height} points need {needed}",
+            "The message was cut short; record again or leave the topic out.",
+        )
+
+
+def _column(raw: Any, fields: dict[str, Any], name: str) -> np.ndarray[Any, Any]:
+    """(H, W) view of one field."""
+    field = fields.get(name)
+    if field is None:
+        raise BadMessage(f"the cloud has no field {name}", "Name another topic.")
+    # A count of 0 is an old driver's 1.
+    if field.datatype not in _DTYPES or field.count > 1:
+        raise BadMessage(
+            f"field {name} is of datatype {field.datatype}, {field.count} a point",
+            "A coordinate and an intensity are one number of datatype 1 to 8.",
+        )
+    dtype = np.dtype((">" if raw.is_bigendian else "<") + _DTYPES[field.datatype])
+    point_step, offset = int(raw.point_step), int(field.offset)
+    if offset + dtype.itemsize > point_step:
+        raise BadMessage(
+            f"field {name} at byte {offset} reaches beyond a point of {point_step} bytes",
+            "Check the driver that publishes the cloud.",
+        )
+    strides = (int(raw.row_step), point_step)
+    return np.ndarray((int(raw.height), int(raw.width)), dtype, raw.data, offset, strides)

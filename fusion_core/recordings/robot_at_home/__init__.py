@@ -1,0 +1,1 @@
+"""Robot@Home, plain text and Robot@Home2."""

@@ -1,0 +1,420 @@
+"""Robot@Home2: the tables of rh.db, and the images below files/rgbd that they name.
+
+The images were turned upright and their depth was cut to 8 bits. Of the labelled images the poses
+are places in a map; the raw data has the mounts. A laser observation's subsession is the number
+of its sequence in the first version, so that sequences are told apart by their times here too.
+"""
+
+import sqlite3
+from collections.abc import Iterator, Mapping
+from pathlib import Path, PurePosixPath
+from typing import Any, Final
+
+import numpy as np
+
+from fusion_core.model.conventions import FloatArray
+from fusion_core.model.errors import RecordingError
+from fusion_core.recordings.robot_at_home.rig import (
+    URG_APERTURE_RAD,
+    URG_MAX_RANGE_M,
+    RawScan,
+    checked_beam_count,
+    is_camera,
+    is_lidar,
+)
+from fusion_core.recordings.robot_at_home.room import (
+    MAX_OBSERVATIONS,
+    Room,
+    RoomKey,
+    Track,
+    TrackBuilder,
+    lidar_of,
+    sensor_builder,
+)
+
+FORMAT: Final = "Robot@Home2 room"
+DATABASE: Final = "rh.db"
+_MAGIC: Final = b"SQLite format 3\0"
+_NAMES: Final = frozenset({"rh_home_sessions", "rh_rooms", "rh_sensors"})
+# Of two tables that hold a room the first is read.
+_CAMERA_TABLES: Final = ("rh_lblrgbd", "rh_raw")
+_LIDAR_TABLES: Final = ("rh_lsrscan", "rh_raw")
+_FILES: Final = "rh2_old2new_rgbd_files"
+# The raw observations' numbers end below this; their beams are in rh_raw_scans.
+_FIRST_PROCESSED_ID: Final = 200_000
+_ROWS_AT_A_TIME: Final = 4096
+# No text of this database is longer than a path.
+_MAX_VALUE_BYTES: Final = 1 << 16
+_MAX_NAME: Final = 255
+_MAX_ROOMS: Final = 100_000
+# A damaged table may lead in circles. The largest query on the published data takes some million
+# steps of SQLite's machine; this many take seconds.
+_STEPS_AT_A_TIME: Final = 1_000_000
+_MAX_STEPS: Final = 200 * _STEPS_AT_A_TIME
+_POSE: Final = ", ".join(f"sensor_pose_{name}" for name in ("x", "y", "z", "yaw", "pitch", "roll"))
+_WRONG: Final = (ValueError, TypeError, OverflowError, KeyError)
+# A damaged name in the schema is no text, and SQLite's own message quotes it.
+BROKEN: Final = (sqlite3.Error, UnicodeDecodeError)
+
+
+def find_database(path: Path) -> Path | None:
+    """rh.db, for itself or the folder that holds it: a database with the tables of this data set.
+
+    Raises OSError where it cannot be read.
+    """
+    database = path / DATABASE if path.is_dir() else path
+    if not database.is_file():
+        return None
+    with database.open("rb") as file:
+        if file.read(len(_MAGIC)) != _MAGIC:
+            return None
+    try:
+        connection = _connect(database)
+        try:
+            return database if _tables(connection) >= _NAMES else None
+        finally:
+            connection.close()
+    except BROKEN:
+        return database if database.name == DATABASE else None
+
+
+class Database:
+    """The rooms of rh.db, opened read-only; ``close`` frees it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._connection = _connect(path)
+        self._steps = 0
+        self._connection.set_progress_handler(self._too_long, _STEPS_AT_A_TIME)
+        try:
+            self.tables = _tables(self._connection)
+            self._sessions = self._by_id("rh_home_sessions")
+            self._rooms = self._by_id("rh_rooms")
+            self._sensors = self._by_id("rh_sensors")
+            self._scanners = ", ".join(
+                str(number) for number, name in self._sensors.items() if is_lidar(name)
+            )
+            self._cameras = ", ".join(
+                str(number) for number, name in self._sensors.items() if is_camera(name)
+            )
+        except BaseException:
+            self._connection.close()
+            raise
+
+    def close(self) -> None:
+        """Refuse further queries."""
+        self._connection.close()
+
+    def room_keys(self) -> tuple[RoomKey, ...]:
+        """Every room, sorted; rooms that only the LiDAR saw have the subsession 1."""
+        columns = "DISTINCT home_session_id, room_id, home_subsession_id"
+        found: set[tuple[Any, Any, Any]] = set()
+        for table in self._present(_CAMERA_TABLES):
+            rows = self.rows(f"SELECT {columns} FROM {table} WHERE {self._is_camera}")
+            # Opening a room says what is lost.
+            found |= set(self._until_damage(rows, table, []))
+        seen = {(session, room) for session, room, _ in found}
+        for table in self._present(_LIDAR_TABLES):
+            rows = self.rows(f"SELECT {columns} FROM {table} WHERE {self._is_lidar}")
+            found |= {
+                (session, room, 0)
+                for session, room, _ in self._until_damage(rows, table, [])
+                if (session, room) not in seen
+            }
+        return tuple(
+            sorted(
+                RoomKey(
+                    session=self._sessions[session],
+                    room=self._room_name(session, room),
+                    subsession=subsession + 1,
+                )
+                for session, room, subsession in found
+                if session in self._sessions and room in self._rooms and isinstance(subsession, int)
+            )
+        )
+
+    def room(self, key: RoomKey) -> Room:
+        """The observations of a room that ``room_keys`` names. Raises RecordingError."""
+        warnings: list[str] = []
+        session = next(number for number, name in self._sessions.items() if name == key.session)
+        room = next(n for n in self._rooms if self._room_name(session, n) == key.room)
+        cameras: list[Track] = []
+        for table in self._present(_CAMERA_TABLES):
+            where = f"{self._is_camera} AND o.home_subsession_id = ?"
+            place = (session, room, key.subsession - 1)
+            cameras = self._camera_tracks(table, where, place, warnings)
+            if cameras:
+                break
+        sequences: dict[str, Track] = {}
+        for table in self._present(_LIDAR_TABLES):
+            sequences = self._lidar_tracks(table, (session, room), warnings)
+            if sequences:
+                break
+        lidar = lidar_of(sequences, cameras, warnings)
+        if not cameras and lidar is None:
+            raise RecordingError(
+                f"holds no observations of {key} that can be read.",
+                file=self.path,
+                advice="Unpack it again from the archive.",
+            )
+        files = _Files(self, (session, room))
+        if lidar is not None and int(lidar.ids[0]) < _FIRST_PROCESSED_ID:
+            warnings.append(
+                f"The scans are those of the raw data; where it does not tell the scanner's angles "
+                f"they are taken as {URG_APERTURE_RAD} rad and {URG_MAX_RANGE_M} m."
+            )
+        return Room(
+            key=key,
+            path=self.path,
+            format=FORMAT,
+            cameras=tuple(cameras),
+            lidar=lidar,
+            files=files,
+            warnings=tuple(warnings),
+        )
+
+    @property
+    def _is_camera(self) -> str:
+        return f"sensor_id IN ({self._cameras})"
+
+    @property
+    def _is_lidar(self) -> str:
+        return f"sensor_id IN ({self._scanners})"
+
+    def _present(self, tables: tuple[str, ...]) -> Iterator[str]:
+        return (table for table in tables if table in self.tables)
+
+    def _by_id(self, table: str) -> dict[int, str]:
+        rows = self.rows(f"SELECT id, name FROM {table} ORDER BY id LIMIT {_MAX_ROOMS}")
+        return {
+            number: name
+            for number, name in rows
+            if isinstance(number, int) and isinstance(name, str) and len(name) <= _MAX_NAME
+        }
+
+    def _room_name(self, session: int, room: int) -> str:
+        """rh_rooms has "alma_bedroom1" where the session is "alma-s1"."""
+        home = self._sessions[session].rpartition("-")[0]
+        return self._rooms[room].removeprefix(f"{home}_")
+
+    def _camera_tracks(
+        self, table: str, where: str, place: tuple[int, ...], warnings: list[str]
+    ) -> list[Track]:
+        if _FILES not in self.tables:
+            warnings.append(f"{self.path.name} has no {_FILES}: the images cannot be found.")
+            return []
+        rows = self.rows(
+            f"SELECT o.id, o.time_stamp, o.sensor_id, 0, f.id IS NOT NULL, {_POSE} "
+            f"FROM {table} o LEFT JOIN {_FILES} f ON f.id = o.id "
+            f"WHERE o.home_session_id = ? AND o.room_id = ? AND {where}",
+            place,
+        )
+        return list(self.tracks(table, rows, warnings).values())
+
+    def _lidar_tracks(
+        self, table: str, place: tuple[int, int], warnings: list[str]
+    ) -> dict[str, Track]:
+        """{number from 1: sequence}."""
+        rows = self.rows(
+            f"SELECT id, time_stamp, sensor_id, home_subsession_id, 1, {_POSE} FROM {table} "
+            f"WHERE home_session_id = ? AND room_id = ? AND {self._is_lidar}",
+            place,
+        )
+        tracks = self.tracks(table, rows, warnings).values()
+        return {
+            str(int(number) + 1): _part(track, int(number))
+            for track in tracks
+            for number in np.unique(track.sequences)
+        }
+
+    def tracks(
+        self, table: str, rows: Iterator[tuple[Any, ...]], warnings: list[str]
+    ) -> dict[str, Track]:
+        """One track for each sensor, of rows id, ticks, sensor, sequence, has files, pose."""
+        builders: dict[str, TrackBuilder] = {}
+        unread, without, first, count = 0, 0, "", 0
+        for identifier, ticks, sensor, sequence, has_files, *pose in self._until_damage(
+            rows, table, warnings
+        ):
+            count += 1
+            if count > MAX_OBSERVATIONS:
+                warnings.append(f"{table}: only the first {MAX_OBSERVATIONS} rows are read.")
+                break
+            if not has_files:
+                without += 1
+                continue
+            try:
+                builder = sensor_builder(builders, self._sensors[sensor])
+                builder.add(identifier, ticks, pose, int(sequence))
+            except _WRONG as error:
+                unread += 1
+                first = first or f"id {identifier!s:.20} ({error})"
+        if unread:
+            warnings.append(
+                f"{table}: {unread} of {count} rows are no observations; the first: {first}."
+            )
+        if without:
+            warnings.append(f"{table}: {without} of {count} rows have no files in {_FILES}.")
+        return {
+            label: builders[label].track() for label in sorted(builders) if len(builders[label])
+        }
+
+    def rows(self, query: str, values: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+        """The rows of a query, a few at a time. Raises RecordingError."""
+        self._steps = 0
+        try:
+            cursor = self._connection.execute(query, values)
+            while rows := cursor.fetchmany(_ROWS_AT_A_TIME):
+                yield from rows
+        except BROKEN as error:
+            raise damaged(self.path, error) from error
+
+    def _too_long(self) -> bool:
+        self._steps += _STEPS_AT_A_TIME
+        return self._steps > _MAX_STEPS
+
+    def _until_damage(
+        self, rows: Iterator[tuple[Any, ...]], table: str, warnings: list[str]
+    ) -> Iterator[tuple[Any, ...]]:
+        """What can be read of ``rows``, and a warning where that is not all."""
+        count = 0
+        try:
+            for row in rows:
+                count += 1
+                yield row
+        except RecordingError as error:
+            warnings.append(f"{table}: only {count} rows can be read: {error}")
+
+
+class _Files:
+    """Single observations of a room, by their numbers."""
+
+    def __init__(self, database: Database, place: tuple[int, int]) -> None:
+        self._database = database
+        self._place = place
+
+    def depth_file(self, track: Track, index: int) -> Path:
+        return self._file(int(track.ids[index]), "new_file_1")
+
+    def color_file(self, track: Track, index: int) -> Path:
+        return self._file(int(track.ids[index]), "new_file_2")
+
+    def scan(self, track: Track, index: int) -> RawScan:
+        number = int(track.ids[index])
+        table = "rh_raw" if number < _FIRST_PROCESSED_ID else "rh_lsrscan"
+        aperture_rad, max_range_m, beams = self._one(
+            f"SELECT laser_aperture, laser_max_range, laser_num_of_scans FROM {table} WHERE id = ?",
+            number,
+        )
+        if table == "rh_raw":
+            aperture_rad, max_range_m = (
+                aperture_rad or URG_APERTURE_RAD,
+                max_range_m or URG_MAX_RANGE_M,
+            )
+            (beams,) = self._one(
+                "SELECT COUNT(*) FROM rh_raw_scans WHERE sensor_observation_id = ?", number
+            )
+        count = checked_beam_count(float(beams))
+        ranges, valid = np.full(count, np.nan), np.zeros(count, dtype=np.bool_)
+        found = 0
+        for shot, range_m, flag in self._database.rows(
+            f"SELECT shot_id, scan, valid_scan FROM {table}_scans "
+            "WHERE sensor_observation_id = ? ORDER BY shot_id",
+            (number,),
+        ):
+            if found == count or shot != found:
+                raise ValueError(f"beam {shot!s:.20} follows {found} of its {count} beams")
+            ranges[found], valid[found] = float(range_m), flag == 1
+            found += 1
+        if found != count:
+            raise ValueError(f"{found} of its {count} beams are there")
+        return RawScan(
+            aperture_rad=float(aperture_rad),
+            max_range_m=float(max_range_m),
+            ranges_m=ranges,
+            valid=valid,
+        )
+
+    def scan_name(self, track: Track, index: int) -> str:
+        return f"{self._database.path}: laser observation {track.ids[index]}"
+
+    def raw_poses(self) -> Mapping[str, FloatArray]:
+        if "rh_raw" not in self._database.tables:
+            return {}
+        rows = self._database.rows(
+            f"SELECT id, time_stamp, sensor_id, 0, 1, {_POSE} FROM rh_raw "
+            "WHERE home_session_id = ? AND room_id = ?",
+            self._place,
+        )
+        tracks = self._database.tracks("rh_raw", rows, [])
+        return {label: track.poses for label, track in tracks.items()}
+
+    def close(self) -> None:
+        self._database.close()
+
+    def _file(self, number: int, column: str) -> Path:
+        folder, name = self._one(f"SELECT new_path, {column} FROM {_FILES} WHERE id = ?", number)
+        return _below(self._database.path, folder, name)
+
+    def _one(self, query: str, number: int) -> tuple[Any, ...]:
+        row = next(self._database.rows(query, (number,)), None)
+        if row is None:
+            raise RecordingError(
+                f"has lost observation {number}.",
+                file=self._database.path,
+                advice="Unpack it again from the archive.",
+            )
+        return row
+
+
+def _below(database: Path, folder: object, name: object) -> Path:
+    """The image that a row names. Refuses what is no plain path below files/rgbd."""
+    if isinstance(folder, str) and isinstance(name, str) and folder and name:
+        inner = PurePosixPath(folder, name)
+        plain = not inner.is_absolute() and ".." not in inner.parts
+        if plain and not set(f"{folder}{name}") & {"\\", "\0", ":"}:
+            return database.parent / "files" / "rgbd" / inner
+    raise RecordingError(
+        f"names {folder!s:.80} {name!s:.80}, which is no path below files/rgbd.",
+        file=database,
+        advice="Unpack it again from the archive.",
+    )
+
+
+def damaged(database: Path, error: Exception) -> RecordingError:
+    """The error for a database that SQLite gives up on."""
+    problem = " ".join(str(error).split())[:_MAX_NAME]
+    return RecordingError(
+        f"is damaged: {problem}.", file=database, advice="Unpack it again from the archive."
+    )
+
+
+def _part(track: Track, sequence: int) -> Track:
+    kept = track.sequences == sequence
+    return Track(
+        label=track.label,
+        ids=track.ids[kept],
+        stamp_ns=track.stamp_ns[kept],
+        poses=track.poses[kept],
+        sequences=track.sequences[kept],
+    )
+
+
+def _connect(database: Path) -> sqlite3.Connection:
+    # Immutable: SQLite then makes no lock and no journal beside the data.
+    connection = sqlite3.connect(
+        f"{database.resolve().as_uri()}?mode=ro&immutable=1", uri=True, check_same_thread=False
+    )
+    try:
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MAX_VALUE_BYTES)
+        # Without it SQLite refuses a file that is cut short, whatever is still there.
+        connection.execute("PRAGMA writable_schema = ON")
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def _tables(connection: sqlite3.Connection) -> frozenset[str]:
+    rows = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+    return frozenset(name for (name,) in rows)

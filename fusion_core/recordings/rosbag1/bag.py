@@ -1,0 +1,108 @@
+"""ROS 1 bags, version 2.0: chunks plain, bz2 or lz4, whole or as much of them as is left."""
+
+import struct
+from pathlib import Path
+
+from fusion_core.model.errors import RecordingError
+from fusion_core.model.recording import Recording
+from fusion_core.recordings.containers import Channel, ChunkCache, Entries, Payload, damaged
+from fusion_core.recordings.indexed import IndexedRecording
+from fusion_core.recordings.rosbag1.chunks import unpack_chunk
+from fusion_core.recordings.rosbag1.index import read_contents
+from fusion_core.recordings.rosbag1.records import (
+    LENGTH,
+    MAGIC,
+    NOT_IN_A_CHUNK,
+    OP_CHUNK,
+    OP_CONNECTION,
+    OP_MESSAGE,
+    op_field,
+    read_record,
+)
+
+__all__ = ["MAGIC", "BagFile", "open_rosbag1"]
+
+_IS_MESSAGE, _IS_CONNECTION = op_field(OP_MESSAGE), op_field(OP_CONNECTION)
+
+
+def open_rosbag1(path: Path) -> Recording:
+    """A ROS 1 bag. Raises RecordingError."""
+    return IndexedRecording(path, "ROS 1 bag", [BagFile(path)])
+
+
+class BagFile:
+    """A ROS 1 bag. ``block`` of an entry is the position of its chunk in the file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.channels: list[Channel] = []
+        self.warnings: list[str] = []
+        self._file = path.open("rb")
+        self._size = self._file.seek(0, 2)
+        self._chunks = ChunkCache(self._unpack)
+        self._chunk_ends: dict[int, int] = {}
+        self._problems: dict[int, str] = {}
+
+    def index(self) -> Entries:
+        contents = read_contents(self._file, self._size)
+        if contents.encryptor:
+            raise RecordingError(
+                f"is encrypted with {contents.encryptor!r}.",
+                file=self.path,
+                advice="Decrypt a copy with the tools of ROS.",
+            )
+        if contents.warnings and not len(contents.entries):
+            told = " ".join(dict.fromkeys([contents.warnings[0], contents.warnings[-1]]))
+            raise damaged(self.path, f"no message can be read. {told}".rstrip("."))
+        self.channels = contents.channels
+        self.warnings += contents.warnings
+        self._chunk_ends = contents.chunk_ends
+        return contents.entries
+
+    def payload(self, block: int, offset: int) -> Payload:
+        if offset == NOT_IN_A_CHUNK:
+            return self._message_in_the_file(block)
+        chunk = self._chunks[block]
+        try:
+            while True:
+                (size,) = LENGTH.unpack_from(chunk, offset)
+                header, offset = offset, offset + LENGTH.size + size
+                (size,) = LENGTH.unpack_from(chunk, offset)
+                start, offset = offset + LENGTH.size, offset + LENGTH.size + size
+                if chunk.find(_IS_MESSAGE, header, start) >= 0:
+                    break
+                # Some writers let the index point at the connection before the message.
+                if chunk.find(_IS_CONNECTION, header, start) < 0:
+                    raise self._broken(block)
+        except struct.error as error:
+            raise self._broken(block) from error
+        if offset > len(chunk):
+            raise self._broken(block)
+        return memoryview(chunk)[start:offset]
+
+    def published_ns(self, block: int, offset: int) -> None:
+        return None
+
+    def close(self) -> None:
+        self._file.close()
+
+    def _message_in_the_file(self, start: int) -> bytes:
+        record = read_record(self._file, start, self._size)
+        if record is None or record.op != OP_MESSAGE:
+            raise damaged(self.path, f"no message is at byte {start} any more")
+        self._file.seek(record.data_start)
+        return self._file.read(record.data_size)
+
+    def _unpack(self, block: int) -> bytes:
+        chunk = read_record(self._file, block, self._size)
+        if chunk is None or chunk.op != OP_CHUNK:
+            raise damaged(self.path, f"no chunk is at byte {block} any more")
+        end = self._chunk_ends.get(block, min(chunk.end, self._size))
+        unpacked = unpack_chunk(self._file, chunk, end)
+        if unpacked.problem:
+            self._problems[block] = unpacked.problem
+        return unpacked.content
+
+    def _broken(self, block: int) -> RecordingError:
+        problem = self._problems.get(block, "no whole message stands where its index points")
+        return damaged(self.path, f"the chunk at byte {block}: {problem}")

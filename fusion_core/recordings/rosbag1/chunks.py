@@ -1,0 +1,72 @@
+"""What the chunks of ROS 1 bags hold: plain, bz2 or lz4, unpacked within bounds."""
+
+import bz2
+from dataclasses import dataclass
+from io import BytesIO
+from typing import BinaryIO
+
+import lz4.frame  # type: ignore[import-untyped]  # Ships no type information.
+
+from fusion_core.recordings.containers import MAX_CHUNK_BYTES
+from fusion_core.recordings.rosbag1.records import BagRecord
+
+# Pieces in and out: the decompressors copy what they have not used yet.
+_STEP_BYTES = 1 << 16
+_DECOMPRESSORS = {b"bz2": bz2.BZ2Decompressor, b"lz4": lz4.frame.LZ4FrameDecompressor}
+
+
+@dataclass(frozen=True, slots=True)
+class Unpacked:
+    """The content of a chunk; ``problem`` says why it is less than the chunk had, or nothing.
+
+    ``surplus_bytes`` of the chunk's data stand behind the end of what was compressed.
+    """
+
+    content: bytes
+    problem: str = ""
+    surplus_bytes: int = 0
+
+
+def chunk_problem(chunk: BagRecord) -> str:
+    """Why a chunk cannot be unpacked, judged by its header; empty where it can."""
+    compression = chunk.fields[b"compression"]
+    if compression == b"none":
+        return ""
+    if compression not in _DECOMPRESSORS:
+        return f"its compression {compression[:20].decode(errors='replace')!r} is not known"
+    size = chunk.number(b"size")
+    if size > MAX_CHUNK_BYTES:
+        return f"it claims {size} bytes, more than {MAX_CHUNK_BYTES}"
+    return ""
+
+
+def unpack_chunk(stream: BinaryIO, chunk: BagRecord, end: int) -> Unpacked:
+    """The content of a chunk whose data end at ``end``, before their place where they are cut.
+
+    What a compressed chunk gave before its data break off is kept. Data that contradict
+    themselves give nothing: where they began to be wrong is not known.
+    """
+    problem = chunk_problem(chunk)
+    if problem:
+        return Unpacked(b"", problem)
+    stream.seek(chunk.data_start)
+    left, size = end - chunk.data_start, chunk.number(b"size")
+    if chunk.fields[b"compression"] == b"none":
+        return Unpacked(stream.read(left), "it breaks off" if end < chunk.end else "")
+    decompressor = _DECOMPRESSORS[chunk.fields[b"compression"]]()
+    content = BytesIO()
+    try:
+        while not decompressor.eof:
+            packed = b""
+            if decompressor.needs_input:
+                packed = stream.read(min(left, _STEP_BYTES))
+                left -= len(packed)
+                if not packed:
+                    problem = f"it breaks off after {content.tell()} of {size} bytes"
+                    return Unpacked(content.getvalue(), problem)
+            content.write(decompressor.decompress(packed, _STEP_BYTES))
+            if content.tell() > size:
+                return Unpacked(b"", f"it holds more than the {size} bytes that it claims")
+    except (OSError, RuntimeError, ValueError, EOFError) as error:
+        return Unpacked(b"", f"it does not unpack, {error}")
+    return Unpacked(content.getvalue(), "", left + len(decompressor.unused_data or b""))

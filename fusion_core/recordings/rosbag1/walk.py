@@ -1,0 +1,239 @@
+"""A walk over the records of a ROS 1 bag: what is there, whether or not the bag is whole.
+
+The index data behind each chunk say where its messages are, so that an intact chunk is passed
+over unread. A chunk is unpacked where they are missing or contradict the index at the end.
+"""
+
+from array import array
+from dataclasses import dataclass
+from io import BytesIO
+from typing import BinaryIO
+
+import numpy as np
+
+from fusion_core.model.conventions import IntArray
+from fusion_core.recordings.containers import MAX_CHUNK_BYTES, Channel
+from fusion_core.recordings.rosbag1.chunks import Unpacked, chunk_problem, unpack_chunk
+from fusion_core.recordings.rosbag1.records import (
+    MAGIC,
+    NOT_IN_A_CHUNK,
+    OP_BAG,
+    OP_CHUNK,
+    OP_CHUNK_INFO,
+    OP_CONNECTION,
+    OP_INDEX,
+    OP_MESSAGE,
+    BagRecord,
+    SearchBudget,
+    find_record,
+    read_channel,
+    read_record,
+)
+
+# Messages and connections are found inside of chunks too.
+_BEHIND_CHUNKS = frozenset((OP_INDEX, OP_CHUNK, OP_CHUNK_INFO))
+_MAX_CHANNELS = 4096
+_MAX_DEFINITIONS_BYTES = 8 << 20
+# What a walk may unpack: enough for every chunk of a real bag, and an end for a hostile one.
+_UNPACKED_BYTES, _UNPACKED_PER_BYTE = 256 << 20, 64
+
+
+@dataclass(frozen=True, slots=True)
+class Lost:
+    """Bytes of the file that gave nothing, or less than they had."""
+
+    start: int
+    end: int
+    why: str
+
+
+class BagWalk:
+    """What a bag holds, gathered by ``walk_file``, then ``walk_chunk`` where that is not enough.
+
+    ``messages`` has rows of log time, connection, block and offset; ``chunks`` of place and
+    content size; ``index`` of chunk, connection and the count of its entries in ``index_data``;
+    ``infos`` of chunk, connection and count; ``spans`` of chunk, first and last log time.
+    ``numbers`` leads from connections to places in ``channels``.
+    """
+
+    def __init__(self, file: BinaryIO, size: int) -> None:
+        self.header: BagRecord | None = None
+        self.channels: dict[Channel, int] = {}
+        self.numbers: dict[int, int] = {}
+        self.lost: list[Lost] = []
+        self.chunk_count = 0
+        self.unindexed: set[int] = set()
+        self.chunk_ends: dict[int, int] = {}
+        self.index_data = bytearray()
+        self._messages = array("q")
+        self._chunks = array("q")
+        self._index = array("q")
+        self._infos = array("q")
+        self._spans = array("q")
+        self._file = file
+        self._size = size
+        self._search = SearchBudget()
+        self._definition_bytes = 0
+        self._unpackable_bytes = _UNPACKED_BYTES + _UNPACKED_PER_BYTE * size
+        # The chunk that index data belong to.
+        self._chunk: int | None = None
+
+    @property
+    def messages(self) -> IntArray:
+        return _rows(self._messages, 4)
+
+    @property
+    def chunks(self) -> IntArray:
+        return _rows(self._chunks, 2)
+
+    @property
+    def index(self) -> IntArray:
+        return _rows(self._index, 3)
+
+    @property
+    def infos(self) -> IntArray:
+        return _rows(self._infos, 3)
+
+    @property
+    def spans(self) -> IntArray:
+        return _rows(self._spans, 3)
+
+    def walk_file(self) -> None:
+        position = len(MAGIC)
+        while position < self._size:
+            record = read_record(self._file, position, self._size)
+            if record is None:
+                found = find_record(self._file, position + 1, self._size, self._search)
+                self.lost.append(Lost(position, found, "no whole record is there"))
+                self._close_chunk(is_damaged=True)
+                position = found
+            elif record.op == OP_CHUNK:
+                self._close_chunk()
+                self.chunk_count += 1
+                position = self._pass_chunk(record)
+            else:
+                if record.op != OP_INDEX:
+                    self._close_chunk()
+                self._take(record)
+                position = record.end
+        # A whole bag does not end in the index data of a chunk: some of them may be lost.
+        self._close_chunk(is_damaged=True)
+
+    def walk_chunk(self, start: int, *, take_messages: bool = True) -> None:
+        """Take the connections of a chunk, and its messages, from its content."""
+        chunk = read_record(self._file, start, self._size)
+        if chunk is None or chunk.op != OP_CHUNK:
+            return
+        file_end = self.chunk_ends.get(start, min(chunk.end, self._size))
+        unpacked = self._unpack(chunk, file_end)
+        stream, end = BytesIO(unpacked.content), len(unpacked.content)
+        position = lost_bytes = 0
+        while position < end:
+            record = read_record(stream, position, end)
+            if record is None or record.op == OP_CHUNK:
+                found = find_record(stream, position + 1, end, self._search)
+                lost_bytes += found - position
+                position = found
+                continue
+            if record.op == OP_CONNECTION:
+                self._register(stream, record)
+            elif record.op == OP_MESSAGE and take_messages:
+                self._add_message(record, start, record.start)
+            position = record.end
+        if take_messages and (unpacked.problem or lost_bytes):
+            inner = f"{lost_bytes} of the {end} bytes in its chunk are no records"
+            self.lost.append(Lost(start, file_end, unpacked.problem or inner))
+
+    def _pass_chunk(self, chunk: BagRecord) -> int:
+        """Note a chunk, and say where the walk goes on."""
+        is_whole = chunk.end == self._size or (
+            chunk.end < self._size and read_record(self._file, chunk.end, self._size) is not None
+        )
+        is_plain = chunk.fields[b"compression"] == b"none"
+        content_bytes = chunk.number(b"size")
+        fits = content_bytes == chunk.data_size <= MAX_CHUNK_BYTES
+        if is_plain and not (is_whole and fits):
+            # Its records are then read as if they stood in the file itself.
+            return chunk.data_start
+        end = chunk.end
+        problem = chunk_problem(chunk)
+        if not is_whole and (problem or not self._has_right_length(chunk)):
+            # It ends where the next record begins.
+            end = find_record(
+                self._file, chunk.data_start, self._size, self._search, _BEHIND_CHUNKS
+            )
+            self.chunk_ends[chunk.start] = end
+            if not problem:
+                self.unindexed.add(chunk.start)
+        if problem:
+            self.lost.append(Lost(chunk.start, end, problem))
+        else:
+            self._chunk = chunk.start
+            self._chunks.extend((chunk.start, content_bytes))
+        return end
+
+    def _has_right_length(self, chunk: BagRecord) -> bool:
+        if chunk.end > self._size:
+            return False
+        unpacked = self._unpack(chunk, chunk.end)
+        return not unpacked.problem and unpacked.surplus_bytes == 0
+
+    def _close_chunk(self, is_damaged: bool = False) -> None:
+        if is_damaged and self._chunk is not None:
+            # Part of its index data is lost.
+            self.unindexed.add(self._chunk)
+        self._chunk = None
+
+    def _take(self, record: BagRecord) -> None:
+        """A record that stands in the file itself."""
+        if record.op == OP_MESSAGE:
+            self._add_message(record, record.start, NOT_IN_A_CHUNK)
+        elif record.op == OP_CONNECTION:
+            self._register(self._file, record)
+        elif record.op == OP_INDEX and self._chunk is not None:
+            self._index.extend((self._chunk, record.number(b"conn"), record.number(b"count")))
+            self.index_data += self._data(record)
+        elif record.op == OP_CHUNK_INFO:
+            chunk = min(record.number(b"chunk_pos"), self._size)
+            counts = np.frombuffer(self._data(record), dtype="<u4").reshape(-1, 2)
+            for connection, count in counts.tolist():
+                self._infos.extend((chunk, connection, count))
+            if {b"start_time", b"end_time"} <= record.fields.keys():
+                times = record.time_ns(b"start_time"), record.time_ns(b"end_time")
+                self._spans.extend((chunk, *times))
+        elif record.op == OP_BAG and self.header is None:
+            self.header = record
+
+    def _data(self, record: BagRecord) -> bytes:
+        self._file.seek(record.data_start)
+        return self._file.read(record.data_size)
+
+    def _add_message(self, record: BagRecord, block: int, offset: int) -> None:
+        self._messages.extend((record.time_ns(b"time"), record.number(b"conn"), block, offset))
+
+    def _register(self, stream: BinaryIO, record: BagRecord) -> None:
+        connection = record.number(b"conn")
+        if connection in self.numbers:
+            return
+        channel = read_channel(stream, record)
+        if channel is None:
+            return
+        number = self.channels.get(channel)
+        if number is None:
+            self._definition_bytes += len(channel.definition)
+            is_excessive = self._definition_bytes > _MAX_DEFINITIONS_BYTES
+            if is_excessive or len(self.channels) >= _MAX_CHANNELS:
+                return
+            number = self.channels[channel] = len(self.channels)
+        self.numbers[connection] = number
+
+    def _unpack(self, chunk: BagRecord, end: int) -> Unpacked:
+        if self._unpackable_bytes <= 0:
+            return Unpacked(b"", "its chunks unpack to far more than those of a recording")
+        unpacked = unpack_chunk(self._file, chunk, end)
+        self._unpackable_bytes -= len(unpacked.content) or chunk.number(b"size")
+        return unpacked
+
+
+def _rows(numbers: "array[int]", width: int) -> IntArray:
+    return np.array(numbers, dtype=np.int64).reshape(-1, width)

@@ -1,0 +1,1 @@
+"""ROS 2 recordings: folders, SQLite files, and what packs them."""

@@ -1,0 +1,249 @@
+"""Storage files of rosbag2 as they stand on disk: plain, packed whole, or with packed messages.
+
+rosbag2 compresses by file (each storage file is one zstd frame) or by message (the data of each
+message is). Both are told by the magic number of a frame, which no storage file and no CDR or
+ROS 1 message begins with. A packed file is unpacked to a temporary one that has no name.
+"""
+
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import BinaryIO, Protocol
+
+import lz4.frame  # type: ignore[import-untyped]  # Ships no type information.
+
+from fusion_core.model.errors import RecordingError
+from fusion_core.recordings.containers import (
+    MAX_CHUNK_BYTES,
+    Channel,
+    Entries,
+    Payload,
+    damaged,
+)
+from fusion_core.recordings.mcap import file as mcap_file
+from fusion_core.recordings.mcap.file import McapFile
+from fusion_core.recordings.rosbag2 import sqlite_file
+from fusion_core.recordings.rosbag2.sqlite_file import SqliteFile
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+LZ4_MAGIC = b"\x04\x22\x4d\x18"
+
+_PACKED_SUFFIXES = (".zstd", ".zst", ".lz4")
+_Container = McapFile | SqliteFile
+_KINDS: Mapping[str, tuple[bytes, Callable[[Path], _Container]]] = {
+    "MCAP": (mcap_file.MAGIC, McapFile),
+    "SQLite": (sqlite_file.MAGIC, SqliteFile),
+}
+_KIND_OF_SUFFIX = {".mcap": "MCAP", ".db3": "SQLite"}
+_HEAD_BYTES = 16
+_PIECE_BYTES = 1 << 20
+# Depth images of nothing but holes pack a hundredfold, hostile files 30,000-fold.
+_MOST_UNPACKED_PER_PACKED = 1000
+_ALWAYS_UNPACKED_BYTES = 256 << 20
+_DISK_RESERVE_BYTES = 256 << 20
+
+
+class _Decompressor(Protocol):
+    """What the standard library's decompressors and lz4's have in common."""
+
+    @property
+    def eof(self) -> bool: ...
+
+    @property
+    def needs_input(self) -> bool: ...
+
+    @property
+    def unused_data(self) -> bytes | None: ...
+
+    def decompress(self, data: bytes, max_length: int = -1) -> bytes: ...
+
+
+_DECOMPRESSORS: Mapping[bytes, Callable[[], _Decompressor]] = {
+    ZSTD_MAGIC: zstd.ZstdDecompressor,
+    LZ4_MAGIC: lz4.frame.LZ4FrameDecompressor,
+}
+_DAMAGE = (zstd.ZstdError, RuntimeError, EOFError, ValueError)
+
+
+class StorageFile:
+    """One storage file with its index, unpacked where it is packed.
+
+    ``kind`` is MCAP or SQLite, told by content. Raises RecordingError where nothing can be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.warnings: list[str] = []
+        try:
+            self.kind, self._inner, entries = self._open()
+        except RecordingError as error:
+            raise _named(error, path) from error
+        self._entries: Entries | None = entries
+        self.channels: list[Channel] = self._inner.channels
+        self.warnings += self._inner.warnings
+
+    def index(self) -> Entries:
+        entries, self._entries = self._entries, None
+        if entries is None:
+            raise ValueError("a file is indexed once")
+        return entries
+
+    def payload(self, block: int, offset: int) -> Payload:
+        try:
+            payload = self._inner.payload(block, offset)
+        except RecordingError as error:
+            raise _named(error, self.path) from error
+        return _unpacked_message(payload, self.path) if payload[:4] == ZSTD_MAGIC else payload
+
+    def published_ns(self, block: int, offset: int) -> int | None:
+        return self._inner.published_ns(block, offset)
+
+    def close(self) -> None:
+        self._inner.close()
+
+    def _open(self) -> tuple[str, _Container, Entries]:
+        with self.path.open("rb") as file:
+            packing = _DECOMPRESSORS.get(file.read(len(ZSTD_MAGIC)))
+        if packing is None:
+            return _open_plain(self.path)
+        if not (_has_storage_name(self.path) or _packs_storage(self.path)):
+            raise RecordingError(
+                "is an archive that holds no storage file of ROS 2.",
+                file=self.path,
+                advice="Unpack it, and name what is in it.",
+            )
+        # The name goes at once, the open file lives on: nothing is left however the process ends.
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+            unpacked = Path(folder) / self.path.name
+            lost = _unpack(self.path, packing, unpacked)
+            if lost:
+                self.warnings.append(f"{self.path.name} is cut short or damaged: {lost}.")
+            try:
+                return _open_plain(unpacked)
+            except RecordingError as error:
+                raise damaged(self.path, lost) if lost else error from error
+
+
+def is_storage(path: Path) -> bool:
+    """Whether a file of a folder is a storage file: by its name, or by what it is packed around."""
+    if not path.is_file():
+        return False
+    return _has_storage_name(path) or (path.suffix in _PACKED_SUFFIXES and _packs_storage(path))
+
+
+def plain_name(name: str) -> str:
+    """The name of a storage file before it was packed."""
+    path = Path(name)
+    return path.stem if path.suffix in _PACKED_SUFFIXES else path.name
+
+
+def _has_storage_name(path: Path) -> bool:
+    return Path(plain_name(path.name)).suffix in _KIND_OF_SUFFIX
+
+
+def _packs_storage(path: Path) -> bool:
+    with path.open("rb") as file:
+        packed = file.read(_PIECE_BYTES)
+    packing = _DECOMPRESSORS.get(packed[: len(ZSTD_MAGIC)])
+    try:
+        head = packing().decompress(packed, _HEAD_BYTES) if packing else b""
+    except _DAMAGE:
+        return False
+    return any(head.startswith(magic) for magic, _ in _KINDS.values())
+
+
+def _open_plain(path: Path) -> tuple[str, _Container, Entries]:
+    with path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    # A damaged head leaves the name to tell by.
+    kind = _KIND_OF_SUFFIX.get(Path(plain_name(path.name)).suffix, "")
+    for name, (magic, _) in _KINDS.items():
+        if head.startswith(magic):
+            kind = name
+    if not head or not kind:
+        raise damaged(path, "it does not begin as a storage file of ROS 2 does")
+    container = _KINDS[kind][1](path)
+    try:
+        return kind, container, container.index()
+    except BaseException:
+        container.close()
+        raise
+
+
+def _unpack(path: Path, packing: Callable[[], _Decompressor], target: Path) -> str:
+    """Unpack as much as can be; returns what is lost. Raises RecordingError beyond the limits."""
+    free = shutil.disk_usage(target.parent).free - _DISK_RESERVE_BYTES
+    sane = max(_MOST_UNPACKED_PER_PACKED * path.stat().st_size, _ALWAYS_UNPACKED_BYTES)
+    written = 0
+    try:
+        with path.open("rb") as packed, target.open("wb") as plain:
+            for piece in _pieces(packed, packing):
+                written += len(piece)
+                if written > sane:
+                    raise RecordingError(
+                        f"unpacks to more than {sane} bytes.",
+                        file=path,
+                        advice="No recording packs so well; check where the file comes from.",
+                    )
+                if written > free:
+                    raise RecordingError(
+                        f"unpacks to more than the {max(free, 0)} bytes that are free.",
+                        file=path,
+                        advice=f"Make room in {target.parent.parent}, or set TMPDIR.",
+                    )
+                plain.write(piece)
+    except _DAMAGE as error:
+        problem = " ".join(str(error).split()).rstrip(".")
+        return f"{written} bytes could be unpacked ({problem})"
+    except OSError as error:
+        raise RecordingError(
+            f"cannot be unpacked: {error.strerror or error}.",
+            file=path,
+            advice=f"Make room in {target.parent.parent}, or set TMPDIR.",
+        ) from error
+    return ""
+
+
+def _pieces(packed: BinaryIO, packing: Callable[[], _Decompressor]) -> Iterator[bytes]:
+    """The content of one frame or several, a piece at a time. Raises one of _DAMAGE."""
+    content = packed.read(_PIECE_BYTES)
+    while content:
+        decompressor = packing()
+        while not decompressor.eof:
+            if decompressor.needs_input and not content:
+                content = packed.read(_PIECE_BYTES)
+                if not content:
+                    raise EOFError("its end is missing")
+            yield decompressor.decompress(content, _PIECE_BYTES)
+            content = b""
+        content = decompressor.unused_data or packed.read(_PIECE_BYTES)
+
+
+def _unpacked_message(packed: Payload, path: Path) -> Payload:
+    decompressor = zstd.ZstdDecompressor()
+    message = bytearray()
+    content = bytes(packed)
+    try:
+        claimed = zstd.get_frame_info(content).decompressed_size or 0
+        while not decompressor.eof and max(claimed, len(message)) <= MAX_CHUNK_BYTES:
+            if decompressor.needs_input and not content:
+                raise EOFError("its end is missing")
+            message += decompressor.decompress(content, _PIECE_BYTES)
+            content = b""
+    except _DAMAGE as error:
+        raise damaged(path, f"a compressed message ({error})") from error
+    if max(claimed, len(message)) > MAX_CHUNK_BYTES:
+        raise damaged(path, f"a message unpacks to more than {MAX_CHUNK_BYTES} bytes")
+    return memoryview(message)
+
+
+def _named(error: RecordingError, path: Path) -> RecordingError:
+    """The same failure, of the file that the person knows."""
+    return RecordingError(error.problem, file=path, advice=error.advice)

@@ -1,0 +1,159 @@
+"""ROS 2 recordings: a folder of storage files with or without metadata.yaml, or one file.
+
+The files themselves are scanned. ``metadata.yaml`` gives the order of split files and is a
+cross-check: where it disagrees, the files are right and a warning says so. A file of a folder
+that is missing or cannot be read costs its own messages.
+"""
+
+import re
+from collections.abc import Iterable
+from itertools import pairwise
+from pathlib import Path
+
+from fusion_core.model.errors import RecordingError
+from fusion_core.model.recording import Recording
+from fusion_core.recordings.indexed import IndexedRecording
+from fusion_core.recordings.rosbag2.compressed_storage import StorageFile, is_storage, plain_name
+from fusion_core.recordings.rosbag2.metadata import METADATA, Metadata, read_metadata
+
+# rosbag2 numbers the parts of a split recording: name_0, name_1, ...
+_SPLIT_NAME = re.compile(r"(.*)_(\d{1,9})")
+_LISTED = 20
+
+
+def is_rosbag2_folder(path: Path) -> bool:
+    """Whether a folder holds storage files of ROS 2, plain or packed."""
+    return any(is_storage(child) for child in path.iterdir())
+
+
+def open_storage_file(path: Path) -> Recording:
+    """One .mcap or .db3 file, plain or packed by zstd or lz4. Raises RecordingError."""
+    file = StorageFile(path)
+    format = "MCAP file" if file.kind == "MCAP" else f"ROS 2 {file.kind} file"
+    return IndexedRecording(path, format, [file])
+
+
+def open_rosbag2_folder(path: Path) -> Recording:
+    """A folder of ROS 2 storage files. Raises RecordingError where none of them can be read."""
+    metadata = read_metadata(path)
+    if metadata.packing not in ("", "zstd"):
+        raise RecordingError(
+            f"holds messages compressed by {metadata.packing}, which is not read.",
+            file=path,
+            advice="Unpack it with `ros2 bag convert`.",
+        )
+    parts, warnings = _parts(path, metadata)
+    files: list[StorageFile] = []
+    first_failure = None
+    try:
+        for part in parts:
+            try:
+                files.append(StorageFile(part))
+            except RecordingError as error:
+                warnings.append(f"{part.name} is left out: it {error.problem}")
+                first_failure = first_failure or error
+            except OSError as error:
+                warnings.append(f"{part.name} is left out: {error.strerror or error}.")
+        if not files:
+            raise first_failure or RecordingError(
+                "holds no file that can be opened.", file=path, advice="Check its permissions."
+            )
+    except BaseException:
+        for file in files:
+            file.close()
+        raise
+    kinds = " and ".join(sorted({file.kind for file in files}))
+    recording = IndexedRecording(path, f"ROS 2 folder ({kinds})", [*files], warnings)
+    recording.warnings.extend(_disagreements(metadata, recording))
+    return recording
+
+
+def _parts(path: Path, metadata: Metadata) -> tuple[list[Path], list[str]]:
+    """The files of the recording in order, and what is wrong with their number."""
+    warnings = [metadata.problem] if metadata.problem else []
+    there = _storage_files(path)
+    named = list(dict.fromkeys(plain_name(name) for name in metadata.files))
+    if not any(name in there for name in named):
+        parts = sorted(there, key=_split_order)
+        _require_one_recording(path, [there[name] for name in parts])
+    else:
+        # A recorder that was killed did not name its last parts.
+        stems = {_split_order(name)[0] for name in named}
+        forgotten = [name for name in there if name not in named]
+        extra = sorted(name for name in forgotten if _split_order(name)[0] not in stems)
+        joined = sorted(set(forgotten) - set(extra), key=_split_order)
+        if joined:
+            warnings.append(f"{METADATA} does not name {_listed(joined)}, read all the same.")
+        if extra:
+            warnings.append(f"Files that {METADATA} does not name are left out: {_listed(extra)}.")
+        parts = [name for name in named if name in there] + joined
+    lost = [name for name in named if name not in there]
+    if lost:
+        warnings.append(f"{METADATA} names files that are missing: {_listed(lost)}.")
+    else:
+        warnings += _gaps([_split_order(name) for name in parts])
+    return [there[name] for name in parts], warnings
+
+
+def _storage_files(path: Path) -> dict[str, Path]:
+    """The storage files of a folder by the names they have unpacked."""
+    there: dict[str, Path] = {}
+    for child in sorted(path.iterdir()):
+        # `ros2 bag play` leaves a part unpacked beside the packed one: the same part twice, and
+        # the unpacked one comes first.
+        if is_storage(child):
+            there.setdefault(plain_name(child.name), child)
+    return there
+
+
+def _require_one_recording(path: Path, parts: list[Path]) -> None:
+    others = sorted(child for child in path.iterdir() if child.suffix == ".bag")
+    recordings = {
+        (Path(name).suffix, _split_order(name)[0])
+        for name in (plain_name(file.name) for file in [*parts, *others])
+    }
+    if len(recordings) > 1:
+        raise RecordingError(
+            f"holds several recordings and no {METADATA} that joins them.",
+            file=path,
+            advice=f"Name one of them: {_listed(file.name for file in [*parts, *others])}.",
+        )
+
+
+def _split_order(name: str) -> tuple[str, int]:
+    stem = Path(name).stem
+    match = _SPLIT_NAME.fullmatch(stem)
+    return (match[1], int(match[2])) if match else (stem, -1)
+
+
+def _gaps(orders: list[tuple[str, int]]) -> list[str]:
+    """Parts that are missing between others, as their numbers tell."""
+    warnings = []
+    for (stem, before), (next_stem, after) in pairwise(orders):
+        if stem == next_stem and before >= 0 and after > before + 1:
+            lost = f"{stem}_{before + 1}"
+            if after > before + 2:
+                lost += f" to {stem}_{after - 1}"
+            warnings.append(f"Parts of the recording are missing: {lost}.")
+    return warnings
+
+
+def _disagreements(metadata: Metadata, recording: Recording) -> list[str]:
+    if metadata.problem or not metadata.files:
+        return []
+    found = {topic.name: topic.count for topic in recording.topics}
+    differing = [
+        f"{name} {metadata.counts.get(name, 0)} against {found.get(name, 0)}"
+        for name in sorted({*metadata.counts, *found})
+        if metadata.counts.get(name, 0) != found.get(name, 0)
+    ]
+    if not differing:
+        return []
+    listed = _listed(differing, "; ")
+    return [f"{METADATA} and the files disagree on counts, the files hold: {listed}."]
+
+
+def _listed(names: Iterable[str], separator: str = ", ") -> str:
+    names = list(names)
+    shown = separator.join(names[:_LISTED])
+    return shown if len(names) <= _LISTED else f"{shown} and {len(names) - _LISTED} more"

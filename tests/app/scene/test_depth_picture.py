@@ -1,0 +1,210 @@
+"""Depth pictures: colours of metres, hatched gaps, pixels of pairs in their class, picking."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.scene.depth_picture import DepthPicture, depth_limits_m, depth_picture
+from app.scene.pair_pixels import PairPixels
+from app.scene.palette import class_color, color_map, color_of
+from app.scene.sheet import hatch
+from fusion_core.model.classes import NoiseClass
+
+COLORS = color_map("cividis")
+
+
+def slope(rows: int = 60, columns: int = 80) -> np.ndarray:
+    """Depths from 1 m at the left to 3 m at the right."""
+    return np.tile(np.linspace(1.0, 3.0, columns, dtype=np.float32), (rows, 1))
+
+
+def four_pairs() -> PairPixels:
+    """A pixel of each class far from the others, and a beam without a pixel."""
+    return PairPixels(
+        beam=np.array([100, 101, 102, 103, 104]),
+        row=np.array([30, 30, 30, 30, -1]),
+        column=np.array([10, 30, 50, 70, -1]),
+        noise_class=np.array([0, 1, 2, 3, -1]),
+        repaired=np.array([False, True, True, False, False]),
+    )
+
+
+def drawn(depth_m: np.ndarray, pairs: PairPixels | None = None, **kwargs: object) -> DepthPicture:
+    return depth_picture({"Frame 5": depth_m}, pairs, width_px=420, height_px=400, **kwargs)
+
+
+def color_at(picture: DepthPicture, row: int, column: int, image: int = 0) -> tuple[int, ...]:
+    x, y = picture.place_of(row, column, image=image)
+    return tuple(picture.rgb[round(y), round(x)].tolist())
+
+
+def test_the_nearest_is_darkest_and_the_farthest_lightest() -> None:
+    picture = drawn(slope())
+    assert picture.limits_m == pytest.approx((1.0, 3.0))
+    assert color_at(picture, 5, 0) == tuple(COLORS[0])
+    assert color_at(picture, 5, 79) == tuple(COLORS[255])
+
+
+def test_given_limits_take_the_place_of_the_images_own() -> None:
+    picture = drawn(slope(), limits_m=(0.0, 6.0))
+    assert color_at(picture, 5, 79) == tuple(COLORS[round(0.5 * 255 + 0.01)])
+
+
+def test_stray_pixels_do_not_take_the_colours() -> None:
+    depth_m = slope(100, 100)
+    depth_m[0, 0], depth_m[1, 1] = 0.05, 60.0
+    limits = depth_limits_m(depth_m)
+    assert limits is not None
+    assert limits == pytest.approx((1.0, 3.0), abs=0.05)
+
+
+def test_missing_depth_is_hatched() -> None:
+    depth_m = slope()
+    depth_m[:30, :40] = np.nan
+    picture = drawn(depth_m)
+    inside = picture.boxes[0].view(picture.rgb)
+    height, width = inside.shape[0] // 2 - 6, inside.shape[1] // 2 - 6
+    assert np.array_equal(inside[:height, :width], hatch(*inside.shape[:2])[:height, :width])
+
+
+def test_an_image_keeps_its_proportions_and_leaves_no_paper_below() -> None:
+    picture = depth_picture({"wide": slope(20, 200)}, width_px=420, height_px=800)
+    box = picture.boxes[0]
+    assert box.width / box.height == pytest.approx(10.0, rel=0.05)
+    assert picture.rgb.shape[0] < 150
+    low = depth_picture({"high": slope(200, 20)}, width_px=420, height_px=300)
+    assert low.boxes[0].height / low.boxes[0].width == pytest.approx(10.0, rel=0.05)
+    assert low.rgb.shape[0] <= 300
+
+
+def test_a_pixel_has_the_colour_of_its_class() -> None:
+    picture = drawn(slope(), four_pairs())
+    for noise, column in zip(NoiseClass, (10, 30, 50, 70), strict=True):
+        assert color_at(picture, 30, column) == class_color(noise)
+
+
+def test_only_the_chosen_classes_are_drawn() -> None:
+    picture, plain = drawn(slope(), four_pairs(), classes={NoiseClass.BURR}), drawn(slope())
+    assert color_at(picture, 30, 50) == class_color(NoiseClass.BURR)
+    for column in (10, 30, 70):
+        assert color_at(picture, 30, column) == color_at(plain, 30, column)
+    none = drawn(slope(), four_pairs(), classes=())
+    assert np.array_equal(none.boxes[0].view(none.rgb), plain.boxes[0].view(plain.rgb))
+
+
+def test_pixels_without_a_class_have_the_lidars_colour() -> None:
+    pairs = four_pairs()
+    pairs = PairPixels(
+        beam=pairs.beam,
+        row=pairs.row,
+        column=pairs.column,
+        noise_class=np.full(5, -1),
+        repaired=np.zeros(5, dtype=np.bool_),
+    )
+    assert color_at(drawn(slope(), pairs), 30, 10) == color_of("lidar")
+
+
+def test_repaired_pixels_are_marked_in_the_last_image() -> None:
+    picture = depth_picture(
+        {"raw": slope(), "repaired": slope()}, four_pairs(), width_px=860, height_px=400
+    )
+
+    def rim(column: int, image: int) -> list[int]:
+        x, y = picture.place_of(30, column, image=image)
+        return picture.rgb[round(y), round(x) - 3].tolist()
+
+    assert rim(30, 1) == rim(50, 1) == [255, 255, 255]
+    assert rim(30, 0) != [255, 255, 255]
+    assert rim(10, 1) != [255, 255, 255]
+
+
+def test_the_beam_that_is_looked_at_has_a_ring() -> None:
+    picture, plain = drawn(slope(), four_pairs(), beam=102), drawn(slope(), four_pairs())
+    height = min(picture.rgb.shape[0], plain.rgb.shape[0], picture.boxes[0].bottom)
+    rows, columns = np.nonzero((picture.rgb[:height] != plain.rgb[:height]).any(axis=2))
+    x, y = picture.place_of(30, 50)
+    assert np.abs(rows - y).max() <= 13
+    assert np.abs(columns - x).max() <= 13
+    assert color_at(picture, 30, 50) == class_color(NoiseClass.BURR)
+
+
+@pytest.mark.parametrize("beam", [104, 9999])
+def test_a_beam_without_a_pixel_draws_nothing_in_the_image(beam: int) -> None:
+    picture, plain = drawn(slope(), four_pairs(), beam=beam), drawn(slope(), four_pairs())
+    assert np.array_equal(picture.boxes[0].view(picture.rgb), plain.boxes[0].view(plain.rgb))
+
+
+@settings(max_examples=60)
+@given(
+    rows=st.integers(1, 400),
+    columns=st.integers(1, 400),
+    count=st.integers(1, 2),
+    share=st.tuples(st.floats(0, 1), st.floats(0, 1)),
+)
+def test_picking_undoes_drawing(
+    rows: int, columns: int, count: int, share: tuple[float, float]
+) -> None:
+    depth_m = np.ones((rows, columns), dtype=np.float32)
+    images = {str(number): depth_m for number in range(count)}
+    picture = depth_picture(images, width_px=500, height_px=300)
+    row, column = round(share[0] * (rows - 1)), round(share[1] * (columns - 1))
+    for image in range(count):
+        assert picture.pixel_at(*picture.place_of(row, column, image=image)) == (row, column)
+
+
+def test_between_and_around_the_images_nothing_is_picked() -> None:
+    picture = depth_picture({"a": slope(), "b": slope()}, width_px=600, height_px=400)
+    first, second = picture.boxes
+    middle = first.top + first.height // 2
+    assert first.right < second.left
+    for x, y in (
+        (first.left - 1, middle),
+        (0.5 * (first.right + second.left), middle),
+        (second.right, middle),
+        (first.left + 3, first.top - 1),
+        (first.left + 3, first.bottom),
+    ):
+        assert picture.pixel_at(x, y) is None
+
+
+@pytest.mark.parametrize(
+    "depth_m",
+    [
+        np.full((32, 96), np.nan, dtype=np.float32),
+        np.full((24, 32), 2.0, dtype=np.float32),
+        np.ones((1, 1), dtype=np.float32),
+        np.array([[np.nan, 1.5]], dtype=np.float32),
+    ],
+    ids=["all NaN", "constant", "one pixel", "one depth"],
+)
+def test_images_of_little_are_drawn(depth_m: np.ndarray) -> None:
+    picture = drawn(depth_m)
+    assert picture.rgb.dtype == np.uint8
+    assert (picture.limits_m is None) == bool(np.isnan(depth_m).all())
+
+
+def test_the_size_does_not_follow_the_numbers_of_a_frame() -> None:
+    many = PairPixels(
+        beam=np.arange(900),
+        row=np.full(900, 3),
+        column=np.full(900, 3),
+        noise_class=np.arange(900) % 4,
+        repaired=np.ones(900, dtype=np.bool_),
+    )
+    gaps = slope()
+    gaps[20:30] = np.nan
+    first = drawn(slope(), four_pairs())
+    for depth_m, pairs in ((slope(), many), (gaps, four_pairs()), (gaps, many)):
+        picture = drawn(depth_m, pairs)
+        assert picture.rgb.shape == first.rgb.shape
+        assert picture.boxes == first.boxes
+
+
+def test_images_that_do_not_belong_together_are_refused() -> None:
+    with pytest.raises(ValueError, match="one size"):
+        depth_picture({"a": slope(), "b": slope(10, 10)}, width_px=420, height_px=400)
+    with pytest.raises(ValueError, match="one size"):
+        depth_picture({}, width_px=420, height_px=400)
+    with pytest.raises(ValueError, match="px"):
+        depth_picture({"a": slope()}, width_px=100, height_px=100)
