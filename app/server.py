@@ -1,6 +1,7 @@
 """The workbench's server: a guarded viser server that gives every browser a desk of its own."""
 
 import io
+import socket
 import threading
 import time
 from collections.abc import Sequence
@@ -21,6 +22,7 @@ from app.resources import sample_path
 from app.security import LINK_KEY, Guard, guard_for, guarded
 from app.state.library import Library
 from app.state.view import View, view_of_link
+from app.untrusted import only_values, without_sharing
 from fusion_core.model.errors import ScanLoomError, SettingsError
 
 # A browser answers from its own storage; one that does not starts afresh.
@@ -48,6 +50,7 @@ class Workbench:
         self._first_view = View(recording=self._library.names()[0], virtual_row=options.virtual_row)
         # What cannot be opened is told before anything listens.
         self._library.open(self._first_view)
+        _require_address(options.host)
         self.guard: Guard = guard_for(options.host)
         self._desks: dict[int, tuple[Desk, TimelinePanel]] = {}
         self._lock = threading.Lock()
@@ -56,6 +59,8 @@ class Workbench:
             self._server = viser.ViserServer(
                 host=options.host, port=options.port, label="ScanLoom", verbose=False
             )
+        without_sharing(self._server)
+        only_values(self._server.gui, _leave)
         self._server.gui.configure_theme(
             control_width="large", show_logo=False, show_share_button=False, dark_mode=False
         )
@@ -101,6 +106,7 @@ class Workbench:
         self.close()
 
     def _welcome(self, client: viser.ClientHandle) -> None:
+        only_values(client.gui, _leave)
         view, problem = self._view_for(client)
         desk = Desk(client, self._library, view)
         timeline = _furnish(desk)
@@ -144,6 +150,23 @@ class Workbench:
             desk, timeline = parting
             timeline.close()
             desk.close()
+
+
+def _leave(client_id: int, reason: str) -> None:
+    """A refused value changes nothing; typing passes through such values, so nothing is said."""
+
+
+def _require_address(host: str) -> None:
+    """viser waits for ever for an address that cannot be had."""
+    try:
+        found = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)
+        with socket.socket(found[0][0], socket.SOCK_STREAM) as probe:
+            probe.bind(found[0][4][:2])
+    except OSError as error:
+        raise SettingsError(
+            f"--host {host}: cannot be listened on ({error.strerror or error}).",
+            advice="Name an address of this machine, such as 127.0.0.1.",
+        ) from error
 
 
 def _furnish(desk: Desk) -> TimelinePanel:

@@ -6,6 +6,7 @@ from typing import get_args
 import viser
 
 from app.desk import Desk
+from app.help import keys_text
 from app.panels.controls import put
 from app.shown import Shown
 from app.state.view import View
@@ -25,7 +26,7 @@ class HeaderPanel:
             "Preset", presets, initial_value=desk.view.preset, hint="Default, or what Xu 2024 does"
         )
         self._differs = gui.add_html("")
-        buttons = gui.add_button_group("Settings", ("Undo", "Redo", "Reset", "Link"))
+        buttons = gui.add_button_group("Settings", ("Undo", "Redo", "Reset", "Link", "Keys"))
 
         @self._preset.on_update
         def _(event: viser.GuiEvent[viser.GuiDropdownHandle[str]]) -> None:
@@ -43,6 +44,8 @@ class HeaderPanel:
                     desk.set_preset(desk.view.preset)
                 case "Link":
                     self._tell_link()
+                case "Keys":
+                    self._tell_keys()
 
     def show(self, shown: Shown) -> None:
         """Set title, preset and differences."""
@@ -58,6 +61,12 @@ class HeaderPanel:
                 "Add this to the server's address. It restores recording, time, settings and panel."
             )
             self._desk.client.gui.add_text("Link", link, multiline=True)
+            close = self._desk.client.gui.add_button("Close")
+        close.on_click(lambda _: modal.close())
+
+    def _tell_keys(self) -> None:
+        with self._desk.client.gui.add_modal("Keys") as modal:
+            self._desk.client.gui.add_markdown(keys_text())
             close = self._desk.client.gui.add_button("Close")
         close.on_click(lambda _: modal.close())
 

@@ -1,6 +1,6 @@
 """The Repair panel: depth and curve before and after, classes, conflicts, and why of each beam."""
 
-from collections.abc import Iterable
+import html
 from typing import Any
 
 import numpy as np
@@ -8,13 +8,12 @@ import viser
 import viser.uplot
 
 from app.desk import Desk
-from app.panels.beam_words import beam_words
-from app.panels.class_table import class_table
 from app.panels.controls import Controls, put
+from app.panels.repair_tables import beam_table, class_table
+from app.resources import palette
 from app.scene.depth_picture import depth_limits_m, depth_picture
 from app.scene.findings import ConflictRun, conflict_runs
 from app.scene.pair_pixels import pixels_of_match, repaired_depth_m
-from app.scene.palette import css_color
 from app.scene.range_curves import range_curves
 from app.shown import Shown
 from app.state.view import View
@@ -27,6 +26,7 @@ _WIDTH_PX, _HEIGHT_PX = 480, 420
 _EPSILON = {"sigma": (0.5, 8.0, 0.1), "E": (0.5, 4.0, 0.05), "m": (0.01, 0.5, 0.01)}
 _EPSILON_LABEL = {"sigma": "ε (σ)", "E": "ε (E)", "m": "ε (m)"}
 _NO_BEAM = -1
+_NO_CONFLICTS = "none in this frame"
 
 
 class RepairPanel:
@@ -35,7 +35,8 @@ class RepairPanel:
     def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
         self._desk = desk
         self._drawn: tuple[FusedFrame | None, object] = None, None
-        self._runs: list[ConflictRun] = []
+        # What the list offers, by its words.
+        self._runs: dict[str, ConflictRun] = {}
         self._controls = Controls(gui, desk)
         self._words = gui.add_html("", visible=False)
         both = gui.add_checkbox(
@@ -60,8 +61,8 @@ class RepairPanel:
             }
         self._curve = _add_curve(gui)
         with gui.add_folder("One beam"):
-            self._conflicts = gui.add_dropdown("Conflicts", ("none in this frame",))
-            self._next = gui.add_button_group("Go to conflict", ("Previous", "Next"))
+            self._conflicts = gui.add_dropdown("Conflicts", (_NO_CONFLICTS,))
+            self._step = gui.add_button_group("Go to conflict", ("Previous", "Next"))
             self._beam = gui.add_number(
                 "Beam",
                 _NO_BEAM,
@@ -107,4 +108,137 @@ class RepairPanel:
         self._show_curve(shown.fused, view)
         put(self._classes, content=class_table(shown.fused))
         self._show_conflicts(shown.fused, view)
-        put(self._story, content=beam_words(shown.fused, view.beam, view.settings))
+        put(self._story, content=beam_table(shown.fused, view.beam, view.settings))
+
+    def _show_pictures(self, frame: FusedFrame, view: View) -> None:
+        images = {"Before: as recorded": frame.depth_m, "After: repaired": repaired_depth_m(frame)}
+        titles = list(images) if view.both else [list(images)[view.repaired]]
+        pairs, limits_m = pixels_of_match(frame), depth_limits_m(frame.depth_m)
+        for place, handle in enumerate(self._pictures):
+            if place < len(titles):
+                title = titles[place]
+                handle.image = depth_picture(
+                    {title: images[title]},
+                    pairs,
+                    width_px=_WIDTH_PX,
+                    height_px=_HEIGHT_PX,
+                    classes=view.classes,
+                    beam=view.beam,
+                    limits_m=limits_m,
+                ).rgb
+            put(handle, visible=place < len(titles))
+
+    def _show_curve(self, frame: FusedFrame, view: View) -> None:
+        curves = range_curves(frame, view.classes, view.beam)
+        self._curve.data = (
+            curves.azimuth_deg,
+            curves.camera_m,
+            curves.repaired_m,
+            curves.raw_m,
+            curves.looked_at_m,
+        )
+        put(self._curve, visible=curves.azimuth_deg.size > 0)
+
+    def _show_conflicts(self, frame: FusedFrame, view: View) -> None:
+        runs = conflict_runs(frame)
+        self._runs = {_conflict_words(run): run for run in runs}
+        heading = f"{len(runs)}: choose one" if runs else _NO_CONFLICTS
+        put(self._conflicts, options=(heading, *self._runs))
+        chosen = [words for words, run in self._runs.items() if _holds(run, view.beam)]
+        put(self._conflicts, value=chosen[0] if chosen else heading)
+
+    def _hide(self) -> None:
+        """What was drawn is of another frame."""
+        self._drawn = None, None
+        for handle in (*self._pictures, self._curve):
+            put(handle, visible=False)
+        self._runs = {}
+        put(self._conflicts, options=(_NO_CONFLICTS,))
+        for table in (self._classes, self._story):
+            put(table, content="")
+
+    def _listen(self) -> None:
+        for noise, box in self._boxes.items():
+            box.on_update(self._filtering(noise, box))
+
+        @self._beam.on_update
+        def _(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None:
+                beam = int(self._beam.value)
+                self._desk.change(beam=None if beam == _NO_BEAM else beam)
+
+        @self._conflicts.on_update
+        def _(event: viser.GuiEvent[Any]) -> None:
+            run = self._runs.get(self._conflicts.value)
+            if event.client is not None and run is not None:
+                self._desk.change(beam=run.middle)
+
+        @self._step.on_click
+        def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
+            self._go(1 if self._step.value == "Next" else -1)
+
+    def _filtering(self, noise: NoiseClass, box: viser.GuiCheckboxHandle) -> Any:
+        def filter_(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None:
+                others = self._desk.view.classes - {noise}
+                self._desk.change(classes=others | {noise} if box.value else others)
+
+        return filter_
+
+    def _go(self, by: int) -> None:
+        """Look at the next conflict, around the ends."""
+        runs = list(self._runs.values())
+        if not runs:
+            return
+        at = [place for place, run in enumerate(runs) if _holds(run, self._desk.view.beam)]
+        place = at[0] + by if at else (by - 1) // 2
+        self._desk.change(beam=runs[place % len(runs)].middle)
+
+
+def _add_curve(gui: viser.GuiApi) -> viser.GuiUplotHandle:
+    """The plot of ranges over azimuth, left to right as the camera sees it.
+
+    Its samples are points: the plot would draw a line across the gaps, which are what it is about.
+    """
+
+    def dots(label: str, color: str, size_px: float, *, ring: bool = False) -> viser.uplot.Series:
+        points = viser.uplot.Series_Points(
+            show=True, size=size_px, stroke=color, fill="transparent" if ring else color
+        )
+        return viser.uplot.Series(label=label, stroke=color, width=0, points=points)
+
+    colors = palette()
+    return gui.add_uplot(
+        tuple(np.zeros(2) for _ in range(5)),
+        (
+            viser.uplot.Series(label="azimuth (°)"),
+            dots("camera", colors["depth"], 3.0),
+            dots("repaired", colors["fused"], 6.0),
+            dots("raw", colors["lidar"], 4.0),
+            dots("beam", colors["fused"], 14.0, ring=True),
+        ),
+        title="Range (m) over azimuth (°): LiDAR raw and repaired, camera",
+        # Azimuth is positive to the left.
+        scales={"x": viser.uplot.Scale(time=False, dir=-1)},
+        height=260,
+        visible=False,
+    )
+
+
+def _conflict_words(run: ConflictRun) -> str:
+    beams = f"{run.first}" if run.first == run.last else f"{run.first}–{run.last}"
+    return f"beam {beams}: LiDAR {run.lidar_m:.2f} m, camera {run.camera_m:.2f} m"
+
+
+def _holds(run: ConflictRun, beam: int | None) -> bool:
+    return beam is not None and run.first <= beam <= run.last
+
+
+def _missing(shown: Shown) -> str:
+    """Why there is nothing to show."""
+    said = "The recording is being aligned."
+    if shown.failure is not None:
+        said = f"{shown.failure.problem} {shown.failure.advice}"
+    elif shown.chain is not None:
+        said = "This frame could not be judged."
+    return f'<div style="padding:0.5em">{html.escape(said)}</div>'

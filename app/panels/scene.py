@@ -1,6 +1,6 @@
 """The scene: the frame in 3D, the boards with heatmap and depth, what a click means, the views."""
 
-from typing import Any
+import threading
 
 import numpy as np
 import viser
@@ -13,12 +13,12 @@ from app.scene.color_picture import upright_color
 from app.scene.depth_picture import DepthPicture, depth_picture
 from app.scene.frame_geometry import FrameGeometry, frame_geometry, unmatched_geometry
 from app.scene.heatmap import Heatmap
-from app.scene.layers import LAYERS
+from app.scene.layers import LAYERS, Layer
 from app.scene.nodes import Picked, SceneNodes
 from app.scene.pair_pixels import pixels_of_match, repaired_depth_m
 from app.shown import Shown
 
-_VIEWS = ("Perspective", "Curve", "Map", "Heatmap", "Depth")
+_VIEWS = ("3D", "Curve", "Map", "Heatmap", "Depth")
 _BOARD_PX = (560, 470)
 
 
@@ -31,6 +31,9 @@ class ScenePanel:
         self._layout: Layout | None = None
         self._opened: object = None
         self._boards: dict[str, Board] = {}
+        self._hidden: frozenset[Layer] = frozenset()
+        # Nodes are drawn in the desk's worker, and switched and clicked in viser's threads.
+        self._drawing = threading.RLock()
         self._heatmap: Heatmap | None = None
         self._depth: DepthPicture | None = None
         self._views = gui.add_button_group("View", _VIEWS, hint="From where the scene is looked at")
@@ -42,14 +45,9 @@ class ScenePanel:
         self._controls = Controls(gui, desk)
         self._controls.bind(rows, "row_step", int)
 
-        def switch(_: viser.GuiEvent[Any]) -> None:
-            with desk.client.atomic():
-                self._nodes.show_layers(
-                    frozenset(name for name, box in switches.items() if box.value)
-                )
-
+        self._switches = switches
         for box in switches.values():
-            box.on_update(switch)
+            box.on_update(lambda _: self._show_layers())
         self._views.on_click(lambda _: self._look(self._views.value))
         desk.client.scene.on_click()(self._clicked)
 
@@ -63,11 +61,15 @@ class ScenePanel:
         geometry = _geometry(shown)
         if geometry is None or shown.chain is None:
             return
+        with self._drawing:
+            self._draw(shown, geometry, shown.chain.alignment.mount.yaw_rad)
+
+    def _draw(self, shown: Shown, geometry: FrameGeometry, yaw_rad: float) -> None:
         if self._opened is not shown.opened:
             self._opened = shown.opened
             self._nodes.clear()
-            self._layout = layout_of(geometry, shown.chain.alignment.mount.yaw_rad)
-            self._look("Perspective")
+            self._layout = layout_of(geometry, yaw_rad)
+            self._look("3D")
         self._nodes.show(geometry)
         if shown.color is not None:
             rgb = upright_color(shown.color.rgb, shown.opened.session.rig, geometry.camera)
@@ -98,13 +100,24 @@ class ScenePanel:
                 view = camera_views.board(self._boards[name.lower()])
             case _:
                 view = camera_views.perspective(self._layout)
+        self._hidden = view.hides
         with self._desk.client.atomic():
-            self._nodes.show_layers(frozenset(LAYERS) - view.hides)
+            self._show_layers()
             camera_views.apply(self._desk.client.camera, view)
+
+    def _show_layers(self) -> None:
+        """Those switched on, less those of which the view shows nothing."""
+        chosen = frozenset(name for name, box in self._switches.items() if box.value)
+        with self._drawing:
+            self._nodes.show_layers(chosen - self._hidden)
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
         origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
-        picked = self._nodes.pick(origin, direction)
+        # A browser may send any numbers.
+        if not (np.isfinite(origin).all() and np.isfinite(direction).all()):
+            return
+        with self._drawing:
+            picked = self._nodes.pick(origin, direction)
         if picked is not None:
             self._take(picked)
 

@@ -3,6 +3,7 @@
 import viser
 
 from app.desk import Desk
+from app.help import help_text
 from app.panels.controls import put
 from app.shown import Shown
 from app.state.view import PANELS, PanelName
@@ -28,6 +29,8 @@ class PanelSwitch:
         """The folder that a panel is built in."""
         folder = self._gui.add_folder(name, visible=name == self._open)
         self._folders[name] = folder
+        with folder, self._gui.add_folder("About this panel", expand_by_default=False):
+            self._gui.add_markdown(help_text(name))
         return folder
 
     def show(self, shown: Shown) -> None:

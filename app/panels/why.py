@@ -9,7 +9,11 @@ from app.scene.findings import BeamFacts, SampleFacts
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.workflows.presets import ChainSettings
 
-_ADJACENT = ("no adjacent beam supports it", "one adjacent beam supports it", "both adjacent beams support it")
+_ADJACENT = (
+    "no adjacent beam supports it",
+    "one adjacent beam supports it",
+    "both adjacent beams support it",
+)
 
 
 def why_beam_class(facts: BeamFacts, settings: ChainSettings) -> str:
@@ -167,7 +171,9 @@ def _agrees(facts: BeamFacts, other: str) -> str:
         return "this frame has no A, so that nothing is compared"
     difference = length(abs(facts.residual_m))
     if math.isnan(facts.epsilon_m):
-        return f"epsilon has no value in this frame, so that a difference of {difference} is allowed"
+        return (
+            f"epsilon has no value in this frame, so that a difference of {difference} is allowed"
+        )
     return f"it differs from {other} by {difference}, within epsilon ({length(facts.epsilon_m)})"
 
 

@@ -20,9 +20,9 @@ _JOIN: Color = (134, 142, 150)
 _GRID: Color = (241, 243, 245)
 # Points are placed to a sixteenth of a pixel.
 _FRACTION_BITS = 4
-_RADIUS_PX = 2.5
+_RADIUS_PX = 2.0
 _CROSS_PX = 3.0
-_RING_PX = 6.0
+_RING_PX = 5.5
 # The plot ends where single points stray: so far beyond the middle 96 % of the points.
 _MIDDLE = (0.02, 0.98)
 _BEYOND_SHARE = 0.3
@@ -211,9 +211,9 @@ def _crosses(part: ByteArray, places: IntArray, color: Color) -> None:
 def _point_at(part: ByteArray, lidar: IntArray, depth: IntArray) -> None:
     """Rings around a pair's points and a strong line between them."""
     radius = round(_RING_PX * 2**_FRACTION_BITS)
-    for color, thickness in ((_LIGHT, 4), (_DARK, 2)):
+    for color, thickness in ((_LIGHT, 3), (_DARK, 1)):
         start, end = lidar.tolist(), depth.tolist()
-        cv2.line(part, start, end, color, thickness - 1, cv2.LINE_AA, _FRACTION_BITS)
+        cv2.line(part, start, end, color, thickness, cv2.LINE_AA, _FRACTION_BITS)
         for place in (start, end):
             cv2.circle(part, place, radius, color, thickness, cv2.LINE_AA, _FRACTION_BITS)
 
@@ -246,7 +246,7 @@ def _middle(part: ByteArray) -> IntArray:
 
 
 def _dot_symbol(color: Color) -> Callable[[ByteArray], None]:
-    return lambda part: _dots(part, _middle(part), color, 1.5 * _RADIUS_PX)
+    return lambda part: _dots(part, _middle(part), color, 2.0 * _RADIUS_PX)
 
 
 def _join_symbol(part: ByteArray) -> None:
