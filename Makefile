@@ -3,14 +3,14 @@
 VENV := .venv
 PYTHON := $(VENV)/bin/python
 READY := $(VENV)/.ready
+READY_FOR_TESTS := $(VENV)/.ready-for-tests
 
 .PHONY: demo test clean
 
 demo: $(READY)
-	$(VENV)/bin/scanloom fuse samples/furnished_room.mcap -o out/demo
-	@echo "The results are in $(CURDIR)/out/demo"
+	@$(VENV)/bin/scanloom view
 
-test: $(READY)
+test: $(READY_FOR_TESTS)
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
 	$(PYTHON) -m mypy
@@ -19,6 +19,10 @@ test: $(READY)
 $(READY): pyproject.toml .ci/setup
 	bash .ci/setup $(VENV)
 	@touch $@
+
+$(READY_FOR_TESTS): pyproject.toml .ci/setup
+	bash .ci/setup $(VENV) tests
+	@touch $(READY) $@
 
 clean:
 	rm -rf $(VENV) out build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis .benchmarks

@@ -4,6 +4,7 @@ The workflows are imported inside the commands, so that ``--help`` is quick.
 """
 
 import json
+import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -65,6 +66,9 @@ class Serve:
     def run(self, progress: Progress) -> None:
         _require_natural("--virtual-lidar", self.virtual_lidar)
         _require_natural("--port", self.port)
+        # The fields' products are small: more threads take more time of more cores. numpy reads
+        # this when it is first imported.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         from app.server import ServeOptions, Workbench
 
         options = ServeOptions(

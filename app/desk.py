@@ -5,6 +5,7 @@ panels; a failure is told and the desk goes on.
 """
 
 import threading
+import time
 from collections.abc import Callable
 from typing import Any, Literal, Protocol
 
@@ -21,6 +22,8 @@ from fusion_core.workflows.presets import PRESETS, PresetName
 # Where a browser keeps the view between two visits.
 STORED_VIEW = "view"
 _SHOWN_S = 9.0
+# A drag that is faster than the computation shows where it goes at least so often.
+_LEAST_OFTEN_S = 0.1
 
 
 class Panel(Protocol):
@@ -42,6 +45,8 @@ class Desk:
         self._history = History()
         self._opened: Opened | None = None
         self._told = ""
+        self._shown_s = 0.0
+        self._closed = False
         self._lock = threading.RLock()
         self._worker = LatestWorker(f"desk {client.client_id}", self._work, self.fail)
 
@@ -121,6 +126,7 @@ class Desk:
 
     def close(self) -> None:
         """The browser has gone."""
+        self._closed = True
         self._worker.close()
         if self._opened is not None:
             self._opened.forget(self.refresh)
@@ -148,14 +154,18 @@ class Desk:
         if opened.chain is None and opened.failure is None:
             opened.align(self.refresh)
         shown = shown_of(view, opened)
-        if not is_newest():
+        is_due = time.monotonic() - self._shown_s > _LEAST_OFTEN_S
+        if self._closed or not (is_newest() or is_due):
             return
         if shown.failure is not None:
             self.fail(shown.failure)
         elif shown.fused is not None:
             self._told = ""
         self.shown = shown
-        with self.client.atomic():
-            for panel in self.panels:
+        for panel in self.panels:
+            with self.client.atomic():
                 panel.show(shown)
+            # Else viser waits a sixtieth of a second for more.
+            self.client.flush()
+        self._shown_s = time.monotonic()
         self.client.local_storage.set_item(STORED_VIEW, view.to_link())

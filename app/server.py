@@ -8,13 +8,17 @@ from collections.abc import Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import viser
 
 from app.desk import STORED_VIEW, Desk
 from app.panels.header import HeaderPanel
+from app.panels.map import MapPanel
 from app.panels.match import MatchPanel
 from app.panels.recording import RecordingPanel
+from app.panels.register import RegisterPanel
+from app.panels.repair import RepairPanel
 from app.panels.scene import ScenePanel
 from app.panels.switch import PanelSwitch
 from app.panels.timeline import TimelinePanel
@@ -41,6 +45,12 @@ class ServeOptions:
     virtual_row: int | None = None
 
 
+class Closable(Protocol):
+    """A panel with work of its own."""
+
+    def close(self) -> None: ...
+
+
 class Workbench:
     """A running server. Use as a context manager, or ``close`` it."""
 
@@ -52,7 +62,8 @@ class Workbench:
         self._library.open(self._first_view)
         _require_address(options.host)
         self.guard: Guard = guard_for(options.host)
-        self._desks: dict[int, tuple[Desk, TimelinePanel]] = {}
+        self._output_root = options.output_root
+        self._desks: dict[int, tuple[Desk, list[Closable]]] = {}
         self._lock = threading.Lock()
         # viser greets on stdout, which belongs to the command.
         with guarded(self.guard), redirect_stdout(io.StringIO()):
@@ -109,9 +120,9 @@ class Workbench:
         only_values(client.gui, _leave)
         view, problem = self._view_for(client)
         desk = Desk(client, self._library, view)
-        timeline = _furnish(desk)
+        closables = _furnish(desk, self._output_root)
         with self._lock:
-            self._desks[client.client_id] = (desk, timeline)
+            self._desks[client.client_id] = (desk, closables)
         if problem is not None:
             desk.fail(problem)
         desk.begin()
@@ -147,8 +158,9 @@ class Workbench:
         with self._lock:
             parting = self._desks.pop(client_id, None)
         if parting is not None:
-            desk, timeline = parting
-            timeline.close()
+            desk, closables = parting
+            for panel in closables:
+                panel.close()
             desk.close()
 
 
@@ -169,8 +181,8 @@ def _require_address(host: str) -> None:
         ) from error
 
 
-def _furnish(desk: Desk) -> TimelinePanel:
-    """Put the panels on a desk, in the order from top to bottom."""
+def _furnish(desk: Desk, output_root: Path) -> list[Closable]:
+    """Put the panels on a desk, in the order from top to bottom; those that run end with it."""
     gui = desk.client.gui
     header = HeaderPanel(gui, desk)
     timeline = TimelinePanel(gui, desk)
@@ -180,6 +192,12 @@ def _furnish(desk: Desk) -> TimelinePanel:
         recording = RecordingPanel(gui, desk)
     with switch.folder("Match"):
         match = MatchPanel(gui, desk, scene.take_heatmap)
-    # The scene last: it shows the heatmap that the Match panel has just drawn.
-    desk.panels = [header, timeline, switch, recording, match, scene]
-    return timeline
+    with switch.folder("Register"):
+        register = RegisterPanel(gui, desk)
+    with switch.folder("Repair"):
+        repair = RepairPanel(gui, desk)
+    with switch.folder("Map"):
+        maps = MapPanel(gui, desk, output_root, scene.take_map)
+    # The scene last: it shows what the other panels have just drawn.
+    desk.panels = [header, timeline, switch, recording, match, register, repair, maps, scene]
+    return [timeline, maps]

@@ -81,13 +81,13 @@ def preset_below(view: View) -> PresetName:
 
 
 def folder_name(recording: str) -> str:
-    """A plain name for the results of a recording: letters, digits and ``-_.``, no dot first.
+    """A plain name for the results of a recording: letters, digits and, within, ``-_.``.
 
     Whatever the name of a recording is, that of its folder names a child of the output root.
     """
     letters = unicodedata.normalize("NFC", recording)
     plain = "".join(c if c.isalnum() or c in "-_." else "_" for c in letters)
-    return plain[:_MOST_NAME_CHARACTERS].strip("._ ") or "recording"
+    return plain[:_MOST_NAME_CHARACTERS].strip("._-") or "recording"
 
 
 def free_folder(root: Path, recording: Path) -> Path:

@@ -49,7 +49,7 @@ class LatestWorker(Generic[Request]):
             )
 
     def close(self) -> None:
-        """End after the request at work; nothing is shown any more."""
+        """End after the request at work; nothing is shown any more, and no failure told."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -65,7 +65,9 @@ class LatestWorker(Generic[Request]):
             try:
                 self._work(request, lambda: self._is_newest(generation))  # noqa: B023  # called before the loop goes on
             except Exception as error:  # noqa: BLE001  # a worker that ends shows nothing any more
-                self._on_error(error)
+                # What work is cut off by the closing itself fails, too.
+                if not self._closed:
+                    self._on_error(error)
             with self._changed:
                 self._done = generation
                 self._changed.notify_all()

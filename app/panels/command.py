@@ -16,10 +16,11 @@ def fuse_command(recording: Path, output: Path, options: FuseOptions) -> str:
 def _words(options: FuseOptions) -> Iterator[str]:
     if options.preset != "default":
         yield from ("--preset", options.preset)
-    if options.room is not None:
-        yield from ("--home", options.room.session, "--room", options.room.room)
-        yield from ("--subsession", str(options.room.subsession))
+    room = options.room
     named = (
+        ("--home", room and room.session),
+        ("--room", room and room.room),
+        ("--subsession", room and room.subsession),
         ("--settings", options.settings_file),
         ("--lidar", options.lidar_topic),
         *(("--depth", topic) for topic in options.depth_topics),

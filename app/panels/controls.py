@@ -3,7 +3,9 @@
 A widget changes the view and nothing else; ``show`` sets it to what the view says.
 """
 
+import threading
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import viser
@@ -13,13 +15,23 @@ from app.state.view import View
 from fusion_core.settings import StageSettings
 
 
+@dataclass(slots=True)
+class _Bound:
+    """A widget, what a view says of it, and the value that widget and view last agreed on."""
+
+    handle: Any
+    value_of: Callable[[View], Any]
+    known: Any = None
+
+
 class Controls:
     """The bound widgets of one panel."""
 
     def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
         self._gui = gui
         self._desk = desk
-        self._bound: list[tuple[Any, Callable[[View], Any]]] = []
+        self._bound: list[_Bound] = []
+        self._lock = threading.RLock()
 
     def slider(
         self, stage: str, name: str, label: str, low: float, high: float, step: float
@@ -82,22 +94,34 @@ class Controls:
         )
 
     def show(self, view: View) -> None:
-        """Set every widget to what the view says."""
-        for handle, value_of in self._bound:
-            value = value_of(view)
-            if value is not None:
-                put(handle, value=value)
+        """Set every widget to what the view says, where that is not what the widget said itself.
+
+        A person may be moving it: a value that is no longer asked for would pull it back.
+        """
+        with self._lock:
+            asked = self._desk.view
+            for bound in self._bound:
+                value = bound.value_of(view)
+                if value is None or value == bound.known or value != bound.value_of(asked):
+                    continue
+                bound.known = value
+                put(bound.handle, value=value)
 
     def _bind(
         self, handle: Any, value_of: Callable[[View], Any], change: Callable[[Any], None]
     ) -> None:
-        self._bound.append((handle, value_of))
+        bound = _Bound(handle, value_of)
+        self._bound.append(bound)
 
         @handle.on_update
         def _(event: viser.GuiEvent[Any]) -> None:
             # Without a client it was ``show`` that set the value.
-            if event.client is not None:
-                change(handle.value)
+            if event.client is None:
+                return
+            # Callbacks run in any order: each takes the widget's latest value, one at a time.
+            with self._lock:
+                bound.known = handle.value
+                change(bound.known)
 
     def _help(self, stage: str, name: str) -> str | None:
         fields = type(_stage(self._desk.view, stage)).model_fields

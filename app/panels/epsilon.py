@@ -8,7 +8,6 @@ from app.desk import Desk
 from app.panels.controls import put
 from app.panels.register_words import epsilon_words
 from app.shown import Shown
-from fusion_core.model.errors import SettingsError
 from fusion_core.workflows.epsilon import (
     EPSILON_UNITS,
     EpsilonUnit,
@@ -70,10 +69,10 @@ class EpsilonControls:
 
     def _slider(
         self, gui: viser.GuiApi, unit: EpsilonUnit, hint: str | None
-    ) -> viser.GuiSliderHandle[float]:
+    ) -> viser.GuiSliderHandle[Any]:
         low, high, step = _RANGES[unit]
         noise = self._desk.view.settings.noise
-        slider = gui.add_slider(
+        slider: viser.GuiSliderHandle[Any] = gui.add_slider(
             _LABELS[unit],
             min=low,
             max=high,
@@ -96,13 +95,11 @@ class EpsilonControls:
         """The same length in another unit, as one change."""
         view = self._desk.view
         noise = view.settings.noise
-        _, _, step = _RANGES[unit]
+        low, high, step = _RANGES[unit]
         epsilon = converted(noise.epsilon, noise.epsilon_unit, unit, self._lengths_m)
-        try:
-            changed = view.with_setting("noise", "epsilon_unit", unit).with_setting(
-                "noise", "epsilon", max(round(epsilon / step), 1) * step
-            )
-        except SettingsError as error:
-            self._desk.fail(error)
-            return
+        # On the slider, as if it had been set there.
+        on_slider = min(max(round(epsilon / step) * step, low), high)
+        changed = view.with_setting("noise", "epsilon_unit", unit).with_setting(
+            "noise", "epsilon", round(on_slider, 3)
+        )
         self._desk.change_settings(settings=changed.settings)

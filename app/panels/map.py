@@ -32,13 +32,21 @@ from fusion_core.model.progress import Progress
 from fusion_core.workflows.export_clouds import CloudExport
 from fusion_core.workflows.maps import difference_of
 
-_PICTURE_PX = (1100, 1400)
-_TITLES = {"lidar": "LiDAR alone", "camera": "camera alone", "fused": "fused"}
+_PICTURE_PX = (560, 720)
+_TITLES = {"lidar": "LiDAR", "camera": "camera", "fused": "fused"}
 _CLOSE_S = 10.0
 _EMPTY = np.full((2, 2, 3), 255, dtype=np.uint8)
 _BOX = (
     "width:100%;box-sizing:border-box;border:1px solid #c4ccd6;border-radius:4px;padding:0.4em;"
-    "font-family:ui-monospace,monospace;font-size:0.8em;resize:vertical"
+    "font-family:ui-monospace,monospace;font-size:0.8em;resize:vertical;"
+    # As a terminal breaks lines, not at a hyphen.
+    "word-break:break-all"
+)
+
+# Words that do not fit on a line go on under those above, right of the line's name.
+_REPORT_LINE = (
+    "padding-left:11ch;text-indent:-11ch;white-space:pre-wrap;overflow-wrap:anywhere;"
+    "font-family:ui-monospace,monospace;font-size:0.9em"
 )
 
 
@@ -78,19 +86,20 @@ class MapPanel:
             )
         )
         self._figures = gui.add_checkbox(
-            "Draw the figures too", True, hint="Pictures of each stage, as in Xu 2024"
+            "Figures", True, hint="Draw each stage as a picture, too, as in Xu 2024"
         )
         self._build_button = gui.add_button("Build", icon=viser.Icon.MAP)
         self._progress_text = gui.add_html("", visible=False)
         self._progress = gui.add_progress_bar(0.0, visible=False)
         self._cancel_button = gui.add_button("Cancel", color="gray", visible=False)
         self._said = gui.add_html("")
-        self._picture = gui.add_image(_EMPTY, label="Maps", format="png", visible=False)
+        self._picture = gui.add_image(_EMPTY, format="png", visible=False)
+        self._report = gui.add_html("")
         self._files = gui.add_folder("Files", visible=False)
         with self._files:
             self._folder = gui.add_html("")
             self._download = gui.add_button(
-                "Download", icon=viser.Icon.DOWNLOAD, hint="All but what grows with each frame"
+                "Download .zip", hint="All results but fused.mcap and samples.parquet"
             )
             self._voxel = gui.add_number(
                 "Voxel (m)", 0.02, min=0.005, max=1.0, step=0.005, hint="One point is kept in each"
@@ -210,7 +219,7 @@ class MapPanel:
         with self._lock:
             self._job = None
             put(self._said, content=_paragraph(said) if said else "")
-            self._drawn = self._commanded = None
+            self._commanded = None
             self._show_working(False)
             closed = self._closed
         if not closed:
@@ -245,10 +254,9 @@ class MapPanel:
     def _show_built(self, view: View, built: Build | None) -> None:
         put(self._files, visible=built is not None)
         if built is None:
+            self._drawn = None
             put(self._picture, visible=False)
-            if self._drawn is not None:
-                self._drawn = None
-                put(self._said, content="")
+            put(self._report, content="")
             return
         if built is not self._drawn:
             self._drawn = built
@@ -261,7 +269,7 @@ class MapPanel:
             put(self._picture, visible=bool(grids))
             put(self._folder, content=_text_box(str(built.folder)))
         put(self._exported, content=_paragraph(self._clouds) if self._clouds else "")
-        put(self._said, content=_summary(built, changed=_asked(view) != _asked(built.view)))
+        put(self._report, content=_report(built, changed=_asked(view) != _asked(built.view)))
 
     def _send(self) -> None:
         built = self._built
@@ -272,7 +280,9 @@ class MapPanel:
         except ScanLoomError as error:
             self._desk.fail(error)
             return
-        self._desk.client.send_file_download(f"{built.folder.name}.zip", content)
+        self._desk.client.send_file_download(
+            f"{built.folder.name}.zip", content, save_immediately=True
+        )
 
 
 def _asked(view: View) -> tuple[object, ...]:
@@ -289,20 +299,18 @@ def _asked(view: View) -> tuple[object, ...]:
     )
 
 
-def _summary(built: Build, *, changed: bool) -> str:
+def _report(built: Build, *, changed: bool) -> str:
     """What a run has to report, as HTML."""
     said = []
     if changed:
         said.append("<b>Settings or streams changed since this build.</b>")
     if not built.summary.grids:
         said.append(html.escape(_why_no_maps(built)))
-    lines = html.escape("\n".join(built.summary.lines()))
     paragraphs = "".join(f"<p style='margin:0.3em 0'>{line}</p>" for line in said)
-    return (
-        f"<div style='padding:0 0.5em;font-size:0.85em'>{paragraphs}"
-        "<pre style='margin:0.3em 0;white-space:pre-wrap;overflow-wrap:anywhere;font-size:0.9em'>"
-        f"{lines}</pre></div>"
+    lines = "".join(
+        f"<div style='{_REPORT_LINE}'>{html.escape(line)}</div>" for line in built.summary.lines()
     )
+    return f"<div style='padding:0 0.5em;font-size:0.85em'>{paragraphs}{lines}</div>"
 
 
 def _why_no_maps(built: Build) -> str:

@@ -1,24 +1,25 @@
 """The Match panel: the similarity field, its peak, and the two curves laid on each other."""
 
 from collections.abc import Callable
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 import viser
-import viser.uplot
 
 from app.desk import Desk
 from app.panels.controls import Controls, put
 from app.panels.mount_words import mount_words
+from app.scene.curves_picture import curves_picture
+from app.scene.encoded import show_picture
 from app.scene.field_axis import AzimuthAxis, Mark, ScoreField
 from app.scene.heatmap import Heatmap, heatmap
-from app.scene.palette import color_of
 from app.shown import Shown
 from app.state.view import Scope
 from fusion_core.workflows.frame import FrameMatch, curves_at
 from fusion_core.workflows.live import window_field
 
 _WIDTH_PX, _HEIGHT_PX = 640, 470
+_CURVES_PX = (640, 300)
 _METRICS = ("euclidean", "pearson", "cosine", "inverse_cosine")
 # Frames to either side that make a window's field.
 _WINDOW_FRAMES = 2
@@ -32,8 +33,9 @@ class MatchPanel:
     ) -> None:
         self._desk = desk
         self._on_heatmap = on_heatmap
-        self._drawn: object = None
-        self._field_of: dict[str, ScoreField] = {}
+        self._drawn: Heatmap | None = None
+        # Frame, chain and choices that it was drawn of.
+        self._drawn_of: tuple[object, object, object] = None, None, None
         controls = Controls(gui, desk)
         scope = gui.add_dropdown(
             "Field of", get_args(Scope), initial_value=desk.view.scope, hint="What is averaged"
@@ -52,16 +54,7 @@ class MatchPanel:
                 "Lock u", desk.view.lock_picked, hint="Keep the picked offset in other frames"
             )
             controls.bind(lock, "lock_picked", bool)
-        self._curves = gui.add_uplot(
-            (np.arange(2.0), np.zeros(2), np.zeros(2)),
-            (
-                viser.uplot.Series(label="sample"),
-                viser.uplot.Series(label="LiDAR (m)", stroke=_css("lidar"), width=2),
-                viser.uplot.Series(label="depth row (m)", stroke=_css("depth"), width=2),
-            ),
-            title="The curve and the row at this offset",
-            aspect=1.9,
-        )
+        self._curves = gui.add_image(np.full((*_CURVES_PX[::-1], 3), 255, np.uint8), format="png")
         with gui.add_folder("Sampling and masks"):
             controls.slider("sampling", "step_deg", "Degrees a sample", 0.25, 4.0, 0.25)
             controls.slider("sampling", "row_band", "Rows used, from below", 0.1, 1.0, 0.05)
@@ -89,13 +82,26 @@ class MatchPanel:
             reason = "" if shown.failure is None else shown.failure.problem
             put(self._words, content=reason)
             return
-        drawn = self._draw(shown, match)
+        drawn = self._heatmap_of(shown, match)
         self._on_heatmap(drawn)
         if shown.view.panel == "Match":
-            self._picture.image = drawn.rgb
+            show_picture(self._picture, drawn.rgb)
             put(self._words, content=_peak_words(shown, match))
             self._show_curves(shown, match)
             put(self._mount, content=mount_words(shown.chain.alignment.mount))
+
+    def _heatmap_of(self, shown: Shown, match: FrameMatch) -> Heatmap:
+        """The picture of this view: the last one where nothing of it has changed."""
+        view = shown.view
+        # A match is kept as long as its settings are: a new epsilon makes no new one.
+        frame = match if view.scope != "recording" else None
+        looked_at = (view.scope, view.settings.search.metric, view.picked)
+        if self._drawn is not None and self._drawn_of[2] == looked_at:
+            if self._drawn_of[0] is frame and self._drawn_of[1] is shown.chain:
+                return self._drawn
+        self._drawn_of = frame, shown.chain, looked_at
+        self._drawn = self._draw(shown, match)
+        return self._drawn
 
     def _draw(self, shown: Shown, match: FrameMatch) -> Heatmap:
         view, chain = shown.view, shown.chain
@@ -134,7 +140,10 @@ class MatchPanel:
         if place is None:
             return
         lidar_m, depth_m = curves_at(match, place, masked=shown.view.settings.search.mask_holes)
-        self._curves.data = (np.arange(float(lidar_m.size)), lidar_m, depth_m)
+        width_px, height_px = _CURVES_PX
+        self._curves.image = curves_picture(
+            lidar_m, depth_m, width_px=width_px, height_px=height_px
+        )
         if shown.view.picked is None:
             put(self._u, value=round(place[0], 2))
             put(self._v, value=round(place[1], 1))
@@ -171,8 +180,3 @@ def _peak_words(shown: Shown, match: FrameMatch) -> str:
 
 def _times(ratio: float) -> str:
     return f"{ratio:.2f} times" if np.isfinite(ratio) else "without"
-
-
-def _css(name: Any) -> str:
-    red, green, blue = color_of(name)
-    return f"rgb({red},{green},{blue})"

@@ -3,9 +3,7 @@
 import html
 from typing import Any
 
-import numpy as np
 import viser
-import viser.uplot
 
 from app.desk import Desk
 from app.panels.controls import Controls, put
@@ -36,16 +34,6 @@ class RecordingPanel:
         with gui.add_folder("Clocks"):
             self._clock = gui.add_markdown("")
             self._apply = gui.add_checkbox("Apply the clock offset", desk.view.apply_clock_offset)
-            self._gaps = gui.add_uplot(
-                (np.zeros(2), np.zeros(2)),
-                (
-                    viser.uplot.Series(label="frame"),
-                    viser.uplot.Series(label="ms", stroke="#0072B2", width=1),
-                ),
-                title="Image stamp − scan stamp",
-                aspect=2.0,
-                visible=False,
-            )
         with gui.add_folder("Alignment"):
             self._aligned = gui.add_markdown("")
             again = gui.add_button("Align again with these settings")

@@ -2,16 +2,25 @@
 
 from typing import Any
 
+import numpy as np
 import viser
-import viser.uplot
 
 from app.desk import Desk
+from app.panels import register_words as words
 from app.panels.controls import Controls, put
 from app.panels.epsilon import EpsilonControls
 from app.panels.residual_plot import ResidualPlot
+from app.scene.pairs_picture import PairsPlot, pairs_picture
 from app.shown import Shown
+from fusion_core.model.conventions import ByteArray
+from fusion_core.workflows.frame import FrameMatch
 from fusion_core.workflows.registered import (
+    PlanarPairs,
     Registration,
+    consensus_of,
+    draw_at,
+    meaning_of_registration,
+    planar_pairs,
 )
 
 _WIDTH_PX, _PAIRS_PX, _DRAW_PX = 480, 590, 330
@@ -27,9 +36,10 @@ class RegisterPanel:
 
     def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
         self._desk = desk
+        # What is drawn: it is drawn again when another object takes its place.
         self._registration: Registration | None = None
         self._drawn_pairs: object = None
-        self._drawn_draw: object = None
+        self._drawn_draw: tuple[Registration | None, int] = (None, -1)
         controls = Controls(gui, desk)
         self._controls = controls
         controls.dropdown("registration", "model", "Map A", _MODELS)
@@ -44,7 +54,7 @@ class RegisterPanel:
             self._draw_picture = gui.add_image(_blank(_DRAW_PX), format="png")
             self._consensus = gui.add_markdown("")
         with gui.add_folder("How it draws", expand_by_default=False):
-            controls.slider("registration", "sample_size", "Pairs in a draw, n", 2, 20, 1)
+            controls.slider("registration", "sample_size", "Pairs a draw", 2, 20, 1)
             controls.slider(
                 "registration", "inlier_threshold_m", "Inlier within (m)", 0.01, 0.5, 0.01
             )
@@ -54,7 +64,7 @@ class RegisterPanel:
                 "registration", "confidence", "Confidence", 0.5, 0.999, 0.001
             )
             controls.slider("registration", "seed", "Seed", 0, 99, 1)
-            controls.checkbox("registration", "guards", "Refuse maps that stretch or mirror")
+            controls.checkbox("registration", "guards", "Guard A")
         with gui.add_folder("The matrix", expand_by_default=False):
             self._matrix = gui.add_markdown("")
 
@@ -69,33 +79,99 @@ class RegisterPanel:
 
     def show(self, shown: Shown) -> None:
         """Set the widgets; draw what differs from what is drawn, while the panel is open."""
-        self._controls.show(shown.view)
-        put(self._confidence, disabled=shown.view.settings.registration.stopping == "fixed")
+        view, match = shown.view, shown.match
+        self._controls.show(view)
+        put(self._confidence, disabled=view.settings.registration.stopping == "fixed")
         self._epsilon.show(shown)
-        match = shown.match
-        if match is None:
-            self._show_nothing(shown)
-            return
-        found = match.registration
-        self._registration = found
+        self._registration = found = None if match is None else match.registration
+        for widget in (self._draw, self._buttons, self._draw_picture, self._consensus):
+            put(widget, visible=found is not None)
+        put(self._pairs, visible=match is not None)
         if found is not None:
             last = len(found.draws) - 1
             put(self._draw, max=max(last, 1))
-            put(self._draw, value=min(shown.view.draw, last))
-        for widget in (self._draw, self._buttons, self._draw_picture, self._consensus):
-            put(widget, visible=found is not None)
-        if shown.view.panel != "Register":
+            put(self._draw, value=min(view.draw, last))
+        if view.panel != "Register":
             return
-        self._residuals.show(shown.fused)
-        # The same pairs and the same A make the same picture, whatever epsilon is.
-        if self._drawn_pairs is not match.pairs:
-            self._drawn_pairs = match.pairs
-            self._show_pairs(match, by_sample=shown.view.settings.pairing == "frame")
-        if found is None:
-            self._drawn_draw = None
+        by_sample = view.settings.pairing == "frame"
+        self._residuals.show(shown.fused, signed=not by_sample)
+        axes = _AXES_BY_SAMPLE if by_sample else _AXES
+        if match is not None:
+            self._show_pairs(match, axes)
+        else:
+            self._drawn_pairs = None
+            put(self._words, content="" if shown.failure is None else shown.failure.problem)
+        if found is not None:
+            self._show_draw(found, min(view.draw, len(found.draws) - 1), axes)
+        else:
+            self._drawn_draw = (None, -1)
+            put(self._matrix, content="There is none.")
             put(self._draw_words, content="Without an A there is no draw to show.")
+
+    def _go(self, where: str) -> None:
+        """To another draw; the ends stop."""
+        found = self._registration
+        if found is None:
             return
-        index = min(shown.view.draw, len(found.draws) - 1)
-        if self._drawn_draw != (id(found), index):
-            self._drawn_draw = (id(found), index)
-            self._show_draw(match, found, index, shown)
+        last = len(found.draws) - 1
+        draw = min(self._desk.view.draw, last)
+        places = {"Previous": max(draw - 1, 0), "Next": min(draw + 1, last)}
+        self._desk.change(draw=places.get(where, found.best_draw))
+
+    def _show_pairs(self, match: FrameMatch, axes: tuple[str, str]) -> None:
+        """Fig. 5, and A in words. Epsilon changes neither."""
+        if self._drawn_pairs is match.pairs:
+            return
+        self._drawn_pairs = match.pairs
+        found, pairs = match.registration, planar_pairs(match)
+        plots = _before_and_after(pairs)
+        height_px = _PAIRS_PX if len(plots) > 1 else _DRAW_PX
+        self._pairs.image = pairs_picture(
+            plots, width_px=_WIDTH_PX, height_px=height_px, axis_names=axes
+        ).rgb
+        if found is None:
+            put(self._words, content=words.failure_words(match.refusal))
+            return
+        put(self._words, content=words.map_words(found, meaning_of_registration(found)))
+        put(self._matrix, content=words.matrix_words(found.A))
+        put(self._consensus, content=words.consensus_words(found, consensus_of(found)))
+
+    def _show_draw(self, found: Registration, index: int, axes: tuple[str, str]) -> None:
+        if self._drawn_draw[0] is found and self._drawn_draw[1] == index:
+            return
+        self._drawn_draw = (found, index)
+        draw = draw_at(found, index)
+        plot = PairsPlot(
+            title=f"Draw {index}: LiDAR through its own A, and depth",
+            lidar_m=draw.mapped_m,
+            depth_m=found.draws.depth_points_m,
+            agree=draw.agree,
+            drawn=draw.pairs,
+        )
+        self._draw_picture.image = pairs_picture(
+            [plot], width_px=_WIDTH_PX, height_px=_DRAW_PX, axis_names=axes
+        ).rgb
+        put(self._draw_words, content=words.draw_words(draw, found))
+
+
+def _before_and_after(pairs: PlanarPairs) -> list[PairsPlot]:
+    """One plot where there is no A, else two."""
+    before = PairsPlot(
+        title="Before A: LiDAR and depth as they are",
+        lidar_m=pairs.lidar_m,
+        depth_m=pairs.depth_m,
+        agree=pairs.inliers,
+    )
+    if pairs.mapped_m is None:
+        return [before]
+    after = PairsPlot(
+        title="After A: LiDAR through A, and depth",
+        lidar_m=pairs.mapped_m,
+        depth_m=pairs.depth_m,
+        agree=pairs.inliers,
+    )
+    return [before, after]
+
+
+def _blank(height_px: int) -> ByteArray:
+    return np.full((height_px, _WIDTH_PX, 3), 255, dtype=np.uint8)

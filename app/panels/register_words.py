@@ -41,8 +41,8 @@ def map_words(found: Registration, meaning: MapMeaning) -> str:
         lines.append("**mirrors**: left becomes right")
     if meaning.least_scale < _FLATTENS:
         lines.append(
-            f"**flattens**: one direction keeps {meaning.least_scale:.1%} of its length, so that "
-            f"A⁻¹ makes errors up to {1.0 / meaning.least_scale:.3g} times as long"
+            f"**flattens**: one direction keeps {_percent(meaning.least_scale, 1)} of its length, "
+            f"so that A⁻¹ makes errors up to {1.0 / meaning.least_scale:.3g} times as long"
         )
     near = " near the middle of the inliers" if found.model == "homography" else ""
     settled = "" if found.settled else ", not settled"
@@ -63,7 +63,7 @@ def matrix_words(A: FloatArray) -> str:
 def failure_words(refusal: str) -> str:
     """Why there is no A."""
     return (
-        f"**There is no A for this frame.** {refusal}\n\nClasses and repairs go on without it: "
+        f"**There is no A for this frame:** {refusal}\n\nClasses and repairs go on without it: "
         "where pairs lie along the curve the mount ties them, in the row their own values do."
     )
 
@@ -73,9 +73,9 @@ def draw_words(draw: DrawShown, found: Registration) -> str:
     count, best = len(found.draws), found.best_draw
     mark = " ★ **the best draw**" if draw.index == best else ""
     if np.isfinite(draw.A).all():
-        share = draw.inliers / found.valid
+        share = _percent(draw.inliers / found.valid, 0)
         said = (
-            f"its A agrees with **{draw.inliers}** of {found.valid} pairs ({share:.0%}) within "
+            f"its A agrees with **{draw.inliers}** of {found.valid} pairs ({share}) within "
             f"{_length(found.draws.inlier_threshold_m)}"
         )
     else:
@@ -94,9 +94,10 @@ def consensus_words(found: Registration, consensus: Consensus) -> str:
     """Why so many draws are enough."""
     n, count = found.draws.sample_size, len(found.draws)
     return (
-        f"{consensus.share:.0%} of the pairs are inliers (c), so a draw of n = {n} holds nothing "
-        f"else with cⁿ = {_probability(consensus.clean)}; at least one of {count} draws did with "
-        f"{_probability(consensus.clean_once)}. Best is draw {found.best_draw}."
+        f"{_percent(consensus.share, 0)} of the pairs are inliers (c), so a draw of n = {n} holds "
+        f"nothing else with probability cⁿ = {_probability(consensus.clean)}; at least one of "
+        f"{count} draws did with {_probability(consensus.clean_once)}. "
+        f"Best is draw {found.best_draw}."
     )
 
 
@@ -104,9 +105,11 @@ def epsilon_words(said: EpsilonInFrame, epsilon: float, unit: EpsilonUnit) -> st
     """The threshold in metres, the pairs beyond it, and the paper's band."""
     if said.compared == 0:
         return "No pair of this frame has both values."
+    if not np.isfinite(said.middle_m):
+        return "This frame has no E, so ε is not known in its multiples: no pair counts as beyond."
     spread = ""
     if said.greatest_m > 1.01 * said.least_m:
-        spread = f" ({_length(said.least_m)} to {_length(said.greatest_m)}, growing with range)"
+        spread = f" ({said.least_m:.3f} to {said.greatest_m:.3f} m, growing with range)"
     own = "" if unit == "m" else f" = {epsilon:g}{_UNIT_SIGNS[unit]}"
     lines = [
         f"ε = **{said.middle_m:.3f} m**{own}{spread}; **{said.beyond}** of {said.compared} pairs "
@@ -164,7 +167,7 @@ def _shift(shift_m: FloatArray) -> str:
 
 def _longer(scale: float) -> str:
     words = "longer" if scale >= 1.0 else "shorter"
-    return f"distances become {abs(scale - 1.0):.1%} {words}"
+    return f"distances become {_percent(abs(scale - 1.0), 1)} {words}"
 
 
 def _length(length_m: float) -> str:
@@ -178,4 +181,8 @@ def _signed(value: float, digits: int) -> str:
 
 
 def _probability(value: float) -> str:
-    return "more than 99.9 %" if value > 0.999 else f"{100.0 * value:.1f} %"
+    return "more than 99.9 %" if value > 0.999 else _percent(value, 1)
+
+
+def _percent(share: float, digits: int) -> str:
+    return f"{100.0 * share:.{digits}f} %"

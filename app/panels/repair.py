@@ -1,6 +1,7 @@
 """The Repair panel: depth and curve before and after, classes, conflicts, and why of each beam."""
 
 import html
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -111,14 +112,19 @@ class RepairPanel:
         put(self._story, content=beam_table(shown.fused, view.beam, view.settings))
 
     def _show_pictures(self, frame: FusedFrame, view: View) -> None:
-        images = {"Before: as recorded": frame.depth_m, "After: repaired": repaired_depth_m(frame)}
-        titles = list(images) if view.both else [list(images)[view.repaired]]
-        pairs, limits_m = pixels_of_match(frame), depth_limits_m(frame.depth_m)
-        for place, handle in enumerate(self._pictures):
-            if place < len(titles):
-                title = titles[place]
+        after = pixels_of_match(frame)
+        before = replace(after, repaired=np.zeros_like(after.repaired))
+        images = (
+            ("Before: as recorded", frame.depth_m, before),
+            ("After: repaired", repaired_depth_m(frame), after),
+        )
+        limits_m = depth_limits_m(frame.depth_m)
+        for place, (title, depth_m, pairs) in enumerate(images):
+            handle = self._pictures[place]
+            wanted = view.both or place == int(view.repaired)
+            if wanted:
                 handle.image = depth_picture(
-                    {title: images[title]},
+                    {title: depth_m},
                     pairs,
                     width_px=_WIDTH_PX,
                     height_px=_HEIGHT_PX,
@@ -126,18 +132,23 @@ class RepairPanel:
                     beam=view.beam,
                     limits_m=limits_m,
                 ).rgb
-            put(handle, visible=place < len(titles))
+            put(handle, visible=wanted)
 
     def _show_curve(self, frame: FusedFrame, view: View) -> None:
         curves = range_curves(frame, view.classes, view.beam)
         self._curve.data = (
             curves.azimuth_deg,
-            curves.camera_m,
+            curves.pixel_m,
             curves.repaired_m,
             curves.raw_m,
+            curves.camera_m,
             curves.looked_at_m,
         )
-        put(self._curve, visible=curves.azimuth_deg.size > 0)
+        put(
+            self._curve,
+            scales=_curve_scales(curves.limits_m),
+            visible=bool(curves.azimuth_deg.size),
+        )
 
     def _show_conflicts(self, frame: FusedFrame, view: View) -> None:
         runs = conflict_runs(frame)
@@ -209,20 +220,30 @@ def _add_curve(gui: viser.GuiApi) -> viser.GuiUplotHandle:
 
     colors = palette()
     return gui.add_uplot(
-        tuple(np.zeros(2) for _ in range(5)),
+        tuple(np.zeros(2) for _ in range(6)),
         (
             viser.uplot.Series(label="azimuth (°)"),
-            dots("camera", colors["depth"], 3.0),
-            dots("repaired", colors["fused"], 6.0),
-            dots("raw", colors["lidar"], 4.0),
-            dots("beam", colors["fused"], 14.0, ring=True),
+            dots("○ pixel", colors["depth"], 9.0, ring=True),
+            dots("● repaired", colors["fused"], 6.0),
+            dots("● raw", colors["lidar"], 4.0),
+            dots("• camera", colors["depth"], 2.0),
+            dots("◯ chosen", colors["fused"], 14.0, ring=True),
         ),
-        title="Range (m) over azimuth (°): LiDAR raw and repaired, camera",
-        # Azimuth is positive to the left.
-        scales={"x": viser.uplot.Scale(time=False, dir=-1)},
-        height=260,
+        title="Range (m) over azimuth (°)",
+        scales=_curve_scales((0.0, 1.0)),
+        height=280,
+        padding=(12, 24, 0, 0),
         visible=False,
     )
+
+
+def _curve_scales(limits_m: tuple[float, float]) -> dict[str, viser.uplot.Scale]:
+    """``limits_m`` must be given: the plot finds none where a series begins with a gap."""
+    # Azimuth is positive to the left.
+    return {
+        "x": viser.uplot.Scale(time=False, dir=-1),
+        "y": viser.uplot.Scale(range=limits_m),
+    }
 
 
 def _conflict_words(run: ConflictRun) -> str:

@@ -94,12 +94,18 @@ def _side(sample: SampleFacts | None, other: str) -> tuple[str, ...]:
 
 
 def _measures(facts: BeamFacts) -> str:
-    place = f"row {facts.row}, column {facts.column}" if facts.pixel is not None else "none"
-    return (
-        f"Azimuth {facts.azimuth_deg:.1f}°; pixel {place}; residual {length(facts.residual_m)}; "
-        f"epsilon {length(facts.epsilon_m)}; the camera's answer for this beam: "
-        f"{_metres(facts.camera_range_m)}."
-    ).replace("-", "−")
+    said = [f"azimuth {facts.azimuth_deg:.1f}°"]
+    if facts.pixel is not None:
+        said += [
+            f"pixel in row {facts.row}, column {facts.column}",
+            f"its depth as a range: {_metres(facts.pixel_range_m)}",
+        ]
+    said += [
+        f"where the beam meets what the camera sees: {_metres(facts.camera_range_m)}",
+        f"residual {length(facts.residual_m)}",
+        f"epsilon {length(facts.epsilon_m)}",
+    ]
+    return "<b>Measures.</b> " + "; ".join(said).replace("-", "−") + "."
 
 
 def _out_of_view(frame: FusedFrame, beam: int) -> str:

@@ -14,9 +14,13 @@ from app.scene.depth_picture import DepthPicture, depth_picture
 from app.scene.frame_geometry import FrameGeometry, frame_geometry, unmatched_geometry
 from app.scene.heatmap import Heatmap
 from app.scene.layers import LAYERS, Layer
-from app.scene.nodes import Picked, SceneNodes
+from app.scene.map_picture import map_texture
+from app.scene.nodes import MapPlane, Picked, SceneNodes
 from app.scene.pair_pixels import pixels_of_match, repaired_depth_m
 from app.shown import Shown
+from fusion_core.model.conventions import FloatArray
+from fusion_core.model.geometry import inverse, transform_from_planar
+from fusion_core.model.grids import OccupancyGrid
 
 _VIEWS = ("3D", "Curve", "Map", "Heatmap", "Depth")
 _BOARD_PX = (560, 470)
@@ -35,6 +39,9 @@ class ScenePanel:
         # Nodes are drawn in the desk's worker, and switched and clicked in viser's threads.
         self._drawing = threading.RLock()
         self._heatmap: Heatmap | None = None
+        self._grid: OccupancyGrid | None = None
+        self._T_lidar_map: FloatArray | None = None
+        self._path_of: object = None
         self._depth: DepthPicture | None = None
         self._views = gui.add_button_group("View", _VIEWS, hint="From where the scene is looked at")
         with gui.add_folder("Shown in 3D", expand_by_default=False):
@@ -55,6 +62,13 @@ class ScenePanel:
         """The picture of the heatmap's board, until the next one."""
         self._heatmap = drawn
 
+    def take_map(self, grid: OccupancyGrid | None) -> None:
+        """The map on the floor, None for none; from the Map panel."""
+        self._grid = grid
+        with self._drawing:
+            self._nodes.show_map(None if grid is None else _plane_of(grid))
+        self._path_of = None
+
     def show(self, shown: Shown) -> None:
         """Draw the frame; what could not be matched is drawn without pairs."""
         self._controls.show(shown.view)
@@ -68,6 +82,7 @@ class ScenePanel:
         if self._opened is not shown.opened:
             self._opened = shown.opened
             self._nodes.clear()
+            self.take_map(self._grid)
             self._layout = layout_of(geometry, yaw_rad)
             self._look("3D")
         self._nodes.show(geometry)
@@ -75,7 +90,24 @@ class ScenePanel:
             rgb = upright_color(shown.color.rgb, shown.opened.session.rig, geometry.camera)
             self._nodes.show_color(geometry.camera, rgb)
         self._nodes.mark_beam(shown.view.beam)
+        self._stand(shown)
         self._show_boards(shown)
+
+    def _stand(self, shown: Shown) -> None:
+        """Lay map and trajectory around the LiDAR, where the recording has poses."""
+        poses = shown.opened.poses if self._grid is not None else None
+        if poses is None or shown.match is None:
+            self._nodes.stand_at(None)
+            return
+        if self._path_of is not poses:
+            self._path_of = poses
+            found = [poses.at(int(stamp)) for stamp in shown.opened.frames.times_ns]
+            path = [pose for pose in found if pose is not None]
+            self._nodes.show_path(np.array(path).reshape(-1, 3)[:, :2])
+        pose = poses.at(shown.match.scan.stamp_ns)
+        T_map_lidar = None if pose is None else transform_from_planar(pose)
+        self._T_lidar_map = None if T_map_lidar is None else inverse(T_map_lidar)
+        self._nodes.stand_at(T_map_lidar)
 
     def _show_boards(self, shown: Shown) -> None:
         if self._layout is None:
@@ -94,8 +126,12 @@ class ScenePanel:
         match name:
             case "Curve":
                 view = camera_views.curve(self._layout)
+            case "Map" if self._grid is not None and self._T_lidar_map is not None:
+                plane = _plane_of(self._grid)
+                view = camera_views.map_from_above(self._T_lidar_map, plane.origin_m, plane.size_m)
             case "Map":
-                view = camera_views.curve(self._layout)
+                self._desk.tell("There is no map yet", "Build it in the Map panel.")
+                return
             case "Heatmap" | "Depth" if name.lower() in self._boards:
                 view = camera_views.board(self._boards[name.lower()])
             case _:
@@ -136,6 +172,11 @@ class ScenePanel:
     def _beam_near(self, row: int, column: int) -> int | None:
         match = self._desk.shown.match if self._desk.shown is not None else None
         return None if match is None else pixels_of_match(match).beam_near(row, column)
+
+
+def _plane_of(grid: OccupancyGrid) -> MapPlane:
+    x_m, y_m = map(float, grid.origin_m)
+    return MapPlane(picture=map_texture(grid), resolution_m=grid.resolution_m, origin_m=(x_m, y_m))
 
 
 def _geometry(shown: Shown) -> FrameGeometry | None:

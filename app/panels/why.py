@@ -26,7 +26,7 @@ def why_beam_class(facts: BeamFacts, settings: ChainSettings) -> str:
         case NoiseClass.CONFLICT:
             return f"Conflict: {_disagrees(facts, 'the camera')}, but {support}. {_two_surfaces()}"
         case NoiseClass.BURR if _no_pair(facts):
-            return f"Burr: {_nothing_to_compare(facts)}, and too few beams around support it: {support}."
+            return f"Burr: {_nothing_to_compare(facts)}, and too few support it: {support}."
         case NoiseClass.BURR if not _disagree(facts):
             return f"Burr: {_mixed_alike('pixel')} {_capital(support)}."
         case NoiseClass.BURR if published:
@@ -92,14 +92,14 @@ def why_pixel_repair(facts: BeamFacts, settings: ChainSettings) -> str:
         return ""
     if pixel.noise_class == NoiseClass.BURR and math.isnan(pixel.from_other_m):
         least = settings.repair.depth_burr_confidence
-        return f"Kept: its confidence as a burr, {pixel.confidence:.2f}, is below {least:.2f}."
+        return f"Kept: its confidence as a burr, {_share(pixel.confidence)}, is below {least:.2f}."
     least = settings.repair.lidar_confidence
     if beam.noise_class == NoiseClass.HOLE:
         refused = "the LiDAR has no range here"
     elif beam.noise_class != NoiseClass.GOOD:
         refused = f"the beam is no source, being a {beam.noise_class.name.lower()}"
     elif beam.confidence < least:
-        refused = f"the beam's confidence, {beam.confidence:.2f}, is below {least:.2f}"
+        refused = f"the beam's confidence, {_share(beam.confidence)}, is below {least:.2f}"
     elif not facts.lidar_as_depth_m > 0.0:
         refused = "the LiDAR offers nothing"
     else:
@@ -133,7 +133,7 @@ def _repair_words(
             least = settings.repair.farther_confidence
             return (
                 "Kept: a repair would move it farther away, and its confidence as a burr, "
-                f"{sample.confidence:.2f}, is below {least:.2f}."
+                f"{_share(sample.confidence)}, is below {least:.2f}."
             )
         case RepairSource.OTHER_SENSOR:
             against = f"{length(from_neighbours)} from its neighbours"
@@ -196,7 +196,8 @@ def _two_surfaces() -> str:
 
 def _beam_support(facts: BeamFacts) -> str:
     near, beyond, in_time = facts.supporters
-    return f"{_ADJACENT[near]} (two or three away: {beyond} of 4, scans before and after: {in_time} of 2)"
+    farther = f"of those two or three away {beyond}, of the scans before and after {in_time}"
+    return f"{_ADJACENT[near]} ({farther})"
 
 
 def _pixel_support(facts: BeamFacts) -> str:
@@ -206,3 +207,8 @@ def _pixel_support(facts: BeamFacts) -> str:
 
 def _capital(words: str) -> str:
     return words[0].upper() + words[1:]
+
+
+def _share(confidence: float) -> str:
+    """Rounded down: what is below a limit of two digits must not read as the limit itself."""
+    return f"{math.floor(100.0 * confidence) / 100.0:.2f}"

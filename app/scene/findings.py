@@ -28,13 +28,12 @@ class Counts:
 class ConflictRun:
     """Adjacent beams in conflict: ``first`` to ``last`` in the scan, ``middle`` the one to look at.
 
-    ``azimuth_deg`` is the middle one's; ``lidar_m`` and ``camera_m`` are medians of the ranges.
+    ``lidar_m`` and ``camera_m``: medians of what the sensors say of the range.
     """
 
     first: int
     last: int
     middle: int
-    azimuth_deg: float
     lidar_m: float
     camera_m: float
 
@@ -62,8 +61,9 @@ class BeamFacts:
 
     ``pixel`` is None where the beam's point lies outside the image, and then ``row`` and ``column``
     are -1. ``residual_m``: what epsilon is compared with,
-    NaN without a pair. ``camera_range_m``: where the beam
-    meets what the camera sees. ``supporters``: adjacent beams, beams two and three away, scans
+    NaN without a pair. ``camera_range_m``: where the beam, followed as a ray, meets what
+    the camera sees; ``pixel_range_m``: the pixel's depth as a range; ``lidar_as_depth_m``: the
+    beam's point as a depth. ``supporters``: adjacent beams, beams two and three away, scans
     before and after; ``pixel_supporters``: of the 5 x 5 around, and how many of these have a depth.
     ``steady``: the scans before and after have the beam's value too; ``pixel_gone``: the image
     before has nothing like the pixel's.
@@ -76,6 +76,7 @@ class BeamFacts:
     residual_m: float
     epsilon_m: float
     camera_range_m: float
+    pixel_range_m: float
     lidar_as_depth_m: float
     lidar: SampleFacts
     pixel: SampleFacts | None
@@ -96,13 +97,12 @@ def counts_of_pixels(frame: FusedFrame) -> Counts:
 
 
 def conflict_runs(frame: FusedFrame) -> list[ConflictRun]:
-    """The conflicts of a frame, from left to right as the camera sees them."""
+    """The conflicts of a frame, those first that disagree most."""
     pairs = frame.pairs
     index = np.flatnonzero(frame.classes.lidar_class == NoiseClass.CONFLICT)
     if not index.size:
         return []
     parted = np.flatnonzero(np.diff(pairs.beam[index]) != 1) + 1
-    azimuth_deg = unwrapped_deg(pairs.azimuth_rad)
     runs = []
     for run in np.split(index, parted):
         middle = run[run.size // 2]
@@ -111,12 +111,11 @@ def conflict_runs(frame: FusedFrame) -> list[ConflictRun]:
                 first=int(pairs.beam[run[0]]),
                 last=int(pairs.beam[run[-1]]),
                 middle=int(pairs.beam[middle]),
-                azimuth_deg=float(azimuth_deg[middle]),
                 lidar_m=float(np.median(pairs.lidar_range_m[run])),
                 camera_m=float(np.median(pairs.depth_as_range_m[run])),
             )
         )
-    return sorted(runs, key=lambda run: -run.azimuth_deg)
+    return sorted(runs, key=lambda run: -abs(run.lidar_m - run.camera_m))
 
 
 def facts_of_beam(frame: FusedFrame, beam: int) -> BeamFacts | None:
@@ -156,6 +155,7 @@ def facts_of_beam(frame: FusedFrame, beam: int) -> BeamFacts | None:
         residual_m=float(pairs.residual_m[at]),
         epsilon_m=float(classes.epsilon_m[at]),
         camera_range_m=float(pairs.camera_range_m[at]),
+        pixel_range_m=float(pairs.depth_as_range_m[at]),
         lidar_as_depth_m=float(pairs.lidar_as_depth_m[at]),
         lidar=lidar,
         pixel=pixel,

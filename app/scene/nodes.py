@@ -7,6 +7,7 @@ import viser
 
 from app.scene.boards import Board
 from app.scene.drawn import colors_of_segments, depth_colors, lines, points
+from app.scene.encoded import show_picture
 from app.scene.frame_geometry import FrameGeometry
 from app.scene.geometry import NO_SEGMENTS, arrow_segments, path_segments, quaternion
 from app.scene.layers import LAYERS, Layer
@@ -197,8 +198,8 @@ class SceneNodes:
             )
         else:
             handle = shown[1]
-            if shown[0].rgb is not board.rgb:
-                handle.image = board.rgb
+            if not np.array_equal(shown[0].rgb, board.rgb):
+                show_picture(handle, board.rgb)
             handle.render_width, handle.render_height = plane.width_m, plane.height_m
             handle.wxyz, handle.position = np.array(plane.wxyz), np.array(plane.position_m)
         handle.visible = "boards" in self._layers

@@ -21,6 +21,7 @@ _GRID: Color = (241, 243, 245)
 # Points are placed to a sixteenth of a pixel.
 _FRACTION_BITS = 4
 _RADIUS_PX = 2.0
+_ALONE_PX = 1.0
 _CROSS_PX = 3.0
 _RING_PX = 5.5
 # The plot ends where single points stray: so far beyond the middle 96 % of the points.
@@ -46,10 +47,7 @@ class PairsPlot:
     @property
     def paired(self) -> BoolArray:
         """(m,): both points are there."""
-        both: BoolArray = np.isfinite(self.lidar_m).all(axis=1) & np.isfinite(self.depth_m).all(
-            axis=1
-        )
-        return both
+        return _given(self.lidar_m) & _given(self.depth_m)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,7 +116,7 @@ def _boxes(count: int, width_px: int, height_px: int, legend_lines: int) -> tupl
 def _scale(plot: PairsPlot, box: Box) -> tuple[tuple[float, float], float]:
     """The point in the middle and the pixels of a metre, alike along both axes."""
     points_m = np.concatenate([plot.lidar_m, plot.depth_m])
-    points_m = points_m[np.isfinite(points_m).all(axis=1)]
+    points_m = points_m[_given(points_m)]
     if not points_m.size:
         return (0.0, 0.0), box.height / 2.0
     inner_low, inner_high = np.quantile(points_m, _MIDDLE, axis=0)
@@ -167,12 +165,18 @@ def _draw_pairs(picture: PairsPicture, place: int, plot: PairsPlot) -> None:
     for points, name in ((depth, "depth"), (lidar, "lidar")):
         color = color_of(name)
         own = plot.depth_m if name == "depth" else plot.lidar_m
-        _dots(inside, points[np.isfinite(own).all(axis=1) & ~paired], color, 1.0)
+        _dots(inside, points[_given(own) & ~paired], color, _ALONE_PX)
         _crosses(inside, points[paired & ~agree], color)
         _dots(inside, points[agree], color, _RADIUS_PX)
     if plot.drawn is not None:
         for index in plot.drawn[paired[plot.drawn]]:
             _point_at(inside, lidar[index], depth[index])
+
+
+def _given(points_m: FloatArray) -> BoolArray:
+    """(m,): points that are there."""
+    given: BoolArray = np.logical_and.reduce(np.isfinite(points_m), axis=1)
+    return given
 
 
 def _in_box(picture: PairsPicture, place: int, points_m: FloatArray) -> FloatArray:
@@ -236,6 +240,8 @@ def _legend(plot: PairsPlot) -> list[LegendEntry]:
         entries.append(LegendEntry(_join_symbol, counted("inlier", agree)))
         outliers = int(paired.sum()) - agree
         entries.append(LegendEntry(_cross_symbol, counted("outlier", outliers)))
+    alone = int((_given(plot.lidar_m) ^ _given(plot.depth_m)).sum())
+    entries.append(LegendEntry(_alone_symbol, counted("alone", alone)))
     if plot.drawn is not None:
         entries.append(LegendEntry(_ring_symbol, counted("drawn", plot.drawn.size)))
     return entries
@@ -260,6 +266,12 @@ def _cross_symbol(part: ByteArray) -> None:
     ends = _fixed(np.array([[6.0, 9.0], [14.0, 9.0]]))
     _crosses(part, ends[:1], color_of("lidar"))
     _crosses(part, ends[1:], color_of("depth"))
+
+
+def _alone_symbol(part: ByteArray) -> None:
+    places = _fixed(np.array([[6.0, 9.0], [14.0, 9.0]]))
+    _dots(part, places[:1], color_of("lidar"), _ALONE_PX)
+    _dots(part, places[1:], color_of("depth"), _ALONE_PX)
 
 
 def _ring_symbol(part: ByteArray) -> None:

@@ -126,7 +126,7 @@ def paint_values(
     target[:] = colors[steps.astype(np.uint8)].take(rows, axis=0).take(columns, axis=1)
     if missing.any():
         stretched = missing.take(rows, axis=0).take(columns, axis=1)
-        np.copyto(target, hatch(height, width), where=stretched[:, :, np.newaxis])
+        cv2.copyTo(hatch(height, width), stretched.view(np.uint8), target)
 
 
 @lru_cache(maxsize=16)

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from app.jobs.long import LongJob
@@ -11,6 +12,7 @@ from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording
 from fusion_core.workflows.frame_reader import FrameReader
 from fusion_core.workflows.live import LiveChain
+from fusion_core.workflows.poses import Poses, recorded_poses
 from fusion_core.workflows.session import (
     FuseOptions,
     Session,
@@ -47,6 +49,14 @@ class Opened:
         self._listeners: list[Callable[[], None]] = []
         self._lock = threading.Lock()
         self._job: LongJob | None = None
+
+    @cached_property
+    def poses(self) -> Poses | None:
+        """The recorded poses of the LiDAR, None where there are none."""
+        session = self.session
+        if session.virtual_row is not None:
+            return None
+        return recorded_poses(session.recording, session.streams, session.rig.lidar_frame)
 
     def align(self, on_change: Callable[[], None]) -> None:
         """Begin the alignment unless it runs or is done; ``on_change`` hears of every step."""

@@ -146,6 +146,7 @@ def align(
     scale = STATED
     calibrated = all(camera.calibrated for camera in rig.cameras)
     if refine and calibrated and settings.pairing == "mount":
+        progress(0, None, "refining the mount")
         estimate = estimate_mount(
             collected.kept, settings.mount, yaw_rad=yaw_rad, recorded=rig.recorded
         )

@@ -144,7 +144,7 @@ def residual_curve(frame: FusedFrame) -> ResidualCurve:
     pairs, classes = frame.pairs, frame.classes
     shown = np.flatnonzero(np.isfinite(pairs.residual_m))
     # Beams on both sides of the scan's seam are neighbours where the camera looks backwards.
-    middle_rad = float(np.median(pairs.azimuth_rad)) if pairs.azimuth_rad.size else 0.0
+    middle_rad = float(np.angle(np.exp(1j * pairs.azimuth_rad).sum()))
     from_middle = np.angle(np.exp(1j * (pairs.azimuth_rad[shown] - middle_rad)))
     order = np.argsort(from_middle, kind="stable")
     shown = shown[order]

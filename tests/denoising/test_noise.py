@@ -349,6 +349,26 @@ def random_frame(rng, beams=BEAMS, noise=0.01):
     return lidar, image.astype(np.float32)
 
 
+def test_what_the_classes_rest_on_is_told():
+    lidar, image = wall(), speckled(15)
+    lidar[30] = 1.2
+    classes = classes_of(
+        window_of(
+            lidar,
+            image,
+            camera=wall(),
+            scan_before=scan_of(wall()),
+            scan_after=scan_of(wall()),
+            depth_before_m=wall_image(),
+        )
+    )
+    np.testing.assert_array_equal(
+        classes.beam_support[[10, 29, 30, 31]], [[2, 4, 2], [1, 4, 2], [0, 0, 0], [1, 4, 2]]
+    )
+    np.testing.assert_array_equal(classes.pixel_support[[10, 16]], [[24, 24], [8, 24]])
+    np.testing.assert_array_equal(np.flatnonzero(classes.pixel_gone), [15, 16, 17])
+
+
 # Epsilon and confidences.
 
 

@@ -296,6 +296,27 @@ def test_a_value_behind_the_sensor_repairs_nothing(behind_m):
     assert np.isnan(value[0])
 
 
+@pytest.mark.parametrize("prefer", ["smaller_error", "other_sensor"])
+def test_the_expected_errors_tell_why_a_source_was_taken(prefer):
+    lidar, classes = holes(np.full(60, 2.0), np.r_[10:13, 25:40])
+    camera = np.full(60, 2.0)
+    camera[[11, 30]] = np.nan
+    pairs, given = frame(lidar, lidar_class=classes, camera=camera)
+    image = np.full((60, 60), np.nan, dtype=np.float32)
+    errors = repair(pairs, given, image, SCALE, changed(prefer=prefer)).lidar_errors_m
+    asked = classes == HOLE
+    np.testing.assert_array_equal(np.isnan(errors).all(axis=1), ~asked)
+    # What is not there has no error; a gap of 8 degrees is the widest with sides of its own.
+    np.testing.assert_array_equal(np.flatnonzero(np.isinf(errors[:, 0])), [11, 30])
+    assert not np.isinf(errors[asked, 1]).any()
+    assert errors[10, 0] == pytest.approx(0.5 * 0.02)
+    assert errors[10, 1] == pytest.approx(0.6 * 0.02 + 0.1 * 4 * STEP_RAD * 2.0, rel=0.01)
+    _, source = lidar_repair(lidar, classes, camera=camera, settings=changed(prefer=prefer))
+    other = (errors[:, 0] <= errors[:, 1]) | (prefer == "other_sensor")
+    other &= np.isfinite(errors[:, 0])
+    np.testing.assert_array_equal(source[asked], np.where(other[asked], OTHER, NEIGHBOURS))
+
+
 # Depth.
 
 

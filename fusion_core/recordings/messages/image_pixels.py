@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import cv2
 import numpy as np
 
 from fusion_core.model.conventions import ByteArray
@@ -11,15 +12,15 @@ MAX_PIXELS = 1 << 26
 # Encodings come from the file: an error shows no more of one than this.
 _SHOWN_CHARACTERS = 40
 
-# Bytes a pixel, and the channels in the order red, green, blue.
-_COLOR_ENCODINGS: dict[str, tuple[int, list[int]]] = {
-    "rgb8": (3, [0, 1, 2]),
-    "bgr8": (3, [2, 1, 0]),
-    "8UC3": (3, [2, 1, 0]),
-    "rgba8": (4, [0, 1, 2]),
-    "bgra8": (4, [2, 1, 0]),
-    "mono8": (1, [0, 0, 0]),
-    "8UC1": (1, [0, 0, 0]),
+# Bytes a pixel, and OpenCV's conversion to red, green, blue.
+_COLOR_ENCODINGS: dict[str, tuple[int, int | None]] = {
+    "rgb8": (3, None),
+    "bgr8": (3, cv2.COLOR_BGR2RGB),
+    "8UC3": (3, cv2.COLOR_BGR2RGB),
+    "rgba8": (4, cv2.COLOR_RGBA2RGB),
+    "bgra8": (4, cv2.COLOR_BGRA2RGB),
+    "mono8": (1, cv2.COLOR_GRAY2RGB),
+    "8UC1": (1, cv2.COLOR_GRAY2RGB),
 }
 _DEPTH_DTYPES = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 
@@ -45,9 +46,12 @@ def rgb_pixels(raw: Any) -> ByteArray:
     if raw.encoding not in _COLOR_ENCODINGS:
         known = ", ".join([*_DEPTH_DTYPES, *_COLOR_ENCODINGS])
         raise BadMessage(f"image encoding {shown(raw.encoding)} is not read", f"Read are {known}.")
-    pixel_bytes, order = _COLOR_ENCODINGS[raw.encoding]
+    pixel_bytes, conversion = _COLOR_ENCODINGS[raw.encoding]
     pixels = _rows(raw, pixel_bytes).reshape(raw.height, raw.width, pixel_bytes)
-    return pixels.copy() if order == [*range(pixel_bytes)] else pixels[:, :, order]
+    if conversion is None:
+        return pixels.copy()
+    rgb: ByteArray = np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
+    return rgb
 
 
 def shown(text: str) -> str:

@@ -21,6 +21,7 @@ from rosbags.typesys.store import Typestore
 from fusion_core.recordings.containers import Channel, Payload
 from fusion_core.recordings.messages.type_limits import ExcessiveType, require_bounded_type
 from fusion_core.recordings.rosbag1.transforms import is_ros1_tf, read_transforms
+from fusion_core.recordings.rosbag2.transforms import is_ros2_tf, read_cdr_transforms
 
 Deserializer = Callable[[Payload], Any]
 
@@ -43,11 +44,14 @@ def deserializer(channel: Channel) -> Deserializer:
     name = channel.message_type
     if channel.serialization == "ros1" and is_ros1_tf(store, name):
         return read_transforms
+    if channel.serialization == "cdr" and is_ros2_tf(store, name):
+        return read_cdr_transforms
     read = store.deserialize_cdr if channel.serialization == "cdr" else store.deserialize_ros1
 
     def deserialize(payload: Payload) -> Any:
         try:
-            return read(payload, name)
+            # Of bytes, rosbags would copy all that is behind their first four.
+            return read(memoryview(payload), name)
         except (SerdeError, AssertionError, IndexError) as error:
             problem = " ".join(str(error).split())
             raise ValueError(f"its bytes are no {name} ({problem})") from error

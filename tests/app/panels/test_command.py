@@ -1,0 +1,109 @@
+"""The command that is shown, run through the command line's own parser."""
+
+import shlex
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app import cli
+from app.panels.command import fuse_command
+from fusion_core.workflows.session import FuseOptions
+from fusion_core.workflows.source import RoomChoice
+
+# What a shell, a parser or a terminal could take for something else.
+AWKWARD = st.sampled_from(
+    [
+        "a b",
+        "$(id)",
+        "`id`",
+        "a'b",
+        'a"b',
+        "-x",
+        "--force",
+        "a\nb",
+        "a\\b",
+        "*",
+        "~",
+        "空间",
+        "=",
+        "#",
+    ]
+)
+TEXT = AWKWARD | st.text(
+    st.characters(exclude_categories=["Cs"], exclude_characters="\0"), min_size=1, max_size=20
+)
+PATHS = TEXT.map(lambda text: Path("/") / "folder" / text.replace("/", "_"))
+COUNTS = st.integers(0, 10_000)
+ROOMS = st.builds(RoomChoice, session=TEXT, room=TEXT, subsession=st.integers(1, 9))
+OPTIONS = st.builds(
+    FuseOptions,
+    preset=st.sampled_from(["default", "published"]),
+    settings_file=st.none() | PATHS,
+    room=st.none() | ROOMS,
+    virtual_lidar_row=st.none() | COUNTS,
+    lidar_topic=st.none() | TEXT,
+    depth_topics=st.lists(TEXT, max_size=3).map(tuple),
+    pose_topic=st.none() | TEXT,
+    apply_clock_offset=st.booleans(),
+    maps=st.booleans(),
+    figures=st.booleans(),
+    truth=st.none() | PATHS,
+    seed=st.none() | COUNTS,
+    force=st.booleans(),
+    overwrite=st.booleans(),
+)
+
+
+class Captured(Exception):
+    """What ``fuse`` was asked for."""
+
+
+def asked_of_fuse(command: str, monkeypatch: pytest.MonkeyPatch) -> tuple[Any, ...]:
+    """Recording, output and options that the command line makes of a command."""
+
+    def capture(recording: Path, output: Path, options: FuseOptions, progress: object) -> None:
+        raise Captured(recording, output, options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("fusion_core.workflows.fuse.fuse", capture)
+        program, *args = shlex.split(command)
+        assert program == "scanloom"
+        with pytest.raises(Captured) as captured:
+            cli.main(args)
+    return captured.value.args
+
+
+@given(recording=PATHS, output=PATHS, options=OPTIONS)
+@settings(max_examples=25)
+def test_the_command_line_reads_the_same_options(
+    recording: Path, output: Path, options: FuseOptions
+) -> None:
+    command = fuse_command(recording, output, options)
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        assert asked_of_fuse(command, monkeypatch) == (recording, output, options)
+
+
+def test_a_plain_build_is_a_short_command() -> None:
+    command = fuse_command(Path("/data/room.mcap"), Path("/out/room"), FuseOptions())
+    assert command == "scanloom fuse /data/room.mcap --output /out/room"
+
+
+def test_a_shell_runs_nothing_of_a_name(tmp_path: Path) -> None:
+    trap = tmp_path / "trap"
+    name = f"x; touch {trap}; $(touch {trap}) `touch {trap}`\n'\""
+    command = fuse_command(
+        Path("/data") / name.replace("/", "_"),
+        Path("/out"),
+        FuseOptions(lidar_topic=name, depth_topics=(name,)),
+    )
+    shown = subprocess.run(
+        ["/bin/sh", "-c", command.replace("scanloom", "printf '%s\\0'", 1)],
+        check=True,
+        capture_output=True,
+    ).stdout.decode()
+    assert shown.split("\0")[:-1] == shlex.split(command)[1:]
+    assert not trap.exists()

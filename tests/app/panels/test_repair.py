@@ -1,0 +1,289 @@
+"""The Repair panel on the sample, worked by a browser's messages: pictures, numbers and jumps."""
+
+import re
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import viser
+
+from app.desk import Desk
+from app.panels.repair import RepairPanel
+from app.resources import sample_path
+from app.scene.findings import conflict_runs, facts_of_beam
+from app.scene.palette import class_color
+from app.shown import Shown, shown_of
+from app.state.library import Library
+from app.state.view import View
+from fusion_core.model.classes import NoiseClass, RepairSource
+from fusion_core.model.errors import ScanLoomError
+from fusion_core.workflows.frame import FusedFrame
+from tests.app.viser_client import ViserClient, connect
+
+# A frame of the sample with several conflicts, and one of a different table.
+FRAME, OTHER_FRAME = 44, 80
+ALL = frozenset(NoiseClass)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A browser at a desk with nothing but this panel."""
+
+    desk: Desk
+    panel: RepairPanel
+    browser: ViserClient
+
+    @property
+    def shown(self) -> Shown:
+        opened = self.desk.library.open(self.desk.view)
+        return shown_of(self.desk.view, opened)
+
+    @property
+    def frame(self) -> FusedFrame:
+        fused = self.shown.fused
+        assert fused is not None
+        return fused
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        """Wait for what a message of the browser brings about, and until that is shown."""
+        deadline = time.monotonic() + 10.0
+        while not condition():
+            assert time.monotonic() < deadline, "not so within 10 s"
+            time.sleep(0.005)
+        assert self.desk.wait(10.0)
+
+    def change(self, **values: object) -> None:
+        self.desk.change(**values)
+        assert self.desk.wait(10.0)
+
+    def html(self, *words: str) -> str:
+        """The HTML that holds these words, as the browser has it."""
+        self.browser.wait_until(lambda: len(self._htmls(words)) == 1)
+        return self._htmls(words)[0]
+
+    def _htmls(self, words: tuple[str, ...]) -> list[str]:
+        known = [str(w.props.get("content", "")) for w in self.browser.widgets.values()]
+        return [content for content in known if all(word in content for word in words)]
+
+
+@pytest.fixture(scope="module")
+def module_bench() -> Iterator[Bench]:
+    library = Library([sample_path()], [])
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    built: list[tuple[Desk, RepairPanel]] = []
+
+    @server.on_client_connect
+    def _(client: viser.ClientHandle) -> None:
+        view = View(recording=library.names()[0], panel="Repair", number=FRAME)
+        desk = Desk(client, library, view)
+        panel = RepairPanel(client.gui, desk)
+        desk.panels = [panel]
+        desk.begin()
+        built.append((desk, panel))
+
+    with connect(f"http://127.0.0.1:{server.get_port()}") as browser:
+        browser.find("Conflicts")
+        deadline = time.monotonic() + 60.0
+        while not built or library.open(built[0][0].view).chain is None:
+            assert time.monotonic() < deadline, "the sample was not aligned within a minute"
+            time.sleep(0.02)
+        yield Bench(*built[0], browser)
+        built[0][0].close()
+    server.stop()
+    library.close()
+
+
+@pytest.fixture
+def bench(module_bench: Bench) -> Bench:
+    """The bench as at the start."""
+    fresh = View(recording=module_bench.desk.view.recording)
+    module_bench.change(
+        panel="Repair",
+        number=FRAME,
+        classes=ALL,
+        both=True,
+        repaired=True,
+        beam=None,
+        settings=fresh.settings,
+    )
+    return module_bench
+
+
+def colored(rgb: np.ndarray, noise: NoiseClass) -> int:
+    """Pixels of a picture in the colour of a class, but for the legend's swatch."""
+    return int((rgb[:-60] == class_color(noise)).all(axis=2).sum())
+
+
+def numbers(table: str, words: str) -> list[int]:
+    """The numbers in the row of a table that has these words."""
+    row = next(row for row in table.split("<tr>") if words in row)
+    return [int(cell) for cell in re.findall(r">(\d+)</td>", row)]
+
+
+@pytest.mark.parametrize("number", [FRAME, OTHER_FRAME])
+def test_the_table_has_the_numbers_of_the_frame(bench: Bench, number: int) -> None:
+    bench.change(number=number)
+    classes, repair = bench.frame.classes, bench.frame.repair
+    good = int((classes.lidar_class == NoiseClass.GOOD).sum())
+    table = bench.html("burrs", f">{good}<")
+    for noise in NoiseClass:
+        expected = [
+            int((found == noise).sum()) for found in (classes.lidar_class, classes.depth_class)
+        ]
+        assert numbers(table, f"></span>{noise.name.lower()}<") == expected
+    assert numbers(table, "outside the image") == [int((classes.depth_class < 0).sum())]
+    for words, source in (
+        ("from the other sensor", RepairSource.OTHER_SENSOR),
+        ("from neighbours", RepairSource.NEIGHBOURS),
+    ):
+        expected = [int((s == source).sum()) for s in (repair.lidar_source, repair.depth_source)]
+        assert numbers(table, words) == expected
+
+
+def test_the_filter_takes_a_class_out_of_picture_and_curve(bench: Bench) -> None:
+    before, after = bench.panel._pictures
+    good = int((bench.frame.classes.lidar_class == NoiseClass.GOOD).sum())
+    assert colored(after.image, NoiseClass.GOOD) > 500
+    assert np.isfinite(bench.panel._curve.data[3]).sum() > good
+    bench.browser.set_value("Show good", False)
+    bench.until(lambda: bench.desk.view.classes == ALL - {NoiseClass.GOOD})
+    for picture in (before, after):
+        assert colored(picture.image, NoiseClass.GOOD) == 0
+        assert colored(picture.image, NoiseClass.HOLE) > 0
+    others = np.isfinite(bench.frame.pairs.lidar_range_m).sum() - good
+    assert np.isfinite(bench.panel._curve.data[3]).sum() == others
+    bench.browser.set_value("Show good", True)
+    bench.until(lambda: bench.desk.view.classes == ALL)
+    assert colored(after.image, NoiseClass.GOOD) > 500
+
+
+def test_the_curve_is_that_of_the_frame(bench: Bench) -> None:
+    pairs = bench.frame.pairs
+    azimuth_deg, pixel_m, repaired_m, raw_m, camera_m, chosen_m = bench.panel._curve.data
+    order = np.argsort(pairs.azimuth_rad)
+    np.testing.assert_allclose(azimuth_deg, np.rad2deg(pairs.azimuth_rad[order]))
+    np.testing.assert_array_equal(raw_m, pairs.lidar_range_m[order])
+    np.testing.assert_array_equal(repaired_m, bench.frame.repair.lidar_range_m[order])
+    np.testing.assert_array_equal(pixel_m, pairs.depth_as_range_m[order])
+    np.testing.assert_array_equal(camera_m, pairs.camera_range_m[order])
+    assert np.isnan(chosen_m).all()
+    low_m, high_m = bench.panel._curve.scales["y"]["range"]
+    assert low_m <= np.nanmin(raw_m)
+    assert np.nanmax(raw_m) <= high_m
+
+
+def test_the_list_of_conflicts_jumps_to_each(bench: Bench) -> None:
+    runs = conflict_runs(bench.frame)
+    assert len(runs) >= 2
+    heading, *options = bench.browser.find("Conflicts").props["options"]
+    assert heading == f"{len(runs)}: choose one"
+    for run, words in zip(runs, options, strict=True):
+        assert f"{run.lidar_m:.2f} m" in words
+        bench.browser.set_value("Conflicts", words)
+        bench.until(lambda run=run: bench.desk.view.beam == run.middle)
+        bench.html(f"beam {run.middle}, range", "Conflict: it disagrees")
+        assert np.isfinite(bench.panel._curve.data[5]).sum() == 1
+
+
+def test_the_buttons_go_around_the_conflicts(bench: Bench) -> None:
+    middles = [run.middle for run in conflict_runs(bench.frame)]
+    step = bench.browser.find("Go to conflict").uuid
+
+    def press(name: str) -> int | None:
+        before = bench.desk.view.beam
+        bench.browser.update(step, {"value": name})
+        bench.until(lambda: bench.desk.view.beam != before)
+        return bench.desk.view.beam
+
+    assert [press("Next") for _ in range(len(middles) + 1)] == [*middles, middles[0]]
+    assert press("Previous") == middles[-1]
+    bench.change(beam=None)
+    assert press("Previous") == middles[-1]
+
+
+def test_a_number_tells_of_that_beam(bench: Bench) -> None:
+    holes = bench.frame.classes.lidar_class == NoiseClass.HOLE
+    filled = np.flatnonzero(holes & np.isfinite(bench.frame.repair.lidar_range_m))
+    beam = int(bench.frame.pairs.beam[filled[0]])
+    facts = facts_of_beam(bench.frame, beam)
+    assert facts is not None
+    bench.browser.set_value("Beam", beam)
+    bench.until(lambda: bench.desk.view.beam == beam)
+    table = bench.html(f"beam {beam}, range")
+    assert f"{facts.lidar.repaired_m:.3f} m" in table
+    assert "no value" in table
+    assert f"{facts.lidar.confidence:.2f}" in table
+    assert "Filled from" in table
+    bench.browser.set_value("Beam", -1)
+    bench.until(lambda: bench.desk.view.beam is None)
+    bench.html("Choose a conflict or a number")
+
+
+def test_beams_out_of_view_and_beams_that_are_none_are_said_so(bench: Bench) -> None:
+    bench.change(beam=0)
+    bench.html("Beam 0 lies outside the camera")
+    bench.change(beam=9999)
+    bench.html("there is no beam 9999")
+
+
+def test_before_after_or_both(bench: Bench) -> None:
+    before, after = bench.panel._pictures
+    assert (before.visible, after.visible) == (True, True)
+    bench.browser.set_value("Before and after", False)
+    bench.until(lambda: not bench.desk.view.both)
+    assert (before.visible, after.visible) == (False, True)
+    bench.browser.set_value("Repaired", False)
+    bench.until(lambda: not bench.desk.view.repaired)
+    assert (before.visible, after.visible) == (True, False)
+
+
+def test_what_the_repair_changed_differs_between_the_pictures(bench: Bench) -> None:
+    # Without the marks on top of it.
+    bench.change(classes=frozenset())
+    before, after = (picture.image for picture in bench.panel._pictures)
+    assert before.shape == after.shape
+    differing = (before[40:-80] != after[40:-80]).any(axis=2)
+    assert 0 < differing.sum() < 0.02 * differing.size
+
+
+def test_epsilon_has_one_slider_in_the_unit_of_the_settings(bench: Bench) -> None:
+    sliders = bench.panel._epsilon
+    assert [unit for unit, slider in sliders.items() if slider.visible] == ["sigma"]
+    agreeing = (bench.frame.classes.lidar_class == NoiseClass.GOOD).sum()
+    bench.browser.set_value("ε (σ)", 0.5)
+    bench.until(lambda: bench.desk.view.settings.noise.epsilon == 0.5)
+    fewer = int((bench.frame.classes.lidar_class == NoiseClass.GOOD).sum())
+    assert fewer < agreeing
+    bench.html("burrs", f">{fewer}<")
+    bench.desk.set("noise", "epsilon_unit", "m")
+    bench.until(lambda: sliders["m"].visible)
+    assert [unit for unit, slider in sliders.items() if slider.visible] == ["m"]
+
+
+def test_while_another_panel_is_open_nothing_is_drawn(bench: Bench) -> None:
+    drawn = bench.panel._pictures[1].image
+    bench.change(panel="Map")
+    bench.change(number=OTHER_FRAME)
+    assert bench.panel._pictures[1].image is drawn
+    bench.change(panel="Repair")
+    assert bench.panel._pictures[1].image is not drawn
+
+
+def test_what_stays_the_same_is_not_drawn_again(bench: Bench) -> None:
+    drawn = bench.panel._pictures[1].image
+    bench.change(speed=2.0)
+    assert bench.panel._pictures[1].image is drawn
+    bench.change(speed=1.0)
+
+
+def test_a_frame_that_failed_says_why_and_shows_nothing_of_another(bench: Bench) -> None:
+    failure = ScanLoomError("no peak in <b>/scan</b>.", advice="Go on.")
+    bench.panel.show(replace(bench.shown, fused=None, failure=failure))
+    bench.html("no peak in &lt;b&gt;/scan&lt;/b&gt;. Go on.")
+    assert not any(handle.visible for handle in (*bench.panel._pictures, bench.panel._curve))
+    assert bench.panel._classes.content == ""
+    assert bench.panel._conflicts.options == ("none in this frame",)
+    bench.panel.show(bench.shown)
+    assert all(handle.visible for handle in (*bench.panel._pictures, bench.panel._curve))
