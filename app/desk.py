@@ -81,8 +81,12 @@ class Desk:
         self._replace(lambda view: view.changed(**values), remember=True)
 
     def set(self, stage: str, name: str, value: Any) -> None:
-        """Change one setting of one stage ("" for the chain's own)."""
-        self._replace(lambda view: view.with_setting(stage, name, value), remember=True)
+        """Change one setting of one stage ("" for the chain's own). A drag is undone at once."""
+        self._replace(
+            lambda view: view.with_setting(stage, name, value),
+            remember=True,
+            dragged=f"{stage}.{name}",
+        )
 
     def set_preset(self, preset: PresetName) -> None:
         """All settings as the preset has them."""
@@ -91,7 +95,7 @@ class Desk:
 
     def align_again(self) -> None:
         """Align the whole recording with the settings as they are."""
-        self.change(aligned=self._view.settings)
+        self.change_settings(aligned=self._view.settings)
 
     def undo(self) -> None:
         """Take back the last change of settings."""
@@ -131,7 +135,9 @@ class Desk:
         if self._opened is not None:
             self._opened.forget(self.refresh)
 
-    def _replace(self, change: Callable[[View], View], *, remember: bool) -> None:
+    def _replace(
+        self, change: Callable[[View], View], *, remember: bool, dragged: str = ""
+    ) -> None:
         with self._lock:
             before = self._view
             try:
@@ -141,7 +147,7 @@ class Desk:
                 self.fail(error)
                 after = before
             if remember and after != before:
-                self._history.add(before)
+                self._history.add(before, dragged, time.monotonic())
             self._view = after
             self.refresh()
 
@@ -157,8 +163,9 @@ class Desk:
         is_due = time.monotonic() - self._shown_s > _LEAST_OFTEN_S
         if self._closed or not (is_newest() or is_due):
             return
-        if shown.failure is not None:
-            self.fail(shown.failure)
+        failure = opened.failure if shown.failure is None else shown.failure
+        if failure is not None:
+            self.fail(failure)
         elif shown.fused is not None:
             self._told = ""
         self.shown = shown

@@ -29,8 +29,9 @@ from app.state.view import View, view_of_link
 from app.untrusted import only_values, without_sharing
 from fusion_core.model.errors import ScanLoomError, SettingsError
 
-# A browser answers from its own storage; one that does not starts afresh.
-_STORAGE_TIMEOUT_S = 3.0
+# A browser answers from its own storage, late where it draws without a graphics card; one that does
+# not starts afresh.
+_STORAGE_TIMEOUT_S = 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,6 +124,10 @@ class Workbench:
         closables = _furnish(desk, self._output_root)
         with self._lock:
             self._desks[client.client_id] = (desk, closables)
+        if client.client_id not in self._server.get_clients():
+            # It left while its desk was made.
+            self._close_desk(client.client_id)
+            return
         if problem is not None:
             desk.fail(problem)
         desk.begin()
@@ -143,12 +148,10 @@ class Workbench:
             try:
                 view = view_of_link(link)
                 self._library.open(view)
-            except SettingsError as error:
-                problem = error
             except ScanLoomError as error:
-                problem = error
+                problem = problem or error
             else:
-                return view, None
+                return view, problem
         return self._first_view, problem
 
     def _part(self, client: viser.ClientHandle) -> None:

@@ -34,13 +34,17 @@ def clock_offset_ms(view: View, chain: LiveChain) -> float:
 
 
 def shown_of(view: View, opened: Opened) -> Shown:
-    """Compute a view; a stage that fails leaves what came before it."""
+    """Compute a view; a stage that fails leaves what came before it.
+
+    A frame beyond the recording's last, as an old link may ask for, is its last.
+    """
+    view = view.model_copy(update={"number": min(view.number, len(opened.frames) - 1)})
     chain = opened.chain
     if chain is None:
         failure = opened.failure if isinstance(opened.failure, ScanLoomError) else None
         return Shown(view=view, opened=opened, failure=failure)
     choice = FrameChoice(
-        number=min(view.number, len(opened.frames) - 1),
+        number=view.number,
         clock_offset_ms=clock_offset_ms(view, chain),
         picked=view.picked,
     )

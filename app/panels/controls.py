@@ -21,7 +21,7 @@ class _Bound:
 
     handle: Any
     value_of: Callable[[View], Any]
-    known: Any = None
+    known: Any
 
 
 class Controls:
@@ -84,12 +84,16 @@ class Controls:
         return handle
 
     def bind(
-        self, handle: Any, name: str, convert: Callable[[Any], Any] = lambda value: value
+        self,
+        handle: Any,
+        name: str,
+        convert: Callable[[Any], Any] = lambda value: value,
+        shown: Callable[[Any], Any] = lambda value: value,
     ) -> None:
-        """Tie a widget to a value of the view itself."""
+        """Tie a widget to a value of the view itself. ``shown``: how the widget has that value."""
         self._bind(
             handle,
-            lambda view: getattr(view, name),
+            lambda view: shown(getattr(view, name)),
             lambda new: self._desk.change(**{name: convert(new)}),
         )
 
@@ -110,7 +114,7 @@ class Controls:
     def _bind(
         self, handle: Any, value_of: Callable[[View], Any], change: Callable[[Any], None]
     ) -> None:
-        bound = _Bound(handle, value_of)
+        bound = _Bound(handle, value_of, handle.value)
         self._bound.append(bound)
 
         @handle.on_update

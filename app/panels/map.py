@@ -268,6 +268,8 @@ class MapPanel:
                 )
             put(self._picture, visible=bool(grids))
             put(self._folder, content=_text_box(str(built.folder)))
+            for handle in (self._voxel, self._export_button):
+                put(handle, visible=built.summary.pose_source is not None)
         put(self._exported, content=_paragraph(self._clouds) if self._clouds else "")
         put(self._report, content=_report(built, changed=_asked(view) != _asked(built.view)))
 

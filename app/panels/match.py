@@ -1,6 +1,7 @@
 """The Match panel: the similarity field, its peak, and the two curves laid on each other."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import get_args
 
 import numpy as np
@@ -26,10 +27,11 @@ _WINDOW_FRAMES = 2
 
 
 class MatchPanel:
-    """Heatmap, curves and mount. ``on_heatmap`` gets each new heatmap, for the scene's board."""
+    """Heatmap, curves and mount. ``on_heatmap`` gets what draws each heatmap, for the scene's
+    board."""
 
     def __init__(
-        self, gui: viser.GuiApi, desk: Desk, on_heatmap: Callable[[Heatmap], None]
+        self, gui: viser.GuiApi, desk: Desk, on_heatmap: Callable[[Callable[[], Heatmap]], None]
     ) -> None:
         self._desk = desk
         self._on_heatmap = on_heatmap
@@ -82,10 +84,9 @@ class MatchPanel:
             reason = "" if shown.failure is None else shown.failure.problem
             put(self._words, content=reason)
             return
-        drawn = self._heatmap_of(shown, match)
-        self._on_heatmap(drawn)
+        self._on_heatmap(partial(self._heatmap_of, shown, match))
         if shown.view.panel == "Match":
-            show_picture(self._picture, drawn.rgb)
+            show_picture(self._picture, self._heatmap_of(shown, match).rgb)
             put(self._words, content=_peak_words(shown, match))
             self._show_curves(shown, match)
             put(self._mount, content=mount_words(shown.chain.alignment.mount))
@@ -96,11 +97,11 @@ class MatchPanel:
         # A match is kept as long as its settings are: a new epsilon makes no new one.
         frame = match if view.scope != "recording" else None
         looked_at = (view.scope, view.settings.search.metric, view.picked)
-        if self._drawn is not None and self._drawn_of[2] == looked_at:
-            if self._drawn_of[0] is frame and self._drawn_of[1] is shown.chain:
-                return self._drawn
-        self._drawn_of = frame, shown.chain, looked_at
-        self._drawn = self._draw(shown, match)
+        of, chain, before = self._drawn_of
+        is_same = of is frame and chain is shown.chain and before == looked_at
+        if self._drawn is None or not is_same:
+            self._drawn_of = frame, shown.chain, looked_at
+            self._drawn = self._draw(shown, match)
         return self._drawn
 
     def _draw(self, shown: Shown, match: FrameMatch) -> Heatmap:
@@ -141,12 +142,10 @@ class MatchPanel:
             return
         lidar_m, depth_m = curves_at(match, place, masked=shown.view.settings.search.mask_holes)
         width_px, height_px = _CURVES_PX
-        self._curves.image = curves_picture(
-            lidar_m, depth_m, width_px=width_px, height_px=height_px
-        )
-        if shown.view.picked is None:
-            put(self._u, value=round(place[0], 2))
-            put(self._v, value=round(place[1], 1))
+        drawn = curves_picture(lidar_m, depth_m, width_px=width_px, height_px=height_px)
+        show_picture(self._curves, drawn)
+        put(self._u, value=round(place[0], 2))
+        put(self._v, value=round(place[1], 1))
 
 
 def _place(shown: Shown, match: FrameMatch) -> tuple[float, float] | None:

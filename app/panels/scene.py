@@ -1,6 +1,7 @@
 """The scene: the frame in 3D, the boards with heatmap and depth, what a click means, the views."""
 
 import threading
+from collections.abc import Callable
 
 import numpy as np
 import viser
@@ -38,11 +39,15 @@ class ScenePanel:
         self._hidden: frozenset[Layer] = frozenset()
         # Nodes are drawn in the desk's worker, and switched and clicked in viser's threads.
         self._drawing = threading.RLock()
+        self._draw_heatmap: Callable[[], Heatmap] | None = None
         self._heatmap: Heatmap | None = None
         self._grid: OccupancyGrid | None = None
         self._T_lidar_map: FloatArray | None = None
         self._path_of: object = None
         self._depth: DepthPicture | None = None
+        # Frame and choices that it was drawn of.
+        self._depth_of: tuple[object, object] = None, None
+        self._boards_seen = True
         self._views = gui.add_button_group("View", _VIEWS, hint="From where the scene is looked at")
         with gui.add_folder("Shown in 3D", expand_by_default=False):
             rows = gui.add_slider(
@@ -58,9 +63,9 @@ class ScenePanel:
         self._views.on_click(lambda _: self._look(self._views.value))
         desk.client.scene.on_click()(self._clicked)
 
-    def take_heatmap(self, drawn: Heatmap) -> None:
-        """The picture of the heatmap's board, until the next one."""
-        self._heatmap = drawn
+    def take_heatmap(self, draw: Callable[[], Heatmap]) -> None:
+        """What draws the picture of the heatmap's board where that is seen, until the next one."""
+        self._draw_heatmap = draw
 
     def take_map(self, grid: OccupancyGrid | None) -> None:
         """The map on the floor, None for none; from the Map panel."""
@@ -110,12 +115,17 @@ class ScenePanel:
         self._nodes.stand_at(T_map_lidar)
 
     def _show_boards(self, shown: Shown) -> None:
-        if self._layout is None:
+        if self._layout is None or not self._boards_seen:
             return
-        self._depth = _depth(shown)
+        view, frame = shown.view, shown.fused or shown.match
+        looked_at = (view.number, view.repaired, view.classes, view.beam)
+        if self._depth_of[0] is not frame or self._depth_of[1] != looked_at:
+            self._depth_of = frame, looked_at
+            self._depth = _depth(shown)
         if self._depth is not None:
             self._boards["depth"] = self._layout.depth_board(self._depth.rgb)
-        if self._heatmap is not None:
+        if self._draw_heatmap is not None:
+            self._heatmap = self._draw_heatmap()
             self._boards["heatmap"] = self._layout.heatmap_board(self._heatmap.rgb)
         for board in self._boards.values():
             self._nodes.show_board(board)
@@ -144,8 +154,13 @@ class ScenePanel:
     def _show_layers(self) -> None:
         """Those switched on, less those of which the view shows nothing."""
         chosen = frozenset(name for name, box in self._switches.items() if box.value)
+        are_seen = "boards" in chosen - self._hidden
         with self._drawing:
             self._nodes.show_layers(chosen - self._hidden)
+            were_seen, self._boards_seen = self._boards_seen, are_seen
+        if are_seen and not were_seen:
+            # Their pictures were not drawn meanwhile.
+            self._desk.refresh()
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
         origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)

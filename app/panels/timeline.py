@@ -1,6 +1,7 @@
 """The time line: play, pause, step, speed, loop, and the keys for them."""
 
 import threading
+import time
 from collections.abc import Callable
 from functools import partial
 
@@ -39,11 +40,7 @@ class TimelinePanel:
         self._loop = gui.add_checkbox("Loop", desk.view.loop)
         self._controls = Controls(gui, desk)
         self._controls.bind(self._loop, "loop", bool)
-
-        @self._frame.on_update
-        def _(event: viser.GuiEvent[viser.GuiSliderHandle[int]]) -> None:
-            if event.client is not None:
-                desk.change(number=int(self._frame.value))
+        self._controls.bind(self._frame, "number", int, lambda number: min(number, self._last))
 
         @self._speed.on_update
         def _(event: viser.GuiEvent[viser.GuiDropdownHandle[str]]) -> None:
@@ -94,7 +91,6 @@ class TimelinePanel:
             span_s = float(times_ns[-1] - times_ns[0]) / 1e9 if len(times_ns) > 1 else 0.0
             self._rate_hz = self._last / span_s if span_s > 0.0 else _USUAL_HZ
         number = min(shown.view.number, self._last)
-        put(self._frame, value=number)
         speed = f"{shown.view.speed:g}"
         if speed in _SPEEDS:
             put(self._speed, value=speed)
@@ -113,6 +109,7 @@ class TimelinePanel:
     _last = 0
 
     def _play(self) -> None:
+        due_s = 0.0
         while True:
             self._playing.wait()
             if self._closed.is_set():
@@ -124,8 +121,9 @@ class TimelinePanel:
                 continue
             self._desk.step(1)
             # A frame that takes longer than its time is waited for: playing drops none.
-            self._closed.wait(1.0 / rate_hz)
             self._desk.wait(2.0)
+            due_s = max(due_s + 1.0 / rate_hz, time.monotonic())
+            self._closed.wait(due_s - time.monotonic())
 
     def _add_keys(self, gui: viser.GuiApi) -> None:
         desk = self._desk

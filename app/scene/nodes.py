@@ -80,7 +80,14 @@ class SceneNodes:
         self._filled = points(scene, "/frame/filled", _GREY, size_m=0.022)
         self._mark = lines(scene, "/frame/mark", color_of("fused"), thickness_px=1.5)
         self._lidar = scene.add_cylinder(
-            "/lidar", 0.05, 0.05, color=(70, 75, 82), cast_shadow=False, visible=False
+            "/lidar",
+            0.05,
+            0.05,
+            color=(70, 75, 82),
+            # Without a graphics card the shader of the standard material takes seconds to compile.
+            material="toon3",
+            cast_shadow=False,
+            visible=False,
         )
         self._floor = scene.add_grid(
             "/floor",

@@ -122,10 +122,11 @@ def paint_values(
     missing = np.isnan(values)
     steps = np.clip((values - low) * (255.0 / (high - low)), 0.0, 255.0) + 0.5
     steps[missing] = 0.0
-    # Twice along an axis is five times as fast as both at once.
-    target[:] = colors[steps.astype(np.uint8)].take(rows, axis=0).take(columns, axis=1)
+    # Stretched before it is coloured, and along one axis after the other: several times as fast.
+    shades = steps.astype(np.uint8).take(columns, axis=1).take(rows, axis=0)
+    target[:] = cv2.applyColorMap(shades, colors.reshape(256, 1, 3))
     if missing.any():
-        stretched = missing.take(rows, axis=0).take(columns, axis=1)
+        stretched = missing.take(columns, axis=1).take(rows, axis=0)
         cv2.copyTo(hatch(height, width), stretched.view(np.uint8), target)
 
 

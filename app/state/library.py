@@ -184,9 +184,13 @@ class Library:
         if name in self._named:
             return self._named[name]
         for root in self._roots:
-            path = (root / name).resolve()
-            if path != root and path.is_relative_to(root) and path.exists():
-                return path
+            try:
+                path = (root / name).resolve()
+                if path != root and path.is_relative_to(root) and path.exists():
+                    return path
+            except (OSError, RuntimeError, ValueError):
+                # A name that no file can have, or a link that leads to itself.
+                continue
         raise RecordingError(
             f"{name[:200]!r} is not among the recordings of this server.",
             advice="Choose one of the list, or start scanloom view with its folder as --root.",

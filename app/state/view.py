@@ -8,7 +8,7 @@ import base64
 import binascii
 import json
 import zlib
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -20,6 +20,10 @@ PanelName = Literal["Recording", "Match", "Register", "Repair", "Map"]
 PANELS: tuple[PanelName, ...] = get_args(PanelName)
 Scope = Literal["frame", "window", "recording"]
 _MAX_TEXT = 65_536
+# Of what a person is told about the place of a refused value, which a link may have named.
+_MOST_WHERE = 80
+# Far beyond the samples of any curve and the rows of any image.
+_FAR = 100_000.0
 
 
 class View(BaseModel):
@@ -42,7 +46,10 @@ class View(BaseModel):
     virtual_row: int | None = Field(None, ge=0, le=100_000)
     apply_clock_offset: bool = False
     scope: Scope = "frame"
-    picked: tuple[float, float] | None = None
+    picked: (
+        tuple[Annotated[float, Field(ge=-_FAR, le=_FAR)], Annotated[float, Field(ge=0.0, le=_FAR)]]
+        | None
+    ) = Field(None, description="Offset (u, v) chosen by hand")
     lock_picked: bool = False
     draw: int = Field(0, ge=0, le=99_999, description="Draw of RANSAC, counted from 0")
     classes: frozenset[NoiseClass] = frozenset(NoiseClass)
@@ -141,5 +148,6 @@ def view_of_link(link: str) -> View:
 def said(error: ValidationError) -> str:
     """A validation error in one line."""
     first = error.errors()[0]
-    where = ".".join(str(part) for part in first["loc"])
+    where = ".".join(str(part) for part in first["loc"])[:_MOST_WHERE]
+    where = "".join(sign if sign.isprintable() else "?" for sign in where)
     return f"{where}: {first['msg'].lower()}" if where else str(first["msg"]).lower()

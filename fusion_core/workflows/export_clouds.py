@@ -66,7 +66,7 @@ def export_clouds(
             poses = recorded_poses(opened, session.streams, session.rig.lidar_frame)
         if poses is None:
             raise MissingStream(
-                "no poses are recorded for its LiDAR, so there is no map frame to put clouds in.",
+                "has no recorded poses of the LiDAR, so there is no map frame to put clouds in.",
                 file=recording,
                 advice="Use a recording with TF, odometry or a pose topic.",
             )

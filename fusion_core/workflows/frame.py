@@ -144,8 +144,15 @@ def match_frame(
     ``picked``: an offset (u, v) of the camera's own row, chosen by hand; the pairs are then those
     of row v.
 
-    Raises AlignmentFailed where the frame is paired by its own (u, v) and has none.
+    Raises AlignmentFailed where the frame is paired by its own (u, v) and has none, and for a
+    picked row that the image does not have.
     """
+    height = depth_m.shape[0]
+    if picked is not None and not -0.5 <= picked[1] < height - 0.5:
+        raise AlignmentFailed(
+            f"row v = {picked[1]:g} is not in the image.",
+            advice=f"Pick one from 0 to {height - 1}.",
+        )
     scan = window.scan
     model = rig.cameras[camera]
     curve, row = sample_curve(scan, settings.sampling), sample_row(model, settings.sampling)

@@ -40,6 +40,7 @@ class Measured:
 
     messages: int
     info_s: float
+    info_cpu_s: float
     info_mib: float
     first_s: float
     middle_s: float
@@ -74,8 +75,18 @@ def peak_mib() -> float:
     return int(status.partition("VmHWM:")[2].split()[0]) / 1024.0
 
 
-def child(what: str, path: Path) -> tuple[Any, float, float]:
-    """What the process for ``info`` or ``frames`` printed, its peak in MiB, and its seconds."""
+@dataclass(frozen=True, slots=True)
+class Child:
+    """What a process printed, and what it took. ``cpu_s`` leaves out disk and other work."""
+
+    said: Any
+    seconds: float
+    cpu_s: float
+    mib: float
+
+
+def child(what: str, path: Path) -> Child:
+    """Run ``info`` or ``frames`` in a process of its own."""
     _drop_from_cache(path)
     begin = time.perf_counter()
     done = subprocess.run(
@@ -85,8 +96,9 @@ def child(what: str, path: Path) -> tuple[Any, float, float]:
         text=True,
     )
     seconds = time.perf_counter() - begin
-    said, _, peak = done.stdout.rstrip().rpartition("\n")
-    return json.loads(said), float(peak), seconds
+    said, _, taken = done.stdout.rstrip().rpartition("\n")
+    cpu_s, mib = map(float, taken.split())
+    return Child(json.loads(said), seconds, cpu_s, mib)
 
 
 def _drop_from_cache(path: Path) -> None:
@@ -97,14 +109,14 @@ def _drop_from_cache(path: Path) -> None:
 
 
 def measure(path: Path) -> Measured:
-    told, info_mib, info_s = child("info", path)
-    shown, frames_mib, _ = child("frames", path)
+    info, shown = child("info", path), child("frames", path)
     return Measured(
-        messages=sum(topic["count"] for topic in told["topics"]),
-        info_s=info_s,
-        info_mib=info_mib,
-        frames_mib=frames_mib,
-        **shown,
+        messages=sum(topic["count"] for topic in info.said["topics"]),
+        info_s=info.seconds,
+        info_cpu_s=info.cpu_s,
+        info_mib=info.mib,
+        frames_mib=shown.mib,
+        **shown.said,
     )
 
 
@@ -112,7 +124,8 @@ def print_row(name: str, path: Path, measured: Measured) -> None:
     status = path.stat()
     print(
         f"{name:<34}{status.st_size / GB:>7.2f}{status.st_blocks * 512 / GB:>7.2f}"
-        f"{measured.messages:>9}{measured.info_s:>8.2f}{measured.info_mib:>6.0f}"
+        f"{measured.messages:>9}{measured.info_s:>8.2f}{measured.info_cpu_s:>7.2f}"
+        f"{measured.info_mib:>6.0f}"
         f"{measured.first_s:>8.2f}{measured.middle_s:>8.2f}{measured.frames_mib:>6.0f}"
         f"  {', '.join(measured.misses)}".rstrip(),
         flush=True,
@@ -160,12 +173,12 @@ def main() -> None:
         else:
             exit_code = 0
             print(json.dumps(frames(Path(path))))
-        print(peak_mib())
+        print(time.process_time(), peak_mib())
         sys.exit(exit_code)
     missed = []
     print(f"{'':<34}{'GB':>7}{'disk':>7}{'messages':>9}", end="")
-    print(f"{'info s':>8}{'MiB':>6}{'first s':>8}{'mid s':>8}{'MiB':>6}")
-    print(f"{'bar':<57}{f'{INFO_SECONDS:g}':>8}{MEMORY_MIB:>6}", end="")
+    print(f"{'info s':>8}{'CPU s':>7}{'MiB':>6}{'first s':>8}{'mid s':>8}{'MiB':>6}")
+    print(f"{'bar':<57}{f'{INFO_SECONDS:g}':>8}{MEMORY_MIB:>13}", end="")
     print(f"{f'{FRAME_SECONDS:g}':>8}{f'{FRAME_SECONDS:g}':>8}{MEMORY_MIB:>6}")
     with tempfile.TemporaryDirectory(dir=asked.folder) as name:
         work = Path(name)

@@ -101,7 +101,7 @@ def test_beams_are_placed_and_burrs_that_nothing_repaired_are_left_out():
 def test_without_poses_there_is_no_frame_for_clouds(fused, tmp_path):
     virtual = fused("bedroom", duration_s=2.0, virtual_lidar_row=60)
     options = FuseOptions(virtual_lidar_row=60)
-    with pytest.raises(MissingStream, match="no poses"):
+    with pytest.raises(MissingStream, match="no recorded poses"):
         export_clouds(virtual.recording, virtual.folder, tmp_path / "clouds", options)
     assert not (tmp_path / "clouds").exists()
 

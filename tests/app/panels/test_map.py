@@ -12,6 +12,7 @@ import pytest
 import viser
 
 from app.desk import Desk
+from app.jobs.long import Cancelled
 from app.panels import map as map_panel
 from app.panels.map import MapPanel
 from app.state.library import Library
@@ -96,21 +97,25 @@ class Held:
     """Stands for a long piece of work: reports, waits to be let on, and reports again."""
 
     def __init__(self) -> None:
-        self.begun, self.go_on, self.left = threading.Event(), threading.Event(), threading.Event()
+        self.begun, self.go_on = threading.Event(), threading.Event()
+        self.calls = 0
+        self.cancelled = 0
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        self.calls += 1
         progress = next(arg for arg in args if callable(arg))
+        progress(3, 12, "fusing")
+        self.begun.set()
+        assert self.go_on.wait(LONG_S)
         try:
-            progress(3, 12, "fusing")
-            self.begun.set()
-            assert self.go_on.wait(LONG_S)
             progress(4, 12, "fusing")
-        finally:
-            self.left.set()
+        except Cancelled:
+            self.cancelled += 1
+            raise
         raise ExportError("no space is left.", file="disk", advice="Free space.")
 
 
-def test_build_show_and_export(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_build_show_and_export(bench: Bench) -> None:
     results = bench.root / "small_room" / "results"
     assert bench.command()[-1] == str(results)
     bench.client.set_value("Figures", False)
@@ -159,7 +164,7 @@ def test_cancel_and_build_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -
     assert not bench.button("Cancel").props["visible"]
 
     # A failure is told and stays in sight, and the panel goes on.
-    held.begun.clear()
+    assert (held.calls, held.cancelled) == (1, 1)
     bench.client.click("Build")
     bench.html("Failed: disk: no space is left. Free space.")
     told = bench.client.wait_for(
@@ -174,15 +179,30 @@ def test_closing_cancels(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(map_panel, "build", held)
     bench.client.click("Build")
     assert held.begun.wait(LONG_S)
+    with bench.panel._lock:
+        job = bench.panel._job
+    assert job is not None
     closing = threading.Thread(target=bench.panel.close)
     closing.start()
-    bench.until(lambda: bench.panel._closed)
+    assert job._stop.wait(LONG_S)
     held.go_on.set()
     closing.join(LONG_S)
-    assert held.left.is_set()
-    assert bench.panel._job is None
+    assert (held.calls, held.cancelled) == (1, 1)
     bench.panel._begin_build()
     assert bench.panel._job is None, "who has gone begins nothing"
+
+
+def test_without_poses_it_says_why_there_are_no_maps(bench: Bench) -> None:
+    bench.client.set_value("Figures", False)
+    bench.desk.change(virtual_row=60)
+    bench.until(lambda: "--virtual-lidar=60" in bench.command())
+    bench.client.click("Build")
+    bench.html("No maps. A virtual LiDAR is cut from the camera's own images")
+    bench.until(lambda: bench.button("Download .zip").props["visible"])
+    assert not bench.picture.props["visible"]
+    assert not bench.button("Export clouds (PLY, PCD)").props["visible"]
+    assert bench.floor == []
+    assert (bench.root / "small_room" / "results" / "frames.csv").exists()
 
 
 def test_words_of_files_are_no_markup(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

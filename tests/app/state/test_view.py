@@ -1,0 +1,307 @@
+"""A view as a link and back, and what becomes of values that no view can have."""
+
+import base64
+import json
+import re
+import zlib
+from typing import Any, get_args
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.state.view import PANELS, Scope, View, view_of_link
+from fusion_core.model.classes import NoiseClass
+from fusion_core.model.errors import SettingsError
+from fusion_core.workflows.presets import PRESETS, PresetName
+
+# What the page of a link takes (app.security), and what a URL holds without being escaped.
+LONGEST_LINK = 6_000
+IN_A_URL = re.compile(r"[A-Za-z0-9_-]+")
+
+NAMES = st.text(st.characters(exclude_categories=("Cs",)), max_size=40)
+SETTINGS = st.one_of(
+    st.tuples(st.just("sampling"), st.just("step_deg"), st.floats(0.06, 5.0)),
+    st.tuples(st.just("sampling"), st.just("row_band"), st.floats(0.01, 1.0)),
+    st.tuples(st.just("search"), st.just("metric"), st.sampled_from(["pearson", "cosine"])),
+    st.tuples(st.just("search"), st.just("mask_holes"), st.booleans()),
+    st.tuples(st.just("registration"), st.just("draws"), st.integers(1, 10_000)),
+    st.tuples(st.just("noise"), st.just("epsilon"), st.floats(0.01, 10.0)),
+    st.tuples(st.just(""), st.just("pairing"), st.sampled_from(["mount", "frame"])),
+)
+
+
+@st.composite
+def views(draw: st.DrawFn) -> View:
+    preset: PresetName = draw(st.sampled_from(get_args(PresetName)))
+    base = View(
+        recording=draw(NAMES), preset=preset, settings=PRESETS[preset], aligned=PRESETS[preset]
+    )
+    changed = [base, base]
+    for place in range(2):
+        for stage, name, value in draw(st.lists(SETTINGS, max_size=4)):
+            changed[place] = changed[place].with_setting(stage, name, value)
+    return base.changed(
+        settings=changed[0].settings,
+        aligned=changed[1].settings,
+        number=draw(st.integers(0, 10**6)),
+        panel=draw(st.sampled_from(PANELS)),
+        lidar_topic=draw(st.none() | NAMES),
+        depth_topics=tuple(draw(st.lists(NAMES, max_size=4))),
+        virtual_row=draw(st.none() | st.integers(0, 100_000)),
+        apply_clock_offset=draw(st.booleans()),
+        scope=draw(st.sampled_from(get_args(Scope))),
+        picked=draw(st.none() | st.tuples(st.floats(-1e5, 1e5), st.floats(0.0, 1e5))),
+        lock_picked=draw(st.booleans()),
+        draw=draw(st.integers(0, 99_999)),
+        classes=draw(st.frozensets(st.sampled_from(NoiseClass))),
+        repaired=draw(st.booleans()),
+        both=draw(st.booleans()),
+        beam=draw(st.none() | st.integers(0, 10**6)),
+        row_step=draw(st.integers(1, 60)),
+        speed=draw(st.floats(0.1, 8.0)),
+        loop=draw(st.booleans()),
+    )
+
+
+def link_of(values: Any) -> str:
+    """Anything at all, packed as a link is."""
+    packed = zlib.compress(json.dumps(values).encode())
+    return base64.urlsafe_b64encode(packed).decode().rstrip("=")
+
+
+def values_of(view: View) -> dict[str, Any]:
+    """What is packed in a view's link."""
+    link = view.to_link()
+    values = json.loads(zlib.decompress(base64.urlsafe_b64decode(link + "=" * (-len(link) % 4))))
+    assert isinstance(values, dict)
+    return values
+
+
+def refusal_of(link: str) -> str:
+    """The one line that says why a link is refused."""
+    with pytest.raises(SettingsError) as refused:
+        view_of_link(link)
+    said = str(refused.value)
+    assert said.startswith("the link cannot be followed: ")
+    assert said.isprintable()
+    assert len(said) < 300
+    return said
+
+
+VIEW = View(recording="room.mcap")
+
+
+@given(view=views())
+def test_a_link_restores_the_view(view: View) -> None:
+    link = view.to_link()
+    assert view_of_link(link) == view
+    assert view_of_link(link).to_link() == link
+    assert IN_A_URL.fullmatch(link)
+
+
+@given(view=views())
+def test_a_link_is_short_enough_for_its_page(view: View) -> None:
+    assert len(view.to_link()) <= LONGEST_LINK
+
+
+def test_a_link_holds_of_the_settings_only_what_differs_from_the_preset() -> None:
+    changed = VIEW.with_setting("noise", "epsilon", 3.5).with_setting("", "pairing", "frame")
+    assert values_of(VIEW)["settings"] == {}
+    assert values_of(changed)["settings"] == {"noise": {"epsilon": 3.5}, "": {"pairing": "frame"}}
+    assert changed.differing() == values_of(changed)["settings"]
+
+
+def test_a_preset_differs_in_nothing_from_itself() -> None:
+    published = PRESETS["published"]
+    assert VIEW.changed(preset="published", settings=published).differing() == {}
+    assert "epsilon" in VIEW.changed(settings=published).differing()["noise"]
+
+
+@pytest.mark.parametrize(
+    ("stage", "name", "value", "needed"),
+    [
+        ("sampling", "step_deg", 2.0, True),
+        ("search", "metric", "cosine", True),
+        ("", "pairing", "frame", True),
+        ("noise", "epsilon", 2.0, False),
+        ("registration", "draws", 7, False),
+    ],
+)
+def test_only_what_the_alignment_reads_asks_for_another(
+    stage: str, name: str, value: Any, needed: bool
+) -> None:
+    assert not VIEW.needs_alignment()
+    assert VIEW.with_setting(stage, name, value).needs_alignment() == needed
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("number", -1),
+        ("number", 1.5),
+        ("number", "first"),
+        ("number", None),
+        ("panel", "Kitchen"),
+        ("panel", ["Match"]),
+        ("preset", "best"),
+        ("recording", None),
+        ("recording", "x" * 4097),
+        ("recording", "\ud800"),
+        ("lidar_topic", 5),
+        ("depth_topics", "/depth"),
+        ("depth_topics", ("/depth",) * 65),
+        ("virtual_row", -1),
+        ("scope", "year"),
+        ("picked", (1.0,)),
+        ("picked", (1.0, float("nan"))),
+        ("picked", (float("inf"), 1.0)),
+        ("picked", (1e300, 1.0)),
+        ("picked", (1.0, -2.0)),
+        ("draw", 100_000),
+        ("classes", [9]),
+        ("classes", "hole"),
+        ("repaired", "perhaps"),
+        ("beam", -1),
+        ("row_step", 0),
+        ("speed", 0.0),
+        ("speed", 100.0),
+        ("loop", 7),
+        ("settings", {"noise": {"epsilon": "wide"}}),
+        ("settings", {"noise": 3}),
+        ("colour", "red"),
+    ],
+)
+def test_a_refused_value_is_one_line_that_names_it(name: str, value: Any) -> None:
+    with pytest.raises(SettingsError) as refused:
+        VIEW.changed(**{name: value})
+    said = str(refused.value)
+    assert said.startswith(name)
+    assert said.isprintable()
+    assert said.endswith("The value before is kept.")
+
+
+@pytest.mark.parametrize(
+    ("stage", "name", "value"),
+    [
+        ("noise", "epsilon", -1.0),
+        ("noise", "epsilon", float("nan")),
+        ("noise", "epsilon", "wide"),
+        ("noise", "epsilon_unit", "feet"),
+        ("sampling", "step_deg", 0.0),
+        ("sampling", "row_band", 1.01),
+        ("search", "metric", "guess"),
+        ("registration", "draws", 2.5),
+        ("registration", "draws", 10**9),
+        ("", "pairing", "luck"),
+    ],
+)
+def test_a_refused_setting_is_one_line_that_names_it(stage: str, name: str, value: Any) -> None:
+    with pytest.raises(SettingsError) as refused:
+        VIEW.with_setting(stage, name, value)
+    said = str(refused.value)
+    assert said.startswith(f"{stage}.{name}: " if stage else f"{name}: ")
+    assert said.isprintable()
+
+
+def test_a_link_cut_anywhere_is_refused() -> None:
+    link = VIEW.with_setting("noise", "epsilon", 3.5).to_link()
+    for length in range(len(link)):
+        assert "Copy it again, whole." in refusal_of(link[:length])
+
+
+@pytest.mark.parametrize(
+    "link",
+    ["", "=", "a", "é", "\x00", "not base64!", "A" * 5_000, "../../etc/passwd", "<script>"],
+)
+def test_what_is_no_link_is_refused(link: str) -> None:
+    assert "it is no link of a view" in refusal_of(link)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        [],
+        None,
+        "view",
+        {},
+        {"preset": "default"},
+        {"preset": [], "settings": {}, "aligned": {}},
+        {"preset": "default", "settings": [], "aligned": {}},
+        {"preset": "default", "settings": {"": 5}, "aligned": {}},
+        {"preset": "default", "settings": {"noise": 5}, "aligned": {}},
+        {"preset": "default", "settings": {"pairing": {}}, "aligned": {}},
+    ],
+)
+def test_a_link_of_another_shape_is_refused(values: Any) -> None:
+    refusal_of(link_of(values))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("unknown", 1),
+        ("a\nb\x1b[31m", 1),
+        ("k" * 5_000, 1),
+        ("number", "1\n2"),
+        ("number", -1),
+        ("picked", [float("nan"), 0.0]),
+        ("recording", {"a": 1}),
+        ("settings", {"noise": {"epsilon\n": 1}}),
+        ("settings", {"kitchen": {"sink": 1}}),
+        ("aligned", {"": {"\u2028": 1}}),
+    ],
+)
+def test_a_link_with_a_refused_value_says_so_in_one_line(name: str, value: Any) -> None:
+    refusal_of(link_of(values_of(VIEW) | {name: value}))
+
+
+def test_a_link_that_unpacks_to_more_than_any_view_is_not_unpacked() -> None:
+    assert "no link" in refusal_of(link_of(values_of(VIEW) | {"recording": "x" * 50_000_000}))
+
+
+def test_links_of_hostile_json_are_refused() -> None:
+    nested = b'{"preset":' + b"[" * 30_000
+    digits = b'{"preset":"default","number":' + b"9" * 30_000 + b"}"
+    for text in (nested, digits, b"\xff\xfe", b'{"preset":"default"'):
+        refusal_of(base64.urlsafe_b64encode(zlib.compress(text)).decode())
+
+
+@given(text=st.text(max_size=200))
+def test_any_text_is_a_view_or_refused(text: str) -> None:
+    refusal_of(text)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner),
+    max_leaves=8,
+)
+
+
+@given(values=st.dictionaries(st.sampled_from(sorted(View.model_fields)), JSON, max_size=4))
+def test_any_values_are_a_view_or_refused_in_one_line(values: dict[str, Any]) -> None:
+    link = link_of(values_of(VIEW) | values)
+    try:
+        view = view_of_link(link)
+    except SettingsError:
+        refusal_of(link)
+    else:
+        assert view_of_link(view.to_link()) == view
+
+
+@given(place=st.integers(0, 10_000), sign=st.sampled_from("AZaz09-_"))
+def test_a_link_with_a_wrong_letter_is_the_same_view_or_refused(place: int, sign: str) -> None:
+    link = VIEW.with_setting("noise", "epsilon", 3.5).to_link()
+    place %= len(link)
+    wrong = link[:place] + sign + link[place + 1 :]
+    # The last letter has bits to spare, and a checksum is over the rest.
+    if view_or_none(wrong) != view_of_link(link):
+        refusal_of(wrong)
+
+
+def view_or_none(link: str) -> View | None:
+    try:
+        return view_of_link(link)
+    except SettingsError:
+        return None
