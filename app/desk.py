@@ -24,6 +24,7 @@ STORED_VIEW = "view"
 _SHOWN_S = 9.0
 # A drag that is faster than the computation shows where it goes at least so often.
 _LEAST_OFTEN_S = 0.1
+_PARTING_S = 3.0
 
 
 class Panel(Protocol):
@@ -132,6 +133,8 @@ class Desk:
         """The browser has gone."""
         self._closed = True
         self._worker.close()
+        # What is at work talks to the client, whose connection ends next.
+        self._worker.join(_PARTING_S)
         if self._opened is not None:
             self._opened.forget(self.refresh)
 
@@ -170,6 +173,8 @@ class Desk:
             self._told = ""
         self.shown = shown
         for panel in self.panels:
+            if self._closed:
+                return
             with self.client.atomic():
                 panel.show(shown)
             # Else viser waits a sixtieth of a second for more.

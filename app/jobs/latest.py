@@ -54,6 +54,11 @@ class LatestWorker(Generic[Request]):
             self._closed = True
             self._changed.notify_all()
 
+    def join(self, timeout_s: float) -> bool:
+        """Whether a closed worker's request at work ended within the time."""
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
     def _run(self) -> None:
         while True:
             with self._changed:

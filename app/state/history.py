@@ -4,7 +4,7 @@ from app.state.view import View
 
 _MOST = 200
 # Values of one setting that follow each other this closely are one drag of its slider.
-_DRAG_S = 0.7
+_DRAG_S = 1.0
 
 
 class History:

@@ -180,7 +180,7 @@ def test_a_refused_value_is_told_each_time_and_the_view_stays(
 
 def test_undo_takes_settings_back_and_leaves_the_place(desk: Desk, view: View) -> None:
     desk.set("noise", "epsilon", 2.0)
-    desk.set("noise", "epsilon", 3.0)
+    desk.set("noise", "support_sigma", 3.0)
     desk.change(number=7, panel="Repair")
     desk.undo()
     assert desk.view == view.with_setting("noise", "epsilon", 2.0).changed(number=7, panel="Repair")
@@ -190,8 +190,16 @@ def test_undo_takes_settings_back_and_leaves_the_place(desk: Desk, view: View) -
     desk.redo()
     desk.redo()
     desk.redo()
-    assert desk.view.settings.noise.epsilon == 3.0
+    assert desk.view.settings.noise.epsilon == 2.0
+    assert desk.view.settings.noise.support_sigma == 3.0
     assert desk.view.number == 7
+
+
+def test_one_drag_of_a_slider_is_undone_at_once(desk: Desk, view: View) -> None:
+    for epsilon in (2.0, 2.5, 3.0):
+        desk.set("noise", "epsilon", epsilon)
+    desk.undo()
+    assert desk.view == view
 
 
 def test_undo_of_a_preset_brings_its_alignment_back_too(desk: Desk, view: View) -> None:
