@@ -47,7 +47,7 @@ class Desk:
         self._opened: Opened | None = None
         self._told = ""
         self._shown_s = 0.0
-        self._closed = False
+        self._closed = threading.Event()
         self._lock = threading.RLock()
         self._worker = LatestWorker(f"desk {client.client_id}", self._work, self.fail)
 
@@ -131,7 +131,7 @@ class Desk:
 
     def close(self) -> None:
         """The browser has gone."""
-        self._closed = True
+        self._closed.set()
         self._worker.close()
         # What is at work talks to the client, whose connection ends next.
         self._worker.join(_PARTING_S)
@@ -164,7 +164,7 @@ class Desk:
             opened.align(self.refresh)
         shown = shown_of(view, opened)
         is_due = time.monotonic() - self._shown_s > _LEAST_OFTEN_S
-        if self._closed or not (is_newest() or is_due):
+        if self._closed.is_set() or not (is_newest() or is_due):
             return
         failure = opened.failure if shown.failure is None else shown.failure
         if failure is not None:
@@ -173,7 +173,7 @@ class Desk:
             self._told = ""
         self.shown = shown
         for panel in self.panels:
-            if self._closed:
+            if self._closed.is_set():
                 return
             with self.client.atomic():
                 panel.show(shown)
