@@ -563,6 +563,32 @@ def test_a_change_after_an_undo_leaves_nothing_to_redo(epsilons: list[float]) ->
     assert history.redo(undone) is None
 
 
+def test_a_drag_is_one_change() -> None:
+    history = History()
+    views = [View(recording="a")]
+    for epsilon, dragged, at_s in (
+        (1.1, "noise.epsilon", 10.0),
+        (1.2, "noise.epsilon", 10.9),
+        (1.3, "noise.epsilon", 11.8),
+        (1.4, "noise.epsilon", 20.0),
+        (1.5, "noise.other", 20.1),
+        (1.6, "", 20.2),
+        (1.7, "", 20.3),
+    ):
+        history.add(views[-1], dragged, at_s)
+        views.append(views[-1].with_setting("noise", "epsilon", epsilon))
+    undone, view = [], views[-1]
+    while (before := history.undo(view)) is not None:
+        view = before
+        undone.append(view.settings.noise.epsilon)
+    assert undone == [1.6, 1.5, 1.4, 1.3, views[0].settings.noise.epsilon]
+    # Back in the past, the same setting begins a drag of its own.
+    history.add(view, "noise.epsilon", 30.0)
+    history.undo(view)
+    history.add(view, "noise.epsilon", 30.1)
+    assert history.undo(view) is not None
+
+
 def test_the_history_is_bounded() -> None:
     history = History()
     view = walked(history, View(recording="a"), [1.0 + i / 1000 for i in range(500)])[-1]

@@ -17,21 +17,22 @@ from urllib.request import urlopen
 import cv2
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Locator, Page, ViewportSize, expect, sync_playwright
 
 from app.desk import STORED_VIEW, Desk
 from app.server import ServeOptions, Workbench
 from app.shown import Shown
 from app.state.library import Opened
-from app.state.view import View
+from app.state.view import PANELS, PanelName, View
 from fusion_core.workflows.frame import FrameMatch
 from fusion_core.workflows.inspect import info
 from fusion_core.workflows.live import FrameChoice
+from fusion_core.workflows.presets import PRESETS
 from tests.app.viser_client import connect
 
 ROOT = Path(__file__).parents[2]
 ENOUGH_S = 60.0
-SCREEN = {"width": 900, "height": 600}
+SCREEN: ViewportSize = {"width": 900, "height": 600}
 # What would be seen if a name were taken for HTML or Markdown.
 HOSTILE = '<img src=x onerror="window.taken = 1"> **bold** ![a](b) <script>window.taken = 2.mcap'
 
@@ -65,6 +66,24 @@ class Person:
         while not condition():
             assert time.monotonic() < deadline_s, "it never came true"
             self.page.wait_for_timeout(50)
+
+    def wait_for_peak(self, peak: tuple[float, float]) -> None:
+        """Wait until the Match panel's words say it."""
+        expect(self.text("Peak u =")).to_be_visible()
+        self.wait_until(lambda: self.peak() == peak)
+
+    def wait_for_number(self, label: str, value: float, within: float) -> None:
+        """Wait until a number's field shows a value, but for less than ``within``."""
+        self.wait_until(lambda: abs(self.number(label) - value) < within)
+
+    def wait_for_another_picture(self, than: np.ndarray) -> np.ndarray:
+        """The open panel's picture, once it is not ``than`` any more."""
+        self.wait_until(lambda: not np.array_equal(self.picture(), than))
+        return self.picture()
+
+    def wait_for_panel(self, panel: PanelName) -> None:
+        """Wait until a panel is shown."""
+        self.wait_until(lambda: self.shown.view.panel == panel)
 
     def press(self, name: str) -> None:
         self.page.get_by_role("button", name=name, exact=True).click()
@@ -124,7 +143,7 @@ class Person:
 
 
 def decoded(png: bytes) -> np.ndarray:
-    image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    image: np.ndarray | None = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
     assert image is not None
     return image
 
@@ -283,14 +302,13 @@ def test_the_sampling_slider_changes_heatmap_and_peak(person: Person) -> None:
     person.wait_until(lambda: person.shown.view.settings.sampling.step_deg == step_deg)
     second = peak_of(opened, person.shown.view)
     assert second != first
-    person.wait_until(lambda: person.peak() == second)
-    person.wait_until(lambda: not np.array_equal(person.picture(), before))
-    # A slow drag is several changes.
+    person.wait_for_peak(second)
+    person.wait_for_another_picture(before)
+    # A slow drag may be several changes.
     while person.desk.view.differing():
-        before_undo = person.desk.view
         person.press("Undo")
-        person.wait_until(lambda view=before_undo: person.desk.view != view)  # type: ignore[misc]  # bound now
-    person.wait_until(lambda: person.peak() == first)
+        person.page.wait_for_timeout(100)
+    person.wait_for_peak(first)
     person.wait_until(lambda: np.array_equal(person.picture(), before))
 
 
@@ -316,17 +334,17 @@ def test_a_click_on_the_heatmap_picks_the_offset_under_it(person: Person) -> Non
         y_px = (picture.shape[0] - 1) / 2 + down_px * picture_per_screen_px
         u = field.u_first + (x_px - left + 0.5) * columns / width - 0.5
         v = (y_px - top + 0.5) * rows / height - 0.5
-        person.wait_until(lambda u=u: abs(person.number("u (samples)") - u) < 1.0)  # type: ignore[misc]  # bound now
-        person.wait_until(lambda v=v: abs(person.number("v (row)") - v) < 1.0)  # type: ignore[misc]  # bound now
+        person.wait_for_number("u (samples)", u, within=1.0)
+        person.wait_for_number("v (row)", v, within=1.0)
         # The mark of what was picked takes a line below the next picture.
-        person.wait_until(lambda last=picture: not np.array_equal(person.picture(), last))  # type: ignore[misc]  # bound now
-        picture = person.picture()
+        picture = person.wait_for_another_picture(picture)
     expect(person.text("Picked by hand: u =")).to_be_visible()
     assert person.desk.view.picked is not None
     person.press("Clear")
     u, v = peak_of(person.shown.opened, person.desk.view)
-    person.wait_until(lambda: person.number("u (samples)") == u)
-    person.wait_until(lambda: person.number("v (row)") == round(v))
+    person.wait_for_number("u (samples)", u, within=0.01)
+    # Rows are shown whole.
+    person.wait_for_number("v (row)", v, within=0.51)
 
 
 def box_of_field(picture: np.ndarray) -> tuple[int, int, int, int]:
@@ -384,8 +402,7 @@ def assert_shows(person: Person, view: View) -> None:
     expect(person.text(f"frame {view.number} of {count}")).to_be_visible()
     expect(person.text(f"sampling.step_deg = {view.settings.sampling.step_deg}")).to_be_visible()
     assert person.page.get_by_label("Recording", exact=True).count() == 0
-    expected = peak_of(person.shown.opened, view)
-    person.wait_until(lambda: person.peak() == expected)
+    person.wait_for_peak(peak_of(person.shown.opened, view))
 
 
 def changed(view: View) -> View:
@@ -404,37 +421,47 @@ def test_a_reload_brings_everything_back(person: Person, workbench: Workbench) -
     assert_shows(again, view)
 
 
-def test_a_link_brings_everything_into_another_browser(
-    person: Person, arrive: Callable[..., Person]
-) -> None:
+@pytest.fixture(scope="module")
+def friend(arrive: Callable[..., Person], small_scene: Path) -> Person:
+    """Somebody who followed a link, in a browser that had never seen the workbench."""
+    return arrive(f"/go?view={changed(View(recording=small_scene.name)).to_link()}")
+
+
+def test_a_link_brings_everything_into_another_browser(person: Person, friend: Person) -> None:
     view = changed(person.desk.view)
+    assert_shows(friend, view)
+    assert friend.page.url.endswith("/")
     person.look_at(view)
     person.press("Link")
     dialog = person.page.get_by_role("dialog")
     link = dialog.get_by_role("textbox").input_value()
     dialog.get_by_role("button", name="Close", exact=True).click()
     expect(dialog).to_have_count(0)
-    assert link.startswith("/go?view=")
-    other = arrive(link)
-    assert_shows(other, view)
-    assert other.page.url.endswith("/")
-    # Two people now: what one does is nothing to the other.
-    other.choose("Preset", "published")
+    assert link == f"/go?view={view.to_link()}"
+
+
+def test_what_one_does_changes_nothing_for_another(person: Person, friend: Person) -> None:
+    first = person.desk.view.changed(panel="Match")
+    person.look_at(first)
+    friend.look_at(first)
+    friend.choose("Preset", "published")
     person.choose("Score", "cosine")
-    expect(other.text("as the preset published has it")).to_be_visible()
+    friend.key("End")
+    last = len(friend.shown.opened.frames) - 1
+    expect(friend.text("as the preset published has it")).to_be_visible()
+    expect(friend.text(f"frame {last} of {last + 1}")).to_be_visible()
     expect(person.text("search.metric = cosine")).to_be_visible()
-    other.key("End")
-    last = len(other.shown.opened.frames) - 1
-    expect(other.text(f"frame {last} of {last + 1}")).to_be_visible()
-    expect(person.text(f"frame 11 of {last + 1}")).to_be_visible()
-    assert person.desk.view == view.with_setting("search", "metric", "cosine")
-    assert other.desk.view.preset == "published"
-    assert other.desk.view.settings.search.metric == "pearson"
-    for someone in (person, other):
-        someone.wait_until(lambda who=someone: who.shown.match is not None)  # type: ignore[misc]  # bound now
-        expected = peak_of(someone.shown.opened, someone.shown.view)
-        someone.wait_until(lambda who=someone, at=expected: who.peak() == at)  # type: ignore[misc]  # bound now
-    other.page.close()
+    expect(person.text(f"frame 0 of {last + 1}")).to_be_visible()
+    assert person.desk.view == first.with_setting("search", "metric", "cosine")
+    published = PRESETS["published"]
+    assert friend.desk.view == first.changed(
+        preset="published", settings=published, aligned=published, number=last
+    )
+    friend.wait_until(
+        lambda: friend.shown.view == friend.desk.view and friend.shown.match is not None
+    )
+    for someone in (person, friend):
+        someone.wait_for_peak(peak_of(someone.shown.opened, someone.desk.view))
 
 
 def test_a_recording_cut_in_the_middle_warns_and_works(
@@ -452,9 +479,7 @@ def test_a_recording_cut_in_the_middle_warns_and_works(
     expect(person.text(f"frame {left - 1} of {left}")).to_be_visible()
     person.key("Home")
     person.press("Match")
-    expected = peak_of(person.shown.opened, View(recording=damaged.name))
-    expect(person.text("Peak u =")).to_be_visible()
-    person.wait_until(lambda: person.peak() == expected)
+    person.wait_for_peak(peak_of(person.shown.opened, View(recording=damaged.name)))
 
 
 def test_a_hostile_name_is_text(person: Person) -> None:
@@ -464,10 +489,9 @@ def test_a_hostile_name_is_text(person: Person) -> None:
     expect(header).to_have_count(1)
     assert person.page.get_by_label("Recording", exact=True).input_value() == HOSTILE
     person.wait_until(lambda: person.shown.view.recording == HOSTILE)
-    for number, panel in ((3, "Register"), (4, "Repair"), (5, "Map"), (2, "Match")):
-        person.key(f"Alt+{number}")
-        person.wait_until(lambda panel=panel: person.shown.view.panel == panel)  # type: ignore[misc]  # bound now
-    expect(person.text("Peak u =")).to_be_visible()
+    for number, panel in enumerate(PANELS):
+        person.key(f"Alt+{number + 1}")
+        person.wait_for_panel(panel)
     assert person.page.evaluate("window.taken") is None
     assert person.page.locator("img[src='x'], img[src='b']").count() == 0
     assert person.page.locator("strong", has_text="bold").count() == 0

@@ -19,7 +19,7 @@ from fusion_core.workflows.presets import PRESETS, PresetName
 LONGEST_LINK = 6_000
 IN_A_URL = re.compile(r"[A-Za-z0-9_-]+")
 
-NAMES = st.text(st.characters(exclude_categories=("Cs",)), max_size=40)
+NAMES = st.text(max_size=40)
 SETTINGS = st.one_of(
     st.tuples(st.just("sampling"), st.just("step_deg"), st.floats(0.06, 5.0)),
     st.tuples(st.just("sampling"), st.just("row_band"), st.floats(0.01, 1.0)),
