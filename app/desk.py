@@ -56,10 +56,6 @@ class Desk:
         """What is asked for; what is shown may lag behind by one computation."""
         return self._view
 
-    def begin(self) -> None:
-        """Show the first view; the panels are there."""
-        self.refresh()
-
     def refresh(self) -> None:
         """Compute and show the view again."""
         self._worker.ask(self._view)

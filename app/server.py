@@ -130,7 +130,7 @@ class Workbench:
             return
         if problem is not None:
             desk.fail(problem)
-        desk.begin()
+        desk.refresh()
 
     def _view_for(self, client: viser.ClientHandle) -> tuple[View, ScanLoomError | None]:
         """The view of a link, else the browser's last one, else the first."""

@@ -23,6 +23,7 @@ from app.jobs.build import (
 from app.jobs.long import LongJob
 from app.panels.command import fuse_command
 from app.panels.controls import put
+from app.scene.encoded import show_picture
 from app.scene.map_picture import map_pictures
 from app.shown import Shown
 from app.state.view import View
@@ -263,9 +264,10 @@ class MapPanel:
             grids = {_TITLES[name]: grid for name, grid in built.summary.grids.items()}
             if grids:
                 width_px, height_px = _PICTURE_PX
-                self._picture.image = map_pictures(
+                drawn = map_pictures(
                     grids, difference_of(grids), width_px=width_px, height_px=height_px
                 )
+                show_picture(self._picture, drawn)
             put(self._picture, visible=bool(grids))
             put(self._folder, content=_text_box(str(built.folder)))
             for handle in (self._voxel, self._export_button):

@@ -51,7 +51,7 @@ class MatchPanel:
         with gui.add_folder("Pick by hand"):
             self._u = gui.add_number("u (samples)", 0.0, step=0.25)
             self._v = gui.add_number("v (row)", 0.0, step=1.0)
-            buttons = gui.add_button_group("Offset", ("Use", "Peak", "Clear"))
+            buttons = gui.add_button_group("Offset", ("Use", "Clear"))
             lock = gui.add_checkbox(
                 "Lock u", desk.view.lock_picked, hint="Keep the picked offset in other frames"
             )
@@ -70,11 +70,9 @@ class MatchPanel:
 
         @buttons.on_click
         def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
-            match buttons.value:
-                case "Use":
-                    desk.change_settings(picked=(float(self._u.value), float(self._v.value)))
-                case "Peak" | "Clear":
-                    desk.change_settings(picked=None)
+            use = buttons.value == "Use"
+            picked = (float(self._u.value), float(self._v.value)) if use else None
+            desk.change_settings(picked=picked)
 
     def show(self, shown: Shown) -> None:
         """Draw the field, the curves and the words of this view."""

@@ -10,6 +10,7 @@ from app.panels import register_words as words
 from app.panels.controls import Controls, put
 from app.panels.epsilon import EpsilonControls
 from app.panels.residual_plot import ResidualPlot
+from app.scene.encoded import show_picture
 from app.scene.pairs_picture import PairsPlot, pairs_picture
 from app.shown import Shown
 from fusion_core.model.conventions import ByteArray
@@ -126,9 +127,8 @@ class RegisterPanel:
         found, pairs = match.registration, planar_pairs(match)
         plots = _before_and_after(pairs)
         height_px = _PAIRS_PX if len(plots) > 1 else _DRAW_PX
-        self._pairs.image = pairs_picture(
-            plots, width_px=_WIDTH_PX, height_px=height_px, axis_names=axes
-        ).rgb
+        drawn = pairs_picture(plots, width_px=_WIDTH_PX, height_px=height_px, axis_names=axes)
+        show_picture(self._pairs, drawn.rgb)
         if found is None:
             put(self._words, content=words.failure_words(match.refusal))
             return
@@ -148,9 +148,8 @@ class RegisterPanel:
             agree=draw.agree,
             drawn=draw.pairs,
         )
-        self._draw_picture.image = pairs_picture(
-            [plot], width_px=_WIDTH_PX, height_px=_DRAW_PX, axis_names=axes
-        ).rgb
+        drawn = pairs_picture([plot], width_px=_WIDTH_PX, height_px=_DRAW_PX, axis_names=axes)
+        show_picture(self._draw_picture, drawn.rgb)
         put(self._draw_words, content=words.draw_words(draw, found))
 
 

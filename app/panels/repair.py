@@ -13,6 +13,7 @@ from app.panels.controls import Controls, put
 from app.panels.repair_tables import beam_table, class_table
 from app.resources import palette
 from app.scene.depth_picture import depth_limits_m, depth_picture
+from app.scene.encoded import show_picture
 from app.scene.findings import ConflictRun, conflict_runs
 from app.scene.pair_pixels import pixels_of_match, repaired_depth_m
 from app.scene.range_curves import range_curves
@@ -123,7 +124,7 @@ class RepairPanel:
             handle = self._pictures[place]
             wanted = view.both or place == int(view.repaired)
             if wanted:
-                handle.image = depth_picture(
+                drawn = depth_picture(
                     {title: depth_m},
                     pairs,
                     width_px=_WIDTH_PX,
@@ -131,7 +132,8 @@ class RepairPanel:
                     classes=view.classes,
                     beam=view.beam,
                     limits_m=limits_m,
-                ).rgb
+                )
+                show_picture(handle, drawn.rgb)
             put(handle, visible=wanted)
 
     def _show_curve(self, frame: FusedFrame, view: View) -> None:

@@ -16,6 +16,7 @@ from app.state.view import PANELS
 _USUAL_HZ = 10.0
 _MOST_HZ = 30.0
 _SPEEDS = ("0.25", "0.5", "1", "2", "4")
+_CHOICE_OF_SPEED = {float(speed): speed for speed in _SPEEDS}
 
 
 class TimelinePanel:
@@ -24,6 +25,7 @@ class TimelinePanel:
     def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
         self._desk = desk
         self._rate_hz = _USUAL_HZ
+        self._last = 0
         self._playing = threading.Event()
         self._closed = threading.Event()
         self._frame = gui.add_slider(
@@ -36,16 +38,13 @@ class TimelinePanel:
         )
         self._time = gui.add_html("")
         self._buttons = gui.add_button_group("Go", ("|<", "<", "Play", ">", ">|"))
-        self._speed = gui.add_dropdown("Speed", _SPEEDS, initial_value="1")
+        speed = gui.add_dropdown("Speed", _SPEEDS, initial_value="1")
         self._loop = gui.add_checkbox("Loop", desk.view.loop)
         self._controls = Controls(gui, desk)
         self._controls.bind(self._loop, "loop", bool)
         self._controls.bind(self._frame, "number", int, lambda number: min(number, self._last))
-
-        @self._speed.on_update
-        def _(event: viser.GuiEvent[viser.GuiDropdownHandle[str]]) -> None:
-            if event.client is not None:
-                desk.change(speed=float(self._speed.value))
+        # A link may ask for a speed that is not among the choices.
+        self._controls.bind(speed, "speed", float, lambda value: _CHOICE_OF_SPEED.get(value))
 
         @self._buttons.on_click
         def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
@@ -61,11 +60,6 @@ class TimelinePanel:
         self._add_keys(gui)
         self._thread = threading.Thread(target=self._play, name="play", daemon=True)
         self._thread.start()
-
-    @property
-    def playing(self) -> bool:
-        """Whether it moves by itself."""
-        return self._playing.is_set()
 
     def play_or_pause(self) -> None:
         """Start or stop moving."""
@@ -91,9 +85,6 @@ class TimelinePanel:
             span_s = float(times_ns[-1] - times_ns[0]) / 1e9 if len(times_ns) > 1 else 0.0
             self._rate_hz = self._last / span_s if span_s > 0.0 else _USUAL_HZ
         number = min(shown.view.number, self._last)
-        speed = f"{shown.view.speed:g}"
-        if speed in _SPEEDS:
-            put(self._speed, value=speed)
         self._controls.show(shown.view)
         self._time.content = (
             '<div style="padding:0 0.5em;font-size:0.85em;opacity:0.75">'
@@ -105,8 +96,6 @@ class TimelinePanel:
         """Stop moving."""
         self._closed.set()
         self._playing.set()
-
-    _last = 0
 
     def _play(self) -> None:
         due_s = 0.0
@@ -165,4 +154,5 @@ def _gap(shown: Shown) -> str:
         return ""
     if shown.paired.window is None:
         return " · no scan near enough"
-    return f" · scan {shown.paired.gap_ns / 1e6:+.1f} ms before"
+    gap_ms = shown.paired.gap_ns / 1e6
+    return f" · scan {abs(gap_ms):.1f} ms {'before' if gap_ms >= 0.0 else 'after'} it"

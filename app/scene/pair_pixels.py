@@ -51,7 +51,7 @@ def pixels_of_match(match: FrameMatch) -> PairPixels:
     repaired = np.zeros(pairs.beam.size, dtype=np.bool_)
     if isinstance(match, FusedFrame):
         noise_class = match.classes.depth_class
-        repaired = _repaired(match)
+        repaired = match.pixel_changed
     return PairPixels(
         beam=pairs.beam,
         row=pairs.row,
@@ -64,14 +64,7 @@ def pixels_of_match(match: FrameMatch) -> PairPixels:
 def repaired_depth_m(frame: FusedFrame) -> Float32Array:
     """(H, W) upright view with the repaired pixels of the pairs."""
     depth_m = frame.depth_m.copy()
-    changed = _repaired(frame)
+    changed = frame.pixel_changed
     row, column = frame.pairs.row[changed], frame.pairs.column[changed]
     depth_m[row, column] = frame.repair.depth_m[changed]
     return depth_m
-
-
-def _repaired(frame: FusedFrame) -> BoolArray:
-    """(B,): the pixels to which the repair gave another value."""
-    changed = (frame.pairs.row >= 0) & np.isfinite(frame.repair.depth_m)
-    changed &= frame.repair.depth_m != frame.pairs.depth_m
-    return changed

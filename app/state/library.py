@@ -135,7 +135,7 @@ class Library:
 
         Raises RecordingError and MissingStream as opening a recording does.
         """
-        path = self._path(view.recording)
+        path = self.path(view.recording)
         settings = view.aligned
         key = (
             path,
@@ -158,16 +158,6 @@ class Library:
                 self._opened[key] = Opened(open_session(self._recording(path), options, settings))
             return self._opened[key]
 
-    def recording(self, name: str) -> Recording:
-        """The recording of a name. Raises RecordingError."""
-        path = self._path(name)
-        with self._lock:
-            return self._recording(path)
-
-    def path(self, name: str) -> Path:
-        """Where a recording lies. Raises RecordingError for a name that may not be opened."""
-        return self._path(name)
-
     def close(self) -> None:
         """Stop what runs and free the files."""
         for opened in self._opened.values():
@@ -180,7 +170,8 @@ class Library:
             self._recordings[path] = open_source(path, None)
         return self._recordings[path]
 
-    def _path(self, name: str) -> Path:
+    def path(self, name: str) -> Path:
+        """Where a recording lies. Raises RecordingError for a name that may not be opened."""
         if name in self._named:
             return self._named[name]
         for root in self._roots:

@@ -8,12 +8,16 @@ import numpy as np
 from fusion_core.model.conventions import FloatArray
 from fusion_core.workflows.align import Alignment
 from fusion_core.workflows.frame import FrameMatch, FusedFrame
+from fusion_core.workflows.presets import PRESETS
 
 EpsilonUnit = Literal["sigma", "E", "m"]
 EPSILON_UNITS: tuple[EpsilonUnit, ...] = get_args(EpsilonUnit)
 
-# Where a unit has no length in a frame; the presets' own, and 10 cm.
-_USUAL: dict[EpsilonUnit, float] = {"sigma": 2.6, "E": 1.2, "m": 0.10}
+# Where a unit has no length in a frame: the presets' own, and 10 cm.
+_USUAL: dict[EpsilonUnit, float] = {
+    "m": 0.10,
+    **{preset.noise.epsilon_unit: preset.noise.epsilon for preset in PRESETS.values()},
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -29,7 +29,7 @@ from fusion_core.denoising.correspondence import (
 )
 from fusion_core.denoising.noise import Classes, FrameWindow, classify
 from fusion_core.denoising.repair import Repair, repair
-from fusion_core.model.conventions import NS_PER_S, Float32Array, FloatArray
+from fusion_core.model.conventions import NS_PER_S, BoolArray, Float32Array, FloatArray
 from fusion_core.model.errors import AlignmentFailed, RegistrationFailed
 from fusion_core.model.geometry import apply
 from fusion_core.model.rig import Camera, Mount
@@ -101,6 +101,14 @@ class FusedFrame(FrameMatch):
         """Median threshold over the pairs, NaN without pairs."""
         valid = self.classes.epsilon_m[np.isfinite(self.pairs.residual_m)]
         return float(np.median(valid)) if valid.size else float("nan")
+
+    @property
+    def pixel_changed(self) -> BoolArray:
+        """(B,): pairs whose pixel the repair gave another value."""
+        repaired_m = self.repair.depth_m
+        changed: BoolArray = (self.pairs.row >= 0) & np.isfinite(repaired_m)
+        changed &= repaired_m != self.pairs.depth_m
+        return changed
 
 
 def fuse_frame(

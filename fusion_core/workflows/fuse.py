@@ -333,7 +333,6 @@ def repaired_image(frame: FusedFrame, rig: Rig) -> DepthImage:
     """The stored depth image with the repaired pixels of the curve."""
     depth_m = frame.image.depth_m.copy()
     row, column = rig.views[frame.camera].stored_pixels(frame.pairs.row, frame.pairs.column)
-    changed = (row >= 0) & np.isfinite(frame.repair.depth_m)
-    changed &= frame.repair.depth_m != frame.pairs.depth_m
+    changed = frame.pixel_changed & (row >= 0)
     depth_m[row[changed], column[changed]] = frame.repair.depth_m[changed]
     return replace(frame.image, depth_m=depth_m)

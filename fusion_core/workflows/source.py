@@ -57,14 +57,6 @@ def rooms_of(path: Path, session: str | None) -> tuple[RoomListing, ...]:
     return chosen
 
 
-def is_data_set(path: Path) -> bool:
-    """Whether a path holds several rooms of Robot@Home."""
-    try:
-        return is_robot_at_home(path) and len(list_rooms(path)) > 1
-    except OSError:
-        return False
-
-
 def room_choices(rooms: tuple[RoomListing, ...]) -> Iterator[RoomChoice]:
     """The choice that opens each listed room."""
     for room in rooms:

@@ -107,7 +107,7 @@ def desk(library: Library, view: View, client: Told, panel: Recorder) -> Iterato
     """A desk that shows its first view."""
     made = Desk(client, library, view)  # type: ignore[arg-type]  # as far as it is needed
     made.panels = [panel]
-    made.begin()
+    made.refresh()
     assert made.wait(ENOUGH_S)
     yield made
     made.close()
@@ -322,7 +322,7 @@ def test_an_alignment_that_fails_is_told_and_the_streams_are_shown(
     told = threading.Event()
     opened.align(told.set)
     assert told.wait(ENOUGH_S)
-    desk.begin()
+    desk.refresh()
     shown = shown_by(desk)
     assert (shown.opened, shown.chain) == (opened, None)
     assert client.notes == [(title, body)]
@@ -480,7 +480,7 @@ def test_what_may_be_opened_is_named(shelves: Library, small_scene: Path) -> Non
     assert shelves.names()[:4] == [small_scene.name, "a.mcap", "b.mcap", "inner"]
     assert ".hidden.mcap" not in shelves.names()
     for name in (small_scene.name, "a.mcap", "inner/c.mcap"):
-        assert shelves.recording(name).topics
+        assert shelves.path(name).is_file()
     shelves.close()
 
 

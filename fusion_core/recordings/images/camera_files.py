@@ -97,6 +97,22 @@ def read_camera_file(file: Path) -> StatedCamera:
         ) from error
 
 
+def read_intrinsics(file: Path, shape: tuple[int, int]) -> CameraIntrinsics:
+    """What a file states for images of ``shape`` (rows, columns). Raises RecordingError."""
+    stated = read_camera_file(file)
+    try:
+        intrinsics = stated.intrinsics(shape)
+    except ValueError as error:
+        raise RecordingError(
+            f"{error}.", file=file, advice="Put the depth camera's own file there."
+        ) from error
+    if intrinsics is None:
+        raise RecordingError(
+            "states no intrinsics.", file=file, advice="It needs fx, fy, cx, cy and the size."
+        )
+    return intrinsics
+
+
 def _units_per_metre(depth_scale: float) -> float:
     least, most = _UNITS_PER_METRE
     units = 1.0 / depth_scale if 0.0 < depth_scale < 1.0 else depth_scale

@@ -1,9 +1,8 @@
-"""The single files of a folder of frames: images, poses and intrinsics as text.
+"""The single files of a folder of frames: images, and poses as text.
 
 Every function raises RecordingError naming its file.
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import numpy as np
 from fusion_core.model.conventions import ByteArray, FloatArray
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.geometry import rotation_from_quaternion, transform
-from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.recordings.messages.image_headers import (
     MAX_DECODED_BYTES,
     BadImage,
@@ -72,42 +70,6 @@ def read_rgb(file: Path) -> ByteArray:
     bgr = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     rgb: ByteArray = np.ascontiguousarray(bgr[:, :, ::-1])
     return rgb
-
-
-def read_intrinsics(file: Path, shape: tuple[int, ...]) -> CameraIntrinsics:
-    """Intrinsics for images of ``shape`` (rows, columns): Open3D's JSON, or a 3 x 3 text file."""
-    if file.suffix == ".json":
-        k, size = _read_open3d_camera(file)
-        if size != shape:
-            raise RecordingError(
-                f"is for images of {size[::-1]}, the depth images are {shape[::-1]}.",
-                file=file,
-                advice="Put the depth camera's own file there.",
-            )
-    else:
-        k = read_matrix(file, (3, 3))
-    try:
-        return CameraIntrinsics(
-            width=shape[1], height=shape[0], fx=k[0, 0], fy=k[1, 1], cx=k[0, 2], cy=k[1, 2]
-        )
-    except ValueError as error:
-        raise RecordingError(
-            f"{error}.", file=file, advice="Calibrate the camera, or remove the file."
-        ) from error
-
-
-def _read_open3d_camera(file: Path) -> tuple[FloatArray, tuple[int, int]]:
-    try:
-        camera = json.loads(read_text(file))
-        # Open3D writes the matrix by columns.
-        k = np.array(camera["intrinsic_matrix"], dtype=np.float64).reshape(3, 3).T
-        return k, (int(camera["height"]), int(camera["width"]))
-    except (ValueError, KeyError, TypeError) as error:
-        raise RecordingError(
-            f"is no camera of Open3D: {error}.",
-            file=file,
-            advice="It needs width, height and intrinsic_matrix.",
-        ) from error
 
 
 def read_trajectory_log(file: Path, warnings: list[str]) -> dict[int, FloatArray]:

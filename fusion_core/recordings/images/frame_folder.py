@@ -26,9 +26,9 @@ from fusion_core.model.sensors import (
     SensorValue,
 )
 from fusion_core.recordings.decode import depth_m_from_millimetres
+from fusion_core.recordings.images.camera_files import read_intrinsics
 from fusion_core.recordings.images.frame_files import (
     read_image,
-    read_intrinsics,
     read_matrix,
     read_pose_lines,
     read_rgb,

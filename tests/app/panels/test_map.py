@@ -42,7 +42,7 @@ class Bench:
         self.desk = Desk(client, self.library, view)
         self.panel = MapPanel(client.gui, self.desk, self.root, self.floor.append)
         self.desk.panels = [self.panel]
-        self.desk.begin()
+        self.desk.refresh()
         self.furnished.set()
 
     def close(self) -> None:

@@ -80,7 +80,7 @@ def module_bench() -> Iterator[Bench]:
         desk = Desk(client, library, view)
         panel = RepairPanel(client.gui, desk)
         desk.panels = [panel]
-        desk.begin()
+        desk.refresh()
         built.append((desk, panel))
 
     with connect(f"http://127.0.0.1:{server.get_port()}") as browser:
