@@ -1,6 +1,7 @@
 """What the sensors deliver: metres, radians, nanoseconds, NaN for missing."""
 
 from dataclasses import dataclass, replace
+from math import isfinite
 
 import numpy as np
 
@@ -30,7 +31,7 @@ class LaserScan:
     def __post_init__(self) -> None:
         if self.ranges_m.ndim != 1 or self.ranges_m.dtype != np.float64:
             raise ValueError(f"ranges_m must be (N,) float64, got {self.ranges_m.shape}")
-        if not np.isfinite(self.angle_increment_rad) or self.angle_increment_rad == 0.0:
+        if not isfinite(self.angle_increment_rad) or self.angle_increment_rad == 0.0:
             raise ValueError(
                 f"angle_increment_rad must be non-zero, got {self.angle_increment_rad}"
             )
@@ -67,8 +68,8 @@ class CameraIntrinsics:
     distortion: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        values = np.array([self.fx, self.fy, self.cx, self.cy, *self.distortion])
-        if not np.isfinite(values).all() or self.fx <= 0.0 or self.fy <= 0.0:
+        values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
+        if not all(map(isfinite, values)) or self.fx <= 0.0 or self.fy <= 0.0:
             listed = " ".join(f"{value:g}" for value in values)
             raise ValueError(f"intrinsics must be finite with positive focal lengths, got {listed}")
 

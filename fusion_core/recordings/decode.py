@@ -11,6 +11,7 @@ from math import inf, isfinite
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from fusion_core.model.conventions import NS_PER_S, Float32Array, FloatArray
 from fusion_core.model.errors import RecordingError
@@ -31,12 +32,13 @@ from fusion_core.recordings.messages.bad_message import BadMessage
 from fusion_core.recordings.messages.compressed_image import packed_encoding, unpacked
 from fusion_core.recordings.messages.image_pixels import depth_pixels, is_depth_encoding, rgb_pixels
 from fusion_core.recordings.messages.point_cloud import cloud_points
-from fusion_core.recordings.rosbag1.transforms import TransformRow
+from fusion_core.recordings.messages.rows import PoseNumbers, PoseRow, ScanRow
 
 MILLIMETRES_PER_METRE = 1000.0
 # Kinect drivers and 7-Scenes write the largest value where they saw nothing.
 SATURATED = 65535
 _SHORTEST_QUATERNION = 1e-12
+_SMALLEST_M = float(np.finfo(np.float64).smallest_subnormal)
 _MATRIX = struct.Struct("=16d")
 
 # A sensor's clock counts from 1970, and ROS 2 holds the seconds in 31 bits.
@@ -46,7 +48,7 @@ _MAX_NAME_CHARACTERS = 4096
 # OpenCV knows no model with more.
 _MAX_DISTORTION = 14
 
-# A raw message is an object with the fields of its ROS definition; a tf message may be its rows.
+# A raw message is an object with the fields of its ROS definition, or a row of ``rows``.
 RawMessage = Any
 
 
@@ -82,14 +84,21 @@ def image_encoding(raw: RawMessage) -> str:
     return str(packed_encoding(raw.format, raw.data) if packed else raw.encoding)
 
 
-def ranges_m(ranges: FloatArray, range_min_m: float, range_max_m: float) -> FloatArray:
+def ranges_m(
+    ranges: npt.NDArray[np.floating[Any]], range_min_m: float, range_max_m: float
+) -> FloatArray:
     """(N,) ranges with NaN where the beam gave nothing.
 
     A range of ``range_max`` or more is a driver's way to say "no return"; REP 117 says it by
     infinities.
     """
-    valid = (ranges > 0.0) & (ranges >= range_min_m) & (ranges < range_max_m)
-    return np.where(valid, ranges, np.nan).astype(np.float64)
+    # The copy first: in a message the ranges may stand at any byte, which makes all else slow.
+    found_m = ranges.astype(np.float64)
+    # What is not above zero is below the smallest number there is. NaN, as neither, stays.
+    missing = found_m < max(range_min_m, _SMALLEST_M)
+    missing |= found_m >= range_max_m
+    np.putmask(found_m, missing, np.nan)
+    return found_m
 
 
 def depth_m_from_units(depth: np.ndarray[Any, Any], units_per_metre: float) -> Float32Array:
@@ -100,9 +109,8 @@ def depth_m_from_units(depth: np.ndarray[Any, Any], units_per_metre: float) -> F
     # is divided by, 0 / 0 being NaN: to write NaN through it would take up to ten times as long.
     with np.errstate(invalid="ignore"):
         depth_m /= depth != 0
-    saturated = depth == SATURATED
-    if saturated.any():
-        depth_m[saturated] = np.nan
+    if depth.max(initial=0) == SATURATED:
+        depth_m[depth == SATURATED] = np.nan
     return depth_m
 
 
@@ -153,42 +161,56 @@ def _long_name(what: str, name: str) -> BadMessage:
 
 
 def _laser_scan(raw: RawMessage, received_ns: int | None) -> LaserScan:
-    range_min_m, range_max_m = float(raw.range_min), float(raw.range_max)
-    if not range_max_m > max(range_min_m, 0.0):
+    row = raw if isinstance(raw, ScanRow) else _scan_row(raw)
+    if not row.range_max > max(row.range_min, 0.0):
         raise BadMessage(
-            f"range_max {range_max_m} is not above range_min {range_min_m}",
+            f"range_max {row.range_max} is not above range_min {row.range_min}",
             "Set the scanner's range limits in its driver.",
         )
-    increment_rad = float(raw.angle_increment)
-    if not (isfinite(raw.angle_min) and isfinite(increment_rad)) or increment_rad == 0.0:
+    if not (isfinite(row.angle_min) and isfinite(row.angle_increment)) or not row.angle_increment:
         raise BadMessage(
-            f"angle_min {raw.angle_min} and angle_increment {increment_rad} give no angles",
+            f"angle_min {row.angle_min} and angle_increment {row.angle_increment} give no angles",
             "Set the scanner's field of view in its driver.",
         )
-    if len(raw.ranges) > _MAX_BEAMS:
+    if len(row.ranges) > _MAX_BEAMS:
         raise BadMessage(
-            f"the scan claims {len(raw.ranges)} beams, more than {_MAX_BEAMS}",
+            f"the scan claims {len(row.ranges)} beams, more than {_MAX_BEAMS}",
             "The message is damaged; leave the topic out.",
         )
-    # Compared as the file has them: range_max in float32, so that a sentinel equal to it is met.
-    ranges = ranges_m(raw.ranges, raw.range_min, raw.range_max)
     intensities = None
-    if len(raw.intensities) == len(ranges) > 0:
-        # A signalling NaN is no failure.
-        with np.errstate(invalid="ignore"):
-            intensities = raw.intensities.astype(np.float64)
+    # A signalling NaN is no failure.
+    with np.errstate(invalid="ignore"):
+        ranges = ranges_m(row.ranges, row.range_min, row.range_max)
+        if len(row.intensities) == len(ranges) > 0:
+            intensities = row.intensities.astype(np.float64)
     return LaserScan(
-        stamp_ns=_stamp(raw.header),
+        stamp_ns=_time_ns(row.seconds, row.nanoseconds),
         received_ns=received_ns,
-        frame_id=_frame(raw.header.frame_id),
-        angle_min_rad=float(raw.angle_min),
-        angle_increment_rad=increment_rad,
-        range_min_m=range_min_m,
-        range_max_m=range_max_m,
+        frame_id=_frame(row.frame),
+        angle_min_rad=row.angle_min,
+        angle_increment_rad=row.angle_increment,
+        range_min_m=row.range_min,
+        range_max_m=row.range_max,
         ranges_m=ranges,
         intensities=intensities,
-        scan_time_s=float(raw.scan_time),
-        time_increment_s=float(raw.time_increment),
+        scan_time_s=row.scan_time,
+        time_increment_s=row.time_increment,
+    )
+
+
+def _scan_row(raw: RawMessage) -> ScanRow:
+    return ScanRow(
+        seconds=int(raw.header.stamp.sec),
+        nanoseconds=int(raw.header.stamp.nanosec),
+        frame=raw.header.frame_id,
+        angle_min=float(raw.angle_min),
+        angle_increment=float(raw.angle_increment),
+        time_increment=float(raw.time_increment),
+        scan_time=float(raw.scan_time),
+        range_min=float(raw.range_min),
+        range_max=float(raw.range_max),
+        ranges=raw.ranges,
+        intensities=raw.intensities,
     )
 
 
@@ -280,30 +302,40 @@ def _pose_matrix(
     return np.ndarray((4, 4), np.float64, rows)
 
 
-def _numbers(position: RawMessage, orientation: RawMessage) -> tuple[float, ...]:
-    """Position, and the rotation as x y z w."""
+def _numbers(position: RawMessage, orientation: RawMessage) -> PoseNumbers:
     q = orientation
     return position.x, position.y, position.z, q.x, q.y, q.z, q.w
 
 
 def _odometry(raw: RawMessage, received_ns: int | None) -> PoseSample:
-    pose = raw.pose.pose
-    return PoseSample(
-        stamp_ns=_stamp(raw.header),
-        received_ns=received_ns,
-        parent=_frame(raw.header.frame_id),
-        child=_frame(raw.child_frame_id),
-        T_parent_child=_pose_matrix(*_numbers(pose.position, pose.orientation)),
-    )
+    if isinstance(raw, tuple):
+        return _pose_sample(raw, received_ns)
+    return _pose_sample(_pose_row(raw.header, raw.child_frame_id, raw.pose.pose), received_ns)
 
 
 def _pose_stamped(raw: RawMessage, received_ns: int | None) -> PoseSample:
+    row = raw if isinstance(raw, tuple) else _pose_row(raw.header, "", raw.pose)
+    return _pose_sample(row, received_ns)
+
+
+def _pose_row(header: RawMessage, child: str, pose: RawMessage) -> PoseRow:
+    return (
+        int(header.stamp.sec),
+        int(header.stamp.nanosec),
+        header.frame_id,
+        child,
+        _numbers(pose.position, pose.orientation),
+    )
+
+
+def _pose_sample(row: PoseRow, received_ns: int | None) -> PoseSample:
+    seconds, nanoseconds, parent, child, numbers = row
     return PoseSample(
-        stamp_ns=_stamp(raw.header),
+        stamp_ns=_time_ns(seconds, nanoseconds),
         received_ns=received_ns,
-        parent=_frame(raw.header.frame_id),
-        child="",
-        T_parent_child=_pose_matrix(*_numbers(raw.pose.position, raw.pose.orientation)),
+        parent=_frame(parent),
+        child=_frame(child),
+        T_parent_child=_pose_matrix(*numbers),
     )
 
 
@@ -321,7 +353,7 @@ def _transforms(raw: RawMessage, received_ns: int | None) -> TransformBatch:
     return TransformBatch(received_ns=received_ns, transforms=tuple(transforms))
 
 
-def _transform_row(entry: RawMessage) -> TransformRow:
+def _transform_row(entry: RawMessage) -> PoseRow:
     return (
         int(entry.header.stamp.sec),
         int(entry.header.stamp.nanosec),

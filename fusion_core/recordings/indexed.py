@@ -160,10 +160,11 @@ class IndexedRecording:
         chosen = [s.positions[(s.positions >= first) & (s.positions < last)] for s in streams]
         positions = np.sort(np.concatenate([np.empty(0, dtype=np.int64), *chosen]))
         next_index = {s.name: int(np.searchsorted(s.positions, first)) for s in streams}
+        stream_of = [self._streams[channel.topic] for channel in self.channels]
         for start in range(0, len(positions), _BATCH):
             batch = self._entries[positions[start : start + _BATCH]]
             for received, channel, block, offset in batch.tolist():
-                stream = self._streams[self.channels[channel].topic]
+                stream = stream_of[channel]
                 index = next_index[stream.name]
                 next_index[stream.name] = index + 1
                 try:

@@ -4,7 +4,7 @@
 
 Ours decodes to model values, rosbags to its own messages. Two measures: with opening, where neither
 has anything prepared; and iteration alone over a recording that is open and was read once. Best
-of 5 rounds in which the two take turns. Reads the bags and rooms below SCANLOOM_TEST_DATA where
+of 9 rounds in which the two take turns. Reads the bags and rooms below SCANLOOM_TEST_DATA where
 that is set, and a database and a split folder written here.
 """
 
@@ -26,11 +26,11 @@ from ruamel.yaml import YAML
 
 from fusion_core.model.recording import Message, Recording
 from fusion_core.recordings.formats import open_recording
-from fusion_core.recordings.messages.types import deserializer
+from fusion_core.recordings.messages.types import deserializer_of_type
 from tests.recordings.conftest import ROS2, ros_message
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "furnished_room.mcap"
-ROUNDS = 5
+ROUNDS = 9
 BAR = 0.8
 _PARTS = 4
 
@@ -72,7 +72,7 @@ def opened(path: Path) -> AnyReader:
 
 
 def ours_with_opening(path: Path) -> int:
-    deserializer.cache_clear()
+    deserializer_of_type.cache_clear()
     with open_recording(path) as recording:
         return ours(recording)
 

@@ -4,7 +4,8 @@ A store of its own for each definition keeps files apart that define the same na
 and lets a definition that does not parse cost its own topic alone.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -19,9 +20,8 @@ from rosbags.typesys import (
 from rosbags.typesys.store import Typestore
 
 from fusion_core.recordings.containers import Channel, Payload
+from fusion_core.recordings.messages import cdr_rows, ros1_rows
 from fusion_core.recordings.messages.type_limits import ExcessiveType, require_bounded_type
-from fusion_core.recordings.rosbag1.transforms import is_ros1_tf, read_transforms
-from fusion_core.recordings.rosbag2.transforms import is_ros2_tf, read_cdr_transforms
 
 Deserializer = Callable[[Payload], Any]
 
@@ -34,18 +34,23 @@ class UnreadableType(ValueError):
     """Messages of this channel cannot be deserialised; the text says why."""
 
 
-@lru_cache(maxsize=128)
 def deserializer(channel: Channel) -> Deserializer:
-    """A function from the channel's bytes to an object with the fields of its type.
+    """A function from the channel's bytes to an object with the fields of its type, or to its row.
 
     Raises UnreadableType here, and ValueError from the function for bytes that do not fit.
     """
-    store = type_store(channel)
+    return deserializer_of_type(replace(channel, topic=""))
+
+
+@lru_cache(maxsize=128)
+def deserializer_of_type(channel: Channel) -> Deserializer:
+    """``deserializer``, made once for all channels that differ in their topics alone."""
+    store = _type_store(channel)
     name = channel.message_type
-    if channel.serialization == "ros1" and is_ros1_tf(store, name):
-        return read_transforms
-    if channel.serialization == "cdr" and is_ros2_tf(store, name):
-        return read_cdr_transforms
+    row_reader = _row_reader(store, name, channel.serialization)
+    if row_reader is not None:
+        return row_reader
+    _require_code(store, name)
     read = store.deserialize_cdr if channel.serialization == "cdr" else store.deserialize_ros1
 
     def deserialize(payload: Payload) -> Any:
@@ -59,8 +64,25 @@ def deserializer(channel: Channel) -> Deserializer:
     return deserialize
 
 
+def _row_reader(store: Typestore, name: str, serialization: str) -> Deserializer | None:
+    """The reader of rows for a type that is laid out as ROS lays it out, by its own definition."""
+    is_ros1 = serialization == "ros1"
+    readers: Mapping[tuple[str, str], Deserializer]
+    readers = ros1_rows.READERS if is_ros1 else cdr_rows.READERS
+    if not any(name == known for known, _ in readers):
+        return None
+    layout = store.generate_msgdef(name)[1] if is_ros1 else store.hash_rihs01(name)
+    return readers.get((name, layout))
+
+
 def type_store(channel: Channel) -> Typestore:
     """The channel's type and all that it is made of. Raises UnreadableType."""
+    store = _type_store(channel)
+    _require_code(store, channel.message_type)
+    return store
+
+
+def _type_store(channel: Channel) -> Typestore:
     if channel.serialization not in _DEFAULT_STORES:
         raise UnreadableType(f"its encoding {channel.serialization!r} is neither CDR nor ROS 1")
     name = channel.message_type
@@ -76,9 +98,16 @@ def type_store(channel: Channel) -> Typestore:
         else:
             store.register(get_types_from_msg(channel.definition, name))
         require_bounded_type(store.fielddefs, name)
-        store.get_msgdef(name)
     except ExcessiveType as error:
         raise UnreadableType(f"its definition is out of all bounds ({error})") from error
     except (TypesysError, KeyError, ValueError) as error:
         raise UnreadableType(f"the definition of {name} does not parse") from error
     return store
+
+
+def _require_code(store: Typestore, name: str) -> None:
+    """Let the store generate what reads the type. Raises UnreadableType where it cannot."""
+    try:
+        store.get_msgdef(name)
+    except (TypesysError, KeyError, ValueError) as error:
+        raise UnreadableType(f"the definition of {name} does not parse") from error

@@ -113,6 +113,8 @@ class _Database:
         self._connection = sqlite3.connect(
             f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True, check_same_thread=False
         )
+        self._forward: sqlite3.Cursor | None = None
+        self._next_id: int | None = None
         try:
             self._guard()
             self.content = self._read()
@@ -123,17 +125,43 @@ class _Database:
 
     def data(self, block: int, row_id: int) -> bytes:
         """The data of the message with this id. Raises RecordingError."""
-        try:
-            row = self._connection.execute(
-                "SELECT data FROM messages WHERE id = ?", (row_id,)
-            ).fetchone()
-        except sqlite3.Error as error:
-            raise damaged(self._path, f"row {row_id} ({error})") from error
-        if row is None or not isinstance(row[0], bytes):
+        row = self._next_row(row_id)
+        self._next_id = row_id + 1
+        if row is None:
+            try:
+                row = self._connection.execute(
+                    "SELECT id, data FROM messages WHERE id = ?", (row_id,)
+                ).fetchone()
+            except sqlite3.Error as error:
+                raise damaged(self._path, f"row {row_id} ({error})") from error
+        if row is None or not isinstance(row[1], bytes):
             raise damaged(self._path, f"row {row_id} holds no message")
-        return row[0]
+        return bytes(row[1])
+
+    def _next_row(self, row_id: int) -> tuple[int, object] | None:
+        """The row with this id where it is the one behind the last, else None.
+
+        Iteration goes from row to row, which one query serves. It reads one row ahead, and so is
+        no way to read a single one; nor is what fails there always about the row that is asked.
+        """
+        forward, self._forward = self._forward, None
+        if row_id != self._next_id:
+            return None
+        try:
+            if forward is None:
+                forward = self._connection.execute(
+                    "SELECT id, data FROM messages NOT INDEXED WHERE id >= ? ORDER BY id", (row_id,)
+                )
+            row: tuple[int, object] | None = forward.fetchone()
+        except sqlite3.Error:
+            return None
+        if row is None or row[0] != row_id:
+            return None
+        self._forward = forward
+        return row
 
     def close(self) -> None:
+        self._forward = None
         self._connection.close()
 
     def _guard(self) -> None:

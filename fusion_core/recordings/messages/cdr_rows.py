@@ -1,0 +1,185 @@
+"""Rows straight from the bytes of ROS 2 in CDR, where a number begins at a multiple of its size.
+
+The size counts from behind the encapsulation. Every reader raises ValueError for bytes that do not
+fit.
+"""
+
+import struct
+from collections.abc import Callable
+from functools import wraps
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from fusion_core.recordings.containers import Payload
+from fusion_core.recordings.messages.rows import PoseRow, ScanRow
+
+_ENCAPSULATION_BYTES = 4
+_COUNT_BYTES = 4
+_NUMBER_BYTES = 8
+# Of an Odometry: the pose's covariance, the twist, and the twist's covariance.
+_BEHIND_THE_POSE_BYTES = 8 * (36 + 6 + 36)
+# Middleware fills a message up to a multiple of four.
+_MAX_PADDING = 3
+
+
+class _Order(NamedTuple):
+    """How numbers are read in one of the byte orders."""
+
+    length: struct.Struct
+    # Seconds, nanoseconds, and the length of the frame's name with the zero behind it.
+    header: struct.Struct
+    pose: struct.Struct
+    # Angles, times and limits, and the number of ranges.
+    scan: struct.Struct
+    range: np.dtype[np.float32]
+
+
+# By the second byte of the encapsulation; the first is zero in plain CDR.
+_ORDERS = [
+    _Order(
+        length=struct.Struct(f"{sign}I"),
+        header=struct.Struct(f"{sign}iII"),
+        pose=struct.Struct(f"{sign}7d"),
+        scan=struct.Struct(f"{sign}7fI"),
+        range=np.dtype(f"{sign}f4"),
+    )
+    for sign in "><"
+]
+
+_Row = TypeVar("_Row")
+
+
+def _whole(read: Callable[[Payload, _Order], tuple[_Row, int]]) -> Callable[[Payload], _Row]:
+    """Of a reader that gives a row and its end, one whose row fills the message."""
+
+    @wraps(read)
+    def read_whole(payload: Payload) -> _Row:
+        if len(payload) < _ENCAPSULATION_BYTES or payload[0] != 0 or payload[1] >= len(_ORDERS):
+            raise ValueError("its bytes do not fit (their encapsulation is not plain CDR)")
+        try:
+            row, end = read(payload, _ORDERS[payload[1]])
+        except (struct.error, ValueError) as error:
+            raise ValueError(f"its bytes do not fit ({error})") from error
+        if not 0 <= len(payload) - end <= _MAX_PADDING:
+            raise ValueError(f"its bytes do not fit (it has {len(payload)} bytes, not {end})")
+        return row
+
+    return read_whole
+
+
+@_whole
+def read_scan(payload: Payload, order: _Order) -> tuple[ScanRow, int]:
+    """sensor_msgs/msg/LaserScan."""
+    seconds, nanoseconds, frame, at = _header(payload, _ENCAPSULATION_BYTES, order)
+    at += -at % _COUNT_BYTES
+    # fmt: off
+    angle_min, _, increment, time_increment, scan_time, range_min, range_max, count = (
+        order.scan.unpack_from(payload, at)
+    )
+    # fmt: on
+    at += order.scan.size
+    ranges = np.frombuffer(payload, order.range, count, at)
+    at += ranges.nbytes
+    (count,) = order.length.unpack_from(payload, at)
+    at += order.length.size
+    intensities = np.frombuffer(payload, order.range, count, at)
+    row = ScanRow(
+        seconds,
+        nanoseconds,
+        frame,
+        angle_min,
+        increment,
+        time_increment,
+        scan_time,
+        range_min,
+        range_max,
+        ranges,
+        intensities,
+    )
+    return row, at + intensities.nbytes
+
+
+@_whole
+def read_odometry(payload: Payload, order: _Order) -> tuple[PoseRow, int]:
+    """nav_msgs/msg/Odometry."""
+    seconds, nanoseconds, parent, at = _header(payload, _ENCAPSULATION_BYTES, order)
+    child, at = _name(payload, at, order)
+    numbers, at = _pose(payload, at, order)
+    return (seconds, nanoseconds, parent, child, numbers), at + _BEHIND_THE_POSE_BYTES
+
+
+@_whole
+def read_pose(payload: Payload, order: _Order) -> tuple[PoseRow, int]:
+    """geometry_msgs/msg/PoseStamped."""
+    seconds, nanoseconds, parent, at = _header(payload, _ENCAPSULATION_BYTES, order)
+    numbers, at = _pose(payload, at, order)
+    return (seconds, nanoseconds, parent, "", numbers), at
+
+
+@_whole
+def read_transforms(payload: Payload, order: _Order) -> tuple[list[PoseRow], int]:
+    """tf2_msgs/msg/TFMessage."""
+    rows = []
+    (count,) = order.length.unpack_from(payload, _ENCAPSULATION_BYTES)
+    at = _ENCAPSULATION_BYTES + order.length.size
+    for _ in range(count):
+        seconds, nanoseconds, parent, at = _header(payload, at + -at % _COUNT_BYTES, order)
+        child, at = _name(payload, at, order)
+        numbers, at = _pose(payload, at, order)
+        rows.append((seconds, nanoseconds, parent, child, numbers))
+    return rows, at
+
+
+def _header(payload: Payload, at: int, order: _Order) -> tuple[int, int, str, int]:
+    """Seconds, nanoseconds and frame of the header at a place, and the place behind it."""
+    seconds, nanoseconds, size = order.header.unpack_from(payload, at)
+    at += order.header.size + size
+    return seconds, nanoseconds, _text(payload, at, size), at
+
+
+def _name(payload: Payload, at: int, order: _Order) -> tuple[str, int]:
+    at += -at % _COUNT_BYTES
+    (size,) = order.length.unpack_from(payload, at)
+    at += order.length.size + size
+    return _text(payload, at, size), at
+
+
+def _pose(payload: Payload, at: int, order: _Order) -> tuple[tuple[float, ...], int]:
+    at += -(at - _ENCAPSULATION_BYTES) % _NUMBER_BYTES
+    return order.pose.unpack_from(payload, at), at + order.pose.size
+
+
+def _text(payload: Payload, end: int, size: int) -> str:
+    """A name of ``size`` bytes, the last of them zero."""
+    if size == 0 or payload[end - 1 : end] != b"\0":
+        raise ValueError("a name does not end with zero")
+    return str(payload[end - size : end - 1], "utf-8")
+
+
+# By type and the RIHS01 hash of its definition, which only this layout has.
+READERS = {
+    (name, f"RIHS01_{sha256}"): reader
+    for name, sha256, reader in (
+        (
+            "sensor_msgs/msg/LaserScan",
+            "64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828",
+            read_scan,
+        ),
+        (
+            "nav_msgs/msg/Odometry",
+            "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
+            read_odometry,
+        ),
+        (
+            "geometry_msgs/msg/PoseStamped",
+            "10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8",
+            read_pose,
+        ),
+        (
+            "tf2_msgs/msg/TFMessage",
+            "e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
+            read_transforms,
+        ),
+    )
+}
