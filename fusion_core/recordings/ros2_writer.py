@@ -2,7 +2,7 @@
 
 import struct
 from pathlib import Path
-from typing import Any
+from typing import Any, assert_never
 
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
@@ -18,6 +18,7 @@ from fusion_core.model.sensors import (
     LaserScan,
     PointCloud,
     PoseSample,
+    SensorValue,
     TransformBatch,
 )
 from fusion_core.recordings.decode import millimetres_from_depth_m
@@ -39,6 +40,30 @@ class Ros2McapWriter:
         self.path = path
         self._output = McapOutput(path)
         self._channels: dict[str, tuple[int, str]] = {}
+
+    def write(self, topic: str, value: SensorValue, *, odometry: bool = True) -> None:
+        """Any value, as the message that fits it; a pose as PoseStamped unless as ``odometry``."""
+        match value:
+            case LaserScan():
+                self.write_laser_scan(topic, value)
+            case DepthImage():
+                self.write_depth(topic, value)
+            case ColorImage():
+                self.write_color(topic, value)
+            case CameraInfo():
+                self.write_camera_info(topic, value)
+            case PoseSample() if odometry:
+                self.write_odometry(topic, value)
+            case PoseSample():
+                self.write_pose_stamped(topic, value)
+            case TransformBatch():
+                self.write_transforms(topic, value)
+            case PointCloud():
+                self.write_point_cloud(topic, value)
+            case JointSample():
+                self.write_joint_state(topic, value)
+            case _:
+                assert_never(value)
 
     def write_laser_scan(self, topic: str, scan: LaserScan) -> None:
         """sensor_msgs/LaserScan; a missing range is NaN."""

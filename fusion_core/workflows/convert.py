@@ -5,7 +5,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar, assert_never
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,15 +14,9 @@ from fusion_core.model.errors import ExportError, RecordingError
 from fusion_core.model.progress import Progress
 from fusion_core.model.recording import Message, Recording, Role, Topic
 from fusion_core.model.sensors import (
-    CameraInfo,
-    ColorImage,
     DepthImage,
-    JointSample,
-    LaserScan,
-    PointCloud,
     PoseSample,
     SensorValue,
-    TransformBatch,
 )
 from fusion_core.recordings.indexed import IndexedRecording, SerializedMessage
 from fusion_core.recordings.mcap.output import McapOutput
@@ -327,7 +321,7 @@ def _write_values(
         for log_time_ns, message in _selected(recording.messages, roles, selection):
             value = replace(message.value, received_ns=log_time_ns)
             try:
-                _write_value(writer, message.topic, roles[message.topic], value)
+                writer.write(message.topic, value, odometry=roles[message.topic] == "odometry")
             except BadMessage as error:
                 account.lost(message.topic, f"{error}.")
                 continue
@@ -336,31 +330,6 @@ def _write_values(
                 account.note(loss)
             account.written(message.topic, log_time_ns)
         account.require_messages(recording.path)
-
-
-def _write_value(writer: Ros2McapWriter, topic: str, role: Role, value: SensorValue) -> None:
-    """Write a value as the message that fits it."""
-    match value:
-        case LaserScan():
-            writer.write_laser_scan(topic, value)
-        case DepthImage():
-            writer.write_depth(topic, value)
-        case ColorImage():
-            writer.write_color(topic, value)
-        case CameraInfo():
-            writer.write_camera_info(topic, value)
-        case PoseSample() if role == "odometry":
-            writer.write_odometry(topic, value)
-        case PoseSample():
-            writer.write_pose_stamped(topic, value)
-        case TransformBatch():
-            writer.write_transforms(topic, value)
-        case PointCloud():
-            writer.write_point_cloud(topic, value)
-        case JointSample():
-            writer.write_joint_state(topic, value)
-        case _:
-            assert_never(value)
 
 
 def _losses(topic: str, role: Role, value: SensorValue) -> Iterator[str]:

@@ -16,10 +16,8 @@ from fusion_core.model.conventions import NS_PER_S
 from fusion_core.model.recording import Message
 from fusion_core.model.sensors import (
     CameraInfo,
-    ColorImage,
     DepthImage,
     LaserScan,
-    PoseSample,
     TransformBatch,
 )
 from fusion_core.recordings.formats import open_recording
@@ -43,25 +41,8 @@ def altered(file: Path, change: Change) -> Path:
         for number, original in enumerate(recording.messages(end_ns=end_ns)):
             message = change(number, original)
             if message is not None:
-                _write(writer, message)
+                writer.write(message.topic, message.value)
     return file
-
-
-def _write(writer: Ros2McapWriter, message: Message) -> None:
-    topic, value = message.topic, message.value
-    match value:
-        case LaserScan():
-            writer.write_laser_scan(topic, value)
-        case DepthImage():
-            writer.write_depth(topic, value)
-        case ColorImage():
-            writer.write_color(topic, value)
-        case CameraInfo():
-            writer.write_camera_info(topic, value)
-        case PoseSample():
-            writer.write_odometry(topic, value)
-        case TransformBatch():
-            writer.write_transforms(topic, value)
 
 
 def _without(kind: type) -> Change:

@@ -410,18 +410,8 @@ def build_split_folder(path: Path) -> Sample:
 
 def build_ours(file: Path) -> Sample:
     with Ros2McapWriter(file) as writer:
-        write = {
-            "/scan": writer.write_laser_scan,
-            "/camera/depth/image_raw": writer.write_depth,
-            "/camera/color/image_raw": writer.write_color,
-            "/camera/depth/camera_info": writer.write_camera_info,
-            "/odom": writer.write_odometry,
-            "/ground_truth": writer.write_pose_stamped,
-            "/tf": writer.write_transforms,
-            "/tf_static": writer.write_transforms,
-        }
         for m in MESSAGES:
-            write[m.topic](m.topic, m.value)
+            writer.write(m.topic, m.value, odometry=m.topic == "/odom")
     return Sample(file, MESSAGES, types=TYPES)
 
 

@@ -67,19 +67,8 @@ def record(tmp_path: Path) -> Callable[..., Any]:
             for name, values in topics.items():
                 topic = "/" + name.replace("__", "/")
                 for value in values:
-                    match value:
-                        case LaserScan():
-                            writer.write_laser_scan(topic, value)
-                        case DepthImage():
-                            writer.write_depth(topic, value)
-                        case ColorImage():
-                            writer.write_color(topic, value)
-                        case CameraInfo():
-                            writer.write_camera_info(topic, value)
-                        case PoseSample(child=""):
-                            writer.write_pose_stamped(topic, value)
-                        case PoseSample():
-                            writer.write_odometry(topic, value)
+                    is_odometry = isinstance(value, PoseSample) and value.child != ""
+                    writer.write(topic, value, odometry=is_odometry)
         return open_recording(tmp_path / "r.mcap")
 
     return record

@@ -120,14 +120,7 @@ class Log:
             child=child,
             T_parent_child=T.copy(),
         )
-        self._add(
-            received_ns,
-            lambda writer: (
-                writer.write_odometry(topic, sample)
-                if child
-                else writer.write_pose_stamped(topic, sample)
-            ),
-        )
+        self._add(received_ns, lambda writer: writer.write(topic, sample, odometry=child != ""))
 
     def open(self) -> Recording:
         with Ros2McapWriter(self.path) as writer:
