@@ -1,4 +1,4 @@
-"""The measures of a result against the truth, ready for JSON.
+"""The measures of a result against the truth, a reference or relations, ready for JSON.
 
 Where a truth does not know how the camera is mounted, ``lever_arm_m`` gives its origin seen from
 the LiDAR's (forward, left, up) and ``pitch_rad`` how far it looks down; ``clock_offset_ms`` is
@@ -16,16 +16,21 @@ import numpy as np
 from fusion_core.evaluation.alignment import evaluate_alignment
 from fusion_core.evaluation.noise import evaluate_noise
 from fusion_core.evaluation.recall_curve import recall_over_epsilon
+from fusion_core.evaluation.relations import evaluate_relations
+from fusion_core.evaluation.relative_pose import Step, StepUnit
 from fusion_core.evaluation.repair import evaluate_repair
+from fusion_core.evaluation.trajectories import GREATEST_GAP_S, Alignment, evaluate_trajectory
 from fusion_core.evaluation.truth import LeverArm, Truth, load_truth
 from fusion_core.model.conventions import Float32Array
 from fusion_core.model.errors import SettingsError
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import DepthImage
 from fusion_core.recordings.formats import open_recording
+from fusion_core.recordings.relation_file import read_relations
+from fusion_core.recordings.tum_trajectory import read_tum_trajectory
 
-# Fig. 6 of Xu 2024 shows [1, sqrt 2]; the rest shows what lies beside the band.
-_EPSILON_OVER_E = np.linspace(0.2, 6.0, 30)
+EPSILON_OVER_E = np.linspace(0.2, 6.0, 30)
+"""Fig. 6 of Xu 2024 shows [1, sqrt 2]; the rest shows what lies beside the band."""
 
 
 def alignment(
@@ -51,7 +56,7 @@ def noise(
 ) -> dict[str, Any]:
     """Recalls of good, noise and conflict pairs, and the curves of Fig. 6 (``over_epsilon``)."""
     known = _load(truth, lever_arm_m, pitch_rad, clock_offset_ms)
-    curve = recall_over_epsilon(fuse_dir, known, _EPSILON_OVER_E)
+    curve = recall_over_epsilon(fuse_dir, known, EPSILON_OVER_E)
     return {**evaluate_noise(fuse_dir, known).to_json(), "over_epsilon": curve.to_json()}
 
 
@@ -73,6 +78,38 @@ def repair(
         return evaluate_repair(fuse_dir, known).to_json()
     with open_recording(recording) as opened:
         return evaluate_repair(fuse_dir, known, depth_images(opened)).to_json()
+
+
+def trajectory(
+    estimate: Path,
+    reference: Path,
+    *,
+    alignment: Alignment = "se3",
+    delta: float = 1.0,
+    unit: StepUnit = "s",
+    greatest_gap_s: float = GREATEST_GAP_S,
+) -> dict[str, Any]:
+    """Absolute and relative pose errors between two TUM files, as ``evaluate_trajectory`` has it.
+
+    ``delta`` and ``unit`` are the step of the relative errors.
+    """
+    step = Step(delta=delta, unit=unit)
+    own, true = read_tum_trajectory(estimate), read_tum_trajectory(reference)
+    report = evaluate_trajectory(
+        own.trajectory,
+        true.trajectory,
+        alignment=alignment,
+        step=step,
+        greatest_gap_s=greatest_gap_s,
+    )
+    return {**report.to_json(), "warnings": [*own.warnings, *true.warnings]}
+
+
+def relations(trajectory: Path, relations: Path) -> dict[str, Any]:
+    """Errors of a TUM file over relations, as Kümmerle and as Cartographer measure them."""
+    own = read_tum_trajectory(trajectory)
+    report = evaluate_relations(own.trajectory, read_relations(relations))
+    return {**report.to_json(), "warnings": list(own.warnings)}
 
 
 def depth_images(recording: Recording) -> Iterator[tuple[str, int, Float32Array]]:

@@ -49,6 +49,11 @@ def test_lines_are_sorted_and_the_first_of_one_stamp_is_kept(tmp_path: Path) -> 
     assert "because another has their stamp: 1." in repeated
 
 
+def test_a_repeated_stamp_alone_is_no_disorder(tmp_path: Path) -> None:
+    read = read_tum_trajectory(written(tmp_path, f"1 {ORIGIN}", f"1 {ORIGIN}", f"2 {ORIGIN}"))
+    assert read.warnings == ("trajectory.tum: lines left out because another has their stamp: 1.",)
+
+
 @pytest.mark.parametrize(
     ("line", "words"),
     [

@@ -1,0 +1,82 @@
+"""Stacks of rigid transforms (N, 4, 4): how they differ, and a trajectory's poses at many instants.
+
+``Trajectory.at`` answers for one instant; these answer for all relations or poses in one go.
+"""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
+from fusion_core.model.trajectory import Trajectory
+
+
+def inverses(T_a_b: FloatArray) -> FloatArray:
+    """(N, 4, 4) T_b_a."""
+    rotations = np.swapaxes(T_a_b[:, :3, :3], 1, 2)
+    result = np.tile(np.eye(4), (len(T_a_b), 1, 1))
+    result[:, :3, :3] = rotations
+    result[:, :3, 3] = -np.einsum("nij,nj->ni", rotations, T_a_b[:, :3, 3])
+    return result
+
+
+def relative(T_map_a: FloatArray, T_map_b: FloatArray) -> FloatArray:
+    """(N, 4, 4) T_a_b."""
+    rotations = np.swapaxes(T_map_a[:, :3, :3], 1, 2)
+    result = np.tile(np.eye(4), (len(T_map_a), 1, 1))
+    result[:, :3, :3] = rotations @ T_map_b[:, :3, :3]
+    # Of the difference: positions far from the map's origin would lose their last digits.
+    step_m = T_map_b[:, :3, 3] - T_map_a[:, :3, 3]
+    result[:, :3, 3] = np.einsum("nij,nj->ni", rotations, step_m)
+    return result
+
+
+def lengths_m(T_a_b: FloatArray) -> FloatArray:
+    """(N,) how far each moves the origin."""
+    return np.asarray(np.linalg.norm(T_a_b[:, :3, 3], axis=1))
+
+
+def angles_rad(T_a_b: FloatArray) -> FloatArray:
+    """(N,) angle of each rotation, in [0, pi]."""
+    return np.asarray(Rotation.from_matrix(T_a_b[:, :3, :3]).magnitude())
+
+
+def planar(T_map_body: FloatArray) -> FloatArray:
+    """(N, 4, 4) with x, y and yaw alone; height, pitch and roll are dropped."""
+    yaw_rad = np.arctan2(T_map_body[:, 1, 0], T_map_body[:, 0, 0])
+    result = np.tile(np.eye(4), (len(T_map_body), 1, 1))
+    result[:, :3, :3] = Rotation.from_euler("z", yaw_rad[:, np.newaxis]).as_matrix()
+    result[:, :2, 3] = T_map_body[:, :2, 3]
+    return result
+
+
+def poses_at(
+    trajectory: Trajectory, stamps_ns: IntArray, greatest_gap_ns: int | None = None
+) -> tuple[FloatArray, BoolArray]:
+    """Poses interpolated at (N,) instants in any order: (K, 4, 4), and (N,) which K are known.
+
+    Position along the line, rotation along the shorter arc, between the two neighbours in time.
+    Unknown is what lies outside the trajectory, or between neighbours farther apart than
+    ``greatest_gap_ns``; an instant that has a pose of its own is always known.
+    """
+    own_ns = trajectory.stamps_ns
+    known: BoolArray = (stamps_ns >= own_ns[0]) & (stamps_ns <= own_ns[-1])
+    asked_ns = stamps_ns[known]
+    after = np.searchsorted(own_ns, asked_ns)
+    before = np.where(own_ns[after] == asked_ns, after, after - 1)
+    gap_ns = own_ns[after] - own_ns[before]
+    if greatest_gap_ns is not None:
+        near = gap_ns <= greatest_gap_ns
+        known[known] = near
+        asked_ns, before, after, gap_ns = (a[near] for a in (asked_ns, before, after, gap_ns))
+    share = (asked_ns - own_ns[before]) / np.maximum(gap_ns, 1)
+    return _between(trajectory.T_map_body[before], trajectory.T_map_body[after], share), known
+
+
+def _between(T_before: FloatArray, T_after: FloatArray, share: FloatArray) -> FloatArray:
+    result = T_before.copy()
+    step_m = T_after[:, :3, 3] - T_before[:, :3, 3]
+    result[:, :3, 3] += share[:, np.newaxis] * step_m
+    turn = Rotation.from_matrix(relative(T_before, T_after)[:, :3, :3]).as_rotvec()
+    part = Rotation.from_rotvec(share[:, np.newaxis] * turn).as_matrix()
+    result[:, :3, :3] = T_before[:, :3, :3] @ part
+    return result

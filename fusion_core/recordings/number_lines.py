@@ -1,0 +1,94 @@
+"""Text files with the same columns of numbers on every line; lines that begin with # are comments.
+
+A line that cannot be read is an error, not a warning: what such a file is compared with would
+otherwise be judged by a part of it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from fusion_core.model.errors import RecordingError
+from fusion_core.recordings.decimal_time import ns_from_decimal_seconds
+
+# Far beyond any trajectory of a robot; what is larger is another kind of file.
+_MAX_BYTES = 1 << 30
+_MAX_LINE_BYTES = 4096
+# No place on Earth is farther away, and its square is far from overflow.
+_LARGEST = 1e9
+_LONGEST_SHOWN = 40
+
+
+@dataclass(frozen=True, slots=True)
+class NumberLine:
+    """The words of one line, as many as ``columns`` names."""
+
+    file: Path
+    number: int
+    columns: str
+    words: list[str]
+
+    def time_ns(self, column: int) -> int:
+        """A time in seconds, read without a float in between. Raises RecordingError."""
+        time_ns = ns_from_decimal_seconds(self.words[column])
+        if time_ns is None:
+            raise self.error(f"{_shown(self.words[column])} is no time in seconds")
+        return time_ns
+
+    def numbers(self, first: int) -> list[float]:
+        """The columns from ``first`` on. Raises RecordingError for what is no finite number."""
+        return [self._number(word) for word in self.words[first:]]
+
+    def _number(self, word: str) -> float:
+        try:
+            number = float(word)
+        except ValueError:
+            raise self.error(f"{_shown(word)} is no number") from None
+        # NaN compares false.
+        if not abs(number) <= _LARGEST:
+            raise self.error(f"{_shown(word)} is not between -1e9 and 1e9")
+        return number
+
+    def error(self, problem: str) -> RecordingError:
+        """What is wrong with this line, and what it should be."""
+        return RecordingError(
+            f"line {self.number}: {problem}.",
+            file=self.file,
+            advice=f"Each line holds {self.columns}.",
+        )
+
+
+def number_lines(file: Path, columns: str) -> Iterator[NumberLine]:
+    """The lines of a file that are neither empty nor comments.
+
+    Raises RecordingError for a line without a word for each of ``columns``, for what is no text,
+    and for a file without lines; OSError where the file cannot be read.
+    """
+    if file.stat().st_size > _MAX_BYTES:
+        raise RecordingError(
+            f"is larger than {_MAX_BYTES} bytes.", file=file, advice=f"Each line holds {columns}."
+        )
+    count = len(columns.split())
+    empty = True
+    with file.open("rb") as stream:
+        lines = iter(partial(stream.readline, _MAX_LINE_BYTES), b"")
+        for number, text in enumerate(lines, start=1):
+            line = NumberLine(file, number, columns, _words(text))
+            if not line.words or line.words[0].startswith("#"):
+                continue
+            if len(line.words) != count:
+                raise line.error(f"has {len(line.words)} fields, not {count}")
+            empty = False
+            yield line
+    if empty:
+        raise RecordingError("holds no lines.", file=file, advice=f"Each line holds {columns}.")
+
+
+def _words(text: bytes) -> list[str]:
+    # What is no text becomes a word that is no number, and is refused as such.
+    return text.decode(errors="replace").split()
+
+
+def _shown(word: str) -> str:
+    return repr(word if len(word) <= _LONGEST_SHOWN else f"{word[:_LONGEST_SHOWN]}…")
