@@ -31,7 +31,7 @@ class AlignmentFailed(ScanLoomError):
 
 
 class RegistrationFailed(ScanLoomError):
-    """No acceptable map A explains the pairs of a frame."""
+    """No acceptable map A explains the pairs of a frame, or no motion two sweeps."""
 
 
 class MissingStream(ScanLoomError):

@@ -1,0 +1,166 @@
+"""The iterations of PL-ICP (Censi 2008): pair, trim, take the closed-form step, until it is small.
+
+Not every place tells all of a pose: along a corridor, or about the middle of a round room, any
+motion fits alike. Noise in the lines' normals feigns some information there, which would let the
+pose drift. Such a direction is found by comparing the two, and the pose is left as it was on it.
+"""
+
+import numpy as np
+from numba import njit
+
+from fusion_core.model.conventions import BoolArray, FloatArray
+from fusion_core.registration.line_pairs import (
+    LinePairs,
+    drop_duplicates,
+    no_pairs,
+    pair_up,
+    trim,
+)
+from fusion_core.registration.local_lines import LocalLines, crossing_share
+from fusion_core.registration.point_to_line import add_pair, solve
+from fusion_core.registration.polar_correspondence import PolarScan
+
+# Far from the optimum a quarter of the points tells the way as well as all of them.
+_COARSE_STRIDE = 4
+_COARSE_ITERATIONS = 10
+
+# Squared length of a step, in its own standard deviations, at which iterating ends. Single pairs
+# at the edge of trimming may come and go for ever: after a while, a third of a deviation will do.
+_COARSE_STEP = 1.0
+_FINE_STEP = 1e-3
+_PATIENCE = 12
+_LATE_STEP = 0.1
+
+# Two points on each of three lines.
+PAIRS_MIN = 6
+
+# A direction with less information than this many times what noisy normals feign is open.
+_FEIGNED = 16.0
+_ROUNDING = 1e-10
+
+
+@njit(cache=True, error_model="numpy")
+def align(
+    reference: PolarScan,
+    lines: LocalLines,
+    moving: PolarScan,
+    start: FloatArray,
+    sigmas_m: tuple[float, float],
+    distance_max_m: float,
+    trim_sigmas: float,
+    iterations_max: int,
+) -> tuple[FloatArray, LinePairs, int, bool, float]:
+    """Iterate from ``start``, the pose (3,) of the moving sweep in the reference's frame.
+
+    ``sigmas_m``: of the ranges of the reference and of the moving sweep. Returns the pose, its
+    pairs, the iterations, whether they converged, and the robust residual over the expected one.
+
+    Duplicates are dropped while the pose is coarse, when they tell of wrong pairs. Near the
+    optimum they tell of a denser sweep, which the weights account for.
+    """
+    pose = start.copy()
+    pairs = no_pairs(moving.range_m.size)
+    stride = _COARSE_STRIDE
+    limit, scale = np.inf, np.inf
+    for iteration in range(1, iterations_max + 1):
+        pair_up(pairs, reference, lines, moving, pose, sigmas_m, distance_max_m, stride)
+        if stride > 1:
+            drop_duplicates(pairs, reference.range_m.size, stride)
+        left, limit, scale = trim(pairs, trim_sigmas, limit, stride)
+        if left < PAIRS_MIN:
+            if stride == 1:
+                return pose, pairs, iteration, False, scale
+            stride = 1
+            continue
+        step, squared_length = _step(pairs, reference, lines, moving, pose, sigmas_m[0], stride)
+        settled = squared_length < (_FINE_STEP if iteration < _PATIENCE else _LATE_STEP)
+        if stride == 1 and settled and limit <= trim_sigmas * max(scale, 1.0):
+            return pose, pairs, iteration, True, scale
+        pose += step
+        if squared_length < _COARSE_STEP or iteration >= _COARSE_ITERATIONS:
+            stride = 1
+    return pose, pairs, iterations_max, False, scale
+
+
+@njit(cache=True, error_model="numpy")
+def _step(
+    pairs: LinePairs,
+    reference: PolarScan,
+    lines: LocalLines,
+    moving: PolarScan,
+    pose: FloatArray,
+    sigma_m: float,
+    stride: int,
+) -> tuple[FloatArray, float]:
+    """The motion (3,) about the moving sensor's place, and its squared length in deviations."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    normal_matrix, right_side, feigned = np.zeros((4, 4)), np.zeros(4), np.zeros((3, 3))
+    for i in range(0, pairs.partner.size, stride):
+        j = pairs.partner[i]
+        if j < 0:
+            continue
+        x = moving.range_m[i] * (c * moving.cos[i] - s * moving.sin[i])
+        y = moving.range_m[i] * (s * moving.cos[i] + c * moving.sin[i])
+        normal_x, normal_y = lines.normal_x[j], lines.normal_y[j]
+        weight = pairs.weight_per_m2[i]
+        offset = normal_x * x + normal_y * y - pairs.residual_m[i]
+        add_pair(normal_matrix, right_side, x, y, normal_x, normal_y, offset, weight)
+        across = sigma_m * crossing_share(reference, lines, j, j)
+        add_feigned(feigned, x, y, normal_x, normal_y, weight * across**2 / lines.spread_m2[j])
+
+    m = normal_matrix
+    information = np.array(
+        [[m[0, 0], m[0, 1], m[0, 3]], [m[0, 1], m[1, 1], m[1, 3]], [m[0, 3], m[1, 3], m[3, 3]]]
+    )
+    # Σ w |p|² over Σ w: a turn by one radian moves the points by about this much.
+    lever_m = max(np.sqrt((m[2, 2] + m[3, 3]) / (m[0, 0] + m[1, 1])), 1e-6)
+    strength, directions, is_open = open_directions(information, feigned, lever_m)
+    if is_open.any():
+        # Half the derivative of the sum of squares at rest, u = (1, 0).
+        gradient = np.array(
+            [
+                m[0, 2] - right_side[0],
+                m[1, 2] - right_side[1],
+                (m[2, 3] - right_side[3]) / lever_m,
+            ]
+        )
+        step: FloatArray = np.zeros(3)
+        for k in range(3):
+            if not is_open[k]:
+                step -= directions[:, k] * ((directions[:, k] * gradient).sum() / strength[k])
+        step[2] /= lever_m
+    else:
+        step = solve(normal_matrix, right_side)
+    return step, float(step @ (information @ step))
+
+
+@njit(cache=True)
+def add_feigned(
+    feigned: FloatArray, x_m: float, y_m: float, normal_x: float, normal_y: float, weight: float
+) -> None:
+    """Add what a turn of one normal adds to the information (3, 3), its variance in ``weight``."""
+    row = (-normal_y, normal_x, normal_x * x_m + normal_y * y_m)
+    for i in range(3):
+        for j in range(3):
+            feigned[i, j] += weight * row[i] * row[j]
+
+
+@njit(cache=True, error_model="numpy")
+def open_directions(
+    information: FloatArray, feigned: FloatArray, lever_m: float
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Which directions of (x, y, yaw · lever) the pairs leave open.
+
+    ``information``, ``feigned``: (3, 3) of (x, y, yaw). Returns the eigenvalues (3,) and
+    eigenvectors (3, 3; columns) of the information with the yaw in units of 1 / lever, and (3,)
+    which of them are open.
+    """
+    scale = np.array([1.0, 1.0, 1.0 / lever_m])
+    strength, directions = np.linalg.eigh(information * np.outer(scale, scale))
+    noise = feigned * np.outer(scale, scale)
+    is_open = np.zeros(3, dtype=np.bool_)
+    for k in range(3):
+        direction = np.ascontiguousarray(directions[:, k])
+        limit = _FEIGNED * (direction @ (noise @ direction)) + _ROUNDING * strength[2]
+        is_open[k] = strength[k] <= limit
+    return strength, directions, is_open

@@ -1,0 +1,121 @@
+"""How uncertain a PL-ICP match is, from the noise of every range that it rests on.
+
+After Censi 2007 ("An accurate closed-form estimate of ICP's covariance"): at the optimum the
+gradient g(x, z) of the cost vanishes, so an error dz of the ranges moves the pose by
+-(dg/dx)⁻¹ (dg/dz) dz, and
+
+    cov(x) = (dg/dx)⁻¹ (dg/dz) cov(z) (dg/dz)ᵀ (dg/dx)⁻¹        (Censi 2007, eq. 4)
+
+z are the ranges of *both* sweeps. A reference range takes part in the lines of all of its
+neighbours, so their residuals err together: dg/dz is summed up by range before it is squared.
+"""
+
+from math import erf, exp, pi, sqrt
+
+import numpy as np
+from numba import njit
+
+from fusion_core.model.conventions import FloatArray
+from fusion_core.registration.line_icp import add_feigned, open_directions
+from fusion_core.registration.line_pairs import LinePairs
+from fusion_core.registration.local_lines import LocalLines, crossing_share
+from fusion_core.registration.polar_correspondence import PolarScan
+
+# The standard deviation that an open direction is given: finite, and larger than any room.
+OPEN_SIGMA_M = 100.0
+
+# Residuals smaller than the ranges' noise allows mean that the two sweeps err alike (quantised
+# or filtered ranges at rest), not that the match is the better for it.
+_NOISE_FACTOR_MIN = 0.5
+
+
+def trimmed_variance(sigmas: float) -> float:
+    """Variance of a unit Gaussian that is cut off at ± ``sigmas``."""
+    density = exp(-0.5 * sigmas**2) / sqrt(2.0 * pi)
+    return 1.0 - 2.0 * sigmas * density / erf(sigmas / sqrt(2.0))
+
+
+@njit(cache=True, error_model="numpy")
+def match_covariance(
+    pairs: LinePairs,
+    reference: PolarScan,
+    lines: LocalLines,
+    moving: PolarScan,
+    pose: FloatArray,
+    sigmas_m: tuple[float, float],
+    kept_variance: float,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Covariance (3, 3) of the pose (x, y, yaw) in the reference's frame; open directions; lever.
+
+    ``sigmas_m``: of the ranges of the reference and of the moving sweep. The pairs' residuals
+    scale the result where they disagree with these; ``kept_variance`` is the variance of a unit
+    Gaussian that trimming leaves. The open directions are (k, 3) in (x, y, yaw); with the yaw
+    multiplied by the lever, in metres, they are orthonormal.
+    """
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    count = reference.range_m.size
+    information, feigned, gradient_covariance = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    by_reference_range = np.zeros((count, 3))
+    squares, weights, levers, used = 0.0, 0.0, 0.0, 0
+    row = np.empty(3)
+    for i in range(pairs.partner.size):
+        j = pairs.partner[i]
+        if j < 0:
+            continue
+        used += 1
+        squares += pairs.residual_m[i] ** 2 / pairs.variance_m2[i]
+        weight = pairs.weight_per_m2[i]
+        direction_x = c * moving.cos[i] - s * moving.sin[i]
+        direction_y = s * moving.cos[i] + c * moving.sin[i]
+        range_m = moving.range_m[i]
+        x, y = range_m * direction_x, range_m * direction_y
+        normal_x, normal_y = lines.normal_x[j], lines.normal_y[j]
+        row[0], row[1], row[2] = normal_x, normal_y, normal_y * x - normal_x * y
+        weights += weight
+        levers += weight * range_m * range_m
+
+        across = sigmas_m[1] * (normal_x * direction_x + normal_y * direction_y)
+        _add_square(information, row, weight)
+        _add_square(gradient_covariance, row, (weight * across) ** 2)
+
+        # The line at the foot is Σ (1/K + s s_l / Σ s²) of the run's points, as in any regression.
+        foot = normal_x * (y + pose[1]) - normal_y * (x + pose[0]) - lines.centre_m[j]
+        beam = lines.first[j]
+        for _ in range(lines.beams[j]):
+            along = reference.range_m[beam] * (
+                normal_x * reference.sin[beam] - normal_y * reference.cos[beam]
+            )
+            share = 1.0 / lines.beams[j]
+            share += foot * (along - lines.centre_m[j]) / lines.spread_m2[j]
+            # Signs as in the residual do not matter: all beams of a run cross it the same way.
+            share *= weight * sigmas_m[0] * crossing_share(reference, lines, j, beam)
+            for a in range(3):
+                by_reference_range[beam, a] += share * row[a]
+            beam = beam + 1 if beam + 1 < count else 0
+        turn = (sigmas_m[0] * crossing_share(reference, lines, j, j)) ** 2 / lines.spread_m2[j]
+        add_feigned(feigned, x, y, normal_x, normal_y, weight * turn)
+    for beam in range(count):
+        _add_square(gradient_covariance, by_reference_range[beam], 1.0)
+
+    lever_m = max(np.sqrt(levers / weights), 1e-6)
+    scale = np.array([1.0, 1.0, 1.0 / lever_m])
+    _, directions, is_open = open_directions(information, feigned, lever_m)
+    closed, opened = directions[:, ~is_open], directions[:, is_open]
+    # Noisy normals feign information and add noise of their own to the gradient: w var(e) = 1.
+    true_information = (information - feigned) * np.outer(scale, scale)
+    noise = (gradient_covariance + feigned) * np.outer(scale, scale)
+    covariance = opened @ opened.T * OPEN_SIGMA_M**2
+    if closed.shape[1] > 0:
+        inverse = closed @ np.linalg.inv(closed.T @ true_information @ closed) @ closed.T
+        factor = squares / max(used - 3, 1) / kept_variance
+        covariance += inverse @ noise @ inverse * max(factor, _NOISE_FACTOR_MIN)
+    covariance *= np.outer(scale, scale)
+    return covariance, opened.T * scale, lever_m
+
+
+@njit(cache=True)
+def _add_square(matrix: FloatArray, row: FloatArray, weight: float) -> None:
+    """Add weight · row rowᵀ to (3, 3)."""
+    for a in range(3):
+        for b in range(3):
+            matrix[a, b] += weight * row[a] * row[b]

@@ -1,0 +1,370 @@
+"""PL-ICP: the motion between two sweeps of a 2D LiDAR, with its covariance (Censi 2008).
+
+    import numpy as np
+    from fusion_core.registration.pl_icp import match_scans
+
+    match = match_scans(
+        first_m, second_m, angle_min_rad=-np.pi, angle_increment_rad=2.0 * np.pi / 720
+    )
+    x_m, y_m, yaw_rad = match.pose_first_second     # where the second sweep was taken
+    match.covariance                                # (3, 3) of these three
+    match.observable                                # False in a corridor: see open_directions
+
+``first_m`` and ``second_m`` are plain arrays of ranges in metres, NaN (or inf, or 0) for a beam
+without an answer. No first guess is needed: within ``search_translation_m`` and
+``search_rotation_rad`` of it the start is searched (correlative.py). A pair that cannot be
+matched raises RegistrationFailed and says why; there is no answer that only looks like one.
+
+To match many sweeps with one, prepare it once:
+
+    reference = ReferenceScan.of(first_m, angle_min_rad=..., angle_increment_rad=...)
+    match = match_to(reference, second_m, angle_min_rad=..., angle_increment_rad=...)
+
+Li 2022 eq. 4 is the cost: Σ (n_i · (p_i ⊕ q - Π(p_i ⊕ q_k)))², the projection Π on the reference
+being on the line of local_lines.py and n_i its normal. Beside Censi 2008: lines are fitted to
+runs of beams, and each pair is weighted by the range noise that crosses its line, which makes
+the estimate nearly as good as the beams allow.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import sqrt
+
+import numpy as np
+
+from fusion_core.model.conventions import FloatArray, read_only, wrap_angle
+from fusion_core.model.errors import RegistrationFailed
+from fusion_core.registration.correlative import SearchWindow, best_pose
+from fusion_core.registration.likelihood_grid import LikelihoodPyramid, likelihood_pyramid
+from fusion_core.registration.line_icp import align
+from fusion_core.registration.local_lines import LocalLines, local_lines, range_sigma_m
+from fusion_core.registration.match_covariance import match_covariance, trimmed_variance
+from fusion_core.registration.polar_correspondence import PolarScan, polar_scan
+from fusion_core.settings import StageSettings, setting
+
+# Blocks of 16 cells are about as wide as the window: few of them to begin with.
+_SEARCH_LEVELS = 5
+
+
+class PlIcpSettings(StageSettings):
+    """Settings of ``match_scans``."""
+
+    range_sigma_m: float | None = setting(
+        None,
+        "Standard deviation of a range; estimated from the sweep if not given",
+        unit="m",
+        gt=0.0,
+    )
+    pair_distance_m: float = setting(
+        0.3, "Greatest distance of a point from the reference's nearest", unit="m", gt=0.0, le=10.0
+    )
+    trim_sigmas: float = setting(
+        3.0, "Pairs off by more standard deviations are left out", ge=1.0, le=10.0
+    )
+    iterations_max: int = setting(50, "Iterations at which a start is given up", ge=1, le=1_000)
+    beams_min: int = setting(30, "Fewest valid beams of a sweep", unit="beams", ge=6, le=10_000)
+    inlier_share_min: float = setting(
+        0.4, "Least share of the second sweep's valid beams that must fit", gt=0.0, le=1.0
+    )
+    inlier_share_sure: float = setting(
+        0.7, "Share of fitting beams at which no other start is tried", gt=0.0, le=1.0
+    )
+    residual_max: float = setting(
+        4.0, "Greatest robust residual, in multiples of what range noise explains", gt=1.0, le=1e3
+    )
+    search_translation_m: float = setting(
+        1.0, "Search of a start: how far along x and y", unit="m", ge=0.0, le=50.0
+    )
+    search_rotation_rad: float = setting(
+        np.pi / 3.0, "Search of a start: how far to either side", unit="rad", ge=0.0, le=np.pi
+    )
+    search_resolution_m: float = setting(
+        0.1, "Search of a start: width of a cell", unit="m", gt=0.0, le=2.0
+    )
+    search_step_rad: float = setting(
+        0.0175, "Search of a start: step of the turn", unit="rad", gt=0.0, le=0.5
+    )
+    search_points: int = setting(
+        90, "Search of a start: points of the second sweep", unit="points", ge=10, le=10_000
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceScan:
+    """A sweep that others are matched to: its beams, their noise, its lines, its grid."""
+
+    scan: PolarScan
+    sigma_m: float
+    lines: LocalLines
+    settings: PlIcpSettings
+
+    @classmethod
+    def of(
+        cls,
+        ranges_m: FloatArray,
+        *,
+        angle_min_rad: float,
+        angle_increment_rad: float,
+        settings: PlIcpSettings | None = None,
+    ) -> "ReferenceScan":
+        """Prepare a sweep (N,); arguments and errors as in ``match_scans``."""
+        settings = settings or PlIcpSettings()
+        scan, sigma_m = _prepare("first", ranges_m, angle_min_rad, angle_increment_rad, settings)
+        lines: LocalLines = local_lines(scan, sigma_m)
+        return cls(scan=scan, sigma_m=sigma_m, lines=lines, settings=settings)
+
+    @cached_property
+    def pyramid(self) -> LikelihoodPyramid:
+        """The grid in which a start is searched."""
+        resolution_m = self.settings.search_resolution_m
+        return likelihood_pyramid(
+            _points(self.scan),
+            resolution_m=resolution_m,
+            reach_m=2.0 * resolution_m,
+            levels=_SEARCH_LEVELS,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ScanMatch:
+    """The motion between two sweeps, and its quality.
+
+    ``pose_first_second``: (3,) x, y, yaw of the second sweep in the first one's frame.
+    ``covariance``: (3, 3) of it, see match_covariance.py. ``open_directions``: (k, 3) directions
+    of (x, y, yaw) that the sweeps do not tell, as along a corridor; the pose keeps the guess there
+    and the covariance holds 100 m. ``error_m``: root mean square distance of the inliers from
+    their lines. ``residual``: the pairs' robust residual over the one that range noise explains.
+    ``inlier_share``: of the second sweep's valid beams. ``iterations``: of all starts.
+    ``start``: (3,) the pose from which the match was found; ``starts``: how many were tried.
+    ``converged``: False where the best match fits but its steps had not become small when
+    ``iterations_max`` ended them.
+    """
+
+    pose_first_second: FloatArray
+    covariance: FloatArray
+    open_directions: FloatArray
+    error_m: float
+    residual: float
+    inlier_share: float
+    iterations: int
+    start: FloatArray
+    starts: int
+    converged: bool
+
+    def __post_init__(self) -> None:
+        for array in (self.pose_first_second, self.covariance, self.open_directions, self.start):
+            read_only(array)
+
+    @property
+    def observable(self) -> bool:
+        """Whether the sweeps tell the motion in every direction."""
+        return bool(self.open_directions.shape[0] == 0)
+
+
+def match_scans(
+    first_ranges_m: FloatArray,
+    second_ranges_m: FloatArray,
+    *,
+    angle_min_rad: float,
+    angle_increment_rad: float,
+    guess: FloatArray | None = None,
+    settings: PlIcpSettings | None = None,
+) -> ScanMatch:
+    """The pose of the second sweep in the frame of the first.
+
+    ``first_ranges_m``, ``second_ranges_m``: (N,) and (M,) metres; what is not finite and positive
+    is a missing beam. Both have the given angles, counter-clockwise; the increment may be
+    negative. ``guess``: (3,) x, y, yaw in metres and radians. With a guess it is refined, and a
+    search about it is the fallback; without, the search about the first sweep's own pose comes
+    first. Raises RegistrationFailed where a sweep has too few beams or no start leads to a match.
+    """
+    reference = ReferenceScan.of(
+        first_ranges_m,
+        angle_min_rad=angle_min_rad,
+        angle_increment_rad=angle_increment_rad,
+        settings=settings,
+    )
+    return match_to(
+        reference,
+        second_ranges_m,
+        angle_min_rad=angle_min_rad,
+        angle_increment_rad=angle_increment_rad,
+        guess=guess,
+    )
+
+
+def match_to(
+    reference: ReferenceScan,
+    ranges_m: FloatArray,
+    *,
+    angle_min_rad: float,
+    angle_increment_rad: float,
+    guess: FloatArray | None = None,
+) -> ScanMatch:
+    """As ``match_scans``, with a first sweep that has been prepared."""
+    settings = reference.settings
+    moving, sigma_m = _prepare("second", ranges_m, angle_min_rad, angle_increment_rad, settings)
+    centre = np.zeros(3) if guess is None else np.array(guess, dtype=np.float64)
+    if centre.shape != (3,) or not np.isfinite(centre).all():
+        raise ValueError(f"a guess must be (3,) and finite, got {guess}")
+
+    best: _Candidate | None = None
+    refused = []
+    iterations = starts = 0
+    for attempt in _attempts(guess is not None, settings):
+        start = centre if attempt is None else _searched(reference, moving, centre, attempt)
+        found, steps = _refine(reference, moving, sigma_m, start)
+        starts += 1
+        iterations += steps
+        if isinstance(found, str):
+            refused.append(found)
+            continue
+        if attempt is not None and found.open_directions.size:
+            # The search had to take some pose where all are alike; the centre's is the better one.
+            again, steps = _refine(reference, moving, sigma_m, _closest(found, centre))
+            iterations += steps
+            found = found if isinstance(again, str) else again
+        if best is None or (found.converged, found.inlier_share) > (
+            best.converged,
+            best.inlier_share,
+        ):
+            best = found
+        if best.converged and best.inlier_share >= settings.inlier_share_sure:
+            break
+    if best is None:
+        raise RegistrationFailed(
+            f"the two sweeps do not match from any of {starts} starts ({'; '.join(refused)}).",
+            advice="Give a guess, widen the search, or match sweeps that are nearer to each other.",
+        )
+    best.pose[2] = wrap_angle(best.pose[2])
+    return ScanMatch(
+        pose_first_second=best.pose,
+        covariance=best.covariance,
+        open_directions=best.open_directions,
+        error_m=best.error_m,
+        residual=best.residual,
+        inlier_share=best.inlier_share,
+        iterations=iterations,
+        start=best.start,
+        starts=starts,
+        converged=best.converged,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Candidate:
+    """What one start led to; the fields are those of ScanMatch."""
+
+    start: FloatArray
+    pose: FloatArray
+    covariance: FloatArray
+    open_directions: FloatArray
+    lever_m: float
+    error_m: float
+    residual: float
+    inlier_share: float
+    converged: bool
+
+
+def _refine(
+    reference: ReferenceScan, moving: PolarScan, sigma_m: float, start: FloatArray
+) -> tuple[_Candidate | str, int]:
+    """PL-ICP from one start: the match, or why it is none; the iterations."""
+    settings = reference.settings
+    sigmas_m = (reference.sigma_m, sigma_m)
+    pose, pairs, iterations, converged, residual = align(
+        reference.scan,
+        reference.lines,
+        moving,
+        start,
+        sigmas_m,
+        settings.pair_distance_m,
+        settings.trim_sigmas,
+        settings.iterations_max,
+    )
+    inliers = pairs.partner >= 0
+    share = np.count_nonzero(inliers) / inliers.size
+    if share < settings.inlier_share_min:
+        return f"{share:.0%} of the beams fit, {settings.inlier_share_min:.0%} must", iterations
+    if residual > settings.residual_max:
+        return f"residuals are {residual:.3g} times the ranges' noise", iterations
+    covariance, open_directions, lever_m = match_covariance(
+        pairs,
+        reference.scan,
+        reference.lines,
+        moving,
+        pose,
+        sigmas_m,
+        trimmed_variance(settings.trim_sigmas),
+    )
+    residual_m = pairs.residual_m[inliers]
+    candidate = _Candidate(
+        start=start,
+        pose=pose,
+        covariance=covariance,
+        open_directions=open_directions,
+        lever_m=lever_m,
+        error_m=sqrt(residual_m @ residual_m / residual_m.size),
+        residual=residual,
+        inlier_share=share,
+        converged=converged,
+    )
+    return candidate, iterations
+
+
+def _closest(found: _Candidate, centre: FloatArray) -> FloatArray:
+    """The pose nearest to ``centre`` that differs from the match in open directions alone."""
+    scale = np.array([1.0, 1.0, found.lever_m])
+    difference = found.pose - centre
+    difference[2] = wrap_angle(difference[2])
+    directions = found.open_directions * scale
+    moved: FloatArray = found.pose - directions.T @ (directions @ (difference * scale)) / scale
+    return moved
+
+
+def _attempts(has_guess: bool, settings: PlIcpSettings) -> list[tuple[float, float] | None]:
+    """How each start is found: None for the guess itself, else how far to search about it."""
+    near = (settings.search_translation_m, settings.search_rotation_rad)
+    # The last resort: any turn, and twice as far.
+    return [*([None] if has_guess else []), near, (2.0 * near[0], np.pi)]
+
+
+def _searched(
+    reference: ReferenceScan, moving: PolarScan, centre: FloatArray, reach: tuple[float, float]
+) -> FloatArray:
+    """The start that fits best within (metres, radians) of a pose."""
+    settings = reference.settings
+    points_m = _points(moving)
+    stride = max(1, points_m.shape[0] // settings.search_points)
+    window = SearchWindow(
+        centre=(float(centre[0]), float(centre[1]), float(centre[2])),
+        translation_m=reach[0],
+        rotation_rad=reach[1],
+    )
+    return best_pose(
+        reference.pyramid, points_m[::stride], window, step_rad=settings.search_step_rad
+    )
+
+
+def _points(scan: PolarScan) -> FloatArray:
+    """(M, 2) of the valid beams."""
+    points_m: FloatArray = scan.range_m[:, np.newaxis] * np.stack([scan.cos, scan.sin], axis=1)
+    return points_m
+
+
+def _prepare(
+    which: str,
+    ranges_m: FloatArray,
+    angle_min_rad: float,
+    angle_increment_rad: float,
+    settings: PlIcpSettings,
+) -> tuple[PolarScan, float]:
+    scan = polar_scan(ranges_m, angle_min_rad, angle_increment_rad)
+    if scan.range_m.size < settings.beams_min:
+        raise RegistrationFailed(
+            f"{scan.range_m.size} of the {which} sweep's {np.size(ranges_m)} beams are valid; "
+            f"{settings.beams_min} are needed.",
+            advice="Skip this sweep, or lower beams_min.",
+        )
+    given = settings.range_sigma_m
+    return scan, range_sigma_m(scan) if given is None else given
