@@ -204,6 +204,19 @@ def test_every_way_to_share_a_row_among_pages(tmp_path: Path, page_bytes: int) -
     assert found == {row[0]: row[3] for row in rows}
 
 
+def test_a_schema_that_is_no_text(tmp_path: Path) -> None:
+    written = rows_of(20, 300)
+    path = write(tmp_path / "a.db3", written)
+    content = path.read_bytes()
+    there = b"timestamp_idx ON messages"
+    assert there in content
+    # SQLite's own message quotes the name, which Python cannot decode then.
+    path.write_bytes(content.replace(there, b"timestamp_idx ON mess\xcbges"))
+    rows, warnings = read(path)
+    assert rows == written
+    assert warnings == ["a.db3: it is damaged (its schema is no text); messages found: 20."]
+
+
 def test_data_that_is_tied_to_itself_is_lost(tmp_path: Path) -> None:
     written = rows_of(5, 20_000)
     path = write(tmp_path / "a.db3", written)

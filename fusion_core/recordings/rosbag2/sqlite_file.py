@@ -44,6 +44,9 @@ _STEPS_AT_A_TIME = 1_000_000
 _LEAST_STEPS = 50_000_000
 _STEPS_PER_BYTE = 10
 
+# The second where SQLite's own message quotes bytes of the file that are no UTF-8.
+_DAMAGE = (sqlite3.Error, UnicodeDecodeError)
+
 Topics = dict[int, tuple[str, str, str]]
 
 
@@ -76,6 +79,8 @@ class SqliteFile:
             self._rows = _Database(path)
         except sqlite3.Error as error:
             self._rows = _DamagedDatabase(path, str(error))
+        except UnicodeDecodeError:
+            self._rows = _DamagedDatabase(path, "its schema is no text")
         content = self._rows.content
         self.channels = [_channel(content, topic_id) for topic_id in sorted(content.topics)]
         losses, entries = list(content.losses), content.entries
@@ -105,7 +110,7 @@ class SqliteFile:
 
 
 class _Database:
-    """Read through SQLite. Raises sqlite3.Error where the file is damaged."""
+    """Read through SQLite. Raises _DAMAGE where the file is damaged."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -132,7 +137,7 @@ class _Database:
                 row = self._connection.execute(
                     "SELECT id, data FROM messages WHERE id = ?", (row_id,)
                 ).fetchone()
-            except sqlite3.Error as error:
+            except _DAMAGE as error:
                 raise damaged(self._path, f"row {row_id} ({error})") from error
         if row is None or not isinstance(row[1], bytes):
             raise damaged(self._path, f"row {row_id} holds no message")
@@ -153,7 +158,7 @@ class _Database:
                     "SELECT id, data FROM messages NOT INDEXED WHERE id >= ? ORDER BY id", (row_id,)
                 )
             row: tuple[int, object] | None = forward.fetchone()
-        except sqlite3.Error:
+        except _DAMAGE:
             return None
         if row is None or row[0] != row_id:
             return None
