@@ -14,6 +14,18 @@ class StageSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+class SettingsGroup(StageSettings):
+    """Several stages' settings under their names."""
+
+    def stages(self) -> dict[str, StageSettings]:
+        """Each stage's settings by name, for the settings file."""
+        return {
+            name: value
+            for name in type(self).model_fields
+            if isinstance(value := getattr(self, name), StageSettings)
+        }
+
+
 def setting(
     default: Any,
     help: str,

@@ -21,7 +21,7 @@ from fusion_core.model.progress import Progress, silent
 MANIFEST_NAME = "manifest.json"
 
 _PROJECT = "scanloom"
-_LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "numba")
+_LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "numba", "gtsam")
 # Results are made in here and moved up when all are whole. A killed run leaves it behind.
 _WORK_NAME = ".scanloom-unfinished"
 _CHUNK_BYTES = 1 << 20

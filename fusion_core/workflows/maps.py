@@ -64,12 +64,17 @@ class Maps:
             except MappingFailed as error:
                 notes.append(f"No {name} map: {error.problem}")
                 continue
-            write_ros_map(folder, f"map_{name}", grids[name])
-            write_grid_picture(folder / f"map_{name}.png", grids[name])
+            write_map(folder, f"map_{name}", grids[name])
         difference = difference_of(grids)
         if difference is not None:
             write_difference_picture(folder / "map_difference.png", difference)
         return grids, notes
+
+
+def write_map(folder: Path, name: str, grid: OccupancyGrid) -> None:
+    """``name.pgm`` and ``name.yaml`` for robots, ``name.png`` for people."""
+    write_ros_map(folder, name, grid)
+    write_grid_picture(folder / f"{name}.png", grid)
 
 
 def difference_of(grids: Mapping[str, OccupancyGrid]) -> MapDifference | None:

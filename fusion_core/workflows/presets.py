@@ -21,12 +21,12 @@ from fusion_core.exporting.settings_file import dump_toml, load_toml, read_prese
 from fusion_core.mapping.grid import GridSettings
 from fusion_core.model.errors import SettingsError
 from fusion_core.registration.ransac import PUBLISHED, RegistrationSettings
-from fusion_core.settings import StageSettings, setting
+from fusion_core.settings import SettingsGroup, setting
 
 PresetName = Literal["default", "published"]
 
 
-class ChainSettings(StageSettings):
+class ChainSettings(SettingsGroup):
     """Every stage's settings, in the order of the chain."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -42,14 +42,6 @@ class ChainSettings(StageSettings):
     pairing: Literal["mount", "frame"] = setting(
         "mount", "Pair beams and pixels by the recording's mount, or each frame by its own (u, v)"
     )
-
-    def stages(self) -> dict[str, StageSettings]:
-        """Each stage's settings by name, for the settings file."""
-        return {
-            name: value
-            for name in type(self).model_fields
-            if isinstance(value := getattr(self, name), StageSettings)
-        }
 
 
 PRESETS: dict[PresetName, ChainSettings] = {

@@ -1,0 +1,1 @@
+"""Simultaneous localisation and mapping from planar scans."""

@@ -1,0 +1,41 @@
+"""Planar poses (x, y, yaw), one or many at a time: metres, metres, radians in [-pi, pi).
+
+Named as transforms are: ``compose(a_b, b_c)`` is the pose of c in a.
+"""
+
+import numpy as np
+
+from fusion_core.model.conventions import FloatArray, wrap_angle
+
+
+def compose(pose_a_b: FloatArray, pose_b_c: FloatArray) -> FloatArray:
+    """(..., 3) pose_a_c; the two broadcast."""
+    c, s = np.cos(pose_a_b[..., 2]), np.sin(pose_a_b[..., 2])
+    x, y = pose_b_c[..., 0], pose_b_c[..., 1]
+    return np.stack(
+        [
+            pose_a_b[..., 0] + c * x - s * y,
+            pose_a_b[..., 1] + s * x + c * y,
+            wrap_angle(pose_a_b[..., 2] + pose_b_c[..., 2]),
+        ],
+        axis=-1,
+    )
+
+
+def inverse(pose_a_b: FloatArray) -> FloatArray:
+    """(..., 3) pose_b_a."""
+    c, s = np.cos(pose_a_b[..., 2]), np.sin(pose_a_b[..., 2])
+    x, y = pose_a_b[..., 0], pose_a_b[..., 1]
+    return np.stack([-c * x - s * y, s * x - c * y, wrap_angle(-pose_a_b[..., 2])], axis=-1)
+
+
+def relative(pose_a_b: FloatArray, pose_a_c: FloatArray) -> FloatArray:
+    """(..., 3) pose_b_c."""
+    return compose(inverse(pose_a_b), pose_a_c)
+
+
+def move_points(pose_a_b: FloatArray, points_in_b_m: FloatArray) -> FloatArray:
+    """(n, 2) points in a."""
+    c, s = np.cos(pose_a_b[2]), np.sin(pose_a_b[2])
+    moved: FloatArray = points_in_b_m @ np.array([[c, s], [-s, c]]) + pose_a_b[:2]
+    return moved

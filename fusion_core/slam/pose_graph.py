@@ -1,0 +1,89 @@
+"""The pose graph: relations between key scans, and the poses that fit them best."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from fusion_core.model.conventions import FloatArray
+from fusion_core.settings import StageSettings, setting
+from fusion_core.slam.planar_poses import relative
+
+# The first pose is the map's origin: as good as fixed.
+_ANCHOR_SIGMA = 1e-6
+
+
+class GraphSettings(StageSettings):
+    """Optimisation of the pose graph."""
+
+    local_sigma_m: float = setting(0.03, "Doubt of a step of local SLAM", unit="m", gt=0.0, le=10.0)
+    local_sigma_rad: float = setting(
+        0.01, "Doubt of a step of local SLAM", unit="rad", gt=0.0, le=3.2
+    )
+    untrusted_factor: float = setting(10.0, "So much more doubt where scans do not fit", ge=1.0)
+    robust_scale: float = setting(
+        1.0, "Residual, in deviations, from which a loop loses weight", gt=0.0, le=100.0
+    )
+    residual_max_m: float = setting(
+        0.5, "Loops that the optimum leaves farther apart are dropped", unit="m", gt=0.0, le=100.0
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Edge:
+    """A measured relation between two key scans.
+
+    ``pose_first_second``: (3,). ``information``: (3, 3) of its x, y, yaw in the second's axes.
+    ``is_loop``: the two were matched across time, so that the relation may be wrong altogether.
+    """
+
+    first: int
+    second: int
+    pose_first_second: FloatArray
+    information: FloatArray
+    is_loop: bool
+
+
+def optimise(
+    poses_map_node: FloatArray, edges: Sequence[Edge], robust_scale: float | None
+) -> FloatArray:
+    """(K, 3) the poses with the least sum of squared residuals, started at (K, 3) poses.
+
+    The residual is Log(measured⁻¹ · first⁻¹ · second), whitened by the edge's information.
+    The first node stays. ``robust_scale``: loop edges cost log(1 + (r/scale)²) scale²/2 for a
+    whitened residual r instead of r²/2 (Cauchy), so that a wrong one is overruled; None gives
+    all edges their square.
+    """
+    graph = gtsam.NonlinearFactorGraph()
+    values = gtsam.Values()
+    for node, pose in enumerate(poses_map_node):
+        values.insert(node, gtsam.Pose2(*pose))
+    anchor = gtsam.noiseModel.Isotropic.Sigma(3, _ANCHOR_SIGMA)
+    graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*poses_map_node[0]), anchor))
+    for edge in edges:
+        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Information(edge.information)
+        if edge.is_loop and robust_scale is not None:
+            kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(robust_scale)
+            noise = gtsam.noiseModel.Robust.Create(kernel, noise)
+        measured = gtsam.Pose2(*edge.pose_first_second)
+        graph.add(gtsam.BetweenFactorPose2(edge.first, edge.second, measured, noise))
+    best = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    return np.array(
+        [
+            [pose.x(), pose.y(), pose.theta()]
+            for pose in (best.atPose2(node) for node in range(len(poses_map_node)))
+        ]
+    )
+
+
+def residuals(poses_map_node: FloatArray, edges: Sequence[Edge]) -> FloatArray:
+    """(M, 3) how far each edge is from the poses: x, y in metres, yaw in radians."""
+    if not edges:
+        return np.zeros((0, 3))
+    measured = np.array([edge.pose_first_second for edge in edges])
+    found = relative(
+        poses_map_node[[edge.first for edge in edges]],
+        poses_map_node[[edge.second for edge in edges]],
+    )
+    return relative(measured, found)

@@ -1,0 +1,65 @@
+"""Submaps: what they hold, and that a finished one is only cut."""
+
+import numpy as np
+import pytest
+
+from fusion_core.mapping.grid import GridBuilder, GridSettings
+from fusion_core.slam.planar_poses import move_points
+from fusion_core.slam.submaps import GrowingSubmap, SubmapSettings
+
+SETTINGS = SubmapSettings(reach_m=5.0)
+
+
+def points(rng, count=60):
+    angle, distance = rng.uniform(-1.5, 1.5, count), rng.uniform(1.0, 4.5, count)
+    return np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)
+
+
+def test_it_is_the_grid_of_its_scans():
+    """The same scans through the final maps' builder, which is tested on its own."""
+    rng = np.random.default_rng(1)
+    submap = GrowingSubmap(np.array([10.0, -3.0]), 7, 2.0, SETTINGS)
+    builder = GridBuilder(
+        GridSettings(p_hit=0.6, p_miss=0.48, p_lowest=0.02, p_highest=0.98, resolution_m=0.05)
+    )
+    for step in range(6):
+        pose = np.array([10.0 + 0.2 * step, -3.0, 0.3 * step])
+        points_m = points(rng)
+        submap.add_scan(pose, points_m)
+        builder.add_scan(
+            pose, np.arctan2(points_m[:, 1], points_m[:, 0]), np.hypot(*points_m.T), 100.0
+        )
+    finished, expected = submap.finish(13), builder.build()
+    assert (finished.first, finished.end) == (7, 13)
+    assert finished.corner_m == pytest.approx(expected.origin_m)
+    probability = np.where(expected.known, expected.probability, 0.0)
+    assert finished.occupancy.shape == probability.shape
+    # An end point that lies on a cell's border by rounding may fall to either side.
+    apart = np.abs(finished.occupancy / 255.0 - probability) > 0.003
+    assert apart.mean() < 1e-3
+
+
+def test_its_obstacles_lie_where_points_were():
+    submap = GrowingSubmap(np.zeros(2), 0, 1.0, SETTINGS)
+    pose, points_m = np.array([0.2, 0.1, 0.7]), np.array([[2.0, 0.5], [3.0, -1.0], [1.5, 1.5]])
+    submap.add_scan(pose, points_m)
+    obstacles_m = submap.finish(1).obstacles_m()
+    assert obstacles_m.shape == (3, 2)
+    for point_m in move_points(pose, points_m):
+        assert np.abs(obstacles_m - point_m).max(axis=1).min() <= 0.025 + 1e-9
+
+
+def test_what_it_cannot_hold_is_left_out():
+    submap = GrowingSubmap(np.zeros(2), 0, 1.0, SETTINGS)
+    submap.add_scan(np.zeros(3), np.array([[2.0, 0.0], [50.0, 0.0]]))
+    assert submap.finish(1).obstacles_m() == pytest.approx(np.array([[2.025, 0.025]]))
+    submap.add_scan(np.array([80.0, 0.0, 0.0]), np.array([[2.0, 0.0]]))
+    assert submap.finish(2).obstacles_m().shape == (1, 2)
+
+
+def test_without_a_point_it_is_one_free_cell():
+    submap = GrowingSubmap(np.zeros(2), 0, 1.0, SETTINGS)
+    submap.add_scan(np.zeros(3), np.zeros((0, 2)))
+    finished = submap.finish(1)
+    assert finished.occupancy.shape == (1, 1)
+    assert finished.obstacles_m().size == 0
