@@ -15,7 +15,9 @@ from collections.abc import Sequence
 import tyro
 from tyro import conf
 
-from app.commands import Evaluate, Scanloom, WrongUsage
+from app.command_options import WrongUsage
+from app.commands import Scanloom
+from app.evaluate_commands import Evaluate
 from app.terminal import printable, progress_on_stderr
 from fusion_core.model.errors import ScanLoomError
 

@@ -6,42 +6,30 @@ The workflows are imported inside the commands, so that ``--help`` is quick.
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from tyro import conf
 
-from app.reports import conversion_lines, info_lines, measure_lines, scene_lines
+from app.command_options import (
+    Flag,
+    HomeOption,
+    RecordingArgument,
+    RoomOption,
+    SettingsOption,
+    TopicOption,
+    WrongUsage,
+    require_natural,
+    room_of,
+)
+from app.evaluate_commands import Evaluate
+from app.map_command import Map
+from app.reports import Report, conversion_lines, info_lines, scene_lines
 from app.resources import sample_path
+from app.terminal import leave_out_partings
 from fusion_core.model.progress import Progress
-
-if TYPE_CHECKING:
-    from fusion_core.workflows.source import RoomChoice
-
-
-@dataclass(frozen=True, kw_only=True)
-class Report:
-    """What a command has to say: ``result`` for ``--json``, ``lines`` for people."""
-
-    result: dict[str, Any]
-    lines: Sequence[str]
-
-
-class WrongUsage(Exception):
-    """Options that do not go together."""
-
-
-# An empty hint: "(default: False)" and "(default: None)" tell nobody anything.
-Flag = Annotated[bool, conf.arg(help_behavior_hint="")]
-RecordingArgument = Annotated[conf.Positional[Path], conf.arg(metavar="RECORDING")]
-SettingsOption = Annotated[Path | None, conf.arg(metavar="FILE", help_behavior_hint="")]
-TopicOption = Annotated[str | None, conf.arg(metavar="TOPIC", help_behavior_hint="")]
-HomeOption = Annotated[str | None, conf.arg(metavar="SESSION", help_behavior_hint="")]
-RoomOption = Annotated[str | None, conf.arg(metavar="ROOM", help_behavior_hint="")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,11 +52,12 @@ class Serve:
     """Print the address as a JSON object."""
 
     def run(self, progress: Progress) -> None:
-        _require_natural("--virtual-lidar", self.virtual_lidar)
-        _require_natural("--port", self.port)
+        require_natural("--virtual-lidar", self.virtual_lidar)
+        require_natural("--port", self.port)
         # The fields' products are small: more threads take more time of more cores. numpy reads
         # this when it is first imported.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        from app.interruption import interruption
         from app.server import ServeOptions, Workbench
 
         options = ServeOptions(
@@ -79,13 +68,15 @@ class Serve:
             output_root=self.output,
             virtual_row=self.virtual_lidar,
         )
-        with Workbench(options) as workbench:
+        workbench = Workbench(options)
+        leave_out_partings()
+        # From here on it serves, and Ctrl-C is how it ends.
+        with interruption() as interrupted, workbench:
             said = json.dumps({"address": workbench.address}) if self.json else workbench.address
             # Now, not at the end: somebody waits for it.
             sys.stdout.write(f"{said}\n")
             sys.stdout.flush()
-            with suppress(KeyboardInterrupt):
-                workbench.run()
+            interrupted.wait()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +97,7 @@ class Info:
     def run(self, progress: Progress) -> Report:
         from fusion_core.workflows.inspect import info
 
-        room = _room_of(self.home, self.room, self.subsession)
+        room = room_of(self.home, self.room, self.subsession)
         result = info(self.recording, room, self.home)
         return Report(result=result, lines=info_lines(result))
 
@@ -146,7 +137,7 @@ class Convert:
         from fusion_core.workflows.convert import ConvertOptions, convert
 
         options = ConvertOptions(
-            room=_room_of(self.home, self.room, self.subsession),
+            room=room_of(self.home, self.room, self.subsession),
             topics=self.topic,
             start_s=self.start,
             end_s=self.end,
@@ -201,8 +192,8 @@ class Fuse:
     """Print one JSON object on stdout."""
 
     def run(self, progress: Progress) -> Report:
-        _require_natural("--seed", self.seed)
-        _require_natural("--virtual-lidar", self.virtual_lidar)
+        require_natural("--seed", self.seed)
+        require_natural("--virtual-lidar", self.virtual_lidar)
         from fusion_core.workflows.fuse import FuseSummary, fuse
         from fusion_core.workflows.rooms import RoomsSummary, fuse_rooms
         from fusion_core.workflows.session import FuseOptions
@@ -210,7 +201,7 @@ class Fuse:
         options = FuseOptions(
             preset=self.preset,
             settings_file=self.settings,
-            room=_room_of(self.home, self.room, self.subsession),
+            room=room_of(self.home, self.room, self.subsession),
             virtual_lidar_row=self.virtual_lidar,
             lidar_topic=self.lidar,
             depth_topics=self.depth,
@@ -229,80 +220,6 @@ class Fuse:
         else:
             summary = fuse(self.recording, self.output, options, progress)
         return Report(result=summary.to_json(), lines=summary.lines())
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Evaluation:
-    fuse_dir: Annotated[conf.Positional[Path], conf.arg(metavar="FUSE_DIR")]
-    """A folder that fuse has written."""
-    truth: Annotated[conf.Positional[Path], conf.arg(metavar="TRUTH.npz")]
-    """The truth of the same recording."""
-    lever_arm: Annotated[
-        tuple[float, float, float] | None,
-        conf.arg(metavar="FORWARD LEFT UP", help_behavior_hint=""),
-    ] = None
-    """The camera's place seen from the LiDAR (m), for a truth that does not know it."""
-    pitch: Annotated[float, conf.arg(metavar="RAD")] = 0.0
-    """How far the camera looks down, with --lever-arm."""
-    clock_offset_ms: Annotated[float | None, conf.arg(metavar="MS", help_behavior_hint="")] = None
-    """Camera stamp less LiDAR stamp of one instant, for a truth that does not know it."""
-    json: Flag = False
-    """Print one JSON object on stdout."""
-
-    def _report(self, measure: Callable[..., dict[str, Any]], **more: Any) -> Report:
-        result = measure(
-            self.fuse_dir,
-            self.truth,
-            lever_arm_m=self.lever_arm,
-            pitch_rad=self.pitch,
-            clock_offset_ms=self.clock_offset_ms,
-            **more,
-        )
-        return Report(result=result, lines=measure_lines(result))
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvaluateAlignment(_Evaluation):
-    """Offset of each frame and yaw of the mount against the truth."""
-
-    def run(self, progress: Progress) -> Report:
-        from fusion_core.workflows import evaluate
-
-        return self._report(evaluate.alignment)
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvaluateNoise(_Evaluation):
-    """Recall of good pairs and of noise pairs, attribution, and what became of conflicts."""
-
-    def run(self, progress: Progress) -> Report:
-        from fusion_core.workflows import evaluate
-
-        return self._report(evaluate.noise)
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvaluateRepair(_Evaluation):
-    """Error of the repaired values against the truth, beside plain interpolation."""
-
-    recording: Annotated[Path | None, conf.arg(metavar="RECORDING", help_behavior_hint="")] = None
-    """What was fused, for the rivals that fill whole depth images."""
-
-    def run(self, progress: Progress) -> Report:
-        from fusion_core.workflows import evaluate
-
-        return self._report(evaluate.repair, recording=self.recording)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Evaluate:
-    """Measure a result against the truth."""
-
-    measure: conf.OmitSubcommandPrefixes[
-        Annotated[EvaluateAlignment, conf.subcommand("alignment")]
-        | Annotated[EvaluateNoise, conf.subcommand("noise")]
-        | Annotated[EvaluateRepair, conf.subcommand("repair")]
-    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -337,7 +254,7 @@ class Sample:
             return Report(result=result, lines=scene_lines(result))
         if self.scene is None or self.output is None:
             raise WrongUsage("sample needs SCENE and -o FILE, or --list; see sample --help")
-        _require_natural("--seed", self.seed)
+        require_natural("--seed", self.seed)
         written = sample.write(
             self.scene,
             self.output,
@@ -361,21 +278,7 @@ class Scanloom:
         | Annotated[Info, conf.subcommand("info")]
         | Annotated[Convert, conf.subcommand("convert")]
         | Annotated[Fuse, conf.subcommand("fuse")]
+        | Annotated[Map, conf.subcommand("map")]
         | Annotated[Evaluate, conf.subcommand("evaluate")]
         | Annotated[Sample, conf.subcommand("sample")]
     ]
-
-
-def _require_natural(option: str, number: int | None) -> None:
-    if number is not None and number < 0:
-        raise WrongUsage(f"{option} must be 0 or more, got {number}")
-
-
-def _room_of(home: str | None, room: str | None, subsession: int) -> "RoomChoice | None":
-    if room is None:
-        return None
-    if home is None:
-        raise WrongUsage("--room needs --home, the session that the room is in")
-    from fusion_core.workflows.source import RoomChoice
-
-    return RoomChoice(session=home, room=room, subsession=subsession)

@@ -12,11 +12,12 @@ from typing import Any, Literal, Protocol
 import viser
 
 from app.jobs.latest import LatestWorker
-from app.shown import Shown, shown_of
+from app.shown import Shown, as_failure, problem_of, shown_of
 from app.state.history import History
-from app.state.library import Library, Opened
+from app.state.library import Library
+from app.state.opened import Opened
 from app.state.view import View
-from fusion_core.model.errors import ScanLoomError, SettingsError
+from fusion_core.model.errors import SettingsError
 from fusion_core.workflows.presets import PRESETS, PresetName
 
 # Where a browser keeps the view between two visits.
@@ -118,12 +119,10 @@ class Desk:
 
     def fail(self, error: Exception) -> None:
         """Tell of a failure; the same one twice in a row is told once."""
-        title, body = "Something failed", f"{type(error).__name__}: {error}"
-        if isinstance(error, ScanLoomError):
-            title, body = error.problem, error.advice
-        if f"{title} {body}" != self._told:
-            self._told = f"{title} {body}"
-            self.tell(title, body, color="red")
+        failure = as_failure(error)
+        if str(failure) != self._told:
+            self._told = str(failure)
+            self.tell(problem_of(failure), failure.advice, color="red")
 
     def close(self) -> None:
         """The browser has gone."""
@@ -133,6 +132,7 @@ class Desk:
         self._worker.join(_PARTING_S)
         if self._opened is not None:
             self._opened.forget(self.refresh)
+        self.library.leave(self)
 
     def _replace(
         self, change: Callable[[View], View], *, remember: bool, dragged: str = ""
@@ -151,7 +151,10 @@ class Desk:
             self.refresh()
 
     def _work(self, view: View, is_newest: Callable[[], bool]) -> None:
-        opened = self.library.open(view)
+        opened = self.library.open(view, seen_by=self)
+        if self._closed.is_set():
+            self.library.leave(self)
+            return
         if opened is not self._opened:
             if self._opened is not None:
                 self._opened.forget(self.refresh)
@@ -162,9 +165,8 @@ class Desk:
         is_due = time.monotonic() - self._shown_s > _LEAST_OFTEN_S
         if self._closed.is_set() or not (is_newest() or is_due):
             return
-        failure = opened.failure if shown.failure is None else shown.failure
-        if failure is not None:
-            self.fail(failure)
+        if shown.failure is not None:
+            self.fail(shown.failure)
         elif shown.fused is not None:
             self._told = ""
         self.shown = shown

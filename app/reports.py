@@ -1,9 +1,18 @@
 """What the commands tell people. The same results go out whole under ``--json``."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 NS_PER_S = 1e9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """What a command has to say: ``result`` for ``--json``, ``lines`` for people."""
+
+    result: dict[str, Any]
+    lines: Sequence[str]
 
 
 def info_lines(info: Mapping[str, Any]) -> list[str]:
@@ -69,6 +78,58 @@ def measure_lines(measures: Mapping[str, Any]) -> list[str]:
     named = [(name, value) for name, value in _flat(measures, "") if not isinstance(value, list)]
     width = max((len(name) for name, _ in named), default=0)
     return [f"{name:<{width}}  {_value(value)}" for name, value in named]
+
+
+def trajectory_lines(evaluation: Mapping[str, Any]) -> list[str]:
+    """What was compared, then a row of statistics for each error."""
+    counts = "{associated} of {estimate_poses} poses, against {reference_poses}"
+    lines = [
+        f"compared     {counts.format(**evaluation)}",
+        f"coverage     {evaluation['coverage']:.1%} of the reference's time, longest gap "
+        f"{evaluation['longest_gap_s']:.3f} s",
+        f"path         {evaluation['path_m']:.3f} m",
+    ]
+    alignment, relative = evaluation["T_reference_estimate"], evaluation["relative"]
+    if alignment is not None:
+        scale = f", scale {alignment['scale']:.6f}" if evaluation["alignment"] == "sim3" else ""
+        lines.append(f"aligned by   {evaluation['alignment']}{scale}")
+    step = f"{relative['delta']:g} {relative['unit']}"
+    lines += [f"relative to  {step}, {relative['pairs']} pairs", ""]
+    named = {
+        "absolute": evaluation["absolute"],
+        "absolute, aligned": evaluation["absolute_aligned"],
+        f"relative, {step}": relative,
+    }
+    statistics = ("min", "max", "mean", "median", "variance", "std", "rmse")
+    rows = [
+        (name, unit, *(f"{errors[key][statistic]:.4g}" for statistic in statistics))
+        for name, errors in named.items()
+        if errors is not None
+        for key, unit in (("translation_m", "m"), ("rotation_deg", "deg"))
+    ]
+    lines += _table([("error", "unit", *statistics), *rows])
+    return lines + [f"warning: {warning}" for warning in evaluation["warnings"]]
+
+
+def relation_lines(evaluation: Mapping[str, Any]) -> list[str]:
+    """Coverage, then mean and standard deviation of each error and of its square."""
+    counts = "{covered} of {relations} within the trajectory".format(**evaluation)
+    lines = [f"relations  {counts} ({evaluation['coverage']:.1%})", ""]
+    rows = [
+        (
+            title,
+            size,
+            *(f"{evaluation[name][key][figure]:.3f}" for key in keys for figure in ("mean", "std")),
+        )
+        for name, title in (("kuemmerle", "Kümmerle"), ("cartographer", "Cartographer"))
+        for size, keys in (
+            ("absolute", ("translation_m", "rotation_deg")),
+            ("squared", ("translation_squared_m2", "rotation_squared_deg2")),
+        )
+    ]
+    header = ("measure", "error", "translation (m)", "std", "rotation (deg)", "std")
+    lines += _table([header, *rows])
+    return lines + [f"warning: {warning}" for warning in evaluation["warnings"]]
 
 
 def _flat(measures: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:

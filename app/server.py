@@ -3,7 +3,6 @@
 import io
 import socket
 import threading
-import time
 from collections.abc import Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
@@ -32,6 +31,8 @@ from fusion_core.model.errors import ScanLoomError, SettingsError
 # A browser answers from its own storage, late where it draws without a graphics card; one that does
 # not starts afresh.
 _STORAGE_TIMEOUT_S = 20.0
+# The panels' pictures are then shown at nearly their own size, so that their letters can be read.
+_PANEL_PX = 460.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +54,10 @@ class Closable(Protocol):
 
 
 class Workbench:
-    """A running server. Use as a context manager, or ``close`` it."""
+    """A server that listens from ``start`` to ``close``, or as long as a ``with`` block lasts.
+
+    Raises RecordingError, MissingStream and SettingsError for what cannot be opened or listened on.
+    """
 
     def __init__(self, options: ServeOptions) -> None:
         recordings = list(options.recordings) or [sample_path()]
@@ -63,9 +67,13 @@ class Workbench:
         self._library.open(self._first_view)
         _require_address(options.host)
         self.guard: Guard = guard_for(options.host)
-        self._output_root = options.output_root
+        self._options = options
         self._desks: dict[int, tuple[Desk, list[Closable]]] = {}
         self._lock = threading.Lock()
+
+    def start(self) -> None:
+        """Listen."""
+        options = self._options
         # viser greets on stdout, which belongs to the command.
         with guarded(self.guard), redirect_stdout(io.StringIO()):
             self._server = viser.ViserServer(
@@ -78,6 +86,7 @@ class Workbench:
         )
         # Floating, the panel would cover what the scene shows at its right.
         self._server.gui.main_panel.dock_right()
+        self._server.gui.main_panel.set_width(_PANEL_PX)
         self._server.scene.set_up_direction("+z")
         self._server.on_client_connect(self._welcome)
         self._server.on_client_disconnect(self._part)
@@ -96,11 +105,6 @@ class Workbench:
         with self._lock:
             return [desk for desk, _ in self._desks.values()]
 
-    def run(self) -> None:
-        """Serve until interrupted."""
-        while True:
-            time.sleep(3600.0)
-
     def close(self) -> None:
         """Stop serving and free the files."""
         with self._lock:
@@ -112,6 +116,7 @@ class Workbench:
         self._library.close()
 
     def __enter__(self) -> "Workbench":
+        self.start()
         return self
 
     def __exit__(self, *exc: object) -> None:
@@ -121,7 +126,7 @@ class Workbench:
         only_values(client.gui, _leave)
         view, problem = self._view_for(client)
         desk = Desk(client, self._library, view)
-        closables = _furnish(desk, self._output_root)
+        closables = _furnish(desk, self._options.output_root)
         with self._lock:
             self._desks[client.client_id] = (desk, closables)
         if client.client_id not in self._server.get_clients():
@@ -203,4 +208,4 @@ def _furnish(desk: Desk, output_root: Path) -> list[Closable]:
         maps = MapPanel(gui, desk, output_root, scene.take_map)
     # The scene last: it shows what the other panels have just drawn.
     desk.panels = [header, timeline, switch, recording, match, register, repair, maps, scene]
-    return [timeline, maps]
+    return [timeline, register, maps]

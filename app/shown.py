@@ -1,8 +1,9 @@
 """All that the panels and the scene need to show one view: computed once, read by each of them."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
-from app.state.library import Opened
+from app.state.opened import Opened
 from app.state.view import View
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.sensors import ColorImage
@@ -33,6 +34,30 @@ def clock_offset_ms(view: View, chain: LiveChain) -> float:
     return chain.alignment.mount.clock_offset_ms if view.apply_clock_offset else 0.0
 
 
+def as_failure(error: Exception) -> ScanLoomError:
+    """A failure in words for a person, whatever failed."""
+    if isinstance(error, ScanLoomError):
+        return error
+    return ScanLoomError(
+        f"Something failed: {type(error).__name__}: {error}.",
+        advice="Go to another frame, or take back the last change with Undo.",
+    )
+
+
+def problem_of(failure: ScanLoomError) -> str:
+    """What is wrong, with the name of the file where it is one: often that is the subject."""
+    return f"{Path(failure.file).name}: {failure.problem}" if failure.file else failure.problem
+
+
+def why_missing(shown: Shown) -> str:
+    """Why a stage has nothing to show, and what to do about it."""
+    if shown.failure is not None:
+        return f"{problem_of(shown.failure)} {shown.failure.advice}"
+    if shown.chain is None:
+        return "The recording is being aligned."
+    return "This frame could not be judged."
+
+
 def shown_of(view: View, opened: Opened) -> Shown:
     """Compute a view; a stage that fails leaves what came before it.
 
@@ -41,7 +66,7 @@ def shown_of(view: View, opened: Opened) -> Shown:
     view = view.model_copy(update={"number": min(view.number, len(opened.frames) - 1)})
     chain = opened.chain
     if chain is None:
-        failure = opened.failure if isinstance(opened.failure, ScanLoomError) else None
+        failure = None if opened.failure is None else as_failure(opened.failure)
         return Shown(view=view, opened=opened, failure=failure)
     choice = FrameChoice(
         number=view.number,
@@ -52,11 +77,15 @@ def shown_of(view: View, opened: Opened) -> Shown:
     failure = None
     try:
         paired = chain.paired(choice)
-        color = opened.frames.color(choice.number)
         match = chain.matched(choice, view.settings)
         fused = chain.judged(choice, view.settings)
+    except Exception as error:  # noqa: BLE001  # what came before the stage that fails is shown
+        failure = as_failure(error)
+    try:
+        color = opened.frames.color(choice.number)
     except ScanLoomError as error:
-        failure = error
+        # The colour image is for looking only.
+        failure = failure or error
     return Shown(
         view=view,
         opened=opened,

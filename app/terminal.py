@@ -1,6 +1,8 @@
 """What the command line shows: progress on stderr, and texts that cannot steer the terminal."""
 
+import logging
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -24,6 +26,17 @@ def progress_on_stderr() -> Iterator[Progress]:
         yield from _bars()
     else:
         yield _Lines()
+
+
+def leave_out_partings() -> None:
+    """Let nothing be said on stderr, from now on, of browsers that come and go: of messages that
+    reach them no more, and of connections that they open ahead and drop."""
+    warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
+    logging.getLogger("websockets.server").addFilter(_is_no_parting)
+
+
+def _is_no_parting(record: logging.LogRecord) -> bool:
+    return record.msg != "opening handshake failed"
 
 
 class _Lines:

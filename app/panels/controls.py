@@ -47,7 +47,7 @@ class Controls:
             initial_value=min(max(value, low), high),
             hint=self._help(stage, name),
         )
-        self._bind(
+        self.tie(
             handle,
             lambda view: _clamped(_setting(view, stage, name), low, high),
             lambda new: self._desk.set(stage, name, int(new) if whole else float(new)),
@@ -59,7 +59,7 @@ class Controls:
         handle = self._gui.add_checkbox(
             label, _setting(self._desk.view, stage, name), hint=self._help(stage, name)
         )
-        self._bind(
+        self.tie(
             handle,
             lambda view: _setting(view, stage, name),
             lambda new: self._desk.set(stage, name, bool(new)),
@@ -76,7 +76,7 @@ class Controls:
             initial_value=_setting(self._desk.view, stage, name),
             hint=self._help(stage, name),
         )
-        self._bind(
+        self.tie(
             handle,
             lambda view: _setting(view, stage, name),
             lambda new: self._desk.set(stage, name, str(new)),
@@ -91,11 +91,28 @@ class Controls:
         shown: Callable[[Any], Any] = lambda value: value,
     ) -> None:
         """Tie a widget to a value of the view itself. ``shown``: how the widget has that value."""
-        self._bind(
+        self.tie(
             handle,
             lambda view: shown(getattr(view, name)),
             lambda new: self._desk.change(**{name: convert(new)}),
         )
+
+    def tie(
+        self, handle: Any, value_of: Callable[[View], Any], change: Callable[[Any], None]
+    ) -> None:
+        """Tie a widget to what a view says of it, None for nothing, by what a new value changes."""
+        bound = _Bound(handle, value_of, handle.value)
+        self._bound.append(bound)
+
+        @handle.on_update
+        def _(event: viser.GuiEvent[Any]) -> None:
+            # Without a client it was ``show`` that set the value.
+            if event.client is None:
+                return
+            # Callbacks run in any order: each takes the widget's latest value, one at a time.
+            with self._lock:
+                bound.known = handle.value
+                change(bound.known)
 
     def show(self, view: View) -> None:
         """Set every widget to what the view says, where that is not what the widget said itself.
@@ -110,22 +127,6 @@ class Controls:
                     continue
                 bound.known = value
                 put(bound.handle, value=value)
-
-    def _bind(
-        self, handle: Any, value_of: Callable[[View], Any], change: Callable[[Any], None]
-    ) -> None:
-        bound = _Bound(handle, value_of, handle.value)
-        self._bound.append(bound)
-
-        @handle.on_update
-        def _(event: viser.GuiEvent[Any]) -> None:
-            # Without a client it was ``show`` that set the value.
-            if event.client is None:
-                return
-            # Callbacks run in any order: each takes the widget's latest value, one at a time.
-            with self._lock:
-                bound.known = handle.value
-                change(bound.known)
 
     def _help(self, stage: str, name: str) -> str | None:
         fields = type(_stage(self._desk.view, stage)).model_fields

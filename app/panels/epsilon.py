@@ -5,9 +5,10 @@ from typing import Any
 import viser
 
 from app.desk import Desk
-from app.panels.controls import put
+from app.panels.controls import Controls, put
 from app.panels.register_words import epsilon_words
 from app.shown import Shown
+from app.state.view import View
 from fusion_core.workflows.epsilon import (
     EPSILON_UNITS,
     EpsilonUnit,
@@ -26,49 +27,20 @@ _LABELS: dict[EpsilonUnit, str] = {"sigma": "ε (σ)", "E": "ε (E)", "m": "ε (
 _BAND_MARKS = ((1.0, "E"), (2.0**0.5, "√2 E"))
 
 
-class EpsilonControls:
-    """A unit, a slider for each of which one is seen, and words."""
+class EpsilonSliders:
+    """A slider for each unit, of which one is seen; set by ``controls``."""
 
-    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
+    def __init__(self, gui: viser.GuiApi, desk: Desk, controls: Controls) -> None:
         self._desk = desk
-        self._lengths_m: dict[EpsilonUnit, float] = {}
-        noise = desk.view.settings.noise
-        fields = type(noise).model_fields
-        self._unit = gui.add_dropdown(
-            "Unit of ε",
-            EPSILON_UNITS,
-            initial_value=noise.epsilon_unit,
-            hint=fields["epsilon_unit"].description,
-        )
-        self._sliders = {
-            unit: self._slider(gui, unit, fields["epsilon"].description) for unit in EPSILON_UNITS
-        }
-        self._words = gui.add_markdown("")
+        self._sliders = {unit: self._add(gui, controls, unit) for unit in EPSILON_UNITS}
 
-        @self._unit.on_update
-        def _(event: viser.GuiEvent[Any]) -> None:
-            if event.client is not None:
-                self._change_unit(self._unit.value)
-
-    def show(self, shown: Shown) -> None:
-        """Set unit and slider; say what epsilon is in this frame."""
-        noise = shown.view.settings.noise
-        put(self._unit, value=noise.epsilon_unit)
+    def show(self, view: View) -> None:
+        """The slider of the view's unit."""
         for unit, slider in self._sliders.items():
-            seen = unit == noise.epsilon_unit
-            put(slider, visible=seen)
-            if seen:
-                low, high, _ = _RANGES[unit]
-                put(slider, value=min(max(noise.epsilon, low), high))
-        if shown.match is None or shown.chain is None:
-            return
-        self._lengths_m = unit_lengths_m(shown.match, shown.chain.alignment)
-        if shown.fused is not None:
-            said = epsilon_in(shown.fused)
-            put(self._words, content=epsilon_words(said, noise.epsilon, noise.epsilon_unit))
+            put(slider, visible=unit == view.settings.noise.epsilon_unit)
 
-    def _slider(
-        self, gui: viser.GuiApi, unit: EpsilonUnit, hint: str | None
+    def _add(
+        self, gui: viser.GuiApi, controls: Controls, unit: EpsilonUnit
     ) -> viser.GuiSliderHandle[Any]:
         low, high, step = _RANGES[unit]
         noise = self._desk.view.settings.noise
@@ -80,16 +52,51 @@ class EpsilonControls:
             initial_value=min(max(noise.epsilon, low), high),
             marks=_BAND_MARKS if unit == "E" else None,
             visible=unit == noise.epsilon_unit,
-            hint=hint,
+            hint=type(noise).model_fields["epsilon"].description,
         )
 
-        @slider.on_update
-        def _(event: viser.GuiEvent[Any]) -> None:
-            # A value that was on its way when the unit changed means the unit before.
-            if event.client is not None and unit == self._desk.view.settings.noise.epsilon_unit:
-                self._desk.set("noise", "epsilon", float(slider.value))
+        def value_of(view: View) -> float | None:
+            noise = view.settings.noise
+            return min(max(noise.epsilon, low), high) if noise.epsilon_unit == unit else None
 
+        def change(value: float) -> None:
+            # A value that was on its way when the unit changed means the unit before.
+            if unit == self._desk.view.settings.noise.epsilon_unit:
+                self._desk.set("noise", "epsilon", float(value))
+
+        controls.tie(slider, value_of, change)
         return slider
+
+
+class EpsilonControls:
+    """The unit, its slider, and words."""
+
+    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
+        self._desk = desk
+        self._lengths_m: dict[EpsilonUnit, float] = {}
+        self._controls = Controls(gui, desk)
+        noise = desk.view.settings.noise
+        unit = gui.add_dropdown(
+            "Unit of ε",
+            EPSILON_UNITS,
+            initial_value=noise.epsilon_unit,
+            hint=type(noise).model_fields["epsilon_unit"].description,
+        )
+        self._controls.tie(unit, lambda view: view.settings.noise.epsilon_unit, self._change_unit)
+        self._sliders = EpsilonSliders(gui, desk, self._controls)
+        self._words = gui.add_markdown("")
+
+    def show(self, shown: Shown) -> None:
+        """Set unit and slider; say what epsilon is in this frame."""
+        noise = shown.view.settings.noise
+        self._controls.show(shown.view)
+        self._sliders.show(shown.view)
+        if shown.match is not None and shown.chain is not None:
+            self._lengths_m = unit_lengths_m(shown.match, shown.chain.alignment)
+        said = ""
+        if shown.fused is not None:
+            said = epsilon_words(epsilon_in(shown.fused), noise.epsilon, noise.epsilon_unit)
+        put(self._words, content=said)
 
     def _change_unit(self, unit: EpsilonUnit) -> None:
         """The same length in another unit, as one change."""

@@ -7,7 +7,7 @@ import viser
 
 from app.desk import Desk
 from app.help import keys_text
-from app.panels.controls import put
+from app.panels.controls import Controls, put
 from app.shown import Shown
 from app.state.view import View
 from fusion_core.workflows.presets import PresetName
@@ -22,16 +22,14 @@ class HeaderPanel:
         self._desk = desk
         self._title = gui.add_html("")
         presets = get_args(PresetName)
-        self._preset = gui.add_dropdown(
+        preset = gui.add_dropdown(
             "Preset", presets, initial_value=desk.view.preset, hint="Default, or what Xu 2024 does"
         )
         self._differs = gui.add_html("")
         buttons = gui.add_button_group("Settings", ("Undo", "Redo", "Reset", "Link", "Keys"))
 
-        @self._preset.on_update
-        def _(event: viser.GuiEvent[viser.GuiDropdownHandle[str]]) -> None:
-            if event.client is not None:
-                desk.set_preset("published" if self._preset.value == "published" else "default")
+        self._controls = Controls(gui, desk)
+        self._controls.tie(preset, lambda view: view.preset, desk.set_preset)
 
         @buttons.on_click
         def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
@@ -45,29 +43,28 @@ class HeaderPanel:
                 case "Link":
                     self._tell_link()
                 case "Keys":
-                    self._tell_keys()
+                    self._tell("Keys", keys_text())
 
     def show(self, shown: Shown) -> None:
         """Set title, preset and differences."""
         view = shown.view
-        put(self._preset, value=view.preset)
+        self._controls.show(view)
         put(self._title, content=_title(view))
         put(self._differs, content=_differences(view))
 
     def _tell_link(self) -> None:
         link = f"/go?view={self._desk.view.to_link()}"
-        with self._desk.client.gui.add_modal("A link to this view") as modal:
-            self._desk.client.gui.add_markdown(
-                "Add this to the server's address. It restores recording, time, settings and panel."
-            )
-            self._desk.client.gui.add_text("Link", link, multiline=True)
-            close = self._desk.client.gui.add_button("Close")
-        close.on_click(lambda _: modal.close())
+        words = "Add this to the server's address. It restores recording, time, settings and panel."
+        self._tell("A link to this view", words, link=link)
 
-    def _tell_keys(self) -> None:
-        with self._desk.client.gui.add_modal("Keys") as modal:
-            self._desk.client.gui.add_markdown(keys_text())
-            close = self._desk.client.gui.add_button("Close")
+    def _tell(self, title: str, words: str, *, link: str | None = None) -> None:
+        """Words over the page, and a text to copy, until they are closed."""
+        gui = self._desk.client.gui
+        with gui.add_modal(title) as modal:
+            gui.add_markdown(words)
+            if link is not None:
+                gui.add_text("Link", link, multiline=True)
+            close = gui.add_button("Close")
         close.on_click(lambda _: modal.close())
 
 

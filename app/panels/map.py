@@ -33,7 +33,7 @@ from fusion_core.model.progress import Progress
 from fusion_core.workflows.export_clouds import CloudExport
 from fusion_core.workflows.maps import difference_of
 
-_PICTURE_PX = (560, 720)
+_PICTURE_PX = (480, 720)
 _TITLES = {"lidar": "LiDAR", "camera": "camera", "fused": "fused"}
 _CLOSE_S = 10.0
 _EMPTY = np.full((2, 2, 3), 255, dtype=np.uint8)
@@ -312,7 +312,9 @@ def _report(built: Build, *, changed: bool) -> str:
         said.append(html.escape(_why_no_maps(built)))
     paragraphs = "".join(f"<p style='margin:0.3em 0'>{line}</p>" for line in said)
     lines = "".join(
-        f"<div style='{_REPORT_LINE}'>{html.escape(line)}</div>" for line in built.summary.lines()
+        # The lines are a terminal's, which may not have the sign.
+        f"<div style='{_REPORT_LINE}'>{html.escape(line.replace('+-', '±'))}</div>"
+        for line in built.summary.lines()
     )
     return f"<div style='padding:0 0.5em;font-size:0.85em'>{paragraphs}{lines}</div>"
 

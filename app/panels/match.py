@@ -10,17 +10,18 @@ import viser
 from app.desk import Desk
 from app.panels.controls import Controls, put
 from app.panels.mount_words import mount_words
+from app.panels.plain import plain_markdown
 from app.scene.curves_picture import curves_picture
 from app.scene.encoded import show_picture
 from app.scene.field_axis import AzimuthAxis, Mark, ScoreField
 from app.scene.heatmap import Heatmap, heatmap
-from app.shown import Shown
+from app.shown import Shown, why_missing
 from app.state.view import Scope
 from fusion_core.workflows.frame import FrameMatch, curves_at
 from fusion_core.workflows.live import window_field
 
-_WIDTH_PX, _HEIGHT_PX = 640, 470
-_CURVES_PX = (640, 300)
+_WIDTH_PX, _HEIGHT_PX = 500, 420
+_CURVES_PX = (480, 260)
 _METRICS = ("euclidean", "pearson", "cosine", "inverse_cosine")
 # Frames to either side that make a window's field.
 _WINDOW_FRAMES = 2
@@ -28,10 +29,13 @@ _WINDOW_FRAMES = 2
 
 class MatchPanel:
     """Heatmap, curves and mount. ``on_heatmap`` gets what draws each heatmap, for the scene's
-    board."""
+    board, and None where there is none."""
 
     def __init__(
-        self, gui: viser.GuiApi, desk: Desk, on_heatmap: Callable[[Callable[[], Heatmap]], None]
+        self,
+        gui: viser.GuiApi,
+        desk: Desk,
+        on_heatmap: Callable[[Callable[[], Heatmap] | None], None],
     ) -> None:
         self._desk = desk
         self._on_heatmap = on_heatmap
@@ -45,7 +49,7 @@ class MatchPanel:
         controls.bind(scope, "scope", str)
         controls.dropdown("search", "metric", "Score", _METRICS)
         self._picture = gui.add_image(
-            np.full((_HEIGHT_PX, _WIDTH_PX, 3), 255, np.uint8), format="png"
+            np.full((_HEIGHT_PX, _WIDTH_PX, 3), 255, np.uint8), format="png", visible=False
         )
         self._words = gui.add_markdown("")
         with gui.add_folder("Pick by hand"):
@@ -56,7 +60,9 @@ class MatchPanel:
                 "Lock u", desk.view.lock_picked, hint="Keep the picked offset in other frames"
             )
             controls.bind(lock, "lock_picked", bool)
-        self._curves = gui.add_image(np.full((*_CURVES_PX[::-1], 3), 255, np.uint8), format="png")
+        self._curves = gui.add_image(
+            np.full((*_CURVES_PX[::-1], 3), 255, np.uint8), format="png", visible=False
+        )
         with gui.add_folder("Sampling and masks"):
             controls.slider("sampling", "step_deg", "Degrees a sample", 0.25, 4.0, 0.25)
             controls.slider("sampling", "row_band", "Rows used, from below", 0.1, 1.0, 0.05)
@@ -78,9 +84,11 @@ class MatchPanel:
         """Draw the field, the curves and the words of this view."""
         self._controls.show(shown.view)
         match = shown.match
+        for picture in (self._picture, self._curves):
+            put(picture, visible=match is not None)
         if match is None or shown.chain is None:
-            reason = "" if shown.failure is None else shown.failure.problem
-            put(self._words, content=reason)
+            self._on_heatmap(None)
+            put(self._words, content=plain_markdown(why_missing(shown)))
             return
         self._on_heatmap(partial(self._heatmap_of, shown, match))
         if shown.view.panel == "Match":

@@ -1,7 +1,5 @@
 """The Register panel: the map A, its draws one by one, the residuals and the threshold epsilon."""
 
-from typing import Any
-
 import numpy as np
 import viser
 
@@ -9,10 +7,12 @@ from app.desk import Desk
 from app.panels import register_words as words
 from app.panels.controls import Controls, put
 from app.panels.epsilon import EpsilonControls
+from app.panels.plain import plain_markdown
+from app.panels.recall import RecallPanel
 from app.panels.residual_plot import ResidualPlot
 from app.scene.encoded import show_picture
 from app.scene.pairs_picture import PairsPlot, pairs_picture
-from app.shown import Shown
+from app.shown import Shown, why_missing
 from fusion_core.model.conventions import ByteArray
 from fusion_core.workflows.frame import FrameMatch
 from fusion_core.workflows.registered import (
@@ -39,6 +39,7 @@ class RegisterPanel:
         self._desk = desk
         # What is drawn: it is drawn again when another object takes its place.
         self._registration: Registration | None = None
+        self._last_draw = 0
         self._drawn_pairs: object = None
         self._drawn_draw: tuple[Registration | None, int] = (None, -1)
         controls = Controls(gui, desk)
@@ -46,6 +47,7 @@ class RegisterPanel:
         controls.dropdown("registration", "model", "Map A", _MODELS)
         self._epsilon = EpsilonControls(gui, desk)
         self._residuals = ResidualPlot(gui)
+        self._recall = RecallPanel(gui, desk)
         self._pairs = gui.add_image(_blank(_PAIRS_PX), format="png")
         self._words = gui.add_markdown("")
         with gui.add_folder("Draws, one by one"):
@@ -69,10 +71,7 @@ class RegisterPanel:
         with gui.add_folder("The matrix", expand_by_default=False):
             self._matrix = gui.add_markdown("")
 
-        @self._draw.on_update
-        def _(event: viser.GuiEvent[Any]) -> None:
-            if event.client is not None:
-                desk.change(draw=int(self._draw.value))
+        controls.bind(self._draw, "draw", int, lambda draw: min(draw, self._last_draw))
 
         @self._buttons.on_click
         def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
@@ -81,40 +80,44 @@ class RegisterPanel:
     def show(self, shown: Shown) -> None:
         """Set the widgets; draw what differs from what is drawn, while the panel is open."""
         view, match = shown.view, shown.match
+        self._registration = found = None if match is None else match.registration
+        if found is not None:
+            self._last_draw = len(found.draws) - 1
+            put(self._draw, max=max(self._last_draw, 1))
         self._controls.show(view)
         put(self._confidence, disabled=view.settings.registration.stopping == "fixed")
         self._epsilon.show(shown)
-        self._registration = found = None if match is None else match.registration
         for widget in (self._draw, self._buttons, self._draw_picture, self._consensus):
             put(widget, visible=found is not None)
         put(self._pairs, visible=match is not None)
-        if found is not None:
-            last = len(found.draws) - 1
-            put(self._draw, max=max(last, 1))
-            put(self._draw, value=min(view.draw, last))
         if view.panel != "Register":
             return
         by_sample = view.settings.pairing == "frame"
         self._residuals.show(shown.fused, signed=not by_sample)
+        self._recall.show(shown)
         axes = _AXES_BY_SAMPLE if by_sample else _AXES
         if match is not None:
             self._show_pairs(match, axes)
         else:
             self._drawn_pairs = None
-            put(self._words, content="" if shown.failure is None else shown.failure.problem)
+            put(self._words, content=plain_markdown(why_missing(shown)))
         if found is not None:
-            self._show_draw(found, min(view.draw, len(found.draws) - 1), axes)
+            self._show_draw(found, min(view.draw, self._last_draw), axes)
         else:
             self._drawn_draw = (None, -1)
             put(self._matrix, content="There is none.")
             put(self._draw_words, content="Without an A there is no draw to show.")
+
+    def close(self) -> None:
+        """The browser has gone."""
+        self._recall.close()
 
     def _go(self, where: str) -> None:
         """To another draw; the ends stop."""
         found = self._registration
         if found is None:
             return
-        last = len(found.draws) - 1
+        last = self._last_draw
         draw = min(self._desk.view.draw, last)
         places = {"Previous": max(draw - 1, 0), "Next": min(draw + 1, last)}
         self._desk.change(draw=places.get(where, found.best_draw))

@@ -2,7 +2,6 @@
 
 import html
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import viser
@@ -10,6 +9,7 @@ import viser.uplot
 
 from app.desk import Desk
 from app.panels.controls import Controls, put
+from app.panels.epsilon import EpsilonSliders
 from app.panels.repair_tables import beam_table, class_table
 from app.resources import palette
 from app.scene.depth_picture import depth_limits_m, depth_picture
@@ -17,16 +17,13 @@ from app.scene.encoded import show_picture
 from app.scene.findings import ConflictRun, conflict_runs
 from app.scene.pair_pixels import pixels_of_match, repaired_depth_m
 from app.scene.range_curves import range_curves
-from app.shown import Shown
+from app.shown import Shown, why_missing
 from app.state.view import View
 from fusion_core.model.classes import NoiseClass
 from fusion_core.workflows.frame import FusedFrame
 
 # A picture in these pixels is shrunk a little by the panel, and sharp when it is enlarged.
 _WIDTH_PX, _HEIGHT_PX = 480, 420
-# Ends and step of epsilon's slider in each of its units.
-_EPSILON = {"sigma": (0.5, 8.0, 0.1), "E": (0.5, 4.0, 0.05), "m": (0.01, 0.5, 0.01)}
-_EPSILON_LABEL = {"sigma": "ε (σ)", "E": "ε (E)", "m": "ε (m)"}
 _NO_BEAM = -1
 _NO_CONFLICTS = "none in this frame"
 
@@ -53,19 +50,13 @@ class RepairPanel:
         self._pictures = [gui.add_image(empty, format="png", visible=False) for _ in range(2)]
         with gui.add_folder("Classes"):
             self._classes = gui.add_html("")
-            self._boxes = {
-                noise: gui.add_checkbox(
-                    f"Show {noise.name.lower()}",
-                    noise in desk.view.classes,
-                    hint="In the images, the curve and the scene",
-                )
-                for noise in NoiseClass
-            }
+            for noise in NoiseClass:
+                self._add_filter(gui, noise)
         self._curve = _add_curve(gui)
         with gui.add_folder("One beam"):
             self._conflicts = gui.add_dropdown("Conflicts", (_NO_CONFLICTS,))
             self._step = gui.add_button_group("Go to conflict", ("Previous", "Next"))
-            self._beam = gui.add_number(
+            beam = gui.add_number(
                 "Beam",
                 _NO_BEAM,
                 min=_NO_BEAM,
@@ -74,31 +65,36 @@ class RepairPanel:
             )
             self._story = gui.add_html("")
         with gui.add_folder("Settings", expand_by_default=False):
-            self._epsilon = {
-                unit: self._controls.slider("noise", "epsilon", _EPSILON_LABEL[unit], *ends)
-                for unit, ends in _EPSILON.items()
-            }
             controls = self._controls
+            self._epsilon = EpsilonSliders(gui, desk, controls)
             controls.slider("noise", "support_sigma", "Support (σ)", 0.5, 10.0, 0.1)
             sources = ("smaller_error", "other_sensor")
             controls.dropdown("repair", "prefer", "Prefer", sources)
             controls.slider("repair", "max_gap_deg", "Widest gap (°)", 0.0, 30.0, 0.5)
             controls.slider("repair", "max_gap_pixels", "Farthest pixel", 1, 100, 1)
             controls.slider("repair", "farther_confidence", "Sure to move farther", 0.0, 1.0, 0.05)
-        self._listen()
+        controls.bind(
+            beam,
+            "beam",
+            lambda value: None if value == _NO_BEAM else int(value),
+            lambda value: _NO_BEAM if value is None else value,
+        )
+        # What the list says follows from the frame, not from the view.
+        controls.tie(self._conflicts, lambda _: None, self._go_to)
+
+        @self._step.on_click
+        def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
+            self._go(1 if self._step.value == "Next" else -1)
 
     def show(self, shown: Shown) -> None:
         """Draw the frame of this view, while the panel is open."""
         view = shown.view
         self._controls.show(view)
-        for unit, slider in self._epsilon.items():
-            put(slider, visible=unit == view.settings.noise.epsilon_unit)
-        for noise, box in self._boxes.items():
-            put(box, value=noise in view.classes)
-        put(self._beam, value=_NO_BEAM if view.beam is None else view.beam)
+        self._epsilon.show(view)
         if view.panel != "Repair":
             return
-        put(self._words, content=_missing(shown), visible=shown.fused is None)
+        missing = f'<div style="padding:0.5em">{html.escape(why_missing(shown))}</div>'
+        put(self._words, content=missing, visible=shown.fused is None)
         if shown.fused is None:
             self._hide()
             return
@@ -170,33 +166,25 @@ class RepairPanel:
         for table in (self._classes, self._story):
             put(table, content="")
 
-    def _listen(self) -> None:
-        for noise, box in self._boxes.items():
-            box.on_update(self._filtering(noise, box))
+    def _add_filter(self, gui: viser.GuiApi, noise: NoiseClass) -> None:
+        """A box that shows a class or leaves it out."""
+        box = gui.add_checkbox(
+            f"Show {noise.name.lower()}",
+            noise in self._desk.view.classes,
+            hint="In the images, the curve and the scene",
+        )
 
-        @self._beam.on_update
-        def _(event: viser.GuiEvent[Any]) -> None:
-            if event.client is not None:
-                beam = int(self._beam.value)
-                self._desk.change(beam=None if beam == _NO_BEAM else beam)
+        def change(checked: bool) -> None:
+            others = self._desk.view.classes - {noise}
+            self._desk.change(classes=others | {noise} if checked else others)
 
-        @self._conflicts.on_update
-        def _(event: viser.GuiEvent[Any]) -> None:
-            run = self._runs.get(self._conflicts.value)
-            if event.client is not None and run is not None:
-                self._desk.change(beam=run.middle)
+        self._controls.tie(box, lambda view: noise in view.classes, change)
 
-        @self._step.on_click
-        def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
-            self._go(1 if self._step.value == "Next" else -1)
-
-    def _filtering(self, noise: NoiseClass, box: viser.GuiCheckboxHandle) -> Any:
-        def filter_(event: viser.GuiEvent[Any]) -> None:
-            if event.client is not None:
-                others = self._desk.view.classes - {noise}
-                self._desk.change(classes=others | {noise} if box.value else others)
-
-        return filter_
+    def _go_to(self, words: str) -> None:
+        """Look at the conflict that the list calls so; its heading is none."""
+        run = self._runs.get(words)
+        if run is not None:
+            self._desk.change(beam=run.middle)
 
     def _go(self, by: int) -> None:
         """Look at the next conflict, around the ends."""
@@ -255,13 +243,3 @@ def _conflict_words(run: ConflictRun) -> str:
 
 def _holds(run: ConflictRun, beam: int | None) -> bool:
     return beam is not None and run.first <= beam <= run.last
-
-
-def _missing(shown: Shown) -> str:
-    """Why there is nothing to show."""
-    said = "The recording is being aligned."
-    if shown.failure is not None:
-        said = f"{shown.failure.problem} {shown.failure.advice}"
-    elif shown.chain is not None:
-        said = "This frame could not be judged."
-    return f'<div style="padding:0.5em">{html.escape(said)}</div>'

@@ -52,6 +52,7 @@ class ResidualPlot:
             ),
             aspect=1.5,
             padding=(10, 20, 0, 0),
+            visible=False,
         )
         self._words = gui.add_markdown("")
         self._shown: FusedFrame | None = None
@@ -65,12 +66,13 @@ class ResidualPlot:
             return
         self._shown = fused
         curve = None if fused is None else residual_curve(fused)
-        # Without an E there is no epsilon in its multiples. A plot that was hidden comes back
-        # without a width, so it stays.
+        # Without an E there is no epsilon in its multiples.
         if curve is None or curve.residual_mm.size < 2 or not np.isfinite(curve.epsilon_mm).all():
             self._plot.data = _NOTHING
+            put(self._plot, visible=False)
             put(self._words, content="")
             return
+        put(self._plot, visible=True)
         limit_mm = _REACH * float(curve.epsilon_mm.max())
         self._plot.data = _data(curve, limit_mm)
         put(self._words, content=_words(curve, limit_mm, signed=signed))

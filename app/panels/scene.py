@@ -63,8 +63,9 @@ class ScenePanel:
         self._views.on_click(lambda _: self._look(self._views.value))
         desk.client.scene.on_click()(self._clicked)
 
-    def take_heatmap(self, draw: Callable[[], Heatmap]) -> None:
-        """What draws the picture of the heatmap's board where that is seen, until the next one."""
+    def take_heatmap(self, draw: Callable[[], Heatmap] | None) -> None:
+        """What draws the picture of the heatmap's board where that is seen, until the next one;
+        None for none."""
         self._draw_heatmap = draw
 
     def take_map(self, grid: OccupancyGrid | None) -> None:
@@ -78,15 +79,19 @@ class ScenePanel:
         """Draw the frame; what could not be matched is drawn without pairs."""
         self._controls.show(shown.view)
         geometry = _geometry(shown)
-        if geometry is None or shown.chain is None:
-            return
         with self._drawing:
-            self._draw(shown, geometry, shown.chain.alignment.mount.yaw_rad)
+            if geometry is not None and shown.chain is not None:
+                self._draw(shown, geometry, shown.chain.alignment.mount.yaw_rad)
+            else:
+                # What is still there is of another frame.
+                self._nodes.hide_frame()
+                self._show_boards(shown)
 
     def _draw(self, shown: Shown, geometry: FrameGeometry, yaw_rad: float) -> None:
         if self._opened is not shown.opened:
             self._opened = shown.opened
             self._nodes.clear()
+            self._boards = {}
             self.take_map(self._grid)
             self._layout = layout_of(geometry, yaw_rad)
             self._look("3D")
@@ -117,18 +122,22 @@ class ScenePanel:
     def _show_boards(self, shown: Shown) -> None:
         if self._layout is None or not self._boards_seen:
             return
-        view, frame = shown.view, shown.fused or shown.match
+        view, frame = shown.view, shown.fused or shown.match or shown.paired
         looked_at = (view.number, view.repaired, view.classes, view.beam)
         if self._depth_of[0] is not frame or self._depth_of[1] != looked_at:
             self._depth_of = frame, looked_at
             self._depth = _depth(shown)
+        self._heatmap = None if self._draw_heatmap is None else self._draw_heatmap()
+        boards = {}
         if self._depth is not None:
-            self._boards["depth"] = self._layout.depth_board(self._depth.rgb)
-        if self._draw_heatmap is not None:
-            self._heatmap = self._draw_heatmap()
-            self._boards["heatmap"] = self._layout.heatmap_board(self._heatmap.rgb)
-        for board in self._boards.values():
+            boards["depth"] = self._layout.depth_board(self._depth.rgb)
+        if self._heatmap is not None:
+            boards["heatmap"] = self._layout.heatmap_board(self._heatmap.rgb)
+        for name in self._boards.keys() - boards.keys():
+            self._nodes.hide_board(name)
+        for board in boards.values():
             self._nodes.show_board(board)
+        self._boards = boards
 
     def _look(self, name: str) -> None:
         if self._layout is None:
@@ -145,7 +154,8 @@ class ScenePanel:
             case "Heatmap" | "Depth" if name.lower() in self._boards:
                 view = camera_views.board(self._boards[name.lower()])
             case _:
-                view = camera_views.perspective(self._layout)
+                aspect = self._desk.client.camera.aspect
+                view = camera_views.perspective(self._layout, aspect)
         self._hidden = view.hides
         with self._desk.client.atomic():
             self._show_layers()
@@ -222,18 +232,22 @@ def _geometry(shown: Shown) -> FrameGeometry | None:
 
 
 def _depth(shown: Shown) -> DepthPicture | None:
-    view = shown.view
+    """The depth image with its pairs; of a frame that could not be matched, without."""
+    view, paired = shown.view, shown.paired
     match = shown.fused or shown.match
-    if match is None:
-        return None
-    depth_m = match.depth_m
     title = f"Depth, frame {view.number}"
+    if match is not None:
+        depth_m, pairs = match.depth_m, pixels_of_match(match)
+    elif paired is not None:
+        depth_m, pairs = shown.opened.session.depth_of(paired.camera, paired.image.depth_m), None
+    else:
+        return None
     if shown.fused is not None and view.repaired:
         depth_m, title = repaired_depth_m(shown.fused), f"{title}, repaired"
     width_px, height_px = _BOARD_PX
     return depth_picture(
         {title: depth_m},
-        pixels_of_match(match),
+        pairs,
         width_px=width_px,
         height_px=height_px,
         classes=view.classes,

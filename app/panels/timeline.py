@@ -1,5 +1,6 @@
 """The time line: play, pause, step, speed, loop, and the keys for them."""
 
+import html
 import threading
 import time
 from collections.abc import Callable
@@ -89,7 +90,7 @@ class TimelinePanel:
         self._time.content = (
             '<div style="padding:0 0.5em;font-size:0.85em;opacity:0.75">'
             f"{_seconds(shown, number)} · frame {number} of {self._last + 1}"
-            f"{_gap(shown)}</div>"
+            f"{_gap(shown)}{_camera(shown, number)}</div>"
         )
 
     def close(self) -> None:
@@ -150,9 +151,17 @@ def _seconds(shown: Shown, number: int) -> str:
 
 
 def _gap(shown: Shown) -> str:
-    if shown.paired is None:
+    if shown.paired is None or shown.opened.session.virtual_row is not None:
         return ""
     if shown.paired.window is None:
         return " · no scan near enough"
     gap_ms = shown.paired.gap_ns / 1e6
     return f" · scan {abs(gap_ms):.1f} ms {'before' if gap_ms >= 0.0 else 'after'} it"
+
+
+def _camera(shown: Shown, number: int) -> str:
+    """Whose image it is, where several cameras take turns."""
+    cameras = shown.opened.session.rig.cameras
+    if len(cameras) < 2 or not len(shown.opened.frames):
+        return ""
+    return f"<br>{html.escape(cameras[shown.opened.frames.camera_of(number)].topic)}"

@@ -14,6 +14,9 @@ from fusion_core.model.geometry import apply as apply_transform
 # Narrow: from far above, what lies above or below the plane hardly moves sideways.
 _ABOVE_FOV_RAD = float(np.deg2rad(20.0))
 _FOV_RAD = float(np.deg2rad(50.0))
+# A screen of this width over height shows the whole scene from its usual place.
+_USUAL_ASPECT = 1.35
+_LEAST_ASPECT = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,11 +42,18 @@ class ViewerCamera(Protocol):
     fov: float
 
 
-def perspective(layout: Layout) -> CameraView:
-    """From behind and above the LiDAR, looking where the rig looks."""
+def perspective(layout: Layout, aspect: float = _USUAL_ASPECT) -> CameraView:
+    """From behind and above the LiDAR, looking where the rig looks.
+
+    ``aspect``: width over height of the screen; before a narrow one, from farther away, so that
+    the boards at both sides are in sight.
+    """
+    position_m = layout.ahead(-0.95 * layout.reach_m, 0.0, 0.95 * layout.reach_m)
+    look_at_m = layout.ahead(0.6 * layout.reach_m, 0.0, 0.05 * layout.reach_m)
+    away = max(1.0, _USUAL_ASPECT / max(aspect, _LEAST_ASPECT))
     return CameraView(
-        position_m=layout.ahead(-0.95 * layout.reach_m, 0.0, 0.95 * layout.reach_m),
-        look_at_m=layout.ahead(0.6 * layout.reach_m, 0.0, 0.05 * layout.reach_m),
+        position_m=look_at_m + away * (position_m - look_at_m),
+        look_at_m=look_at_m,
         up=np.array([0.0, 0.0, 1.0]),
     )
 

@@ -79,6 +79,15 @@ class SceneNodes:
         self._moved = lines(scene, "/frame/moved", None, thickness_px=2.0)
         self._filled = points(scene, "/frame/filled", _GREY, size_m=0.022)
         self._mark = lines(scene, "/frame/mark", color_of("fused"), thickness_px=1.5)
+        self._of_frame = (
+            self._matched,
+            self._curve,
+            self._beams,
+            self._pairs,
+            self._moved,
+            self._filled,
+            self._mark,
+        )
         self._lidar = scene.add_cylinder(
             "/lidar",
             0.05,
@@ -233,6 +242,19 @@ class SceneNodes:
         beam = nearest_beam(self._frame.beams_m, ray_origin_m, ray_direction)
         return None if beam is None else Picked(beam=beam)
 
+    def hide_board(self, name: str) -> None:
+        """Take a picture out of the scene until the next of its name."""
+        shown = self._boards.pop(name, None)
+        if shown is not None:
+            shown[1].remove()
+
+    def hide_frame(self) -> None:
+        """Show no frame until the next; floor and map stay."""
+        self._frame = None
+        for drawn in self._of_frame:
+            drawn.empty()
+        self._update_visible()
+
     def clear(self) -> None:
         """Show nothing any more, as before the first frame."""
         self._frame, self._marked, self._floor_m = None, None, float("nan")
@@ -241,9 +263,7 @@ class SceneNodes:
         for _, handle in self._boards.values():
             handle.remove()
         self._cameras, self._boards = {}, {}
-        for drawn in (self._matched, self._curve, self._beams, self._pairs, self._moved):
-            drawn.empty()
-        for drawn in (self._filled, self._mark, self._path):
+        for drawn in (*self._of_frame, self._path):
             drawn.empty()
         self.show_map(None)
         self.stand_at(None)

@@ -1,115 +1,31 @@
 """The recordings that all browsers share: opened once, aligned once for each choice of settings."""
 
 import threading
-from collections.abc import Callable, Hashable
+from collections import OrderedDict
+from collections.abc import Hashable
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
-from app.jobs.long import LongJob
+from app.state.opened import Opened
 from app.state.view import View
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording
-from fusion_core.workflows.frame_reader import FrameReader
-from fusion_core.workflows.live import LiveChain
-from fusion_core.workflows.poses import Poses, recorded_poses
-from fusion_core.workflows.session import (
-    FuseOptions,
-    Session,
-    align_session,
-    open_session,
-)
+from fusion_core.workflows.session import FuseOptions, Session, open_session
 from fusion_core.workflows.source import open_source
 
 # More files than this in a folder are no list to choose from.
 _MAX_LISTED = 500
-
-
-@dataclass(frozen=True, kw_only=True)
-class Progressing:
-    """How far the alignment of a recording is."""
-
-    done: int
-    total: int | None
-    what: str
-
-
-class Opened:
-    """A recording with the streams of one choice, and its alignment once that is there.
-
-    ``chain`` is None until then; ``failure`` says why it will not come.
-    """
-
-    def __init__(self, session: Session) -> None:
-        self.session = session
-        self.frames = FrameReader(session)
-        self.chain: LiveChain | None = None
-        self.failure: Exception | None = None
-        self.progress = Progressing(done=0, total=None, what="waiting")
-        self._listeners: list[Callable[[], None]] = []
-        self._lock = threading.Lock()
-        self._job: LongJob | None = None
-
-    @cached_property
-    def poses(self) -> Poses | None:
-        """The recorded poses of the LiDAR, None where there are none."""
-        session = self.session
-        if session.virtual_row is not None:
-            return None
-        return recorded_poses(session.recording, session.streams, session.rig.lidar_frame)
-
-    def align(self, on_change: Callable[[], None]) -> None:
-        """Begin the alignment unless it runs or is done; ``on_change`` hears of every step."""
-        with self._lock:
-            if on_change not in self._listeners:
-                self._listeners.append(on_change)
-            if self._job is None:
-                self._job = LongJob(
-                    "alignment",
-                    lambda progress: align_session(self.session, progress),
-                    on_progress=self._advance,
-                    on_done=self._finish,
-                    on_failed=self._fail,
-                    on_cancelled=lambda: None,
-                )
-
-    def forget(self, on_change: Callable[[], None]) -> None:
-        """The listener has gone."""
-        with self._lock:
-            if on_change in self._listeners:
-                self._listeners.remove(on_change)
-
-    def close(self) -> None:
-        """Stop the alignment."""
-        if self._job is not None:
-            self._job.cancel()
-            self._job.wait(5.0)
-
-    def _advance(self, done: int, total: int | None, what: str) -> None:
-        before, self.progress = self.progress, Progressing(done=done, total=total, what=what)
-        # A listener redraws a bar: one step in fifty is enough.
-        if before.what != what or total is None or done * 50 // total != before.done * 50 // total:
-            self._tell()
-
-    def _finish(self, alignment: object) -> None:
-        self.chain = LiveChain(self.session, self.frames, alignment)  # type: ignore[arg-type]  # a job's result is of any type
-        self._tell()
-
-    def _fail(self, error: Exception) -> None:
-        self.failure = error
-        self._tell()
-
-    def _tell(self) -> None:
-        with self._lock:
-            listeners = list(self._listeners)
-        for listener in listeners:
-            listener()
+# Of what nobody looks at, the last few are kept: people go back, and an undo does. The results that
+# each keeps of its frames take some 200 MB.
+_MOST_UNSEEN = 3
+_PARTING_S = 5.0
 
 
 class Library:
     """The recordings that may be opened: those named at the start, and those below ``roots``.
 
-    Nothing else is: a name that is none of them is refused, whatever path it spells.
+    Nothing else is: a name that is none of them is refused, whatever path it spells. What is
+    opened stays so while somebody looks at it, and for a while after. Safe for threads.
     """
 
     def __init__(self, recordings: list[Path], roots: list[Path]) -> None:
@@ -118,8 +34,11 @@ class Library:
             self._named = {str(path): path.resolve() for path in recordings}
         self._roots = [root.resolve() for root in roots]
         self._lock = threading.Lock()
-        self._recordings: dict[Path, Recording] = {}
-        self._opened: dict[Hashable, Opened] = {}
+        self._closed = False
+        # What was asked for last comes last.
+        self._opened: OrderedDict[_Key, Opened] = OrderedDict()
+        self._seen_by: dict[Hashable, _Key] = {}
+        self._files: dict[Path, _File] = {}
 
     def names(self) -> list[str]:
         """What may be opened, by the name that ``open`` takes."""
@@ -130,45 +49,62 @@ class Library:
                     found[child.name] = None
         return list(found)
 
-    def open(self, view: View) -> Opened:
+    def open(self, view: View, seen_by: Hashable = None) -> Opened:
         """The recording of a view with its streams and settings.
+
+        ``seen_by``: who looks at it, until they open another or ``leave``; what is opened for
+        nobody may be closed as soon as something else is opened.
 
         Raises RecordingError and MissingStream as opening a recording does.
         """
         path = self.path(view.recording)
-        settings = view.aligned
-        key = (
-            path,
-            view.lidar_topic,
-            view.depth_topics,
-            view.virtual_row,
-            settings.time,
-            settings.sampling,
-            settings.search,
-            settings.mount,
-            settings.pairing,
-        )
+        key = _key_of(path, view)
+        file: _File | None = None
+        try:
+            with self._lock:
+                if (opened := self._look_at(key, seen_by)) is not None:
+                    return opened
+                file = self._files.setdefault(path, _File(path))
+                # A file with users stays open.
+                file.users += 1
+            with file.opening:
+                with self._lock:
+                    # Somebody may have opened it meanwhile.
+                    if (opened := self._look_at(key, seen_by)) is not None:
+                        return opened
+                made = Opened(_session_of(file.recording(), view))
+                with self._lock:
+                    if self._closed:
+                        raise RecordingError("The server is closing.", advice="Start it again.")
+                    self._opened[key] = made
+                    self._look_at(key, seen_by)
+            return made
+        finally:
+            with self._lock:
+                if file is not None:
+                    file.users -= 1
+                unused = self._take_unused()
+            _close(*unused)
+
+    def leave(self, seen_by: Hashable) -> None:
+        """Somebody looks at nothing any more."""
         with self._lock:
-            if key not in self._opened:
-                options = FuseOptions(
-                    lidar_topic=view.lidar_topic,
-                    depth_topics=view.depth_topics,
-                    virtual_lidar_row=view.virtual_row,
-                )
-                self._opened[key] = Opened(open_session(self._recording(path), options, settings))
-            return self._opened[key]
+            self._seen_by.pop(seen_by, None)
+            unused = self._take_unused()
+        _close(*unused)
 
     def close(self) -> None:
         """Stop what runs and free the files."""
-        for opened in self._opened.values():
-            opened.close()
-        for recording in self._recordings.values():
-            recording.close()
-
-    def _recording(self, path: Path) -> Recording:
-        if path not in self._recordings:
-            self._recordings[path] = open_source(path, None)
-        return self._recordings[path]
+        with self._lock:
+            self._closed = True
+            opened = list(self._opened.values())
+            self._opened.clear()
+            _, files = self._take_unused()
+        for one in opened:
+            one.cancel()
+        for one in opened:
+            one.wait(_PARTING_S)
+        _close([], files)
 
     def path(self, name: str) -> Path:
         """Where a recording lies. Raises RecordingError for a name that may not be opened."""
@@ -186,3 +122,82 @@ class Library:
             f"{name[:200]!r} is not among the recordings of this server.",
             advice="Choose one of the list, or start scanloom view with its folder as --root.",
         )
+
+    def _look_at(self, key: "_Key", seen_by: Hashable) -> Opened | None:
+        """What is open under a key, then the last that was asked for."""
+        if key not in self._opened:
+            return None
+        self._opened.move_to_end(key)
+        if seen_by is not None:
+            self._seen_by[seen_by] = key
+        return self._opened[key]
+
+    def _take_unused(self) -> tuple[list[Opened], list["_File"]]:
+        """Take out what is to be closed, which may last."""
+        seen = set(self._seen_by.values())
+        unseen = [key for key in self._opened if key not in seen]
+        opened = [self._opened.pop(key) for key in unseen[: max(len(unseen) - _MOST_UNSEEN, 0)]]
+        needed = {key.path for key in self._opened}
+        unused = [f.path for f in self._files.values() if not f.users and f.path not in needed]
+        return opened, [self._files.pop(path) for path in unused]
+
+
+@dataclass(frozen=True, slots=True)
+class _Key:
+    """A recording and all that its alignment depends on."""
+
+    path: Path
+    asked: Hashable
+
+
+def _key_of(path: Path, view: View) -> _Key:
+    settings = view.aligned
+    asked = (
+        view.lidar_topic,
+        view.depth_topics,
+        view.virtual_row,
+        settings.time,
+        settings.sampling,
+        settings.search,
+        settings.mount,
+        settings.pairing,
+    )
+    return _Key(path, asked)
+
+
+class _File:
+    """A recording that several ``Opened`` share. ``users``: how many are about to be made;
+    ``opening`` is held by the one that is being made."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.users = 0
+        self.opening = threading.Lock()
+        self._recording: Recording | None = None
+
+    def recording(self) -> Recording:
+        """The opened file, for the holder of ``opening``. Raises RecordingError."""
+        if self._recording is None:
+            self._recording = open_source(self.path, None)
+        return self._recording
+
+    def close(self) -> None:
+        """Free it."""
+        if self._recording is not None:
+            self._recording.close()
+
+
+def _session_of(recording: Recording, view: View) -> Session:
+    options = FuseOptions(
+        lidar_topic=view.lidar_topic,
+        depth_topics=view.depth_topics,
+        virtual_lidar_row=view.virtual_row,
+    )
+    return open_session(recording, options, view.aligned)
+
+
+def _close(opened: list[Opened], files: list[_File]) -> None:
+    for one in opened:
+        one.cancel()
+    for file in files:
+        file.close()

@@ -6,7 +6,7 @@ from collections import OrderedDict
 import numpy as np
 
 from fusion_core.model.conventions import NS_PER_MS, Float32Array
-from fusion_core.model.errors import MissingStream
+from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.model.sensors import ColorImage, DepthImage, LaserScan
 from fusion_core.workflows.pairing import PairedImage, pair_with, virtual_pair
 from fusion_core.workflows.session import Session
@@ -49,11 +49,21 @@ class FrameReader:
         return int(self._owner[number])
 
     def image(self, number: int) -> DepthImage:
-        """The stored depth image of a frame. Raises IndexError beyond the last."""
-        topic = self._topics[self._owner[number]]
+        """The stored depth image of a frame. Raises IndexError beyond the last, RecordingError for
+        one that cannot be read or is of another size than the rig's."""
+        camera = self.camera_of(number)
+        topic, view = self._topics[camera], self._session.rig.views[camera]
         value = self._session.recording.read(topic, int(self._index[number])).value
         if not isinstance(value, DepthImage):
             raise MissingStream(f"{topic} holds no depth images.")
+        if value.depth_m.shape != view.stored_shape:
+            (height, width), (usual_height, usual_width) = value.depth_m.shape, view.stored_shape
+            raise RecordingError(
+                f"{topic}: image {int(self._index[number])} has {width} x {height} pixels, not "
+                f"{usual_width} x {usual_height}.",
+                file=self._session.recording.path,
+                advice="It is of another rig than the rest: go to another frame.",
+            )
         return value
 
     def pair(self, number: int, clock_offset_ms: float = 0.0) -> PairedImage:
@@ -71,12 +81,16 @@ class FrameReader:
         )
 
     def before(self, number: int) -> tuple[int, Float32Array] | None:
-        """Stamp and upright view of the same camera's image before, None for its first."""
+        """Stamp and upright view of the same camera's image before, None for its first, and where
+        that one cannot be read."""
         index = int(self._index[number])
         if index == 0:
             return None
         camera = self.camera_of(number)
-        value = self._session.recording.read(self._topics[camera], index - 1).value
+        try:
+            value = self._session.recording.read(self._topics[camera], index - 1).value
+        except RecordingError:
+            return None
         shape = self._session.rig.views[camera].stored_shape
         if not isinstance(value, DepthImage) or value.depth_m.shape != shape:
             return None
@@ -101,18 +115,25 @@ class FrameReader:
         return [scan for i in range(first, last) if (scan := self._scan(i)) is not None]
 
     def _scan(self, index: int) -> LaserScan | None:
-        """A scan, None where it is of another geometry than the rig's."""
+        """A scan, None where it cannot be read or is of another geometry than the rig's."""
         with self._lock:
             if index in self._scans:
                 self._scans.move_to_end(index)
                 return self._scans[index]
         assert self._lidar is not None, "a session without a LiDAR has a virtual one"
-        value = self._session.recording.read(self._lidar, index).value
-        geometry = self._session.rig.scan_geometry
-        fits = isinstance(value, LaserScan) and geometry is not None and geometry.is_of(value)
-        scan = value if isinstance(value, LaserScan) and fits else None
+        scan = self._read_scan(self._lidar, index)
         with self._lock:
             self._scans[index] = scan
             while len(self._scans) > _SCANS_KEPT:
                 self._scans.popitem(last=False)
         return scan
+
+    def _read_scan(self, topic: str, index: int) -> LaserScan | None:
+        try:
+            value = self._session.recording.read(topic, index).value
+        except RecordingError:
+            # As in a pass over the recording, the next one nearest takes its place.
+            return None
+        geometry = self._session.rig.scan_geometry
+        fits = isinstance(value, LaserScan) and geometry is not None and geometry.is_of(value)
+        return value if isinstance(value, LaserScan) and fits else None

@@ -6,13 +6,13 @@ new epsilon classifies and repairs again and searches nothing.
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 from fusion_core.alignment.search import FieldMean
 from fusion_core.alignment.similarity import SimilarityField
-from fusion_core.model.errors import AlignmentFailed, ScanLoomError
+from fusion_core.model.errors import AlignmentFailed, RecordingError, ScanLoomError
 from fusion_core.workflows.align import Alignment
 from fusion_core.workflows.frame import FrameMatch, FusedFrame, judge_frame, match_frame
 from fusion_core.workflows.frame_reader import FrameReader
@@ -57,21 +57,43 @@ class LiveChain:
 
         Raises AlignmentFailed where no scan is near enough in time, or the frame has no peak.
         """
-        key = (choice, _before_classes(settings))
-        found: FrameMatch = self._matches.get(key, lambda: self._match(choice, settings))
+        key = (choice, settings_of_match(settings))
+        found: FrameMatch = self._matches.get(
+            key, lambda: self._match(self.paired(choice), choice, settings)
+        )
         return found
 
     def judged(self, choice: FrameChoice, settings: ChainSettings) -> FusedFrame:
         """Classes and repairs of a frame. Raises as ``matched``."""
         match = self.matched(choice, settings)
-        key = (choice, _before_classes(settings), settings.noise, settings.repair)
+        key = (choice, settings_of_match(settings), settings.noise, settings.repair)
         found: FusedFrame = self._judged.get(
             key, lambda: judge_frame(match, self.session.rig, self.alignment, settings)
         )
         return found
 
-    def _match(self, choice: FrameChoice, settings: ChainSettings) -> FrameMatch:
-        paired = self.paired(choice)
+    def each(
+        self, settings: ChainSettings, clock_offset_ms: float = 0.0
+    ) -> Iterator[FusedFrame | PairedImage]:
+        """All frames in turn, those that could not be fused as they are; none of them is kept.
+
+        A frame that cannot be read is left out: reading it has left its own warning.
+        """
+        for number in range(len(self.frames)):
+            choice = FrameChoice(number=number, clock_offset_ms=clock_offset_ms)
+            try:
+                paired = self.frames.pair(number, clock_offset_ms)
+            except RecordingError:
+                continue
+            try:
+                match = self._match(paired, choice, settings)
+                yield judge_frame(match, self.session.rig, self.alignment, settings)
+            except AlignmentFailed:
+                yield paired
+
+    def _match(
+        self, paired: PairedImage, choice: FrameChoice, settings: ChainSettings
+    ) -> FrameMatch:
         if paired.window is None:
             raise AlignmentFailed(
                 f"no scan lies within {settings.time.max_gap_ms:g} ms of this depth image.",
@@ -91,8 +113,8 @@ class LiveChain:
         )
 
 
-def _before_classes(settings: ChainSettings) -> Hashable:
-    """The settings that a match depends on."""
+def settings_of_match(settings: ChainSettings) -> Hashable:
+    """The settings that a match depends on: all but those of classes and repairs."""
     return (
         settings.time,
         settings.sampling,

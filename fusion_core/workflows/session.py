@@ -15,6 +15,7 @@ from fusion_core.workflows.align import Alignment, align
 from fusion_core.workflows.fitting import Fitting
 from fusion_core.workflows.frame import FusedFrame, fuse_frame
 from fusion_core.workflows.pairing import PairedImage, paired_images
+from fusion_core.workflows.pairing_gaps import PairingStamps
 from fusion_core.workflows.presets import ChainSettings, PresetName
 from fusion_core.workflows.rig import Rig, build_rig
 from fusion_core.workflows.source import RoomChoice
@@ -106,10 +107,17 @@ def fitting_of(recording: Recording, rig: Rig) -> Fitting:
     return Fitting(recording, rig.scan_geometry, shapes)
 
 
-def align_session(session: Session, progress: Progress = silent) -> Alignment:
-    """Pass 1 over a session."""
+def align_session(
+    session: Session, progress: Progress = silent, stamps: PairingStamps | None = None
+) -> Alignment:
+    """Pass 1 over a session. ``stamps`` takes note of what passes."""
+
+    def pairs() -> Iterator[LaserScan | PairedImage]:
+        entries = session.pairs()
+        return entries if stamps is None else stamps.passing(entries)
+
     return align(
-        session.pairs,
+        pairs,
         session.rig,
         session.settings,
         session.image_count,

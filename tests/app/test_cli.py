@@ -106,10 +106,18 @@ def test_help_is_quick_because_nothing_heavy_is_imported() -> None:
                 *("--force", "--overwrite", "--seed INT", "--json", "--truth TRUTH.npz"),
             ],
         ),
-        (["evaluate"], ["alignment", "noise", "repair"]),
+        (["evaluate"], ["alignment", "noise", "repair", "trajectory", "relations"]),
         (["evaluate", "alignment"], ["FUSE_DIR", "TRUTH.npz", "--json"]),
         (["evaluate", "noise"], ["FUSE_DIR", "TRUTH.npz", "--lever-arm FORWARD LEFT UP"]),
         (["evaluate", "repair"], ["FUSE_DIR", "TRUTH.npz", "--json"]),
+        (
+            ["evaluate", "trajectory"],
+            [
+                *("ESTIMATE", "REFERENCE", "--align {se3,se2,sim3,none}", "--delta STEP"),
+                *("--unit {s,m,frames}", "--greatest-gap S", "--json"),
+            ],
+        ),
+        (["evaluate", "relations"], ["TRAJECTORY", "RELATIONS", "--json"]),
         (["sample"], ["SCENE", "-o FILE", "--list", "--seed INT", "--json"]),
     ],
 )
@@ -146,6 +154,9 @@ def test_version_is_that_of_the_distribution(capsys: pytest.CaptureFixture[str])
         ["evaluate"],
         ["evaluate", "noise", "out"],
         ["evaluate", "noise", "out", "t.npz", "--lever-arm", "1", "2"],
+        ["evaluate", "trajectory", "a.tum"],
+        ["evaluate", "trajectory", "a.tum", "b.tum", "--align", "se4"],
+        ["evaluate", "relations", "a.tum"],
     ],
     ids=" ".join,
 )

@@ -1,8 +1,7 @@
 """One person's desk without a browser: the view, what is computed for it, and what is told."""
 
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -11,20 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from app.desk import STORED_VIEW, Desk
-from app.security import LINK_KEY
-from app.server import ServeOptions, Workbench
 from app.shown import Shown, shown_of
-from app.state.history import History
-from app.state.library import Library, Opened
+from app.state.library import Library
+from app.state.opened import Opened
 from app.state.view import View, view_of_link
-from fusion_core.model.errors import AlignmentFailed, MissingStream, RecordingError
+from fusion_core.model.errors import AlignmentFailed, RecordingError
+from fusion_core.workflows.frame import FrameMatch
 from fusion_core.workflows.live import FrameChoice
 from fusion_core.workflows.presets import PRESETS
-from tests.app.viser_client import connect
 
 ENOUGH_S = 60.0
 
@@ -88,6 +83,8 @@ def library(small_scene: Path) -> Iterator[Library]:
 @pytest.fixture(scope="module")
 def view(library: Library, small_scene: Path) -> View:
     first = View(recording=small_scene.name)
+    # Seen by somebody all the time, it stays open.
+    library.open(first, seen_by="the tests")
     aligned(library, first)
     return first
 
@@ -273,7 +270,9 @@ def test_a_panel_that_fails_is_told_and_the_desk_goes_on(
     panel.failure = ZeroDivisionError("by zero")
     desk.change(number=3)
     assert desk.wait(ENOUGH_S)
-    assert client.notes == [("Something failed", "ZeroDivisionError: by zero")]
+    ((title, body),) = client.notes
+    assert title == "Something failed: ZeroDivisionError: by zero."
+    assert "another frame" in body
     panel.failure = None
     desk.change(number=4)
     assert shown_by(desk).view.number == panel.shown[-1].view.number == 4
@@ -295,11 +294,61 @@ def test_a_closed_desk_shows_nothing_any_more(desk: Desk, panel: Recorder) -> No
     assert len(panel.shown) == before
 
 
+def test_a_desk_looks_at_what_it_shows_until_it_is_closed(
+    view: View, small_scene: Path, client: Told, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    library = Library([small_scene], [])
+    seen: list[object] = []
+    monkeypatch.setattr(library, "leave", seen.append)
+    own = library.open
+    monkeypatch.setattr(
+        library, "open", lambda v, seen_by=None: (seen.append(seen_by), own(v, seen_by))[1]
+    )
+    other = Desk(client, library, view)  # type: ignore[arg-type]  # as far as it is needed
+    other.refresh()
+    assert other.wait(ENOUGH_S)
+    assert set(seen) == {other}
+    seen.clear()
+    other.close()
+    assert seen == [other]
+    library.close()
+
+
+def test_a_desk_that_is_closed_while_its_recording_opens_looks_at_nothing(
+    view: View, small_scene: Path, client: Told, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("app.desk._PARTING_S", 0.0)
+    library = Library([small_scene], [])
+    opening, go_on, left = threading.Event(), threading.Event(), threading.Event()
+    own_open, own_leave = library.open, library.leave
+
+    def slow(asked: View, seen_by: object = None) -> Opened:
+        opening.set()
+        assert go_on.wait(ENOUGH_S)
+        return own_open(asked, seen_by)
+
+    def leave(seen_by: object) -> None:
+        own_leave(seen_by)
+        if go_on.is_set():
+            left.set()
+
+    monkeypatch.setattr(library, "open", slow)
+    monkeypatch.setattr(library, "leave", leave)
+    desk = Desk(client, library, view)  # type: ignore[arg-type]  # as far as it is needed
+    desk.refresh()
+    assert opening.wait(ENOUGH_S)
+    desk.close()
+    go_on.set()
+    assert left.wait(ENOUGH_S)
+    assert desk.shown is None
+    library.close()
+
+
 @pytest.mark.parametrize(
     ("error", "title", "body"),
     [
         (AlignmentFailed("no peak.", advice="Look elsewhere."), "no peak.", "Look elsewhere."),
-        (KeyError("row"), "Something failed", "KeyError: 'row'"),
+        (KeyError("row"), "Something failed: KeyError: 'row'.", "Go to another frame"),
     ],
 )
 def test_an_alignment_that_fails_is_told_and_the_streams_are_shown(
@@ -314,7 +363,7 @@ def test_an_alignment_that_fails_is_told_and_the_streams_are_shown(
     def fail(*_: Any) -> None:
         raise error
 
-    monkeypatch.setattr("app.state.library.align_session", fail)
+    monkeypatch.setattr("app.state.opened.align_session", fail)
     library = Library([small_scene], [])
     opened = library.open(View(recording=small_scene.name))
     desk = Desk(client, library, View(recording=small_scene.name))  # type: ignore[arg-type]  # as far as it is needed
@@ -325,7 +374,9 @@ def test_an_alignment_that_fails_is_told_and_the_streams_are_shown(
     desk.refresh()
     shown = shown_by(desk)
     assert (shown.opened, shown.chain) == (opened, None)
-    assert client.notes == [(title, body)]
+    ((said, then),) = client.notes
+    assert said == title
+    assert then.startswith(body)
     desk.close()
     library.close()
 
@@ -392,311 +443,50 @@ def test_a_picked_row_that_the_image_lacks_is_a_failure_in_words(
     assert f"v = {rows}" in outside.failure.problem
 
 
+def test_a_stage_that_fails_on_one_frame_leaves_what_came_before_it(
+    desk: Desk, client: Told, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(match: FrameMatch, *_: Any) -> None:
+        raise ZeroDivisionError("in the classes")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("fusion_core.workflows.live.judge_frame", fail)
+        # No other test has judged it so.
+        desk.change(number=5)
+        desk.set("noise", "epsilon", 3.21)
+        shown = shown_by(desk)
+    assert shown.view.number == 5
+    assert shown.paired is not None
+    assert shown.match is not None
+    assert shown.fused is None
+    assert shown.color is not None
+    title, body = client.notes[-1]
+    assert title == "Something failed: ZeroDivisionError: in the classes."
+    assert "another frame" in body
+    desk.change(number=6)
+    assert shown_by(desk).fused is not None
+    desk.change(number=5)
+    assert shown_by(desk).fused is not None
+
+
+def test_a_colour_image_that_cannot_be_read_hides_no_frame(
+    desk: Desk, client: Told, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = shown_by(desk).opened.frames
+
+    def fail(number: int) -> None:
+        raise RecordingError("/color: message 7 is damaged.", advice="Record it again.")
+
+    monkeypatch.setattr(frames, "color", fail)
+    desk.change(number=7)
+    shown = shown_by(desk)
+    assert shown.fused is not None
+    assert shown.color is None
+    assert client.notes == [("/color: message 7 is damaged.", "Record it again.")]
+
+
 def test_while_a_recording_is_aligned_its_streams_are_shown(library: Library, view: View) -> None:
     waiting = Opened(library.open(view).session)
     shown = shown_of(view, waiting)
     assert (shown.chain, shown.match, shown.failure) == (None, None, None)
     assert shown.opened is waiting
-
-
-# The library
-
-
-def test_people_share_a_recording_and_its_alignment(library: Library, view: View) -> None:
-    opened = library.open(view)
-    elsewhere = view.changed(number=5, panel="Map").with_setting("noise", "epsilon", 2.0)
-    assert library.open(elsewhere) is opened
-    other = library.open(view.changed(virtual_row=60))
-    assert other is not opened
-    assert other.session.recording is opened.session.recording
-    published = view.changed(settings=PRESETS["published"])
-    assert library.open(published) is opened
-    assert library.open(published.changed(aligned=PRESETS["published"])) is not opened
-
-
-def test_all_who_wait_for_an_alignment_hear_of_it_until_they_leave(small_scene: Path) -> None:
-    library = Library([small_scene], [])
-    opened = library.open(View(recording=small_scene.name))
-    ended = [threading.Event(), threading.Event()]
-    gone: list[int] = []
-
-    def listener(place: int) -> Callable[[], None]:
-        def hear() -> None:
-            if opened.chain is not None:
-                ended[place].set()
-
-        return hear
-
-    def leave() -> None:
-        gone.append(1)
-        opened.forget(leave)
-
-    opened.align(leave)
-    for place in range(2):
-        opened.align(listener(place))
-    for event in ended:
-        assert event.wait(ENOUGH_S)
-    assert gone == [1]
-    assert opened.progress.done == opened.progress.total or opened.progress.total is None
-    library.close()
-
-
-def test_a_library_that_closes_stops_the_alignment(
-    small_scene: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    began, stopped = threading.Event(), threading.Event()
-
-    def endless(_: object, progress: Callable[..., None]) -> None:
-        try:
-            while True:
-                began.set()
-                progress(0, None, "aligning")
-        finally:
-            stopped.set()
-
-    monkeypatch.setattr("app.state.library.align_session", endless)
-    library = Library([small_scene], [])
-    library.open(View(recording=small_scene.name)).align(lambda: None)
-    assert began.wait(ENOUGH_S)
-    library.close()
-    assert stopped.is_set()
-
-
-@pytest.fixture
-def shelves(tmp_path: Path, small_scene: Path) -> Library:
-    """A library with one root; beside the root lies what is none of its business."""
-    root = tmp_path / "root"
-    (root / "inner").mkdir(parents=True)
-    (tmp_path / "outside.mcap").write_bytes(small_scene.read_bytes())
-    for name in ("b.mcap", "a.mcap", "inner/c.mcap", ".hidden.mcap"):
-        (root / name).write_bytes(small_scene.read_bytes())
-    (root / "leads out").symlink_to(tmp_path / "outside.mcap")
-    (root / "loop").symlink_to(root / "loop")
-    (tmp_path / "root.mcap").write_bytes(b"")
-    return Library([small_scene], [root])
-
-
-def test_what_may_be_opened_is_named(shelves: Library, small_scene: Path) -> None:
-    assert shelves.names()[:4] == [small_scene.name, "a.mcap", "b.mcap", "inner"]
-    assert ".hidden.mcap" not in shelves.names()
-    for name in (small_scene.name, "a.mcap", "inner/c.mcap"):
-        assert shelves.path(name).is_file()
-    shelves.close()
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "",
-        ".",
-        "..",
-        "../outside.mcap",
-        "../root.mcap",
-        "inner/../../outside.mcap",
-        "/etc/passwd",
-        "leads out",
-        "loop",
-        "none.mcap",
-        "a\x00b",
-        "x" * 4_000,
-        "x/" * 2_000,
-        "<script>alert(1)</script>",
-    ],
-)
-def test_nothing_else_may_be_opened(shelves: Library, name: str) -> None:
-    with pytest.raises(RecordingError, match="not among the recordings") as refused:
-        shelves.open(View(recording=name))
-    assert str(refused.value).isprintable()
-
-
-def test_files_of_one_name_are_told_apart(tmp_path: Path, small_scene: Path) -> None:
-    paths = [tmp_path / folder / "same.mcap" for folder in ("a", "b")]
-    for path in paths:
-        path.parent.mkdir()
-        path.write_bytes(small_scene.read_bytes())
-    library = Library(paths, [])
-    assert library.names() == [str(path) for path in paths]
-    assert [library.path(name) for name in library.names()] == paths
-
-
-def test_a_topic_that_is_not_there_is_refused(library: Library, view: View) -> None:
-    with pytest.raises(MissingStream, match="no topic '/none'"):
-        library.open(view.changed(depth_topics=("/none",)))
-
-
-# The history
-
-CHANGES = st.lists(st.floats(0.1, 9.0), min_size=1, max_size=12)
-
-
-def walked(history: History, start: View, epsilons: list[float]) -> list[View]:
-    """The views of a walk through these settings; each is at a place of its own."""
-    views = [start]
-    for number, epsilon in enumerate(epsilons):
-        history.add(views[-1])
-        views.append(views[-1].with_setting("noise", "epsilon", epsilon).changed(number=number))
-    return views
-
-
-@given(epsilons=CHANGES)
-def test_undo_goes_all_the_way_back_and_redo_all_the_way_again(epsilons: list[float]) -> None:
-    history = History()
-    views = walked(history, View(recording="a"), epsilons)
-    at = views[-1]
-    for step, then in ((history.undo, views[-2::-1]), (history.redo, views[1:])):
-        for expected in then:
-            moved = step(at)
-            assert moved is not None
-            assert moved.settings == expected.settings
-            assert moved.number == at.number
-            at = moved
-        assert step(at) is None
-
-
-@given(epsilons=CHANGES)
-def test_a_change_after_an_undo_leaves_nothing_to_redo(epsilons: list[float]) -> None:
-    history = History()
-    views = walked(history, View(recording="a"), epsilons)
-    undone = history.undo(views[-1])
-    assert undone is not None
-    history.add(undone)
-    assert history.redo(undone) is None
-
-
-def test_a_drag_is_one_change() -> None:
-    history = History()
-    views = [View(recording="a")]
-    for epsilon, dragged, at_s in (
-        (1.1, "noise.epsilon", 10.0),
-        (1.2, "noise.epsilon", 10.9),
-        (1.3, "noise.epsilon", 11.8),
-        (1.4, "noise.epsilon", 20.0),
-        (1.5, "noise.other", 20.1),
-        (1.6, "", 20.2),
-        (1.7, "", 20.3),
-    ):
-        history.add(views[-1], dragged, at_s)
-        views.append(views[-1].with_setting("noise", "epsilon", epsilon))
-    undone, view = [], views[-1]
-    while (before := history.undo(view)) is not None:
-        view = before
-        undone.append(view.settings.noise.epsilon)
-    assert undone == [1.6, 1.5, 1.4, 1.3, views[0].settings.noise.epsilon]
-    # Back in the past, the same setting begins a drag of its own.
-    history.add(view, "noise.epsilon", 30.0)
-    history.undo(view)
-    history.add(view, "noise.epsilon", 30.1)
-    assert history.undo(view) is not None
-
-
-def test_the_history_is_bounded() -> None:
-    history = History()
-    view = walked(history, View(recording="a"), [1.0 + i / 1000 for i in range(500)])[-1]
-    undone = 0
-    while (before := history.undo(view)) is not None:
-        view, undone = before, undone + 1
-    assert undone == 200
-    assert view.settings.noise.epsilon == pytest.approx(1.299)
-
-
-# The desk of a browser, behind the server
-
-
-@pytest.fixture(scope="module")
-def workbench(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workbench]:
-    options = ServeOptions(
-        recordings=[small_scene], port=0, output_root=tmp_path_factory.mktemp("out")
-    )
-    with Workbench(options) as serving:
-        yield serving
-
-
-def notes_of(client: Any) -> Iterator[tuple[str, str]]:
-    while True:
-        message = client.wait_for(
-            lambda received: received.type == "NotificationShowMessage", ENOUGH_S
-        ).message
-        yield message["props"]["title"], message["props"]["body"]
-
-
-def test_a_browser_gets_the_view_that_it_kept(workbench: Workbench, view: View) -> None:
-    kept = view.changed(number=4, panel="Match").with_setting("noise", "epsilon", 2.5)
-    storage = {STORED_VIEW: kept.to_link()}
-    with connect(workbench.address, storage=storage) as client:
-        client.wait_until(lambda: client_shows(client, "Frame", 4), ENOUGH_S)
-        assert [desk.view for desk in workbench.desks] == [kept]
-
-
-def test_a_link_goes_before_what_was_kept_and_is_followed_once(
-    workbench: Workbench, view: View
-) -> None:
-    linked, kept = view.changed(number=6), view.changed(number=4)
-    storage = {STORED_VIEW: kept.to_link(), LINK_KEY: linked.to_link()}
-    with connect(workbench.address, storage=storage) as client:
-        client.wait_until(lambda: client_shows(client, "Frame", 6), ENOUGH_S)
-        client.wait_until(lambda: storage[STORED_VIEW] == linked.to_link(), ENOUGH_S)
-    assert LINK_KEY not in storage
-
-
-@pytest.mark.parametrize(
-    ("link", "words"),
-    [
-        ("broken", "the link cannot be followed"),
-        (View(recording="../elsewhere").to_link(), "is not among the recordings"),
-        (View(recording="a\x00b").to_link(), "is not among the recordings"),
-    ],
-)
-def test_a_link_that_cannot_be_followed_is_told_and_the_kept_view_is_shown(
-    workbench: Workbench, view: View, link: str, words: str
-) -> None:
-    storage = {STORED_VIEW: view.changed(number=4).to_link(), LINK_KEY: link}
-    with connect(workbench.address, storage=storage) as client:
-        title, _ = next(notes_of(client))
-        assert words in title
-        client.wait_until(lambda: client_shows(client, "Frame", 4), ENOUGH_S)
-
-
-def test_a_widget_that_holds_a_refused_value_is_set_back(workbench: Workbench, view: View) -> None:
-    storage = {STORED_VIEW: view.changed(panel="Match").to_link()}
-    with connect(workbench.address, storage=storage) as client:
-        row = client.find("v (row)", timeout=ENOUGH_S)
-        client.wait_until(lambda: row.value > 0.0, ENOUGH_S)
-        peak_row = row.value
-        client.set_value("v (row)", -3.0)
-        client.set_value("Offset", "Use")
-        title, _ = next(notes_of(client))
-        assert title.startswith("picked.1: ")
-        client.wait_until(lambda: row.value == peak_row, ENOUGH_S)
-
-
-@pytest.mark.filterwarnings("ignore:Queued a")
-@pytest.mark.parametrize("last_seen", ["Preset", "Frame", "v (row)"])
-def test_a_desk_ends_with_its_browser_even_half_furnished(
-    workbench: Workbench, last_seen: str
-) -> None:
-    def threads() -> set[str]:
-        return {t.name for t in threading.enumerate() if t.name.startswith(("desk", "play"))}
-
-    def ended() -> bool:
-        return not workbench.desks and not threads()
-
-    assert within(ended)
-    with connect(workbench.address, storage={}) as client:
-        client.find(last_seen, timeout=ENOUGH_S)
-        assert threads()
-    assert within(ended)
-
-
-def within(condition: Callable[[], bool]) -> bool:
-    """Whether a condition comes true in time."""
-    pause = threading.Event()
-    deadline_s = time.monotonic() + ENOUGH_S
-    while not condition():
-        if time.monotonic() > deadline_s:
-            return False
-        pause.wait(0.05)
-    return True
-
-
-def client_shows(client: Any, label: str, value: Any) -> bool:
-    return any(w.label == label and w.value == value for w in client.widgets.values())

@@ -132,15 +132,23 @@ class Browser:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Server:
+    """A workbench that runs as a process of its own."""
+
+    address: str
+    pid: int
+
+
 @contextmanager
-def serving(recording: Path) -> Iterator[str]:
-    """The address of ``scanloom view`` with this recording."""
+def serving(recording: Path) -> Iterator[Server]:
+    """``scanloom view`` with this recording."""
     command = [sys.executable, "-m", "app.cli", "view", str(recording), "--port", "0"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None, "it is piped"
     try:
         os.sched_setaffinity(process.pid, sorted(os.sched_getaffinity(0))[:CORES])
-        yield process.stdout.readline().strip()
+        yield Server(process.stdout.readline().strip(), process.pid)
     finally:
         process.send_signal(signal.SIGINT)
         process.wait(30.0)
@@ -257,18 +265,18 @@ def write_panorama(path: Path) -> None:
 
 def figures(panorama: Path) -> Iterator[Figure]:
     """All rows of the table."""
-    with serving(sample_path()) as address:
-        with Browser(address, "Match") as browser:
+    with serving(sample_path()) as server:
+        with Browser(server.address, "Match") as browser:
             yield from searching(browser, "sample", 100.0)
             yield playing(browser, "sample", 15.0)
             yield dragging(browser)
-        yield judging(address, "sample", 50.0)
-        yield together(address, 200.0)
-    with serving(panorama) as address:
-        with Browser(address, "Match") as browser:
+        yield judging(server.address, "sample", 50.0)
+        yield together(server.address, 200.0)
+    with serving(panorama) as server:
+        with Browser(server.address, "Match") as browser:
             yield from searching(browser, "panorama", 200.0)
             yield playing(browser, "panorama", 15.0)
-        yield judging(address, "panorama", 50.0)
+        yield judging(server.address, "panorama", 50.0)
 
 
 def main() -> None:

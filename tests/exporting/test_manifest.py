@@ -87,6 +87,7 @@ def test_the_manifest_names_all_and_nothing_of_this_machine(out: Path, recording
         "scipy",
         "opencv-python-headless",
         "numba",
+        "gtsam",
     }
     assert str(recording.parent) not in text
     assert str(out) not in text

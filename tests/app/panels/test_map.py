@@ -170,7 +170,7 @@ def test_cancel_and_build_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -
     told = bench.client.wait_for(
         lambda received: received.type == "NotificationShowMessage", LONG_S
     )
-    assert told.message["props"]["title"] == "no space is left."
+    assert told.message["props"]["title"] == "disk: no space is left."
     bench.until(lambda: not bench.button("Build").props["disabled"])
 
 

@@ -1,6 +1,7 @@
 """The Register panel: A and draws in words, epsilon in its units, and what the widgets change."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -26,6 +27,9 @@ from fusion_core.workflows.registered import (
 
 SIGMA_M = 0.04
 ALIGNMENT = SimpleNamespace(scale=NoiseScale(floor_m=SIGMA_M, share=0.0))
+# No truth stands beside it.
+RECORDING = SimpleNamespace(path=Path("no such recording.mcap"))
+OPENED = SimpleNamespace(session=SimpleNamespace(recording=RECORDING), recalls={})
 AZIMUTHS_RAD = np.linspace(0.5, -0.5, 60)
 LIDAR_M = np.stack([-np.linspace(-1.5, 1.5, 60), 2.0 + 0.4 * np.linspace(-1.5, 1.5, 60) ** 2], 1)
 
@@ -192,7 +196,9 @@ def frame_of(found, *, residual_m=None, epsilon_m=0.1, refusal=""):
 
 def shown(desk, frame, failure=None):
     chain = SimpleNamespace(alignment=ALIGNMENT)
-    return SimpleNamespace(view=desk.view, chain=chain, match=frame, fused=frame, failure=failure)
+    return SimpleNamespace(
+        view=desk.view, opened=OPENED, chain=chain, match=frame, fused=frame, failure=failure
+    )
 
 
 @pytest.fixture
@@ -268,7 +274,8 @@ def test_a_frame_that_failed_gives_its_reason_and_then_the_old_frame_comes_back(
     panel.show(shown(desk, frame))
     before = panel._words.content
     panel.show(shown(desk, None, AlignmentFailed("no scan lies near.")))
-    assert "no scan lies near." in panel._words.content
+    assert "no scan lies near" in panel._words.content
+    assert panel._epsilon._words.content == ""
     assert not panel._pairs.visible
     panel.show(shown(desk, frame))
     assert panel._words.content == before
@@ -294,16 +301,32 @@ def test_only_the_units_slider_is_seen(server, desk):
     desk.set("noise", "epsilon_unit", "E")
     desk.set("noise", "epsilon", 1.3)
     controls.show(shown(desk, frame_of(registered(LIDAR_M))))
-    seen = [unit for unit, slider in controls._sliders.items() if slider.visible]
+    seen = [unit for unit, slider in controls._sliders._sliders.items() if slider.visible]
     assert seen == ["E"]
-    assert controls._sliders["E"].value == 1.3
+    assert controls._sliders._sliders["E"].value == 1.3
+
+
+def test_a_value_of_the_unit_before_is_not_taken_for_one_of_the_next(server, desk):
+    controls = EpsilonControls(server.gui, desk)
+    late = controls._sliders._sliders["sigma"]
+    desk.set("noise", "epsilon_unit", "m")
+    desk.set("noise", "epsilon", 0.1)
+    late._impl.value = 4.0
+    moved = SimpleNamespace(client="a browser", target=late)
+    for callback in late._impl.update_cb:
+        callback(moved)
+    assert (desk.view.settings.noise.epsilon, desk.view.settings.noise.epsilon_unit) == (0.1, "m")
+    desk.set("noise", "epsilon_unit", "sigma")
+    for callback in late._impl.update_cb:
+        callback(moved)
+    assert desk.view.settings.noise.epsilon == 4.0
 
 
 def test_what_another_unit_cannot_hold_ends_at_its_slider(server, desk):
     controls = EpsilonControls(server.gui, desk)
     desk.set("noise", "epsilon", 90.0)
     controls.show(shown(desk, frame_of(registered(LIDAR_M + np.sin(LIDAR_M * 50.0) * 0.002))))
-    assert controls._sliders["sigma"].value == 10.0
+    assert controls._sliders._sliders["sigma"].value == 10.0
     assert desk.view.settings.noise.epsilon == 90.0
     controls._change_unit("E")
     assert desk.view.settings.noise.epsilon == 5.0
@@ -328,7 +351,11 @@ def test_without_an_epsilon_the_plot_is_empty(server):
     plot = ResidualPlot(server.gui)
     plot.show(frame_of(registered(LIDAR_M), epsilon_m=float("nan")), signed=True)
     assert np.isnan(plot._plot.data[1]).all()
+    assert not plot._plot.visible
+    plot.show(frame_of(registered(LIDAR_M)), signed=True)
+    assert plot._plot.visible
     plot.show(None, signed=True)
+    assert not plot._plot.visible
     assert plot._words.content == ""
 
 

@@ -249,7 +249,7 @@ def test_what_the_repair_changed_differs_between_the_pictures(bench: Bench) -> N
 
 
 def test_epsilon_has_one_slider_in_the_unit_of_the_settings(bench: Bench) -> None:
-    sliders = bench.panel._epsilon
+    sliders = bench.panel._epsilon._sliders
     assert [unit for unit, slider in sliders.items() if slider.visible] == ["sigma"]
     agreeing = (bench.frame.classes.lidar_class == NoiseClass.GOOD).sum()
     bench.browser.set_value("ε (σ)", 0.5)
@@ -260,6 +260,17 @@ def test_epsilon_has_one_slider_in_the_unit_of_the_settings(bench: Bench) -> Non
     bench.desk.set("noise", "epsilon_unit", "m")
     bench.until(lambda: sliders["m"].visible)
     assert [unit for unit, slider in sliders.items() if slider.visible] == ["m"]
+
+
+def test_a_box_takes_its_class_out_and_an_undone_view_brings_it_back(bench: Bench) -> None:
+    bench.browser.set_value("Show burr", False)
+    bench.until(lambda: bench.desk.view.classes == ALL - {NoiseClass.BURR})
+    bench.browser.set_value("Show hole", False)
+    bench.until(lambda: bench.desk.view.classes == {NoiseClass.GOOD, NoiseClass.CONFLICT})
+    bench.change(classes=ALL)
+    for name in ("burr", "hole"):
+        box = bench.browser.find(f"Show {name}")
+        bench.browser.wait_until(lambda: box.value is True)  # noqa: B023  # called at once
 
 
 def test_while_another_panel_is_open_nothing_is_drawn(bench: Bench) -> None:

@@ -284,6 +284,41 @@ def test_a_marked_beam_is_pointed_at_in_each_frame(scene):
         assert not mark.visible
 
 
+def test_a_hidden_frame_leaves_floor_and_map_until_the_next(scene):
+    nodes = SceneNodes(scene)
+    nodes.show(frame())
+    nodes.mark_beam(1)
+    nodes.show_map(
+        MapPlane(picture=np.zeros((4, 4, 3), np.uint8), resolution_m=1.0, origin_m=(0, 0))
+    )
+    nodes.stand_at(np.eye(4))
+    of_frame = ("matched", "curve", "beams", "pairs", "moved", "filled", "mark")
+    names = [*(f"/frame/{name}" for name in of_frame), "/cameras/0/rows", "/cameras/0/frustum"]
+    assert all(node(scene, name).visible for name in names)
+    nodes.hide_frame()
+    assert not any(node(scene, name).visible for name in names)
+    assert nodes.pick(np.array([2.0, 0.0, 5.0]), DOWN) is None
+    assert node(scene, "/floor").visible
+    assert node(scene, "/in_map").visible
+    nodes.show(frame())
+    assert all(node(scene, name).visible for name in names)
+
+
+def test_a_hidden_board_is_neither_seen_nor_picked_until_the_next(scene):
+    nodes = SceneNodes(scene)
+    board = LAYOUT.depth_board(np.zeros((30, 40, 3), dtype=np.uint8))
+    nodes.show_board(board)
+    middle = np.array(board.plane.position_m)
+    eye = middle - board.plane.R_lidar_plane[:, 2]
+    assert nodes.pick(eye, middle - eye) is not None
+    nodes.hide_board("depth")
+    nodes.hide_board("depth")
+    assert nodes.pick(eye, middle - eye) is None
+    assert node(scene, "/boards/depth") is None
+    nodes.show_board(board)
+    assert nodes.pick(eye, middle - eye) is not None
+
+
 def test_clearing_leaves_nothing_to_be_seen_or_picked(scene):
     nodes = SceneNodes(scene)
     nodes.show(frame())

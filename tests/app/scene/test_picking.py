@@ -160,6 +160,24 @@ def test_map_view_shows_the_whole_map_upright():
     assert seen[2][1] > seen[1][1]
 
 
+@pytest.mark.parametrize("aspect", [0.6, 0.75, 1.0, 1.13, 1.4, 1.9])
+@pytest.mark.parametrize("shape", [(290, 560), (420, 500)])
+def test_both_boards_are_in_sight_on_any_screen(aspect, shape):
+    view = perspective(LAYOUT, aspect)
+    picture = np.zeros((*shape, 3), dtype=np.uint8)
+    for shown in (LAYOUT.depth_board(picture), LAYOUT.heatmap_board(picture)):
+        for corner in product((0, shape[1] - 1), (0, shape[0] - 1)):
+            x, y = on_screen(view, shown.plane.at_pixel(*corner))
+            assert abs(x) < aspect
+            assert abs(y) < 1.0
+
+
+def test_a_wide_screen_is_seen_from_the_usual_place():
+    np.testing.assert_allclose(
+        perspective(LAYOUT, 2.5).position_m, perspective(LAYOUT, 1.4).position_m
+    )
+
+
 def test_board_view_shows_a_board_upright():
     shown = LAYOUT.heatmap_board(PICTURE)
     view = board(shown)

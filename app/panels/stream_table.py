@@ -1,0 +1,51 @@
+"""The streams of a recording as HTML: counts, rates, gaps, what can be done, and what is lost."""
+
+import html
+from collections.abc import Mapping
+from typing import Any
+
+from fusion_core.workflows.stream_gaps import LEAST_TIMES, StreamGaps
+
+_CELL = "<td style='padding:0.1em 0.5em 0.1em 0;vertical-align:top;overflow-wrap:anywhere'>"
+_GAP_ROW = "<tr><td colspan='4' style='padding:0 0 0.2em 1em;vertical-align:top;font-style:italic'>"
+
+
+def stream_table(described: Mapping[str, Any], gaps: Mapping[str, StreamGaps]) -> str:
+    """``described``: a recording as ``describe`` has it. ``gaps``: by topic."""
+    rows = "".join(_row(topic) + _gap_row(gaps.get(topic["name"])) for topic in described["topics"])
+    head = "".join(f"<th align='left'>{name}</th>" for name in ("stream", "role", "count", "Hz"))
+    lines = [html.escape(line) for line in (*_about_gaps(gaps), *described["can"])]
+    lines += [f"<b>Warning:</b> {html.escape(line)}" for line in described["warnings"]]
+    duration_s = described["duration_s"]
+    time = "" if duration_s is None else f", {duration_s:.1f} s"
+    return (
+        "<div style='padding:0 0.5em;font-size:0.85em'>"
+        f"<div>{html.escape(described['format'])}{time}</div>"
+        f"<table style='width:100%;font-size:0.95em'><tr>{head}</tr>{rows}</table>"
+        + "".join(f"<p style='margin:0.3em 0'>{line}</p>" for line in lines)
+        + "</div>"
+    )
+
+
+def _row(topic: Mapping[str, Any]) -> str:
+    rate_hz = topic["rate_hz"]
+    rate = "–" if rate_hz is None else f"{rate_hz:.1f}"
+    cells = (html.escape(topic["name"]), topic["role"].replace("_", " "), topic["count"], rate)
+    return "<tr>" + "".join(f"{_CELL}{cell}</td>" for cell in cells) + "</tr>"
+
+
+def _gap_row(found: StreamGaps | None) -> str:
+    if found is None or not found.count:
+        return ""
+    count = "1 gap:" if found.count == 1 else f"{found.count} gaps, the longest"
+    said = f"{count} {found.longest_s:.2f} s from {found.longest_at_s:.2f} s on"
+    return f"{_GAP_ROW}{said}</td></tr>"
+
+
+def _about_gaps(gaps: Mapping[str, StreamGaps]) -> list[str]:
+    if not gaps:
+        return []
+    what = f"more than {LEAST_TIMES:g} times the stream's usual interval"
+    if any(found.count for found in gaps.values()):
+        return [f"A gap is {what}, by the time of the log."]
+    return [f"No stream has a gap, which would be {what}."]

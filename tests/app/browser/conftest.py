@@ -1,0 +1,105 @@
+"""One server and one browser for all tests of this folder, and the people before it."""
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, ViewportSize, expect, sync_playwright
+
+from app.server import ServeOptions, Workbench
+from app.state.view import View
+from tests.app.browser.person import ENOUGH_S, Person, at_desk
+
+SCREEN: ViewportSize = {"width": 900, "height": 600}
+# What would be seen if a name were taken for HTML or Markdown.
+HOSTILE = '<img src=x onerror="window.taken = 1"> **bold** ![a](b) <script>window.taken = 2.mcap'
+
+
+def chromium() -> str:
+    names = ("chromium", "chromium-browser", "google-chrome")
+    found = next((path for name in names if (path := shutil.which(name)) is not None), None)
+    if found is None:
+        pytest.skip(f"no browser on the PATH: none of {', '.join(names)}")
+    return found
+
+
+@pytest.fixture(scope="package")
+def browser() -> Iterator[Browser]:
+    path = chromium()
+    # Drawn without a graphics card, as test machines have none.
+    drawing = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    sandbox = ["--no-sandbox"] if os.getuid() == 0 else []
+    with sync_playwright() as playwright:
+        launched = playwright.chromium.launch(executable_path=path, args=[*drawing, *sandbox])
+        yield launched
+        launched.close()
+
+
+@pytest.fixture(scope="package")
+def damaged(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recording, cut off in the middle."""
+    whole = small_scene.read_bytes()
+    path = tmp_path_factory.mktemp("damaged") / "cut short.mcap"
+    path.write_bytes(whole[: len(whole) * 2 // 3])
+    return path
+
+
+@pytest.fixture(scope="package")
+def hostile(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recording under a name that is dangerous where it is not taken for text."""
+    path = tmp_path_factory.mktemp("hostile") / HOSTILE
+    path.write_bytes(small_scene.read_bytes())
+    return path
+
+
+@pytest.fixture(scope="package")
+def output_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Below which the server may write."""
+    return tmp_path_factory.mktemp("out")
+
+
+@pytest.fixture(scope="package")
+def workbench(
+    small_scene: Path, damaged: Path, hostile: Path, output_root: Path
+) -> Iterator[Workbench]:
+    options = ServeOptions(
+        recordings=[small_scene, damaged, hostile], port=0, output_root=output_root
+    )
+    with Workbench(options) as serving:
+        yield serving
+
+
+@pytest.fixture(scope="package")
+def arrive(browser: Browser, workbench: Workbench) -> Iterator[Callable[..., Person]]:
+    """Somebody opens a path of the server in a browser of their own."""
+    # Few pixels: they are drawn by the processor.
+    contexts = []
+
+    def open_in_own_browser(path: str = "/") -> Person:
+        context = browser.new_context(viewport=SCREEN, device_scale_factor=0.5)
+        context.set_default_timeout(ENOUGH_S * 1000)
+        contexts.append(context)
+        page = context.new_page()
+        known = workbench.desks
+        page.goto(f"{workbench.address}{path}")
+        return at_desk(page, workbench, known)
+
+    expect.set_options(timeout=ENOUGH_S * 1000)
+    yield open_in_own_browser
+    for context in contexts:
+        context.close()
+
+
+@pytest.fixture(scope="package")
+def resident(arrive: Callable[..., Person]) -> Person:
+    """One person for all tests that need no other."""
+    return arrive()
+
+
+@pytest.fixture
+def person(resident: Person, small_scene: Path) -> Person:
+    """The resident before a view as a new one is."""
+    resident.look_at(View(recording=small_scene.name))
+    return resident

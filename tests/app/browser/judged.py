@@ -1,0 +1,34 @@
+"""A frame judged by the core alone, and the picture of it that the Repair panel should show."""
+
+import numpy as np
+
+from app.scene.depth_picture import DepthPicture, depth_limits_m, depth_picture
+from app.scene.pair_pixels import pixels_of_match, repaired_depth_m
+from app.shown import Shown
+from app.state.view import View
+from fusion_core.workflows.frame import FusedFrame, judge_frame
+from tests.app.browser.person import match_of
+
+# In this frame of the recording, beams and pixels are of all classes.
+NUMBER = 8
+# More than any picture needs: its width alone decides.
+_ROOM_PX = 1000
+
+
+def judged(shown: Shown, view: View) -> FusedFrame:
+    """The frame of a view, whatever the server has kept of it."""
+    assert shown.chain is not None
+    rig = shown.opened.session.rig
+    return judge_frame(match_of(shown, view), rig, shown.chain.alignment, view.settings)
+
+
+def repaired_picture(frame: FusedFrame, view: View, like: np.ndarray) -> DepthPicture:
+    """The panel's second picture where both are shown, as wide as another one."""
+    return depth_picture(
+        {"After: repaired": repaired_depth_m(frame)},
+        pixels_of_match(frame),
+        width_px=like.shape[1],
+        height_px=_ROOM_PX,
+        classes=view.classes,
+        limits_m=depth_limits_m(frame.depth_m),
+    )

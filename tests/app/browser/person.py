@@ -1,0 +1,195 @@
+"""What a person does before a browser, and what they see."""
+
+import re
+import time
+from base64 import b64decode
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from playwright.sync_api import Locator, Page, expect
+
+from app.desk import STORED_VIEW, Desk
+from app.server import Workbench
+from app.shown import Shown
+from app.state.view import PanelName, View
+from fusion_core.workflows.frame import FrameMatch
+from fusion_core.workflows.live import FrameChoice
+
+ENOUGH_S = 60.0
+
+# Null where another picture took the place of this one meanwhile.
+FETCH = """async image => {
+    const answer = await fetch(image.src).catch(() => null);
+    if (answer === null) return null;
+    const bytes = new Uint8Array(await answer.arrayBuffer());
+    return btoa(Array.from(bytes, byte => String.fromCharCode(byte)).join(''));
+}"""
+
+
+@dataclass
+class Person:
+    """Somebody before a browser, and the desk that the server gave them."""
+
+    page: Page
+    desk: Desk
+
+    def look_at(self, view: View) -> None:
+        """Go there at once, and wait until it is shown."""
+        self.desk.change(**dict(view))
+        self.wait_until(lambda: self.shown.view == view and self.shown.chain is not None)
+
+    @property
+    def shown(self) -> Shown:
+        """What the desk has shown last."""
+        assert self.desk.shown is not None
+        return self.desk.shown
+
+    def reload(self, workbench: Workbench) -> None:
+        """Load the page again, once the browser has kept the view, and wait for the new desk."""
+        self.wait_until(lambda: self.kept() == self.desk.view.to_link())
+        known = workbench.desks
+        self.page.reload()
+        self.desk = at_desk(self.page, workbench, known).desk
+
+    def kept(self) -> str | None:
+        """The link of the view that the browser keeps."""
+        kept: str | None = self.page.evaluate(f"localStorage.getItem('viser-user:{STORED_VIEW}')")
+        return kept
+
+    def wait_until(self, condition: Callable[[], bool]) -> None:
+        """Wait for what no text on the page tells."""
+        deadline_s = time.monotonic() + ENOUGH_S
+        while not condition():
+            assert time.monotonic() < deadline_s, "it never came true"
+            self.page.wait_for_timeout(50)
+
+    def wait_for_peak(self, peak: tuple[float, float]) -> None:
+        """Wait until the Match panel's words say it."""
+        expect(self.text("Peak u =")).to_be_visible()
+        self.wait_until(lambda: self.peak() == peak)
+
+    def wait_for_number(self, label: str, value: float, within: float) -> None:
+        """Wait until a number's field shows a value, but for less than ``within``."""
+        self.wait_until(lambda: abs(self.number(label) - value) < within)
+
+    def wait_for_picture(self, expected: np.ndarray, which: int = 0) -> None:
+        """Wait until a picture of the open panel is this one, (H, W, 3) RGB, to the pixel."""
+        self.wait_until(lambda: np.array_equal(self.picture(which)[..., ::-1], expected))
+
+    def wait_for_another_picture(self, than: np.ndarray) -> np.ndarray:
+        """The open panel's picture, once it is not ``than`` any more."""
+        self.wait_until(lambda: not np.array_equal(self.picture(), than))
+        return self.picture()
+
+    def wait_for_panel(self, panel: PanelName) -> None:
+        """Wait until a panel is shown."""
+        self.wait_until(lambda: self.shown.view.panel == panel)
+
+    def press(self, name: str) -> None:
+        self.button(name).click()
+
+    def button(self, name: str) -> Locator:
+        return self.page.get_by_role("button", name=name, exact=True)
+
+    def choose(self, label: str, option: str) -> None:
+        self.page.get_by_label(label, exact=True).click()
+        self.page.get_by_role("option", name=option, exact=True).click()
+
+    def thumb(self, label: str) -> Locator:
+        """What is dragged of a slider."""
+        words = re.compile(f"^{re.escape(label)}$")
+        slider = self.page.locator("label", has_text=words).get_attribute("for")
+        return self.page.locator(f"[id='{slider}'] [role='slider']")
+
+    def drag(self, label: str, by_px: float) -> float:
+        """Drag a slider, to the left by less than 0; return the value at which it stands then."""
+        thumb = self.thumb(label)
+        thumb.scroll_into_view_if_needed()
+        x, y = middle_of(thumb)
+        mouse = self.page.mouse
+        mouse.move(x, y)
+        mouse.down()
+        mouse.move(x + by_px, y, steps=8)
+        mouse.up()
+        value = thumb.get_attribute("aria-valuenow")
+        assert value is not None
+        return float(value)
+
+    def number(self, label: str) -> float:
+        """What a number's field shows."""
+        return float(self.page.get_by_label(label, exact=True).input_value())
+
+    def key(self, name: str) -> None:
+        """Press a key after a click on some text: what is typed into a widget is for it."""
+        self.page.get_by_text(re.compile(r"frame \d+ of \d+")).first.click()
+        self.page.keyboard.press(name)
+
+    def text(self, words: str) -> Locator:
+        """Text that is seen and has these words in it."""
+        return self.page.get_by_text(words).locator("visible=true").first
+
+    def read(self, words: str, pattern: str) -> tuple[str, ...]:
+        """What the groups of ``pattern`` are in the text that has ``words`` in it."""
+        said = self.text(words).inner_text()
+        found = re.search(pattern, said)
+        assert found is not None, said
+        return found.groups()
+
+    def peak(self) -> tuple[float, float]:
+        """(u, v) of the peak in the Match panel's words."""
+        u, v = self.read("Peak u =", r"u = (-?[\d.]+), v = ([\d.]+)")
+        return float(u), float(v)
+
+    def picture(self, which: int = 0) -> np.ndarray:
+        """(H, W, 3) BGR: a picture that the open panel shows, counted from its top."""
+        shown = self.page.locator("img[src^='blob:']").locator("visible=true").nth(which)
+        deadline_s = time.monotonic() + ENOUGH_S
+        while (data := self.page.evaluate(FETCH, shown.element_handle())) is None:
+            assert time.monotonic() < deadline_s, "no picture stayed"
+        return decoded(b64decode(data))
+
+    def screen(self) -> np.ndarray:
+        """(H, W, 3) BGR: what the browser shows."""
+        return decoded(self.page.screenshot())
+
+
+def at_desk(page: Page, workbench: Workbench, known: list[Desk]) -> Person:
+    """The person at a page whose desk is none of those known; their recording is aligned."""
+    deadline_s = time.monotonic() + ENOUGH_S
+    while time.monotonic() < deadline_s:
+        for desk in workbench.desks:
+            if desk not in known and desk.shown is not None and desk.shown.chain is not None:
+                return Person(page, desk)
+        page.wait_for_timeout(50)
+    raise AssertionError("no desk was made")
+
+
+def decoded(png: bytes) -> np.ndarray:
+    image: np.ndarray | None = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    return image
+
+
+def middle_of(place: Locator) -> tuple[float, float]:
+    box = place.bounding_box()
+    assert box is not None
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+def colourful(image: np.ndarray) -> np.ndarray:
+    """(H, W) bool: neither white nor grey nor black."""
+    return np.ptp(image.astype(np.int64), axis=2) > 40
+
+
+def match_of(shown: Shown, view: View) -> FrameMatch:
+    """What the chain of what is shown computes for a view."""
+    assert shown.chain is not None
+    return shown.chain.matched(FrameChoice(number=view.number), view.settings)
+
+
+def peak_of(shown: Shown, view: View) -> tuple[float, float]:
+    """(u, v) of the peak as the Match panel writes it."""
+    peak = match_of(shown, view).search.peaks[view.settings.search.metric]
+    return round(peak.u, 2), round(peak.v, 1)

@@ -1,0 +1,79 @@
+"""A view outlives its page: by a reload, by a link, and beside what others do."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import expect
+
+from app.server import Workbench
+from app.state.view import View
+from fusion_core.workflows.presets import PRESETS
+from tests.app.browser.person import Person, peak_of
+
+
+def assert_shows(person: Person, view: View) -> None:
+    """The page shows frame, settings and panel of a view whose panel is Match."""
+    assert person.desk.view == view
+    count = len(person.shown.opened.frames)
+    expect(person.text(f"frame {view.number} of {count}")).to_be_visible()
+    expect(person.text(f"sampling.step_deg = {view.settings.sampling.step_deg}")).to_be_visible()
+    assert person.page.get_by_label("Recording", exact=True).count() == 0
+    person.wait_for_peak(peak_of(person.shown, view))
+
+
+def changed(view: View) -> View:
+    """Another frame, another panel, another setting."""
+    return view.with_setting("sampling", "step_deg", 1.75).changed(number=11, panel="Match")
+
+
+def test_a_reload_brings_everything_back(person: Person, workbench: Workbench) -> None:
+    view = changed(person.desk.view)
+    person.look_at(view)
+    before = person.desk
+    person.reload(workbench)
+    assert person.desk is not before
+    assert_shows(person, view)
+
+
+@pytest.fixture(scope="module")
+def friend(arrive: Callable[..., Person], small_scene: Path) -> Person:
+    """Somebody who followed a link, in a browser that had never seen the workbench."""
+    return arrive(f"/go?view={changed(View(recording=small_scene.name)).to_link()}")
+
+
+def test_a_link_brings_everything_into_another_browser(person: Person, friend: Person) -> None:
+    view = changed(person.desk.view)
+    assert_shows(friend, view)
+    assert friend.page.url.endswith("/")
+    person.look_at(view)
+    person.press("Link")
+    dialog = person.page.get_by_role("dialog")
+    link = dialog.get_by_role("textbox").input_value()
+    dialog.get_by_role("button", name="Close", exact=True).click()
+    expect(dialog).to_have_count(0)
+    assert link == f"/go?view={view.to_link()}"
+
+
+def test_what_one_does_changes_nothing_for_another(person: Person, friend: Person) -> None:
+    first = person.desk.view.changed(panel="Match")
+    person.look_at(first)
+    friend.look_at(first)
+    friend.choose("Preset", "published")
+    person.choose("Score", "cosine")
+    friend.key("End")
+    last = len(friend.shown.opened.frames) - 1
+    expect(friend.text("as the preset published has it")).to_be_visible()
+    expect(friend.text(f"frame {last} of {last + 1}")).to_be_visible()
+    expect(person.text("search.metric = cosine")).to_be_visible()
+    expect(person.text(f"frame 0 of {last + 1}")).to_be_visible()
+    assert person.desk.view == first.with_setting("search", "metric", "cosine")
+    published = PRESETS["published"]
+    assert friend.desk.view == first.changed(
+        preset="published", settings=published, aligned=published, number=last
+    )
+    friend.wait_until(
+        lambda: friend.shown.view == friend.desk.view and friend.shown.match is not None
+    )
+    for someone in (person, friend):
+        someone.wait_for_peak(peak_of(someone.shown, someone.desk.view))

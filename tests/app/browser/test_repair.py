@@ -1,0 +1,53 @@
+"""The Repair panel: classes filtered in its pictures."""
+
+import numpy as np
+from playwright.sync_api import expect
+
+from app.scene.palette import class_color
+from app.scene.sheet import Box
+from fusion_core.model.classes import NoiseClass
+from tests.app.browser.judged import NUMBER, judged, repaired_picture
+from tests.app.browser.person import Person
+
+# Once holes are hidden, what fills them is seen.
+HIDDEN = (NoiseClass.CONFLICT, NoiseClass.BURR, NoiseClass.HOLE)
+
+
+def test_a_class_that_is_filtered_loses_its_colour_and_the_others_stay(person: Person) -> None:
+    person.look_at(person.desk.view.changed(number=NUMBER, panel="Repair"))
+    frame = judged(person.shown, person.desk.view)
+    expect(person.text("of the holes and burrs")).to_be_visible()
+    shown = person.picture(1)
+    first = repaired_picture(frame, person.desk.view, shown)
+    person.wait_for_picture(first.rgb, 1)
+    whole = colors_in(person, first.boxes[0])
+    assert all(min(pixels) > 0 for pixels in whole.values())
+    left = frozenset(NoiseClass)
+    for noise in HIDDEN:
+        person.page.get_by_label(f"Show {noise.name.lower()}", exact=True).uncheck()
+        left -= {noise}
+        view = person.desk.view.changed(classes=left)
+        expected = repaired_picture(frame, view, shown)
+        person.wait_for_picture(expected.rgb, 1)
+        seen = colors_in(person, expected.boxes[0])
+        # What a dot of a hidden class had covered comes to light.
+        assert all(seen[kept][place] >= whole[kept][place] for kept in left for place in (0, 1))
+        assert all(seen[gone] == (0, 0) for gone in set(NoiseClass) - left)
+    for noise in HIDDEN:
+        person.page.get_by_label(f"Show {noise.name.lower()}", exact=True).check()
+    person.wait_for_picture(first.rgb, 1)
+    assert colors_in(person, first.boxes[0]) == whole
+    assert person.desk.view.classes == set(NoiseClass)
+
+
+def colors_in(person: Person, box: Box) -> dict[NoiseClass, tuple[int, int]]:
+    """Pixels in the colour of each class in the images before and after the repair, which lie in
+    the same place of their pictures, without the legend."""
+    pictures = [box.view(person.picture(place))[..., ::-1] for place in (0, 1)]
+    found = {}
+    for noise in NoiseClass:
+        before, after = (
+            int(np.all(picture == class_color(noise), axis=2).sum()) for picture in pictures
+        )
+        found[noise] = before, after
+    return found

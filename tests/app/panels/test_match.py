@@ -1,0 +1,90 @@
+"""The Match panel of frames that have no match: nothing of another frame is left to be seen."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import viser
+
+from app.panels.match import MatchPanel
+from app.shown import Shown, shown_of
+from app.state.library import Library
+from app.state.opened import Opened
+from app.state.view import View
+from fusion_core.model.errors import AlignmentFailed, RecordingError
+
+LONG_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[viser.ViserServer]:
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    yield server
+    server.stop()
+
+
+@pytest.fixture(scope="module")
+def opened(small_scene: Path) -> Iterator[Opened]:
+    library = Library([small_scene], [])
+    found = library.open(View(recording=small_scene.name))
+    found.align(lambda: None)
+    assert found.wait(LONG_S)
+    yield found
+    library.close()
+
+
+@pytest.fixture
+def view() -> View:
+    return View(recording="a room", panel="Match", number=4)
+
+
+@pytest.fixture
+def heatmaps() -> list[Any]:
+    return []
+
+
+@pytest.fixture
+def panel(server: viser.ViserServer, view: View, heatmaps: list[Any]) -> MatchPanel:
+    return MatchPanel(server.gui, SimpleNamespace(view=view), heatmaps.append)  # type: ignore[arg-type]  # a desk as far as it is needed
+
+
+def seen(panel: MatchPanel) -> list[bool]:
+    return [picture.visible for picture in (panel._picture, panel._curves)]
+
+
+def test_a_match_is_drawn(
+    panel: MatchPanel, opened: Opened, view: View, heatmaps: list[Any]
+) -> None:
+    assert seen(panel) == [False, False]
+    panel.show(shown_of(view, opened))
+    assert seen(panel) == [True, True]
+    assert panel._picture.image.min() < 255
+    assert heatmaps[-1] is not None
+    assert "Peak **u = " in panel._words.content
+
+
+@pytest.mark.parametrize(
+    ("failure", "words"),
+    [
+        (AlignmentFailed("no peak.", advice="Go on."), r"no peak\. Go on\."),
+        (RecordingError("is <b>cut</b>.", file="a.mcap"), r"a\.mcap\: is \<b\>cut\<\/b\>\. "),
+        (None, r"The recording is being aligned\."),
+    ],
+)
+def test_without_a_match_it_says_why_and_shows_no_other(
+    panel: MatchPanel,
+    opened: Opened,
+    view: View,
+    heatmaps: list[Any],
+    failure: Any,
+    words: str,
+) -> None:
+    panel.show(shown_of(view, opened))
+    panel.show(Shown(view=view, opened=opened, failure=failure))
+    assert seen(panel) == [False, False]
+    assert heatmaps[-1] is None
+    assert panel._words.content == words.strip()
+    panel.show(shown_of(view, opened))
+    assert seen(panel) == [True, True]

@@ -1,0 +1,313 @@
+"""The recall curve on a real server: computed when asked, kept, and out of epsilon's way."""
+
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import viser
+
+from app.desk import Desk
+from app.panels import recall as recall_module
+from app.panels.register import RegisterPanel
+from app.state.library import Library
+from app.state.view import View
+from fusion_core.model.errors import ScanLoomError
+from fusion_core.workflows.epsilon import epsilon_in
+from fusion_core.workflows.evaluate import EPSILON_OVER_E
+from fusion_core.workflows.recall import RecallCurve
+from tests.app.viser_client import ViserClient, Widget, connect
+
+LONG_S = 30.0
+FOLDER = "Recall over ε, by the truth"
+
+
+class Bench:
+    """A server whose browsers have a desk with the Register panel alone."""
+
+    def __init__(self, recordings: list[Path]) -> None:
+        self.library = Library(recordings, [])
+        self.first = View(recording=self.library.names()[0], panel="Register")
+        self.server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        self.server.on_client_connect(self._welcome)
+        self.furnished = threading.Event()
+        self.client: ViserClient = connect(f"http://127.0.0.1:{self.server.get_port()}")
+        assert self.furnished.wait(LONG_S)
+        self.until(lambda: self.desk.shown is not None and self.desk.shown.fused is not None)
+
+    def _welcome(self, client: viser.ClientHandle) -> None:
+        self.desk = Desk(client, self.library, self.first)
+        self.panel = RegisterPanel(client.gui, self.desk)
+        self.desk.panels = [self.panel]
+        self.desk.refresh()
+        self.furnished.set()
+
+    def close(self) -> None:
+        self.panel.close()
+        self.desk.close()
+        self.client.close()
+        self.server.stop()
+        self.library.close()
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        self.client.wait_until(condition, LONG_S)
+        assert self.desk.wait(LONG_S)
+
+    def change(self, **values: object) -> None:
+        self.desk.change(**values)
+        assert self.desk.wait(LONG_S)
+
+    def epsilon(self, value: float, unit: str = "E") -> None:
+        self.desk.set("noise", "epsilon_unit", unit)
+        self.desk.set("noise", "epsilon", value)
+        assert self.desk.wait(LONG_S)
+
+    def within(self, kind: str) -> Widget:
+        """The one widget of a kind in the curve's folder."""
+        (widget,) = (
+            w
+            for w in self.client.widgets.values()
+            if w.type == kind and FOLDER in self.client._around(w)
+        )
+        return widget
+
+    def sees(self, kind: str) -> bool:
+        return bool(self.within(kind).props["visible"])
+
+    @property
+    def is_offered(self) -> bool:
+        return bool(self.client.find(FOLDER).props["visible"])
+
+    @property
+    def words(self) -> str:
+        return str(self.within("GuiMarkdownMessage").props["_markdown"])
+
+    @property
+    def button(self) -> Widget:
+        return self.within("GuiButtonMessage")
+
+    def press(self) -> None:
+        self.client.update(self.button.uuid, {"value": True})
+
+    def said(self) -> str:
+        return str(self.within("GuiHtmlMessage").props["content"])
+
+
+@pytest.fixture
+def bench(small_scene: Path, tmp_path: Path) -> Iterator[Bench]:
+    """The first recording has its truth beside it, the second has none."""
+    alone = tmp_path / "alone.mcap"
+    shutil.copyfile(small_scene, alone)
+    bench = Bench([small_scene, alone])
+    yield bench
+    bench.close()
+
+
+def a_curve(**values: Any) -> RecallCurve:
+    rising = np.arange(EPSILON_OVER_E.size, dtype=np.int64)
+    given = {
+        "factors": EPSILON_OVER_E.copy(),
+        "good_kept": rising * 10,
+        "noise_found": rising[::-1].copy(),
+        "good_pairs": 290,
+        "noise_pairs": 29,
+    }
+    return RecallCurve(**given | values)
+
+
+class Computed:
+    """Stands for ``recall_of``: counts its calls and may be held."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.calls: list[tuple[Any, ...]] = []
+        self.begun, self.go_on = threading.Event(), threading.Event()
+        self.failure: Exception | None = None
+        self.curve = a_curve()
+        monkeypatch.setattr(recall_module, "recall_of", self)
+
+    def __call__(self, *args: Any) -> RecallCurve:
+        self.calls.append(args)
+        progress = args[-1]
+        progress(3, 12, "comparing with the truth")
+        self.begun.set()
+        assert self.go_on.wait(LONG_S)
+        progress(4, 12, "comparing with the truth")
+        if self.failure is not None:
+            raise self.failure
+        return self.curve
+
+
+@pytest.fixture
+def computed(monkeypatch: pytest.MonkeyPatch) -> Computed:
+    return Computed(monkeypatch)
+
+
+def test_a_press_draws_the_curve_with_this_frames_epsilon(bench: Bench) -> None:
+    assert bench.is_offered
+    assert not bench.sees("GuiImageMessage")
+    bench.press()
+    bench.until(lambda: bench.sees("GuiImageMessage"))
+    assert not bench.sees("GuiButtonMessage")
+    assert not bench.sees("GuiProgressBarMessage")
+    assert bench.desk.shown is not None
+    fused = bench.desk.shown.fused
+    assert fused is not None
+    said = epsilon_in(fused)
+    assert f"**{said.middle_m / said.E_m:.2f} E**" in bench.words
+    (curve,) = bench.desk.shown.opened.recalls.values()
+    assert curve.good_pairs > 100
+    picture = bench.panel._recall._drawn
+    assert picture is not None
+    x = picture.place_of(said.middle_m / said.E_m, 0.0)[0]
+    shown = bench.panel._recall._picture.image
+    assert (shown[picture.place_of(0.0, 0.3)[1], x] < 60).all()
+
+
+def test_epsilon_moves_the_mark_and_computes_nothing(bench: Bench, computed: Computed) -> None:
+    computed.go_on.set()
+    bench.press()
+    bench.until(lambda: bench.sees("GuiImageMessage"))
+    pictures = []
+    for epsilon in (2.0, 4.0):
+        bench.epsilon(epsilon)
+        bench.until(lambda: f"**{epsilon:.2f} E**" in bench.words)  # noqa: B023  # called at once
+        # The factors rise by 0.2 and the shares by 1/29.
+        share = 100.0 * (epsilon - 0.2) / 0.2 / 29.0
+        assert f"keeps **{share:.1f} %**" in bench.words
+        assert f"finds **{100.0 - share:.1f} %**" in bench.words
+        pictures.append(bench.panel._recall._picture.image)
+    assert not np.array_equal(*pictures)
+    bench.change(beam=3)
+    assert bench.panel._recall._picture.image is pictures[1]
+    assert len(computed.calls) == 1
+    bench.epsilon(0.1)
+    bench.until(lambda: "outside of the plot" in bench.words)
+
+
+def test_the_curve_is_kept_for_its_settings(bench: Bench, computed: Computed) -> None:
+    computed.go_on.set()
+    bench.press()
+    bench.until(lambda: bench.sees("GuiImageMessage"))
+    bench.desk.set("registration", "model", "affine")
+    bench.until(lambda: bench.sees("GuiButtonMessage") and not bench.sees("GuiImageMessage"))
+    bench.press()
+    bench.until(lambda: bench.sees("GuiImageMessage"))
+    assert [args[1].registration.model for args in computed.calls] == ["rigid", "affine"]
+    for model in ("rigid", "affine"):
+        bench.desk.set("registration", "model", model)
+        assert bench.desk.wait(LONG_S)
+        bench.until(lambda: bench.sees("GuiImageMessage") and not bench.sees("GuiButtonMessage"))
+    assert len(computed.calls) == 2
+
+
+def test_without_a_truth_nothing_is_shown(bench: Bench) -> None:
+    bench.change(recording="alone.mcap", number=0)
+    bench.until(lambda: not bench.is_offered)
+    bench.change(recording=bench.first.recording)
+    bench.until(lambda: bench.is_offered)
+
+
+def test_progress_is_shown_and_the_button_cancels(bench: Bench, computed: Computed) -> None:
+    bench.press()
+    bench.until(lambda: "Comparing with the truth, 25 %" in bench.said())
+    assert bench.within("GuiProgressBarMessage").value == 25.0
+    assert bench.button.label == "Cancel"
+    job = bench.panel._recall._job
+    assert job is not None
+    bench.press()
+    assert job._stop.wait(LONG_S)
+    computed.go_on.set()
+    bench.until(lambda: bench.button.label == "Compute")
+    assert not bench.sees("GuiProgressBarMessage")
+    assert not bench.sees("GuiImageMessage")
+
+
+def test_another_recording_cancels_what_is_computed(bench: Bench, computed: Computed) -> None:
+    bench.press()
+    assert computed.begun.wait(LONG_S)
+    assert bench.desk.shown is not None
+    opened = bench.desk.shown.opened
+    bench.change(recording="alone.mcap")
+    computed.go_on.set()
+    bench.until(lambda: bench.panel._recall._job is None)
+    assert opened.recalls == {}
+
+
+@pytest.mark.parametrize(
+    ("failure", "words"),
+    [
+        (ScanLoomError("does not know the mount.", advice="Measure it."), "the mount. Measure it."),
+        (ZeroDivisionError("by zero"), "ZeroDivisionError: by zero"),
+    ],
+)
+def test_a_failure_is_said_and_can_be_tried_again(
+    bench: Bench, computed: Computed, failure: Exception, words: str
+) -> None:
+    computed.failure = failure
+    computed.go_on.set()
+    bench.press()
+    bench.until(lambda: words in bench.said())
+    assert bench.button.label == "Compute"
+    computed.failure = None
+    bench.press()
+    bench.until(lambda: bench.sees("GuiImageMessage"))
+    assert not bench.sees("GuiHtmlMessage")
+
+
+def test_pairs_that_there_are_none_of_are_not_spoken_of(bench: Bench, computed: Computed) -> None:
+    computed.curve = a_curve(noise_pairs=0)
+    computed.go_on.set()
+    bench.press()
+    bench.until(lambda: bench.sees("GuiImageMessage"))
+    bench.epsilon(2.0)
+    bench.until(lambda: "keeps **" in bench.words)
+    assert "finds" not in bench.words
+
+
+def test_what_is_computed_waits_for_the_desk(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While the desk is at work, the job makes no step."""
+    steps: list[float] = []
+    busy = threading.Event()
+
+    def recall_of(*args: Any) -> RecallCurve:
+        busy.set()
+        for done in range(3):
+            args[-1](done, 3, "comparing")
+            steps.append(time.monotonic())
+        return a_curve()
+
+    ended: list[float] = []
+
+    class Slow:
+        """A panel that takes its time once the job has begun."""
+
+        def show(self, _: object) -> None:
+            if busy.is_set() and not ended:
+                time.sleep(0.3)
+                ended.append(time.monotonic())
+
+    monkeypatch.setattr(recall_module, "recall_of", recall_of)
+    monkeypatch.setattr(recall_module, "_PATIENCE_S", LONG_S)
+    bench.desk.panels.append(Slow())  # type: ignore[arg-type]  # a panel as far as a desk needs one
+    busy.set()
+    bench.desk.refresh()
+    bench.press()
+    bench.until(lambda: bench.sees("GuiImageMessage"))
+    assert len(steps) == 3
+    assert steps[0] >= ended[0]
+
+
+def test_a_browser_that_leaves_ends_what_it_asked_for(bench: Bench, computed: Computed) -> None:
+    bench.press()
+    assert computed.begun.wait(LONG_S)
+    closing = threading.Thread(target=bench.panel.close)
+    closing.start()
+    computed.go_on.set()
+    closing.join(LONG_S)
+    assert bench.panel._recall._job is None
+    bench.press()
+    assert len(computed.calls) == 1

@@ -1,0 +1,131 @@
+"""Ctrl-C ends a server well, whenever it comes."""
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from app.interruption import interruption
+from tests.app.viser_client import connect
+
+ROOT = Path(__file__).parents[2]
+ENOUGH_S = 60.0
+ENDS_S = 20.0
+
+
+@pytest.fixture
+def own_handler() -> Iterator[list[int]]:
+    """What Ctrl-C calls before and after; the signals that reached it."""
+    reached: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: reached.append(number))
+    yield reached
+    signal.signal(signal.SIGINT, before)
+
+
+def press() -> None:
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_within_it_is_noted_and_stays_without_effect(own_handler: list[int]) -> None:
+    with interruption() as interrupted:
+        assert not interrupted
+        press()
+        interrupted.wait()
+        assert interrupted
+        press()
+    press()
+    assert own_handler == []
+
+
+def test_what_it_did_before_holds_again_where_it_was_not_pressed(own_handler: list[int]) -> None:
+    with interruption():
+        pass
+    press()
+    assert own_handler == [signal.SIGINT]
+
+
+def test_a_failure_within_goes_on(own_handler: list[int]) -> None:
+    with pytest.raises(ValueError, match="of this test"), interruption():
+        raise ValueError("of this test")
+    press()
+    assert own_handler == [signal.SIGINT]
+
+
+def serving(recording: Path, port: int = 0) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "app.cli", "view", str(recording), "--json", f"--port={port}"]
+    return subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def ended(server: subprocess.Popen[str]) -> tuple[int, str, str]:
+    """Exit code, what is left of stdout, and stderr."""
+    rest, errors = server.communicate(timeout=ENDS_S)
+    return server.returncode, rest, errors
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.002, 0.02, 0.2])
+def test_pressed_as_soon_as_the_address_is_printed(small_scene: Path, delay_s: float) -> None:
+    with serving(small_scene) as server:
+        assert server.stdout is not None
+        try:
+            address = json.loads(server.stdout.readline())["address"]
+            time.sleep(delay_s)
+            server.send_signal(signal.SIGINT)
+            assert ended(server) == (0, "", "")
+        finally:
+            server.kill()
+    assert re.fullmatch(r"http://127\.0\.0\.1:\d+", address)
+
+
+def test_pressed_as_soon_as_anything_listens(small_scene: Path) -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    with serving(small_scene, port) as server:
+        try:
+            assert accepts(port)
+            server.send_signal(signal.SIGINT)
+            code, rest, errors = ended(server)
+        finally:
+            server.kill()
+    assert (code, errors) == (0, "")
+    assert rest.count("\n") == 1
+
+
+def test_pressed_again_and_again_while_it_closes(small_scene: Path) -> None:
+    with serving(small_scene) as server:
+        assert server.stdout is not None
+        try:
+            address = json.loads(server.stdout.readline())["address"]
+            # A desk that is being aligned, whose closing takes its time.
+            with connect(address) as client:
+                client.find("Frame", timeout=ENOUGH_S)
+                deadline_s = time.monotonic() + ENDS_S
+                while server.poll() is None and time.monotonic() < deadline_s:
+                    server.send_signal(signal.SIGINT)
+                    time.sleep(0.01)
+                assert ended(server) == (0, "", "")
+        finally:
+            server.kill()
+
+
+def accepts(port: int) -> bool:
+    """Whether something listens in time."""
+    deadline_s = time.monotonic() + ENOUGH_S
+    while time.monotonic() < deadline_s:
+        try:
+            socket.create_connection(("127.0.0.1", port), timeout=1.0).close()
+        except OSError:
+            time.sleep(0.001)
+        else:
+            return True
+    return False

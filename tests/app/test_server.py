@@ -1,0 +1,158 @@
+"""A browser and its desk: the view it gets, what it is told, and how it ends."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.desk import STORED_VIEW
+from app.security import LINK_KEY
+from app.server import ServeOptions, Workbench
+from app.state.view import View
+from fusion_core.model.errors import RecordingError
+from tests.app.viser_client import connect
+
+ENOUGH_S = 60.0
+
+
+@pytest.fixture
+def view(small_scene: Path) -> View:
+    return View(recording=small_scene.name)
+
+
+@pytest.fixture(scope="module")
+def workbench(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workbench]:
+    options = ServeOptions(
+        recordings=[small_scene], port=0, output_root=tmp_path_factory.mktemp("out")
+    )
+    with Workbench(options) as serving:
+        yield serving
+
+
+def notes_of(client: Any) -> Iterator[tuple[str, str]]:
+    while True:
+        message = client.wait_for(
+            lambda received: received.type == "NotificationShowMessage", ENOUGH_S
+        ).message
+        yield message["props"]["title"], message["props"]["body"]
+
+
+def test_a_browser_gets_the_view_that_it_kept(workbench: Workbench, view: View) -> None:
+    kept = view.changed(number=4, panel="Match").with_setting("noise", "epsilon", 2.5)
+    storage = {STORED_VIEW: kept.to_link()}
+    with connect(workbench.address, storage=storage) as client:
+        client.wait_until(lambda: client_shows(client, "Frame", 4), ENOUGH_S)
+        assert [desk.view for desk in workbench.desks] == [kept]
+
+
+def test_a_link_goes_before_what_was_kept_and_is_followed_once(
+    workbench: Workbench, view: View
+) -> None:
+    linked, kept = view.changed(number=6), view.changed(number=4)
+    storage = {STORED_VIEW: kept.to_link(), LINK_KEY: linked.to_link()}
+    with connect(workbench.address, storage=storage) as client:
+        client.wait_until(lambda: client_shows(client, "Frame", 6), ENOUGH_S)
+        client.wait_until(lambda: storage[STORED_VIEW] == linked.to_link(), ENOUGH_S)
+    assert LINK_KEY not in storage
+
+
+@pytest.mark.parametrize(
+    ("link", "words"),
+    [
+        ("broken", "the link cannot be followed"),
+        (View(recording="../elsewhere").to_link(), "is not among the recordings"),
+        (View(recording="a\x00b").to_link(), "is not among the recordings"),
+    ],
+)
+def test_a_link_that_cannot_be_followed_is_told_and_the_kept_view_is_shown(
+    workbench: Workbench, view: View, link: str, words: str
+) -> None:
+    storage = {STORED_VIEW: view.changed(number=4).to_link(), LINK_KEY: link}
+    with connect(workbench.address, storage=storage) as client:
+        title, _ = next(notes_of(client))
+        assert words in title
+        client.wait_until(lambda: client_shows(client, "Frame", 4), ENOUGH_S)
+
+
+def test_a_widget_that_holds_a_refused_value_is_set_back(workbench: Workbench, view: View) -> None:
+    storage = {STORED_VIEW: view.changed(panel="Match").to_link()}
+    with connect(workbench.address, storage=storage) as client:
+        row = client.find("v (row)", timeout=ENOUGH_S)
+        client.wait_until(lambda: row.value > 0.0, ENOUGH_S)
+        peak_row = row.value
+        client.set_value("v (row)", -3.0)
+        client.set_value("Offset", "Use")
+        title, _ = next(notes_of(client))
+        assert title.startswith("picked.1: ")
+        client.wait_until(lambda: row.value == peak_row, ENOUGH_S)
+
+
+def test_a_frame_that_cannot_be_read_takes_the_one_before_out_of_sight(
+    workbench: Workbench, view: View, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    boards = {"/boards/depth", "/boards/heatmap"}
+    storage = {STORED_VIEW: view.changed(number=2).to_link()}
+    with connect(workbench.address, storage=storage) as client:
+        for _ in boards:
+            client.wait_for(
+                lambda r: r.type == "ImageMessage" and r.message["name"] in boards, ENOUGH_S
+            )
+        (desk,) = workbench.desks
+        assert desk.wait(ENOUGH_S)
+        assert desk.shown is not None
+        frames = desk.shown.opened.frames
+
+        def fail(*_: Any) -> None:
+            raise RecordingError("message 7 is damaged.", advice="Go on.")
+
+        monkeypatch.setattr(frames, "pair", fail)
+        # No other test has looked at it.
+        desk.change(number=13)
+        title, body = next(notes_of(client))
+        assert (title, body) == ("message 7 is damaged.", "Go on.")
+        removed = set()
+        while removed != boards:
+            gone = client.wait_for(lambda r: r.type == "RemoveSceneNodeMessage", ENOUGH_S)
+            removed.add(gone.message["name"])
+        monkeypatch.undo()
+        desk.change(number=14)
+        for _ in boards:
+            client.wait_for(
+                lambda r: r.type == "ImageMessage" and r.message["name"] in boards, ENOUGH_S
+            )
+
+
+@pytest.mark.filterwarnings("ignore:Queued a")
+@pytest.mark.parametrize("last_seen", ["Preset", "Frame", "v (row)"])
+def test_a_desk_ends_with_its_browser_even_half_furnished(
+    workbench: Workbench, last_seen: str
+) -> None:
+    def threads() -> set[str]:
+        return {t.name for t in threading.enumerate() if t.name.startswith(("desk", "play"))}
+
+    def ended() -> bool:
+        return not workbench.desks and not threads()
+
+    assert within(ended)
+    with connect(workbench.address, storage={}) as client:
+        client.find(last_seen, timeout=ENOUGH_S)
+        assert threads()
+    assert within(ended)
+
+
+def within(condition: Callable[[], bool]) -> bool:
+    """Whether a condition comes true in time."""
+    pause = threading.Event()
+    deadline_s = time.monotonic() + ENOUGH_S
+    while not condition():
+        if time.monotonic() > deadline_s:
+            return False
+        pause.wait(0.05)
+    return True
+
+
+def client_shows(client: Any, label: str, value: Any) -> bool:
+    return any(w.label == label and w.value == value for w in client.widgets.values())
