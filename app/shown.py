@@ -49,12 +49,21 @@ def problem_of(failure: ScanLoomError) -> str:
     return f"{Path(failure.file).name}: {failure.problem}" if failure.file else failure.problem
 
 
+def aligning_words(opened: Opened) -> str:
+    """How far the alignment is."""
+    step = opened.progress
+    count = f", {step.done} of {step.total}" if step.total else ""
+    # The loops are compiled when they are met first, and kept for later runs.
+    patience = "" if step.done else " The very first time takes up to a minute."
+    return f"Aligning the recording: {step.what}{count}.{patience}"
+
+
 def why_missing(shown: Shown) -> str:
     """Why a stage has nothing to show, and what to do about it."""
     if shown.failure is not None:
         return f"{problem_of(shown.failure)} {shown.failure.advice}"
     if shown.chain is None:
-        return "The recording is being aligned."
+        return aligning_words(shown.opened)
     return "This frame could not be judged."
 
 

@@ -9,7 +9,7 @@ from app.panels.controls import Controls, put
 from app.panels.depth_cameras import DepthCameras
 from app.panels.pairing_plot import PairingPlot
 from app.panels.stream_table import stream_table
-from app.shown import Shown
+from app.shown import Shown, aligning_words
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
 from fusion_core.workflows.inspect import describe
 from fusion_core.workflows.stream_gaps import stream_gaps
@@ -122,8 +122,7 @@ class RecordingPanel:
         step = opened.progress
         share = 100.0 * step.done / step.total if step.total else 0.0
         put(self._progress, value=min(share, 100.0))
-        count = f", {step.done} of {step.total}" if step.total else ""
-        said = f"Aligning the recording: {step.what}{count}"
+        said = aligning_words(opened)
         put(self._progress_text, content=f'<div style="padding:0 0.5em">{html.escape(said)}</div>')
 
 

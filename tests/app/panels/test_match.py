@@ -11,7 +11,7 @@ import viser
 from app.panels.match import MatchPanel
 from app.shown import Shown, shown_of
 from app.state.library import Library
-from app.state.opened import Opened
+from app.state.opened import Opened, Progressing
 from app.state.view import View
 from fusion_core.model.errors import AlignmentFailed, RecordingError
 
@@ -65,12 +65,26 @@ def test_a_match_is_drawn(
     assert "Peak **u = " in panel._words.content
 
 
+def test_while_it_is_being_aligned_it_says_how_far_that_is(
+    panel: MatchPanel, opened: Opened, view: View
+) -> None:
+    before = opened.progress
+    for step, words in (
+        (Progressing(done=0, total=None, what="waiting"), "waiting. The very first time "),
+        (Progressing(done=40, total=90, what="matching"), "matching, 40 of 90."),
+    ):
+        opened.progress = step
+        panel.show(Shown(view=view, opened=opened))
+        assert f"Aligning the recording: {words}" in panel._words.content.replace("\\", "")
+    assert "first time" not in panel._words.content
+    opened.progress = before
+
+
 @pytest.mark.parametrize(
     ("failure", "words"),
     [
         (AlignmentFailed("no peak.", advice="Go on."), r"no peak\. Go on\."),
         (RecordingError("is <b>cut</b>.", file="a.mcap"), r"a\.mcap\: is \<b\>cut\<\/b\>\. "),
-        (None, r"The recording is being aligned\."),
     ],
 )
 def test_without_a_match_it_says_why_and_shows_no_other(
