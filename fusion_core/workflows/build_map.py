@@ -35,7 +35,6 @@ Motion = Literal["recorded", "wheel", "none"]
 _SEED = 0
 _TRUSTED_SHARE_MIN = 0.5
 _REPORT_NAME = "report.json"
-_TIMING_NAME = "timing.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +53,10 @@ class MapOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class MapSummary:
-    """What a run has to report: report.json's content, and the seconds of its stages."""
+    """What a run has to report: report.json's content, and the seconds of its stages.
+
+    The seconds stand in no file, since they alone differ from run to run; a skipped run has none.
+    """
 
     output: Path
     skipped: bool
@@ -149,11 +151,8 @@ def _asked(options: MapOptions) -> str:
 
 
 def _skipped(output: Path) -> MapSummary:
-    report, seconds = (
-        json.loads((output / name).read_text(encoding="utf-8"))
-        for name in (_REPORT_NAME, _TIMING_NAME)
-    )
-    return MapSummary(output=output, skipped=True, report=report, seconds=seconds)
+    report = json.loads((output / _REPORT_NAME).read_text(encoding="utf-8"))
+    return MapSummary(output=output, skipped=True, report=report, seconds={})
 
 
 def _run(
@@ -202,8 +201,6 @@ def _run(
             notes.append(f"{scans.out_of_order} scans out of order in time are left out.")
         report = _report(placed, result, options, [*notes, *recording.warnings])
         write_text(folder / _REPORT_NAME, json.dumps(report, indent=2, allow_nan=False) + "\n")
-        # On its own, since it alone differs from run to run.
-        write_text(folder / _TIMING_NAME, json.dumps(seconds, indent=2) + "\n")
     return MapSummary(output=plan.folder, skipped=False, report=report, seconds=seconds)
 
 
