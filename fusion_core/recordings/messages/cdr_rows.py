@@ -73,30 +73,14 @@ def read_scan(payload: Payload, order: _Order) -> tuple[ScanRow, int]:
     """sensor_msgs/msg/LaserScan."""
     seconds, nanoseconds, frame, at = _header(payload, _ENCAPSULATION_BYTES, order)
     at += -at % _COUNT_BYTES
-    # fmt: off
-    angle_min, _, increment, time_increment, scan_time, range_min, range_max, count = (
-        order.scan.unpack_from(payload, at)
-    )
-    # fmt: on
+    angle_min, _, *numbers, count = order.scan.unpack_from(payload, at)
     at += order.scan.size
     ranges = np.frombuffer(payload, order.range, count, at)
     at += ranges.nbytes
     (count,) = order.length.unpack_from(payload, at)
     at += order.length.size
     intensities = np.frombuffer(payload, order.range, count, at)
-    row = ScanRow(
-        seconds,
-        nanoseconds,
-        frame,
-        angle_min,
-        increment,
-        time_increment,
-        scan_time,
-        range_min,
-        range_max,
-        ranges,
-        intensities,
-    )
+    row = ScanRow._make((seconds, nanoseconds, frame, angle_min, *numbers, ranges, intensities))
     return row, at + intensities.nbytes
 
 

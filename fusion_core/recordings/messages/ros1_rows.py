@@ -46,30 +46,14 @@ def _whole(read: Callable[[Payload], tuple[_Row, int]]) -> Callable[[Payload], _
 def read_scan(payload: Payload) -> tuple[ScanRow, int]:
     """sensor_msgs/LaserScan."""
     seconds, nanoseconds, frame, at = _header(payload, 0)
-    # fmt: off
-    angle_min, _, increment, time_increment, scan_time, range_min, range_max, count = (
-        _SCAN.unpack_from(payload, at)
-    )
-    # fmt: on
+    angle_min, _, *numbers, count = _SCAN.unpack_from(payload, at)
     at += _SCAN.size
     ranges = np.frombuffer(payload, _RANGE, count, at)
     at += ranges.nbytes
     (count,) = _LENGTH.unpack_from(payload, at)
     at += _LENGTH.size
     intensities = np.frombuffer(payload, _RANGE, count, at)
-    row = ScanRow(
-        seconds,
-        nanoseconds,
-        frame,
-        angle_min,
-        increment,
-        time_increment,
-        scan_time,
-        range_min,
-        range_max,
-        ranges,
-        intensities,
-    )
+    row = ScanRow._make((seconds, nanoseconds, frame, angle_min, *numbers, ranges, intensities))
     return row, at + intensities.nbytes
 
 

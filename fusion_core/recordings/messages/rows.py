@@ -17,9 +17,10 @@ PoseRow = tuple[int, int, str, str, PoseNumbers]
 
 
 class ScanRow(NamedTuple):
-    """A LaserScan: ``ranges`` and ``intensities`` are float32 of either byte order, (N,) or (0,).
+    """A LaserScan without angle_max, in the order of its fields: seconds, radians, metres.
 
-    Seconds, radians and metres; a range is what the file has, whatever that means.
+    ``ranges`` and ``intensities`` are float32 of either byte order, (N,) or (0,), and what the file
+    has, whatever that means.
     """
 
     seconds: int
