@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 from tyro import conf
 
+from app.arenas import limit_arenas
 from app.command_options import (
     Flag,
     HomeOption,
@@ -57,6 +58,7 @@ class Serve:
         # The fields' products are small: more threads take more time of more cores. numpy reads
         # this when it is first imported.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        limit_arenas()
         from app.interruption import interruption
         from app.server import ServeOptions, Workbench
 
