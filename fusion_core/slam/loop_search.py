@@ -25,8 +25,6 @@ _LEVELS = 6
 _PYRAMIDS_KEPT = 48
 # Where the likelihood of an obstacle's cell ends: local poses bend by about that much.
 _REACH_M = 0.15
-
-
 # Without any, an edge along a bare wall would be singular.
 _LEAST_INFORMATION = np.diag([1.0, 1.0, 4.0])
 
@@ -62,14 +60,13 @@ class LoopSearch:
 
         ``poses_map_node``: (>= node + 1, 3) the best poses so far.
         """
-        settings = self._settings
         points_m = self._stretch_points(node)
         if points_m.shape[0] == 0:
             return []
         found = []
         for number in self._candidates(node, poses_map_node):
             self.tried += 1
-            edge = self._match(node, points_m, number, poses_map_node, settings)
+            edge = self._match(node, points_m, number, poses_map_node)
             if edge is not None:
                 found.append(edge)
         return found
@@ -106,8 +103,8 @@ class LoopSearch:
         points_m: FloatArray,
         number: int,
         poses_map_node: FloatArray,
-        settings: LoopSettings,
     ) -> Edge | None:
+        settings = self._settings
         submap = self._local.submaps[number]
         anchor = self._local.key_poses[submap.first]
         predicted = compose(anchor, relative(poses_map_node[submap.first], poses_map_node[node]))
