@@ -8,7 +8,8 @@ import pytest
 from app.cli import main
 from fusion_core.model.errors import MappingFailed, MissingStream
 from fusion_core.recordings.tum_trajectory import read_tum_trajectory
-from fusion_core.workflows.build_map import MapOptions, build_map, untrusted_stretches
+from fusion_core.workflows.build_map import MapOptions, build_map
+from fusion_core.workflows.map_report import untrusted_stretches
 from tests.slam.ring import drive, error_m
 
 FILES = {

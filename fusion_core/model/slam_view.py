@@ -1,0 +1,45 @@
+"""What a run of SLAM knows so far, for people who look on."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from fusion_core.model.conventions import FloatArray, IntArray, read_only
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SlamView:
+    """A moment of a run.
+
+    ``stage``: in words. ``stamps_ns``: (N,) of the scans placed so far; ``poses_map_scan``: (N, 3)
+    x, y, yaw of the LiDAR there, as it is believed now. ``particles``: (P, 3) the poses that the
+    last scan may have, (0, 3) for an estimator without; ``weights``: (P,) of them, their sum 1.
+    ``effective``: (N,) effective number of particles at each scan, NaN where none was weighed,
+    (0,) without particles. ``loops_m``: (L, 4) x, y of the two ends of each loop closure.
+    """
+
+    stage: str
+    stamps_ns: IntArray
+    poses_map_scan: FloatArray
+    particles: FloatArray
+    weights: FloatArray
+    effective: FloatArray
+    loops_m: FloatArray
+
+    def __post_init__(self) -> None:
+        for array in (
+            self.stamps_ns,
+            self.poses_map_scan,
+            self.particles,
+            self.weights,
+            self.effective,
+            self.loops_m,
+        ):
+            read_only(array)
+
+
+Watch = Callable[[SlamView], None]
+"""Called now and then in a run, on its own thread; what it raises ends the run."""
+
+
+def unwatched(view: SlamView) -> None:
+    """Nobody looks on."""

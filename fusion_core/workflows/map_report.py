@@ -1,0 +1,110 @@
+"""What ``scanloom map`` reports: report.json's content, and the same for people."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fusion_core.model.conventions import BoolArray, IntArray
+from fusion_core.slam.pose_graph_slam import SlamResult
+from fusion_core.workflows.estimators import Placed
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapSummary:
+    """What a run has to report: report.json's content, and the seconds of its stages.
+
+    The seconds stand in no file, since they alone differ from run to run; a skipped run has none.
+    """
+
+    output: Path
+    skipped: bool
+    report: dict[str, Any]
+    seconds: Mapping[str, float]
+
+    def to_json(self) -> dict[str, Any]:
+        """One machine-readable result."""
+        return {
+            "output": str(self.output),
+            "skipped": self.skipped,
+            **self.report,
+            "seconds": dict(self.seconds),
+        }
+
+    def lines(self) -> list[str]:
+        """The same for people."""
+        report = self.report
+        lines = [
+            f"scans      {report['scans']} of {report['duration_s']:.1f} s, "
+            f"{report['path_m']:.1f} m of way",
+        ]
+        if "loops" in report:
+            lines.append(
+                f"graph      {report['key_scans']} key scans, {report['edges']} edges, "
+                f"{report['loops']} loops ({report['loops_dropped']} dropped)"
+            )
+        for stretch in report["untrusted"]:
+            lines.append(
+                f"untrusted  {stretch['from_s']:.3f} s to {stretch['to_s']:.3f} s: "
+                f"{stretch['scans']} scans do not fit"
+            )
+        lines += [f"time       {name} {value:.1f} s" for name, value in self.seconds.items()]
+        lines += [f"note       {note}" for note in report["notes"]]
+        if self.skipped:
+            lines.append("Nothing was done, the results were there already (--force redoes).")
+        return [*lines, f"results    {self.output}"]
+
+
+def report_of(
+    placed: Placed, asked: Mapping[str, str], notes: Sequence[str], warnings: Iterable[str]
+) -> dict[str, Any]:
+    """report.json's content; ``asked``: what a person chose, by name."""
+    steps_m = np.hypot(*np.diff(placed.poses_map_scan[:, :2], axis=0).T)
+    report: dict[str, Any] = {
+        **asked,
+        "scans": int(placed.stamps_ns.size),
+        "duration_s": float(placed.stamps_ns[-1] - placed.stamps_ns[0]) / 1e9,
+        "path_m": float(steps_m.sum()),
+        "trusted_share": float(placed.trusted.mean()),
+        "untrusted": untrusted_stretches(placed.stamps_ns, placed.trusted),
+        "notes": [*notes, *warnings],
+    }
+    if placed.graph is not None:
+        report |= _graph_report(placed.stamps_ns, placed.graph)
+    return report
+
+
+def _graph_report(stamps_ns: IntArray, result: SlamResult) -> dict[str, Any]:
+    graph = result.graph
+    away_m = np.hypot(*result.residuals[:, :2].T)
+    return {
+        "key_scans": int(result.key.size),
+        "edges": int(graph.first.size),
+        "loops": result.loops,
+        "loops_tried": result.loops_tried,
+        "loops_dropped": result.loops_dropped,
+        "loop_closures": [
+            {
+                "first_s": float(stamps_ns[result.key[graph.first[edge]]]) / 1e9,
+                "second_s": float(stamps_ns[result.key[graph.second[edge]]]) / 1e9,
+                "residual_m": float(away_m[edge]),
+                "residual_rad": float(result.residuals[edge, 2]),
+            }
+            for edge in np.flatnonzero(graph.is_loop)
+        ],
+    }
+
+
+def untrusted_stretches(stamps_ns: IntArray, trusted: BoolArray) -> list[dict[str, Any]]:
+    """Each run of scans that cannot be trusted: stamps of its first and last, and how many."""
+    turns = np.flatnonzero(np.diff(np.concatenate([[True], trusted, [True]]).astype(np.int8)))
+    return [
+        {
+            "from_s": float(stamps_ns[first]) / 1e9,
+            "to_s": float(stamps_ns[end - 1]) / 1e9,
+            "scans": int(end - first),
+        }
+        for first, end in zip(turns[::2], turns[1::2], strict=True)
+    ]
