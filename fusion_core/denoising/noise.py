@@ -11,10 +11,10 @@ from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
-from numba import njit
 
 from fusion_core.denoising.correspondence import Correspondence
 from fusion_core.denoising.noise_scale import NoiseScale
+from fusion_core.denoising.support import count_beam_support, count_pixel_support
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import (
     BoolArray,
@@ -29,11 +29,6 @@ from fusion_core.settings import StageSettings, setting
 # A disagreement is as likely anywhere within this span (for the confidences).
 _OUTLIER_SPAN_M = 4.0
 _OUTLIER_SHARE = 0.05
-# Within so many beams the camera must see an edge for a beam to be its mixed pixel. How far off
-# both of its sides the beam must lie, as a share of what supports it: an edge that is seen needs
-# less than one that is guessed.
-_EDGE_BEAMS = 2
-_OFF_EDGE_SHARE = 0.7
 
 
 class NoiseSettings(StageSettings):
@@ -268,7 +263,7 @@ def _beam_support(
         same = scan is not None and scan.ranges_m.size == nothing.size
         return scan.ranges_m if scan is not None and same else nothing
 
-    counted: tuple[IntArray, IntArray] = _count_beam_support(
+    counted: tuple[IntArray, IntArray] = count_beam_support(
         window.scan.ranges_m,
         np.stack([in_time(window.scan_before), in_time(window.scan_after)]),
         np.array([window.shift_before, window.shift_after]),
@@ -283,126 +278,10 @@ def _beam_support(
 
 def _pixel_support(window: FrameWindow, settings: NoiseSettings) -> tuple[IntArray, IntArray]:
     """(B,) supporters among the 5 x 5 pixels around, and how many of those had a value."""
-    counted: tuple[IntArray, IntArray] = _count_pixel_support(
+    counted: tuple[IntArray, IntArray] = count_pixel_support(
         window.depth_m,
         window.pairs.row,
         window.pairs.column,
         settings.pixel_tolerance_share,
     )
     return counted
-
-
-@njit(cache=True)
-def _count_beam_support(
-    ranges: FloatArray,
-    in_time: FloatArray,
-    shifts: IntArray,
-    beams: IntArray,
-    camera: FloatArray,
-    floor_m: float,
-    share: float,
-    slope: float,
-) -> tuple[IntArray, IntArray]:
-    support = np.zeros((beams.size, 3), dtype=np.int64)
-    neighbours = np.zeros((beams.size, 2), dtype=np.int64)
-    count = ranges.size
-    seen_by_camera = np.full(count, np.nan)
-    seen_by_camera[beams] = camera
-    for index in range(beams.size):
-        beam = beams[index]
-        own = ranges[beam]
-        if np.isnan(own):
-            continue
-        tolerance = np.hypot(floor_m, share * own)
-        for step in (-3, -2, -1, 1, 2, 3):
-            other = beam + step
-            if other < 0 or other >= count or np.isnan(ranges[other]):
-                continue
-            neighbours[index, 0] += 1
-            slant = seen_by_camera[other] - seen_by_camera[beam]
-            allowed = tolerance
-            if np.isnan(slant):
-                slant = 0.0
-                allowed += slope * own * abs(step)
-            elif abs(slant) > 0.03 * own * abs(step):
-                # The camera sees an edge here: the beams are on one side of it or the other.
-                slant = 0.0
-            if abs(ranges[other] - own - slant) <= allowed:
-                support[index, 0 if abs(step) == 1 else 1] += 1
-        if _between_surfaces(ranges, beam, tolerance) or _between_seen(
-            seen_by_camera, beam, own, _OFF_EDGE_SHARE * tolerance
-        ):
-            support[index, 0] = support[index, 1] = 0
-        for neighbour in range(2):
-            scan, shift = in_time[neighbour], shifts[neighbour]
-            # The robot moves between scans: the surface may have come nearer by a little.
-            reach = tolerance + 0.05
-            seen = False
-            met = False
-            for step in (-1, 0, 1):
-                other = beam + shift + step
-                if 0 <= other < count and not np.isnan(scan[other]):
-                    seen = True
-                    met = met or abs(scan[other] - own) <= reach
-            neighbours[index, 1] += seen
-            support[index, 2] += met
-    return support, neighbours
-
-
-@njit(cache=True)
-def _between_surfaces(ranges: FloatArray, beam: int, tolerance: float) -> bool:
-    """Whether a beam, alone or with one like it beside it, steps from one surface to another.
-
-    Mixed pixels do; a thin object of its own stands before both.
-    """
-    for width in (1, 2):
-        for first in range(beam - width + 1, beam + 1):
-            left, right = first - 1, first + width
-            if left < 0 or right >= ranges.size:
-                continue
-            low = min(ranges[left], ranges[right])
-            high = max(ranges[left], ranges[right])
-            inside = low == low and high == high
-            for index in range(first, first + width):
-                inside = inside and low + tolerance < ranges[index] < high - tolerance
-            if inside:
-                return True
-    return False
-
-
-@njit(cache=True)
-def _between_seen(seen: FloatArray, beam: int, own: float, tolerance: float) -> bool:
-    """Whether the camera sees an edge at a beam whose range lies on neither of its sides."""
-    low, high = np.inf, -np.inf
-    for other in range(max(0, beam - _EDGE_BEAMS), min(seen.size, beam + _EDGE_BEAMS + 1)):
-        if not np.isnan(seen[other]):
-            if abs(seen[other] - own) <= tolerance:
-                return False
-            low = min(low, seen[other])
-            high = max(high, seen[other])
-    return low < own < high
-
-
-@njit(cache=True)
-def _count_pixel_support(
-    depth: Float32Array, rows: IntArray, columns: IntArray, share: float
-) -> tuple[IntArray, IntArray]:
-    height, width = depth.shape
-    support = np.zeros(rows.size, dtype=np.int64)
-    neighbours = np.zeros(rows.size, dtype=np.int64)
-    for index in range(rows.size):
-        row, column = rows[index], columns[index]
-        if row < 0 or np.isnan(depth[row, column]):
-            continue
-        own = depth[row, column]
-        for other_row in range(max(0, row - 2), min(height, row + 3)):
-            for other_column in range(max(0, column - 2), min(width, column + 3)):
-                if other_row == row and other_column == column:
-                    continue
-                other = depth[other_row, other_column]
-                if np.isnan(other):
-                    continue
-                neighbours[index] += 1
-                if abs(other - own) <= 0.03 + share * own:
-                    support[index] += 1
-    return support, neighbours

@@ -14,11 +14,10 @@ from fusion_core.denoising.correspondence import Correspondence, along_curve
 from fusion_core.denoising.noise import (
     FrameWindow,
     NoiseSettings,
-    _count_beam_support,
-    _count_pixel_support,
     classify,
 )
 from fusion_core.denoising.noise_scale import NoiseScale
+from fusion_core.denoising.support import count_beam_support, count_pixel_support
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import R_BODY_OPTICAL
 from fusion_core.model.geometry import transform
@@ -509,7 +508,7 @@ def test_the_support_of_beams_equals_a_loop(seed, shifts):
     camera = ranges[beams] + rng.normal(0.0, 0.05, 30)
     camera[rng.random(30) < 0.3] = np.nan
     floor_m, share, slope = 0.04, 0.02, 0.01
-    support, neighbours = _count_beam_support(
+    support, neighbours = count_beam_support(
         ranges, in_time, np.array(shifts), beams, camera, floor_m, share, slope
     )
     seen = dict(zip(beams.tolist(), camera.tolist(), strict=True))
@@ -551,7 +550,7 @@ def test_the_support_of_pixels_equals_a_loop(seed):
     rng = np.random.default_rng(seed)
     image = random_frame(rng, noise=0.03)[1]
     rows, columns = rng.integers(-1, 2 * ROW + 1, 60), rng.integers(0, BEAMS, 60)
-    support, neighbours = _count_pixel_support(image, rows, columns, 0.02)
+    support, neighbours = count_pixel_support(image, rows, columns, 0.02)
     for i, (row, column) in enumerate(zip(rows.tolist(), columns.tolist(), strict=True)):
         around = []
         if row >= 0 and not np.isnan(image[row, column]):

@@ -1,0 +1,141 @@
+"""What supports a beam or a pixel: neighbours of its own surface, beside it and in time."""
+
+import numpy as np
+from numba import njit
+
+from fusion_core.model.conventions import Float32Array, FloatArray, IntArray
+
+# Within so many beams the camera must see an edge for a beam to be its mixed pixel. How far off
+# both of its sides the beam must lie, as a share of what supports it: an edge that is seen needs
+# less than one that is guessed.
+_EDGE_BEAMS = 2
+_OFF_EDGE_SHARE = 0.7
+
+
+@njit(cache=True)
+def count_beam_support(
+    ranges: FloatArray,
+    in_time: FloatArray,
+    shifts: IntArray,
+    beams: IntArray,
+    camera: FloatArray,
+    floor_m: float,
+    share: float,
+    slope: float,
+) -> tuple[IntArray, IntArray]:
+    """(B, 3) supporters of each of B ``beams`` among adjacent beams, beams two and three away, and
+    the scans before and after; (B, 2) how many neighbours in the scan and in time had a value.
+
+    ``ranges``: (N,) of the scan. ``in_time``: (2, N) of the scans before and after, in which what
+    beam b meets is met by b + ``shifts``. ``camera``: (B,) range at which the camera sees what a
+    beam meets. Metres, NaN where missing. Values differ by at most the tolerance
+    hypot(``floor_m``, ``share`` * range), and ``slope`` * range more a beam where no camera tells.
+    """
+    support = np.zeros((beams.size, 3), dtype=np.int64)
+    neighbours = np.zeros((beams.size, 2), dtype=np.int64)
+    count = ranges.size
+    seen_by_camera = np.full(count, np.nan)
+    seen_by_camera[beams] = camera
+    for index in range(beams.size):
+        beam = beams[index]
+        own = ranges[beam]
+        if np.isnan(own):
+            continue
+        tolerance = np.hypot(floor_m, share * own)
+        for step in (-3, -2, -1, 1, 2, 3):
+            other = beam + step
+            if other < 0 or other >= count or np.isnan(ranges[other]):
+                continue
+            neighbours[index, 0] += 1
+            slant = seen_by_camera[other] - seen_by_camera[beam]
+            allowed = tolerance
+            if np.isnan(slant):
+                slant = 0.0
+                allowed += slope * own * abs(step)
+            elif abs(slant) > 0.03 * own * abs(step):
+                # The camera sees an edge here: the beams are on one side of it or the other.
+                slant = 0.0
+            if abs(ranges[other] - own - slant) <= allowed:
+                support[index, 0 if abs(step) == 1 else 1] += 1
+        if _between_surfaces(ranges, beam, tolerance) or _between_seen(
+            seen_by_camera, beam, own, _OFF_EDGE_SHARE * tolerance
+        ):
+            support[index, 0] = support[index, 1] = 0
+        for neighbour in range(2):
+            scan, shift = in_time[neighbour], shifts[neighbour]
+            # The robot moves between scans: the surface may have come nearer by a little.
+            reach = tolerance + 0.05
+            seen = False
+            met = False
+            for step in (-1, 0, 1):
+                other = beam + shift + step
+                if 0 <= other < count and not np.isnan(scan[other]):
+                    seen = True
+                    met = met or abs(scan[other] - own) <= reach
+            neighbours[index, 1] += seen
+            support[index, 2] += met
+    return support, neighbours
+
+
+@njit(cache=True)
+def _between_surfaces(ranges: FloatArray, beam: int, tolerance: float) -> bool:
+    """Whether a beam, alone or with one like it beside it, steps from one surface to another.
+
+    Mixed pixels do; a thin object of its own stands before both.
+    """
+    for width in (1, 2):
+        for first in range(beam - width + 1, beam + 1):
+            left, right = first - 1, first + width
+            if left < 0 or right >= ranges.size:
+                continue
+            low = min(ranges[left], ranges[right])
+            high = max(ranges[left], ranges[right])
+            inside = low == low and high == high
+            for index in range(first, first + width):
+                inside = inside and low + tolerance < ranges[index] < high - tolerance
+            if inside:
+                return True
+    return False
+
+
+@njit(cache=True)
+def _between_seen(seen: FloatArray, beam: int, own: float, tolerance: float) -> bool:
+    """Whether the camera sees an edge at a beam whose range lies on neither of its sides."""
+    low, high = np.inf, -np.inf
+    for other in range(max(0, beam - _EDGE_BEAMS), min(seen.size, beam + _EDGE_BEAMS + 1)):
+        if not np.isnan(seen[other]):
+            if abs(seen[other] - own) <= tolerance:
+                return False
+            low = min(low, seen[other])
+            high = max(high, seen[other])
+    return low < own < high
+
+
+@njit(cache=True)
+def count_pixel_support(
+    depth: Float32Array, rows: IntArray, columns: IntArray, share: float
+) -> tuple[IntArray, IntArray]:
+    """(B,) supporters among the 5 x 5 pixels around each of B, within 3 cm and ``share`` of its
+    depth, and how many of those had a value.
+
+    ``depth``: (H, W) metres, NaN where missing. ``rows``: (B,), below 0 where there is no pixel.
+    """
+    height, width = depth.shape
+    support = np.zeros(rows.size, dtype=np.int64)
+    neighbours = np.zeros(rows.size, dtype=np.int64)
+    for index in range(rows.size):
+        row, column = rows[index], columns[index]
+        if row < 0 or np.isnan(depth[row, column]):
+            continue
+        own = depth[row, column]
+        for other_row in range(max(0, row - 2), min(height, row + 3)):
+            for other_column in range(max(0, column - 2), min(width, column + 3)):
+                if other_row == row and other_column == column:
+                    continue
+                other = depth[other_row, other_column]
+                if np.isnan(other):
+                    continue
+                neighbours[index] += 1
+                if abs(other - own) <= 0.03 + share * own:
+                    support[index] += 1
+    return support, neighbours
