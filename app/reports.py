@@ -132,6 +132,63 @@ def relation_lines(evaluation: Mapping[str, Any]) -> list[str]:
     return lines + [f"warning: {warning}" for warning in evaluation["warnings"]]
 
 
+def map_lines(evaluation: Mapping[str, Any]) -> list[str]:
+    """Where the map lies, what it shows of which outline, each obstacle, lines and angles."""
+    alignment = evaluation["alignment"]
+    lines = ["laid       as it is"]
+    if alignment is not None:
+        moved = "{x_m:.3f} m, {y_m:.3f} m, {yaw_deg:.2f} deg".format(**alignment)
+        lines = [f"laid       by {moved}; {alignment['cells_near']:.1%} of the cells near outlines"]
+    false = evaluation["false_obstacles"]
+    lines += [
+        f"found      within {evaluation['reach_m']:.3f} m of an occupied cell",
+        f"false      {_share(false)} of {evaluation['occupied_cells']} occupied cells",
+        "",
+    ]
+    parts = ("all", "visible", "visible_to_lidar", "visible_to_camera")
+    rows = [(part.replace("_", " "), *_found(evaluation[part])) for part in parts]
+    lines += [*_table([("outline", "length (m)", "found (m)", "rate"), *rows]), ""]
+    rows = [
+        (
+            obstacle["name"],
+            *_found(obstacle["all"]),
+            *(_share(obstacle[part]["rate"]) for part in parts[1:]),
+        )
+        for obstacle in evaluation["obstacles"]
+    ]
+    header = (
+        "obstacle",
+        "length (m)",
+        "found (m)",
+        "rate",
+        *(part.replace("_", " ") for part in parts[1:]),
+    )
+    lines += _table([header, *rows])
+    for kind, unit in (("lines", "m"), ("angles", "deg")):
+        measures = evaluation[kind]
+        if not measures["each"]:
+            continue
+        columns = (f"true_{unit}", f"measured_{unit}", f"error_{unit}")
+        rows = [
+            (measure["name"], *(_value(measure[column]) for column in columns))
+            for measure in measures["each"]
+        ]
+        titles = [f"{word} ({unit})" for word in ("true", "measured", "error")]
+        mean = _value(measures[f"mean_absolute_error_{unit}"])
+        relative = f", relative {_share(measures['relative_error'])}" if kind == "lines" else ""
+        lines += ["", *_table([(kind, *titles), *rows])]
+        lines.append(f"mean absolute error {mean} {unit}{relative}")
+    return lines
+
+
+def _found(part: Mapping[str, Any]) -> tuple[str, str, str]:
+    return f"{part['outline_m']:.2f}", f"{part['found_m']:.2f}", _share(part["rate"])
+
+
+def _share(share: float | None) -> str:
+    return "-" if share is None else f"{share:.2%}"
+
+
 def _flat(measures: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
     for name, value in measures.items():
         if isinstance(value, Mapping):

@@ -19,21 +19,35 @@ _BASE = {
 _TABLE: FloatArray = np.array([_BASE[material] for material in Material], dtype=np.float64)
 _LIGHT: FloatArray = np.array([0.4, 0.25, 0.88])
 _CELL_M = 0.12
+_FINE_CELL_M = 0.04
 _CONTRAST = 0.35
+_FINE_CONTRAST = 0.6
 
 
-def shade(points_m: FloatArray, hits: Hits) -> ByteArray:
+def shade(points_m: FloatArray, hits: Hits, *, fine: bool = False) -> ByteArray:
     """(N, 3) uint8 RGB of the surface points (N, 3) that were met.
 
     The pattern gives features to follow from image to image: random greys, one for each cell of
-    a lattice of 12 cm.
+    a lattice of 12 cm. With ``fine`` half of the contrast comes from a lattice of 4 cm, whose
+    corners a feature detector finds close by, too.
     """
     # Just inside the surface: a wall may lie on the border of two cells.
-    cells = np.floor((points_m - 0.002 * hits.normals) / _CELL_M).astype(np.int64)
-    # Teschner et al. 2003: a hash of lattice cells.
-    mixed = (cells[:, 0] * 73856093) ^ (cells[:, 1] * 19349663) ^ (cells[:, 2] * 83492791)
-    grey = ((mixed * 2654435761) % 65536) / 65536.0
+    inside_m = points_m - 0.002 * hits.normals
+    grey = _grey(inside_m, _CELL_M)
+    contrast = _CONTRAST
+    if fine:
+        grey = 0.5 * (grey + _grey(inside_m, _FINE_CELL_M))
+        contrast = _FINE_CONTRAST
     lit = 0.6 + 0.4 * np.abs(hits.normals @ _LIGHT)
-    brightness = lit * (1.0 - _CONTRAST * grey)
+    brightness = lit * (1.0 - contrast * grey)
     rgb = _TABLE[hits.materials] * brightness[:, None]
     return np.rint(np.clip(rgb, 0.0, 255.0)).astype(np.uint8)
+
+
+def _grey(points_m: FloatArray, cell_m: float) -> FloatArray:
+    """(N,) in [0, 1): the grey of the lattice's cell that a point lies in."""
+    cells = np.floor(points_m / cell_m).astype(np.int64)
+    # Teschner et al. 2003: a hash of lattice cells.
+    mixed = (cells[:, 0] * 73856093) ^ (cells[:, 1] * 19349663) ^ (cells[:, 2] * 83492791)
+    grey: FloatArray = ((mixed * 2654435761) % 65536) / 65536.0
+    return grey

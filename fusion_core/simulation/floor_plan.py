@@ -7,7 +7,7 @@ import numpy as np
 from fusion_core.model.conventions import FloatArray
 from fusion_core.simulation.furniture import Footprint, Maker
 from fusion_core.simulation.paths import closed_curve
-from fusion_core.simulation.solids import Mesh, Opening
+from fusion_core.simulation.solids import Mesh, Opening, Piece
 
 _TRIES = 60
 _GAP_M = 0.08
@@ -32,6 +32,7 @@ class FloorPlan:
         self.route_m = route_m
         self.blocks: list[Footprint] = []
         self.meshes: list[Mesh] = []
+        self.pieces: list[Piece] = []
         self._rng = rng
         self._curve = closed_curve(route_m)
         self._clearance_m = clearance_m
@@ -39,8 +40,13 @@ class FloorPlan:
 
     def place(self, footprint: Footprint, make: Maker) -> None:
         """Put a piece exactly here."""
+        self.add(make(footprint, self._rng), footprint)
+
+    def add(self, piece: Piece, footprint: Footprint) -> None:
+        """Add a piece that is made already; ``footprint`` bounds it."""
         self.blocks.append(footprint)
-        self.meshes.append(make(footprint, self._rng))
+        self.meshes.append(piece.mesh)
+        self.pieces.append(piece)
 
     def add_mesh(self, mesh: Mesh) -> None:
         """Add what stands on no floor, such as a lintel."""
@@ -65,36 +71,48 @@ class FloorPlan:
                 self.keep_free(strips[side])
 
     def against_wall(
-        self, widths_m: tuple[float, float], depths_m: tuple[float, float], make: Maker
+        self,
+        widths_m: tuple[float, float],
+        depths_m: tuple[float, float],
+        make: Maker,
+        room: Footprint | None = None,
     ) -> None:
-        """Put a piece with its back to a wall where there is room; leave it out where not."""
+        """Put a piece with its back to a wall where there is space; leave it out where not.
+
+        ``room``: whose walls; those of the whole world where None.
+        """
+        low_x, low_y, far_x, far_y = (0.0, 0.0, *self.size_m) if room is None else room
         for _ in range(_TRIES):
             width, depth = self._rng.uniform(*widths_m), self._rng.uniform(*depths_m)
             side = int(self._rng.integers(4))
-            along = self.size_m[side % 2]
-            if width >= along:
+            start, end = ((low_x, far_x), (low_y, far_y))[side % 2]
+            if width >= end - start:
                 continue
-            s0 = float(self._rng.uniform(0.0, along - width))
+            s0 = start + float(self._rng.uniform(0.0, end - start - width))
             s1 = s0 + width
-            far_x, far_y = self.size_m
             footprint = [
-                (s0, 0.0, s1, depth),
+                (s0, low_y, s1, low_y + depth),
                 (far_x - depth, s0, far_x, s1),
                 (s0, far_y - depth, s1, far_y),
-                (0.0, s0, depth, s1),
+                (low_x, s0, low_x + depth, s1),
             ][side]
             if self._fits(footprint):
                 self.place(footprint, make)
                 return
 
     def standing_free(
-        self, widths_m: tuple[float, float], depths_m: tuple[float, float], make: Maker
+        self,
+        widths_m: tuple[float, float],
+        depths_m: tuple[float, float],
+        make: Maker,
+        room: Footprint | None = None,
     ) -> None:
-        """Put a piece anywhere in the room where there is space; leave it out where not."""
+        """Put a piece anywhere in a room where there is space; leave it out where not."""
+        low_x, low_y, far_x, far_y = (0.0, 0.0, *self.size_m) if room is None else room
         for _ in range(_TRIES):
             width, depth = self._rng.uniform(*widths_m), self._rng.uniform(*depths_m)
-            x0 = float(self._rng.uniform(0.3, self.size_m[0] - 0.3 - width))
-            y0 = float(self._rng.uniform(0.3, self.size_m[1] - 0.3 - depth))
+            x0 = float(self._rng.uniform(low_x + 0.3, far_x - 0.3 - width))
+            y0 = float(self._rng.uniform(low_y + 0.3, far_y - 0.3 - depth))
             footprint = (x0, y0, x0 + width, y0 + depth)
             if self._fits(footprint):
                 self.place(footprint, make)

@@ -1,4 +1,4 @@
-"""Furniture: from a footprint (x0, y0, x1, y1) and a random generator to a mesh.
+"""Furniture: from a footprint (x0, y0, x1, y1) and a random generator to a piece.
 
 Heights are chosen for the three rigs: a LiDAR's plane lies 0.25-0.31 m above the floor, a camera
 at 0.92 m or more sees that height only beyond some 1.4 m.
@@ -8,66 +8,68 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fusion_core.simulation.solids import Material, Mesh, box, join
+from fusion_core.simulation.solids import Block, Material, Piece, piece
 
 Footprint = tuple[float, float, float, float]
-Maker = Callable[[Footprint, np.random.Generator], Mesh]
+Maker = Callable[[Footprint, np.random.Generator], Piece]
 
 
 def cabinet(heights_m: tuple[float, float], material: Material) -> Maker:
     """A maker of closed boxes with heights between two bounds."""
 
-    def make(footprint: Footprint, rng: np.random.Generator) -> Mesh:
+    def make(footprint: Footprint, rng: np.random.Generator) -> Piece:
         x0, y0, x1, y1 = footprint
-        return box((x0, y0, 0.0), (x1, y1, float(rng.uniform(*heights_m))), material)
+        height_m = float(rng.uniform(*heights_m))
+        return piece("cabinet", [((x0, y0, 0.0), (x1, y1, height_m), material)])
 
     return make
 
 
-def low_box(footprint: Footprint, rng: np.random.Generator) -> Mesh:
+def low_box(footprint: Footprint, rng: np.random.Generator) -> Piece:
     """A box that reaches just above the LiDAR's plane: close by, only the LiDAR meets it."""
     x0, y0, x1, y1 = footprint
-    return box((x0, y0, 0.0), (x1, y1, float(rng.uniform(0.34, 0.4))), Material.WOOD)
+    height_m = float(rng.uniform(0.34, 0.4))
+    return piece("low box", [((x0, y0, 0.0), (x1, y1, height_m), Material.WOOD)])
 
 
-def table(footprint: Footprint, rng: np.random.Generator) -> Mesh:
+def table(footprint: Footprint, rng: np.random.Generator) -> Piece:
     """A top on four thin legs: the camera meets the top, the LiDAR at most a leg."""
-    return _on_legs(footprint, top_m=float(rng.uniform(0.72, 0.78)), leg_m=0.04)
+    return piece("table", _on_legs(footprint, top_m=float(rng.uniform(0.72, 0.78)), leg_m=0.04))
 
 
-def chair(footprint: Footprint, rng: np.random.Generator) -> Mesh:
+def chair(footprint: Footprint, rng: np.random.Generator) -> Piece:
     """A seat on four thin legs with a back on a random side."""
     x0, y0, x1, y1 = footprint
     backs = [(x0, y0, x1, y0 + 0.03), (x0, y1 - 0.03, x1, y1)]
     backs += [(x0, y0, x0 + 0.03, y1), (x1 - 0.03, y0, x1, y1)]
     bx0, by0, bx1, by1 = backs[int(rng.integers(4))]
-    back = box((bx0, by0, 0.45), (bx1, by1, 0.9), Material.WOOD)
-    return join([_on_legs(footprint, top_m=0.45, leg_m=0.03), back])
+    back: Block = ((bx0, by0, 0.45), (bx1, by1, 0.9), Material.WOOD)
+    return piece("chair", [*_on_legs(footprint, top_m=0.45, leg_m=0.03), back])
 
 
-def sofa(footprint: Footprint, rng: np.random.Generator) -> Mesh:
+def sofa(footprint: Footprint, rng: np.random.Generator) -> Piece:
     """A seat with a back along one of its longer sides, in fabric."""
     x0, y0, x1, y1 = footprint
-    seat = box((x0, y0, 0.0), (x1, y1, 0.42), Material.FABRIC)
+    seat: Block = ((x0, y0, 0.0), (x1, y1, 0.42), Material.FABRIC)
     top = float(rng.uniform(0.75, 0.85))
     if x1 - x0 > y1 - y0:
-        back = box((x0, y0, 0.42), (x1, y0 + 0.2, top), Material.FABRIC)
+        back: Block = ((x0, y0, 0.42), (x1, y0 + 0.2, top), Material.FABRIC)
     else:
-        back = box((x0, y0, 0.42), (x0 + 0.2, y1, top), Material.FABRIC)
-    return join([seat, back])
+        back = ((x0, y0, 0.42), (x0 + 0.2, y1, top), Material.FABRIC)
+    return piece("sofa", [seat, back])
 
 
-def inner_wall(footprint: Footprint, rng: np.random.Generator) -> Mesh:
+def inner_wall(footprint: Footprint, rng: np.random.Generator) -> Piece:
     """A wall with thickness, as high as any room."""
     x0, y0, x1, y1 = footprint
-    return box((x0, y0, 0.0), (x1, y1, 2.6), Material.WALL)
+    return piece("inner wall", [((x0, y0, 0.0), (x1, y1, 2.6), Material.WALL)])
 
 
-def _on_legs(footprint: Footprint, *, top_m: float, leg_m: float) -> Mesh:
+def _on_legs(footprint: Footprint, *, top_m: float, leg_m: float) -> list[Block]:
     x0, y0, x1, y1 = footprint
-    legs = [
-        box((x, y, 0.0), (x + leg_m, y + leg_m, top_m - 0.03), Material.WOOD)
+    legs: list[Block] = [
+        ((x, y, 0.0), (x + leg_m, y + leg_m, top_m - 0.03), Material.WOOD)
         for x in (x0, x1 - leg_m)
         for y in (y0, y1 - leg_m)
     ]
-    return join([*legs, box((x0, y0, top_m - 0.03), (x1, y1, top_m), Material.WOOD)])
+    return [*legs, ((x0, y0, top_m - 0.03), (x1, y1, top_m), Material.WOOD)]

@@ -1,4 +1,4 @@
-"""A 2D LiDAR like the URG-04LX: what it should measure, what it reports, and why they differ."""
+"""A 2D LiDAR, by default like the URG-04LX: what it should measure, what it reports, and why."""
 
 from dataclasses import dataclass
 
@@ -7,6 +7,9 @@ import numpy as np
 from fusion_core.model.classes import BURR_LEAST_M, NoiseClass
 from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray
 from fusion_core.settings import StageSettings, setting
+
+# Where data sheets of triangulating scanners change what they promise.
+_BANDS_M = (3.0, 5.0)
 
 
 class LidarNoise(StageSettings):
@@ -17,6 +20,12 @@ class LidarNoise(StageSettings):
     )
     sigma_share: float = setting(
         0.01, "Standard deviation beyond 1 m, per metre of range (data sheet: 1 %)", ge=0.0, le=0.2
+    )
+    sigma_share_middle: float = setting(
+        0.01, "Standard deviation from 3 m on, per metre of range", ge=0.0, le=0.2
+    )
+    sigma_share_far: float = setting(
+        0.01, "Standard deviation from 5 m on, per metre of range", ge=0.0, le=0.2
     )
     step_m: float = setting(0.001, "Resolution of a range (data sheet: 1 mm)", unit="m", gt=0.0)
     glass_front_rad: float = setting(
@@ -99,7 +108,9 @@ class NoisySweep:
 
 def sigma_m(true_m: FloatArray, noise: LidarNoise) -> FloatArray:
     """The ordinary noise of a range."""
-    return np.maximum(noise.sigma_near_m, noise.sigma_share * true_m)
+    shares = (noise.sigma_share, noise.sigma_share_middle, noise.sigma_share_far)
+    share = np.array(shares)[np.searchsorted(_BANDS_M, true_m, side="right")]
+    return np.maximum(noise.sigma_near_m, share * true_m)
 
 
 def add_noise(

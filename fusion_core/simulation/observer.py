@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray
 from fusion_core.model.geometry import apply, planar_from_transform, transform_from_planar
 from fusion_core.simulation import depth_camera, lidar
@@ -53,6 +54,15 @@ class Image:
     true_m: FloatArray
     kinds: ByteArray
     rgb: ByteArray
+
+    def darkened(self) -> "Image":
+        """The same view when the camera reports nothing: every pixel a hole, and black."""
+        return Image(
+            depth_m=np.full_like(self.depth_m, np.nan),
+            true_m=self.true_m,
+            kinds=np.full_like(self.kinds, NoiseClass.HOLE),
+            rgb=np.zeros_like(self.rgb),
+        )
 
 
 class Observer:
@@ -133,7 +143,7 @@ class Observer:
             depth_m=noisy.depth_m,
             true_m=depth_m.reshape(shape),
             kinds=noisy.kinds,
-            rgb=shade(points_m, hits).reshape(*shape, 3),
+            rgb=shade(points_m, hits, fine=setup.world.fine_texture).reshape(*shape, 3),
         )
 
     def lidar_pose(self, time_s: float) -> FloatArray:

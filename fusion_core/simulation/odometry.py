@@ -35,8 +35,15 @@ class DriftingOdometry:
         self._before: tuple[float, FloatArray] | None = None
         self._T_odom_base = np.eye(4)
 
-    def step(self, time_s: float, pose: FloatArray) -> FloatArray:
-        """(4, 4) T_odom_base at ``time_s``, from the true (x, y, yaw); times must rise."""
+    def carried(self, time_s: float, pose: FloatArray) -> None:
+        """The robot is lifted and set down at ``pose``, of which its wheels notice nothing."""
+        self._before = (time_s, transform_from_planar(pose))
+
+    def step(self, time_s: float, pose: FloatArray, slip: float = 1.0) -> FloatArray:
+        """(4, 4) T_odom_base at ``time_s``, from the true (x, y, yaw); times must rise.
+
+        ``slip``: how far the wheels turn over how far they come, 1 where they do not slip.
+        """
         T_map_base = transform_from_planar(pose)
         if self._before is not None:
             time_before_s, T_map_before = self._before
@@ -45,7 +52,7 @@ class DriftingOdometry:
             scale = self._noise.distance_scale + self._noise.distance_sigma_share * draw[0]
             turn = moved[2] * (1.0 + self._noise.yaw_sigma_share * draw[1])
             turn += self._noise.yaw_drift_rad_per_s * (time_s - time_before_s)
-            reported = np.array([moved[0] * scale, moved[1] * scale, turn])
+            reported = np.array([moved[0] * scale * slip, moved[1] * scale * slip, turn])
             self._T_odom_base = self._T_odom_base @ transform_from_planar(reported)
         self._before = (time_s, T_map_base)
         return self._T_odom_base.copy()

@@ -13,6 +13,7 @@ class Stream(IntEnum):
     ODOMETRY = 2
     LIDAR = 3
     CAMERA = 4
+    FAULTS = 5
 
 
 def generator(seed: int, stream: Stream, *indices: int) -> np.random.Generator:

@@ -1,4 +1,4 @@
-"""Writes what an observer sees at the sensors' stamps: a ROS 2 MCAP and its truth."""
+"""Writes what an observer sees at the sensors' stamps: a ROS 2 MCAP, its truth and its world."""
 
 import heapq
 from collections.abc import Callable, Iterator
@@ -22,10 +22,13 @@ from fusion_core.model.sensors import (
     TransformBatch,
 )
 from fusion_core.recordings.ros2_writer import Ros2McapWriter
+from fusion_core.recordings.world_file import world_path, write_world
+from fusion_core.simulation.faults import FaultSettings, KidnappedPath
 from fusion_core.simulation.observer import Image, Observer, Setup
 from fusion_core.simulation.odometry import DriftingOdometry, OdometryNoise
 from fusion_core.simulation.randomness import Stream, generator
 from fusion_core.simulation.rigs import CameraMount
+from fusion_core.simulation.sightings import Sightings
 from fusion_core.simulation.truth import TruthWriter, truth_path
 
 START_NS = 1_700_000_000 * NS_PER_S
@@ -44,7 +47,7 @@ class Take:
 
     ``extrinsics``: what /tf_static tells: every mount ("all", and then there is a /tf), the
     cameras among themselves, or nothing. ``clock_offset_ms``: camera stamp - LiDAR stamp of the
-    same instant.
+    same instant. Where the robot is kidnapped, ``setup.path`` is a KidnappedPath.
     """
 
     setup: Setup
@@ -53,6 +56,7 @@ class Take:
     extrinsics: Extrinsics
     clock_offset_ms: float
     odometry_noise: OdometryNoise = field(default_factory=OdometryNoise)
+    faults: FaultSettings = field(default_factory=FaultSettings)
 
 
 # The log time of a message, and how to write it.
@@ -60,13 +64,17 @@ _Event = tuple[int, Callable[[], None]]
 
 
 def record(take: Take, path: Path, progress: Progress = silent) -> None:
-    """Write a recording to ``path`` and its truth beside it (``truth_path``).
+    """Write a recording to ``path``, and beside it its truth and the outline of its world.
+
+    They stand at ``truth_path`` and ``world_path``.
 
     Messages come in the order of their log time, one at a time, so that memory does not grow
     with the duration. Raises ExportError where a file cannot be written.
     """
     with TruthWriter(truth_path(path)) as truth, Ros2McapWriter(path) as writer:
-        _Recorder(take, writer, truth).run(progress)
+        recorder = _Recorder(take, writer, truth)
+        recorder.run(progress)
+        write_world(world_path(path), recorder.sightings.outline())
 
 
 class _Recorder:
@@ -74,6 +82,7 @@ class _Recorder:
         self._take = take
         self._rig = take.setup.rig
         self._observer = Observer(take.setup)
+        self.sightings = Sightings(take.setup)
         self._writer = writer
         self._truth = truth
 
@@ -98,13 +107,21 @@ class _Recorder:
     def _sweeps(self) -> Iterator[_Event]:
         mount = self._rig.lidar
         skew = self._take.setup.lidar_skew
+        faults, seed = self._take.faults, self._take.setup.seed
         for index, after_ns in enumerate(_ticks(mount.rate_hz, self._take.duration_s)):
-            sweep = self._observer.sweep(after_ns / NS_PER_S, index)
+            time_s = after_ns / NS_PER_S
+            sweep = self._observer.sweep(time_s, index)
             stamp_ns = START_NS + after_ns
             self._truth.append("scan_stamp", np.array(stamp_ns, dtype=np.int64))
             self._truth.append("scan_true", sweep.true_m.astype(np.float32))
             self._truth.append("scan_kind", sweep.kinds)
-            self._truth.append("pose", self._observer.lidar_pose(after_ns / NS_PER_S))
+            self._truth.append("pose", self._observer.lidar_pose(time_s))
+            lost = faults.silent(time_s) or faults.scan_lost(seed, index)
+            if faults.any:
+                self._truth.append("scan_lost", np.array(lost))
+            if lost:
+                continue
+            self.sightings.sweep(self._T_world_base(time_s), time_s)
             scan = LaserScan(
                 stamp_ns=stamp_ns,
                 received_ns=stamp_ns,
@@ -124,14 +141,22 @@ class _Recorder:
         suffix = f"_{camera}" if len(self._rig.cameras) > 1 else ""
         first_ns = CAMERA_DELAY_NS + camera * CAMERA_STAGGER_NS
         offset_ns = round(take.clock_offset_ms * NS_PER_MS)
+        faults = take.faults
         for index, tick_ns in enumerate(_ticks(take.camera_rate_hz, take.duration_s)):
             after_ns = first_ns + tick_ns
-            image = self._observer.image(camera, after_ns / NS_PER_S, index)
+            time_s = after_ns / NS_PER_S
+            image = self._observer.image(camera, time_s, index)
+            if faults.dark(time_s):
+                image = image.darkened()
             stamp_ns = START_NS + after_ns + offset_ns
             true_mm = np.rint(image.true_m * 1000.0).astype(np.uint16)
             self._truth.append(f"depth_stamp{suffix}", np.array(stamp_ns, dtype=np.int64))
             self._truth.append(f"depth_true{suffix}", true_mm)
             self._truth.append(f"depth_kind{suffix}", image.kinds)
+            if faults.silent(time_s):
+                continue
+            if not faults.dark(time_s):
+                self.sightings.image(camera, self._T_world_base(time_s), time_s)
             yield stamp_ns, partial(self._write_image, mount, stamp_ns, image)
 
     def _write_image(self, mount: CameraMount, stamp_ns: int, image: Image) -> None:
@@ -156,29 +181,40 @@ class _Recorder:
         self._writer.write_camera_info(mount.info_topic, info)
 
     def _motion(self) -> Iterator[_Event]:
-        take = self._take
+        take, faults = self._take, self._take.faults
         rng = generator(take.setup.seed, Stream.ODOMETRY)
         odometry = DriftingOdometry(take.odometry_noise, rng)
+        path, time_before_s = take.setup.path, 0.0
         for after_ns in _ticks(ODOMETRY_HZ, take.duration_s):
             time_s, stamp_ns = after_ns / NS_PER_S, START_NS + after_ns
-            T_odom_base = odometry.step(time_s, self._observer.base_pose(time_s))
+            if isinstance(path, KidnappedPath) and time_before_s < path.at_s <= time_s:
+                lifted_at, set_down_at = path.lifted()
+                odometry.step(path.at_s, lifted_at, faults.slip(time_before_s))
+                odometry.carried(path.at_s, set_down_at)
+            slip = faults.slip(0.5 * (time_before_s + time_s))
+            T_odom_base = odometry.step(time_s, self._observer.base_pose(time_s), slip)
             T_map_lidar = transform_from_planar(self._observer.lidar_pose(time_s))
-
-            yield stamp_ns, partial(self._write_motion, stamp_ns, T_odom_base, T_map_lidar)
+            time_before_s = time_s
+            heard = None if faults.silent(time_s) else T_odom_base
+            yield stamp_ns, partial(self._write_motion, stamp_ns, heard, T_map_lidar)
 
     def _write_motion(
-        self, stamp_ns: int, T_odom_base: FloatArray, T_map_lidar: FloatArray
+        self, stamp_ns: int, T_odom_base: FloatArray | None, T_map_lidar: FloatArray
     ) -> None:
-        self._writer.write_odometry(
-            "/odom", _pose_sample(stamp_ns, "odom", "base_link", T_odom_base)
-        )
+        """What the odometry says, None where it is silent, and the truth, which never is."""
+        if T_odom_base is not None:
+            odometry = _pose_sample(stamp_ns, "odom", "base_link", T_odom_base)
+            self._writer.write_odometry("/odom", odometry)
         self._writer.write_pose_stamped(
             "/ground_truth", _pose_sample(stamp_ns, "map", "", T_map_lidar)
         )
-        if self._take.extrinsics == "all":
+        if T_odom_base is not None and self._take.extrinsics == "all":
             moving = _transform("odom", "base_link", T_odom_base, stamp_ns)
             batch = TransformBatch(received_ns=stamp_ns, transforms=(moving,))
             self._writer.write_transforms("/tf", batch)
+
+    def _T_world_base(self, time_s: float) -> FloatArray:
+        return transform_from_planar(self._observer.base_pose(time_s))
 
     def _mounts(self) -> tuple[Transform, ...]:
         rig = self._rig
@@ -208,7 +244,31 @@ class _Recorder:
             "camera_topics": np.array([camera.depth_topic for camera in rig.cameras]),
             "clock_offset_ms": np.array(take.clock_offset_ms, dtype=np.float64),
             "seed": np.array(take.setup.seed, dtype=np.int64),
+            **self._faults(),
         }
+
+    def _faults(self) -> dict[str, np.ndarray[tuple[int, ...], np.dtype[np.generic]]]:
+        """When each fault begins and ends, [start, end) in ns; nothing where there is none."""
+        faults, path = self._take.faults, self._take.setup.path
+        spans_s = {
+            "silence": (faults.silence_at_s, faults.silence_s),
+            "slip": (faults.slip_at_s, faults.slip_s),
+            "dark": (faults.dark_at_s, faults.dark_s),
+        }
+        told: dict[str, np.ndarray[tuple[int, ...], np.dtype[np.generic]]] = {
+            f"fault_{name}_ns": np.array([_stamp_ns(start_s), _stamp_ns(start_s + length_s)])
+            for name, (start_s, length_s) in spans_s.items()
+            if length_s > 0.0
+        }
+        if isinstance(path, KidnappedPath):
+            told["fault_kidnap_ns"] = np.array(_stamp_ns(path.at_s))
+            # (2, 3): the base's x, y, yaw before and after.
+            told["fault_kidnap_poses"] = np.stack(path.lifted())
+        return told
+
+
+def _stamp_ns(time_s: float) -> int:
+    return START_NS + round(time_s * NS_PER_S)
 
 
 def _ticks(rate_hz: float, duration_s: float) -> Iterator[int]:

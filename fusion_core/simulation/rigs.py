@@ -154,6 +154,40 @@ def turtlebot_low() -> Rig:
 
 
 @cache
+def turtlebot2() -> Rig:
+    """Li 2022, section 4.1: an RPLIDAR A1 at 0.30 m and an Astra Pro at 0.45 m on a Turtlebot2.
+
+    From Tables 1 and 2: 360° at 5.5 Hz, a beam a degree, 0.15-12 m; 58.4° x 45.5° (here 320 x
+    240 pixels). The camera looks down by 10°, so that it sees the floor from 0.7 m on.
+    """
+    pitch_rad = float(np.radians(10.0))
+    body = rotation_from_yaw_pitch_roll(0.0, pitch_rad, 0.0)
+    camera = CameraMount(
+        namespace="/camera",
+        frame_id="camera_depth_optical_frame",
+        intrinsics=CameraIntrinsics(
+            width=320,
+            height=240,
+            fx=160.0 / float(np.tan(np.radians(29.2))),
+            fy=120.0 / float(np.tan(np.radians(22.75))),
+            cx=159.5,
+            cy=119.5,
+            distortion=(0.0, 0.0, 0.0, 0.0, 0.0),
+        ),
+        T_base_optical=transform(body @ R_BODY_OPTICAL, np.array([0.08, 0.0, 0.45])),
+    )
+    lidar = LidarMount(
+        T_base_lidar=transform(np.eye(3), np.array([0.0, 0.0, 0.3])),
+        beams=360,
+        angle_increment_rad=2.0 * np.pi / 360.0,
+        rate_hz=5.5,
+        range_min_m=0.15,
+        range_max_m=12.0,
+    )
+    return Rig(lidar=lidar, cameras=(camera,), camera_yaw_rad=0.0, T_base_rig=np.eye(4))
+
+
+@cache
 def robot_at_home() -> Rig:
     """The rig of Robot@Home: four Xtions in portrait over a LiDAR at 0.31 m.
 

@@ -1,21 +1,50 @@
 """The synthetic scenes by name: what each is for, and how it is made from its settings."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from fusion_core.model.errors import SettingsError
 from fusion_core.model.progress import Progress, silent
 from fusion_core.settings import StageSettings, setting
-from fusion_core.simulation import rigs, worlds
+from fusion_core.simulation import arena, buildings, rigs, worlds
+from fusion_core.simulation.depth_camera import DepthNoise
+from fusion_core.simulation.faults import FaultSettings, KidnappedPath
+from fusion_core.simulation.lidar import LidarNoise
 from fusion_core.simulation.observer import Setup
-from fusion_core.simulation.paths import WeavingPath
+from fusion_core.simulation.odometry import OdometryNoise
+from fusion_core.simulation.paths import Drive, WeavingPath
 from fusion_core.simulation.randomness import Stream, generator
 from fusion_core.simulation.recorder import Extrinsics, Take, record
 from fusion_core.simulation.rigs import Rig
 from fusion_core.simulation.worlds import World
 
 SPEED_M_S = 0.3
+
+# Li 2022, Table 1: within 1 % of the range up to 3 m, 2 % to 5 m, 2.5 % beyond. Read as a bound
+# of three standard deviations.
+RPLIDAR_A1 = LidarNoise(
+    sigma_near_m=0.0017,
+    sigma_share=0.01 / 3.0,
+    sigma_share_middle=0.02 / 3.0,
+    sigma_share_far=0.025 / 3.0,
+    # Ours: a tenth of the URG's, since a return from nowhere may lie as far as 12 m.
+    spurious_share=0.0005,
+)
+# Li 2022, Table 2: within 1-3 mm at 1 m, growing with z². Read as three standard deviations of
+# 1 mm, shared between the quantisation of the inverse depth and what is before it.
+ASTRA_PRO = DepthNoise(
+    sigma_per_m=0.87e-3, disparity_step_per_m=1.7e-3, near_m=0.6, far_m=8.0, speckles=8.0
+)
+# Li 2022, Table 5: 0.23 % of the distance for the old odometer.
+TURTLEBOT_ODOMETRY = OdometryNoise(
+    distance_scale=1.0023,
+    yaw_drift_rad_per_s=0.0005,
+    distance_sigma_share=0.01,
+    yaw_sigma_share=0.02,
+)
+# Wheels that mapping without closed loops would show as double walls.
+WORN_ODOMETRY = OdometryNoise(distance_scale=1.015, yaw_drift_rad_per_s=0.002)
 
 
 class SceneSettings(StageSettings):
@@ -31,7 +60,9 @@ class SceneSettings(StageSettings):
 class Scene:
     """A named scene with the settings that it has when nothing else is said.
 
-    ``extrinsics`` and ``clock_offset_ms`` are those of ``Take``.
+    ``extrinsics`` and ``clock_offset_ms`` are those of ``Take``; ``speed_m_s``, ``start``,
+    ``weave_m`` and ``wavelength_m`` those of ``WeavingPath``, the start drawn from the seed where
+    None.
     """
 
     name: str
@@ -41,6 +72,13 @@ class Scene:
     settings: SceneSettings
     extrinsics: Extrinsics = "none"
     clock_offset_ms: float = 0.0
+    speed_m_s: float = SPEED_M_S
+    start: float | None = None
+    weave_m: float = WeavingPath.WEAVE_M
+    wavelength_m: float = WeavingPath.WAVELENGTH_M
+    lidar_noise: LidarNoise = field(default_factory=LidarNoise)
+    depth_noise: DepthNoise = field(default_factory=DepthNoise)
+    odometry_noise: OdometryNoise = field(default_factory=OdometryNoise)
 
 
 _SCENES = (
@@ -107,6 +145,49 @@ _SCENES = (
         settings=SceneSettings(seed=4),
         extrinsics="all",
     ),
+    Scene(
+        name="arena",
+        description="The site of Li 2022, 5.6 m x 3.18 m: objects that one sensor alone sees",
+        world=arena.arena,
+        rig=rigs.turtlebot2,
+        settings=SceneSettings(duration_s=75.0, camera_rate_hz=7.0),
+        extrinsics="all",
+        start=0.0,
+        weave_m=0.05,
+        lidar_noise=RPLIDAR_A1,
+        depth_noise=ASTRA_PRO,
+        odometry_noise=TURTLEBOT_ODOMETRY,
+    ),
+    Scene(
+        name="two_room_loop",
+        description="Three rounds through two rooms with two doors; the odometry drifts",
+        world=buildings.two_room_loop,
+        rig=rigs.turtlebot2,
+        settings=SceneSettings(seed=3, duration_s=150.0, camera_rate_hz=4.0, image_scale=0.5),
+        extrinsics="all",
+        speed_m_s=0.5,
+        start=0.0,
+        weave_m=0.04,
+        wavelength_m=2.0,
+        lidar_noise=RPLIDAR_A1,
+        depth_noise=ASTRA_PRO,
+        odometry_noise=WORN_ODOMETRY,
+    ),
+    Scene(
+        name="floor",
+        description="A corridor and six rooms, visited one by one; the odometry drifts",
+        world=buildings.whole_floor,
+        rig=rigs.turtlebot2,
+        settings=SceneSettings(seed=3, duration_s=200.0, camera_rate_hz=3.0, image_scale=0.5),
+        extrinsics="all",
+        speed_m_s=0.6,
+        start=0.0,
+        weave_m=0.04,
+        wavelength_m=2.0,
+        lidar_noise=RPLIDAR_A1,
+        depth_noise=ASTRA_PRO,
+        odometry_noise=WORN_ODOMETRY,
+    ),
 )
 
 
@@ -129,26 +210,43 @@ def write_scene(
     path: Path,
     *,
     settings: SceneSettings | None = None,
+    faults: FaultSettings | None = None,
     progress: Progress = silent,
 ) -> None:
-    """Write a scene as a ROS 2 MCAP file and, beside it, its truth as ``NAME.truth.npz``.
+    """Write a scene as a ROS 2 MCAP file, and ``NAME.truth.npz`` and ``NAME.world.json`` beside it.
 
-    ``settings`` are the scene's own where None. The same settings give the same bytes. Raises
-    SettingsError for an unknown scene, ExportError where a file cannot be written.
+    ``settings`` are the scene's own where None, and there are no ``faults`` where None. The same
+    settings give the same bytes. Raises SettingsError for an unknown scene, ExportError where a
+    file cannot be written.
     """
     scene = find_scene(name)
-    record(take_of(scene, scene.settings if settings is None else settings), path, progress)
+    own = scene.settings if settings is None else settings
+    record(take_of(scene, own, FaultSettings() if faults is None else faults), path, progress)
 
 
-def take_of(scene: Scene, settings: SceneSettings) -> Take:
+def take_of(scene: Scene, settings: SceneSettings, faults: FaultSettings) -> Take:
     """What decides the recording of a scene."""
     world = scene.world(settings.seed)
-    start = float(generator(settings.seed, Stream.PATH).random())
+    start = scene.start
+    if start is None:
+        start = float(generator(settings.seed, Stream.PATH).random())
+    path = WeavingPath(
+        world.route_m,
+        speed_m_s=scene.speed_m_s,
+        start=start,
+        weave_m=scene.weave_m,
+        wavelength_m=scene.wavelength_m,
+    )
+    drive: Drive = path
+    if faults.kidnap_at_s is not None:
+        drive = KidnappedPath(path, at_s=faults.kidnap_at_s, ahead_m=faults.kidnap_ahead_m)
     setup = Setup(
         world=world,
         rig=scene.rig().scaled(settings.image_scale),
-        path=WeavingPath(world.route_m, speed_m_s=SPEED_M_S, start=start),
+        path=drive,
         seed=settings.seed,
+        lidar_noise=scene.lidar_noise,
+        depth_noise=scene.depth_noise,
     )
     return Take(
         setup=setup,
@@ -156,4 +254,6 @@ def take_of(scene: Scene, settings: SceneSettings) -> Take:
         camera_rate_hz=settings.camera_rate_hz,
         extrinsics=scene.extrinsics,
         clock_offset_ms=scene.clock_offset_ms,
+        odometry_noise=scene.odometry_noise,
+        faults=faults,
     )

@@ -54,6 +54,65 @@ class Opening:
     glazed: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Prism:
+    """What an upright convex solid takes of the floor: (K, 2) corners, anticlockwise, and of z."""
+
+    corners_m: FloatArray
+    heights_m: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        read_only(self.corners_m)
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A thing of one name: its surface, and the solids that it consists of."""
+
+    name: str
+    mesh: Mesh
+    prisms: tuple[Prism, ...]
+
+    def named(self, name: str) -> "Piece":
+        """The same thing under another name."""
+        return Piece(name, self.mesh, self.prisms)
+
+    def turned(self, yaw_rad: float) -> "Piece":
+        """The same thing, turned anticlockwise about the middle of its footprint's bounds."""
+        corners = np.concatenate([prism.corners_m for prism in self.prisms])
+        middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+        c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+        rotation = np.array([[c, -s], [s, c]])
+
+        def turn(points_m: FloatArray) -> FloatArray:
+            turned: FloatArray = (points_m - middle) @ rotation.T + middle
+            return turned
+
+        surface = self.mesh.corners_m.copy()
+        surface[..., :2] = turn(surface[..., :2])
+        prisms = tuple(Prism(turn(prism.corners_m), prism.heights_m) for prism in self.prisms)
+        return Piece(self.name, Mesh(surface, self.mesh.materials), prisms)
+
+
+Block = tuple[Sequence[float], Sequence[float], Material]
+"""Lowest corner, highest corner and material of a box along the axes."""
+
+
+def piece(name: str, blocks: Sequence[Block]) -> Piece:
+    """A thing made of boxes along the axes."""
+    prisms = tuple(
+        Prism(rectangle((lower[0], lower[1], upper[0], upper[1])), (lower[2], upper[2]))
+        for lower, upper, _ in blocks
+    )
+    return Piece(name, join([box(*block) for block in blocks]), prisms)
+
+
+def rectangle(footprint: tuple[float, float, float, float]) -> FloatArray:
+    """(4, 2) corners of x0, y0, x1, y1, anticlockwise."""
+    x0, y0, x1, y1 = footprint
+    return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], dtype=np.float64)
+
+
 def join(meshes: Sequence[Mesh]) -> Mesh:
     """All triangles of several meshes, in order."""
     return Mesh(

@@ -10,10 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, read_only
+from fusion_core.model.world_outline import MeasuredAngle, MeasuredLine
 from fusion_core.simulation import furniture
 from fusion_core.simulation.floor_plan import FloorPlan
 from fusion_core.simulation.randomness import Stream, generator
 from fusion_core.simulation.solids import Material, Mesh, Opening, box, column, join, quad, wall
+from fusion_core.simulation.standing import Standing, outer_walls, standing_outlines
 
 CEILING_M = 2.6
 _YARD_M = 3.0
@@ -58,6 +60,8 @@ class World:
 
     ``blocks_m``: (B, 4) footprints x0, y0, x1, y1 of the furniture and inner walls.
     ``route_m``: (W, 2) waypoints of a closed curve on which a robot touches nothing.
+    ``obstacles``: the outlines of all that the robot could run into; ``lines`` and ``angles`` are
+    to be measured in a map of it. ``fine_texture``: surfaces have a finer pattern too.
     """
 
     size_m: tuple[float, float]
@@ -65,6 +69,10 @@ class World:
     blocks_m: FloatArray
     route_m: FloatArray
     walkers: tuple[Walker, ...] = ()
+    obstacles: tuple[Standing, ...] = ()
+    lines: tuple[MeasuredLine, ...] = ()
+    angles: tuple[MeasuredAngle, ...] = ()
+    fine_texture: bool = False
 
     def __post_init__(self) -> None:
         read_only(self.blocks_m)
@@ -98,7 +106,7 @@ def open_corridor(seed: int) -> World:
     plan.keep_open(openings)
     for material in (Material.WOOD, Material.DARK, Material.WOOD, Material.DARK):
         plan.against_wall((0.6, 1.2), (0.22, 0.3), furniture.cabinet((0.9, 1.9), material))
-    return _world(plan, openings)
+    return finished(plan, openings)
 
 
 def bedroom(seed: int) -> World:
@@ -118,7 +126,7 @@ def bedroom(seed: int) -> World:
         plan.standing_free((0.4, 0.45), (0.4, 0.45), furniture.chair)
     for _ in range(5):
         plan.standing_free((0.25, 0.4), (0.25, 0.4), furniture.low_box)
-    return _world(plan, openings)
+    return finished(plan, openings)
 
 
 def two_rooms(seed: int) -> World:
@@ -139,7 +147,7 @@ def two_rooms(seed: int) -> World:
         plan.place((4.15, y0, 4.25, y1), furniture.inner_wall)
     plan.add_mesh(box((4.15, 1.7, 2.05), (4.25, 3.1, CEILING_M), Material.WALL))
     _furnish(plan)
-    return _world(plan, openings)
+    return finished(plan, openings)
 
 
 def _living_room(seed: int, *, with_person: bool) -> World:
@@ -163,7 +171,7 @@ def _living_room(seed: int, *, with_person: bool) -> World:
         plan.keep_free((0.6, y - 0.5, size[0] - 0.6, y + 0.5))
         walkers = (Walker(start_m=(1.0, y), end_m=(size[0] - 1.0, y)),)
     _furnish(plan)
-    return _world(plan, openings, walkers)
+    return finished(plan, openings, walkers)
 
 
 def _furnish(plan: FloorPlan) -> None:
@@ -179,26 +187,48 @@ def _furnish(plan: FloorPlan) -> None:
     plan.standing_free((0.4, 0.45), (0.4, 0.45), furniture.chair)
 
 
-def _world(
+def finished(
     plan: FloorPlan,
-    openings: tuple[tuple[Opening, ...], ...],
+    openings: tuple[tuple[Opening, ...], ...] = ((), (), (), ()),
     walkers: tuple[Walker, ...] = (),
+    *,
+    lines: tuple[MeasuredLine, ...] = (),
+    angles: tuple[MeasuredAngle, ...] = (),
+    fine_texture: bool = False,
 ) -> World:
+    """The world of a plan, with its shell and the outlines of what stands in it."""
+    obstacles = standing_outlines(
+        outer_walls(plan.size_m, openings, CEILING_M), plan.pieces, plan.size_m
+    )
+    # What lies behind glass is out of the robot's way.
+    if any(not opening.glazed for side in openings for opening in side):
+        fence_m = np.array([*_yard(plan.size_m), _yard(plan.size_m)[0]])
+        fence = Standing(name="yard", heights_m=(0.0, CEILING_M), outline_m=fence_m)
+        obstacles = (*obstacles, fence)
     return World(
         size_m=plan.size_m,
         mesh=join([_shell(plan.size_m, openings), *plan.meshes]),
         blocks_m=np.array(plan.blocks, dtype=np.float64).reshape(-1, 4),
         route_m=plan.route_m,
         walkers=walkers,
+        obstacles=obstacles,
+        lines=lines,
+        angles=angles,
+        fine_texture=fine_texture,
     )
+
+
+def _yard(size_m: tuple[float, float]) -> list[tuple[float, float]]:
+    low, high_x, high_y = -_YARD_M, size_m[0] + _YARD_M, size_m[1] + _YARD_M
+    return [(low, low), (high_x, low), (high_x, high_y), (low, high_y)]
 
 
 def _shell(size_m: tuple[float, float], openings: tuple[tuple[Opening, ...], ...]) -> Mesh:
     """Floor, ceiling, the four walls (from the one along y = 0, anticlockwise), and the yard."""
     width, depth = size_m
     corners = [(0.0, 0.0), (width, 0.0), (width, depth), (0.0, depth)]
-    low, high_x, high_y = -_YARD_M, width + _YARD_M, depth + _YARD_M
-    yard = [(low, low), (high_x, low), (high_x, high_y), (low, high_y)]
+    yard = _yard(size_m)
+    low, (high_x, high_y) = -_YARD_M, yard[2]
     walls = [
         wall(corners[side], corners[(side + 1) % 4], CEILING_M, openings[side]) for side in range(4)
     ]

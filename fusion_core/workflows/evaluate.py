@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from fusion_core.evaluation.alignment import evaluate_alignment
+from fusion_core.evaluation.map_measures import evaluate_measures
+from fusion_core.evaluation.map_outlines import evaluate_outlines
 from fusion_core.evaluation.noise import evaluate_noise
 from fusion_core.evaluation.recall_curve import recall_over_epsilon
 from fusion_core.evaluation.relations import evaluate_relations
@@ -27,7 +29,10 @@ from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import DepthImage
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.relation_file import read_relations
+from fusion_core.recordings.ros_map import read_ros_map
 from fusion_core.recordings.tum_trajectory import read_tum_trajectory
+from fusion_core.recordings.world_file import read_world
+from fusion_core.workflows.map_alignment import MapAlignment, align_map, moved
 
 EPSILON_OVER_E = np.linspace(0.2, 6.0, 30)
 """Fig. 6 of Xu 2024 shows [1, sqrt 2]; the rest shows what lies beside the band."""
@@ -110,6 +115,38 @@ def relations(trajectory: Path, relations: Path) -> dict[str, Any]:
     own = read_tum_trajectory(trajectory)
     report = evaluate_relations(own.trajectory, read_relations(relations))
     return {**report.to_json(), "warnings": list(own.warnings)}
+
+
+def ros_map(
+    file: Path,
+    world: Path,
+    *,
+    align: bool = True,
+    pose: tuple[float, float, float] | None = None,
+) -> dict[str, Any]:
+    """Detection rate (10), line and angle errors (Table 4 of Li 2022) of a map.
+
+    ``file`` is a map's YAML file, ``world`` the world file of its recording. ``pose`` (x, y, yaw)
+    is where the map's frame lies in the world: with ``align`` a first guess, without it what is
+    used, and no motion at all where it is None.
+    """
+    if pose is not None and not np.isfinite(pose).all():
+        raise SettingsError(f"the pose must be finite, got {pose}.")
+    drawn, outline = read_ros_map(file), read_world(world)
+    occupied_m = drawn.occupied_m()
+    guess = None if pose is None else np.array(pose, dtype=np.float64)
+    alignment: MapAlignment | None = None
+    if align:
+        alignment = align_map(occupied_m, outline, guess)
+        occupied_m = moved(alignment.pose_world_map, occupied_m)
+    elif guess is not None:
+        occupied_m = moved(guess, occupied_m)
+    return {
+        "resolution_m": drawn.resolution_m,
+        "alignment": None if alignment is None else alignment.to_json(),
+        **evaluate_outlines(occupied_m, drawn.resolution_m, outline).to_json(),
+        **evaluate_measures(occupied_m, drawn.resolution_m, outline).to_json(),
+    }
 
 
 def depth_images(recording: Recording) -> Iterator[tuple[str, int, Float32Array]]:

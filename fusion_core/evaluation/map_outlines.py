@@ -1,0 +1,129 @@
+"""How much of a world's obstacles a map shows: the detection rate f = S1 / S2 of Li 2022, eq. (10).
+
+S2 is the length of the obstacles' outlines, sampled every centimetre; S1 is that of the samples
+which are found: an occupied cell's middle lies within one cell and 2 cm of them. The paper counts
+by hand in a picture; beside its rate stand those over what the sensors could see at all.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fusion_core.model.conventions import BoolArray, FloatArray, read_only
+from fusion_core.model.errors import ScanLoomError
+from fusion_core.model.world_outline import SENSORS, ObstacleOutline, WorldOutline
+
+TOLERANCE_M = 0.02
+"""Beside one cell: the outline is sampled every centimetre, a wall's edge is no sharper."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Detection:
+    """Of one obstacle: its length (m), the samples found and those that could be seen.
+
+    ``found``: (S,). ``seen``: (sensors, S) in the order of SENSORS.
+    """
+
+    name: str
+    length_m: float
+    found: BoolArray
+    seen: BoolArray
+
+    def __post_init__(self) -> None:
+        read_only(self.found)
+        read_only(self.seen)
+
+    def to_json(self) -> dict[str, Any]:
+        """Lengths and shares; a share of nothing is null."""
+        return {"name": self.name, **_shares([self])}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutlineReport:
+    """Detection of each obstacle, and how many of the map's occupied cells belong to none."""
+
+    obstacles: tuple[Detection, ...]
+    reach_m: float
+    occupied: int
+    stray: int
+
+    def to_json(self) -> dict[str, Any]:
+        """The rates over all obstacles, the share of false obstacles, then each obstacle."""
+        return {
+            **_shares(self.obstacles),
+            "reach_m": self.reach_m,
+            "occupied_cells": self.occupied,
+            "false_obstacles": self.stray / self.occupied if self.occupied else None,
+            "obstacles": [obstacle.to_json() for obstacle in self.obstacles],
+        }
+
+
+def evaluate_outlines(
+    occupied_m: FloatArray, resolution_m: float, world: WorldOutline
+) -> OutlineReport:
+    """Compare a map's occupied cells (N, 2), in the world's frame, with the outlines.
+
+    Raises ScanLoomError for a world without obstacles.
+    """
+    if not world.obstacles:
+        raise ScanLoomError(
+            "The world has no obstacles, so that nothing could be found.",
+            advice="Name the world file of the recording that the map was made of.",
+        )
+    reach_m = resolution_m + TOLERANCE_M
+    samples = [obstacle.samples_m() for obstacle in world.obstacles]
+    found = _within(np.concatenate(samples), occupied_m, reach_m)
+    ends = np.cumsum([len(own) for own in samples])
+    stray = ~_within(occupied_m, np.concatenate(samples), reach_m)
+    return OutlineReport(
+        obstacles=tuple(
+            _detection(obstacle, found[end - len(own) : end])
+            for obstacle, own, end in zip(world.obstacles, samples, ends, strict=True)
+        ),
+        reach_m=reach_m,
+        occupied=len(occupied_m),
+        stray=int(stray.sum()),
+    )
+
+
+def _detection(obstacle: ObstacleOutline, found: BoolArray) -> Detection:
+    return Detection(
+        name=obstacle.name,
+        length_m=obstacle.length_m,
+        found=found.copy(),
+        seen=np.stack([obstacle.seen(sensor) for sensor in SENSORS]),
+    )
+
+
+def _within(points_m: FloatArray, others_m: FloatArray, reach_m: float) -> BoolArray:
+    """(N,): whether any of the others (M, 2) lies within reach of each point (N, 2)."""
+    if len(others_m) == 0 or len(points_m) == 0:
+        return np.zeros(len(points_m), dtype=np.bool_)
+    # The tree leaves out what lies at the bound itself.
+    bound_m = float(np.nextafter(reach_m, np.inf))
+    nearest_m, _ = cKDTree(others_m).query(points_m, distance_upper_bound=bound_m)
+    within: BoolArray = np.asarray(nearest_m) <= reach_m
+    return within
+
+
+def _shares(obstacles: Sequence[Detection]) -> dict[str, Any]:
+    """Lengths of all, seen and found outline, and (10) over each of them."""
+    # A sample stands for its share of its own outline's length.
+    weights = np.concatenate([np.full(o.found.size, o.length_m / o.found.size) for o in obstacles])
+    found = np.concatenate([o.found for o in obstacles])
+    seen = np.concatenate([o.seen for o in obstacles], axis=1)
+    figures: dict[str, Any] = {}
+    parts = {"all": np.ones(found.size, dtype=np.bool_), "visible": seen.any(axis=0)}
+    parts |= {f"visible_to_{sensor}": own for sensor, own in zip(SENSORS, seen, strict=True)}
+    for name, part in parts.items():
+        length_m = float(weights[part].sum())
+        found_m = float(weights[part & found].sum())
+        figures[name] = {
+            "outline_m": length_m,
+            "found_m": found_m,
+            "rate": found_m / length_m if length_m > 0.0 else None,
+        }
+    return figures
