@@ -1,8 +1,10 @@
 """Lengths and angles measured in a map, and their errors: Table 4 of Li 2022.
 
 Where the paper measures by hand, here a line is fitted to the occupied cells near each face, and
-what is measured lies between the lines. The paper's relative error of lines is the sum of the
-absolute errors over the sum of the lengths.
+what is measured lies between the lines. Of a wall that is several cells thick those count that
+border on free space: returns that noise has put behind a wall are never cleared away, so that its
+back says nothing. The paper's relative error of lines is the sum of the absolute errors over the
+sum of the lengths.
 """
 
 from collections.abc import Sequence
@@ -10,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.world_outline import MeasuredAngle, MeasuredLine, WorldOutline
@@ -24,6 +27,10 @@ _CELLS_MIN = 4
 # Cells on less than this share of a face tell little of its direction.
 _SPAN_MIN = 0.3
 _ITERATIONS = 30
+# A face's free side is the one with more free cells within this distance.
+_SIDE_M = 0.3
+# Free cells this near to the place next to a cell are its neighbour, whatever the map's turn.
+_NEXT_CELLS = 0.75
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,18 +84,25 @@ class MeasureReport:
         }
 
 
-def evaluate_measures(
-    occupied_m: FloatArray, resolution_m: float, world: WorldOutline
-) -> MeasureReport:
-    """Measure the world's lines and angles among a map's occupied cells (N, 2) in its frame."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MapCells:
+    """Middles of a map's occupied (N, 2) and free (M, 2) cells in the world's frame."""
+
+    occupied_m: FloatArray
+    free_m: FloatArray
+    resolution_m: float
+
+
+def evaluate_measures(cells: MapCells, world: WorldOutline) -> MeasureReport:
+    """Measure the world's lines and angles in a map."""
     return MeasureReport(
-        lines=tuple(_length(line, occupied_m, resolution_m) for line in world.lines),
-        angles=tuple(_angle(angle, occupied_m, resolution_m) for angle in world.angles),
+        lines=tuple(_length(line, cells) for line in world.lines),
+        angles=tuple(_angle(angle, cells) for angle in world.angles),
     )
 
 
-def _length(line: MeasuredLine, occupied_m: FloatArray, resolution_m: float) -> Measured:
-    fits = [fit_face(face, occupied_m, resolution_m) for face in line.faces_m]
+def _length(line: MeasuredLine, cells: MapCells) -> Measured:
+    fits = [fit_face(face, cells) for face in line.faces_m]
     first, second = fits
     if first is None or second is None:
         return Measured(line.name, line.length_m, float("nan"))
@@ -101,9 +115,9 @@ def _length(line: MeasuredLine, occupied_m: FloatArray, resolution_m: float) -> 
     return Measured(line.name, line.length_m, float(weights @ off_m))
 
 
-def _angle(angle: MeasuredAngle, occupied_m: FloatArray, resolution_m: float) -> Measured:
+def _angle(angle: MeasuredAngle, cells: MapCells) -> Measured:
     true_deg = float(np.degrees(angle.angle_rad))
-    fits = [fit_face(arm, occupied_m, resolution_m) for arm in angle.arms_m]
+    fits = [fit_face(arm, cells) for arm in angle.arms_m]
     first, second = fits
     if first is None or second is None:
         return Measured(angle.name, true_deg, float("nan"))
@@ -111,9 +125,7 @@ def _angle(angle: MeasuredAngle, occupied_m: FloatArray, resolution_m: float) ->
     return Measured(angle.name, true_deg, float(np.degrees(np.arccos(cosine))))
 
 
-def fit_face(
-    face_m: FloatArray, occupied_m: FloatArray, resolution_m: float
-) -> tuple[FloatArray, FloatArray] | None:
+def fit_face(face_m: FloatArray, cells: MapCells) -> tuple[FloatArray, FloatArray] | None:
     """A point (2,) and the unit direction (2,) of the line through the cells of a face (2, 2).
 
     The direction runs as the face does. None where too few cells lie near it, or too close
@@ -123,20 +135,33 @@ def fit_face(
     length_m = float(np.linalg.norm(face_m[1] - face_m[0]))
     along = (face_m[1] - face_m[0]) / length_m
     normal = np.array([-along[1], along[0]])
-    reach, off = (occupied_m - face_m[0]) @ along, (occupied_m - face_m[0]) @ normal
     end_m = min(_END_M, _END_SHARE * length_m)
-    near = (np.abs(off) <= BAND_M) & (reach >= end_m) & (reach <= length_m - end_m)
-    cells = occupied_m[near]
-    if len(cells) < _CELLS_MIN or np.ptp(reach[near]) < _SPAN_MIN * length_m:
+
+    def beside(points_m: FloatArray, band_m: float) -> tuple[FloatArray, FloatArray]:
+        """Those of the points (N, 2) near the face, and how far they are to its left."""
+        reach, off = (points_m - face_m[0]) @ along, (points_m - face_m[0]) @ normal
+        near = (np.abs(off) <= band_m) & (reach >= end_m) & (reach <= length_m - end_m)
+        return points_m[near], off[near]
+
+    occupied_m, off_m = beside(cells.occupied_m, BAND_M)
+    free_m, free_off_m = beside(cells.free_m, _SIDE_M)
+    if len(free_m):
+        side = 1.0 if np.sign(free_off_m).sum() > 0.0 else -1.0
+        next_m = occupied_m + side * cells.resolution_m * normal
+        gap_m, _ = cKDTree(free_m).query(next_m)
+        is_front = np.asarray(gap_m) <= _NEXT_CELLS * cells.resolution_m
+        occupied_m, off_m = occupied_m[is_front], off_m[is_front]
+    reach_m = (occupied_m - face_m[0]) @ along
+    if len(occupied_m) < _CELLS_MIN or np.ptp(reach_m) < _SPAN_MIN * length_m:
         return None
-    point = face_m[0] + _crest_m(off[near], resolution_m) * normal
+    point = face_m[0] + _crest_m(off_m, cells.resolution_m) * normal
     direction: FloatArray = along
     for _ in range(_ITERATIONS):
-        residual = (cells - point) @ np.array([-direction[1], direction[0]])
-        weights = (1.0 + (2.0 * residual / resolution_m) ** 2) ** -2
+        residual = (occupied_m - point) @ np.array([-direction[1], direction[0]])
+        weights = (1.0 + (2.0 * residual / cells.resolution_m) ** 2) ** -2
         weights /= weights.sum()
-        point = weights @ cells
-        offset = cells - point
+        point = weights @ occupied_m
+        offset = occupied_m - point
         # The eigenvector of the larger eigenvalue.
         _, vectors = np.linalg.eigh((weights[:, None] * offset).T @ offset)
         before, direction = direction, vectors[:, 1]

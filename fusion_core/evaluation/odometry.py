@@ -1,8 +1,8 @@
 """How far odometry drifts, relative to the path: what a person expects of a metre travelled.
 
-Over the whole path as Li 2022 has it (Table 5: distances summed, over the true distance), and over
-all its stretches of one length (Geiger et al. 2012, "Are we ready for autonomous driving?"), which
-one early error of heading does not spoil.
+Over straight stretches as Li 2022 has it (Table 5: the sum of |estimated - true distance| over the
+sum of true distances), over the whole path, and over all its stretches of one length (Geiger et al.
+2012, "Are we ready for autonomous driving?"), which one early error of heading does not spoil.
 """
 
 from dataclasses import dataclass
@@ -21,21 +21,63 @@ from fusion_core.evaluation.trajectories import (
     relative_errors,
     travelled_m,
 )
+from fusion_core.model.conventions import FloatArray, IntArray, read_only
 from fusion_core.model.trajectory import Trajectory
 
 STRETCH_M = 1.0
+STRAIGHT_MIN_M = 1.0
+"""Of a shorter way millimetres of noise are a large share, and every curve is straight."""
+# A robot steered by hand goes no straighter.
+_ASIDE_M = 0.1
+_ASIDE_SHARE = 0.06
+_LONGER_SHARE = 0.05
+_REST_M = 0.005
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StraightDistances:
+    """Distances between the ends of straight stretches, one after another: Li 2022, Table 5.
+
+    ``true_m``, ``estimated_m``: (K,), K >= 0. ``begin_ns``: (K,) where each begins.
+    """
+
+    begin_ns: IntArray
+    true_m: FloatArray
+    estimated_m: FloatArray
+
+    def __post_init__(self) -> None:
+        for array in (self.begin_ns, self.true_m, self.estimated_m):
+            read_only(array)
+
+    @property
+    def error(self) -> float | None:
+        """Σ |estimated - true| / Σ true, None where no stretch is straight."""
+        if not self.true_m.size:
+            return None
+        return float(np.abs(self.estimated_m - self.true_m).sum() / self.true_m.sum())
+
+    def to_json(self) -> dict[str, Any]:
+        """The error and the distances it is of."""
+        return {
+            "error": self.error,
+            "stretches": int(self.true_m.size),
+            "true_m": self.true_m.tolist(),
+            "estimated_m": self.estimated_m.tolist(),
+        }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OdometryReport:
     """Drift of planar odometry over ``path_m`` metres of the reference.
 
-    ``estimated_path_m`` is what the odometry says of the same time. ``end``: error of the last pose
-    when the first ones coincide. ``stretches``: errors over all stretches of ``stretch_m``.
+    ``estimated_path_m`` is what the odometry says of the same time. ``straight``: Li's distances.
+    ``end``: error of the last pose when the first ones coincide. ``stretches``: errors over all
+    stretches of ``stretch_m``.
     """
 
     path_m: float
     estimated_path_m: float
+    straight: StraightDistances
     end: PoseErrors
     stretch_m: float
     stretches: PoseErrors
@@ -51,6 +93,7 @@ class OdometryReport:
             "path_m": self.path_m,
             "estimated_path_m": self.estimated_path_m,
             "distance_error": self.distance_error,
+            "straight": self.straight.to_json(),
             "end": _per_metre(self.end, self.path_m),
             "stretch_m": self.stretch_m,
             "stretches": int(self.stretches.translation_m.size),
@@ -87,10 +130,53 @@ def evaluate_odometry(
     return OdometryReport(
         path_m=float(pairs.path_along_reference_m[-1]),
         estimated_path_m=float(travelled_m(pairs.T_map_estimate)[-1]),
+        straight=straight_distances(pairs),
         end=absolute_errors(estimated, true),
         stretch_m=stretch_m,
         stretches=stretches,
     )
+
+
+def straight_distances(pairs: PosePairs, *, least_m: float = STRAIGHT_MIN_M) -> StraightDistances:
+    """The reference's straight stretches, from one turn to the next, measured end to end.
+
+    A stretch goes on as long as it stays within 10 cm of the line between its ends and is at most
+    5 % longer. It counts if that line has ``least_m`` and what it strays is at most 6 % of it, so
+    that a piece of a circle does not. ``pairs`` hold planar poses.
+    """
+    positions = pairs.T_map_reference[:, :2, 3]
+    way_m = pairs.path_along_reference_m
+    chosen: list[tuple[int, int]] = []
+    begin = 0
+    for end in range(1, way_m.size + 1):
+        if end < way_m.size:
+            line_m, aside_m = _line_and_aside_m(positions[begin : end + 1])
+            longer_m = way_m[end] - way_m[begin] - line_m
+            if aside_m <= _ASIDE_M and longer_m <= max(_LONGER_SHARE * line_m, _REST_M):
+                continue
+        line_m, aside_m = _line_and_aside_m(positions[begin:end])
+        if line_m >= least_m and aside_m <= _ASIDE_SHARE * line_m:
+            chosen.append((begin, end - 1))
+        begin = end - 1
+    first = np.array([pair[0] for pair in chosen], dtype=np.int64)
+    last = np.array([pair[1] for pair in chosen], dtype=np.int64)
+    true_m, estimated_m = (
+        np.linalg.norm(poses[last, :2, 3] - poses[first, :2, 3], axis=1)
+        for poses in (pairs.T_map_reference, pairs.T_map_estimate)
+    )
+    return StraightDistances(
+        begin_ns=pairs.stamps_ns[first], true_m=true_m, estimated_m=estimated_m
+    )
+
+
+def _line_and_aside_m(positions: FloatArray) -> tuple[float, float]:
+    """Length of the line between the ends of (M, 2) positions, and how far they stray from it."""
+    line = positions[-1] - positions[0]
+    line_m = float(np.linalg.norm(line))
+    away = positions - positions[0]
+    if line_m == 0.0:
+        return 0.0, float(np.linalg.norm(away, axis=1).max())
+    return line_m, float(np.abs(away[:, 0] * line[1] - away[:, 1] * line[0]).max() / line_m)
 
 
 def _per_metre(errors: PoseErrors, path_m: float) -> dict[str, float]:

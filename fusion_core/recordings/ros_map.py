@@ -45,7 +45,14 @@ class RosMap:
 
     def occupied_m(self) -> FloatArray:
         """(N, 2) middles of the occupied cells in the map's frame, row by row."""
-        rows, columns = np.nonzero(self.occupied)
+        return self._middles_m(self.occupied)
+
+    def free_m(self) -> FloatArray:
+        """(M, 2) middles of the free cells, in the same way."""
+        return self._middles_m(self.free)
+
+    def _middles_m(self, cells: BoolArray) -> FloatArray:
+        rows, columns = np.nonzero(cells)
         x = (columns + 0.5) * self.resolution_m
         y = (rows + 0.5) * self.resolution_m
         x0, y0, yaw = self.origin

@@ -4,15 +4,18 @@ It knows nothing of places seen before: its error grows slowly with the way, and
 the *local* frame, exact over short ways. Loops are closed in the pose graph.
 """
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.model.conventions import FloatArray, IntArray, read_only, wrap_angle
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only, wrap_angle
+from fusion_core.model.planar_poses import compose, move_points, relative
 from fusion_core.model.sensors import LaserScan
 from fusion_core.settings import StageSettings, setting
-from fusion_core.slam.planar_poses import compose, relative
+from fusion_core.slam.hold import Hold
+from fusion_core.slam.odometry_doubt import OdometryDoubt
 from fusion_core.slam.scan_to_grid import GridMatch, best_of_window, match_scan
 from fusion_core.slam.submaps import GrowingSubmap, Submap, SubmapSettings
 
@@ -22,12 +25,23 @@ _TURN_STEP_RAD = np.radians(1.0)
 # The lattice's own caution, for each metre and radian from the prediction. Weaker than this, a
 # corridor's far end, which the submap does not know yet, holds every scan back by a cell.
 _CAUTION = (5.0, 1.0)
-# Constant velocity is a guess and no measurement: so much more doubt, and a wider search.
-_GUESS_DOUBT = 4.0
+# Constant velocity is a guess and no measurement: so much less caution, and a wider search.
+_GUESS_CAUTION = 0.25
 _GUESS_SEARCH = 2.0
+# Odometry is given up for a guess that fits by so much better: among leaves or behind glass every
+# pose fits a little, and the wrong ones sometimes a little more.
+_BETTER = 0.1
+_SURE = 0.5
+# Lost, it looks this much farther. What fits suddenly no more may have been carried away.
+_LOST_SEARCH = 4.0
+_OF_LATE = 4
 # Two neighbours are of one wall unless it would be seen under less than 20 degrees.
 _WALL_SLANT = 3.0
 _WALL_TURN_RAD = np.radians(2.5)
+# Where a scan fits nearly as well so far aside, it does not say where it is.
+_ASIDE_M, _SIDES, _AS_GOOD = 0.3, 16, 0.9
+# How fast a robot without odometry may go.
+_PACE_M_S, _PACE_RAD_S = 1.0, 1.0
 # Fewer points than this fix no pose.
 _POINTS_MIN = 10
 
@@ -41,14 +55,29 @@ class LocalSlamSettings(StageSettings):
     )
     search_m: float = setting(0.15, "Search about the prediction", unit="m", ge=0.0, le=2.0)
     search_rad: float = setting(0.14, "Search about the prediction", unit="rad", ge=0.0, le=1.6)
-    prior_sigma_m: float = setting(
-        0.05, "Doubt of odometry between scans", unit="m", gt=0.0, le=10.0
+    odometry_m: float = setting(
+        0.3, "Odometry's error in a metre, until it is learned", unit="m", gt=0.0, le=10.0
     )
-    prior_sigma_rad: float = setting(
-        0.1, "Doubt of odometry between scans", unit="rad", gt=0.0, le=10.0
+    odometry_rad: float = setting(
+        0.5, "Odometry's error in a radian, until it is learned", unit="rad", gt=0.0, le=10.0
+    )
+    guess_sigma_m: float = setting(
+        0.2, "Doubt of a step without odometry", unit="m", gt=0.0, le=10.0
+    )
+    guess_sigma_rad: float = setting(
+        0.4, "Doubt of a step without odometry", unit="rad", gt=0.0, le=10.0
     )
     occupancy_min: float = setting(
         0.35, "A scan whose points lie on less, on average, does not fit", ge=0.0, le=1.0
+    )
+    drop: float = setting(
+        0.7, "A scan that fits by less of what the last ones did contradicts", ge=0.0, le=1.0
+    )
+    lost_m: float = setting(
+        0.3, "Doubt of the way from which on scans cannot be trusted", unit="m", gt=0.0, le=10.0
+    )
+    lost_scans: int = setting(
+        12, "So many that contradict the map begin another", unit="scans", ge=1, le=1000
     )
     beams_max: int = setting(360, "Beams used of a scan, evenly spread", ge=16, le=10_000)
 
@@ -59,8 +88,10 @@ class LocalTrajectory:
 
     ``stamps_ns``: (N,) strictly increasing. ``poses_local_scan``: (N, 3). ``occupancy``: (N,) mean
     occupancy of its submap at a scan's points, NaN where nothing was matched. ``key``: (K,)
-    indices of the key scans, the first being 0. ``key_points_m``: K arrays (n, 2).
-    ``submaps``: in the order of their first key scan.
+    indices of the key scans, the first being 0. ``key_points_m``: K arrays (n, 2). ``part``: (K,)
+    0, 1, ...: between two parts nothing tells how the robot went. ``adrift``: (N,) the scan may
+    fit, but not in one place alone, and nothing else tells where it is. ``submaps``: in the order
+    of their first key scan; none is of two parts.
     """
 
     stamps_ns: IntArray
@@ -68,10 +99,19 @@ class LocalTrajectory:
     occupancy: FloatArray
     key: IntArray
     key_points_m: Sequence[FloatArray]
+    part: IntArray
+    adrift: BoolArray
     submaps: Sequence[Submap]
 
     def __post_init__(self) -> None:
-        for array in (self.stamps_ns, self.poses_local_scan, self.occupancy, self.key):
+        for array in (
+            self.stamps_ns,
+            self.poses_local_scan,
+            self.occupancy,
+            self.key,
+            self.part,
+            self.adrift,
+        ):
             read_only(array)
 
     @property
@@ -90,9 +130,20 @@ class LocalSlam:
         self._occupancy: list[float] = []
         self._key: list[int] = []
         self._key_points_m: list[FloatArray] = []
+        self._part: list[int] = []
+        self._adrift: list[bool] = []
         self._growing: list[GrowingSubmap] = []
         self._finished: list[Submap] = []
         self._prior_before: FloatArray | None = None
+        self._odometry = OdometryDoubt(settings.odometry_m, settings.odometry_rad)
+        self._hold = Hold(settings.lost_m, settings.lost_scans)
+        self._is_broken = False
+        self._fitted: deque[float] = deque(maxlen=_OF_LATE)
+
+    @property
+    def placed(self) -> tuple[IntArray, FloatArray]:
+        """Stamps (n,) and poses (n, 3) in the local frame of the scans so far."""
+        return np.array(self._stamps_ns, dtype=np.int64), np.array(self._poses).reshape(-1, 3)
 
     def add_scan(self, scan: LaserScan, prior: FloatArray | None) -> None:
         """Place a scan. ``prior``: (3,) its pose by odometry, None where that is unknown.
@@ -109,10 +160,23 @@ class LocalSlam:
         self._stamps_ns.append(scan.stamp_ns)
         self._poses.append(pose)
         self._occupancy.append(occupancy)
-        if self._is_key(pose):
+        self._adrift.append(self._hold.is_adrift or self._hold.contradicts)
+        if self._hold.breaks:
+            self._break()
+        is_map = points_m.shape[0] >= _POINTS_MIN or not self._is_broken
+        if self._is_key(pose) and is_map and not self._hold.contradicts:
+            self._is_broken = False
             self._key.append(len(self._poses) - 1)
             self._key_points_m.append(points_m)
+            self._part.append(self._hold.part)
             self._insert(pose, self._wall_points(points_m))
+
+    def _break(self) -> None:
+        """What follows is a map of its own."""
+        end = len(self._key)
+        self._finished += [submap.finish(end) for submap in self._growing]
+        self._growing = []
+        self._is_broken = True
 
     def finish(self) -> LocalTrajectory:
         """All that was found; the last submaps end with the last key scan.
@@ -129,6 +193,8 @@ class LocalSlam:
             occupancy=np.array(self._occupancy),
             key=np.array(self._key, dtype=np.int64),
             key_points_m=tuple(self._key_points_m),
+            part=np.array(self._part, dtype=np.int64),
+            adrift=np.array(self._adrift, dtype=np.bool_),
             submaps=tuple(submaps),
         )
 
@@ -173,14 +239,106 @@ class LocalSlam:
         predicted = guess
         if prior is not None and self._prior_before is not None:
             predicted = compose(self._poses[-1], relative(self._prior_before, prior))
+        step = relative(self._poses[-1], predicted)
+        sigma = self._odometry.sigma(step) if is_measured else None
+        doubt = self._doubt_of_guess(stamp_ns) if sigma is None else self._odometry.error(step)
         if not self._growing or points_m.shape[0] < _POINTS_MIN:
+            self._odometry.forget_window()
+            self._hold.carried(doubt, is_lost=bool(self._growing))
             return predicted, np.nan
-        match = self._match(points_m, predicted, is_guess=not is_measured)
-        if is_measured and match.occupancy < self._settings.occupancy_min:
-            # Odometry may be wrong too: a stamp that is late, a wheel that slips.
-            other = self._match(points_m, guess, is_guess=True)
-            match = max(match, other, key=lambda found: found.occupancy)
-        return match.pose_grid_scan, match.occupancy
+        match = self._match(
+            points_m,
+            predicted,
+            sigma,
+            1.0 if is_measured else _GUESS_SEARCH,
+        )
+        occupancy_min = self._settings.occupancy_min
+        if match.occupancy < occupancy_min:
+            match = self._recovered(points_m, match, predicted, guess, is_measured=is_measured)
+        elif is_measured:
+            match = self._unslipped(points_m, match, predicted, step)
+        is_sudden = match.occupancy < self._settings.drop * self._reference
+        if match.occupancy >= occupancy_min and not is_sudden:
+            self._fitted.append(match.occupancy)
+            is_sure = is_measured and not self._hold.is_doubtful
+            is_held = is_sure or self._is_held(points_m, match.pose_grid_scan)
+            self._hold.matched(doubt, is_held=is_held, is_measured=is_measured)
+            return match.pose_grid_scan, match.occupancy
+        self._odometry.forget_window()
+        # Where scans have fitted less and less, among leaves, odometry may hold them nevertheless.
+        self._hold.missed(doubt, contradicts=is_sudden)
+        if self._hold.breaks:
+            self._fitted.clear()
+        return (predicted if self._hold.contradicts else match.pose_grid_scan), match.occupancy
+
+    def _recovered(
+        self,
+        points_m: FloatArray,
+        match: GridMatch,
+        predicted: FloatArray,
+        guess: FloatArray,
+        *,
+        is_measured: bool,
+    ) -> GridMatch:
+        """A better match than one that does not fit: a stamp may be late, a wheel may slip."""
+        searches = [(guess, _GUESS_SEARCH)] if is_measured else []
+        if self._hold.misses > 0:
+            searches.append((predicted, _LOST_SEARCH))
+        for start, wider in searches:
+            other = self._match(points_m, start, None, wider)
+            if other.occupancy > max(match.occupancy + _BETTER, _SURE):
+                return other
+        return match
+
+    def _unslipped(
+        self, points_m: FloatArray, match: GridMatch, predicted: FloatArray, step: FloatArray
+    ) -> GridMatch:
+        """The match, without odometry's part where the scan refutes that; what odometry learns."""
+        error = relative(predicted, match.pose_grid_scan)
+        if self._odometry.is_refuted(step, error, match.information):
+            other = self._match(points_m, predicted, None, _GUESS_SEARCH)
+            if other.occupancy > max(match.occupancy + _BETTER / 2.0, _SURE):
+                match, error = other, relative(predicted, other.pose_grid_scan)
+        self._odometry.learn(step, error, match.information)
+        return match
+
+    @property
+    def _reference(self) -> float:
+        """How well the last scans have fitted that did: NaN where that is hardly worth the name."""
+        mean = float(np.mean(self._fitted)) if self._fitted else np.nan
+        return mean if mean > _SURE else np.nan
+
+    def _doubt_of_guess(self, stamp_ns: int) -> FloatArray:
+        """(2,) metres and radians: nobody knows whether it stands or goes."""
+        since_s = (stamp_ns - self._stamps_ns[-1]) / 1e9
+        return np.array([_PACE_M_S * since_s, _PACE_RAD_S * since_s])
+
+    def _is_held(self, points_m: FloatArray, pose: FloatArray) -> bool:
+        """Whether the scan fits worse a little to any side: along a bare wall it does not.
+
+        The information of a match does not tell: a wall's roughness feigns some along it.
+        """
+        here = self._sure_of_obstacles(points_m, pose)
+        away = np.zeros((_SIDES, 3))
+        angle = 2.0 * np.pi / _SIDES * np.arange(_SIDES)
+        away[:, 0], away[:, 1] = _ASIDE_M * np.cos(angle), _ASIDE_M * np.sin(angle)
+        best = max(self._sure_of_obstacles(points_m, pose + shift) for shift in away)
+        return best < _AS_GOOD * here
+
+    def _sure_of_obstacles(self, points_m: FloatArray, pose: FloatArray) -> int:
+        """Sum of the older submap's cells at the points."""
+        return int(self._values(points_m, pose).sum())
+
+    def _values(self, points_m: FloatArray, pose: FloatArray) -> IntArray:
+        """(m,) the older submap's cells at the points that lie on its grid."""
+        submap = self._growing[0]
+        cells = np.floor(
+            (move_points(pose, points_m) - np.array(submap.corner_m))
+            / self._submap_settings.resolution_m
+        ).astype(np.int64)
+        cells = cells[((cells >= 0) & (cells < submap.occupancy.shape[0])).all(axis=1)]
+        values: IntArray = submap.occupancy[cells[:, 1], cells[:, 0]].astype(np.int64)
+        return values
 
     def _constant_velocity(self, stamp_ns: int) -> FloatArray:
         last = self._poses[-1]
@@ -190,9 +348,18 @@ class LocalSlam:
         # After a pause nobody knows whether it went on.
         return compose(last, min(share, 1.0) * relative(self._poses[-2], last))
 
-    def _match(self, points_m: FloatArray, predicted: FloatArray, *, is_guess: bool) -> GridMatch:
+    def _match(
+        self,
+        points_m: FloatArray,
+        predicted: FloatArray,
+        sigma: FloatArray | None,
+        wider: float = 1.0,
+    ) -> GridMatch:
+        """``sigma``: (2,) of the prediction in metres and radians, None where it is a guess."""
         settings = self._settings
-        doubt, wider = (_GUESS_DOUBT, _GUESS_SEARCH) if is_guess else (1.0, 1.0)
+        caution = 1.0 if sigma is not None else _GUESS_CAUTION
+        if sigma is None:
+            sigma = np.array([settings.guess_sigma_m, settings.guess_sigma_rad])
         submap, resolution_m = self._growing[0], self._submap_settings.resolution_m
         start = best_of_window(
             submap.occupancy,
@@ -202,7 +369,7 @@ class LocalSlam:
             predicted,
             (wider * settings.search_m, wider * settings.search_rad),
             _TURN_STEP_RAD,
-            (_CAUTION[0] / doubt, _CAUTION[1] / doubt),
+            (_CAUTION[0] * caution, _CAUTION[1] * caution),
         )
         return match_scan(
             submap.occupancy,
@@ -211,11 +378,11 @@ class LocalSlam:
             points_m,
             start,
             predicted=predicted,
-            prior_sigma=(doubt * settings.prior_sigma_m, doubt * settings.prior_sigma_rad),
+            prior_sigma=(float(sigma[0]), float(sigma[1])),
         )
 
     def _is_key(self, pose: FloatArray) -> bool:
-        if not self._key:
+        if not self._key or self._is_broken:
             return True
         step = relative(self._poses[self._key[-1]], pose)
         return bool(

@@ -1,25 +1,28 @@
-"""Loop closing: a key scan and its neighbours in time, laid on submaps of other visits.
+"""Loop closing: a stretch of key scans, laid on submaps of other visits.
 
 A single scan of a corridor fits at many places. The points of a stretch of key scans, joined by
 their local poses, are a small map with corners and doors: branch and bound (Hess et al. 2016, V)
-finds where it fits a finished submap best, and Gauss-Newton makes that exact.
+finds where it fits a finished submap best, and Gauss-Newton makes that exact. Where to look is
+told by the way between the two along the graph: what drifts by a share of its way is searched
+within that share.
 """
 
 from collections import OrderedDict
+from dataclasses import dataclass
 
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import RegistrationFailed
+from fusion_core.model.planar_poses import compose, move_points, relative
 from fusion_core.registration.correlative import SearchWindow, correlate
 from fusion_core.registration.likelihood_grid import LikelihoodPyramid, likelihood_pyramid
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.local_slam import LocalTrajectory
-from fusion_core.slam.planar_poses import compose, move_points, relative
 from fusion_core.slam.pose_graph import Edge
 from fusion_core.slam.scan_to_grid import match_scan
 
-# Half a cell at five metres: what Gauss-Newton makes good.
+# Half a cell at five metres: what Gauss-Newton makes good. Twice that over a wide window.
 _STEP_RAD = 0.01
 _LEVELS = 6
 _PYRAMIDS_KEPT = 48
@@ -27,6 +30,12 @@ _PYRAMIDS_KEPT = 48
 _REACH_M = 0.15
 # Without any, an edge along a bare wall would be singular.
 _LEAST_INFORMATION = np.diag([1.0, 1.0, 4.0])
+# So many points tell a score to a few hundredths.
+_POINTS_OF_A_SEARCH = 300
+# A window beyond this is wide: what is found in it needs others that agree.
+WIDE_M = 5.0
+# A way of so many metres stands for one of which nothing is known.
+WAY_OF_BREAK_M = 1e5
 
 
 class LoopSettings(StageSettings):
@@ -38,11 +47,38 @@ class LoopSettings(StageSettings):
     )
     distance_m: float = setting(8.0, "Submaps nearer than this are tried", unit="m", gt=0, le=200)
     submaps: int = setting(4, "Submaps tried at a time", ge=1, le=100)
-    window_m: float = setting(4.0, "Search about the estimate", unit="m", gt=0.0, le=50.0)
+    window_m: float = setting(2.0, "Search about the estimate", unit="m", gt=0.0, le=50.0)
     window_rad: float = setting(0.35, "Search about the estimate", unit="rad", gt=0.0, le=3.1416)
+    drift: float = setting(0.04, "Search so much wider with the way between", unit="m/m", ge=0.0)
+    drift_rad_m: float = setting(
+        0.0005, "Search so much wider with the way between", unit="rad/m", ge=0.0
+    )
+    window_max_m: float = setting(40.0, "Widest search", unit="m", gt=0.0, le=100.0)
     score_min: float = setting(0.6, "Least share of points on obstacles", ge=0.1, le=1.0)
+    score_min_wide: float = setting(
+        0.4, "The same where others must agree: who comes back sees other sides", ge=0.1, le=1.0
+    )
+    score_min_break: float = setting(
+        0.7, "The same across a break, where any place may be meant", ge=0.1, le=1.0
+    )
+    contradiction_max: float = setting(
+        0.15, "Largest share of points where the submap is free", ge=0.0, le=1.0
+    )
     sigma_max_m: float = setting(0.3, "Largest doubt of a match along any way", unit="m", gt=0.0)
     thinning_m: float = setting(0.1, "Points of a stretch are this far apart", unit="m", gt=0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """How far the estimate of a pose between two places may be off, in metres and radians."""
+
+    translation_m: float
+    rotation_rad: float
+    is_across_break: bool = False
+
+    @property
+    def is_wide(self) -> bool:
+        return self.translation_m > WIDE_M
 
 
 class LoopSearch:
@@ -50,76 +86,101 @@ class LoopSearch:
 
     def __init__(self, local: LocalTrajectory, settings: LoopSettings) -> None:
         self._local, self._settings = local, settings
-        self._centre = np.array([(s.first + s.end - 1) // 2 for s in local.submaps])
-        self._obstacles_m = [submap.obstacles_m() for submap in local.submaps]
-        self._pyramids: OrderedDict[int, LikelihoodPyramid] = OrderedDict()
+        self._end = np.array([submap.end for submap in local.submaps])
+        self.centre = np.array([(s.first + s.end - 1) // 2 for s in local.submaps])
+        self._pyramids: OrderedDict[int, LikelihoodPyramid | None] = OrderedDict()
+        # Several submaps are tried with one stretch.
+        self._stretch: tuple[int, FloatArray] | None = None
         self.tried = 0
 
-    def edges_of(self, node: int, poses_map_node: FloatArray) -> list[Edge]:
-        """Loop edges of key scan ``node`` to submaps that ended before its stretch.
-
-        ``poses_map_node``: (>= node + 1, 3) the best poses so far.
-        """
-        points_m = self._stretch_points(node)
-        if points_m.shape[0] == 0:
-            return []
-        found = []
-        for number in self._candidates(node, poses_map_node):
-            self.tried += 1
-            edge = self._match(node, points_m, number, poses_map_node)
-            if edge is not None:
-                found.append(edge)
-        return found
-
-    def _candidates(self, node: int, poses_map_node: FloatArray) -> list[int]:
+    def window(self, way_m: float) -> Window:
+        """What to search over a way along the graph; infinite where the two are not joined."""
         settings = self._settings
-        before = [
-            number
-            for number, submap in enumerate(self._local.submaps)
-            if submap.end + 3 * settings.stretch < node and self._obstacles_m[number].size > 0
-        ]
-        away_m = np.hypot(*(poses_map_node[self._centre[before], :2] - poses_map_node[node, :2]).T)
-        order = np.argsort(away_m, kind="stable")[: settings.submaps]
-        return [before[i] for i in order if away_m[i] < settings.distance_m]
-
-    def _stretch_points(self, node: int) -> FloatArray:
-        """(n, 2) points of the stretch in the node's frame, one in each cell of the thinning."""
-        reach = self._settings.stretch
-        poses = self._local.key_poses
-        nodes = range(max(node - reach, 0), min(node + reach + 1, len(poses)))
-        joined = np.concatenate(
-            [
-                move_points(relative(poses[node], poses[other]), self._local.key_points_m[other])
-                for other in nodes
-            ]
+        # Any share of an endless way is endless, but none of it would be no number.
+        grown_m = min(way_m, 1e6)
+        return Window(
+            min(settings.window_m + settings.drift * grown_m, settings.window_max_m),
+            min(settings.window_rad + settings.drift_rad_m * grown_m, float(np.pi)),
+            is_across_break=way_m >= WAY_OF_BREAK_M,
         )
-        cells = np.floor(joined / self._settings.thinning_m).astype(np.int64)
-        _, first = np.unique(cells, axis=0, return_index=True)
-        return joined[np.sort(first)]
 
-    def _match(
+    def score_min(self, window: Window) -> float:
+        """What a match must reach in a window; at the least what is asked of all."""
+        settings = self._settings
+        if window.is_across_break:
+            return max(settings.score_min, settings.score_min_break)
+        return settings.score_min_wide if window.is_wide else settings.score_min
+
+    def before(self, node: int) -> int:
+        """How many submaps, which end in the order of their numbers, ended before a stretch."""
+        return int(np.searchsorted(self._end, node - 3 * self._settings.stretch))
+
+    def candidates(
+        self, node: int, centres_m: FloatArray, place_m: FloatArray, ways_m: FloatArray
+    ) -> list[tuple[int, Window]]:
+        """Submaps that key scan ``node`` may overlap, with the window of each, the nearest first.
+
+        ``centres_m``: (S, 2) of the submaps in the map; ``place_m``: (2,) of the node;
+        ``ways_m``: (S,) from it to each along the graph. Of the wide windows, only every other
+        time one is taken, each in turn.
+        """
+        settings = self._settings
+        before = self.before(node)
+        away_m = np.hypot(*(centres_m[:before] - place_m).T)
+        window_m = np.minimum(
+            settings.window_m + settings.drift * ways_m[:before], settings.window_max_m
+        )
+        is_wide = window_m > WIDE_M
+        near = np.flatnonzero(~is_wide & (away_m < settings.distance_m))
+        near = near[np.argsort(away_m[near], kind="stable")[: settings.submaps]]
+        chosen = near.tolist()
+        turn = node // settings.every
+        far = np.flatnonzero(is_wide & (away_m < settings.distance_m + window_m))
+        if far.size and turn % 2 == 0:
+            # Two neighbours overlap by half.
+            far = far[:: 2 if far.size > 8 else 1]
+            chosen.append(int(far[(turn // 2) % far.size]))
+            nearest = int(far[np.argmin(away_m[far])])
+            if nearest not in chosen:
+                chosen.append(nearest)
+        return [(number, self.window(float(ways_m[number]))) for number in chosen]
+
+    def match(
         self,
         node: int,
-        points_m: FloatArray,
         number: int,
-        poses_map_node: FloatArray,
+        pose_first_node: FloatArray,
+        window: Window,
+        score_min: float | None = None,
     ) -> Edge | None:
+        """The edge from submap ``number`` to key scan ``node``, None where it does not fit well.
+
+        ``pose_first_node``: (3,) the estimate, in the frame of the submap's first key scan.
+        ``score_min``: in place of the window's own.
+        """
         settings = self._settings
+        if score_min is None:
+            score_min = self.score_min(window)
+        self.tried += 1
+        points_m = self._stretch_points(node)
+        pyramid = self._pyramid(number)
+        if points_m.shape[0] == 0 or pyramid is None:
+            return None
         submap = self._local.submaps[number]
         anchor = self._local.key_poses[submap.first]
-        predicted = compose(anchor, relative(poses_map_node[submap.first], poses_map_node[node]))
-        window = SearchWindow(
-            centre=(float(predicted[0]), float(predicted[1]), float(predicted[2])),
-            translation_m=settings.window_m,
-            rotation_rad=settings.window_rad,
-        )
+        predicted = compose(anchor, pose_first_node)
+        stride = -(-points_m.shape[0] // _POINTS_OF_A_SEARCH)
         try:
             coarse = correlate(
-                self._pyramid(number),
-                points_m,
-                window,
-                step_rad=_STEP_RAD,
-                score_min=settings.score_min,
+                pyramid,
+                points_m[::stride],
+                SearchWindow(
+                    centre=(float(predicted[0]), float(predicted[1]), float(predicted[2])),
+                    translation_m=window.translation_m,
+                    rotation_rad=window.rotation_rad,
+                ),
+                step_rad=2.0 * _STEP_RAD if window.is_wide else _STEP_RAD,
+                score_min=score_min,
             )
         except RegistrationFailed:
             return None
@@ -128,6 +189,8 @@ class LoopSearch:
         match = match_scan(
             submap.occupancy, submap.corner_m, submap.resolution_m, points_m, coarse.pose_map_points
         )
+        if self._contradiction(number, match.pose_grid_scan, points_m) > settings.contradiction_max:
+            return None
         return Edge(
             first=submap.first,
             second=node,
@@ -136,16 +199,66 @@ class LoopSearch:
             is_loop=True,
         )
 
-    def _pyramid(self, number: int) -> LikelihoodPyramid:
+    def _contradiction(self, number: int, pose: FloatArray, points_m: FloatArray) -> float:
+        """Share of the points in cells that the submap knows to be free, with no obstacle near.
+
+        A wall that bends a little lies beside the submap's, and is no contradiction.
+        """
+        submap, pyramid = self._local.submaps[number], self._pyramid(number)
+        assert pyramid is not None
+        corner = np.array(submap.corner_m)
+        cells = np.floor((move_points(pose, points_m) - corner) / submap.resolution_m).astype(
+            np.int64
+        )
+        rows, columns = submap.occupancy.shape
+        inside = (cells >= 0).all(axis=1) & (cells < [columns, rows]).all(axis=1)
+        cells = cells[inside]
+        # Unknown is 0, and the least probability is more than that.
+        is_known = submap.occupancy[cells[:, 1], cells[:, 0]] > 0
+        cells = cells[is_known] + np.rint(
+            (corner - np.array(pyramid.corner_m)) / submap.resolution_m
+        ).astype(np.int64)
+        rows, columns = pyramid.levels.shape[1:]
+        inside = (cells >= 0).all(axis=1) & (cells < [columns, rows]).all(axis=1)
+        near = pyramid.levels[0, cells[inside, 1], cells[inside, 0]] > 0
+        return float(len(cells) - np.count_nonzero(near)) / len(points_m)
+
+    def _stretch_points(self, node: int) -> FloatArray:
+        """(n, 2) points of the stretch in the node's frame, one in each cell of the thinning."""
+        if self._stretch is None or self._stretch[0] != node:
+            reach, part = self._settings.stretch, self._local.part
+            poses = self._local.key_poses
+            nodes = range(max(node - reach, 0), min(node + reach + 1, len(poses)))
+            joined = np.concatenate(
+                [
+                    move_points(
+                        relative(poses[node], poses[other]), self._local.key_points_m[other]
+                    )
+                    for other in nodes
+                    if part[other] == part[node]
+                ]
+            )
+            cells = np.floor(joined / self._settings.thinning_m).astype(np.int64)
+            _, first = np.unique(cells[:, 0] * (1 << 32) + cells[:, 1], return_index=True)
+            self._stretch = node, joined[np.sort(first)]
+        return self._stretch[1]
+
+    def _pyramid(self, number: int) -> LikelihoodPyramid | None:
         if number in self._pyramids:
             self._pyramids.move_to_end(number)
-        else:
-            self._pyramids[number] = likelihood_pyramid(
-                self._obstacles_m[number],
-                resolution_m=self._local.submaps[number].resolution_m,
+            return self._pyramids[number]
+        submap = self._local.submaps[number]
+        obstacles_m = submap.obstacles_m()
+        self._pyramids[number] = (
+            likelihood_pyramid(
+                obstacles_m,
+                resolution_m=submap.resolution_m,
                 reach_m=_REACH_M,
                 levels=_LEVELS,
             )
-            if len(self._pyramids) > _PYRAMIDS_KEPT:
-                self._pyramids.popitem(last=False)
+            if obstacles_m.size
+            else None
+        )
+        if len(self._pyramids) > _PYRAMIDS_KEPT:
+            self._pyramids.popitem(last=False)
         return self._pyramids[number]

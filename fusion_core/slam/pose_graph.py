@@ -7,8 +7,8 @@ import gtsam
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray
+from fusion_core.model.planar_poses import relative
 from fusion_core.settings import StageSettings, setting
-from fusion_core.slam.planar_poses import relative
 
 # The first pose is the map's origin: as good as fixed.
 _ANCHOR_SIGMA = 1e-6

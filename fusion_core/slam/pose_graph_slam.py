@@ -13,25 +13,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only, wrap_angle
 from fusion_core.model.errors import MappingFailed
-from fusion_core.model.geometry import interpolate_planar
+from fusion_core.model.planar_poses import compose, relative
 from fusion_core.model.pose_graph import PoseGraph
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import LaserScan
+from fusion_core.model.slam_view import SlamView, Watch, unwatched
 from fusion_core.settings import SettingsGroup
 from fusion_core.slam.local_slam import LocalSlam, LocalSlamSettings, LocalTrajectory
-from fusion_core.slam.loop_search import LoopSearch, LoopSettings
-from fusion_core.slam.planar_poses import compose, relative
-from fusion_core.slam.pose_graph import Edge, GraphSettings, optimise, residuals
+from fusion_core.slam.loop_closing import close_loops, joined_parts
+from fusion_core.slam.loop_search import LoopSettings
+from fusion_core.slam.pose_graph import Edge, GraphSettings, residuals
 from fusion_core.slam.submaps import SubmapSettings
 
 Prior = Callable[[int], FloatArray | None]
 """Stamp in ns to the (3,) pose of the LiDAR by odometry, None where that is not known."""
 
-# The graph is solved anew when it has grown by a tenth, so that the work stays linear in its size.
-_GROWTH = 0.1
-_KEY_SCANS_MIN = 100
+# Over a step that says nothing: a loop may move what follows anywhere, the optimum stays one.
+_BREAK_SIGMAS = (100.0, 100.0, 10.0)
+_WATCHED_EVERY = 100
 
 
 class SlamSettings(SettingsGroup):
@@ -48,7 +49,8 @@ class SlamResult:
     """Where each of N scans was.
 
     ``stamps_ns``: (N,). ``poses_map_scan``: (N, 3) x, y, yaw of the LiDAR. ``trusted``: (N,) False
-    where the scan did not fit what was seen before it, or has no points to fit. ``key``: (K,) which
+    where the scan did not fit what was seen before it or has no points to fit, where nothing tells
+    how far it went, and after a break of the way that no loop bridges. ``key``: (K,) which
     scans are the nodes of ``graph``. ``residuals``: (M, 3) x, y in metres, yaw in radians of its
     edges. ``loops_tried``, ``loops_dropped``: matches tried, and edges found but left out of the
     graph since the others contradict them. ``seconds``: of each stage, on the wall clock.
@@ -79,12 +81,14 @@ def pose_graph_slam(
     prior: Prior | None = None,
     settings: SlamSettings | None = None,
     progress: Progress = silent,
+    watch: Watch = unwatched,
 ) -> SlamResult:
     """Place every scan.
 
     ``scans``: stamps strictly increasing; read once, and not kept. ``prior``: odometry; without
     it, and where it knows nothing, velocity is taken to be constant. The first scan lies where the
-    prior has it, else at the origin.
+    prior has it, else at the origin. ``watch``: shown what is known about every hundred scans, when
+    the graph is solved (the key scans alone), and at the end.
 
     Raises MappingFailed where there is no scan, or none has a point within reach.
     """
@@ -96,6 +100,8 @@ def pose_graph_slam(
         slam.add_scan(scan, None if prior is None else prior(scan.stamp_ns))
         count += 1
         progress(count, None, "matching scans")
+        if count % _WATCHED_EVERY == 0 and watch is not unwatched:
+            watch(_view("matching scans", *slam.placed, []))
     if count == 0:
         raise MappingFailed("there is no scan to place.")
     local = slam.finish()
@@ -105,106 +111,94 @@ def pose_graph_slam(
             advice="Check the ranges' limits, or set a larger reach_m.",
         )
     local_s = time.perf_counter()
-    trusted = _trusted(local, settings.local.occupancy_min)
-    closing = _Closing(local, trusted, settings)
-    closing.run(progress)
+    fits = _fits(local, settings.local.occupancy_min)
+
+    def solved(stage: str, poses_map_node: FloatArray, loops: list[Edge]) -> None:
+        if watch is not unwatched:
+            stamps_ns = local.stamps_ns[local.key[: len(poses_map_node)]]
+            watch(_view(stage, stamps_ns, poses_map_node, loops))
+
+    closed = close_loops(
+        local, _steps(local, fits, settings.graph), settings.loops, settings.graph, progress, solved
+    )
     end_s = time.perf_counter()
+    poses_map_scan = _carried(local, closed.poses_map_node)
+    loops = [edge for edge in closed.edges if edge.is_loop]
+    if watch is not unwatched:
+        watch(_view("done", local.stamps_ns, poses_map_scan, loops, closed.poses_map_node))
     return SlamResult(
         stamps_ns=local.stamps_ns,
-        poses_map_scan=_carried(local, closing.poses_map_node),
-        trusted=trusted,
+        poses_map_scan=poses_map_scan,
+        trusted=fits & _is_joined(local, loops),
         key=local.key,
-        graph=_graph(closing.poses_map_node, closing.edges),
-        residuals=residuals(closing.poses_map_node, closing.edges),
-        loops_tried=closing.tried,
-        loops_dropped=closing.dropped,
+        graph=_graph(closed.poses_map_node, closed.edges),
+        residuals=residuals(closed.poses_map_node, closed.edges),
+        loops_tried=closed.tried,
+        loops_dropped=closed.dropped,
         seconds={
             "local_slam": local_s - start_s,
-            "loop_search": end_s - local_s - closing.optimisation_s,
-            "optimisation": closing.optimisation_s,
+            "loop_search": end_s - local_s - closed.optimisation_s,
+            "optimisation": closed.optimisation_s,
         },
     )
 
 
-class _Closing:
-    """The graph of a local trajectory while loops are being found."""
-
-    def __init__(self, local: LocalTrajectory, trusted: BoolArray, settings: SlamSettings) -> None:
-        self._search = LoopSearch(local, settings.loops)
-        self._local, self._settings = local, settings
-        self._steps = _steps(local, trusted, settings.graph)
-        self._loops: list[Edge] = []
-        self.poses_map_node = local.key_poses.copy()
-        self.dropped = 0
-        self.optimisation_s = 0.0
-
-    @property
-    def edges(self) -> list[Edge]:
-        return [*self._steps, *self._loops]
-
-    @property
-    def tried(self) -> int:
-        return self._search.tried
-
-    def run(self, progress: Progress) -> None:
-        """Search along the way, then drop what the whole contradicts."""
-        count = len(self.poses_map_node)
-        solved, loops_solved = 0, 0
-        for node in range(0, count, self._settings.loops.every):
-            progress(node, count, "closing loops")
-            self._loops.extend(self._search.edges_of(node, self.poses_map_node))
-            is_due = node - solved >= max(_KEY_SCANS_MIN, _GROWTH * node)
-            if is_due and len(self._loops) > loops_solved:
-                self._solve(node + 1)
-                solved, loops_solved = node, len(self._loops)
-        if not self._loops:
-            return
-        progress(count, count, "optimising")
-        self._solve(count)
-        away_m = np.hypot(*residuals(self.poses_map_node, self._loops)[:, :2].T)
-        is_kept = away_m <= self._settings.graph.residual_max_m
-        self.dropped = int(np.count_nonzero(~is_kept))
-        if self.dropped:
-            self._loops = [edge for edge, kept in zip(self._loops, is_kept, strict=True) if kept]
-            self._solve(count)
-
-    def _solve(self, end: int) -> None:
-        """Optimise the nodes before ``end`` and carry the others along."""
-        start_s = time.perf_counter()
-        reached = [edge for edge in self._steps if edge.second < end]
-        poses = optimise(
-            self.poses_map_node[:end], [*reached, *self._loops], self._settings.graph.robust_scale
-        )
-        local = self._local.key_poses
-        rest = compose(poses[-1], relative(local[end - 1], local[end:]))
-        self.poses_map_node = np.concatenate([poses, rest])
-        self.optimisation_s += time.perf_counter() - start_s
+def _view(
+    stage: str,
+    stamps_ns: IntArray,
+    poses_map_scan: FloatArray,
+    loops: list[Edge],
+    poses_map_node: FloatArray | None = None,
+) -> SlamView:
+    nodes = poses_map_scan if poses_map_node is None else poses_map_node
+    first, second = ([getattr(edge, end) for edge in loops] for end in ("first", "second"))
+    return SlamView(
+        stage=stage,
+        stamps_ns=stamps_ns.copy(),
+        poses_map_scan=poses_map_scan.copy(),
+        particles=np.zeros((0, 3)),
+        weights=np.zeros(0),
+        effective=np.zeros(0),
+        loops_m=np.concatenate([nodes[first, :2], nodes[second, :2]], axis=1)
+        if loops
+        else np.zeros((0, 4)),
+    )
 
 
-def _trusted(local: LocalTrajectory, occupancy_min: float) -> BoolArray:
-    """(N,) the first scan with points defines the map; each other must fit it."""
+def _fits(local: LocalTrajectory, occupancy_min: float) -> BoolArray:
+    """(N,) the first scan with points defines the map; each other must fit it in one place."""
     # NaN compares false.
-    trusted: BoolArray = local.occupancy >= occupancy_min
-    trusted[0] = local.key_points_m[0].size > 0
-    return trusted
+    fits: BoolArray = (local.occupancy >= occupancy_min) & ~local.adrift
+    fits[0] = local.key_points_m[0].size > 0
+    return fits
 
 
-def _steps(local: LocalTrajectory, trusted: BoolArray, settings: GraphSettings) -> list[Edge]:
+def _is_joined(local: LocalTrajectory, loops: list[Edge]) -> BoolArray:
+    """(N,) whether it is known where a scan is in the first one's map: not after a break, unless
+    loops join what follows to what was before."""
+    part = local.part[np.searchsorted(local.key, np.arange(len(local.stamps_ns)), side="right") - 1]
+    is_joined: BoolArray = joined_parts(local, loops)[part]
+    return is_joined
+
+
+def _steps(local: LocalTrajectory, fits: BoolArray, settings: GraphSettings) -> list[Edge]:
     """The way from each key scan to the next, less sure where a scan between them is lost."""
     sigmas = np.array([settings.local_sigma_m, settings.local_sigma_m, settings.local_sigma_rad])
     poses = local.key_poses
-    lost_before = np.concatenate([[0], np.cumsum(~trusted)])
+    lost_before = np.concatenate([[0], np.cumsum(~fits)])
     edges = []
     for node in range(len(poses) - 1):
         begin, end = local.key[node] + 1, local.key[node + 1] + 1
         is_lost = lost_before[end] > lost_before[begin]
-        factor = settings.untrusted_factor if is_lost else 1.0
+        sigma = sigmas * (settings.untrusted_factor if is_lost else 1.0)
+        if local.part[node + 1] != local.part[node]:
+            sigma = np.array(_BREAK_SIGMAS)
         edges.append(
             Edge(
                 first=node,
                 second=node + 1,
                 pose_first_second=relative(poses[node], poses[node + 1]),
-                information=np.diag((factor * sigmas) ** -2.0),
+                information=np.diag(sigma**-2.0),
                 is_loop=False,
             )
         )
@@ -222,10 +216,12 @@ def _carried(local: LocalTrajectory, poses_map_node: FloatArray) -> FloatArray:
         for node in (before, after)
     )
     span = np.maximum(local.key[after] - local.key[before], 1)
-    share = (number - local.key[before]) / span
-    return np.array(
-        [interpolate_planar(*pair) for pair in zip(by_before, by_after, share, strict=True)]
-    )
+    share = ((number - local.key[before]) / span)[:, np.newaxis]
+    step = by_after - by_before
+    step[:, 2] = wrap_angle(step[:, 2])
+    poses: FloatArray = by_before + share * step
+    poses[:, 2] = wrap_angle(poses[:, 2])
+    return poses
 
 
 def _graph(poses_map_node: FloatArray, edges: list[Edge]) -> PoseGraph:

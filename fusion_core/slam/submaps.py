@@ -13,8 +13,8 @@ from numba import njit
 
 from fusion_core.mapping.rays import update_cells
 from fusion_core.model.conventions import ByteArray, FloatArray, read_only
+from fusion_core.model.planar_poses import move_points
 from fusion_core.settings import StageSettings, setting
-from fusion_core.slam.planar_poses import move_points
 from fusion_core.slam.scan_to_grid import FULL
 
 

@@ -5,37 +5,54 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from fusion_core.exporting.atomic import write_text
+from fusion_core.exporting.figures_slam import write_effective, write_way
 from fusion_core.exporting.g2o import write_g2o
 from fusion_core.exporting.manifest import OutputPlan, plan_output, results_folder
 from fusion_core.exporting.tum_trajectory import write_tum_trajectory
-from fusion_core.mapping.grid import GridBuilder
 from fusion_core.model.errors import MappingFailed, MissingStream
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
+from fusion_core.model.slam_view import Watch, unwatched
 from fusion_core.model.trajectory import Trajectory
-from fusion_core.workflows.estimators import Placed, Slam, place
+from fusion_core.recordings.topics import Streams
+from fusion_core.workflows.drawn_maps import SeenByCamera, draw_maps, with_layers, write_maps
+from fusion_core.workflows.estimators import Placed, SlamKind, place
+from fusion_core.workflows.extrinsics import extrinsics
+from fusion_core.workflows.figures import printable
 from fusion_core.workflows.map_report import MapSummary, report_of
 from fusion_core.workflows.map_settings import MapSettings, map_settings, map_settings_toml
-from fusion_core.workflows.maps import write_map
-from fusion_core.workflows.motion_source import MotionKind, map_streams, recorded_motion
-from fusion_core.workflows.scan_source import LidarScans, Scans
+from fusion_core.workflows.motion_source import MotionKind, map_streams, open_motion
+from fusion_core.workflows.odometry_files import write_odometry
+from fusion_core.workflows.poses import recorded_poses
+from fusion_core.workflows.presets import PresetName
+from fusion_core.workflows.scan_source import LidarScans, ScanKind, Scans, open_scans
 from fusion_core.workflows.source import RoomChoice, input_files, open_source
 
-# Nothing here is drawn at random.
-_SEED = 0
 _TRUSTED_SHARE_MIN = 0.5
 _REPORT_NAME = "report.json"
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapOptions:
-    """What a person asks of a run; ``motion`` is the prior of SLAM, or all there is without it."""
+    """What a person asks of a run.
 
-    slam: Slam = "pose-graph"
+    ``scan``: what goes in. ``motion``: the prior of SLAM, or all there is without it. ``seed``: of
+    the particle filter, over the settings. ``clock_offset_ms``: camera stamp - LiDAR stamp of the
+    same instant, taken out.
+    """
+
+    scan: ScanKind = "lidar"
     motion: MotionKind = "recorded"
+    slam: SlamKind = "pose-graph"
+    preset: PresetName = "default"
     settings_file: Path | None = None
+    seed: int | None = None
+    extrinsics_file: Path | None = None
+    clock_offset_ms: float = 0.0
     room: RoomChoice | None = None
     lidar_topic: str | None = None
     pose_topic: str | None = None
@@ -45,13 +62,17 @@ class MapOptions:
     @property
     def asked(self) -> dict[str, str]:
         """What decides the kind of result, by name."""
-        return {"slam": self.slam, "motion": self.motion}
+        return {"scan": self.scan, "motion": self.motion, "slam": self.slam}
 
 
 def build_map(
-    recording: Path, output: Path, options: MapOptions, progress: Progress = silent
+    recording: Path,
+    output: Path,
+    options: MapOptions,
+    progress: Progress = silent,
+    watch: Watch = unwatched,
 ) -> MapSummary:
-    """Trajectory and map of a recording into a folder of results.
+    """Trajectory and maps of a recording into a folder of results.
 
     Raises ScanLoomError: RecordingError and MissingStream for the input, SettingsError, ExportError
     for the folder, MappingFailed where no scan can be placed, or where more than half cannot be
@@ -61,16 +82,16 @@ def build_map(
         raise MissingStream(
             "without SLAM and without motion there are no poses.",
             file=recording,
-            advice="Choose --slam pose-graph, or a --motion.",
+            advice="Choose a --slam, or a --motion.",
         )
-    settings = map_settings(options.settings_file)
-    settings_text = map_settings_toml(settings)
+    preset, settings = map_settings(options.preset, options.settings_file, options.seed)
+    settings_text = map_settings_toml(settings, preset)
     with open_source(recording, options.room) as opened:
         plan = plan_output(
             output,
-            inputs=input_files(opened),
+            inputs=[*input_files(opened), *_given(options)],
             settings_text=settings_text + _identity(options),
-            seed=_SEED,
+            seed=settings.particles.seed,
             force=options.force,
             overwrite=options.overwrite,
             progress=progress,
@@ -78,7 +99,7 @@ def build_map(
         if plan.skip:
             summary = _skipped(output)
         else:
-            summary = _run(opened, plan, options, settings, settings_text, progress)
+            summary = _run(opened, plan, options, settings, settings_text, progress, watch)
     if summary.report["trusted_share"] < _TRUSTED_SHARE_MIN:
         raise MappingFailed(
             f"only {summary.report['trusted_share']:.0%} of the scans fit the map.",
@@ -88,6 +109,10 @@ def build_map(
     return summary
 
 
+def _given(options: MapOptions) -> list[Path]:
+    return [] if options.extrinsics_file is None else [options.extrinsics_file]
+
+
 def _identity(options: MapOptions) -> str:
     """What was asked beyond the settings, as part of what makes two runs the same."""
     identity: dict[str, str | None] = {
@@ -95,6 +120,7 @@ def _identity(options: MapOptions) -> str:
         **options.asked,
         "lidar": options.lidar_topic,
         "pose": options.pose_topic,
+        "clock_offset_ms": repr(options.clock_offset_ms),
     }
     if options.room is not None:
         identity["room"] = str(options.room)
@@ -113,51 +139,111 @@ def _run(
     settings: MapSettings,
     settings_text: str,
     progress: Progress,
+    watch: Watch,
 ) -> MapSummary:
     start_s = time.perf_counter()
     streams = map_streams(recording, options.lidar_topic, options.pose_topic)
-    scans = LidarScans(recording, streams)
-    notes = list(streams.notes)
-    motion = None
-    if options.motion == "none":
-        notes.append("Without odometry the length of a bare corridor is a guess.")
-    else:
-        motion = recorded_motion(
-            recording, streams, scans.frame_id, wheel_only=options.motion == "wheel"
-        )
-        notes.append(f"Motion from {motion.source}.")
+    sources = _Sources(recording, streams, options, settings, progress)
+    motion = sources.motion
     seconds = {"motion": time.perf_counter() - start_s}
-    placed = place(scans, motion, options.slam, settings, progress)
+    placed = place(
+        sources.scans, motion.at if motion else None, options.slam, settings, progress, watch
+    )
     seconds.update(placed.seconds)
     start_s = time.perf_counter()
-    grid: OccupancyGrid | None = None
-    try:
-        grid = _grid(scans, placed, settings, progress)
-    except MappingFailed as error:
-        # The trajectory is worth keeping where only the raster is too large.
-        notes.append(f"No map: {error}")
+    reach_m = settings.submaps.reach_m
+    grids, no_maps = draw_maps(sources.drawn, placed, settings.grid, reach_m, progress)
+    if sources.has_layers:
+        grids = with_layers(grids)
+    notes = [*sources.notes, *no_maps]
+    report = report_of(placed, options.asked, notes, recording.warnings)
     with results_folder(plan) as folder:
-        if grid is not None:
-            write_map(folder, "map_lidar", grid)
-        trajectory = Trajectory.from_planar(placed.stamps_ns, placed.poses_map_scan)
-        write_tum_trajectory(folder / "trajectory.tum", trajectory)
-        if placed.graph is not None:
-            write_g2o(folder / "graph.g2o", placed.graph.graph)
+        write_maps(folder, grids)
+        _write_way(folder, placed, grids.get(options.scan), recording.path.name)
+        if motion is not None:
+            write_odometry(folder, motion)
         write_text(folder / "settings.toml", settings_text)
-        seconds["map"] = time.perf_counter() - start_s
-        report = report_of(placed, options.asked, [*notes, *scans.notes], recording.warnings)
         write_text(folder / _REPORT_NAME, json.dumps(report, indent=2, allow_nan=False) + "\n")
+    seconds["maps"] = time.perf_counter() - start_s
     return MapSummary(output=plan.folder, skipped=False, report=report, seconds=seconds)
 
 
-def _grid(scans: Scans, placed: Placed, settings: MapSettings, progress: Progress) -> OccupancyGrid:
-    builder = GridBuilder(settings.grid)
-    # A far beam that strays would make a map of the whole range; SLAM uses none of them either.
-    reach_m = settings.submaps.reach_m
-    pose_of = dict(zip(placed.stamps_ns.tolist(), placed.poses_map_scan, strict=True))
-    for done, scan in enumerate(scans):
-        progress(done, len(pose_of), "drawing the map")
-        pose = pose_of.get(scan.stamp_ns)
-        if pose is not None:
-            builder.add_scan(pose, scan.angles_rad, scan.ranges_m, min(scan.range_max_m, reach_m))
-    return builder.build()
+class _Sources:
+    """The scans to place, their motion, and the scans to draw."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        streams: Streams,
+        options: MapOptions,
+        settings: MapSettings,
+        progress: Progress,
+    ) -> None:
+        self._streams = streams
+        lidar = LidarScans(recording, streams) if streams.lidar is not None else None
+        recorded = recorded_poses(recording, streams, lidar.frame_id) if lidar else None
+        placed_cameras = None
+        if options.scan in ("camera", "merged") or options.extrinsics_file is not None:
+            placed_cameras = extrinsics(
+                recording, streams, settings, file=options.extrinsics_file, progress=progress
+            )
+        self.scans = open_scans(
+            recording,
+            streams,
+            options.scan,
+            settings.virtual_scan,
+            chain=settings,
+            cameras=placed_cameras,
+            motion=recorded.at if recorded else None,
+            clock_offset_ms=options.clock_offset_ms,
+            progress=progress,
+        )
+        self.motion = open_motion(
+            recording,
+            streams,
+            self.scans,
+            options.motion,
+            settings,
+            progress,
+            extrinsics=placed_cameras,
+            clock_offset_ms=options.clock_offset_ms,
+        )
+        self.drawn: dict[str, Scans] = {options.scan: self.scans}
+        self.has_layers = options.scan == "merged" and settings.virtual_scan.layers
+        if self.has_layers:
+            self.drawn = {options.scan: SeenByCamera(self.scans)}
+        if lidar is not None and options.scan != "lidar":
+            self.drawn = {"lidar": lidar, **self.drawn}
+
+    @property
+    def notes(self) -> list[str]:
+        """For people, complete once the scans were read."""
+        if self.motion is None:
+            motion = ["Without odometry the length of a bare corridor is a guess."]
+        else:
+            motion = [f"Motion from {self.motion.source}.", *self.motion.notes]
+        return [*self._streams.notes, *motion, *self.scans.notes]
+
+
+def _write_way(folder: Path, placed: Placed, grid: OccupancyGrid | None, name: str) -> None:
+    """The trajectory, the estimator's own results, and their figures."""
+    stamps_ns, poses = placed.stamps_ns, placed.poses_map_scan
+    write_tum_trajectory(folder / "trajectory.tum", Trajectory.from_planar(stamps_ns, poses))
+    loops_m = np.zeros((0, 4))
+    if placed.graph is not None:
+        graph = placed.graph.graph
+        write_g2o(folder / "graph.g2o", graph)
+        ends = (graph.first[graph.is_loop], graph.second[graph.is_loop])
+        loops_m = np.hstack([graph.poses_map_node[end, :2] for end in ends])
+    heading = printable(name)
+    write_way(folder / "trajectory.png", heading, grid, poses, placed.trusted, loops_m)
+    if placed.particles is not None:
+        result = placed.particles
+        write_effective(
+            folder / "effective.png",
+            heading,
+            stamps_ns[result.key],
+            result.effective,
+            result.resampled,
+            result.weights.size,
+        )

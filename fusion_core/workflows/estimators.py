@@ -1,6 +1,6 @@
 """The estimators of ``scanloom map``: each places the scans of a recording."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,19 +9,23 @@ import numpy as np
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.errors import MappingFailed
 from fusion_core.model.progress import Progress
-from fusion_core.slam.pose_graph_slam import SlamResult, SlamSettings, pose_graph_slam
-from fusion_core.workflows.poses import Poses
+from fusion_core.model.slam_view import Watch
+from fusion_core.slam.particle_filter import ParticleResult, particle_filter_slam
+from fusion_core.slam.pose_graph_slam import SlamResult, pose_graph_slam
+from fusion_core.workflows.map_settings import MapSettings
 from fusion_core.workflows.scan_source import Scans
 
-Slam = Literal["none", "pose-graph"]
+SlamKind = Literal["none", "particle-filter", "pose-graph"]
+Prior = Callable[[int], FloatArray | None]
+"""Stamp in ns to the (3,) pose of the LiDAR by odometry, None where that is not known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Placed:
     """N scans with a pose.
 
-    ``poses_map_scan``: (N, 3) x, y, yaw. ``trusted``: (N,) whether each can be. ``graph``: of the
-    pose graph alone. ``seconds``: of each stage, on the wall clock.
+    ``poses_map_scan``: (N, 3) x, y, yaw. ``trusted``: (N,) whether each can be. ``graph``,
+    ``particles``: of the estimator that has them. ``seconds``: of each stage, on the wall clock.
     """
 
     stamps_ns: IntArray
@@ -29,6 +33,7 @@ class Placed:
     trusted: BoolArray
     seconds: Mapping[str, float]
     graph: SlamResult | None = None
+    particles: ParticleResult | None = None
 
     def __post_init__(self) -> None:
         for array in (self.stamps_ns, self.poses_map_scan, self.trusted):
@@ -37,35 +42,43 @@ class Placed:
 
 def place(
     scans: Scans,
-    motion: Poses | None,
-    slam: Slam,
-    settings: SlamSettings,
+    prior: Prior | None,
+    slam: SlamKind,
+    settings: MapSettings,
     progress: Progress,
+    watch: Watch,
 ) -> Placed:
-    """Place the scans; ``motion`` is the prior of SLAM, or all there is without it.
+    """Place the scans; ``prior`` is all there is without SLAM.
 
     Raises MappingFailed where no scan can be placed.
     """
     if slam == "pose-graph":
-        result = pose_graph_slam(scans, motion.at if motion else None, settings, progress)
+        graph = pose_graph_slam(scans, prior, settings, progress, watch)
         return Placed(
-            stamps_ns=result.stamps_ns,
-            poses_map_scan=result.poses_map_scan,
-            trusted=result.trusted,
-            seconds=result.seconds,
-            graph=result,
+            stamps_ns=graph.stamps_ns,
+            poses_map_scan=graph.poses_map_scan,
+            trusted=graph.trusted,
+            seconds=graph.seconds,
+            graph=graph,
         )
-    if motion is None:
+    if slam == "particle-filter":
+        particles = particle_filter_slam(scans, prior, settings.particles, progress, watch)
+        return Placed(
+            stamps_ns=particles.stamps_ns,
+            poses_map_scan=particles.poses_map_scan,
+            trusted=particles.trusted,
+            seconds=particles.seconds,
+            particles=particles,
+        )
+    if prior is None:
         raise MappingFailed("without SLAM and without motion there are no poses.")
-    return _placed_by_motion(scans, motion)
+    return _placed_by_motion(scans, prior)
 
 
-def _placed_by_motion(scans: Scans, motion: Poses) -> Placed:
-    known = [
-        (scan.stamp_ns, pose) for scan in scans if (pose := motion.at(scan.stamp_ns)) is not None
-    ]
+def _placed_by_motion(scans: Scans, prior: Prior) -> Placed:
+    known = [(scan.stamp_ns, pose) for scan in scans if (pose := prior(scan.stamp_ns)) is not None]
     if not known:
-        raise MappingFailed(f"{motion.source} has no pose for any scan.")
+        raise MappingFailed("the motion has no pose for any scan.")
     stamps_ns, found = zip(*known, strict=True)
     return Placed(
         stamps_ns=np.array(stamps_ns, dtype=np.int64),

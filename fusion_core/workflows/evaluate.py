@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fusion_core.evaluation.alignment import evaluate_alignment
-from fusion_core.evaluation.map_measures import evaluate_measures
+from fusion_core.evaluation.map_measures import MapCells, evaluate_measures
 from fusion_core.evaluation.map_outlines import evaluate_outlines
 from fusion_core.evaluation.noise import evaluate_noise
 from fusion_core.evaluation.recall_curve import recall_over_epsilon
@@ -25,6 +25,7 @@ from fusion_core.evaluation.trajectories import GREATEST_GAP_S, Alignment, evalu
 from fusion_core.evaluation.truth import LeverArm, Truth, load_truth
 from fusion_core.model.conventions import Float32Array
 from fusion_core.model.errors import SettingsError
+from fusion_core.model.planar_poses import move_points
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import DepthImage
 from fusion_core.recordings.formats import open_recording
@@ -32,7 +33,7 @@ from fusion_core.recordings.relation_file import read_relations
 from fusion_core.recordings.ros_map import read_ros_map
 from fusion_core.recordings.tum_trajectory import read_tum_trajectory
 from fusion_core.recordings.world_file import read_world
-from fusion_core.workflows.map_alignment import MapAlignment, align_map, moved
+from fusion_core.workflows.map_alignment import MapAlignment, align_map
 
 EPSILON_OVER_E = np.linspace(0.2, 6.0, 30)
 """Fig. 6 of Xu 2024 shows [1, sqrt 2]; the rest shows what lies beside the band."""
@@ -133,19 +134,22 @@ def ros_map(
     if pose is not None and not np.isfinite(pose).all():
         raise SettingsError(f"the pose must be finite, got {pose}.")
     drawn, outline = read_ros_map(file), read_world(world)
-    occupied_m = drawn.occupied_m()
-    guess = None if pose is None else np.array(pose, dtype=np.float64)
+    occupied_m, free_m = drawn.occupied_m(), drawn.free_m()
+    pose_world_map = np.zeros(3) if pose is None else np.array(pose, dtype=np.float64)
     alignment: MapAlignment | None = None
     if align:
-        alignment = align_map(occupied_m, outline, guess)
-        occupied_m = moved(alignment.pose_world_map, occupied_m)
-    elif guess is not None:
-        occupied_m = moved(guess, occupied_m)
+        alignment = align_map(occupied_m, outline, None if pose is None else pose_world_map)
+        pose_world_map = alignment.pose_world_map
+    cells = MapCells(
+        occupied_m=move_points(pose_world_map, occupied_m),
+        free_m=move_points(pose_world_map, free_m),
+        resolution_m=drawn.resolution_m,
+    )
     return {
         "resolution_m": drawn.resolution_m,
         "alignment": None if alignment is None else alignment.to_json(),
-        **evaluate_outlines(occupied_m, drawn.resolution_m, outline).to_json(),
-        **evaluate_measures(occupied_m, drawn.resolution_m, outline).to_json(),
+        **evaluate_outlines(cells.occupied_m, drawn.resolution_m, outline).to_json(),
+        **evaluate_measures(cells, outline).to_json(),
     }
 
 

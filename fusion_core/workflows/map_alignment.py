@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from fusion_core.model.conventions import FloatArray, read_only, wrap_angle
 from fusion_core.model.errors import RegistrationFailed
+from fusion_core.model.planar_poses import move_points
 from fusion_core.model.world_outline import WorldOutline
 from fusion_core.registration.correlative import SearchWindow, best_pose
 from fusion_core.registration.likelihood_grid import likelihood_pyramid
@@ -47,13 +48,6 @@ class MapAlignment:
         """Shift in metres, turn in degrees."""
         x, y, yaw = (float(value) for value in self.pose_world_map)
         return {"x_m": x, "y_m": y, "yaw_deg": float(np.degrees(yaw)), "cells_near": self.near}
-
-
-def moved(pose: FloatArray, points_m: FloatArray) -> FloatArray:
-    """(N, 2) points after the motion (x, y, yaw)."""
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    turned: FloatArray = points_m @ np.array([[c, s], [-s, c]]) + pose[:2]
-    return turned
 
 
 def align_map(
@@ -122,7 +116,7 @@ class _Target:
         if about is None:
             centre, rotation_rad = np.array([*self._middle_m, 0.0]), np.pi
         else:
-            centre, rotation_rad = np.array([*moved(about, middle_m), about[2]]), _NEAR_RAD
+            centre, rotation_rad = np.array([*move_points(about, middle_m), about[2]]), _NEAR_RAD
         window = SearchWindow(
             centre=(float(centre[0]), float(centre[1]), float(centre[2])),
             translation_m=translation_m,
@@ -139,7 +133,7 @@ class _Target:
         except RegistrationFailed:
             # Nothing within reach of any outline: the refinement says so.
             pose = centre
-        back = moved(np.array([0.0, 0.0, pose[2]]), -middle_m[None])[0]
+        back = move_points(np.array([0.0, 0.0, pose[2]]), -middle_m[None])[0]
         return np.array([*(pose[:2] + back), pose[2]])
 
     def refine(self, occupied_m: FloatArray, start: FloatArray) -> MapAlignment:
@@ -148,7 +142,7 @@ class _Target:
         pose = start.copy()
         for cut_m in _CUTS_M:
             for _ in range(_ITERATIONS):
-                step = self._step(moved(pose, points_m), cut_m)
+                step = self._step(move_points(pose, points_m), cut_m)
                 c, s = np.cos(step[2]), np.sin(step[2])
                 x, y = pose[:2] - self._middle_m
                 pose = np.array(
@@ -160,7 +154,7 @@ class _Target:
                 )
                 if np.abs(step).max() < 1e-7:
                     break
-        distance_m, _ = self._tree.query(moved(pose, occupied_m))
+        distance_m, _ = self._tree.query(move_points(pose, occupied_m))
         return MapAlignment(pose_world_map=pose, near=float(np.mean(distance_m < _CUTS_M[-1])))
 
     def _step(self, points_m: FloatArray, cut_m: float) -> FloatArray:

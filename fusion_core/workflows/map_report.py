@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from fusion_core.model.conventions import BoolArray, IntArray
+from fusion_core.model.conventions import NS_PER_S, BoolArray, FloatArray, IntArray
+from fusion_core.slam.particle_filter import ParticleResult
 from fusion_core.slam.pose_graph_slam import SlamResult
 from fusion_core.workflows.estimators import Placed
 
@@ -45,6 +46,11 @@ class MapSummary:
                 f"graph      {report['key_scans']} key scans, {report['edges']} edges, "
                 f"{report['loops']} loops ({report['loops_dropped']} dropped)"
             )
+        if "particles" in report:
+            lines.append(
+                f"particles  {report['particles']}, {report['key_scans']} scans weighed, "
+                f"{report['resamplings']} times resampled"
+            )
         for stretch in report["untrusted"]:
             lines.append(
                 f"untrusted  {stretch['from_s']:.3f} s to {stretch['to_s']:.3f} s: "
@@ -73,7 +79,27 @@ def report_of(
     }
     if placed.graph is not None:
         report |= _graph_report(placed.stamps_ns, placed.graph)
+    if placed.particles is not None:
+        report |= _particle_report(placed.stamps_ns, placed.particles)
     return report
+
+
+def _particle_report(stamps_ns: IntArray, result: ParticleResult) -> dict[str, Any]:
+    times_s = stamps_ns[result.key] / NS_PER_S
+    return {
+        "key_scans": int(result.key.size),
+        "particles": int(result.weights.size),
+        "resamplings": int(result.resampled.sum()),
+        "unmatched": int(result.unmatched.sum()),
+        "effective": [
+            list(pair) for pair in zip(times_s.tolist(), _or_none(result.effective), strict=True)
+        ],
+    }
+
+
+def _or_none(values: FloatArray) -> list[float | None]:
+    """JSON has no NaN."""
+    return [float(value) if np.isfinite(value) else None for value in values]
 
 
 def _graph_report(stamps_ns: IntArray, result: SlamResult) -> dict[str, Any]:

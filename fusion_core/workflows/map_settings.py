@@ -1,36 +1,53 @@
-"""The settings of ``scanloom map``."""
+"""The settings of ``scanloom map``, and its two presets.
+
+``default`` is what is right; ``published`` is Li 2022 as far as its text decides: clouds by stride
+and cropped scans (§2.2), odometry fused by (6) to (9) as printed, and, where the mount must be
+found or scans repaired, Xu 2024's chain as published.
+"""
 
 from pathlib import Path
 
-from fusion_core.exporting.settings_file import dump_toml, load_toml, read_preset
-from fusion_core.mapping.grid import GridSettings
-from fusion_core.model.errors import SettingsError
+from fusion_core.exporting.settings_file import dump_toml
+from fusion_core.mapping import virtual_scan
+from fusion_core.mapping.virtual_scan import VirtualScanSettings
+from fusion_core.motion.fusion import FusionSettings
+from fusion_core.slam.particle_set import ParticleSettings
 from fusion_core.slam.pose_graph_slam import SlamSettings
-
-_PRESET = "default"
-
-
-class MapSettings(SlamSettings):
-    """Every stage's settings, in the order of the work."""
-
-    grid: GridSettings = GridSettings()
+from fusion_core.workflows.motion_source import MotionSettings
+from fusion_core.workflows.presets import PRESETS, ChainSettings, PresetName, preset_with_file
 
 
-def map_settings(settings_file: Path | None) -> MapSettings:
-    """The defaults, or a file's values over them. Raises SettingsError for a wrong file."""
-    base = MapSettings()
-    if settings_file is None:
-        return base
-    preset = read_preset(settings_file)
-    if preset not in (None, _PRESET):
-        raise SettingsError(
-            f"unknown preset {preset!r}.", file=settings_file, advice=f"There is {_PRESET}."
-        )
-    stages = base.stages()
-    classes = {name: type(value) for name, value in stages.items()}
-    return base.model_copy(update=dict(load_toml(settings_file, classes, stages)))
+class MapSettings(SlamSettings, MotionSettings, ChainSettings):
+    """Every stage's settings: of the chain that finds the mount, of motion and of SLAM."""
+
+    virtual_scan: VirtualScanSettings = VirtualScanSettings()
+    particles: ParticleSettings = ParticleSettings()
 
 
-def map_settings_toml(settings: MapSettings) -> str:
+MAP_PRESETS: dict[PresetName, MapSettings] = {
+    "default": MapSettings(),
+    "published": MapSettings(
+        **dict(PRESETS["published"]),
+        virtual_scan=virtual_scan.PUBLISHED,
+        fusion=FusionSettings(method="published"),
+    ),
+}
+
+
+def map_settings(
+    preset: PresetName, settings_file: Path | None, seed: int | None = None
+) -> tuple[PresetName, MapSettings]:
+    """The preset with a file's values over it and, where given, the particles' seed over both.
+
+    A file that names a preset decides on it. Raises SettingsError for what the file has wrong.
+    """
+    preset, settings = preset_with_file(preset, MAP_PRESETS, settings_file)
+    if seed is None:
+        return preset, settings
+    seeded = settings.particles.model_copy(update={"seed": seed})
+    return preset, settings.model_copy(update={"particles": seeded})
+
+
+def map_settings_toml(settings: MapSettings, preset: PresetName = "default") -> str:
     """The settings file that repeats a run."""
-    return dump_toml(settings.stages(), _PRESET)
+    return dump_toml(settings.stages(), preset)

@@ -6,8 +6,9 @@ as zeros, rows of the lower half, Pearson, each frame's own peak, an affine A fr
 epsilon 1.2 E (the middle of [E, sqrt 2 E]), the rougher side at fault, repairs by (7) and (8).
 """
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 from pydantic import ConfigDict
 
@@ -24,6 +25,7 @@ from fusion_core.registration.ransac import PUBLISHED, RegistrationSettings
 from fusion_core.settings import SettingsGroup, setting
 
 PresetName = Literal["default", "published"]
+_Settings = TypeVar("_Settings", bound=SettingsGroup)
 
 
 class ChainSettings(SettingsGroup):
@@ -75,21 +77,33 @@ def chain_settings(
 
     A file that names a preset decides on it. Raises SettingsError for what the file has wrong.
     """
-    if settings_file is not None:
-        named = read_preset(settings_file)
-        if named is not None:
-            if named not in PRESETS:
-                raise SettingsError(
-                    f"unknown preset {named!r}.",
-                    file=settings_file,
-                    advice=f"Presets: {', '.join(PRESETS)}.",
-                )
-            preset = "published" if named == "published" else "default"
-    base = PRESETS[preset]
+    preset, settings = preset_with_file(preset, PRESETS, settings_file)
+    if seed is None:
+        return preset, settings
+    seeded = settings.registration.model_copy(update={"seed": seed})
+    return preset, settings.model_copy(update={"registration": seeded})
+
+
+def preset_with_file(
+    preset: PresetName, presets: Mapping[PresetName, _Settings], settings_file: Path | None
+) -> tuple[PresetName, _Settings]:
+    """A preset, or the one that the file names, with the file's values over it.
+
+    Raises SettingsError for what the file has wrong.
+    """
+    if settings_file is None:
+        return preset, presets[preset]
+    named = read_preset(settings_file)
+    if named is not None:
+        if named not in presets:
+            raise SettingsError(
+                f"unknown preset {named!r}.",
+                file=settings_file,
+                advice=f"Presets: {', '.join(presets)}.",
+            )
+        preset = "published" if named == "published" else "default"
+    base = presets[preset]
     stages = base.stages()
-    if settings_file is not None:
-        classes = {name: type(value) for name, value in stages.items()}
-        stages = load_toml(settings_file, classes, stages)
-    if seed is not None:
-        stages["registration"] = stages["registration"].model_copy(update={"seed": seed})
+    classes = {name: type(value) for name, value in stages.items()}
+    stages = load_toml(settings_file, classes, stages)
     return preset, base.model_copy(update=dict(stages))

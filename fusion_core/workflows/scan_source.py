@@ -1,12 +1,19 @@
 """The scans that motion and SLAM work on, read anew each time they are needed."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Literal, Protocol
 
-from fusion_core.model.errors import MissingStream
+from fusion_core.mapping.virtual_scan import VirtualScanSettings
+from fusion_core.model.errors import MissingStream, SettingsError
+from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import Streams
+from fusion_core.workflows.extrinsics import Extrinsics, extrinsics
+from fusion_core.workflows.presets import ChainSettings
+from fusion_core.workflows.repaired_scans import RepairedScans
+from fusion_core.workflows.virtual_scans import CameraScans, MergedScans, Motion
 
 ScanKind = Literal["lidar", "camera", "repaired", "merged"]
 
@@ -60,3 +67,61 @@ class LidarScans:
                 continue
             last_ns = message.value.stamp_ns
             yield message.value
+
+
+def open_scans(
+    recording: Recording,
+    streams: Streams,
+    kind: ScanKind,
+    settings: VirtualScanSettings | None = None,
+    *,
+    chain: ChainSettings | None = None,
+    extrinsics_file: Path | None = None,
+    cameras: Extrinsics | None = None,
+    motion: Motion | None = None,
+    clock_offset_ms: float = 0.0,
+    progress: Progress = silent,
+) -> Scans:
+    """The scans of a kind.
+
+    "lidar": as recorded. "camera": the depth cameras' own, one an image, in the LiDAR's frame, or
+    level under the camera where the recording has no LiDAR. "merged": the LiDAR's with what the
+    cameras saw at their times. "repaired": the LiDAR's as Xu's chain repairs them.
+
+    ``settings`` are of virtual scans, ``chain`` of the alignment that finds the mount where nobody
+    tells it, and of the repair. ``motion``: where the scans' frame was by odometry, to carry what
+    a camera saw to the scan's stamp; without it the scans themselves tell the turn.
+    ``clock_offset_ms``: camera stamp - LiDAR stamp of the same instant, taken out.
+
+    Raises MissingStream for what the recording lacks, AlignmentFailed where mount or floor cannot
+    be told, SettingsError for the extrinsics' file.
+    """
+    settings, chain = settings or VirtualScanSettings(), chain or ChainSettings()
+    if extrinsics_file is not None and kind in ("lidar", "repaired"):
+        raise SettingsError(
+            f"--scan {kind} takes no extrinsics.",
+            file=extrinsics_file,
+            advice="Leave --extrinsics out, or use --scan merged or camera.",
+        )
+    if kind == "lidar":
+        return LidarScans(recording, streams)
+    if kind == "repaired":
+        return RepairedScans(
+            recording, streams, chain, clock_offset_ms=clock_offset_ms, progress=progress
+        )
+    if kind == "merged" and streams.lidar is None:
+        raise MissingStream(
+            "has no 2D LiDAR to merge the camera with.",
+            file=recording.path,
+            advice="Use --scan camera.",
+        )
+    placed = cameras or extrinsics(
+        recording, streams, chain, file=extrinsics_file, progress=progress
+    )
+    if kind == "camera":
+        return CameraScans(
+            recording, placed, settings, motion=motion, clock_offset_ms=clock_offset_ms
+        )
+    return MergedScans(
+        recording, streams, placed, settings, motion=motion, clock_offset_ms=clock_offset_ms
+    )

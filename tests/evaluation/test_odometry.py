@@ -1,9 +1,11 @@
 """Drift of odometry on paths whose errors are known."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
-from fusion_core.evaluation.odometry import evaluate_odometry
+from fusion_core.evaluation.odometry import StraightDistances, evaluate_odometry
 from fusion_core.model.errors import ScanLoomError, SettingsError
 from fusion_core.model.geometry import transform_from_planar
 from fusion_core.model.trajectory import Trajectory
@@ -71,3 +73,43 @@ def test_a_path_shorter_than_a_stretch_is_refused() -> None:
         evaluate_odometry(circle(1.0, 1.0), circle(1.0, 1.0), stretch_m=50.0)
     with pytest.raises(SettingsError, match="step must be positive"):
         evaluate_odometry(circle(1.0, 1.0), circle(1.0, 1.0), stretch_m=0.0)
+
+
+def polyline(corners: list[tuple[float, float]], factor: float = 1.0) -> Trajectory:
+    """Straight from corner to corner in steps of 5 cm, turning on the spot; the odometry's ways
+    are longer by ``factor``."""
+    poses = []
+    for (x, y), (to_x, to_y) in pairwise(corners):
+        heading = np.arctan2(to_y - y, to_x - x)
+        for share in np.linspace(0.0, 1.0, 1 + round(np.hypot(to_x - x, to_y - y) / 0.05)):
+            poses.append((x + share * (to_x - x), y + share * (to_y - y), heading))
+    planar = np.array(poses)
+    planar[:, :2] *= factor
+    return Trajectory.from_planar(np.arange(len(planar), dtype=np.int64) * 100_000_000, planar)
+
+
+def test_straight_stretches_are_those_of_table_5() -> None:
+    """Ways of 3.13 m, 2.05 m and 3 m as Li drove them, of which the odometry makes 1 % more; the
+    half metre between two of them is too short to count."""
+    corners = [(0.0, 0.0), (3.13, 0.0), (3.13, 2.05), (2.63, 2.05), (2.63, 5.05)]
+    report = evaluate_odometry(polyline(corners, 1.01), polyline(corners))
+    np.testing.assert_allclose(report.straight.true_m, [3.13, 2.05, 3.0], atol=0.15)
+    assert report.straight.error == pytest.approx(0.01)
+    assert report.to_json()["straight"]["stretches"] == 3
+
+
+def test_errors_of_either_sign_do_not_cancel() -> None:
+    """Li's own numbers: 3, 6, 1, 10 and 6 mm; Σ |error| / Σ distance is 0.23 % and 0.11 %."""
+    true = np.array([3.130, 2.045, 3.000])
+    for estimated, percent in (([3.127, 2.051, 2.990], 0.23), ([3.132, 2.044, 3.006], 0.11)):
+        straight = StraightDistances(
+            begin_ns=np.arange(3), true_m=true.copy(), estimated_m=np.array(estimated)
+        )
+        assert straight.error is not None
+        assert round(100.0 * straight.error, 2) == percent
+
+
+def test_a_circle_has_no_straight_stretch() -> None:
+    report = evaluate_odometry(circle(1.5, 4.0), circle(1.5, 4.0))
+    assert report.straight.error is None
+    assert report.to_json()["straight"]["error"] is None

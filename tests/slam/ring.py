@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, IntArray
+from fusion_core.model.planar_poses import compose, relative
 from fusion_core.model.sensors import LaserScan
-from fusion_core.slam.planar_poses import compose, relative
 from tests.benchmarks.scan_matching_room import cast, rectangle
 
 WALLS = np.concatenate(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from fusion_core.slam.planar_poses import compose, inverse, relative
+from fusion_core.model.planar_poses import compose, inverse, relative
 from fusion_core.slam.pose_graph import Edge, optimise, residuals
 
 

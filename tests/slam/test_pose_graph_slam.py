@@ -21,7 +21,7 @@ from tests.benchmarks.scan_matching_room import WALLS as ROOM
 from tests.slam.ring import drive, error_m, revisit_error_m, scan_of, scan_with
 
 # A score of 1 is never exceeded.
-NO_LOOPS = SlamSettings(loops=LoopSettings(score_min=1.0))
+NO_LOOPS = SlamSettings(loops=LoopSettings(score_min=1.0, score_min_wide=1.0))
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fusion_core.slam.planar_poses import compose, move_points
+from fusion_core.model.planar_poses import compose, move_points
 from fusion_core.slam.scan_to_grid import (
     FULL,
     INFORMATION_OF_A_SCAN,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fusion_core.mapping.grid import GridBuilder, GridSettings
-from fusion_core.slam.planar_poses import move_points
+from fusion_core.model.planar_poses import move_points
 from fusion_core.slam.submaps import GrowingSubmap, SubmapSettings
 
 SETTINGS = SubmapSettings(reach_m=5.0)

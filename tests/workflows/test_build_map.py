@@ -20,6 +20,7 @@ FILES = {
     "map_lidar.yaml",
     "report.json",
     "settings.toml",
+    "trajectory.png",
     "trajectory.tum",
 }
 SCANS = 120
@@ -94,11 +95,13 @@ def test_without_slam_the_poses_are_those_recorded(log, ring, tmp_path):
     np.testing.assert_allclose(trajectory.planar, ring.odometry, atol=1e-5)
 
 
-def test_without_motion_it_begins_at_the_origin(log, tmp_path):
-    summary = build_map(log, tmp_path / "map", MapOptions(motion="none"))
-    trajectory = read_tum_trajectory(summary.output / "trajectory.tum").trajectory
+def test_without_motion_it_begins_at_the_origin_and_bare_corridors_are_not_trusted(log, tmp_path):
+    with pytest.raises(MappingFailed, match="of the scans fit"):
+        build_map(log, tmp_path / "map", MapOptions(motion="none"))
+    trajectory = read_tum_trajectory(tmp_path / "map" / "trajectory.tum").trajectory
     np.testing.assert_array_equal(trajectory.planar[0], np.zeros(3))
-    assert any("bare corridor" in note for note in summary.report["notes"])
+    report = json.loads((tmp_path / "map" / "report.json").read_text(encoding="utf-8"))
+    assert any("bare corridor" in note for note in report["notes"])
 
 
 def test_a_lost_stretch_is_reported(ring, tmp_path):
@@ -132,7 +135,7 @@ def test_a_map_that_is_too_large_is_told_and_the_trajectory_kept(log, tmp_path):
     file = tmp_path / "small.toml"
     file.write_text("[grid]\ncells_max = 1000\n", encoding="utf-8")
     summary = build_map(log, tmp_path / "map", MapOptions(settings_file=file))
-    assert any("No map" in note and "coarser" in note for note in summary.report["notes"])
+    assert any("No lidar map" in note and "coarser" in note for note in summary.report["notes"])
     written = {path.name for path in summary.output.iterdir()}
     assert written == {name for name in FILES if not name.startswith("map_")}
 
@@ -141,7 +144,7 @@ def test_the_command_says_what_it_did(log, tmp_path, capsys):
     assert main(["map", str(log), "-o", str(tmp_path / "map"), "--motion", "wheel"]) == 0
     said = capsys.readouterr().out
     assert f"{SCANS} of 23.8 s" in said
-    assert "Motion from /flaser/odom" in said
+    assert "Motion from wheel" in said
 
 
 @pytest.mark.parametrize(

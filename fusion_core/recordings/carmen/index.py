@@ -10,6 +10,7 @@ from typing import BinaryIO
 import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S, FloatArray, IntArray, wrap_angle
+from fusion_core.model.planar_poses import relative
 from fusion_core.recordings.carmen.lines import (
     KINDS,
     SICK_RESOLUTIONS_DEG,
@@ -290,18 +291,11 @@ def seconds(time_ns: int) -> str:
 
 def _note_mount(rows: _Growing, laser: FloatArray, robot: FloatArray) -> None:
     """Compare the laser's pose on the robot with the first one."""
-    on_robot = relative_pose(robot, laser)
+    on_robot = relative(robot, laser)
     if rows.laser_on_robot is None:
         rows.laser_on_robot = on_robot
     elif rows.is_rigid:
         rows.is_rigid = is_same_pose(on_robot, rows.laser_on_robot)
-
-
-def relative_pose(base: FloatArray, pose: FloatArray) -> FloatArray:
-    """``pose`` (x, y, yaw) in the coordinates of ``base``."""
-    dx, dy, turn = pose - base
-    cosine, sine = np.cos(base[2]), np.sin(base[2])
-    return np.array([cosine * dx + sine * dy, cosine * dy - sine * dx, float(wrap_angle(turn))])
 
 
 def is_same_pose(a: FloatArray, b: FloatArray) -> bool:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion_core.model.geometry import planar_from_transform, transform_from_planar
-from fusion_core.slam.planar_poses import compose, inverse, move_points, relative
+from fusion_core.model.planar_poses import compose, inverse, move_points, relative
 
 poses = st.tuples(st.floats(-100.0, 100.0), st.floats(-100.0, 100.0), st.floats(-3.1, 3.1)).map(
     np.array

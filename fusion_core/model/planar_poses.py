@@ -31,7 +31,11 @@ def inverse(pose_a_b: FloatArray) -> FloatArray:
 
 def relative(pose_a_b: FloatArray, pose_a_c: FloatArray) -> FloatArray:
     """(..., 3) pose_b_c."""
-    return compose(inverse(pose_a_b), pose_a_c)
+    c, s = np.cos(pose_a_b[..., 2]), np.sin(pose_a_b[..., 2])
+    # Subtracted first, so that nothing is lost far from the origin.
+    x, y = pose_a_c[..., 0] - pose_a_b[..., 0], pose_a_c[..., 1] - pose_a_b[..., 1]
+    turn = wrap_angle(pose_a_c[..., 2] - pose_a_b[..., 2])
+    return np.stack([c * x + s * y, c * y - s * x, turn], axis=-1)
 
 
 def move_points(pose_a_b: FloatArray, points_in_b_m: FloatArray) -> FloatArray:

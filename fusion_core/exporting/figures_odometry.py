@@ -1,0 +1,109 @@
+"""The weights of fused odometry over time, and how far each source was from the result."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fusion_core.exporting.figures import add_legend_below, drawing
+from fusion_core.exporting.palette import BURR, DEPTH, GOOD, LIDAR
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SOURCE_COLORS: Mapping[str, str] = {"wheel": GOOD, "laser": LIDAR, "visual": DEPTH}
+# More columns than the figure has pixels would be drawn for nothing.
+_COLUMNS = 1200
+
+
+def write_odometry_weights(
+    path: Path,
+    heading: str,
+    *,
+    sources: Sequence[str],
+    stamps_ns: IntArray,
+    translation: FloatArray,
+    rotation: FloatArray,
+    rejected: BoolArray,
+    residual_m: FloatArray,
+    residual_rad: FloatArray,
+) -> None:
+    """Shares of each source in each step, and its difference from the fused step.
+
+    ``stamps_ns``: (N,). ``translation``, ``rotation``, ``residual_m``, ``residual_rad``: (N - 1, S)
+    of S sources, NaN where there is none. ``rejected``: (N - 1, S) steps that were not believed,
+    crosses on the source's difference.
+    """
+    seconds = (stamps_ns - stamps_ns[0]) / 1e9
+    with drawing(path, heading, width_px=1200, height_px=900) as figure:
+        panels = figure.subplots(4, 1, sharex=True)
+        for axes, shares, title in (
+            (panels[0], translation, "share in the translation"),
+            (panels[1], rotation, "share in the turn"),
+        ):
+            _stack(axes, seconds, shares, sources)
+            axes.set_title(title)
+            axes.set_ylabel("share")
+            axes.set_ylim(0.0, 1.0)
+        for axes, residual, unit in (
+            (panels[2], 1e3 * residual_m, "mm"),
+            (panels[3], np.rad2deg(residual_rad), "°"),
+        ):
+            for source, name in enumerate(sources):
+                axes.plot(
+                    seconds[1:],
+                    residual[:, source],
+                    "-",
+                    lw=0.8,
+                    color=SOURCE_COLORS.get(name, "0.4"),
+                )
+            axes.set_ylabel(f"|step - fused| ({unit})")
+            axes.set_yscale("symlog", linthresh=_threshold(residual))
+            axes.set_ylim(bottom=0.0)
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.grid(lw=0.3, color="0.85")
+        panels[2].set_title("difference of each source's step from the fused one; x: not believed")
+        for source, _ in enumerate(sources):
+            out = rejected[:, source]
+            panels[2].plot(
+                seconds[1:][out],
+                1e3 * residual_m[out, source],
+                "x",
+                color=BURR,
+                ms=4,
+                label="step not believed",
+            )
+        panels[-1].set_xlabel("time since the first scan (s)")
+        panels[-1].set_xlim(0.0, float(max(seconds[-1], 1e-9)))
+        add_legend_below(figure, panels, columns=len(sources) + 1)
+
+
+def _stack(axes: "Axes", seconds: FloatArray, shares: FloatArray, sources: Sequence[str]) -> None:
+    """Shares one upon another; of long recordings the mean of each column of the figure."""
+    pieces = np.array_split(np.arange(len(shares)), max(1, min(len(shares), _COLUMNS)))
+    pieces = [piece for piece in pieces if piece.size]
+    if not pieces:
+        return
+    edges = np.array([seconds[piece[0]] for piece in pieces] + [seconds[-1]])
+    means = np.stack([shares[piece].mean(axis=0) for piece in pieces])
+    below = np.zeros(len(means) + 1)
+    for source, name in enumerate(sources):
+        above = below + np.append(means[:, source], means[-1, source])
+        axes.fill_between(
+            edges,
+            below,
+            above,
+            step="post",
+            lw=0.0,
+            color=SOURCE_COLORS.get(name, "0.4"),
+            label=name,
+        )
+        below = above
+
+
+def _threshold(residual: FloatArray) -> float:
+    """Where the scale turns from linear to logarithmic: the usual residual."""
+    known = residual[np.isfinite(residual) & (residual > 0.0)]
+    return float(np.median(known)) if known.size else 1.0

@@ -1,0 +1,225 @@
+"""The floor as depth images see it: the lowest large level plane below a camera.
+
+Extrinsics that are off by a degree lift the floor 4 m away by 7 cm, and an alignment of scans and
+depth rows does not show the camera's height and pitch at all. The floor itself shows both.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.model.conventions import BoolArray, Float32Array, FloatArray, IntArray, read_only
+from fusion_core.model.errors import AlignmentFailed
+from fusion_core.model.sensors import CameraIntrinsics
+
+# Patches are looked at every so many pixels of a 320 x 240 image, each this wide to either side.
+_GRID = 80
+# Beyond, depth is too coarse to tell a slope.
+_FAR_M = 4.0
+_NEAREST_BELOW_M = 0.08
+_TOLERANCE_M = 0.02
+_TOLERANCE_PER_M = 0.005
+_DRAWS = 300
+_SCORED = 12_000
+_REFITS = 4
+# A slope measured across a few noisy pixels strays by this much.
+_SLOPE_SLACK_RAD = np.deg2rad(12.0)
+# A lower plane with this share of the patches is the floor, and what is above it furniture.
+_LARGE_SHARE = 0.15
+_PATCHES_MIN = 150
+_PATCHES_OF_IMAGE = 15
+_IMAGES_MIN = 3
+_BELOW_SHARE_MAX = 0.1
+# How far the floor of a usual image may lie from that of all, on a robot that nods a little.
+_TILT_SPREAD_RAD = np.deg2rad(1.5)
+_HEIGHT_SPREAD_M = 0.03
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FloorPlane:
+    """The floor in a camera's optical frame: a point p lies ``up @ p + camera_height_m`` above it.
+
+    ``up``: (3,) unit. ``tilt_rad``: between it and what was taken as up. ``patches``: level
+    patches that lie on the plane, ``images``: how many images show it. ``sigma_m``: robust
+    standard deviation of the patches from the plane.
+    """
+
+    up: FloatArray
+    camera_height_m: float
+    tilt_rad: float
+    patches: int
+    images: int
+    sigma_m: float
+
+    def __post_init__(self) -> None:
+        if self.up.shape != (3,):
+            raise ValueError(f"up must be (3,), got {self.up.shape}")
+        read_only(self.up)
+
+
+def find_floor(
+    depths_m: Sequence[Float32Array],
+    lens: CameraIntrinsics,
+    up: FloatArray,
+    *,
+    tilt_max_rad: float,
+    seed: int = 0,
+) -> FloorPlane:
+    """The floor that all images of a camera fixed to a robot see.
+
+    ``depths_m``: (H, W) each, upright views of intrinsics ``lens``. ``up``: (3,) what is taken as
+    up in the optical frame; the floor may tilt against it by ``tilt_max_rad``.
+
+    Raises AlignmentFailed where no level plane is seen, or too few images agree on one.
+    """
+    up = up / np.linalg.norm(up)
+    found = [_level_patches(depth_m, lens, up, tilt_max_rad) for depth_m in depths_m]
+    image_of: IntArray = np.repeat(
+        np.arange(len(found), dtype=np.int64), [len(points_m) for points_m in found]
+    )
+    points_m = np.concatenate([*found, np.empty((0, 3))])
+    rng = np.random.default_rng(seed)
+    plane = _best_plane(points_m, up, tilt_max_rad, rng)
+    if plane is None:
+        raise _no_floor(f"{len(points_m)} level patches in {len(depths_m)} images")
+    # What is largest may be a table top: its floor lies below.
+    for _ in range(4):
+        on_plane = int(_near(points_m, plane).sum())
+        below = points_m @ plane[:3] + plane[3] < -4.0 * _TOLERANCE_M
+        lower = _best_plane(points_m[below], up, tilt_max_rad, rng)
+        if lower is None or _near(points_m, lower).sum() < _LARGE_SHARE * on_plane:
+            break
+        plane = lower
+    plane = _refitted(points_m, plane)
+    near = _near(points_m, plane)
+    heights_m = points_m @ plane[:3] + plane[3]
+    images = int((np.bincount(image_of[near], minlength=1) >= _PATCHES_OF_IMAGE).sum())
+    tilt_rad = float(np.arccos(np.clip(plane[:3] @ up, -1.0, 1.0)))
+    below_share = float((heights_m < -4.0 * _TOLERANCE_M).sum()) / max(int(near.sum()), 1)
+    if near.sum() < _PATCHES_MIN or images < min(_IMAGES_MIN, len(depths_m)):
+        raise _no_floor(f"its best plane has {near.sum()} patches in {images} images")
+    if tilt_rad > tilt_max_rad:
+        raise _no_floor(f"its best plane tilts by {np.rad2deg(tilt_rad):.1f} degrees")
+    if below_share > _BELOW_SHARE_MAX:
+        raise _no_floor(f"{below_share:.0%} as many patches lie below its best plane as on it")
+    _one_rig(points_m, image_of, plane, len(depths_m))
+    return FloorPlane(
+        up=plane[:3].copy(),
+        camera_height_m=float(plane[3]),
+        tilt_rad=tilt_rad,
+        patches=int(near.sum()),
+        images=images,
+        sigma_m=1.4826 * float(np.median(np.abs(heights_m[near]))),
+    )
+
+
+def _no_floor(seen: str) -> AlignmentFailed:
+    return AlignmentFailed(
+        f"no floor plane is seen in the depth: {seen}.",
+        advice="Give virtual_scan.lidar_height_m with extrinsics of the whole mount, or use "
+        "--scan lidar.",
+    )
+
+
+def _one_rig(points_m: FloatArray, image_of: IntArray, plane: FloatArray, images: int) -> None:
+    """Refuse a camera that is carried by hand: its floor lies elsewhere in each image."""
+    near = _near(points_m, plane)
+    seen = np.bincount(image_of, minlength=images)
+    agreeing = np.bincount(image_of[near], minlength=images)
+    rich = seen >= 10 * _PATCHES_OF_IMAGE
+    elsewhere = False
+    if rich.any():
+        elsewhere = bool(np.median(agreeing[rich] / seen[rich]) < _LARGE_SHARE)
+    tilts_rad, heights_m = [], []
+    for image in np.flatnonzero(agreeing >= 4 * _PATCHES_OF_IMAGE):
+        own = _refitted(points_m[image_of == image], plane)
+        tilts_rad.append(np.arccos(np.clip(own[:3] @ plane[:3], -1.0, 1.0)))
+        heights_m.append(abs(own[3] - plane[3]))
+    if tilts_rad:
+        elsewhere |= bool(np.median(tilts_rad) > _TILT_SPREAD_RAD)
+        elsewhere |= bool(np.median(heights_m) > _HEIGHT_SPREAD_M)
+    if elsewhere:
+        raise AlignmentFailed(
+            "the floor lies elsewhere in each image: the camera's height or tilt changes.",
+            advice="A virtual scan needs a camera that is fixed to a robot.",
+        )
+
+
+def _level_patches(
+    depth_m: Float32Array, lens: CameraIntrinsics, up: FloatArray, tilt_max_rad: float
+) -> FloatArray:
+    """(K, 3) points below the camera where the depth's own slope is level."""
+    step = max(1, max(depth_m.shape) // _GRID)
+    rows = np.arange(0, depth_m.shape[0], step)
+    columns = np.arange(0, depth_m.shape[1], step)
+    z_m = depth_m[np.ix_(rows, columns)].astype(np.float64)
+    z_m[~((z_m > 0.0) & (z_m <= _FAR_M))] = np.nan
+    rays = np.empty((rows.size, columns.size, 3))
+    rays[..., 0] = (columns - lens.cx) / lens.fx
+    rays[..., 1] = ((rows - lens.cy) / lens.fy)[:, np.newaxis]
+    rays[..., 2] = 1.0
+    points_m = z_m[..., np.newaxis] * rays
+    if min(points_m.shape[:2]) < 3:
+        return np.empty((0, 3))
+    middle_m = points_m[1:-1, 1:-1]
+    across_m = points_m[1:-1, 2:] - points_m[1:-1, :-2]
+    along_m = points_m[2:, 1:-1] - points_m[:-2, 1:-1]
+    normal = np.cross(across_m, along_m)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cosine = np.abs(normal @ up) / np.linalg.norm(normal, axis=-1)
+        level = cosine >= np.cos(tilt_max_rad + _SLOPE_SLACK_RAD)
+        level &= middle_m @ up < -_NEAREST_BELOW_M
+    patches: FloatArray = middle_m[level]
+    return patches
+
+
+def _tolerance_m(points_m: FloatArray) -> FloatArray:
+    return _TOLERANCE_M + _TOLERANCE_PER_M * np.abs(points_m[:, 2])
+
+
+def _near(points_m: FloatArray, plane: FloatArray) -> BoolArray:
+    near: BoolArray = np.abs(points_m @ plane[:3] + plane[3]) <= _tolerance_m(points_m)
+    return near
+
+
+def _best_plane(
+    points_m: FloatArray, up: FloatArray, tilt_max_rad: float, rng: np.random.Generator
+) -> FloatArray | None:
+    """(4,) unit normal towards ``up`` and offset of the plane with most points, None without."""
+    if len(points_m) < _PATCHES_MIN:
+        return None
+    scored_m = points_m
+    if len(points_m) > _SCORED:
+        scored_m = points_m[np.sort(rng.choice(len(points_m), _SCORED, replace=False))]
+    best: FloatArray | None = None
+    most = 0
+    for _ in range(_DRAWS):
+        a, b, c = points_m[rng.integers(len(points_m), size=3)]
+        normal = np.cross(b - a, c - a)
+        length = float(np.linalg.norm(normal))
+        # Three points in a line, or nearly so, have no normal.
+        if length < 0.01:
+            continue
+        normal *= np.sign(normal @ up) / length
+        plane = np.append(normal, -float(normal @ a))
+        if normal @ up < np.cos(tilt_max_rad) or plane[3] < _NEAREST_BELOW_M:
+            continue
+        count = int(_near(scored_m, plane).sum())
+        if count > most:
+            best, most = plane, count
+    return best
+
+
+def _refitted(points_m: FloatArray, plane: FloatArray) -> FloatArray:
+    """The least squares plane of the points near a plane, a few times over."""
+    for _ in range(_REFITS):
+        near_m = points_m[_near(points_m, plane)]
+        if len(near_m) < 3:
+            return plane
+        middle_m = near_m.mean(axis=0)
+        off_m = near_m - middle_m
+        normal = np.linalg.eigh(off_m.T @ off_m)[1][:, 0]
+        normal *= np.sign(normal @ plane[:3])
+        plane = np.append(normal, -float(normal @ middle_m))
+    return plane

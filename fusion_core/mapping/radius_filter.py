@@ -1,0 +1,71 @@
+"""The radius filter of point clouds: what stands alone is noise."""
+
+import numpy as np
+from numba import njit
+
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
+
+# A cell's number holds three indexes of 21 bits.
+_INDEX_BITS = 21
+_INDEX_MAX = (1 << _INDEX_BITS) - 2
+
+
+def has_neighbours(
+    points_m: FloatArray, cloud_m: FloatArray, radius_m: float, least: int
+) -> BoolArray:
+    """(N,) which of (N, 3) points have at least ``least`` others within ``radius_m``.
+
+    ``cloud_m``: (M, 3) where the neighbours are looked for; it contains the points themselves,
+    which are no neighbours of their own.
+
+    Raises ValueError for points that are not finite or lie too far apart for the radius.
+    """
+    if least == 0 or not len(points_m):
+        return np.ones(len(points_m), dtype=np.bool_)
+    lowest_m = cloud_m.min(axis=0)
+    spread = (cloud_m.max(axis=0) - lowest_m).max() / radius_m
+    if not spread < _INDEX_MAX:
+        raise ValueError("points must be finite and within two million radii of each other")
+    # Cells as wide as the radius: all neighbours lie in the 27 around. Index 0 stays empty.
+    cell = np.floor((cloud_m - lowest_m) / radius_m).astype(np.int64) + 1
+    key = (cell[:, 2] << 2 * _INDEX_BITS) | (cell[:, 1] << _INDEX_BITS) | cell[:, 0]
+    order = np.argsort(key, kind="stable")
+    found: BoolArray = _supported(points_m, cloud_m[order], key[order], lowest_m, radius_m, least)
+    return found
+
+
+@njit(cache=True, error_model="numpy")
+def _supported(
+    points_m: FloatArray,
+    cloud_m: FloatArray,
+    keys: IntArray,
+    lowest_m: FloatArray,
+    radius_m: float,
+    least: int,
+) -> BoolArray:
+    found = np.zeros(points_m.shape[0], dtype=np.bool_)
+    squared_m2 = radius_m * radius_m
+    for i in range(points_m.shape[0]):
+        x, y, z = points_m[i, 0], points_m[i, 1], points_m[i, 2]
+        column = int(np.floor((x - lowest_m[0]) / radius_m)) + 1
+        row = int(np.floor((y - lowest_m[1]) / radius_m)) + 1
+        layer = int(np.floor((z - lowest_m[2]) / radius_m)) + 1
+        # The point is in the cloud itself, and counts once too often.
+        missing = least + 1
+        for beside in range(9):
+            base = ((layer + beside // 3 - 1) << 2 * _INDEX_BITS) | (
+                (row + beside % 3 - 1) << _INDEX_BITS
+            )
+            # Three cells of a row follow each other.
+            place = np.searchsorted(keys, base | (column - 1))
+            while missing > 0 and place < keys.size and keys[place] <= (base | (column + 1)):
+                dx = cloud_m[place, 0] - x
+                dy = cloud_m[place, 1] - y
+                dz = cloud_m[place, 2] - z
+                if dx * dx + dy * dy + dz * dz <= squared_m2:
+                    missing -= 1
+                place += 1
+            if missing == 0:
+                found[i] = True
+                break
+    return found

@@ -1,0 +1,222 @@
+"""Li 2022 (6) to (9) as printed, for each of x, y and yaw of a step in the last fused frame.
+
+    K = σ_v² / (σ_v² + σ_s²)                                   (6)
+    X_k = X_v + K (X_s - X_v)                                  (7)
+    σ_v = X_v - X_k, σ_s = X_s - X_k                           (8)
+    L = δ_d / (δ_d + δ_k) X_k + (1 - δ_d / (δ_d + δ_k)) p_d    (9)
+
+With (7) in (8), σ_v = -K (X_s - X_v) and σ_s = (1 - K) (X_s - X_v): the next K is
+K² / (K² + (1 - K)²) whatever the sensors say, so that one of them takes all within a few steps.
+Where both deviations are zero, K keeps its last value.
+
+What the paper leaves open, and our reading: σ at k = 0 is the deviation of the steps while the
+robot stands still, and where it never does, that of the sources' first steps. δ comes from the
+residuals over a window: δ_k is a quarter of the mean square of X_s - X_v (the variance of the mean
+of two alike), or the source's own variance where there is only one; δ_d is what the mean square of
+p_d - X_k leaves beside it. A source that says nothing of a step has no part in it.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fusion_core.model.conventions import BoolArray, FloatArray, wrap_angle
+from fusion_core.motion.fusion_weights import FusionWeights
+from fusion_core.motion.steps import chained, difference
+from fusion_core.motion.track import OdometryTrack
+from fusion_core.settings import StageSettings, setting
+
+
+class PublishedFusionSettings(StageSettings):
+    """Settings of the fusion as printed."""
+
+    rest_s: float = setting(1.0, "Shortest standstill that tells σ at k = 0", unit="s", gt=0.0)
+    rest_m_per_s: float = setting(
+        0.03, "A source that reports less stands still", unit="m/s", gt=0.0, le=1.0
+    )
+    rest_rad_per_s: float = setting(0.05, "The same, of the turn", unit="rad/s", gt=0.0, le=1.0)
+    window: int = setting(
+        20, "Steps over which disagreement between the sources counts", unit="steps", ge=2
+    )
+
+
+# No residual is smaller: two sources at rest may agree to the last digit.
+_LEAST_VARIANCE = 1e-12
+_MOMENT_S = 0.5
+
+
+def fuse_as_published(
+    tracks: Sequence[OdometryTrack], settings: PublishedFusionSettings
+) -> tuple[OdometryTrack, FusionWeights]:
+    """The fused track and its weights; ``tracks`` have the same stamps."""
+    by_name = {track.name: track for track in tracks}
+    wheel, laser, visual = (by_name.get(name) for name in ("wheel", "laser", "visual"))
+    stamps_ns = tracks[0].stamps_ns
+    count = stamps_ns.size - 1
+    K = _first_gain(laser, visual, settings)
+    fused, gains = np.zeros((count, 3)), np.zeros((count, 3))
+    parts = {track.name: np.zeros((count, 3)) for track in tracks}
+    pairs, wheels = _Squares(settings.window), _Squares(settings.window)
+    seconds = np.diff(stamps_ns) / 1e9
+    for k in range(count):
+        gains[k] = K
+        X_v, X_s, p_d = (_step(track, k) for track in (visual, laser, wheel))
+        X_k: FloatArray | None
+        if X_v is not None and X_s is not None:
+            X_k = X_v + K * difference(X_s, X_v)  # (7)
+            part_of = {"visual": 1.0 - K, "laser": K}
+            pairs.add(difference(X_s, X_v))
+            delta_k = 0.25 * pairs.mean
+            sigma_v, sigma_s = difference(X_v, X_k), difference(X_s, X_k)  # (8)
+            total = sigma_v**2 + sigma_s**2
+            is_told = total > 0.0
+            K = np.where(is_told, sigma_v**2 / np.where(is_told, total, 1.0), K)  # (6)
+        elif X_s is not None or X_v is not None:
+            alone = laser if X_s is not None else visual
+            assert alone is not None, "a step has a track"
+            X_k = X_s if X_s is not None else X_v
+            part_of = {alone.name: np.ones(3)}
+            delta_k = alone.covariance_of_step[k].diagonal()
+        else:
+            X_k, part_of, delta_k = None, {}, np.zeros(3)
+        if X_k is not None and p_d is not None:
+            wheels.add(difference(p_d, X_k))
+            delta_d = np.maximum(wheels.mean - delta_k, _LEAST_VARIANCE)
+            share = delta_d / (delta_d + np.maximum(delta_k, _LEAST_VARIANCE))
+            fused[k] = p_d + share * difference(X_k, p_d)  # (9)
+            part_of = {name: share * part for name, part in part_of.items()}
+            part_of["wheel"] = 1.0 - share
+        elif X_k is not None or p_d is not None:
+            only = X_k if X_k is not None else p_d
+            assert only is not None, "one of the two is there"
+            fused[k] = only
+            part_of = part_of or {"wheel": np.ones(3)}
+        elif k:
+            fused[k] = fused[k - 1] * (seconds[k] / seconds[k - 1])
+        fused[k, 2] = wrap_angle(fused[k, 2])
+        for name, part in part_of.items():
+            parts[name][k] = part
+    return _results(tracks, fused, gains, parts)
+
+
+def next_gain(K: float) -> float:
+    """What (6) to (8) make of K, whatever the data."""
+    return K**2 / (K**2 + (1.0 - K) ** 2)
+
+
+class _Squares:
+    """Mean square of the last residuals, for each of x, y and yaw."""
+
+    def __init__(self, window: int) -> None:
+        self._window, self._kept = window, np.empty((0, 3))
+
+    def add(self, residual: FloatArray) -> None:
+        self._kept = np.vstack([self._kept, residual**2])[-self._window :]
+
+    @property
+    def mean(self) -> FloatArray:
+        mean: FloatArray = self._kept.mean(axis=0)
+        return mean
+
+
+def _step(track: OdometryTrack | None, k: int) -> FloatArray | None:
+    if track is None or not track.measured[k]:
+        return None
+    step: FloatArray = track.steps[k].copy()
+    return step
+
+
+def _first_gain(
+    laser: OdometryTrack | None, visual: OdometryTrack | None, settings: PublishedFusionSettings
+) -> FloatArray:
+    """(3,) K of (6) with the sensors' noise at rest."""
+    if laser is None or visual is None:
+        # Nothing to weigh; the one that is there has all.
+        return np.full(3, 0.0 if laser is None else 1.0)
+    both = laser.measured & visual.measured
+    if not both.any():
+        return np.full(3, 0.5)
+    rest = _standstill(laser, visual, settings)
+    if rest is None:
+        first = int(np.argmax(both))
+        variance_v, variance_s = (t.covariance_of_step[first].diagonal() for t in (visual, laser))
+    else:
+        variance_v, variance_s = (
+            np.maximum(t.steps[rest].var(axis=0), _LEAST_VARIANCE) for t in (visual, laser)
+        )
+    gain: FloatArray = variance_v / (variance_v + variance_s)
+    return gain
+
+
+def _standstill(
+    laser: OdometryTrack, visual: OdometryTrack, settings: PublishedFusionSettings
+) -> slice | None:
+    """The first ``rest_s`` in which both report no motion beyond the rates of rest."""
+    both = laser.measured & visual.measured
+    elapsed_s = (laser.stamps_ns - laser.stamps_ns[0]) / 1e9
+    ends = np.searchsorted(elapsed_s, elapsed_s + settings.rest_s)
+    way = [np.vstack([np.zeros(3), np.cumsum(t.steps, axis=0)]) for t in (laser, visual)]
+    for begin, end in enumerate(ends.tolist()):
+        if end >= elapsed_s.size:
+            return None
+        window = slice(begin, end + 1)
+        stood = all(_stood(summed[window], elapsed_s[window], settings) for summed in way)
+        if stood and end - begin > 1 and both[begin:end].all():
+            return slice(begin, end)
+    return None
+
+
+def _stood(way: FloatArray, elapsed_s: FloatArray, settings: PublishedFusionSettings) -> bool:
+    """Whether (M, 3) summed steps stay near where they begin and where they end."""
+    for at in (0, -1):
+        # Noise may look like speed for a moment.
+        since_s = np.maximum(np.abs(elapsed_s - elapsed_s[at]), _MOMENT_S)
+        moved = np.abs(way - way[at])
+        if np.any(np.hypot(moved[:, 0], moved[:, 1]) > settings.rest_m_per_s * since_s):
+            return False
+        if np.any(moved[:, 2] > settings.rest_rad_per_s * since_s):
+            return False
+    return True
+
+
+def _results(
+    tracks: Sequence[OdometryTrack],
+    fused: FloatArray,
+    gains: FloatArray,
+    parts: dict[str, FloatArray],
+) -> tuple[OdometryTrack, FusionWeights]:
+    stacked = np.stack([parts[track.name] for track in tracks], axis=1)
+    measured = np.stack([track.measured for track in tracks], axis=1)
+    is_measured: BoolArray = np.any(measured, axis=1)
+    weights_squared = stacked[..., np.newaxis] * stacked[..., np.newaxis, :]
+    covariance, drift = (
+        np.where(
+            is_measured[:, np.newaxis, np.newaxis],
+            (weights_squared * np.nan_to_num(np.stack(of_source, axis=1))).sum(axis=1),
+            np.nan,
+        )
+        for of_source in (
+            [track.covariance_of_step for track in tracks],
+            [track.drift_of_step for track in tracks],
+        )
+    )
+    away = difference(np.stack([track.steps for track in tracks], axis=1), fused[:, np.newaxis])
+    track = OdometryTrack(
+        name="fused",
+        stamps_ns=tracks[0].stamps_ns.copy(),
+        poses_odom_lidar=chained(fused),
+        covariance_of_step=covariance,
+        drift_of_step=drift,
+        measured=is_measured,
+    )
+    weights = FusionWeights(
+        sources=tuple(track.name for track in tracks),
+        stamps_ns=tracks[0].stamps_ns.copy(),
+        translation=stacked[..., :2].mean(axis=2),
+        rotation=stacked[..., 2],
+        rejected=np.zeros(measured.shape, dtype=np.bool_),
+        residual_m=np.where(measured, np.hypot(away[..., 0], away[..., 1]), np.nan),
+        residual_rad=np.where(measured, np.abs(away[..., 2]), np.nan),
+        gain=gains,
+    )
+    return track, weights

@@ -1,0 +1,90 @@
+"""Poses that were each measured against a keyframe, and what of their errors adds up."""
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from fusion_core.model.conventions import FloatArray, IntArray
+from fusion_core.motion.steps import in_axes_of, steps_of
+from fusion_core.motion.track import OdometryTrack, masked
+
+
+class KeyframeChain:
+    """Grows by a pose at a time. ``keyframe`` counts the keyframes so far."""
+
+    def __init__(self) -> None:
+        self.keyframe = 0
+        self.poses: list[FloatArray] = []
+        self.matched: list[bool] = []
+        self._noise: list[FloatArray] = []
+        self._keyframes: list[int] = []
+        self._reasons: Counter[str] = Counter()
+
+    def append(self, pose: FloatArray, noise: FloatArray, *, matched: bool) -> None:
+        """A pose and the covariance of its match, in its own axes."""
+        self.poses.append(pose)
+        self.matched.append(matched)
+        self._noise.append(noise)
+        self._keyframes.append(self.keyframe)
+
+    def miss(self, pose: FloatArray, reason: str) -> None:
+        """A pose that nothing measured."""
+        self._reasons[reason] += 1
+        self.append(pose, np.full((3, 3), np.nan), matched=False)
+
+    def begin(self, pose: FloatArray, reason: str = "") -> None:
+        """The first keyframe, or one that nothing joins to those before, for a reason.
+
+        It is the origin of what follows, and so without error; the step to it is not measured.
+        """
+        if reason:
+            self._reasons[reason] += 1
+        self.append(pose, np.zeros((3, 3)), matched=False)
+
+    def track(
+        self, name: str, stamps_ns: Sequence[int], *, scale_share: float = 0.0
+    ) -> OdometryTrack:
+        """The poses at (N,) stamps.
+
+        ``scale_share``: error of all ways alike, in metres per metre, that no match shows.
+        """
+        noise = np.array(self._noise)
+        matched = np.array(self.matched, dtype=np.bool_)
+        # A step is measured where its end was matched, to its begin or to what that was matched to.
+        measured = matched[1:] & np.isfinite(noise[:-1]).all(axis=(1, 2))
+        poses = np.array(self.poses)
+        steps = steps_of(poses)
+        at_begin = noise.copy()
+        at_begin[1:] = in_axes_of(-steps[:, 2], noise[1:])
+        single = noise[:-1] + at_begin[1:]
+        drift = _shared(single, np.array(self._keyframes, dtype=np.int64))
+        # The error of scale is the same in each step: over a metre its shares add up.
+        way_m = np.hypot(steps[:, 0], steps[:, 1])
+        drift[:, :2, :2] += (scale_share**2 * way_m)[:, np.newaxis, np.newaxis] * np.eye(2)
+        notes = []
+        if reasons := [f"{count} {why}" for why, count in sorted(self._reasons.items())]:
+            missed = int(np.count_nonzero(~measured))
+            notes.append(f"{name}: {missed} steps not measured: {', '.join(reasons)}.")
+        return OdometryTrack(
+            name=name,
+            stamps_ns=np.array(stamps_ns, dtype=np.int64),
+            poses_odom_lidar=poses,
+            covariance_of_step=masked(single, measured),
+            drift_of_step=masked(drift, measured),
+            measured=measured,
+            notes=tuple(notes),
+        )
+
+
+def _shared(single: FloatArray, keyframe: IntArray) -> FloatArray:
+    """(N - 1, 3, 3) what a step's two matches add to a longer way.
+
+    What adds up is one match for each keyframe, so the steps since it share it; each takes the mean
+    of its two poses' matches, of which ``single`` is the sum. ``keyframe``: (N,), of each pose.
+    """
+    if not len(single):
+        return single.copy()
+    _, member, count = np.unique(keyframe[1:], return_inverse=True, return_counts=True)
+    shared: FloatArray = 0.5 * single / count[member][:, np.newaxis, np.newaxis]
+    return shared

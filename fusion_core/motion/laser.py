@@ -1,0 +1,248 @@
+"""Laser odometry: each scan matched by PL-ICP (Li 2022 §2.3, eq. 4) to a keyframe.
+
+Li 2022 §3.1 matches each scan to the one before and adds up the motions. So every match's error
+adds up, at rest too; against a keyframe only one match for each keyframe does.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fusion_core.model.conventions import FloatArray, wrap_angle
+from fusion_core.model.errors import MissingStream, RegistrationFailed
+from fusion_core.model.planar_poses import compose, relative
+from fusion_core.model.progress import Progress, silent
+from fusion_core.model.sensors import LaserScan
+from fusion_core.motion.keyframe_chain import KeyframeChain
+from fusion_core.motion.steps import difference, in_axes_of, steps_of
+from fusion_core.motion.track import OdometryTrack
+from fusion_core.registration.pl_icp import PlIcpSettings, ReferenceScan, ScanMatch, match_to
+from fusion_core.settings import StageSettings, setting
+
+Predicted = Callable[[int], FloatArray | None]
+"""Stamp in ns to a (3,) pose of the LiDAR by another source, None where that is not known."""
+
+# Velocity is the mean of so many steps.
+_VELOCITY_STEPS = 4
+
+
+class LaserOdometrySettings(StageSettings):
+    """Settings of ``laser_odometry``."""
+
+    key_step_m: float = setting(1.0, "Way to the next keyframe", unit="m", gt=0.0, le=10.0)
+    key_turn_rad: float = setting(
+        1.0, "Turn to the next keyframe", unit="rad", gt=0.0, le=float(np.pi)
+    )
+    key_inlier_share: float = setting(
+        0.7, "A scan of which less fits the keyframe becomes one itself", ge=0.0, le=1.0
+    )
+    inlier_share_sure: float = setting(
+        0.5, "Share of fitting beams at which the prediction's match is not doubted", gt=0.0, le=1.0
+    )
+    prediction_sigma_m: float = setting(
+        0.05, "Doubt of the prediction, which counts where the scans tell little", unit="m", gt=0.0
+    )
+    prediction_sigma_rad: float = setting(0.1, "The same, of the turn", unit="rad", gt=0.0)
+    noise_factor: float = setting(
+        1.75, "Matches err by so much more than the noise of their ranges explains", ge=1.0, le=10.0
+    )
+    surprise_m: float = setting(
+        0.5, "A match farther from what was predicted is refused", unit="m", gt=0.0, le=10.0
+    )
+    surprise_rad: float = setting(
+        0.7, "A match turned farther from what was predicted is refused", unit="rad", gt=0.0
+    )
+    patience: int = setting(
+        5, "Scans without a match after which the next one begins anew", unit="scans", ge=0
+    )
+    beams_min: int = setting(30, "Fewest valid beams of a scan", unit="beams", ge=6)
+    search_translation_m: float = setting(
+        0.5, "Search where the prediction leads to no match: along x and y", unit="m", ge=0.0
+    )
+    search_rotation_rad: float = setting(
+        0.5, "The same: to either side", unit="rad", ge=0.0, le=float(np.pi)
+    )
+
+
+def laser_odometry(
+    scans: Iterable[LaserScan],
+    settings: LaserOdometrySettings | None = None,
+    predicted: Predicted | None = None,
+    progress: Progress = silent,
+) -> OdometryTrack:
+    """The LiDAR's motion by its scans, whose stamps increase; one keyframe is kept at a time.
+
+    ``predicted``: another source, such as the wheels, whose steps tell where a match begins and
+    where it would be a surprise; without it velocity is taken to be constant. A scan without a
+    match is carried on by the prediction. Along a corridor the match keeps the prediction too, and
+    its covariance says so.
+
+    Raises MissingStream where there is no scan.
+    """
+    follower = _Follower(settings or LaserOdometrySettings(), predicted)
+    for count, scan in enumerate(scans, start=1):
+        follower.add(scan)
+        progress(count, None, "laser odometry")
+    return follower.track()
+
+
+@dataclass(eq=False)
+class _Swept:
+    """A scan, and as what others are matched to."""
+
+    scan: LaserScan
+    pose: FloatArray
+    settings: PlIcpSettings
+
+    @cached_property
+    def reference(self) -> ReferenceScan:
+        return ReferenceScan.of(
+            self.scan.ranges_m,
+            angle_min_rad=self.scan.angle_min_rad,
+            angle_increment_rad=self.scan.angle_increment_rad,
+            settings=self.settings,
+        )
+
+
+class _Follower:
+    def __init__(self, settings: LaserOdometrySettings, predicted: Predicted | None) -> None:
+        self._settings = settings
+        self._predicted = predicted
+        self._icp = PlIcpSettings(
+            beams_min=settings.beams_min,
+            inlier_share_sure=settings.inlier_share_sure,
+            search_translation_m=settings.search_translation_m,
+            search_rotation_rad=settings.search_rotation_rad,
+        )
+        self._stamps_ns: list[int] = []
+        self._chain = KeyframeChain()
+        self._key: _Swept | None = None
+        self._last: _Swept | None = None
+        self._misses = 0
+        self._prior: FloatArray | None = None
+
+    def add(self, scan: LaserScan) -> None:
+        """Place the next scan."""
+        prior = None if self._predicted is None else self._predicted(scan.stamp_ns)
+        pose = self._prediction(scan.stamp_ns, prior)
+        self._prior = prior
+        self._stamps_ns.append(scan.stamp_ns)
+        if np.count_nonzero(scan.ranges_m > 0.0) < self._settings.beams_min:
+            self._miss(pose, "too few beams")
+            return
+        if self._key is None:
+            self._begin(scan, pose)
+            return
+        match = self._match(self._key, scan, pose)
+        if isinstance(match, str) and self._last is not None:
+            # What the keyframe no longer shows, the scan just before may.
+            key = self._last
+            self._change_key(key)
+            match = self._match(key, scan, pose)
+        if isinstance(match, str):
+            if self._misses >= self._settings.patience:
+                self._begin(scan, pose, match)
+            else:
+                self._miss(pose, match)
+            return
+        self._hit(scan, match, pose)
+
+    def _prediction(self, stamp_ns: int, prior: FloatArray | None) -> FloatArray:
+        poses = self._chain.poses
+        if not poses:
+            return np.zeros(3)
+        last = poses[-1]
+        if prior is not None and self._prior is not None:
+            return compose(last, relative(self._prior, prior))
+        back = self._steps_back()
+        if back == 0:
+            # A velocity that led to no match is no better known than none.
+            return last.copy()
+        # The way is that of several steps: where the scans tell little of it, one step's error
+        # would go on for ever. A turn they tell, and it changes sooner.
+        stamps_ns = self._stamps_ns
+        steps = steps_of(np.array(poses[-1 - back :]))
+        since_ns = stamp_ns - stamps_ns[-1]
+        # After a pause nobody knows whether it went on.
+        share = min(since_ns / (stamps_ns[-1] - stamps_ns[-2]), 1.0)
+        way_ns = min(since_ns, int(np.diff(stamps_ns[-1 - back :]).max()))
+        step = steps.sum(axis=0) * (way_ns / (stamps_ns[-1] - stamps_ns[-1 - back]))
+        step[2] = share * steps[-1, 2]
+        return compose(last, step)
+
+    def _steps_back(self) -> int:
+        """How many steps before the next scan were measured without a break, up to a few."""
+        matched = self._chain.matched
+        back = 0
+        while back < min(_VELOCITY_STEPS, len(matched) - 1) and matched[-1 - back]:
+            back += 1
+        return back
+
+    def _match(self, key: _Swept, scan: LaserScan, predicted: FloatArray) -> ScanMatch | str:
+        """The match to a keyframe, or why there is none."""
+        guess = relative(key.pose, predicted)
+        try:
+            match = match_to(
+                key.reference,
+                scan.ranges_m,
+                angle_min_rad=scan.angle_min_rad,
+                angle_increment_rad=scan.angle_increment_rad,
+                guess=guess,
+            )
+        except RegistrationFailed:
+            return "no match"
+        away = match.pose_first_second - guess
+        # It may have gone on while scans had no match.
+        wider = 1 + self._misses
+        is_far = np.hypot(away[0], away[1]) > wider * self._settings.surprise_m
+        if is_far or abs(wrap_angle(away[2])) > wider * self._settings.surprise_rad:
+            return "a match far from what was predicted"
+        return match
+
+    def _hit(self, scan: LaserScan, match: ScanMatch, predicted: FloatArray) -> None:
+        assert self._key is not None, "a match has a keyframe"
+        settings = self._settings
+        noise = match.covariance * settings.noise_factor**2
+        step = self._supported(match.pose_first_second, noise, relative(self._key.pose, predicted))
+        pose = compose(self._key.pose, step)
+        # The match's own covariance: what the prediction adds is not the laser's to claim.
+        self._chain.append(pose, in_axes_of(float(step[2]), noise), matched=True)
+        self._misses = 0
+        self._last = _Swept(scan, pose, self._icp)
+        if (
+            np.hypot(step[0], step[1]) > settings.key_step_m
+            or abs(step[2]) > settings.key_turn_rad
+            or match.inlier_share < settings.key_inlier_share
+        ):
+            self._change_key(self._last)
+
+    def _supported(self, step: FloatArray, noise: FloatArray, predicted: FloatArray) -> FloatArray:
+        """A match, drawn to the prediction in directions that the scans hardly tell: there its
+        error would be taken for velocity, and grow from scan to scan."""
+        sigmas = (self._settings.prediction_sigma_m,) * 2 + (self._settings.prediction_sigma_rad,)
+        doubt = np.diag(np.square(sigmas))
+        gain = doubt @ np.linalg.inv(doubt + noise)
+        supported: FloatArray = predicted + gain @ difference(step, predicted)
+        supported[2] = wrap_angle(supported[2])
+        return supported
+
+    def _miss(self, pose: FloatArray, reason: str) -> None:
+        self._misses += 1
+        self._chain.miss(pose, reason)
+
+    def _begin(self, scan: LaserScan, pose: FloatArray, reason: str = "") -> None:
+        self._change_key(_Swept(scan, pose, self._icp))
+        self._chain.begin(pose, reason)
+        self._misses = 0
+
+    def _change_key(self, key: _Swept) -> None:
+        self._key, self._last = key, None
+        self._chain.keyframe += 1
+
+    def track(self) -> OdometryTrack:
+        """All scans so far."""
+        if not self._stamps_ns:
+            raise MissingStream("there is no scan to follow.")
+        return self._chain.track("laser", self._stamps_ns)

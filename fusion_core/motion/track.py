@@ -1,0 +1,91 @@
+"""What one source says of the LiDAR's motion."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
+from fusion_core.model.geometry import interpolate_planar
+from fusion_core.motion.steps import steps_of
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OdometryTrack:
+    """The LiDAR's poses by one source, and how far each step between them can be trusted.
+
+    ``stamps_ns``: (N,) int64, N >= 1, strictly increasing. ``poses_odom_lidar``: (N, 3) x, y, yaw.
+    ``measured``: (N - 1,) False where the source said nothing of the step from pose k to k + 1;
+    the pose is carried on there as well as the source can, and no more than that.
+    ``covariance_of_step``: (N - 1, 3, 3) of that step alone, in the axes of pose k (m, rad).
+    ``drift_of_step``: (N - 1, 3, 3) what the step adds to the covariance of a longer way, in the
+    same axes. The two differ since errors are not independent: a match to a keyframe errs anew in
+    each pose but does not add up, a wheel of the wrong size errs little in each step but always
+    alike. Both are NaN where ``measured`` is False: unknown, not large.
+    ``notes``: for people, such as why steps could not be measured.
+    """
+
+    name: str
+    stamps_ns: IntArray
+    poses_odom_lidar: FloatArray
+    covariance_of_step: FloatArray
+    drift_of_step: FloatArray
+    measured: BoolArray
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        count = self.stamps_ns.size
+        if count == 0 or self.stamps_ns.shape != (count,) or self.stamps_ns.dtype != np.int64:
+            raise ValueError(f"stamps_ns must be (N,) int64, N >= 1, got {self.stamps_ns.shape}")
+        if np.any(np.diff(self.stamps_ns) <= 0):
+            raise ValueError("stamps_ns must be strictly increasing")
+        if self.poses_odom_lidar.shape != (count, 3):
+            raise ValueError(f"poses must be ({count}, 3), got {self.poses_odom_lidar.shape}")
+        if not np.isfinite(self.poses_odom_lidar).all():
+            raise ValueError("poses_odom_lidar must be finite")
+        if self.measured.shape != (count - 1,) or self.measured.dtype != np.bool_:
+            raise ValueError(f"measured must be ({count - 1},) bool, got {self.measured.shape}")
+        for covariance in (self.covariance_of_step, self.drift_of_step):
+            if covariance.shape != (count - 1, 3, 3):
+                raise ValueError(f"covariances must be ({count - 1}, 3, 3)")
+            if not np.array_equal(np.isfinite(covariance).all(axis=(1, 2)), self.measured):
+                raise ValueError("covariances must be finite where measured, and NaN elsewhere")
+            read_only(covariance)
+        for array in (self.stamps_ns, self.poses_odom_lidar, self.measured):
+            read_only(array)
+
+    @cached_property
+    def steps(self) -> FloatArray:
+        """(N - 1, 3) the step from each pose to the next, in its axes."""
+        return steps_of(self.poses_odom_lidar)
+
+    @property
+    def measured_share(self) -> float:
+        """Share of the steps that were measured, 0 where there is none."""
+        return float(self.measured.mean()) if self.measured.size else 0.0
+
+    def at(self, stamp_ns: int) -> FloatArray | None:
+        """(3,) pose at an instant, interpolated; None outside the track and across dropouts.
+
+        At a stamp of the track it is the pose there, unless neither of its steps was measured.
+        """
+        after = int(np.searchsorted(self.stamps_ns, stamp_ns))
+        if after == self.stamps_ns.size:
+            return None
+        if self.stamps_ns[after] == stamp_ns:
+            beside = self.measured[max(after - 1, 0) : after + 1]
+            if beside.size and not beside.any():
+                return None
+            exact: FloatArray = self.poses_odom_lidar[after].copy()
+            return exact
+        if after == 0 or not self.measured[after - 1]:
+            return None
+        begin_ns, end_ns = (int(stamp) for stamp in self.stamps_ns[after - 1 : after + 1])
+        share = (stamp_ns - begin_ns) / (end_ns - begin_ns)
+        before = self.poses_odom_lidar[after - 1]
+        return interpolate_planar(before, self.poses_odom_lidar[after], share)
+
+
+def masked(covariance: FloatArray, measured: BoolArray) -> FloatArray:
+    """(N - 1, 3, 3) with NaN where nothing was measured."""
+    return np.where(measured[:, np.newaxis, np.newaxis], covariance, np.nan)

@@ -1,0 +1,351 @@
+"""Visual odometry: features with depth, matched to a keyframe (Li 2022 §3.1).
+
+ORB finds what the keyframe and an image share, Lucas-Kanade refines where it is, PnP in RANSAC
+tells what moves with the floor, and a planar fit gives the LiDAR's step with its covariance.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from fusion_core.model.conventions import (
+    BoolArray,
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    wrap_angle,
+)
+from fusion_core.model.errors import MissingStream
+from fusion_core.model.geometry import apply, inverse, planar_from_transform, transform
+from fusion_core.model.planar_poses import compose
+from fusion_core.model.progress import Progress, silent
+from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.motion.keyframe_chain import KeyframeChain
+from fusion_core.motion.planar_reprojection import PlanarFit, fit_planar_step
+from fusion_core.motion.steps import in_axes_of
+from fusion_core.motion.track import OdometryTrack
+from fusion_core.settings import StageSettings, setting
+
+# Refinement by Lucas-Kanade: window and levels.
+_LK_WINDOW = (15, 15)
+_LK_LEVELS = 1
+_LK_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01)
+_RANSAC_CONFIDENCE = 0.999
+# A depth whose neighbours differ by more than this share may be of another surface.
+_BESIDE = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
+_EDGE_SHARE = 0.05
+
+
+class VisualOdometrySettings(StageSettings):
+    """Settings of ``visual_odometry``."""
+
+    features: int = setting(600, "Features of an image at most", unit="features", ge=50, le=20_000)
+    fast_threshold: int = setting(8, "Contrast of a corner", unit="grey levels", ge=1, le=100)
+    match_ratio: float = setting(
+        0.8, "The best match must be nearer than the next by this factor", gt=0.0, le=1.0
+    )
+    refine_px: float = setting(
+        3.0, "A match that refinement moves farther is left out", unit="px", gt=0.0
+    )
+    ransac_px: float = setting(2.0, "Error of an inlier at most", unit="px", gt=0.0, le=50.0)
+    ransac_draws: int = setting(200, "Draws of RANSAC at most", unit="draws", ge=10, le=100_000)
+    inliers_min: int = setting(
+        12, "Fewest inliers that make a step", unit="features", ge=6, le=10_000
+    )
+    inlier_share_min: float = setting(0.4, "Least share of the matches", gt=0.0, le=1.0)
+    sigma_px: float = setting(0.4, "Noise of a feature's place", unit="px", gt=0.0, le=10.0)
+    noise_factor: float = setting(
+        1.8, "Steps err by so much more than pixel and depth noise explain", ge=1.0, le=10.0
+    )
+    depth_sigma_per_m2: float = setting(
+        0.003, "Noise of a depth over its square", unit="1/m", gt=0.0, le=1.0
+    )
+    depth_min_m: float = setting(0.2, "Nearest depth used", unit="m", gt=0.0)
+    depth_max_m: float = setting(8.0, "Farthest depth used", unit="m", gt=0.0)
+    sigma_max_m: float = setting(
+        0.2, "A step less certain than this is not measured", unit="m", gt=0.0
+    )
+    scale_share: float = setting(
+        0.005, "Error of all depths alike, in metres per metre", unit="m/m", ge=0.0, le=1.0
+    )
+    key_step_m: float = setting(0.4, "Way to the next keyframe", unit="m", gt=0.0)
+    key_turn_rad: float = setting(0.3, "Turn to the next keyframe", unit="rad", gt=0.0)
+    key_match_share: float = setting(
+        0.4, "Features of the keyframe still found, below which the image becomes one", ge=0.0
+    )
+    patience: int = setting(
+        5, "Images without a match after which the next one begins anew", unit="images", ge=0
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GrayDepth:
+    """An image with its depth. ``gray``: (H, W) uint8. ``depth_m``: (h, w) of the same view, NaN
+    where missing; its size may differ."""
+
+    stamp_ns: int
+    gray: ByteArray
+    depth_m: Float32Array
+
+
+def visual_odometry(
+    frames: Iterable[GrayDepth],
+    intrinsics: CameraIntrinsics,
+    T_lidar_camera: FloatArray,
+    settings: VisualOdometrySettings | None = None,
+    progress: Progress = silent,
+) -> OdometryTrack:
+    """The LiDAR's motion by a camera's images, whose stamps increase, at the images' stamps.
+
+    ``intrinsics``: of the grey images. ``T_lidar_camera``: (4, 4), its optical frame to the
+    LiDAR's, whose z is taken to be upright. An image that is dark, without texture or without
+    depth is not measured, and the pose stays.
+
+    Raises MissingStream where there is no image.
+    """
+    follower = _Follower(intrinsics, T_lidar_camera, settings or VisualOdometrySettings())
+    for count, frame in enumerate(frames, start=1):
+        follower.add(frame)
+        progress(count, None, "visual odometry")
+    return follower.track()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Features:
+    """Of one image. ``pixels``: (M, 2). ``descriptors``: (M, 32). ``points_in_lidar_m``: (M, 3),
+    NaN without depth."""
+
+    gray: ByteArray
+    pixels: Float32Array
+    descriptors: ByteArray
+    points_in_lidar_m: FloatArray
+    pose: FloatArray
+
+
+class _Follower:
+    def __init__(
+        self,
+        intrinsics: CameraIntrinsics,
+        T_lidar_camera: FloatArray,
+        settings: VisualOdometrySettings,
+    ) -> None:
+        self._lens, self._T, self._settings = intrinsics, T_lidar_camera, settings
+        self._orb = cv2.ORB.create(
+            nfeatures=settings.features, fastThreshold=settings.fast_threshold
+        )
+        self._matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
+        self._stamps_ns: list[int] = []
+        self._chain = KeyframeChain()
+        self._key: _Features | None = None
+        self._last: _Features | None = None
+        self._misses = self._found_most = 0
+
+    def add(self, frame: GrayDepth) -> None:
+        """Place the next image."""
+        pose = self._chain.poses[-1].copy() if self._chain.poses else np.zeros(3)
+        self._stamps_ns.append(frame.stamp_ns)
+        features = self._features(frame, pose)
+        if isinstance(features, str):
+            self._miss(pose, features)
+            return
+        if self._key is None:
+            self._begin(features)
+            return
+        found = self._match(self._key, features)
+        if isinstance(found, str) and self._last is not None:
+            key = self._last
+            self._change_key(key)
+            found = self._match(key, features)
+        if isinstance(found, str):
+            if self._misses >= self._settings.patience:
+                self._begin(features, found)
+            else:
+                self._miss(pose, found)
+            return
+        self._hit(features, *found)
+
+    def _features(self, frame: GrayDepth, pose: FloatArray) -> _Features | str:
+        keypoints, descriptors = self._orb.detectAndCompute(frame.gray, None)
+        if descriptors is None or len(keypoints) < self._settings.inliers_min:
+            return "too few features"
+        pixels = np.array([point.pt for point in keypoints], dtype=np.float32)
+        depth_m = _depths(frame, pixels)
+        settings = self._settings
+        # NaN compares false.
+        usable = (depth_m > settings.depth_min_m) & (depth_m < settings.depth_max_m)
+        if np.count_nonzero(usable) < settings.inliers_min:
+            return "too few features with depth"
+        rays = np.column_stack([self._at_one_metre(pixels), np.ones(len(pixels))])
+        points = apply(self._T, np.where(usable, depth_m, np.nan)[:, np.newaxis] * rays)
+        return _Features(frame.gray, pixels, np.asarray(descriptors, dtype=np.uint8), points, pose)
+
+    def _at_one_metre(self, pixels: Float32Array) -> FloatArray:
+        """(M, 2) where the pixels' rays pass 1 m along the optical axis, without distortion."""
+        lens = self._lens
+        K = np.array([[lens.fx, 0.0, lens.cx], [0.0, lens.fy, lens.cy], [0.0, 0.0, 1.0]])
+        coefficients = np.array(lens.distortion or (0.0,) * 4)
+        stacked = pixels.astype(np.float64)[:, np.newaxis, :]
+        if lens.distortion_model in ("equidistant", "fisheye"):
+            ideal = cv2.fisheye.undistortPoints(stacked, K, coefficients[:4])
+        else:
+            ideal = cv2.undistortPoints(stacked, K, coefficients)
+        return np.asarray(ideal, dtype=np.float64).reshape(-1, 2)
+
+    def _match(self, key: _Features, now: _Features) -> tuple[PlanarFit, int] | str:
+        """The step from a keyframe and how many features of it were found, or why there is none."""
+        settings = self._settings
+        first, second = self._paired(key, now)
+        has_depth = np.isfinite(key.points_in_lidar_m[first, 2])
+        first, second = first[has_depth], second[has_depth]
+        if first.size < settings.inliers_min:
+            return "too few matches"
+        pixels, kept = self._refined(key, now, first, second)
+        first, pixels = first[kept], pixels[kept]
+        if first.size < settings.inliers_min:
+            return "too few matches"
+        points, seen = key.points_in_lidar_m[first], self._at_one_metre(pixels)
+        start, inliers = self._start(points, seen)
+        enough = max(settings.inliers_min, round(settings.inlier_share_min * first.size))
+        if start is None or np.count_nonzero(inliers) < enough:
+            return "matches that contradict each other"
+        fit = fit_planar_step(
+            points[inliers],
+            seen[inliers],
+            start,
+            self._T,
+            focal_px=self._focal_px,
+            sigma_px=settings.sigma_px,
+            depth_sigma_per_m2=settings.depth_sigma_per_m2,
+        )
+        if fit is None or np.count_nonzero(fit.fits) < settings.inliers_min:
+            return "matches that fit no motion on the floor"
+        if np.sqrt(fit.covariance[:2, :2].trace()) > settings.sigma_max_m:
+            return "matches that leave the motion open"
+        return fit, int(np.count_nonzero(fit.fits))
+
+    def _paired(self, key: _Features, now: _Features) -> tuple[IntArray, IntArray]:
+        """Indices of features whose descriptors match, each way the best and clearly so."""
+        pairs = self._matcher.knnMatch(key.descriptors, now.descriptors, k=2)
+        ratio = self._settings.match_ratio
+        good = [p[0] for p in pairs if len(p) == 2 and p[0].distance < ratio * p[1].distance]
+        best_of: dict[int, cv2.DMatch] = {}
+        for match in good:
+            other = best_of.get(match.trainIdx)
+            if other is None or match.distance < other.distance:
+                best_of[match.trainIdx] = match
+        ordered = sorted(best_of.values(), key=lambda match: match.queryIdx)
+        first = np.array([match.queryIdx for match in ordered], dtype=np.int64)
+        second = np.array([match.trainIdx for match in ordered], dtype=np.int64)
+        return first, second
+
+    def _refined(
+        self, key: _Features, now: _Features, first: IntArray, second: IntArray
+    ) -> tuple[Float32Array, BoolArray]:
+        """(M, 2) where the keyframe's features are in the image, and which could be refined."""
+        begin, guess = key.pixels[first], now.pixels[second]
+        found, status, _ = cv2.calcOpticalFlowPyrLK(
+            key.gray,
+            now.gray,
+            begin[:, np.newaxis, :],
+            guess[:, np.newaxis, :].copy(),
+            winSize=_LK_WINDOW,
+            maxLevel=_LK_LEVELS,
+            criteria=_LK_CRITERIA,
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        )
+        pixels = np.asarray(found, dtype=np.float32).reshape(-1, 2)
+        near = np.linalg.norm(pixels - guess, axis=1) < self._settings.refine_px
+        kept: BoolArray = (np.asarray(status).reshape(-1) == 1) & near
+        return pixels, kept
+
+    @property
+    def _focal_px(self) -> float:
+        return 0.5 * (self._lens.fx + self._lens.fy)
+
+    def _start(self, points: FloatArray, seen: FloatArray) -> tuple[FloatArray | None, BoolArray]:
+        """PnP in RANSAC: the LiDAR's step, of which the planar part is taken, and the inliers."""
+        none = np.zeros(len(points), dtype=np.bool_)
+        in_camera = apply(inverse(self._T), points)
+        settings = self._settings
+        try:
+            done, turn, shift, inliers = cv2.solvePnPRansac(
+                in_camera,
+                seen,
+                np.eye(3),
+                None,
+                iterationsCount=settings.ransac_draws,
+                reprojectionError=settings.ransac_px / self._focal_px,
+                confidence=_RANSAC_CONFIDENCE,
+                flags=cv2.SOLVEPNP_EPNP,
+            )
+        except cv2.error:
+            # Points in one place or on one line.
+            return None, none
+        if not done or inliers is None:
+            return None, none
+        mask = none.copy()
+        mask[np.asarray(inliers).reshape(-1)] = True
+        T_now_key = transform(
+            np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(shift, np.float64).reshape(3)
+        )
+        step = planar_from_transform(self._T @ inverse(T_now_key) @ inverse(self._T))
+        return (step if np.isfinite(step).all() else None), mask
+
+    def _hit(self, features: _Features, fit: PlanarFit, found: int) -> None:
+        assert self._key is not None, "a match has a keyframe"
+        settings, step = self._settings, fit.step
+        pose = compose(self._key.pose, step)
+        noise = fit.covariance * settings.noise_factor**2
+        self._chain.append(pose, in_axes_of(float(step[2]), noise), matched=True)
+        self._misses = 0
+        self._found_most = max(self._found_most, found)
+        self._last = replace(features, pose=pose)
+        if (
+            np.hypot(step[0], step[1]) > settings.key_step_m
+            or abs(wrap_angle(step[2])) > settings.key_turn_rad
+            or found < settings.key_match_share * self._found_most
+        ):
+            self._change_key(self._last)
+
+    def _miss(self, pose: FloatArray, reason: str) -> None:
+        self._misses += 1
+        self._chain.miss(pose, reason)
+
+    def _begin(self, features: _Features, reason: str = "") -> None:
+        self._change_key(features)
+        self._chain.begin(features.pose, reason)
+        self._misses = 0
+
+    def _change_key(self, key: _Features) -> None:
+        self._key, self._last = key, None
+        self._chain.keyframe += 1
+        self._found_most = 0
+
+    def track(self) -> OdometryTrack:
+        """All images so far."""
+        if not self._stamps_ns:
+            raise MissingStream("there is no image with depth to follow.")
+        share = self._settings.scale_share
+        return self._chain.track("visual", self._stamps_ns, scale_share=share)
+
+
+def _depths(frame: GrayDepth, pixels: Float32Array) -> FloatArray:
+    """(M,) depth at pixels of the grey image, NaN where there is none or an edge."""
+    (height, width), (rows, columns) = frame.gray.shape, frame.depth_m.shape
+    column = np.floor((pixels[:, 0].astype(np.float64) + 0.5) * columns / width).astype(np.int64)
+    row = np.floor((pixels[:, 1].astype(np.float64) + 0.5) * rows / height).astype(np.int64)
+    beside = np.stack(
+        [
+            frame.depth_m[np.clip(row + down, 0, rows - 1), np.clip(column + right, 0, columns - 1)]
+            for down, right in _BESIDE
+        ]
+    ).astype(np.float64)
+    here = beside[0]
+    near = np.abs(beside - here) < _EDGE_SHARE * here
+    # A corner on an edge belongs to the nearer surface, and is told its depth by either.
+    is_flat = near.all(axis=0)
+    mean = beside.mean(axis=0)
+    return np.where(is_flat, mean, np.nan)

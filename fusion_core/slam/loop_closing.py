@@ -1,0 +1,272 @@
+"""Loops found along the way, believed when others agree, and the poses that fit them all.
+
+What is found near the estimate is believed as it is. After a long way the estimate may be off by
+metres, and in a building of like corridors a wide search finds a wrong one sooner or later: what
+it finds counts when stretches before and after fit at the places that it predicts for them.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
+from fusion_core.model.planar_poses import compose, inverse, relative
+from fusion_core.model.progress import Progress
+from fusion_core.slam.local_slam import LocalTrajectory
+from fusion_core.slam.loop_search import WAY_OF_BREAK_M, LoopSearch, LoopSettings, Window
+from fusion_core.slam.pose_graph import Edge, GraphSettings, optimise, residuals
+
+# The graph is solved anew when it has grown by a fifth, so that the work stays linear in its size.
+_GROWTH = 0.2
+_KEY_SCANS_MIN = 100
+# Ways that two places have between them when a loop joins them: it is not exact.
+_WAY_OF_LOOP_M = 1.0
+# Where another stretch is looked for, once one was found; it must fit so well.
+_SECOND_WINDOW = Window(1.5, 0.15)
+_AGREES_M = 0.4
+_SECONDS_MIN, _SECONDS_MIN_BREAK = 2, 3
+
+Solved = Callable[[str, FloatArray, list[Edge]], None]
+"""Called with the stage, the (n, 3) poses of the first n key scans, and the loops so far."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Closed:
+    """The outcome: (K, 3) poses, all edges, and what the search cost."""
+
+    poses_map_node: FloatArray
+    edges: list[Edge]
+    tried: int
+    dropped: int
+    optimisation_s: float
+
+
+def close_loops(
+    local: LocalTrajectory,
+    steps: list[Edge],
+    loop_settings: LoopSettings,
+    graph_settings: GraphSettings,
+    progress: Progress,
+    solved: Solved,
+) -> Closed:
+    """Search along the way, solve as the graph grows, then drop what the whole contradicts.
+
+    ``steps``: the K - 1 edges from each key scan to the next.
+    """
+    closing = _Closing(local, steps, loop_settings, graph_settings, solved)
+    closing.run(progress)
+    return Closed(
+        poses_map_node=closing.poses,
+        edges=[*steps, *closing.loops],
+        tried=closing.search.tried,
+        dropped=closing.dropped,
+        optimisation_s=closing.optimisation_s,
+    )
+
+
+class _Closing:
+    """The graph of a local trajectory while loops are being found."""
+
+    def __init__(
+        self,
+        local: LocalTrajectory,
+        steps: list[Edge],
+        loop_settings: LoopSettings,
+        graph_settings: GraphSettings,
+        solved: Solved,
+    ) -> None:
+        self._local, self._steps = local, steps
+        self._loop_settings, self._graph_settings = loop_settings, graph_settings
+        self._report = solved
+        self.search = LoopSearch(local, loop_settings)
+        self.loops: list[Edge] = []
+        self.poses = local.key_poses.copy()
+        # Beyond this node poses are the local ones, moved as the last node before was.
+        self._placed = 0
+        self.dropped = 0
+        self.optimisation_s = 0.0
+        self._way_m = _ways(local)
+        self._first = np.array([submap.first for submap in local.submaps])
+        self._ties: list[tuple[int, int, float]] = []
+        self._joined: csr_array | None = None
+
+    def run(self, progress: Progress) -> None:
+        count = len(self.poses)
+        solved, loops_solved = 0, 0
+        for node in range(0, count, self._loop_settings.every):
+            progress(node, count, "closing loops")
+            self._place_to(node)
+            is_far = self._close(node)
+            is_due = node - solved >= max(_KEY_SCANS_MIN, _GROWTH * node)
+            if (is_due and len(self.loops) > loops_solved) or is_far:
+                self._solve(node + 1, "closing loops")
+                solved, loops_solved = node, len(self.loops)
+        self._place_to(count - 1)
+        if not self.loops:
+            return
+        progress(count, count, "optimising")
+        self._solve(count, "optimising")
+        away_m = np.hypot(*residuals(self.poses, self.loops)[:, :2].T)
+        is_kept = away_m <= self._graph_settings.residual_max_m
+        self.dropped += int(np.count_nonzero(~is_kept))
+        if not is_kept.all():
+            self.loops = [edge for edge, kept in zip(self.loops, is_kept, strict=True) if kept]
+            self._solve(count, "optimising")
+
+    def _close(self, node: int) -> bool:
+        """Search from a node; whether it was found far from where it was thought to be."""
+        is_far = False
+        candidates = self.search.candidates(
+            node, self.poses[self.search.centre, :2], self.poses[node, :2], self._ways_from(node)
+        )
+        for number, window in candidates:
+            first = int(self._first[number])
+            edge = self.search.match(
+                node, number, relative(self.poses[first], self.poses[node]), window
+            )
+            if edge is None:
+                continue
+            if not window.is_wide:
+                self._take(edge, number)
+                continue
+            agreeing = self._seconds(edge, self.search.score_min(window))
+            enough = _SECONDS_MIN_BREAK if window.is_across_break else _SECONDS_MIN
+            if len(agreeing) < enough:
+                self.dropped += 1
+                continue
+            self._take(edge, number)
+            for other, other_number in agreeing:
+                # Those of stretches still ahead are found again when they are reached.
+                if other.second <= node:
+                    self._take(other, other_number)
+            is_far = True
+            break
+        return is_far
+
+    def _seconds(self, found: Edge, score_min: float) -> list[tuple[Edge, int]]:
+        """Edges of stretches before and after that agree with ``found``."""
+        local, node = self._local, found.second
+        pose = compose(self.poses[found.first], found.pose_first_second)
+        agreeing = []
+        for away in (2, -2, 4, -4):
+            other = node + away * self._loop_settings.stretch
+            if not 0 <= other < len(self.poses) or local.part[other] != local.part[node]:
+                continue
+            before = self.search.before(min(node, other))
+            if before == 0:
+                continue
+            expected = compose(pose, relative(local.key_poses[node], local.key_poses[other]))
+            centres_m = self.poses[self.search.centre[:before], :2]
+            number = int(np.argmin(np.hypot(*(centres_m - expected[:2]).T)))
+            first = int(self._first[number])
+            edge = self.search.match(
+                other, number, relative(self.poses[first], expected), _SECOND_WINDOW, score_min
+            )
+            if edge is None:
+                continue
+            off = relative(expected, compose(self.poses[first], edge.pose_first_second))
+            if np.hypot(off[0], off[1]) < _AGREES_M:
+                agreeing.append((edge, number))
+        return agreeing
+
+    def _take(self, edge: Edge, number: int) -> None:
+        self.loops.append(edge)
+        other = self._submap_of(edge.second)
+        way_m = abs(float(self._way_m[edge.second] - self._way_m[self._first[other]]))
+        self._ties.append((number, other, _WAY_OF_LOOP_M + way_m))
+        self._joined = None
+
+    def _submap_of(self, node: int) -> int:
+        return int(np.searchsorted(self._first, node, side="right")) - 1
+
+    def _ways_from(self, node: int) -> FloatArray:
+        """(S,) the shortest way along the graph from a node to each submap's begin, in metres."""
+        if self._joined is None:
+            chain_m = np.maximum(np.diff(self._way_m[self._first]), 1e-3)
+            numbers = np.arange(chain_m.size)
+            shortest: dict[tuple[int, int], float] = {}
+            for first, second, way_m in self._ties:
+                pair = (min(first, second), max(first, second))
+                if pair[0] != pair[1]:
+                    shortest[pair] = min(way_m, shortest.get(pair, np.inf))
+            for number, way_m in zip(numbers.tolist(), chain_m.tolist(), strict=True):
+                pair = (number, number + 1)
+                shortest[pair] = min(way_m, shortest.get(pair, np.inf))
+            size = self._first.size
+            pairs = np.array(list(shortest), dtype=np.int32).reshape(-1, 2)
+            self._joined = csr_array(
+                (np.array(list(shortest.values())), (pairs[:, 0], pairs[:, 1])), shape=(size, size)
+            )
+        own = self._submap_of(node)
+        ways_m: FloatArray = dijkstra(self._joined, directed=False, indices=np.array([own]))[0]
+        return ways_m + float(self._way_m[node] - self._way_m[self._first[own]])
+
+    def _place_to(self, node: int) -> None:
+        """Carry the poses on to a node by the local ones."""
+        if node <= self._placed:
+            return
+        local = self._local.key_poses
+        begin, end = self._placed, node + 1
+        self.poses[begin + 1 : end] = compose(
+            self.poses[begin], relative(local[begin], local[begin + 1 : end])
+        )
+        self._placed = node
+
+    def _solve(self, end: int, stage: str) -> None:
+        """Optimise the nodes before ``end``; those after follow as they are reached."""
+        start_s = time.perf_counter()
+        reached = [edge for edge in self.loops if edge.second < end]
+        self.poses[:end] = optimise(
+            self._started(end, reached),
+            [*self._steps[: end - 1], *reached],
+            self._graph_settings.robust_scale,
+        )
+        self._placed = end - 1
+        self.optimisation_s += time.perf_counter() - start_s
+        self._report(stage, self.poses[:end], reached)
+
+    def _started(self, end: int, reached: list[Edge]) -> FloatArray:
+        """(end, 3) poses to start from: where a part hangs on a loop alone, it begins there."""
+        poses = self.poses[:end].copy()
+        part = self._local.part[:end]
+        known = {int(part[0])} | {int(part[edge.second]) for edge in self._solved_loops(reached)}
+        for edge in reached:
+            here = int(part[edge.second])
+            if here in known or int(part[edge.first]) not in known:
+                continue
+            found = compose(poses[edge.first], edge.pose_first_second)
+            moved = compose(found, inverse(poses[edge.second]))
+            poses[part == here] = compose(moved, poses[part == here])
+            known.add(here)
+        return poses
+
+    def _solved_loops(self, reached: list[Edge]) -> list[Edge]:
+        away_m = np.hypot(*residuals(self.poses, reached)[:, :2].T)
+        return [
+            edge
+            for edge, off_m in zip(reached, away_m.tolist(), strict=True)
+            if off_m <= self._graph_settings.residual_max_m
+        ]
+
+
+def _ways(local: LocalTrajectory) -> FloatArray:
+    """(K,) metres driven up to each key scan, and as many more where the way is not known."""
+    steps_m = np.hypot(*np.diff(local.key_poses[:, :2], axis=0).T)
+    steps_m = steps_m + WAY_OF_BREAK_M * np.diff(local.part)
+    way_m: FloatArray = np.concatenate([[0.0], np.cumsum(steps_m)])
+    return way_m
+
+
+def joined_parts(local: LocalTrajectory, loops: list[Edge]) -> BoolArray:
+    """(P,) whether each part of the trajectory hangs together with the first by loops."""
+    joined: IntArray = np.arange(int(local.part[-1]) + 1)
+    for edge in loops:
+        ends = (int(joined[local.part[node]]) for node in (edge.first, edge.second))
+        low, high = sorted(ends)
+        joined[joined == high] = low
+    is_joined: BoolArray = joined == 0
+    return is_joined

@@ -1,0 +1,92 @@
+"""Each scan of a recording as Xu's chain repairs it."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from fusion_core.model.classes import NoiseClass
+from fusion_core.model.errors import MissingStream
+from fusion_core.model.progress import Progress, silent
+from fusion_core.model.recording import Recording
+from fusion_core.model.sensors import LaserScan
+from fusion_core.recordings.topics import Streams
+from fusion_core.workflows.frame import FusedFrame
+from fusion_core.workflows.presets import ChainSettings
+from fusion_core.workflows.rig import build_rig
+from fusion_core.workflows.scan_merge import ScanMerge
+from fusion_core.workflows.session import Session, align_session, fitting_of, fuse_session
+
+
+class RepairedScans:
+    """Scans with the ranges that the images paired with them have repaired.
+
+    A scan without an image stays as it was. A burr that nothing could repair is NaN: it is no
+    obstacle, and what lies before it need not be free. ``intensities`` are None.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        streams: Streams,
+        settings: ChainSettings,
+        *,
+        clock_offset_ms: float = 0.0,
+        progress: Progress = silent,
+    ) -> None:
+        if streams.lidar is None:
+            raise MissingStream(
+                "has no 2D LiDAR to repair.", file=recording.path, advice="Use --scan camera."
+            )
+        rig = build_rig(recording, streams, settings.sampling)
+        self._session = Session(
+            recording=recording,
+            streams=streams,
+            rig=rig,
+            fitting=fitting_of(recording, rig),
+            settings=settings,
+            virtual_row=None,
+        )
+        self._alignment = align_session(self._session, progress)
+        self._clock_offset_ms = clock_offset_ms
+        self.frame_id = rig.lidar_frame
+        self._scans = self._judged = self._out_of_order = 0
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        notes = list(self._session.rig.notes)
+        if self._clock_offset_ms:
+            notes.append(f"Camera stamps taken {self._clock_offset_ms:g} ms earlier.")
+        if self._judged < self._scans:
+            left = self._scans - self._judged
+            notes.append(f"{left} of {self._scans} scans have no image and stay as they were.")
+        if self._out_of_order:
+            notes.append(f"{self._out_of_order} scans out of order in time are left out.")
+        return tuple(notes)
+
+    def __iter__(self) -> Iterator[LaserScan]:
+        merge = ScanMerge()
+        self._scans = self._judged = self._out_of_order = 0
+        last_ns: int | None = None
+        for raw, repaired in self._merged(merge):
+            if last_ns is not None and raw.stamp_ns <= last_ns:
+                self._out_of_order += 1
+                continue
+            last_ns = raw.stamp_ns
+            self._scans += 1
+            left = (repaired.intensities == NoiseClass.BURR) & (repaired.ranges_m == raw.ranges_m)
+            yield raw.with_ranges(np.where(left, np.nan, repaired.ranges_m), None)
+
+    def _merged(self, merge: ScanMerge) -> Iterator[tuple[LaserScan, LaserScan]]:
+        judged: set[int] = set()
+        for entry in fuse_session(self._session, self._alignment, self._clock_offset_ms):
+            if isinstance(entry, LaserScan):
+                merge.arrive(entry)
+                for raw, repaired in merge.finished():
+                    judged.discard(id(raw))
+                    yield raw, repaired
+            elif isinstance(entry, FusedFrame):
+                # Two images of one scan count once.
+                self._judged += id(entry.scan) not in judged
+                judged.add(id(entry.scan))
+                merge.add(entry)
+        yield from merge.rest()
