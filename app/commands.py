@@ -226,7 +226,7 @@ class Fuse:
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """Write a synthetic recording with its truth."""
+    """Write a synthetic recording with its truth and the outline of its world."""
 
     scene: Annotated[
         conf.Positional[str | None], conf.arg(metavar="SCENE", help_behavior_hint="")
@@ -235,9 +235,9 @@ class Sample:
     output: Annotated[
         Path | None, conf.arg(aliases=["-o"], metavar="FILE", help_behavior_hint="")
     ] = None
-    """The recording to write; the truth goes beside it."""
+    """The recording to write (.mcap); truth and world go beside it."""
     settings: SettingsOption = None
-    """A TOML file whose values go over the scene's."""
+    """A TOML file whose values go over the scene's: tables scene and faults."""
     seed: Annotated[int | None, conf.arg(help_behavior_hint="")] = None
     """Another seed than the scene's own."""
     overwrite: Flag = False
@@ -265,7 +265,7 @@ class Sample:
             overwrite=self.overwrite,
             progress=progress,
         )
-        lines = [f"recording  {written['recording']}", f"truth      {written['truth']}"]
+        lines = [f"{name:<11}{written[name]}" for name in ("recording", "truth", "world")]
         return Report(result=written, lines=lines)
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from tyro import conf
 
 from app.command_options import Flag
-from app.reports import Report, measure_lines, relation_lines, trajectory_lines
+from app.reports import Report, map_lines, measure_lines, relation_lines, trajectory_lines
 from fusion_core.model.progress import Progress
 
 
@@ -131,6 +131,50 @@ class EvaluateRelations:
 
 
 @dataclass(frozen=True, kw_only=True)
+class EvaluateMap:
+    """How much of a world's obstacles a map shows, and how true its lengths and angles are
+    (Li 2022, eq. 10 and Table 4)."""
+
+    map: Annotated[conf.Positional[Path], conf.arg(metavar="MAP.yaml")]
+    """A map as ROS's map_server has it; the picture stands beside it."""
+    world: Annotated[conf.Positional[Path], conf.arg(metavar="WORLD.json")]
+    """The outline of the world, written beside a synthetic recording."""
+    align: Literal["auto", "none"] = "auto"
+    """Lay the map over the world first, or take it to be in the world's frame."""
+    pose: Annotated[
+        tuple[float, float, float] | None, conf.arg(metavar="X Y YAW", help_behavior_hint="")
+    ] = None
+    """Where the map's frame lies in the world (m, m, rad): with --align none as it is, else to
+    within 1 m and 20 degrees; without it the whole world is searched."""
+    json: Flag = False
+    """Print one JSON object on stdout."""
+
+    def run(self, progress: Progress) -> Report:
+        from fusion_core.workflows import evaluate
+
+        result = evaluate.ros_map(self.map, self.world, align=self.align == "auto", pose=self.pose)
+        return Report(result=result, lines=map_lines(result))
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateOdometry:
+    """Errors of each odometry over the way, and over its straight stretches (Li 2022, Table 5)."""
+
+    map_dir: Annotated[conf.Positional[Path], conf.arg(metavar="MAP_DIR")]
+    """A folder that map has written: its odometry_*.tum and trajectory.tum."""
+    reference: Annotated[conf.Positional[Path], conf.arg(metavar="REFERENCE")]
+    """A TUM file, or the truth (.npz) of a synthetic recording."""
+    json: Flag = False
+    """Print one JSON object on stdout."""
+
+    def run(self, progress: Progress) -> Report:
+        from fusion_core.workflows.evaluate_odometry import odometry, odometry_lines
+
+        result = odometry(self.map_dir, self.reference)
+        return Report(result=result, lines=odometry_lines(result))
+
+
+@dataclass(frozen=True, kw_only=True)
 class Evaluate:
     """Measure a result against the truth, a reference or relations."""
 
@@ -140,4 +184,6 @@ class Evaluate:
         | Annotated[EvaluateRepair, conf.subcommand("repair")]
         | Annotated[EvaluateTrajectory, conf.subcommand("trajectory")]
         | Annotated[EvaluateRelations, conf.subcommand("relations")]
+        | Annotated[EvaluateMap, conf.subcommand("map")]
+        | Annotated[EvaluateOdometry, conf.subcommand("odometry")]
     ]

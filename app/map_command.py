@@ -14,6 +14,7 @@ from app.command_options import (
     SettingsOption,
     TopicOption,
     WrongUsage,
+    require_natural,
     room_of,
 )
 from app.reports import Report
@@ -28,12 +29,25 @@ class Map:
     """A recording with a 2D LiDAR, or the root of a Robot@Home data set."""
     output: Annotated[Path, conf.arg(aliases=["-o"], metavar="DIR")]
     """The folder for the results."""
-    slam: Literal["none", "pose-graph"] = "pose-graph"
-    """Match scans and close loops, or take the motion as it is."""
-    motion: Literal["recorded", "wheel", "none"] = "recorded"
-    """What is known beforehand: poses from TF, else odometry; odometry alone; or nothing."""
+    scan: Literal["lidar", "camera", "repaired", "merged"] = "lidar"
+    """What goes in: the LiDAR's scans, virtual ones of the depth camera, the LiDAR's as fuse
+    repairs them, or the LiDAR's merged with what the camera sees below the robot's height."""
+    motion: Literal["recorded", "wheel", "laser", "visual", "fused", "none"] = "recorded"
+    """What is known beforehand: poses from TF, else odometry; odometry alone; scan matching; the
+    camera; all of them fused; or nothing."""
+    slam: Literal["none", "particle-filter", "pose-graph"] = "pose-graph"
+    """The estimator; none takes the motion as it is."""
+    preset: Literal["default", "published"] = "default"
+    """What is right, or Li 2022 as printed."""
     settings: SettingsOption = None
     """A TOML file whose values go over the defaults."""
+    seed: Annotated[int | None, conf.arg(metavar="N", help_behavior_hint="")] = None
+    """Seed of the particle filter, over that of the settings."""
+    extrinsics: Annotated[Path | None, conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    """Where the camera stands on the LiDAR, where the recording's transforms should not say it: a
+    TOML or JSON file with T_camera_lidar."""
+    clock_offset_ms: Annotated[float, conf.arg(metavar="MS")] = 0.0
+    """Camera stamp less LiDAR stamp of one instant, taken out."""
     home: HomeOption = None
     """A session of a Robot@Home data set, such as alma-s1, with --room."""
     room: RoomOption = None
@@ -58,12 +72,18 @@ class Map:
             raise WrongUsage("--pose goes with --motion recorded")
         if self.home is not None and self.room is None:
             raise WrongUsage("--home needs --room, the one to map")
+        require_natural("--seed", self.seed)
         from fusion_core.workflows.build_map import MapOptions, build_map
 
         options = MapOptions(
-            slam=self.slam,
+            scan=self.scan,
             motion=self.motion,
+            slam=self.slam,
+            preset=self.preset,
             settings_file=self.settings,
+            seed=self.seed,
+            extrinsics_file=self.extrinsics,
+            clock_offset_ms=self.clock_offset_ms,
             room=room_of(self.home, self.room, self.subsession),
             lidar_topic=self.lidar,
             pose_topic=self.pose,

@@ -112,7 +112,7 @@ def build(
 
     Raises ExportError for the folder, and what ``fuse`` raises.
     """
-    with _new_folder(root, recording) as folder:
+    with new_folder(root, recording) as folder:
         options = fuse_options(view, settings_in(folder), figures=figures)
         if options.settings_file is not None:
             text = settings_toml(preset_below(view), view.settings)
@@ -136,7 +136,13 @@ def export(built: Build, voxel_m: float, progress: Progress) -> CloudExport:
 
 
 def zipped(built: Build) -> bytes:
-    """The results of a build but for those of each frame, as a .zip of the same bytes each time.
+    """The results of a build but for those of each frame. Raises as ``zip_of``."""
+    return zip_of(built.results, built.folder.name)
+
+
+def zip_of(results: Path, name: str) -> bytes:
+    """A folder of results but for those of each frame, as a .zip of the same bytes each time; its
+    files lie in a folder ``name``.
 
     Raises ExportError where they exceed MAX_DOWNLOAD_BYTES, or are not there any more.
     """
@@ -144,7 +150,7 @@ def zipped(built: Build) -> bytes:
     try:
         files = sorted(
             file
-            for file in built.results.rglob("*")
+            for file in results.rglob("*")
             if file.is_file() and file.name not in _NOT_IN_DOWNLOAD
         )
         size = sum(file.stat().st_size for file in files)
@@ -152,21 +158,21 @@ def zipped(built: Build) -> bytes:
             raise ExportError(
                 f"holds {size / 1e6:.0f} MB to download; at most {MAX_DOWNLOAD_BYTES / 1e6:.0f} MB "
                 "go through the browser.",
-                file=built.results,
+                file=results,
                 advice="Copy the folder on the server.",
             )
         with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
             for file in files:
-                name = f"{built.folder.name}/{file.relative_to(built.results).as_posix()}"
-                entry = zipfile.ZipInfo(name, _ZIP_EPOCH)
+                entry_name = f"{name}/{file.relative_to(results).as_posix()}"
+                entry = zipfile.ZipInfo(entry_name, _ZIP_EPOCH)
                 archive.writestr(entry, file.read_bytes(), zipfile.ZIP_DEFLATED)
     except OSError as error:
-        raise ExportError(f"cannot be read: {error.strerror}.", file=built.results) from error
+        raise ExportError(f"cannot be read: {error.strerror}.", file=results) from error
     return packed.getvalue()
 
 
 @contextmanager
-def _new_folder(root: Path, recording: Path) -> Iterator[Path]:
+def new_folder(root: Path, recording: Path) -> Iterator[Path]:
     """A folder of one's own below ``root``, removed when the block raises."""
     while True:
         folder = free_folder(root, recording)

@@ -1,15 +1,40 @@
-"""The command that does what a build does: ``scanloom fuse`` with its options, to copy."""
+"""The commands that do what the Map panel does, to copy: ``scanloom fuse`` and ``scanloom map``."""
 
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
+from fusion_core.workflows.build_map import MapOptions
 from fusion_core.workflows.session import FuseOptions
 
 
 def fuse_command(recording: Path, output: Path, options: FuseOptions) -> str:
     """A line for a POSIX shell that gives ``options`` to ``scanloom fuse``."""
     words = ["scanloom", "fuse", str(recording), "--output", str(output), *_words(options)]
+    return shlex.join(words)
+
+
+def map_command(recording: Path, output: Path, options: MapOptions) -> str:
+    """A line for a POSIX shell that gives ``options`` to ``scanloom map``."""
+    named = (
+        ("--scan", options.scan),
+        ("--motion", options.motion),
+        ("--slam", options.slam),
+        ("--preset", None if options.preset == "default" else options.preset),
+        ("--settings", options.settings_file),
+        ("--seed", options.seed),
+        ("--extrinsics", options.extrinsics_file),
+        ("--clock-offset-ms", options.clock_offset_ms or None),
+        ("--home", options.room and options.room.session),
+        ("--room", options.room and options.room.room),
+        ("--subsession", options.room and options.room.subsession),
+        ("--lidar", options.lidar_topic),
+        ("--pose", options.pose_topic),
+    )
+    words = ["scanloom", "map", str(recording), "--output", str(output)]
+    words += [f"{option}={value}" for option, value in named if value is not None]
+    switches = (("--force", options.force), ("--overwrite", options.overwrite))
+    words += [switch for switch, is_on in switches if is_on]
     return shlex.join(words)
 
 

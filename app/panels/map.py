@@ -1,10 +1,11 @@
-"""The Map panel: the maps of the whole recording, all results as files, and the command for it."""
+"""The Map panel: the maps of the whole recording, all results as files, and the command for it; or,
+in its other mode, motion and SLAM."""
 
 import html
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import viser
@@ -21,29 +22,26 @@ from app.jobs.build import (
     zipped,
 )
 from app.jobs.long import LongJob
+from app.jobs.slam_files import RunPoses
+from app.panels.blocks import paragraph, text_box
 from app.panels.command import fuse_command
-from app.panels.controls import put
+from app.panels.controls import Controls, put
+from app.panels.slam import SlamPanel
 from app.scene.encoded import show_picture
 from app.scene.map_picture import map_pictures
 from app.shown import Shown
-from app.state.view import View
+from app.state.view import MAP_MODES, View
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress
 from fusion_core.workflows.export_clouds import CloudExport
 from fusion_core.workflows.maps import difference_of
+from fusion_core.workflows.poses import Poses
 
 _PICTURE_PX = (480, 720)
 _TITLES = {"lidar": "LiDAR", "camera": "camera", "fused": "fused"}
 _CLOSE_S = 10.0
 _EMPTY = np.full((2, 2, 3), 255, dtype=np.uint8)
-_BOX = (
-    "width:100%;box-sizing:border-box;border:1px solid #c4ccd6;border-radius:4px;padding:0.4em;"
-    "font-family:ui-monospace,monospace;font-size:0.8em;resize:vertical;"
-    # As a terminal breaks lines, not at a hyphen.
-    "word-break:break-all"
-)
-
 # Words that do not fit on a line go on under those above, right of the line's name.
 _REPORT_LINE = (
     "padding-left:11ch;text-indent:-11ch;white-space:pre-wrap;overflow-wrap:anywhere;"
@@ -51,11 +49,18 @@ _REPORT_LINE = (
 )
 
 
-class MapPanel:
-    """Builds, shows and exports the results of a whole recording.
+class TakeMap(Protocol):
+    """Takes the map on the floor; ``poses``: the LiDAR's in it, where not the recorded ones."""
 
-    ``output_root``: results go into new folders below it. ``on_map`` gets the fused map of the
-    recording that is shown, None where there is none, in the thread that shows views.
+    def __call__(self, grid: OccupancyGrid | None, poses: Poses | None = None, /) -> None: ...
+
+
+class MapPanel:
+    """Builds, shows and exports the results of a whole recording, or runs SLAM over it.
+
+    ``output_root``: results go into new folders below it. ``on_map`` gets the map of the recording
+    that is shown, None where there is none, in the thread that shows views: the fused one, or that
+    of a run of SLAM with its poses.
     """
 
     def __init__(
@@ -63,7 +68,7 @@ class MapPanel:
         gui: viser.GuiApi,
         desk: Desk,
         output_root: Path,
-        on_map: Callable[[OccupancyGrid | None], None],
+        on_map: TakeMap,
     ) -> None:
         self._desk = desk
         # Commands are for shells that stand elsewhere.
@@ -80,8 +85,35 @@ class MapPanel:
         self._on_floor: OccupancyGrid | None = None
         self._commanded: object = None
 
+        mode = gui.add_dropdown(
+            "Mode",
+            MAP_MODES,
+            initial_value=desk.view.map_mode,
+            hint="Maps of both sensors from recorded poses, or poses by SLAM",
+        )
+        self._controls = Controls(gui, desk)
+        self._controls.bind(mode, "map_mode", str)
+        self._fuse = gui.add_folder("Fuse", visible=desk.view.map_mode == "Fuse")
+        with self._fuse:
+            self._furnish(gui)
+        self._slam_folder = gui.add_folder("Motion and SLAM", visible=desk.view.map_mode == "SLAM")
+        with self._slam_folder:
+            self._slam = SlamPanel(gui, desk, self._root)
+
+        self._build_button.on_click(lambda _: self._begin_build())
+        self._cancel_button.on_click(lambda _: self._cancel())
+        self._export_button.on_click(lambda _: self._begin_export())
+        self._download.on_click(lambda _: self._send())
+
+        @self._figures.on_update
+        def _(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None:
+                desk.refresh()
+
+    def _furnish(self, gui: viser.GuiApi) -> None:
+        """The widgets of a build."""
         gui.add_html(
-            _paragraph(
+            paragraph(
                 "Fuses the whole recording with the settings as they are, and builds the maps of "
                 "the LiDAR alone, the camera alone and both, from the same recorded poses."
             )
@@ -110,27 +142,21 @@ class MapPanel:
         with gui.add_folder("The same from the command line"):
             self._command = gui.add_html("")
 
-        self._build_button.on_click(lambda _: self._begin_build())
-        self._cancel_button.on_click(lambda _: self._cancel())
-        self._export_button.on_click(lambda _: self._begin_export())
-        self._download.on_click(lambda _: self._send())
-
-        @self._figures.on_update
-        def _(event: viser.GuiEvent[Any]) -> None:
-            if event.client is not None:
-                desk.refresh()
-
     def show(self, shown: Shown) -> None:
         """The maps of the recording that is shown, and the command of the view."""
         with self._lock:
             built = self._built
             if built is not None and built.view.recording != shown.view.recording:
                 built = None
-            fused = None if built is None else built.summary.grids.get("fused")
-            if fused is not self._on_floor:
-                self._on_floor = fused
-                self._on_map(fused)
+            self._lay_floor(shown.view, built)
             if shown.view.panel != "Map":
+                return
+            mode = shown.view.map_mode
+            self._controls.show(shown.view)
+            put(self._fuse, visible=mode == "Fuse")
+            put(self._slam_folder, visible=mode == "SLAM")
+            if mode == "SLAM":
+                self._slam.show(shown)
                 return
             self._show_command(shown.view, built)
             self._show_built(shown.view, built)
@@ -143,6 +169,24 @@ class MapPanel:
         if job is not None:
             job.cancel()
             job.wait(_CLOSE_S)
+        self._slam.close()
+
+    def _lay_floor(self, view: View, built: Build | None) -> None:
+        """The map of the mode, handed on where it is another one."""
+        run = self._slam.chosen(view.recording) if view.map_mode == "SLAM" else None
+        poses: Poses | None = None
+        if run is not None:
+            grid = run.files.grid
+            poses = RunPoses(run.name, run.files.trajectory)
+        else:
+            grid = None if built is None else built.summary.grids.get("fused")
+        if grid is self._on_floor:
+            return
+        self._on_floor = grid
+        if grid is None or poses is None:
+            self._on_map(grid)
+        else:
+            self._on_map(grid, poses)
 
     def _begin_build(self) -> None:
         view, figures = self._desk.view, bool(self._figures.value)
@@ -197,7 +241,7 @@ class MapPanel:
                 self._cancelling = True
                 self._job.cancel()
                 put(self._cancel_button, disabled=True)
-                put(self._progress_text, content=_paragraph("Stopping at the next step …"))
+                put(self._progress_text, content=paragraph("Stopping at the next step …"))
 
     def _advance(self, done: int, total: int | None, what: str) -> None:
         if self._cancelling:
@@ -205,7 +249,7 @@ class MapPanel:
         share = 100.0 * done / total if total else 0.0
         count = f", {done} of {total}" if total else ""
         put(self._progress, value=round(min(share, 100.0), 1), animated=not total)
-        put(self._progress_text, content=_paragraph(f"{what.capitalize()}{count}"))
+        put(self._progress_text, content=paragraph(f"{what.capitalize()}{count}"))
 
     def _fail(self, error: Exception) -> None:
         said = (
@@ -219,7 +263,7 @@ class MapPanel:
         """The job's last step, in its thread: the worker draws what came of it."""
         with self._lock:
             self._job = None
-            put(self._said, content=_paragraph(said) if said else "")
+            put(self._said, content=paragraph(said) if said else "")
             self._commanded = None
             self._show_working(False)
             closed = self._closed
@@ -250,7 +294,7 @@ class MapPanel:
             notes.append("The settings file is written by Build.")
         if view.picked is not None:
             notes.append("An offset picked by hand is for looking; a build finds its own.")
-        self._command.content = _text_box(command) + "".join(map(_paragraph, notes))
+        self._command.content = text_box(command) + "".join(map(paragraph, notes))
 
     def _show_built(self, view: View, built: Build | None) -> None:
         put(self._files, visible=built is not None)
@@ -269,10 +313,10 @@ class MapPanel:
                 )
                 show_picture(self._picture, drawn)
             put(self._picture, visible=bool(grids))
-            put(self._folder, content=_text_box(str(built.folder)))
+            put(self._folder, content=text_box(str(built.folder)))
             for handle in (self._voxel, self._export_button):
                 put(handle, visible=built.summary.pose_source is not None)
-        put(self._exported, content=_paragraph(self._clouds) if self._clouds else "")
+        put(self._exported, content=paragraph(self._clouds) if self._clouds else "")
         put(self._report, content=_report(built, changed=_asked(view) != _asked(built.view)))
 
     def _send(self) -> None:
@@ -332,19 +376,3 @@ def _why_no_maps(built: Build) -> str:
 def _clouds_said(exported: CloudExport) -> str:
     counts = ", ".join(f"{name} {count:,} points" for name, count in exported.points.items())
     return " ".join([f"Clouds: {counts}, in {exported.output}.", *exported.notes])
-
-
-def _paragraph(text: str) -> str:
-    return (
-        "<div style='padding:0.2em 0.5em;font-size:0.85em;overflow-wrap:anywhere'>"
-        f"{html.escape(text)}</div>"
-    )
-
-
-def _text_box(text: str) -> str:
-    """A field to copy from; viser's own text fields can be written in."""
-    rows = min(2 + len(text) // 60, 8)
-    return (
-        f"<div style='padding:0.2em 0.5em'><textarea readonly spellcheck='false' rows='{rows}' "
-        f"style='{_BOX}'>{html.escape(text)}</textarea></div>"
-    )

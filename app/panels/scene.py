@@ -22,8 +22,9 @@ from app.shown import Shown
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.geometry import inverse, transform_from_planar
 from fusion_core.model.grids import OccupancyGrid
+from fusion_core.workflows.poses import Poses
 
-_VIEWS = ("3D", "Curve", "Map", "Heatmap", "Depth")
+_VIEWS = ("3D", "Curve", "From above", "Heatmap", "Depth")
 _BOARD_PX = (560, 470)
 
 
@@ -42,6 +43,7 @@ class ScenePanel:
         self._draw_heatmap: Callable[[], Heatmap] | None = None
         self._heatmap: Heatmap | None = None
         self._grid: OccupancyGrid | None = None
+        self._map_poses: Poses | None = None
         self._T_lidar_map: FloatArray | None = None
         self._path_of: object = None
         self._depth: DepthPicture | None = None
@@ -68,9 +70,10 @@ class ScenePanel:
         None for none."""
         self._draw_heatmap = draw
 
-    def take_map(self, grid: OccupancyGrid | None) -> None:
-        """The map on the floor, None for none; from the Map panel."""
-        self._grid = grid
+    def take_map(self, grid: OccupancyGrid | None, poses: Poses | None = None) -> None:
+        """The map on the floor, None for none; from the Map panel. ``poses``: the LiDAR's in that
+        map, where they are not the recorded ones."""
+        self._grid, self._map_poses = grid, poses
         with self._drawing:
             self._nodes.show_map(None if grid is None else _plane_of(grid))
         self._path_of = None
@@ -92,7 +95,7 @@ class ScenePanel:
             self._opened = shown.opened
             self._nodes.clear()
             self._boards = {}
-            self.take_map(self._grid)
+            self.take_map(self._grid, self._map_poses)
             self._layout = layout_of(geometry, yaw_rad)
             self._look("3D")
         self._nodes.show(geometry)
@@ -105,7 +108,9 @@ class ScenePanel:
 
     def _stand(self, shown: Shown) -> None:
         """Lay map and trajectory around the LiDAR, where the recording has poses."""
-        poses = shown.opened.poses if self._grid is not None else None
+        poses = None
+        if self._grid is not None:
+            poses = shown.opened.poses if self._map_poses is None else self._map_poses
         if poses is None or shown.match is None:
             self._nodes.stand_at(None)
             return
@@ -145,10 +150,10 @@ class ScenePanel:
         match name:
             case "Curve":
                 view = camera_views.curve(self._layout)
-            case "Map" if self._grid is not None and self._T_lidar_map is not None:
+            case "From above" if self._grid is not None and self._T_lidar_map is not None:
                 plane = _plane_of(self._grid)
                 view = camera_views.map_from_above(self._T_lidar_map, plane.origin_m, plane.size_m)
-            case "Map":
+            case "From above":
                 self._desk.tell("There is no map yet", "Build it in the Map panel.")
                 return
             case "Heatmap" | "Depth" if name.lower() in self._boards:

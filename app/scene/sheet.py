@@ -278,6 +278,16 @@ def swatch(color: Color) -> Callable[[ByteArray], None]:
     return draw
 
 
+def stroke(color: Color, thickness_px: int = 2) -> Callable[[ByteArray], None]:
+    """A legend's symbol: a line of a colour."""
+
+    def draw(part: ByteArray) -> None:
+        middle = LINE_PX // 2
+        cv2.line(part, (2, middle), (17, middle), color, thickness_px, cv2.LINE_AA)
+
+    return draw
+
+
 def hatched(part: ByteArray) -> None:
     """A legend's symbol: no value."""
     part[3:15, 5:17] = hatch(12, 12)[: part[3:15, 5:17].shape[0], : part[3:15, 5:17].shape[1]]

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from app.state.slam_choices import SlamChoices
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.errors import SettingsError
 from fusion_core.workflows.presets import PRESETS, ChainSettings, PresetName
@@ -19,6 +20,8 @@ from fusion_core.workflows.presets import PRESETS, ChainSettings, PresetName
 PanelName = Literal["Recording", "Match", "Register", "Repair", "Map"]
 PANELS: tuple[PanelName, ...] = get_args(PanelName)
 Scope = Literal["frame", "window", "recording"]
+MapMode = Literal["Fuse", "SLAM"]
+MAP_MODES: tuple[MapMode, ...] = get_args(MapMode)
 _MAX_TEXT = 65_536
 # Of what a person is told about the place of a refused value, which a link may have named.
 _MOST_WHERE = 80
@@ -59,6 +62,8 @@ class View(BaseModel):
     row_step: int = Field(6, ge=1, le=60, description="Every so many rows of depth are drawn")
     speed: float = Field(1.0, ge=0.1, le=8.0)
     loop: bool = True
+    map_mode: MapMode = "Fuse"
+    slam: SlamChoices = SlamChoices()
 
     def with_setting(self, stage: str, name: str, value: Any) -> "View":
         """The view with one setting of one stage changed.

@@ -160,7 +160,7 @@ def test_two_builds_at_once_get_folders_of_their_own(
         return folder
 
     monkeypatch.setattr(building, "free_folder", free_when_asked)
-    with building._new_folder(tmp_path, small_scene) as folder:
+    with building.new_folder(tmp_path, small_scene) as folder:
         assert folder.name == "small_room-2"
     assert asked == ["small_room", "small_room-2"]
 

@@ -83,9 +83,13 @@ FORMULAS = {
         (
             (r"p_{\mathrm{map}}=T_{\mathrm{map,\,lidar}}\;p_{\mathrm{lidar}}", ""),
             (r"\ell\,\leftarrow\,\ell+\log\,\dfrac{p}{1-p}", ""),
+            (r"N_{\mathrm{eff}}=1\,/\,\sum_{i}\,w_{i}^{2}", ""),
+            (r"x^{*}=\arg\min_{x}\;\sum_{i,j}\,e_{ij}^{T}\,\Omega_{ij}\,e_{ij}", ""),
         ),
         "A point in the map is the pose of the LiDAR times the point in the scan. A cell's log "
-        "odds grow by the log of p over one less p.",
+        "odds grow by the log of p over one less p. The effective number of particles is one over "
+        "the sum of their squared weights. The poses x are those for which the errors e of all "
+        "edges, squared and weighted by their information Omega, have the least sum.",
     ),
 }
 

@@ -10,7 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app import cli
-from app.panels.command import fuse_command
+from app.panels.command import fuse_command, map_command
+from app.state.slam_choices import ESTIMATORS, MOTIONS, SCANS
+from fusion_core.workflows.build_map import MapOptions
 from fusion_core.workflows.session import FuseOptions
 from fusion_core.workflows.source import RoomChoice
 
@@ -59,17 +61,17 @@ OPTIONS = st.builds(
 
 
 class Captured(Exception):
-    """What ``fuse`` was asked for."""
+    """What a workflow was asked for."""
 
 
-def asked_of_fuse(command: str, monkeypatch: pytest.MonkeyPatch) -> tuple[Any, ...]:
+def asked_of(workflow: str, command: str, monkeypatch: pytest.MonkeyPatch) -> tuple[Any, ...]:
     """Recording, output and options that the command line makes of a command."""
 
-    def capture(recording: Path, output: Path, options: FuseOptions, progress: object) -> None:
+    def capture(recording: Path, output: Path, options: object, *rest: object) -> None:
         raise Captured(recording, output, options)
 
     with monkeypatch.context() as patch:
-        patch.setattr("fusion_core.workflows.fuse.fuse", capture)
+        patch.setattr(workflow, capture)
         program, *args = shlex.split(command)
         assert program == "scanloom"
         with pytest.raises(Captured) as captured:
@@ -84,7 +86,35 @@ def test_the_command_line_reads_the_same_options(
 ) -> None:
     command = fuse_command(recording, output, options)
     with pytest.MonkeyPatch.context() as monkeypatch:
-        assert asked_of_fuse(command, monkeypatch) == (recording, output, options)
+        asked = asked_of("fusion_core.workflows.fuse.fuse", command, monkeypatch)
+        assert asked == (recording, output, options)
+
+
+MAPS = st.builds(
+    MapOptions,
+    scan=st.sampled_from(SCANS),
+    motion=st.sampled_from(MOTIONS),
+    slam=st.sampled_from(ESTIMATORS),
+    preset=st.sampled_from(["default", "published"]),
+    seed=st.none() | COUNTS,
+    clock_offset_ms=st.sampled_from([0.0, 40.0, -12.5]),
+    settings_file=st.none() | PATHS,
+    room=st.none() | ROOMS,
+    lidar_topic=st.none() | TEXT,
+    force=st.booleans(),
+    overwrite=st.booleans(),
+).filter(lambda options: options.motion != "none" or options.slam != "none")
+
+
+@given(recording=PATHS, output=PATHS, options=MAPS)
+@settings(max_examples=25)
+def test_the_command_line_reads_the_same_options_of_a_run(
+    recording: Path, output: Path, options: MapOptions
+) -> None:
+    command = map_command(recording, output, options)
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        asked = asked_of("fusion_core.workflows.build_map.build_map", command, monkeypatch)
+        assert asked == (recording, output, options)
 
 
 def test_a_plain_build_is_a_short_command() -> None:

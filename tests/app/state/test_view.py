@@ -10,7 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.state.view import PANELS, Scope, View, view_of_link
+from app.state.slam_choices import (
+    ESTIMATORS,
+    MOTIONS,
+    PARTICLES_MAX,
+    PARTICLES_MIN,
+    SCANS,
+    SlamChoices,
+)
+from app.state.view import MAP_MODES, PANELS, Scope, View, view_of_link
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.errors import SettingsError
 from fusion_core.workflows.presets import PRESETS, PresetName
@@ -28,6 +36,13 @@ SETTINGS = st.one_of(
     st.tuples(st.just("registration"), st.just("draws"), st.integers(1, 10_000)),
     st.tuples(st.just("noise"), st.just("epsilon"), st.floats(0.01, 10.0)),
     st.tuples(st.just(""), st.just("pairing"), st.sampled_from(["mount", "frame"])),
+)
+SLAM = st.builds(
+    SlamChoices,
+    scan=st.sampled_from(SCANS),
+    motion=st.sampled_from(MOTIONS),
+    estimator=st.sampled_from(ESTIMATORS),
+    particles=st.integers(PARTICLES_MIN, PARTICLES_MAX),
 )
 
 
@@ -61,6 +76,8 @@ def views(draw: st.DrawFn) -> View:
         row_step=draw(st.integers(1, 60)),
         speed=draw(st.floats(0.1, 8.0)),
         loop=draw(st.booleans()),
+        map_mode=draw(st.sampled_from(MAP_MODES)),
+        slam=draw(SLAM),
     )
 
 
@@ -142,6 +159,9 @@ def test_only_what_the_alignment_reads_asks_for_another(
         ("number", 1.5),
         ("number", "first"),
         ("number", None),
+        ("map_mode", "Both"),
+        ("slam", {"scan": "sonar"}),
+        ("slam", {"particles": 10_000}),
         ("panel", "Kitchen"),
         ("panel", ["Match"]),
         ("preset", "best"),

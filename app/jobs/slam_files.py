@@ -1,0 +1,184 @@
+"""What a run of ``map`` wrote, read back for pictures: its own files, in the form they have."""
+
+import csv
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from ruamel.yaml import YAML
+
+from fusion_core.model.conventions import (
+    NS_PER_S,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    read_only,
+)
+from fusion_core.model.errors import ExportError, StampOutsideRange
+from fusion_core.model.geometry import planar_from_transform
+from fusion_core.model.grids import OccupancyGrid
+from fusion_core.model.trajectory import Trajectory
+
+# Sure either way: the picture tells no shades.
+_SURE = 5.0
+_OCCUPIED_PIXEL, _FREE_PIXEL = 0, 254
+_TRANSLATION, _ROTATION = "_translation", "_rotation"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RunFiles:
+    """A run's results. Times are stamps in ns.
+
+    ``trusted``: (N,) of the trajectory's poses. ``loops_m``: (L, 4) x, y of both ends of each loop
+    closure. ``effective``: (K, 2) stamp in s and effective number of particles, (0, 2) without.
+    ``weight_stamps_s``: (M,) where odometries were fused, (0,) elsewhere; ``translation_weights``,
+    ``rotation_weights``: (M,) of each by name. ``grid``: None where there is no map.
+    """
+
+    report: Mapping[str, Any]
+    trajectory: Trajectory
+    trusted: BoolArray
+    loops_m: FloatArray
+    effective: FloatArray
+    weight_stamps_s: FloatArray
+    translation_weights: Mapping[str, FloatArray]
+    rotation_weights: Mapping[str, FloatArray]
+    grid: OccupancyGrid | None
+
+    def __post_init__(self) -> None:
+        for array in (self.trusted, self.loops_m, self.effective, self.weight_stamps_s):
+            read_only(array)
+
+    @property
+    def poses_map_scan(self) -> FloatArray:
+        """(N, 3) x, y, yaw."""
+        T = self.trajectory.T_map_body
+        return np.column_stack([T[:, :2, 3], np.arctan2(T[:, 1, 0], T[:, 0, 0])])
+
+
+@dataclass(slots=True)
+class RunPoses:
+    """A run's trajectory as poses of the LiDAR in the map."""
+
+    source: str
+    trajectory: Trajectory
+
+    def at(self, stamp_ns: int) -> FloatArray | None:
+        """(x, y, yaw), None before the first scan that was placed and after the last."""
+        try:
+            return planar_from_transform(self.trajectory.at(stamp_ns))
+        except StampOutsideRange:
+            return None
+
+
+def read_run(folder: Path) -> RunFiles:
+    """Read what ``build_map`` wrote. Raises ExportError where a file is not as it writes it."""
+    try:
+        report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+        trajectory = _trajectory(folder / "trajectory.tum")
+        grid = folder / f"map_{report['scan']}.yaml"
+        stamps_s, weights = _weights(folder / "odometry_weights.csv")
+        return RunFiles(
+            report=report,
+            trajectory=trajectory,
+            trusted=_trusted(trajectory.stamps_ns, report["untrusted"]),
+            loops_m=_loops(trajectory, report.get("loop_closures", [])),
+            effective=_pairs(report.get("effective", [])),
+            weight_stamps_s=stamps_s,
+            translation_weights=_ending(weights, _TRANSLATION),
+            rotation_weights=_ending(weights, _ROTATION),
+            grid=_grid(grid) if grid.exists() else None,
+        )
+    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+        raise ExportError(
+            f"cannot be read back: {type(error).__name__}: {error}.",
+            file=folder,
+            advice="Run it again.",
+        ) from error
+
+
+def _trajectory(file: Path) -> Trajectory:
+    rows = [line.split() for line in file.read_text(encoding="utf-8").splitlines()]
+    rows = [row for row in rows if row and not row[0].startswith("#")]
+    stamps_ns = np.array([_ns(row[0]) for row in rows], dtype=np.int64)
+    values = np.array([[float(value) for value in row[1:]] for row in rows])
+    yaw = 2.0 * np.arctan2(values[:, 5], values[:, 6])
+    poses = np.column_stack([values[:, :2], np.arctan2(np.sin(yaw), np.cos(yaw))])
+    return Trajectory.from_planar(stamps_ns, poses)
+
+
+def _ns(text: str) -> int:
+    """Exact: a stamp as a float is not."""
+    whole, _, rest = text.partition(".")
+    return int(whole) * NS_PER_S + int(rest[:9].ljust(9, "0"))
+
+
+def _trusted(stamps_ns: IntArray, untrusted: list[dict[str, Any]]) -> BoolArray:
+    trusted = np.ones(stamps_ns.size, dtype=np.bool_)
+    for stretch in untrusted:
+        first, last = (_nearest(stamps_ns, stretch[name]) for name in ("from_s", "to_s"))
+        trusted[first : last + 1] = False
+    return trusted
+
+
+def _loops(trajectory: Trajectory, closures: list[dict[str, Any]]) -> FloatArray:
+    positions_m = trajectory.T_map_body[:, :2, 3]
+    ends = [
+        [_nearest(trajectory.stamps_ns, closure[name]) for name in ("first_s", "second_s")]
+        for closure in closures
+    ]
+    return positions_m[np.array(ends, dtype=np.intp).reshape(-1, 2)].reshape(-1, 4)
+
+
+def _nearest(stamps_ns: IntArray, stamp_s: float) -> int:
+    """Stamps in seconds are rounded: the nearest is meant."""
+    return int(np.argmin(np.abs(stamps_ns - round(stamp_s * NS_PER_S))))
+
+
+def _pairs(values: list[Any]) -> FloatArray:
+    """(K, 2); null is NaN."""
+    return np.array(values, dtype=np.float64).reshape(-1, 2)
+
+
+def _weights(file: Path) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """The middle of each step in s, and the columns of weights."""
+    if not file.exists():
+        return np.empty(0), {}
+    with file.open(encoding="utf-8", newline="") as lines:
+        names, *rows = csv.reader(lines)
+    columns = {name: [row[place] for row in rows] for place, name in enumerate(names)}
+    ends_ns = np.array([columns["from_ns"], columns["to_ns"]], dtype=np.float64)
+    return ends_ns.mean(axis=0) / NS_PER_S, {
+        name: np.array([float(value or "nan") for value in values])
+        for name, values in columns.items()
+        if name.endswith((_TRANSLATION, _ROTATION))
+    }
+
+
+def _ending(columns: Mapping[str, FloatArray], ending: str) -> dict[str, FloatArray]:
+    """The columns whose names end so, without that."""
+    return {
+        name.removesuffix(ending): values
+        for name, values in columns.items()
+        if name.endswith(ending)
+    }
+
+
+def _grid(file: Path) -> OccupancyGrid:
+    values = YAML(typ="safe").load(file)
+    pixels = cv2.imread(str(file.parent / values["image"]), cv2.IMREAD_GRAYSCALE)
+    if pixels is None:
+        raise ValueError(f"{values['image']} is no picture")
+    log_odds = np.full(pixels.shape, np.nan)
+    log_odds[pixels == _OCCUPIED_PIXEL] = _SURE
+    log_odds[pixels == _FREE_PIXEL] = -_SURE
+    x_m, y_m = map(float, values["origin"][:2])
+    return OccupancyGrid(
+        resolution_m=float(values["resolution"]),
+        origin_m=(x_m, y_m),
+        log_odds=np.flipud(log_odds).copy(),
+    )

@@ -1,0 +1,27 @@
+"""Pieces of HTML that panels are made of; whatever is put in is text, not markup."""
+
+import html
+
+_BOX = (
+    "width:100%;box-sizing:border-box;border:1px solid #c4ccd6;border-radius:4px;padding:0.4em;"
+    "font-family:ui-monospace,monospace;font-size:0.8em;resize:vertical;"
+    # As a terminal breaks lines, not at a hyphen.
+    "word-break:break-all"
+)
+
+
+def paragraph(text: str) -> str:
+    """A paragraph of small text."""
+    return (
+        "<div style='padding:0.2em 0.5em;font-size:0.85em;overflow-wrap:anywhere'>"
+        f"{html.escape(text)}</div>"
+    )
+
+
+def text_box(text: str) -> str:
+    """A field to copy from; viser's own text fields can be written in."""
+    rows = min(2 + len(text) // 60, 8)
+    return (
+        f"<div style='padding:0.2em 0.5em'><textarea readonly spellcheck='false' rows='{rows}' "
+        f"style='{_BOX}'>{html.escape(text)}</textarea></div>"
+    )

@@ -1,0 +1,140 @@
+"""The Map panel's other mode: a run from the button to its map, two runs, and a failure."""
+
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import pytest
+from playwright.sync_api import expect
+
+from app.jobs import slam as job
+from app.jobs.slam_files import read_run
+from app.scene.slam_picture import run_picture
+from app.server import Workbench
+from app.state.slam_choices import SlamChoices
+from fusion_core.model.errors import MappingFailed
+from tests.app.browser.person import ENOUGH_S, Person
+from tests.app.slam_runs import SCANS, FakeMap
+
+FIRST, SECOND = "1: lidar, recorded, pose-graph", "2: lidar, recorded, particle-filter (30)"
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeMap]:
+    fake = FakeMap()
+    monkeypatch.setattr(job, "build_map", fake)
+    return fake
+
+
+@pytest.fixture
+def newcomer(person: Person, workbench: Workbench) -> Person:
+    """The resident in the mode, after a reload, so that their runs begin anew."""
+    person.look_at(person.desk.view.changed(panel="Map", map_mode="SLAM"))
+    person.reload(workbench)
+    expect(person.button("Run")).to_be_enabled()
+    return person
+
+
+def finish(person: Person, name: str) -> None:
+    """Wait until a run is shown and another may begin."""
+    expect(person.page.get_by_label("Run shown", exact=True)).to_have_value(name)
+    expect(person.button("Run")).to_be_enabled()
+    expect(person.button("Cancel run")).to_have_count(0)
+
+
+def test_a_run_moves_and_ends_on_its_map(newcomer: Person, fake: FakeMap) -> None:
+    person = newcomer
+    begun, go_on = Event(), Event()
+
+    def wait(number: int) -> None:
+        if number == SCANS // 2:
+            begun.set()
+            assert go_on.wait(ENOUGH_S), "nobody let it go on"
+
+    fake.at_scan = wait
+    person.press("Run")
+    person.wait_until(begun.is_set)
+    expect(person.text("Matching scans, ")).to_be_visible()
+    live = person.picture()
+    go_on.set()
+    finish(person, FIRST)
+    files = read_run(fake.calls[0][1])
+    shown = person.wait_for_another_picture(live)
+    person.wait_for_picture(
+        run_picture(
+            FIRST,
+            files.grid,
+            files.poses_map_scan,
+            files.trusted,
+            files.loops_m,
+            width_px=shown.shape[1],
+            height_px=640,
+        )
+    )
+    expect(person.text("10 scans do not fit the map")).to_be_visible()
+    with person.page.expect_download() as arriving:
+        person.press("Download run (.zip)")
+    with zipfile.ZipFile(arriving.value.path()) as archive:
+        names = {Path(name).name for name in archive.namelist()}
+    assert names == {
+        "map_lidar.pgm",
+        "map_lidar.yaml",
+        "trajectory.tum",
+        "graph.g2o",
+        "report.json",
+    }
+
+
+def test_two_runs_are_compared(newcomer: Person, fake: FakeMap) -> None:
+    person = newcomer
+    person.press("Run")
+    finish(person, FIRST)
+    fake.shift_m = 0.2
+    person.choose("SLAM", "particle-filter")
+    person.wait_until(lambda: person.desk.view.slam.estimator == "particle-filter")
+    person.press("Run")
+    finish(person, SECOND)
+    expect(person.text("10.0 cm apart in the median, at most 20.0 cm")).to_be_visible()
+    # The run, its effective number, both runs, how far they are apart.
+    assert [person.picture(place).shape[1] for place in range(4)] == [480] * 4
+    person.choose("A", SECOND)
+    expect(person.text("0.0 cm apart in the median, at most 0.0 cm")).to_be_visible()
+
+
+def test_after_a_failure_the_page_works_on(
+    newcomer: Person, fake: FakeMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    person = newcomer
+
+    def fail(*args: Any) -> Any:
+        raise MappingFailed("there is no scan to place.", advice="Choose another scan.")
+
+    monkeypatch.setattr(job, "build_map", fail)
+    person.press("Run")
+    expect(person.text("Failed: there is no scan to place. Choose another scan.")).to_be_visible()
+    monkeypatch.setattr(job, "build_map", fake)
+    person.press("Run")
+    finish(person, "2: lidar, recorded, pose-graph")
+
+
+def test_a_reload_restores_the_choices_and_forgets_the_runs(
+    newcomer: Person, workbench: Workbench, fake: FakeMap
+) -> None:
+    person = newcomer
+    person.press("Run")
+    finish(person, FIRST)
+    person.choose("Scan", "repaired")
+    person.choose("SLAM", "particle-filter")
+    chosen = SlamChoices(scan="repaired", estimator="particle-filter")
+    person.wait_until(lambda: person.desk.view.slam == chosen)
+    folder = fake.calls[0][1].parent
+    assert folder.exists()
+    person.reload(workbench)
+    assert person.desk.view.slam == chosen
+    for label, value in (("Mode", "SLAM"), ("Scan", "repaired"), ("SLAM", "particle-filter")):
+        expect(person.page.get_by_label(label, exact=True)).to_have_value(value)
+    assert person.thumb("Particles").get_attribute("aria-valuenow") == "30"
+    expect(person.page.get_by_label("Run shown", exact=True)).to_have_count(0)
+    person.wait_until(lambda: not folder.exists())

@@ -1,0 +1,374 @@
+"""Motion and SLAM in the Map panel on a real server, worked by clients that speak viser's
+protocol."""
+
+import html
+import io
+import re
+import shlex
+import threading
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import viser
+
+from app.desk import Desk
+from app.jobs import slam as job
+from app.jobs.slam_files import RunPoses
+from app.panels import slam as slam_panel
+from app.panels.map import MapPanel
+from app.state.library import Library
+from app.state.runs import MOST_RUNS
+from app.state.slam_choices import SlamChoices
+from app.state.view import View, view_of_link
+from fusion_core.model.errors import MissingStream
+from fusion_core.model.grids import OccupancyGrid
+from fusion_core.workflows.poses import Poses
+from tests.app.slam_runs import SCANS, FakeMap, view_at
+from tests.app.viser_client import ViserClient, Widget, connect
+
+LONG_S = 60.0
+FIRST = "1: lidar, recorded, pose-graph"
+
+
+class Seat:
+    """One browser with a desk that has the Map panel alone, in its mode SLAM."""
+
+    def __init__(self, client: viser.ClientHandle, library: Library, root: Path) -> None:
+        self.floor: list[tuple[OccupancyGrid | None, Poses | None]] = []
+        self.client: ViserClient
+        view = View(recording=library.names()[0], panel="Map", map_mode="SLAM")
+        self.desk = Desk(client, library, view)
+        self.panel = MapPanel(client.gui, self.desk, root, self.take)
+        self.desk.panels = [self.panel]
+        self.desk.refresh()
+
+    def take(self, grid: OccupancyGrid | None, poses: Poses | None = None) -> None:
+        self.floor.append((grid, poses))
+
+    def close(self) -> None:
+        self.panel.close()
+        self.desk.close()
+        self.client.close()
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        self.client.wait_until(condition, LONG_S)
+
+    def says(self, words: str) -> bool:
+        return any(
+            words in html.unescape(str(widget.props.get("content", ""))) and widget.props["visible"]
+            for widget in list(self.client.widgets.values())
+        )
+
+    def until_says(self, words: str) -> None:
+        self.until(lambda: self.says(words))
+
+    def widget(self, label: str) -> Widget:
+        return self.client.find(label, timeout=LONG_S)
+
+    def pictures(self) -> list[Widget]:
+        """Live and its effective number; a run, its effective number and weights; both, apart."""
+        found = [w for w in self.client.widgets.values() if w.type == "GuiImageMessage"]
+        # The first belongs to the other mode.
+        return found[1:]
+
+    def shown(self) -> list[bool]:
+        return [bool(picture.props["visible"]) for picture in self.pictures()]
+
+    def command(self) -> list[str]:
+        (content,) = (
+            str(widget.props["content"])
+            for widget in list(self.client.widgets.values())
+            if "scanloom map" in str(widget.props.get("content", ""))
+        )
+        field = re.search(r"<textarea readonly[^>]*>(.*?)</textarea>", content, re.DOTALL)
+        assert field is not None
+        return shlex.split(html.unescape(field[1]))
+
+    def run(self, name: str, **choices: Any) -> None:
+        """Choose, run, and wait for the end."""
+        for label, value in choices.items():
+            self.client.set_value(label, value)
+            # A click may overtake it.
+            self.until(lambda: value in dict(self.desk.view.slam).values())  # noqa: B023  # waited for at once
+        self.until(lambda: not self.widget("Run").props["disabled"])
+        self.client.click("Run")
+        self.until(lambda: name in self.widget("Run shown").props["options"])
+        self.until(lambda: not self.widget("Run").props["disabled"])
+
+
+class Bench:
+    """A server; each browser that connects gets a seat of its own."""
+
+    def __init__(self, recording: Path, root: Path) -> None:
+        self.root = root
+        self.library = Library([recording], [])
+        self.seats: list[Seat] = []
+        self.furnished = threading.Semaphore(0)
+        self.server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        self.server.on_client_connect(self._welcome)
+
+    def _welcome(self, client: viser.ClientHandle) -> None:
+        self.seats.append(Seat(client, self.library, self.root))
+        self.furnished.release()
+
+    def arrive(self) -> Seat:
+        client = connect(f"http://127.0.0.1:{self.server.get_port()}")
+        assert self.furnished.acquire(timeout=LONG_S)
+        self.seats[-1].client = client
+        self.seats[-1].until_says("scanloom map")
+        return self.seats[-1]
+
+    def close(self) -> None:
+        for seat in self.seats:
+            seat.close()
+        self.server.stop()
+        self.library.close()
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch) -> FakeMap:
+    fake = FakeMap()
+    monkeypatch.setattr(job, "build_map", fake)
+    return fake
+
+
+@pytest.fixture
+def bench(small_scene: Path, tmp_path: Path, fake: FakeMap) -> Iterator[Bench]:
+    bench = Bench(small_scene, tmp_path / "<b>root & more")
+    yield bench
+    bench.close()
+
+
+@pytest.fixture
+def seat(bench: Bench) -> Seat:
+    return bench.arrive()
+
+
+class Gate:
+    """Holds a run at one of its scans until it is let on."""
+
+    def __init__(self, fake: FakeMap, scan: int) -> None:
+        self.begun, self.go_on = threading.Event(), threading.Event()
+        self._scan = scan
+        fake.at_scan = self._wait
+
+    def _wait(self, number: int) -> None:
+        if number == self._scan:
+            self.begun.set()
+            assert self.go_on.wait(LONG_S)
+
+
+def test_a_run_shows_its_map_its_report_and_its_floor(seat: Seat, bench: Bench) -> None:
+    assert seat.shown() == [False, False, True, False, False, False, False, False]
+    assert not seat.widget("Result").props["visible"]
+    seat.run(FIRST)
+    seat.until_says("83.3 % of the scans")
+    seat.until_says("2.0 s to 2.9 s: 10 scans do not fit the map")
+    seat.until_says("2 closed, 1 dropped")
+    seat.until_says("local slam 2.2 s")
+    # What a recording has in its names is no markup.
+    assert not any("<b>& more" in str(w.props.get("content")) for w in seat.client.widgets.values())
+    assert seat.widget("Result").props["visible"]
+    assert not seat.widget("Two runs side by side").props["visible"]
+    seat.until(lambda: not seat.shown()[0])
+    seat.until(lambda: len(seat.floor) == 1)
+    grid, poses = seat.floor[-1]
+    assert grid is not None
+    assert isinstance(poses, RunPoses)
+    assert poses.source == FIRST
+    # Fusing has no map yet.
+    seat.client.set_value("Mode", "Fuse")
+    seat.until(lambda: seat.floor[-1] == (None, None))
+    assert seat.command()[:2] == ["scanloom", "map"]
+
+
+def test_the_panel_moves_while_it_runs(seat: Seat, fake: FakeMap) -> None:
+    gate = Gate(fake, SCANS // 2)
+    seat.client.set_value("SLAM", "particle-filter")
+    seat.until(lambda: seat.widget("Particles").props["visible"])
+    seat.client.click("Run")
+    assert gate.begun.wait(LONG_S)
+    seat.until(lambda: seat.shown()[0] and seat.shown()[1])
+    assert seat.widget("Run").props["disabled"]
+    assert seat.says("Matching scans")
+    gate.go_on.set()
+    seat.until(
+        lambda: (
+            "1: lidar, recorded, particle-filter (30)" in seat.widget("Run shown").props["options"]
+        )
+    )
+    seat.until(lambda: seat.shown()[:4] == [False, False, True, True])
+    seat.until_says("least effective number 3.0 at 1.5 s")
+
+
+def test_cancel_and_run_again(seat: Seat, fake: FakeMap) -> None:
+    gate = Gate(fake, 10)
+    seat.client.click("Run")
+    assert gate.begun.wait(LONG_S)
+    # What a browser sends all the same begins no second run.
+    seat.panel._slam._begin()
+    seat.client.click("Cancel run")
+    seat.until_says("Stopping at the next step")
+    gate.go_on.set()
+    seat.until_says("Cancelled; nothing was kept.")
+    seat.until(lambda: not seat.widget("Run").props["disabled"])
+    assert not seat.widget("Cancel run").props["visible"]
+    assert len(fake.calls) == 1
+    seat.run("2: lidar, recorded, pose-graph")
+    assert list(seat.widget("Run shown").props["options"]) == ["2: lidar, recorded, pose-graph"]
+
+
+def test_a_failure_is_told_with_advice_and_the_panel_goes_on(
+    seat: Seat, fake: FakeMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*args: Any) -> Any:
+        raise MissingStream("<i>holds no scan.", file="a/room", advice="Take another one.")
+
+    monkeypatch.setattr(job, "build_map", fail)
+    seat.client.click("Run")
+    seat.until_says("Failed: room: <i>holds no scan. Take another one.")
+    told = seat.client.wait_for(lambda got: got.type == "NotificationShowMessage", LONG_S)
+    assert told.message["props"]["title"] == "room: <i>holds no scan."
+    assert told.message["props"]["body"] == "Take another one."
+    assert not any("<i>" in str(w.props.get("content")) for w in seat.client.widgets.values())
+    monkeypatch.setattr(job, "build_map", fake)
+    seat.run("2: lidar, recorded, pose-graph")
+    assert not seat.says("Failed")
+
+
+def test_a_run_that_does_not_fit_is_shown_with_a_warning(seat: Seat, fake: FakeMap) -> None:
+    fake.fits = False
+    seat.run(FIRST)
+    seat.until_says("Not to be relied on:")
+    seat.client.wait_for(lambda got: got.type == "NotificationShowMessage", LONG_S)
+    assert seat.shown()[2]
+
+
+def test_what_cannot_be_done_is_said_and_not_begun(seat: Seat, fake: FakeMap) -> None:
+    seat.client.set_value("Motion", "none")
+    seat.client.set_value("SLAM", "none")
+    seat.until_says("Without SLAM and without motion there are no poses")
+    assert seat.widget("Run").props["disabled"]
+    seat.panel._slam._begin()
+    assert seat.panel._slam._job is None
+    seat.client.set_value("SLAM", "pose-graph")
+    seat.until(lambda: not seat.says("there are no poses"))
+    seat.until(lambda: not seat.widget("Run").props["disabled"])
+    assert fake.calls == []
+
+
+def test_two_runs_side_by_side(seat: Seat, fake: FakeMap) -> None:
+    seat.run(FIRST)
+    fake.shift_m = 0.3
+    seat.run("2: lidar, fused, particle-filter (30)", SLAM="particle-filter", Motion="fused")
+    seat.until(lambda: all(seat.shown()[2:]))
+    # It drifts steadily: half of the way has half of the most.
+    seat.until_says("15.0 cm apart in the median, at most 30.0 cm, 5.9 s later")
+    # Each with itself.
+    seat.client.set_value("A", "2: lidar, fused, particle-filter (30)")
+    seat.until_says("0.0 cm apart in the median, at most 0.0 cm")
+    seat.client.set_value("Run shown", FIRST)
+    seat.until_says("2 closed, 1 dropped")
+    seat.until(lambda: seat.shown()[2:6] == [True, False, False, False])
+    seat.until(
+        lambda: isinstance(seat.floor[-1][1], RunPoses) and seat.floor[-1][1].source == FIRST
+    )
+
+
+def test_the_oldest_goes_with_a_note(seat: Seat, fake: FakeMap) -> None:
+    for number in range(1, MOST_RUNS + 2):
+        seat.run(f"{number}: lidar, recorded, pose-graph")
+    seat.until_says(f"Run 1 was cleared away: the last {MOST_RUNS} are kept.")
+    offered = seat.widget("Run shown").props["options"]
+    assert [int(name.split(":")[0]) for name in offered] == list(range(2, MOST_RUNS + 2))
+    folders = [call[1].parent for call in fake.calls]
+    assert [folder.exists() for folder in folders] == [False, *[True] * MOST_RUNS]
+
+
+def test_download_save_and_command(seat: Seat, bench: Bench) -> None:
+    seat.run("1: lidar, recorded, particle-filter (31)", SLAM="particle-filter", Particles=31)
+    folder = bench.root / "small_room"
+    expected = ["--scan=lidar", "--motion=recorded", "--slam=particle-filter"]
+    seat.until(lambda: seat.command()[5:8] == expected)
+    assert seat.command()[4] == str(folder / "results")
+    seat.client.drain()
+    seat.client.click("Download run (.zip)")
+    part = seat.client.wait_for(lambda got: got.type == "FileTransferPart", LONG_S)
+    with zipfile.ZipFile(io.BytesIO(part.message["content"])) as archive:
+        names = {Path(name).name for name in archive.namelist()}
+    assert names == {"map_lidar.pgm", "map_lidar.yaml", "trajectory.tum", "report.json"}
+    seat.client.click("Save to the output folder")
+    seat.until_says(str(folder))
+    seat.until(lambda: (folder / "results" / "trajectory.tum").exists())
+    # Once is enough.
+    seat.client.click("Save to the output folder")
+    seat.until(lambda: seat.command()[4] == str(folder / "results"))
+    assert [path.name for path in bench.root.iterdir()] == ["small_room"]
+    seat.client.set_value("Scan", "merged")
+    seat.until(lambda: "--scan=merged" in seat.command())
+    assert seat.command()[4] == str(bench.root / "small_room-2" / "results")
+
+
+def test_each_browser_has_its_own_runs_and_takes_them_along(bench: Bench, fake: FakeMap) -> None:
+    ann, bob = bench.arrive(), bench.arrive()
+    ann.run(FIRST)
+    bob.run("1: camera, recorded, pose-graph", Scan="camera")
+    assert list(ann.widget("Run shown").props["options"]) == [FIRST]
+    assert list(bob.widget("Run shown").props["options"]) == ["1: camera, recorded, pose-graph"]
+    folders = [output.parent for _, output, _ in fake.calls]
+    ann.panel.close()
+    assert [folder.exists() for folder in folders] == [False, True]
+    bob.panel.close()
+    assert not folders[1].parent.exists()
+
+
+def test_closing_cancels_and_clears_away(seat: Seat, fake: FakeMap) -> None:
+    gate = Gate(fake, 10)
+    seat.client.click("Run")
+    assert gate.begun.wait(LONG_S)
+    with seat.panel._slam._lock:
+        job_at_work, folder = seat.panel._slam._job, seat.panel._slam._folder
+    assert job_at_work is not None
+    assert folder is not None
+    closing = threading.Thread(target=seat.panel.close)
+    closing.start()
+    assert job_at_work._stop.wait(LONG_S)
+    gate.go_on.set()
+    closing.join(LONG_S)
+    assert not folder.exists()
+    seat.panel._slam._begin()
+    assert seat.panel._slam._job is None, "who has gone begins nothing"
+
+
+def test_pictures_come_a_few_times_a_second(
+    seat: Seat, fake: FakeMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = iter(range(10_000))
+    # Each look at the clock is 10 ms after the one before.
+    monkeypatch.setattr(slam_panel, "time", SimpleNamespace(monotonic=lambda: 0.01 * next(clock)))
+    asked: list[int] = []
+    panel = seat.panel._slam
+
+    class Noted:
+        def ask(self, seen: Any) -> None:
+            asked.append(len(seen.stamps_ns))
+
+    monkeypatch.setattr(panel, "_live", Noted())
+    options = job.map_options(seat.desk.view, Path("settings.toml"))
+    for number in range(1, SCANS + 1):
+        panel._watch(view_at(number, "matching scans", options))
+    assert asked == [21, 41]
+
+
+def test_choices_are_in_the_link_of_the_view(seat: Seat) -> None:
+    seat.client.set_value("Scan", "repaired")
+    seat.client.set_value("SLAM", "particle-filter")
+    seat.client.set_value("Particles", 50)
+    chosen = SlamChoices(scan="repaired", estimator="particle-filter", particles=50)
+    seat.until(lambda: seat.desk.view.slam == chosen)
+    restored = view_of_link(seat.desk.view.to_link())
+    assert (restored.slam, restored.map_mode) == (chosen, "SLAM")

@@ -1,0 +1,63 @@
+"""What a recording can do of SLAM, and why not the rest."""
+
+from pathlib import Path
+
+import pytest
+
+from app.state.slam_choices import (
+    ESTIMATORS,
+    MOTIONS,
+    SCANS,
+    SlamChoices,
+    Stream,
+    streams_of,
+    why_not,
+)
+from fusion_core.workflows.presets import PRESETS
+from fusion_core.workflows.session import FuseOptions, open_session
+from fusion_core.workflows.source import open_source
+
+ALL: frozenset[Stream] = frozenset(("lidar", "depth", "color", "odometry", "tf"))
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("scan", SCANS)
+def test_who_has_everything_can_do_everything(scan: str, motion: str, estimator: str) -> None:
+    choices = SlamChoices.model_validate({"scan": scan, "motion": motion, "estimator": estimator})
+    said = why_not(choices, ALL)
+    assert (said is None) == (motion != "none" or estimator != "none")
+    assert why_not(choices, frozenset()) is not None
+
+
+@pytest.mark.parametrize(
+    ("held", "choice", "words"),
+    [
+        ({"lidar"}, {"scan": "camera"}, "“camera” needs depth images"),
+        ({"depth", "odometry"}, {"scan": "lidar"}, "“lidar” needs a LaserScan"),
+        ({"lidar", "tf"}, {"scan": "merged"}, "“merged” needs a LaserScan and depth images"),
+        ({"lidar", "tf"}, {"motion": "wheel"}, "“wheel” needs odometry, which"),
+        ({"lidar"}, {"motion": "recorded"}, "“recorded” needs TF, or odometry, which"),
+        ({"lidar", "depth"}, {"motion": "visual"}, "needs colour images and depth images, which"),
+        ({"lidar"}, {"motion": "recorded"}, "It can do: laser, fused, none."),
+        ({"depth"}, {"scan": "repaired"}, "It can do: camera."),
+    ],
+)
+def test_it_says_what_is_missing_and_what_can_be_done(
+    held: set[Stream], choice: dict[str, str], words: str
+) -> None:
+    said = why_not(SlamChoices.model_validate(choice), frozenset(held))
+    assert said is not None
+    assert words in said
+
+
+def test_odometry_alone_is_a_recorded_motion() -> None:
+    assert why_not(SlamChoices(), frozenset(("lidar", "odometry"))) is None
+    assert why_not(SlamChoices(), frozenset(("lidar", "tf"))) is None
+
+
+def test_the_streams_of_a_recording_are_found(small_scene: Path) -> None:
+    with open_source(small_scene, None) as recording:
+        session = open_session(recording, FuseOptions(), PRESETS["default"])
+        roles = {topic.role for topic in recording.topics if topic.count}
+        assert streams_of(session) == roles & ALL
