@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.jobs.build import new_folder, preset_below, results_in, settings_in
-from app.jobs.slam_files import RunFiles, read_run
 from app.state.slam_choices import SlamChoices
 from app.state.view import View
 from fusion_core.model.errors import ExportError, MappingFailed, ScanLoomError
@@ -13,6 +12,7 @@ from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import SlamView, Watch
 from fusion_core.workflows.build_map import MapOptions, build_map
 from fusion_core.workflows.map_report import MapSummary
+from fusion_core.workflows.map_results import RunFiles, read_run
 from fusion_core.workflows.map_settings import MAP_PRESETS, MapSettings, map_settings_toml
 
 

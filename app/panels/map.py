@@ -22,7 +22,6 @@ from app.jobs.build import (
     zipped,
 )
 from app.jobs.long import LongJob
-from app.jobs.slam_files import RunPoses
 from app.panels.blocks import paragraph, text_box
 from app.panels.command import fuse_command
 from app.panels.controls import Controls, put
@@ -35,6 +34,7 @@ from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress
 from fusion_core.workflows.export_clouds import CloudExport
+from fusion_core.workflows.map_results import RunPoses
 from fusion_core.workflows.maps import difference_of
 from fusion_core.workflows.poses import Poses
 

@@ -19,7 +19,6 @@ from app.jobs.slam import (
     run_slam,
     settings_of,
 )
-from app.jobs.slam_files import RunPoses, read_run
 from app.panels.command import map_command
 from app.state.runs import MOST_RUNS, Runs
 from app.state.slam_choices import SlamChoices
@@ -27,6 +26,7 @@ from app.state.view import View
 from fusion_core.model.errors import ExportError, MappingFailed
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.slam_view import SlamView, unwatched
+from fusion_core.workflows.map_results import RunPoses, read_run
 from fusion_core.workflows.map_settings import map_settings, map_settings_toml
 from fusion_core.workflows.presets import PRESETS, PresetName
 from tests.app import slam_runs

@@ -10,11 +10,11 @@ import pytest
 from playwright.sync_api import expect
 
 from app.jobs import slam as job
-from app.jobs.slam_files import read_run
 from app.scene.slam_picture import run_picture
 from app.server import Workbench
 from app.state.slam_choices import SlamChoices
 from fusion_core.model.errors import MappingFailed
+from fusion_core.workflows.map_results import read_run
 from tests.app.browser.person import ENOUGH_S, Person
 from tests.app.slam_runs import SCANS, FakeMap
 

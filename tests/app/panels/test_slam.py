@@ -17,7 +17,6 @@ import viser
 
 from app.desk import Desk
 from app.jobs import slam as job
-from app.jobs.slam_files import RunPoses
 from app.panels import slam as slam_panel
 from app.panels.map import MapPanel
 from app.state.library import Library
@@ -26,6 +25,7 @@ from app.state.slam_choices import SlamChoices
 from app.state.view import View, view_of_link
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.grids import OccupancyGrid
+from fusion_core.workflows.map_results import RunPoses
 from fusion_core.workflows.poses import Poses
 from tests.app.slam_runs import SCANS, FakeMap, view_at
 from tests.app.viser_client import ViserClient, Widget, connect

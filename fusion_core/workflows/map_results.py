@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-from ruamel.yaml import YAML
 
 from fusion_core.model.conventions import (
     NS_PER_S,
@@ -18,14 +16,15 @@ from fusion_core.model.conventions import (
     IntArray,
     read_only,
 )
-from fusion_core.model.errors import ExportError, StampOutsideRange
+from fusion_core.model.errors import ExportError, RecordingError, StampOutsideRange
 from fusion_core.model.geometry import planar_from_transform
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.trajectory import Trajectory
+from fusion_core.recordings.ros_map import read_ros_map
+from fusion_core.recordings.tum_trajectory import read_tum_trajectory
 
 # Sure either way: the picture tells no shades.
 _SURE = 5.0
-_OCCUPIED_PIXEL, _FREE_PIXEL = 0, 254
 _TRANSLATION, _ROTATION = "_translation", "_rotation"
 
 
@@ -79,7 +78,7 @@ def read_run(folder: Path) -> RunFiles:
     """Read what ``build_map`` wrote. Raises ExportError where a file is not as it writes it."""
     try:
         report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-        trajectory = _trajectory(folder / "trajectory.tum")
+        trajectory = read_tum_trajectory(folder / "trajectory.tum").trajectory
         grid = folder / f"map_{report['scan']}.yaml"
         stamps_s, weights = _weights(folder / "odometry_weights.csv")
         return RunFiles(
@@ -93,28 +92,12 @@ def read_run(folder: Path) -> RunFiles:
             rotation_weights=_ending(weights, _ROTATION),
             grid=_grid(grid) if grid.exists() else None,
         )
-    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+    except (OSError, ValueError, KeyError, TypeError, IndexError, RecordingError) as error:
         raise ExportError(
             f"cannot be read back: {type(error).__name__}: {error}.",
             file=folder,
             advice="Run it again.",
         ) from error
-
-
-def _trajectory(file: Path) -> Trajectory:
-    rows = [line.split() for line in file.read_text(encoding="utf-8").splitlines()]
-    rows = [row for row in rows if row and not row[0].startswith("#")]
-    stamps_ns = np.array([_ns(row[0]) for row in rows], dtype=np.int64)
-    values = np.array([[float(value) for value in row[1:]] for row in rows])
-    yaw = 2.0 * np.arctan2(values[:, 5], values[:, 6])
-    poses = np.column_stack([values[:, :2], np.arctan2(np.sin(yaw), np.cos(yaw))])
-    return Trajectory.from_planar(stamps_ns, poses)
-
-
-def _ns(text: str) -> int:
-    """Exact: a stamp as a float is not."""
-    whole, _, rest = text.partition(".")
-    return int(whole) * NS_PER_S + int(rest[:9].ljust(9, "0"))
 
 
 def _trusted(stamps_ns: IntArray, untrusted: list[dict[str, Any]]) -> BoolArray:
@@ -169,16 +152,10 @@ def _ending(columns: Mapping[str, FloatArray], ending: str) -> dict[str, FloatAr
 
 
 def _grid(file: Path) -> OccupancyGrid:
-    values = YAML(typ="safe").load(file)
-    pixels = cv2.imread(str(file.parent / values["image"]), cv2.IMREAD_GRAYSCALE)
-    if pixels is None:
-        raise ValueError(f"{values['image']} is no picture")
-    log_odds = np.full(pixels.shape, np.nan)
-    log_odds[pixels == _OCCUPIED_PIXEL] = _SURE
-    log_odds[pixels == _FREE_PIXEL] = -_SURE
-    x_m, y_m = map(float, values["origin"][:2])
+    drawn = read_ros_map(file)
+    log_odds = np.full(drawn.occupied.shape, np.nan)
+    log_odds[drawn.occupied] = _SURE
+    log_odds[drawn.free] = -_SURE
     return OccupancyGrid(
-        resolution_m=float(values["resolution"]),
-        origin_m=(x_m, y_m),
-        log_odds=np.flipud(log_odds).copy(),
+        resolution_m=drawn.resolution_m, origin_m=drawn.origin[:2], log_odds=log_odds
     )
