@@ -188,6 +188,13 @@ def turtlebot2() -> Rig:
 
 
 @cache
+def turtlebot2_short() -> Rig:
+    """The same with a LiDAR that reaches 5.6 m only: of a larger room it never sees all walls."""
+    rig = turtlebot2()
+    return replace(rig, lidar=replace(rig.lidar, range_max_m=5.6))
+
+
+@cache
 def robot_at_home() -> Rig:
     """The rig of Robot@Home: four Xtions in portrait over a LiDAR at 0.31 m.
 

@@ -162,7 +162,7 @@ _SCENES = (
         name="two_room_loop",
         description="Three rounds through two rooms with two doors; the odometry drifts",
         world=buildings.two_room_loop,
-        rig=rigs.turtlebot2,
+        rig=rigs.turtlebot2_short,
         settings=SceneSettings(seed=3, duration_s=150.0, camera_rate_hz=4.0, image_scale=0.5),
         extrinsics="all",
         speed_m_s=0.5,
