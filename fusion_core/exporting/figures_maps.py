@@ -15,7 +15,13 @@ if TYPE_CHECKING:
     from matplotlib.patches import Patch
 
 _UNKNOWN = "#c4ccd6"
-_NAMES = {"lidar": "LiDAR map", "fused": "fused map", "camera": "camera map"}
+_NAMES = {
+    "lidar": "LiDAR map",
+    "repaired": "repaired map",
+    "merged": "merged map",
+    "fused": "fused map",
+    "camera": "camera map",
+}
 _SHADES = 32
 
 
@@ -25,7 +31,7 @@ def write_maps(
     grids: Mapping[str, OccupancyGrid],
     difference: MapDifference | None,
 ) -> None:
-    """Fig. 9: maps by name ("lidar", "fused", "camera"), and where two of them differ."""
+    """Fig. 9: maps by name ("lidar", "fused", ...), and where two of them differ."""
     from matplotlib.patches import Patch
 
     shown = [name for name in _NAMES if name in grids]
@@ -60,8 +66,10 @@ def write_maps(
 
 _SOURCES = {
     "lidar": "raw scans",
+    "repaired": "repaired scans",
+    "merged": "scans and what the camera met",
     "fused": "repaired scans",
-    "camera": "depth along the LiDAR's plane",
+    "camera": "what the camera met",
 }
 
 

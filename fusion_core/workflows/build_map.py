@@ -157,9 +157,10 @@ def _run(
         grids = with_layers(grids)
     notes = [*sources.notes, *no_maps]
     report = report_of(placed, options.asked, notes, recording.warnings)
+    heading = printable(recording.path.resolve().name)
     with results_folder(plan) as folder:
-        write_maps(folder, grids)
-        _write_way(folder, placed, grids.get(options.scan), recording.path.name)
+        write_maps(folder, grids, heading)
+        _write_way(folder, placed, grids.get(options.scan), heading)
         if motion is not None:
             write_odometry(folder, motion)
         write_text(folder / "settings.toml", settings_text)
@@ -225,7 +226,7 @@ class _Sources:
         return [*self._streams.notes, *motion, *self.scans.notes]
 
 
-def _write_way(folder: Path, placed: Placed, grid: OccupancyGrid | None, name: str) -> None:
+def _write_way(folder: Path, placed: Placed, grid: OccupancyGrid | None, heading: str) -> None:
     """The trajectory, the estimator's own results, and their figures."""
     stamps_ns, poses = placed.stamps_ns, placed.poses_map_scan
     write_tum_trajectory(folder / "trajectory.tum", Trajectory.from_planar(stamps_ns, poses))
@@ -235,7 +236,6 @@ def _write_way(folder: Path, placed: Placed, grid: OccupancyGrid | None, name: s
         write_g2o(folder / "graph.g2o", graph)
         ends = (graph.first[graph.is_loop], graph.second[graph.is_loop])
         loops_m = np.hstack([graph.poses_map_node[end, :2] for end in ends])
-    heading = printable(name)
     write_way(folder / "trajectory.png", heading, grid, poses, placed.trusted, loops_m)
     if placed.particles is not None:
         result = placed.particles

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fusion_core.exporting import figures_maps
 from fusion_core.exporting.map_picture import write_difference_picture
 from fusion_core.mapping.canvas import higher_of
 from fusion_core.mapping.grid import GridBuilder, GridSettings
@@ -71,13 +72,15 @@ def with_layers(grids: dict[str, OccupancyGrid]) -> dict[str, OccupancyGrid]:
     return {**grids, "merged": higher_of(grids["lidar"], grids["merged"])}
 
 
-def write_maps(folder: Path, grids: Mapping[str, OccupancyGrid]) -> None:
-    """Each map for robots and for people, and the difference where there are two."""
+def write_maps(folder: Path, grids: Mapping[str, OccupancyGrid], heading: str) -> None:
+    """Each map for robots and for people; where there are two, both side by side and their
+    difference."""
     for name, grid in grids.items():
         write_map(folder, f"map_{name}", grid)
     difference = difference_of(grids)
     if difference is not None:
         write_difference_picture(folder / "map_difference.png", difference)
+        figures_maps.write_maps(folder / "maps.png", heading, grids, difference)
 
 
 def _draw(

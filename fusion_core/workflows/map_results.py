@@ -90,7 +90,7 @@ def read_run(folder: Path) -> RunFiles:
             weight_stamps_s=stamps_s,
             translation_weights=_ending(weights, _TRANSLATION),
             rotation_weights=_ending(weights, _ROTATION),
-            grid=_grid(grid) if grid.exists() else None,
+            grid=read_grid(grid) if grid.exists() else None,
         )
     except (OSError, ValueError, KeyError, TypeError, IndexError, RecordingError) as error:
         raise ExportError(
@@ -151,7 +151,8 @@ def _ending(columns: Mapping[str, FloatArray], ending: str) -> dict[str, FloatAr
     }
 
 
-def _grid(file: Path) -> OccupancyGrid:
+def read_grid(file: Path) -> OccupancyGrid:
+    """A map from its YAML file, as sure of each cell as the picture is. Raises RecordingError."""
     drawn = read_ros_map(file)
     log_odds = np.full(drawn.occupied.shape, np.nan)
     log_odds[drawn.occupied] = _SURE

@@ -61,9 +61,9 @@ def test_each_source_gives_a_map_on_one_raster(tmp_path):
     grids, notes = draw_maps(sources, placed(), GridSettings(), 20.0, silent)
     assert list(grids) == ["lidar", "merged"]
     assert notes == []
-    write_maps(tmp_path, grids)
+    write_maps(tmp_path, grids, "two walls")
     names = {path.name for path in tmp_path.iterdir()}
-    assert {"map_lidar.yaml", "map_merged.yaml", "map_difference.png"} <= names
+    assert {"map_lidar.yaml", "map_merged.yaml", "map_difference.png", "maps.png"} <= names
 
 
 def test_a_source_that_no_pose_places_is_told():

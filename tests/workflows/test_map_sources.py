@@ -39,7 +39,7 @@ def test_each_way_to_map_gives_a_trajectory_and_its_maps(recording, tmp_path, sc
     assert (report["scan"], report["motion"], report["slam"]) == (scan, motion, slam)
     written = {path.name for path in folder.iterdir()}
     assert {f"map_{scan}.yaml", "map_lidar.yaml", "trajectory.png"} <= written
-    assert ("map_difference.png" in written) == (scan != "lidar")
+    assert ("map_difference.png" in written) == ("maps.png" in written) == (scan != "lidar")
     assert ("graph.g2o" in written) == (slam == "pose-graph")
     assert ("effective.png" in written) == (slam == "particle-filter") == ("effective" in report)
     assert ("odometry_weights.csv" in written) == (motion == "fused")
