@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from fusion_core.model.conventions import FloatArray
 from fusion_core.model.grids import OccupancyGrid
 
 # How far an origin may be from a whole cell before two maps have different rasters.
@@ -47,17 +48,21 @@ def on_one_canvas(grids: Mapping[str, OccupancyGrid]) -> dict[str, OccupancyGrid
     return laid
 
 
-def higher_of(plane: OccupancyGrid, heights: OccupancyGrid) -> OccupancyGrid:
-    """The greater log-odds of each cell; one that a grid does not know is the other's.
+def obstacle_wins(plane: OccupancyGrid, heights: OccupancyGrid) -> OccupancyGrid:
+    """Where either grid has rather an obstacle, the surer of it; elsewhere the surer to be free. A
+    cell that one grid does not know is the other's.
 
     A beam that passes over a low box says nothing of it. Where a grid of the LiDAR's plane and one
     of all heights differ, neither is wrong, and a robot runs into what either of them shows.
     Raises ValueError as ``on_one_canvas`` does.
     """
     laid = on_one_canvas({"plane": plane, "heights": heights})
+    both = laid["plane"].log_odds, laid["heights"].log_odds
+    highest: FloatArray = np.fmax(*both)
+    # NaN compares false, and stays.
     return OccupancyGrid(
         resolution_m=plane.resolution_m,
         origin_m=laid["plane"].origin_m,
-        log_odds=np.fmax(laid["plane"].log_odds, laid["heights"].log_odds),
+        log_odds=np.where(highest > 0.0, highest, np.fmin(*both)),
         frame_id=plane.frame_id,
     )

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion_core.mapping.canvas import higher_of, on_one_canvas
+from fusion_core.mapping.canvas import obstacle_wins, on_one_canvas
 from fusion_core.model.grids import OccupancyGrid
 
 CELL_M = 0.1
@@ -36,13 +36,14 @@ def cells(grid: OccupancyGrid) -> dict[tuple[int, int], float]:
 
 
 @given(grids, grids)
-def test_the_higher_of_two_is_that_of_each_cell(
+def test_the_obstacle_wins_two_is_that_of_each_cell(
     first: OccupancyGrid, second: OccupancyGrid
 ) -> None:
     expected = cells(first)
     for place, value in cells(second).items():
-        expected[place] = max(value, expected.get(place, -np.inf))
-    assert cells(higher_of(first, second)) == expected
+        values = [value, expected.get(place, value)]
+        expected[place] = max(values) if max(values) > 0.0 else min(values)
+    assert cells(obstacle_wins(first, second)) == expected
 
 
 @given(grids, grids)
@@ -57,4 +58,4 @@ def test_a_canvas_changes_no_cell(first: OccupancyGrid, second: OccupancyGrid) -
 def test_another_raster_is_refused() -> None:
     shifted = OccupancyGrid(resolution_m=CELL_M, origin_m=(0.04, 0.0), log_odds=np.zeros((1, 1)))
     with pytest.raises(ValueError, match="do not lie on those"):
-        higher_of(_grid(0, 0, 1, 1, 0), shifted)
+        obstacle_wins(_grid(0, 0, 1, 1, 0), shifted)
