@@ -18,7 +18,10 @@ _BLIND = 3.0
 
 
 class Hold:
-    """Follows scan after scan; ``part`` counts the breaks."""
+    """Follows scan after scan; ``part`` counts the breaks.
+
+    ``is_told``: odometry told each step since a scan was held by the map.
+    """
 
     def __init__(self, lost_m: float, lost_scans: int) -> None:
         self._lost_m, self._lost_scans = lost_m, lost_scans
@@ -29,6 +32,7 @@ class Hold:
         self.breaks = False
         self.contradicts = False
         self.is_adrift = False
+        self.is_told = True
 
     @property
     def misses(self) -> int:
@@ -50,16 +54,19 @@ class Hold:
         if is_held:
             self._doubt[:] = 0.0
             self.is_adrift = False
+            self.is_told = True
             return
+        self.is_told &= is_measured
         if not is_measured:
             self._doubt[0] += doubt[0]
         self._doubt[1] = 0.0
         self._break_beyond(self._lost_m)
 
-    def missed(self, doubt: FloatArray, *, contradicts: bool) -> None:
+    def missed(self, doubt: FloatArray, *, contradicts: bool, is_measured: bool) -> None:
         """The scan has points and does not fit; ``contradicts``: all of a sudden."""
         self.breaks = False
         self.contradicts = contradicts
+        self.is_told &= is_measured
         self._doubt += doubt
         self._lost += 1
         if contradicts:
@@ -70,9 +77,10 @@ class Hold:
         elif self._lost >= _LOST_MIN:
             self._break_beyond(self._lost_m)
 
-    def carried(self, doubt: FloatArray, *, is_lost: bool) -> None:
+    def carried(self, doubt: FloatArray, *, is_lost: bool, is_measured: bool) -> None:
         """The scan has no points, or there is no map yet; ``is_lost`` if there was one."""
         self.breaks = self.contradicts = False
+        self.is_told &= is_measured
         if is_lost:
             self._doubt += doubt
             # The next that has some finds its place again, unless it is too far from there.

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only, wrap_angle
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.planar_poses import compose, move_points, relative
 from fusion_core.model.sensors import LaserScan
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.hold import Hold
 from fusion_core.slam.odometry_doubt import OdometryDoubt
+from fusion_core.slam.scan_points import end_points, wall_points
 from fusion_core.slam.scan_to_grid import GridMatch, best_of_window, match_scan
 from fusion_core.slam.submaps import GrowingSubmap, Submap, SubmapSettings
 
@@ -35,13 +36,13 @@ _SURE = 0.5
 # Lost, it looks this much farther. What fits suddenly no more may have been carried away.
 _LOST_SEARCH = 4.0
 _OF_LATE = 4
-# Two neighbours are of one wall unless it would be seen under less than 20 degrees.
-_WALL_SLANT = 3.0
-_WALL_TURN_RAD = np.radians(2.5)
 # Where a scan fits nearly as well so far aside, it does not say where it is.
 _ASIDE_M, _SIDES, _AS_GOOD = 0.3, 16, 0.9
 # How fast a robot without odometry may go.
 _PACE_M_S, _PACE_RAD_S = 1.0, 1.0
+# Beyond this pace, and a late stamp's share, odometry has jumped.
+_FASTEST_M_S, _FASTEST_RAD_S = 3.0, 3.0
+_JUMP_M, _JUMP_RAD = 0.1, 0.1
 # Fewer points than this fix no pose.
 _POINTS_MIN = 10
 
@@ -87,11 +88,12 @@ class LocalTrajectory:
     """What local SLAM knows of N scans, K of them key scans.
 
     ``stamps_ns``: (N,) strictly increasing. ``poses_local_scan``: (N, 3). ``occupancy``: (N,) mean
-    occupancy of its submap at a scan's points, NaN where nothing was matched. ``key``: (K,)
-    indices of the key scans, the first being 0. ``key_points_m``: K arrays (n, 2). ``part``: (K,)
-    0, 1, ...: between two parts nothing tells how the robot went. ``adrift``: (N,) the scan may
-    fit, but not in one place alone, and nothing else tells where it is. ``submaps``: in the order
-    of their first key scan; none is of two parts.
+    occupancy of its submap at a scan's points, NaN where nothing was matched. ``key``: (K,) indices
+    of the key scans, the first being 0. ``key_points_m``: K arrays (n, 2). ``part``: (K,) 0, 1,
+    ...: between two parts no scan tells how the robot went. ``told``: (K,) odometry told the way to
+    here from the last scan that was held by the map. ``adrift``: (N,) the scan may fit, but not in
+    one place alone, and nothing else tells where it is. ``submaps``: in the order of their first
+    key scan; none is of two parts.
     """
 
     stamps_ns: IntArray
@@ -100,6 +102,7 @@ class LocalTrajectory:
     key: IntArray
     key_points_m: Sequence[FloatArray]
     part: IntArray
+    told: BoolArray
     adrift: BoolArray
     submaps: Sequence[Submap]
 
@@ -110,6 +113,7 @@ class LocalTrajectory:
             self.occupancy,
             self.key,
             self.part,
+            self.told,
             self.adrift,
         ):
             read_only(array)
@@ -131,6 +135,7 @@ class LocalSlam:
         self._key: list[int] = []
         self._key_points_m: list[FloatArray] = []
         self._part: list[int] = []
+        self._told: list[bool] = []
         self._adrift: list[bool] = []
         self._growing: list[GrowingSubmap] = []
         self._finished: list[Submap] = []
@@ -138,6 +143,7 @@ class LocalSlam:
         self._odometry = OdometryDoubt(settings.odometry_m, settings.odometry_rad)
         self._hold = Hold(settings.lost_m, settings.lost_scans)
         self._is_broken = False
+        self._has_points = False
         self._fitted: deque[float] = deque(maxlen=_OF_LATE)
 
     @property
@@ -154,7 +160,8 @@ class LocalSlam:
             raise ValueError(
                 f"stamps must increase, got {scan.stamp_ns} after {self._stamps_ns[-1]}"
             )
-        points_m = self._points(scan)
+        points_m = self.points(scan)
+        self._has_points = points_m.size > 0
         pose, occupancy = self._place(scan.stamp_ns, points_m, prior)
         self._prior_before = prior
         self._stamps_ns.append(scan.stamp_ns)
@@ -169,7 +176,31 @@ class LocalSlam:
             self._key.append(len(self._poses) - 1)
             self._key_points_m.append(points_m)
             self._part.append(self._hold.part)
-            self._insert(pose, self._wall_points(points_m))
+            self._told.append(self._hold.is_told)
+            self._insert(pose, wall_points(points_m, self._submap_settings.resolution_m))
+
+    @property
+    def last_pose(self) -> FloatArray:
+        """(3,) of the last scan in the local frame."""
+        return self._poses[-1]
+
+    @property
+    def fits_last(self) -> bool:
+        """Whether the last scan fits those before it, or is the first one and has points."""
+        if len(self._poses) == 1:
+            return self._has_points
+        # NaN compares false.
+        return bool(self._occupancy[-1] >= self._settings.occupancy_min)
+
+    def points(self, scan: LaserScan) -> FloatArray:
+        """(n, 2) end points within reach, of at most ``beams_max`` beams."""
+        return end_points(scan, self._submap_settings.reach_m, self._settings.beams_max)
+
+    def forget(self) -> None:
+        """Drop what only loops need of the scans so far; the next are placed as if it were kept."""
+        self._finished.clear()
+        if self._key_points_m:
+            self._key_points_m[-1] = np.empty((0, 2))
 
     def _break(self) -> None:
         """What follows is a map of its own."""
@@ -194,39 +225,10 @@ class LocalSlam:
             key=np.array(self._key, dtype=np.int64),
             key_points_m=tuple(self._key_points_m),
             part=np.array(self._part, dtype=np.int64),
+            told=np.array(self._told, dtype=np.bool_),
             adrift=np.array(self._adrift, dtype=np.bool_),
             submaps=tuple(submaps),
         )
-
-    def _points(self, scan: LaserScan) -> FloatArray:
-        """(n, 2) end points within reach, of at most ``beams_max`` beams."""
-        stride = -(-scan.ranges_m.size // self._settings.beams_max)
-        ranges_m, angles_rad = scan.ranges_m[::stride], scan.angles_rad[::stride]
-        # NaN compares false.
-        used = (ranges_m > 0.0) & (ranges_m < self._submap_settings.reach_m)
-        ranges_m, angles_rad = ranges_m[used], angles_rad[used]
-        return np.stack([ranges_m * np.cos(angles_rad), ranges_m * np.sin(angles_rad)], axis=1)
-
-    def _wall_points(self, points_m: FloatArray) -> FloatArray:
-        """(n', 2) the points and, a cell apart, the wall between neighbours.
-
-        A wall of dots would hold the next scan's dots, and with them every scan back.
-        """
-        if points_m.shape[0] < 2:
-            return points_m
-        step_m = np.diff(points_m, axis=0)
-        gap_m = np.hypot(*step_m.T)
-        range_m = np.hypot(*points_m.T)
-        azimuth = np.arctan2(points_m[:, 1], points_m[:, 0])
-        turn = np.abs(wrap_angle(np.diff(azimuth)))
-        nearest_m = np.minimum(range_m[:-1], range_m[1:])
-        is_wall = (gap_m < _WALL_SLANT * nearest_m * turn) & (turn < _WALL_TURN_RAD)
-        pieces = np.ceil(gap_m / self._submap_settings.resolution_m).astype(np.int64)
-        pieces[~is_wall] = 1
-        first = np.repeat(np.arange(pieces.size), pieces)
-        part = np.arange(first.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-        between = points_m[first] + (part / pieces[first])[:, np.newaxis] * step_m[first]
-        return np.concatenate([between, points_m[-1:]])
 
     def _place(
         self, stamp_ns: int, points_m: FloatArray, prior: FloatArray | None
@@ -240,11 +242,12 @@ class LocalSlam:
         if prior is not None and self._prior_before is not None:
             predicted = compose(self._poses[-1], relative(self._prior_before, prior))
         step = relative(self._poses[-1], predicted)
+        is_plausible = is_measured and self._is_plausible(stamp_ns, step)
         sigma = self._odometry.sigma(step) if is_measured else None
         doubt = self._doubt_of_guess(stamp_ns) if sigma is None else self._odometry.error(step)
         if not self._growing or points_m.shape[0] < _POINTS_MIN:
             self._odometry.forget_window()
-            self._hold.carried(doubt, is_lost=bool(self._growing))
+            self._hold.carried(doubt, is_lost=bool(self._growing), is_measured=is_plausible)
             return predicted, np.nan
         match = self._match(
             points_m,
@@ -266,10 +269,11 @@ class LocalSlam:
             return match.pose_grid_scan, match.occupancy
         self._odometry.forget_window()
         # Where scans have fitted less and less, among leaves, odometry may hold them nevertheless.
-        self._hold.missed(doubt, contradicts=is_sudden)
+        self._hold.missed(doubt, contradicts=is_sudden, is_measured=is_plausible)
         if self._hold.breaks:
             self._fitted.clear()
-        return (predicted if self._hold.contradicts else match.pose_grid_scan), match.occupancy
+        is_carried = self._hold.contradicts or self._hold.breaks
+        return (predicted if is_carried else match.pose_grid_scan), match.occupancy
 
     def _recovered(
         self,
@@ -312,6 +316,14 @@ class LocalSlam:
         """(2,) metres and radians: nobody knows whether it stands or goes."""
         since_s = (stamp_ns - self._stamps_ns[-1]) / 1e9
         return np.array([_PACE_M_S * since_s, _PACE_RAD_S * since_s])
+
+    def _is_plausible(self, stamp_ns: int, step: FloatArray) -> bool:
+        """Whether a robot may have gone so far in the time: odometry that was reset jumps."""
+        since_s = (stamp_ns - self._stamps_ns[-1]) / 1e9
+        return bool(
+            np.hypot(step[0], step[1]) < _JUMP_M + _FASTEST_M_S * since_s
+            and abs(step[2]) < _JUMP_RAD + _FASTEST_RAD_S * since_s
+        )
 
     def _is_held(self, points_m: FloatArray, pose: FloatArray) -> bool:
         """Whether the scan fits worse a little to any side: along a bare wall it does not.

@@ -13,12 +13,19 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
+from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.model.planar_poses import compose, inverse, relative
 from fusion_core.model.progress import Progress
+from fusion_core.slam.breaks import Breaks
 from fusion_core.slam.local_slam import LocalTrajectory
-from fusion_core.slam.loop_search import WAY_OF_BREAK_M, LoopSearch, LoopSettings, Window
-from fusion_core.slam.pose_graph import Edge, GraphSettings, optimise, residuals
+from fusion_core.slam.loop_search import (
+    WAY_OF_BREAK_M,
+    WAY_OF_TOLD_BREAK_M,
+    LoopSearch,
+    LoopSettings,
+    Window,
+)
+from fusion_core.slam.pose_graph import Edge, GraphSettings, optimise, residuals, unknown_step
 
 # The graph is solved anew when it has grown by a fifth, so that the work stays linear in its size.
 _GROWTH = 0.2
@@ -36,13 +43,17 @@ Solved = Callable[[str, FloatArray, list[Edge]], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Closed:
-    """The outcome: (K, 3) poses, all edges, and what the search cost."""
+    """The outcome: (K, 3) poses, all edges, and what the search cost.
+
+    ``is_joined``: (K,) whether a key scan hangs together with the first one.
+    """
 
     poses_map_node: FloatArray
     edges: list[Edge]
     tried: int
     dropped: int
     optimisation_s: float
+    is_joined: BoolArray
 
 
 def close_loops(
@@ -61,10 +72,11 @@ def close_loops(
     closing.run(progress)
     return Closed(
         poses_map_node=closing.poses,
-        edges=[*steps, *closing.loops],
+        edges=[*closing.steps, *closing.loops],
         tried=closing.search.tried,
         dropped=closing.dropped,
         optimisation_s=closing.optimisation_s,
+        is_joined=closing.is_joined(),
     )
 
 
@@ -79,7 +91,7 @@ class _Closing:
         graph_settings: GraphSettings,
         solved: Solved,
     ) -> None:
-        self._local, self._steps = local, steps
+        self._local, self.steps = local, list(steps)
         self._loop_settings, self._graph_settings = loop_settings, graph_settings
         self._report = solved
         self.search = LoopSearch(local, loop_settings)
@@ -89,7 +101,8 @@ class _Closing:
         self._placed = 0
         self.dropped = 0
         self.optimisation_s = 0.0
-        self._way_m = _ways(local)
+        self.breaks = Breaks(local)
+        self._way_m = _ways(local, self.breaks)
         self._first = np.array([submap.first for submap in local.submaps])
         self._ties: list[tuple[int, int, float]] = []
         self._joined: csr_array | None = None
@@ -121,7 +134,11 @@ class _Closing:
         """Search from a node; whether it was found far from where it was thought to be."""
         is_far = False
         candidates = self.search.candidates(
-            node, self.poses[self.search.centre, :2], self.poses[node, :2], self._ways_from(node)
+            node,
+            self.poses[self.search.centre, :2],
+            self.poses[node, :2],
+            self._ways_from(node),
+            self.breaks.is_joined(self.search.centre, node),
         )
         for number, window in candidates:
             first = int(self._first[number])
@@ -134,10 +151,12 @@ class _Closing:
                 self._take(edge, number)
                 continue
             agreeing = self._seconds(edge, self.search.score_min(window))
-            enough = _SECONDS_MIN_BREAK if window.is_across_break else _SECONDS_MIN
+            is_broken = window.is_across_break or window.is_across_told
+            enough = _SECONDS_MIN_BREAK if is_broken else _SECONDS_MIN
             if len(agreeing) < enough:
                 self.dropped += 1
                 continue
+            self._judge(edge, number)
             self._take(edge, number)
             for other, other_number in agreeing:
                 # Those of stretches still ahead are found again when they are reached.
@@ -147,12 +166,25 @@ class _Closing:
             break
         return is_far
 
+    def _judge(self, edge: Edge, number: int) -> None:
+        """Whether the loop is where odometry has it, over the breaks between its ends."""
+        window = self.search.window(float(self._ways_from(edge.second)[number]))
+        if window.is_across_break:
+            return
+        off = residuals(self.poses, [edge])[0]
+        is_as_told = np.hypot(off[0], off[1]) <= window.translation_m
+        is_as_told &= abs(off[2]) <= window.rotation_rad
+        self.breaks.take(edge, is_as_told=bool(is_as_told))
+        for node in self.breaks.node[~self.breaks.is_told].tolist():
+            self.steps[node - 1] = unknown_step(self.steps[node - 1])
+        self._way_m = _ways(self._local, self.breaks)
+
     def _seconds(self, found: Edge, score_min: float) -> list[tuple[Edge, int]]:
         """Edges of stretches before and after that agree with ``found``."""
         local, node = self._local, found.second
         pose = compose(self.poses[found.first], found.pose_first_second)
         agreeing = []
-        for away in (2, -2, 4, -4):
+        for away in (2, -2, 4, -4, 6, -6):
             other = node + away * self._loop_settings.stretch
             if not 0 <= other < len(self.poses) or local.part[other] != local.part[node]:
                 continue
@@ -175,10 +207,15 @@ class _Closing:
 
     def _take(self, edge: Edge, number: int) -> None:
         self.loops.append(edge)
+        self.breaks.take(edge, is_as_told=None)
         other = self._submap_of(edge.second)
         way_m = abs(float(self._way_m[edge.second] - self._way_m[self._first[other]]))
         self._ties.append((number, other, _WAY_OF_LOOP_M + way_m))
         self._joined = None
+
+    def is_joined(self) -> BoolArray:
+        """(K,) by the loops that were kept, and the breaks that they confirm."""
+        return self.breaks.joined_by(self.loops)
 
     def _submap_of(self, node: int) -> int:
         return int(np.searchsorted(self._first, node, side="right")) - 1
@@ -222,7 +259,7 @@ class _Closing:
         reached = [edge for edge in self.loops if edge.second < end]
         self.poses[:end] = optimise(
             self._started(end, reached),
-            [*self._steps[: end - 1], *reached],
+            [*self.steps[: end - 1], *reached],
             self._graph_settings.robust_scale,
         )
         self._placed = end - 1
@@ -232,7 +269,7 @@ class _Closing:
     def _started(self, end: int, reached: list[Edge]) -> FloatArray:
         """(end, 3) poses to start from: where a part hangs on a loop alone, it begins there."""
         poses = self.poses[:end].copy()
-        part = self._local.part[:end]
+        part = self.breaks.blocks()[:end]
         known = {int(part[0])} | {int(part[edge.second]) for edge in self._solved_loops(reached)}
         for edge in reached:
             here = int(part[edge.second])
@@ -253,20 +290,9 @@ class _Closing:
         ]
 
 
-def _ways(local: LocalTrajectory) -> FloatArray:
+def _ways(local: LocalTrajectory, breaks: Breaks) -> FloatArray:
     """(K,) metres driven up to each key scan, and as many more where the way is not known."""
     steps_m = np.hypot(*np.diff(local.key_poses[:, :2], axis=0).T)
-    steps_m = steps_m + WAY_OF_BREAK_M * np.diff(local.part)
+    steps_m[breaks.node - 1] += np.where(breaks.is_told, WAY_OF_TOLD_BREAK_M, WAY_OF_BREAK_M)
     way_m: FloatArray = np.concatenate([[0.0], np.cumsum(steps_m)])
     return way_m
-
-
-def joined_parts(local: LocalTrajectory, loops: list[Edge]) -> BoolArray:
-    """(P,) whether each part of the trajectory hangs together with the first by loops."""
-    joined: IntArray = np.arange(int(local.part[-1]) + 1)
-    for edge in loops:
-        ends = (int(joined[local.part[node]]) for node in (edge.first, edge.second))
-        low, high = sorted(ends)
-        joined[joined == high] = low
-    is_joined: BoolArray = joined == 0
-    return is_joined

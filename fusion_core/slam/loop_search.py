@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.model.conventions import FloatArray
+from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.model.errors import RegistrationFailed
 from fusion_core.model.planar_poses import compose, move_points, relative
 from fusion_core.registration.correlative import SearchWindow, correlate
@@ -36,6 +36,12 @@ _POINTS_OF_A_SEARCH = 300
 WIDE_M = 5.0
 # A way of so many metres stands for one of which nothing is known.
 WAY_OF_BREAK_M = 1e5
+# One that odometry told has a doubt, and a wide window, as a way of so many.
+WAY_OF_TOLD_BREAK_M = 80.0
+# Of so many wide searches over such a break, one looks for where the robot may have been carried.
+_CARRIED_EVERY = 8
+# The others try so many submaps, since no loop before has narrowed the choice.
+_TRIES_OVER_BREAK = 3
 
 
 class LoopSettings(StageSettings):
@@ -62,7 +68,10 @@ class LoopSettings(StageSettings):
         0.7, "The same across a break, where any place may be meant", ge=0.1, le=1.0
     )
     contradiction_max: float = setting(
-        0.15, "Largest share of points where the submap is free", ge=0.0, le=1.0
+        0.15,
+        "Largest share of points where the submap is free, beyond that in their own",
+        ge=0.0,
+        le=1.0,
     )
     sigma_max_m: float = setting(0.3, "Largest doubt of a match along any way", unit="m", gt=0.0)
     thinning_m: float = setting(0.1, "Points of a stretch are this far apart", unit="m", gt=0.0)
@@ -70,11 +79,16 @@ class LoopSettings(StageSettings):
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """How far the estimate of a pose between two places may be off, in metres and radians."""
+    """How far the estimate of a pose between two places may be off, in metres and radians.
+
+    ``is_across_break``: over a way of which nothing is known. ``is_across_told``: over one that
+    odometry alone tells, while the scans contradicted the map.
+    """
 
     translation_m: float
     rotation_rad: float
     is_across_break: bool = False
+    is_across_told: bool = False
 
     @property
     def is_wide(self) -> bool:
@@ -93,7 +107,7 @@ class LoopSearch:
         self._stretch: tuple[int, FloatArray] | None = None
         self.tried = 0
 
-    def window(self, way_m: float) -> Window:
+    def window(self, way_m: float, *, is_across_told: bool = False) -> Window:
         """What to search over a way along the graph; infinite where the two are not joined."""
         settings = self._settings
         # Any share of an endless way is endless, but none of it would be no number.
@@ -102,6 +116,7 @@ class LoopSearch:
             min(settings.window_m + settings.drift * grown_m, settings.window_max_m),
             min(settings.window_rad + settings.drift_rad_m * grown_m, float(np.pi)),
             is_across_break=way_m >= WAY_OF_BREAK_M,
+            is_across_told=is_across_told,
         )
 
     def score_min(self, window: Window) -> float:
@@ -116,17 +131,27 @@ class LoopSearch:
         return int(np.searchsorted(self._end, node - 3 * self._settings.stretch))
 
     def candidates(
-        self, node: int, centres_m: FloatArray, place_m: FloatArray, ways_m: FloatArray
+        self,
+        node: int,
+        centres_m: FloatArray,
+        place_m: FloatArray,
+        ways_m: FloatArray,
+        is_joined: BoolArray,
     ) -> list[tuple[int, Window]]:
         """Submaps that key scan ``node`` may overlap, with the window of each, the nearest first.
 
         ``centres_m``: (S, 2) of the submaps in the map; ``place_m``: (2,) of the node;
-        ``ways_m``: (S,) from it to each along the graph. Of the wide windows, only every other
-        time one is taken, each in turn.
+        ``ways_m``: (S,) from it to each along the graph; ``is_joined``: (S,) whether these ways
+        are more than a hypothesis. Of the wide windows, only every other time one is taken, each
+        in turn.
         """
         settings = self._settings
         before = self.before(node)
         away_m = np.hypot(*(centres_m[:before] - place_m).T)
+        turn = node // settings.every
+        is_carried = turn % (2 * _CARRIED_EVERY) == 0
+        if is_carried:
+            ways_m = np.where(is_joined, ways_m, WAY_OF_BREAK_M)
         window_m = np.minimum(
             settings.window_m + settings.drift * ways_m[:before], settings.window_max_m
         )
@@ -134,16 +159,22 @@ class LoopSearch:
         near = np.flatnonzero(~is_wide & (away_m < settings.distance_m))
         near = near[np.argsort(away_m[near], kind="stable")[: settings.submaps]]
         chosen = near.tolist()
-        turn = node // settings.every
         far = np.flatnonzero(is_wide & (away_m < settings.distance_m + window_m))
         if far.size and turn % 2 == 0:
             # Two neighbours overlap by half.
             far = far[:: 2 if far.size > 8 else 1]
-            chosen.append(int(far[(turn // 2) % far.size]))
+            count = turn // (2 * _CARRIED_EVERY) if is_carried else turn // 2
+            tries = 1 if is_carried or is_joined[far].all() else _TRIES_OVER_BREAK
+            for number in far[(count * tries + np.arange(tries)) % far.size].tolist():
+                if number not in chosen:
+                    chosen.append(number)
             nearest = int(far[np.argmin(away_m[far])])
             if nearest not in chosen:
                 chosen.append(nearest)
-        return [(number, self.window(float(ways_m[number]))) for number in chosen]
+        return [
+            (number, self.window(float(ways_m[number]), is_across_told=not is_joined[number]))
+            for number in chosen
+        ]
 
     def match(
         self,
@@ -189,7 +220,8 @@ class LoopSearch:
         match = match_scan(
             submap.occupancy, submap.corner_m, submap.resolution_m, points_m, coarse.pose_map_points
         )
-        if self._contradiction(number, match.pose_grid_scan, points_m) > settings.contradiction_max:
+        contradiction = self._contradiction(number, match.pose_grid_scan, points_m)
+        if contradiction > settings.contradiction_max + self._own_contradiction(node, points_m):
             return None
         return Edge(
             first=submap.first,
@@ -222,6 +254,18 @@ class LoopSearch:
         inside = (cells >= 0).all(axis=1) & (cells < [columns, rows]).all(axis=1)
         near = pyramid.levels[0, cells[inside, 1], cells[inside, 0]] > 0
         return float(len(cells) - np.count_nonzero(near)) / len(points_m)
+
+    def _own_contradiction(self, node: int, points_m: FloatArray) -> float:
+        """The same against the submap that the stretch itself is part of: what a coarse sensor
+        scatters about its walls contradicts every map."""
+        own = next(
+            number
+            for number, submap in enumerate(self._local.submaps)
+            if submap.first <= node < submap.end
+        )
+        if self._pyramid(own) is None:
+            return 0.0
+        return self._contradiction(own, self._local.key_poses[node], points_m)
 
     def _stretch_points(self, node: int) -> FloatArray:
         """(n, 2) points of the stretch in the node's frame, one in each cell of the thinning."""

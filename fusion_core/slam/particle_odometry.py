@@ -7,11 +7,11 @@ are for loop closure, which is the particles' work here.
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.sensors import LaserScan
-from fusion_core.slam.local_slam import LocalSlam
+from fusion_core.slam.local_slam import LocalSlam, LocalSlamSettings, LocalTrajectory
+from fusion_core.slam.scan_points import wall_points
+from fusion_core.slam.submaps import SubmapSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -29,23 +29,25 @@ class LocalPose:
     wall_points_m: FloatArray
 
 
-class ScanMatchedOdometry(LocalSlam):
+class ScanMatchedOdometry:
     """Local SLAM that tells each scan's pose at once and keeps a pose for each scan only."""
+
+    def __init__(self, settings: LocalSlamSettings, submaps: SubmapSettings) -> None:
+        self._slam = LocalSlam(settings, submaps)
+        self._resolution_m = submaps.resolution_m
 
     def place(self, scan: LaserScan, prior: FloatArray | None) -> LocalPose:
         """Take the next scan; arguments and errors as ``LocalSlam.add_scan``."""
-        self.add_scan(scan, prior)
-        self._finished.clear()
-        if self._key_points_m:
-            self._key_points_m[-1] = np.empty((0, 2))
-        points_m = self._points(scan)
-        # NaN compares false.
-        is_sure = self._occupancy[-1] >= self._settings.occupancy_min
-        if len(self._poses) == 1:
-            is_sure = points_m.size > 0
+        self._slam.add_scan(scan, prior)
+        self._slam.forget()
+        points_m = self._slam.points(scan)
         return LocalPose(
-            pose_local_scan=self._poses[-1],
-            is_sure=bool(is_sure),
+            pose_local_scan=self._slam.last_pose,
+            is_sure=self._slam.fits_last,
             points_m=points_m,
-            wall_points_m=self._wall_points(points_m),
+            wall_points_m=wall_points(points_m, self._resolution_m),
         )
+
+    def finish(self) -> LocalTrajectory:
+        """``LocalSlam.finish``, with the submaps that still grow and no points."""
+        return self._slam.finish()

@@ -1,7 +1,7 @@
 """The pose graph: relations between key scans, and the poses that fit them best."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -12,6 +12,8 @@ from fusion_core.settings import StageSettings, setting
 
 # The first pose is the map's origin: as good as fixed.
 _ANCHOR_SIGMA = 1e-6
+# Over a step that says nothing: a loop may move what follows anywhere, the optimum stays one.
+BREAK_SIGMAS = (100.0, 100.0, 10.0)
 
 
 class GraphSettings(StageSettings):
@@ -43,6 +45,11 @@ class Edge:
     pose_first_second: FloatArray
     information: FloatArray
     is_loop: bool
+
+
+def unknown_step(edge: Edge) -> Edge:
+    """The edge of a step of which nothing is known."""
+    return replace(edge, information=np.diag(np.array(BREAK_SIGMAS) ** -2.0))
 
 
 def optimise(

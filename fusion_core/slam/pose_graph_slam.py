@@ -22,17 +22,17 @@ from fusion_core.model.sensors import LaserScan
 from fusion_core.model.slam_view import SlamView, Watch, unwatched
 from fusion_core.settings import SettingsGroup
 from fusion_core.slam.local_slam import LocalSlam, LocalSlamSettings, LocalTrajectory
-from fusion_core.slam.loop_closing import close_loops, joined_parts
+from fusion_core.slam.loop_closing import close_loops
 from fusion_core.slam.loop_search import LoopSettings
-from fusion_core.slam.pose_graph import Edge, GraphSettings, residuals
+from fusion_core.slam.pose_graph import BREAK_SIGMAS, Edge, GraphSettings, residuals
 from fusion_core.slam.submaps import SubmapSettings
 
 Prior = Callable[[int], FloatArray | None]
 """Stamp in ns to the (3,) pose of the LiDAR by odometry, None where that is not known."""
 
-# Over a step that says nothing: a loop may move what follows anywhere, the optimum stays one.
-_BREAK_SIGMAS = (100.0, 100.0, 10.0)
-_WATCHED_EVERY = 100
+# Over a break, odometry's.
+_TOLD_SIGMAS = (0.3, 0.3, 0.1)
+_WATCHED_EVERY = 20
 
 
 class SlamSettings(SettingsGroup):
@@ -50,10 +50,10 @@ class SlamResult:
 
     ``stamps_ns``: (N,). ``poses_map_scan``: (N, 3) x, y, yaw of the LiDAR. ``trusted``: (N,) False
     where the scan did not fit what was seen before it or has no points to fit, where nothing tells
-    how far it went, and after a break of the way that no loop bridges. ``key``: (K,) which
-    scans are the nodes of ``graph``. ``residuals``: (M, 3) x, y in metres, yaw in radians of its
-    edges. ``loops_tried``, ``loops_dropped``: matches tried, and edges found but left out of the
-    graph since the others contradict them. ``seconds``: of each stage, on the wall clock.
+    how far it went, and after a break of the way that no loop bridges or confirms. ``key``: (K,)
+    which scans are the nodes of ``graph``. ``residuals``: (M, 3) x, y in metres, yaw in radians of
+    its edges. ``loops_tried``, ``loops_dropped``: matches tried, and edges found but left out of
+    the graph since the others contradict them. ``seconds``: of each stage, on the wall clock.
     """
 
     stamps_ns: IntArray
@@ -87,7 +87,7 @@ def pose_graph_slam(
 
     ``scans``: stamps strictly increasing; read once, and not kept. ``prior``: odometry; without
     it, and where it knows nothing, velocity is taken to be constant. The first scan lies where the
-    prior has it, else at the origin. ``watch``: shown what is known about every hundred scans, when
+    prior has it, else at the origin. ``watch``: shown what is known about every twenty scans, when
     the graph is solved (the key scans alone), and at the end.
 
     Raises MappingFailed where there is no scan, or none has a point within reach.
@@ -129,7 +129,7 @@ def pose_graph_slam(
     return SlamResult(
         stamps_ns=local.stamps_ns,
         poses_map_scan=poses_map_scan,
-        trusted=fits & _is_joined(local, loops),
+        trusted=fits & _is_joined(local, closed.is_joined),
         key=local.key,
         graph=_graph(closed.poses_map_node, closed.edges),
         residuals=residuals(closed.poses_map_node, closed.edges),
@@ -173,12 +173,12 @@ def _fits(local: LocalTrajectory, occupancy_min: float) -> BoolArray:
     return fits
 
 
-def _is_joined(local: LocalTrajectory, loops: list[Edge]) -> BoolArray:
+def _is_joined(local: LocalTrajectory, is_joined: BoolArray) -> BoolArray:
     """(N,) whether it is known where a scan is in the first one's map: not after a break, unless
-    loops join what follows to what was before."""
-    part = local.part[np.searchsorted(local.key, np.arange(len(local.stamps_ns)), side="right") - 1]
-    is_joined: BoolArray = joined_parts(local, loops)[part]
-    return is_joined
+    loops join what follows to what was before, or confirm what odometry told."""
+    node = np.searchsorted(local.key, np.arange(len(local.stamps_ns)), side="right") - 1
+    joined: BoolArray = is_joined[node]
+    return joined
 
 
 def _steps(local: LocalTrajectory, fits: BoolArray, settings: GraphSettings) -> list[Edge]:
@@ -192,7 +192,9 @@ def _steps(local: LocalTrajectory, fits: BoolArray, settings: GraphSettings) -> 
         is_lost = lost_before[end] > lost_before[begin]
         sigma = sigmas * (settings.untrusted_factor if is_lost else 1.0)
         if local.part[node + 1] != local.part[node]:
-            sigma = np.array(_BREAK_SIGMAS)
+            sigma = np.array(_TOLD_SIGMAS)
+            if not local.told[node + 1]:
+                sigma = np.array(BREAK_SIGMAS)
         edges.append(
             Edge(
                 first=node,

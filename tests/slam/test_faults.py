@@ -167,3 +167,24 @@ def test_a_bare_corridor_without_odometry_has_no_length(reach_m):
     assert told.trusted.mean() > 0.9
     way_m = np.hypot(*(told.poses_map_scan[-1] - told.poses_map_scan[0])[:2])
     assert way_m == pytest.approx(0.1 * 249, rel=0.1)
+
+
+def contradicted(ring, begin, end):
+    """The drive with scans that see something else close by, as on a ramp; odometry stays."""
+    scans = [
+        scan.with_ranges(np.full_like(scan.ranges_m, 0.9), None) if begin <= n < end else scan
+        for n, scan in enumerate(ring.scans)
+    ]
+    return Drive(scans=scans, truth=ring.truth, odometry=ring.odometry)
+
+
+def test_a_ramp_where_the_laser_sees_the_floor_is_bridged_by_odometry_when_a_loop_confirms_it():
+    ring = contradicted(drive(650, turn_bias_rad_per_m=0.003), 200, 214)
+    result, truth = run(ring)
+    assert not result.trusted[201:210].any()
+    # The loop lies behind the break; what lies between hangs on odometry, which the loop confirms.
+    assert result.trusted[230:].mean() > 0.9
+    assert untold(result, truth) == 0
+    # Before the place is seen again nothing tells a ramp from another building.
+    early, _ = run(ring, np.arange(400))
+    assert not early.trusted[220:].any()
