@@ -31,13 +31,20 @@ def draw_maps(
     reach_m: float,
     progress: Progress,
 ) -> tuple[dict[str, OccupancyGrid], list[str]]:
-    """A grid of each source of scans, by name, and why any is missing.
+    """A grid of each source of scans, by name, and why any is missing or coarser than was asked.
 
     ``reach_m``: a far beam that strays would make a map of the whole range, so that points beyond
     only free the cells up to there.
     """
     grids: dict[str, OccupancyGrid] = {}
     notes = []
+    resolution_m = _resolution_that_fits_m(placed.poses_map_scan, settings, reach_m)
+    if resolution_m > settings.resolution_m:
+        notes.append(
+            f"Cells of {resolution_m:g} m and not {settings.resolution_m:g} m: finer ones could be "
+            f"more than {settings.cells_max} (grid.cells_max)."
+        )
+        settings = settings.model_copy(update={"resolution_m": resolution_m})
     for name, scans in sources.items():
         try:
             grids[name] = _draw(scans, placed, settings, reach_m, progress)
@@ -45,6 +52,16 @@ def draw_maps(
             # The trajectory is worth keeping where only the raster is too large.
             notes.append(f"No {name} map: {error}")
     return grids, notes
+
+
+def _resolution_that_fits_m(
+    poses_map_scan: FloatArray, settings: GridSettings, reach_m: float
+) -> float:
+    """The set side of a cell, doubled until all that can be reached from (N, 3) poses has room."""
+    sides_m = np.ptp(poses_map_scan[:, :2], axis=0) + 2.0 * reach_m
+    too_many = float(sides_m.prod()) / settings.resolution_m**2 / settings.cells_max
+    doublings = int(np.ceil(0.5 * np.log2(too_many))) if too_many > 1.0 else 0
+    return float(settings.resolution_m * 2**doublings)
 
 
 class SeenByCamera:

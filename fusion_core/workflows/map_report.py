@@ -12,6 +12,9 @@ from fusion_core.slam.particle_filter import ParticleResult
 from fusion_core.slam.pose_graph_slam import SlamResult
 from fusion_core.workflows.estimators import Placed
 
+# Of more stretches than this people are told the longest.
+_STRETCHES_SAID = 8
+
 
 @dataclass(frozen=True, kw_only=True)
 class MapSummary:
@@ -51,11 +54,14 @@ class MapSummary:
                 f"particles  {report['particles']}, {report['key_scans']} scans weighed, "
                 f"{report['resamplings']} times resampled"
             )
-        for stretch in report["untrusted"]:
+        longest = sorted(report["untrusted"], key=lambda stretch: -int(stretch["scans"]))
+        for stretch in sorted(longest[:_STRETCHES_SAID], key=lambda stretch: stretch["from_s"]):
             lines.append(
                 f"untrusted  {stretch['from_s']:.3f} s to {stretch['to_s']:.3f} s: "
-                f"{stretch['scans']} scans do not fit"
+                f"{stretch['scans']} scans"
             )
+        if len(longest) > _STRETCHES_SAID:
+            lines.append(f"untrusted  {len(longest) - _STRETCHES_SAID} shorter ones in report.json")
         lines += [f"time       {name} {value:.1f} s" for name, value in self.seconds.items()]
         lines += [f"note       {note}" for note in report["notes"]]
         if self.skipped:

@@ -131,13 +131,12 @@ def test_settings_of_a_file_are_used_and_kept(log, tmp_path):
     assert "resolution_m = 0.1" in (summary.output / "settings.toml").read_text(encoding="utf-8")
 
 
-def test_a_map_that_is_too_large_is_told_and_the_trajectory_kept(log, tmp_path):
+def test_a_map_that_is_too_large_has_coarser_cells_and_a_note(log, tmp_path):
     file = tmp_path / "small.toml"
-    file.write_text("[grid]\ncells_max = 1000\n", encoding="utf-8")
+    file.write_text("[grid]\ncells_max = 100000\n", encoding="utf-8")
     summary = build_map(log, tmp_path / "map", MapOptions(settings_file=file))
-    assert any("No lidar map" in note and "coarser" in note for note in summary.report["notes"])
-    written = {path.name for path in summary.output.iterdir()}
-    assert written == {name for name in FILES if not name.startswith("map_")}
+    assert any("Cells of 0.4 m and not 0.05 m" in note for note in summary.report["notes"])
+    assert "resolution: 0.4\n" in (summary.output / "map_lidar.yaml").read_text(encoding="utf-8")
 
 
 def test_the_command_says_what_it_did(log, tmp_path, capsys):
