@@ -10,6 +10,9 @@ from fusion_core.model.errors import MappingFailed
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.settings import StageSettings, setting
 
+# Room on each side when a map must grow: as much as the largest map allows.
+_PADDINGS = (4, 16, 64)
+
 
 class GridSettings(StageSettings):
     """Occupancy grid. The probabilities are OctoMap's (Hornung 2013)."""
@@ -47,9 +50,9 @@ class _Bounds:
             max(self.column_end, other.column_end),
         )
 
-    def padded(self) -> "_Bounds":
-        """A quarter wider on each side, so that a growing map is seldom copied."""
-        rows, columns = (max(32, length // 4) for length in self.shape)
+    def padded(self, share: int) -> "_Bounds":
+        """Wider on each side by one part in ``share``, so that a growing map is seldom copied."""
+        rows, columns = (max(32, length // share) for length in self.shape)
         return _Bounds(
             self.first_row - rows,
             self.first_column - columns,
@@ -78,6 +81,8 @@ class GridBuilder:
     def __init__(self, settings: GridSettings) -> None:
         self._settings = settings
         self._bounds = _Bounds(0, 0, 0, 0)
+        # What some scan has reached; the rest of the bounds is room to grow.
+        self._reached = self._bounds
         self._log_odds: FloatArray = np.empty((0, 0))
         self._updated_in_scan = np.empty((0, 0), dtype=np.int32)
         self._scans = 0
@@ -157,22 +162,23 @@ class GridBuilder:
             raise self._too_large(lowest, highest)
         first: IntArray = np.floor(lowest).astype(np.int64)
         end: IntArray = np.floor(highest).astype(np.int64) + 1
+        before, reached = self._bounds, self._reached
         needed = _Bounds(int(first[1]), int(first[0]), int(end[1]), int(end[0]))
-        before = self._bounds
         if self._scans > 0:
-            needed = needed.union(before)
-            if needed == before:
-                return
+            needed = needed.union(reached)
         if needed.size > self._settings.cells_max:
             raise self._too_large(lowest, highest)
-        padded = needed.padded()
-        bounds = padded if padded.size <= self._settings.cells_max else needed
+        self._reached = needed
+        if self._scans > 0 and needed.union(before) == before:
+            return
+        wider = (needed.padded(share) for share in _PADDINGS)
+        bounds = next((b for b in wider if b.size <= self._settings.cells_max), needed)
         log_odds = np.full(bounds.shape, np.nan)
         updated_in_scan = np.zeros(bounds.shape, dtype=np.int32)
         if self._scans > 0:
-            kept = before.part_of(bounds)
-            log_odds[kept] = self._log_odds
-            updated_in_scan[kept] = self._updated_in_scan
+            kept, own = reached.part_of(bounds), reached.part_of(before)
+            log_odds[kept] = self._log_odds[own]
+            updated_in_scan[kept] = self._updated_in_scan[own]
         self._bounds, self._log_odds, self._updated_in_scan = bounds, log_odds, updated_in_scan
 
     def _too_large(self, lowest: FloatArray, highest: FloatArray) -> MappingFailed:

@@ -163,7 +163,7 @@ def test_memory_follows_the_area_and_not_the_number_of_scans() -> None:
     assert builder._log_odds.size == size
 
 
-@pytest.mark.parametrize("x_m", [1e4, 1e30, -1e300])
+@pytest.mark.parametrize("x_m", [2e4, 1e30, -1e300])
 def test_a_wild_pose_is_refused_and_the_map_stays(x_m: float) -> None:
     builder = GridBuilder(GridSettings(resolution_m=RESOLUTION_M, cells_max=100_000))
     scan = (np.array([0.0]), np.array([0.5]), 4.0)
@@ -173,6 +173,28 @@ def test_a_wild_pose_is_refused_and_the_map_stays(x_m: float) -> None:
         builder.add_scan(np.array([x_m, 0.0, 0.0]), *scan)
     assert np.array_equal(builder.build().log_odds, before.log_odds)
     builder.add_scan(np.zeros(3), *scan)
+
+
+def test_room_to_grow_does_not_count_as_map() -> None:
+    """A map that just fits is drawn as one with room for more is, however it has grown."""
+    scans = random_scans(3, 20)
+    free = GridBuilder(SETTINGS)
+    for scan in scans:
+        free.add_scan(*scan)
+    drawn = free.build()
+    reached = free._reached.size
+    tight = GridBuilder(SETTINGS.model_copy(update={"cells_max": reached}))
+    for scan in scans:
+        tight.add_scan(*scan)
+    np.testing.assert_array_equal(tight.build().log_odds, drawn.log_odds)
+    smaller = GridBuilder(SETTINGS.model_copy(update={"cells_max": reached - 1}))
+    refused = 0
+    for scan in scans:
+        try:
+            smaller.add_scan(*scan)
+        except MappingFailed:
+            refused += 1
+    assert refused > 0
 
 
 def test_wrong_arguments_are_refused() -> None:
