@@ -40,7 +40,7 @@ def write_way(
         axes.set_ylabel("y in the map frame (m)")
         if grid is not None:
             axes.imshow(
-                np.where(grid.known, grid.probability, np.nan),
+                _shown(grid),
                 cmap="gray_r",
                 vmin=0.0,
                 vmax=1.0,
@@ -97,6 +97,18 @@ def write_effective(
         axes.set_xlabel("time since the first scan (s)")
         axes.set_ylabel("effective number of particles")
         figure.legend(loc="outside lower center", ncols=3, frameon=False)
+
+
+def _shown(grid: OccupancyGrid) -> FloatArray:
+    """(rows, columns) probability with no more cells than the picture can show, each the highest
+    of those that it stands for, so that thin walls stay."""
+    stride = -(-max(grid.log_odds.shape) // (2 * _SIDE_PX))
+    log_odds = grid.log_odds
+    for axis in (0, 1):
+        starts = np.arange(0, log_odds.shape[axis], stride)
+        log_odds = np.fmax.reduceat(log_odds, starts, axis=axis)
+    probability: FloatArray = 1.0 / (1.0 + np.exp(-log_odds))
+    return probability
 
 
 def _bounds_m(

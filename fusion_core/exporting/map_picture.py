@@ -42,9 +42,13 @@ _FONT_SCALE = 0.45
 
 def write_grid_picture(path: Path, grid: OccupancyGrid) -> None:
     """A map: the darker a cell, the surer an obstacle; unknown cells are blue-grey."""
-    shade = np.round(255.0 * (1.0 - np.where(grid.known, grid.probability, 0.0)))
-    rgb = np.repeat(shade.astype(np.uint8)[:, :, np.newaxis], 3, axis=2)
-    rgb[~grid.known] = UNKNOWN
+    rgb = np.empty((*grid.log_odds.shape, 3), dtype=np.uint8)
+    # Row by row: a large map's arrays of floats would be several times the map.
+    for row, log_odds in zip(rgb, grid.log_odds, strict=True):
+        known = np.isfinite(log_odds)
+        occupied = 1.0 / (1.0 + np.exp(-log_odds[known]))
+        row[known] = np.round(255.0 * (1.0 - occupied)).astype(np.uint8)[:, np.newaxis]
+        row[~known] = UNKNOWN
     legend = [((0, 0, 0), "occupied"), (FREE, "free"), (UNKNOWN, "unknown")]
     _write(path, _compose(rgb, grid.resolution_m, legend))
 
