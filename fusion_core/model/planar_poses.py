@@ -3,9 +3,14 @@
 Named as transforms are: ``compose(a_b, b_c)`` is the pose of c in a.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, wrap_angle
+
+Prior = Callable[[int], FloatArray | None]
+"""Stamp in ns to the (3,) pose of the LiDAR by odometry, None where that is not known."""
 
 
 def compose(pose_a_b: FloatArray, pose_b_c: FloatArray) -> FloatArray:

@@ -338,19 +338,14 @@ class LocalSlam:
         return best < _AS_GOOD * here
 
     def _sure_of_obstacles(self, points_m: FloatArray, pose: FloatArray) -> int:
-        """Sum of the older submap's cells at the points."""
-        return int(self._values(points_m, pose).sum())
-
-    def _values(self, points_m: FloatArray, pose: FloatArray) -> IntArray:
-        """(m,) the older submap's cells at the points that lie on its grid."""
+        """Sum of the older submap's cells at the points that lie on its grid."""
         submap = self._growing[0]
         cells = np.floor(
             (move_points(pose, points_m) - np.array(submap.corner_m))
             / self._submap_settings.resolution_m
         ).astype(np.int64)
         cells = cells[((cells >= 0) & (cells < submap.occupancy.shape[0])).all(axis=1)]
-        values: IntArray = submap.occupancy[cells[:, 1], cells[:, 0]].astype(np.int64)
-        return values
+        return int(submap.occupancy[cells[:, 1], cells[:, 0]].astype(np.int64).sum())
 
     def _constant_velocity(self, stamp_ns: int) -> FloatArray:
         last = self._poses[-1]

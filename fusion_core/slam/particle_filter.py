@@ -13,25 +13,23 @@ with itself outweigh the others.
 """
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only, wrap_angle
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.errors import MappingFailed
-from fusion_core.model.planar_poses import compose, relative
+from fusion_core.model.planar_poses import Prior, relative
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import LaserScan
 from fusion_core.model.slam_view import SlamView, Watch, unwatched
+from fusion_core.slam.carried import carried
 from fusion_core.slam.local_slam import LocalSlamSettings
 from fusion_core.slam.particle_odometry import LocalPose, ScanMatchedOdometry
 from fusion_core.slam.particle_proposal import MotionModel
 from fusion_core.slam.particle_set import ParticleSet, ParticleSettings, effective_number
 from fusion_core.slam.submaps import SubmapSettings
-
-Prior = Callable[[int], FloatArray | None]
-"""Stamp in ns to the (3,) pose of the LiDAR by odometry, None where that is not known."""
 
 # Fewer points than this fix no pose.
 _POINTS_MIN = 10
@@ -256,24 +254,3 @@ class _Run:
             effective=effective,
             loops_m=np.empty((0, 4)),
         )
-
-
-def carried(poses_local_scan: FloatArray, key: IntArray, poses_map_key: FloatArray) -> FloatArray:
-    """(N, 3) every scan by the weighed ones before and after it, the nearer one counting more.
-
-    ``poses_local_scan``: (N, 3). ``key``: (K,) rising, K >= 1. ``poses_map_key``: (K, 3).
-    """
-    number = np.arange(len(poses_local_scan))
-    before = np.maximum(np.searchsorted(key, number, side="right") - 1, 0)
-    after = np.minimum(before + 1, key.size - 1)
-    by_before, by_after = (
-        compose(poses_map_key[node], relative(poses_local_scan[key[node]], poses_local_scan))
-        for node in (before, after)
-    )
-    span = np.maximum(key[after] - key[before], 1)
-    share = np.clip((number - key[before]) / span, 0.0, 1.0)
-    step = by_after - by_before
-    step[:, 2] = wrap_angle(step[:, 2])
-    poses: FloatArray = by_before + share[:, np.newaxis] * step
-    poses[:, 2] = wrap_angle(poses[:, 2])
-    return poses

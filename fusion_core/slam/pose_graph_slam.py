@@ -8,27 +8,25 @@ searched along the way, with the poses that the loops before have given.
 """
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only, wrap_angle
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.errors import MappingFailed
-from fusion_core.model.planar_poses import compose, relative
+from fusion_core.model.planar_poses import Prior, relative
 from fusion_core.model.pose_graph import PoseGraph
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import LaserScan
 from fusion_core.model.slam_view import SlamView, Watch, unwatched
 from fusion_core.settings import SettingsGroup
+from fusion_core.slam.carried import carried
 from fusion_core.slam.local_slam import LocalSlam, LocalSlamSettings, LocalTrajectory
 from fusion_core.slam.loop_closing import close_loops
 from fusion_core.slam.loop_search import LoopSettings
 from fusion_core.slam.pose_graph import BREAK_SIGMAS, Edge, GraphSettings, residuals
 from fusion_core.slam.submaps import SubmapSettings
-
-Prior = Callable[[int], FloatArray | None]
-"""Stamp in ns to the (3,) pose of the LiDAR by odometry, None where that is not known."""
 
 # Over a break, odometry's.
 _TOLD_SIGMAS = (0.3, 0.3, 0.1)
@@ -122,7 +120,7 @@ def pose_graph_slam(
         local, _steps(local, fits, settings.graph), settings.loops, settings.graph, progress, solved
     )
     end_s = time.perf_counter()
-    poses_map_scan = _carried(local, closed.poses_map_node)
+    poses_map_scan = carried(local.poses_local_scan, local.key, closed.poses_map_node)
     loops = [edge for edge in closed.edges if edge.is_loop]
     if watch is not unwatched:
         watch(_view("done", local.stamps_ns, poses_map_scan, loops, closed.poses_map_node))
@@ -205,25 +203,6 @@ def _steps(local: LocalTrajectory, fits: BoolArray, settings: GraphSettings) -> 
             )
         )
     return edges
-
-
-def _carried(local: LocalTrajectory, poses_map_node: FloatArray) -> FloatArray:
-    """(N, 3) every scan by the key scans before and after it, the nearer one counting more."""
-    poses_local = local.poses_local_scan
-    number = np.arange(len(poses_local))
-    before = np.searchsorted(local.key, number, side="right") - 1
-    after = np.minimum(before + 1, len(local.key) - 1)
-    by_before, by_after = (
-        compose(poses_map_node[node], relative(poses_local[local.key[node]], poses_local))
-        for node in (before, after)
-    )
-    span = np.maximum(local.key[after] - local.key[before], 1)
-    share = ((number - local.key[before]) / span)[:, np.newaxis]
-    step = by_after - by_before
-    step[:, 2] = wrap_angle(step[:, 2])
-    poses: FloatArray = by_before + share * step
-    poses[:, 2] = wrap_angle(poses[:, 2])
-    return poses
 
 
 def _graph(poses_map_node: FloatArray, edges: list[Edge]) -> PoseGraph:

@@ -182,9 +182,13 @@ class _Sources:
     ) -> None:
         self._streams = streams
         lidar = LidarScans(recording, streams) if streams.lidar is not None else None
-        recorded = recorded_poses(recording, streams, lidar.frame_id) if lidar else None
+        is_virtual = options.scan in ("camera", "merged")
+        # A pass over the odometry, which virtual scans alone need.
+        recorded = None
+        if is_virtual and lidar is not None:
+            recorded = recorded_poses(recording, streams, lidar.frame_id)
         placed_cameras = None
-        if options.scan in ("camera", "merged") or options.extrinsics_file is not None:
+        if is_virtual or options.extrinsics_file is not None:
             placed_cameras = extrinsics(
                 recording, streams, settings, file=options.extrinsics_file, progress=progress
             )

@@ -1,6 +1,6 @@
 """The estimators of ``scanloom map``: each places the scans of a recording."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.errors import MappingFailed
+from fusion_core.model.planar_poses import Prior
 from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import Watch
 from fusion_core.slam.particle_filter import ParticleResult, particle_filter_slam
@@ -16,8 +17,6 @@ from fusion_core.workflows.map_settings import MapSettings
 from fusion_core.workflows.scan_source import Scans
 
 SlamKind = Literal["none", "particle-filter", "pose-graph"]
-Prior = Callable[[int], FloatArray | None]
-"""Stamp in ns to the (3,) pose of the LiDAR by odometry, None where that is not known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

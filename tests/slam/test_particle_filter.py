@@ -14,8 +14,9 @@ from fusion_core.model.trajectory import Trajectory
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.relation_file import read_relations
 from fusion_core.recordings.topics import choose_streams
+from fusion_core.slam.carried import carried
 from fusion_core.slam.local_slam import LocalSlamSettings
-from fusion_core.slam.particle_filter import ParticleSettings, carried, particle_filter_slam
+from fusion_core.slam.particle_filter import ParticleSettings, particle_filter_slam
 from fusion_core.slam.particle_odometry import ScanMatchedOdometry
 from fusion_core.slam.particle_set import effective_number
 from fusion_core.slam.submaps import SubmapSettings

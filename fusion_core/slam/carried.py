@@ -1,0 +1,27 @@
+"""All scans placed by the key scans among them."""
+
+import numpy as np
+
+from fusion_core.model.conventions import FloatArray, IntArray, wrap_angle
+from fusion_core.model.planar_poses import compose, relative
+
+
+def carried(poses_local_scan: FloatArray, key: IntArray, poses_map_key: FloatArray) -> FloatArray:
+    """(N, 3) every scan by the key scans before and after it, the nearer one counting more.
+
+    ``poses_local_scan``: (N, 3). ``key``: (K,) rising, K >= 1. ``poses_map_key``: (K, 3).
+    """
+    number = np.arange(len(poses_local_scan))
+    before = np.maximum(np.searchsorted(key, number, side="right") - 1, 0)
+    after = np.minimum(before + 1, key.size - 1)
+    by_before, by_after = (
+        compose(poses_map_key[node], relative(poses_local_scan[key[node]], poses_local_scan))
+        for node in (before, after)
+    )
+    span = np.maximum(key[after] - key[before], 1)
+    share = np.clip((number - key[before]) / span, 0.0, 1.0)
+    step = by_after - by_before
+    step[:, 2] = wrap_angle(step[:, 2])
+    poses: FloatArray = by_before + share[:, np.newaxis] * step
+    poses[:, 2] = wrap_angle(poses[:, 2])
+    return poses
