@@ -22,7 +22,7 @@ from fusion_core.registration.likelihood_grid import FULL, LikelihoodPyramid
 _NATS_OF_A_POINT = 2.0
 
 # Poses less likely than exp(-10) of the best one do not show in a covariance.
-_NATS_OF_COVARIANCE = 10.0
+_WITHIN_COVARIANCE = int(10.0 / _NATS_OF_A_POINT * FULL)
 
 _POSES_MAX = 2_000_000_000
 
@@ -126,12 +126,17 @@ def correlate(
     one cell. Raises RegistrationFailed where no point is given, or no pose scores more than
     ``score_min``.
     """
-    lattice, best = _search(pyramid, points_m, window, step_rad, score_min)
+    lattice, blocks, best = _search(pyramid, points_m, window, step_rad, score_min)
     turn, row, column, total, visited = best
     count = lattice.cells.shape[1]
-    least = total - int(_NATS_OF_COVARIANCE / _NATS_OF_A_POINT * FULL)
     covariance = _spread(
-        pyramid.levels, lattice.cells, lattice.reach_cells, total, least, _NATS_OF_A_POINT / FULL
+        pyramid.levels,
+        lattice.cells,
+        lattice.reach_cells,
+        blocks,
+        total,
+        total - _WITHIN_COVARIANCE,
+        _NATS_OF_A_POINT / FULL,
     )
     # From cells and turns to metres and radians. The true position lies within half a cell; the
     # yaw within a whole step, since that moves most points by less than a cell.
@@ -156,7 +161,7 @@ def best_pose(
     step_rad: float | None = None,
 ) -> FloatArray:
     """(3,) the pose of ``correlate`` without its covariance, in about half of the time."""
-    lattice, (turn, row, column, _, _) = _search(pyramid, points_m, window, step_rad, 0.0)
+    lattice, _, (turn, row, column, _, _) = _search(pyramid, points_m, window, step_rad, 0.0)
     return _pose(pyramid, window, lattice, turn, row, column)
 
 
@@ -166,7 +171,8 @@ def _search(
     window: SearchWindow,
     step_rad: float | None,
     score_min: float,
-) -> tuple[Lattice, tuple[int, int, int, int, int]]:
+) -> tuple[Lattice, IntArray, tuple[int, int, int, int, int]]:
+    """The lattice, those blocks of its top level that matter, and what branch and bound finds."""
     points_m = np.asarray(points_m, dtype=np.float64)
     if points_m.ndim != 2 or points_m.shape[1] != 2:
         raise ValueError(f"points_m must be (n, 2), got {points_m.shape}")
@@ -177,8 +183,12 @@ def _search(
         )
     lattice = lattice_of(pyramid, points_m, window, step_rad)
     floor = int(score_min * FULL * points_m.shape[0])
+    # The covariance counts poses a little worse than the best one, which may lie at the floor.
+    blocks: IntArray = _top_blocks(
+        pyramid.levels, lattice.cells, lattice.reach_cells, floor - _WITHIN_COVARIANCE
+    )
     best: tuple[int, int, int, int, int] = _branch_and_bound(
-        pyramid.levels, lattice.cells, lattice.reach_cells, floor
+        pyramid.levels, lattice.cells, lattice.reach_cells, blocks, floor
     )
     if best[3] <= floor:
         raise RegistrationFailed(
@@ -186,7 +196,7 @@ def _search(
             f"more than {score_min:g}.",
             advice="Widen the window, or match against a map of the same place.",
         )
-    return lattice, best
+    return lattice, blocks, best
 
 
 def _pose(
@@ -220,59 +230,55 @@ def _cells(
 @njit(cache=True)
 def total_score(grid: ByteArray, cells: IntArray, row: int, column: int) -> int:
     """Sum of the grid's values at cells (n, 2), all moved by (row, column); 0 outside."""
-    rows, columns = grid.shape
+    rows, columns = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])
     total = 0
     for k in range(cells.shape[0]):
-        r, c = cells[k, 0] + row, cells[k, 1] + column
-        if 0 <= r < rows and 0 <= c < columns:
+        # Below zero wraps round to more than any grid has.
+        r, c = np.uint64(cells[k, 0] + row), np.uint64(cells[k, 1] + column)
+        if r < rows and c < columns:
             total += grid[r, c]
     return total
 
 
 @njit(cache=True)
-def _top_blocks(
-    levels: ByteArray, cells: IntArray, reach: int
-) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-    """Turn, row, column and bound of each block of the top level, best bound first."""
+def _top_blocks(levels: ByteArray, cells: IntArray, reach: int, floor: int) -> IntArray:
+    """(B, 4) turn, row, column, bound of the top level's blocks above ``floor``, best first."""
     top = levels.shape[0] - 1
     size = 1 << top
     along = (2 * reach + size) // size
-    count = cells.shape[0] * along * along
-    turn = np.empty(count, dtype=np.int64)
-    row = np.empty(count, dtype=np.int64)
-    column = np.empty(count, dtype=np.int64)
-    bound = np.empty(count, dtype=np.int64)
-    index = 0
+    blocks = np.empty((cells.shape[0] * along * along, 4), dtype=np.int64)
+    count = 0
     for t in range(cells.shape[0]):
-        for r in range(along):
-            for c in range(along):
-                turn[index], row[index], column[index] = t, r * size - reach, c * size - reach
-                bound[index] = total_score(levels[top], cells[t], row[index], column[index])
-                index += 1
-    order = np.argsort(-bound, kind="mergesort")
-    return turn[order], row[order], column[order], bound[order]
+        for r in range(-reach, reach + 1, size):
+            for c in range(-reach, reach + 1, size):
+                bound = total_score(levels[top], cells[t], r, c)
+                if bound > floor:
+                    blocks[count, 0], blocks[count, 1], blocks[count, 2] = t, r, c
+                    blocks[count, 3] = bound
+                    count += 1
+    return blocks[:count][np.argsort(-blocks[:count, 3], kind="mergesort")]
 
 
 @njit(cache=True)
 def _branch_and_bound(
-    levels: ByteArray, cells: IntArray, reach: int, floor: int
+    levels: ByteArray, cells: IntArray, reach: int, blocks: IntArray, floor: int
 ) -> tuple[int, int, int, int, int]:
     """Turn, row, column and score of the best leaf above ``floor``, and the scores computed.
 
     Hess et al. 2016, algorithm 3: depth first, the better child first.
     """
-    turn, row, column, bound = _top_blocks(levels, cells, reach)
-    visited = turn.size
     best = (-1, 0, 0, floor)
     top = levels.shape[0] - 1
+    along = (2 * reach + (1 << top)) >> top
+    visited = cells.shape[0] * along * along
     # Three siblings wait on each level below the top.
     stack = np.empty((3 * top + 4, 4), dtype=np.int64)
     children = np.empty((4, 4), dtype=np.int64)
-    for block in range(turn.size):
-        if bound[block] <= best[3]:
+    for block in range(blocks.shape[0]):
+        t, row, column, bound = blocks[block]
+        if bound <= best[3]:
             break
-        t = turn[block]
-        stack[0] = (top, row[block], column[block], bound[block])
+        stack[0] = (top, row, column, bound)
         waiting = 1
         while waiting > 0:
             waiting -= 1
@@ -306,22 +312,27 @@ def _branch_and_bound(
 
 @njit(cache=True, error_model="numpy")
 def _spread(
-    levels: ByteArray, cells: IntArray, reach: int, total: int, least: int, nats: float
+    levels: ByteArray,
+    cells: IntArray,
+    reach: int,
+    blocks: IntArray,
+    total: int,
+    least: int,
+    nats: float,
 ) -> FloatArray:
     """(3, 3) covariance of (column, row, turn) over all leaves that score at least ``least``.
 
     A leaf weighs exp(nats · (score - total)).
     """
-    turn, row, column, bound = _top_blocks(levels, cells, reach)
     top = levels.shape[0] - 1
     stack = np.empty((3 * top + 4, 3), dtype=np.int64)
     weight_sum, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
     leaf = np.empty(3)
-    for block in range(turn.size):
-        if bound[block] < least:
+    for block in range(blocks.shape[0]):
+        t, row, column, bound = blocks[block]
+        if bound < least:
             break
-        t = turn[block]
-        stack[0] = (top, row[block], column[block])
+        stack[0] = (top, row, column)
         waiting = 1
         while waiting > 0:
             waiting -= 1

@@ -344,7 +344,7 @@ class LocalSlam:
             (move_points(pose, points_m) - np.array(submap.corner_m))
             / self._submap_settings.resolution_m
         ).astype(np.int64)
-        cells = cells[((cells >= 0) & (cells < submap.occupancy.shape[0])).all(axis=1)]
+        cells = cells[((cells >= 0) & (cells < submap.occupancy.shape[::-1])).all(axis=1)]
         return int(submap.occupancy[cells[:, 1], cells[:, 0]].astype(np.int64).sum())
 
     def _constant_velocity(self, stamp_ns: int) -> FloatArray:

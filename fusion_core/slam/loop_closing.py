@@ -10,28 +10,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
 from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.model.planar_poses import compose, inverse, relative
 from fusion_core.model.progress import Progress
 from fusion_core.slam.breaks import Breaks
+from fusion_core.slam.graph_ways import GraphWays
 from fusion_core.slam.local_slam import LocalTrajectory
-from fusion_core.slam.loop_search import (
-    WAY_OF_BREAK_M,
-    WAY_OF_TOLD_BREAK_M,
-    LoopSearch,
-    LoopSettings,
-    Window,
-)
+from fusion_core.slam.loop_search import LoopSearch, LoopSettings, Window
 from fusion_core.slam.pose_graph import Edge, GraphSettings, optimise, residuals, unknown_step
 
-# The graph is solved anew when it has grown by a fifth, so that the work stays linear in its size.
-_GROWTH = 0.2
+# The graph is solved anew when it has grown by so much, so that the work stays linear in its size.
+_GROWTH = 0.3
 _KEY_SCANS_MIN = 100
-# Ways that two places have between them when a loop joins them: it is not exact.
-_WAY_OF_LOOP_M = 1.0
+# Of the last step. A robust sum falls slowly near its end, and along the way that is lost time.
+_ROUGHLY, _EXACTLY = 1e-2, 1e-4
 # Where another stretch is looked for, once one was found; it must fit so well.
 _SECOND_WINDOW = Window(1.5, 0.15)
 _AGREES_M = 0.4
@@ -92,20 +85,19 @@ class _Closing:
         solved: Solved,
     ) -> None:
         self._local, self.steps = local, list(steps)
+        self._local_poses = local.key_poses
         self._loop_settings, self._graph_settings = loop_settings, graph_settings
         self._report = solved
         self.search = LoopSearch(local, loop_settings)
         self.loops: list[Edge] = []
-        self.poses = local.key_poses.copy()
+        self.poses = self._local_poses.copy()
         # Beyond this node poses are the local ones, moved as the last node before was.
         self._placed = 0
         self.dropped = 0
         self.optimisation_s = 0.0
         self.breaks = Breaks(local)
-        self._way_m = _ways(local, self.breaks)
+        self._ways = GraphWays(local, self.breaks)
         self._first = np.array([submap.first for submap in local.submaps])
-        self._ties: list[tuple[int, int, float]] = []
-        self._joined: csr_array | None = None
 
     def run(self, progress: Progress) -> None:
         count = len(self.poses)
@@ -116,19 +108,19 @@ class _Closing:
             is_far = self._close(node)
             is_due = node - solved >= max(_KEY_SCANS_MIN, _GROWTH * node)
             if (is_due and len(self.loops) > loops_solved) or is_far:
-                self._solve(node + 1, "closing loops")
+                self._solve(node + 1, "closing loops", _ROUGHLY)
                 solved, loops_solved = node, len(self.loops)
         self._place_to(count - 1)
         if not self.loops:
             return
         progress(count, count, "optimising")
-        self._solve(count, "optimising")
+        self._solve(count, "optimising", _EXACTLY)
         away_m = np.hypot(*residuals(self.poses, self.loops)[:, :2].T)
         is_kept = away_m <= self._graph_settings.residual_max_m
         self.dropped += int(np.count_nonzero(~is_kept))
         if not is_kept.all():
             self.loops = [edge for edge, kept in zip(self.loops, is_kept, strict=True) if kept]
-            self._solve(count, "optimising")
+            self._solve(count, "optimising", _EXACTLY)
 
     def _close(self, node: int) -> bool:
         """Search from a node; whether it was found far from where it was thought to be."""
@@ -137,7 +129,7 @@ class _Closing:
             node,
             self.poses[self.search.centre, :2],
             self.poses[node, :2],
-            self._ways_from(node),
+            self._ways.to_submaps(node),
             self.breaks.is_joined(self.search.centre, node),
         )
         for number, window in candidates:
@@ -168,7 +160,7 @@ class _Closing:
 
     def _judge(self, edge: Edge, number: int) -> None:
         """Whether the loop is where odometry has it, over the breaks between its ends."""
-        window = self.search.window(float(self._ways_from(edge.second)[number]))
+        window = self.search.window(float(self._ways.to_submaps(edge.second)[number]))
         if window.is_across_break:
             return
         off = residuals(self.poses, [edge])[0]
@@ -177,7 +169,7 @@ class _Closing:
         self.breaks.take(edge, is_as_told=bool(is_as_told))
         for node in self.breaks.node[~self.breaks.is_told].tolist():
             self.steps[node - 1] = unknown_step(self.steps[node - 1])
-        self._way_m = _ways(self._local, self.breaks)
+        self._ways.take_breaks(self.breaks)
 
     def _seconds(self, found: Edge, score_min: float) -> list[tuple[Edge, int]]:
         """Edges of stretches before and after that agree with ``found``."""
@@ -191,7 +183,7 @@ class _Closing:
             before = self.search.before(min(node, other))
             if before == 0:
                 continue
-            expected = compose(pose, relative(local.key_poses[node], local.key_poses[other]))
+            expected = compose(pose, relative(self._local_poses[node], self._local_poses[other]))
             centres_m = self.poses[self.search.centre[:before], :2]
             number = int(np.argmin(np.hypot(*(centres_m - expected[:2]).T)))
             first = int(self._first[number])
@@ -208,52 +200,24 @@ class _Closing:
     def _take(self, edge: Edge, number: int) -> None:
         self.loops.append(edge)
         self.breaks.take(edge, is_as_told=None)
-        other = self._submap_of(edge.second)
-        way_m = abs(float(self._way_m[edge.second] - self._way_m[self._first[other]]))
-        self._ties.append((number, other, _WAY_OF_LOOP_M + way_m))
-        self._joined = None
+        self._ways.tie(number, edge.second)
 
     def is_joined(self) -> BoolArray:
         """(K,) by the loops that were kept, and the breaks that they confirm."""
         return self.breaks.joined_by(self.loops)
 
-    def _submap_of(self, node: int) -> int:
-        return int(np.searchsorted(self._first, node, side="right")) - 1
-
-    def _ways_from(self, node: int) -> FloatArray:
-        """(S,) the shortest way along the graph from a node to each submap's begin, in metres."""
-        if self._joined is None:
-            chain_m = np.maximum(np.diff(self._way_m[self._first]), 1e-3)
-            numbers = np.arange(chain_m.size)
-            shortest: dict[tuple[int, int], float] = {}
-            for first, second, way_m in self._ties:
-                pair = (min(first, second), max(first, second))
-                if pair[0] != pair[1]:
-                    shortest[pair] = min(way_m, shortest.get(pair, np.inf))
-            for number, way_m in zip(numbers.tolist(), chain_m.tolist(), strict=True):
-                pair = (number, number + 1)
-                shortest[pair] = min(way_m, shortest.get(pair, np.inf))
-            size = self._first.size
-            pairs = np.array(list(shortest), dtype=np.int32).reshape(-1, 2)
-            self._joined = csr_array(
-                (np.array(list(shortest.values())), (pairs[:, 0], pairs[:, 1])), shape=(size, size)
-            )
-        own = self._submap_of(node)
-        ways_m: FloatArray = dijkstra(self._joined, directed=False, indices=np.array([own]))[0]
-        return ways_m + float(self._way_m[node] - self._way_m[self._first[own]])
-
     def _place_to(self, node: int) -> None:
         """Carry the poses on to a node by the local ones."""
         if node <= self._placed:
             return
-        local = self._local.key_poses
+        local = self._local_poses
         begin, end = self._placed, node + 1
         self.poses[begin + 1 : end] = compose(
             self.poses[begin], relative(local[begin], local[begin + 1 : end])
         )
         self._placed = node
 
-    def _solve(self, end: int, stage: str) -> None:
+    def _solve(self, end: int, stage: str, tolerance: float) -> None:
         """Optimise the nodes before ``end``; those after follow as they are reached."""
         start_s = time.perf_counter()
         reached = [edge for edge in self.loops if edge.second < end]
@@ -261,6 +225,7 @@ class _Closing:
             self._started(end, reached),
             [*self.steps[: end - 1], *reached],
             self._graph_settings.robust_scale,
+            tolerance,
         )
         self._placed = end - 1
         self.optimisation_s += time.perf_counter() - start_s
@@ -288,11 +253,3 @@ class _Closing:
             for edge, off_m in zip(reached, away_m.tolist(), strict=True)
             if off_m <= self._graph_settings.residual_max_m
         ]
-
-
-def _ways(local: LocalTrajectory, breaks: Breaks) -> FloatArray:
-    """(K,) metres driven up to each key scan, and as many more where the way is not known."""
-    steps_m = np.hypot(*np.diff(local.key_poses[:, :2], axis=0).T)
-    steps_m[breaks.node - 1] += np.where(breaks.is_told, WAY_OF_TOLD_BREAK_M, WAY_OF_BREAK_M)
-    way_m: FloatArray = np.concatenate([[0.0], np.cumsum(steps_m)])
-    return way_m

@@ -18,6 +18,7 @@ from fusion_core.model.planar_poses import compose, move_points, relative
 from fusion_core.registration.correlative import SearchWindow, correlate
 from fusion_core.registration.likelihood_grid import LikelihoodPyramid, likelihood_pyramid
 from fusion_core.settings import StageSettings, setting
+from fusion_core.slam.graph_ways import WAY_OF_BREAK_M
 from fusion_core.slam.local_slam import LocalTrajectory
 from fusion_core.slam.pose_graph import Edge
 from fusion_core.slam.scan_to_grid import match_scan
@@ -34,10 +35,6 @@ _LEAST_INFORMATION = np.diag([1.0, 1.0, 4.0])
 _POINTS_OF_A_SEARCH = 300
 # A window beyond this is wide: what is found in it needs others that agree.
 WIDE_M = 5.0
-# A way of so many metres stands for one of which nothing is known.
-WAY_OF_BREAK_M = 1e5
-# One that odometry told has a doubt, and a wide window, as a way of so many.
-WAY_OF_TOLD_BREAK_M = 80.0
 # Of so many wide searches over such a break, one looks for where the robot may have been carried.
 _CARRIED_EVERY = 8
 # The others try so many submaps, since no loop before has narrowed the choice.
@@ -100,11 +97,14 @@ class LoopSearch:
 
     def __init__(self, local: LocalTrajectory, settings: LoopSettings) -> None:
         self._local, self._settings = local, settings
+        self._poses = local.key_poses
         self._end = np.array([submap.end for submap in local.submaps])
         self.centre = np.array([(s.first + s.end - 1) // 2 for s in local.submaps])
         self._pyramids: OrderedDict[int, LikelihoodPyramid | None] = OrderedDict()
         # Several submaps are tried with one stretch.
         self._stretch: tuple[int, FloatArray] | None = None
+        # The node from which each submap was last searched near the estimate.
+        self._tried_at = np.full(self.centre.size, np.iinfo(np.int64).min)
         self.tried = 0
 
     def window(self, way_m: float, *, is_across_told: bool = False) -> Window:
@@ -142,8 +142,9 @@ class LoopSearch:
 
         ``centres_m``: (S, 2) of the submaps in the map; ``place_m``: (2,) of the node;
         ``ways_m``: (S,) from it to each along the graph; ``is_joined``: (S,) whether these ways
-        are more than a hypothesis. Of the wide windows, only every other time one is taken, each
-        in turn.
+        are more than a hypothesis. A submap near the estimate is tried with stretches that share
+        no key scan, since two that do would tell the same twice. Of the wide windows, only every
+        other time one is taken, each in turn.
         """
         settings = self._settings
         before = self.before(node)
@@ -158,7 +159,8 @@ class LoopSearch:
         is_wide = window_m > WIDE_M
         near = np.flatnonzero(~is_wide & (away_m < settings.distance_m))
         near = near[np.argsort(away_m[near], kind="stable")[: settings.submaps]]
-        chosen = near.tolist()
+        chosen = near[self._tried_at[near] < node - 2 * settings.stretch].tolist()
+        self._tried_at[chosen] = node
         far = np.flatnonzero(is_wide & (away_m < settings.distance_m + window_m))
         if far.size and turn % 2 == 0:
             # Two neighbours overlap by half.
@@ -193,12 +195,11 @@ class LoopSearch:
         if score_min is None:
             score_min = self.score_min(window)
         self.tried += 1
-        points_m = self._stretch_points(node)
-        pyramid = self._pyramid(number)
+        points_m, pyramid = self._stretch_points(node), self._pyramid(number)
         if points_m.shape[0] == 0 or pyramid is None:
             return None
         submap = self._local.submaps[number]
-        anchor = self._local.key_poses[submap.first]
+        anchor = self._poses[submap.first]
         predicted = compose(anchor, pose_first_node)
         stride = -(-points_m.shape[0] // _POINTS_OF_A_SEARCH)
         try:
@@ -220,8 +221,7 @@ class LoopSearch:
         match = match_scan(
             submap.occupancy, submap.corner_m, submap.resolution_m, points_m, coarse.pose_map_points
         )
-        contradiction = self._contradiction(number, match.pose_grid_scan, points_m)
-        if contradiction > settings.contradiction_max + self._own_contradiction(node, points_m):
+        if self._is_contradicted(node, number, match.pose_grid_scan, points_m):
             return None
         return Edge(
             first=submap.first,
@@ -230,6 +230,24 @@ class LoopSearch:
             information=match.information + _LEAST_INFORMATION,
             is_loop=True,
         )
+
+    def _is_contradicted(
+        self, node: int, number: int, pose: FloatArray, points_m: FloatArray
+    ) -> bool:
+        """Whether a submap contradicts a stretch by much more than the one does that it is part of:
+        what a coarse sensor scatters about its walls contradicts every map.
+        """
+        beyond = self._contradiction(number, pose, points_m) - self._settings.contradiction_max
+        if beyond <= 0.0:
+            return False
+        own = next(
+            other
+            for other, submap in enumerate(self._local.submaps)
+            if submap.first <= node < submap.end
+        )
+        if self._pyramid(own) is None:
+            return True
+        return beyond > self._contradiction(own, self._poses[node], points_m)
 
     def _contradiction(self, number: int, pose: FloatArray, points_m: FloatArray) -> float:
         """Share of the points in cells that the submap knows to be free, with no obstacle near.
@@ -255,31 +273,18 @@ class LoopSearch:
         near = pyramid.levels[0, cells[inside, 1], cells[inside, 0]] > 0
         return float(len(cells) - np.count_nonzero(near)) / len(points_m)
 
-    def _own_contradiction(self, node: int, points_m: FloatArray) -> float:
-        """The same against the submap that the stretch itself is part of: what a coarse sensor
-        scatters about its walls contradicts every map."""
-        own = next(
-            number
-            for number, submap in enumerate(self._local.submaps)
-            if submap.first <= node < submap.end
-        )
-        if self._pyramid(own) is None:
-            return 0.0
-        return self._contradiction(own, self._local.key_poses[node], points_m)
-
     def _stretch_points(self, node: int) -> FloatArray:
         """(n, 2) points of the stretch in the node's frame, one in each cell of the thinning."""
         if self._stretch is None or self._stretch[0] != node:
             reach, part = self._settings.stretch, self._local.part
-            poses = self._local.key_poses
-            nodes = range(max(node - reach, 0), min(node + reach + 1, len(poses)))
+            nodes = np.arange(max(node - reach, 0), min(node + reach + 1, len(self._poses)))
+            nodes = nodes[part[nodes] == part[node]]
             joined = np.concatenate(
                 [
-                    move_points(
-                        relative(poses[node], poses[other]), self._local.key_points_m[other]
+                    move_points(pose, self._local.key_points_m[other])
+                    for pose, other in zip(
+                        relative(self._poses[node], self._poses[nodes]), nodes.tolist(), strict=True
                     )
-                    for other in nodes
-                    if part[other] == part[node]
                 ]
             )
             cells = np.floor(joined / self._settings.thinning_m).astype(np.int64)

@@ -53,14 +53,17 @@ def unknown_step(edge: Edge) -> Edge:
 
 
 def optimise(
-    poses_map_node: FloatArray, edges: Sequence[Edge], robust_scale: float | None
+    poses_map_node: FloatArray,
+    edges: Sequence[Edge],
+    robust_scale: float | None,
+    tolerance: float = 1e-5,
 ) -> FloatArray:
     """(K, 3) the poses with the least sum of squared residuals, started at (K, 3) poses.
 
     The residual is Log(measured⁻¹ · first⁻¹ · second), whitened by the edge's information.
     The first node stays. ``robust_scale``: loop edges cost log(1 + (r/scale)²) scale²/2 for a
     whitened residual r instead of r²/2 (Cauchy), so that a wrong one is overruled; None gives
-    all edges their square.
+    all edges their square. ``tolerance``: the last step lowers the sum by no more than this share.
     """
     graph = gtsam.NonlinearFactorGraph()
     values = gtsam.Values()
@@ -75,7 +78,9 @@ def optimise(
             noise = gtsam.noiseModel.Robust.Create(kernel, noise)
         measured = gtsam.Pose2(*edge.pose_first_second)
         graph.add(gtsam.BetweenFactorPose2(edge.first, edge.second, measured, noise))
-    best = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setRelativeErrorTol(tolerance)
+    best = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
     return np.array(
         [
             [pose.x(), pose.y(), pose.theta()]

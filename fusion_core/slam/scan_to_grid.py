@@ -108,31 +108,31 @@ def best_of_window(
     rows, columns = grid.shape
     cells = round(window[0] / resolution_m)
     turns = round(window[1] / step_rad)
+    side = 2 * cells + 1
     best, best_pose = -1.0, predicted.copy()
-    count = points_m.shape[0]
-    x = np.empty(count)
-    y = np.empty(count)
+    total = np.empty((side, side), dtype=np.int64)
     for turn in range(-turns, turns + 1):
         yaw = predicted[2] + turn * step_rad
         c, s = np.cos(yaw), np.sin(yaw)
-        for i in range(count):
+        total[:] = 0
+        for i in range(points_m.shape[0]):
             px, py = points_m[i, 0], points_m[i, 1]
-            x[i] = np.floor((predicted[0] + c * px - s * py - left_m) / resolution_m)
-            y[i] = np.floor((predicted[1] + s * px + c * py - bottom_m) / resolution_m)
-        for row in range(-cells, cells + 1):
-            for column in range(-cells, cells + 1):
-                total = 0
-                for i in range(count):
-                    r, k = int(y[i]) + row, int(x[i]) + column
-                    if 0 <= r < rows and 0 <= k < columns:
-                        total += grid[r, k]
-                away_m = np.hypot(row, column) * resolution_m
+            x = int(np.floor((predicted[0] + c * px - s * py - left_m) / resolution_m)) - cells
+            y = int(np.floor((predicted[1] + s * px + c * py - bottom_m) / resolution_m)) - cells
+            for row in range(max(-y, 0), min(side, rows - y)):
+                for column in range(max(-x, 0), min(side, columns - x)):
+                    # Unsigned: a compiled loop would ask each index whether it counts from the end.
+                    total[row, column] += grid[np.uint64(y + row), np.uint64(x + column)]
+        for row in range(side):
+            for column in range(side):
+                up, across = row - cells, column - cells
+                away_m = np.hypot(up, across) * resolution_m
                 away = caution[0] * away_m + caution[1] * abs(turn * step_rad)
-                score = total * np.exp(-away * away)
+                score = total[row, column] * np.exp(-away * away)
                 if score > best:
                     best = score
-                    best_pose[0] = predicted[0] + column * resolution_m
-                    best_pose[1] = predicted[1] + row * resolution_m
+                    best_pose[0] = predicted[0] + across * resolution_m
+                    best_pose[1] = predicted[1] + up * resolution_m
                     best_pose[2] = yaw
     return best_pose
 

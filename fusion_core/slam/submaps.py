@@ -12,10 +12,15 @@ import numpy.typing as npt
 from numba import njit
 
 from fusion_core.mapping.rays import update_cells
-from fusion_core.model.conventions import ByteArray, FloatArray, read_only
+from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray, IntArray, read_only
 from fusion_core.model.planar_poses import move_points
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.scan_to_grid import FULL
+
+# As far as an interpolation feels a cell, so that the grid's end shows in none.
+_BORDER = 3
+# Cells that a grid is larger than what it holds, so that it need not grow with each scan.
+_ROOM = 60
 
 
 class SubmapSettings(StageSettings):
@@ -55,82 +60,109 @@ class Submap:
 
 
 class GrowingSubmap:
-    """A submap that takes scans; its grid covers what its scans can reach."""
+    """A submap that takes scans; its grid grows with what they meet."""
 
     def __init__(self, centre_m: FloatArray, first: int, travel_m: float, settings: SubmapSettings):
         """``centre_m``: (2,) where the first scan is; ``travel_m``: how far the last can be."""
         self._settings = settings
+        self._hit, self._miss = _log_odds(settings.p_hit), _log_odds(settings.p_miss)
+        self._limit = _log_odds(settings.p_limit)
         self.first = first
         self.scans = 0
-        resolution_m = settings.resolution_m
-        half = int(np.ceil((settings.reach_m + travel_m) / resolution_m)) + 2
-        self._column, self._row = (int(cell) for cell in np.floor(centre_m / resolution_m) - half)
-        shape = (2 * half, 2 * half)
-        self._log_odds = np.full(shape, np.nan)
-        self._updated_in_scan = np.zeros(shape, dtype=np.int32)
-        self.occupancy: ByteArray = np.zeros(shape, dtype=np.uint8)
+        # All (column, row). Beyond these limits nothing is taken.
+        half = int(np.ceil((settings.reach_m + travel_m) / settings.resolution_m))
+        self._limits = np.floor(centre_m / settings.resolution_m) + np.array([[-half], [half]])
+        # The cells met so far, the last not included; and the first one of the grid.
+        self._met: tuple[IntArray, IntArray] | None = None
+        self._corner: IntArray = np.zeros(2, dtype=np.int64)
+        self._log_odds = np.empty((0, 0))
+        self._updated_in_scan = np.empty((0, 0), dtype=np.int32)
+        self.occupancy: ByteArray = np.empty((0, 0), dtype=np.uint8)
 
     @property
     def corner_m(self) -> tuple[float, float]:
         """(x, y) of the outer corner of cell (0, 0) in the local frame."""
-        resolution_m = self._settings.resolution_m
-        return self._column * resolution_m, self._row * resolution_m
+        column, row = self._corner.tolist()
+        return column * self._settings.resolution_m, row * self._settings.resolution_m
 
     def add_scan(self, pose_local_scan: FloatArray, points_m: FloatArray) -> None:
-        """Add the points (n, 2) of a scan and the ways to them; what lies outside is left out."""
-        settings = self._settings
+        """Add the points (n, 2) of a scan and the ways to them; what lies too far is left out."""
         self.scans += 1
-        ends = move_points(pose_local_scan, points_m) / settings.resolution_m
-        corner = np.array([self._column, self._row])
-        size = self.occupancy.shape[0]
-        inside = ((ends >= corner) & (ends < corner + size)).all(axis=1)
-        origin = pose_local_scan[:2] / settings.resolution_m
-        if not inside.any() or not ((origin >= corner) & (origin < corner + size)).all():
+        ends = move_points(pose_local_scan, points_m) / self._settings.resolution_m
+        origin = pose_local_scan[:2] / self._settings.resolution_m
+        ends = np.ascontiguousarray(ends[self._is_near(ends)])
+        if ends.size == 0 or not self._is_near(origin):
             return
-        ends = np.ascontiguousarray(ends[inside])
+        low = np.floor(np.minimum(ends.min(axis=0), origin)).astype(np.int64)
+        high = np.floor(np.maximum(ends.max(axis=0), origin)).astype(np.int64) + 1
+        self._make_room(low, high)
         update_cells(
             self._log_odds,
             self._updated_in_scan,
-            self._row,
-            self._column,
+            int(self._corner[1]),
+            int(self._corner[0]),
             self.scans,
             origin,
             ends,
             np.ones(ends.shape[0], dtype=np.bool_),
-            _log_odds(settings.p_hit),
-            _log_odds(settings.p_miss),
-            _log_odds(1.0 - settings.p_limit),
-            _log_odds(settings.p_limit),
+            self._hit,
+            self._miss,
+            -self._limit,
+            self._limit,
         )
-        touched = np.floor(np.vstack([origin[np.newaxis], ends]) - corner).astype(np.int64)
-        low, high = touched.min(axis=0), touched.max(axis=0) + 1
-        part = (slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0])))
+        part = _part(low - self._corner, high - self._corner)
         _refresh(
             self.occupancy[part], self._log_odds[part], self._updated_in_scan[part], self.scans
         )
 
     def finish(self, end: int) -> Submap:
         """Cut to the cells that some scan met."""
-        known = np.isfinite(self._log_odds)
-        rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
-        if rows.size == 0:
-            # No scan had a point: a submap of one free cell matches nothing, as it should.
-            rows, columns = np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64)
-        part = (
-            slice(int(rows[0]), int(rows[-1]) + 1),
-            slice(int(columns[0]), int(columns[-1]) + 1),
-        )
+        # No scan had a point: a submap of one free cell matches nothing, as it should.
+        low, occupancy = self._corner, np.zeros((1, 1), dtype=np.uint8)
+        if self._met is not None:
+            low, high = self._met
+            occupancy = self.occupancy[_part(low - self._corner, high - self._corner)].copy()
+        column, row = low.tolist()
         resolution_m = self._settings.resolution_m
         return Submap(
             first=self.first,
             end=end,
-            occupancy=self.occupancy[part].copy(),
-            corner_m=(
-                (self._column + part[1].start) * resolution_m,
-                (self._row + part[0].start) * resolution_m,
-            ),
+            occupancy=occupancy,
+            corner_m=(column * resolution_m, row * resolution_m),
             resolution_m=resolution_m,
         )
+
+    def _is_near(self, places: FloatArray) -> BoolArray:
+        near: BoolArray = ((places >= self._limits[0]) & (places < self._limits[1])).all(axis=-1)
+        return near
+
+    def _make_room(self, low: IntArray, high: IntArray) -> None:
+        """Have the cells from ``low`` to ``high``, the latter not included, and some about them."""
+        before = self._met
+        if before is not None:
+            low, high = np.minimum(low, before[0]), np.maximum(high, before[1])
+        self._met = low, high
+        end = self._corner + np.array(self.occupancy.shape[::-1])
+        if ((low >= self._corner + _BORDER) & (high <= end - _BORDER)).all():
+            return
+        corner = low - _ROOM
+        columns, rows = (high + _ROOM - corner).tolist()
+        occupancy = np.zeros((rows, columns), dtype=np.uint8)
+        log_odds = np.full((rows, columns), np.nan)
+        updated_in_scan = np.zeros((rows, columns), dtype=np.int32)
+        if before is not None:
+            old = _part(before[0] - self._corner, before[1] - self._corner)
+            new = _part(before[0] - corner, before[1] - corner)
+            occupancy[new] = self.occupancy[old]
+            log_odds[new] = self._log_odds[old]
+            updated_in_scan[new] = self._updated_in_scan[old]
+        self._corner, self.occupancy = corner, occupancy
+        self._log_odds, self._updated_in_scan = log_odds, updated_in_scan
+
+
+def _part(begin: IntArray, end: IntArray) -> tuple[slice, slice]:
+    """Rows and columns of a grid from a (column, row) to another, the latter not included."""
+    return slice(int(begin[1]), int(end[1])), slice(int(begin[0]), int(end[0]))
 
 
 def _log_odds(probability: float) -> float:
