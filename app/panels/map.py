@@ -3,7 +3,6 @@ in its other mode, motion and SLAM."""
 
 import html
 import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,11 +20,11 @@ from app.jobs.build import (
     settings_in,
     zipped,
 )
-from app.jobs.long import LongJob
 from app.panels.blocks import paragraph, text_box
 from app.panels.command import fuse_command
 from app.panels.controls import Controls, put
 from app.panels.slam import SlamPanel
+from app.panels.work import PanelJob
 from app.scene.encoded import show_picture
 from app.scene.map_picture import map_pictures
 from app.shown import Shown
@@ -40,7 +39,6 @@ from fusion_core.workflows.poses import Poses
 
 _PICTURE_PX = (480, 720)
 _TITLES = {"lidar": "LiDAR", "camera": "camera", "fused": "fused"}
-_CLOSE_S = 10.0
 _EMPTY = np.full((2, 2, 3), 255, dtype=np.uint8)
 # Words that do not fit on a line go on under those above, right of the line's name.
 _REPORT_LINE = (
@@ -75,9 +73,6 @@ class MapPanel:
         self._root = output_root.resolve()
         self._on_map = on_map
         self._lock = threading.RLock()
-        self._job: LongJob | None = None
-        self._cancelling = False
-        self._closed = False
         self._built: Build | None = None
         self._clouds = ""
         # What the widgets show now; a view changes many times while these stay.
@@ -101,7 +96,6 @@ class MapPanel:
             self._slam = SlamPanel(gui, desk, self._root)
 
         self._build_button.on_click(lambda _: self._begin_build())
-        self._cancel_button.on_click(lambda _: self._cancel())
         self._export_button.on_click(lambda _: self._begin_export())
         self._download.on_click(lambda _: self._send())
 
@@ -122,10 +116,7 @@ class MapPanel:
             "Figures", True, hint="Draw each stage as a picture, too, as in Xu 2024"
         )
         self._build_button = gui.add_button("Build", icon=viser.Icon.MAP)
-        self._progress_text = gui.add_html("", visible=False)
-        self._progress = gui.add_progress_bar(0.0, visible=False)
-        self._cancel_button = gui.add_button("Cancel", color="gray", visible=False)
-        self._said = gui.add_html("")
+        self._job = PanelJob(gui, self._desk, self._lock, self._show_working)
         self._picture = gui.add_image(_EMPTY, format="png", visible=False)
         self._report = gui.add_html("")
         self._files = gui.add_folder("Files", visible=False)
@@ -163,12 +154,7 @@ class MapPanel:
 
     def close(self) -> None:
         """The browser has gone: what it builds is of no use any more."""
-        with self._lock:
-            self._closed = True
-            job = self._job
-        if job is not None:
-            job.cancel()
-            job.wait(_CLOSE_S)
+        self._job.close()
         self._slam.close()
 
     def _lay_floor(self, view: View, built: Build | None) -> None:
@@ -198,9 +184,9 @@ class MapPanel:
         def done(built: Build) -> None:
             with self._lock:
                 self._built, self._clouds = built, ""
-            self._end()
+            self._job.end()
 
-        self._begin("build", work, done)
+        self._job.begin("build", work, done)
 
     def _begin_export(self) -> None:
         built, voxel_m = self._built, float(self._voxel.value)
@@ -211,71 +197,14 @@ class MapPanel:
             with self._lock:
                 if self._built is built:
                     self._clouds = _clouds_said(exported)
-            self._end()
+            self._job.end()
 
-        self._begin("export", lambda progress: export(built, voxel_m, progress), done)
+        self._job.begin("export", lambda progress: export(built, voxel_m, progress), done)
 
-    def _begin(
-        self, name: str, work: Callable[[Progress], Any], done: Callable[[Any], None]
-    ) -> None:
-        """Start a job unless one is at work or the browser has gone."""
-        with self._lock:
-            if self._job is not None or self._closed:
-                return
-            self._cancelling = False
-            put(self._said, content="")
-            self._advance(0, None, "starting")
-            self._show_working(True)
-            self._job = LongJob(
-                name,
-                work,
-                on_progress=self._advance,
-                on_done=done,
-                on_failed=self._fail,
-                on_cancelled=lambda: self._end("Cancelled; nothing was kept."),
-            )
-
-    def _cancel(self) -> None:
-        with self._lock:
-            if self._job is not None:
-                self._cancelling = True
-                self._job.cancel()
-                put(self._cancel_button, disabled=True)
-                put(self._progress_text, content=paragraph("Stopping at the next step …"))
-
-    def _advance(self, done: int, total: int | None, what: str) -> None:
-        if self._cancelling:
-            return
-        share = 100.0 * done / total if total else 0.0
-        count = f", {done} of {total}" if total else ""
-        put(self._progress, value=round(min(share, 100.0), 1), animated=not total)
-        put(self._progress_text, content=paragraph(f"{what.capitalize()}{count}"))
-
-    def _fail(self, error: Exception) -> None:
-        said = (
-            str(error) if isinstance(error, ScanLoomError) else f"{type(error).__name__}: {error}"
-        )
-        self._end(f"Failed: {said}")
-        if not self._closed:
-            self._desk.fail(error)
-
-    def _end(self, said: str = "") -> None:
-        """The job's last step, in its thread: the worker draws what came of it."""
-        with self._lock:
-            self._job = None
-            put(self._said, content=paragraph(said) if said else "")
-            self._commanded = None
-            self._show_working(False)
-            closed = self._closed
-        if not closed:
-            self._desk.refresh()
-
-    def _show_working(self, working: bool) -> None:
-        for handle in (self._progress, self._progress_text, self._cancel_button):
-            put(handle, visible=working)
-        put(self._cancel_button, disabled=False)
-        put(self._build_button, disabled=working)
-        put(self._export_button, disabled=working)
+    def _show_working(self, is_at_work: bool) -> None:
+        self._commanded = None
+        put(self._build_button, disabled=is_at_work)
+        put(self._export_button, disabled=is_at_work)
 
     def _show_command(self, view: View, built: Build | None) -> None:
         key = (_asked(view), self._figures.value, built)

@@ -13,15 +13,15 @@ import viser
 from app.desk import Desk
 from app.jobs.build import free_folder, results_in, settings_in
 from app.jobs.latest import LatestWorker
-from app.jobs.long import LongJob
 from app.jobs.slam import SlamRun, map_options, resampling_at, run_slam
 from app.panels.blocks import paragraph, text_box
 from app.panels.command import map_command
 from app.panels.controls import Controls, put
 from app.panels.slam_results import SlamResults, effective_picture
+from app.panels.work import BETWEEN_S, PanelJob
 from app.scene.encoded import show_picture
 from app.scene.slam_picture import Window, live_picture, window_around
-from app.shown import Shown, as_failure, clock_offset_ms, problem_of
+from app.shown import Shown, clock_offset_ms
 from app.state.runs import MOST_RUNS, Runs
 from app.state.slam_choices import (
     ESTIMATORS,
@@ -41,9 +41,6 @@ from fusion_core.model.slam_view import SlamView
 _WIDTH_PX, _HEIGHT_PX = 480, 430
 # With the particles' close-up below.
 _CLOSE_UP_PX = 180
-# People see no more, and the work goes on meanwhile.
-_BETWEEN_S = 0.2
-_CLOSE_S = 10.0
 _EMPTY = np.full((2, 2, 3), 255, dtype=np.uint8)
 _ABOUT = (
     "Places every scan, draws the map from where they lie, and keeps the last "
@@ -59,14 +56,11 @@ class SlamPanel:
         self._desk, self._root = desk, output_root
         self._runs = Runs()
         self._lock = threading.RLock()
-        self._job: LongJob | None = None
         self._live: LatestWorker[SlamView] | None = None
         self._folder: Path | None = None
-        self._cancelling = self._closed = False
         self._of_run = desk.view
         self._window: Window | None = None
-        self._asked_s = self._advanced_s = 0.0
-        self._stage = ""
+        self._asked_s = 0.0
         self._why_not: str | None = None
         self._clock_offset_ms = 0.0
         self._commanded: object = None
@@ -104,10 +98,7 @@ class SlamPanel:
         )
         self._why = gui.add_html("", visible=False)
         self._run_button = gui.add_button("Run", icon=viser.Icon.ROUTE)
-        self._progress_text = gui.add_html("", visible=False)
-        self._progress = gui.add_progress_bar(0.0, visible=False)
-        self._cancel_button = gui.add_button("Cancel run", color="gray", visible=False)
-        self._said = gui.add_html("")
+        self._job = PanelJob(gui, desk, self._lock, self._show_working, cancel_label="Cancel run")
         self._picture = gui.add_image(_EMPTY, format="png", visible=False)
         self._effective = gui.add_image(_EMPTY, format="png", visible=False)
         self._results = SlamResults(gui, desk, self._runs, output_root)
@@ -123,7 +114,6 @@ class SlamPanel:
         ):
             self._bind(handle, name)
         self._run_button.on_click(lambda _: self._begin())
-        self._cancel_button.on_click(lambda _: self._cancel())
 
     def chosen(self, recording: str) -> SlamRun | None:
         """The run that is looked at, None where the recording has none."""
@@ -143,18 +133,13 @@ class SlamPanel:
                 self._why_not = self._why_not or _NO_OFFSET
             put(self._why, content=paragraph(self._why_not or ""))
             put(self._why, visible=self._why_not is not None)
-            put(self._run_button, disabled=self._job is not None or self._why_not is not None)
+            put(self._run_button, disabled=self._job.is_at_work or self._why_not is not None)
             self._results.show(view.recording)
             self._show_command(view)
 
     def close(self) -> None:
         """The browser has gone, and its runs go with it."""
-        with self._lock:
-            self._closed = True
-            job = self._job
-        if job is not None:
-            job.cancel()
-            job.wait(_CLOSE_S)
+        self._job.close()
         self._clear_away()
 
     def _bind(self, handle: object, name: str) -> None:
@@ -168,21 +153,17 @@ class SlamPanel:
         """Start a run unless one is at work, it cannot be done, or the browser has gone."""
         view = self._desk.view
         with self._lock:
-            if self._job is not None or self._closed or self._why_not is not None:
+            if self._job.is_at_work or self._job.is_closed or self._why_not is not None:
                 return
             try:
                 self._folder = self._folder or Path(tempfile.mkdtemp(prefix="scanloom-"))
             except OSError as error:
-                self._fail(_no_folder(error))
+                self._job.fail(_no_folder(error))
                 return
             root, number = self._folder, self._runs.next_number()
             offset_ms = self._clock_offset_ms
             self._of_run, self._window = view, None
-            self._cancelling, self._stage = False, ""
-            self._asked_s = self._advanced_s = 0.0
-            put(self._said, content="")
-            self._advance(0, None, "starting")
-            self._show_working(True)
+            self._asked_s = 0.0
             live = LatestWorker(f"run {number}", self._draw, self._desk.fail)
             self._live = live
 
@@ -190,36 +171,11 @@ class SlamPanel:
                 recording = self._desk.library.path(view.recording)
                 return run_slam(number, view, recording, root, progress, self._watch, offset_ms)
 
-            self._job = LongJob(
-                "slam",
-                work,
-                on_progress=self._advance,
-                on_done=self._take,
-                on_failed=self._fail,
-                on_cancelled=lambda: self._end("Cancelled; nothing was kept."),
-            )
-
-    def _cancel(self) -> None:
-        with self._lock:
-            if self._job is not None:
-                self._cancelling = True
-                self._job.cancel()
-                put(self._cancel_button, disabled=True)
-                put(self._progress_text, content=paragraph("Stopping at the next step …"))
-
-    def _advance(self, done: int, total: int | None, what: str) -> None:
-        now_s = time.monotonic()
-        if self._cancelling or (what == self._stage and now_s - self._advanced_s < _BETWEEN_S):
-            return
-        self._stage, self._advanced_s = what, now_s
-        share = 100.0 * done / total if total else 100.0
-        count = f", {done} of {total}" if total else f", {done}" if done else ""
-        put(self._progress, value=round(min(share, 100.0), 1), animated=not total)
-        put(self._progress_text, content=paragraph(f"{what.capitalize()}{count}"))
+            self._job.begin("slam", work, self._take)
 
     def _watch(self, seen: SlamView) -> None:
         now_s = time.monotonic()
-        if now_s - self._asked_s >= _BETWEEN_S and self._live is not None:
+        if now_s - self._asked_s >= BETWEEN_S and self._live is not None:
             self._asked_s = now_s
             self._live.ask(seen)
 
@@ -243,7 +199,7 @@ class SlamPanel:
             )
         with self._lock:
             # The run may have ended meanwhile.
-            if self._job is None or self._closed:
+            if not self._job.is_at_work or self._job.is_closed:
                 return
             with self._desk.client.atomic():
                 show_picture(self._picture, drawn)
@@ -260,38 +216,19 @@ class SlamPanel:
         if oldest is not None:
             shutil.rmtree(oldest.folder, ignore_errors=True)
             said = f"Run {oldest.number} was cleared away: the last {MOST_RUNS} are kept."
-        self._end(said)
-        if run.problem is not None and not self._closed:
+        self._job.end(said)
+        if run.problem is not None and not self._job.is_closed:
             self._desk.fail(run.problem)
 
-    def _fail(self, error: Exception) -> None:
-        failure = as_failure(error)
-        self._end(f"Failed: {problem_of(failure)} {failure.advice}")
-        if not self._closed:
-            self._desk.fail(error)
-
-    def _end(self, said: str = "") -> None:
-        """The job's last step, in its thread: the worker draws what came of it."""
-        with self._lock:
-            self._job = None
-            if self._live is not None:
-                self._live.close()
-            put(self._said, content=paragraph(said) if said else "")
-            self._show_working(False)
-            self._commanded = None
-            closed = self._closed
-        if closed:
-            self._clear_away()
-        else:
-            self._desk.refresh()
-
-    def _show_working(self, working: bool) -> None:
-        for handle in (self._progress, self._progress_text, self._cancel_button):
-            put(handle, visible=working)
-        put(self._cancel_button, disabled=False)
-        put(self._run_button, disabled=working)
+    def _show_working(self, is_at_work: bool) -> None:
+        self._commanded = None
+        put(self._run_button, disabled=is_at_work)
         for picture in (self._picture, self._effective):
             put(picture, visible=False)
+        if not is_at_work and self._live is not None:
+            self._live.close()
+        if not is_at_work and self._job.is_closed:
+            self._clear_away()
 
     def _show_command(self, view: View) -> None:
         recording = self._desk.library.path(view.recording)

@@ -180,7 +180,7 @@ def test_closing_cancels(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     bench.client.click("Build")
     assert held.begun.wait(LONG_S)
     with bench.panel._lock:
-        job = bench.panel._job
+        job = bench.panel._job._job
     assert job is not None
     closing = threading.Thread(target=bench.panel.close)
     closing.start()
@@ -189,7 +189,7 @@ def test_closing_cancels(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     closing.join(LONG_S)
     assert (held.calls, held.cancelled) == (1, 1)
     bench.panel._begin_build()
-    assert bench.panel._job is None, "who has gone begins nothing"
+    assert not bench.panel._job.is_at_work, "who has gone begins nothing"
 
 
 def test_without_poses_it_says_why_there_are_no_maps(bench: Bench) -> None:

@@ -254,7 +254,7 @@ def test_what_cannot_be_done_is_said_and_not_begun(seat: Seat, fake: FakeMap) ->
     seat.until_says("Without SLAM and without motion there are no poses")
     assert seat.widget("Run").props["disabled"]
     seat.panel._slam._begin()
-    assert seat.panel._slam._job is None
+    assert not seat.panel._slam._job.is_at_work
     seat.client.set_value("SLAM", "pose-graph")
     seat.until(lambda: not seat.says("there are no poses"))
     seat.until(lambda: not seat.widget("Run").props["disabled"])
@@ -331,7 +331,7 @@ def test_closing_cancels_and_clears_away(seat: Seat, fake: FakeMap) -> None:
     seat.client.click("Run")
     assert gate.begun.wait(LONG_S)
     with seat.panel._slam._lock:
-        job_at_work, folder = seat.panel._slam._job, seat.panel._slam._folder
+        job_at_work, folder = seat.panel._slam._job._job, seat.panel._slam._folder
     assert job_at_work is not None
     assert folder is not None
     closing = threading.Thread(target=seat.panel.close)
@@ -341,7 +341,7 @@ def test_closing_cancels_and_clears_away(seat: Seat, fake: FakeMap) -> None:
     closing.join(LONG_S)
     assert not folder.exists()
     seat.panel._slam._begin()
-    assert seat.panel._slam._job is None, "who has gone begins nothing"
+    assert not seat.panel._slam._job.is_at_work, "who has gone begins nothing"
 
 
 def test_pictures_come_a_few_times_a_second(
