@@ -12,7 +12,7 @@ from fusion_core.exporting.figures_slam import write_effective, write_way
 from fusion_core.exporting.g2o import write_g2o
 from fusion_core.exporting.manifest import OutputPlan, plan_output, results_folder
 from fusion_core.exporting.tum_trajectory import write_tum_trajectory
-from fusion_core.model.errors import MappingFailed, MissingStream
+from fusion_core.model.errors import MappingFailed, MissingStream, SettingsError
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
@@ -64,6 +64,16 @@ class MapOptions:
         """What decides the kind of result, by name."""
         return {"scan": self.scan, "motion": self.motion, "slam": self.slam}
 
+    @property
+    def is_virtual(self) -> bool:
+        """Whether the scans are cut from depth images."""
+        return self.scan in ("camera", "merged")
+
+    @property
+    def looks_through_cameras(self) -> bool:
+        """Whether it matters where the cameras stand."""
+        return self.is_virtual or self.motion in ("visual", "fused")
+
 
 def build_map(
     recording: Path,
@@ -83,6 +93,12 @@ def build_map(
             "without SLAM and without motion there are no poses.",
             file=recording,
             advice="Choose a --slam, or a --motion.",
+        )
+    if options.extrinsics_file is not None and not options.looks_through_cameras:
+        raise SettingsError(
+            f"--scan {options.scan} with --motion {options.motion} takes no extrinsics.",
+            file=options.extrinsics_file,
+            advice="Leave --extrinsics out, or use --scan merged or camera, or --motion visual.",
         )
     preset, settings = map_settings(options.preset, options.settings_file, options.seed)
     settings_text = map_settings_toml(settings, preset)
@@ -182,13 +198,12 @@ class _Sources:
     ) -> None:
         self._streams = streams
         lidar = LidarScans(recording, streams) if streams.lidar is not None else None
-        is_virtual = options.scan in ("camera", "merged")
         # A pass over the odometry, which virtual scans alone need.
         recorded = None
-        if is_virtual and lidar is not None:
+        if options.is_virtual and lidar is not None:
             recorded = recorded_poses(recording, streams, lidar.frame_id)
         placed_cameras = None
-        if is_virtual or options.extrinsics_file is not None:
+        if options.is_virtual or options.extrinsics_file is not None:
             placed_cameras = extrinsics(
                 recording, streams, settings, file=options.extrinsics_file, progress=progress
             )

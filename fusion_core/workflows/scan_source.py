@@ -1,11 +1,10 @@
 """The scans that motion and SLAM work on, read anew each time they are needed."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Literal, Protocol
 
 from fusion_core.mapping.virtual_scan import VirtualScanSettings
-from fusion_core.model.errors import MissingStream, SettingsError
+from fusion_core.model.errors import MissingStream
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import LaserScan
@@ -76,7 +75,6 @@ def open_scans(
     settings: VirtualScanSettings | None = None,
     *,
     chain: ChainSettings | None = None,
-    extrinsics_file: Path | None = None,
     cameras: Extrinsics | None = None,
     motion: Motion | None = None,
     clock_offset_ms: float = 0.0,
@@ -89,20 +87,15 @@ def open_scans(
     cameras saw at their times. "repaired": the LiDAR's as Xu's chain repairs them.
 
     ``settings`` are of virtual scans, ``chain`` of the alignment that finds the mount where nobody
-    tells it, and of the repair. ``motion``: where the scans' frame was by odometry, to carry what
-    a camera saw to the scan's stamp; without it the scans themselves tell the turn.
-    ``clock_offset_ms``: camera stamp - LiDAR stamp of the same instant, taken out.
+    tells it, and of the repair. ``cameras``: where they stand, if that is known. ``motion``: where
+    the scans' frame was by odometry, to carry what a camera saw to the scan's stamp; without it
+    the scans themselves tell the turn. ``clock_offset_ms``: camera stamp - LiDAR stamp of the same
+    instant, taken out.
 
     Raises MissingStream for what the recording lacks, AlignmentFailed where mount or floor cannot
-    be told, SettingsError for the extrinsics' file.
+    be told.
     """
     settings, chain = settings or VirtualScanSettings(), chain or ChainSettings()
-    if extrinsics_file is not None and kind in ("lidar", "repaired"):
-        raise SettingsError(
-            f"--scan {kind} takes no extrinsics.",
-            file=extrinsics_file,
-            advice="Leave --extrinsics out, or use --scan merged or camera.",
-        )
     if kind == "lidar":
         return LidarScans(recording, streams)
     if kind == "repaired":
@@ -115,9 +108,7 @@ def open_scans(
             file=recording.path,
             advice="Use --scan camera.",
         )
-    placed = cameras or extrinsics(
-        recording, streams, chain, file=extrinsics_file, progress=progress
-    )
+    placed = cameras or extrinsics(recording, streams, chain, progress=progress)
     if kind == "camera":
         return CameraScans(
             recording, placed, settings, motion=motion, clock_offset_ms=clock_offset_ms

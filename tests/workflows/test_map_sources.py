@@ -122,3 +122,12 @@ def test_odometry_is_judged_by_the_truth(scenes, tmp_path, capsys):
 def test_files_that_are_not_there_are_named(recording, tmp_path, capsys, options, word):
     assert run(recording, tmp_path / "map", *options) == 1
     assert word in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("scan", ["lidar", "repaired"])
+def test_extrinsics_that_nothing_would_read_are_refused(recording, tmp_path, capsys, scan):
+    options = ["--scan", scan, "--extrinsics", "mount.toml"]
+    assert run(recording, tmp_path / "map", *options) == 1
+    said = capsys.readouterr().err
+    assert f"mount.toml: --scan {scan} with --motion recorded takes no extrinsics" in said
+    assert not (tmp_path / "map").exists()

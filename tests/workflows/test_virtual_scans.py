@@ -28,10 +28,13 @@ from tests.workflows.box_recording import (
 MOUNT_YAW_RAD = 0.1
 
 
-def read(path, kind, settings=None, **options):
-    """All scans, and the notes after them."""
+def read(path, kind, settings=None, *, file=None, **options):
+    """All scans, and the notes after them. ``file``: of extrinsics."""
     with open_recording(path) as recording:
-        scans = open_scans(recording, choose_streams(recording), kind, settings, **options)
+        streams = choose_streams(recording)
+        if file is not None:
+            options["cameras"] = extrinsics(recording, streams, ChainSettings(), file=file)
+        scans = open_scans(recording, streams, kind, settings, **options)
         return list(scans), scans.notes
 
 
@@ -215,7 +218,7 @@ def test_extrinsics_from_a_file(tmp_path, form):
         "table": f'[cameras."{TOPIC}"]\nT_camera_lidar = {T.tolist()}',
         "json": json.dumps({"T_camera_lidar": T.tolist(), "note": "by hand"}),
     }[form]
-    scans, notes = read(path, "merged", extrinsics_file=extrinsics_file(tmp_path, text))
+    scans, notes = read(path, "merged", file=extrinsics_file(tmp_path, text))
     assert "Extrinsics from extrinsics.toml." in notes
     for scan in scans:
         assert low_box_share(scan) == 1.0
@@ -226,7 +229,7 @@ def test_a_file_places_a_camera_on_its_side(tmp_path):
     T = camera_pose(0.8, roll=-np.pi / 2)
     path = write_boxes(tmp_path / "side.mcap", T_base_camera=T, tf=(), duration_s=0.2)
     file = extrinsics_file(tmp_path, f"T_camera_lidar = {T_camera_lidar(T).tolist()}")
-    for scan in read(path, "merged", extrinsics_file=file)[0]:
+    for scan in read(path, "merged", file=file)[0]:
         assert low_box_share(scan) == 1.0
         assert_true(scan, START_POSE, half_deg=15.0)
 
@@ -237,7 +240,7 @@ def test_a_file_goes_over_tf(tmp_path):
     file = extrinsics_file(
         tmp_path, f"T_camera_lidar = {T_camera_lidar(camera_pose(0.8)).tolist()}"
     )
-    assert low_box_share(read(path, "merged", extrinsics_file=file)[0][0]) == 1.0
+    assert low_box_share(read(path, "merged", file=file)[0][0]) == 1.0
 
 
 def test_a_file_needs_its_camera_and_a_lidar(tmp_path):
@@ -245,14 +248,11 @@ def test_a_file_needs_its_camera_and_a_lidar(tmp_path):
     path = write_boxes(tmp_path / "plain.mcap", duration_s=0.2)
     other = extrinsics_file(tmp_path, f'[cameras."/other"]\nT_camera_lidar = {T}')
     with pytest.raises(SettingsError, match=TOPIC):
-        read(path, "merged", extrinsics_file=other)
+        read(path, "merged", file=other)
     file = extrinsics_file(tmp_path, f"T_camera_lidar = {T}")
-    for kind in ("lidar", "repaired"):
-        with pytest.raises(SettingsError, match=f"--scan {kind} takes no extrinsics"):
-            read(path, kind, extrinsics_file=file)
     alone = write_boxes(tmp_path / "alone.mcap", lidar=False, duration_s=0.2)
     with pytest.raises(SettingsError, match="no LiDAR"):
-        read(alone, "camera", extrinsics_file=file)
+        read(alone, "camera", file=file)
 
 
 # A camera at 0.8 m that looks upwards sees walls only, and from afar.
