@@ -1,4 +1,4 @@
-"""Pose graph SLAM: local SLAM, then loops, then the poses that fit all relations best.
+"""Pose graph SLAM: local SLAM, then loops, then the poses that fit all relations and the map best.
 
 After Hess et al. 2016, "Real-time loop closure in 2D LIDAR SLAM", for whole recordings: loops are
 searched along the way, with the poses that the loops before have given.
@@ -22,6 +22,7 @@ from fusion_core.model.sensors import LaserScan
 from fusion_core.model.slam_view import SlamView, Watch, unwatched
 from fusion_core.settings import SettingsGroup
 from fusion_core.slam.carried import carried
+from fusion_core.slam.joint_refinement import RefinementSettings, refine
 from fusion_core.slam.local_slam import LocalSlam, LocalSlamSettings, LocalTrajectory
 from fusion_core.slam.loop_closing import close_loops
 from fusion_core.slam.loop_search import LoopSettings
@@ -40,6 +41,7 @@ class SlamSettings(SettingsGroup):
     local: LocalSlamSettings = LocalSlamSettings()
     loops: LoopSettings = LoopSettings()
     graph: GraphSettings = GraphSettings()
+    refinement: RefinementSettings = RefinementSettings()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -119,24 +121,34 @@ def pose_graph_slam(
     closed = close_loops(
         local, _steps(local, fits, settings.graph), settings.loops, settings.graph, progress, solved
     )
+    closed_s = time.perf_counter()
+    poses_map_node = refine(
+        closed.poses_map_node,
+        local.key_points_m,
+        closed.is_joined,
+        settings.submaps,
+        settings.refinement,
+        progress,
+    )
     end_s = time.perf_counter()
-    poses_map_scan = carried(local.poses_local_scan, local.key, closed.poses_map_node)
+    poses_map_scan = carried(local.poses_local_scan, local.key, poses_map_node)
     loops = [edge for edge in closed.edges if edge.is_loop]
     if watch is not unwatched:
-        watch(_view("done", local.stamps_ns, poses_map_scan, loops, closed.poses_map_node))
+        watch(_view("done", local.stamps_ns, poses_map_scan, loops, poses_map_node))
     return SlamResult(
         stamps_ns=local.stamps_ns,
         poses_map_scan=poses_map_scan,
         trusted=fits & _is_joined(local, closed.is_joined),
         key=local.key,
-        graph=_graph(closed.poses_map_node, closed.edges),
-        residuals=residuals(closed.poses_map_node, closed.edges),
+        graph=_graph(poses_map_node, closed.edges),
+        residuals=residuals(poses_map_node, closed.edges),
         loops_tried=closed.tried,
         loops_dropped=closed.dropped,
         seconds={
             "local_slam": local_s - start_s,
-            "loop_search": end_s - local_s - closed.optimisation_s,
+            "loop_search": closed_s - local_s - closed.optimisation_s,
             "optimisation": closed.optimisation_s,
+            "refinement": end_s - closed_s,
         },
     )
 

@@ -19,8 +19,9 @@ from fusion_core.slam.scan_to_grid import FULL
 
 # As far as an interpolation feels a cell, so that the grid's end shows in none.
 _BORDER = 3
-# Cells that a grid is larger than what it holds, so that it need not grow with each scan.
-_ROOM = 60
+# Cells that a grid is larger than what it holds, so that it need not grow with each scan; a large
+# one, where growing takes long, by a share.
+_ROOM, _ROOM_SHARE = 60, 0.25
 
 
 class SubmapSettings(StageSettings):
@@ -145,8 +146,9 @@ class GrowingSubmap:
         end = self._corner + np.array(self.occupancy.shape[::-1])
         if ((low >= self._corner + _BORDER) & (high <= end - _BORDER)).all():
             return
-        corner = low - _ROOM
-        columns, rows = (high + _ROOM - corner).tolist()
+        room = np.maximum(_ROOM, (_ROOM_SHARE * (high - low)).astype(np.int64))
+        corner = low - room
+        columns, rows = (high + room - corner).tolist()
         occupancy = np.zeros((rows, columns), dtype=np.uint8)
         log_odds = np.full((rows, columns), np.nan)
         updated_in_scan = np.zeros((rows, columns), dtype=np.int32)

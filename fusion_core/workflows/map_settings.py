@@ -2,7 +2,8 @@
 
 ``default`` is what is right; ``published`` is Li 2022 as far as its text decides: clouds by stride
 and cropped scans (§2.2), odometry fused by (6) to (9) as printed, and, where the mount must be
-found or scans repaired, Xu 2024's chain as published.
+found or scans repaired, Xu 2024's chain as published. Its pose graph is Cartographer's (Fu 2024):
+the map is not refined with the poses.
 """
 
 from pathlib import Path
@@ -11,6 +12,7 @@ from fusion_core.exporting.settings_file import dump_toml
 from fusion_core.mapping import virtual_scan
 from fusion_core.mapping.virtual_scan import VirtualScanSettings
 from fusion_core.motion.fusion import FusionSettings
+from fusion_core.slam.joint_refinement import RefinementSettings
 from fusion_core.slam.particle_set import ParticleSettings
 from fusion_core.slam.pose_graph_slam import SlamSettings
 from fusion_core.workflows.motion_source import MotionSettings
@@ -30,6 +32,7 @@ MAP_PRESETS: dict[PresetName, MapSettings] = {
         **dict(PRESETS["published"]),
         virtual_scan=virtual_scan.PUBLISHED,
         fusion=FusionSettings(method="published"),
+        refinement=RefinementSettings(rounds=0),
     ),
 }
 

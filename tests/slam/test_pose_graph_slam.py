@@ -77,9 +77,9 @@ def test_the_work_is_reported(ring):
     said = []
     short = ring.scans[:40]
     result = pose_graph_slam(short, ring.prior, progress=lambda *state: said.append(state))
-    assert {what for _, _, what in said} == {"matching scans", "closing loops"}
+    assert {what for _, _, what in said} == {"matching scans", "closing loops", "refining"}
     assert (40, None, "matching scans") in said
-    assert set(result.seconds) == {"local_slam", "loop_search", "optimisation"}
+    assert set(result.seconds) == {"local_slam", "loop_search", "optimisation", "refinement"}
     assert all(value >= 0.0 for value in result.seconds.values())
 
 

@@ -1,0 +1,103 @@
+"""Poses and map refined together, the last step after the pose graph.
+
+A pose graph sums up each match in one relation, made with a submap of its time. Here the map of
+all key scans and their poses fit each other (Wang et al. 2025, Occupancy-SLAM, arXiv 2502.06292).
+Their sum of squares over poses and cells falls by turns: the cells are the log odds of all key
+scans where they lie, then each key scan is matched to the cells and held by where the graph has it.
+
+    poses_map_node = refine(poses_map_node, key_points_m, is_joined, submaps, RefinementSettings())
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
+from fusion_core.model.progress import Progress, silent
+from fusion_core.settings import StageSettings, setting
+from fusion_core.slam.scan_points import wall_points
+from fusion_core.slam.scan_to_grid import match_scan
+from fusion_core.slam.submaps import GrowingSubmap, SubmapSettings
+
+# Key scans are refined square by square, so that memory does not follow the size of the place.
+_SQUARE_M = 100.0
+# Fewer points than this fix no pose.
+_POINTS_MIN = 10
+
+
+class RefinementSettings(StageSettings):
+    """Joint refinement of poses and map."""
+
+    rounds: int = setting(2, "Turns of map and poses; 0 leaves the graph's poses", ge=0, le=50)
+    sigma_m: float = setting(0.02, "Doubt of the graph's poses", unit="m", gt=0.0, le=1.0)
+    sigma_rad: float = setting(0.01, "Doubt of the graph's poses", unit="rad", gt=0.0, le=1.0)
+
+
+def refine(
+    poses_map_node: FloatArray,
+    key_points_m: Sequence[FloatArray],
+    is_joined: BoolArray,
+    submaps: SubmapSettings,
+    settings: RefinementSettings,
+    progress: Progress = silent,
+) -> FloatArray:
+    """(K, 3) poses that fit the map of all, from the (K, 3) of the graph; the first one stays.
+
+    ``key_points_m``: K arrays (n, 2) in the frame of each. ``is_joined``: (K,) False stays where
+    it is, and out of the map: where it lies is not known well enough.
+    """
+    poses = poses_map_node.copy()
+    taken = np.flatnonzero(
+        is_joined & np.array([points_m.shape[0] >= _POINTS_MIN for points_m in key_points_m])
+    )
+    total = settings.rounds * taken.size
+    done = 0
+    for _ in range(settings.rounds):
+        # All from the poses of the round before: the squares' order must not matter.
+        before = poses.copy()
+        for inside, about in _squares(before[taken, :2], submaps.reach_m):
+            cells = _map_of(before, key_points_m, taken[about], submaps)
+            for node in taken[inside].tolist():
+                progress(done, total, "refining")
+                done += 1
+                poses[node] = match_scan(
+                    cells.occupancy,
+                    cells.corner_m,
+                    submaps.resolution_m,
+                    key_points_m[node],
+                    before[node],
+                    predicted=poses_map_node[node],
+                    prior_sigma=(settings.sigma_m, settings.sigma_rad),
+                ).pose_grid_scan
+    # The first one is the map's origin. Turning all with it would swing what lies far away.
+    poses[0] = poses_map_node[0]
+    return poses
+
+
+def _squares(places_m: FloatArray, reach_m: float) -> Iterator[tuple[IntArray, IntArray]]:
+    """For each square of the plane that holds places: those inside, and those within reach of it.
+
+    ``places_m``: (n, 2). Both as indices, rising.
+    """
+    if places_m.shape[0] == 0:
+        return
+    low_m = places_m.min(axis=0)
+    squares = np.floor((places_m - low_m) / _SQUARE_M)
+    for square in np.unique(squares, axis=0):
+        is_inside = (squares == square).all(axis=1)
+        offset_m = places_m - (low_m + square * _SQUARE_M)
+        is_about = ((offset_m >= -reach_m) & (offset_m < _SQUARE_M + reach_m)).all(axis=1)
+        # By rounding a place on the border may lie within reach of neither.
+        yield np.flatnonzero(is_inside), np.flatnonzero(is_about | is_inside)
+
+
+def _map_of(
+    poses: FloatArray, key_points_m: Sequence[FloatArray], nodes: IntArray, settings: SubmapSettings
+) -> GrowingSubmap:
+    """The cells that key scans have met, all of them in one grid."""
+    middle_m = (poses[nodes, :2].min(axis=0) + poses[nodes, :2].max(axis=0)) / 2.0
+    farthest_m = float(np.abs(poses[nodes, :2] - middle_m).max())
+    cells = GrowingSubmap(middle_m, int(nodes[0]), farthest_m, settings)
+    for node in nodes.tolist():
+        cells.add_scan(poses[node], wall_points(key_points_m[node], settings.resolution_m))
+    return cells
