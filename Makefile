@@ -14,7 +14,7 @@ test: $(READY_FOR_TESTS)
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
 	$(PYTHON) -m mypy
-	$(PYTHON) -m pytest
+	$(PYTHON) -m pytest -n 2 --dist loadfile
 
 $(READY): pyproject.toml .ci/setup
 	bash .ci/setup $(VENV)

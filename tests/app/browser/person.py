@@ -126,7 +126,7 @@ class Person:
         self.page.get_by_text(re.compile(r"frame \d+ of \d+")).first.click()
         self.page.keyboard.press(name)
 
-    def text(self, words: str) -> Locator:
+    def text(self, words: str | re.Pattern[str]) -> Locator:
         """Text that is seen and has these words in it."""
         return self.page.get_by_text(words).locator("visible=true").first
 

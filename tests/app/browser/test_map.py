@@ -109,7 +109,8 @@ def test_a_cancelled_build_leaves_nothing_and_a_reload_finds_the_same_state(
     before = sorted(output_root.rglob("*"))
     begin_build(person)
     count = len(person.shown.opened.frames)
-    expect(person.text(f"Fusing, 5 of {count}")).to_be_visible()
+    # What follows on another within a fifth of a second is not shown.
+    expect(person.text(re.compile(rf"Fusing, [1-5] of {count}"))).to_be_visible()
     person.wait_until(begun.is_set)
     assert sorted(output_root.rglob("*")) != before
     expect(person.button("Build")).to_be_disabled()
