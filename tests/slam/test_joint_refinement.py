@@ -15,7 +15,7 @@ from tests.slam.ring import scan_of
 
 COUNT = 60
 SUBMAPS = SubmapSettings()
-SETTINGS = RefinementSettings()
+SETTINGS = RefinementSettings(rounds=2)
 JOINED = np.ones(COUNT, dtype=np.bool_)
 
 
