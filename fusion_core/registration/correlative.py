@@ -21,7 +21,7 @@ from fusion_core.registration.likelihood_grid import FULL, LikelihoodPyramid
 # A point without a counterpart costs exp(-2): the truncation lies at two standard deviations.
 _NATS_OF_A_POINT = 2.0
 
-# Poses less likely than exp(-10) of the best one do not show in a covariance.
+# In a score: poses less likely than exp(-10) of the best one do not show in a covariance.
 _WITHIN_COVARIANCE = int(10.0 / _NATS_OF_A_POINT * FULL)
 
 _POSES_MAX = 2_000_000_000

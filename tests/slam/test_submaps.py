@@ -15,15 +15,17 @@ def points(rng, count=60):
     return np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)
 
 
-def test_it_is_the_grid_of_its_scans():
-    """The same scans through the final maps' builder, which is tested on its own."""
+@pytest.mark.parametrize("step_m", [0.2, 6.0])
+def test_it_is_the_grid_of_its_scans(step_m):
+    """The same scans through the final maps' builder, which is tested on its own; with long steps
+    the grid must grow."""
     rng = np.random.default_rng(1)
-    submap = GrowingSubmap(np.array([10.0, -3.0]), 7, 2.0, SETTINGS)
+    submap = GrowingSubmap(np.array([10.0, -3.0]), 7, 6.0 * step_m, SETTINGS)
     builder = GridBuilder(
         GridSettings(p_hit=0.6, p_miss=0.48, p_lowest=0.02, p_highest=0.98, resolution_m=0.05)
     )
     for step in range(6):
-        pose = np.array([10.0 + 0.2 * step, -3.0, 0.3 * step])
+        pose = np.array([10.0 + step_m * step, -3.0, 0.3 * step])
         points_m = points(rng)
         submap.add_scan(pose, points_m)
         builder.add_scan(
@@ -47,6 +49,21 @@ def test_its_obstacles_lie_where_points_were():
     assert obstacles_m.shape == (3, 2)
     for point_m in move_points(pose, points_m):
         assert np.abs(obstacles_m - point_m).max(axis=1).min() <= 0.025 + 1e-9
+
+
+def test_a_match_does_not_feel_where_the_grid_ends():
+    """Cells at the very edge of what was met have the same neighbourhood as any other."""
+    submap = GrowingSubmap(np.zeros(2), 0, 1.0, SETTINGS)
+    submap.add_scan(np.zeros(3), np.array([[2.0, 0.0], [0.0, 3.0], [-2.5, 0.0], [0.0, -1.5]]))
+    rows, columns = np.nonzero(submap.occupancy)
+    shape = submap.occupancy.shape
+    assert min(rows.min(), columns.min()) >= 3
+    assert shape[0] - 1 - rows.max() >= 3
+    assert shape[1] - 1 - columns.max() >= 3
+    # Scans that come to the very end of the room that was left: it grows by as much again.
+    submap.add_scan(np.zeros(3), np.array([[4.9, 0.0]]))
+    rows, columns = np.nonzero(submap.occupancy)
+    assert submap.occupancy.shape[1] - 1 - columns.max() >= 3
 
 
 def test_what_it_cannot_hold_is_left_out():

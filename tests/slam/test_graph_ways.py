@@ -1,0 +1,71 @@
+"""Ways along the graph, against the shortest of all ways found one step at a time."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fusion_core.slam.graph_ways import WAY_OF_BREAK_M, WAY_OF_TOLD_BREAK_M, GraphWays
+
+PER_SUBMAP, SUBMAPS = 5, 8
+NODES = PER_SUBMAP * SUBMAPS
+
+
+def trajectory(steps_m):
+    """Key scans on a straight line, a submap begun with every fifth."""
+    places_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    poses = np.stack([places_m, np.zeros(NODES), np.zeros(NODES)], axis=1)
+    submaps = [SimpleNamespace(first=PER_SUBMAP * number) for number in range(SUBMAPS)]
+    return SimpleNamespace(key_poses=poses, submaps=submaps)
+
+
+def breaks(nodes=(), told=()):
+    return SimpleNamespace(node=np.array(nodes, dtype=np.int64), is_told=np.array(told, dtype=bool))
+
+
+def expected_m(steps_m, ties, node):
+    """Bellman and Ford over submaps, from the one that the node is part of."""
+    way_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    first = PER_SUBMAP * np.arange(SUBMAPS)
+    edges = [(n, n + 1, way_m[first[n + 1]] - way_m[first[n]]) for n in range(SUBMAPS - 1)]
+    for number, end in ties:
+        other = end // PER_SUBMAP
+        edges.append((number, other, 1.0 + way_m[end] - way_m[first[other]]))
+    ways_m = np.full(SUBMAPS, np.inf)
+    ways_m[node // PER_SUBMAP] = 0.0
+    for _ in range(SUBMAPS):
+        for a, b, length_m in edges:
+            ways_m[b] = min(ways_m[b], ways_m[a] + length_m)
+            ways_m[a] = min(ways_m[a], ways_m[b] + length_m)
+    return ways_m + way_m[node] - way_m[first[node // PER_SUBMAP]]
+
+
+steps = st.lists(st.floats(0.05, 3.0), min_size=NODES - 1, max_size=NODES - 1)
+ends = st.tuples(st.integers(0, SUBMAPS - 1), st.integers(0, NODES - 1))
+
+
+@given(steps, st.lists(ends, max_size=6), st.integers(0, NODES - 1))
+def test_ways_are_the_shortest(steps_m, ties, node):
+    ways = GraphWays(trajectory(steps_m), breaks())
+    for taken, (number, end) in enumerate(ties):
+        # What was asked before must not be what is told after the next loop.
+        np.testing.assert_allclose(
+            ways.to_submaps(node), expected_m(steps_m, ties[:taken], node), atol=1e-9
+        )
+        ways.tie(number, end)
+    np.testing.assert_allclose(ways.to_submaps(node), expected_m(steps_m, ties, node), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("told", "longer_m"), [(True, WAY_OF_TOLD_BREAK_M), (False, WAY_OF_BREAK_M)]
+)
+def test_a_break_is_a_long_way(told, longer_m):
+    steps_m = np.full(NODES - 1, 0.2)
+    whole = GraphWays(trajectory(steps_m), breaks())
+    broken = GraphWays(trajectory(steps_m), breaks([12], [told]))
+    more_m = broken.to_submaps(0) - whole.to_submaps(0)
+    np.testing.assert_allclose(more_m, [0.0] * 3 + [longer_m] * 5, atol=1e-6)
+    broken.take_breaks(breaks())
+    np.testing.assert_array_equal(broken.to_submaps(0), whole.to_submaps(0))
