@@ -87,7 +87,7 @@ def seconds(row: Row) -> str:
 @pytest.mark.parametrize("share", [0.01, 0.1, 0.5, 0.9, 0.99])
 def test_a_cut_file_gives_its_share_of_the_rows(tmp_path: Path, size: int, share: float) -> None:
     # Large enough for inner pages, which stand behind the first of their leaves.
-    written = rows_of(3_000_000 // size, size)
+    written = rows_of(min(3_000_000 // size, 25_000), size)
     path = write(tmp_path / "a.db3", written)
     content = path.read_bytes()
     kept = int(share * len(content))
@@ -112,7 +112,7 @@ def test_a_cut_file_gives_its_share_of_the_rows(tmp_path: Path, size: int, share
 
 
 def test_a_lost_page_costs_only_its_own_rows(tmp_path: Path) -> None:
-    written = rows_of(400, 300) + [(i, *row[1:]) for i, row in enumerate(rows_of(6, 9000), 401)]
+    written = rows_of(160, 300) + [(i, *row[1:]) for i, row in enumerate(rows_of(6, 9000), 161)]
     path = write(tmp_path / "a.db3", written, page_bytes=1024)
     with closing(apsw.Connection(str(path), flags=apsw.SQLITE_OPEN_READONLY)) as connection:
         pages = connection.execute("SELECT pageno, name, pagetype, ncell FROM dbstat").fetchall()
