@@ -49,7 +49,7 @@ class LoopSettings(StageSettings):
         10, "Neighbours either way laid with one", unit="key scans", ge=0, le=500
     )
     distance_m: float = setting(8.0, "Submaps nearer than this are tried", unit="m", gt=0, le=200)
-    submaps: int = setting(4, "Submaps tried at a time", ge=1, le=100)
+    submaps: int = setting(2, "Submaps near the estimate tried at a time", ge=1, le=100)
     window_m: float = setting(2.0, "Search about the estimate", unit="m", gt=0.0, le=50.0)
     window_rad: float = setting(0.35, "Search about the estimate", unit="rad", gt=0.0, le=3.1416)
     drift: float = setting(0.04, "Search so much wider with the way between", unit="m/m", ge=0.0)
