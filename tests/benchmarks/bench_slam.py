@@ -6,8 +6,8 @@
 The measure is Kümmerle's (2009), without alignment; anchors: Cartographer 0.0229 m, 0.453 deg;
 Graph FLIRT 0.02 m, 0.3 deg; GMapping 0.070 m. Seconds are of one process, on the wall clock and on
 its own; reading the log is not in them. The exponent is the slope of log CPU seconds over log
-scans: 1 is linear. Each share of the log is placed three times, in turn, after a first quarter that
-compiles all there is to compile, and the least seconds of the three count: what else the machine
+scans: 1 is linear. Each share of the log is placed five times, in turn, after a first quarter that
+compiles all there is to compile, and the least seconds of the five count: what else the machine
 does only adds. The log's first eighth sees no place twice; the last doubling tells how the work
 grows once loops are there.
 """
@@ -33,7 +33,7 @@ from fusion_core.workflows.poses import recorded_poses
 ESTIMATORS = {"pose-graph": pose_graph_slam, "particle-filter": particle_filter_slam}
 SHARES = (1 / 8, 1 / 4, 1 / 2, 1)
 COMPILED_BY = 1 / 4
-REPEATS = 3
+REPEATS = 5
 
 
 def main() -> None:
