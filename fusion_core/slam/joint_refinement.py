@@ -16,13 +16,11 @@ from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
 from fusion_core.model.progress import Progress, silent
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.scan_points import wall_points
-from fusion_core.slam.scan_to_grid import match_scan
+from fusion_core.slam.scan_to_grid import POINTS_MIN, match_scan
 from fusion_core.slam.submaps import GrowingSubmap, SubmapSettings
 
 # Key scans are refined square by square, so that memory does not follow the size of the place.
 _SQUARE_M = 100.0
-# Fewer points than this fix no pose.
-_POINTS_MIN = 10
 
 
 class RefinementSettings(StageSettings):
@@ -48,7 +46,7 @@ def refine(
     """
     poses = poses_map_node.copy()
     taken = np.flatnonzero(
-        is_joined & np.array([points_m.shape[0] >= _POINTS_MIN for points_m in key_points_m])
+        is_joined & np.array([points_m.shape[0] >= POINTS_MIN for points_m in key_points_m])
     )
     total = settings.rounds * taken.size
     done = 0
@@ -87,7 +85,7 @@ def _squares(places_m: FloatArray, reach_m: float) -> Iterator[tuple[IntArray, I
         is_inside = (squares == square).all(axis=1)
         offset_m = places_m - (low_m + square * _SQUARE_M)
         is_about = ((offset_m >= -reach_m) & (offset_m < _SQUARE_M + reach_m)).all(axis=1)
-        # By rounding a place on the border may lie within reach of neither.
+        # By rounding, a place may seem to lie a little outside of its own square.
         yield np.flatnonzero(is_inside), np.flatnonzero(is_about | is_inside)
 
 

@@ -6,7 +6,7 @@ the *local* frame, exact over short ways. Loops are closed in the pose graph.
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.hold import Hold
 from fusion_core.slam.odometry_doubt import OdometryDoubt
 from fusion_core.slam.scan_points import end_points, wall_points
-from fusion_core.slam.scan_to_grid import GridMatch, best_of_window, match_scan
+from fusion_core.slam.scan_to_grid import POINTS_MIN, GridMatch, best_of_window, match_scan
 from fusion_core.slam.submaps import GrowingSubmap, Submap, SubmapSettings
 
 # Every second point is enough to find the cell in which Gauss-Newton starts.
@@ -43,8 +43,6 @@ _PACE_M_S, _PACE_RAD_S = 1.0, 1.0
 # Beyond this pace, and a late stamp's share, odometry has jumped.
 _FASTEST_M_S, _FASTEST_RAD_S = 3.0, 3.0
 _JUMP_M, _JUMP_RAD = 0.1, 0.1
-# Fewer points than this fix no pose.
-_POINTS_MIN = 10
 
 
 class LocalSlamSettings(StageSettings):
@@ -93,7 +91,7 @@ class LocalTrajectory:
     ...: between two parts no scan tells how the robot went. ``told``: (K,) odometry told the way to
     here from the last scan that was held by the map. ``adrift``: (N,) the scan may fit, but not in
     one place alone, and nothing else tells where it is. ``submaps``: in the order of their first
-    key scan; none is of two parts.
+    key scan; none is of two parts. ``key_poses``: (K, 3) the key scans' poses in the local frame.
     """
 
     stamps_ns: IntArray
@@ -105,8 +103,10 @@ class LocalTrajectory:
     told: BoolArray
     adrift: BoolArray
     submaps: Sequence[Submap]
+    key_poses: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "key_poses", self.poses_local_scan[self.key])
         for array in (
             self.stamps_ns,
             self.poses_local_scan,
@@ -115,13 +115,9 @@ class LocalTrajectory:
             self.part,
             self.told,
             self.adrift,
+            self.key_poses,
         ):
             read_only(array)
-
-    @property
-    def key_poses(self) -> FloatArray:
-        """(K, 3) the key scans' poses in the local frame."""
-        return self.poses_local_scan[self.key]
 
 
 class LocalSlam:
@@ -170,7 +166,7 @@ class LocalSlam:
         self._adrift.append(self._hold.is_adrift or self._hold.contradicts)
         if self._hold.breaks:
             self._break()
-        is_map = points_m.shape[0] >= _POINTS_MIN or not self._is_broken
+        is_map = points_m.shape[0] >= POINTS_MIN or not self._is_broken
         if self._is_key(pose) and is_map and not self._hold.contradicts:
             self._is_broken = False
             self._key.append(len(self._poses) - 1)
@@ -245,7 +241,7 @@ class LocalSlam:
         is_plausible = is_measured and self._is_plausible(stamp_ns, step)
         sigma = self._odometry.sigma(step) if is_measured else None
         doubt = self._doubt_of_guess(stamp_ns) if sigma is None else self._odometry.error(step)
-        if not self._growing or points_m.shape[0] < _POINTS_MIN:
+        if not self._growing or points_m.shape[0] < POINTS_MIN:
             self._odometry.forget_window()
             self._hold.carried(doubt, is_lost=bool(self._growing), is_measured=is_plausible)
             return predicted, np.nan

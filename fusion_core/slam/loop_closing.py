@@ -85,12 +85,11 @@ class _Closing:
         solved: Solved,
     ) -> None:
         self._local, self.steps = local, list(steps)
-        self._local_poses = local.key_poses
         self._loop_settings, self._graph_settings = loop_settings, graph_settings
         self._report = solved
         self.search = LoopSearch(local, loop_settings)
         self.loops: list[Edge] = []
-        self.poses = self._local_poses.copy()
+        self.poses = local.key_poses.copy()
         # Beyond this node poses are the local ones, moved as the last node before was.
         self._placed = 0
         self.dropped = 0
@@ -183,7 +182,7 @@ class _Closing:
             before = self.search.before(min(node, other))
             if before == 0:
                 continue
-            expected = compose(pose, relative(self._local_poses[node], self._local_poses[other]))
+            expected = compose(pose, relative(local.key_poses[node], local.key_poses[other]))
             centres_m = self.poses[self.search.centre[:before], :2]
             number = int(np.argmin(np.hypot(*(centres_m - expected[:2]).T)))
             first = int(self._first[number])
@@ -210,7 +209,7 @@ class _Closing:
         """Carry the poses on to a node by the local ones."""
         if node <= self._placed:
             return
-        local = self._local_poses
+        local = self._local.key_poses
         begin, end = self._placed, node + 1
         self.poses[begin + 1 : end] = compose(
             self.poses[begin], relative(local[begin], local[begin + 1 : end])

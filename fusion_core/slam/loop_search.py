@@ -97,7 +97,6 @@ class LoopSearch:
 
     def __init__(self, local: LocalTrajectory, settings: LoopSettings) -> None:
         self._local, self._settings = local, settings
-        self._poses = local.key_poses
         self._end = np.array([submap.end for submap in local.submaps])
         self.centre = np.array([(s.first + s.end - 1) // 2 for s in local.submaps])
         self._pyramids: OrderedDict[int, LikelihoodPyramid | None] = OrderedDict()
@@ -199,7 +198,7 @@ class LoopSearch:
         if points_m.shape[0] == 0 or pyramid is None:
             return None
         submap = self._local.submaps[number]
-        anchor = self._poses[submap.first]
+        anchor = self._local.key_poses[submap.first]
         predicted = compose(anchor, pose_first_node)
         stride = -(-points_m.shape[0] // _POINTS_OF_A_SEARCH)
         try:
@@ -247,7 +246,7 @@ class LoopSearch:
         )
         if self._pyramid(own) is None:
             return True
-        return beyond > self._contradiction(own, self._poses[node], points_m)
+        return beyond > self._contradiction(own, self._local.key_poses[node], points_m)
 
     def _contradiction(self, number: int, pose: FloatArray, points_m: FloatArray) -> float:
         """Share of the points in cells that the submap knows to be free, with no obstacle near.
@@ -277,13 +276,17 @@ class LoopSearch:
         """(n, 2) points of the stretch in the node's frame, one in each cell of the thinning."""
         if self._stretch is None or self._stretch[0] != node:
             reach, part = self._settings.stretch, self._local.part
-            nodes = np.arange(max(node - reach, 0), min(node + reach + 1, len(self._poses)))
+            nodes = np.arange(
+                max(node - reach, 0), min(node + reach + 1, len(self._local.key_poses))
+            )
             nodes = nodes[part[nodes] == part[node]]
             joined = np.concatenate(
                 [
                     move_points(pose, self._local.key_points_m[other])
                     for pose, other in zip(
-                        relative(self._poses[node], self._poses[nodes]), nodes.tolist(), strict=True
+                        relative(self._local.key_poses[node], self._local.key_poses[nodes]),
+                        nodes.tolist(),
+                        strict=True,
                     )
                 ]
             )

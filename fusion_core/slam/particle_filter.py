@@ -29,10 +29,9 @@ from fusion_core.slam.local_slam import LocalSlamSettings
 from fusion_core.slam.particle_odometry import LocalPose, ScanMatchedOdometry
 from fusion_core.slam.particle_proposal import MotionModel
 from fusion_core.slam.particle_set import ParticleSet, ParticleSettings, effective_number
+from fusion_core.slam.scan_to_grid import POINTS_MIN
 from fusion_core.slam.submaps import SubmapSettings
 
-# Fewer points than this fix no pose.
-_POINTS_MIN = 10
 # Weighed scans between two calls of a watch.
 _WATCHED = 20
 
@@ -161,7 +160,7 @@ class _Run:
 
     def _is_due(self, placed: LocalPose) -> bool:
         # A blind scan is no evidence: the next one that sees is weighed.
-        if placed.points_m.shape[0] < (_POINTS_MIN if self._key else 1):
+        if placed.points_m.shape[0] < (POINTS_MIN if self._key else 1):
             return False
         if not self._key:
             return True

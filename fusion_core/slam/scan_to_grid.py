@@ -22,6 +22,9 @@ FULL = 255.0
 # wall err together, so that a scan tells as much as nine independent points: 9 / 0.25².
 INFORMATION_OF_A_SCAN = 144.0
 
+# Fewer points than this fix no pose.
+POINTS_MIN = 10
+
 _ITERATIONS_MAX = 30
 _STEP_MIN = 1e-6
 

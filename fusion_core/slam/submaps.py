@@ -64,7 +64,7 @@ class GrowingSubmap:
     """A submap that takes scans; its grid grows with what they meet."""
 
     def __init__(self, centre_m: FloatArray, first: int, travel_m: float, settings: SubmapSettings):
-        """``centre_m``: (2,) where the first scan is; ``travel_m``: how far the last can be."""
+        """``centre_m``: (2,); points are taken up to ``travel_m`` and their reach from there."""
         self._settings = settings
         self._hit, self._miss = _log_odds(settings.p_hit), _log_odds(settings.p_miss)
         self._limit = _log_odds(settings.p_limit)
