@@ -2,7 +2,7 @@
 
 Exit codes: 0 done, 1 bad input or failed work (one line on stderr; under ``--json`` an object with
 ``error``, ``file`` and ``advice`` on stdout), 2 wrong usage, 130 interrupted, 141 when the reader
-of the output has gone.
+of the output has gone, 143 and 129 ended by SIGTERM and SIGHUP.
 """
 
 import importlib.metadata
@@ -18,10 +18,12 @@ from tyro import conf
 from app.command_options import WrongUsage
 from app.commands import Scanloom
 from app.evaluate_commands import Evaluate
+from app.interruption import Terminated, termination
 from app.terminal import printable, progress_on_stderr
 from fusion_core.model.errors import ScanLoomError
 
 _DONE, _FAILED, _WRONG_USAGE, _INTERRUPTED, _READER_GONE = 0, 1, 2, 130, 141
+_ENDED_BY_SIGNAL = 128
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -32,8 +34,12 @@ def main(args: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        code = _run(sys.argv[1:] if args is None else args)
+        with termination():
+            code = _run(sys.argv[1:] if args is None else args)
         sys.stdout.flush()
+    except Terminated as error:
+        sys.stderr.write("ended by a signal\n")
+        return _ENDED_BY_SIGNAL + error.number
     except KeyboardInterrupt:
         sys.stderr.write("interrupted\n")
         return _INTERRUPTED

@@ -1,15 +1,49 @@
-"""Ctrl-C as the wish to end a server, and no failure of whatever is at work when it comes."""
+"""Being asked to end: by Ctrl-C, by ``kill`` (SIGTERM), or as the terminal goes (SIGHUP).
+
+Work ends by an exception, and so leaves nothing half done. For a server it is the wish to end, and
+no failure of whatever is at work when it comes.
+"""
 
 import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import FrameType
 
 _LOOK_S = 0.1
+_ENDING = (signal.SIGTERM, signal.SIGHUP)
+
+
+class Terminated(KeyboardInterrupt):
+    """The process was asked to end by a signal other than Ctrl-C's."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.number = number
+
+
+@contextmanager
+def termination() -> Iterator[None]:
+    """Within, the first SIGTERM or SIGHUP raises Terminated; later ones must not break off the
+    cleaning up. A signal that is ignored, as under nohup, stays so. Call it in the main thread.
+    """
+
+    def end(number: int, _: FrameType | None) -> None:
+        for each in handled:
+            signal.signal(each, signal.SIG_IGN)
+        raise Terminated(number)
+
+    handled = [each for each in _ENDING if signal.getsignal(each) is not signal.SIG_IGN]
+    before = {each: signal.signal(each, end) for each in handled}
+    try:
+        yield
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
 
 
 class Interruption:
-    """Whether Ctrl-C was pressed."""
+    """Whether the wish to end has come."""
 
     def __init__(self) -> None:
         self._pressed = False
@@ -29,14 +63,18 @@ class Interruption:
 
 @contextmanager
 def interruption() -> Iterator[Interruption]:
-    """Within, Ctrl-C raises nothing and is noted instead. Call it in the main thread.
+    """Within, Ctrl-C and the signals like it raise nothing and are noted instead. Call it in the
+    main thread.
 
-    Once it was pressed, it stays without effect afterwards: the process is about to end, and people
-    press it twice. Otherwise what it did before holds again.
+    Once one came, they stay without effect afterwards: the process is about to end, and people
+    press it twice. Otherwise what they did before holds again.
     """
     noted = Interruption()
-    before = signal.signal(signal.SIGINT, lambda *_: noted.note())
+    before = {
+        each: signal.signal(each, lambda *_: noted.note()) for each in (signal.SIGINT, *_ENDING)
+    }
     try:
         yield noted
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN if noted else before or signal.SIG_DFL)
+        for each, handler in before.items():
+            signal.signal(each, signal.SIG_IGN if noted else handler or signal.SIG_DFL)

@@ -11,6 +11,7 @@ ROOT = Path(__file__).parents[1]
 
 # What each folder may import of the project, beside itself.
 BASE = {"fusion_core.model", "fusion_core.settings"}
+FILES = {"fusion_core.files"}
 ALGORITHMS = {
     "fusion_core.alignment": BASE,
     "fusion_core.registration": BASE,
@@ -22,18 +23,19 @@ ALGORITHMS = {
     | {"fusion_core.registration", "fusion_core.motion", "fusion_core.mapping"},
 }
 SIDES = {
-    "fusion_core.recordings": BASE,
-    "fusion_core.exporting": BASE,
-    "fusion_core.evaluation": BASE,
-    "fusion_core.annotation": BASE,
-    "fusion_core.simulation": BASE | {"fusion_core.recordings"},
+    "fusion_core.recordings": BASE | FILES,
+    "fusion_core.exporting": BASE | FILES,
+    "fusion_core.evaluation": BASE | FILES,
+    "fusion_core.annotation": BASE | FILES,
+    "fusion_core.simulation": BASE | FILES | {"fusion_core.recordings"},
 }
 ALLOWED: dict[str, set[str]] = {
     "fusion_core.model": set(),
     "fusion_core.settings": {"fusion_core.model"},
+    "fusion_core.files": {"fusion_core.model"},
     **ALGORITHMS,
     **SIDES,
-    "fusion_core.workflows": BASE | ALGORITHMS.keys() | SIDES.keys(),
+    "fusion_core.workflows": BASE | FILES | ALGORITHMS.keys() | SIDES.keys(),
     "app": BASE | {"fusion_core.workflows"},
 }
 # The core serves the command line and the browser alike, and knows neither.

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion_core.exporting.atomic import atomic_path
+from fusion_core.files.atomic import atomic_path
 from fusion_core.model.conventions import ByteArray, FloatArray
 from fusion_core.model.errors import ExportError
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Literal
 import cv2
 import numpy as np
 
-from fusion_core.exporting.atomic import write_bytes
 from fusion_core.exporting.palette import HOLE
+from fusion_core.files.atomic import write_bytes
 from fusion_core.model.conventions import (
     NS_PER_MS,
     ByteArray,

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion_core.exporting.atomic import write_text
+from fusion_core.files.atomic import write_text
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.pose_graph import PoseGraph
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from fusion_core.exporting.atomic import write_bytes
+from fusion_core.files.atomic import write_bytes
 from fusion_core.model.conventions import ByteArray
 from fusion_core.model.errors import ExportError
 from fusion_core.model.grids import MapDifference, OccupancyGrid

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion_core.exporting.atomic import write_bytes, write_text
+from fusion_core.files.atomic import write_bytes, write_text
 from fusion_core.model.conventions import ByteArray
 from fusion_core.model.grids import OccupancyGrid
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from fusion_core.exporting.atomic import atomic_path, atomic_stream
+from fusion_core.files.atomic import atomic_path, atomic_stream
 
 
 class CsvTable:

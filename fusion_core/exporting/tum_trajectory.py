@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fusion_core.exporting.atomic import write_text
+from fusion_core.files.atomic import write_text
 from fusion_core.model.conventions import NS_PER_S
 from fusion_core.model.errors import ExportError
 from fusion_core.model.trajectory import Trajectory

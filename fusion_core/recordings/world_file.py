@@ -13,7 +13,6 @@ pieces of equal length; ``seen_by`` lists runs [start, end) of samples. Outlines
 """
 
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -21,7 +20,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from fusion_core.model.errors import ExportError, RecordingError
+from fusion_core.files.atomic import cannot_write, write_text
+from fusion_core.model.errors import RecordingError
 from fusion_core.model.world_outline import (
     MeasuredAngle,
     MeasuredLine,
@@ -117,21 +117,10 @@ def write_world(file: Path, world: WorldOutline) -> None:
 
     Raises ExportError where it cannot be written.
     """
-    partial = file.with_name(f".{file.name}.{os.getpid()}.partial")
     try:
-        with partial.open("xb") as stream:
-            stream.write(_text(world).encode())
-            stream.flush()
-            os.fsync(stream.fileno())
-        partial.replace(file)
+        write_text(file, _text(world))
     except OSError as error:
-        raise ExportError(
-            f"cannot be written: {error.strerror or error}.",
-            file=file,
-            advice="Choose a folder with room to write in.",
-        ) from error
-    finally:
-        partial.unlink(missing_ok=True)
+        raise cannot_write(file, error) from error
 
 
 def _outline(stated: _World) -> WorldOutline:

@@ -1,6 +1,5 @@
 """The truth beside a recording: one .npz, written as frames come, the same bytes each time."""
 
-import os
 import tempfile
 import zipfile
 from collections.abc import Mapping
@@ -10,7 +9,7 @@ from typing import IO
 import numpy as np
 import numpy.typing as npt
 
-from fusion_core.model.errors import ExportError
+from fusion_core.files.atomic import atomic_stream, cannot_write
 
 _CHUNK_BYTES = 1 << 20
 
@@ -29,7 +28,6 @@ class TruthWriter:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
         self._fixed: dict[str, npt.NDArray[np.generic]] = {}
         self._stacks: dict[str, _Stack] = {}
 
@@ -51,28 +49,19 @@ class TruthWriter:
             if kind is None:
                 self._write()
         except OSError as error:
-            raise ExportError(
-                f"cannot be written: {error.strerror or error}.",
-                file=self.path,
-                advice="Choose a folder with room to write in.",
-            ) from error
+            raise cannot_write(self.path, error) from error
         finally:
-            self._partial.unlink(missing_ok=True)
             for stack in self._stacks.values():
                 stack.close()
 
     def _write(self) -> None:
-        with self._partial.open("xb") as file:
-            with zipfile.ZipFile(file, "w") as archive:
-                for name, array in self._fixed.items():
-                    with archive.open(_entry(name), "w") as member:
-                        np.lib.format.write_array(member, array, allow_pickle=False)
-                for name, stack in self._stacks.items():
-                    with archive.open(_entry(name), "w", force_zip64=True) as member:
-                        stack.copy_to(member)
-            file.flush()
-            os.fsync(file.fileno())
-        self._partial.replace(self.path)
+        with atomic_stream(self.path) as file, zipfile.ZipFile(file, "w") as archive:
+            for name, array in self._fixed.items():
+                with archive.open(_entry(name), "w") as member:
+                    np.lib.format.write_array(member, array, allow_pickle=False)
+            for name, stack in self._stacks.items():
+                with archive.open(_entry(name), "w", force_zip64=True) as member:
+                    stack.copy_to(member)
 
 
 class _Stack:

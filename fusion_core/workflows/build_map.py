@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion_core.exporting.atomic import write_text
 from fusion_core.exporting.figures_slam import write_effective, write_way
 from fusion_core.exporting.g2o import write_g2o
-from fusion_core.exporting.manifest import OutputPlan, plan_output, results_folder
+from fusion_core.exporting.output_folder import plan_output, results_folder
 from fusion_core.exporting.tum_trajectory import write_tum_trajectory
+from fusion_core.files.atomic import write_text
 from fusion_core.model.errors import MappingFailed, MissingStream, SettingsError
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress, silent
@@ -105,7 +105,9 @@ def build_map(
     with open_source(recording, options.room) as opened:
         plan = plan_output(
             output,
+            command="map",
             inputs=[*input_files(opened), *_given(options)],
+            also_read=[] if options.settings_file is None else [options.settings_file],
             settings_text=settings_text + _identity(options),
             seed=settings.particles.seed,
             force=options.force,
@@ -115,7 +117,10 @@ def build_map(
         if plan.skip:
             summary = _skipped(output)
         else:
-            summary = _run(opened, plan, options, settings, settings_text, progress, watch)
+            with results_folder(plan) as folder:
+                summary = _run(
+                    opened, output, folder, options, settings, settings_text, progress, watch
+                )
     if summary.report["trusted_share"] < _TRUSTED_SHARE_MIN:
         raise MappingFailed(
             f"only {summary.report['trusted_share']:.0%} of the scans fit the map.",
@@ -132,7 +137,6 @@ def _given(options: MapOptions) -> list[Path]:
 def _identity(options: MapOptions) -> str:
     """What was asked beyond the settings, as part of what makes two runs the same."""
     identity: dict[str, str | None] = {
-        "command": "map",
         **options.asked,
         "lidar": options.lidar_topic,
         "pose": options.pose_topic,
@@ -150,7 +154,8 @@ def _skipped(output: Path) -> MapSummary:
 
 def _run(
     recording: Recording,
-    plan: OutputPlan,
+    output: Path,
+    folder: Path,
     options: MapOptions,
     settings: MapSettings,
     settings_text: str,
@@ -174,15 +179,14 @@ def _run(
     notes = [*sources.notes, *no_maps]
     report = report_of(placed, options.asked, notes, recording.warnings)
     heading = printable(recording.path.resolve().name)
-    with results_folder(plan) as folder:
-        write_maps(folder, grids, heading)
-        _write_way(folder, placed, grids.get(options.scan), heading)
-        if motion is not None:
-            write_odometry(folder, motion)
-        write_text(folder / "settings.toml", settings_text)
-        write_text(folder / _REPORT_NAME, json.dumps(report, indent=2, allow_nan=False) + "\n")
+    write_maps(folder, grids, heading)
+    _write_way(folder, placed, grids.get(options.scan), heading)
+    if motion is not None:
+        write_odometry(folder, motion)
+    write_text(folder / "settings.toml", settings_text)
+    write_text(folder / _REPORT_NAME, json.dumps(report, indent=2, allow_nan=False) + "\n")
     seconds["maps"] = time.perf_counter() - start_s
-    return MapSummary(output=plan.folder, skipped=False, report=report, seconds=seconds)
+    return MapSummary(output=output, skipped=False, report=report, seconds=seconds)
 
 
 class _Sources:

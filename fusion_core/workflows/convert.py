@@ -1,6 +1,5 @@
 """Any recording as one MCAP file of ROS 2 messages, for other tools to open."""
 
-import os
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -9,6 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from fusion_core.files.inputs import require_apart
 from fusion_core.model.conventions import NS_PER_S
 from fusion_core.model.errors import ExportError, RecordingError
 from fusion_core.model.progress import Progress
@@ -65,7 +65,7 @@ def convert(
     """
     _check_output(output, overwrite=options.overwrite)
     with open_source(path, options.room) as recording:
-        _require_outside([path, *input_files(recording)], output)
+        require_apart(output, [path, *input_files(recording)])
         selection = _select(recording, options)
         account = _Account(selection, progress)
         if selection.first_ns < 0:
@@ -88,16 +88,6 @@ def _check_output(output: Path, *, overwrite: bool) -> None:
         raise ExportError("is a folder.", file=output, advice="Choose another name.")
     if output.exists() and not overwrite:
         raise ExportError("exists.", file=output, advice="Choose another name, or --overwrite.")
-
-
-def _require_outside(inputs: Collection[Path], output: Path) -> None:
-    sources, target = [os.path.realpath(path) for path in inputs], Path(os.path.realpath(output))
-    if any(Path(source) in (target, *target.parents) for source in sources):
-        raise ExportError(
-            "is the recording itself, or inside it.",
-            file=output,
-            advice="Recordings are never changed; choose another name.",
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

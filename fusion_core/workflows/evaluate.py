@@ -23,6 +23,7 @@ from fusion_core.evaluation.relative_pose import Step, StepUnit
 from fusion_core.evaluation.repair import evaluate_repair
 from fusion_core.evaluation.trajectories import GREATEST_GAP_S, Alignment, evaluate_trajectory
 from fusion_core.evaluation.truth import LeverArm, Truth, load_truth
+from fusion_core.exporting.manifest import require_as_written
 from fusion_core.model.conventions import Float32Array
 from fusion_core.model.errors import SettingsError
 from fusion_core.model.planar_poses import move_points
@@ -34,6 +35,9 @@ from fusion_core.recordings.ros_map import read_ros_map
 from fusion_core.recordings.tum_trajectory import read_tum_trajectory
 from fusion_core.recordings.world_file import read_world
 from fusion_core.workflows.map_alignment import MapAlignment, align_map
+
+# What the measures read of a folder that ``fuse`` has written.
+_FUSED = ("alignment.json", "frames.csv", "samples.parquet")
 
 EPSILON_OVER_E = np.linspace(0.2, 6.0, 30)
 """Fig. 6 of Xu 2024 shows [1, sqrt 2]; the rest shows what lies beside the band."""
@@ -48,6 +52,7 @@ def alignment(
     clock_offset_ms: float | None = None,
 ) -> dict[str, Any]:
     """Offset of each frame, yaw of the mount and clock against the truth."""
+    require_as_written(fuse_dir, _FUSED, "fuse")
     known = _load(truth, lever_arm_m, pitch_rad, clock_offset_ms)
     return evaluate_alignment(fuse_dir, known).to_json()
 
@@ -61,6 +66,7 @@ def noise(
     clock_offset_ms: float | None = None,
 ) -> dict[str, Any]:
     """Recalls of good, noise and conflict pairs, and the curves of Fig. 6 (``over_epsilon``)."""
+    require_as_written(fuse_dir, _FUSED, "fuse")
     known = _load(truth, lever_arm_m, pitch_rad, clock_offset_ms)
     curve = recall_over_epsilon(fuse_dir, known, EPSILON_OVER_E)
     return {**evaluate_noise(fuse_dir, known).to_json(), "over_epsilon": curve.to_json()}
@@ -79,6 +85,7 @@ def repair(
 
     ``recording``, what was fused, adds the rivals that fill whole depth images.
     """
+    require_as_written(fuse_dir, _FUSED, "fuse")
     known = _load(truth, lever_arm_m, pitch_rad, clock_offset_ms)
     if recording is None:
         return evaluate_repair(fuse_dir, known).to_json()
@@ -100,6 +107,8 @@ def trajectory(
     ``delta`` and ``unit`` are the step of the relative errors.
     """
     step = Step(delta=delta, unit=unit)
+    for file in (estimate, reference):
+        require_as_written(file.parent, (file.name,))
     own, true = read_tum_trajectory(estimate), read_tum_trajectory(reference)
     report = evaluate_trajectory(
         own.trajectory,
@@ -113,6 +122,7 @@ def trajectory(
 
 def relations(trajectory: Path, relations: Path) -> dict[str, Any]:
     """Errors of a TUM file over relations, as Kümmerle and as Cartographer measure them."""
+    require_as_written(trajectory.parent, (trajectory.name,))
     own = read_tum_trajectory(trajectory)
     report = evaluate_relations(own.trajectory, read_relations(relations))
     return {**report.to_json(), "warnings": list(own.warnings)}
@@ -133,6 +143,7 @@ def ros_map(
     """
     if pose is not None and not np.isfinite(pose).all():
         raise SettingsError(f"the pose must be finite, got {pose}.")
+    require_as_written(file.parent, (file.name, f"{file.stem}.pgm"))
     drawn, outline = read_ros_map(file), read_world(world)
     occupied_m, free_m = drawn.occupied_m(), drawn.free_m()
     pose_world_map = np.zeros(3) if pose is None else np.array(pose, dtype=np.float64)

@@ -8,6 +8,7 @@ import numpy as np
 
 from fusion_core.evaluation.odometry import STRETCH_M, evaluate_odometry
 from fusion_core.evaluation.trajectories import GREATEST_GAP_S
+from fusion_core.exporting.manifest import require_as_written
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.trajectory import Trajectory
@@ -37,7 +38,9 @@ def odometry(
     warnings: list[str] = []
     tracks: dict[str, Any] = {}
     failed: dict[str, str] = {}
-    for name, file in _files(map_dir):
+    files = list(_files(map_dir))
+    require_as_written(map_dir, [file.name for _, file in files], "map")
+    for name, file in files:
         own = read_tum_trajectory(file)
         warnings += own.warnings
         try:

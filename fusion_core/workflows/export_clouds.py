@@ -10,7 +10,8 @@ import numpy as np
 
 from fusion_core.evaluation.fuse_folder import open_fuse_folder
 from fusion_core.exporting.clouds import write_cloud
-from fusion_core.exporting.manifest import plan_output, results_folder
+from fusion_core.exporting.manifest import require_as_written
+from fusion_core.exporting.output_folder import plan_output, results_folder
 from fusion_core.mapping.voxel_cloud import VoxelCloud
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import NS_PER_MS, FloatArray
@@ -55,6 +56,7 @@ def export_clouds(
     Raises MissingStream where no poses are recorded, MappingFailed where a cloud becomes too large,
     ExportError for the folder, RecordingError where results and recording do not belong together.
     """
+    require_as_written(results, ("settings.toml", "alignment.json", "fused.mcap"), "fuse")
     preset, settings = chain_settings("default", results / "settings.toml", None)
     alignment = open_fuse_folder(results).alignment
     mount = Mount.from_vector(np.array([alignment["mount_used"][n] for n in MOUNT_PARAMETERS]))
@@ -72,6 +74,7 @@ def export_clouds(
             )
         plan = plan_output(
             output,
+            command="export",
             inputs=[*input_files(opened), fused_file],
             settings_text=json.dumps({"preset": preset, "voxel_m": voxel_m}),
             seed=settings.registration.seed,

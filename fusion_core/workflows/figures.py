@@ -163,6 +163,13 @@ def write_table_1(path: Path, rows: Iterable[dict[str, Any]]) -> None:
             table.append(row)
 
 
+def is_table_1(path: Path) -> bool:
+    """Whether a file begins as Table 1 does."""
+    head = ",".join(TABLE_1_COLUMNS).encode()
+    with path.open("rb") as stream:
+        return stream.read(len(head)) == head
+
+
 def _write_similarity(
     folder: Path,
     heading: str,

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from fusion_core.exporting.atomic import write_text
-from fusion_core.exporting.manifest import OutputPlan, plan_output, results_folder
+from fusion_core.exporting.output_folder import plan_output, results_folder
 from fusion_core.exporting.tables import CsvTable, ParquetTable
+from fusion_core.files.atomic import write_text
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress, silent
@@ -124,7 +124,9 @@ def fuse(
         inputs = input_files(opened) + ([] if options.truth is None else [options.truth])
         plan = plan_output(
             output,
+            command="fuse",
             inputs=inputs,
+            also_read=[] if options.settings_file is None else [options.settings_file],
             settings_text=settings_text + _asked(options),
             seed=settings.registration.seed,
             force=options.force,
@@ -133,14 +135,14 @@ def fuse(
         )
         if plan.skip:
             return _skipped(output)
-        session = open_session(opened, options, settings)
-        return _run(session, plan, options, preset, settings_text, progress)
+        with results_folder(plan) as folder:
+            session = open_session(opened, options, settings)
+            return _run(session, output, folder, options, preset, settings_text, progress)
 
 
 def _asked(options: FuseOptions) -> str:
     """What was asked beyond the settings, as part of what makes two runs the same."""
     asked = {
-        "command": "fuse",
         "virtual_lidar_row": options.virtual_lidar_row,
         "lidar": options.lidar_topic,
         "depth": options.depth_topics,
@@ -170,7 +172,8 @@ def _skipped(output: Path) -> FuseSummary:
 
 def _run(
     session: Session,
-    plan: OutputPlan,
+    output: Path,
+    folder: Path,
     options: FuseOptions,
     preset: PresetName,
     settings_text: str,
@@ -183,48 +186,45 @@ def _run(
     if options.maps and session.virtual_row is None:
         poses = recorded_poses(session.recording, session.streams, session.rig.lidar_frame)
         notes.append(f"Poses from {poses.source}." if poses else "No recorded poses: no maps.")
-    with results_folder(plan) as folder:
-        outcome = _write_frames(session, alignment, clock_offset_ms, poses, folder, progress)
-        notes.extend(outcome.notes)
-        document = alignment_document(
+    outcome = _write_frames(session, alignment, clock_offset_ms, poses, folder, progress)
+    notes.extend(outcome.notes)
+    document = alignment_document(
+        alignment,
+        session.rig,
+        preset,
+        virtual=session.virtual_row is not None,
+        notes=notes,
+    )
+    write_text(folder / "alignment.json", json.dumps(document, indent=2, allow_nan=False) + "\n")
+    write_text(folder / "settings.toml", settings_text)
+    figure_notes: list[str] = []
+    if options.figures:
+        progress(0, None, "drawing figures")
+        figure_notes = write_figures(
+            folder / "figures",
+            session,
             alignment,
-            session.rig,
-            preset,
-            virtual=session.virtual_row is not None,
-            notes=notes,
+            outcome.figures,
+            outcome.grids,
+            preset=preset,
+            fuse_dir=folder,
+            truth=options.truth,
         )
-        write_text(
-            folder / "alignment.json", json.dumps(document, indent=2, allow_nan=False) + "\n"
-        )
-        write_text(folder / "settings.toml", settings_text)
-        figure_notes: list[str] = []
-        if options.figures:
-            progress(0, None, "drawing figures")
-            figure_notes = write_figures(
-                folder / "figures",
-                session,
-                alignment,
-                outcome.figures,
-                outcome.grids,
-                preset=preset,
-                fuse_dir=folder,
-                truth=options.truth,
-            )
-        summary = FuseSummary(
-            output=plan.folder,
-            skipped=False,
-            document=document,
-            frames=outcome.frames,
-            paired=outcome.paired,
-            lidar_counts=outcome.lidar_counts,
-            scores=outcome.figures.scores,
-            notes=(*notes, *figure_notes, *session.recording.warnings),
-            pose_source=None if poses is None else poses.source,
-            grids=outcome.grids,
-        )
-        kept = summary.to_json()
-        kept = {key: kept[key] for key in ("frames", "paired", "classes", "scores", "notes")}
-        write_text(folder / "summary.json", json.dumps(kept, indent=2) + "\n")
+    summary = FuseSummary(
+        output=output,
+        skipped=False,
+        document=document,
+        frames=outcome.frames,
+        paired=outcome.paired,
+        lidar_counts=outcome.lidar_counts,
+        scores=outcome.figures.scores,
+        notes=(*notes, *figure_notes, *session.recording.warnings),
+        pose_source=None if poses is None else poses.source,
+        grids=outcome.grids,
+    )
+    kept = summary.to_json()
+    kept = {key: kept[key] for key in ("frames", "paired", "classes", "scores", "notes")}
+    write_text(folder / "summary.json", json.dumps(kept, indent=2) + "\n")
     return summary
 
 

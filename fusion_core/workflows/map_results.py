@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from fusion_core.exporting.manifest import require_as_written
 from fusion_core.model.conventions import (
     NS_PER_S,
     BoolArray,
@@ -16,7 +17,7 @@ from fusion_core.model.conventions import (
     IntArray,
     read_only,
 )
-from fusion_core.model.errors import ExportError, RecordingError, StampOutsideRange
+from fusion_core.model.errors import ExportError, ScanLoomError, StampOutsideRange
 from fusion_core.model.geometry import planar_from_transform
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.trajectory import Trajectory
@@ -77,9 +78,11 @@ class RunPoses:
 def read_run(folder: Path) -> RunFiles:
     """Read what ``build_map`` wrote. Raises ExportError where a file is not as it writes it."""
     try:
+        require_as_written(folder, ("report.json", "trajectory.tum", "odometry_weights.csv"), "map")
         report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
         trajectory = read_tum_trajectory(folder / "trajectory.tum").trajectory
         grid = folder / f"map_{report['scan']}.yaml"
+        require_as_written(folder, (grid.name, f"{grid.stem}.pgm"))
         stamps_s, weights = _weights(folder / "odometry_weights.csv")
         return RunFiles(
             report=report,
@@ -92,7 +95,7 @@ def read_run(folder: Path) -> RunFiles:
             rotation_weights=_ending(weights, _ROTATION),
             grid=read_grid(grid) if grid.exists() else None,
         )
-    except (OSError, ValueError, KeyError, TypeError, IndexError, RecordingError) as error:
+    except (OSError, ValueError, KeyError, TypeError, IndexError, ScanLoomError) as error:
         raise ExportError(
             f"cannot be read back: {type(error).__name__}: {error}.",
             file=folder,

@@ -4,12 +4,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from fusion_core.model.errors import RecordingError, ScanLoomError
+from fusion_core.exporting.manifest import MANIFEST_NAME
+from fusion_core.files.inputs import require_apart
+from fusion_core.model.errors import ExportError, RecordingError, ScanLoomError
 from fusion_core.model.progress import Progress, silent
-from fusion_core.workflows.figures import TABLE_1_COLUMNS, table_1_row, write_table_1
+from fusion_core.workflows.figures import (
+    TABLE_1_COLUMNS,
+    is_table_1,
+    table_1_row,
+    write_table_1,
+)
 from fusion_core.workflows.fuse import fuse
 from fusion_core.workflows.session import FuseOptions
 from fusion_core.workflows.source import room_choices, rooms_of
+
+_TABLE_NAME = "table1.csv"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,8 +56,10 @@ def fuse_rooms(
     """Fuse every room of a data set, or of one session, each into a folder of its own.
 
     A room that cannot be fused is named and left out. Raises RecordingError where there is no room
-    or none can be fused.
+    or none can be fused, ExportError for an output inside of the data set, or with results of one
+    run.
     """
+    _check_output(root, output)
     choices = list(room_choices(rooms_of(root, session)))
     rows = []
     failed: dict[str, str] = {}
@@ -75,5 +86,16 @@ def fuse_rooms(
             file=root,
             advice="Look into a room with info ROOT --home SESSION --room ROOM.",
         )
-    write_table_1(output / "table1.csv", rows)
+    write_table_1(output / _TABLE_NAME, rows)
     return RoomsSummary(output=output, rows=tuple(rows), failed=failed)
+
+
+def _check_output(root: Path, output: Path) -> None:
+    require_apart(output, [root])
+    table = output / _TABLE_NAME
+    if (output / MANIFEST_NAME).exists() or (table.exists() and not is_table_1(table)):
+        raise ExportError(
+            "holds files that are no rooms of a session.",
+            file=output,
+            advice="Name another output folder.",
+        )

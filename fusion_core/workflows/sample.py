@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from fusion_core.exporting.settings_file import load_toml
+from fusion_core.files.inputs import require_apart
 from fusion_core.model.errors import ExportError
 from fusion_core.model.progress import Progress
 from fusion_core.recordings.world_file import world_path
@@ -46,6 +47,7 @@ def write(
         raise ExportError("is no name for a recording.", file=output, advice="End it in .mcap.")
     truth, world = truth_path(output), world_path(output)
     for path in (output, truth, world):
+        require_apart(path, [] if settings_file is None else [settings_file])
         if path.exists() and not overwrite:
             raise ExportError("exists.", file=path, advice="Choose another name, or --overwrite.")
     write_scene(name, output, settings=settings, faults=faults, progress=progress)

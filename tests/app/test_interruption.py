@@ -1,4 +1,4 @@
-"""Ctrl-C ends a server well, whenever it comes."""
+"""Ctrl-C, and the signals like it, end work and servers well, whenever they come."""
 
 import json
 import os
@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from app.interruption import interruption
+from app.interruption import Terminated, interruption, termination
+from app.resources import sample_path
 from tests.app.viser_client import connect
 
 ROOT = Path(__file__).parents[2]
@@ -25,9 +26,13 @@ ENDS_S = 20.0
 def own_handler() -> Iterator[list[int]]:
     """What Ctrl-C calls before and after; the signals that reached it."""
     reached: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, _: reached.append(number))
+    before = {
+        each: signal.signal(each, lambda number, _: reached.append(number))
+        for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    }
     yield reached
-    signal.signal(signal.SIGINT, before)
+    for each, handler in before.items():
+        signal.signal(each, handler)
 
 
 def press() -> None:
@@ -59,10 +64,54 @@ def test_a_failure_within_goes_on(own_handler: list[int]) -> None:
     assert own_handler == [signal.SIGINT]
 
 
-def serving(recording: Path, port: int = 0) -> subprocess.Popen[str]:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_work_ends_by_an_exception_and_cleans_up_undisturbed(number: signal.Signals) -> None:
+    steps = []
+    before = signal.getsignal(number)
+
+    def work() -> None:
+        try:
+            os.kill(os.getpid(), number)
+        finally:
+            os.kill(os.getpid(), number)
+            steps.append("cleaned up")
+
+    with pytest.raises(Terminated) as ended, termination():
+        work()
+    assert (ended.value.number, steps) == (number, ["cleaned up"])
+    assert signal.getsignal(number) is before
+
+
+def test_what_is_ignored_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with termination():
+            os.kill(os.getpid(), signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_command_that_is_ended_leaves_nothing(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "app.cli", "fuse", str(sample_path()), "-o", str(out)]
+    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as running:
+        assert running.stderr is not None
+        try:
+            # The folder is held from here on.
+            assert any("reading" in line or "searching" in line for line in running.stderr)
+            assert out.exists()
+            running.send_signal(signal.SIGTERM)
+            _, errors = running.communicate(timeout=ENOUGH_S)
+        finally:
+            running.kill()
+    assert (running.returncode, errors.splitlines()[-1]) == (143, "ended by a signal")
+    assert not out.exists()
+
+
+def serving(recording: Path, port: int = 0, *more: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "app.cli", "view", str(recording), "--json", f"--port={port}"]
     return subprocess.Popen(
-        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*command, *more], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
 
 
@@ -84,6 +133,29 @@ def test_pressed_as_soon_as_the_address_is_printed(small_scene: Path, delay_s: f
         finally:
             server.kill()
     assert re.fullmatch(r"http://127\.0\.0\.1:\d+", address)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_build_that_is_ended_with_its_server_leaves_nothing(
+    small_scene: Path, tmp_path: Path, number: signal.Signals
+) -> None:
+    root = tmp_path / "out"
+    with serving(small_scene, 0, "-o", str(root)) as server:
+        assert server.stdout is not None
+        try:
+            address = json.loads(server.stdout.readline())["address"]
+            with connect(address) as client:
+                client.find("Build", timeout=ENOUGH_S)
+                # A button takes clicks a moment after it is shown.
+                deadline_s = time.monotonic() + ENOUGH_S
+                while not any(root.glob("*/results")) and time.monotonic() < deadline_s:
+                    client.click("Build")
+                    time.sleep(0.01)
+                server.send_signal(number)
+                assert ended(server) == (0, "", "")
+        finally:
+            server.kill()
+    assert list(root.iterdir()) == []
 
 
 def test_pressed_as_soon_as_anything_listens(small_scene: Path) -> None:

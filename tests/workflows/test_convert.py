@@ -447,7 +447,7 @@ def test_times_before_zero_are_logged_at_zero(tmp_path: Path, output: Path) -> N
 
 REFUSED: dict[str, tuple[dict[str, Any], type[ScanLoomError], str]] = {
     "suffix": ({"output": "out.bag"}, ExportError, r"\.mcap"),
-    "itself": ({"output": "source/a.mcap", "overwrite": True}, ExportError, "recording itself"),
+    "itself": ({"output": "source/a.mcap", "overwrite": True}, ExportError, "is read as the input"),
     "exists": ({"output": "there.mcap"}, ExportError, "--overwrite"),
     "folder": ({"output": "folder.mcap", "overwrite": True}, ExportError, "is a folder"),
     "no folder": ({"output": "none/out.mcap"}, ExportError, "cannot be written"),

@@ -1,12 +1,12 @@
 """One MCAP file of ROS 2 messages, written aside: it appears whole or not at all."""
 
-import os
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
 from mcap.writer import CompressionType, Writer
 
+from fusion_core.files.atomic import AtomicFile, cannot_write
 from fusion_core.model.errors import ExportError
 from fusion_core.recordings.containers import Payload
 
@@ -36,14 +36,10 @@ class McapOutput:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
         self._channels: dict[tuple[str, str, str, str], int] = {}
         self._schemas: dict[tuple[str, str, str], int] = {}
-        self._open = False
-        try:
-            self._file = self._partial.open("xb")
-        except OSError as error:
-            raise self._failure(error) from error
+        self._making = AtomicFile(path)
+        self._file = self._making.aside.open("wb")
         self._open = True
         self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._call(self._writer.start, profile="ros2", library="scanloom")
@@ -93,6 +89,7 @@ class McapOutput:
         if self._open:
             self._call(self._publish)
             self._open = False
+            self._making.close()
 
     def abort(self) -> None:
         """Leave nothing behind."""
@@ -101,7 +98,7 @@ class McapOutput:
             # What could not be written is to be thrown away in any case.
             with suppress(OSError):
                 self._file.close()
-            self._partial.unlink(missing_ok=True)
+            self._making.close()
 
     def __enter__(self) -> "McapOutput":
         return self
@@ -114,10 +111,8 @@ class McapOutput:
 
     def _publish(self) -> None:
         self._writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves it bare
-        self._file.flush()
-        os.fsync(self._file.fileno())
         self._file.close()
-        self._partial.replace(self.path)
+        self._making.publish()
 
     def _call(self, write: Any, *args: Any, **kwargs: Any) -> Any:
         """Each call may write out a chunk, and then fail as writing does."""
@@ -127,11 +122,7 @@ class McapOutput:
             return write(*args, **kwargs)
         except OSError as error:
             self.abort()
-            raise self._failure(error) from error
-
-    def _failure(self, error: OSError) -> ExportError:
-        return ExportError(
-            f"cannot be written: {error.strerror or error}.",
-            file=self.path,
-            advice="Choose a folder with room to write in.",
-        )
+            raise cannot_write(self.path, error) from error
+        except ExportError:
+            self.abort()
+            raise

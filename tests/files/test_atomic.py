@@ -1,13 +1,18 @@
 """Files that appear whole or not at all."""
 
 import errno
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from fusion_core.exporting import atomic
-from fusion_core.exporting.atomic import atomic_path, atomic_stream, write_bytes, write_text
+from fusion_core.files import atomic
+from fusion_core.files.atomic import atomic_path, atomic_stream, write_bytes, write_text
 from fusion_core.model.errors import ExportError
+
+ROOT = Path(__file__).parents[2]
 
 
 def names(folder: Path) -> list[str]:
@@ -87,3 +92,35 @@ def test_the_content_is_on_disk_before_the_name(
     monkeypatch.setattr(atomic, "_flush_to_disk", flush)
     write_bytes(path, b"1")
     assert seen == [(False, False), (True, True)]
+
+
+def test_what_a_killed_process_left_is_removed_and_work_in_progress_is_not(tmp_path: Path) -> None:
+    path = tmp_path / "map.pgm"
+    left = tmp_path / ".map.0123abcd.partial.pgm"
+    left.write_bytes(b"half")
+    others = [".map.0123abcd.partial.png", ".map.0123abc.partial.pgm", ".map2.0123abcd.partial.pgm"]
+    for name in others:
+        (tmp_path / name).write_bytes(b"")
+    with atomic_path(path) as first:
+        assert not left.exists()
+        with atomic_path(path) as second:
+            assert first.exists()
+            second.write_bytes(b"2")
+        first.write_bytes(b"1")
+    assert path.read_bytes() == b"1"
+    assert names(tmp_path) == sorted([*others, "map.pgm"])
+
+
+def test_a_killed_process_holds_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    script = (
+        "import os, signal, sys; from pathlib import Path\n"
+        "from fusion_core.files.atomic import AtomicFile\n"
+        "AtomicFile(Path(sys.argv[1])).aside.write_bytes(b'half')\n"
+        "os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    ended = subprocess.run([sys.executable, "-c", script, str(path)], cwd=ROOT)
+    assert ended.returncode == -signal.SIGKILL
+    assert len(names(tmp_path)) == 1
+    write_bytes(path, b"whole")
+    assert names(tmp_path) == ["a.mcap"]

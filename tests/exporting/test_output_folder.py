@@ -7,14 +7,10 @@ from pathlib import Path
 import pytest
 
 from fusion_core.exporting import manifest as manifest_module
-from fusion_core.exporting.manifest import (
-    OutputPlan,
-    digest_input,
-    plan_output,
-    results_folder,
-    sha256_of_file,
-)
-from fusion_core.model.errors import ExportError, RecordingError
+from fusion_core.exporting import output_folder
+from fusion_core.exporting.manifest import digest_input, require_as_written, sha256_of_file
+from fusion_core.exporting.output_folder import OutputPlan, plan_output, results_folder
+from fusion_core.model.errors import ExportError, RecordingError, ScanLoomError
 
 FRAMES, FIGURE = "frames.csv", "figures/3.png"
 RESULTS = {FRAMES: "1", FIGURE: "2"}
@@ -37,6 +33,8 @@ def plan(
     out: Path,
     recording: Path,
     *,
+    command: str = "fuse",
+    also_read: tuple[Path, ...] = (),
     settings: str = "a = 1\n",
     seed: int = 0,
     force: bool = False,
@@ -44,7 +42,9 @@ def plan(
 ) -> OutputPlan:
     return plan_output(
         out,
+        command=command,
         inputs=[recording],
+        also_read=also_read,
         settings_text=settings,
         seed=seed,
         force=force,
@@ -205,7 +205,8 @@ def test_a_forged_manifest_removes_nothing_outside(out: Path, recording: Path, n
     out.mkdir()
     absolute = str(recording.resolve())
     files = {name: sha256_of_file(recording), absolute: sha256_of_file(recording)}
-    (out / "manifest.json").write_text(json.dumps({"files": files}))
+    forged = {"project": "scanloom", "command": "fuse", "files": files}
+    (out / "manifest.json").write_text(json.dumps(forged))
     run(plan(out, recording))
     assert recording.read_bytes() == b"recorded"
 
@@ -230,8 +231,90 @@ def test_a_manifest_that_says_nothing_knows_no_files(out: Path, recording: Path,
 def test_an_input_is_never_written_into(recording: Path) -> None:
     with pytest.raises(ExportError, match="lies inside the input in"):
         plan(recording.parent / "out", recording.parent)
+    with pytest.raises(ExportError, match=r"holds the input room\.bag"):
+        plan(recording.parent, recording, overwrite=True)
     with pytest.raises(ExportError, match="is not a folder"):
         plan(recording, recording.parent / "other")
+
+
+def test_what_is_read_beside_the_inputs_is_never_written_over(out: Path, recording: Path) -> None:
+    run(plan(out, recording))
+    settings = out / FRAMES
+    # Nothing would be written, so nothing is in danger.
+    assert plan(out, recording, also_read=(settings,)).skip
+    with pytest.raises(ExportError, match=r"holds the input frames\.csv"):
+        plan(out, recording, also_read=(settings,), force=True, overwrite=True)
+
+
+def test_the_results_of_another_command_are_refused(out: Path, recording: Path) -> None:
+    run(plan(out, recording))
+    with pytest.raises(ExportError, match=r"out: holds results of fuse\. .*--overwrite"):
+        plan(out, recording, command="map", force=True)
+    assert content(out) == RESULTS
+    run(plan(out, recording, command="map", overwrite=True), {"report.json": "{}"})
+    assert content(out) == {"report.json": "{}"}
+
+
+def test_results_of_a_version_that_named_no_command_are_refused(out: Path, recording: Path) -> None:
+    run(plan(out, recording))
+    manifest = json.loads((out / "manifest.json").read_text())
+    del manifest["command"]
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    require_as_written(out, RESULTS, "fuse")
+    with pytest.raises(ExportError, match="holds results of an earlier version"):
+        plan(out, recording)
+
+
+@pytest.mark.parametrize("name", [FRAMES, "manifest.json", "figures"])
+def test_a_foreign_file_is_never_replaced(out: Path, recording: Path, name: str) -> None:
+    out.mkdir()
+    (out / name).write_text("{}")
+    with pytest.raises(ExportError, match=name.replace(".", r"\.")):
+        run(plan(out, recording, overwrite=True))
+    assert {path.name: path.read_text() for path in out.iterdir()} == {name: "{}"}
+
+
+def test_results_do_not_leave_the_folder_by_a_link(out: Path, recording: Path) -> None:
+    out.mkdir()
+    (out / "figures").symlink_to(recording.parent)
+    with pytest.raises(ExportError, match="leads out of the output folder"):
+        run(plan(out, recording, overwrite=True))
+    assert [path.name for path in recording.parent.iterdir()] == ["room.bag"]
+
+
+def test_a_second_run_into_the_folder_is_told_to_wait(out: Path, recording: Path) -> None:
+    first, second = plan(out, recording), plan(out, recording, seed=1)
+    with results_folder(first) as work:
+        (work / FRAMES).write_text("1")
+        with pytest.raises(ExportError, match=r"out: is being written by another run\. Wait"):
+            run(second)
+    assert content(out) == {FRAMES: "1"}
+    # It was planned for another folder than the one that is there now.
+    with pytest.raises(ExportError, match="was written by another run just now"):
+        run(second)
+    assert content(out) == {FRAMES: "1"}
+
+
+def test_a_mix_of_two_runs_is_no_result(out: Path, recording: Path) -> None:
+    run(plan(out, recording))
+    (out / FIGURE).write_text("of another run")
+    require_as_written(out, [FRAMES, "never written.csv"], "fuse")
+    with pytest.raises(ScanLoomError, match=r"3\.png: is not as the run .* wrote it"):
+        require_as_written(out, [FIGURE], "fuse")
+    with pytest.raises(ScanLoomError, match="holds results of fuse, not of map"):
+        require_as_written(out, [FRAMES], "map")
+
+
+def test_a_place_that_cannot_be_written_is_found_before_anything_is_touched(
+    out: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(plan(out, recording))
+    # As for a user who may not write into figures/; the tests may run as one who may do all.
+    monkeypatch.setattr(output_folder.os, "access", lambda path, mode: Path(path).name != "figures")
+    with pytest.raises(ExportError, match=r"3\.png: cannot be written"):
+        run(plan(out, recording, seed=1), {FRAMES: "new", FIGURE: "new"})
+    assert content(out) == RESULTS
+    require_as_written(out, RESULTS, "fuse")
 
 
 def test_an_input_folder_is_hashed_file_by_file(recording: Path) -> None:

@@ -1,0 +1,172 @@
+"""A folder of results: when a run into it may be skipped, replaces what is there, or is refused."""
+
+import hashlib
+import os
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from fusion_core.exporting.manifest import (
+    MANIFEST_NAME,
+    Manifest,
+    Work,
+    digest_input,
+    files_below,
+    manifest_text,
+)
+from fusion_core.files.atomic import write_text
+from fusion_core.files.inputs import require_apart
+from fusion_core.files.work_folder import WORK_NAME, work_folder
+from fusion_core.model.errors import ExportError
+from fusion_core.model.progress import Progress, silent
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutputPlan:
+    """What a run into ``folder`` is to do.
+
+    ``skip``: the folder already holds these results. ``earlier``: what is said there of the last
+    run, whose results the new ones replace.
+    """
+
+    folder: Path
+    work: Work
+    skip: bool
+    earlier: Manifest
+
+
+def plan_output(
+    folder: Path,
+    *,
+    command: str,
+    inputs: Sequence[Path],
+    settings_text: str,
+    seed: int,
+    also_read: Collection[Path] = (),
+    force: bool = False,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> OutputPlan:
+    """Decide about an output folder, without changing it.
+
+    A folder whose manifest has the same version, command, settings, seed and inputs, and whose
+    files are still as written, is skipped unless ``force``. ``also_read``: files that are read, and
+    whose content is in ``settings_text``.
+
+    Raises ExportError for a folder that is an input, lies inside one or holds one; unless
+    ``overwrite``, for one with the results of another command, or with files of which its manifest
+    knows nothing. With it the former are replaced, and the latter stay.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise ExportError("is not a folder.", file=folder, advice="Name another output folder.")
+    require_apart(folder, inputs)
+    work = Work(
+        command=command,
+        inputs=tuple(digest_input(path, progress) for path in inputs),
+        settings_sha256=hashlib.sha256(settings_text.encode("utf-8")).hexdigest(),
+        seed=seed,
+    )
+    manifest = Manifest.read(folder)
+    skip = not force and manifest.is_of(work)
+    if not skip:
+        require_apart(folder, also_read)
+        if not overwrite:
+            _refuse_what_is_there(manifest, command)
+    return OutputPlan(folder=folder, work=work, skip=skip, earlier=manifest)
+
+
+@contextmanager
+def results_folder(plan: OutputPlan) -> Iterator[Path]:
+    """Yield an empty folder to write all results into; they replace the earlier ones together.
+
+    Enter it before the work begins: it keeps other runs out of ``plan.folder``. When the block
+    ends, the files of the last run that are no longer results are removed, the manifest is written
+    and the new files are moved to ``plan.folder``. When it raises, the earlier results stay as they
+    were. Raises ExportError where the folder cannot be made or another run is at work in it, and
+    before anything is touched where a result cannot be put in its place.
+    """
+    with work_folder(plan.folder) as work:
+        if Manifest.read(plan.folder).content != plan.earlier.content:
+            raise ExportError(
+                "was written by another run just now.",
+                file=plan.folder,
+                advice="Call again, or name another output folder.",
+            )
+        yield work
+        _publish(plan, work)
+
+
+def _file_names(folder: Path) -> list[str]:
+    """Files of an output folder, without its manifest and unfinished work."""
+    return [
+        name
+        for name in files_below(folder)
+        if name != MANIFEST_NAME and PurePosixPath(name).parts[0] != WORK_NAME
+    ]
+
+
+def _refuse_what_is_there(manifest: Manifest, command: str) -> None:
+    """Raise ExportError for another command's results, and for files of unknown origin."""
+    if manifest.document and manifest.command != command:
+        raise ExportError(
+            f"holds results of {manifest.command or 'an earlier version'}.",
+            file=manifest.folder,
+            advice=f"Name another output folder for {command}, or replace them with --overwrite.",
+        )
+    unknown = [name for name in _file_names(manifest.folder) if name not in manifest.results]
+    if manifest.content is not None and not manifest.document:
+        unknown.append(MANIFEST_NAME)
+    if unknown:
+        shown = ", ".join(unknown[:3]) + (f" and {len(unknown) - 3} more" if unknown[3:] else "")
+        raise ExportError(
+            f"holds files that no run here has written: {shown}.",
+            file=manifest.folder,
+            advice="Name another output folder, or write beside them with --overwrite.",
+        )
+
+
+def _publish(plan: OutputPlan, results: Path) -> None:
+    # In this order, a run that is killed in between leaves a folder whose manifest knows each
+    # file but finds some missing or changed: readers refuse it and the next run replaces it.
+    names = _file_names(results)
+    stale = [name for name in plan.earlier.results if name not in names]
+    for name in (*names, *stale, MANIFEST_NAME):
+        _require_place(plan, name)
+    # Made in the work folder, where what a killed run leaves is cleared.
+    manifest = results.parent / MANIFEST_NAME
+    write_text(manifest, manifest_text(plan.work, results, names))
+    try:
+        for name in stale:
+            (plan.folder / name).unlink(missing_ok=True)
+        manifest.replace(plan.folder / MANIFEST_NAME)
+        for name in names:
+            target = plan.folder / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            (results / name).replace(target)
+    except OSError as error:
+        raise ExportError(
+            f"cannot be written: {error.strerror or error}.",
+            file=plan.folder,
+            advice="Call again when the folder can be written.",
+        ) from error
+
+
+def _require_place(plan: OutputPlan, name: str) -> None:
+    """Raise ExportError where a result cannot be put or removed, or what is there is no result."""
+    target = plan.folder / name
+    parent = target.parent
+    while not parent.exists() and not parent.is_symlink():
+        parent = parent.parent
+    is_own = name in plan.earlier.results or (name == MANIFEST_NAME and plan.earlier.document)
+    if not parent.resolve().is_relative_to(plan.folder.resolve()):
+        problem = "leads out of the output folder"
+    elif not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
+        problem = "cannot be written: its folder does not allow it"
+    elif target.is_dir() and not target.is_symlink():
+        problem = "is a folder where a result must go"
+    elif not is_own and (target.exists() or target.is_symlink()):
+        problem = "is no result of a run here, and stands where one must go"
+    else:
+        return
+    raise ExportError(f"{problem}.", file=target, advice="Name another output folder.")

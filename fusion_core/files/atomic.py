@@ -1,0 +1,137 @@
+"""Files that appear whole or not at all: written aside, flushed to disk, renamed."""
+
+import errno
+import os
+import re
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from fusion_core.files.lock import hold
+from fusion_core.model.errors import ExportError
+
+# Failures of writing itself. Any other OSError in the caller's block is not about this file.
+_WRITING_FAILED = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG}
+_TOKEN_BYTES = 4
+
+
+class AtomicFile:
+    """A file in the making: ``aside`` is written to, and ``publish`` gives it its name.
+
+    ``aside`` lies in the same folder and has the same suffix. It is locked while it is in the
+    making: files aside that nobody holds were left by killed processes, and are removed first.
+    Raises ExportError where the folder cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            _remove_abandoned(path)
+            # Created here, not by the caller, so that an unwritable folder fails before any work.
+            self.aside, descriptor = _new_aside(path)
+        except OSError as error:
+            raise cannot_write(path, error) from error
+        self._descriptor: int | None = descriptor
+
+    def publish(self) -> None:
+        """Flush what was written to disk and rename it to ``path``; the caller has closed it."""
+        _flush_to_disk(self.aside)
+        try:
+            self.aside.replace(self.path)
+        except OSError as error:
+            raise cannot_write(self.path, error) from error
+        # The rename itself is durable only when the folder is flushed.
+        _flush_to_disk(self.path.parent)
+
+    def close(self) -> None:
+        """Remove what was not published; a second call does nothing."""
+        if self._descriptor is None:
+            return
+        with suppress(FileNotFoundError):
+            self.aside.unlink()
+        os.close(self._descriptor)
+        self._descriptor = None
+
+
+@contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """Yield a temporary path in the same folder, with the same suffix, to be written by the caller.
+
+    It is renamed to ``path`` when the block ends and removed when it raises. Raises ExportError
+    where the folder cannot be written.
+    """
+    file = AtomicFile(path)
+    try:
+        yield file.aside
+        file.publish()
+    except OSError as error:
+        if error.errno in _WRITING_FAILED:
+            raise cannot_write(path, error) from error
+        raise
+    finally:
+        file.close()
+
+
+@contextmanager
+def atomic_stream(path: Path) -> Iterator[BinaryIO]:
+    """Yield a binary stream whose content becomes ``path`` when the block ends."""
+    with atomic_path(path) as aside, aside.open("wb") as stream:
+        yield stream
+        # Closed before the rename, so that the file is whole when it gets its name.
+        stream.close()
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a whole file."""
+    with atomic_stream(path) as stream:
+        stream.write(content)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a whole file as UTF-8, line ends as they are in ``text``."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def cannot_write(path: Path, error: OSError) -> ExportError:
+    """The failure of writing a file, in one line."""
+    return ExportError(
+        f"cannot be written: {error.strerror or error}.",
+        file=path,
+        advice="Choose another output folder or free space.",
+    )
+
+
+def _new_aside(path: Path) -> tuple[Path, int]:
+    while True:
+        token = secrets.token_hex(_TOKEN_BYTES)
+        aside = path.with_name(f".{path.stem}.{token}.partial{path.suffix}")
+        os.close(os.open(aside, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        # In between another process may have taken it for an abandoned one.
+        descriptor = hold(aside, create=False)
+        if descriptor is not None:
+            return aside, descriptor
+
+
+def _remove_abandoned(path: Path) -> None:
+    """Remove what killed processes have left beside ``path`` when they wrote it."""
+    stem, suffix = re.escape(path.stem), re.escape(path.suffix)
+    name = re.compile(rf"\.{stem}\.[0-9a-f]{{{2 * _TOKEN_BYTES}}}\.partial{suffix}")
+    for beside in path.parent.iterdir():
+        if not name.fullmatch(beside.name) or beside.is_symlink() or not beside.is_file():
+            continue
+        # What is not ours to lock is not ours to remove.
+        with suppress(PermissionError):
+            descriptor = hold(beside, create=False)
+            if descriptor is not None:
+                beside.unlink(missing_ok=True)
+                os.close(descriptor)
+
+
+def _flush_to_disk(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,44 @@
+"""What a command reads is never written over, moved or removed."""
+
+import os
+from collections.abc import Collection, Iterator
+from pathlib import Path
+
+from fusion_core.model.errors import ExportError
+
+
+def require_apart(output: Path, inputs: Collection[Path]) -> None:
+    """Raise ExportError where ``output``, a file or folder to be written, is an input, lies inside
+    one or holds one, by whatever names and links."""
+    target = _real(output)
+    for given in inputs:
+        for place in _places(given):
+            if place == target:
+                problem = f"is read as the input {given.name}"
+            elif place in target.parents:
+                problem = f"lies inside the input {given.name}"
+            elif target in place.parents:
+                problem = f"holds the input {given.name}"
+            else:
+                continue
+            raise ExportError(
+                f"{problem}, which is never changed.",
+                file=output,
+                advice="Choose another place for the output.",
+            )
+
+
+def _places(given: Path) -> Iterator[Path]:
+    """Where an input really is, where it is named, and where links inside of it lead."""
+    yield _real(given)
+    yield _real(given.parent) / given.name
+    for folder, folders, files in os.walk(given):
+        for name in (*folders, *files):
+            path = Path(folder) / name
+            if path.is_symlink():
+                yield _real(path)
+
+
+def _real(path: Path) -> Path:
+    """The path without links; of a loop, or an end that is missing, what can be told."""
+    return Path(os.path.realpath(path))

@@ -1,0 +1,47 @@
+"""Files that one process alone holds, until it lets go or ends, however it ends.
+
+The lock is the system's own (``flock``), so that a killed process leaves none behind.
+"""
+
+import os
+from pathlib import Path
+
+try:
+    from fcntl import LOCK_EX, LOCK_NB, flock
+except ImportError as error:
+    raise ImportError("ScanLoom needs flock, which Linux, macOS and WSL have.") from error
+
+
+def hold(path: Path, *, create: bool = True) -> int | None:
+    """Open a file and lock it: its descriptor, to be closed in the end. None where another holds
+    it, or where it is not there and ``create`` is False.
+
+    Raises OSError where it cannot be opened.
+    """
+    flags = os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW | (os.O_CREAT if create else 0)
+    while True:
+        try:
+            descriptor = os.open(path, flags, 0o666)
+        except FileNotFoundError:
+            if create:
+                raise
+            return None
+        try:
+            flock(descriptor, LOCK_EX | LOCK_NB)
+        except BlockingIOError:
+            os.close(descriptor)
+            return None
+        except OSError:
+            os.close(descriptor)
+            raise
+        if _is_still_at(path, descriptor):
+            return descriptor
+        # Who held it before has removed it in between.
+        os.close(descriptor)
+
+
+def _is_still_at(path: Path, descriptor: int) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.lstat())
+    except FileNotFoundError:
+        return False

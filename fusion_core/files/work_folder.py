@@ -1,0 +1,80 @@
+"""The hidden folder in which a run makes its results, held by that run alone."""
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from fusion_core.files.lock import hold
+from fusion_core.model.errors import ExportError
+
+WORK_NAME = ".scanloom-unfinished"
+_LOCK_NAME = "lock"
+
+
+@contextmanager
+def work_folder(folder: Path) -> Iterator[Path]:
+    """Yield an empty folder inside ``folder``, which is made where it is not there.
+
+    Another run into ``folder`` is refused meanwhile. What a killed run has left is cleared first,
+    and nothing is left in the end: a ``folder`` that was made here and is still empty is removed.
+    Raises ExportError where another run holds it, or it cannot be made.
+    """
+    is_new = not folder.exists()
+    work = folder / WORK_NAME
+    try:
+        descriptor = _hold(work)
+    except OSError as error:
+        if is_new:
+            _remove_empty(folder)
+        raise ExportError(
+            f"cannot be made: {error.strerror or error}.",
+            file=folder,
+            advice="Name another output folder.",
+        ) from error
+    if descriptor is None:
+        raise ExportError(
+            "is being written by another run.",
+            file=folder,
+            advice="Wait until that has ended, or name another output folder.",
+        )
+    try:
+        results = work / "results"
+        _clear(work)
+        results.mkdir()
+        yield results
+    finally:
+        _clear(work)
+        # The lock goes last: until then nobody else works in here.
+        (work / _LOCK_NAME).unlink(missing_ok=True)
+        _remove_empty(work)
+        os.close(descriptor)
+        if is_new:
+            _remove_empty(folder)
+
+
+def _hold(work: Path) -> int | None:
+    while True:
+        work.mkdir(parents=True, exist_ok=True)
+        if work.is_symlink():
+            raise NotADirectoryError(0, f"{WORK_NAME} in it is a link")
+        try:
+            return hold(work / _LOCK_NAME)
+        except FileNotFoundError:
+            # Another run has just ended, and removed its folder.
+            continue
+
+
+def _clear(work: Path) -> None:
+    for child in work.iterdir():
+        if child.is_dir() and not child.is_symlink():
+            shutil.rmtree(child, ignore_errors=True)
+        elif child.name != _LOCK_NAME:
+            child.unlink(missing_ok=True)
+
+
+def _remove_empty(folder: Path) -> None:
+    # Another run may have begun in it.
+    with suppress(OSError):
+        folder.rmdir()
