@@ -17,7 +17,7 @@ from fusion_core.exporting.manifest import (
 )
 from fusion_core.files.atomic import write_text
 from fusion_core.files.inputs import require_apart
-from fusion_core.files.work_folder import WORK_NAME, work_folder
+from fusion_core.files.work_folder import WORK_NAME, clear_abandoned, work_folder
 from fusion_core.model.errors import ExportError
 from fusion_core.model.progress import Progress, silent
 
@@ -48,7 +48,7 @@ def plan_output(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> OutputPlan:
-    """Decide about an output folder, without changing it.
+    """Decide about an output folder, without changing its files.
 
     A folder whose manifest has the same version, command, settings, seed and inputs, and whose
     files are still as written, is skipped unless ``force``. ``also_read``: files that are read, and
@@ -69,7 +69,9 @@ def plan_output(
     )
     manifest = Manifest.read(folder)
     skip = not force and manifest.is_of(work)
-    if not skip:
+    if skip:
+        clear_abandoned(folder)
+    else:
         require_apart(folder, also_read)
         if not overwrite:
             _refuse_what_is_there(manifest, command)

@@ -45,13 +45,27 @@ def work_folder(folder: Path) -> Iterator[Path]:
         results.mkdir()
         yield results
     finally:
-        _clear(work)
-        # The lock goes last: until then nobody else works in here.
-        (work / _LOCK_NAME).unlink(missing_ok=True)
-        _remove_empty(work)
-        os.close(descriptor)
+        _let_go(work, descriptor)
         if is_new:
             _remove_empty(folder)
+
+
+def clear_abandoned(folder: Path) -> None:
+    """Remove what a killed run has left in ``folder``, where it can be removed."""
+    work = folder / WORK_NAME
+    if work.is_dir() and not work.is_symlink():
+        with suppress(OSError):
+            descriptor = hold(work / _LOCK_NAME)
+            if descriptor is not None:
+                _let_go(work, descriptor)
+
+
+def _let_go(work: Path, descriptor: int) -> None:
+    _clear(work)
+    # The lock goes last: until then nobody else works in here.
+    (work / _LOCK_NAME).unlink(missing_ok=True)
+    _remove_empty(work)
+    os.close(descriptor)
 
 
 def _hold(work: Path) -> int | None:

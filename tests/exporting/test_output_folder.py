@@ -200,6 +200,15 @@ def test_what_a_killed_run_left_is_cleared(out: Path, recording: Path) -> None:
     assert content(out) == RESULTS
 
 
+def test_a_run_killed_as_it_cleared_up_is_done_and_cleared(out: Path, recording: Path) -> None:
+    run(plan(out, recording))
+    left = out / ".scanloom-unfinished"
+    left.mkdir()
+    (left / "lock").touch()
+    assert plan(out, recording).skip
+    assert not left.exists()
+
+
 @pytest.mark.parametrize("name", ["../in/room.bag", "figures/../../in/room.bag"])
 def test_a_forged_manifest_removes_nothing_outside(out: Path, recording: Path, name: str) -> None:
     out.mkdir()
