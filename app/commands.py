@@ -189,7 +189,7 @@ class Fuse:
     force: Flag = False
     """Work again where the folder already holds this very result."""
     overwrite: Flag = False
-    """Write into a folder that holds files of other origin."""
+    """Write beside files of other origin, and in place of the results of another command."""
     json: Flag = False
     """Print one JSON object on stdout."""
 

@@ -61,7 +61,7 @@ class Map:
     force: Flag = False
     """Work again where the folder already holds this very result."""
     overwrite: Flag = False
-    """Write into a folder that holds files of other origin."""
+    """Write beside files of other origin, and in place of the results of another command."""
     json: Flag = False
     """Print one JSON object on stdout."""
 
