@@ -22,7 +22,10 @@ from fusion_core.recordings.containers import Channel, Payload
 from fusion_core.recordings.messages.types import UnreadableType, type_store
 
 _ROS2 = get_typestore(Stores.ROS2_HUMBLE)
-_ROS1_NAMES = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
+_ROS1_NAMES = {
+    "tf/msg/tfMessage": "tf2_msgs/msg/TFMessage",
+    "roslib/msg/Clock": "rosgraph_msgs/msg/Clock",
+}
 _HEADER = "std_msgs/msg/Header"
 # What a type without fields holds in ROS 2, whose messages cannot be empty.
 _NO_FIELDS = "uint8 structure_needs_at_least_one_member\n"

@@ -4,6 +4,7 @@ A store of its own for each definition keeps files apart that define the same na
 and lets a definition that does not parse cost its own topic alone.
 """
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache
@@ -28,6 +29,10 @@ Deserializer = Callable[[Payload], Any]
 # What serialised bytes may be read with, and the definitions for files that carry none.
 _DEFAULT_STORES = {"cdr": Stores.ROS2_HUMBLE, "ros1": Stores.ROS1_NOETIC}
 READABLE_ENCODINGS = frozenset(_DEFAULT_STORES)
+# Bags from before 2011 have the header in the package that REP 100 took it from. In a field
+# without a package, "Header header", it is the same type by either name.
+_OLD_HEADER = re.compile(r"\broslib/(?:msg/)?Header\b")
+_HEADER = "std_msgs/Header"
 
 
 class UnreadableType(ValueError):
@@ -96,7 +101,7 @@ def _type_store(channel: Channel) -> Typestore:
         if channel.definition_format == "idl":
             store.register(get_types_from_idl(channel.definition))
         else:
-            store.register(get_types_from_msg(channel.definition, name))
+            store.register(get_types_from_msg(_OLD_HEADER.sub(_HEADER, channel.definition), name))
         require_bounded_type(store.fielddefs, name)
     except ExcessiveType as error:
         raise UnreadableType(f"its definition is out of all bounds ({error})") from error

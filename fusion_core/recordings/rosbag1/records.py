@@ -7,7 +7,7 @@ believed before it fits: a damaged file is read through what is left of it.
 
 import re
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import BinaryIO
 
 from fusion_core.recordings.containers import MAX_CHUNK_BYTES, Channel, ros2_type_name
@@ -32,6 +32,7 @@ _FIELDS: dict[int, dict[bytes, int | None]] = {
 }
 # Bytes for each of the ``count`` things in a record's data.
 _COUNTED = {OP_INDEX: 12, OP_CHUNK_INFO: 8}
+_COUNTED_VERSION = 1
 _MAX_HEADER_BYTES = 4096
 _MAX_NAME_BYTES = 1024
 # Real definitions have a few KB; their parser takes a second for each 100 KB.
@@ -82,6 +83,29 @@ def op_field(op: int) -> bytes:
 
 def read_record(stream: BinaryIO, start: int, end: int) -> BagRecord | None:
     """The record at ``start`` of a stream that ends at ``end``; None where none can stand."""
+    record = _record_by_its_lengths(stream, start, end)
+    if record is None:
+        return None
+    if record.op in _COUNTED and {b"ver", b"count"} <= record.fields.keys():
+        record = _by_its_count(stream, record, end)
+    return record if _is_plausible(record, end) else None
+
+
+def _by_its_count(stream: BinaryIO, record: BagRecord, end: int) -> BagRecord:
+    """A record whose data are as long as what it counts, where a record follows that.
+
+    The first recorders of bags 2.0 gave index data the length that their entries had in memory,
+    and wrote 12 bytes of each. The readers of ROS go by the count alone.
+    """
+    counted = replace(record, data_size=record.number(b"count") * _COUNTED[record.op])
+    if counted.data_size == record.data_size or counted.end > end:
+        return record
+    is_followed = counted.end == end or _record_by_its_lengths(stream, counted.end, end) is not None
+    return counted if is_followed else record
+
+
+def _record_by_its_lengths(stream: BinaryIO, start: int, end: int) -> BagRecord | None:
+    """The record at ``start`` as its own lengths have it, whatever it holds."""
     if end - start < 2 * LENGTH.size:
         return None
     stream.seek(start)
@@ -96,8 +120,7 @@ def read_record(stream: BinaryIO, start: int, end: int) -> BagRecord | None:
     if fields is None:
         return None
     (data_size,) = LENGTH.unpack_from(head, header_size)
-    record = BagRecord(fields[b"op"][0], fields, start, data_start, data_size)
-    return record if _is_plausible(record, end) else None
+    return BagRecord(fields[b"op"][0], fields, start, data_start, data_size)
 
 
 @dataclass(slots=True)
@@ -198,7 +221,7 @@ def _is_plausible(record: BagRecord, end: int) -> bool:
         return False
     if record.op in _COUNTED:
         counted = record.number(b"count") * _COUNTED[record.op]
-        return record.number(b"ver") == 1 and record.data_size == counted
+        return record.number(b"ver") == _COUNTED_VERSION and record.data_size == counted
     if record.op == OP_CONNECTION:
         is_short = len(record.fields[b"topic"]) <= _MAX_NAME_BYTES
         return is_short and record.data_size <= _MAX_DEFINITION_BYTES
