@@ -84,12 +84,16 @@ class ChunkCache:
             self._chunks.clear()
             self._size = 0
         chunk = self._unpack(block)
+        self.keep(block, chunk)
+        return chunk
+
+    def keep(self, block: int, chunk: bytes) -> None:
+        """Hold a chunk that somebody unpacked."""
         self._chunks[block] = chunk
         self._size += len(chunk)
         while self._size > _CACHED_CHUNK_BYTES and len(self._chunks) > 1:
             _, oldest = self._chunks.popitem(last=False)
             self._size -= len(oldest)
-        return chunk
 
 
 def ros2_type_name(name: str) -> str:

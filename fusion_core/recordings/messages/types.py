@@ -80,6 +80,14 @@ def _row_reader(store: Typestore, name: str, serialization: str) -> Deserializer
     return readers.get((name, layout))
 
 
+def ros1_checksum(channel: Channel) -> str:
+    """The MD5 sum by which ROS 1 tells the channel's type. Raises UnreadableType."""
+    try:
+        return _type_store(channel).generate_msgdef(channel.message_type)[1]
+    except (TypesysError, KeyError, ValueError) as error:
+        raise UnreadableType(f"the definition of {channel.message_type} does not parse") from error
+
+
 def type_store(channel: Channel) -> Typestore:
     """The channel's type and all that it is made of. Raises UnreadableType."""
     store = _type_store(channel)

@@ -57,6 +57,8 @@ class BagFile:
         self.channels = contents.channels
         self.warnings += contents.warnings
         self._chunk_ends = contents.chunk_ends
+        for block, content in contents.unpacked.items():
+            self._chunks.keep(block, content)
         return contents.entries
 
     def payload(self, block: int, offset: int) -> Payload:

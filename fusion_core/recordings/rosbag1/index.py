@@ -8,16 +8,22 @@ import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S, BoolArray, IntArray
 from fusion_core.recordings.containers import Channel, Entries, entries_from, in_file_order
+from fusion_core.recordings.rosbag1.records import (
+    OP_CHUNK_INFO,
+    OP_CONNECTION,
+)
 from fusion_core.recordings.rosbag1.walk import BagWalk, Lost
 
 _INDEX_ENTRY = np.dtype([("seconds", "<u4"), ("nanoseconds", "<u4"), ("offset", "<u4")])
 _NAMED_LOSSES = 5
+_AT_THE_END = (OP_CONNECTION, OP_CHUNK_INFO)
 
 
 @dataclass(frozen=True, slots=True)
 class BagContents:
     """``chunk_ends`` tells where the data of cut chunks end in the file, by their place.
 
+    ``unpacked`` are chunks, by their place, that had to be unpacked and will be read first.
     ``encryptor`` names what the bag is encrypted with, if it is.
     """
 
@@ -25,6 +31,7 @@ class BagContents:
     entries: Entries
     warnings: list[str]
     chunk_ends: dict[int, int]
+    unpacked: dict[int, bytes]
     encryptor: str
 
 
@@ -33,26 +40,36 @@ def read_contents(file: BinaryIO, size: int) -> BagContents:
     walk = BagWalk(file, size)
     walk.walk_file()
     indexed, trusted = _trusted_index(walk)
-    _find_connections(walk, indexed)
+    unpacked: dict[int, bytes] = {}
+    restored, unconfirmed = _check_connections(walk, indexed, unpacked)
     for chunk in sorted(walk.unindexed):
         walk.walk_chunk(chunk)
     rows = np.concatenate([walk.messages, indexed[trusted]])
     connections, place = np.unique(rows[:, 1], return_inverse=True)
-    numbers = [walk.numbers.get(connection, -1) for connection in connections.tolist()]
+    if restored:
+        # What the index has instead, of which there is no message, has a damaged number.
+        walk.connections.leave_out(unconfirmed.difference(connections.tolist()))
+    channels, channel_of, contradictions = walk.connections.settled()
+    numbers = [channel_of.get(connection, -1) for connection in connections.tolist()]
     channel = np.array(numbers, dtype=np.int64)[place]
     entries = in_file_order([entries_from(rows[:, 0], channel, rows[:, 2], rows[:, 3])])
     warnings = [*_structure_warnings(walk, size), *_lost_bytes(walk.lost, entries, size)]
     warnings += _lost_messages(walk, entries)
+    warnings += contradictions
+    if restored and _is_finished(walk, size):
+        names = ", ".join(sorted({channels[channel_of[lacking]].topic for lacking in restored}))
+        warnings.append(f"Damaged: the index at its end lacks {names}, found in the chunks.")
     homeless = int(np.count_nonzero(channel < 0))
     if homeless:
         warnings.append(f"{homeless} messages are left out: the records of their topics are lost.")
     entries = entries[entries["channel"] >= 0]
     encryptor = b"" if walk.header is None else walk.header.fields.get(b"encryptor", b"")
     return BagContents(
-        channels=list(walk.channels),
+        channels=channels,
         entries=entries,
         warnings=warnings,
         chunk_ends=walk.chunk_ends,
+        unpacked=unpacked,
         encryptor=encryptor.decode(errors="replace"),
     )
 
@@ -94,18 +111,49 @@ def _contradicted_counts(index: IntArray, infos: IntArray) -> IntArray:
     return contradicted
 
 
-def _find_connections(walk: BagWalk, indexed: IntArray) -> None:
-    """Look for the records of connections in chunks, where those at the end are missing.
+def _check_connections(
+    walk: BagWalk, indexed: IntArray, kept: dict[int, bytes]
+) -> tuple[set[int], set[int]]:
+    """Compare the connections in the index at the end with the chunks, and find missing ones.
 
-    They stand before the first message of the connection, or all in the first chunk.
+    A recorder writes each also into the chunk that it is writing: that of the connection's first
+    message, or the first of all. Gives those that were missing at the end, and those of which no
+    chunk has a record like the one at the end. The content of the first chunk goes into ``kept``.
     """
-    missing = ~np.isin(indexed[:, 1], list(walk.numbers))
-    if not missing.any():
-        return
-    rows = indexed[missing]
-    _, first = np.unique(rows[:, 1], return_index=True)
-    for chunk in sorted({int(walk.chunks[0, 0]), *rows[first, 2].tolist()}):
-        walk.walk_chunk(chunk, take_messages=False)
+    if not len(walk.chunks):
+        return set(), set()
+    used, rows = np.unique(indexed[:, 1], return_index=True)
+    chunk_of = dict(zip(used.tolist(), indexed[rows, 2].tolist(), strict=True))
+    first = int(walk.chunks[0, 0])
+    unconfirmed = {number: _records(walk, number) for number in {*walk.connections, *chunk_of}}
+    described: dict[int, set[int]] = {}
+    for chunk in dict.fromkeys([first, *sorted(chunk_of.values())]):
+        own = [n for n in unconfirmed if chunk in (first, chunk_of.get(n))]
+        if not own:
+            continue
+        unpacked = walk.content(chunk)
+        if chunk == first and not unpacked.problem:
+            kept[chunk] = unpacked.content
+        records = walk.connection_records(unpacked.content)
+        for number in own:
+            if number in records and unconfirmed[number] == [records[number]]:
+                del unconfirmed[number]
+        described[chunk] = records.keys() & unconfirmed.keys()
+    missing = {number for number in chunk_of if number not in walk.connections}
+    for chunk, numbers in described.items():
+        # One that was unconfirmed here may stand as it should in a later chunk.
+        if numbers & unconfirmed.keys():
+            walk.walk_chunk(chunk, take_messages=False)
+    return {number for number in missing if number in walk.connections}, set(unconfirmed)
+
+
+def _records(walk: BagWalk, number: int) -> list[bytes]:
+    """The bytes of the records of a connection that stand in the file itself."""
+    return [walk.bytes_of(start, end) for start, end in walk.connections.places(number)]
+
+
+def _is_finished(walk: BagWalk, size: int) -> bool:
+    return walk.header is not None and 0 < walk.header.number(b"index_pos") <= size
 
 
 def _structure_warnings(walk: BagWalk, size: int) -> Iterator[str]:
@@ -116,13 +164,19 @@ def _structure_warnings(walk: BagWalk, size: int) -> Iterator[str]:
     if index_start == 0:
         yield "Its recorder did not finish it; it is read without the index at its end."
         return
-    if index_start > size:
-        yield f"It is cut short: it ends at byte {size}, before the index at byte {index_start}."
     chunks, connections = (walk.header.number(b"chunk_count"), walk.header.number(b"conn_count"))
-    if walk.chunk_count < chunks or len(walk.numbers) < connections:
+    behind = walk.record_at(index_start)
+    if index_start != size and (behind is None or behind.op not in _AT_THE_END):
+        if 0 < chunks <= len(np.unique(walk.infos[:, 0])):
+            yield f"Damaged: its header has its index at byte {index_start}; it is elsewhere."
+        elif index_start > size:
+            yield (
+                f"It is cut short: it ends at byte {size}, before the index at byte {index_start}."
+            )
+    if walk.chunk_count < chunks or len(walk.connections) < connections:
         yield (
             f"Of {chunks} chunks and {connections} connections in its header, "
-            f"{walk.chunk_count} and {len(walk.numbers)} are found."
+            f"{walk.chunk_count} and {len(walk.connections)} are found."
         )
 
 
@@ -161,8 +215,21 @@ def _lost_messages(walk: BagWalk, entries: Entries) -> Iterator[str]:
     chunks, place = np.unique(infos[:, 0], return_inverse=True)
     counted = np.bincount(place, weights=infos[:, 2]).astype(np.int64)
     bounds = np.searchsorted(entries["block"], chunks)
+    # The messages of a chunk without its header stand behind its place one by one.
     found = np.diff(bounds, append=len(entries))
-    lost = counted > found
+    # The index itself may be damaged: chunks of which everything was read, and those that it has
+    # at another place.
+    is_wrong = np.isin(chunks, np.array(sorted(walk.whole), dtype=np.int64)) & (counted != found)
+    is_there = np.isin(chunks, walk.chunks[:, 0])
+    unlisted = np.setdiff1d(walk.chunks[:, 0], chunks)
+    if len(unlisted) >= np.count_nonzero(~is_there):
+        is_wrong |= ~is_there
+    if is_wrong.any():
+        yield (
+            f"Damaged: the index at its end is wrong about {np.count_nonzero(is_wrong)} of its "
+            f"{walk.chunk_count} chunks; what they hold is read."
+        )
+    lost = (counted > found) & ~is_wrong
     if lost.any():
         within = spans[np.isin(spans[:, 0], chunks[lost])]
         logged = (

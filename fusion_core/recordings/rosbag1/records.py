@@ -7,10 +7,12 @@ believed before it fits: a damaged file is read through what is left of it.
 
 import re
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from io import BytesIO
 from typing import BinaryIO
 
-from fusion_core.recordings.containers import MAX_CHUNK_BYTES, Channel, ros2_type_name
+from fusion_core.recordings.containers import MAX_CHUNK_BYTES
 
 MAGIC = b"#ROSBAG V2.0\n"
 # The offset of a message outside of chunks; its block is its own place in the file.
@@ -34,12 +36,13 @@ _FIELDS: dict[int, dict[bytes, int | None]] = {
 _COUNTED = {OP_INDEX: 12, OP_CHUNK_INFO: 8}
 _COUNTED_VERSION = 1
 _MAX_HEADER_BYTES = 4096
-_MAX_NAME_BYTES = 1024
+MAX_NAME_BYTES = 1024
 # Real definitions have a few KB; their parser takes a second for each 100 KB.
 _MAX_DEFINITION_BYTES = 1 << 17
 
 _OP_FIELD = b"\x04\0\0\0op="
 _ANY_OP_FIELD = re.compile(re.escape(_OP_FIELD) + rb"[\x02-\x07]")
+_CONNECTION_FIELD = _OP_FIELD + bytes([OP_CONNECTION])
 _HEADER_START = re.compile(
     rb"(?=..\0\0..\0\0(?:op|conn|time|topic|ver|count|size|compression"
     rb"|index_pos|conn_count|chunk_count|chunk_pos|start_time|end_time)=)",
@@ -48,7 +51,7 @@ _HEADER_START = re.compile(
 _PLACES_PER_SEARCH = 10
 _SEARCH_BLOCK = 1 << 16
 # Further than this no header reaches back from its opcode.
-_SEARCH_OVERLAP = _MAX_NAME_BYTES + 256
+_SEARCH_OVERLAP = MAX_NAME_BYTES + 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +119,7 @@ def _record_by_its_lengths(stream: BinaryIO, start: int, end: int) -> BagRecord 
     head = stream.read(header_size + LENGTH.size)
     if len(head) < header_size + LENGTH.size:
         return None
-    fields = _fields(head[:header_size])
+    fields = read_fields(head[:header_size])
     if fields is None:
         return None
     (data_size,) = LENGTH.unpack_from(head, header_size)
@@ -168,22 +171,23 @@ def find_record(
     return end
 
 
-def read_channel(stream: BinaryIO, record: BagRecord) -> Channel | None:
-    """The channel of a connection record; None where its content is broken."""
-    stream.seek(record.data_start)
-    fields = _fields(stream.read(record.data_size), needs_op=False)
-    if fields is None or not {b"type", b"message_definition"} <= fields.keys():
-        return None
-    if len(fields[b"type"]) > _MAX_NAME_BYTES:
-        return None
-    topic = record.fields[b"topic"].decode(errors="replace")
-    return Channel(
-        # Old recorders wrote doubled slashes.
-        topic="/" * topic.startswith("/") + "/".join(part for part in topic.split("/") if part),
-        message_type=ros2_type_name(fields[b"type"].decode(errors="replace")),
-        serialization="ros1",
-        definition=fields[b"message_definition"].decode(errors="replace"),
-    )
+def connection_records(content: bytes, budget: SearchBudget) -> Iterator[BagRecord]:
+    """What looks like the records of connections in a chunk's content, without reading all of it.
+
+    A message may hold such bytes too: who takes one must read the records before it.
+    """
+    stream, end = BytesIO(content), len(content)
+    field = content.find(_CONNECTION_FIELD)
+    while field >= 0 and budget.places > 0:
+        budget.places -= 1
+        window = max(field - _SEARCH_OVERLAP, 0), field + len(_CONNECTION_FIELD)
+        for header in _HEADER_START.finditer(content, *window):
+            record = read_record(stream, header.start(), end)
+            if record and record.op == OP_CONNECTION and record.data_start > field:
+                yield record
+                break
+            budget.places -= 1
+        field = content.find(_CONNECTION_FIELD, field + 1)
 
 
 def _is_followed(stream: BinaryIO, record: BagRecord, end: int) -> bool:
@@ -191,8 +195,8 @@ def _is_followed(stream: BinaryIO, record: BagRecord, end: int) -> bool:
     return is_last or read_record(stream, record.end, end) is not None
 
 
-def _fields(header: bytes, needs_op: bool = True) -> dict[bytes, bytes] | None:
-    """None where the lengths of the fields do not lead to the end of the header."""
+def read_fields(header: bytes, needs_op: bool = True) -> dict[bytes, bytes] | None:
+    """Names and values; None where the lengths of the fields do not lead to the header's end."""
     fields = {}
     position, end = 0, len(header)
     while position + LENGTH.size <= end:
@@ -223,6 +227,6 @@ def _is_plausible(record: BagRecord, end: int) -> bool:
         counted = record.number(b"count") * _COUNTED[record.op]
         return record.number(b"ver") == _COUNTED_VERSION and record.data_size == counted
     if record.op == OP_CONNECTION:
-        is_short = len(record.fields[b"topic"]) <= _MAX_NAME_BYTES
+        is_short = len(record.fields[b"topic"]) <= MAX_NAME_BYTES
         return is_short and record.data_size <= _MAX_DEFINITION_BYTES
     return True

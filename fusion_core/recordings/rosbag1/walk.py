@@ -12,8 +12,9 @@ from typing import BinaryIO
 import numpy as np
 
 from fusion_core.model.conventions import IntArray
-from fusion_core.recordings.containers import MAX_CHUNK_BYTES, Channel
+from fusion_core.recordings.containers import MAX_CHUNK_BYTES
 from fusion_core.recordings.rosbag1.chunks import Unpacked, chunk_problem, unpack_chunk
+from fusion_core.recordings.rosbag1.connections import Connections
 from fusion_core.recordings.rosbag1.records import (
     MAGIC,
     NOT_IN_A_CHUNK,
@@ -25,15 +26,13 @@ from fusion_core.recordings.rosbag1.records import (
     OP_MESSAGE,
     BagRecord,
     SearchBudget,
+    connection_records,
     find_record,
-    read_channel,
     read_record,
 )
 
 # Messages and connections are found inside of chunks too.
 _BEHIND_CHUNKS = frozenset((OP_INDEX, OP_CHUNK, OP_CHUNK_INFO))
-_MAX_CHANNELS = 4096
-_MAX_DEFINITIONS_BYTES = 8 << 20
 # What a walk may unpack: enough for every chunk of a real bag, and an end for a hostile one.
 _UNPACKED_BYTES, _UNPACKED_PER_BYTE = 256 << 20, 64
 
@@ -53,16 +52,17 @@ class BagWalk:
     ``messages`` has rows of log time, connection, block and offset; ``chunks`` of place and
     content size; ``index`` of chunk, connection and the count of its entries in ``index_data``;
     ``infos`` of chunk, connection and count; ``spans`` of chunk, first and last log time.
-    ``numbers`` leads from connections to places in ``channels``.
+    ``unindexed`` are chunks whose index data are not to be relied on, ``whole`` those of which
+    ``walk_chunk`` could read everything.
     """
 
     def __init__(self, file: BinaryIO, size: int) -> None:
         self.header: BagRecord | None = None
-        self.channels: dict[Channel, int] = {}
-        self.numbers: dict[int, int] = {}
+        self.connections = Connections()
         self.lost: list[Lost] = []
         self.chunk_count = 0
         self.unindexed: set[int] = set()
+        self.whole: set[int] = set()
         self.chunk_ends: dict[int, int] = {}
         self.index_data = bytearray()
         self._messages = array("q")
@@ -73,7 +73,7 @@ class BagWalk:
         self._file = file
         self._size = size
         self._search = SearchBudget()
-        self._definition_bytes = 0
+        self._connection_search = SearchBudget()
         self._unpackable_bytes = _UNPACKED_BYTES + _UNPACKED_PER_BYTE * size
         # The chunk that index data belong to.
         self._chunk: int | None = None
@@ -101,9 +101,9 @@ class BagWalk:
     def walk_file(self) -> None:
         position = len(MAGIC)
         while position < self._size:
-            record = read_record(self._file, position, self._size)
+            record = self.record_at(position)
             if record is None:
-                found = find_record(self._file, position + 1, self._size, self._search)
+                found = self._find(position + 1)
                 self.lost.append(Lost(position, found, "no whole record is there"))
                 self._close_chunk(is_damaged=True)
                 position = found
@@ -116,16 +116,18 @@ class BagWalk:
                     self._close_chunk()
                 self._take(record)
                 position = record.end
+                if record.op == OP_BAG and not self._stands_at(position):
+                    # The length of its padding is damaged.
+                    position = self._find(record.data_start)
         # A whole bag does not end in the index data of a chunk: some of them may be lost.
         self._close_chunk(is_damaged=True)
 
     def walk_chunk(self, start: int, *, take_messages: bool = True) -> None:
         """Take the connections of a chunk, and its messages, from its content."""
-        chunk = read_record(self._file, start, self._size)
-        if chunk is None or chunk.op != OP_CHUNK:
+        found_chunk = self._chunk_at(start)
+        if found_chunk is None:
             return
-        file_end = self.chunk_ends.get(start, min(chunk.end, self._size))
-        unpacked = self._unpack(chunk, file_end)
+        unpacked = self._unpack(*found_chunk)
         stream, end = BytesIO(unpacked.content), len(unpacked.content)
         position = lost_bytes = 0
         while position < end:
@@ -136,19 +138,44 @@ class BagWalk:
                 position = found
                 continue
             if record.op == OP_CONNECTION:
-                self._register(stream, record)
+                self.connections.add(stream, record, start)
             elif record.op == OP_MESSAGE and take_messages:
                 self._add_message(record, start, record.start)
             position = record.end
         if take_messages and (unpacked.problem or lost_bytes):
             inner = f"{lost_bytes} of the {end} bytes in its chunk are no records"
-            self.lost.append(Lost(start, file_end, unpacked.problem or inner))
+            self.lost.append(Lost(start, found_chunk[1], unpacked.problem or inner))
+        elif take_messages:
+            self.whole.add(start)
+
+    def content(self, start: int) -> Unpacked:
+        """The content of the chunk at a place, or as much of it as there is."""
+        chunk = self._chunk_at(start)
+        return Unpacked(b"", "no chunk is there") if chunk is None else self._unpack(*chunk)
+
+    def connection_records(self, content: bytes) -> dict[int, bytes]:
+        """The records of connections that seem to be in a chunk's content, by their numbers."""
+        found = connection_records(content, self._connection_search)
+        return {one.number(b"conn"): content[one.start : one.end] for one in found}
+
+    def bytes_of(self, start: int, end: int) -> bytes:
+        """A part of the file, of a record that was found there."""
+        self._file.seek(start)
+        return self._file.read(end - start)
+
+    def record_at(self, start: int) -> BagRecord | None:
+        return read_record(self._file, start, self._size)
+
+    def _chunk_at(self, start: int) -> tuple[BagRecord, int] | None:
+        """The chunk at a place, and where its data end in the file."""
+        chunk = self.record_at(start)
+        if chunk is None or chunk.op != OP_CHUNK:
+            return None
+        return chunk, self.chunk_ends.get(start, min(chunk.end, self._size))
 
     def _pass_chunk(self, chunk: BagRecord) -> int:
         """Note a chunk, and say where the walk goes on."""
-        is_whole = chunk.end == self._size or (
-            chunk.end < self._size and read_record(self._file, chunk.end, self._size) is not None
-        )
+        is_whole = self._stands_at(chunk.end)
         is_plain = chunk.fields[b"compression"] == b"none"
         content_bytes = chunk.number(b"size")
         fits = content_bytes == chunk.data_size <= MAX_CHUNK_BYTES
@@ -172,6 +199,13 @@ class BagWalk:
             self._chunks.extend((chunk.start, content_bytes))
         return end
 
+    def _stands_at(self, position: int) -> bool:
+        """Whether a record or the file's end is at a place."""
+        return position == self._size or self.record_at(position) is not None
+
+    def _find(self, start: int) -> int:
+        return find_record(self._file, start, self._size, self._search)
+
     def _has_right_length(self, chunk: BagRecord) -> bool:
         if chunk.end > self._size:
             return False
@@ -189,7 +223,7 @@ class BagWalk:
         if record.op == OP_MESSAGE:
             self._add_message(record, record.start, NOT_IN_A_CHUNK)
         elif record.op == OP_CONNECTION:
-            self._register(self._file, record)
+            self.connections.add(self._file, record, None)
         elif record.op == OP_INDEX and self._chunk is not None:
             self._index.extend((self._chunk, record.number(b"conn"), record.number(b"count")))
             self.index_data += self._data(record)
@@ -205,27 +239,10 @@ class BagWalk:
             self.header = record
 
     def _data(self, record: BagRecord) -> bytes:
-        self._file.seek(record.data_start)
-        return self._file.read(record.data_size)
+        return self.bytes_of(record.data_start, record.end)
 
     def _add_message(self, record: BagRecord, block: int, offset: int) -> None:
         self._messages.extend((record.time_ns(b"time"), record.number(b"conn"), block, offset))
-
-    def _register(self, stream: BinaryIO, record: BagRecord) -> None:
-        connection = record.number(b"conn")
-        if connection in self.numbers:
-            return
-        channel = read_channel(stream, record)
-        if channel is None:
-            return
-        number = self.channels.get(channel)
-        if number is None:
-            self._definition_bytes += len(channel.definition)
-            is_excessive = self._definition_bytes > _MAX_DEFINITIONS_BYTES
-            if is_excessive or len(self.channels) >= _MAX_CHANNELS:
-                return
-            number = self.channels[channel] = len(self.channels)
-        self.numbers[connection] = number
 
     def _unpack(self, chunk: BagRecord, end: int) -> Unpacked:
         if self._unpackable_bytes <= 0:

@@ -1,0 +1,162 @@
+"""The connections of a ROS 1 bag: which topic and type a number in its records means.
+
+No checksum guards their records, but each stands in the bag twice: in the index at the end, and in
+the chunk that holds its first message (in the first chunk of all, by some writers). Where the two
+differ, what is true of itself is believed before what is not, and the chunk before the index.
+"""
+
+import re
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from typing import BinaryIO
+
+from fusion_core.recordings.containers import Channel, ros2_type_name
+from fusion_core.recordings.messages.types import UnreadableType, ros1_checksum
+from fusion_core.recordings.rosbag1.records import MAX_NAME_BYTES, BagRecord, read_fields
+
+_MAX_CHANNELS = 4096
+_MAX_DEFINITIONS_BYTES = 8 << 20
+_NAMED = 5
+_TOPIC_NAME = re.compile(r"[~/]?[A-Za-z][A-Za-z0-9_/]*")
+_TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z][A-Za-z0-9_]*")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Description:
+    """A connection as one of its records has it.
+
+    ``repeated_topic`` is the topic in the record's data, empty where that has none. ``chunk`` is
+    the place of the chunk that holds the record; None for one in the file itself, from ``start``
+    to ``end``.
+    """
+
+    channel: Channel
+    repeated_topic: str
+    md5sum: str
+    chunk: int | None
+    start: int
+    end: int
+
+    def evidence(self) -> int:
+        """How much of it is true of itself: names that ROS allows, and what is told twice."""
+        channel = self.channel
+        try:
+            is_own_sum = ros1_checksum(channel) == self.md5sum
+        except UnreadableType:
+            is_own_sum = False
+        return sum(
+            (
+                _TOPIC_NAME.fullmatch(channel.topic) is not None,
+                _TYPE_NAME.fullmatch(channel.message_type) is not None,
+                self.repeated_topic in ("", channel.topic),
+                is_own_sum,
+            )
+        )
+
+
+class Connections:
+    """What the records of a bag tell of its connections, by their numbers."""
+
+    def __init__(self) -> None:
+        self._descriptions: dict[int, list[_Description]] = {}
+        self._channels: set[Channel] = set()
+        self._definition_bytes = 0
+
+    def __contains__(self, number: int) -> bool:
+        return number in self._descriptions
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._descriptions)
+
+    def __len__(self) -> int:
+        return len(self._descriptions)
+
+    def add(self, stream: BinaryIO, record: BagRecord, chunk: int | None) -> None:
+        """Take a connection's record in ``stream``, the content of a chunk or the file (None)."""
+        description = _read(stream, record, chunk)
+        if description is None:
+            return
+        known = self._descriptions.get(record.number(b"conn"), [])
+        same = (i for i, other in enumerate(known) if other.channel == description.channel)
+        if (place := next(same, None)) is not None:
+            if known[place].chunk is None:
+                known[place] = description
+            return
+        if description.channel not in self._channels:
+            self._definition_bytes += len(description.channel.definition)
+            is_excessive = self._definition_bytes > _MAX_DEFINITIONS_BYTES
+            if is_excessive or len(self._channels) >= _MAX_CHANNELS:
+                return
+            self._channels.add(description.channel)
+        self._descriptions.setdefault(record.number(b"conn"), []).append(description)
+
+    def places(self, number: int) -> list[tuple[int, int]]:
+        """Where the records of a connection that stand in the file itself begin and end."""
+        known = self._descriptions.get(number, [])
+        return [(one.start, one.end) for one in known if one.chunk is None]
+
+    def leave_out(self, numbers: Collection[int]) -> None:
+        for number in numbers:
+            self._descriptions.pop(number, None)
+
+    def settled(self) -> tuple[list[Channel], dict[int, int], list[str]]:
+        """The channels, the place among them for each connection, and what was contradicted."""
+        channels: dict[Channel, int] = {}
+        numbers = {}
+        warnings = []
+        for number, known in self._descriptions.items():
+            best = known[0]
+            if len(known) > 1:
+                best = max(known, key=lambda one: (one.evidence(), one.chunk is not None))
+                warnings.append(_contradiction(number, best, known))
+            numbers[number] = channels.setdefault(best.channel, len(channels))
+        rest = len(warnings) - _NAMED
+        if rest > 0:
+            warnings[_NAMED:] = [f"{rest} more connections are described in contradictory ways."]
+        return list(channels), numbers, warnings
+
+
+def _read(stream: BinaryIO, record: BagRecord, chunk: int | None) -> _Description | None:
+    """None where the content of the record is broken."""
+    stream.seek(record.data_start)
+    fields = read_fields(stream.read(record.data_size), needs_op=False)
+    if fields is None or not {b"type", b"message_definition"} <= fields.keys():
+        return None
+    if len(fields[b"type"]) > MAX_NAME_BYTES:
+        return None
+    channel = Channel(
+        topic=_topic(record.fields[b"topic"]),
+        message_type=ros2_type_name(fields[b"type"].decode(errors="replace")),
+        serialization="ros1",
+        definition=fields[b"message_definition"].decode(errors="replace"),
+    )
+    return _Description(
+        channel=channel,
+        repeated_topic=_topic(fields.get(b"topic", b"")),
+        md5sum=fields.get(b"md5sum", b"").decode(errors="replace"),
+        chunk=chunk,
+        start=record.start,
+        end=record.end,
+    )
+
+
+def _topic(name: bytes) -> str:
+    """A topic's name with single slashes: old recorders wrote doubled ones."""
+    topic = name.decode(errors="replace")
+    return "/" * topic.startswith("/") + "/".join(part for part in topic.split("/") if part)
+
+
+def _contradiction(number: int, best: _Description, known: list[_Description]) -> str:
+    names = {(one.channel.topic, one.channel.message_type) for one in known}
+    told = " and ".join(
+        f"{one.channel.topic} ({one.channel.message_type}) in {_where(one)}" for one in known
+    )
+    if len(names) == 1:
+        told = f"{best.channel.topic}, of which {' and '.join(map(_where, known))} differ"
+    return f"Damaged: connection {number} is {told}; that in {_where(best)} is taken."
+
+
+def _where(one: _Description) -> str:
+    if one.chunk is None:
+        return f"the record at byte {one.start}"
+    return f"the chunk at byte {one.chunk}"
