@@ -1,8 +1,9 @@
 """The command line: parses, runs a command, and says how it ended.
 
 Exit codes: 0 done, 1 bad input or failed work (one line on stderr; under ``--json`` an object with
-``error``, ``file`` and ``advice`` on stdout), 2 wrong usage, 130 interrupted, 141 when the reader
-of the output has gone, 143 and 129 ended by SIGTERM and SIGHUP.
+``error``, ``file`` and ``advice`` on stdout) or damage that a check found (its whole report), 2
+wrong usage, 130 interrupted, 141 when the reader of the output has gone, 143 and 129 ended by
+SIGTERM and SIGHUP.
 """
 
 import importlib.metadata
@@ -76,7 +77,7 @@ def _run(args: Sequence[str]) -> int:
         sys.stdout.write(json.dumps(report.result, indent=2, allow_nan=False) + "\n")
     else:
         sys.stdout.writelines(f"{printable(line)}\n" for line in report.lines)
-    return _DONE
+    return _FAILED if report.failed else _DONE
 
 
 def _say_failure(error: ScanLoomError | OSError, *, as_json: bool) -> None:

@@ -93,6 +93,9 @@ class Info:
     """A room of that session, such as bedroom1."""
     subsession: int = 1
     """The passage through that room, where there are several."""
+    check: Flag = False
+    """Read every message and verify every checksum, not the index alone. Exit code 1 if anything
+    is damaged or cannot be read."""
     json: Flag = False
     """Print one JSON object on stdout."""
 
@@ -100,8 +103,9 @@ class Info:
         from fusion_core.workflows.inspect import info
 
         room = room_of(self.home, self.room, self.subsession)
-        result = info(self.recording, room, self.home)
-        return Report(result=result, lines=info_lines(result))
+        result = info(self.recording, room, self.home, check=self.check, progress=progress)
+        damaged = self.check and result["check"]["damaged"]
+        return Report(result=result, lines=info_lines(result), failed=damaged)
 
 
 @dataclass(frozen=True, kw_only=True)

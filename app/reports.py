@@ -9,14 +9,18 @@ NS_PER_S = 1e9
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """What a command has to say: ``result`` for ``--json``, ``lines`` for people."""
+    """What a command has to say: ``result`` for ``--json``, ``lines`` for people.
+
+    ``failed``: what it was to find out is bad news, which the exit code tells too.
+    """
 
     result: dict[str, Any]
     lines: Sequence[str]
+    failed: bool = False
 
 
 def info_lines(info: Mapping[str, Any]) -> list[str]:
-    """Format, times, a table of topics, what can be done, and warnings."""
+    """Format, times, what was checked, a table of topics, what can be done, and warnings."""
     lines = [f"format    {info['format']}"]
     if "rooms" in info:
         return [*lines, "", *_room_table(info["rooms"]), "", *info["can"]]
@@ -25,23 +29,44 @@ def info_lines(info: Mapping[str, Any]) -> list[str]:
     else:
         start_s, end_s = info["start_ns"] / NS_PER_S, info["end_ns"] / NS_PER_S
         lines.append(f"time      {start_s:.3f} s to {end_s:.3f} s, {info['duration_s']:.3f} s")
-    lines.append("")
-    header = ("topic", "role", "count", "rate (Hz)", "type")
+    check = info["check"]
+    lines += ["checked   " + _checked(check), ""]
+    header = ["topic", "role", "count", "rate (Hz)", "type"]
     rows = [
-        (
+        [
             topic["name"],
             topic["role"],
             str(topic["count"]),
             "-" if topic["rate_hz"] is None else f"{topic['rate_hz']:.2f}",
             topic["type"],
-        )
+        ]
         for topic in info["topics"]
     ]
+    if check is not None:
+        header.insert(3, "unreadable")
+        unreadable = {topic["name"]: topic["unreadable"] for topic in check["topics"]}
+        for row in rows:
+            row.insert(3, str(unreadable[row[0]]))
     lines += _table([header, *rows])
     lines.append("")
     lines += info["can"]
     lines += [f"warning: {warning}" for warning in info["warnings"]]
     return lines
+
+
+def _checked(check: Mapping[str, Any] | None) -> str:
+    if check is None:
+        return "no: --check reads every message, and verifies the checksums that there are"
+    outcome = "damaged" if check["damaged"] else "whole"
+    messages = f"{check['read']} messages read, {check['unreadable']} unreadable"
+    if not check["checksums"] and not check["unguarded"]:
+        return f"{outcome}: {messages}"
+    guarded = f"{check['checksums']} checksums right"
+    if not check["checksums"]:
+        guarded = "no checksums, so that a changed value does not show"
+    elif check["unguarded"]:
+        guarded += f", {check['unguarded']} parts without one"
+    return f"{outcome}: {messages}; {guarded}"
 
 
 def conversion_lines(conversion: Mapping[str, Any]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -39,6 +39,24 @@ class Channel:
     definition_format: Literal["msg", "idl"] = "msg"
 
 
+@dataclass(slots=True)
+class Verified:
+    """What reading all of a container showed besides its messages.
+
+    ``checksums`` were right; ``unguarded`` parts have none: chunks, or all that is in no chunk.
+    ``damage`` has a line for each thing that is wrong, other than messages that cannot be read.
+    """
+
+    checksums: int = 0
+    unguarded: int = 0
+    damage: list[str] = field(default_factory=list)
+
+    def add(self, other: "Verified") -> None:
+        self.checksums += other.checksums
+        self.unguarded += other.unguarded
+        self.damage += other.damage
+
+
 class Container(Protocol):
     """One file, opened read-only. Not safe for threads: the caller takes turns.
 
@@ -60,6 +78,14 @@ class Container(Protocol):
     def published_ns(self, block: int, offset: int) -> int | None:
         """When the message at an entry's place was published, None where the format has no such
         time. Its payload can be read.
+        """
+        ...
+
+    def verify(self, entries: Entries) -> Verified:
+        """Compare all that the file holds with its checksums, and with its index.
+
+        ``entries`` are those that ``index`` gave, in any order. A chunk that cannot be read is
+        passed over: its messages tell.
         """
         ...
 
@@ -117,6 +143,18 @@ def in_file_order(parts: list[Entries]) -> Entries:
     """All entries in the order in which the file holds them."""
     entries = np.concatenate([np.empty(0, dtype=ENTRY), *parts])
     return entries[np.lexsort((entries["offset"], entries["block"]))]
+
+
+def index_problem(held: Entries, indexed: Entries) -> str:
+    """How the index of a chunk contradicts the messages that it holds, both in order of offset.
+
+    Empty where it does not.
+    """
+    if len(held) != len(indexed):
+        return f"it holds {len(held)} messages, of which its index has {len(indexed)}"
+    names = ["received_ns", "channel", "offset"]
+    wrong = np.count_nonzero(held[names] != indexed[names])
+    return f"its index is wrong about {wrong} of its {len(held)} messages" if wrong else ""
 
 
 def damaged(path: Path, what: str) -> RecordingError:

@@ -12,7 +12,14 @@ import numpy as np
 from fusion_core.model.conventions import NS_PER_S, IntArray
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Message, Role, Topic
-from fusion_core.recordings.containers import ENTRY, Channel, Container, Entries, Payload
+from fusion_core.recordings.containers import (
+    ENTRY,
+    Channel,
+    Container,
+    Entries,
+    Payload,
+    Verified,
+)
 from fusion_core.recordings.decode import READABLE_TYPES, decode, image_encoding, stamp_ns
 from fusion_core.recordings.messages.types import (
     READABLE_ENCODINGS,
@@ -131,6 +138,20 @@ class IndexedRecording:
             raise IndexError(f"{topic} has {len(stream.positions)} messages, there is no {index}")
         received, channel, block, offset = self._entries[stream.positions[index]].item()
         return self._decode(stream, index, received, channel, block, offset)
+
+    def verify(self) -> Verified:
+        """Read the files whole, and compare them with their checksums and their indexes."""
+        verified = Verified()
+        first = 0
+        for container in self._containers:
+            channel = self._entries["channel"]
+            own = self._entries[(channel >= first) & (channel < first + len(container.channels))]
+            own["channel"] -= first
+            first += len(container.channels)
+            with self._lock:
+                self._require_open()
+                verified.add(container.verify(own))
+        return verified
 
     def close(self) -> None:
         """Free the files."""

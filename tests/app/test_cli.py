@@ -30,6 +30,7 @@ INFO = {
     ],
     "can": ["It can be fused: /scan with /depth."],
     "warnings": ["2 messages of /scan were cut off"],
+    "check": None,
 }
 
 
@@ -205,7 +206,7 @@ def test_info_for_people_and_for_programs(
     stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     asked = []
-    stub("inspect", info=lambda path, room, session: asked.append(path) or INFO)
+    stub("inspect", info=lambda path, room, session, **options: asked.append(path) or INFO)
     assert main(["info", "a.bag", "--json"]) == 0
     shown = capsys.readouterr()
     assert json.loads(shown.out) == INFO
@@ -220,7 +221,7 @@ def test_info_of_a_format_without_a_clock(
     stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     nothing_timed = {"start_ns": None, "end_ns": None, "duration_s": None}
-    stub("inspect", info=lambda path, room, session: {**INFO, **nothing_timed})
+    stub("inspect", info=lambda path, room, session, **options: {**INFO, **nothing_timed})
     assert main(["info", "frames"]) == 0
     assert "time      none in this format" in capsys.readouterr().out
 
@@ -456,7 +457,10 @@ def test_names_from_a_recording_cannot_steer_the_terminal(
 ) -> None:
     stub(
         "inspect",
-        info=lambda path, room, session: {**INFO, "warnings": ["\x1b]0;title\x07 [red]é\udc80"]},
+        info=lambda path, room, session, **options: {
+            **INFO,
+            "warnings": ["\x1b]0;title\x07 [red]é\udc80"],
+        },
     )
     assert main(["info", "a.bag"]) == 0
     shown = capsys.readouterr().out
@@ -468,7 +472,7 @@ def test_a_narrow_encoding_of_stdout_is_no_failure(
 ) -> None:
     stdout = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     monkeypatch.setattr("sys.stdout", stdout)
-    stub("inspect", info=lambda path, room, session: {**INFO, "warnings": ["σ"]})
+    stub("inspect", info=lambda path, room, session, **options: {**INFO, "warnings": ["σ"]})
     assert main(["info", "a.bag"]) == 0
     assert b"warning: \\u03c3\n" in stdout.buffer.getvalue()  # type: ignore[attr-defined]
 

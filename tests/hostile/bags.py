@@ -1,4 +1,5 @@
 """ROS 1 bags put together byte by byte as ROS's own recorder writes them: old ones, damaged ones.
+MCAP files of the same messages, by their own library.
 
 After wiki.ros.org/Bags/Format/2.0 and rosbag's C++ recorder: a connection's record stands once in
 the chunk of its first message, just before that, and once more in the index at the end.
@@ -12,6 +13,9 @@ from pathlib import Path
 
 import lz4.frame
 import numpy as np
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 
 T0_NS = 1_275_000_000 * 10**9
 MAGIC = b"#ROSBAG V2.0\n"
@@ -284,5 +288,51 @@ def write_bag_of_renamed_topic(path: Path, compression: bytes = b"none") -> Path
         content[at] ^= 1
         content[at + 1] ^= 9
         at += 2
+    path.write_bytes(content)
+    return path
+
+
+def write_mcap(
+    path: Path,
+    *,
+    count: int = 8,
+    compression: CompressionType = CompressionType.NONE,
+    with_checksums: bool = True,
+) -> list[tuple[int, int]]:
+    """``count`` messages each of /scan and /tf, of ROS 1, in chunks of about five.
+
+    Gives where the data of each chunk begin and end.
+    """
+    with path.open("wb") as stream:
+        writer = McapWriter(
+            stream, chunk_size=700, compression=compression, enable_crcs=with_checksums
+        )
+        writer.start(profile="ros1", library="test")
+        channels = []
+        for own in (scans_as("/scan"), transforms_as("/tf")):
+            schema = writer.register_schema(own.message_type, "ros1msg", own.definition.encode())
+            channels.append(writer.register_channel(own.topic, "ros1", schema))
+        for message in scans_and_transforms(count):
+            writer.add_message(
+                channels[message.connection], message.time_ns, message.payload, message.time_ns
+            )
+        writer.finish()
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    spans = []
+    for chunk in summary.chunk_indexes:
+        end = chunk.chunk_start_offset + chunk.chunk_length
+        spans.append((end - chunk.compressed_size, end))
+    return spans
+
+
+def write_flipped_mcap(
+    path: Path, fraction: float, compression: CompressionType = CompressionType.NONE
+) -> Path:
+    """An MCAP file with checksums, one byte flipped at a ``fraction`` of the data of its chunks."""
+    places = [place for span in write_mcap(path, compression=compression) for place in range(*span)]
+    content = bytearray(path.read_bytes())
+    content[places[int(fraction * len(places))]] ^= 0x10
     path.write_bytes(content)
     return path

@@ -59,6 +59,16 @@ class McapChannels:
         else:
             self._spare_channels.setdefault(record.id, record)
 
+    def contradicts(self, opcode: int, content: bytes) -> bool:
+        """Whether a schema or a channel is otherwise than the spare one of its number."""
+        try:
+            record = _parse(opcode, content)
+        except ValueError:
+            return False
+        if isinstance(record, Schema):
+            return self._spare_schemas.get(record.id, record) != record
+        return self._spare_channels.get(record.id, record) != record
+
     def add_spare(self) -> None:
         """Add the spare channels, of which some may have no message."""
         for channel_id in self._spare_channels:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from mcap.opcode import Opcode
 
+from fusion_core.model.errors import RecordingError
 from fusion_core.recordings.containers import (
     ENTRY,
     MAX_CHUNK_BYTES,
@@ -15,14 +16,18 @@ from fusion_core.recordings.containers import (
     ChunkCache,
     Entries,
     Payload,
+    Verified,
     damaged,
+    index_problem,
 )
 from fusion_core.recordings.mcap.channels import DEFINING, McapChannels
 from fusion_core.recordings.mcap.records import (
+    MAX_TIME_NS,
     MESSAGE_HEADER,
     RECORD_HEADER,
     RecordFile,
     index_entries,
+    records_in,
 )
 from fusion_core.recordings.mcap.walk import NOT_IN_A_CHUNK, Walk
 
@@ -30,6 +35,8 @@ MAGIC = b"\x89MCAP0\r\n"
 
 # Opcode, length, where the summary and its offsets start, CRC of the summary.
 _FOOTER = struct.Struct("<BQQQI")
+# Opcode, length, CRC of all before it.
+_DATA_END = struct.Struct("<BQI")
 # First and last log time, place and size of the chunk; the lengths of what follows.
 _CHUNK_INDEX = struct.Struct("<QQQQI")
 _MESSAGE_INDEX_BYTES = struct.Struct("<QI")
@@ -51,10 +58,15 @@ class _ChunkPlace:
 
 @dataclass(slots=True)
 class _Summary:
-    """What the summary says; ``problem`` says why it is not to be relied on."""
+    """What the summary says; ``problem`` says why it is not to be relied on.
+
+    ``start`` is where it begins, or the file's footer where there is no summary.
+    """
 
     chunks: list[_ChunkPlace] = field(default_factory=list)
     message_count: int | None = None
+    start: int = 0
+    has_checksum: bool = False
     problem: str = ""
 
 
@@ -69,6 +81,7 @@ class McapFile:
         self._file = path.open("rb", buffering=0)
         self._records = RecordFile(self._file)
         self._chunks = ChunkCache(self._unpack)
+        self._summary = _Summary()
 
     @property
     def channels(self) -> list[Channel]:
@@ -79,10 +92,12 @@ class McapFile:
 
         Raises RecordingError where the file is damaged and nothing can be found.
         """
-        summary = self._read_summary()
+        self._summary = summary = self._read_summary()
         if not summary.problem:
             entries = self._index_from_summary(summary)
-            if entries is not None:
+            if entries is not None and not summary.has_checksum and self._is_contradicted(entries):
+                summary.problem = "its summary contradicts its chunks"
+            elif entries is not None:
                 self._channels.add_spare()
                 return entries
         return self._salvage(summary)
@@ -102,8 +117,64 @@ class McapFile:
     def published_ns(self, block: int, offset: int) -> int:
         return int(MESSAGE_HEADER.unpack(self._header(block, offset))[-1])
 
+    def verify(self, entries: Entries) -> Verified:
+        verified = Verified()
+        entries = np.sort(entries, order=["block", "offset"])
+        for block in np.unique(entries["block"]).tolist():
+            first, end = np.searchsorted(entries["block"], [block, block + 1])
+            if block == NOT_IN_A_CHUNK:
+                verified.unguarded += 1
+            else:
+                self._verify_chunk(block, entries[first:end], verified)
+        if self._summary.has_checksum and not self._summary.problem:
+            verified.checksums += 1
+        self._verify_data(verified)
+        return verified
+
     def close(self) -> None:
         self._file.close()
+
+    def _verify_chunk(self, block: int, indexed: Entries, verified: Verified) -> None:
+        try:
+            content = self._unpack(block)
+        except RecordingError:
+            return
+        if self._records.chunk(block).crc:
+            verified.checksums += 1
+        else:
+            verified.unguarded += 1
+        rows = []
+        behind = 0
+        for opcode, start, behind in records_in(content):  # noqa: B007  # Used behind the loop.
+            if opcode == Opcode.MESSAGE:
+                position = start - RECORD_HEADER.size
+                _, _, channel, _, log_time, _ = MESSAGE_HEADER.unpack_from(content, position)
+                number = self._channels.number(channel)
+                if number is not None and log_time <= MAX_TIME_NS:
+                    rows.append((log_time, number, block, position))
+        problem = index_problem(np.array(rows, dtype=ENTRY), indexed)
+        if behind < len(content):
+            problem = f"no record is at byte {behind} of its content"
+        if problem:
+            verified.damage.append(
+                f"{self.path.name}: Damaged: the chunk at byte {block}: {problem}."
+            )
+
+    def _verify_data(self, verified: Verified) -> None:
+        """By the checksum of all that stands before the summary, where the writer made one."""
+        end = self._summary.start - _DATA_END.size
+        if self._summary.problem or end < len(MAGIC):
+            return
+        opcode, length, crc = _DATA_END.unpack(self._records.read(end, _DATA_END.size))
+        if (opcode, length) != (Opcode.DATA_END, 4) or not crc:
+            return
+        if self._crc(0, end) == crc:
+            verified.checksums += 1
+            verified.unguarded = 0
+        else:
+            verified.damage.append(
+                f"{self.path.name}: Damaged: the checksum of its first {end} bytes is wrong."
+            )
 
     def _header(self, block: int, offset: int) -> bytes:
         if block != NOT_IN_A_CHUNK:
@@ -133,10 +204,10 @@ class McapFile:
         if not end.endswith(MAGIC) or (opcode, length) != (Opcode.FOOTER, _FOOTER.size - 9):
             return _Summary(problem="its end is missing")
         if not start:
-            return _Summary()
+            return _Summary(start=footer_start)
         if start > footer_start:
             return _Summary(problem="its end does not tell where its summary is")
-        summary = _Summary()
+        summary = _Summary(start=start, has_checksum=crc != 0)
         try:
             if crc and crc != self._crc(start, footer_start + _FOOTER.size - 4):
                 summary.problem = "the checksum of its summary is wrong"
@@ -195,7 +266,25 @@ class McapFile:
             return None
         return np.concatenate(parts)
 
+    def _is_contradicted(self, entries: Entries) -> bool:
+        """Whether the chunks where channels begin define them otherwise than the summary."""
+        _, first = np.unique(entries["channel"], return_index=True)
+        for block in np.unique(entries["block"][first]).tolist():
+            try:
+                content = self._chunks[block]
+            except RecordingError:
+                # Reading its messages will tell.
+                continue
+            for opcode, start, end in records_in(content):
+                is_definition = opcode in DEFINING
+                if is_definition and self._channels.contradicts(opcode, content[start:end]):
+                    return True
+        return False
+
     def _salvage(self, summary: _Summary) -> Entries:
+        if summary.problem:
+            # A name in a damaged summary may be damaged too: those of the chunks come first.
+            self._channels = McapChannels()
         walk = Walk(self._records, self._channels)
         begins = self._records.size >= len(MAGIC) and self._records.read(0, len(MAGIC)) == MAGIC
         entries = walk.entries(len(MAGIC) if begins else 0)

@@ -6,7 +6,7 @@ A record is one byte of opcode, eight of length, then the content. Numbers are l
 import re
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from typing import BinaryIO, NamedTuple
@@ -23,6 +23,7 @@ RECORD_HEADER = struct.Struct("<BQ")
 MESSAGE_HEADER = struct.Struct("<BQHIQQ")
 INDEX_HEADER = struct.Struct("<BQHI")
 INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
+_MESSAGE_BYTES = MESSAGE_HEADER.size - RECORD_HEADER.size
 MAX_TIME_NS = int(np.iinfo(np.int64).max)
 
 # First and last log time, size unpacked, CRC, length of the compression's name.
@@ -234,6 +235,19 @@ class RecordFile:
         # Nothing within a message's header contradicts itself: a second record must follow.
         second = self.record(record.end)
         return record.end == self.size or (second is not None and self.follows(second.end))
+
+
+def records_in(content: bytes) -> Iterator[tuple[int, int, int]]:
+    """Opcode, start and end of the records in a chunk's content, up to one that is none."""
+    position = 0
+    while position <= len(content) - RECORD_HEADER.size:
+        opcode, length = RECORD_HEADER.unpack_from(content, position)
+        start = position + RECORD_HEADER.size
+        position = start + length
+        is_short = opcode == Opcode.MESSAGE and position - start < _MESSAGE_BYTES
+        if opcode == 0 or is_short or position > len(content):
+            return
+        yield opcode, start, position
 
 
 def index_entries(

@@ -19,13 +19,13 @@ from fusion_core.recordings.mcap.records import (
     Record,
     RecordFile,
     index_entries,
+    records_in,
 )
 
 NOT_IN_A_CHUNK = -1
 
 _ROWS_AT_A_TIME = 65536
 _CHANNEL_IDS = 1 << 16
-_MESSAGE_BYTES = MESSAGE_HEADER.size - RECORD_HEADER.size
 _NO_RECORD = "no record can be read there"
 
 
@@ -242,17 +242,11 @@ class Walk:
         return position
 
     def _records_in(self, content: bytes) -> Iterator[tuple[int, int, int]]:
-        """Opcode, start and end of the records in a chunk's content, up to one that is none."""
-        position = 0
-        while position <= len(content) - RECORD_HEADER.size and self._records_left > 0:
-            self._records_left -= 1
-            opcode, length = RECORD_HEADER.unpack_from(content, position)
-            start = position + RECORD_HEADER.size
-            position = start + length
-            is_short = opcode == Opcode.MESSAGE and position - start < _MESSAGE_BYTES
-            if opcode == 0 or is_short or position > len(content):
+        for found in records_in(content):
+            if self._records_left <= 0:
                 return
-            yield opcode, start, position
+            self._records_left -= 1
+            yield found
 
     def _keep_definitions(self, content: bytes) -> None:
         """Schemas and channels of a damaged chunk: the messages of others may need them."""

@@ -1,13 +1,25 @@
 """ROS 1 bags, version 2.0: chunks plain, bz2 or lz4, whole or as much of them as is left."""
 
 import struct
+from io import BytesIO
 from pathlib import Path
+
+import numpy as np
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording
-from fusion_core.recordings.containers import Channel, ChunkCache, Entries, Payload, damaged
+from fusion_core.recordings.containers import (
+    ENTRY,
+    Channel,
+    ChunkCache,
+    Entries,
+    Payload,
+    Verified,
+    damaged,
+    index_problem,
+)
 from fusion_core.recordings.indexed import IndexedRecording
-from fusion_core.recordings.rosbag1.chunks import unpack_chunk
+from fusion_core.recordings.rosbag1.chunks import LZ4_HEADER_BYTES, has_checksum, unpack_chunk
 from fusion_core.recordings.rosbag1.index import read_contents
 from fusion_core.recordings.rosbag1.records import (
     LENGTH,
@@ -41,6 +53,7 @@ class BagFile:
         self._size = self._file.seek(0, 2)
         self._chunks = ChunkCache(self._unpack)
         self._chunk_ends: dict[int, int] = {}
+        self._channel_of: dict[int, int] = {}
         self._problems: dict[int, str] = {}
 
     def index(self) -> Entries:
@@ -55,6 +68,7 @@ class BagFile:
             told = " ".join(dict.fromkeys([contents.warnings[0], contents.warnings[-1]]))
             raise damaged(self.path, f"no message can be read. {told}".rstrip("."))
         self.channels = contents.channels
+        self._channel_of = contents.channel_of
         self.warnings += contents.warnings
         self._chunk_ends = contents.chunk_ends
         for block, content in contents.unpacked.items():
@@ -85,8 +99,60 @@ class BagFile:
     def published_ns(self, block: int, offset: int) -> None:
         return None
 
+    def verify(self, entries: Entries) -> Verified:
+        is_in_a_chunk = entries["offset"] != NOT_IN_A_CHUNK
+        verified = Verified(unguarded=int(not is_in_a_chunk.all()))
+        blocks = np.unique(entries["block"][is_in_a_chunk])
+        entries = np.sort(entries, order=["block", "offset"])
+        for block in blocks.tolist():
+            content = self._unpack(block)
+            if block in self._problems:
+                continue
+            if self._has_checksum(block):
+                verified.checksums += 1
+            else:
+                verified.unguarded += 1
+            first, end = np.searchsorted(entries["block"], [block, block + 1])
+            problem = self._index_problem(content, entries[first:end])
+            if problem:
+                verified.damage.append(
+                    f"{self.path.name}: Damaged: the chunk at byte {block}: {problem}."
+                )
+        return verified
+
     def close(self) -> None:
         self._file.close()
+
+    def _has_checksum(self, block: int) -> bool:
+        chunk = read_record(self._file, block, self._size)
+        if chunk is None:
+            return False
+        self._file.seek(chunk.data_start)
+        return has_checksum(chunk, self._file.read(LZ4_HEADER_BYTES))
+
+    def _index_problem(self, content: bytes, indexed: Entries) -> str:
+        """How the index contradicts a chunk's content; ``indexed`` is in order of offset."""
+        stream, end = BytesIO(content), len(content)
+        rows = []
+        position = 0
+        # Where the index may point: at a message, or at the connections before it.
+        starts: dict[int, int] = {}
+        before: list[int] = []
+        while position < end:
+            record = read_record(stream, position, end)
+            if record is None:
+                return f"no record is at byte {position} of its content"
+            before.append(position)
+            if record.op == OP_MESSAGE:
+                starts |= dict.fromkeys(before, position)
+                before.clear()
+                channel = self._channel_of.get(record.number(b"conn"), -1)
+                rows.append((record.time_ns(b"time"), channel, indexed["block"][0], position))
+            position = record.end
+        offsets = [starts.get(offset, offset) for offset in indexed["offset"].tolist()]
+        indexed["offset"] = offsets
+        held = np.array(rows, dtype=ENTRY)
+        return index_problem(held[held["channel"] >= 0], indexed)
 
     def _message_in_the_file(self, start: int) -> bytes:
         record = read_record(self._file, start, self._size)

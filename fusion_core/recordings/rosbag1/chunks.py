@@ -12,6 +12,10 @@ from fusion_core.recordings.rosbag1.records import BagRecord
 
 # Pieces in and out: the decompressors copy what they have not used yet.
 _STEP_BYTES = 1 << 16
+# The magic number of a frame and its flags, of which two are for checksums of blocks and content
+# (github.com/lz4/lz4, lz4_Frame_format.md).
+LZ4_HEADER_BYTES = 5
+_LZ4_CHECKSUMS = 0b10100
 _DECOMPRESSORS = {b"bz2": bz2.BZ2Decompressor, b"lz4": lz4.frame.LZ4FrameDecompressor}
 
 
@@ -38,6 +42,15 @@ def chunk_problem(chunk: BagRecord) -> str:
     if size > MAX_CHUNK_BYTES:
         return f"it claims {size} bytes, more than {MAX_CHUNK_BYTES}"
     return ""
+
+
+def has_checksum(chunk: BagRecord, data: bytes) -> bool:
+    """Whether a changed bit in a chunk would show; ``data`` are the first bytes of its data."""
+    compression = chunk.fields[b"compression"]
+    # Every block of bz2 has one; a frame of lz4 says so in its header.
+    return compression == b"bz2" or (
+        compression == b"lz4" and len(data) == LZ4_HEADER_BYTES and data[4] & _LZ4_CHECKSUMS != 0
+    )
 
 
 def unpack_chunk(stream: BinaryIO, chunk: BagRecord, end: int) -> Unpacked:

@@ -21,13 +21,16 @@ _AT_THE_END = (OP_CONNECTION, OP_CHUNK_INFO)
 
 @dataclass(frozen=True, slots=True)
 class BagContents:
-    """``chunk_ends`` tells where the data of cut chunks end in the file, by their place.
+    """What a bag holds.
 
-    ``unpacked`` are chunks, by their place, that had to be unpacked and will be read first.
-    ``encryptor`` names what the bag is encrypted with, if it is.
+    ``channel_of`` leads from connections to places in ``channels``. ``chunk_ends`` tells where the
+    data of cut chunks end in the file, by their place. ``unpacked`` are chunks, by their place,
+    that had to be unpacked and will be read first. ``encryptor`` names what the bag is encrypted
+    with, if it is.
     """
 
     channels: list[Channel]
+    channel_of: dict[int, int]
     entries: Entries
     warnings: list[str]
     chunk_ends: dict[int, int]
@@ -66,6 +69,7 @@ def read_contents(file: BinaryIO, size: int) -> BagContents:
     encryptor = b"" if walk.header is None else walk.header.fields.get(b"encryptor", b"")
     return BagContents(
         channels=channels,
+        channel_of=channel_of,
         entries=entries,
         warnings=warnings,
         chunk_ends=walk.chunk_ends,

@@ -20,6 +20,7 @@ from fusion_core.recordings.containers import (
     Channel,
     Entries,
     Payload,
+    Verified,
     damaged,
 )
 from fusion_core.recordings.mcap import file as mcap_file
@@ -104,6 +105,9 @@ class StorageFile:
 
     def published_ns(self, block: int, offset: int) -> int | None:
         return self._inner.published_ns(block, offset)
+
+    def verify(self, entries: Entries) -> Verified:
+        return self._inner.verify(entries)
 
     def close(self) -> None:
         self._inner.close()

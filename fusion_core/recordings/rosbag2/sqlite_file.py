@@ -16,6 +16,7 @@ from fusion_core.recordings.containers import (
     Channel,
     Entries,
     Payload,
+    Verified,
     damaged,
     entries_from,
     ros2_type_name,
@@ -43,6 +44,7 @@ _COLUMNS: Mapping[str, frozenset[str]] = {
 _STEPS_AT_A_TIME = 1_000_000
 _LEAST_STEPS = 50_000_000
 _STEPS_PER_BYTE = 10
+_NAMED_PROBLEMS = 5
 
 # The second where SQLite's own message quotes bytes of the file that are no UTF-8.
 _DAMAGE = (sqlite3.Error, UnicodeDecodeError)
@@ -105,6 +107,11 @@ class SqliteFile:
     def published_ns(self, block: int, offset: int) -> None:
         """The tables have no such time."""
 
+    def verify(self, entries: Entries) -> Verified:
+        """SQLite has no checksums; of its structure it says itself what is wrong."""
+        damage = [f"{self.path.name}: Damaged: {line}." for line in self._rows.problems()]
+        return Verified(unguarded=1, damage=damage)
+
     def close(self) -> None:
         self._rows.close()
 
@@ -142,6 +149,15 @@ class _Database:
         if row is None or not isinstance(row[1], bytes):
             raise damaged(self._path, f"row {row_id} holds no message")
         return bytes(row[1])
+
+    def problems(self) -> list[str]:
+        """What SQLite finds wrong with its own structure, the first things of it."""
+        try:
+            rows = self._connection.execute(f"PRAGMA integrity_check({_NAMED_PROBLEMS})").fetchall()
+        except _DAMAGE as error:
+            return [str(error)]
+        lines = [line for (text,) in rows for line in str(text).splitlines()]
+        return [] if lines == ["ok"] else lines
 
     def _next_row(self, row_id: int) -> tuple[int, object] | None:
         """The row with this id where it is the one behind the last, else None.
@@ -266,6 +282,10 @@ class _DamagedDatabase:
     def data(self, cell: int, row_id: int) -> bytes:
         """The data of the message at a cell, the block of its entry. Raises RecordingError."""
         return self._pages.data(cell)
+
+    def problems(self) -> list[str]:
+        """None besides those that are told in ``content``."""
+        return []
 
     def close(self) -> None:
         self._pages.close()

@@ -1,0 +1,81 @@
+"""What becomes of a recording when all of it is read: which messages fail, what is damaged."""
+
+from collections import Counter
+from dataclasses import dataclass
+
+from fusion_core.model.progress import Progress
+from fusion_core.model.recording import Recording
+from fusion_core.recordings.containers import Verified
+from fusion_core.recordings.indexed import IndexedRecording
+
+_PROGRESS_STEP = 100
+_READING = "reading every message"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckedTopic:
+    """How many messages of a topic could be read, and how many could not.
+
+    Those of a type that is not decoded are read as bytes.
+    """
+
+    name: str
+    read: int
+    unreadable: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """The outcome: ``checksums`` were right, ``unguarded`` parts of it have none.
+
+    ``damage`` has a line for each thing that is wrong besides unreadable messages.
+    """
+
+    topics: tuple[CheckedTopic, ...]
+    checksums: int
+    unguarded: int
+    damage: tuple[str, ...]
+
+    @property
+    def damaged(self) -> bool:
+        return bool(self.damage) or any(topic.unreadable for topic in self.topics)
+
+
+def check(recording: Recording, progress: Progress) -> Check:
+    """Read and decode every message once, and verify the checksums that there are.
+
+    The recording's ``warnings`` name the messages that fail, one line for each topic.
+    """
+    verified = Verified()
+    damage = []
+    undecoded = {topic.name for topic in recording.topics if topic.role == "other"}
+    if isinstance(recording, IndexedRecording):
+        damage += [line for line in recording.warnings if line not in recording.unread]
+        verified = recording.verify()
+        damage += verified.damage
+    total = sum(topic.count for topic in recording.topics)
+    read = Counter[str]()
+    progress(0, total, _READING)
+    decoded = [topic.name for topic in recording.topics if topic.name not in undecoded]
+    for done, message in enumerate(recording.messages(decoded), 1):
+        read[message.topic] += 1
+        if done % _PROGRESS_STEP == 0:
+            progress(done, total, _READING)
+    if isinstance(recording, IndexedRecording):
+        for raw in recording.serialized_messages(undecoded):
+            read[recording.channels[raw.channel].topic] += 1
+        undecoded.clear()
+    progress(total, total, _READING)
+    return Check(
+        topics=tuple(
+            CheckedTopic(
+                name=topic.name,
+                read=read[topic.name],
+                unreadable=0 if topic.name in undecoded else topic.count - read[topic.name],
+            )
+            for topic in recording.topics
+        ),
+        checksums=verified.checksums,
+        unguarded=verified.unguarded,
+        damage=tuple(damage),
+    )
