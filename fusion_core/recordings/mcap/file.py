@@ -268,10 +268,13 @@ class McapFile:
 
     def _is_contradicted(self, entries: Entries) -> bool:
         """Whether the chunks where channels begin define them otherwise than the summary."""
-        _, first = np.unique(entries["channel"], return_index=True)
-        for block in np.unique(entries["block"][first]).tolist():
+        _, rows = np.unique(entries["channel"], return_index=True)
+        first = entries[rows]
+        for block in np.unique(first["block"]).tolist():
+            # A channel is defined before its first message.
+            last = int(first["offset"][first["block"] == block].max())
             try:
-                content = self._chunks[block]
+                content = self._chunks[block][:last]
             except RecordingError:
                 # Reading its messages will tell.
                 continue

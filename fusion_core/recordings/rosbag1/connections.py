@@ -6,7 +6,7 @@ differ, what is true of itself is believed before what is not, and the chunk bef
 """
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import BinaryIO
 
@@ -38,20 +38,21 @@ class _Description:
     end: int
 
     def evidence(self) -> int:
-        """How much of it is true of itself: names that ROS allows, and what is told twice."""
-        channel = self.channel
-        try:
-            is_own_sum = ros1_checksum(channel) == self.md5sum
-        except UnreadableType:
-            is_own_sum = False
+        """How much of its names is true of itself: what ROS allows, and what is told twice."""
         return sum(
             (
-                _TOPIC_NAME.fullmatch(channel.topic) is not None,
-                _TYPE_NAME.fullmatch(channel.message_type) is not None,
-                self.repeated_topic in ("", channel.topic),
-                is_own_sum,
+                _TOPIC_NAME.fullmatch(self.channel.topic) is not None,
+                _TYPE_NAME.fullmatch(self.channel.message_type) is not None,
+                self.repeated_topic in ("", self.channel.topic),
             )
         )
+
+    def has_own_sum(self) -> bool:
+        """Whether its MD5 sum is that of its definition."""
+        try:
+            return ros1_checksum(self.channel) == self.md5sum
+        except UnreadableType:
+            return False
 
 
 class Connections:
@@ -107,13 +108,22 @@ class Connections:
         for number, known in self._descriptions.items():
             best = known[0]
             if len(known) > 1:
-                best = max(known, key=lambda one: (one.evidence(), one.chunk is not None))
+                best = max(known, key=_credibility(known))
                 warnings.append(_contradiction(number, best, known))
             numbers[number] = channels.setdefault(best.channel, len(channels))
         rest = len(warnings) - _NAMED
         if rest > 0:
             warnings[_NAMED:] = [f"{rest} more connections are described in contradictory ways."]
         return list(channels), numbers, warnings
+
+
+def _credibility(known: list[_Description]) -> Callable[[_Description], tuple[int, bool]]:
+    # A definition takes long to parse, and one that all have tells nothing.
+    differ = len({one.channel.definition for one in known}) > 1
+    return lambda one: (
+        one.evidence() + (differ and one.has_own_sum()),
+        one.chunk is not None,
+    )
 
 
 def _read(stream: BinaryIO, record: BagRecord, chunk: int | None) -> _Description | None:
