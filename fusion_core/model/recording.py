@@ -69,6 +69,11 @@ class Recording(Protocol):
         """(count,) log times of a topic's messages, in the order of iteration, without decoding."""
         ...
 
+    def stamps_ns(self, topic: str) -> IntArray:
+        """(count,) the sensor's stamps of a topic's messages, in the order of iteration, NO_STAMP
+        for what cannot be read or has none; the headers alone are read, and once."""
+        ...
+
     def messages(
         self,
         topics: Collection[str] | None = None,

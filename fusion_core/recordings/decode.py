@@ -28,6 +28,7 @@ from fusion_core.model.sensors import (
     Transform,
     TransformBatch,
 )
+from fusion_core.model.stamps import NO_STAMP
 from fusion_core.recordings.messages.bad_message import BadMessage
 from fusion_core.recordings.messages.compressed_image import packed_encoding, unpacked
 from fusion_core.recordings.messages.image_pixels import depth_pixels, is_depth_encoding, rgb_pixels
@@ -76,6 +77,18 @@ def stamp_ns(value: SensorValue) -> int | None:
     if isinstance(value, TransformBatch):
         return value.transforms[0].stamp_ns if value.transforms else None
     return value.stamp_ns
+
+
+def header_stamp_ns(raw: RawMessage) -> int:
+    """The sensor's stamp of a raw message, without a look at the rest of it; NO_STAMP where its
+    header is out of all bounds, and for a batch of transforms, which has no header of its own."""
+    try:
+        if isinstance(raw, tuple):
+            seconds, nanoseconds = raw[:2]
+            return _time_ns(seconds, nanoseconds)
+        return NO_STAMP if isinstance(raw, list) else _stamp(raw.header)
+    except (BadMessage, ValueError, TypeError, AttributeError, OverflowError):
+        return NO_STAMP
 
 
 def image_encoding(raw: RawMessage) -> str:

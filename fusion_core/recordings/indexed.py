@@ -3,15 +3,17 @@
 import threading
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from fusion_core.model.conventions import NS_PER_S, IntArray
+from fusion_core.model.conventions import NS_PER_S, IntArray, read_only
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Message, Role, Topic
+from fusion_core.model.stamps import NO_STAMP
 from fusion_core.recordings.containers import (
     ENTRY,
     Channel,
@@ -20,7 +22,13 @@ from fusion_core.recordings.containers import (
     Payload,
     Verified,
 )
-from fusion_core.recordings.decode import READABLE_TYPES, decode, image_encoding, stamp_ns
+from fusion_core.recordings.decode import (
+    READABLE_TYPES,
+    decode,
+    header_stamp_ns,
+    image_encoding,
+    stamp_ns,
+)
 from fusion_core.recordings.messages.types import (
     READABLE_ENCODINGS,
     Deserializer,
@@ -48,6 +56,7 @@ class _Stream:
     readers: dict[int, Deserializer] = field(default_factory=dict)
     role: Role = "other"
     unreadable: str = ""
+    stamps_ns: IntArray | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,6 +115,22 @@ class IndexedRecording:
         """(count,) log times of a topic's messages, in the order of iteration."""
         positions = self._stream(topic).positions
         return self._entries["received_ns"][positions].astype(np.int64)
+
+    def stamps_ns(self, topic: str) -> IntArray:
+        """(count,) the sensor's stamps of a topic's messages, in the order of iteration, NO_STAMP
+        for what cannot be read or has none. The first call reads the topic's messages."""
+        stream = self._readable(topic)
+        if stream.stamps_ns is None:
+            stamps_ns = np.full(len(stream.positions), NO_STAMP, dtype=np.int64)
+            for index, position in enumerate(stream.positions):
+                _, channel, block, offset = self._entries[position].item()
+                # Iteration warns of what is broken.
+                with suppress(RecordingError):
+                    stamps_ns[index] = header_stamp_ns(self._raw(stream, channel, block, offset))
+            self._require_open()
+            read_only(stamps_ns)
+            stream.stamps_ns = stamps_ns
+        return stream.stamps_ns
 
     def messages(
         self,

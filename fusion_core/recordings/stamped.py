@@ -72,6 +72,10 @@ class StampedRecording:
         """(count,) log times of a topic's messages; the sensor's stamps where there is no log."""
         return self._stream(topic).times_ns
 
+    def stamps_ns(self, topic: str) -> IntArray:
+        """(count,) the sensor's stamps of a topic's messages."""
+        return self._stream(topic).stamp_ns
+
     def messages(
         self,
         topics: Collection[str] | None = None,

@@ -2,8 +2,10 @@
 
 import json
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -86,7 +88,7 @@ def build_map(
 
     Raises ScanLoomError: RecordingError and MissingStream for the input, SettingsError, ExportError
     for the folder, MappingFailed where no scan can be placed, or where more than half cannot be
-    trusted; of these the results are written all the same.
+    trusted, or were left out; of these the results are written all the same.
     """
     if options.slam == "none" and options.motion == "none":
         raise MissingStream(
@@ -122,12 +124,24 @@ def build_map(
                     opened, output, folder, options, settings, settings_text, progress, watch
                 )
     if summary.report["trusted_share"] < _TRUSTED_SHARE_MIN:
-        raise MappingFailed(
-            f"only {summary.report['trusted_share']:.0%} of the scans fit the map.",
-            file=output,
-            advice="Look at the map and at report.json; give a --motion where there is one.",
-        )
+        raise _untrusted(summary.report, output)
     return summary
+
+
+def _untrusted(report: Mapping[str, Any], output: Path) -> MappingFailed:
+    left_out = report["scans_recorded"] - report["scans"]
+    if left_out > _TRUSTED_SHARE_MIN * report["scans_recorded"]:
+        return MappingFailed(
+            f"{left_out} of {report['scans_recorded']} scans are left out of the map.",
+            file=output,
+            advice="The notes in report.json say why: check the clock that stamps them, and how "
+            "long the --motion lasts.",
+        )
+    return MappingFailed(
+        f"only {report['trusted_share']:.0%} of the scans fit the map.",
+        file=output,
+        advice="Look at the map and at report.json; give a --motion where there is one.",
+    )
 
 
 def _given(options: MapOptions) -> list[Path]:
@@ -176,8 +190,8 @@ def _run(
     grids, no_maps = draw_maps(sources.drawn, placed, settings.grid, reach_m, progress)
     if sources.has_layers:
         grids = with_layers(grids)
-    notes = [*sources.notes, *no_maps]
-    report = report_of(placed, options.asked, notes, recording.warnings)
+    notes = [*sources.notes, *placed.notes, *no_maps]
+    report = report_of(placed, sources.scans.recorded, options.asked, notes, recording.warnings)
     heading = printable(recording.path.resolve().name)
     write_maps(folder, grids, heading)
     _write_way(folder, placed, grids.get(options.scan), heading)

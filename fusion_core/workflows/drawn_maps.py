@@ -70,6 +70,7 @@ class SeenByCamera:
     def __init__(self, merged: Scans) -> None:
         self._merged = merged
         self.frame_id = merged.frame_id
+        self.recorded = merged.recorded
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ class Placed:
 
     ``poses_map_scan``: (N, 3) x, y, yaw. ``trusted``: (N,) whether each can be. ``graph``,
     ``particles``: of the estimator that has them. ``seconds``: of each stage, on the wall clock.
+    ``notes``: for people.
     """
 
     stamps_ns: IntArray
@@ -33,6 +34,7 @@ class Placed:
     seconds: Mapping[str, float]
     graph: SlamResult | None = None
     particles: ParticleResult | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for array in (self.stamps_ns, self.poses_map_scan, self.trusted):
@@ -75,13 +77,22 @@ def place(
 
 
 def _placed_by_motion(scans: Scans, prior: Prior) -> Placed:
-    known = [(scan.stamp_ns, pose) for scan in scans if (pose := prior(scan.stamp_ns)) is not None]
-    if not known:
+    stamps_ns = []
+    found = []
+    for scan in scans:
+        stamps_ns.append(scan.stamp_ns)
+        found.append(prior(scan.stamp_ns))
+    poses = [pose for pose in found if pose is not None]
+    if not poses:
         raise MappingFailed("the motion has no pose for any scan.")
-    stamps_ns, found = zip(*known, strict=True)
+    known = np.array([pose is not None for pose in found])
+    notes: tuple[str, ...] = ()
+    if not known.all():
+        notes = (f"{np.count_nonzero(~known)} scans have no pose and are left out.",)
     return Placed(
-        stamps_ns=np.array(stamps_ns, dtype=np.int64),
-        poses_map_scan=np.array(found),
-        trusted=np.ones(len(known), dtype=np.bool_),
+        stamps_ns=np.array(stamps_ns, dtype=np.int64)[known],
+        poses_map_scan=np.array(poses),
+        trusted=np.ones(len(poses), dtype=np.bool_),
         seconds={},
+        notes=notes,
     )

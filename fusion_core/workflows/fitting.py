@@ -5,7 +5,7 @@ scans: what comes then belongs to another rig, and is left out with a warning.
 """
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 
@@ -13,6 +13,7 @@ from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Message, Recording
 from fusion_core.model.sensors import DepthImage, LaserScan, SensorValue
 from fusion_core.recordings.skipped import SkippedMessages
+from fusion_core.workflows.time_order import TimeOrder
 
 # The geometry that most of the first scans have is the scanner's.
 _SCANS_LOOKED_AT = 50
@@ -63,7 +64,8 @@ def usual_geometry(recording: Recording, topic: str) -> ScanGeometry | None:
 
 
 class Fitting:
-    """Passes on the messages that fit, and keeps the recording's warnings about the others."""
+    """Passes on the messages that fit and are stamped in order, and keeps the recording's warnings
+    about the others."""
 
     def __init__(
         self,
@@ -73,12 +75,13 @@ class Fitting:
     ) -> None:
         self._geometry = geometry
         self._shapes = image_shapes
+        self._order = TimeOrder(recording)
         self._counts = {topic.name: topic.count for topic in recording.topics}
         self._skipped = SkippedMessages(recording.warnings)
 
     def of(self, messages: Iterator[Message]) -> Iterator[Message]:
         """The messages that fit the rig, in order."""
-        for message in messages:
+        for message in self._order.of(messages):
             problem = self._problem(message.topic, message.value)
             if problem:
                 count = self._counts[message.topic]
@@ -86,6 +89,15 @@ class Fitting:
                 self._skipped.add(message.topic, message.index, count, error)
             else:
                 yield message
+
+    def keeps(self, topic: str, index: int) -> bool:
+        """Whether the ``index``-th message of a topic is stamped in order."""
+        return self._order.keeps(topic, index)
+
+    def require_order(self, topics: Iterable[str]) -> None:
+        """Raise RecordingError where more than half of a topic is stamped out of order."""
+        for topic in topics:
+            self._order.require_most(topic)
 
     def _problem(self, topic: str, value: SensorValue) -> str:
         shape = self._shapes.get(topic)

@@ -115,7 +115,8 @@ class FrameReader:
         return [scan for i in range(first, last) if (scan := self._scan(i)) is not None]
 
     def _scan(self, index: int) -> LaserScan | None:
-        """A scan, None where it cannot be read or is of another geometry than the rig's."""
+        """A scan, None where it cannot be read, is stamped out of order or is of another geometry
+        than the rig's."""
         with self._lock:
             if index in self._scans:
                 self._scans.move_to_end(index)
@@ -129,10 +130,12 @@ class FrameReader:
         return scan
 
     def _read_scan(self, topic: str, index: int) -> LaserScan | None:
+        # As in a pass over the recording, the next one nearest takes the place of what is left out.
+        if not self._session.fitting.keeps(topic, index):
+            return None
         try:
             value = self._session.recording.read(topic, index).value
         except RecordingError:
-            # As in a pass over the recording, the next one nearest takes its place.
             return None
         geometry = self._session.rig.scan_geometry
         fits = isinstance(value, LaserScan) and geometry is not None and geometry.is_of(value)

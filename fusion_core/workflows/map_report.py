@@ -70,16 +70,22 @@ class MapSummary:
 
 
 def report_of(
-    placed: Placed, asked: Mapping[str, str], notes: Sequence[str], warnings: Iterable[str]
+    placed: Placed,
+    recorded: int,
+    asked: Mapping[str, str],
+    notes: Sequence[str],
+    warnings: Iterable[str],
 ) -> dict[str, Any]:
-    """report.json's content; ``asked``: what a person chose, by name."""
+    """report.json's content. ``recorded``: scans in the recording, of which those that are not
+    placed cannot be trusted; ``asked``: what a person chose, by name."""
     steps_m = np.hypot(*np.diff(placed.poses_map_scan[:, :2], axis=0).T)
     report: dict[str, Any] = {
         **asked,
         "scans": int(placed.stamps_ns.size),
+        "scans_recorded": recorded,
         "duration_s": float(placed.stamps_ns[-1] - placed.stamps_ns[0]) / 1e9,
         "path_m": float(steps_m.sum()),
-        "trusted_share": float(placed.trusted.mean()),
+        "trusted_share": float(placed.trusted.sum() / recorded),
         "untrusted": untrusted_stretches(placed.stamps_ns, placed.trusted),
         "notes": [*notes, *warnings],
     }

@@ -24,6 +24,7 @@ from fusion_core.settings import SettingsGroup
 from fusion_core.workflows.extrinsics import Extrinsics
 from fusion_core.workflows.poses import Poses, recorded_poses
 from fusion_core.workflows.scan_source import Scans
+from fusion_core.workflows.time_order import TimeOrder
 from fusion_core.workflows.visual_frames import CameraFrames, camera_on_lidar
 
 MotionKind = Literal["recorded", "wheel", "laser", "visual", "fused", "none"]
@@ -190,9 +191,10 @@ class _Sources:
         assert topic is not None, "poses by odometry have a topic"
         if poses.source != topic:
             self.notes.append(f"Wheel odometry: {poses.source}.")
+        order = TimeOrder(self._recording, strictly=False)
         sampled_ns = [
             message.value.stamp_ns
-            for message in self._recording.messages([topic])
+            for message in order.of(self._recording.messages([topic]))
             if isinstance(message.value, PoseSample)
         ]
         return wheel_odometry(

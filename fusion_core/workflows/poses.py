@@ -1,8 +1,10 @@
 """Where the LiDAR was: recorded poses from TF, else odometry, else a topic named by hand.
 
-A ground truth is never used unless it is named.
+A ground truth is never used unless it is named. A pose that is stamped outside of the recording, or
+jumps away and back, is left out with a warning.
 """
 
+from dataclasses import replace
 from typing import Protocol
 
 from fusion_core.model.conventions import FloatArray
@@ -12,6 +14,8 @@ from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import PoseSample, Transform, TransformBatch
 from fusion_core.model.transform_tree import TransformTree
 from fusion_core.recordings.topics import Streams
+from fusion_core.workflows.time_order import TimeOrder
+from fusion_core.workflows.timed_poses import TimedPoses
 
 # The frame that a map hangs on, best first.
 _MAP_FRAMES = ("map", "odom", "world")
@@ -66,18 +70,21 @@ def _add_transforms(
 ) -> None:
     if topic is None:
         return
+    timed = TimedPoses()
     for message in recording.messages([topic]):
         if isinstance(message.value, TransformBatch):
             for sample in message.value.transforms:
-                tree.add(
-                    Transform(
-                        stamp_ns=sample.stamp_ns,
-                        parent=sample.parent.lstrip("/"),
-                        child=sample.child.lstrip("/"),
-                        T_parent_child=sample.T_parent_child.copy(),
-                    ),
-                    static=static,
+                named = replace(
+                    sample,
+                    parent=sample.parent.lstrip("/"),
+                    child=sample.child.lstrip("/"),
+                    T_parent_child=sample.T_parent_child.copy(),
                 )
+                if static:
+                    tree.add(named, static=True)
+                else:
+                    timed.add(named, message.received_ns)
+    timed.fill(tree, topic, recording)
 
 
 def _ever_connected(
@@ -105,22 +112,23 @@ def _from_topic(recording: Recording, topic: str, tree: TransformTree, lidar_fra
     LiDAR; otherwise the LiDAR itself is taken to be what the topic means."""
     body = ""
     found = False
-    for message in recording.messages([topic]):
+    timed = TimedPoses()
+    # An odometry may be asked twice at one instant.
+    for message in TimeOrder(recording, strictly=False).of(recording.messages([topic])):
         sample = message.value
         if not isinstance(sample, PoseSample):
             continue
         if not found:
             body = sample.child.lstrip("/")
             found = True
-        tree.add(
-            Transform(
-                stamp_ns=sample.stamp_ns,
-                parent=_POSE_FRAME,
-                child=body or lidar_frame,
-                T_parent_child=sample.T_parent_child.copy(),
-            ),
-            static=False,
+        named = Transform(
+            stamp_ns=sample.stamp_ns,
+            parent=_POSE_FRAME,
+            child=body or lidar_frame,
+            T_parent_child=sample.T_parent_child.copy(),
         )
+        timed.add(named, message.received_ns)
+    timed.fill(tree, topic, recording)
     if not found:
         raise MissingStream(f"{topic} holds no poses.", file=recording.path)
     if not body or _joined(tree, body, lidar_frame):

@@ -49,7 +49,8 @@ class RepairedScans:
         self._alignment = align_session(self._session, progress)
         self._clock_offset_ms = clock_offset_ms
         self.frame_id = rig.lidar_frame
-        self._scans = self._judged = self._out_of_order = 0
+        self.recorded = recording.received_ns(streams.lidar).size
+        self._scans = self._judged = 0
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -59,19 +60,12 @@ class RepairedScans:
         if self._judged < self._scans:
             left = self._scans - self._judged
             notes.append(f"{left} of {self._scans} scans have no image and stay as they were.")
-        if self._out_of_order:
-            notes.append(f"{self._out_of_order} scans out of order in time are left out.")
         return tuple(notes)
 
     def __iter__(self) -> Iterator[LaserScan]:
         merge = ScanMerge()
-        self._scans = self._judged = self._out_of_order = 0
-        last_ns: int | None = None
+        self._scans = self._judged = 0
         for raw, repaired in self._merged(merge):
-            if last_ns is not None and raw.stamp_ns <= last_ns:
-                self._out_of_order += 1
-                continue
-            last_ns = raw.stamp_ns
             self._scans += 1
             left = (repaired.intensities == NoiseClass.BURR) & (repaired.ranges_m == raw.ranges_m)
             yield raw.with_ranges(np.where(left, np.nan, repaired.ranges_m), None)

@@ -12,6 +12,7 @@ from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.extrinsics import Extrinsics, extrinsics
 from fusion_core.workflows.presets import ChainSettings
 from fusion_core.workflows.repaired_scans import RepairedScans
+from fusion_core.workflows.time_order import TimeOrder
 from fusion_core.workflows.virtual_scans import CameraScans, MergedScans, Motion
 
 ScanKind = Literal["lidar", "camera", "repaired", "merged"]
@@ -20,11 +21,12 @@ ScanKind = Literal["lidar", "camera", "repaired", "merged"]
 class Scans(Protocol):
     """Scans with stamps that increase, any number of times.
 
-    ``frame_id``: the frame in which they lie. ``notes``: for people, complete once the scans were
-    read to their end.
+    ``frame_id``: the frame in which they lie. ``recorded``: how many the recording holds, be they
+    left out or not. ``notes``: for people, complete once the scans were read to their end.
     """
 
     frame_id: str
+    recorded: int
 
     @property
     def notes(self) -> tuple[str, ...]: ...
@@ -43,7 +45,8 @@ class LidarScans:
                 advice="scanloom info lists what it holds.",
             )
         self._recording, self._topic = recording, streams.lidar
-        self._out_of_order = 0
+        self._order = TimeOrder(recording)
+        self.recorded = recording.received_ns(streams.lidar).size
         first = next(iter(self), None)
         if first is None:
             raise MissingStream(f"{streams.lidar} holds no scan.", file=recording.path)
@@ -51,21 +54,12 @@ class LidarScans:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        if not self._out_of_order:
-            return ()
-        return (f"{self._out_of_order} scans out of order in time are left out.",)
+        return ()
 
     def __iter__(self) -> Iterator[LaserScan]:
-        last_ns: int | None = None
-        self._out_of_order = 0
-        for message in self._recording.messages([self._topic]):
-            if not isinstance(message.value, LaserScan):
-                continue
-            if last_ns is not None and message.value.stamp_ns <= last_ns:
-                self._out_of_order += 1
-                continue
-            last_ns = message.value.stamp_ns
-            yield message.value
+        for message in self._order.of(self._recording.messages([self._topic])):
+            if isinstance(message.value, LaserScan):
+                yield message.value
 
 
 def open_scans(

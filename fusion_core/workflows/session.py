@@ -110,7 +110,13 @@ def fitting_of(recording: Recording, rig: Rig) -> Fitting:
 def align_session(
     session: Session, progress: Progress = silent, stamps: PairingStamps | None = None
 ) -> Alignment:
-    """Pass 1 over a session. ``stamps`` takes note of what passes."""
+    """Pass 1 over a session. ``stamps`` takes note of what passes.
+
+    Raises AlignmentFailed, and RecordingError where the clock of a sensor tells no order.
+    """
+    lidar = session.streams.lidar if session.virtual_row is None else None
+    cameras = [camera.topic for camera in session.rig.cameras]
+    session.fitting.require_order(cameras if lidar is None else [lidar, *cameras])
 
     def pairs() -> Iterator[LaserScan | PairedImage]:
         entries = session.pairs()

@@ -40,6 +40,7 @@ class CameraScans:
     ) -> None:
         self._passes = _Passes(recording, placed, settings, motion, clock_offset_ms)
         self.frame_id = placed.frame_id
+        self.recorded = recording.received_ns(self._passes.level.cameras[0].topic).size
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -83,6 +84,7 @@ class MergedScans:
         self._passes = _Passes(recording, placed, settings, motion, clock_offset_ms)
         self._geometry = usual_geometry(recording, streams.lidar)
         self.frame_id = placed.frame_id
+        self.recorded = recording.received_ns(streams.lidar).size
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -162,12 +164,11 @@ class _Passes:
         if self.offset_ns:
             self._fixed_notes += (f"Camera stamps taken {clock_offset_ms:g} ms earlier.",)
         self._images: list[_Images] = []
-        self._out_of_order = self._alone = self._at_rest = 0
+        self._alone = self._at_rest = 0
 
     @property
     def notes(self) -> tuple[str, ...]:
         counted = (
-            (self._out_of_order, "out of order in time are left out."),
             (self._alone, f"have no image within {self.settings.max_gap_ms:g} ms."),
             (
                 self._at_rest,
@@ -183,12 +184,11 @@ class _Passes:
     ) -> Iterator[tuple[LaserScan | DepthImage, ScanWindow | None]]:
         """Every message of topic ``beat`` once the images around it are known, with the scans
         beside it where it is a scan."""
-        self._out_of_order = self._alone = self._at_rest = 0
+        self._alone = self._at_rest = 0
         cameras = self.level.cameras
         self._images = [_Images(camera, self.settings, self.offset_ns) for camera in cameras]
         index_of = {camera.topic: index for index, camera in enumerate(cameras)}
         waiting: deque[LaserScan | DepthImage] = deque()
-        last_ns: int | None = None
         before: LaserScan | None = None
         topics = [*index_of] if lidar is None else [lidar, *index_of]
         for message in _and_end(fitting.of(self.recording.messages(topics))):
@@ -197,11 +197,7 @@ class _Passes:
                 if isinstance(value, DepthImage):
                     self._images[index_of[message.topic]].add(value)
                 if message.topic == beat and isinstance(value, LaserScan | DepthImage):
-                    if last_ns is not None and value.stamp_ns <= last_ns:
-                        self._out_of_order += 1
-                    else:
-                        last_ns = value.stamp_ns
-                        waiting.append(value)
+                    waiting.append(value)
             while waiting and (message is None or self._settled(waiting)):
                 taken = waiting.popleft()
                 window = None

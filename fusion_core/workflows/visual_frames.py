@@ -18,6 +18,7 @@ from fusion_core.workflows.extrinsics import Extrinsics
 from fusion_core.workflows.fitting import first_value
 from fusion_core.workflows.presets import ChainSettings
 from fusion_core.workflows.rig import build_rig
+from fusion_core.workflows.time_order import TimeOrder
 
 # Colour and depth of one instant are not farther apart, whatever triggers them.
 _GAP_NS = 40 * NS_PER_MS
@@ -39,6 +40,7 @@ class CameraFrames:
 
     def __init__(self, recording: Recording, streams: Streams, *, clock_offset_ns: int = 0) -> None:
         self._recording, self._clock_offset_ns = recording, clock_offset_ns
+        self._order = TimeOrder(recording)
         if not streams.depth:
             raise MissingStream(
                 "has no depth images.",
@@ -91,11 +93,10 @@ class CameraFrames:
 
     def __iter__(self) -> Iterator[GrayDepth]:
         """Depth images, each with the colour image nearest in time; those without one are left
-        out, and so are those out of order in time."""
+        out, and so is what is stamped out of order."""
         waiting: deque[DepthImage] = deque()
         colors: deque[ColorImage] = deque(maxlen=2 * _WAITING)
-        last_ns: int | None = None
-        for message in self._recording.messages([self._depth, self._color]):
+        for message in self._order.of(self._recording.messages([self._depth, self._color])):
             value = message.value
             if isinstance(value, DepthImage):
                 waiting.append(value)
@@ -106,13 +107,11 @@ class CameraFrames:
                 (colors and colors[-1].stamp_ns >= waiting[0].stamp_ns) or len(waiting) > _WAITING
             ):
                 frame = self._joined(waiting.popleft(), colors)
-                if frame is not None and (last_ns is None or frame.stamp_ns > last_ns):
-                    last_ns = frame.stamp_ns
+                if frame is not None:
                     yield frame
         for depth in waiting:
             frame = self._joined(depth, colors)
-            if frame is not None and (last_ns is None or frame.stamp_ns > last_ns):
-                last_ns = frame.stamp_ns
+            if frame is not None:
                 yield frame
 
     def _joined(self, depth: DepthImage, colors: deque[ColorImage]) -> GrayDepth | None:

@@ -69,7 +69,13 @@ def test_scans_out_of_order_are_left_out_and_counted(log):
     with log.open() as recording:
         scans = LidarScans(recording, choose_streams(recording))
         assert [scan.ranges_m[0] for scan in scans] == [1.0, 2.0, 4.0]
-        assert scans.notes == ("1 scans out of order in time are left out.",)
+        assert list(scans)[2].ranges_m[0] == 4.0
+        assert scans.recorded == 4
+        left_out = [line for line in recording.warnings if "out of order" in line]
+        assert left_out == [
+            "/scan: 1 of 4 messages are left out, as they are stamped out of order; "
+            "the first: 3, at 1700000000.200 s"
+        ]
 
 
 @pytest.mark.parametrize("kind", ["lidar", "merged", "repaired"])

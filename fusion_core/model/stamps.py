@@ -1,0 +1,82 @@
+"""Which stamps of a stream are outliers, told from the order and the times of its log."""
+
+from bisect import bisect_left, bisect_right
+
+import numpy as np
+
+from fusion_core.model.conventions import BoolArray, IntArray
+
+NO_STAMP = int(np.iinfo(np.int64).min)
+"""Stands for the stamp of a message that cannot be read."""
+
+
+def plausible_stamps(
+    stamps_ns: IntArray, received_ns: IntArray, *, strictly: bool = True
+) -> BoolArray:
+    """(N,) which messages to keep: those that are in order, and stamped within the recording.
+
+    ``stamps_ns``, ``received_ns``: (N,) in the order of the log. ``strictly``: of equal stamps only
+    the first is kept. What has NO_STAMP is neither judged nor left out.
+    """
+    kept = np.ones(stamps_ns.size, dtype=np.bool_)
+    known = np.flatnonzero(stamps_ns != NO_STAMP)
+    kept[known] = within_recording(stamps_ns[known], received_ns[known])
+    # Of the rest: before the last stamp but one, a far one would do as well as its follower.
+    near = known[kept[known]]
+    kept[near] = longest_ascending(stamps_ns[near], strictly=strictly)
+    return kept
+
+
+def longest_ascending(stamps_ns: IntArray, *, strictly: bool = True) -> BoolArray:
+    """(N,) the longest subsequence of (N,) stamps that ascends; of several the one whose members
+    come first.
+
+    So few outliers cost themselves alone, wherever they lie: a stamp far ahead makes none of those
+    after it late. O(N log N), by patience sorting (Schensted 1961).
+    """
+    steps = np.diff(stamps_ns)
+    if np.all(steps > 0) or (not strictly and np.all(steps >= 0)):
+        return np.ones(stamps_ns.size, dtype=np.bool_)
+    place = bisect_left if strictly else bisect_right
+    values = stamps_ns.tolist()
+    # From the end, negated: the longest subsequence that begins with each stamp.
+    tails: list[int] = []
+    lengths = []
+    for value in reversed(values):
+        length = place(tails, -value)
+        tails[length : length + 1] = [-value]
+        lengths.append(length + 1)
+    kept = np.zeros(stamps_ns.size, dtype=np.bool_)
+    left, last = len(tails), None
+    for index, (value, length) in enumerate(zip(values, reversed(lengths), strict=True)):
+        follows = last is None or value > last or (not strictly and value == last)
+        if length == left and follows:
+            kept[index] = True
+            left, last = left - 1, value
+    return kept
+
+
+def within_recording(stamps_ns: IntArray, received_ns: IntArray) -> BoolArray:
+    """(N,) whether a stamp is joined to the middle half of (N,) stamps, which come in any order.
+
+    A step from one stamp to the next parts the two where it is longer than the whole recording, of
+    which the middle half lasts one half, beyond what passed between them in the log
+    (``received_ns``: a recording may pause). Where the log has one time for all, it tells nothing.
+    """
+    kept = np.ones(stamps_ns.size, dtype=np.bool_)
+    if stamps_ns.size == 0 or np.ptp(received_ns) == 0:
+        return kept
+    order = np.argsort(stamps_ns, kind="stable")
+    sorted_ns = stamps_ns[order]
+    first, last = stamps_ns.size // 4, stamps_ns.size - 1 - stamps_ns.size // 4
+    duration_ns = 2 * int(sorted_ns[last] - sorted_ns[first])
+    if duration_ns == 0:
+        return kept
+    logged_ns = np.maximum(np.diff(received_ns[order]), 0)
+    parted = np.flatnonzero(np.diff(sorted_ns) - logged_ns > duration_ns)
+    before, after = parted[parted < first], parted[parted >= last]
+    if before.size:
+        kept[order[: before[-1] + 1]] = False
+    if after.size:
+        kept[order[after[0] + 1 :]] = False
+    return kept

@@ -1,0 +1,73 @@
+"""Which messages of a recording are stamped as the order and the times of its log say.
+
+A clock that jumps stamps a message far from the others: it costs itself alone, in every stage.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from fusion_core.model.conventions import NS_PER_S, BoolArray
+from fusion_core.model.errors import RecordingError
+from fusion_core.model.recording import Message, Recording
+from fusion_core.model.stamps import plausible_stamps
+
+
+class TimeOrder:
+    """Passes on the messages that are stamped in order, and warns of the others.
+
+    ``strictly``: of equal stamps of a topic only the first is kept, since no sensor measures twice
+    at one instant.
+    """
+
+    def __init__(self, recording: Recording, *, strictly: bool = True) -> None:
+        self._recording, self._strictly = recording, strictly
+        self._kept: dict[str, BoolArray] = {}
+
+    def of(self, messages: Iterator[Message]) -> Iterator[Message]:
+        """The messages that are in order."""
+        for message in messages:
+            if self.keeps(message.topic, message.index):
+                yield message
+
+    def keeps(self, topic: str, index: int) -> bool:
+        """Whether the ``index``-th message of a topic is in order."""
+        return bool(self._of_topic(topic)[index])
+
+    def _of_topic(self, topic: str) -> BoolArray:
+        if topic not in self._kept:
+            self._kept[topic] = self._judged(topic)
+        return self._kept[topic]
+
+    def require_most(self, topic: str) -> None:
+        """Raise RecordingError where more than half of a topic's messages are left out."""
+        kept = self._of_topic(topic)
+        left_out = np.count_nonzero(~kept)
+        if 2 * left_out > kept.size:
+            raise RecordingError(
+                f"{left_out} of {kept.size} messages of {topic} are stamped out of order.",
+                file=self._recording.path,
+                advice="Check the clock that stamps them, or name another topic.",
+            )
+
+    def _judged(self, topic: str) -> BoolArray:
+        stamps_ns, received_ns = (
+            self._recording.stamps_ns(topic),
+            self._recording.received_ns(topic),
+        )
+        kept = plausible_stamps(stamps_ns, received_ns, strictly=self._strictly)
+        left_out = np.flatnonzero(~kept)
+        if left_out.size:
+            first = int(left_out[0])
+            warn_once(
+                self._recording,
+                f"{topic}: {left_out.size} of {kept.size} messages are left out, as they are "
+                f"stamped out of order; the first: {first}, at {stamps_ns[first] / NS_PER_S:.3f} s",
+            )
+        return kept
+
+
+def warn_once(recording: Recording, warning: str) -> None:
+    """Add a warning, unless an earlier pass over the recording has."""
+    if warning not in recording.warnings:
+        recording.warnings.append(warning)
