@@ -24,6 +24,11 @@ class GridSettings(StageSettings):
     p_highest: float = setting(0.971, "Highest probability a cell can reach", ge=0.5, le=0.999)
     cells_max: int = setting(64_000_000, "Largest map", unit="cells", ge=1, le=1_000_000_000)
 
+    @property
+    def side_max_m(self) -> float:
+        """Side of the largest square map."""
+        return self.resolution_m * float(np.sqrt(self.cells_max))
+
 
 @dataclass(frozen=True, slots=True)
 class _Bounds:

@@ -19,10 +19,17 @@ from fusion_core.workflows.poses import Poses
 
 
 class Maps:
-    """Three grids that grow with the mapped area only."""
+    """Three grids that grow with the mapped area only.
+
+    A range longer than the largest map is wide is in none of them. A grid that would grow larger
+    is given up, and the others go on.
+    """
 
     def __init__(self, poses: Poses, settings: GridSettings) -> None:
         self._poses = poses
+        self._side_max_m = settings.side_max_m
+        self._far = dict.fromkeys(("lidar", "camera", "fused"), 0)
+        self._failed: dict[str, str] = {}
         self._builders = {name: GridBuilder(settings) for name in ("lidar", "camera", "fused")}
         self.scans_without_pose = 0
 
@@ -49,9 +56,18 @@ class Maps:
     def _add(
         self, name: str, pose: FloatArray, angles: FloatArray, ranges: FloatArray, scan: LaserScan
     ) -> None:
-        self._builders[name].add_scan(
-            pose, np.ascontiguousarray(angles), np.ascontiguousarray(ranges), scan.range_max_m
-        )
+        if name in self._failed:
+            return
+        far = ranges > self._side_max_m
+        if far.any():
+            self._far[name] += int(np.count_nonzero(far))
+            ranges = np.where(far, np.nan, ranges)
+        try:
+            self._builders[name].add_scan(
+                pose, np.ascontiguousarray(angles), np.ascontiguousarray(ranges), scan.range_max_m
+            )
+        except MappingFailed as error:
+            self._failed[name] = str(error)
 
     def write(self, folder: Path) -> tuple[dict[str, OccupancyGrid], list[str]]:
         """Write each map that has a known cell, and the difference of all; returns the maps and
@@ -59,6 +75,14 @@ class Maps:
         grids: dict[str, OccupancyGrid] = {}
         notes = []
         for name, builder in self._builders.items():
+            if self._far[name]:
+                notes.append(
+                    f"{self._far[name]} ranges are not in the {name} map: they are longer than "
+                    f"{self._side_max_m:g} m, the side of the largest (grid.cells_max)."
+                )
+            if name in self._failed:
+                notes.append(f"No {name} map: {self._failed[name]}")
+                continue
             try:
                 grids[name] = builder.build()
             except MappingFailed as error:
