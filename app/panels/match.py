@@ -95,7 +95,8 @@ class MatchPanel:
             show_picture(self._picture, self._heatmap_of(shown, match).rgb)
             put(self._words, content=_peak_words(shown, match))
             self._show_curves(shown, match)
-            put(self._mount, content=mount_words(shown.chain.alignment.mount))
+            alignment = shown.chain.alignment
+            put(self._mount, content=mount_words(alignment.mount, alignment.notes))
 
     def _heatmap_of(self, shown: Shown, match: FrameMatch) -> Heatmap:
         """The picture of this view: the last one where nothing of it has changed."""

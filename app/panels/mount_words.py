@@ -1,5 +1,7 @@
 """The mount in words: where the camera sits on the LiDAR, and what the recording does not show."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
@@ -20,8 +22,8 @@ _NAMES = {
 }
 
 
-def mount_words(mount: Mount) -> str:
-    """One line for each parameter, as Markdown; what is not observable is named."""
+def mount_words(mount: Mount, notes: Sequence[str] = ()) -> str:
+    """One line for each parameter and note, as Markdown; what is not observable is named."""
     lines = []
     unknown = []
     for name, sd in zip(MOUNT_PARAMETERS, mount.sd, strict=True):
@@ -34,4 +36,5 @@ def mount_words(mount: Mount) -> str:
         lines.append(f"- It {form.format(number, positive if value >= 0.0 else negative)}.")
     if unknown:
         lines.append(f"- Not observable in this recording: {', '.join(unknown)}.")
+    lines += [f"- {note}" for note in notes]
     return "The camera:\n\n" + "\n".join(lines)

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from fusion_core.alignment.agreement import Agreement, MountFrame, MountSettings
+from fusion_core.alignment.recorded_mount import refusal_of
 from fusion_core.alignment.time import parabola_offset
 from fusion_core.model.conventions import FloatArray, wrap_angle
 from fusion_core.model.errors import AlignmentFailed
@@ -43,6 +44,7 @@ class MountEstimate:
 
     ``agreement``: share of visible points within the tolerance; ``visible``: share of the points
     in front of a camera that fall on a valid depth; ``delta_z_profile``: (K, 2) Delta z and cost.
+    ``refusal``: why a recorded mount is not used, as part of a sentence, "" where there is none.
     """
 
     mount: Mount
@@ -51,6 +53,7 @@ class MountEstimate:
     confident: bool
     from_recorded: bool
     delta_z_profile: FloatArray
+    refusal: str = ""
 
 
 def estimate_mount(
@@ -64,8 +67,9 @@ def estimate_mount(
 
     Where the plane of the LiDAR lies far from any one row, the rows can favour a wrong yaw: other
     yaws are tried as well, and taken only where they agree better beyond doubt.
-    ``recorded``: extrinsics that the recording itself gives; used as a prior where their yaw is
-    within 5 degrees of ``yaw_rad`` or points agree under them.
+    ``recorded``: extrinsics that the recording itself gives; used as a prior where they explain
+    what is seen (``refusal_of``), unless too few points agree and another mount explains them
+    beyond doubt.
 
     Raises AlignmentFailed where there are too few frames or points.
     """
@@ -79,26 +83,21 @@ def estimate_mount(
     heights_m = np.arange(
         settings.delta_z_min_m, max(highest_m, settings.delta_z_min_m + 0.1), 0.05
     )
-    trusted = recorded is not None and (
-        _apart_rad(recorded.yaw_rad, yaw_rad) < np.deg2rad(5.0)
-        or problem.agreement(recorded.vector())[0] >= settings.min_agreement
-    )
-    if recorded is not None and trusted:
-        centre, spread = recorded.vector(), _RECORDED_SD
-        fits = [_descend(_with_prior(problem, centre, spread, np.inf), centre)]
-        yaws = [centre[0]]
-    else:
-        spread = _PRIOR_SD
-        yaws = [yaw_rad, *_other_yaws(problem.thinned(), yaw_rad, heights_m[::3])]
-        fits = []
-        for yaw in yaws:
-            centre = _level(yaw)
-            cost = _with_prior(problem, centre, spread, highest_m)
-            # A rival yaw must only show how well it can agree; the rows' own is refined fully.
-            count = _STARTS if yaw == yaw_rad else 1
-            for start in _starts(_delta_z_profile(problem, centre, heights_m), centre, count):
-                fits.append(_descend(cost, start))
-    best, doubtful_yaw = _choose(problem, fits, yaws[0])
+    refusal = "" if recorded is None else refusal_of(problem, recorded, settings, yaw_rad)
+    stated = None
+    if recorded is not None and not refusal:
+        centre = recorded.vector()
+        stated = _descend(_with_prior(problem, centre, _RECORDED_SD, np.inf), centre)
+    fits: list[FloatArray] = []
+    if stated is None or problem.agreement(stated)[0] < settings.min_agreement:
+        fits = _free_fits(problem, yaw_rad, heights_m, highest_m)
+        best, doubtful_yaw = _choose(problem, fits, yaw_rad)
+        if stated is not None:
+            refusal = _contradiction(problem, stated, best, settings)
+    trusted = stated is not None and not refusal
+    if stated is not None and trusted:
+        best, doubtful_yaw = stated, False
+    spread = _RECORDED_SD if trusted else _PRIOR_SD
     least_sd = np.minimum(_LEAST_SD, _RECORDED_SD) if trusted else _LEAST_SD
     sd = np.maximum(_sandwich_sd(problem, best, spread), least_sd)
     if not trusted:
@@ -124,9 +123,46 @@ def estimate_mount(
         agreement=agreement,
         visible=visible,
         confident=bool(agreement >= settings.min_agreement and sure_yaw),
-        from_recorded=bool(trusted),
+        from_recorded=trusted,
         delta_z_profile=_delta_z_profile(problem, best, heights_m)[:, 1:],
+        refusal=refusal,
     )
+
+
+def _free_fits(
+    problem: Agreement, yaw_rad: float, heights_m: FloatArray, highest_m: float
+) -> list[FloatArray]:
+    """Refined mounts of which nothing but the rows' yaw is known, and of the yaws that rival it."""
+    fits = []
+    for yaw in [yaw_rad, *_other_yaws(problem.thinned(), yaw_rad, heights_m[::3])]:
+        centre = _level(yaw)
+        cost = _with_prior(problem, centre, _PRIOR_SD, highest_m)
+        # A rival yaw must only show how well it can agree; the rows' own is refined fully.
+        count = _STARTS if yaw == yaw_rad else 1
+        for start in _starts(_delta_z_profile(problem, centre, heights_m), centre, count):
+            fits.append(_descend(cost, start))
+    return fits
+
+
+def _contradiction(
+    problem: Agreement, stated: FloatArray, free: FloatArray, settings: MountSettings
+) -> str:
+    """Why the fit of a recorded mount, under which too few points agree, is not to be used: the
+    points agree under a free one, which is better beyond doubt; "" where that is not so."""
+    agreement, _ = problem.agreement(stated)
+    free_agreement, _ = problem.agreement(free)
+    if free_agreement < settings.min_agreement or not _surely_better(problem, free, stated):
+        return ""
+    return (
+        f"{agreement:.0%} of the visible points agree under it, and {free_agreement:.0%} under the "
+        "mount that fits them best"
+    )
+
+
+def _surely_better(problem: Agreement, fit: FloatArray, other: FloatArray) -> bool:
+    """Whether a fit costs less than another beyond doubt (paired over blocks, 3 sigma)."""
+    gain = problem.block_costs(other) - problem.block_costs(fit)
+    return bool(np.mean(gain) > 3.0 * np.std(gain) / np.sqrt(gain.size))
 
 
 def _apart_rad(first_rad: float, second_rad: float) -> float:
@@ -181,16 +217,14 @@ def _other_yaws(problem: Agreement, yaw_rad: float, heights_m: FloatArray) -> li
 
 
 def _choose(problem: Agreement, fits: list[FloatArray], yaw_rad: float) -> tuple[FloatArray, bool]:
-    """The best fit near the rows' yaw, unless another is better beyond doubt (paired over blocks,
-    3 sigma); and whether the two remain in doubt."""
+    """The best fit near the rows' yaw, unless another is better beyond doubt; and whether the two
+    remain in doubt."""
     near = [fit for fit in fits if _apart_rad(fit[0], yaw_rad) < np.deg2rad(5.0)]
     best = min(near or fits, key=problem.mean_cost)
     rival = min(fits, key=problem.mean_cost)
     if _apart_rad(rival[0], best[0]) < np.deg2rad(5.0):
         return best, False
-    gain = problem.block_costs(best) - problem.block_costs(rival)
-    sure = np.mean(gain) > 3.0 * np.std(gain) / np.sqrt(gain.size)
-    return (rival, False) if sure else (best, True)
+    return (rival, False) if _surely_better(problem, rival, best) else (best, True)
 
 
 def frame_yaw_offset_rad(frame: MountFrame, mount: Mount, settings: MountSettings) -> float:

@@ -66,6 +66,19 @@ class Alignment:
         """Whether pairs lie along the projected curve (else in the row)."""
         return self.estimate is not None and self.estimate.confident
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """For people."""
+        if self.estimate is None or not self.estimate.refusal:
+            return ()
+        found = "The mount is found from scans and images instead."
+        return (f"{mount_not_used(self.estimate.refusal)} {found}",)
+
+
+def mount_not_used(refusal: str) -> str:
+    """What people are told of a recorded mount that is refused."""
+    return f"The recorded mount is not used: {refusal}."
+
 
 def search_rows(
     scan: LaserScan,

@@ -17,10 +17,12 @@ from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
 from fusion_core.model.sensors import Transform, TransformBatch
 from fusion_core.model.transform_tree import TransformTree
 from fusion_core.recordings.topics import Streams
+from fusion_core.workflows.align import mount_not_used
 from fusion_core.workflows.extrinsics_file import read_extrinsics
 from fusion_core.workflows.presets import ChainSettings
+from fusion_core.workflows.recorded_mount import refusal_of_recorded
 from fusion_core.workflows.rig import Rig, build_rig
-from fusion_core.workflows.session import Session, align_session, fitting_of
+from fusion_core.workflows.session import Session, align_session, session_of
 
 ExtrinsicsSource = Literal["file", "tf", "alignment", "level"]
 
@@ -112,7 +114,8 @@ def extrinsics(
     stand = _stand(recording, streams, rig.lidar_frame)
     if file is not None:
         return _from_file(file, rig, streams, stand)
-    if rig.recorded is not None:
+    session = session_of(recording, streams, rig, settings)
+    if rig.recorded is not None and not refusal_of_recorded(session):
         return Extrinsics(
             source="tf",
             frame_id=rig.lidar_frame,
@@ -121,7 +124,7 @@ def extrinsics(
             lidar_height_m=stand.height_m,
             notes=(*rig.notes, f"Extrinsics from {streams.tf_static}."),
         )
-    return _aligned(recording, streams, rig, stand, settings, progress)
+    return _aligned(session, stand, progress)
 
 
 def _placed(rig: Rig, mount: Mount, stand: _Stand) -> tuple[PlacedCamera, ...]:
@@ -202,22 +205,8 @@ def _from_file(file: Path, rig: Rig, streams: Streams, stand: _Stand) -> Extrins
     )
 
 
-def _aligned(
-    recording: Recording,
-    streams: Streams,
-    rig: Rig,
-    stand: _Stand,
-    settings: ChainSettings,
-    progress: Progress,
-) -> Extrinsics:
-    session = Session(
-        recording=recording,
-        streams=streams,
-        rig=rig,
-        fitting=fitting_of(recording, rig),
-        settings=settings,
-        virtual_row=None,
-    )
+def _aligned(session: Session, stand: _Stand, progress: Progress) -> Extrinsics:
+    recording, rig = session.recording, session.rig
     alignment = align_session(session, progress)
     mount = alignment.mount
     if alignment.estimate is None:
@@ -229,10 +218,11 @@ def _aligned(
     unseen = _unseen(mount, _IN_PLANE)
     if unseen or not alignment.along_curve:
         what = f"not show the camera's {_listed(unseen)}" if unseen else "not agree on a mount"
-        raise AlignmentFailed(
-            f"scans and images do {what}.", file=recording.path, advice=_GIVE_FILE
-        )
-    notes = [*rig.notes, f"Extrinsics from the alignment: {_said(mount)}."]
+        problem = f"scans and images do {what}."
+        if alignment.estimate.refusal:
+            problem += f" {mount_not_used(alignment.estimate.refusal)}"
+        raise AlignmentFailed(problem, file=recording.path, advice=_GIVE_FILE)
+    notes = [*rig.notes, *alignment.notes, f"Extrinsics from the alignment: {_said(mount)}."]
     unseen = _unseen(mount, _OUT_OF_PLANE)
     if unseen:
         notes.append(f"The alignment does not show {_listed(unseen)}: the floor in the depth must.")

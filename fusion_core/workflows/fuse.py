@@ -180,7 +180,7 @@ def _run(
     progress: Progress,
 ) -> FuseSummary:
     alignment = align_session(session, progress)
-    notes = list(session.rig.notes)
+    notes = [*session.rig.notes, *alignment.notes]
     clock_offset_ms = _clock_offset_to_apply(alignment, options, notes)
     poses: Poses | None = None
     if options.maps and session.virtual_row is None:

@@ -208,7 +208,8 @@ class _Sources:
 
     def visual(self, *, needs_place: bool) -> OdometryTrack:
         frames = CameraFrames(self._recording, self._streams, clock_offset_ns=self._clock_offset_ns)
-        T_lidar_camera = camera_on_lidar(self._recording, self._streams, self._extrinsics)
+        T_lidar_camera, notes = camera_on_lidar(self._recording, self._streams, self._extrinsics)
+        self.notes.extend(notes)
         if T_lidar_camera is None:
             if needs_place:
                 raise MissingStream(

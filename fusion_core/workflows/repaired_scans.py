@@ -14,7 +14,7 @@ from fusion_core.workflows.frame import FusedFrame
 from fusion_core.workflows.presets import ChainSettings
 from fusion_core.workflows.rig import build_rig
 from fusion_core.workflows.scan_merge import ScanMerge
-from fusion_core.workflows.session import Session, align_session, fitting_of, fuse_session
+from fusion_core.workflows.session import align_session, fuse_session, session_of
 
 
 class RepairedScans:
@@ -38,14 +38,7 @@ class RepairedScans:
                 "has no 2D LiDAR to repair.", file=recording.path, advice="Use --scan camera."
             )
         rig = build_rig(recording, streams, settings.sampling)
-        self._session = Session(
-            recording=recording,
-            streams=streams,
-            rig=rig,
-            fitting=fitting_of(recording, rig),
-            settings=settings,
-            virtual_row=None,
-        )
+        self._session = session_of(recording, streams, rig, settings)
         self._alignment = align_session(self._session, progress)
         self._clock_offset_ms = clock_offset_ms
         self.frame_id = rig.lidar_frame
@@ -54,7 +47,7 @@ class RepairedScans:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        notes = list(self._session.rig.notes)
+        notes = [*self._session.rig.notes, *self._alignment.notes]
         if self._clock_offset_ms:
             notes.append(f"Camera stamps taken {self._clock_offset_ms:g} ms earlier.")
         if self._judged < self._scans:

@@ -100,7 +100,7 @@ def build_rig(
             )
         lidar_frame = scan.frame_id
         geometry = usual_geometry(recording, streams.lidar)
-    T_base_camera, base = _poses(tree, roots, lenses, lidar_frame)
+    T_base_camera, base = _poses(tree, roots, lenses, lidar_frame, notes)
     if T_base_camera is None:
         if len(lenses) > 1:
             left_out = ", ".join(lens.topic for lens in lenses[1:])
@@ -210,7 +210,11 @@ def _normal(sample: Transform) -> Transform:
 
 
 def _poses(
-    tree: TransformTree, parents: dict[str, str], lenses: Sequence[_Lens], lidar_frame: str
+    tree: TransformTree,
+    parents: dict[str, str],
+    lenses: Sequence[_Lens],
+    lidar_frame: str,
+    notes: list[str],
 ) -> tuple[list[FloatArray] | None, str]:
     """Each camera's (4, 4) pose on a level base, and which base: the LiDAR, or a common root."""
     frames = [lens.frame_id.lstrip("/") for lens in lenses]
@@ -228,6 +232,11 @@ def _poses(
             continue
         if all(abs(T_base_camera[2, 2]) < _STEEPEST for T_base_camera in poses):
             return poses, name
+        if name == "lidar":
+            notes.append(
+                "The recorded mount is not used: by it a camera looks straight up or down from "
+                f"{base}."
+            )
     return None, ""
 
 

@@ -99,6 +99,20 @@ def open_session(recording: Recording, options: FuseOptions, settings: ChainSett
     )
 
 
+def session_of(
+    recording: Recording, streams: Streams, rig: Rig, settings: ChainSettings
+) -> Session:
+    """A session with the recording's own LiDAR."""
+    return Session(
+        recording=recording,
+        streams=streams,
+        rig=rig,
+        fitting=fitting_of(recording, rig),
+        settings=settings,
+        virtual_row=None,
+    )
+
+
 def fitting_of(recording: Recording, rig: Rig) -> Fitting:
     """What tells the messages that fit a rig from the others."""
     shapes = {

@@ -14,10 +14,13 @@ from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import CameraInfo, CameraIntrinsics, ColorImage, DepthImage
 from fusion_core.motion.visual import GrayDepth
 from fusion_core.recordings.topics import Streams
+from fusion_core.workflows.align import mount_not_used
 from fusion_core.workflows.extrinsics import Extrinsics
 from fusion_core.workflows.fitting import first_value
 from fusion_core.workflows.presets import ChainSettings
+from fusion_core.workflows.recorded_mount import refusal_of_recorded
 from fusion_core.workflows.rig import build_rig
+from fusion_core.workflows.session import session_of
 from fusion_core.workflows.time_order import TimeOrder
 
 # Colour and depth of one instant are not farther apart, whatever triggers them.
@@ -156,21 +159,25 @@ def _scaled(lens: CameraIntrinsics, shape: tuple[int, int]) -> CameraIntrinsics:
 
 def camera_on_lidar(
     recording: Recording, streams: Streams, extrinsics: Extrinsics | None
-) -> FloatArray | None:
+) -> tuple[FloatArray | None, tuple[str, ...]]:
     """(4, 4) T_lidar_camera of the first depth camera's stored images, by ``extrinsics`` or by the
-    recording's own transforms; None where neither says."""
+    recording's own transforms; None where neither says. And notes for people."""
     if not streams.depth:
-        return None
+        return None, ()
     if extrinsics is not None:
         placed = [camera for camera in extrinsics.cameras if camera.topic == streams.depth[0]]
         if not placed:
-            return None
+            return None, ()
         T_view_stored = inverse(transform(placed[0].view.R_stored_view, np.zeros(3)))
-        return placed[0].T_lidar_camera @ T_view_stored
+        return placed[0].T_lidar_camera @ T_view_stored, ()
     if streams.lidar is None:
-        return None
-    rig = build_rig(recording, streams, ChainSettings().sampling)
+        return None, ()
+    settings = ChainSettings()
+    rig = build_rig(recording, streams, settings.sampling)
     if rig.recorded is None:
-        return None
+        return None, ()
+    refusal = refusal_of_recorded(session_of(recording, streams, rig, settings))
+    if refusal:
+        return None, (mount_not_used(refusal),)
     T_view_stored = inverse(transform(rig.views[0].R_stored_view, np.zeros(3)))
-    return rig.recorded.T_lidar_rig @ rig.cameras[0].T_rig_camera @ T_view_stored
+    return rig.recorded.T_lidar_rig @ rig.cameras[0].T_rig_camera @ T_view_stored, ()

@@ -1,17 +1,20 @@
 """The mount of a camera on a LiDAR in simulated rooms, where the true one is known."""
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from fusion_core.alignment.agreement import (
+    Agreement,
     MountFrame,
     MountSettings,
     mount_frame,
     without_speckle,
 )
 from fusion_core.alignment.mount import MountEstimate, estimate_mount, frame_yaw_offset_rad
+from fusion_core.alignment.recorded_mount import refusal_of
 from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, R_BODY_OPTICAL
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.geometry import transform, transform_from_planar
@@ -207,10 +210,45 @@ def test_a_recorded_mount_is_the_prior(furnished_room) -> None:
 def test_a_recorded_yaw_is_compared_across_the_seam(furnished_room) -> None:
     truth = Mount(yaw_rad=np.pi - 0.01, delta_z_m=0.3)
     frames = drive(furnished_room, truth, 1, count=8, field_of_view_deg=360.0)
-    # Its lever arm is wrong, so that only the yaw speaks for it.
-    recorded = Mount(yaw_rad=truth.yaw_rad, delta_z_m=0.3, left_m=1.5)
-    estimate = estimate_mount(frames, SETTINGS, yaw_rad=0.02 - np.pi, recorded=recorded)
-    assert estimate.from_recorded
+    # Its lever arm is wrong, so that too few points agree and the yaw must speak for it.
+    recorded = Mount(yaw_rad=truth.yaw_rad, delta_z_m=0.3, left_m=0.3)
+    problem = Agreement(frames, SETTINGS)
+    assert problem.agreement(recorded.vector())[0] < SETTINGS.min_agreement
+    assert refusal_of(problem, recorded, SETTINGS, 0.02 - np.pi) == ""
+    assert "past where scans and images fit best" in refusal_of(problem, recorded, SETTINGS, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("moved", "why"),
+    [
+        ({"forward_m": 1e6}, "it puts the camera 1e\\+06 m from the LiDAR, where of 0 points"),
+        ({"forward_m": -1e6}, "none agrees with the depth"),
+        ({"delta_z_m": 1e6}, "none agrees with the depth"),
+        ({"left_m": 2.0}, "% of the points in front of it agree|under the mount that fits"),
+        ({"forward_m": -1.0}, "% of the points in front of it agree|under the mount that fits"),
+    ],
+)
+def test_a_recorded_mount_that_explains_nothing_is_not_used(furnished_room, moved, why) -> None:
+    truth = random_mount(2)
+    frames = drive(furnished_room, truth, 2, count=8)
+    estimate = estimate_mount(
+        frames, SETTINGS, yaw_rad=truth.yaw_rad, recorded=replace(truth, **moved)
+    )
+    assert not estimate.from_recorded
+    assert re.search(why, estimate.refusal)
+    without = estimate_mount(frames, SETTINGS, yaw_rad=truth.yaw_rad)
+    assert estimate.mount == without.mount
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_right_mount_is_better_than_chance(furnished_room, seed: int) -> None:
+    """However few points must agree beyond doubt: only then is it compared with chance."""
+    truth = random_mount(seed)
+    problem = Agreement(drive(furnished_room, truth, seed, count=8), SETTINGS)
+    strict = SETTINGS.model_copy(update={"min_agreement": 1.0})
+    for recorded in (truth, replace(truth, left_m=truth.left_m + 0.1)):
+        assert problem.agreement(recorded.vector())[0] < 1.0
+        assert refusal_of(problem, recorded, strict, None) == ""
 
 
 def test_a_recorded_mount_that_contradicts_the_data_is_left_out(furnished_room) -> None:

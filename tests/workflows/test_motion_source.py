@@ -166,7 +166,7 @@ def test_none_is_none_and_recorded_is_as_recorded(recording: Recording) -> None:
 def test_a_camera_that_nobody_has_placed_says_so() -> None:
     with open_recording(SAMPLE) as recording:
         streams = choose_streams(recording)
-        assert camera_on_lidar(recording, streams, None) is None
+        assert camera_on_lidar(recording, streams, None) == (None, ())
         motion = motion_of(recording, "visual")
     assert motion is not None
     assert any("taken to be level" in note for note in motion.notes)
@@ -174,7 +174,7 @@ def test_a_camera_that_nobody_has_placed_says_so() -> None:
 
 
 def test_extrinsics_of_stored_images_are_those_of_the_file(recording: Recording) -> None:
-    T = camera_on_lidar(recording, choose_streams(recording), placed(recording))
+    T, _ = camera_on_lidar(recording, choose_streams(recording), placed(recording))
     assert T is not None
     np.testing.assert_allclose(T, np.load(TRUTH)["T_lidar_camera"].reshape(4, 4), atol=1e-6)
 
