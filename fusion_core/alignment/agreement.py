@@ -51,6 +51,9 @@ class MountSettings(StageSettings):
     )
 
 
+LEAST_POINTS = 100
+"""Of fewer LiDAR points nothing is concluded."""
+
 # Neighbouring frames see the same walls: they count as one observation.
 _FRAMES_PER_BLOCK = 4
 
@@ -117,12 +120,16 @@ def without_speckle(depth_m: Float32Array) -> Float32Array:
 
 
 class Agreement:
-    """The kept frames as flat arrays, and the cost of a mount on each of them."""
+    """The kept frames as flat arrays, and the cost of a mount on each of them.
+
+    ``farthest_m``: the longest range of the LiDAR.
+    """
 
     def __init__(self, frames: Sequence[MountFrame], settings: MountSettings) -> None:
         self._frames = frames
         self._settings = settings
         self._points = np.concatenate([frame.points_m for frame in frames])
+        self.farthest_m = float(np.hypot(*self._points.T).max(initial=0.0))
         sizes = [frame.points_m.shape[0] for frame in frames]
         self._first_point = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
         self._pixels = np.concatenate([frame.depth_m.ravel() for frame in frames])

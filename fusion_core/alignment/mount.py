@@ -12,7 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from fusion_core.alignment.agreement import Agreement, MountFrame, MountSettings
+from fusion_core.alignment.agreement import (
+    LEAST_POINTS,
+    Agreement,
+    MountFrame,
+    MountSettings,
+)
 from fusion_core.alignment.recorded_mount import refusal_of
 from fusion_core.alignment.time import parabola_offset
 from fusion_core.model.conventions import FloatArray, wrap_angle
@@ -73,9 +78,10 @@ def estimate_mount(
 
     Raises AlignmentFailed where there are too few frames or points.
     """
-    if len(frames) < 4 or sum(frame.points_m.shape[0] for frame in frames) < 100:
+    if len(frames) < 4 or sum(frame.points_m.shape[0] for frame in frames) < LEAST_POINTS:
         raise AlignmentFailed(
-            f"the mount needs 4 paired depth images with 100 LiDAR points, got {len(frames)}.",
+            f"the mount needs 4 paired depth images with {LEAST_POINTS} LiDAR points, got "
+            f"{len(frames)}.",
             advice="Use a longer recording.",
         )
     problem = Agreement(frames, settings)
@@ -105,6 +111,9 @@ def estimate_mount(
         for rival in _rivals(problem, [*fits, *level], best):
             sd = np.maximum(sd, np.abs(rival - best))
             sd[[1, 4]] = np.inf
+    elif problem.frame_tallies(best)[:, 2].sum() < LEAST_POINTS:
+        # It is used as it stands, and the recording shows nothing of it.
+        sd[:] = np.inf
     if doubtful_yaw:
         sd[0] = np.inf
     # Pairs need the turn of yaw and delay together, which is known even where neither is.
@@ -148,10 +157,14 @@ def _contradiction(
     problem: Agreement, stated: FloatArray, free: FloatArray, settings: MountSettings
 ) -> str:
     """Why the fit of a recorded mount, under which too few points agree, is not to be used: the
-    points agree under a free one, which is better beyond doubt; "" where that is not so."""
-    agreement, _ = problem.agreement(stated)
+    points agree under a free one, which is better beyond doubt; "" where that is not so.
+
+    Points that no image shows under it do not contradict it: at another height walls agree as well.
+    """
+    agreement, visible = problem.agreement(stated)
     free_agreement, _ = problem.agreement(free)
-    if free_agreement < settings.min_agreement or not _surely_better(problem, free, stated):
+    least = settings.min_agreement
+    if min(visible, free_agreement) < least or not _surely_better(problem, free, stated):
         return ""
     return (
         f"{agreement:.0%} of the visible points agree under it, and {free_agreement:.0%} under the "

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from fusion_core.alignment.agreement import Agreement, MountSettings
-from fusion_core.model.conventions import FloatArray, wrap_angle
+from fusion_core.alignment.agreement import LEAST_POINTS, Agreement, MountSettings
+from fusion_core.model.conventions import wrap_angle
 from fusion_core.model.rig import Mount
 
 # A recorded yaw this near to that of the rows speaks for a mount.
-SAME_YAW_RAD = np.deg2rad(5.0)
+_SAME_YAW_RAD = np.deg2rad(5.0)
 # Turned by each of these a right mount would be wrong, but for a room that repeats itself.
 _TURNS_RAD = np.deg2rad(np.arange(10.0, 360.0, 10.0))
 # The usual level of a test: a wrong mount is better than all but so many others by chance.
@@ -22,41 +22,47 @@ def refusal_of(
     """Why a recorded mount is not to be used, as part of a sentence; "" where it is.
 
     It is where points agree under it. Where too few do, its yaw must be that of the rows
-    (``yaw_rad``, where they were searched), and more points in front of the camera must agree than
-    do by chance: than where the same camera is turned to look elsewhere.
+    (``yaw_rad``, where they were searched), the camera nearer than the farthest that the LiDAR
+    sees, and of the points that fall on a valid depth more must agree than do by chance: than where
+    the same camera is turned to look elsewhere. Of a camera that looks past the LiDAR's plane,
+    with fewer than LEAST_POINTS on a valid depth, nothing is told.
     """
     agreement, _ = problem.agreement(recorded.vector())
     if agreement >= settings.min_agreement:
         return ""
     if yaw_rad is not None:
         apart_rad = float(np.abs(wrap_angle(recorded.yaw_rad - yaw_rad)))
-        if apart_rad >= SAME_YAW_RAD:
+        if apart_rad >= _SAME_YAW_RAD:
             return (
                 f"it looks {np.rad2deg(apart_rad):.1f} deg past where scans and images fit best, "
                 f"and {agreement:.0%} of the visible points agree"
             )
-    in_front, accord = _in_accord(problem, recorded.vector())
     apart_m = float(np.linalg.norm(recorded.T_lidar_rig[:3, 3]))
-    where = f"it puts the camera {apart_m:.3g} m from the LiDAR, where"
-    if accord == 0:
-        return f"{where} of {in_front:.0f} points in front of it none agrees with the depth"
+    if apart_m > problem.farthest_m:
+        return (
+            f"it puts the camera {apart_m:.4g} m from the LiDAR, which sees no farther than "
+            f"{problem.farthest_m:.4g} m"
+        )
+    visible, agreeing = _in_accord(problem, recorded)
+    if visible < LEAST_POINTS:
+        return ""
     turned = [
-        _in_accord(problem, replace(recorded, yaw_rad=recorded.yaw_rad + turn).vector())
+        _in_accord(problem, replace(recorded, yaw_rad=recorded.yaw_rad + turn))
         for turn in _TURNS_RAD
     ]
     # A camera that is turned to where the LiDAR is blind cannot be compared.
-    shares = [other / count for count, other in turned if count >= 0.5 * in_front]
-    as_good = sum(share >= accord / in_front for share in shares)
-    if as_good > _CHANCE * len(shares):
-        return (
-            f"{where} {accord / in_front:.0%} of the points in front of it agree with the depth, "
-            f"no more than by chance: turned elsewhere as many do in {as_good} of {len(shares)} "
-            "directions"
-        )
-    return ""
+    shares = [other / count for count, other in turned if count >= 0.5 * visible]
+    as_good = sum(share >= agreement for share in shares)
+    if agreeing > 0.0 and as_good <= _CHANCE * len(shares):
+        return ""
+    return (
+        f"it puts the camera {apart_m:.4g} m from the LiDAR, and {agreement:.0%} of the visible "
+        f"points agree, no more than by chance: turned elsewhere as many do in {as_good} of "
+        f"{len(shares)} directions"
+    )
 
 
-def _in_accord(problem: Agreement, values: FloatArray) -> tuple[float, float]:
-    """Points in front of the camera, and those of them that agree."""
-    _, in_front, _, accord = problem.frame_tallies(values).sum(axis=0)
-    return float(in_front), float(accord)
+def _in_accord(problem: Agreement, mount: Mount) -> tuple[float, float]:
+    """Points on a valid depth, and those of them that agree."""
+    _, _, visible, agreeing = problem.frame_tallies(mount.vector()).sum(axis=0)
+    return float(visible), float(agreeing)

@@ -69,10 +69,19 @@ class Alignment:
     @property
     def notes(self) -> tuple[str, ...]:
         """For people."""
-        if self.estimate is None or not self.estimate.refusal:
+        estimate = self.estimate
+        if estimate is None:
             return ()
-        found = "The mount is found from scans and images instead."
-        return (f"{mount_not_used(self.estimate.refusal)} {found}",)
+        if estimate.refusal:
+            found = "The mount is found from scans and images instead."
+            return (f"{mount_not_used(estimate.refusal)} {found}",)
+        if estimate.from_recorded and not estimate.confident:
+            return (
+                "The recorded mount is used, but scans and images do not confirm it: "
+                f"{estimate.visible:.0%} of the points in front of the camera are visible, and "
+                f"{estimate.agreement:.0%} of these agree.",
+            )
+        return ()
 
 
 def mount_not_used(refusal: str) -> str:

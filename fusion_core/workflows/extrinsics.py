@@ -115,7 +115,8 @@ def extrinsics(
     if file is not None:
         return _from_file(file, rig, streams, stand)
     session = session_of(recording, streams, rig, settings)
-    if rig.recorded is not None and not refusal_of_recorded(session):
+    refusal = refusal_of_recorded(session)
+    if rig.recorded is not None and not refusal:
         return Extrinsics(
             source="tf",
             frame_id=rig.lidar_frame,
@@ -124,7 +125,14 @@ def extrinsics(
             lidar_height_m=stand.height_m,
             notes=(*rig.notes, f"Extrinsics from {streams.tf_static}."),
         )
-    return _aligned(session, stand, progress)
+    try:
+        return _aligned(session, stand, progress)
+    except AlignmentFailed as error:
+        if not refusal:
+            raise
+        raise AlignmentFailed(
+            f"{error.problem} {mount_not_used(refusal)}", file=recording.path, advice=_GIVE_FILE
+        ) from error
 
 
 def _placed(rig: Rig, mount: Mount, stand: _Stand) -> tuple[PlacedCamera, ...]:
@@ -218,10 +226,9 @@ def _aligned(session: Session, stand: _Stand, progress: Progress) -> Extrinsics:
     unseen = _unseen(mount, _IN_PLANE)
     if unseen or not alignment.along_curve:
         what = f"not show the camera's {_listed(unseen)}" if unseen else "not agree on a mount"
-        problem = f"scans and images do {what}."
-        if alignment.estimate.refusal:
-            problem += f" {mount_not_used(alignment.estimate.refusal)}"
-        raise AlignmentFailed(problem, file=recording.path, advice=_GIVE_FILE)
+        raise AlignmentFailed(
+            f"scans and images do {what}.", file=recording.path, advice=_GIVE_FILE
+        )
     notes = [*rig.notes, *alignment.notes, f"Extrinsics from the alignment: {_said(mount)}."]
     unseen = _unseen(mount, _OUT_OF_PLANE)
     if unseen:

@@ -1,5 +1,6 @@
 """A mount in /tf_static that explains nothing is not used, and every command says so."""
 
+import numpy as np
 import pytest
 
 from app.panels.mount_words import mount_words
@@ -11,13 +12,15 @@ from fusion_core.workflows.fuse import fuse
 from fusion_core.workflows.presets import ChainSettings
 from fusion_core.workflows.recorded_mount import refusal_of_recorded
 from fusion_core.workflows.rig import build_rig
-from fusion_core.workflows.session import FuseOptions, session_of
+from fusion_core.workflows.session import FuseOptions, align_session, session_of
 from fusion_core.workflows.visual_frames import camera_on_lidar
 from tests.hostile.drive import write_drive
-from tests.hostile.mounts import moved_mount, upright_mount
+from tests.hostile.mounts import moved_mount
+from tests.mapping.box_room import camera_pose
+from tests.workflows.box_recording import write_boxes
 
 NOT_USED = "The recorded mount is not used: "
-FAR = "it puts the camera 1e+06 m from the LiDAR, where of 0 points in front of it none agrees"
+FAR = "it puts the camera 1e+06 m from the LiDAR, which sees no farther than "
 
 
 def test_fuse_does_not_claim_a_mount_that_explains_nothing(tmp_path):
@@ -40,8 +43,22 @@ def test_a_mount_that_is_dropped_for_its_yaw_is_named(tmp_path):
     )
 
 
+def test_a_camera_that_looks_over_the_lidar_keeps_its_mount_but_no_uncertainty(tmp_path):
+    """Walls are the same at any height: that another mount agrees better proves nothing."""
+    path = write_boxes(tmp_path / "up.mcap", T_base_camera=camera_pose(0.8, pitch=-0.45))
+    with open_recording(path) as recording:
+        streams, settings = choose_streams(recording), ChainSettings()
+        rig = build_rig(recording, streams, settings.sampling)
+        alignment = align_session(session_of(recording, streams, rig, settings))
+    assert alignment.estimate.from_recorded
+    np.testing.assert_allclose(alignment.mount.vector(), rig.recorded.vector(), atol=0.01)
+    assert alignment.mount.sd == (None,) * 6
+    (note,) = alignment.notes
+    assert note.startswith("The recorded mount is used, but scans and images do not confirm it: 0%")
+
+
 def test_a_camera_that_is_said_to_look_up_is_named(tmp_path):
-    with open_recording(upright_mount(tmp_path / "up.mcap")) as recording:
+    with open_recording(moved_mount(tmp_path / "up.mcap", raised_rad=0.5 * np.pi)) as recording:
         rig = build_rig(recording, choose_streams(recording), ChainSettings().sampling)
     assert rig.recorded is None
     assert any(note.startswith(NOT_USED) for note in rig.notes)
