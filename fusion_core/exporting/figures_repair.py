@@ -194,13 +194,25 @@ def straightened_band_m(
     azimuth_deg = curve.azimuth_deg
     step_deg = float(np.median(np.abs(np.diff(np.sort(azimuth_deg)))))
     shown_deg = np.linspace(azimuth_deg.max(), azimuth_deg.min(), 2 * azimuth_deg.size)
-    away_deg = np.abs(shown_deg[:, np.newaxis] - azimuth_deg)
-    beam = away_deg.argmin(axis=1)
+    beam = _nearest(azimuth_deg, shown_deg)
     row, column = curve.row[beam], curve.column[beam]
     rows = row + np.arange(-_BAND_ROWS, _BAND_ROWS + 1)[:, np.newaxis]
     inside = (row >= 0) & (rows >= 0) & (rows < depth_m.shape[0])
-    inside &= away_deg.min(axis=1) < step_deg
+    inside &= np.abs(shown_deg - azimuth_deg[beam]) < step_deg
     return np.where(inside, depth_m[np.where(inside, rows, 0), column], np.nan), ~inside
+
+
+def _nearest(values: FloatArray, wanted: FloatArray) -> IntArray:
+    """(M,) index of the value nearest to each that is wanted, the first of two equally near.
+
+    ``values``: (N,) in any order, all different, at least two.
+    """
+    order: IntArray = np.argsort(values).astype(np.int64)
+    place = np.clip(np.searchsorted(values[order], wanted), 1, values.size - 1)
+    below, above = order[place - 1], order[place]
+    away_below, away_above = np.abs(wanted - values[below]), np.abs(wanted - values[above])
+    takes_below = (away_below < away_above) | ((away_below == away_above) & (below < above))
+    return np.where(takes_below, below, above)
 
 
 def _show_lidar(axes: "Axes", curve: RepairedCurve, *, after: bool) -> None:

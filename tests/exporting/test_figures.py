@@ -2,6 +2,7 @@
 
 import json
 import struct
+import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -382,6 +383,21 @@ def test_the_straightened_band_has_the_rows_around_each_pixel() -> None:
                 np.testing.assert_equal(
                     band_m[k, shown], np.float64(depth_m[row, curve.column[beam]])
                 )
+
+
+def test_the_band_takes_memory_by_its_beams_alone() -> None:
+    """Angles of each column and each beam would be gigabytes."""
+    depth_m, beams = depth_image(), 20_000
+    curve = curve_of(depth_m)
+    copies = np.arange(beams) % curve.row.size
+    fields = {name: getattr(curve, name)[copies] for name in RepairedCurve.__slots__}
+    fields["azimuth_rad"] = np.linspace(3.0, -3.0, beams)
+    tracemalloc.start()
+    try:
+        band_m, _ = straightened_band_m(depth_m, RepairedCurve(**fields))
+        assert tracemalloc.get_traced_memory()[1] < 10 * band_m.nbytes
+    finally:
+        tracemalloc.stop()
 
 
 def test_the_band_is_empty_where_beams_are_missing() -> None:
