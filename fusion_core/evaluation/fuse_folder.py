@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -119,7 +120,8 @@ def open_fuse_folder(path: Path) -> FuseFolder:
                 angle_min_rad=float(lidar["angle_min_rad"]),
                 angle_increment_rad=float(lidar["angle_increment_rad"]),
                 beams=int(lidar["beams"]),
-                range_max_m=float(lidar["range_max_m"]),
+                # None where the driver sets no limit.
+                range_max_m=float(inf if lidar["range_max_m"] is None else lidar["range_max_m"]),
                 samples=int(lidar["samples"]),
             ),
             cameras=tuple(_recorded_camera(entry) for entry in alignment["cameras"]),

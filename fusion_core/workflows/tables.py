@@ -190,7 +190,7 @@ def alignment_document(
             "angle_min_rad": scan.angle_min_rad,
             "angle_increment_rad": scan.angle_increment_rad,
             "beams": scan.ranges_m.size,
-            "range_max_m": scan.range_max_m,
+            "range_max_m": _known(scan.range_max_m),
             "samples": alignment.curve.beams.size,
         },
         "cameras": [_camera_entry(rig, index, mount) for index in range(len(rig.cameras))],
