@@ -104,7 +104,7 @@ def similarity_fields(
     shortest = min_samples if partial else width
     if curve_m.size < shortest:
         raise AlignmentFailed(
-            f"the LiDAR curve has {curve_m.size} samples, a depth row of {width} needs {shortest}",
+            f"the LiDAR curve has {curve_m.size} samples, a depth row of {width} needs {shortest}.",
             advice="Sample the curve finer or the rows coarser, or allow partial overlaps.",
         )
     margin = width - min_samples if partial else 0

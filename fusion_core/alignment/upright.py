@@ -111,7 +111,10 @@ def _without_distortion(
         )
     else:
         u, v = cv2.initUndistortRectifyMap(K, coefficients, np.eye(3), K, size, cv2.CV_32FC1)
-    column, row = np.rint(u).astype(np.int64), np.rint(v).astype(np.int64)
+    column, row = np.rint(u), np.rint(v)
+    # In floats first: what a strong distortion throws out of the image overflows an integer.
     inside = (column >= 0) & (column < lens.width) & (row >= 0) & (row < lens.height)
-    taken = index[np.where(inside, row, 0), np.where(inside, column, 0)]
+    taken = index[
+        np.where(inside, row, 0).astype(np.int64), np.where(inside, column, 0).astype(np.int64)
+    ]
     return np.where(inside, taken, -1), replace(lens, distortion=())

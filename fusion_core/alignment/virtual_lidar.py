@@ -14,6 +14,7 @@ from fusion_core.model.conventions import Float32Array
 from fusion_core.model.errors import SettingsError
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import DepthImage, LaserScan
+from fusion_core.model.sweep import MAX_BEAMS
 
 FRAME_ID = "virtual_lidar"
 _KEPT_WIDTH = 0.6
@@ -24,13 +25,19 @@ _RANGE_MAX_M = 10.0
 def virtual_scan(image: DepthImage, camera: Camera, row: int) -> LaserScan:
     """The scan of an upright image's ``row``: one beam a column, on equal angles.
 
-    Raises SettingsError for a row that the image does not have.
+    Raises SettingsError for a row that the image does not have, and for images that are no sweep.
     """
     lens = camera.intrinsics
     if not 0 <= row < lens.height:
         raise SettingsError(
             f"--virtual-lidar {row}: the depth image has rows 0 to {lens.height - 1}.",
             advice="Name one of these.",
+        )
+    if not 2 <= lens.width <= MAX_BEAMS:
+        raise SettingsError(
+            f"--virtual-lidar {row}: a scan has 2 to {MAX_BEAMS} beams, a row of the depth image "
+            f"{lens.width} pixels.",
+            advice="Use a recording with a 2D LiDAR.",
         )
     ends_rad = camera.column_azimuths_rad(np.array([0.0, lens.width - 1.0]))
     azimuths_rad = np.linspace(float(ends_rad[1]), float(ends_rad[0]), lens.width)

@@ -4,6 +4,9 @@ import numpy as np
 
 from fusion_core.model.conventions import FloatArray, wrap_angle
 
+FARTHEST_M = 1e8
+"""No recorded position lies farther from its origin: round the Earth it is 4e7 m."""
+
 
 def transform(rotation: FloatArray, translation_m: FloatArray) -> FloatArray:
     """(4, 4) from a (3, 3) rotation and a (3,) translation."""

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from fusion_core.model.conventions import NS_PER_S, Float32Array, FloatArray
 from fusion_core.model.errors import RecordingError
+from fusion_core.model.geometry import FARTHEST_M
 from fusion_core.model.sensors import (
     CameraInfo,
     CameraIntrinsics,
@@ -29,6 +30,7 @@ from fusion_core.model.sensors import (
     TransformBatch,
 )
 from fusion_core.model.stamps import NO_STAMP
+from fusion_core.model.sweep import ImplausibleSweep, require_sweep
 from fusion_core.recordings.messages.bad_message import BadMessage
 from fusion_core.recordings.messages.compressed_image import packed_encoding, unpacked
 from fusion_core.recordings.messages.image_pixels import depth_pixels, is_depth_encoding, rgb_pixels
@@ -44,7 +46,6 @@ _MATRIX = struct.Struct("=16d")
 
 # A sensor's clock counts from 1970, and ROS 2 holds the seconds in 31 bits.
 _END_OF_STAMPS_NS = 2**31 * NS_PER_S
-_MAX_BEAMS = 1_000_000
 _MAX_NAME_CHARACTERS = 4096
 # OpenCV knows no model with more.
 _MAX_DISTORTION = 14
@@ -180,16 +181,11 @@ def _laser_scan(raw: RawMessage, received_ns: int | None) -> LaserScan:
             f"range_max {row.range_max} is not above range_min {row.range_min}",
             "Set the scanner's range limits in its driver.",
         )
-    if not (isfinite(row.angle_min) and isfinite(row.angle_increment)) or not row.angle_increment:
-        raise BadMessage(
-            f"angle_min {row.angle_min} and angle_increment {row.angle_increment} give no angles",
-            "Set the scanner's field of view in its driver.",
-        )
-    if len(row.ranges) > _MAX_BEAMS:
-        raise BadMessage(
-            f"the scan claims {len(row.ranges)} beams, more than {_MAX_BEAMS}",
-            "The message is damaged; leave the topic out.",
-        )
+    try:
+        # Before memory is taken for the ranges.
+        require_sweep(len(row.ranges), row.angle_min, row.angle_increment)
+    except ImplausibleSweep as error:
+        raise BadMessage(error.problem, error.advice) from None
     intensities = None
     # A signalling NaN is no failure.
     with np.errstate(invalid="ignore"):
@@ -294,8 +290,10 @@ def _pose_matrix(
     """(4, 4) in plain floats: recordings hold transforms by the ten thousand, and arrays of four
     numbers would take several times as long (as ``geometry.rotation_from_quaternion`` does).
     """
-    if not isfinite(px + py + pz):
-        raise BadMessage(f"position {px} {py} {pz} is not finite", "Check the source of the pose.")
+    if not (abs(px) <= FARTHEST_M and abs(py) <= FARTHEST_M and abs(pz) <= FARTHEST_M):
+        is_far = isfinite(px) and isfinite(py) and isfinite(pz)
+        what = f"lies farther than {FARTHEST_M:g} m" if is_far else "is not finite"
+        raise BadMessage(f"position {px} {py} {pz} {what}", "Check the source of the pose.")
     xx, yy, zz = x * x, y * y, z * z
     squared = xx + yy + zz + w * w
     if not _SHORTEST_QUATERNION**2 < squared < inf:

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from fusion_core.model.conventions import FloatArray, IntArray
+from fusion_core.model.sweep import WIDEST_SWEEP_RAD
 
 
 class PolarScan(NamedTuple):
@@ -38,9 +39,10 @@ class PolarScan(NamedTuple):
 
 
 def polar_scan(ranges_m: FloatArray, angle_min_rad: float, angle_increment_rad: float) -> PolarScan:
-    """Prepare a sweep (N,) for ``nearest``. A beam that is not finite and positive is missing.
+    """Prepare a sweep (N,) for ``nearest``. A beam that is not finite and positive is missing, and
+    so is one beyond a full turn.
 
-    Raises ValueError for arrays that are no sweep, and for one of more than a full turn.
+    Raises ValueError for arrays that are no sweep, and for one that ends far beyond a full turn.
     """
     ranges_m = np.asarray(ranges_m, dtype=np.float64)
     if ranges_m.ndim != 1:
@@ -51,10 +53,11 @@ def polar_scan(ranges_m: FloatArray, angle_min_rad: float, angle_increment_rad: 
             f"angles must be finite and the increment non-zero, got {angle_min_rad:g}, "
             f"{angle_increment_rad:g}"
         )
-    span_rad = step_rad * (ranges_m.size - 1)
-    # The beam that closes the circle may be there twice, and increments are often rounded.
-    if span_rad > 2.0 * np.pi + 0.5 * step_rad:
+    if step_rad * (ranges_m.size - 1) > WIDEST_SWEEP_RAD:
         raise ValueError(f"{ranges_m.size} beams, {step_rad:g} rad apart, exceed a full turn")
+    # The beam that closes the circle may be there twice. What a sweep has beyond it is the start
+    # seen again, or what a rounded increment makes of the turn.
+    ranges_m = ranges_m[: int((2.0 * np.pi) / step_rad + 0.5) + 1]
     clockwise = angle_increment_rad < 0.0
     start_rad = angle_min_rad + angle_increment_rad * (ranges_m.size - 1) * clockwise
     prepared: PolarScan = _prepare(ranges_m, clockwise, float(start_rad), float(step_rad))

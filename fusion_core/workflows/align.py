@@ -152,13 +152,18 @@ def align(
     Raises AlignmentFailed where nothing pairs in time or no offset has a score.
     """
     collected = _collect(pairs(), rig, settings, image_count, progress, depth_of)
+    if collected.scan is not None and not collected.with_returns:
+        raise AlignmentFailed(
+            "no scan that is paired with a depth image has a range.",
+            advice="Check the scanner, and the limits of the ranges in its driver.",
+        )
     fields = {metric: collected.mean.mean(metric) for metric in METRICS}
     peaks = {metric: _peak_or_none(field, settings.search) for metric, field in fields.items()}
     metric = settings.search.metric
     known = {name: peak for name, peak in peaks.items() if peak is not None}
     if metric not in known or collected.scan is None or collected.curve is None:
         raise AlignmentFailed(
-            f"the mean field of {collected.mean.frames} frames has no peak",
+            f"the mean field of {collected.mean.frames} frames has no peak.",
             advice="Lower search.min_overlap, or check that both sensors see the same side.",
         )
     yaw_rad = yaw_of_offset_rad(known[metric].u, collected.curve, collected.row.left_rad)
@@ -210,6 +215,7 @@ class _Collected:
         self.curve: CurveSampling | None = None
         self.row = row
         self.scan: LaserScan | None = None
+        self.with_returns = False
 
     @property
     def scan_size(self) -> int:
@@ -245,6 +251,7 @@ def _collect(
         scan = entry.window.scan
         if collected.curve is None:
             collected.curve, collected.scan = sample_curve(scan, settings.sampling), scan
+        collected.with_returns |= bool(np.isfinite(scan.ranges_m).any())
         if seen[entry.camera] % keep_every == 0:
             collected.kept.append(
                 mount_frame(

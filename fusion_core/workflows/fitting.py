@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 
-from fusion_core.model.errors import RecordingError
+from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.model.recording import Message, Recording
 from fusion_core.model.sensors import DepthImage, LaserScan, SensorValue
 from fusion_core.recordings.skipped import SkippedMessages
@@ -50,6 +50,27 @@ def first_value(recording: Recording, topic: str) -> SensorValue | None:
     """The first value of a topic that can be read, None where there is none."""
     message = next(iter(recording.messages([topic])), None)
     return None if message is None else message.value
+
+
+def first_scan(recording: Recording, topic: str) -> LaserScan:
+    """The first scan of a LiDAR's topic that can be read.
+
+    Raises MissingStream where there is none, and says what is wrong with the first message.
+    """
+    found = first_value(recording, topic)
+    if isinstance(found, LaserScan):
+        return found
+    problem = f"{topic} holds no scan that can be read"
+    count = next(own.count for own in recording.topics if own.name == topic)
+    try:
+        if count:
+            recording.read(topic, 0)
+    except RecordingError as error:
+        problem = f"{problem}, the first of its {count} messages: {error.problem}"
+        raise MissingStream(problem, file=recording.path, advice=error.advice) from error
+    raise MissingStream(
+        f"{problem}.", file=recording.path, advice="Name another topic with --lidar."
+    )
 
 
 def usual_geometry(recording: Recording, topic: str) -> ScanGeometry | None:

@@ -18,13 +18,12 @@ from fusion_core.model.sensors import (
     CameraInfo,
     CameraIntrinsics,
     DepthImage,
-    LaserScan,
     Transform,
     TransformBatch,
 )
 from fusion_core.model.transform_tree import TransformTree
 from fusion_core.recordings.topics import Streams
-from fusion_core.workflows.fitting import ScanGeometry, first_value, usual_geometry
+from fusion_core.workflows.fitting import ScanGeometry, first_scan, first_value, usual_geometry
 
 # Static transforms are repeated by latching drivers; these many messages hold any tree.
 _STATIC_MESSAGES = 500
@@ -91,14 +90,7 @@ def build_rig(
     lidar_frame = ""
     geometry = None
     if streams.lidar is not None and not virtual:
-        scan = first_value(recording, streams.lidar)
-        if not isinstance(scan, LaserScan):
-            raise MissingStream(
-                f"{streams.lidar} holds no scan that can be read.",
-                file=recording.path,
-                advice="Name another topic with --lidar.",
-            )
-        lidar_frame = scan.frame_id
+        lidar_frame = first_scan(recording, streams.lidar).frame_id
         geometry = usual_geometry(recording, streams.lidar)
     T_base_camera, base = _poses(tree, roots, lenses, lidar_frame, notes)
     if T_base_camera is None:

@@ -10,6 +10,7 @@ from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.extrinsics import Extrinsics, extrinsics
+from fusion_core.workflows.fitting import first_scan
 from fusion_core.workflows.presets import ChainSettings
 from fusion_core.workflows.repaired_scans import RepairedScans
 from fusion_core.workflows.time_order import TimeOrder
@@ -47,10 +48,7 @@ class LidarScans:
         self._recording, self._topic = recording, streams.lidar
         self._order = TimeOrder(recording)
         self.recorded = recording.received_ns(streams.lidar).size
-        first = next(iter(self), None)
-        if first is None:
-            raise MissingStream(f"{streams.lidar} holds no scan.", file=recording.path)
-        self.frame_id = first.frame_id
+        self.frame_id = first_scan(recording, streams.lidar).frame_id
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -149,3 +149,18 @@ def test_stored_pixels_undo_a_quarter_turn(row: int, column: int) -> None:
     view: UprightView = upright_view(PLAIN, UPS[1])
     stored_row, stored_column = view.stored_pixels(np.array([row]), np.array([column]))
     assert (stored_row[0], stored_column[0]) == (column, 63 - row)
+
+
+def test_what_a_distortion_throws_far_out_has_no_pixel() -> None:
+    lens = CameraIntrinsics(
+        width=64,
+        height=48,
+        fx=0.05,
+        fy=0.05,
+        cx=31.0,
+        cy=24.0,
+        distortion=(1e9, 1e9, 0.0, 0.0, 1e9),
+    )
+    index = upright_view(lens, None).stored_index
+    assert index is not None
+    assert (index < 0).mean() > 0.9

@@ -114,3 +114,11 @@ def test_the_scan_is_wider_than_the_cropped_rows() -> None:
     row = sample_row(cropped, SamplingSettings())
     true_u = curve.sample_of_azimuth(np.array([row.left_rad]))[0]
     assert 5 < true_u < curve.beams.size - row.columns.size - 5
+
+
+@pytest.mark.parametrize("width", [1, 40_001])
+def test_an_image_whose_rows_are_no_sweep_is_refused(width: int) -> None:
+    lens = CameraIntrinsics(width=width, height=1, fx=260.0, fy=260.0, cx=0.0, cy=0.0)
+    camera = Camera(topic="depth", intrinsics=lens, T_rig_camera=CAMERA.T_rig_camera)
+    with pytest.raises(SettingsError, match=f"of the depth image {width} pixels"):
+        virtual_scan(image_of(np.ones((1, width))), camera, 0)

@@ -289,6 +289,7 @@ DAMAGED = {
     flaser(stamps="5 host --1"): "'-1' for its logger timestamp",
     flaser(laser="nan 0 0"): "'nan' in its pose",
     flaser(robot="0 inf 0"): "'inf' in its pose",
+    flaser(robot="0 -1e300 0"): "a pose 1e+300 m away",
     f"ODOM 1 x 0 0 0 0 {STAMPS}": "'x' in its pose",
     f"ODOM 1 2 {STAMPS}": "2 fields where a pose should end",
     "ROBOTLASER1 0 -1.5 3.0": "ends before its number of readings",
@@ -316,6 +317,7 @@ UNDECODABLE = {
     flaser("1.0 2.0\0 3.0"): "among its readings",
     "RAWLASER1 0 -1.5 3.0 0 80 0.01 0 1 1.0 0 5 h 1": "angular resolution of 0",
     "RAWLASER1 0 nan 3.0 1 80 0.01 0 1 1.0 0 5 h 1": "'nan' in its configuration",
+    "RAWLASER1 0 -1.5 3.0 100 80 0.01 0 2 1.0 1.0 0 5 h 1": "over 2 beams spans 15.92 turns",
     "RAWLASER1 0 -1.5 3.0 1 -80 0.01 0 1 1.0 0 5 h 1": "maximum range of -80 m",
     "RAWLASER1 0 -1.5 3.0 1 80 0.01 0 0 0 5 h 1": "no readings",
 }

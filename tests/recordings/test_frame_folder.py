@@ -48,6 +48,7 @@ def test_intrinsics_of_another_image_size(build: Callable[[str], Any]) -> None:
     ("row", "problem"),
     [
         ("nan nan nan nan\n" * 4, "not a rigid"),
+        ("1 0 0 1e300\n0 1 0 0\n0 0 1 0\n0 0 0 1\n", "lies farther than"),
         ("1 0 0 0\n0 1 0 0\n0 0 -1 0\n0 0 0 1\n", "not a rigid"),
         ("2 0 0 0\n0 2 0 0\n0 0 2 0\n0 0 0 1\n", "not a rigid"),
         ("1 0 0 0\n", "4 x 4"),

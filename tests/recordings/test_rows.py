@@ -212,7 +212,14 @@ def test_poses_are_the_same(
 
 
 @WIRES
-@given(stamps, names, limits, st.lists(floats, max_size=9), st.booleans(), st.integers(0, 3))
+@given(
+    stamps,
+    names,
+    limits,
+    st.lists(floats, min_size=1, max_size=9),
+    st.booleans(),
+    st.integers(0, 3),
+)
 def test_scans_are_the_same(
     wire: Wire,
     stamp: Any,
@@ -235,7 +242,7 @@ def test_scans_are_the_same(
     low, high = (float(np.float32(limit)) for limit in limits_m)
     kept = [value if value > 0.0 and low <= value < high else np.nan for value in ranges]
     assert np.array_equal(a.ranges_m, kept, equal_nan=True)
-    if with_intensities and ranges:
+    if with_intensities:
         assert a.intensities is not None
         assert np.array_equal(a.intensities, intensities, equal_nan=True)
     else:

@@ -40,6 +40,18 @@ def test_the_jump_tables_find_the_nearest_point(seed):
             assert distance == pytest.approx(squared.min(), abs=1e-12)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_beams_past_a_full_turn_are_left_out(sign):
+    """A driver that rounds the increment up reports a turn of more than 360 degrees."""
+    beams = 370
+    ranges = np.linspace(1.0, 2.0, beams)
+    scan = polar_scan(ranges, -np.pi, sign * np.radians(1.0))
+    assert sorted(scan.beam) == list(range(361))
+    angles = -np.pi + sign * np.radians(1.0) * scan.beam
+    np.testing.assert_allclose(scan.cos, np.cos(angles), atol=1e-12)
+    np.testing.assert_allclose(scan.range_m, ranges[scan.beam])
+
+
 @pytest.mark.parametrize(
     ("shape", "start", "step", "text"),
     [

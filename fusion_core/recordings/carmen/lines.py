@@ -19,7 +19,9 @@ from math import isfinite, radians
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray
+from fusion_core.model.geometry import FARTHEST_M
 from fusion_core.model.sensors import LaserScan
+from fusion_core.model.sweep import ImplausibleSweep, require_sweep
 from fusion_core.recordings.decimal_time import ns_from_decimal_seconds
 from fusion_core.recordings.decode import ranges_m
 
@@ -115,7 +117,11 @@ def planar_pose(line: CarmenLine, first: int = 0) -> FloatArray:
     fields = line.body[first : first + 3]
     if len(fields) < 3:
         raise BadLine(f"has {len(line.body)} fields where a pose should end at {first + 3}")
-    return np.array([_number(field, "pose") for field in fields])
+    pose = np.array([_number(field, "pose") for field in fields])
+    farthest_m = float(np.abs(pose[:2]).max())
+    if farthest_m > FARTHEST_M:
+        raise BadLine(f"has a pose {farthest_m:g} m away, more than {FARTHEST_M:g} m")
+    return pose
 
 
 def laser_scan(
@@ -143,6 +149,10 @@ def laser_scan(
         start_rad, increment_rad = _sick_angles(count, defaults.resolution_deg)
         range_max_m = defaults.range_max_m or SICK_FIRST_CODE_M
         limit_m = min(range_max_m, SICK_FIRST_CODE_M)
+    try:
+        require_sweep(count, start_rad, increment_rad)
+    except ImplausibleSweep as error:
+        raise BadLine(f"is no scan: {error.problem}") from None
     if not range_max_m > 0.0:
         raise BadLine(f"has a maximum range of {range_max_m:g} m")
     ranges = _numbers(line.readings, "readings")

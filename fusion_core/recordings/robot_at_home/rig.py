@@ -15,6 +15,7 @@ from fusion_core.model.conventions import R_BODY_OPTICAL, BoolArray, Float32Arra
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
 from fusion_core.model.sensors import CameraIntrinsics, LaserScan
+from fusion_core.model.sweep import MAX_BEAMS
 from fusion_core.recordings.decode import ranges_m
 
 LIDAR_FRAME: Final = "laser"
@@ -34,7 +35,6 @@ URG_APERTURE_RAD: Final = 4.1847
 URG_MAX_RANGE_M: Final = 5.6
 # A sweep takes a turn of the mirror at 600 rpm. No observation tells it.
 _SCAN_TIME_S: Final = 0.1
-_MAX_BEAMS: Final = 1_000_000
 
 BeamSpacing = Literal["aperture/N", "aperture/(N-1)"]
 """The angle between two of N beams. 4.1847 / 682 is the URG's own step, 360 / 1024 degrees; MRPT
@@ -100,8 +100,8 @@ class RawScan:
 
 def checked_beam_count(count: float) -> int:
     """A scan's N, before memory is taken for it. Raises ValueError."""
-    if not 2 <= count <= _MAX_BEAMS or count != int(count):
-        raise ValueError(f"{count:g} beams, readable are 2 to {_MAX_BEAMS}")
+    if not 2 <= count <= MAX_BEAMS or count != int(count):
+        raise ValueError(f"{count:g} beams, readable are 2 to {MAX_BEAMS}")
     return int(count)
 
 

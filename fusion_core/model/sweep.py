@@ -1,0 +1,60 @@
+"""Which directions the sweep of a 2D LiDAR can have.
+
+What is made of a scan takes memory and time by its beams and angles, so that a file may claim no
+others than a scanner can have.
+"""
+
+from math import isfinite, tau
+
+# The finest 2D LiDARs have 25,200 beams a turn (0.014 degrees); a hundredth of a degree has 36,000.
+MAX_BEAMS = 40_000
+# Drivers round the step between beams, to two digits by up to 5 %, and with it the whole sweep.
+WIDEST_SWEEP_RAD = 1.05 * tau
+# 0.1 mm in a distance of 1 km, which no beam is narrow enough to tell apart.
+_FINEST_STEP_RAD = 1e-7
+
+_SET_ANGLES = "Set the scanner's angles, in radians, in its driver."
+
+
+class ImplausibleSweep(ValueError):
+    """``problem`` names the beams or angles that no scanner has, ``advice`` what to do."""
+
+    def __init__(self, problem: str, advice: str) -> None:
+        super().__init__(problem)
+        self.problem = problem
+        self.advice = advice
+
+
+def require_sweep(beams: int, angle_min_rad: float, angle_increment_rad: float) -> None:
+    """Raise ImplausibleSweep unless a scanner can have so many beams in these directions."""
+    if beams < 1:
+        raise ImplausibleSweep(
+            "the scan has no ranges", "Check the scanner and the driver that recorded it."
+        )
+    if beams > MAX_BEAMS:
+        raise ImplausibleSweep(
+            f"the scan claims {beams} beams, more than {MAX_BEAMS}",
+            "The message is damaged; leave the topic out.",
+        )
+    if not (isfinite(angle_min_rad) and isfinite(angle_increment_rad)) or not angle_increment_rad:
+        raise ImplausibleSweep(
+            f"angle_min {angle_min_rad} and angle_increment {angle_increment_rad} give no angles",
+            _SET_ANGLES,
+        )
+    step_rad = abs(angle_increment_rad)
+    if step_rad < _FINEST_STEP_RAD:
+        raise ImplausibleSweep(
+            f"angle_increment {angle_increment_rad:g} rad is finer than any scanner's, "
+            f"{_FINEST_STEP_RAD:g} rad",
+            _SET_ANGLES,
+        )
+    # A single beam has a step, too.
+    widest_rad = step_rad * max(beams - 1, 1)
+    if widest_rad > WIDEST_SWEEP_RAD:
+        raise ImplausibleSweep(
+            f"angle_increment {angle_increment_rad:g} rad over {beams} beams spans "
+            f"{widest_rad / tau:.4g} turns",
+            _SET_ANGLES,
+        )
+    if abs(angle_min_rad) > WIDEST_SWEEP_RAD:
+        raise ImplausibleSweep(f"angle_min {angle_min_rad:g} rad is beyond a turn", _SET_ANGLES)
