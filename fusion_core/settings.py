@@ -1,17 +1,38 @@
 """How a stage declares its settings: one frozen class beside the stage, each field with its unit,
 range and one line of help. The same declaration feeds the command line, the settings file, the
 sliders and the documentation.
+
+Every number has a lower and an upper bound: settings come in links and files of strangers, and
+whatever passes must take a bounded time and memory. Where it is a product of several settings that
+makes the work, the class checks the product.
 """
 
-from typing import Any
+import re
+from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+# The largest whole number that TOML has.
+SEED_MAX = 2**63 - 1
 
 
 class StageSettings(BaseModel):
-    """Base of every stage's settings: frozen, and an unknown key is an error."""
+    """Base of every stage's settings: frozen, and an unknown key is an error.
+
+    A ``..._min...`` must be less than the ``..._max...`` of the same name.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="after")
+    def _ends_in_order(self) -> Self:
+        for low, high in ends(type(self)):
+            if getattr(self, low) >= getattr(self, high):
+                raise ValueError(
+                    f"{low} = {getattr(self, low):g} must be less than "
+                    f"{high} = {getattr(self, high):g}"
+                )
+        return self
 
 
 class SettingsGroup(StageSettings):
@@ -38,3 +59,13 @@ def setting(
     """A field with its default, one line of help, unit and range."""
     text = f"{help} [{unit}]" if unit else help
     return Field(default, description=text, ge=ge, le=le, gt=gt, json_schema_extra={"unit": unit})
+
+
+def ends(settings_class: type[StageSettings]) -> list[tuple[str, str]]:
+    """The fields that are the two ends of one range, by their names: (..._min..., ..._max...)."""
+    names = settings_class.model_fields
+    return [
+        (low, high)
+        for low in names
+        if (high := re.sub(r"(?<![a-z])min(?![a-z])", "max", low)) != low and high in names
+    ]

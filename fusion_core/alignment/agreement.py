@@ -29,25 +29,37 @@ from fusion_core.settings import StageSettings, setting
 class MountSettings(StageSettings):
     """How the mount is refined around the recording's offset u."""
 
-    frames: int = setting(48, "Depth images kept for the refinement", unit="images", ge=4, le=400)
-    tolerance_m: float = setting(0.03, "Agreement tolerance at range 0", unit="m", gt=0.0)
-    tolerance_share: float = setting(0.02, "Growth of the tolerance with range", gt=0.0, le=0.2)
+    frames: int = setting(48, "Depth images kept for the refinement", unit="images", ge=4, le=200)
+    tolerance_m: float = setting(0.03, "Agreement tolerance at range 0", unit="m", ge=1e-6, le=2.0)
+    tolerance_share: float = setting(0.02, "Growth of the tolerance with range", ge=1e-6, le=0.2)
     nearer_cost: float = setting(
         0.6, "Cost of depth nearer than the LiDAR point (1: beyond it)", ge=0.0, le=1.0
     )
     hidden_cost: float = setting(
         0.3, "Cost of a LiDAR point outside the image or on a hole", ge=0.0, le=1.0
     )
-    delta_z_min_m: float = setting(-0.8, "Lowest camera against the LiDAR", unit="m")
-    delta_z_max_m: float = setting(1.6, "Highest camera against the LiDAR", unit="m")
+    delta_z_min_m: float = setting(
+        -0.8, "Lowest camera against the LiDAR", unit="m", ge=-5.0, le=5.0
+    )
+    delta_z_max_m: float = setting(
+        1.6, "Highest camera against the LiDAR", unit="m", ge=-5.0, le=5.0
+    )
     clearance_m: float = setting(
-        0.1, "Least height of the LiDAR's plane over the lowest surface seen", unit="m", ge=0.0
+        0.1,
+        "Least height of the LiDAR's plane over the lowest surface seen",
+        unit="m",
+        ge=0.0,
+        le=5.0,
     )
     frame_yaw_sd_deg: float = setting(
-        0.5, "How far a frame's yaw may stray from the mount's (0: not at all)", unit="deg", ge=0.0
+        0.5,
+        "How far a frame's yaw may stray from the mount's (0: not at all)",
+        unit="deg",
+        ge=0.0,
+        le=30.0,
     )
     min_agreement: float = setting(
-        0.8, "Least share of visible points that agree, to pair along the curve", gt=0.0, le=1.0
+        0.8, "Least share of visible points that agree, to pair along the curve", ge=1e-6, le=1.0
     )
 
 

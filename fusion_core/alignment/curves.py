@@ -30,9 +30,12 @@ class SamplingSettings(StageSettings):
         gt=5,
         le=170,
     )
-    row_first: int = setting(0, "First depth row that is searched", unit="row", ge=0)
+    row_first: int = setting(0, "First depth row that is searched", unit="row", ge=0, le=65_535)
     row_band: float = setting(
-        1.0, "Share of the rows searched, counted from the bottom (published: half)", gt=0.0, le=1.0
+        1.0,
+        "Share of the rows searched, counted from the bottom (published: half)",
+        ge=1e-6,
+        le=1.0,
     )
 
 

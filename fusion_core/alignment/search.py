@@ -22,7 +22,7 @@ class SearchSettings(StageSettings):
         "euclidean", "Score that decides on (u, v); all four are reported"
     )
     min_overlap: float = setting(
-        0.5, "Least share of a row's samples valid on both sides", gt=0.0, le=1.0
+        0.5, "Least share of a row's samples valid on both sides", ge=1e-6, le=1.0
     )
     partial: bool = setting(False, "Let the row reach beyond the ends of the LiDAR curve")
     mask_holes: bool = setting(True, "Leave holes out (published: holes count as zeros)")
@@ -30,11 +30,11 @@ class SearchSettings(StageSettings):
         4, "Places within a sample at which a frame's u is tried", ge=1, le=8
     )
     prior_samples: int = setting(
-        1, "How far a frame's u may lie from the recording's", unit="samples", ge=0
+        1, "How far a frame's u may lie from the recording's", unit="samples", ge=0, le=1_000
     )
     use_prior: bool = setting(True, "Search each frame around the recording's u")
     runner_up_distance: int = setting(
-        4, "Least distance in u of the runner-up from the peak", unit="samples", ge=1
+        4, "Least distance in u of the runner-up from the peak", unit="samples", ge=1, le=1_000
     )
 
 

@@ -23,10 +23,10 @@ class TimeSettings(StageSettings):
     """How scans and depth images are paired."""
 
     max_gap_ms: float = setting(
-        60.0, "Greatest time between a depth image and its scan", unit="ms", gt=0.0
+        60.0, "Greatest time between a depth image and its scan", unit="ms", ge=1e-6, le=5_000.0
     )
     max_turn_rate_rad_s: float = setting(
-        2.0, "Fastest turn that is looked for between two scans", unit="rad/s", gt=0.0
+        2.0, "Fastest turn that is looked for between two scans", unit="rad/s", ge=1e-6, le=100.0
     )
     compensate_turn: bool = setting(
         True, "Take out the LiDAR's turn between the stamps of scan and image"

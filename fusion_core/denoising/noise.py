@@ -34,12 +34,12 @@ _OUTLIER_SHARE = 0.05
 class NoiseSettings(StageSettings):
     """The threshold epsilon and what counts as support by neighbours."""
 
-    epsilon: float = setting(2.6, "Threshold of eq. (6), in epsilon_unit", gt=0.0, le=100.0)
+    epsilon: float = setting(2.6, "Threshold of eq. (6), in epsilon_unit", ge=1e-6, le=100.0)
     epsilon_unit: Literal["sigma", "E", "m"] = setting(
         "sigma", "Unit of epsilon: the learned noise scale, the frame's mean error E, or metres"
     )
     support_sigma: float = setting(
-        2.5, "A neighbour within this many standard deviations supports a beam", gt=0.0, le=10.0
+        2.5, "A neighbour within this many standard deviations supports a beam", ge=1e-6, le=10.0
     )
     slope_share: float = setting(
         0.02,
@@ -51,6 +51,7 @@ class NoiseSettings(StageSettings):
         0.03,
         "A neighbouring pixel within 3 cm and this share of the depth supports a pixel",
         ge=0.0,
+        le=1.0,
     )
     fault: Literal["support", "rougher"] = setting(
         "support",
@@ -61,7 +62,11 @@ class NoiseSettings(StageSettings):
         2, "Pixels of the 5 x 5 around that must support one, else it is a burr", ge=1, le=24
     )
     motion_pixels: int = setting(
-        4, "How far a surface may have moved in the image since the one before", unit="px", ge=1
+        4,
+        "How far a surface may have moved in the image since the one before",
+        unit="px",
+        ge=1,
+        le=64,
     )
     pixel_support_share: float = setting(
         0.3, "Least share of the valid pixels around that must support one", ge=0.0, le=1.0

@@ -36,7 +36,11 @@ class RepairSettings(StageSettings):
         "smaller_error", "Source where there are two; published: always the other sensor"
     )
     max_gap_deg: float = setting(
-        8.0, "Widest gap of the LiDAR curve filled from its own neighbours", unit="deg", ge=0.0
+        8.0,
+        "Widest gap of the LiDAR curve filled from its own neighbours",
+        unit="deg",
+        ge=0.0,
+        le=360.0,
     )
     depth_burr_confidence: float = setting(
         0.8, "Least confidence of a burr in the depth image that is repaired", ge=0.0, le=1.0
@@ -49,18 +53,23 @@ class RepairSettings(StageSettings):
         "Up to here a gap's own sides are believed against the other sensor",
         unit="deg",
         ge=0.0,
+        le=360.0,
     )
     max_gap_pixels: int = setting(
         24, "Farthest good pixel that a pixel is filled from", unit="px", ge=1, le=100
     )
     edge_m: float = setting(
-        0.25, "Sides of a gap farther apart than this are an edge, not a surface", unit="m", gt=0.0
+        0.25,
+        "Sides of a gap farther apart than this are an edge, not a surface",
+        unit="m",
+        ge=1e-6,
+        le=100.0,
     )
     farther_confidence: float = setting(
         0.7, "Least confidence of a burr that a repair moves farther", ge=0.0, le=1.0
     )
     camera_noise_share: float = setting(
-        0.5, "Share of a good pair's noise that is the camera's", gt=0.0, le=1.0
+        0.5, "Share of a good pair's noise that is the camera's", ge=1e-6, le=1.0
     )
 
 

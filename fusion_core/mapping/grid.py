@@ -10,6 +10,8 @@ from fusion_core.model.errors import MappingFailed
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.settings import StageSettings, setting
 
+# A growing cell is a float64 and an int32, and three grids stand side by side: 2.3 GB.
+_CELLS_MAX = 64_000_000
 # Room on each side when a map must grow: as much as the largest map allows.
 _PADDINGS = (4, 16, 64)
 
@@ -22,7 +24,7 @@ class GridSettings(StageSettings):
     p_miss: float = setting(0.4, "Probability of occupied given a pass", ge=0.001, le=0.5)
     p_lowest: float = setting(0.1192, "Lowest probability a cell can reach", ge=0.001, le=0.5)
     p_highest: float = setting(0.971, "Highest probability a cell can reach", ge=0.5, le=0.999)
-    cells_max: int = setting(64_000_000, "Largest map", unit="cells", ge=1, le=1_000_000_000)
+    cells_max: int = setting(_CELLS_MAX, "Largest map", unit="cells", ge=1, le=_CELLS_MAX)
 
     @property
     def side_max_m(self) -> float:

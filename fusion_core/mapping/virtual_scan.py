@@ -27,7 +27,6 @@ from typing import Literal
 
 import numpy as np
 from numba import njit
-from pydantic import model_validator
 from scipy.spatial import cKDTree
 
 from fusion_core.mapping.radius_filter import has_neighbours
@@ -43,23 +42,28 @@ class VirtualScanSettings(StageSettings):
         "voxel", "Thin the camera's cloud to voxels, or to every k-th pixel as published"
     )
     voxel_m: float = setting(0.025, "Side of a voxel", unit="m", ge=0.005, le=0.2)
-    row_stride: int = setting(64, "Every k-th row of the image, for stride", ge=1)
-    column_stride: int = setting(4, "Every k-th column of the image, for stride", ge=1)
-    depth_min_m: float = setting(0.3, "Least depth that counts", unit="m", ge=0.0)
-    depth_max_m: float = setting(5.0, "Greatest depth that counts", unit="m", gt=0.0)
+    row_stride: int = setting(64, "Every k-th row of the image, for stride", ge=1, le=65_535)
+    column_stride: int = setting(4, "Every k-th column of the image, for stride", ge=1, le=65_535)
+    depth_min_m: float = setting(0.3, "Least depth that counts", unit="m", ge=0.0, le=100.0)
+    depth_max_m: float = setting(5.0, "Greatest depth that counts", unit="m", ge=1e-6, le=100.0)
     height_min_m: float = setting(
-        0.03, "Lower border above the floor, beside the robot", unit="m", ge=0.0
+        0.03, "Lower border above the floor, beside the robot", unit="m", ge=0.0, le=20.0
     )
     height_min_per_m: float = setting(
         0.01, "Rise of the lower border with the distance from the camera", ge=0.0, le=0.2
     )
-    height_max_m: float = setting(0.55, "Upper border: the robot's own height", unit="m", gt=0.0)
-    lidar_half_width_deg: float = setting(
-        180.0, "The LiDAR's beams are kept up to here to either side", unit="deg", gt=0.0, le=180.0
+    height_max_m: float = setting(
+        0.55, "Upper border: the robot's own height", unit="m", ge=1e-6, le=20.0
     )
-    radius_m: float = setting(0.1, "Radius of the filter", unit="m", gt=0.0)
+    lidar_half_width_deg: float = setting(
+        180.0, "The LiDAR's beams are kept up to here to either side", unit="deg", ge=1e-6, le=180.0
+    )
+    radius_m: float = setting(0.1, "Radius of the filter", unit="m", ge=0.001, le=0.5)
     neighbours_min: int = setting(
-        10, "Other points within the radius, below which a point is dropped (0: none is)", ge=0
+        10,
+        "Other points within the radius, below which a point is dropped (0: none is)",
+        ge=0,
+        le=1_000,
     )
     filter_lidar: bool = setting(False, "Let the filter drop the LiDAR's points too")
     same_surface_m: float = setting(
@@ -67,15 +71,20 @@ class VirtualScanSettings(StageSettings):
         "Points this near are one surface: the LiDAR's range stays, depths are averaged",
         unit="m",
         ge=0.0,
+        le=10.0,
     )
     same_surface_per_m2: float = setting(
-        0.006, "Growth of that distance with the square of the range", unit="1/m", ge=0.0
+        0.006, "Growth of that distance with the square of the range", unit="1/m", ge=0.0, le=1.0
     )
     step_deg: float = setting(
         0.5, "Step between the beams of a scan of the camera alone", unit="deg", ge=0.05, le=5.0
     )
     max_gap_ms: float = setting(
-        100.0, "Greatest time between a scan and the image joined to it", unit="ms", gt=0.0
+        100.0,
+        "Greatest time between a scan and the image joined to it",
+        unit="ms",
+        ge=1e-6,
+        le=5_000.0,
     )
     layers: bool = setting(
         True, "Draw the merged map so that the camera alone clears what the LiDAR passes over"
@@ -84,16 +93,9 @@ class VirtualScanSettings(StageSettings):
         None,
         "The LiDAR's height above the floor; not set: from the depth's floor",
         unit="m",
-        gt=0.0,
+        ge=1e-6,
+        le=20.0,
     )
-
-    @model_validator(mode="after")
-    def _ordered(self) -> "VirtualScanSettings":
-        if self.depth_min_m >= self.depth_max_m:
-            raise ValueError("depth_min_m must be less than depth_max_m")
-        if self.height_min_m >= self.height_max_m:
-            raise ValueError("height_min_m must be less than height_max_m")
-        return self
 
     @property
     def half_width_m(self) -> float:

@@ -22,16 +22,21 @@ class CovarianceFusionSettings(StageSettings):
     gate: float = setting(
         16.27,
         "A step farther from the others is not believed: chi square of 3 degrees, 1 in 1000",
-        gt=0.0,
+        ge=1e-6,
+        le=1e9,
     )
     window: int = setting(
-        20, "Steps over which disagreement between the sources counts", unit="steps", ge=2
+        20,
+        "Steps over which disagreement between the sources counts",
+        unit="steps",
+        ge=2,
+        le=10_000,
     )
     sigma_min_m: float = setting(
-        1e-4, "No step is known better, along x and y", unit="m", gt=0.0, le=0.1
+        1e-4, "No step is known better, along x and y", unit="m", ge=1e-9, le=0.1
     )
     sigma_min_rad: float = setting(
-        2e-5, "No step is known better, in its turn", unit="rad", gt=0.0, le=0.1
+        2e-5, "No step is known better, in its turn", unit="rad", ge=1e-9, le=0.1
     )
 
 

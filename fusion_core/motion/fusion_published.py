@@ -30,13 +30,19 @@ from fusion_core.settings import StageSettings, setting
 class PublishedFusionSettings(StageSettings):
     """Settings of the fusion as printed."""
 
-    rest_s: float = setting(1.0, "Shortest standstill that tells σ at k = 0", unit="s", gt=0.0)
-    rest_m_per_s: float = setting(
-        0.03, "A source that reports less stands still", unit="m/s", gt=0.0, le=1.0
+    rest_s: float = setting(
+        1.0, "Shortest standstill that tells σ at k = 0", unit="s", ge=1e-6, le=3_600.0
     )
-    rest_rad_per_s: float = setting(0.05, "The same, of the turn", unit="rad/s", gt=0.0, le=1.0)
+    rest_m_per_s: float = setting(
+        0.03, "A source that reports less stands still", unit="m/s", ge=1e-6, le=1.0
+    )
+    rest_rad_per_s: float = setting(0.05, "The same, of the turn", unit="rad/s", ge=1e-6, le=1.0)
     window: int = setting(
-        20, "Steps over which disagreement between the sources counts", unit="steps", ge=2
+        20,
+        "Steps over which disagreement between the sources counts",
+        unit="steps",
+        ge=2,
+        le=10_000,
     )
 
 

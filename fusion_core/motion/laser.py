@@ -31,35 +31,56 @@ _VELOCITY_STEPS = 4
 class LaserOdometrySettings(StageSettings):
     """Settings of ``laser_odometry``."""
 
-    key_step_m: float = setting(1.0, "Way to the next keyframe", unit="m", gt=0.0, le=10.0)
+    key_step_m: float = setting(1.0, "Way to the next keyframe", unit="m", ge=1e-6, le=10.0)
     key_turn_rad: float = setting(
-        1.0, "Turn to the next keyframe", unit="rad", gt=0.0, le=float(np.pi)
+        1.0, "Turn to the next keyframe", unit="rad", ge=1e-6, le=float(np.pi)
     )
     key_inlier_share: float = setting(
         0.7, "A scan of which less fits the keyframe becomes one itself", ge=0.0, le=1.0
     )
     inlier_share_sure: float = setting(
-        0.5, "Share of fitting beams at which the prediction's match is not doubted", gt=0.0, le=1.0
+        0.5,
+        "Share of fitting beams at which the prediction's match is not doubted",
+        ge=1e-6,
+        le=1.0,
     )
     prediction_sigma_m: float = setting(
-        0.05, "Doubt of the prediction, which counts where the scans tell little", unit="m", gt=0.0
+        0.05,
+        "Doubt of the prediction, which counts where the scans tell little",
+        unit="m",
+        ge=1e-6,
+        le=10.0,
     )
-    prediction_sigma_rad: float = setting(0.1, "The same, of the turn", unit="rad", gt=0.0)
+    prediction_sigma_rad: float = setting(
+        0.1, "The same, of the turn", unit="rad", ge=1e-6, le=10.0
+    )
     noise_factor: float = setting(
         1.75, "Matches err by so much more than the noise of their ranges explains", ge=1.0, le=10.0
     )
     surprise_m: float = setting(
-        0.5, "A match farther from what was predicted is refused", unit="m", gt=0.0, le=10.0
+        0.5, "A match farther from what was predicted is refused", unit="m", ge=1e-6, le=10.0
     )
     surprise_rad: float = setting(
-        0.7, "A match turned farther from what was predicted is refused", unit="rad", gt=0.0
+        0.7,
+        "A match turned farther from what was predicted is refused",
+        unit="rad",
+        ge=1e-6,
+        le=float(np.pi),
     )
     patience: int = setting(
-        5, "Scans without a match after which the next one begins anew", unit="scans", ge=0
+        5,
+        "Scans without a match after which the next one begins anew",
+        unit="scans",
+        ge=0,
+        le=10_000,
     )
-    beams_min: int = setting(30, "Fewest valid beams of a scan", unit="beams", ge=6)
+    beams_min: int = setting(30, "Fewest valid beams of a scan", unit="beams", ge=6, le=10_000)
     search_translation_m: float = setting(
-        0.5, "Search where the prediction leads to no match: along x and y", unit="m", ge=0.0
+        0.5,
+        "Search where the prediction leads to no match: along x and y",
+        unit="m",
+        ge=0.0,
+        le=10.0,
     )
     search_rotation_rad: float = setting(
         0.5, "The same: to either side", unit="rad", ge=0.0, le=float(np.pi)

@@ -45,39 +45,48 @@ class VisualOdometrySettings(StageSettings):
     features: int = setting(600, "Features of an image at most", unit="features", ge=50, le=20_000)
     fast_threshold: int = setting(8, "Contrast of a corner", unit="grey levels", ge=1, le=100)
     match_ratio: float = setting(
-        0.8, "The best match must be nearer than the next by this factor", gt=0.0, le=1.0
+        0.8, "The best match must be nearer than the next by this factor", ge=1e-6, le=1.0
     )
     refine_px: float = setting(
-        3.0, "A match that refinement moves farther is left out", unit="px", gt=0.0
+        3.0, "A match that refinement moves farther is left out", unit="px", ge=1e-6, le=100.0
     )
-    ransac_px: float = setting(2.0, "Error of an inlier at most", unit="px", gt=0.0, le=50.0)
+    ransac_px: float = setting(2.0, "Error of an inlier at most", unit="px", ge=1e-6, le=50.0)
     ransac_draws: int = setting(200, "Draws of RANSAC at most", unit="draws", ge=10, le=100_000)
     inliers_min: int = setting(
         12, "Fewest inliers that make a step", unit="features", ge=6, le=10_000
     )
-    inlier_share_min: float = setting(0.4, "Least share of the matches", gt=0.0, le=1.0)
-    sigma_px: float = setting(0.4, "Noise of a feature's place", unit="px", gt=0.0, le=10.0)
+    inlier_share_min: float = setting(0.4, "Least share of the matches", ge=1e-6, le=1.0)
+    sigma_px: float = setting(0.4, "Noise of a feature's place", unit="px", ge=1e-6, le=10.0)
     noise_factor: float = setting(
         1.8, "Steps err by so much more than pixel and depth noise explain", ge=1.0, le=10.0
     )
     depth_sigma_per_m2: float = setting(
-        0.003, "Noise of a depth over its square", unit="1/m", gt=0.0, le=1.0
+        0.003, "Noise of a depth over its square", unit="1/m", ge=1e-6, le=1.0
     )
-    depth_min_m: float = setting(0.2, "Nearest depth used", unit="m", gt=0.0)
-    depth_max_m: float = setting(8.0, "Farthest depth used", unit="m", gt=0.0)
+    depth_min_m: float = setting(0.2, "Nearest depth used", unit="m", ge=1e-6, le=100.0)
+    depth_max_m: float = setting(8.0, "Farthest depth used", unit="m", ge=1e-6, le=100.0)
     sigma_max_m: float = setting(
-        0.2, "A step less certain than this is not measured", unit="m", gt=0.0
+        0.2, "A step less certain than this is not measured", unit="m", ge=1e-6, le=10.0
     )
     scale_share: float = setting(
         0.005, "Error of all depths alike, in metres per metre", unit="m/m", ge=0.0, le=1.0
     )
-    key_step_m: float = setting(0.4, "Way to the next keyframe", unit="m", gt=0.0)
-    key_turn_rad: float = setting(0.3, "Turn to the next keyframe", unit="rad", gt=0.0)
+    key_step_m: float = setting(0.4, "Way to the next keyframe", unit="m", ge=1e-6, le=100.0)
+    key_turn_rad: float = setting(
+        0.3, "Turn to the next keyframe", unit="rad", ge=1e-6, le=float(np.pi)
+    )
     key_match_share: float = setting(
-        0.4, "Features of the keyframe still found, below which the image becomes one", ge=0.0
+        0.4,
+        "Features of the keyframe still found, below which the image becomes one",
+        ge=0.0,
+        le=1.0,
     )
     patience: int = setting(
-        5, "Images without a match after which the next one begins anew", unit="images", ge=0
+        5,
+        "Images without a match after which the next one begins anew",
+        unit="images",
+        ge=0,
+        le=10_000,
     )
 
 

@@ -14,25 +14,25 @@ class WheelSettings(StageSettings):
     """How wheel odometry errs; the defaults are those of a small robot on a hard floor."""
 
     way_share: float = setting(
-        0.03, "Standard deviation of a way, in metres per metre", unit="m/m", gt=0.0, le=1.0
+        0.03, "Standard deviation of a way, in metres per metre", unit="m/m", ge=1e-6, le=1.0
     )
     aside_share: float = setting(
-        0.01, "The same, across the way: wheels slip aside less", unit="m/m", gt=0.0, le=1.0
+        0.01, "The same, across the way: wheels slip aside less", unit="m/m", ge=1e-6, le=1.0
     )
     turn_share: float = setting(
-        0.05, "Standard deviation of a turn, in radians per radian", unit="rad/rad", gt=0.0, le=1.0
+        0.05, "Standard deviation of a turn, in radians per radian", unit="rad/rad", ge=1e-6, le=1.0
     )
     turn_per_m: float = setting(
-        0.02, "Standard deviation of the heading, per metre of way", unit="rad/m", gt=0.0, le=1.0
+        0.02, "Standard deviation of the heading, per metre of way", unit="rad/m", ge=1e-6, le=1.0
     )
     rest_sigma_m: float = setting(
-        1e-4, "Standard deviation of a step at rest", unit="m", gt=0.0, le=0.1
+        1e-4, "Standard deviation of a step at rest", unit="m", ge=1e-6, le=0.1
     )
     rest_sigma_rad: float = setting(
-        1e-4, "Standard deviation of a turn at rest", unit="rad", gt=0.0, le=0.1
+        1e-4, "Standard deviation of a turn at rest", unit="rad", ge=1e-6, le=0.1
     )
     gap_s: float = setting(
-        0.25, "Between two samples farther apart no pose is known", unit="s", gt=0.0, le=60.0
+        0.25, "Between two samples farther apart no pose is known", unit="s", ge=1e-6, le=60.0
     )
 
 

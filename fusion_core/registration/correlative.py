@@ -24,7 +24,16 @@ _NATS_OF_A_POINT = 2.0
 # In a score: poses less likely than exp(-10) of the best one do not show in a covariance.
 _WITHIN_COVARIANCE = int(10.0 / _NATS_OF_A_POINT * FULL)
 
-_POSES_MAX = 2_000_000_000
+# Branch and bound visits few of them, but counts them in whole numbers and lists its blocks.
+POSES_MAX = 2_000_000_000
+
+
+def poses_of(
+    translation_m: float, rotation_rad: float, resolution_m: float, step_rad: float
+) -> float:
+    """How many poses a window has, by the cells and the turns that it reaches to either side."""
+    cells = 2.0 * np.ceil(translation_m / resolution_m) + 1.0
+    return float(cells**2 * (2.0 * np.ceil(rotation_rad / step_rad) + 1.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,7 +108,7 @@ def lattice_of(
     step_rad = window.rotation_rad / turns if turns else 0.0
     yaw_rad = window.centre[2] + step_rad * np.arange(-turns, turns + 1, dtype=np.float64)
     reach_cells = int(np.ceil(window.translation_m / pyramid.resolution_m - 1e-9))
-    if yaw_rad.size * float(2 * reach_cells + 1) ** 2 > _POSES_MAX:
+    if yaw_rad.size * float(2 * reach_cells + 1) ** 2 > POSES_MAX:
         raise ValueError(f"{window} has too many poses for cells of {pyramid.resolution_m:g} m")
     cells: IntArray = _cells(
         points_m,

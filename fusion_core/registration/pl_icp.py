@@ -29,12 +29,14 @@ the estimate nearly as good as the beams allow.
 from dataclasses import dataclass
 from functools import cached_property
 from math import sqrt
+from typing import Self
 
 import numpy as np
+from pydantic import model_validator
 
 from fusion_core.model.conventions import FloatArray, read_only, wrap_angle
 from fusion_core.model.errors import RegistrationFailed
-from fusion_core.registration.correlative import SearchWindow, best_pose
+from fusion_core.registration.correlative import POSES_MAX, SearchWindow, best_pose, poses_of
 from fusion_core.registration.likelihood_grid import LikelihoodPyramid, likelihood_pyramid
 from fusion_core.registration.line_icp import align
 from fusion_core.registration.local_lines import LocalLines, local_lines, range_sigma_m
@@ -53,10 +55,11 @@ class PlIcpSettings(StageSettings):
         None,
         "Standard deviation of a range; estimated from the sweep if not given",
         unit="m",
-        gt=0.0,
+        ge=1e-6,
+        le=1.0,
     )
     pair_distance_m: float = setting(
-        0.3, "Greatest distance of a point from the reference's nearest", unit="m", gt=0.0, le=10.0
+        0.3, "Greatest distance of a point from the reference's nearest", unit="m", ge=1e-6, le=10.0
     )
     trim_sigmas: float = setting(
         3.0, "Pairs off by more standard deviations are left out", ge=1.0, le=10.0
@@ -64,10 +67,10 @@ class PlIcpSettings(StageSettings):
     iterations_max: int = setting(50, "Iterations at which a start is given up", ge=1, le=1_000)
     beams_min: int = setting(30, "Fewest valid beams of a sweep", unit="beams", ge=6, le=10_000)
     inlier_share_min: float = setting(
-        0.4, "Least share of the second sweep's valid beams that must fit", gt=0.0, le=1.0
+        0.4, "Least share of the second sweep's valid beams that must fit", ge=1e-6, le=1.0
     )
     inlier_share_sure: float = setting(
-        0.7, "Share of fitting beams at which no other start is tried", gt=0.0, le=1.0
+        0.7, "Share of fitting beams at which no other start is tried", ge=1e-6, le=1.0
     )
     residual_max: float = setting(
         4.0, "Greatest robust residual, in multiples of what range noise explains", gt=1.0, le=1e3
@@ -79,14 +82,26 @@ class PlIcpSettings(StageSettings):
         np.pi / 3.0, "Search of a start: how far to either side", unit="rad", ge=0.0, le=np.pi
     )
     search_resolution_m: float = setting(
-        0.1, "Search of a start: width of a cell", unit="m", gt=0.0, le=2.0
+        0.1, "Search of a start: width of a cell", unit="m", ge=0.01, le=2.0
     )
     search_step_rad: float = setting(
-        0.0175, "Search of a start: step of the turn", unit="rad", gt=0.0, le=0.5
+        0.0175, "Search of a start: step of the turn", unit="rad", ge=0.0005, le=0.5
     )
     search_points: int = setting(
         90, "Search of a start: points of the second sweep", unit="points", ge=10, le=10_000
     )
+
+    @model_validator(mode="after")
+    def _searchable(self) -> Self:
+        reach_m, rotation_rad = _last_resort(self)
+        poses = poses_of(reach_m, rotation_rad, self.search_resolution_m, self.search_step_rad)
+        if poses > POSES_MAX:
+            raise ValueError(
+                f"search_translation_m = {self.search_translation_m:g} over search_resolution_m = "
+                f"{self.search_resolution_m:g} and search_step_rad = {self.search_step_rad:g} "
+                f"makes {poses:.1g} poses to search, more than {POSES_MAX:.0e}"
+            )
+        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,8 +340,12 @@ def _closest(found: _Candidate, centre: FloatArray) -> FloatArray:
 def _attempts(has_guess: bool, settings: PlIcpSettings) -> list[tuple[float, float] | None]:
     """How each start is found: None for the guess itself, else how far to search about it."""
     near = (settings.search_translation_m, settings.search_rotation_rad)
-    # The last resort: any turn, and twice as far.
-    return [*([None] if has_guess else []), near, (2.0 * near[0], np.pi)]
+    return [*([None] if has_guess else []), near, _last_resort(settings)]
+
+
+def _last_resort(settings: PlIcpSettings) -> tuple[float, float]:
+    """The widest search: any turn, and twice as far."""
+    return 2.0 * settings.search_translation_m, float(np.pi)
 
 
 def _searched(

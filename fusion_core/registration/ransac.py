@@ -52,7 +52,7 @@ from fusion_core.registration.models import (
     point_jacobian,
     residuals,
 )
-from fusion_core.settings import StageSettings, setting
+from fusion_core.settings import SEED_MAX, StageSettings, setting
 
 # The length of an isotropic planar error is Rayleigh distributed: its median over the standard
 # deviation of one axis.
@@ -80,16 +80,16 @@ class RegistrationSettings(StageSettings):
     )
     draws_max: int = setting(1_000, "Draws at which adaptive drawing gives up", ge=1, le=100_000)
     inlier_threshold_m: float = setting(
-        0.10, "Greatest residual of a pair that supports A", unit="m", gt=0.0, le=2.0
+        0.10, "Greatest residual of a pair that supports A", unit="m", ge=1e-6, le=2.0
     )
     refits_max: int = setting(10, "Least-squares refits until the inliers settle", ge=1, le=100)
-    seed: int = setting(0, "Seed of the draws", ge=0)
+    seed: int = setting(0, "Seed of the draws", ge=0, le=SEED_MAX)
     guards: bool = setting(True, "Refuse maps that are ill-conditioned, mirror or stretch")
     inliers_min: int = setting(12, "Guard: fewest inliers", unit="pairs", ge=2, le=10_000)
     condition_max: float = setting(
         30.0, "Guard: greatest condition number of the normalised design matrix", gt=1.0, le=1e6
     )
-    scale_min: float = setting(0.8, "Guard: least scale of the map anywhere", gt=0.0, le=1.0)
+    scale_min: float = setting(0.8, "Guard: least scale of the map anywhere", ge=1e-6, le=1.0)
     scale_max: float = setting(1.25, "Guard: greatest scale of the map anywhere", ge=1.0, le=100.0)
     anisotropy_max: float = setting(
         1.25, "Guard: greatest ratio of the map's two scales at one point", ge=1.0, le=100.0

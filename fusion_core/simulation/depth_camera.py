@@ -23,15 +23,22 @@ class DepthNoise(StageSettings):
         "Standard deviation of the inverse depth before its quantisation",
         unit="1/m",
         ge=0.0,
+        le=1.0,
     )
-    disparity_step_per_m: float = setting(2.85e-3, "Step of the inverse depth", unit="1/m", gt=0.0)
-    step_m: float = setting(0.001, "Resolution of the image that is sent", unit="m", gt=0.0)
-    near_m: float = setting(0.5, "Nearer surfaces give nothing", unit="m", gt=0.0)
-    far_m: float = setting(8.0, "Farther surfaces give nothing", unit="m", gt=0.0)
+    disparity_step_per_m: float = setting(
+        2.85e-3, "Step of the inverse depth", unit="1/m", ge=1e-6, le=1.0
+    )
+    step_m: float = setting(
+        0.001, "Resolution of the image that is sent", unit="m", ge=1e-6, le=1.0
+    )
+    near_m: float = setting(0.5, "Nearer surfaces give nothing", unit="m", ge=1e-6, le=100.0)
+    far_m: float = setting(8.0, "Farther surfaces give nothing", unit="m", ge=1e-6, le=1_000.0)
     projector_baseline_m: float = setting(
         0.075,
         "The projector's place to the right of the camera: what it does not light is a hole",
         unit="m",
+        ge=-1.0,
+        le=1.0,
     )
     grazing_rad: float = setting(
         1.35,
@@ -42,13 +49,18 @@ class DepthNoise(StageSettings):
     )
     dark_lost_share: float = setting(0.1, "Pixels lost on dark surfaces at 0 m", ge=0.0, le=1.0)
     dark_lost_per_m: float = setting(
-        0.15, "Further pixels lost on dark surfaces, per metre of depth", unit="1/m", ge=0.0
+        0.15,
+        "Further pixels lost on dark surfaces, per metre of depth",
+        unit="1/m",
+        ge=0.0,
+        le=10.0,
     )
     edge_jump_per_m: float = setting(
         0.012,
         "What counts as an edge: second difference of the inverse depth, zero on a plane",
         unit="1/m",
-        gt=0.0,
+        ge=1e-6,
+        le=10.0,
     )
     edge_lost_share: float = setting(
         0.3,
@@ -60,10 +72,16 @@ class DepthNoise(StageSettings):
         0.12, "Pixels beside an edge that fly between the two surfaces", ge=0.0, le=1.0
     )
     speckles: float = setting(
-        22.0, "Mean number of speckles in 320 x 240 pixels: blobs of a wrong match", ge=0.0
+        22.0,
+        "Mean number of speckles in 320 x 240 pixels: blobs of a wrong match",
+        ge=0.0,
+        le=10_000.0,
     )
     patches: float = setting(
-        1.5, "Mean number of patches without depth in an image: glare, other light", ge=0.0
+        1.5,
+        "Mean number of patches without depth in an image: glare, other light",
+        ge=0.0,
+        le=1_000.0,
     )
 
 

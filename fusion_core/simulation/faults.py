@@ -10,25 +10,32 @@ class FaultSettings(StageSettings):
     """The faults of a recording; times count from its start. By default there are none."""
 
     scan_loss_share: float = setting(0.0, "Share of the scans lost, at random", ge=0.0, le=1.0)
-    silence_at_s: float = setting(0.0, "No sensor says anything from here", unit="s", ge=0.0)
-    silence_s: float = setting(0.0, "Length of the silence", unit="s", ge=0.0)
-    slip_at_s: float = setting(0.0, "The wheels slip from here", unit="s", ge=0.0)
-    slip_s: float = setting(0.0, "Length of the slip", unit="s", ge=0.0)
+    silence_at_s: float = setting(
+        0.0, "No sensor says anything from here", unit="s", ge=0.0, le=3_600.0
+    )
+    silence_s: float = setting(0.0, "Length of the silence", unit="s", ge=0.0, le=3_600.0)
+    slip_at_s: float = setting(0.0, "The wheels slip from here", unit="s", ge=0.0, le=3_600.0)
+    slip_s: float = setting(0.0, "Length of the slip", unit="s", ge=0.0, le=3_600.0)
     slip_factor: float = setting(
-        2.0, "Distance that the wheels report over the true one while they slip", ge=0.0
+        2.0, "Distance that the wheels report over the true one while they slip", ge=0.0, le=100.0
     )
     dark_at_s: float = setting(
-        0.0, "The cameras see nothing from here: black, and no depth", unit="s", ge=0.0
+        0.0, "The cameras see nothing from here: black, and no depth", unit="s", ge=0.0, le=3_600.0
     )
-    dark_s: float = setting(0.0, "Length of the darkness", unit="s", ge=0.0)
+    dark_s: float = setting(0.0, "Length of the darkness", unit="s", ge=0.0, le=3_600.0)
     kidnap_at_s: float | None = setting(
         None,
         "The robot is carried elsewhere, of which its odometry knows nothing",
         unit="s",
         ge=0.0,
+        le=3_600.0,
     )
     kidnap_ahead_m: float = setting(
-        3.0, "How far it is carried along its route, where there is room for it", unit="m", ge=0.0
+        3.0,
+        "How far it is carried along its route, where there is room for it",
+        unit="m",
+        ge=0.0,
+        le=1_000.0,
     )
 
     @property

@@ -16,7 +16,11 @@ class LidarNoise(StageSettings):
     """The errors of a LiDAR. The defaults are those of a URG-04LX as far as its sheet tells."""
 
     sigma_near_m: float = setting(
-        0.01, "Standard deviation up to 1 m (data sheet of the URG-04LX: 10 mm)", unit="m", ge=0.0
+        0.01,
+        "Standard deviation up to 1 m (data sheet of the URG-04LX: 10 mm)",
+        unit="m",
+        ge=0.0,
+        le=1.0,
     )
     sigma_share: float = setting(
         0.01, "Standard deviation beyond 1 m, per metre of range (data sheet: 1 %)", ge=0.0, le=0.2
@@ -27,7 +31,9 @@ class LidarNoise(StageSettings):
     sigma_share_far: float = setting(
         0.01, "Standard deviation from 5 m on, per metre of range", ge=0.0, le=0.2
     )
-    step_m: float = setting(0.001, "Resolution of a range (data sheet: 1 mm)", unit="m", gt=0.0)
+    step_m: float = setting(
+        0.001, "Resolution of a range (data sheet: 1 mm)", unit="m", ge=1e-6, le=1.0
+    )
     glass_front_rad: float = setting(
         0.14,
         "A pane answers only within this angle of its normal, where its mirror image of the"
@@ -46,7 +52,7 @@ class LidarNoise(StageSettings):
         le=1.0,
     )
     dark_lost_per_m: float = setting(
-        0.12, "Further beams lost on dark surfaces, per metre of range", unit="1/m", ge=0.0
+        0.12, "Further beams lost on dark surfaces, per metre of range", unit="1/m", ge=0.0, le=10.0
     )
     grazing_rad: float = setting(
         1.4,
@@ -59,8 +65,11 @@ class LidarNoise(StageSettings):
         3.0,
         "Mean number of runs of lost beams in a sweep, as other light and cables make them",
         ge=0.0,
+        le=1_000.0,
     )
-    lost_run_beams: float = setting(6.0, "Mean length of such a run", unit="beams", ge=1.0)
+    lost_run_beams: float = setting(
+        6.0, "Mean length of such a run", unit="beams", ge=1.0, le=10_000.0
+    )
     edge_mixed_share: float = setting(
         0.7,
         "Beams beside an edge that average both surfaces (mixed pixels: Kneip et al. 2009 on"
@@ -72,7 +81,8 @@ class LidarNoise(StageSettings):
         0.02,
         "What counts as an edge: second difference of the inverse range, zero on a plane",
         unit="1/m",
-        gt=0.0,
+        ge=1e-6,
+        le=10.0,
     )
     spurious_share: float = setting(
         0.005,

@@ -15,15 +15,21 @@ class OdometryNoise(StageSettings):
     """The errors of wheel odometry; the defaults are those of a small robot on a hard floor."""
 
     distance_scale: float = setting(
-        1.02, "Reported over true distance: the wheels' size is not quite known", gt=0.0
+        1.02, "Reported over true distance: the wheels' size is not quite known", ge=1e-6, le=10.0
     )
     yaw_drift_rad_per_s: float = setting(
-        0.004, "Steady drift of the heading: two wheels of unequal size", unit="rad/s"
+        0.004,
+        "Steady drift of the heading: two wheels of unequal size",
+        unit="rad/s",
+        ge=-10.0,
+        le=10.0,
     )
     distance_sigma_share: float = setting(
-        0.02, "Standard deviation of a step, per metre of it", ge=0.0
+        0.02, "Standard deviation of a step, per metre of it", ge=0.0, le=10.0
     )
-    yaw_sigma_share: float = setting(0.03, "Standard deviation of a turn, per radian of it", ge=0.0)
+    yaw_sigma_share: float = setting(
+        0.03, "Standard deviation of a turn, per radian of it", ge=0.0, le=10.0
+    )
 
 
 class DriftingOdometry:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from fusion_core.model.errors import SettingsError
 from fusion_core.model.progress import Progress, silent
-from fusion_core.settings import StageSettings, setting
+from fusion_core.settings import SEED_MAX, StageSettings, setting
 from fusion_core.simulation import arena, buildings, rigs, worlds
 from fusion_core.simulation.depth_camera import DepthNoise
 from fusion_core.simulation.faults import FaultSettings, KidnappedPath
@@ -50,9 +50,11 @@ WORN_ODOMETRY = OdometryNoise(distance_scale=1.015, yaw_drift_rad_per_s=0.002)
 class SceneSettings(StageSettings):
     """What may be changed about a scene."""
 
-    seed: int = setting(1, "Decides the world, the path and the noise", ge=0)
-    duration_s: float = setting(8.0, "Length of the recording", unit="s", gt=0.0, le=3600.0)
-    camera_rate_hz: float = setting(15.0, "Images a second, of each camera", unit="Hz", gt=0.0)
+    seed: int = setting(1, "Decides the world, the path and the noise", ge=0, le=SEED_MAX)
+    duration_s: float = setting(8.0, "Length of the recording", unit="s", ge=1e-6, le=3600.0)
+    camera_rate_hz: float = setting(
+        15.0, "Images a second, of each camera", unit="Hz", ge=1e-6, le=120.0
+    )
     image_scale: float = setting(1.0, "Pixels a side, relative to the camera's own", ge=0.1, le=2.0)
 
 

@@ -27,8 +27,8 @@ class RefinementSettings(StageSettings):
     """Joint refinement of poses and map."""
 
     rounds: int = setting(1, "Turns of map and poses; 0 leaves the graph's poses", ge=0, le=50)
-    sigma_m: float = setting(0.02, "Doubt of the graph's poses", unit="m", gt=0.0, le=1.0)
-    sigma_rad: float = setting(0.01, "Doubt of the graph's poses", unit="rad", gt=0.0, le=1.0)
+    sigma_m: float = setting(0.02, "Doubt of the graph's poses", unit="m", ge=1e-6, le=1.0)
+    sigma_rad: float = setting(0.01, "Doubt of the graph's poses", unit="rad", ge=1e-6, le=1.0)
 
 
 def refine(

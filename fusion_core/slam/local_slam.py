@@ -48,23 +48,23 @@ _JUMP_M, _JUMP_RAD = 0.1, 0.1
 class LocalSlamSettings(StageSettings):
     """Scan matching one after the other."""
 
-    key_step_m: float = setting(0.2, "Way between two key scans", unit="m", gt=0.0, le=5.0)
+    key_step_m: float = setting(0.2, "Way between two key scans", unit="m", ge=1e-6, le=5.0)
     key_turn_rad: float = setting(
-        0.0873, "Turn between two key scans", unit="rad", gt=0.0, le=3.1416
+        0.0873, "Turn between two key scans", unit="rad", ge=1e-6, le=3.1416
     )
     search_m: float = setting(0.15, "Search about the prediction", unit="m", ge=0.0, le=2.0)
     search_rad: float = setting(0.14, "Search about the prediction", unit="rad", ge=0.0, le=1.6)
     odometry_m: float = setting(
-        0.3, "Odometry's error in a metre, until it is learned", unit="m", gt=0.0, le=10.0
+        0.3, "Odometry's error in a metre, until it is learned", unit="m", ge=1e-6, le=10.0
     )
     odometry_rad: float = setting(
-        0.5, "Odometry's error in a radian, until it is learned", unit="rad", gt=0.0, le=10.0
+        0.5, "Odometry's error in a radian, until it is learned", unit="rad", ge=1e-6, le=10.0
     )
     guess_sigma_m: float = setting(
-        0.2, "Doubt of a step without odometry", unit="m", gt=0.0, le=10.0
+        0.2, "Doubt of a step without odometry", unit="m", ge=1e-6, le=10.0
     )
     guess_sigma_rad: float = setting(
-        0.4, "Doubt of a step without odometry", unit="rad", gt=0.0, le=10.0
+        0.4, "Doubt of a step without odometry", unit="rad", ge=1e-6, le=10.0
     )
     occupancy_min: float = setting(
         0.35, "A scan whose points lie on less, on average, does not fit", ge=0.0, le=1.0
@@ -73,7 +73,7 @@ class LocalSlamSettings(StageSettings):
         0.7, "A scan that fits by less of what the last ones did contradicts", ge=0.0, le=1.0
     )
     lost_m: float = setting(
-        0.3, "Doubt of the way from which on scans cannot be trusted", unit="m", gt=0.0, le=10.0
+        0.3, "Doubt of the way from which on scans cannot be trusted", unit="m", ge=1e-6, le=10.0
     )
     lost_scans: int = setting(
         12, "So many that contradict the map begin another", unit="scans", ge=1, le=1000

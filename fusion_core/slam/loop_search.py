@@ -48,15 +48,19 @@ class LoopSettings(StageSettings):
     stretch: int = setting(
         10, "Neighbours either way laid with one", unit="key scans", ge=0, le=500
     )
-    distance_m: float = setting(8.0, "Submaps nearer than this are tried", unit="m", gt=0, le=200)
-    submaps: int = setting(2, "Submaps near the estimate tried at a time", ge=1, le=100)
-    window_m: float = setting(2.0, "Search about the estimate", unit="m", gt=0.0, le=50.0)
-    window_rad: float = setting(0.35, "Search about the estimate", unit="rad", gt=0.0, le=3.1416)
-    drift: float = setting(0.04, "Search so much wider with the way between", unit="m/m", ge=0.0)
-    drift_rad_m: float = setting(
-        0.0005, "Search so much wider with the way between", unit="rad/m", ge=0.0
+    distance_m: float = setting(
+        8.0, "Submaps nearer than this are tried", unit="m", ge=1e-6, le=200
     )
-    window_max_m: float = setting(40.0, "Widest search", unit="m", gt=0.0, le=100.0)
+    submaps: int = setting(2, "Submaps near the estimate tried at a time", ge=1, le=100)
+    window_m: float = setting(2.0, "Search about the estimate", unit="m", ge=1e-6, le=50.0)
+    window_rad: float = setting(0.35, "Search about the estimate", unit="rad", ge=1e-6, le=3.1416)
+    drift: float = setting(
+        0.04, "Search so much wider with the way between", unit="m/m", ge=0.0, le=10.0
+    )
+    drift_rad_m: float = setting(
+        0.0005, "Search so much wider with the way between", unit="rad/m", ge=0.0, le=10.0
+    )
+    window_max_m: float = setting(40.0, "Widest search", unit="m", ge=1e-6, le=100.0)
     score_min: float = setting(0.6, "Least share of points on obstacles", ge=0.1, le=1.0)
     score_min_wide: float = setting(
         0.4, "The same where others must agree: who comes back sees other sides", ge=0.1, le=1.0
@@ -70,8 +74,17 @@ class LoopSettings(StageSettings):
         ge=0.0,
         le=1.0,
     )
-    sigma_max_m: float = setting(0.3, "Largest doubt of a match along any way", unit="m", gt=0.0)
-    thinning_m: float = setting(0.1, "Points of a stretch are this far apart", unit="m", gt=0.0)
+    sigma_max_m: float = setting(
+        0.3, "Largest doubt of a match along any way", unit="m", ge=1e-6, le=100.0
+    )
+    thinning_m: float = setting(
+        0.1, "Points of a stretch are this far apart", unit="m", ge=0.001, le=10.0
+    )
+
+    @property
+    def widest_window(self) -> "Window":
+        """As far as any search goes."""
+        return Window(self.window_max_m, float(np.pi))
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +103,11 @@ class Window:
     @property
     def is_wide(self) -> bool:
         return self.translation_m > WIDE_M
+
+    @property
+    def step_rad(self) -> float:
+        """Between two yaws that are tried."""
+        return 2.0 * _STEP_RAD if self.is_wide else _STEP_RAD
 
 
 class LoopSearch:
@@ -210,7 +228,7 @@ class LoopSearch:
                     translation_m=window.translation_m,
                     rotation_rad=window.rotation_rad,
                 ),
-                step_rad=2.0 * _STEP_RAD if window.is_wide else _STEP_RAD,
+                step_rad=window.step_rad,
                 score_min=score_min,
             )
         except RegistrationFailed:

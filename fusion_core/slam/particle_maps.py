@@ -16,8 +16,11 @@ from numba import njit
 
 from fusion_core.mapping.rays import trace_ray
 from fusion_core.model.conventions import ByteArray, FloatArray, IntArray, read_only
+from fusion_core.model.errors import MappingFailed
 
 TILE = 64
+# What a program may take that others share a machine with: 1 GB.
+_TILES_MAX = 2**30 // TILE**2
 UNKNOWN = 0
 _EVEN = 128
 # 127 steps are the odds of a probability of 0.98: no cell becomes so sure that it cannot change.
@@ -123,8 +126,13 @@ class ParticleMaps:
     def _take_tile(self) -> int:
         if not self._free:
             size = len(self._pool)
+            if size >= _TILES_MAX:
+                raise MappingFailed(
+                    f"the maps of {len(self._tables)} particles take more than 1 GB.",
+                    advice="Set fewer particles.particles, or a coarser particles.resolution_m.",
+                )
             # By a half, so that copying the pool stays a small part of the work.
-            more = max(size // 2, 16)
+            more = min(max(size // 2, 16), _TILES_MAX - size)
             self._pool = np.concatenate([self._pool, np.zeros((more, TILE, TILE), dtype=np.uint8)])
             self._sharers = np.concatenate([self._sharers, np.zeros(more, dtype=np.int64)])
             self._free = list(range(size + more - 1, size - 1, -1))

@@ -3,14 +3,18 @@
 Grisetti, Stachniss, Burgard 2007, algorithm 1.
 """
 
+from typing import Self
+
 import numpy as np
+from pydantic import model_validator
 
 from fusion_core.model.conventions import FloatArray, IntArray, wrap_angle
 from fusion_core.model.planar_poses import compose, move_points
-from fusion_core.settings import StageSettings, setting
+from fusion_core.settings import SEED_MAX, StageSettings, setting
 from fusion_core.slam.particle_maps import MapWindow, ParticleMaps, add_scan
 from fusion_core.slam.particle_paths import ParticlePaths
 from fusion_core.slam.particle_proposal import MotionModel, log_likelihoods, propose
+from fusion_core.slam.submaps import require_cells
 
 # The interpolation of the map reads two cells either side.
 _MARGIN_CELLS = 4
@@ -21,25 +25,25 @@ class ParticleSettings(StageSettings):
     """The particle filter. The noise is that of scan-matched odometry, not of wheels."""
 
     particles: int = setting(30, "Number of particles", ge=1, le=1000)
-    seed: int = setting(0, "Seed of all that is drawn", ge=0)
+    seed: int = setting(0, "Seed of all that is drawn", ge=0, le=SEED_MAX)
     resolution_m: float = setting(0.05, "Side of a map's cell", unit="m", ge=0.01, le=1.0)
     reach_m: float = setting(30.0, "Points farther away are not used", unit="m", ge=1.0, le=200.0)
-    step_m: float = setting(0.3, "Way between two scans that are weighed", unit="m", gt=0, le=10)
+    step_m: float = setting(0.3, "Way between two scans that are weighed", unit="m", ge=1e-6, le=10)
     step_rad: float = setting(
-        0.3, "Turn between two scans that are weighed", unit="rad", gt=0.0, le=3.1416
+        0.3, "Turn between two scans that are weighed", unit="rad", ge=1e-6, le=3.1416
     )
     search_m: float = setting(0.15, "Least search about the prediction", unit="m", ge=0.0, le=2.0)
     search_rad: float = setting(
         0.06, "Least search about the prediction", unit="rad", ge=0.0, le=1.6
     )
     drift_m: float = setting(
-        0.05, "Noise of a metre's way, growing with its root", unit="m", gt=0.0, le=10.0
+        0.05, "Noise of a metre's way, growing with its root", unit="m", ge=1e-6, le=10.0
     )
     drift_rad: float = setting(
-        0.02, "Noise of a metre's way, growing with its root", unit="rad", gt=0.0, le=3.0
+        0.02, "Noise of a metre's way, growing with its root", unit="rad", ge=1e-6, le=3.0
     )
-    turn_m: float = setting(0.01, "Noise of a radian's turn", unit="m", gt=0.0, le=10.0)
-    turn_rad: float = setting(0.01, "Noise of a radian's turn", unit="rad", gt=0.0, le=3.0)
+    turn_m: float = setting(0.01, "Noise of a radian's turn", unit="m", ge=1e-6, le=10.0)
+    turn_rad: float = setting(0.01, "Noise of a radian's turn", unit="rad", ge=1e-6, le=3.0)
     lost_m: float = setting(
         0.2, "Noise added by a scan that local matching does not trust", unit="m", ge=0.0, le=10.0
     )
@@ -47,7 +51,7 @@ class ParticleSettings(StageSettings):
     weight_share: float = setting(
         0.15,
         "Share of a scan's log likelihood that weighs: scans of one place err alike",
-        gt=0,
+        ge=1e-6,
         le=1,
     )
     resample_share: float = setting(
@@ -56,6 +60,11 @@ class ParticleSettings(StageSettings):
     occupancy_min: float = setting(
         0.3, "A match whose points lie on less, on average, is none", ge=0.0, le=1.0
     )
+
+    @model_validator(mode="after")
+    def _bounded_cells(self) -> Self:
+        require_cells(self.reach_m, self.resolution_m)
+        return self
 
 
 def effective_number(weights: FloatArray) -> float:

@@ -19,16 +19,20 @@ BREAK_SIGMAS = (100.0, 100.0, 10.0)
 class GraphSettings(StageSettings):
     """Optimisation of the pose graph."""
 
-    local_sigma_m: float = setting(0.03, "Doubt of a step of local SLAM", unit="m", gt=0.0, le=10.0)
-    local_sigma_rad: float = setting(
-        0.01, "Doubt of a step of local SLAM", unit="rad", gt=0.0, le=3.2
+    local_sigma_m: float = setting(
+        0.03, "Doubt of a step of local SLAM", unit="m", ge=1e-6, le=10.0
     )
-    untrusted_factor: float = setting(10.0, "So much more doubt where scans do not fit", ge=1.0)
+    local_sigma_rad: float = setting(
+        0.01, "Doubt of a step of local SLAM", unit="rad", ge=1e-6, le=3.2
+    )
+    untrusted_factor: float = setting(
+        10.0, "So much more doubt where scans do not fit", ge=1.0, le=1e6
+    )
     robust_scale: float = setting(
-        1.0, "Residual, in deviations, from which a loop loses weight", gt=0.0, le=100.0
+        1.0, "Residual, in deviations, from which a loop loses weight", ge=1e-6, le=100.0
     )
     residual_max_m: float = setting(
-        0.5, "Loops that the optimum leaves farther apart are dropped", unit="m", gt=0.0, le=100.0
+        0.5, "Loops that the optimum leaves farther apart are dropped", unit="m", ge=1e-6, le=100.0
     )
 
 

@@ -10,8 +10,10 @@ searched along the way, with the poses that the loops before have given.
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
+from pydantic import model_validator
 
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.errors import MappingFailed
@@ -20,6 +22,7 @@ from fusion_core.model.pose_graph import PoseGraph
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import LaserScan
 from fusion_core.model.slam_view import SlamView, Watch, unwatched
+from fusion_core.registration.correlative import POSES_MAX, poses_of
 from fusion_core.settings import SettingsGroup
 from fusion_core.slam.carried import carried
 from fusion_core.slam.joint_refinement import RefinementSettings, refine
@@ -42,6 +45,17 @@ class SlamSettings(SettingsGroup):
     loops: LoopSettings = LoopSettings()
     graph: GraphSettings = GraphSettings()
     refinement: RefinementSettings = RefinementSettings()
+
+    @model_validator(mode="after")
+    def _searchable(self) -> Self:
+        window, resolution_m = self.loops.widest_window, self.submaps.resolution_m
+        poses = poses_of(window.translation_m, window.rotation_rad, resolution_m, window.step_rad)
+        if poses > POSES_MAX:
+            raise ValueError(
+                f"loops.window_max_m = {self.loops.window_max_m:g} over submaps.resolution_m = "
+                f"{resolution_m:g} makes {poses:.1g} poses to search, more than {POSES_MAX:.0e}"
+            )
+        return self
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

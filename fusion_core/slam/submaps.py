@@ -6,10 +6,12 @@ they arrive; a finished one is cut to what it knows and never changes.
 """
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
+from pydantic import model_validator
 
 from fusion_core.mapping.rays import update_cells
 from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray, IntArray, read_only
@@ -22,6 +24,8 @@ _BORDER = 3
 # Cells that a grid is larger than what it holds, so that it need not grow with each scan; a large
 # one, where growing takes long, by a share.
 _ROOM, _ROOM_SHARE = 60, 0.25
+# Of a scan's reach: a grid of twice that on a side, at 13 bytes a cell, takes half a gigabyte.
+_REACH_CELLS_MAX = 3_000
 
 
 class SubmapSettings(StageSettings):
@@ -33,6 +37,21 @@ class SubmapSettings(StageSettings):
     p_hit: float = setting(0.6, "Probability of occupied given a hit", gt=0.5, le=0.99)
     p_miss: float = setting(0.48, "Probability of occupied given a pass", ge=0.01, le=0.5)
     p_limit: float = setting(0.98, "Highest probability; lowest is 1 minus it", gt=0.5, le=0.999)
+
+    @model_validator(mode="after")
+    def _bounded_cells(self) -> Self:
+        require_cells(self.reach_m, self.resolution_m)
+        return self
+
+
+def require_cells(reach_m: float, resolution_m: float) -> None:
+    """Raises ValueError where a scan reaches over more cells than a grid may be large."""
+    # A hundredth of a cell: what rounding adds to a whole number of them is none.
+    if reach_m / resolution_m > _REACH_CELLS_MAX + 0.01:
+        raise ValueError(
+            f"reach_m = {reach_m:g} over resolution_m = {resolution_m:g} is "
+            f"{reach_m / resolution_m:.0f} cells, more than {_REACH_CELLS_MAX}"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -16,7 +16,13 @@ from fusion_core.slam.joint_refinement import RefinementSettings
 from fusion_core.slam.particle_set import ParticleSettings
 from fusion_core.slam.pose_graph_slam import SlamSettings
 from fusion_core.workflows.motion_source import MotionSettings
-from fusion_core.workflows.presets import PRESETS, ChainSettings, PresetName, preset_with_file
+from fusion_core.workflows.presets import (
+    PRESETS,
+    ChainSettings,
+    PresetName,
+    preset_with_file,
+    with_seed,
+)
 
 
 class MapSettings(SlamSettings, MotionSettings, ChainSettings):
@@ -47,7 +53,7 @@ def map_settings(
     preset, settings = preset_with_file(preset, MAP_PRESETS, settings_file)
     if seed is None:
         return preset, settings
-    seeded = settings.particles.model_copy(update={"seed": seed})
+    seeded = with_seed(settings.particles, seed)
     return preset, settings.model_copy(update={"particles": seeded})
 
 

@@ -71,10 +71,10 @@ class Maps:
 
     def write(self, folder: Path) -> tuple[dict[str, OccupancyGrid], list[str]]:
         """Write each map that has a known cell, and the difference of all; returns the maps and
-        why any is missing."""
+        why any is missing. Nothing can be added after that."""
         grids: dict[str, OccupancyGrid] = {}
         notes = []
-        for name, builder in self._builders.items():
+        for name in list(self._builders):
             if self._far[name]:
                 notes.append(
                     f"{self._far[name]} ranges are not in the {name} map: they are longer than "
@@ -84,7 +84,8 @@ class Maps:
                 notes.append(f"No {name} map: {self._failed[name]}")
                 continue
             try:
-                grids[name] = builder.build()
+                # One at a time is let go: what it grew in is larger than the map.
+                grids[name] = self._builders.pop(name).build()
             except MappingFailed as error:
                 notes.append(f"No {name} map: {error.problem}")
                 continue

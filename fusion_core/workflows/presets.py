@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal, TypeVar
 
-from pydantic import ConfigDict
+from pydantic import ConfigDict, ValidationError
 
 from fusion_core.alignment.agreement import MountSettings
 from fusion_core.alignment.curves import SamplingSettings
@@ -22,10 +22,11 @@ from fusion_core.exporting.settings_file import dump_toml, load_toml, read_prese
 from fusion_core.mapping.grid import GridSettings
 from fusion_core.model.errors import SettingsError
 from fusion_core.registration.ransac import PUBLISHED, RegistrationSettings
-from fusion_core.settings import SettingsGroup, setting
+from fusion_core.settings import SEED_MAX, SettingsGroup, StageSettings, setting
 
 PresetName = Literal["default", "published"]
 _Settings = TypeVar("_Settings", bound=SettingsGroup)
+_Stage = TypeVar("_Stage", bound=StageSettings)
 
 
 class ChainSettings(SettingsGroup):
@@ -80,8 +81,15 @@ def chain_settings(
     preset, settings = preset_with_file(preset, PRESETS, settings_file)
     if seed is None:
         return preset, settings
-    seeded = settings.registration.model_copy(update={"seed": seed})
+    seeded = with_seed(settings.registration, seed)
     return preset, settings.model_copy(update={"registration": seeded})
+
+
+def with_seed(settings: _Stage, seed: int) -> _Stage:
+    """A stage's settings with another seed. Raises SettingsError for one that is out of range."""
+    if not 0 <= seed <= SEED_MAX:
+        raise SettingsError(f"the seed must be from 0 to {SEED_MAX}.")
+    return settings.model_copy(update={"seed": seed})
 
 
 def preset_with_file(
@@ -106,4 +114,8 @@ def preset_with_file(
     stages = base.stages()
     classes = {name: type(value) for name, value in stages.items()}
     stages = load_toml(settings_file, classes, stages)
-    return preset, base.model_copy(update=dict(stages))
+    try:
+        return preset, type(base)(**{**dict(base), **stages})
+    except ValidationError as error:
+        # Each stage is right by itself.
+        raise SettingsError(f"{error.errors()[0]['msg']}.", file=settings_file) from error
