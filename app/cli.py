@@ -23,6 +23,8 @@ from app.interruption import Terminated, termination
 from app.terminal import printable, progress_on_stderr
 from fusion_core.model.errors import ScanLoomError
 
+# As long as a path may be; longer numbers Python refuses to read.
+_LONGEST_ARGUMENT = 4096
 _DONE, _FAILED, _WRONG_USAGE, _INTERRUPTED, _READER_GONE = 0, 1, 2, 130, 141
 _ENDED_BY_SIGNAL = 128
 
@@ -59,6 +61,9 @@ def _run(args: Sequence[str]) -> int:
     if list(args) == ["--version"]:
         sys.stdout.write(f"scanloom {importlib.metadata.version('scanloom')}\n")
         return _DONE
+    if any(len(arg) > _LONGEST_ARGUMENT for arg in args):
+        sys.stderr.write(f"an option is longer than {_LONGEST_ARGUMENT} characters\n")
+        return _WRONG_USAGE
     config = (conf.OmitArgPrefixes, conf.FlagCreatePairsOff, conf.DisallowNone)
     parsed = tyro.cli(Scanloom, prog="scanloom", args=args, config=config).command
     command = parsed.measure if isinstance(parsed, Evaluate) else parsed

@@ -22,14 +22,38 @@ HomeOption = Annotated[str | None, conf.arg(metavar="SESSION", help_behavior_hin
 RoomOption = Annotated[str | None, conf.arg(metavar="ROOM", help_behavior_hint="")]
 
 
-def require_natural(option: str, number: int | None) -> None:
-    """Raises WrongUsage for a number below 0."""
-    if number is not None and number < 0:
-        raise WrongUsage(f"{option} must be 0 or more, got {number}")
+# More than any image has rows, the highest port, a day, and thirty years.
+ROW_MAX = 65_535
+PORT_MAX = 65_535
+SUBSESSION_MAX = 9
+OFFSET_MAX_MS = 86_400_000.0
+TIME_MAX_S = 1e9
+# No place on Earth is farther away, and no part of a robot.
+PLACE_MAX_M = 1e9
+ARM_MAX_M = 100.0
+
+
+def require_natural(option: str, number: int | None, most: int, least: int = 0) -> None:
+    """Raises WrongUsage for a number that is not from ``least`` to ``most``."""
+    if number is None or least <= number <= most:
+        return
+    # Python writes out no number of thousands of digits.
+    got = f", got {number}" if abs(number) < 10**40 else ""
+    must = f"{least} or more" if number < least else f"at most {most}"
+    raise WrongUsage(f"{option} must be {must}{got}")
+
+
+def require_between(option: str, least: float, most: float, *numbers: float | None) -> None:
+    """Raises WrongUsage for a number that is not from ``least`` to ``most``, and for NaN."""
+    for number in numbers:
+        # NaN compares false.
+        if number is not None and not least <= number <= most:
+            raise WrongUsage(f"{option} must be from {least:g} to {most:g}, got {number:g}")
 
 
 def room_of(home: str | None, room: str | None, subsession: int) -> "RoomChoice | None":
     """The room that the options name, None for none. Raises WrongUsage without its session."""
+    require_natural("--subsession", subsession, SUBSESSION_MAX, least=1)
     if room is None:
         return None
     if home is None:

@@ -15,6 +15,9 @@ from tyro import conf
 
 from app.arenas import limit_arenas
 from app.command_options import (
+    PORT_MAX,
+    ROW_MAX,
+    TIME_MAX_S,
     Flag,
     HomeOption,
     RecordingArgument,
@@ -22,6 +25,7 @@ from app.command_options import (
     SettingsOption,
     TopicOption,
     WrongUsage,
+    require_between,
     require_natural,
     room_of,
 )
@@ -31,6 +35,7 @@ from app.reports import Report, conversion_lines, info_lines, scene_lines
 from app.resources import sample_path
 from app.terminal import leave_out_partings
 from fusion_core.model.progress import Progress
+from fusion_core.model.seeds import SEED_MAX
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,8 +58,8 @@ class Serve:
     """Print the address as a JSON object."""
 
     def run(self, progress: Progress) -> None:
-        require_natural("--virtual-lidar", self.virtual_lidar)
-        require_natural("--port", self.port)
+        require_natural("--virtual-lidar", self.virtual_lidar, ROW_MAX)
+        require_natural("--port", self.port, PORT_MAX)
         # The fields' products are small: more threads take more time of more cores. numpy reads
         # this when it is first imported.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -138,6 +143,8 @@ class Convert:
         end_s = inf if self.end is None else self.end
         if not 0.0 <= start_s < end_s:
             raise WrongUsage("--start must be 0 or more, and --end later")
+        require_between("--start", 0.0, TIME_MAX_S, self.start)
+        require_between("--end", 0.0, TIME_MAX_S, self.end)
         if self.home is not None and self.room is None:
             raise WrongUsage("--home needs --room, the one to convert")
         from fusion_core.workflows.convert import ConvertOptions, convert
@@ -198,8 +205,8 @@ class Fuse:
     """Print one JSON object on stdout."""
 
     def run(self, progress: Progress) -> Report:
-        require_natural("--seed", self.seed)
-        require_natural("--virtual-lidar", self.virtual_lidar)
+        require_natural("--seed", self.seed, SEED_MAX)
+        require_natural("--virtual-lidar", self.virtual_lidar, ROW_MAX)
         from fusion_core.workflows.fuse import FuseSummary, fuse
         from fusion_core.workflows.rooms import RoomsSummary, fuse_rooms
         from fusion_core.workflows.session import FuseOptions
@@ -260,7 +267,7 @@ class Sample:
             return Report(result=result, lines=scene_lines(result))
         if self.scene is None or self.output is None:
             raise WrongUsage("sample needs SCENE and -o FILE, or --list; see sample --help")
-        require_natural("--seed", self.seed)
+        require_natural("--seed", self.seed, SEED_MAX)
         written = sample.write(
             self.scene,
             self.output,

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from tyro import conf
 
 from app.command_options import (
+    OFFSET_MAX_MS,
     Flag,
     HomeOption,
     RecordingArgument,
@@ -14,11 +15,13 @@ from app.command_options import (
     SettingsOption,
     TopicOption,
     WrongUsage,
+    require_between,
     require_natural,
     room_of,
 )
 from app.reports import Report
 from fusion_core.model.progress import Progress
+from fusion_core.model.seeds import SEED_MAX
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +75,8 @@ class Map:
             raise WrongUsage("--pose goes with --motion recorded")
         if self.home is not None and self.room is None:
             raise WrongUsage("--home needs --room, the one to map")
-        require_natural("--seed", self.seed)
+        require_natural("--seed", self.seed, SEED_MAX)
+        require_between("--clock-offset-ms", -OFFSET_MAX_MS, OFFSET_MAX_MS, self.clock_offset_ms)
         from fusion_core.workflows.build_map import MapOptions, build_map
 
         options = MapOptions(

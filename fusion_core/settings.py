@@ -12,9 +12,6 @@ from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-# The largest whole number that TOML has.
-SEED_MAX = 2**63 - 1
-
 
 class StageSettings(BaseModel):
     """Base of every stage's settings: frozen, and an unknown key is an error.

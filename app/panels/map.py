@@ -2,6 +2,7 @@
 in its other mode, motion and SLAM."""
 
 import html
+import os
 import threading
 from pathlib import Path
 from typing import Any, Protocol
@@ -70,7 +71,7 @@ class MapPanel:
     ) -> None:
         self._desk = desk
         # Commands are for shells that stand elsewhere.
-        self._root = output_root.resolve()
+        self._root = Path(os.path.realpath(output_root))
         self._on_map = on_map
         self._lock = threading.RLock()
         self._built: Build | None = None

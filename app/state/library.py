@@ -1,5 +1,6 @@
 """The recordings that all browsers share: opened once, aligned once for each choice of settings."""
 
+import os
 import threading
 from collections import OrderedDict
 from collections.abc import Hashable
@@ -29,10 +30,11 @@ class Library:
     """
 
     def __init__(self, recordings: list[Path], roots: list[Path]) -> None:
-        self._named = {path.name: path.resolve() for path in recordings}
+        # Unlike resolve, realpath knows what to do with a link that leads to itself.
+        self._named = {path.name: Path(os.path.realpath(path)) for path in recordings}
         if len(self._named) < len(recordings):
-            self._named = {str(path): path.resolve() for path in recordings}
-        self._roots = [root.resolve() for root in roots]
+            self._named = {str(path): Path(os.path.realpath(path)) for path in recordings}
+        self._roots = [Path(os.path.realpath(root)) for root in roots]
         self._lock = threading.Lock()
         self._closed = False
         # What was asked for last comes last.

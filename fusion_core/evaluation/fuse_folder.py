@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.errors import ScanLoomError
+from fusion_core.model.regular_file import read_regular
 
 MISSING = -1
 """Stands for null in integer columns, which have no NaN."""
@@ -24,6 +25,8 @@ _BATCH_ROWS = 1 << 16
 _SOURCES = [source.name.lower() for source in RepairSource]
 _FRAME_KEYS = ("camera", "stamp_ns", "scan_stamp_ns")
 _FRAME_NUMBERS = ("u", "u_alone", "overlap", "mean_error_m")
+# The alignment of a hundred cameras takes some 100 kB.
+_MAX_BYTES = 64 << 20
 _ADVICE = "Give the folder that scanloom fuse wrote."
 
 
@@ -111,7 +114,7 @@ def open_fuse_folder(path: Path) -> FuseFolder:
     """Read alignment.json. Raises ScanLoomError where it is missing or lacks an entry."""
     file = path / "alignment.json"
     try:
-        alignment = json.loads(file.read_text(encoding="utf-8"))
+        alignment = json.loads(read_regular(file, _MAX_BYTES))
         lidar = alignment["lidar"]
         return FuseFolder(
             path=path,

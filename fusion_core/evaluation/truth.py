@@ -1,6 +1,5 @@
 """What a simulator knows of a recording: true ranges, true depths, and which samples are noise."""
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from fusion_core.evaluation.truth_arrays import UNREADABLE_ARRAYS, read_arrays
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import (
     R_BODY_OPTICAL,
@@ -125,15 +125,12 @@ def load_truth(
 
 def _arrays(path: Path) -> Arrays:
     try:
-        loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.lib.npyio.NpzFile):
-            with loaded as file:
-                return dict(file)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise ScanLoomError(
-            f"cannot be read as a truth: {error}.", file=path, advice=_ADVICE
-        ) from error
-    raise ScanLoomError("holds a single array, not a truth.", file=path, advice=_ADVICE)
+        return read_arrays(path)
+    except OSError as error:
+        problem = str(error.strerror or error)
+    except UNREADABLE_ARRAYS as error:
+        problem = str(error)
+    raise ScanLoomError(f"cannot be read as a truth: {problem}.", file=path, advice=_ADVICE)
 
 
 _ADVICE = "Give the .npz that was written with the recording."

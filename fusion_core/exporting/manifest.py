@@ -17,6 +17,7 @@ from typing import Any, Self
 
 from fusion_core.model.errors import ExportError, RecordingError, ScanLoomError
 from fusion_core.model.progress import Progress, silent
+from fusion_core.model.regular_file import open_regular
 
 MANIFEST_NAME = "manifest.json"
 
@@ -180,7 +181,7 @@ def digest_input(path: Path, progress: Progress = silent) -> InputDigest:
 def sha256_of_file(path: Path) -> str:
     """SHA-256 of a file's content, read in chunks."""
     digest = hashlib.sha256()
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         while chunk := stream.read(_CHUNK_BYTES):
             digest.update(chunk)
     return digest.hexdigest()

@@ -58,7 +58,7 @@ def plan_output(
     ``overwrite``, for one with the results of another command, or with files of which its manifest
     knows nothing. With it the former are replaced, and the latter stay.
     """
-    if folder.exists() and not folder.is_dir():
+    if (folder.exists() or folder.is_symlink()) and not folder.is_dir():
         raise ExportError("is not a folder.", file=folder, advice="Name another output folder.")
     require_apart(folder, inputs)
     work = Work(

@@ -11,9 +11,14 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
 from fusion_core.model.errors import SettingsError
+from fusion_core.model.regular_file import read_regular
 from fusion_core.settings import StageSettings
 
 _PRESET_KEY = "preset"
+_TOO_MUCH = "holds a number of thousands of digits, or is nested too deeply"
+_LONGEST_SHOWN = 80
+# All stages with their help take some 20 kB.
+_MAX_BYTES = 1 << 20
 _RANGE_WORDS = {"ge": "at least", "gt": "more than", "le": "at most", "lt": "less than"}
 
 
@@ -41,7 +46,7 @@ def read_preset(path: Path) -> str | None:
     """The preset that a settings file starts from, None where it names none."""
     preset = _read(path).get(_PRESET_KEY)
     if preset is not None and not isinstance(preset, str):
-        raise SettingsError(f"preset must be text, got {preset!r}.", file=path)
+        raise SettingsError(f"preset must be text, got {_shown(preset)}.", file=path)
     return preset
 
 
@@ -61,14 +66,17 @@ def load_toml(
     for stage, table in document.items():
         if stage not in stages:
             raise SettingsError(
-                f"unknown stage {stage!r}.", file=path, advice=f"Stages: {', '.join(stages)}."
+                f"unknown stage {_shown(stage)}.", file=path, advice=f"Stages: {', '.join(stages)}."
             )
         if not isinstance(table, dict):
-            raise SettingsError(f"{stage} must be a table, got {table!r}.", file=path)
+            raise SettingsError(f"{stage} must be a table, got {_shown(table)}.", file=path)
     result = {}
     for stage, settings_class in stages.items():
         given = document.get(stage, {})
         start = {} if base is None or stage not in base else base[stage].model_dump(mode="json")
+        for name, value in given.items():
+            if _json_of(value) is None:
+                raise SettingsError(f"{stage}.{name} = {_shown(value)}: {_TOO_MUCH}.", file=path)
         # JSON, since there a list may become a tuple and text an enum member while text is
         # still no number.
         text = json.dumps(start | given, default=str)
@@ -81,11 +89,33 @@ def load_toml(
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text("utf-8"))
+        return tomllib.loads(read_regular(path, _MAX_BYTES).decode())
     except OSError as error:
         raise SettingsError(f"cannot be read: {error.strerror}.", file=path) from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise SettingsError(f"is not TOML: {error}.", file=path) from error
+    except ValueError as error:
+        # What Python says of a decimal number of thousands of digits.
+        raise SettingsError(f"{_TOO_MUCH}.", file=path) from error
+
+
+def _json_of(value: object) -> str | None:
+    """A value as JSON, None for one that has no text: too long a number, too deep a nesting."""
+    try:
+        return json.dumps(value, default=str)
+    except (ValueError, RecursionError):
+        return None
+
+
+def _shown(value: object) -> str:
+    """A value for a message of one line."""
+    text = "..." if _json_of(value) is None else repr(value)
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
+
+
+def problem_of(error: ValidationError) -> str:
+    """The first thing that is wrong, without pydantic's word before a message of ours."""
+    return error.errors(include_url=False)[0]["msg"].removeprefix("Value error, ")
 
 
 def _settings_error(
@@ -98,15 +128,17 @@ def _settings_error(
     first = error.errors(include_url=False)[0]
     fields = settings_class.model_fields
     if not first["loc"]:
-        return SettingsError(f"{stage}: {first['msg']}.", file=path)
+        return SettingsError(f"{stage}: {problem_of(error)}.", file=path)
     name = str(first["loc"][0])
     if first["type"] == "extra_forbidden":
         return SettingsError(
-            f"unknown key {stage}.{name}.", file=path, advice=f"Keys: {', '.join(fields)}."
+            f"unknown key {stage}.{name[:_LONGEST_SHOWN]}.",
+            file=path,
+            advice=f"Keys: {', '.join(fields)}.",
         )
     allowed = _allowed(fields[name])
     return SettingsError(
-        f"{stage}.{name} = {given.get(name, first['input'])!r}: {first['msg']}.",
+        f"{stage}.{name} = {_shown(given.get(name, first['input']))}: {problem_of(error)}.",
         file=path,
         advice=f"Allowed: {allowed}." if allowed else "",
     )

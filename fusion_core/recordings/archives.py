@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from fusion_core.model.errors import RecordingError
+from fusion_core.model.regular_file import read_head
 
 # Where an archive is damaged, the piece that is being unpacked is lost.
 _PIECE_BYTES = 4 << 10
@@ -47,8 +48,7 @@ PACKINGS = (Packing("gzip", b"\x1f\x8b\x08", gzip.GzipFile), Packing("bzip2", b"
 
 def packing_of(path: Path) -> Packing | None:
     """How a file is packed, told by its first bytes; None if it is neither gzip nor bzip2."""
-    with path.open("rb") as file:
-        head = file.read(max(len(packing.magic) for packing in PACKINGS))
+    head = read_head(path, max(len(packing.magic) for packing in PACKINGS))
     return next((packing for packing in PACKINGS if head.startswith(packing.magic)), None)
 
 
@@ -59,8 +59,7 @@ def first_bytes(path: Path, count: int) -> bytes:
     """
     packing = packing_of(path)
     if packing is None:
-        with path.open("rb") as plain:
-            return plain.read(count)
+        return read_head(path, count)
     head = b""
     with packing.open(path) as packed:
         while len(head) < count:

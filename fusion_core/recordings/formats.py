@@ -2,10 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording
+from fusion_core.model.regular_file import read_head
 from fusion_core.recordings.carmen.log import is_carmen_log, open_carmen_log
 from fusion_core.recordings.images.frame_folder import frame_layout, open_frame_folder
 from fusion_core.recordings.images.image_folder import is_image_folder, open_image_folder
@@ -28,6 +30,8 @@ READABLE = (
     "depth and colour images: TUM RGB-D, 7-Scenes, Redwood, slambook, or plain rgb/ and depth/."
 )
 _HEAD_BYTES = 512
+# Of a folder around recordings so many are looked into: it may be a whole disk.
+_MOST_CHILDREN = 500
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +98,7 @@ def open_recording(path: Path) -> Recording:
 
 
 def _open_file(path: Path) -> Recording:
-    with path.open("rb") as file:
-        head = file.read(_HEAD_BYTES)
+    head = read_head(path, _HEAD_BYTES)
     if not head:
         raise RecordingError(
             "is empty.", file=path, advice="Copy it again from its source, or record again."
@@ -123,18 +126,23 @@ def _open_folder(path: Path) -> Recording:
     for format in _FOLDER_FORMATS:
         if format.matches(path):
             return format.open(path)
-    inside = sorted(child.name for child in path.iterdir() if _could_be_recording(child))
+    children = sorted(islice(path.iterdir(), _MOST_CHILDREN))
+    inside = list(islice(filter(_could_be_recording, children), 3))
     if inside:
-        problem = f"is a folder around recordings, such as {', '.join(inside[:3])}."
+        names = ", ".join(child.name for child in inside)
+        problem = f"is a folder around recordings, such as {names}."
         raise RecordingError(problem, file=path, advice="Name one of them.")
     raise RecordingError("is a folder without a recording.", file=path, advice=READABLE)
 
 
 def _could_be_recording(path: Path) -> bool:
-    if path.is_dir():
-        return any(format.matches(path) for format in _FOLDER_FORMATS)
-    if not path.is_file():
+    try:
+        if path.is_dir():
+            return any(format.matches(path) for format in _FOLDER_FORMATS)
+        head = read_head(path, _HEAD_BYTES)
+        return any(head.startswith(format.magic) for format in _FILE_FORMATS) or (
+            bool(head) and is_carmen_log(path)
+        )
+    except OSError:
+        # What cannot be looked into is nothing to offer.
         return False
-    with path.open("rb") as file:
-        head = file.read(_HEAD_BYTES)
-    return any(head.startswith(format.magic) for format in _FILE_FORMATS) or is_carmen_log(path)

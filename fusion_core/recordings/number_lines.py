@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from fusion_core.model.errors import RecordingError
+from fusion_core.model.regular_file import open_regular
 from fusion_core.recordings.decimal_time import ns_from_decimal_seconds
 
 # Far beyond any trajectory of a robot; what is larger is another kind of file.
@@ -63,15 +64,12 @@ def number_lines(file: Path, columns: str) -> Iterator[NumberLine]:
     """The lines of a file that are neither empty nor comments.
 
     Raises RecordingError for a line without a word for each of ``columns``, for what is no text,
-    and for a file without lines; OSError where the file cannot be read.
+    and for a file without lines; OSError where the file cannot be read, is no regular file or is
+    larger than 1 GiB.
     """
-    if file.stat().st_size > _MAX_BYTES:
-        raise RecordingError(
-            f"is larger than {_MAX_BYTES} bytes.", file=file, advice=f"Each line holds {columns}."
-        )
     count = len(columns.split())
     empty = True
-    with file.open("rb") as stream:
+    with open_regular(file, _MAX_BYTES) as stream:
         lines = iter(partial(stream.readline, _MAX_LINE_BYTES), b"")
         for number, text in enumerate(lines, start=1):
             line = NumberLine(file, number, columns, _words(text))

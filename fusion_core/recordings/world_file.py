@@ -22,6 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fusion_core.files.atomic import cannot_write, write_text
 from fusion_core.model.errors import RecordingError
+from fusion_core.model.regular_file import read_regular
 from fusion_core.model.world_outline import (
     MeasuredAngle,
     MeasuredLine,
@@ -92,12 +93,11 @@ def read_world(file: Path) -> WorldOutline:
     """Read a world file.
 
     Raises RecordingError, naming the place in the file, for what is no world of this version;
-    OSError where the file cannot be read.
+    OSError where the file cannot be read, is no regular file or is larger than 64 MiB.
     """
-    if file.stat().st_size > _MAX_BYTES:
-        raise RecordingError(f"is larger than {_MAX_BYTES} bytes.", file=file, advice=_ADVICE)
+    content = read_regular(file, _MAX_BYTES)
     try:
-        stated = _World.model_validate_json(file.read_bytes())
+        stated = _World.model_validate_json(content)
     except ValidationError as error:
         raise RecordingError(_first_problem(error), file=file, advice=_ADVICE) from error
     if stated.version != _VERSION:

@@ -32,6 +32,7 @@ from pydantic import model_validator
 
 from fusion_core.model.conventions import BoolArray, FloatArray, read_only
 from fusion_core.model.errors import RegistrationFailed
+from fusion_core.model.seeds import SEED_MAX
 from fusion_core.registration.draws import (
     Draws,
     both_valid,
@@ -52,7 +53,7 @@ from fusion_core.registration.models import (
     point_jacobian,
     residuals,
 )
-from fusion_core.settings import SEED_MAX, StageSettings, setting
+from fusion_core.settings import StageSettings, setting
 
 # The length of an isotropic planar error is Rayleigh distributed: its median over the standard
 # deviation of one axis.

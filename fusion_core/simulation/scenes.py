@@ -6,7 +6,8 @@ from pathlib import Path
 
 from fusion_core.model.errors import SettingsError
 from fusion_core.model.progress import Progress, silent
-from fusion_core.settings import SEED_MAX, StageSettings, setting
+from fusion_core.model.seeds import SEED_MAX
+from fusion_core.settings import StageSettings, setting
 from fusion_core.simulation import arena, buildings, rigs, worlds
 from fusion_core.simulation.depth_camera import DepthNoise
 from fusion_core.simulation.faults import FaultSettings, KidnappedPath

@@ -10,7 +10,8 @@ from pydantic import model_validator
 
 from fusion_core.model.conventions import FloatArray, IntArray, wrap_angle
 from fusion_core.model.planar_poses import compose, move_points
-from fusion_core.settings import SEED_MAX, StageSettings, setting
+from fusion_core.model.seeds import SEED_MAX
+from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.particle_maps import MapWindow, ParticleMaps, add_scan
 from fusion_core.slam.particle_paths import ParticlePaths
 from fusion_core.slam.particle_proposal import MotionModel, log_likelihoods, propose

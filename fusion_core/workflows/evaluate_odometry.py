@@ -8,6 +8,7 @@ import numpy as np
 
 from fusion_core.evaluation.odometry import STRETCH_M, evaluate_odometry
 from fusion_core.evaluation.trajectories import GREATEST_GAP_S
+from fusion_core.evaluation.truth_arrays import UNREADABLE_ARRAYS, read_arrays
 from fusion_core.exporting.manifest import require_as_written
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.errors import ScanLoomError
@@ -108,10 +109,10 @@ def _reference(file: Path) -> Trajectory:
         except OSError as error:
             raise ScanLoomError(f"cannot be read: {error.strerror}.", file=file) from error
     try:
-        with np.load(file, allow_pickle=False) as arrays:
-            stamps_ns: IntArray = np.asarray(arrays["scan_stamp"])
-            poses: FloatArray = np.asarray(arrays["pose"], dtype=np.float64)
-    except (OSError, ValueError, KeyError, EOFError) as error:
+        arrays = read_arrays(file, ("scan_stamp", "pose"))
+        stamps_ns: IntArray = np.asarray(arrays["scan_stamp"])
+        poses: FloatArray = np.asarray(arrays["pose"], dtype=np.float64)
+    except (OSError, KeyError, *UNREADABLE_ARRAYS) as error:
         raise ScanLoomError(
             f"cannot be read as a truth: {error}.",
             file=file,

@@ -26,6 +26,7 @@ import numpy as np
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import SettingsError
 from fusion_core.model.geometry import transform
+from fusion_core.model.regular_file import read_regular
 
 _ADVICE = (
     "Write T_camera_lidar (4 x 4), or R (3 x 3) and t (3, in metres), which map the LiDAR's points "
@@ -34,7 +35,8 @@ _ADVICE = (
 _ROTATION_TOLERANCE = 1e-3
 # No robot is this large: such a length is in millimetres.
 _FARTHEST_M = 10.0
-_LARGEST_BYTES = 1 << 20
+# A hundred cameras take some 20 kB.
+_MAX_BYTES = 1 << 20
 
 
 def read_extrinsics(path: Path) -> dict[str | None, FloatArray]:
@@ -55,11 +57,11 @@ def read_extrinsics(path: Path) -> dict[str | None, FloatArray]:
 
 def _parsed(path: Path) -> dict[str, Any]:
     try:
-        if path.stat().st_size > _LARGEST_BYTES:
-            raise SettingsError("is too large for extrinsics.", file=path, advice=_ADVICE)
-        text = path.read_text("utf-8")
+        text = read_regular(path, _MAX_BYTES).decode()
     except OSError as error:
-        raise SettingsError(f"cannot be read: {error.strerror}.", file=path) from error
+        raise SettingsError(
+            f"cannot be read: {error.strerror}.", file=path, advice=_ADVICE
+        ) from error
     except UnicodeDecodeError as error:
         raise SettingsError("is no text file.", file=path, advice=_ADVICE) from error
     is_json = text.lstrip()[:1] == "{"

@@ -15,8 +15,10 @@ from typing import Any, BinaryIO
 import pytest
 
 from app.cli import main
+from app.resources import sample_path
 from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.workflows.source import RoomChoice
+from tests.hostile.files import write_loop, write_pipe
 
 ROOT = Path(__file__).parents[2]
 INFO = {
@@ -200,6 +202,92 @@ def test_a_number_below_zero_is_wrong_usage(
     shown = capsys.readouterr()
     assert shown.out == ""
     assert shown.err == f"{args[-2]} must be 0 or more, got -1\n"
+
+
+SEED = ["--seed", str(2**63)]
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ["fuse", "a.bag", "-o", "out", *SEED],
+        ["fuse", "a.bag", "-o", "out", "--seed", "9" * 4000],
+        ["fuse", "a.bag", "-o", "out", "--virtual-lidar", "1000000000"],
+        ["fuse", "a.bag", "-o", "out", "--subsession", "0"],
+        ["map", "a.bag", "-o", "out", *SEED],
+        *(["map", "a.bag", "-o", "o", "--clock-offset-ms", n] for n in ("inf", "nan", "1e300")),
+        ["sample", "furnished_room", "-o", "x.mcap", *SEED],
+        ["view", "a.bag", "--port", "65536"],
+        ["info", "a.bag", "--subsession", "-4"],
+        ["convert", "a.bag", "-o", "a.mcap", "--start", "1e300"],
+        ["convert", "a.bag", "-o", "a.mcap", "--end", "inf"],
+        ["evaluate", "alignment", "out", "t.npz", "--clock-offset-ms", "inf"],
+        ["evaluate", "noise", "out", "t.npz", "--lever-arm", "0", "nan", "0"],
+        ["evaluate", "repair", "out", "t.npz", "--pitch", "1e9"],
+        ["evaluate", "trajectory", "a.tum", "b.tum", "--delta", "nan"],
+        ["evaluate", "trajectory", "a.tum", "b.tum", "--greatest-gap", "1e300"],
+        ["evaluate", "map", "m.yaml", "w.json", "--pose", "0", "0", "inf"],
+    ],
+    ids=lambda args: " ".join(args)[:60],
+)
+def test_a_number_out_of_range_is_wrong_usage(
+    args: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(args) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    option = next(arg for arg in args if arg.startswith("--"))
+    assert shown.err.startswith(f"{option} must be ")
+    assert shown.err.count("\n") == 1
+    assert len(shown.err) < 200
+
+
+def test_an_option_without_end_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fuse", "a.bag", "-o", "out", "--seed", "9" * 10_000]) == 2
+    assert capsys.readouterr().err == "an option is longer than 4096 characters\n"
+
+
+@pytest.mark.parametrize("command", ["fuse", "map"])
+def test_an_output_folder_that_leads_to_itself_is_refused(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    loop = write_loop(tmp_path / "loop")
+    assert main([command, str(sample_path()), "-o", str(loop)]) == 1
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        f"{loop}: is not a folder. Name another output folder."
+    )
+    assert main([command, str(sample_path()), "-o", str(loop / "inner")]) == 1
+    assert str(loop) in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ["fuse", str(sample_path()), "-o", "{}/o", "--settings", "{}/pipe"],
+        ["fuse", str(sample_path()), "-o", "{}/o", "--truth", "{}/pipe"],
+        ["map", str(sample_path()), "-o", "{}/o", "--scan", "merged", "--extrinsics", "{}/pipe"],
+        ["evaluate", "alignment", "{}/o", "{}/pipe"],
+        ["evaluate", "trajectory", "{}/pipe", "{}/pipe"],
+        ["evaluate", "relations", "{}/pipe", "{}/pipe"],
+        ["evaluate", "map", "{}/pipe", "{}/pipe"],
+        ["evaluate", "odometry", "{}/o", "{}/pipe"],
+        ["evaluate", "odometry", "{}/o", "{}/pipe.npz"],
+        ["info", "{}/pipe"],
+        ["info", "{}"],
+    ],
+    ids=lambda args: " ".join(args).replace(str(sample_path()), "S"),
+)
+def test_nothing_waits_for_a_pipe(
+    args: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "o").mkdir()
+    (tmp_path / "o" / "trajectory.tum").write_text("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n")
+    for name in ("pipe", "pipe.npz", "pipe.mcap"):
+        write_pipe(tmp_path / name)
+    assert main([arg.format(tmp_path) for arg in args]) == 1
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said.startswith(str(tmp_path))
+    assert "Traceback" not in said
 
 
 def test_info_for_people_and_for_programs(

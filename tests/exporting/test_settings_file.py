@@ -1,6 +1,7 @@
 """Settings as TOML: all of them out, and only what is right in."""
 
 import tomllib
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 from fusion_core.exporting.settings_file import dump_toml, load_toml, read_preset
 from fusion_core.model.errors import SettingsError
 from fusion_core.settings import StageSettings, setting
+from tests.hostile.files import write_pipe
 
 
 class Search(StageSettings):
@@ -121,6 +123,37 @@ def test_what_is_wrong_is_named(path: Path, text: str, words: str) -> None:
     assert words in str(error.value)
     assert str(error.value).startswith(f"{path}: ")
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[search]\ndraws = " + "9" * 10_000, "holds a number of thousands of digits"),
+        ("[search]\ndraws = 0x" + "f" * 10_000, "search.draws = ...: holds a number of thousands"),
+        ("[search]\ndraws = " + "9" * 4_000, "search.draws = 999"),
+        ("[search]\nband = [0x" + "f" * 10_000 + "]", "search.band = ...: holds a number"),
+        ("search = 0x" + "f" * 10_000, "search must be a table, got ..."),
+        ("preset = 0x" + "f" * 10_000, "preset must be text, got ..."),
+        ("[search]\nx" + ".a" * 5_000 + " = 1", "nested too deeply"),
+        ("[search]\n" + "o" * 10_000 + " = 1", "unknown key search.oooo"),
+        ("[" + "o" * 10_000 + "]", "unknown stage 'oooo"),
+    ],
+    ids=lambda text: text[:20],
+)
+def test_numbers_and_names_without_end_are_named_in_short(
+    path: Path, text: str, words: str
+) -> None:
+    path.write_text(text)
+    read = read_preset if text.startswith("preset") else partial(load_toml, stages=STAGES)
+    with pytest.raises(SettingsError) as error:
+        read(path)
+    assert words in str(error.value)
+    assert len(error.value.problem) < 200
+
+
+def test_a_pipe_is_refused_at_once(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="cannot be read: it is no regular file"):
+        read_preset(write_pipe(tmp_path / "pipe"))
 
 
 def test_files_that_cannot_be_read(path: Path) -> None:

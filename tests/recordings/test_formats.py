@@ -9,7 +9,9 @@ from typing import Any
 import pytest
 
 from fusion_core.model.errors import RecordingError
+from fusion_core.recordings import formats
 from fusion_core.recordings.formats import open_recording
+from tests.hostile.files import write_crowd
 
 NO_RECORDINGS = {
     "pairs.relations": (b"1.0 2.0 0.1 0.2 0.3 0 0 0\n", "text file"),
@@ -66,6 +68,24 @@ def test_two_recordings_in_one_folder(tmp_path: Path, build: Callable[[str], Any
     text = refused(tmp_path)
     assert "a.mcap" in text
     assert "sample.bag" in text
+
+
+def test_the_root_of_a_disk_is_a_folder_without_a_name() -> None:
+    with pytest.raises(RecordingError, match="is a folder"):
+        open_recording(Path("/"))
+
+
+def test_a_crowded_folder_is_looked_into_within_limits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked = []
+    could_be = formats._could_be_recording
+    monkeypatch.setattr(
+        formats, "_could_be_recording", lambda path: looked.append(path) or could_be(path)
+    )
+    folder = write_crowd(tmp_path / "crowd", pipes=5, files=600)
+    assert "is a folder without a recording" in refused(folder)
+    assert len(looked) == 500
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no pipes")

@@ -121,7 +121,7 @@ def test_a_huge_file_is_not_read(tmp_path: Path) -> None:
     file = tmp_path / "huge.world.json"
     with file.open("wb") as stream:
         stream.truncate(1 << 32)
-    with pytest.raises(RecordingError, match="is larger than"):
+    with pytest.raises(OSError, match="is larger than"):
         read_world(file)
 
 

@@ -85,5 +85,5 @@ def test_files_that_are_none(tmp_path):
     with pytest.raises(SettingsError, match="no text file"):
         read_extrinsics(tmp_path / "binary")
     (tmp_path / "large").write_bytes(b"# " + b"x" * (1 << 21))
-    with pytest.raises(SettingsError, match="too large"):
+    with pytest.raises(SettingsError, match="larger than 1048576 bytes"):
         read_extrinsics(tmp_path / "large")

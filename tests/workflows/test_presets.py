@@ -6,7 +6,14 @@ import pytest
 
 from fusion_core.exporting.settings_file import dump_toml
 from fusion_core.model.errors import SettingsError
+from fusion_core.workflows.map_settings import map_settings
 from fusion_core.workflows.presets import PRESETS, chain_settings
+from tests.hostile.settings import (
+    NUMBERS,
+    write_number,
+    write_swapped_ends,
+    write_wide_search,
+)
 
 # What Xu 2024 does, with our reading where its text does not decide.
 PUBLISHED = {
@@ -93,6 +100,33 @@ def test_what_a_file_has_wrong_is_named(tmp_path, text, named):
     with pytest.raises(SettingsError, match=named) as failure:
         chain_settings("default", file, None)
     assert failure.value.file == str(file)
+
+
+@pytest.mark.parametrize("number", NUMBERS.values(), ids=NUMBERS)
+def test_a_number_that_the_work_cannot_take_is_refused(tmp_path, number):
+    file = write_number(tmp_path / "s.toml", number)
+    with pytest.raises(SettingsError, match=r"delta_z_min_m|thousands of digits") as failure:
+        chain_settings("default", file, None)
+    assert len(str(failure.value)) < 500
+
+
+def test_the_ends_of_a_range_stay_in_order(tmp_path):
+    file = write_swapped_ends(tmp_path / "s.toml")
+    with pytest.raises(SettingsError, match=r"delta_z_min_m = 2 must be less than delta_z_max_m"):
+        chain_settings("default", file, None)
+
+
+def test_what_several_stages_make_together_is_checked(tmp_path):
+    file = write_wide_search(tmp_path / "s.toml")
+    with pytest.raises(SettingsError, match=r"window_max_m = 100 over .*resolution_m = 0\.01"):
+        map_settings("default", file)
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63])
+def test_a_seed_out_of_range_is_refused(seed):
+    for settings_of in (chain_settings, map_settings):
+        with pytest.raises(SettingsError, match="seed must be from 0 to 9223372036854775807"):
+            settings_of("default", None, seed)
 
 
 def test_a_missing_file_is_named(tmp_path):

@@ -12,6 +12,7 @@ import numpy as np
 from fusion_core.model.conventions import ByteArray, FloatArray
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.geometry import rotation_from_quaternion, transform
+from fusion_core.model.regular_file import read_regular
 from fusion_core.recordings.messages.image_headers import (
     MAX_DECODED_BYTES,
     BadImage,
@@ -29,14 +30,7 @@ _COPY_AGAIN = "Copy it again from its source."
 def read_packed(file: Path) -> bytes:
     """The bytes of an image file."""
     try:
-        # Opening a pipe would wait for its other end.
-        if not file.is_file():
-            raise RecordingError("is no file, or missing.", file=file, advice=_COPY_AGAIN)
-        if file.stat().st_size > _MAX_PACKED_BYTES:
-            raise RecordingError(
-                f"is larger than {_MAX_PACKED_BYTES} bytes.", file=file, advice=_COPY_AGAIN
-            )
-        return file.read_bytes()
+        return read_regular(file, _MAX_PACKED_BYTES)
     except OSError as error:
         raise RecordingError(
             f"cannot be read: {error.strerror or error}.", file=file, advice=_COPY_AGAIN
@@ -142,14 +136,8 @@ def _read_numbers(file: Path) -> FloatArray:
 def read_text(file: Path, max_bytes: int = _MAX_TEXT_BYTES) -> str:
     """The text of a file of at most ``max_bytes``."""
     try:
-        size = file.stat().st_size
-        if size > max_bytes:
-            raise RecordingError(
-                f"holds {size} bytes, too many for a text of its kind ({max_bytes}).",
-                file=file,
-                advice="Check what it holds.",
-            )
-        return file.read_text(encoding="utf-8")
+        # Lines as text files have them, whatever wrote them.
+        return read_regular(file, max_bytes).decode().replace("\r\n", "\n").replace("\r", "\n")
     except OSError as error:
         raise RecordingError(
             f"cannot be read: {error.strerror or error}.",

@@ -19,6 +19,7 @@ import numpy as np
 
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import RecordingError
+from fusion_core.model.regular_file import read_head
 from fusion_core.recordings.robot_at_home.rig import (
     RawScan,
     checked_beam_count,
@@ -161,7 +162,8 @@ def find_plain_text(path: Path) -> PlainTextTree | None:
     for folder in (path, *_inner_session(path)):
         if next(_sequence_files(folder), None) is not None:
             return PlainTextTree(_sessions_around(folder), folder.name)
-    sequence = path.with_name(f"{path.name}.txt")
+    # The root of a disk has no name.
+    sequence = path.parent / f"{path.name}.txt"
     if _is_sequence(sequence):
         return _tree_of_sequence(sequence)
     match = _ROOM_SEQUENCE.match(path.name)
@@ -284,8 +286,7 @@ def _is_sequence(file: Path) -> bool:
     """Whether the first line that is no comment is an observation."""
     if not file.is_file():
         return False
-    with file.open("rb") as stream:
-        head = stream.read(_HEAD_BYTES)
+    head = read_head(file, _HEAD_BYTES)
     for line in head.decode("utf-8", errors="replace").splitlines():
         if line.strip() and not line.lstrip().startswith("#"):
             try:

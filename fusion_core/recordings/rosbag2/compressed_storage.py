@@ -15,6 +15,7 @@ from typing import BinaryIO, Protocol
 import lz4.frame  # type: ignore[import-untyped]  # Ships no type information.
 
 from fusion_core.model.errors import RecordingError
+from fusion_core.model.regular_file import read_head
 from fusion_core.recordings.containers import (
     MAX_CHUNK_BYTES,
     Channel,
@@ -153,8 +154,7 @@ def _has_storage_name(path: Path) -> bool:
 
 
 def _packs_storage(path: Path) -> bool:
-    with path.open("rb") as file:
-        packed = file.read(_PIECE_BYTES)
+    packed = read_head(path, _PIECE_BYTES)
     packing = _DECOMPRESSORS.get(packed[: len(ZSTD_MAGIC)])
     try:
         head = packing().decompress(packed, _HEAD_BYTES) if packing else b""
