@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 # What each folder may import of the project, beside itself.
-BASE = {"fusion_core.model", "fusion_core.settings"}
+BASE = {"fusion_core.model", "fusion_core.settings", "fusion_core.compiled"}
 FILES = {"fusion_core.files"}
 ALGORITHMS = {
     "fusion_core.alignment": BASE,
@@ -33,6 +33,7 @@ ALLOWED: dict[str, set[str]] = {
     "fusion_core.model": set(),
     "fusion_core.settings": {"fusion_core.model"},
     "fusion_core.files": {"fusion_core.model"},
+    "fusion_core.compiled": set(),
     **ALGORITHMS,
     **SIDES,
     "fusion_core.workflows": BASE | FILES | ALGORITHMS.keys() | SIDES.keys(),

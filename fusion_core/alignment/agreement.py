@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import (
     NS_PER_S,
     Float32Array,
@@ -238,7 +238,7 @@ def _turns(angles_rad: FloatArray) -> FloatArray:
     return turns
 
 
-@njit(cache=True)
+@compiled()
 def _tally(
     points: FloatArray,
     first_point: IntArray,

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.lib.stride_tricks import sliding_window_view
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
 
 PEARSON, COSINE, INVERSE_COSINE, EUCLIDEAN = range(4)
@@ -86,7 +86,7 @@ def _centred(curves: FloatArray) -> _Centred:
 
 
 # Sums in any order, so that they are vectorised; not-a-number keeps its meaning.
-@njit(cache=True, error_model="numpy", fastmath={"reassoc"})
+@compiled(error_model="numpy", fastmath={"reassoc"})
 def _centre_rows(
     curves: FloatArray,
 ) -> tuple[FloatArray, BoolArray, IntArray, FloatArray, FloatArray]:
@@ -118,7 +118,7 @@ def _cumulative(values: FloatArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(values, dtype=np.float64)])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _score_rows(
     along: _Centred,
     cumulative: FloatArray,
@@ -162,7 +162,7 @@ def _score_rows(
     return field, overlap
 
 
-@njit(cache=True)
+@compiled()
 def _subtract_run(sums: FloatArray, cumulative: FloatArray, start: int, end: int) -> None:
     """Take from the sum at each offset what lies in a run [start, end) that moves with it."""
     upto_start = cumulative[start : start + sums.size]
@@ -171,7 +171,7 @@ def _subtract_run(sums: FloatArray, cumulative: FloatArray, start: int, end: int
         sums[u] -= upto_end[u] - upto_start[u]
 
 
-@njit(cache=True)
+@compiled()
 def _sum_curve(
     cumulative: FloatArray,
     windows: FloatArray,
@@ -188,7 +188,7 @@ def _sum_curve(
         _subtract_run(sum_ll, cumulative[2], holes[k, 0], holes[k, 1])
 
 
-@njit(cache=True)
+@compiled()
 def _sum_row(row: FloatArray, holes: IntArray, sum_d: FloatArray, sum_dd: FloatArray) -> None:
     """ΣD, ΣD² at each offset: those of the whole row less those below the curve's holes.
 
@@ -218,7 +218,7 @@ def _sum_row(row: FloatArray, holes: IntArray, sum_d: FloatArray, sum_dd: FloatA
             _subtract_run(sum_dd[first:last], below_squares, at_start, at_end)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _pearson(sums: tuple[FloatArray, ...], flat_d: float, flat_l: float, out: FloatArray) -> None:
     """Xu 2024 eq. (2)."""
     n, sum_d, sum_dd, sum_l, sum_ll, sum_dl = sums
@@ -231,7 +231,7 @@ def _pearson(sums: tuple[FloatArray, ...], flat_d: float, flat_l: float, out: Fl
         out[u] = score if (spread_d > flat_d) & (spread_l > flat_l) else np.nan
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _about_zero(
     kind: int,
     sums: tuple[FloatArray, ...],

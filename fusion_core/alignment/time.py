@@ -9,8 +9,8 @@ measured from neighbouring scans alone: no odometry is needed.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import NS_PER_S, FloatArray
 from fusion_core.model.sensors import LaserScan
 from fusion_core.settings import StageSettings, setting
@@ -92,7 +92,7 @@ def parabola_offset(values: FloatArray, best: int) -> float:
     return float(np.clip(0.5 * (left - right) / curvature, -0.5, 0.5))
 
 
-@njit(cache=True)
+@compiled()
 def _shift_costs(first: FloatArray, second: FloatArray, reach: int) -> FloatArray:
     """Mean capped range difference of second[i] and first[i + s] for s in -reach..reach."""
     beams = first.size

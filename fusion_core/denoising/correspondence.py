@@ -11,8 +11,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import (
     BoolArray,
     Float32Array,
@@ -281,7 +281,7 @@ def _column_in_view(
     return in_view
 
 
-@njit(cache=True)
+@compiled()
 def _follow_rays(
     azimuth_rad: FloatArray,
     depth_m: Float32Array,

@@ -1,8 +1,8 @@
 """What supports a beam or a pixel: neighbours of its own surface, beside it and in time."""
 
 import numpy as np
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import Float32Array, FloatArray, IntArray
 
 # Within so many beams the camera must see an edge for a beam to be its mixed pixel. How far off
@@ -12,7 +12,7 @@ _EDGE_BEAMS = 2
 _OFF_EDGE_SHARE = 0.7
 
 
-@njit(cache=True)
+@compiled()
 def count_beam_support(
     ranges: FloatArray,
     in_time: FloatArray,
@@ -77,7 +77,7 @@ def count_beam_support(
     return support, neighbours
 
 
-@njit(cache=True)
+@compiled()
 def _between_surfaces(ranges: FloatArray, beam: int, tolerance: float) -> bool:
     """Whether a beam, alone or with one like it beside it, steps from one surface to another.
 
@@ -98,7 +98,7 @@ def _between_surfaces(ranges: FloatArray, beam: int, tolerance: float) -> bool:
     return False
 
 
-@njit(cache=True)
+@compiled()
 def _between_seen(seen: FloatArray, beam: int, own: float, tolerance: float) -> bool:
     """Whether the camera sees an edge at a beam whose range lies on neither of its sides."""
     low, high = np.inf, -np.inf
@@ -111,7 +111,7 @@ def _between_seen(seen: FloatArray, beam: int, own: float, tolerance: float) -> 
     return low < own < high
 
 
-@njit(cache=True)
+@compiled()
 def count_pixel_support(
     depth: Float32Array, rows: IntArray, columns: IntArray, share: float
 ) -> tuple[IntArray, IntArray]:

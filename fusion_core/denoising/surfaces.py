@@ -7,8 +7,8 @@ the pixel, so each fit is linear.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import BoolArray, Float32Array, FloatArray, IntArray
 
 # A wall is fitted over at most this many beams to either side of one.
@@ -39,7 +39,7 @@ def smoothed_ranges(
     return SmoothRanges(range_m=smooth, error_m=error)
 
 
-@njit(cache=True)
+@compiled()
 def _smooth(
     azimuth_rad: FloatArray, range_m: FloatArray, sigma_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -145,7 +145,7 @@ def _end_points(
     return total / count[:, np.newaxis]
 
 
-@njit(cache=True)
+@compiled()
 def image_planes(
     depth: Float32Array,
     rows: IntArray,
@@ -198,7 +198,7 @@ def image_planes(
     return out
 
 
-@njit(cache=True)
+@compiled()
 def _fit_inverse_plane(
     values: FloatArray, du: FloatArray, dv: FloatArray, middle: float, edge_m: float
 ) -> tuple[float, float]:

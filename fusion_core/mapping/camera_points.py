@@ -1,8 +1,8 @@
 """From a depth image to the cloud of what a robot can run into (Li 2022 §2.2, steps 1 and 2)."""
 
 import numpy as np
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.mapping.virtual_scan import VirtualScanSettings
 from fusion_core.mapping.voxel_cloud import VoxelCloud
 from fusion_core.model.conventions import Float32Array, FloatArray
@@ -42,7 +42,7 @@ def camera_cloud(
     return cloud.points_m()
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _points_in_band(
     depth_m: Float32Array,
     lens: tuple[float, float, float, float],

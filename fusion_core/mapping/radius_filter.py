@@ -1,8 +1,8 @@
 """The radius filter of point clouds: what stands alone is noise."""
 
 import numpy as np
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
 
 # A cell's number holds three indexes of 21 bits.
@@ -34,7 +34,7 @@ def has_neighbours(
     return found
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _supported(
     points_m: FloatArray,
     cloud_m: FloatArray,

@@ -7,14 +7,12 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
 
-# numba ships no types, so its decorator is untyped for mypy.
 
-
-@njit(cache=True)
+@compiled()
 def trace_ray(x0: float, y0: float, x1: float, y1: float, cells: IntArray) -> int:
     """Write the cells on the segment (x0, y0)-(x1, y1) to ``cells`` in order, return their count.
 
@@ -46,7 +44,7 @@ def trace_ray(x0: float, y0: float, x1: float, y1: float, cells: IntArray) -> in
     return count
 
 
-@njit(cache=True)
+@compiled()
 def update_cells(
     log_odds: FloatArray,
     updated_in_scan: npt.NDArray[np.int32],

@@ -26,9 +26,9 @@ before its robot. An angle in which nothing was met is NaN.
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
+from fusion_core.compiled import compiled
 from fusion_core.mapping.radius_filter import has_neighbours
 from fusion_core.model.conventions import BoolArray, FloatArray, wrap_angle
 from fusion_core.model.sensors import LaserScan
@@ -247,7 +247,7 @@ def nearest_per_angle(
     return nearest_m
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _nearest(
     ranges_m: FloatArray,
     after_first_rad: FloatArray,

@@ -12,8 +12,8 @@ bound finds their maximum without visiting them all. It is what brute force find
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import ByteArray, FloatArray, IntArray, read_only, wrap_angle
 from fusion_core.model.errors import RegistrationFailed
 from fusion_core.registration.likelihood_grid import FULL, LikelihoodPyramid
@@ -221,7 +221,7 @@ def _pose(
     return np.array([x, y, float(wrap_angle(lattice.yaw_rad[turn]))])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _cells(
     points_m: FloatArray, yaw_rad: FloatArray, x_m: float, y_m: float, resolution_m: float
 ) -> IntArray:
@@ -236,7 +236,7 @@ def _cells(
     return cells
 
 
-@njit(cache=True)
+@compiled()
 def total_score(grid: ByteArray, cells: IntArray, row: int, column: int) -> int:
     """Sum of the grid's values at cells (n, 2), all moved by (row, column); 0 outside."""
     rows, columns = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])
@@ -249,7 +249,7 @@ def total_score(grid: ByteArray, cells: IntArray, row: int, column: int) -> int:
     return total
 
 
-@njit(cache=True)
+@compiled()
 def _top_blocks(levels: ByteArray, cells: IntArray, reach: int, floor: int) -> IntArray:
     """(B, 4) turn, row, column, bound of the top level's blocks above ``floor``, best first."""
     top = levels.shape[0] - 1
@@ -268,7 +268,7 @@ def _top_blocks(levels: ByteArray, cells: IntArray, reach: int, floor: int) -> I
     return blocks[:count][np.argsort(-blocks[:count, 3], kind="mergesort")]
 
 
-@njit(cache=True)
+@compiled()
 def _branch_and_bound(
     levels: ByteArray, cells: IntArray, reach: int, blocks: IntArray, floor: int
 ) -> tuple[int, int, int, int, int]:
@@ -319,7 +319,7 @@ def _branch_and_bound(
     return best[0], best[1], best[2], best[3], visited
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _spread(
     levels: ByteArray,
     cells: IntArray,

@@ -9,8 +9,8 @@ cell, the largest value of the 2ʰ x 2ʰ cells from there on (Hess et al. 2016, 
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import ByteArray, FloatArray, read_only
 
 FULL = 255
@@ -83,7 +83,7 @@ def likelihood_pyramid(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _draw(
     grid: ByteArray,
     points_m: FloatArray,
@@ -107,7 +107,7 @@ def _draw(
                     grid[r, c] = value
 
 
-@njit(cache=True)
+@compiled()
 def _block_maxima(below: ByteArray, grid: ByteArray, half: int) -> None:
     """A block of 2 half cells is four blocks of half as many."""
     rows, columns = grid.shape

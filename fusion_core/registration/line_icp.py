@@ -6,8 +6,8 @@ pose drift. Such a direction is found by comparing the two, and the pose is left
 """
 
 import numpy as np
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.registration.line_pairs import (
     LinePairs,
@@ -39,7 +39,7 @@ _FEIGNED = 16.0
 _ROUNDING = 1e-10
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def align(
     reference: PolarScan,
     lines: LocalLines,
@@ -82,7 +82,7 @@ def align(
     return pose, pairs, iterations_max, False, scale
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _step(
     pairs: LinePairs,
     reference: PolarScan,
@@ -134,7 +134,7 @@ def _step(
     return step, float(step @ (information @ step))
 
 
-@njit(cache=True)
+@compiled()
 def add_feigned(
     feigned: FloatArray, x_m: float, y_m: float, normal_x: float, normal_y: float, weight: float
 ) -> None:
@@ -145,7 +145,7 @@ def add_feigned(
             feigned[i, j] += weight * row[i] * row[j]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def open_directions(
     information: FloatArray, feigned: FloatArray, lever_m: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:

@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.registration.local_lines import (
     LEAST_INCIDENCE_COS,
@@ -39,13 +39,13 @@ class LinePairs(NamedTuple):
     weight_per_m2: FloatArray
 
 
-@njit(cache=True)
+@compiled()
 def no_pairs(count: int) -> LinePairs:
     """Room for the pairs of ``count`` beams."""
     return LinePairs(np.full(count, -1), np.zeros(count), np.ones(count), np.ones(count))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def pair_up(
     pairs: LinePairs,
     reference: PolarScan,
@@ -98,7 +98,7 @@ def pair_up(
         pairs.weight_per_m2[i] = 1.0 / (point_variance + density * beam_variance)
 
 
-@njit(cache=True)
+@compiled()
 def drop_duplicates(pairs: LinePairs, reference_count: int, stride: int) -> None:
     """Of the points that share a partner, keep the one nearest to its line (Censi 2008)."""
     owner = np.full(reference_count, -1)
@@ -115,7 +115,7 @@ def drop_duplicates(pairs: LinePairs, reference_count: int, stride: int) -> None
         owner[j] = i
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def trim(
     pairs: LinePairs, sigmas: float, last_limit: float, stride: int
 ) -> tuple[int, float, float]:

@@ -9,8 +9,8 @@ from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.registration.polar_correspondence import PolarScan
 
@@ -64,7 +64,7 @@ def range_sigma_m(scan: PolarScan) -> float:
     return min(max(third / (0.4307 * sqrt(6.0)), SIGMA_FLOOR_M), SIGMA_CEILING_M)
 
 
-@njit(cache=True)
+@compiled()
 def _bends(scan: PolarScan) -> FloatArray:
     """Size of r² (1/r₋ + 1/r₊ - 2 cos(dθ)/r) at each beam between two valid neighbours."""
     count = scan.range_m.size
@@ -80,7 +80,7 @@ def _bends(scan: PolarScan) -> FloatArray:
     return bends[:found].copy()
 
 
-@njit(cache=True)
+@compiled()
 def crossing_share(scan: PolarScan, lines: LocalLines, line: int, beam: int) -> float:
     """Share of a beam's range noise that lies across a line."""
     along = lines.normal_x[line] * scan.cos[beam] + lines.normal_y[line] * scan.sin[beam]
@@ -88,7 +88,7 @@ def crossing_share(scan: PolarScan, lines: LocalLines, line: int, beam: int) -> 
     return share
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def local_lines(scan: PolarScan, sigma_m: float) -> LocalLines:
     """Lines of a sweep whose ranges have the standard deviation ``sigma_m``."""
     count = scan.range_m.size
@@ -117,7 +117,7 @@ def local_lines(scan: PolarScan, sigma_m: float) -> LocalLines:
     return lines
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _straightest(
     sums: FloatArray, scan: PolarScan, k: int, half: int, margin: int, sigma_m: float
 ) -> int:
@@ -136,7 +136,7 @@ def _straightest(
     return k - 2 * half if left < right else k
 
 
-@njit(cache=True)
+@compiled()
 def _running_sums(scan: PolarScan, margin: int) -> FloatArray:
     """(M + 2 margin + 1, 5) sums of x, y, xx, xy, yy, from ``margin`` beams before the first."""
     count = scan.range_m.size
@@ -152,7 +152,7 @@ def _running_sums(scan: PolarScan, margin: int) -> FloatArray:
     return sums
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _moments(
     sums: FloatArray, first: int, size: int, margin: int
 ) -> tuple[float, float, float, float, float]:
@@ -166,7 +166,7 @@ def _moments(
     return x, y, xx, xy, yy
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _misfit(
     sums: FloatArray, scan: PolarScan, k: int, first: int, size: int, margin: int, sigma_m: float
 ) -> float:
@@ -190,7 +190,7 @@ def _misfit(
     return misfit
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _keep(
     lines: LocalLines,
     sums: FloatArray,

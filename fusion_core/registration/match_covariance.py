@@ -13,8 +13,8 @@ neighbours, so their residuals err together: dg/dz is summed up by range before 
 from math import erf, exp, pi, sqrt
 
 import numpy as np
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import FloatArray
 from fusion_core.registration.line_icp import add_feigned, open_directions
 from fusion_core.registration.line_pairs import LinePairs
@@ -35,7 +35,7 @@ def trimmed_variance(sigmas: float) -> float:
     return 1.0 - 2.0 * sigmas * density / erf(sigmas / sqrt(2.0))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def match_covariance(
     pairs: LinePairs,
     reference: PolarScan,
@@ -113,7 +113,7 @@ def match_covariance(
     return covariance, opened.T * scale, lever_m
 
 
-@njit(cache=True)
+@compiled()
 def _add_square(matrix: FloatArray, row: FloatArray, weight: float) -> None:
     """Add weight · row rowᵀ to (3, 3)."""
     for a in range(3):

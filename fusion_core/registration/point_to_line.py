@@ -9,8 +9,8 @@ eliminated; the Lagrange multiplier of the rest is the largest root of a quartic
 """
 
 import numpy as np
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import FloatArray
 
 # Newton from the right of the largest root: the early steps take off a quarter, the last square.
@@ -34,7 +34,7 @@ def best_motion(
     return motion
 
 
-@njit(cache=True)
+@compiled()
 def add_pair(
     normal_matrix: FloatArray,
     right_side: FloatArray,
@@ -56,7 +56,7 @@ def add_pair(
             normal_matrix[i, j] += scaled * row[j]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def solve(normal_matrix: FloatArray, right_side: FloatArray) -> FloatArray:
     """(3,) x, y, theta from the sums of ``add_pair``; NaN where the translation is open."""
     m, g = normal_matrix, right_side
@@ -81,7 +81,7 @@ def solve(normal_matrix: FloatArray, right_side: FloatArray) -> FloatArray:
     return np.array([px - qx0 * c - qx1 * s, py - qy0 * c - qy1 * s, np.arctan2(s, c)])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _on_circle(s00: float, s01: float, s11: float, b0: float, b1: float) -> tuple[float, float]:
     """The u on the unit circle that minimises uᵀ S u - 2 b · u.
 

@@ -8,8 +8,8 @@ where no beam can be: the answer is exact, and costs a few beams instead of all.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.sweep import WIDEST_SWEEP_RAD
 
@@ -64,7 +64,7 @@ def polar_scan(ranges_m: FloatArray, angle_min_rad: float, angle_increment_rad: 
     return prepared
 
 
-@njit(cache=True)
+@compiled()
 def _prepare(ranges_m: FloatArray, clockwise: bool, start_rad: float, step_rad: float) -> PolarScan:
     count = ranges_m.size
     beam = np.empty(count, dtype=np.int64)
@@ -97,7 +97,7 @@ def _prepare(ranges_m: FloatArray, clockwise: bool, start_rad: float, step_rad: 
     )
 
 
-@njit(cache=True)
+@compiled()
 def _steps_to_next(range_m: FloatArray, sign: float, direction: int) -> IntArray:
     """(M,) steps in ``direction`` to the next beam with sign · range larger; M where none is."""
     count = range_m.size
@@ -120,7 +120,7 @@ def _steps_to_next(range_m: FloatArray, sign: float, direction: int) -> IntArray
     return steps
 
 
-@njit(cache=True)
+@compiled()
 def nearest(scan: PolarScan, x_m: float, y_m: float, squared_limit_m2: float) -> tuple[int, float]:
     """Index below M of the point nearest to a place in the sensor's frame; its squared distance.
 

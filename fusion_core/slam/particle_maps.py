@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.mapping.rays import trace_ray
 from fusion_core.model.conventions import ByteArray, FloatArray, IntArray, read_only
 from fusion_core.model.errors import MappingFailed
@@ -154,7 +154,7 @@ class ParticleMaps:
         self._first_row, self._first_column = first_row, first_column
 
 
-@njit(cache=True)
+@compiled()
 def _gather(
     pool: ByteArray,
     table: Int32Array,
@@ -183,7 +183,7 @@ def _gather(
                     occupancy[row, column] = values[cell]
 
 
-@njit(cache=True)
+@compiled()
 def _changed_tiles(
     pool: ByteArray,
     table: Int32Array,
@@ -213,7 +213,7 @@ def _changed_tiles(
     return count
 
 
-@njit(cache=True)
+@compiled()
 def add_scan(cells: ByteArray, origin: FloatArray, hits: FloatArray, ends: FloatArray) -> None:
     """Add a scan to a window: obstacle at ``hits``, free on the ways to ``ends``.
 
@@ -237,7 +237,7 @@ def add_scan(cells: ByteArray, origin: FloatArray, hits: FloatArray, ends: Float
                 cells[row, column] = _moved(cells[row, column], -_MISS)
 
 
-@njit(cache=True)
+@compiled()
 def _moved(cell: int, steps: int) -> int:
     before = _EVEN if cell == UNKNOWN else int(cell)
     return min(max(before + steps, _LOWEST), _HIGHEST)

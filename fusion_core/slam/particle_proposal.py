@@ -20,8 +20,8 @@ cell as its factor, and two particles' η can be compared.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import ByteArray, FloatArray, read_only, wrap_angle
 from fusion_core.slam.scan_to_grid import (
     INFORMATION_OF_A_SCAN,
@@ -181,7 +181,7 @@ def gaussian_about(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def log_likelihoods(
     occupancy: ByteArray,
     left_m: float,

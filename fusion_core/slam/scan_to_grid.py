@@ -12,8 +12,8 @@ row 0 at the smallest y; its corner is the outer corner of cell (0, 0).
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import ByteArray, FloatArray, read_only, wrap_angle
 
 FULL = 255.0
@@ -90,7 +90,7 @@ def match_scan(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def best_of_window(
     grid: ByteArray,
     left_m: float,
@@ -140,7 +140,7 @@ def best_of_window(
     return best_pose
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def interpolate(grid: ByteArray, x: float, y: float, out: FloatArray) -> None:
     """M and its slope in x and in y, per cell, into ``out`` (3,); x, y in cells from the corner.
 
@@ -187,7 +187,7 @@ def interpolate(grid: ByteArray, x: float, y: float, out: FloatArray) -> None:
         out[k] /= FULL
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _gauss_newton(
     grid: ByteArray,
     left_m: float,

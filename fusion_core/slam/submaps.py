@@ -10,9 +10,9 @@ from typing import Self
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 from pydantic import model_validator
 
+from fusion_core.compiled import compiled
 from fusion_core.mapping.rays import update_cells
 from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray, IntArray, read_only
 from fusion_core.model.planar_poses import move_points
@@ -190,7 +190,7 @@ def _log_odds(probability: float) -> float:
     return float(np.log(probability / (1.0 - probability)))
 
 
-@njit(cache=True)
+@compiled()
 def _refresh(
     occupancy: ByteArray, log_odds: FloatArray, updated_in_scan: npt.NDArray[np.int32], scan: int
 ) -> None:

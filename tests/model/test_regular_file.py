@@ -1,6 +1,7 @@
 """Only regular files of a bounded size are read, and opening never waits."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -43,12 +44,11 @@ def test_a_file_that_states_no_size_is_read_up_to_the_limit() -> None:
         read_regular(path, 9)
 
 
-@pytest.mark.parametrize(
-    "read", [lambda path: read_regular(path, 9), lambda path: read_head(path, 9)]
-)
-def test_what_is_no_file_is_refused_at_once(tmp_path: Path, read) -> None:
-    places = [write_pipe(tmp_path / "pipe"), tmp_path, Path(os.devnull)]
-    for path in places:
+@pytest.mark.parametrize("read", [read_regular, read_head])
+def test_what_is_no_file_is_refused_at_once(
+    tmp_path: Path, read: Callable[[Path, int], bytes]
+) -> None:
+    for path in (write_pipe(tmp_path / "pipe"), tmp_path, Path(os.devnull)):
         with pytest.raises(OSError, match="no regular file"):
             read(path, 9)
     with pytest.raises(OSError, match="symbolic links"):

@@ -7,7 +7,8 @@ take turns: the length of each, and for a value its zigzag difference from the l
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from fusion_core.compiled import compiled
 
 _WORD_BYTES = 4
 _NIBBLES_IN_WORD = 8
@@ -25,7 +26,7 @@ def decompress(stream: bytes, pixel_count: int) -> npt.NDArray[np.uint16]:
     return pixels
 
 
-@njit(cache=True)
+@compiled()
 def _decompress(words: npt.NDArray[np.uint32], pixels: npt.NDArray[np.uint16]) -> int:
     """Fill ``pixels``, zeros so far; how many of them the words hold."""
     zeros: int
@@ -51,7 +52,7 @@ def _decompress(words: npt.NDArray[np.uint32], pixels: npt.NDArray[np.uint16]) -
     return at
 
 
-@njit(cache=True)
+@compiled()
 def _number(words: npt.NDArray[np.uint32], place: int) -> tuple[int, int]:
     """The number at a nibble's place and the place behind it; -1 where there is none."""
     number = 0
