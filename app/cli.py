@@ -22,6 +22,7 @@ from app.evaluate_commands import Evaluate
 from app.interruption import Terminated, termination
 from app.terminal import printable, progress_on_stderr
 from fusion_core.model.errors import ScanLoomError
+from fusion_core.model.names import readable_values
 
 # As long as a path may be; longer numbers Python refuses to read.
 _LONGEST_ARGUMENT = 4096
@@ -79,7 +80,9 @@ def _run(args: Sequence[str]) -> int:
     if report is None:
         return _DONE
     if command.json:
-        sys.stdout.write(json.dumps(report.result, indent=2, allow_nan=False) + "\n")
+        sys.stdout.write(
+            json.dumps(readable_values(report.result), indent=2, allow_nan=False) + "\n"
+        )
     else:
         sys.stdout.writelines(f"{printable(line)}\n" for line in report.lines)
     return _FAILED if report.failed else _DONE

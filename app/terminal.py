@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from fusion_core.model.names import readable
 from fusion_core.model.progress import Progress
 
 
@@ -15,7 +16,8 @@ def printable(text: str) -> str:
     Topic and file names come out of recordings, and a terminal obeys escape sequences.
     """
     return "".join(
-        char if char.isprintable() else char.encode("unicode_escape").decode() for char in text
+        char if char.isprintable() else char.encode("unicode_escape").decode()
+        for char in readable(text)
     )
 
 

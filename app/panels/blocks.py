@@ -2,6 +2,8 @@
 
 import html
 
+from fusion_core.model.names import readable
+
 _BOX = (
     "width:100%;box-sizing:border-box;border:1px solid #c4ccd6;border-radius:4px;padding:0.4em;"
     "font-family:ui-monospace,monospace;font-size:0.8em;resize:vertical;"
@@ -14,7 +16,7 @@ def paragraph(text: str) -> str:
     """A paragraph of small text."""
     return (
         "<div style='padding:0.2em 0.5em;font-size:0.85em;overflow-wrap:anywhere'>"
-        f"{html.escape(text)}</div>"
+        f"{html.escape(readable(text))}</div>"
     )
 
 
@@ -23,5 +25,5 @@ def text_box(text: str) -> str:
     rows = min(2 + len(text) // 60, 8)
     return (
         f"<div style='padding:0.2em 0.5em'><textarea readonly spellcheck='false' rows='{rows}' "
-        f"style='{_BOX}'>{html.escape(text)}</textarea></div>"
+        f"style='{_BOX}'>{html.escape(readable(text))}</textarea></div>"
     )

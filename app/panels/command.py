@@ -1,9 +1,11 @@
 """The commands that do what the Map panel does, to copy: ``scanloom fuse`` and ``scanloom map``."""
 
+import os
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
+from fusion_core.model.names import readable
 from fusion_core.workflows.build_map import MapOptions
 from fusion_core.workflows.session import FuseOptions
 
@@ -11,7 +13,7 @@ from fusion_core.workflows.session import FuseOptions
 def fuse_command(recording: Path, output: Path, options: FuseOptions) -> str:
     """A line for a POSIX shell that gives ``options`` to ``scanloom fuse``."""
     words = ["scanloom", "fuse", str(recording), "--output", str(output), *_words(options)]
-    return shlex.join(words)
+    return " ".join(map(_quoted, words))
 
 
 def map_command(recording: Path, output: Path, options: MapOptions) -> str:
@@ -35,7 +37,16 @@ def map_command(recording: Path, output: Path, options: MapOptions) -> str:
     words += [f"{option}={value}" for option, value in named if value is not None]
     switches = (("--force", options.force), ("--overwrite", options.overwrite))
     words += [switch for switch, is_on in switches if is_on]
-    return shlex.join(words)
+    return " ".join(map(_quoted, words))
+
+
+def _quoted(word: str) -> str:
+    """One word for the shell; what is no UTF-8 in a path as bytes, as bash and zsh read them."""
+    if readable(word) == word:
+        return shlex.quote(word)
+    raw = os.fsencode(word)
+    plain = (chr(b) if 0x20 <= b < 0x7F and chr(b) not in "'\\" else f"\\x{b:02x}" for b in raw)
+    return f"$'{''.join(plain)}'"
 
 
 def _words(options: FuseOptions) -> Iterator[str]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from app.state.opened import Opened
 from app.state.view import View
 from fusion_core.model.errors import RecordingError
+from fusion_core.model.names import readable
 from fusion_core.model.recording import Recording
 from fusion_core.workflows.session import FuseOptions, Session, open_session
 from fusion_core.workflows.source import open_source
@@ -31,9 +32,9 @@ class Library:
 
     def __init__(self, recordings: list[Path], roots: list[Path]) -> None:
         # Unlike resolve, realpath knows what to do with a link that leads to itself.
-        self._named = {path.name: Path(os.path.realpath(path)) for path in recordings}
+        self._named = {readable(p.name): Path(os.path.realpath(p)) for p in recordings}
         if len(self._named) < len(recordings):
-            self._named = {str(path): Path(os.path.realpath(path)) for path in recordings}
+            self._named = {readable(str(p)): Path(os.path.realpath(p)) for p in recordings}
         self._roots = [Path(os.path.realpath(root)) for root in roots]
         self._lock = threading.Lock()
         self._closed = False
@@ -46,9 +47,9 @@ class Library:
         """What may be opened, by the name that ``open`` takes."""
         found = dict.fromkeys(self._named)
         for root in self._roots:
-            for child in sorted(root.iterdir())[:_MAX_LISTED]:
+            for child in _listed(root):
                 if not child.name.startswith("."):
-                    found[child.name] = None
+                    found[readable(child.name)] = None
         return list(found)
 
     def open(self, view: View, seen_by: Hashable = None) -> Opened:
@@ -117,6 +118,9 @@ class Library:
                 path = (root / name).resolve()
                 if path != root and path.is_relative_to(root) and path.exists():
                     return path
+                for child in _listed(root):
+                    if child.name != name and readable(child.name) == name:
+                        return self.path(child.name)
             except (OSError, RuntimeError, ValueError):
                 # A name that no file can have, or a link that leads to itself.
                 continue
@@ -142,6 +146,10 @@ class Library:
         needed = {key.path for key in self._opened}
         unused = [f.path for f in self._files.values() if not f.users and f.path not in needed]
         return opened, [self._files.pop(path) for path in unused]
+
+
+def _listed(root: Path) -> list[Path]:
+    return sorted(root.iterdir())[:_MAX_LISTED]
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.errors import ScanLoomError
-from fusion_core.model.regular_file import read_regular
+from fusion_core.model.regular_file import open_regular, read_regular
 
 MISSING = -1
 """Stands for null in integer columns, which have no NaN."""
@@ -157,7 +157,9 @@ def read_frames(folder: FuseFolder) -> Frames:
     """frames.csv: one row for each depth image, in the file's order."""
     file = folder.path / "frames.csv"
     try:
-        table = pyarrow.csv.read_csv(file)
+        # Streams, since Arrow takes no path that is no UTF-8.
+        with open_regular(file) as stream:
+            table = pyarrow.csv.read_csv(stream)
     except (OSError, pa.ArrowInvalid) as error:
         raise ScanLoomError(f"cannot be read: {error}.", file=file, advice=_ADVICE) from error
     columns = dict(zip(table.column_names, table.columns, strict=True))
@@ -184,7 +186,7 @@ def read_samples(folder: FuseFolder) -> Iterator[Samples]:
     file = folder.path / "samples.parquet"
     wanted = tuple(field.name for field in fields(Samples))
     try:
-        with pq.ParquetFile(file) as parquet:
+        with open_regular(file) as stream, pq.ParquetFile(stream) as parquet:
             _require(dict.fromkeys(parquet.schema_arrow.names), wanted, file)
             for batch in parquet.iter_batches(batch_size=_BATCH_ROWS, columns=list(wanted)):
                 yield _samples(folder, dict(zip(wanted, batch.select(wanted), strict=True)), file)

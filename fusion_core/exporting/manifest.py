@@ -16,6 +16,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Self
 
 from fusion_core.model.errors import ExportError, RecordingError, ScanLoomError
+from fusion_core.model.names import readable
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.regular_file import open_regular
 
@@ -163,8 +164,8 @@ def digest_input(path: Path, progress: Progress = silent) -> InputDigest:
 
     Raises RecordingError where it cannot be read.
     """
-    name = path.resolve().name
-    files = {below: path / below for below in files_below(path)} or {name: path}
+    name = readable(path.resolve().name)
+    files = {readable(below): path / below for below in files_below(path)} or {name: path}
     sha256 = {}
     try:
         total = sum(file.stat().st_size for file in files.values())

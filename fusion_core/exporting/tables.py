@@ -13,7 +13,8 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from fusion_core.files.atomic import atomic_path, atomic_stream
+from fusion_core.files.atomic import atomic_stream
+from fusion_core.model.names import readable
 
 
 class CsvTable:
@@ -59,7 +60,7 @@ def _field(value: object) -> str:
     if isinstance(value, float | np.floating):
         # str, not repr: numpy's scalars of any width then give their own shortest digits.
         return "" if np.isnan(value) else str(value)
-    text = str(value)
+    text = readable(str(value))
     if "\r" in text:
         # The csv module would leave it unquoted, and a reader would end the row there.
         raise ValueError(f"a field cannot hold a carriage return: {text!r}")
@@ -85,9 +86,10 @@ class ParquetTable:
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
-        aside = self._stack.enter_context(atomic_path(self._path))
+        # A stream, since Arrow takes no path that is no UTF-8.
+        stream = self._stack.enter_context(atomic_stream(self._path))
         self._writer = self._stack.enter_context(
-            pq.ParquetWriter(aside, self._schema, compression="zstd")
+            pq.ParquetWriter(stream, self._schema, compression="zstd")
         )
         self._stack.push(self._write_rest)
         return self

@@ -2,20 +2,22 @@
 
 from pathlib import Path
 
+from fusion_core.model.names import readable
+
 
 class ScanLoomError(Exception):
     """A failure that a person can act on: what is wrong, in which file, and what to do.
 
-    ``str(error)`` is one line; ``file`` and ``advice`` go into ``--json`` output.
+    ``str(error)`` is one line; ``file`` and ``advice`` go into ``--json`` output. All are readable.
     """
 
     def __init__(self, problem: str, *, file: Path | str | None = None, advice: str = "") -> None:
-        self.problem = problem
-        self.file = None if file is None else str(file)
-        self.advice = advice
+        self.problem = readable(problem)
+        self.file = None if file is None else readable(str(file))
+        self.advice = readable(advice)
         where = f"{self.file}: " if self.file else ""
-        then = f" {advice}" if advice else ""
-        super().__init__(f"{where}{problem}{then}")
+        then = f" {self.advice}" if advice else ""
+        super().__init__(f"{where}{self.problem}{then}")
 
 
 class RecordingError(ScanLoomError):

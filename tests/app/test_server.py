@@ -1,5 +1,6 @@
 """A browser and its desk: the view it gets, what it is told, and how it ends."""
 
+import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,6 +15,7 @@ from app.server import ServeOptions, Workbench
 from app.state.view import View
 from fusion_core.model.errors import RecordingError
 from tests.app.viser_client import connect
+from tests.hostile.names import NO_UTF8, SHOWN
 
 ENOUGH_S = 60.0
 
@@ -143,6 +145,17 @@ def test_a_desk_ends_with_its_browser_even_half_furnished(
     assert within(ended)
 
 
+def test_names_that_are_no_utf8_reach_the_browser(small_scene: Path, tmp_path: Path) -> None:
+    recording = tmp_path / NO_UTF8
+    shutil.copyfile(small_scene, recording)
+    options = ServeOptions(recordings=[recording], port=0, output_root=tmp_path / NO_UTF8 / "out")
+    with Workbench(options) as serving, connect(serving.address, storage={}) as client:
+        client.wait_until(lambda: client_shows(client, "Recording", SHOWN), ENOUGH_S)
+        client.set_value("Panel", "Map")
+        # The command for the shell, with both names as bytes.
+        client.wait_until(lambda: client_says(client, r"r\xff\xfe/out"), ENOUGH_S)
+
+
 def within(condition: Callable[[], bool]) -> bool:
     """Whether a condition comes true in time."""
     pause = threading.Event()
@@ -156,3 +169,7 @@ def within(condition: Callable[[], bool]) -> bool:
 
 def client_shows(client: Any, label: str, value: Any) -> bool:
     return any(w.label == label and w.value == value for w in client.widgets.values())
+
+
+def client_says(client: Any, words: str) -> bool:
+    return any(words in str(w.props.get("content", "")) for w in list(client.widgets.values()))

@@ -1,6 +1,8 @@
 """The command that is shown, run through the command line's own parser."""
 
+import os
 import shlex
+import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ from app.state.slam_choices import ESTIMATORS, MOTIONS, SCANS
 from fusion_core.workflows.build_map import MapOptions
 from fusion_core.workflows.session import FuseOptions
 from fusion_core.workflows.source import RoomChoice
+from tests.hostile.names import NO_UTF8
 
 # What a shell, a parser or a terminal could take for something else.
 AWKWARD = st.sampled_from(
@@ -137,3 +140,14 @@ def test_a_shell_runs_nothing_of_a_name(tmp_path: Path) -> None:
     ).stdout.decode()
     assert shown.split("\0")[:-1] == shlex.split(command)[1:]
     assert not trap.exists()
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
+def test_a_path_that_is_no_utf8_reaches_the_command_as_it_is() -> None:
+    recording = Path("/a'b\\c") / f"{NO_UTF8}0.mcap"
+    command = fuse_command(recording, Path("/out"), FuseOptions())
+    command.encode()
+    done = subprocess.run(
+        ["bash", "-c", f"printf '%s\\n' {command}"], capture_output=True, check=True, timeout=60
+    )
+    assert done.stdout.split(b"\n")[2] == os.fsencode(recording)

@@ -16,6 +16,7 @@ from app.state.view import View
 from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.model.recording import Recording
 from fusion_core.workflows.presets import PRESETS
+from tests.hostile.names import NO_UTF8, SHOWN
 
 ENOUGH_S = 60.0
 UNSEEN = library_module._MOST_UNSEEN
@@ -62,6 +63,21 @@ def is_open(recording: Recording) -> bool:
 def open_of(every: list[Opened]) -> list[bool]:
     """Which of these can still be read from."""
     return [is_open(opened.session.recording) for opened in every]
+
+
+# Names
+
+
+def test_names_that_are_no_utf8_are_listed_and_opened(small_scene: Path, tmp_path: Path) -> None:
+    path = tmp_path / NO_UTF8
+    shutil.copyfile(small_scene, path)
+    for shared in (Library([path], []), Library([], [tmp_path])):
+        (name,) = shared.names()
+        assert name == SHOWN
+        assert shared.open(View(recording=name)).session.recording.path == path
+        with pytest.raises(RecordingError):
+            shared.path(f"{SHOWN}x")
+        shared.close()
 
 
 # Shared
