@@ -141,6 +141,14 @@ class _Chooser:
         if names is None:
             return None
         listed = [names] if isinstance(names, str) else list(names)
+        twice = next((name for name in listed if listed.count(name) > 1), None)
+        # Two depth topics may well share a colour camera.
+        if role == "depth" and twice is not None:
+            raise MissingStream(
+                f"{twice} is named twice.",
+                file=self._recording.path,
+                advice="Name each depth topic once.",
+            )
         return [name for name in listed if self.named(name, role)]
 
     def with_messages(self, role: Role) -> list[str]:

@@ -55,8 +55,8 @@ class CameraFrames:
             raise MissingStream(
                 f"has no colour images beside {self._depth}.",
                 file=recording.path,
-                advice="Visual odometry needs both: name a topic with --color, or choose another "
-                "--motion.",
+                advice="Visual odometry needs both, the colour topic below the same name as the "
+                "depth topic (/camera/depth/..., /camera/color/...): choose another --motion.",
             )
         self._color = color
         self.notes: tuple[str, ...] = ()

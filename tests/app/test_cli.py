@@ -1,9 +1,12 @@
 """The command line: exit codes, what goes to which stream, and what people are spared."""
 
+import ast
+import dataclasses
 import importlib.metadata
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -15,6 +18,15 @@ from typing import Any, BinaryIO
 import pytest
 
 from app.cli import main
+from app.commands import Convert, Fuse, Info, Sample, Serve
+from app.evaluate_commands import (
+    EvaluateAlignment,
+    EvaluateMap,
+    EvaluateNoise,
+    EvaluateRepair,
+    EvaluateTrajectory,
+)
+from app.map_command import Map
 from app.resources import sample_path
 from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.workflows.source import RoomChoice
@@ -202,6 +214,21 @@ def test_a_number_below_zero_is_wrong_usage(
     shown = capsys.readouterr()
     assert shown.out == ""
     assert shown.err == f"{args[-2]} must be 0 or more, got -1\n"
+
+
+def test_advice_names_options_that_exist() -> None:
+    commands = [Serve, Info, Convert, Fuse, Sample, Map, EvaluateAlignment, EvaluateNoise]
+    commands += [EvaluateRepair, EvaluateTrajectory, EvaluateMap]
+    known = {f"--{f.name.replace('_', '-')}" for c in commands for f in dataclasses.fields(c)}
+    named = {
+        option
+        for package in ("app", "fusion_core")
+        for file in (ROOT / package).rglob("*.py")
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+        for option in re.findall(r"(?<![\w-])--[a-z][a-z-]+", node.value)
+    }
+    assert named - known == {"--help", "--version"}
 
 
 SEED = ["--seed", str(2**63)]
@@ -552,7 +579,7 @@ def test_names_from_a_recording_cannot_steer_the_terminal(
     )
     assert main(["info", "a.bag"]) == 0
     shown = capsys.readouterr().out
-    assert "warning: \\x1b]0;title\\x07 [red]é\\udc80" in shown
+    assert "warning: \\x1b]0;title\\x07 [red]é\\x80" in shown
 
 
 def test_a_narrow_encoding_of_stdout_is_no_failure(

@@ -196,6 +196,14 @@ def test_as_many_colours_as_depths(record: Callable[..., Any]) -> None:
         choose_streams(recording, color="/c")
 
 
+def test_a_depth_topic_is_named_once(record: Callable[..., Any]) -> None:
+    with (
+        record(a=[depth()]) as recording,
+        pytest.raises(MissingStream, match=r"/a is named twice\. Name each depth topic once\."),
+    ):
+        choose_streams(recording, depth=("/a", "/a"))
+
+
 def test_depth_topics_can_be_named(record: Callable[..., Any]) -> None:
     with record(a=[depth()], b=[depth()], c=[color()]) as recording:
         assert choose_streams(recording, depth="/b").depth == ("/b",)
