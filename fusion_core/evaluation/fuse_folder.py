@@ -13,10 +13,10 @@ import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet as pq
 
+from fusion_core.files.regular_file import open_regular, read_regular
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.errors import ScanLoomError
-from fusion_core.model.regular_file import open_regular, read_regular
 
 MISSING = -1
 """Stands for null in integer columns, which have no NaN."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from fusion_core.model.regular_file import open_regular
+from fusion_core.files.regular_file import open_regular
 
 # An hour of 640 x 480 pixels at 15 images a second packs to less; ten minutes of it unpack to 8 GB.
 _MAX_PACKED_BYTES = 4 << 30

@@ -15,16 +15,18 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path, PurePosixPath
 from typing import Any, Self
 
+from fusion_core.files.regular_file import open_regular, read_regular
 from fusion_core.model.errors import ExportError, RecordingError, ScanLoomError
 from fusion_core.model.names import readable
 from fusion_core.model.progress import Progress, silent
-from fusion_core.model.regular_file import open_regular
 
 MANIFEST_NAME = "manifest.json"
 
 _PROJECT = "scanloom"
 _LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "numba", "gtsam")
 _CHUNK_BYTES = 1 << 20
+# A data set of a million files has a line for each.
+_MAX_BYTES = 256 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +72,7 @@ class Manifest:
         """Raises ExportError where it cannot be read."""
         file = folder / MANIFEST_NAME
         try:
-            content = file.read_bytes() if file.is_file() else None
+            content = read_regular(file, _MAX_BYTES) if file.exists() else None
             document = {} if content is None else json.loads(content.decode("utf-8"))
         except (OSError, ValueError, RecursionError) as error:
             raise ExportError(

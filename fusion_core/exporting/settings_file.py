@@ -10,8 +10,8 @@ import tomlkit
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
+from fusion_core.files.regular_file import read_regular
 from fusion_core.model.errors import SettingsError
-from fusion_core.model.regular_file import read_regular
 from fusion_core.settings import StageSettings
 
 _PRESET_KEY = "preset"

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+from fusion_core.files.regular_file import read_head
 from fusion_core.model.errors import RecordingError
-from fusion_core.model.regular_file import read_head
 
 # Where an archive is damaged, the piece that is being unpacked is lost.
 _PIECE_BYTES = 4 << 10

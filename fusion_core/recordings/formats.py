@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
+from fusion_core.files.regular_file import read_head
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording
-from fusion_core.model.regular_file import read_head
 from fusion_core.recordings.carmen.log import is_carmen_log, open_carmen_log
 from fusion_core.recordings.images.frame_folder import frame_layout, open_frame_folder
 from fusion_core.recordings.images.image_folder import is_image_folder, open_image_folder

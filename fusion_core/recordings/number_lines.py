@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from fusion_core.files.regular_file import open_regular
 from fusion_core.model.errors import RecordingError
-from fusion_core.model.regular_file import open_regular
 from fusion_core.recordings.decimal_time import ns_from_decimal_seconds
 
 # Far beyond any trajectory of a robot; what is larger is another kind of file.

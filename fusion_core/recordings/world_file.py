@@ -21,8 +21,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fusion_core.files.atomic import cannot_write, write_text
+from fusion_core.files.regular_file import read_regular
 from fusion_core.model.errors import RecordingError
-from fusion_core.model.regular_file import read_regular
 from fusion_core.model.world_outline import (
     MeasuredAngle,
     MeasuredLine,

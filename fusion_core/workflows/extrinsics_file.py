@@ -23,10 +23,10 @@ from typing import Any
 
 import numpy as np
 
+from fusion_core.files.regular_file import read_regular
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import SettingsError
 from fusion_core.model.geometry import transform
-from fusion_core.model.regular_file import read_regular
 
 _ADVICE = (
     "Write T_camera_lidar (4 x 4), or R (3 x 3) and t (3, in metres), which map the LiDAR's points "

@@ -9,10 +9,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from fusion_core.files.regular_file import read_regular
 from fusion_core.model.conventions import ByteArray, FloatArray
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.geometry import rotation_from_quaternion, transform
-from fusion_core.model.regular_file import read_regular
 from fusion_core.recordings.messages.image_headers import (
     MAX_DECODED_BYTES,
     BadImage,

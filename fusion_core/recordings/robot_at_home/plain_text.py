@@ -17,9 +17,9 @@ from typing import Final
 
 import numpy as np
 
+from fusion_core.files.regular_file import read_head
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import RecordingError
-from fusion_core.model.regular_file import read_head
 from fusion_core.recordings.robot_at_home.rig import (
     RawScan,
     checked_beam_count,

@@ -14,8 +14,8 @@ from typing import BinaryIO, Protocol
 
 import lz4.frame  # type: ignore[import-untyped]  # Ships no type information.
 
+from fusion_core.files.regular_file import read_head
 from fusion_core.model.errors import RecordingError
-from fusion_core.model.regular_file import read_head
 from fusion_core.recordings.containers import (
     MAX_CHUNK_BYTES,
     Channel,

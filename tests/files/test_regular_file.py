@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fusion_core.model.regular_file import open_regular, read_head, read_regular
+from fusion_core.files.regular_file import open_regular, read_head, read_regular
 from tests.hostile.files import write_loop, write_pipe
 
 
