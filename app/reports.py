@@ -61,11 +61,11 @@ def _checked(check: Mapping[str, Any] | None) -> str:
     messages = f"{check['read']} messages read, {check['unreadable']} unreadable"
     if not check["checksums"] and not check["unguarded"]:
         return f"{outcome}: {messages}"
-    guarded = f"{check['checksums']} checksums right"
+    guarded = f"checksums right: {check['checksums']}"
     if not check["checksums"]:
         guarded = "no checksums, so that a changed value does not show"
     elif check["unguarded"]:
-        guarded += f", {check['unguarded']} parts without one"
+        guarded += f", parts without one: {check['unguarded']}"
     return f"{outcome}: {messages}; {guarded}"
 
 

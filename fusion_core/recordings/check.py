@@ -1,7 +1,9 @@
 """What becomes of a recording when all of it is read: which messages fail, what is damaged."""
 
 from collections import Counter
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 from fusion_core.model.progress import Progress
 from fusion_core.model.recording import Recording
@@ -57,14 +59,14 @@ def check(recording: Recording, progress: Progress) -> Check:
     read = Counter[str]()
     progress(0, total, _READING)
     decoded = [topic.name for topic in recording.topics if topic.name not in undecoded]
-    for done, message in enumerate(recording.messages(decoded), 1):
-        read[message.topic] += 1
+    names: Iterator[str] = (message.topic for message in recording.messages(decoded))
+    if isinstance(recording, IndexedRecording):
+        names = chain(names, _names_of_undecoded(recording, undecoded))
+        undecoded = set()
+    for done, name in enumerate(names, 1):
+        read[name] += 1
         if done % _PROGRESS_STEP == 0:
             progress(done, total, _READING)
-    if isinstance(recording, IndexedRecording):
-        for raw in recording.serialized_messages(undecoded):
-            read[recording.channels[raw.channel].topic] += 1
-        undecoded.clear()
     progress(total, total, _READING)
     return Check(
         topics=tuple(
@@ -79,3 +81,8 @@ def check(recording: Recording, progress: Progress) -> Check:
         unguarded=verified.unguarded,
         damage=tuple(damage),
     )
+
+
+def _names_of_undecoded(recording: IndexedRecording, topics: Collection[str]) -> Iterator[str]:
+    for message in recording.serialized_messages(topics):
+        yield recording.channels[message.channel].topic

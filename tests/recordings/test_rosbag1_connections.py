@@ -158,6 +158,24 @@ def test_flipped_bits_in_the_index_lose_and_rename_no_topic_in_silence(
     assert found == expected or warnings
 
 
+@pytest.mark.parametrize("padding", [3, 4100, 4600])
+def test_a_wrong_length_of_the_header_costs_no_chunk(read: Read, padding: int) -> None:
+    whole = small_bag(b"lz4")
+    expected, _ = read(whole.content)
+    at = whole.content.index(b"    ") - 4
+    found, _ = read(whole.content[:at] + u32(padding) + whole.content[at + 4 :])
+    assert found == expected
+
+
+def test_a_first_chunk_without_its_header_is_named(read: Read) -> None:
+    whole = small_bag(b"lz4")
+    content = bytearray(whole.content)
+    content[whole.chunk_starts[0] + 4] ^= 0xFF
+    _, warnings = read(bytes(content))
+    lost = f"Bytes {whole.chunk_starts[0]} to"
+    assert any(warning.startswith(lost) for warning in warnings)
+
+
 @pytest.mark.parametrize("index_pos", [4200, 1 << 40])
 def test_a_wrong_place_of_the_index_costs_nothing(read: Read, index_pos: int) -> None:
     whole = small_bag()

@@ -1,6 +1,7 @@
 """The channels of an MCAP file, from its schema and channel records."""
 
 import struct
+from dataclasses import replace
 from io import BytesIO
 from typing import TypeVar
 
@@ -60,14 +61,18 @@ class McapChannels:
             self._spare_channels.setdefault(record.id, record)
 
     def contradicts(self, opcode: int, content: bytes) -> bool:
-        """Whether a schema or a channel is otherwise than the spare one of its number."""
+        """Whether a schema or a channel means something else than the spare one of its number.
+
+        What it says besides, of its publishers, a writer may know better at the end.
+        """
         try:
             record = _parse(opcode, content)
         except ValueError:
             return False
         if isinstance(record, Schema):
             return self._spare_schemas.get(record.id, record) != record
-        return self._spare_channels.get(record.id, record) != record
+        spare = self._spare_channels.get(record.id, record)
+        return replace(spare, metadata={}) != replace(record, metadata={})
 
     def add_spare(self) -> None:
         """Add the spare channels, of which some may have no message."""

@@ -145,7 +145,8 @@ class McapFile:
             verified.unguarded += 1
         rows = []
         behind = 0
-        for opcode, start, behind in records_in(content):  # noqa: B007  # Used behind the loop.
+        for opcode, start, end in records_in(content):
+            behind = end
             if opcode == Opcode.MESSAGE:
                 position = start - RECORD_HEADER.size
                 _, _, channel, _, log_time, _ = MESSAGE_HEADER.unpack_from(content, position)

@@ -117,8 +117,8 @@ class BagWalk:
                 self._take(record)
                 position = record.end
                 if record.op == OP_BAG and not self._stands_at(position):
-                    # The length of its padding is damaged.
-                    position = self._find(record.data_start)
+                    # The length of its padding may be too large.
+                    position = min(self._find(record.data_start), record.end)
         # A whole bag does not end in the index data of a chunk: some of them may be lost.
         self._close_chunk(is_damaged=True)
 
