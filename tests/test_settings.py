@@ -13,7 +13,10 @@ from pydantic.fields import FieldInfo
 
 import app
 import fusion_core
+from fusion_core.registration.pl_icp import PlIcpSettings
 from fusion_core.settings import StageSettings, ends
+from fusion_core.slam.particle_set import ParticleSettings
+from fusion_core.slam.submaps import SubmapSettings
 
 for package in (fusion_core, app):
     for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
@@ -98,3 +101,25 @@ def test_the_ends_of_a_range_are_found_by_their_names() -> None:
         alone_min: float = 5.0
 
     assert ends(Ranges) == [("a_min_m", "a_max_m"), ("min_b", "max_b")]
+
+
+@pytest.mark.parametrize(
+    ("settings_class", "values", "named"),
+    [
+        (SubmapSettings, {"reach_m": 200.0, "resolution_m": 0.04}, "reach_m = 200 over resol"),
+        (ParticleSettings, {"reach_m": 100.0, "resolution_m": 0.02}, "reach_m = 100 over resol"),
+        (
+            PlIcpSettings,
+            {"search_translation_m": 50.0, "search_step_rad": 0.001},
+            "poses to search",
+        ),
+    ],
+)
+def test_products_that_make_the_work_are_bounded(
+    settings_class: type[StageSettings], values: dict[str, float], named: str
+) -> None:
+    for name, value in values.items():
+        low, high = bounds_of(settings_class.model_fields[name])
+        assert low[0] <= value <= high[0]
+    with pytest.raises(ValidationError, match=named):
+        settings_class(**values)

@@ -1,9 +1,5 @@
 """Point clouds as PLY and PCD."""
 
-import shutil
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +7,6 @@ import numpy as np
 from fusion_core.files.atomic import atomic_path
 from fusion_core.model.conventions import ByteArray, FloatArray
 from fusion_core.model.errors import ExportError
-from fusion_core.model.names import readable
 
 
 def write_cloud(path: Path, points_m: FloatArray, rgb: ByteArray | None = None) -> None:
@@ -34,18 +29,6 @@ def write_cloud(path: Path, points_m: FloatArray, rgb: ByteArray | None = None) 
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_m))
     if rgb is not None:
         cloud.colors = o3d.utility.Vector3dVector(rgb.astype(np.float64) / 255.0)
-    with atomic_path(path) as aside, _plainly_named(aside) as plain:
-        if not o3d.io.write_point_cloud(plain, cloud):
+    with atomic_path(path) as aside:
+        if not o3d.io.write_point_cloud(aside, cloud):
             raise ExportError("cannot be written.", file=path, advice="Free space on the disk.")
-
-
-@contextmanager
-def _plainly_named(path: Path) -> Iterator[Path]:
-    """A path in the place of one that is no UTF-8, which Open3D does not take."""
-    if readable(str(path)) == str(path):
-        yield path
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        plain = Path(folder) / f"cloud{path.suffix}"
-        yield plain
-        shutil.copyfile(plain, path)

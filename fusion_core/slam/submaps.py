@@ -24,8 +24,8 @@ _BORDER = 3
 # Cells that a grid is larger than what it holds, so that it need not grow with each scan; a large
 # one, where growing takes long, by a share.
 _ROOM, _ROOM_SHARE = 60, 0.25
-# Of a scan's reach: a grid of twice that on a side, at 13 bytes a cell, takes half a gigabyte.
-_REACH_CELLS_MAX = 3_000
+# Of a scan's reach: a grid of twice that on a side, at 13 bytes a cell, takes 0.8 GB.
+_REACH_CELLS_MAX = 4_000
 
 
 class SubmapSettings(StageSettings):

@@ -7,7 +7,6 @@ import pytest
 
 from fusion_core.exporting.clouds import write_cloud
 from fusion_core.model.errors import ExportError
-from tests.hostile.names import NO_UTF8
 
 POINTS_M = np.random.default_rng(3).normal(size=(50, 3))
 
@@ -27,16 +26,6 @@ def test_round_trip_and_same_bytes(tmp_path: Path, suffix: str, with_color: bool
     assert np.allclose(np.asarray(cloud.points), POINTS_M, atol=1e-6)
     if with_color:
         assert np.array_equal(np.round(np.asarray(cloud.colors) * 255), rgb)
-
-
-@pytest.mark.parametrize("suffix", [".ply", ".pcd"])
-def test_a_name_that_is_no_utf8(tmp_path: Path, suffix: str) -> None:
-    folder = tmp_path / NO_UTF8
-    folder.mkdir()
-    for path in (folder / f"{NO_UTF8}{suffix}", tmp_path / f"plain{suffix}"):
-        write_cloud(path, POINTS_M)
-    assert (folder / f"{NO_UTF8}{suffix}").read_bytes() == path.read_bytes()
-    assert len(list(folder.iterdir())) == 1
 
 
 @pytest.mark.parametrize(

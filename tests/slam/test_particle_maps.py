@@ -1,10 +1,14 @@
 """Shared maps against grids that share nothing, and a scan's cells against a plain loop."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fusion_core.model.errors import MappingFailed
+from fusion_core.slam import particle_maps
 from fusion_core.slam.particle_maps import OCCUPANCY, TILE, UNKNOWN, ParticleMaps, add_scan
 
 PARTICLES = 4
@@ -102,6 +106,20 @@ def test_writing_what_is_there_copies_nothing():
         window.cells[0, 0] = 202 + particle
         maps.write(particle, window)
         assert maps.tiles == tiles
+
+
+def test_maps_beyond_the_limit_are_refused(monkeypatch):
+    monkeypatch.setattr(particle_maps, "_TILES_MAX", 20)
+    maps = ParticleMaps(2)
+    for particle, row in itertools.product(range(2), range(10)):
+        window = maps.window(particle, (TILE * row, 0), (TILE * row, 0))
+        window.cells[0, 0] = 200
+        maps.write(particle, window)
+    assert maps.capacity == 20
+    window = maps.window(0, (TILE * 10, 0), (TILE * 10, 0))
+    window.cells[0, 0] = 200
+    with pytest.raises(MappingFailed, match="the maps of 2 particles take more than 1 GB"):
+        maps.write(0, window)
 
 
 def test_memory_follows_the_area_and_not_time():
