@@ -12,6 +12,7 @@ from typing import Any, Literal, Protocol
 import viser
 
 from app.jobs.latest import LatestWorker
+from app.jobs.long import Cancelled
 from app.shown import Shown, as_failure, problem_of, shown_of
 from app.state.history import History
 from app.state.library import Library
@@ -124,8 +125,13 @@ class Desk:
             self._told = str(failure)
             self.tell(problem_of(failure), failure.advice, color="red")
 
+    def check(self) -> None:
+        """Raises Cancelled once the browser has gone: for the steps of what the worker does."""
+        if self._closed.is_set():
+            raise Cancelled
+
     def close(self) -> None:
-        """The browser has gone."""
+        """The browser has gone. What is computed for it alone ends at its next step."""
         self._closed.set()
         self._worker.close()
         # What is at work talks to the client, whose connection ends next.
@@ -161,7 +167,7 @@ class Desk:
             self._opened = opened
         if opened.chain is None and opened.failure is None:
             opened.align(self.refresh)
-        shown = shown_of(view, opened)
+        shown = shown_of(view, opened, self.check)
         is_due = time.monotonic() - self._shown_s > _LEAST_OFTEN_S
         if self._closed.is_set() or not (is_newest() or is_due):
             return

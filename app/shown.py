@@ -1,8 +1,10 @@
 """All that the panels and the scene need to show one view: computed once, read by each of them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from app.jobs.long import Cancelled
 from app.state.opened import Opened
 from app.state.view import View
 from fusion_core.model.errors import ScanLoomError
@@ -67,8 +69,10 @@ def why_missing(shown: Shown) -> str:
     return "This frame could not be judged."
 
 
-def shown_of(view: View, opened: Opened) -> Shown:
+def shown_of(view: View, opened: Opened, check: Callable[[], None] = lambda: None) -> Shown:
     """Compute a view; a stage that fails leaves what came before it.
+
+    ``check`` is called between the stages, and raises Cancelled where nobody looks any more.
 
     A frame beyond the recording's last, as an old link may ask for, is its last.
     """
@@ -86,15 +90,19 @@ def shown_of(view: View, opened: Opened) -> Shown:
     failure = None
     try:
         paired = chain.paired(choice)
+        check()
         match = chain.matched(choice, view.settings)
+        check()
         fused = chain.judged(choice, view.settings)
+        check()
+    except Cancelled:
+        raise
     except Exception as error:  # noqa: BLE001  # what came before the stage that fails is shown
-        failure = as_failure(error)
+        failure = as_failure(opened.explained(error))
     try:
         color = opened.frames.color(choice.number)
-    except ScanLoomError as error:
-        # The colour image is for looking only.
-        failure = failure or error
+    except Exception as error:  # noqa: BLE001  # the colour image is for looking only
+        failure = failure or as_failure(opened.explained(error))
     return Shown(
         view=view,
         opened=opened,

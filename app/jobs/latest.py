@@ -8,6 +8,8 @@ import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
+from app.jobs.long import Cancelled
+
 Request = TypeVar("Request")
 
 
@@ -15,7 +17,8 @@ class LatestWorker(Generic[Request]):
     """Calls ``work`` with the newest request, one at a time, in a thread of its own.
 
     ``work`` gets the request and a function that tells whether it is still the newest: it asks
-    before it shows anything. What ``work`` raises goes to ``on_error``, and the worker lives on.
+    before it shows anything. What ``work`` raises goes to ``on_error``, and the worker lives on;
+    Cancelled is told to nobody.
     """
 
     def __init__(
@@ -69,6 +72,8 @@ class LatestWorker(Generic[Request]):
             assert request is not None, "a generation begins with a request"
             try:
                 self._work(request, lambda: self._is_newest(generation))  # noqa: B023  # called before the loop goes on
+            except Cancelled:
+                pass
             except Exception as error:  # noqa: BLE001  # a worker that ends shows nothing any more
                 # What work is cut off by the closing itself fails, too.
                 if not self._closed:

@@ -141,7 +141,7 @@ class RecallPanel:
         put(self._progress_text, content=_paragraph(f"{what.capitalize()}, {percent} %"))
 
     def _fail(self, error: Exception) -> None:
-        failure = as_failure(error)
+        failure = as_failure(error if self._opened is None else self._opened.explained(error))
         self._end(f"There is no curve. {problem_of(failure)} {failure.advice}")
 
     def _end(self, said: str) -> None:

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from app.jobs.long import LongJob
+from app.jobs.turns import Turns
+from app.state.file_stamp import FileStamp
+from fusion_core.model.errors import RecordingError, ScanLoomError
 from fusion_core.model.progress import Progress
 from fusion_core.workflows.align import Alignment
 from fusion_core.workflows.frame_reader import FrameReader
@@ -31,10 +34,18 @@ class Opened:
     ``chain`` is None until then; ``failure`` says why it will not come. ``pairing``: the stamps of
     the whole recording, None until a pass over it has ended. ``recalls``: the curves of recall that
     somebody asked for, by the settings that they depend on.
+
+    ``stamp``: the recording's files as they were opened. ``turns``: taken while it is aligned.
     """
 
-    def __init__(self, session: Session) -> None:
+    def __init__(
+        self, session: Session, stamp: FileStamp | None = None, turns: Turns | None = None
+    ) -> None:
         self.session = session
+        self._stamp = FileStamp.of(session.recording.path) if stamp is None else stamp
+        self._turns = Turns(1) if turns is None else turns
+        # Whether its files are no longer those that were opened: it must be opened again.
+        self.is_outdated = False
         self.frames = FrameReader(session)
         self.chain: LiveChain | None = None
         self.failure: Exception | None = None
@@ -65,7 +76,8 @@ class Opened:
                     on_progress=self._advance,
                     on_done=self._finish,
                     on_failed=self._fail,
-                    on_cancelled=lambda: None,
+                    # Who still looks opens it again.
+                    on_cancelled=self._tell,
                 )
 
     def forget(self, on_change: Callable[[], None]) -> None:
@@ -73,6 +85,24 @@ class Opened:
         with self._lock:
             if on_change in self._listeners:
                 self._listeners.remove(on_change)
+
+    @property
+    def is_at_work(self) -> bool:
+        """Whether it is being aligned, or waits for its turn."""
+        return self._job is not None and self.chain is None and self.failure is None
+
+    def explained(self, error: Exception) -> Exception:
+        """Why reading failed: ``error``, unless the file has changed since it was opened."""
+        is_reading = isinstance(error, RecordingError) or not isinstance(error, ScanLoomError)
+        change = self._stamp.change() if is_reading else None
+        if change is None:
+            return error
+        self.is_outdated = True
+        return RecordingError(
+            f"{change} since it was opened.",
+            file=self.session.recording.path,
+            advice="Reload the page: it is then opened again, as it is now.",
+        )
 
     def cancel(self) -> None:
         """Ask the alignment to stop at its next step."""
@@ -86,7 +116,8 @@ class Opened:
     def _work(self, progress: Progress) -> Alignment:
         stamps = PairingStamps()
         try:
-            return align_session(self.session, progress, stamps)
+            with self._turns.taken(lambda: progress(0, None, "waiting for other alignments")):
+                return align_session(self.session, progress, stamps)
         finally:
             # Where nothing can be aligned, the stamps may show why.
             if stamps.complete:
@@ -94,8 +125,8 @@ class Opened:
 
     def _advance(self, done: int, total: int | None, what: str) -> None:
         before, self.progress = self.progress, Progressing(done=done, total=total, what=what)
-        # A listener redraws a bar: one step in fifty is enough.
-        if before.what != what or total is None or done * 50 // total != before.done * 50 // total:
+        # A listener redraws a bar: one step in fifty is enough, and without a total there is none.
+        if before.what != what or (total and done * 50 // total != before.done * 50 // total):
             self._tell()
 
     def _finish(self, alignment: object) -> None:
@@ -103,7 +134,7 @@ class Opened:
         self._tell()
 
     def _fail(self, error: Exception) -> None:
-        self.failure = error
+        self.failure = self.explained(error)
         self._tell()
 
     def _tell(self) -> None:

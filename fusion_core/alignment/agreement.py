@@ -6,7 +6,7 @@ below the image says little, but must cost something, since a large Delta z woul
 every near point that could disagree. Points to the side of the image cost nothing.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -134,11 +134,18 @@ def without_speckle(depth_m: Float32Array) -> Float32Array:
 class Agreement:
     """The kept frames as flat arrays, and the cost of a mount on each of them.
 
-    ``farthest_m``: the longest range of the LiDAR.
+    ``farthest_m``: the longest range of the LiDAR. ``on_step`` is called before each mount that is
+    tried, and may raise to end the search.
     """
 
-    def __init__(self, frames: Sequence[MountFrame], settings: MountSettings) -> None:
+    def __init__(
+        self,
+        frames: Sequence[MountFrame],
+        settings: MountSettings,
+        on_step: Callable[[], None] = lambda: None,
+    ) -> None:
         self._frames = frames
+        self._on_step = on_step
         self._settings = settings
         self._points = np.concatenate([frame.points_m for frame in frames])
         self.farthest_m = float(np.hypot(*self._points.T).max(initial=0.0))
@@ -160,7 +167,7 @@ class Agreement:
 
     def thinned(self) -> "Agreement":
         """Every third frame, to look far around."""
-        return Agreement(self._frames[::3], self._settings)
+        return Agreement(self._frames[::3], self._settings, self._on_step)
 
     def lowest_seen_m(self) -> float:
         """Height of the lowest surface in the rig frame: the floor, where it is in the image.
@@ -195,6 +202,7 @@ class Agreement:
         return np.array([self._tallies(T, mount)[:, 0].sum() for T in T_rig_lidar])
 
     def _tallies(self, T_rig_lidar: FloatArray, mount: Mount) -> FloatArray:
+        self._on_step()
         turned_rad = self.turn_rates_rad_s * (self._after_s - mount.clock_offset_ms * 1e-3)
         tallies: FloatArray = _tally(
             self._points,

@@ -67,6 +67,7 @@ def estimate_mount(
     *,
     yaw_rad: float,
     recorded: Mount | None = None,
+    on_step: Callable[[], None] = lambda: None,
 ) -> MountEstimate:
     """Refine the mount from the yaw of the recording's offset u.
 
@@ -74,7 +75,8 @@ def estimate_mount(
     yaws are tried as well, and taken only where they agree better beyond doubt.
     ``recorded``: extrinsics that the recording itself gives; used as a prior where they explain
     what is seen (``refusal_of``), unless too few points agree and another mount explains them
-    beyond doubt.
+    beyond doubt. ``on_step`` is called before each mount that is tried, and may raise to end the
+    search.
 
     Raises AlignmentFailed where there are too few frames or points.
     """
@@ -84,7 +86,7 @@ def estimate_mount(
             f"{len(frames)}.",
             advice="Use a longer recording.",
         )
-    problem = Agreement(frames, settings)
+    problem = Agreement(frames, settings, on_step)
     highest_m = min(settings.delta_z_max_m, -problem.lowest_seen_m() - settings.clearance_m)
     heights_m = np.arange(
         settings.delta_z_min_m, max(highest_m, settings.delta_z_min_m + 0.1), 0.05

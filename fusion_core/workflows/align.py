@@ -173,14 +173,21 @@ def align(
     scale = STATED
     calibrated = all(camera.calibrated for camera in rig.cameras)
     if refine and calibrated and settings.pairing == "mount":
-        progress(0, None, "refining the mount")
+
+        def on_step() -> None:
+            progress(0, None, "refining the mount")
+
         estimate = estimate_mount(
-            collected.kept, settings.mount, yaw_rad=yaw_rad, recorded=rig.recorded
+            collected.kept,
+            settings.mount,
+            yaw_rad=yaw_rad,
+            recorded=rig.recorded,
+            on_step=on_step,
         )
         mount = estimate.mount
         u = offset_of_yaw(mount.yaw_rad, collected.curve, collected.row.left_rad)
         peak = _peak_at(fields[metric], peak, u, settings.search)
-        scale = _scale_of(collected.kept, mount, settings)
+        scale = _scale_of(collected.kept, mount, settings, on_step)
     return Alignment(
         fields=fields,
         peaks=known,
@@ -242,6 +249,8 @@ def _collect(
     views = 0
     for entry in pairs:
         if isinstance(entry, LaserScan):
+            # Nothing new, yet work may be ended here: there may be no images for long.
+            progress(sum(seen), image_count, "searching (u, v)")
             continue
         # Counted for each camera, so that a steady order of the cameras leaves none out.
         seen[entry.camera] += 1
@@ -308,11 +317,17 @@ def turned_rad(frame: MountFrame, mount: Mount, settings: ChainSettings) -> floa
     return stamped + frame_yaw_offset_rad(frame, applied, settings.mount)
 
 
-def _scale_of(kept: list[MountFrame], mount: Mount, settings: ChainSettings) -> NoiseScale:
-    """The noise scale from the kept frames' own pairs."""
+def _scale_of(
+    kept: list[MountFrame],
+    mount: Mount,
+    settings: ChainSettings,
+    on_step: Callable[[], None],
+) -> NoiseScale:
+    """The noise scale from the kept frames' own pairs. ``on_step`` is called before each."""
     ranges = []
     residuals = []
     for frame in kept:
+        on_step()
         turned = turned_rad(frame, mount, settings)
         pairs = along_curve(
             frame.scan,

@@ -195,6 +195,28 @@ def test_only_changing_turns_show_the_clock(furnished_room, rate: float) -> None
         assert found.estimate.mount.sd[5] is None
 
 
+def test_the_search_can_be_ended_at_every_mount_that_it_tries(furnished_room) -> None:
+    truth = random_mount(3)
+    frames = drive(furnished_room, truth, 3, count=8)
+    tried = 0
+
+    def count() -> None:
+        nonlocal tried
+        tried += 1
+
+    estimate_mount(frames, SETTINGS, yaw_rad=truth.yaw_rad, on_step=count)
+    assert tried > 1000
+    for limit in (1, tried // 2, tried - 1):
+        steps = iter(range(limit))
+
+        def stop() -> None:
+            if next(steps, None) is None:  # noqa: B023  # called before the loop goes on
+                raise InterruptedError
+
+        with pytest.raises(InterruptedError):
+            estimate_mount(frames, SETTINGS, yaw_rad=truth.yaw_rad, on_step=stop)
+
+
 def test_a_recorded_mount_is_the_prior(furnished_room) -> None:
     truth = random_mount(3)
     frames = drive(furnished_room, truth, 3)

@@ -2,12 +2,14 @@
 
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import Any
 
 import pytest
 
 from app.jobs.latest import LatestWorker
-from app.jobs.long import LongJob
+from app.jobs.long import Cancelled, LongJob
+from app.jobs.turns import Turns
 from fusion_core.model.progress import Progress
 
 LONG_S = 20.0
@@ -170,3 +172,84 @@ def test_cancelling_a_job_that_has_ended_changes_nothing() -> None:
     assert job.wait(LONG_S)
     job.cancel()
     assert ends.ended == [("done", 7)]
+
+
+def test_work_that_is_cancelled_is_told_to_nobody(gate: Gate) -> None:
+    done: list[int] = []
+
+    def work(request: int, is_newest: Callable[[], bool]) -> None:
+        done.append(request)
+        raise Cancelled
+
+    worker = LatestWorker("test", work, gate.errors.append)
+    for request in (1, 2):
+        worker.ask(request)
+        assert worker.wait(LONG_S)
+    worker.close()
+    assert (done, gate.errors) == ([1, 2], [])
+
+
+class Queue:
+    """Threads that take turns, each at work until it is let go."""
+
+    def __init__(self, turns: Turns) -> None:
+        self.turns = turns
+        self.changed = threading.Condition()
+        self.at_work: list[int] = []
+        self.began: list[int] = []
+        self.waiting: set[int] = set()
+        self.gave_up: set[int] = set()
+        self._let_go: set[int] = set()
+        self._threads: list[threading.Thread] = []
+
+    def come(self, number: int) -> None:
+        """The next in the queue."""
+        thread = threading.Thread(target=self._work, args=(number,), daemon=True)
+        self._threads.append(thread)
+        thread.start()
+        self.until(lambda: number in self.waiting or number in self.at_work)
+
+    def let_go(self, number: int) -> None:
+        """End its work, or its waiting."""
+        with self.changed:
+            self._let_go.add(number)
+            self.changed.notify_all()
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        with self.changed:
+            assert self.changed.wait_for(condition, LONG_S)
+
+    def _work(self, number: int) -> None:
+        def waiting() -> None:
+            with self.changed:
+                self.waiting.add(number)
+                self.changed.notify_all()
+                if number in self._let_go:
+                    self.gave_up.add(number)
+                    raise Cancelled
+
+        with suppress(Cancelled), self.turns.taken(waiting), self.changed:
+            self.at_work.append(number)
+            self.began.append(number)
+            self.changed.notify_all()
+            self.changed.wait_for(lambda: number in self._let_go)
+            self.at_work.remove(number)
+            self.changed.notify_all()
+
+
+def test_so_many_work_at_once_and_the_others_in_their_order() -> None:
+    queue = Queue(Turns(2))
+    for number in range(5):
+        queue.come(number)
+    assert queue.at_work == [0, 1]
+    # One that waits may give up.
+    queue.let_go(3)
+    queue.until(lambda: 3 in queue.gave_up)
+    queue.let_go(1)
+    queue.until(lambda: queue.at_work == [0, 2])
+    queue.let_go(0)
+    queue.until(lambda: queue.at_work == [2, 4])
+    assert queue.began == [0, 1, 2, 4]
+    for number in (2, 4):
+        queue.let_go(number)
+    queue.until(lambda: queue.at_work == [])

@@ -1,7 +1,9 @@
 """What all browsers share: opened once, aligned once, and closed when nobody looks at it."""
 
+import os
 import random
 import shutil
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -9,7 +11,9 @@ from typing import Any
 
 import pytest
 
+from app.resources import sample_path
 from app.state import library as library_module
+from app.state.file_stamp import FileStamp
 from app.state.library import Library
 from app.state.opened import Opened
 from app.state.view import View
@@ -433,3 +437,235 @@ def test_many_who_come_and_go_find_open_what_they_look_at(
     assert 0 < sum(is_open(recording) for recording in sources.opened) <= UNSEEN
     library.close()
     assert not any(is_open(recording) for recording in sources.opened)
+
+
+# An alignment lives as long as somebody wants it
+
+
+class Endless:
+    """Stands for ``align_session``: aligns until it is stopped. Counts those at work."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.changed = threading.Condition()
+        self.at_work: list[Any] = []
+        self.ended: list[Any] = []
+        monkeypatch.setattr("app.state.opened.align_session", self)
+
+    def __call__(self, session: Any, progress: Callable[..., None], *_: object) -> None:
+        with self.changed:
+            self.at_work.append(session)
+            self.changed.notify_all()
+        pause = threading.Event()
+        try:
+            while True:
+                progress(0, None, "aligning")
+                pause.wait(0.01)
+        finally:
+            with self.changed:
+                self.at_work.remove(session)
+                self.ended.append(session)
+                self.changed.notify_all()
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        with self.changed:
+            assert self.changed.wait_for(condition, ENOUGH_S)
+
+
+def test_an_alignment_ends_with_the_last_who_waits_for_it(
+    library: Library, view: View, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    endless = Endless(monkeypatch)
+    for person in ("ann", "ben"):
+        library.open(view, seen_by=person).align(lambda: None)
+    opened = library.open(view)
+    endless.until(lambda: len(endless.at_work) == 1)
+    library.leave("ann")
+    assert library.open(view) is opened
+    assert endless.ended == []
+    library.leave("ben")
+    endless.until(lambda: endless.ended == [opened.session])
+    # Who comes now has it aligned again.
+    again = library.open(view, seen_by="ann")
+    assert again is not opened
+    again.align(lambda: None)
+    endless.until(lambda: len(endless.at_work) == 1)
+
+
+def test_who_goes_on_to_another_view_ends_the_alignment_of_the_one_before(
+    library: Library, view: View, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    endless = Endless(monkeypatch)
+    first = library.open(view, seen_by="ann")
+    first.align(lambda: None)
+    endless.until(lambda: len(endless.at_work) == 1)
+    library.open(view.changed(virtual_row=60), seen_by="ann")
+    endless.until(lambda: endless.ended == [first.session])
+
+
+def test_of_many_alignments_two_are_at_work_and_the_rest_wait(
+    library: Library, view: View, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    endless = Endless(monkeypatch)
+    waits = threading.Semaphore(0)
+    every = []
+    for row in range(50, 56):
+        opened = library.open(view.changed(virtual_row=row), seen_by=row)
+        every.append(opened)
+        opened.align(
+            lambda one=opened: (  # type: ignore[misc]  # this one, not the last
+                waits.release() if one.progress.what == "waiting for other alignments" else None
+            )
+        )
+    for _ in range(4):
+        assert waits.acquire(timeout=ENOUGH_S)
+    assert set(map(id, endless.at_work)) == {id(one.session) for one in every[:2]}
+    library.leave(50)
+    endless.until(lambda: any(session is every[2].session for session in endless.at_work))
+    assert len(endless.at_work) == 2
+    # One that waits goes without ever having begun.
+    library.leave(53)
+    library.leave(51)
+    endless.until(lambda: any(session is every[4].session for session in endless.at_work))
+    assert all(session is not every[3].session for session in endless.ended)
+
+
+# Below a root
+
+
+@pytest.fixture
+def odd_root(tmp_path: Path) -> Path:
+    """A root of recordings and of what is none."""
+    root = tmp_path / "root"
+    (root / ".hidden" / "deep").mkdir(parents=True)
+    (root / "inner" / ".cache").mkdir(parents=True)
+    for name in ("a.mcap", ".b.mcap", ".hidden/c.mcap", "inner/d.mcap", "inner/.cache/e.mcap"):
+        (root / name).write_bytes(b"")
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "outside" / "f.mcap").write_bytes(b"")
+    (root / "to a").symlink_to(root / "a.mcap")
+    (root / "to inner").symlink_to(root / "inner")
+    (root / "to hidden").symlink_to(root / ".hidden")
+    (root / "to c").symlink_to(root / ".hidden" / "c.mcap")
+    (root / "to outside").symlink_to(tmp_path / "outside")
+    (root / "to nothing").symlink_to(root / "none")
+    (root / "loop").symlink_to(root / "loop")
+    os.mkfifo(root / "pipe")
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(root / "server"))
+    return root
+
+
+def test_exactly_what_may_be_opened_is_listed(odd_root: Path, small_scene: Path) -> None:
+    library = Library([small_scene], [odd_root])
+    listed = library.names()[1:]
+    assert listed == ["a.mcap", "inner", "to a", "to inner"]
+    for name in [path.name for path in odd_root.iterdir()]:
+        if name in listed:
+            assert library.path(name) == (odd_root / name).resolve()
+        else:
+            with pytest.raises(RecordingError, match="not among the recordings"):
+                library.path(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "leads_to"),
+    [
+        ("inner/d.mcap", "inner/d.mcap"),
+        ("to inner/d.mcap", "inner/d.mcap"),
+        (".hidden/c.mcap", None),
+        ("inner/.cache/e.mcap", None),
+        ("inner/../.hidden/c.mcap", None),
+        ("to hidden/c.mcap", None),
+        ("to outside/f.mcap", None),
+        ("to inner/.cache/e.mcap", None),
+    ],
+)
+def test_what_a_link_names_is_judged_by_where_it_leads(
+    odd_root: Path, small_scene: Path, name: str, leads_to: str | None
+) -> None:
+    library = Library([small_scene], [odd_root])
+    if leads_to is not None:
+        assert library.path(name) == odd_root / leads_to
+        return
+    with pytest.raises(RecordingError, match="not among the recordings"):
+        library.open(View(recording=name))
+
+
+def test_a_root_that_goes_away_takes_its_list_along(odd_root: Path, small_scene: Path) -> None:
+    library = Library([small_scene], [odd_root])
+    shutil.rmtree(odd_root)
+    assert library.names() == [small_scene.name]
+
+
+def test_a_root_that_is_no_folder_is_refused(small_scene: Path, tmp_path: Path) -> None:
+    for root in (small_scene, tmp_path / "none"):
+        with pytest.raises(RecordingError, match="is no folder"):
+            Library([small_scene], [root])
+
+
+# Changed while it is open
+
+
+def test_a_recording_that_is_cut_while_it_is_open_says_so_and_is_opened_again(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "room.mcap"
+    # Longer than what is read ahead.
+    shutil.copyfile(sample_path(), path)
+    library = Library([path], [])
+    view = View(recording=path.name)
+    opened = library.open(view, seen_by="ann")
+    whole = path.read_bytes()
+    os.truncate(path, len(whole) // 2)
+    with pytest.raises(Exception) as failed:  # noqa: PT011, PT012  # as the reader has it
+        for number in range(len(opened.frames)):
+            opened.frames.pair(number)
+    failure = opened.explained(failed.value)
+    assert isinstance(failure, RecordingError)
+    assert failure.problem == "has become shorter since it was opened."
+    assert failure.file == str(path)
+    assert "Reload the page" in failure.advice
+    # Who looks at it keeps what can still be read; who comes next has it as it is then.
+    path.write_bytes(whole)
+    assert library.open(view, seen_by="ann") is opened
+    library.leave("ann")
+    again = library.open(view, seen_by="ann")
+    assert again is not opened
+    assert len(again.frames) == len(opened.frames)
+    assert again.frames.pair(len(again.frames) - 1)
+    library.close()
+    assert not is_open(opened.session.recording)
+
+
+def test_an_error_of_a_recording_that_did_not_change_stays_as_it_is(
+    library: Library, view: View
+) -> None:
+    opened = library.open(view)
+    for error in (IndexError("5"), RecordingError("message 7 is damaged.")):
+        assert opened.explained(error) is error
+    assert library.open(view) is opened
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda folder: (folder / "a").unlink(), "is gone"),
+        (lambda folder: shutil.rmtree(folder), "is gone"),
+        (lambda folder: os.truncate(folder / "a", 2), "has become shorter"),
+        (lambda folder: (folder / "a").write_bytes(b"longer"), "has changed"),
+        (lambda folder: os.utime(folder / "a", ns=(1, 1)), "has changed"),
+        (lambda folder: (folder / "c").write_bytes(b""), "has changed"),
+        (lambda folder: None, None),
+    ],
+)
+def test_what_became_of_a_folder(
+    tmp_path: Path, change: Callable[[Path], object], words: str | None
+) -> None:
+    folder = tmp_path / "recording"
+    folder.mkdir()
+    for name in ("a", "b"):
+        (folder / name).write_bytes(b"1234")
+    stamp = FileStamp.of(folder)
+    change(folder)
+    said = stamp.change()
+    assert said is None if words is None else said is not None and said.startswith(words)
