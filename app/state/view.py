@@ -7,7 +7,9 @@ an error in one line. It goes whole into a link, the settings as what differs fr
 import base64
 import binascii
 import json
+import math
 import zlib
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -27,6 +29,11 @@ _MAX_TEXT = 65_536
 _MOST_WHERE = 80
 # Far beyond the samples of any curve and the rows of any image.
 _FAR = 100_000.0
+# Of frames and of beams. What is shown of them goes to browsers as numbers of 64 bits.
+_MOST_COUNTED = 2**31 - 1
+_INT64 = 2**63
+# An integer of more digits has more than 64 bits, whatever they are.
+_INT64_DIGITS = 19
 
 
 class View(BaseModel):
@@ -39,7 +46,7 @@ class View(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     recording: str = Field(max_length=4096)
-    number: int = Field(0, ge=0, description="Frame, counted from 0")
+    number: int = Field(0, ge=0, le=_MOST_COUNTED, description="Frame, counted from 0")
     panel: PanelName = "Recording"
     preset: PresetName = "default"
     settings: ChainSettings = PRESETS["default"]
@@ -58,7 +65,7 @@ class View(BaseModel):
     classes: frozenset[NoiseClass] = frozenset(NoiseClass)
     repaired: bool = Field(True, description="Show repaired values, else raw ones")
     both: bool = Field(True, description="Show raw and repaired depth images together")
-    beam: int | None = Field(None, ge=0, description="Beam that is looked at")
+    beam: int | None = Field(None, ge=0, le=_MOST_COUNTED, description="Beam that is looked at")
     row_step: int = Field(6, ge=1, le=60, description="Every so many rows of depth are drawn")
     speed: float = Field(1.0, ge=0.1, le=8.0)
     loop: bool = True
@@ -120,21 +127,23 @@ class View(BaseModel):
 
 
 def view_of_link(link: str) -> View:
-    """The view that ``to_link`` wrote. Raises SettingsError for what is none."""
+    """The view that ``to_link`` wrote.
+
+    Raises SettingsError for what is none, and names the value where one is at fault.
+    """
     try:
         packed = base64.urlsafe_b64decode(link + "=" * (-len(link) % 4))
         unpacker = zlib.decompressobj()
         text = unpacker.decompress(packed, _MAX_TEXT)
         if not unpacker.eof:
             raise ValueError("it is cut short or too long")
-        values = json.loads(text)
+        values = json.loads(text, parse_int=_int_of)
+        _require_numbers(values)
         for name in ("settings", "aligned"):
-            chain = PRESETS[values["preset"]].model_dump()
-            chain |= values[name].pop("", {})
-            for stage, other in values[name].items():
-                chain[stage] = chain[stage] | other
-            values[name] = chain
+            values[name] = _chain_of(values, name)
         return View.model_validate(values)
+    except SettingsError:
+        raise
     except (
         binascii.Error,
         zlib.error,
@@ -145,14 +154,53 @@ def view_of_link(link: str) -> View:
         RecursionError,
     ) as error:
         reason = said(error) if isinstance(error, ValidationError) else "it is no link of a view"
-        raise SettingsError(
-            f"the link cannot be followed: {reason}", advice="Copy it again, whole."
-        ) from error
+        raise _no_link(reason) from error
+
+
+def _chain_of(values: dict[str, Any], name: str) -> dict[str, Any]:
+    """All settings of a link's preset, and over them those that it names."""
+    if values["preset"] not in PRESETS:
+        raise _no_link("preset: there is none of this name")
+    chain = PRESETS[values["preset"]].model_dump()
+    chain |= values[name].pop("", {})
+    for stage, other in values[name].items():
+        if not isinstance(chain.get(stage), dict) or not isinstance(other, dict):
+            raise _no_link(f"{_place([name, stage])}: no stage has such settings")
+        chain[stage] = chain[stage] | other
+    return chain
+
+
+def _int_of(digits: str) -> float:
+    """An integer of JSON. Python reads none of thousands of digits: too long ones are infinite."""
+    return int(digits) if len(digits.lstrip("-")) <= _INT64_DIGITS else math.inf
+
+
+def _require_numbers(value: object, where: tuple[object, ...] = ()) -> None:
+    """Refuse numbers that are not finite, and integers of more than 64 bits."""
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            _require_numbers(inner, (*where, name))
+    elif isinstance(value, list):
+        for index, inner in enumerate(value):
+            _require_numbers(inner, (*where, index))
+    elif isinstance(value, int) and not -_INT64 <= value < _INT64:
+        raise _no_link(f"{_place(where)}: it has more than 64 bits")
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise _no_link(f"{_place(where)}: it is no finite number")
+
+
+def _no_link(reason: str) -> SettingsError:
+    return SettingsError(f"the link cannot be followed: {reason}", advice="Copy it again, whole.")
 
 
 def said(error: ValidationError) -> str:
     """A validation error in one line."""
     first = error.errors()[0]
-    where = ".".join(str(part) for part in first["loc"])[:_MOST_WHERE]
-    where = "".join(sign if sign.isprintable() else "?" for sign in where)
+    where = _place(first["loc"])
     return f"{where}: {first['msg'].lower()}" if where else str(first["msg"]).lower()
+
+
+def _place(parts: Iterable[object]) -> str:
+    """Where a value stands, in a few printable characters."""
+    where = ".".join(str(part) for part in parts)[:_MOST_WHERE]
+    return "".join(sign if sign.isprintable() else "?" for sign in where)

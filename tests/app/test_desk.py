@@ -1,7 +1,9 @@
 """One person's desk without a browser: the view, what is computed for it, and what is told."""
 
+import os
+import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 
 from app.desk import STORED_VIEW, Desk
+from app.resources import sample_path
 from app.shown import Shown, shown_of
 from app.state.library import Library
 from app.state.opened import Opened
@@ -50,11 +53,22 @@ class Recorder:
     def __init__(self) -> None:
         self.shown: list[Shown] = []
         self.failure: Exception | None = None
+        self._changed = threading.Condition()
 
     def show(self, shown: Shown) -> None:
         if self.failure is not None:
             raise self.failure
-        self.shown.append(shown)
+        with self._changed:
+            self.shown.append(shown)
+            self._changed.notify_all()
+
+    def until(self, condition: Callable[[Shown], bool]) -> Shown:
+        """Wait until what was shown last fits: an alignment ends when it will."""
+        with self._changed:
+            assert self._changed.wait_for(
+                lambda: bool(self.shown) and condition(self.shown[-1]), ENOUGH_S
+            )
+            return self.shown[-1]
 
 
 def aligned(library: Library, view: View) -> Opened:
@@ -247,21 +261,18 @@ def test_a_step_comes_in_again_from_the_other_end_or_stops(
     assert desk.view.number == end % count
 
 
-def test_a_failure_is_told_once_until_it_is_over(desk: Desk, client: Told) -> None:
+def test_a_failure_is_told_once_until_it_is_over(desk: Desk, client: Told, panel: Recorder) -> None:
     # No scan lies so near that it would not be too far.
     desk.set("time", "max_gap_ms", 0.001)
     desk.align_again()
-    shown = shown_by(desk)
-    while shown.failure is None:
-        assert desk.wait(ENOUGH_S)
-        shown = shown_by(desk)
+    failure = panel.until(lambda shown: shown.failure is not None).failure
+    assert failure is not None
     for _ in range(3):
         desk.refresh()
         assert desk.wait(ENOUGH_S)
-    assert len(client.notes) == 1
-    assert client.notes[0][0] == shown.failure.problem
+    assert [title for title, _ in client.notes] == [failure.problem]
     desk.undo()
-    assert shown_by(desk).fused is not None
+    panel.until(lambda shown: shown.fused is not None)
 
 
 def test_a_panel_that_fails_is_told_and_the_desk_goes_on(
@@ -368,15 +379,37 @@ def test_an_alignment_that_fails_is_told_and_the_streams_are_shown(
     opened = library.open(View(recording=small_scene.name))
     desk = Desk(client, library, View(recording=small_scene.name))  # type: ignore[arg-type]  # as far as it is needed
     desk.panels = [panel]
-    told = threading.Event()
-    opened.align(told.set)
-    assert told.wait(ENOUGH_S)
+    failed = threading.Event()
+    opened.align(lambda: failed.set() if opened.failure is not None else None)
+    assert failed.wait(ENOUGH_S)
     desk.refresh()
     shown = shown_by(desk)
     assert (shown.opened, shown.chain) == (opened, None)
     ((said, then),) = client.notes
     assert said == title
     assert then.startswith(body)
+    desk.close()
+    library.close()
+
+
+def test_a_recording_that_is_cut_while_it_is_open_is_told_so(
+    tmp_path: Path, client: Told, panel: Recorder
+) -> None:
+    path = tmp_path / "room.mcap"
+    # Longer than what is read ahead.
+    shutil.copyfile(sample_path(), path)
+    library = Library([path], [])
+    view = View(recording=path.name)
+    # It stays open, and there is nothing to be aligned yet.
+    library.open(view, seen_by="the test")
+    os.truncate(path, path.stat().st_size // 2)
+    desk = Desk(client, library, view)  # type: ignore[arg-type]  # as far as it is needed
+    desk.panels = [panel]
+    desk.refresh()
+    panel.until(lambda shown: shown.failure is not None)
+    ((title, advice),) = client.notes
+    assert title == "room.mcap: has become shorter since it was opened."
+    assert advice == "Reload the page: it is then opened again, as it is now."
     desk.close()
     library.close()
 
@@ -398,7 +431,7 @@ def test_what_is_shown_is_what_the_chain_computes(library: Library, view: View) 
 def test_a_frame_beyond_the_last_is_the_last(library: Library, view: View) -> None:
     opened = library.open(view)
     last = len(opened.frames) - 1
-    for number in (last, last + 1, 10**30):
+    for number in (last, last + 1, 2**31 - 1):
         shown = shown_of(view.changed(number=number), opened)
         assert shown.view.number == last
         assert shown.paired is not None

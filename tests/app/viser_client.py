@@ -19,7 +19,9 @@ import websockets.exceptions
 import websockets.sync.client
 import zstandard
 
-_CAMERA = {
+# So often a condition is looked at without a message.
+_LOOK_S = 0.05
+CAMERA = {
     "type": "ViewerCameraMessage",
     "wxyz": (1.0, 0.0, 0.0, 0.0),
     "position": (0.0, -5.0, 2.0),
@@ -124,10 +126,13 @@ class ViserClient:
                 return received
 
     def wait_until(self, condition: Callable[[], bool], timeout: float = 5.0) -> None:
-        """Wait until what is known of the widgets fits. Raises TimeoutError where it does not."""
+        """Wait until a condition holds: of the widgets, or of the server, which does not tell of
+        every change. Raises TimeoutError where it does not."""
+        deadline = time.monotonic() + timeout
         with self._changed:
-            if not self._changed.wait_for(condition, timeout):
-                raise TimeoutError(f"not so within {timeout} s")
+            while not self._changed.wait_for(condition, _LOOK_S):
+                if time.monotonic() > deadline:
+                    raise TimeoutError(f"not so within {timeout} s")
 
     def send(self, message: Mapping[str, Any]) -> float:
         """Send a message of viser's protocol, by its ``type``; return when it was sent."""
@@ -290,7 +295,7 @@ def connect(
     )
     client = ViserClient(socket, {} if storage is None else storage)
     if with_camera:
-        client.send(_CAMERA)
+        client.send(CAMERA)
     return client
 
 

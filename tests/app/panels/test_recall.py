@@ -38,6 +38,7 @@ class Bench:
         self.client: ViserClient = connect(f"http://127.0.0.1:{self.server.get_port()}")
         assert self.furnished.wait(LONG_S)
         self.until(lambda: self.desk.shown is not None and self.desk.shown.fused is not None)
+        self.until(lambda: self.is_offered)
 
     def _welcome(self, client: viser.ClientHandle) -> None:
         self.desk = Desk(client, self.library, self.first)

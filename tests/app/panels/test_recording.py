@@ -119,8 +119,9 @@ def module_bench(four_cameras: Path, small_scene: Path) -> Iterator[Bench]:
 
 @pytest.fixture
 def bench(module_bench: Bench) -> Bench:
-    """The bench as at the start."""
+    """The bench as at the start, its recording aligned."""
     module_bench.change(**dict(module_bench.first))
+    module_bench.until(lambda: module_bench.shown.chain is not None)
     return module_bench
 
 
@@ -253,7 +254,8 @@ def test_where_nothing_can_be_aligned_the_stamps_show_why(bench: Bench, small_sc
     none = bench.first.with_setting("time", "max_gap_ms", 0.001).settings
     bench.change(recording=small_scene.name, settings=none, aligned=none)
     said = bench.words("have no scan within 0.001 ms")
-    assert bench.shown.failure is not None
+    # The stamps are known before that.
+    bench.until(lambda: bench.shown.failure is not None)
     assert bench.shown.chain is None
     count = len(bench.shown.opened.frames)
     assert f"**{count}** of {count} depth images" in said
@@ -262,7 +264,7 @@ def test_where_nothing_can_be_aligned_the_stamps_show_why(bench: Bench, small_sc
 def test_a_virtual_lidar_has_no_gaps(bench: Bench, small_scene: Path) -> None:
     bench.change(recording=small_scene.name, virtual_row=60)
     bench.words("has the stamps of its images")
-    assert not bench._image().props["visible"]
+    bench.until(lambda: not bench._image().props["visible"])
 
 
 def test_nothing_of_the_recording_before_is_said_while_another_is_aligned(

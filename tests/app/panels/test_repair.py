@@ -177,8 +177,9 @@ def test_the_curve_is_that_of_the_frame(bench: Bench) -> None:
 def test_the_list_of_conflicts_jumps_to_each(bench: Bench) -> None:
     runs = conflict_runs(bench.frame)
     assert len(runs) >= 2
-    heading, *options = bench.browser.find("Conflicts").props["options"]
-    assert heading == f"{len(runs)}: choose one"
+    choices = bench.browser.find("Conflicts").props
+    bench.browser.wait_until(lambda: choices["options"][0] == f"{len(runs)}: choose one")
+    _, *options = choices["options"]
     for run, words in zip(runs, options, strict=True):
         assert f"{run.lidar_m:.2f} m" in words
         bench.browser.set_value("Conflicts", words)

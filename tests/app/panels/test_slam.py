@@ -194,7 +194,7 @@ def test_the_panel_moves_while_it_runs(seat: Seat, fake: FakeMap) -> None:
     assert gate.begun.wait(LONG_S)
     seat.until(lambda: seat.shown()[0] and seat.shown()[1])
     assert seat.widget("Run").props["disabled"]
-    assert seat.says("Matching scans")
+    seat.until_says("Matching scans")
     gate.go_on.set()
     seat.until(
         lambda: (
@@ -245,14 +245,14 @@ def test_a_run_that_does_not_fit_is_shown_with_a_warning(seat: Seat, fake: FakeM
     seat.run(FIRST)
     seat.until_says("Not to be relied on:")
     seat.client.wait_for(lambda got: got.type == "NotificationShowMessage", LONG_S)
-    assert seat.shown()[2]
+    seat.until(lambda: seat.shown()[2])
 
 
 def test_what_cannot_be_done_is_said_and_not_begun(seat: Seat, fake: FakeMap) -> None:
     seat.client.set_value("Motion", "none")
     seat.client.set_value("SLAM", "none")
     seat.until_says("Without SLAM and without motion there are no poses")
-    assert seat.widget("Run").props["disabled"]
+    seat.until(lambda: bool(seat.widget("Run").props["disabled"]))
     seat.panel._slam._begin()
     assert not seat.panel._slam._job.is_at_work
     seat.client.set_value("SLAM", "pose-graph")

@@ -6,6 +6,7 @@ import re
 import zlib
 from typing import Any, get_args
 
+import msgspec.msgpack
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -274,6 +275,69 @@ def test_a_link_of_another_shape_is_refused(values: Any) -> None:
 )
 def test_a_link_with_a_refused_value_says_so_in_one_line(name: str, value: Any) -> None:
     refusal_of(link_of(values_of(VIEW) | {name: value}))
+
+
+# As JSON spells them.
+NONSENSE = {
+    "2^63": str(2**63),
+    "2^64": str(2**64),
+    "below -2^63": str(-(2**63) - 1),
+    "thousands of digits": "9" * 5000,
+    "beyond all floats": "1e400",
+    "below all floats": "-1e400",
+    "nan": "NaN",
+    "infinite": "-Infinity",
+}
+NUMBERS = [
+    ("beam",),
+    ("number",),
+    ("draw",),
+    ("row_step",),
+    ("speed",),
+    ("virtual_row",),
+    ("picked", 0),
+    ("slam", "particles"),
+    ("classes", 0),
+    ("settings", "registration", "seed"),
+    ("settings", "registration", "draws"),
+    ("settings", "noise", "epsilon"),
+    ("aligned", "mount", "delta_z_min_m"),
+    ("aligned", "time", "max_gap_ms"),
+]
+
+
+def link_with(place: tuple[Any, ...], value: str) -> str:
+    """A link of which one value is another, given as JSON."""
+    values = values_of(VIEW.changed(picked=(1.0, 2.0), beam=3))
+    inner: Any = values
+    for part in place[:-1]:
+        inner = inner.setdefault(part, {}) if isinstance(inner, dict) else inner[part]
+    inner[place[-1]] = "the value"
+    text = json.dumps(values).replace('"the value"', value)
+    return base64.urlsafe_b64encode(zlib.compress(text.encode())).decode().rstrip("=")
+
+
+@pytest.mark.parametrize("value", NONSENSE.values(), ids=NONSENSE.keys())
+@pytest.mark.parametrize("place", NUMBERS, ids=lambda place: ".".join(map(str, place)))
+def test_a_number_that_is_none_is_refused_by_its_name(place: tuple[Any, ...], value: str) -> None:
+    assert ".".join(map(str, place)) in refusal_of(link_with(place, value))
+
+
+@given(
+    place=st.sampled_from(NUMBERS),
+    value=st.integers() | st.floats() | st.integers(2**60, 2**70) | st.integers(-(2**70), -1),
+)
+def test_a_view_holds_no_number_that_a_browser_cannot_be_sent(
+    place: tuple[Any, ...], value: float
+) -> None:
+    link = link_with(place, json.dumps(value))
+    try:
+        view = view_of_link(link)
+    except SettingsError:
+        assert str(place[0]) in refusal_of(link)
+    else:
+        sent = msgspec.msgpack.encode(view.model_dump(mode="json"))
+        assert view == View.model_validate(msgspec.msgpack.decode(sent))
 
 
 def test_a_link_that_unpacks_to_more_than_any_view_is_not_unpacked() -> None:
