@@ -22,9 +22,8 @@ HomeOption = Annotated[str | None, conf.arg(metavar="SESSION", help_behavior_hin
 RoomOption = Annotated[str | None, conf.arg(metavar="ROOM", help_behavior_hint="")]
 
 
-# More than any image has rows, the highest port, a day, and thirty years.
+# More than any image has rows, a day, and thirty years.
 ROW_MAX = 65_535
-PORT_MAX = 65_535
 SUBSESSION_MAX = 9
 OFFSET_MAX_MS = 86_400_000.0
 TIME_MAX_S = 1e9

@@ -15,7 +15,6 @@ from tyro import conf
 
 from app.arenas import limit_arenas
 from app.command_options import (
-    PORT_MAX,
     ROW_MAX,
     TIME_MAX_S,
     Flag,
@@ -30,6 +29,7 @@ from app.command_options import (
     room_of,
 )
 from app.evaluate_commands import Evaluate
+from app.listening import LAST_PORT
 from app.map_command import Map
 from app.reports import Report, conversion_lines, info_lines, scene_lines
 from app.resources import sample_path
@@ -59,7 +59,7 @@ class Serve:
 
     def run(self, progress: Progress) -> None:
         require_natural("--virtual-lidar", self.virtual_lidar, ROW_MAX)
-        require_natural("--port", self.port, PORT_MAX)
+        require_natural("--port", self.port, LAST_PORT)
         # The fields' products are small: more threads take more time of more cores. numpy reads
         # this when it is first imported.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

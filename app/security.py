@@ -19,9 +19,12 @@ from ipaddress import ip_address
 from typing import Any
 from urllib.parse import parse_qs, urlencode
 
+import viser
 import websockets.asyncio.server
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
+
+from app.connections import of_this_version
 
 LINK_KEY = "link"
 # Longer than any person's view. A whole request line may have 8192 bytes in websockets.
@@ -109,13 +112,21 @@ def is_loopback(host: str) -> bool:
 
 
 @contextmanager
-def guarded(guard: Guard) -> Iterator[None]:
-    """Servers that are started within ask ``guard`` before they answer anything."""
+def guarded(guard: Guard, **instead: Any) -> Iterator[None]:
+    """Servers that are started within ask ``guard`` before they answer anything.
+
+    ``instead``: options of websockets' ``serve`` that go over those of viser.
+    """
     module: Any = websockets.asyncio.server
     original = module.serve
 
-    def serve(*args: Any, process_request: Any = None, **options: Any) -> Any:
-        return original(*args, process_request=_asking(guard, process_request), **options)
+    def serve(handler: Any, *args: Any, process_request: Any = None, **options: Any) -> Any:
+        return original(
+            of_this_version(handler, viser.__version__),
+            *args,
+            process_request=_asking(guard, process_request),
+            **options | instead,
+        )
 
     module.serve = serve
     try:

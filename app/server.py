@@ -1,17 +1,20 @@
 """The workbench's server: a guarded viser server that gives every browser a desk of its own."""
 
 import io
-import socket
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import viser
 
+from app import storage
+from app.complaints import Complaints, in_short, log_to
+from app.connections import Connections
 from app.desk import STORED_VIEW, Desk
+from app.listening import free_port
 from app.panels.header import HeaderPanel
 from app.panels.map import MapPanel
 from app.panels.match import MatchPanel
@@ -25,12 +28,9 @@ from app.resources import sample_path
 from app.security import LINK_KEY, Guard, guard_for, guarded
 from app.state.library import Library
 from app.state.view import View, view_of_link
-from app.untrusted import only_values, without_sharing
-from fusion_core.model.errors import ScanLoomError, SettingsError
+from app.untrusted import MOST_BYTES, only_values, without_sharing
+from fusion_core.model.errors import ExportError, ScanLoomError
 
-# A browser answers from its own storage, late where it draws without a graphics card; one that does
-# not starts afresh.
-_STORAGE_TIMEOUT_S = 20.0
 # The panels' pictures are then shown at nearly their own size, so that their letters can be read.
 _PANEL_PX = 460.0
 
@@ -56,29 +56,44 @@ class Closable(Protocol):
 class Workbench:
     """A server that listens from ``start`` to ``close``, or as long as a ``with`` block lasts.
 
-    Raises RecordingError, MissingStream and SettingsError for what cannot be opened or listened on.
+    Raises RecordingError, MissingStream, SettingsError and ExportError for what cannot be opened,
+    listened on or written to.
+
+    viser's threads and its event loop are everybody's: nothing waits in them. What a browser takes
+    to come and to go runs in threads of its own.
     """
 
     def __init__(self, options: ServeOptions) -> None:
+        # What cannot be had is told before anything is opened, and that before anything listens.
+        _require_folder(options.output_root)
+        self._port = free_port(options.host, options.port)
         recordings = list(options.recordings) or [sample_path()]
         self._library = Library(recordings, list(options.roots))
         self._first_view = View(recording=self._library.names()[0], virtual_row=options.virtual_row)
-        # What cannot be opened is told before anything listens.
         self._library.open(self._first_view)
-        _require_address(options.host)
         self.guard: Guard = guard_for(options.host)
         self._options = options
         self._desks: dict[int, tuple[Desk, list[Closable]]] = {}
         self._lock = threading.Lock()
+        self._is_closed = False
+        self._complaints = Complaints()
+        self._connections = Connections(self._complaints)
 
     def start(self) -> None:
         """Listen."""
         options = self._options
         # viser greets on stdout, which belongs to the command.
-        with guarded(self.guard), redirect_stdout(io.StringIO()):
+        serving = guarded(
+            self.guard,
+            create_connection=self._connections.make,
+            max_size=MOST_BYTES,
+            logger=log_to(self._complaints),
+        )
+        with serving, redirect_stdout(io.StringIO()):
             self._server = viser.ViserServer(
-                host=options.host, port=options.port, label="ScanLoom", verbose=False
+                host=options.host, port=self._port, label="ScanLoom", verbose=False
             )
+        _tell_in_one_line(self._server, self._complaints)
         without_sharing(self._server)
         only_values(self._server.gui, _leave)
         self._server.gui.configure_theme(
@@ -108,6 +123,7 @@ class Workbench:
     def close(self) -> None:
         """Stop serving and free the files."""
         with self._lock:
+            self._is_closed = True
             parting = list(self._desks)
         for client_id in parting:
             self._close_desk(client_id)
@@ -122,14 +138,33 @@ class Workbench:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    def _welcome(self, client: viser.ClientHandle) -> None:
+    async def _welcome(self, client: viser.ClientHandle) -> None:
+        """Give a browser its desk, once it has told what it keeps."""
         only_values(client.gui, _leave)
-        view, problem = self._view_for(client)
+
+        def on_answer(answers: storage.Answers) -> None:
+            if answers[LINK_KEY] is not None:
+                client.local_storage.remove_item(LINK_KEY)
+            links = [link for key in (LINK_KEY, STORED_VIEW) if (link := answers[key]) is not None]
+            _in_own_thread("welcome", self._open_desk, client, links)
+
+        storage.ask(client, (LINK_KEY, STORED_VIEW), on_answer)
+
+    def _open_desk(self, client: viser.ClientHandle, links: list[str]) -> None:
+        try:
+            self._furnish(client, links)
+        except Exception as error:  # noqa: BLE001  # it may have left meanwhile
+            if client.client_id in self._server.get_clients():
+                self._complaints.tell(f"browser {client.client_id}", in_short(error))
+
+    def _furnish(self, client: viser.ClientHandle, links: list[str]) -> None:
+        view, problem = self._view_for(links)
         desk = Desk(client, self._library, view)
         closables = _furnish(desk, self._options.output_root)
         with self._lock:
             self._desks[client.client_id] = (desk, closables)
-        if client.client_id not in self._server.get_clients():
+            is_closed = self._is_closed
+        if is_closed or client.client_id not in self._server.get_clients():
             # It left while its desk was made.
             self._close_desk(client.client_id)
             return
@@ -137,19 +172,11 @@ class Workbench:
             desk.fail(problem)
         desk.refresh()
 
-    def _view_for(self, client: viser.ClientHandle) -> tuple[View, ScanLoomError | None]:
-        """The view of a link, else the browser's last one, else the first."""
-        storage = client.local_storage
+    def _view_for(self, links: list[str]) -> tuple[View, ScanLoomError | None]:
+        """The first of the links that can be followed, else the first view; and why not an earlier
+        one."""
         problem: ScanLoomError | None = None
-        for key in (LINK_KEY, STORED_VIEW):
-            try:
-                link = storage.get_item(key, timeout=_STORAGE_TIMEOUT_S)
-            except (TimeoutError, RuntimeError):
-                break
-            if link is None:
-                continue
-            if key == LINK_KEY:
-                storage.remove_item(key)
+        for link in links:
             try:
                 view = view_of_link(link)
                 self._library.open(view)
@@ -159,8 +186,8 @@ class Workbench:
                 return view, problem
         return self._first_view, problem
 
-    def _part(self, client: viser.ClientHandle) -> None:
-        self._close_desk(client.client_id)
+    async def _part(self, client: viser.ClientHandle) -> None:
+        _in_own_thread("parting", self._close_desk, client.client_id)
 
     def _close_desk(self, client_id: int) -> None:
         with self._lock:
@@ -176,17 +203,40 @@ def _leave(client_id: int, reason: str) -> None:
     """A refused value changes nothing; typing passes through such values, so nothing is said."""
 
 
-def _require_address(host: str) -> None:
-    """viser waits for ever for an address that cannot be had."""
-    try:
-        found = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)
-        with socket.socket(found[0][0], socket.SOCK_STREAM) as probe:
-            probe.bind(found[0][4][:2])
-    except OSError as error:
-        raise SettingsError(
-            f"--host {host}: cannot be listened on ({error.strerror or error}).",
-            advice="Name an address of this machine, such as 127.0.0.1.",
-        ) from error
+def _in_own_thread(name: str, work: Callable[..., None], *args: Any) -> None:
+    threading.Thread(target=work, args=args, name=name, daemon=True).start()
+
+
+def _require_folder(output_root: Path) -> None:
+    """Exports make the folder when they need it; what is no folder is told before anything is
+    computed for it."""
+    if (output_root.exists() or output_root.is_symlink()) and not output_root.is_dir():
+        raise ExportError("is not a folder.", file=output_root, advice="Name another with -o.")
+
+
+def _tell_in_one_line(server: viser.ViserServer, complaints: Complaints) -> None:
+    """What fails in the server's own loop and threads is told without a traceback."""
+    loop = server.get_event_loop()
+
+    def on_error(_: object, context: dict[str, Any]) -> None:
+        error = context.get("exception")
+        what = str(context.get("message", "failed"))
+        complaints.tell("server", f"{what}: {in_short(error)}" if error else what)
+
+    loop.call_soon_threadsafe(loop.set_exception_handler, on_error)
+    pool: Any = server._thread_executor
+    submit = pool.submit
+
+    def submit_told(work: Callable[..., Any], *args: Any) -> Any:
+        def told() -> None:
+            try:
+                work(*args)
+            except Exception as error:  # noqa: BLE001  # viser prints a traceback of it
+                complaints.tell("a widget's callback", in_short(error))
+
+        return submit(told)
+
+    pool.submit = submit_told
 
 
 def _furnish(desk: Desk, output_root: Path) -> list[Closable]:

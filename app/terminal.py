@@ -1,6 +1,5 @@
 """What the command line shows: progress on stderr, and texts that cannot steer the terminal."""
 
-import logging
 import sys
 import warnings
 from collections.abc import Iterator
@@ -31,14 +30,8 @@ def progress_on_stderr() -> Iterator[Progress]:
 
 
 def leave_out_partings() -> None:
-    """Let nothing be said on stderr, from now on, of browsers that come and go: of messages that
-    reach them no more, and of connections that they open ahead and drop."""
+    """Let nothing be said on stderr, from now on, of messages that reach browsers no more."""
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
-    logging.getLogger("websockets.server").addFilter(_is_no_parting)
-
-
-def _is_no_parting(record: logging.LogRecord) -> bool:
-    return record.msg != "opening handshake failed"
 
 
 class _Lines:

@@ -1,14 +1,18 @@
-"""What browsers may send: new values of widgets that are there, of their kind and in their range.
+"""What browsers may send: messages of the kinds that are used here, and new values of widgets that
+are there, of their kind and in their range.
 
 viser sets any attribute of a widget that a message names, and casts a value without a look at the
-widget's range. So a check stands in front of it. What a value means is checked once more where it
-is used (``app.state.view``).
+widget's range; a message that it cannot read ends the connection with a traceback. So a check
+stands in front of it. What a value means is checked once more where it is used
+(``app.state.view``).
 """
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, fields
 from typing import Any
 
+import msgspec
 import viser
 from viser import _messages as messages
 
@@ -23,6 +27,82 @@ _NEVER = (
     messages.GuiFormDirtyMessage,
     messages.GuiFormSubmitMessage,
 )
+
+# The answer to the first question, which ends a browser's time of waiting.
+_ANSWER = messages.LocalStorageGetItemResponseMessage
+_USED: dict[str, type[Any]] = {
+    kind.__name__: kind
+    for kind in (
+        _ANSWER,
+        messages.ViewerCameraMessage,
+        messages.GuiUpdateMessage,
+        messages.CommandTriggerMessage,
+        messages.SceneNodeClickMessage,
+        messages.ScenePointerMessage,
+    )
+}
+_MOST_PIXELS = 2**20
+# No message of a browser is longer: a view that it kept, or a text that was typed. Their text is
+# in UTF-8, a character up to 4 bytes long.
+MOST_BYTES = 2**18
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """What to do with a message: hand it on where it ``is_wanted``, and else tell of its
+    ``problem``, if any. ``answers``: it says what the browser keeps."""
+
+    is_wanted: bool = False
+    answers: bool = False
+    problem: str = ""
+
+
+def judge(data: str | bytes) -> Judged:
+    """What to do with a message, before viser reads it: it must be of a kind that is used, with all
+    the values of that kind and no other, and no number that is none."""
+    if not isinstance(data, bytes):
+        return Judged(problem="a text where viser sends bytes")
+    try:
+        values = msgspec.msgpack.decode(data)
+        name = values.pop("type")
+        kind = _USED.get(name)
+    except (msgspec.DecodeError, RecursionError, AttributeError, KeyError, TypeError, ValueError):
+        return Judged(problem="what is no message of viser's")
+    if kind is None:
+        known = name in messages.Message._subclass_from_type_string()
+        # A page may send more than is made use of.
+        return Judged(problem="" if known else f"a message of the unknown kind {_short(name)}")
+    problem = _problem_of_message(values, kind)
+    if problem:
+        return Judged(problem=f"a {name}: {problem}")
+    return Judged(is_wanted=True, answers=kind is _ANSWER)
+
+
+def _problem_of_message(values: dict[Any, Any], kind: type[Any]) -> str | None:
+    """Why viser could not make use of a message, None where it can."""
+    unknown = values.keys() - {field.name for field in fields(kind)}
+    if unknown:
+        return f"it knows no {_short(next(iter(unknown)))}"
+    try:
+        message = msgspec.convert(values, kind)
+    except msgspec.ValidationError as error:
+        return str(error)
+    if kind is not messages.GuiUpdateMessage and not _is_finite(values):
+        return "a number in it is not finite"
+    if isinstance(message, messages.ViewerCameraMessage):
+        sides = message.image_height, message.image_width
+        # A window may be as small as nothing.
+        if not all(0 <= side <= _MOST_PIXELS for side in sides):
+            return f"a picture of {sides[1]} x {sides[0]} pixels"
+    return None
+
+
+def _is_finite(value: object) -> bool:
+    if isinstance(value, dict):
+        return all(map(_is_finite, value.values()))
+    if isinstance(value, list):
+        return all(map(_is_finite, value))
+    return not isinstance(value, float) or math.isfinite(value)
 
 
 def only_values(gui: viser.GuiApi, refused: Callable[[int, str], None]) -> None:

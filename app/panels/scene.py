@@ -159,7 +159,9 @@ class ScenePanel:
             case "Heatmap" | "Depth" if name.lower() in self._boards:
                 view = camera_views.board(self._boards[name.lower()])
             case _:
-                aspect = self._desk.client.camera.aspect
+                camera = self._desk.client.camera
+                # A window may be as small as nothing.
+                aspect = max(camera.image_width, 1) / max(camera.image_height, 1)
                 view = camera_views.perspective(self._layout, aspect)
         self._hidden = view.hides
         with self._desk.client.atomic():

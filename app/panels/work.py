@@ -92,8 +92,8 @@ class PanelJob:
             self._desk.fail(error)
 
     def close(self) -> None:
-        """The browser has gone: what is at work, a build as well, is cancelled as by the button, and
-        leaves nothing behind: nobody could tell who asked for it, or whether it is whole."""
+        """The browser has gone: what is at work, a build as well, is cancelled as by the button and
+        leaves nothing behind. Nobody could tell who asked for it, or whether it is whole."""
         with self._lock:
             self._is_closed = True
             job = self._job

@@ -1,19 +1,24 @@
 """A browser and its desk: the view it gets, what it is told, and how it ends."""
 
+import base64
+import json
 import shutil
 import threading
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from app.desk import STORED_VIEW
+from app.desk import STORED_VIEW, Desk
 from app.security import LINK_KEY
 from app.server import ServeOptions, Workbench
-from app.state.view import View
-from fusion_core.model.errors import RecordingError
+from app.state.view import View, view_of_link
+from fusion_core.model.errors import RecordingError, SettingsError
 from tests.app.viser_client import connect
 from tests.hostile.names import NO_UTF8, SHOWN
 
@@ -47,7 +52,7 @@ def test_a_browser_gets_the_view_that_it_kept(workbench: Workbench, view: View) 
     storage = {STORED_VIEW: kept.to_link()}
     with connect(workbench.address, storage=storage) as client:
         client.wait_until(lambda: client_shows(client, "Frame", 4), ENOUGH_S)
-        assert [desk.view for desk in workbench.desks] == [kept]
+        assert desk_of(workbench).view == kept
 
 
 def test_a_link_goes_before_what_was_kept_and_is_followed_once(
@@ -102,7 +107,7 @@ def test_a_frame_that_cannot_be_read_takes_the_one_before_out_of_sight(
             client.wait_for(
                 lambda r: r.type == "ImageMessage" and r.message["name"] in boards, ENOUGH_S
             )
-        (desk,) = workbench.desks
+        desk = desk_of(workbench)
         assert desk.wait(ENOUGH_S)
         assert desk.shown is not None
         frames = desk.shown.opened.frames
@@ -167,9 +172,111 @@ def within(condition: Callable[[], bool]) -> bool:
     return True
 
 
+def desk_of(workbench: Workbench) -> Desk:
+    """The one browser's desk; that of the test before may still be going."""
+    assert within(lambda: len(workbench.desks) == 1)
+    return workbench.desks[0]
+
+
 def client_shows(client: Any, label: str, value: Any) -> bool:
     return any(w.label == label and w.value == value for w in client.widgets.values())
 
 
 def client_says(client: Any, words: str) -> bool:
     return any(words in str(w.props.get("content", "")) for w in list(client.widgets.values()))
+
+
+# What is at work ends with its browser
+
+
+class Endless:
+    """Stands for long work that reports its progress, until it is stopped."""
+
+    def __init__(self) -> None:
+        self.began, self.ended = threading.Event(), threading.Event()
+
+    def work(self, progress: Callable[..., None]) -> None:
+        pause = threading.Event()
+        try:
+            while True:
+                progress(0, None, "working")
+                self.began.set()
+                pause.wait(0.01)
+        finally:
+            self.ended.set()
+
+
+@pytest.mark.filterwarnings("ignore:Queued a")
+def test_an_alignment_that_a_link_asked_for_ends_with_its_browser(
+    workbench: Workbench, view: View, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    endless = Endless()
+    monkeypatch.setattr("app.state.opened.align_session", lambda *args: endless.work(args[1]))
+    with connect(
+        workbench.address, storage={LINK_KEY: view.changed(virtual_row=61).to_link()}
+    ) as client:
+        client.find("Every k-th row", timeout=ENOUGH_S)
+        assert endless.began.wait(ENOUGH_S)
+    assert endless.ended.wait(ENOUGH_S)
+
+
+@pytest.mark.filterwarnings("ignore:Queued a")
+def test_a_build_ends_with_its_browser_and_leaves_nothing_behind(
+    small_scene: Path, view: View, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    endless = Endless()
+
+    def fuse(recording: Path, output: Path, options: object, progress: Callable[..., None]) -> None:
+        output.mkdir(parents=True)
+        (output / "half a result").write_text("half")
+        endless.work(progress)
+
+    monkeypatch.setattr("app.jobs.build.fuse", fuse)
+    root = tmp_path / "out"
+    options = ServeOptions(recordings=[small_scene], port=0, output_root=root)
+    with Workbench(options) as own:
+        storage = {STORED_VIEW: view.changed(panel="Map").to_link()}
+        with connect(own.address, storage=storage) as client:
+            # The last widget: by then a press is heard.
+            client.find("Every k-th row", timeout=ENOUGH_S)
+            client.click("Build")
+            assert endless.began.wait(ENOUGH_S)
+            assert list(root.iterdir())
+        assert endless.ended.wait(ENOUGH_S)
+        assert within(lambda: not list(root.iterdir()))
+
+
+# Links of nonsense
+
+
+NUMBERS = st.integers() | st.integers(2**62, 2**80) | st.floats() | st.just(10**400)
+
+
+@pytest.mark.filterwarnings("ignore:Queued a")
+@given(
+    name=st.sampled_from(["beam", "number", "draw", "row_step", "speed", "virtual_row"]),
+    value=NUMBERS,
+)
+@settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_whatever_number_a_link_holds_its_page_is_served(
+    workbench: Workbench, view: View, name: str, value: float
+) -> None:
+    values = json.loads(zlib.decompress(base64.urlsafe_b64decode(view.to_link() + "==")))
+    text = json.dumps(values | {name: value})
+    link = base64.urlsafe_b64encode(zlib.compress(text.encode())).decode().rstrip("=")
+    storage = {LINK_KEY: link}
+    try:
+        view_of_link(link)
+        is_refused = False
+    except SettingsError:
+        is_refused = True
+    with connect(workbench.address, storage=storage) as client:
+        if is_refused:
+            title, _ = next(notes_of(client))
+            assert title.startswith(f"the link cannot be followed: {name}")
+        client.wait_until(lambda: STORED_VIEW in storage, ENOUGH_S)
+        before = storage[STORED_VIEW]
+        # It is still there for what comes next.
+        client.trigger("Previous frame", timeout=ENOUGH_S)
+        client.wait_until(lambda: storage[STORED_VIEW] != before, ENOUGH_S)
+        assert client.closed_with is None
