@@ -27,9 +27,6 @@ ROW_MAX = 65_535
 SUBSESSION_MAX = 9
 OFFSET_MAX_MS = 86_400_000.0
 TIME_MAX_S = 1e9
-# No place on Earth is farther away, and no part of a robot.
-PLACE_MAX_M = 1e9
-ARM_MAX_M = 100.0
 
 
 def require_natural(option: str, number: int | None, most: int, least: int = 0) -> None:

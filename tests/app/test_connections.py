@@ -172,7 +172,9 @@ def test_who_reads_something_stays(size: int, stays: bool) -> None:
     assert happened == (["watched on"] if stays else ["cut off"])
 
 
-@pytest.mark.parametrize(("name", "data"), malformed_messages(), ids=lambda value: value[:40])
+@pytest.mark.parametrize(
+    ("name", "data"), [pytest.param(*each, id=each[0]) for each in malformed_messages()]
+)
 def test_a_malformed_message_changes_nothing(name: str, data: bytes) -> None:
     judged = judge(data)
     if name == "an answer that was not asked for":

@@ -85,7 +85,7 @@ def test_beams_are_placed_and_burrs_that_nothing_repaired_are_left_out():
         received_ns=None,
         frame_id="laser",
         angle_min_rad=0.0,
-        angle_increment_rad=np.pi / 2,
+        angle_increment_rad=np.pi / 4,
         range_min_m=0.1,
         range_max_m=10.0,
         ranges_m=np.array([1.1, 2.0, np.nan, 4.0, 5.0, 12.0, np.nan]),
@@ -95,7 +95,9 @@ def test_beams_are_placed_and_burrs_that_nothing_repaired_are_left_out():
     repaired_m = np.array([1.1, 2.5, 3.0, 4.0, 5.0, 12.0, np.nan]).astype(np.float32)
     repaired = raw.with_ranges(repaired_m.astype(np.float64), np.array(codes, dtype=np.float64))
     points_m = exporting._beams_m(raw, repaired)
-    assert np.allclose(points_m, [[0, 2.5, 0], [-3, 0, 0], [0, -4, 0], [5, 0, 0]])
+    half = np.sqrt(0.5)
+    directions = np.array([[half, half, 0], [0, 1, 0], [-half, half, 0], [-1, 0, 0]])
+    assert np.allclose(points_m, directions * [[2.5], [3.0], [4.0], [5.0]])
 
 
 def test_without_poses_there_is_no_frame_for_clouds(fused, tmp_path):
