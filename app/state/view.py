@@ -176,17 +176,15 @@ def _int_of(digits: str) -> float:
 
 
 def _require_numbers(value: object, where: tuple[object, ...] = ()) -> None:
-    """Refuse numbers that are not finite, and integers of more than 64 bits."""
+    """Refuse numbers that are none, infinite, or larger than the integers of 64 bits."""
     if isinstance(value, dict):
         for name, inner in value.items():
             _require_numbers(inner, (*where, name))
     elif isinstance(value, list):
         for index, inner in enumerate(value):
             _require_numbers(inner, (*where, index))
-    elif isinstance(value, int) and not -_INT64 <= value < _INT64:
-        raise _no_link(f"{_place(where)}: it has more than 64 bits")
-    elif isinstance(value, float) and not math.isfinite(value):
-        raise _no_link(f"{_place(where)}: it is no finite number")
+    elif isinstance(value, int | float) and not -_INT64 <= value < _INT64:
+        raise _no_link(f"{_place(where)}: it is no number of 64 bits")
 
 
 def _no_link(reason: str) -> SettingsError:
