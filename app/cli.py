@@ -63,7 +63,7 @@ def _run(args: Sequence[str]) -> int:
         sys.stdout.write(f"scanloom {importlib.metadata.version('scanloom')}\n")
         return _DONE
     if any(len(arg) > _LONGEST_ARGUMENT for arg in args):
-        sys.stderr.write(f"an option is longer than {_LONGEST_ARGUMENT} characters\n")
+        sys.stderr.write(f"an argument is longer than {_LONGEST_ARGUMENT} characters\n")
         return _WRONG_USAGE
     config = (conf.OmitArgPrefixes, conf.FlagCreatePairsOff, conf.DisallowNone)
     parsed = tyro.cli(Scanloom, prog="scanloom", args=args, config=config).command

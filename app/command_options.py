@@ -22,9 +22,10 @@ HomeOption = Annotated[str | None, conf.arg(metavar="SESSION", help_behavior_hin
 RoomOption = Annotated[str | None, conf.arg(metavar="ROOM", help_behavior_hint="")]
 
 
-# More than any image has rows, a day, and thirty years.
+# No image has more rows, and no data set more passages through a room.
 ROW_MAX = 65_535
-SUBSESSION_MAX = 9
+SUBSESSION_MAX = 99
+# A day, and thirty years.
 OFFSET_MAX_MS = 86_400_000.0
 TIME_MAX_S = 1e9
 

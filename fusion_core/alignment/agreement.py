@@ -29,6 +29,7 @@ from fusion_core.settings import StageSettings, setting
 class MountSettings(StageSettings):
     """How the mount is refined around the recording's offset u."""
 
+    # The images and two copies of them, at 640 x 480 pixels 0.7 GB.
     frames: int = setting(48, "Depth images kept for the refinement", unit="images", ge=4, le=200)
     tolerance_m: float = setting(0.03, "Agreement tolerance at range 0", unit="m", ge=1e-6, le=2.0)
     tolerance_share: float = setting(0.02, "Growth of the tolerance with range", ge=1e-6, le=0.2)
@@ -38,6 +39,7 @@ class MountSettings(StageSettings):
     hidden_cost: float = setting(
         0.3, "Cost of a LiDAR point outside the image or on a hole", ge=0.0, le=1.0
     )
+    # Every 5 cm between the two is tried, all around; no robot is taller.
     delta_z_min_m: float = setting(
         -0.8, "Lowest camera against the LiDAR", unit="m", ge=-5.0, le=5.0
     )

@@ -126,11 +126,11 @@ def load_truth(
 def _arrays(path: Path) -> Arrays:
     try:
         return read_arrays(path)
-    except OSError as error:
-        problem = str(error.strerror or error)
-    except UNREADABLE_ARRAYS as error:
-        problem = str(error)
-    raise ScanLoomError(f"cannot be read as a truth: {problem}.", file=path, advice=_ADVICE)
+    except (OSError, *UNREADABLE_ARRAYS) as error:
+        problem = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise ScanLoomError(
+            f"cannot be read as a truth: {problem}.", file=path, advice=_ADVICE
+        ) from error
 
 
 _ADVICE = "Give the .npz that was written with the recording."

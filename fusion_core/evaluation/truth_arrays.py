@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from fusion_core.files.regular_file import open_regular
 
-# An hour of 640 x 480 pixels at 15 images a second packs to less; ten minutes of it unpack to 8 GB.
+# Ten minutes of 640 x 480 pixels at 15 images a second, their depth and their kind, unpack to 8 GB.
 _MAX_PACKED_BYTES = 4 << 30
 _MAX_UNPACKED_BYTES = 8 << 30
 # What numpy, zipfile and zlib say of a file that is damaged, or no archive of arrays.

@@ -269,9 +269,9 @@ def test_a_number_out_of_range_is_wrong_usage(
     assert len(shown.err) < 200
 
 
-def test_an_option_without_end_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_argument_without_end_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fuse", "a.bag", "-o", "out", "--seed", "9" * 10_000]) == 2
-    assert capsys.readouterr().err == "an option is longer than 4096 characters\n"
+    assert capsys.readouterr().err == "an argument is longer than 4096 characters\n"
 
 
 @pytest.mark.parametrize("command", ["fuse", "map"])

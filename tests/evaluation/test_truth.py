@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fusion_core.evaluation import truth_arrays
 from fusion_core.evaluation.truth import LeverArm, load_truth
 from fusion_core.model.errors import ScanLoomError
+from tests.hostile.files import write_huge_array
 
 
 def _arrays() -> dict[str, Any]:
@@ -125,3 +127,20 @@ def test_what_is_no_npz_is_a_typed_error(tmp_path: Path) -> None:
     for path in (text, single, tmp_path / "absent.npz"):
         with pytest.raises(ScanLoomError, match="truth"):
             load_truth(path)
+
+
+def test_an_array_without_end_is_a_typed_error(tmp_path: Path) -> None:
+    with pytest.raises(ScanLoomError, match="cannot be read as a truth"):
+        load_truth(write_huge_array(tmp_path / "huge.npz"))
+
+
+def test_what_unpacks_beyond_the_limit_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = _written(tmp_path, _arrays())
+    monkeypatch.setattr(truth_arrays, "_MAX_UNPACKED_BYTES", 100)
+    with pytest.raises(ScanLoomError, match="unpacks to more than 100 bytes"):
+        load_truth(path)
+    monkeypatch.setattr(truth_arrays, "_MAX_PACKED_BYTES", 100)
+    with pytest.raises(ScanLoomError, match="larger than 100 bytes"):
+        load_truth(path)

@@ -1,7 +1,11 @@
 """Paths that are no plain files: what waits, what has no end, what leads to itself."""
 
+import io
 import os
+import zipfile
 from pathlib import Path
+
+import numpy as np
 
 
 def write_pipe(path: Path) -> Path:
@@ -24,3 +28,14 @@ def write_crowd(folder: Path, pipes: int, files: int) -> Path:
     for number in range(files):
         (folder / f"{number:06}.txt").touch()
     return folder
+
+
+def write_huge_array(path: Path) -> Path:
+    """An .npz of some hundred bytes whose one array claims to be of 8 petabytes."""
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        head, {"descr": "<f8", "fortran_order": False, "shape": (10**15,)}
+    )
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("scan_true.npy", head.getvalue())
+    return path

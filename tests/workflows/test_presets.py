@@ -10,6 +10,7 @@ from fusion_core.workflows.map_settings import map_settings
 from fusion_core.workflows.presets import PRESETS, chain_settings
 from tests.hostile.settings import (
     NUMBERS,
+    write_nested_key,
     write_number,
     write_swapped_ends,
     write_wide_search,
@@ -108,6 +109,12 @@ def test_a_number_that_the_work_cannot_take_is_refused(tmp_path, number):
     with pytest.raises(SettingsError, match=r"delta_z_min_m|thousands of digits") as failure:
         chain_settings("default", file, None)
     assert len(str(failure.value)) < 500
+
+
+def test_a_key_of_thousands_of_parts_is_refused(tmp_path):
+    file = write_nested_key(tmp_path / "s.toml")
+    with pytest.raises(SettingsError, match=r"mount\.x = \.\.\.: .* nested too deeply"):
+        chain_settings("default", file, None)
 
 
 def test_the_ends_of_a_range_stay_in_order(tmp_path):
