@@ -22,6 +22,7 @@ class SamplingSettings(StageSettings):
     by: Literal["angle", "index"] = setting(
         "angle", "Samples on equal angles, or every k-th beam and pixel as published"
     )
+    # The field of a frame takes time with the square of the samples.
     step_deg: float = setting(1.0, "Angle of one sample", unit="deg", gt=0.05, le=5.0)
     assumed_fov_deg: float = setting(
         57.0,

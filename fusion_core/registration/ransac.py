@@ -79,7 +79,8 @@ class RegistrationSettings(StageSettings):
     confidence: float = setting(
         0.99, "Probability of a clean draw at which adaptive drawing stops", ge=0.5, le=0.9999
     )
-    draws_max: int = setting(1_000, "Draws at which adaptive drawing gives up", ge=1, le=100_000)
+    # Each takes some 10 µs, and a frame that is shown must not take much more than a second.
+    draws_max: int = setting(1_000, "Draws at which adaptive drawing gives up", ge=1, le=20_000)
     inlier_threshold_m: float = setting(
         0.10, "Greatest residual of a pair that supports A", unit="m", ge=1e-6, le=2.0
     )
