@@ -76,10 +76,11 @@ class Alignment:
             found = "The mount is found from scans and images instead."
             return (f"{mount_not_used(estimate.refusal)} {found}",)
         if estimate.from_recorded and not estimate.confident:
+            yaw = "; its yaw is not observable" if estimate.mount.sd[0] is None else ""
             return (
                 "The recorded mount is used, but scans and images do not confirm it: "
                 f"{estimate.visible:.0%} of the points in front of the camera are visible, and "
-                f"{estimate.agreement:.0%} of these agree.",
+                f"{estimate.agreement:.0%} of these agree{yaw}.",
             )
         return ()
 

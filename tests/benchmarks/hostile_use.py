@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.benchmarks import hostile_visits as visits
 from tests.hostile.bags import write_bag_of_renamed_topic, write_flipped_mcap, write_old_bag
 from tests.hostile.drive import write_drive
 from tests.hostile.files import write_loop, write_pipe
@@ -108,6 +109,14 @@ def _clock_s() -> float:
 Call = tuple[str, Ended]
 
 
+def visited(
+    calls: Callable[[Path], Iterator[tuple[str, float, float, str]]], folder: Path
+) -> Iterator[Call]:
+    """Visits of the workbench, in the form of calls."""
+    for call, seconds, peak_mib, happened in calls(folder):
+        yield call, Ended(code=0, seconds=seconds, peak_mib=peak_mib, output=happened)
+
+
 def called(*words: str | Path) -> Call:
     """A command as it is called, and how it ended."""
     return "scanloom " + " ".join(
@@ -164,6 +173,7 @@ def wide_settings(folder: Path) -> Iterator[Call]:
     yield called("fuse", room, "-o", folder / "o", "--settings", far)
     wide = write_wide_search(folder / "wide.toml")
     yield called("map", room, "-o", folder / "o", "--settings", wide)
+    yield from visited(visits.endless_links, folder)
 
 
 def two_at_once(folder: Path) -> Iterator[Call]:
@@ -184,17 +194,19 @@ def two_at_once(folder: Path) -> Iterator[Call]:
 
 def nobodys_home(folder: Path) -> Iterator[Call]:
     room = folder / "room.mcap"
-    write_boxes(room, duration_s=0.4)
+    write_drive(room)
     folder.chmod(0o777)
-    user = 65534 if os.geteuid() == 0 else None
+    # Where nobody may run this Python, it stays with who calls.
+    nobody = ["setpriv", "--reuid=65534", "--clear-groups", sys.executable, "-V"]
+    may_run = os.geteuid() == 0 and subprocess.run(nobody, capture_output=True).returncode == 0
+    user = 65534 if may_run else None
     env = {"PATH": os.environ["PATH"]}
+    who = f"without HOME, as {'nobody' if may_run else 'the same user'}"
     for command in ("fuse", "map"):
         words = [command, room, "-o", folder / command]
-        yield f"{command}, as nobody, without HOME", run(words, env=env, user=user, cwd=folder)
-    yield (
-        "view, as nobody, without HOME",
-        run(["view", room, "--port=0"], env=env, user=user, cwd=folder, end_after="http://"),
-    )
+        yield f"{command} {who}", run(words, env=env, user=user, cwd=folder)
+    words = ["view", room, "--port=0"]
+    yield f"view {who}", run(words, env=env, user=user, cwd=folder, end_after="http://")
 
 
 def old_bag(folder: Path) -> Iterator[Call]:
@@ -205,7 +217,7 @@ def names(folder: Path) -> Iterator[Call]:
     odd = folder / NO_UTF8
     odd.mkdir()
     room = odd / f"{NO_UTF8}.mcap"
-    write_boxes(folder / "room.mcap", duration_s=0.4)
+    write_drive(folder / "room.mcap")
     (folder / "room.mcap").rename(room)
     for command in ("fuse", "map"):
         yield f"{command} r\\xff.mcap -o o\\xff", run([command, room, "-o", odd / command])
@@ -283,57 +295,154 @@ def advice(folder: Path) -> Iterator[Call]:
     yield called("map", room, "-o", folder / "o", "--motion=visual")
     depth = "--depth=/camera/depth/image_raw"
     yield called("fuse", room, "-o", folder / "o", depth, depth)
+    coarse = folder / "fine.toml"
+    coarse.write_text("[grid]\nresolution_m = 0.001\ncells_max = 1000000000\n")
+    yield called("fuse", room, "-o", folder / "o", "--settings", coarse)
+    far = write_room(folder / "far.mcap", HOSTILE["distortion_1e300"])
+    yield called("fuse", far, "-o", folder / "o")
+    yield from visited(visits.malformed, folder)
 
 
-KILLS = "python -m tests.benchmarks.kills --kills 200 kills 200 times"
-ROWS: dict[int, Row] = {
+def silent_sockets(folder: Path) -> Iterator[Call]:
+    yield from visited(visits.silent_sockets, folder)
+
+
+def odd_links(folder: Path) -> Iterator[Call]:
+    yield from visited(visits.odd_links, folder)
+
+
+def killed(folder: Path) -> Iterator[Call]:
+    """A few of the kills; ``tests.benchmarks.kills`` does them by the hundred."""
+    begun = _clock_s()
+    words = [sys.executable, "-m", "tests.benchmarks.kills", "--kills", "12"]
+    ended = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
+    yield (
+        "python -m tests.benchmarks.kills --kills 12",
+        Ended(
+            code=ended.returncode,
+            seconds=_clock_s() - begun,
+            peak_mib=float("nan"),
+            output=ended.stdout + ended.stderr,
+        ),
+    )
+
+
+ROWS = {
     1: Row(
-        what="a recording among the results", calls=inputs_kept, tests=["test_inputs_are_kept.py"]
+        what="a recording among the results",
+        calls=inputs_kept,
+        tests=["hostile/test_inputs_are_kept.py"],
     ),
     2: Row(
         what="two commands into one folder",
         calls=one_kind,
-        tests=["test_output_folder.py::test_the_results_of_another_command_are_refused"],
+        tests=["exporting/test_output_folder.py::test_the_results_of_another_command_are_refused"],
     ),
     3: Row(
         what="scans without ranges",
         calls=scans("one_empty", "all_empty"),
-        tests=["test_hostile_scans.py"],
+        tests=["workflows/test_hostile_scans.py"],
     ),
     4: Row(
         what="beams and angles that no scanner has",
         calls=scans("increment_100", "beams_100000", "beams_1000000", commands=["fuse"]),
-        tests=["test_hostile_scans.py", "test_sweep.py"],
+        tests=["workflows/test_hostile_scans.py", "model/test_sweep.py"],
     ),
-    5: Row(what="stamps that jump", calls=times, tests=["test_stamps.py", "test_time_order.py"]),
+    5: Row(
+        what="stamps that jump",
+        calls=times,
+        tests=["model/test_stamps.py", "workflows/test_time_order.py"],
+    ),
     6: Row(
-        what="settings that make the work endless",
+        what="settings that make the work endless, and jobs of nobody",
         calls=wide_settings,
-        tests=["test_settings_bounds.py"],
+        tests=[
+            "test_settings.py",
+            "app/test_server.py::test_an_alignment_that_a_link_asked_for_ends_with_its_browser",
+        ],
     ),
     7: Row(
-        what="two runs at once",
+        what="two runs into one new folder",
         calls=two_at_once,
         tests=[
-            "test_work_folder.py",
-            "test_output_folder.py::test_a_second_run_into_the_folder_is_told_to_wait",
+            "files/test_work_folder.py",
+            "exporting/test_output_folder.py::test_a_second_run_into_the_folder_is_told_to_wait",
         ],
     ),
     8: Row(what="a user without a home", calls=nobodys_home, tests=["test_compiled.py"]),
-    9: Row(what="a bag with roslib/Header", calls=old_bag, tests=["test_old_bags.py"]),
-    14: Row(what="names that are not UTF-8", calls=names, tests=["test_names.py"]),
-    15: Row(what="a mount that explains nothing", calls=mounts, tests=["test_recorded_mount.py"]),
-    16: Row(what="ranges and poses far beyond", calls=outliers, tests=["test_outliers.py"]),
-    17: Row(what="ports that are none", calls=ports, tests=["test_listening.py"]),
-    18: Row(what="a flipped byte in an MCAP file", calls=flipped, tests=["test_check.py"]),
-    19: Row(what="numbers too large", calls=numbers, tests=["test_settings_file.py"]),
-    20: Row(what="options out of range", calls=options, tests=["test_command_options.py"]),
-    21: Row(what="devices and pipes", calls=devices, tests=["test_regular_file.py"]),
-    22: Row(what="SIGTERM", calls=terminated, tests=["test_interruption.py"], codes=[143]),
-    24: Row(
-        what="flipped bytes near a bag's end", calls=renamed, tests=["test_rosbag1_connections.py"]
+    9: Row(what="a bag with roslib/Header", calls=old_bag, tests=["recordings/test_old_bags.py"]),
+    10: Row(what="silent sockets", calls=silent_sockets, tests=["app/test_connections.py"]),
+    11: Row(
+        what="kills: of the manifest (11), while publishing (12), of convert (13)",
+        calls=killed,
+        tests=[
+            "exporting/test_output_folder.py::test_a_run_killed_while_it_publishes_is_simply_repeated",
+            "exporting/test_output_folder.py::test_a_mix_of_two_runs_is_no_result",
+            "files/test_atomic.py::test_a_killed_process_holds_nothing",
+        ],
     ),
-    25: Row(what="wrong advice", calls=advice, tests=["test_extrinsics_file.py"]),
+    14: Row(
+        what="names that are not UTF-8",
+        calls=names,
+        tests=[
+            "workflows/test_names.py",
+            "app/test_server.py::test_names_that_are_no_utf8_reach_the_browser",
+        ],
+    ),
+    15: Row(
+        what="a mount that explains nothing",
+        calls=mounts,
+        tests=["workflows/test_recorded_mount.py"],
+    ),
+    16: Row(
+        what="ranges and poses far beyond", calls=outliers, tests=["workflows/test_outliers.py"]
+    ),
+    17: Row(what="ports that are none", calls=ports, tests=["app/test_listening.py"]),
+    18: Row(
+        what="a flipped byte in an MCAP file", calls=flipped, tests=["recordings/test_check.py"]
+    ),
+    19: Row(what="numbers too large", calls=numbers, tests=["exporting/test_settings_file.py"]),
+    20: Row(
+        what="options out of range",
+        calls=options,
+        tests=[
+            "app/test_cli.py::test_a_number_out_of_range_is_wrong_usage",
+            "recordings/test_formats.py::test_the_root_of_a_disk_is_a_folder_without_a_name",
+        ],
+    ),
+    21: Row(
+        what="devices and pipes",
+        calls=devices,
+        tests=["app/test_cli.py::test_nothing_waits_for_a_pipe", "files/test_regular_file.py"],
+    ),
+    22: Row(
+        what="SIGTERM",
+        calls=terminated,
+        tests=[
+            "app/test_interruption.py::test_a_build_that_is_ended_with_its_server_leaves_nothing"
+        ],
+        codes=[143],
+    ),
+    23: Row(
+        what="links with numbers beyond 64 bits",
+        calls=odd_links,
+        tests=["app/test_server.py::test_whatever_number_a_link_holds_its_page_is_served"],
+    ),
+    24: Row(
+        what="flipped bytes near a bag's end",
+        calls=renamed,
+        tests=["recordings/test_rosbag1_connections.py"],
+    ),
+    25: Row(
+        what="wrong advice, cells too fine, numbers too far, malformed messages",
+        calls=advice,
+        tests=[
+            "app/test_cli.py::test_advice_names_options_that_exist",
+            "recordings/test_topics.py::test_a_depth_topic_is_named_once",
+            "model/test_sensors.py",
+            "app/test_complaints.py",
+        ],
+    ),
 }
 
 
