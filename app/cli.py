@@ -6,12 +6,15 @@ wrong usage, 130 interrupted, 141 when the reader of the output has gone, 143 an
 SIGTERM and SIGHUP.
 """
 
+import atexit
 import importlib.metadata
 import io
 import json
 import os
 import sys
+import threading
 from collections.abc import Sequence
+from typing import NoReturn
 
 import tyro
 from tyro import conf
@@ -99,5 +102,19 @@ def _say_failure(error: ScanLoomError | OSError, *, as_json: bool) -> None:
         sys.stderr.write(f"{printable(str(error))}\n")
 
 
+def run() -> NoReturn:
+    """Run the command of the process and end it with the exit code.
+
+    Threads of the workbench may still be deep in compiled code, which the end of the interpreter
+    would abort: then the process ends without it, once all that is to be cleaned up is.
+    """
+    code = main()
+    if threading.active_count() > 1:
+        atexit._run_exitfuncs()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    run()
