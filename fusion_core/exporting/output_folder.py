@@ -43,7 +43,7 @@ def plan_output(
     inputs: Sequence[Path],
     settings_text: str,
     seed: int,
-    also_read: Collection[Path] = (),
+    also_read: Collection[Path | None] = (),
     force: bool = False,
     overwrite: bool = False,
     progress: Progress = silent,
@@ -51,8 +51,9 @@ def plan_output(
     """Decide about an output folder, without changing its files.
 
     A folder whose manifest has the same version, command, settings, seed and inputs, and whose
-    files are still as written, is skipped unless ``force``. ``also_read``: files that are read, and
-    whose content is in ``settings_text``.
+    files are still as written, is skipped unless ``force``. ``also_read``: what is read besides,
+    such as settings, whose content is in ``settings_text``, or the data set around the inputs; None
+    for what was not given.
 
     Raises ExportError for a folder that is an input, lies inside one or holds one; unless
     ``overwrite``, for one with the results of another command, or with files of which its manifest
@@ -72,7 +73,7 @@ def plan_output(
     if skip:
         clear_abandoned(folder)
     else:
-        require_apart(folder, also_read)
+        require_apart(folder, [path for path in also_read if path is not None])
         if not overwrite:
             _refuse_what_is_there(manifest, command)
     return OutputPlan(folder=folder, work=work, skip=skip, earlier=manifest)

@@ -109,7 +109,7 @@ def build_map(
             output,
             command="map",
             inputs=[*input_files(opened), *_given(options)],
-            also_read=[] if options.settings_file is None else [options.settings_file],
+            also_read=[recording, options.settings_file],
             settings_text=settings_text + _identity(options),
             seed=settings.particles.seed,
             force=options.force,

@@ -126,7 +126,7 @@ def fuse(
             output,
             command="fuse",
             inputs=inputs,
-            also_read=[] if options.settings_file is None else [options.settings_file],
+            also_read=[recording, options.settings_file],
             settings_text=settings_text + _asked(options),
             seed=settings.registration.seed,
             force=options.force,

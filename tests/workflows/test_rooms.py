@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fusion_core.model.conventions import R_BODY_OPTICAL
-from fusion_core.model.errors import RecordingError
+from fusion_core.model.errors import ExportError, RecordingError
 from fusion_core.model.geometry import transform
 from fusion_core.model.sensors import CameraInfo, DepthImage, LaserScan, Transform, TransformBatch
 from fusion_core.recordings.formats import open_recording
@@ -143,6 +143,19 @@ def test_table_1_over_the_rooms_of_a_session(versions, tmp_path):
     assert scored == sum(1 for row in frames if row["scan_stamp_ns"])
     assert summary.failed == {}
     assert any("alma-s1_bedroom1" in line for line in summary.lines())
+
+
+def test_nothing_is_written_into_the_data_set_or_over_a_foreign_table(versions, tmp_path):
+    root = versions["v1"]
+    for output in (root, root / "out", root.parent):
+        with pytest.raises(ExportError, match="the input"):
+            fuse_rooms(root, "alma-s1", output, QUICK)
+    with pytest.raises(ExportError, match="lies inside the input"):
+        fuse(root, root / "out", replace(QUICK, room=KITCHEN))
+    (tmp_path / "table1.csv").write_text("mine")
+    with pytest.raises(ExportError, match="no rooms of a session"):
+        fuse_rooms(root, "alma-s1", tmp_path, QUICK)
+    assert (tmp_path / "table1.csv").read_text() == "mine"
 
 
 def test_unknown_names_are_answered_with_those_there_are(versions, tmp_path):
