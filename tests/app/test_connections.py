@@ -30,6 +30,7 @@ from app.server import ServeOptions, Workbench
 from app.untrusted import MOST_BYTES, judge
 from tests.app.viser_client import CAMERA, connect
 from tests.hostile.visitors import (
+    LAST_WIDGET,
     frame_of,
     malformed_messages,
     open_mute_connections,
@@ -142,17 +143,19 @@ def test_connections_that_say_nothing_keep_no_page_from_anybody(
 
 def test_who_reads_nothing_is_cut_off(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connections_module, "_MOST_UNREAD_S", 0.05)
-    with socket.socket() as page, connect(served.address) as other:
+    with socket.socket() as page:
         page.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         page.connect(place_of(served.address))
         page.sendall(upgrade_request(served.address) + frame_of(msgspec.msgpack.encode(CAMERA)))
-        served.until(lambda: len(served.arrived) == 2)
-        # More than the system keeps for it.
-        for client in served.server.get_clients().values():
+        served.until(lambda: len(served.arrived) == 1)
+        (client,) = served.server.get_clients().values()
+        with connect(served.address) as other:
+            served.until(lambda: len(served.arrived) == 2)
+            # More than the system keeps for it.
             client.gui.add_html(secrets.token_hex(8_000_000))
             client.flush()
-        served.until(lambda: len(served.server.get_clients()) == 1)
-        other.wait_for(lambda received: received.type == "GuiHtmlMessage", ENOUGH_S)
+            served.until(lambda: list(served.server.get_clients()) == served.arrived[1:])
+            assert other.closed_with is None
     (line,) = served.lines
     assert "reads nothing; it is cut off" in line
 
@@ -239,7 +242,7 @@ def test_no_message_prints_a_traceback(small_scene: Path) -> None:
                     with suppress(websockets.exceptions.ConnectionClosed):
                         client.send_bytes(data)
             with connect(address, storage={}) as client:
-                client.find("Every k-th row", timeout=ENOUGH_S)
+                client.find(LAST_WIDGET, timeout=ENOUGH_S)
             server.send_signal(signal.SIGINT)
             rest, errors = server.communicate(timeout=ENOUGH_S)
         finally:

@@ -17,7 +17,12 @@ from app.resources import sample_path
 from app.security import LINK_KEY
 from app.state.view import View
 from tests.app.viser_client import connect
-from tests.hostile.visitors import malformed_messages, open_silent_sockets, seconds_to_page
+from tests.hostile.visitors import (
+    LAST_WIDGET,
+    malformed_messages,
+    open_silent_sockets,
+    seconds_to_page,
+)
 
 ROOT = Path(__file__).parents[2]
 ENOUGH_S = 120.0
@@ -51,7 +56,7 @@ class Server:
                 ).message["props"]
             except TimeoutError:
                 return "nothing is told"
-            client.find("Every k-th row", timeout=ENOUGH_S)
+            client.find(LAST_WIDGET, timeout=ENOUGH_S)
             return f"the page is served and says: {told['title']} {told['body']}"
 
 

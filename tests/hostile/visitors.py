@@ -18,6 +18,8 @@ import websockets.sync.client
 
 from tests.app.viser_client import CAMERA, connect, unpacked
 
+# The one that a desk is furnished with last.
+LAST_WIDGET = "Save to the output folder"
 _PATIENCE_S = 120.0
 
 
@@ -155,7 +157,7 @@ def seconds_to_page(address: str, cookie: str | None = None) -> PageTimes:
     assert answer.status == 200
     page_s = time.perf_counter() - begun_s
     with connect(address, cookie, storage={}) as client:
-        client.find("Every k-th row", timeout=_PATIENCE_S)
+        client.find(LAST_WIDGET, timeout=_PATIENCE_S)
         widgets_s = time.perf_counter() - begun_s
         client.wait_for(lambda received: received.type == "ImageMessage", _PATIENCE_S)
         return PageTimes(page_s=page_s, widgets_s=widgets_s, scene_s=time.perf_counter() - begun_s)
