@@ -16,7 +16,7 @@ from fusion_core.exporting.manifest import (
     manifest_text,
 )
 from fusion_core.files.atomic import write_text
-from fusion_core.files.inputs import require_apart
+from fusion_core.files.inputs import real_path, require_apart
 from fusion_core.files.work_folder import WORK_NAME, clear_abandoned, work_folder
 from fusion_core.model.errors import ExportError
 from fusion_core.model.progress import Progress, silent
@@ -162,7 +162,7 @@ def _require_place(plan: OutputPlan, name: str) -> None:
     while not parent.exists() and not parent.is_symlink():
         parent = parent.parent
     is_own = name in plan.earlier.results or (name == MANIFEST_NAME and plan.earlier.document)
-    if not parent.resolve().is_relative_to(plan.folder.resolve()):
+    if not real_path(parent).is_relative_to(real_path(plan.folder)):
         problem = "leads out of the output folder"
     elif not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
         problem = "cannot be written: its folder does not allow it"

@@ -10,7 +10,7 @@ from fusion_core.model.errors import ExportError
 def require_apart(output: Path, inputs: Collection[Path]) -> None:
     """Raise ExportError where ``output``, a file or folder to be written, is an input, lies inside
     one or holds one, by whatever names and links."""
-    target = _real(output)
+    target = real_path(output)
     for given in inputs:
         for place in _places(given):
             if place == target:
@@ -30,15 +30,15 @@ def require_apart(output: Path, inputs: Collection[Path]) -> None:
 
 def _places(given: Path) -> Iterator[Path]:
     """Where an input really is, where it is named, and where links inside of it lead."""
-    yield _real(given)
-    yield _real(given.parent) / given.name
+    yield real_path(given)
+    yield real_path(given.parent) / given.name
     for folder, folders, files in os.walk(given):
         for name in (*folders, *files):
             path = Path(folder) / name
             if path.is_symlink():
-                yield _real(path)
+                yield real_path(path)
 
 
-def _real(path: Path) -> Path:
+def real_path(path: Path) -> Path:
     """The path without links; of a loop, or an end that is missing, what can be told."""
     return Path(os.path.realpath(path))

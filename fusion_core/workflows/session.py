@@ -89,27 +89,24 @@ def open_session(recording: Recording, options: FuseOptions, settings: ChainSett
     )
     virtual = options.virtual_lidar_row is not None
     rig = build_rig(recording, streams, settings.sampling, virtual=virtual)
-    return Session(
-        recording=recording,
-        streams=streams,
-        rig=rig,
-        fitting=fitting_of(recording, rig),
-        settings=settings,
-        virtual_row=options.virtual_lidar_row,
-    )
+    return session_of(recording, streams, rig, settings, options.virtual_lidar_row)
 
 
 def session_of(
-    recording: Recording, streams: Streams, rig: Rig, settings: ChainSettings
+    recording: Recording,
+    streams: Streams,
+    rig: Rig,
+    settings: ChainSettings,
+    virtual_row: int | None = None,
 ) -> Session:
-    """A session with the recording's own LiDAR."""
+    """A session with a rig that is built; with the recording's own LiDAR unless ``virtual_row``."""
     return Session(
         recording=recording,
         streams=streams,
         rig=rig,
         fitting=fitting_of(recording, rig),
         settings=settings,
-        virtual_row=None,
+        virtual_row=virtual_row,
     )
 
 

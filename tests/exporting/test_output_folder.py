@@ -291,6 +291,17 @@ def test_results_do_not_leave_the_folder_by_a_link(out: Path, recording: Path) -
     assert [path.name for path in recording.parent.iterdir()] == ["room.bag"]
 
 
+@pytest.mark.parametrize("name", ["figures", FRAMES, "manifest.json"])
+def test_a_link_that_leads_to_itself_is_no_place_for_a_result(
+    out: Path, recording: Path, name: str
+) -> None:
+    out.mkdir()
+    (out / name).symlink_to(name)
+    with pytest.raises(ExportError, match=name.replace(".", r"\.")):
+        run(plan(out, recording, overwrite=True))
+    assert [path.name for path in out.iterdir()] == [name]
+
+
 def test_a_second_run_into_the_folder_is_told_to_wait(out: Path, recording: Path) -> None:
     first, second = plan(out, recording), plan(out, recording, seed=1)
     with results_folder(first) as work:
