@@ -8,6 +8,7 @@ makes the work, the class checks the product.
 """
 
 import re
+from collections.abc import Mapping
 from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -52,10 +53,39 @@ def setting(
     ge: float | None = None,
     le: float | None = None,
     gt: float | None = None,
+    formerly: str = "",
 ) -> Any:
-    """A field with its default, one line of help, unit and range."""
+    """A field with its default, one line of help, unit and range.
+
+    ``formerly``: the name that the field had in settings files and links of earlier versions.
+    """
     text = f"{help} [{unit}]" if unit else help
-    return Field(default, description=text, ge=ge, le=le, gt=gt, json_schema_extra={"unit": unit})
+    return Field(
+        default,
+        description=text,
+        ge=ge,
+        le=le,
+        gt=gt,
+        json_schema_extra={"unit": unit, "formerly": formerly},
+    )
+
+
+def under_current_names(
+    settings_class: type[StageSettings], given: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """``given`` with each key under the name it has today, and the keys that were renamed.
+
+    The second value maps former names to current ones. A former name beside the current one is
+    left as it is: an unknown key.
+    """
+    current = {
+        str(extra["formerly"]): name
+        for name, field in settings_class.model_fields.items()
+        if isinstance(extra := field.json_schema_extra, dict) and extra.get("formerly")
+    }
+    renamed = {name: current[name] for name in given if name in current}
+    renamed = {former: name for former, name in renamed.items() if name not in given}
+    return {renamed.get(name, name): value for name, value in given.items()}, renamed
 
 
 def ends(settings_class: type[StageSettings]) -> list[tuple[str, str]]:

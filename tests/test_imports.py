@@ -37,10 +37,10 @@ ALLOWED: dict[str, set[str]] = {
     **ALGORITHMS,
     **SIDES,
     "fusion_core.workflows": BASE | FILES | ALGORITHMS.keys() | SIDES.keys(),
-    "app": BASE | {"fusion_core.workflows"},
+    "scanloom": BASE | {"fusion_core.workflows"},
 }
 # The core serves the command line and the browser alike, and knows neither.
-NEVER_IN_CORE = {"app", "viser", "tyro", "rich"}
+NEVER_IN_CORE = {"scanloom", "viser", "tyro", "rich"}
 VAGUE_NAMES = {"utils", "util", "helpers", "helper", "common", "misc"}
 
 
@@ -58,7 +58,7 @@ def imported(module: str, source: str) -> Iterator[str]:
 
 def folder_of(name: str) -> str:
     """The entry of ALLOWED that a module belongs to."""
-    return "app" if name.split(".")[0] == "app" else ".".join(name.split(".")[:2])
+    return "scanloom" if name.split(".")[0] == "scanloom" else ".".join(name.split(".")[:2])
 
 
 def violations(module: str, source: str) -> list[str]:
@@ -67,21 +67,21 @@ def violations(module: str, source: str) -> list[str]:
     found = []
     for name in imported(module, source):
         top = name.split(".")[0]
-        if top in {"app", "fusion_core"}:
+        if top in {"scanloom", "fusion_core"}:
             wrong = folder_of(name) not in ALLOWED[folder] | {folder}
         elif folder == "fusion_core.model":
             wrong = top != "numpy" and top not in sys.stdlib_module_names
         else:
-            wrong = folder != "app" and top in NEVER_IN_CORE
+            wrong = folder != "scanloom" and top in NEVER_IN_CORE
         if wrong:
             found.append(f"{module} imports {name}")
     return found
 
 
 MODULES = {
-    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
-    for package in ("app", "fusion_core")
-    for path in sorted((ROOT / package).rglob("*.py"))
+    ".".join(path.relative_to(folder).with_suffix("").parts).removesuffix(".__init__"): path
+    for folder, package in ((ROOT / "app", "scanloom"), (ROOT, "fusion_core"))
+    for path in sorted((folder / package).rglob("*.py"))
 }
 
 
@@ -116,13 +116,13 @@ def test_a_file_is_named_for_its_subject(path: Path) -> None:
     [
         ("fusion_core.alignment.search", "from fusion_core.recordings.decode import decode"),
         ("fusion_core.alignment.search", "from fusion_core import recordings"),
-        ("fusion_core.alignment.search", "def f():\n    import app.cli"),
+        ("fusion_core.alignment.search", "def f():\n    import scanloom.cli"),
         ("fusion_core.alignment.search", "import viser.transforms"),
-        ("fusion_core.workflows.fuse", "from app import cli"),
+        ("fusion_core.workflows.fuse.fuse", "from scanloom import cli"),
         ("fusion_core.recordings.ros1", "from fusion_core.simulation import scenes"),
         ("fusion_core.model.grids", "import scipy"),
         ("fusion_core.model.grids", "from fusion_core.settings import StageSettings"),
-        ("app.panels.noise", "from fusion_core.denoising import noise"),
+        ("scanloom.panels.noise", "from fusion_core.denoising import noise"),
     ],
 )
 def test_the_check_sees_a_wrong_import(module: str, source: str) -> None:
@@ -135,7 +135,7 @@ def test_the_check_sees_a_wrong_import(module: str, source: str) -> None:
         ("fusion_core.simulation.scenes", "from fusion_core.recordings import ros2_writer"),
         ("fusion_core.denoising.noise", "from fusion_core.registration.ransac import fit"),
         ("fusion_core.model.grids", "import dataclasses\nimport numpy as np"),
-        ("app.cli", "import tyro\nfrom fusion_core.workflows.fuse import fuse"),
+        ("scanloom.cli", "import tyro\nfrom fusion_core.workflows.fuse.fuse import fuse"),
     ],
 )
 def test_the_check_lets_right_imports_pass(module: str, source: str) -> None:

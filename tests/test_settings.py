@@ -11,14 +11,14 @@ import pytest
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
-import app
 import fusion_core
+import scanloom
 from fusion_core.registration.pl_icp import PlIcpSettings
 from fusion_core.settings import StageSettings, ends
 from fusion_core.slam.particle_set import ParticleSettings
 from fusion_core.slam.submaps import SubmapSettings
 
-for package in (fusion_core, app):
+for package in (fusion_core, scanloom):
     for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
         importlib.import_module(module.name)
 
@@ -31,7 +31,11 @@ def subclasses(settings_class: type[StageSettings]) -> Iterator[type[StageSettin
 
 # Those of the project: other tests declare classes of their own.
 CLASSES = sorted(
-    {c for c in subclasses(StageSettings) if c.__module__.split(".")[0] in ("app", "fusion_core")},
+    {
+        c
+        for c in subclasses(StageSettings)
+        if c.__module__.split(".")[0] in ("scanloom", "fusion_core")
+    },
     key=lambda settings_class: settings_class.__qualname__,
 )
 FIELDS = [

@@ -1,6 +1,7 @@
 """The settings of a run as TOML: one table for each stage, each key with its help beside it."""
 
 import json
+import logging
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,8 +13,9 @@ from pydantic.fields import FieldInfo
 
 from fusion_core.files.regular_file import read_regular
 from fusion_core.model.errors import SettingsError
-from fusion_core.settings import StageSettings
+from fusion_core.settings import StageSettings, under_current_names
 
+_log = logging.getLogger(__name__)
 _PRESET_KEY = "preset"
 _TOO_MUCH = "holds a number of thousands of digits, or is nested too deeply"
 _LONGEST_SHOWN = 80
@@ -57,9 +59,10 @@ def load_toml(
 ) -> dict[str, StageSettings]:
     """The settings of every stage in ``stages``; what the file leaves out comes from ``base``.
 
-    Without ``base``, or for a stage it lacks, that is the default. Raises SettingsError, naming
-    the file, key, value and allowed range, for unknown stages and keys, wrong types and values
-    out of range.
+    Without ``base``, or for a stage it lacks, that is the default. A key that had another name in
+    earlier versions is read, and a warning logged that gives the new name. Raises SettingsError,
+    naming the file, key, value and allowed range, for unknown stages and keys, wrong types and
+    values out of range.
     """
     document = _read(path)
     document.pop(_PRESET_KEY, None)
@@ -72,7 +75,9 @@ def load_toml(
             raise SettingsError(f"{stage} must be a table, got {_shown(table)}.", file=path)
     result = {}
     for stage, settings_class in stages.items():
-        given = document.get(stage, {})
+        given, renamed = under_current_names(settings_class, document.get(stage, {}))
+        for former, name in renamed.items():
+            _log.warning("%s: %s.%s is now called %s.%s.", path, stage, former, stage, name)
         start = {} if base is None or stage not in base else base[stage].model_dump(mode="json")
         for name, value in given.items():
             if _json_of(value) is None:

@@ -16,8 +16,8 @@ from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import SlamView, Watch, unwatched
 from fusion_core.model.trajectory import Trajectory
-from fusion_core.workflows.build_map import MapOptions
-from fusion_core.workflows.map_report import MapSummary
+from fusion_core.workflows.map.build_map import MapOptions
+from fusion_core.workflows.map.report import MapSummary
 
 SCANS = 60
 PARTICLES = 12

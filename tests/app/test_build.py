@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app import cli
-from app.jobs import build as building
-from app.jobs.build import Build, build, folder_name, free_folder, zipped
-from app.jobs.long import Cancelled
-from app.panels.command import fuse_command
-from app.state.view import View
 from fusion_core.model.errors import ExportError, ScanLoomError
 from fusion_core.model.progress import silent
-from fusion_core.workflows.presets import PRESETS, chain_settings, settings_toml
+from fusion_core.workflows.fuse.presets import PRESETS, chain_settings, settings_toml
+from scanloom import cli
+from scanloom.jobs import build as building
+from scanloom.jobs.build import Build, build, folder_name, free_folder, zipped
+from scanloom.jobs.long import Cancelled
+from scanloom.panels.command import fuse_command
+from scanloom.state.view import View
 
 VIEW = View(recording="small room.mcap")
 

@@ -17,19 +17,19 @@ from typing import Any, BinaryIO
 
 import pytest
 
-from app.cli import main
-from app.commands import Convert, Fuse, Info, Sample, Serve
-from app.evaluate_commands import (
+from fusion_core.model.errors import MissingStream, RecordingError
+from fusion_core.workflows.source import RoomChoice
+from scanloom.cli import main
+from scanloom.commands.evaluate import (
     EvaluateAlignment,
     EvaluateMap,
     EvaluateNoise,
     EvaluateRepair,
     EvaluateTrajectory,
 )
-from app.map_command import Map
-from app.resources import sample_path
-from fusion_core.model.errors import MissingStream, RecordingError
-from fusion_core.workflows.source import RoomChoice
+from scanloom.commands.map import Map
+from scanloom.commands.subcommands import Convert, Fuse, Info, Sample, Serve
+from scanloom.resources import sample_path
 from tests.hostile.files import write_loop, write_pipe
 
 ROOT = Path(__file__).parents[2]
@@ -51,7 +51,7 @@ INFO = {
 def scanloom(*args: str, **options: Any) -> subprocess.CompletedProcess[str]:
     """The command in a process of its own, from the checkout."""
     return subprocess.run(
-        [sys.executable, "-m", "app.cli", *args],
+        [sys.executable, "-m", "scanloom.cli", *args],
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -63,7 +63,7 @@ def scanloom(*args: str, **options: Any) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture
 def stub(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Put functions in the place of a workflow: ``stub("inspect", info=...)``."""
+    """Put functions in the place of a workflow: ``stub("info", info=...)``."""
 
     def put(workflow: str, **functions: Any) -> None:
         module = types.ModuleType(f"fusion_core.workflows.{workflow}")
@@ -85,7 +85,7 @@ def test_help_is_quick_because_nothing_heavy_is_imported() -> None:
     heavy = {"numpy", "open3d", "matplotlib", "numba", "pyarrow", "scipy", "cv2", "rosbags", "rich"}
     code = (
         "import sys\n"
-        "from app.cli import main\n"
+        "from scanloom.cli import main\n"
         "try:\n    main(['--help'])\nexcept SystemExit as leave:\n    assert leave.code == 0\n"
         f"print(sorted({heavy!r} & sys.modules.keys()), file=sys.stderr)"
     )
@@ -207,8 +207,8 @@ def test_sample_without_scene_and_file_is_wrong_usage(
 def test_a_number_below_zero_is_wrong_usage(
     args: list[str], stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stub("session", FuseOptions=None)
-    stub("fuse", fuse=None)
+    stub("fuse.session", FuseOptions=None)
+    stub("fuse.fuse", fuse=None)
     stub("sample", write=None)
     assert main(args) == 2
     shown = capsys.readouterr()
@@ -222,7 +222,7 @@ def test_advice_names_options_that_exist() -> None:
     known = {f"--{f.name.replace('_', '-')}" for c in commands for f in dataclasses.fields(c)}
     named = {
         option
-        for package in ("app", "fusion_core")
+        for package in ("app/scanloom", "fusion_core")
         for file in (ROOT / package).rglob("*.py")
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
@@ -315,7 +315,7 @@ def test_info_for_people_and_for_programs(
     stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     asked = []
-    stub("inspect", info=lambda path, room, session, **options: asked.append(path) or INFO)
+    stub("info", info=lambda path, room, session, **options: asked.append(path) or INFO)
     assert main(["info", "a.bag", "--json"]) == 0
     shown = capsys.readouterr()
     assert json.loads(shown.out) == INFO
@@ -330,7 +330,7 @@ def test_info_of_a_format_without_a_clock(
     stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     nothing_timed = {"start_ns": None, "end_ns": None, "duration_s": None}
-    stub("inspect", info=lambda path, room, session, **options: {**INFO, **nothing_timed})
+    stub("info", info=lambda path, room, session, **options: {**INFO, **nothing_timed})
     assert main(["info", "frames"]) == 0
     assert "time      none in this format" in capsys.readouterr().out
 
@@ -406,9 +406,9 @@ def test_options_of_fuse_reach_the_workflow(
     ) -> Any:
         return fuse(root / home, output, options, progress)
 
-    stub("session", FuseOptions=dict)
-    stub("fuse", fuse=fuse, FuseSummary=object)
-    stub("rooms", fuse_rooms=fuse_rooms, RoomsSummary=object)
+    stub("fuse.session", FuseOptions=dict)
+    stub("fuse.fuse", fuse=fuse, FuseSummary=object)
+    stub("fuse.rooms", fuse_rooms=fuse_rooms, RoomsSummary=object)
     assert main(["fuse", "a.bag", "-o", "out"]) == 0
     shown = capsys.readouterr()
     assert shown.out == "3 frames\n"
@@ -481,7 +481,7 @@ def test_each_measure_is_its_own_function(
         }
 
     names = ("alignment", "noise", "repair")
-    stub("evaluate", **{name: answer(name) for name in names})
+    stub("evaluate.evaluate", **{name: answer(name) for name in names})
     hand = ["--lever-arm", "0.05", "-0.03", "0.61", "--pitch", "-0.1", "--clock-offset-ms", "40"]
     assert main(["evaluate", measure, "out", "t.npz", *hand, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
@@ -537,7 +537,7 @@ def test_a_failure_is_one_line_or_one_object(
     stub: Callable[..., None],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    stub("inspect", info=raising(error))
+    stub("info", info=raising(error))
     assert main(["info", "a.bag"]) == 1
     shown = capsys.readouterr()
     assert (shown.out, shown.err) == ("", f"{line}\n")
@@ -547,7 +547,7 @@ def test_a_failure_is_one_line_or_one_object(
 
 
 def test_a_defect_is_not_dressed_up_as_bad_input(stub: Callable[..., None]) -> None:
-    stub("inspect", info=raising(ZeroDivisionError()))
+    stub("info", info=raising(ZeroDivisionError()))
     with pytest.raises(ZeroDivisionError):
         main(["info", "a.bag"])
 
@@ -555,7 +555,7 @@ def test_a_defect_is_not_dressed_up_as_bad_input(stub: Callable[..., None]) -> N
 def test_an_interrupt_is_one_line(
     stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stub("inspect", info=raising(KeyboardInterrupt()))
+    stub("info", info=raising(KeyboardInterrupt()))
     assert main(["info", "a.bag"]) == 130
     shown = capsys.readouterr()
     assert (shown.out, shown.err) == ("", "interrupted\n")
@@ -565,7 +565,7 @@ def test_names_from_a_recording_cannot_steer_the_terminal(
     stub: Callable[..., None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     stub(
-        "inspect",
+        "info",
         info=lambda path, room, session, **options: {
             **INFO,
             "warnings": ["\x1b]0;title\x07 [red]é\udc80"],
@@ -581,7 +581,7 @@ def test_a_narrow_encoding_of_stdout_is_no_failure(
 ) -> None:
     stdout = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     monkeypatch.setattr("sys.stdout", stdout)
-    stub("inspect", info=lambda path, room, session, **options: {**INFO, "warnings": ["σ"]})
+    stub("info", info=lambda path, room, session, **options: {**INFO, "warnings": ["σ"]})
     assert main(["info", "a.bag"]) == 0
     assert b"warning: \\u03c3\n" in stdout.buffer.getvalue()  # type: ignore[attr-defined]
 
@@ -601,7 +601,7 @@ def test_a_missing_recording_is_refused_without_a_traceback(tmp_path: Path) -> N
 def version_into(stdout: BinaryIO) -> subprocess.CompletedProcess[str]:
     """Its return code and stderr; stdout is buffered, so that it fails late, and again at exit."""
     return subprocess.run(
-        [sys.executable, "-m", "app.cli", "--version"],
+        [sys.executable, "-m", "scanloom.cli", "--version"],
         cwd=ROOT,
         env={name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"},
         stdout=stdout,

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from app.cli import main
-from app.resources import sample_path
+from scanloom.cli import main
+from scanloom.resources import sample_path
 
 SHORT = "[scene]\nduration_s = 0.5\ncamera_rate_hz = 10.0\nimage_scale = 0.1\n"
 COUNTS = {

@@ -21,13 +21,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from viser import _messages as messages
 
-from app import connections as connections_module
-from app.complaints import Complaints, log_to
-from app.connections import Connections
-from app.desk import STORED_VIEW
-from app.security import guard_for, guarded
-from app.server import ServeOptions, Workbench
-from app.untrusted import MOST_BYTES, judge
+from scanloom.client_session import STORED_VIEW
+from scanloom.server import connections as connections_module
+from scanloom.server.connections import Connections
+from scanloom.server.error_log import Complaints, log_to
+from scanloom.server.message_filter import MOST_BYTES, judge
+from scanloom.server.security import guard_for, guarded
+from scanloom.server.workbench import ServeOptions, Workbench
 from tests.app.viser_client import CAMERA, connect
 from tests.hostile.visitors import (
     LAST_WIDGET,
@@ -229,7 +229,7 @@ def test_a_page_of_another_version_is_told_so_and_stdout_keeps_silent(
 
 
 def test_no_message_prints_a_traceback(small_scene: Path) -> None:
-    command = [sys.executable, "-m", "app.cli", "view", str(small_scene), "--json", "--port=0"]
+    command = [sys.executable, "-m", "scanloom.cli", "view", str(small_scene), "--json", "--port=0"]
     with subprocess.Popen(
         command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as server:

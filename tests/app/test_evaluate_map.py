@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.cli import main
 from fusion_core.exporting.ros_map import write_ros_map
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.recordings.world_file import read_world
 from fusion_core.simulation.scenes import SceneSettings, find_scene, write_scene
+from scanloom.cli import main
 
 CELL_M = 0.05
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from app.cli import main
+from scanloom.cli import main
 
 REFERENCE = """# timestamp tx ty tz qx qy qz qw
 10.0 0 0 0 0 0 0 1

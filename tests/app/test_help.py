@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from app.help import help_text, keys_text
-from app.resources import static_path
-from app.state.view import PANELS, PanelName
+from scanloom.panels.help import help_text, keys_text
+from scanloom.resources import static_path
+from scanloom.state.view import PANELS, PanelName
 from tests.pictures.formulas import FORMULAS, svg_of
 
 SVG = "{http://www.w3.org/2000/svg}"

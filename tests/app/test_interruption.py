@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from app.interruption import Terminated, interruption, termination
-from app.resources import sample_path
+from scanloom.commands.interruption import Terminated, interruption, termination
+from scanloom.resources import sample_path
 from tests.app.viser_client import connect
 
 ROOT = Path(__file__).parents[2]
@@ -93,7 +93,7 @@ def test_what_is_ignored_stays_ignored() -> None:
 
 def test_a_command_that_is_ended_leaves_nothing(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "app.cli", "fuse", str(sample_path()), "-o", str(out)]
+    command = [sys.executable, "-m", "scanloom.cli", "fuse", str(sample_path()), "-o", str(out)]
     with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as running:
         assert running.stderr is not None
         try:
@@ -109,7 +109,15 @@ def test_a_command_that_is_ended_leaves_nothing(tmp_path: Path) -> None:
 
 
 def serving(recording: Path, port: int = 0, *more: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "app.cli", "view", str(recording), "--json", f"--port={port}"]
+    command = [
+        sys.executable,
+        "-m",
+        "scanloom.cli",
+        "view",
+        str(recording),
+        "--json",
+        f"--port={port}",
+    ]
     return subprocess.Popen(
         [*command, *more], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )

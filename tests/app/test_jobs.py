@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from app.jobs.latest import LatestWorker
-from app.jobs.long import Cancelled, LongJob
-from app.jobs.turns import Turns
 from fusion_core.model.progress import Progress
+from scanloom.jobs.latest import LatestWorker
+from scanloom.jobs.long import Cancelled, LongJob
+from scanloom.jobs.turns import Turns
 
 LONG_S = 20.0
 

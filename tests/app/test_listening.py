@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from app.cli import main
-from app.listening import LAST_PORT, free_port
 from fusion_core.model.errors import SettingsError
+from scanloom.cli import main
+from scanloom.server.listening import LAST_PORT, free_port
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def test_a_port_of_the_system_is_refused(monkeypatch: pytest.MonkeyPatch) -> Non
     def bind(*_: object) -> None:
         raise PermissionError(errno.EACCES, "Permission denied")
 
-    monkeypatch.setattr("app.listening.socket.socket.bind", bind, raising=False)
+    monkeypatch.setattr("scanloom.server.listening.socket.socket.bind", bind, raising=False)
     with pytest.raises(SettingsError, match=r"--port 80: .*Permission denied.*a higher one"):
         free_port("127.0.0.1", 80)
 

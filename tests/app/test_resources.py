@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from app.resources import palette, sample_path, static_path
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.errors import ScanLoomError
+from scanloom.resources import palette, sample_path, static_path
 
 ROOT = Path(__file__).parents[2]
 
@@ -53,15 +53,15 @@ def test_the_wheel_holds_the_whole_project(wheel: Path) -> None:
         held = set(archive.namelist())
     wanted = set()
     for folder, inside in {
-        "app": "app",
+        "app/scanloom": "scanloom",
         "fusion_core": "fusion_core",
-        "static": "app/static",
-        "samples": "app/samples",
+        "static": "scanloom/static",
+        "samples": "scanloom/samples",
     }.items():
         for path in (ROOT / folder).rglob("*"):
             if path.is_file() and "__pycache__" not in path.parts:
                 wanted.add(f"{inside}/{path.relative_to(ROOT / folder).as_posix()}")
-    assert {"app/static/palette.json", "app/samples/furnished_room.mcap"} <= wanted
+    assert {"scanloom/static/palette.json", "scanloom/samples/furnished_room.mcap"} <= wanted
     assert {name for name in held if ".dist-info/" not in name} == wanted
     assert any(name.endswith(".dist-info/licenses/LICENSE") for name in held)
 
@@ -71,7 +71,7 @@ def test_the_wheel_works_outside_the_repository(wheel: Path, tmp_path: Path) -> 
         archive.extractall(tmp_path / "site")
     code = (
         "import json\n"
-        "from app.resources import palette, sample_path, static_path\n"
+        "from scanloom.resources import palette, sample_path, static_path\n"
         "print(json.dumps([str(sample_path()), str(static_path('palette.json')), palette()]))"
     )
     run = subprocess.run(
@@ -82,7 +82,7 @@ def test_the_wheel_works_outside_the_repository(wheel: Path, tmp_path: Path) -> 
         text=True,
         check=True,
     )
-    inside = tmp_path / "site" / "app"
+    inside = tmp_path / "site" / "scanloom"
     assert json.loads(run.stdout) == [
         str(inside / "samples" / "furnished_room.mcap"),
         str(inside / "static" / "palette.json"),

@@ -13,7 +13,7 @@ import viser
 import websockets.asyncio.server
 import websockets.exceptions
 
-from app.security import Guard, guard_for, guarded, is_loopback
+from scanloom.server.security import Guard, guard_for, guarded, is_loopback
 from tests.app.viser_client import connect
 
 Headers = tuple[tuple[str, str], ...]

@@ -14,11 +14,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from app.desk import STORED_VIEW, Desk
-from app.security import LINK_KEY
-from app.server import ServeOptions, Workbench
-from app.state.view import View, view_of_link
 from fusion_core.model.errors import RecordingError, SettingsError
+from scanloom.client_session import STORED_VIEW, Desk
+from scanloom.server.security import LINK_KEY
+from scanloom.server.workbench import ServeOptions, Workbench
+from scanloom.state.view import View, view_of_link
 from tests.app.viser_client import connect
 from tests.hostile.names import NO_UTF8, SHOWN
 from tests.hostile.visitors import LAST_WIDGET
@@ -212,7 +212,7 @@ def test_an_alignment_that_a_link_asked_for_ends_with_its_browser(
     workbench: Workbench, view: View, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     endless = Endless()
-    monkeypatch.setattr("app.state.opened.align_session", lambda *args: endless.work(args[1]))
+    monkeypatch.setattr("scanloom.state.opened.align_session", lambda *args: endless.work(args[1]))
     with connect(
         workbench.address, storage={LINK_KEY: view.changed(virtual_row=61).to_link()}
     ) as client:
@@ -232,7 +232,7 @@ def test_a_build_ends_with_its_browser_and_leaves_nothing_behind(
         (output / "half a result").write_text("half")
         endless.work(progress)
 
-    monkeypatch.setattr("app.jobs.build.fuse", fuse)
+    monkeypatch.setattr("scanloom.jobs.build.fuse", fuse)
     root = tmp_path / "out"
     options = ServeOptions(recordings=[small_scene], port=0, output_root=root)
     with Workbench(options) as own:

@@ -8,10 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app import cli
-from app.jobs import slam as job
-from app.jobs.long import Cancelled
-from app.jobs.slam import (
+from fusion_core.model.errors import ExportError, MappingFailed
+from fusion_core.model.progress import Progress, silent
+from fusion_core.model.slam_view import SlamView, unwatched
+from fusion_core.workflows.fuse.presets import PRESETS, PresetName
+from fusion_core.workflows.map.result_folder import RunPoses, read_run
+from fusion_core.workflows.map.settings import map_settings, map_settings_toml
+from scanloom import cli
+from scanloom.jobs import slam as job
+from scanloom.jobs.long import Cancelled
+from scanloom.jobs.slam import (
     SlamRun,
     keep,
     map_options,
@@ -19,16 +25,10 @@ from app.jobs.slam import (
     run_slam,
     settings_of,
 )
-from app.panels.command import map_command
-from app.state.runs import MOST_RUNS, Runs
-from app.state.slam_choices import SlamChoices
-from app.state.view import View
-from fusion_core.model.errors import ExportError, MappingFailed
-from fusion_core.model.progress import Progress, silent
-from fusion_core.model.slam_view import SlamView, unwatched
-from fusion_core.workflows.map_results import RunPoses, read_run
-from fusion_core.workflows.map_settings import map_settings, map_settings_toml
-from fusion_core.workflows.presets import PRESETS, PresetName
+from scanloom.panels.command import map_command
+from scanloom.state.runs import MOST_RUNS, Runs
+from scanloom.state.slam_choices import SlamChoices
+from scanloom.state.view import View
 from tests.app import slam_runs
 from tests.app.slam_runs import LOOPS, LOST, SCANS, FakeMap
 

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from app.terminal import progress_on_stderr
+from scanloom.commands.terminal import progress_on_stderr
 
 
 class Terminal(io.StringIO):

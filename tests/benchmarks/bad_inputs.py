@@ -27,9 +27,9 @@ from typing import Any
 
 import numpy as np
 
-from app.cli import main as scanloom
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.recordings.formats import open_recording
+from scanloom.cli import main as scanloom
 from tests.benchmarks.odd_recordings import ODD
 from tests.recordings.conftest import BUILDERS
 

@@ -20,10 +20,10 @@ import numpy as np
 from fusion_core.recordings.world_file import world_path
 from fusion_core.simulation.scenes import find_scene, write_scene
 from fusion_core.simulation.truth import truth_path
-from fusion_core.workflows import evaluate
-from fusion_core.workflows.build_map import MapOptions, build_map
-from fusion_core.workflows.evaluate_odometry import odometry
-from fusion_core.workflows.scan_source import ScanKind
+from fusion_core.workflows.evaluate import evaluate
+from fusion_core.workflows.evaluate.odometry import odometry
+from fusion_core.workflows.map.build_map import MapOptions, build_map
+from fusion_core.workflows.map.scan_source import ScanKind
 
 KINDS: tuple[ScanKind, ...] = ("lidar", "camera", "merged")
 PAPER = {

@@ -27,12 +27,12 @@ import numpy as np
 
 from fusion_core.model.progress import silent
 from fusion_core.recordings.formats import open_recording
-from fusion_core.workflows import frame, fuse, tables
-from fusion_core.workflows import session as session_module
-from fusion_core.workflows.align import Alignment
-from fusion_core.workflows.frame import FusedFrame
-from fusion_core.workflows.presets import PRESETS
-from fusion_core.workflows.session import (
+from fusion_core.workflows.fuse import frame, fuse, tables
+from fusion_core.workflows.fuse import session as session_module
+from fusion_core.workflows.fuse.align import Alignment
+from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.presets import PRESETS
+from fusion_core.workflows.fuse.session import (
     FuseOptions,
     Session,
     align_session,

@@ -24,8 +24,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from app.resources import sample_path
 from fusion_core.simulation.scenes import SceneSettings, find_scene, write_scene
+from scanloom.resources import sample_path
 from tests.app.viser_client import Received, ViserClient, connect
 
 CORES = 2
@@ -143,7 +143,7 @@ class Server:
 @contextmanager
 def serving(recording: Path) -> Iterator[Server]:
     """``scanloom view`` with this recording."""
-    command = [sys.executable, "-m", "app.cli", "view", str(recording), "--port", "0"]
+    command = [sys.executable, "-m", "scanloom.cli", "view", str(recording), "--port", "0"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None, "it is piped"
     try:

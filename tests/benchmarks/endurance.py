@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from app.resources import sample_path
-from app.state.view import PanelName
+from scanloom.resources import sample_path
+from scanloom.state.view import PanelName
 from tests.app.viser_client import Received
 from tests.benchmarks.bench_workbench import Browser, serving
 

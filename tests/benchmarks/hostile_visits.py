@@ -13,9 +13,9 @@ from pathlib import Path
 
 import websockets.exceptions
 
-from app.resources import sample_path
-from app.security import LINK_KEY
-from app.state.view import View
+from scanloom.resources import sample_path
+from scanloom.server.security import LINK_KEY
+from scanloom.state.view import View
 from tests.app.viser_client import connect
 from tests.hostile.visitors import (
     LAST_WIDGET,
@@ -64,7 +64,7 @@ class Server:
 def served(folder: Path) -> Iterator[Server]:
     words = ["view", str(sample_path()), "--port=0", "--json", "-o", str(folder / "out")]
     with subprocess.Popen(
-        [sys.executable, "-m", "app.cli", *words],
+        [sys.executable, "-m", "scanloom.cli", *words],
         env=dict(os.environ) | {"PYTHONPATH": str(ROOT)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -25,12 +25,14 @@ from multiprocessing.context import ForkProcess
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 
-from app import cli
 from fusion_core.exporting.manifest import require_as_written
 from fusion_core.model.errors import ScanLoomError
+from fusion_core.workflows import (
+    fuse,  # noqa: F401
+)
 
 # The commands import their work when they are called; here once, before the processes part.
-from fusion_core.workflows import build_map, convert, fuse  # noqa: F401
+from scanloom import cli
 from tests.workflows.box_recording import standing, turning, write_boxes
 
 # What each command gives for evaluate to read.

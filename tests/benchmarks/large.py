@@ -21,11 +21,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from app.cli import main as scanloom
 from fusion_core.recordings.formats import open_recording
-from fusion_core.workflows.frame_reader import FrameReader
-from fusion_core.workflows.presets import PRESETS
-from fusion_core.workflows.session import FuseOptions, open_session
+from fusion_core.workflows.fuse.frame_reader import FrameReader
+from fusion_core.workflows.fuse.presets import PRESETS
+from fusion_core.workflows.fuse.session import FuseOptions, open_session
+from scanloom.cli import main as scanloom
 
 INFO_SECONDS, FRAME_SECONDS, MEMORY_MIB = 20.0, 5.0, 1024
 KEPT_SHARE = 0.999

@@ -20,9 +20,9 @@ from fusion_core.evaluation.truth import LeverArm, Truth, load_truth
 from fusion_core.recordings.formats import open_recording
 from fusion_core.simulation.scenes import write_scene
 from fusion_core.simulation.truth import truth_path
-from fusion_core.workflows.evaluate import depth_images
-from fusion_core.workflows.fuse import fuse
-from fusion_core.workflows.session import FuseOptions
+from fusion_core.workflows.evaluate.evaluate import depth_images
+from fusion_core.workflows.fuse.fuse import fuse
+from fusion_core.workflows.fuse.session import FuseOptions
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "furnished_room.mcap"
 ROOMS_MOUNT = LeverArm(

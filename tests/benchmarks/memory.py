@@ -15,7 +15,7 @@ from fusion_core.simulation.scenes import SceneSettings, find_scene, write_scene
 
 SECONDS = (6.0, 60.0)
 GROWTH_MAX = 0.10
-FUSE = "from app.cli import main; raise SystemExit(main())"
+FUSE = "from scanloom.cli import main; raise SystemExit(main())"
 
 
 def write(scene: str, folder: Path, duration_s: float) -> Path:

@@ -165,3 +165,23 @@ def test_files_that_cannot_be_read(path: Path) -> None:
     path.write_text("preset = 1\n")
     with pytest.raises(SettingsError, match="preset must be text, got 1"):
         read_preset(path)
+
+
+class Renamed(StageSettings):
+    range_max_m: float = setting(8.0, "Greatest range", unit="m", gt=0.0, formerly="reach_m")
+
+
+def test_a_key_of_an_earlier_version_is_read_and_its_new_name_given(
+    path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path.write_text("[grid]\nreach_m = 5.0\n")
+    assert load_toml(path, {"grid": Renamed}, {"grid": Renamed()}) == {
+        "grid": Renamed(range_max_m=5.0)
+    }
+    assert caplog.messages == [f"{path}: grid.reach_m is now called grid.range_max_m."]
+
+
+def test_a_key_under_both_its_names_is_refused(path: Path) -> None:
+    path.write_text("[grid]\nreach_m = 5.0\nrange_max_m = 6.0\n")
+    with pytest.raises(SettingsError, match=r"unknown key grid\.reach_m"):
+        load_toml(path, {"grid": Renamed})

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from app import cli
 from fusion_core.exporting.output_folder import plan_output, results_folder
 from fusion_core.model.errors import ExportError
+from scanloom import cli
 from tests.hostile.places import PLACES, snapshot
 from tests.workflows.box_recording import write_boxes
 

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from playwright.sync_api import sync_playwright
 
-from app.server import ServeOptions, Workbench
-from app.state.view import PANELS
+from scanloom.server.workbench import ServeOptions, Workbench
+from scanloom.state.view import PANELS
 
 PICTURE = Path(__file__).parents[2] / "samples" / "workbench.png"
 SIZE = {"width": 1500, "height": 940}

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from mcap.writer import CompressionType, Writer
 
-from app.cli import main
 from fusion_core.recordings.formats import open_recording
+from scanloom.cli import main
 from tests.hostile.bags import (
     T0_NS,
     ros_time,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from rosbags.rosbag1 import Reader
 
-from app.cli import main
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.rosbag1.records import OP_INDEX, read_record
+from scanloom.cli import main
 from tests.hostile.bags import (
     BEAMS,
     OLD_ENTRY_BYTES,

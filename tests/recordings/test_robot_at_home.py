@@ -21,7 +21,7 @@ from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.robot_at_home.rig import RawScan, laser_scan, stamp_ns_of_ticks
 from fusion_core.recordings.robot_at_home.rooms import list_rooms, open_room
 from fusion_core.recordings.topics import choose_streams
-from fusion_core.workflows.rig import build_rig
+from fusion_core.workflows.fuse.rig import build_rig
 
 MINUTE_NS = 60 * 10**9
 RGBD = "Robot@Home-dataset_rgbd_data-plain_text"

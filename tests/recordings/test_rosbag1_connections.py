@@ -8,9 +8,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from app.cli import main
 from fusion_core.model.errors import RecordingError
 from fusion_core.recordings.formats import open_recording
+from scanloom.cli import main
 from tests.hostile.bags import (
     MAGIC,
     Bag,

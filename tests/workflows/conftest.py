@@ -22,8 +22,8 @@ from fusion_core.model.sensors import (
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.ros2_writer import Ros2McapWriter
 from fusion_core.simulation.scenes import SceneSettings, find_scene, write_scene
-from fusion_core.workflows.fuse import FuseSummary, fuse
-from fusion_core.workflows.session import FuseOptions
+from fusion_core.workflows.fuse.fuse import FuseSummary, fuse
+from fusion_core.workflows.fuse.session import FuseOptions
 
 START_NS = 1_700_000_000 * NS_PER_S
 OPTICAL = rotation_from_yaw_pitch_roll(-np.pi / 2, 0.0, -np.pi / 2)

@@ -9,9 +9,9 @@ from fusion_core.model.errors import MissingStream
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import choose_streams
 from fusion_core.workflows.fitting import ScanGeometry, usual_geometry
-from fusion_core.workflows.pairing import PairedImage, paired_images
-from fusion_core.workflows.rig import build_rig
-from fusion_core.workflows.session import fitting_of
+from fusion_core.workflows.fuse.pairing import PairedImage, paired_images
+from fusion_core.workflows.fuse.rig import build_rig
+from fusion_core.workflows.fuse.session import fitting_of
 
 
 def run(log):

@@ -8,18 +8,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.jobs.slam import run_slam
-from app.state.slam_choices import SlamChoices
-from app.state.view import View
 from fusion_core.evaluation.fuse_folder import open_fuse_folder
 from fusion_core.model.errors import AlignmentFailed, MissingStream, RecordingError, ScanLoomError
 from fusion_core.model.progress import silent
 from fusion_core.model.slam_view import unwatched
 from fusion_core.recordings.decode import decode
 from fusion_core.recordings.formats import open_recording
-from fusion_core.workflows.build_map import MapOptions, build_map
-from fusion_core.workflows.fuse import fuse
-from fusion_core.workflows.session import FuseOptions
+from fusion_core.workflows.fuse.fuse import fuse
+from fusion_core.workflows.fuse.session import FuseOptions
+from fusion_core.workflows.map.build_map import MapOptions, build_map
+from scanloom.jobs.slam import run_slam
+from scanloom.state.slam_choices import SlamChoices
+from scanloom.state.view import View
 from tests.hostile.scans import (
     CAMERAS,
     IMPLAUSIBLE,

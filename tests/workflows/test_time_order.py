@@ -5,18 +5,18 @@ import json
 import numpy as np
 import pytest
 
-from app.cli import main
 from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.stamps import NO_STAMP
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.topics import choose_streams
-from fusion_core.workflows.build_map import MapOptions, build_map
-from fusion_core.workflows.fuse import fuse
+from fusion_core.workflows.fuse.fuse import fuse
+from fusion_core.workflows.fuse.session import FuseOptions
+from fusion_core.workflows.map.build_map import MapOptions, build_map
+from fusion_core.workflows.map.visual_frames import CameraFrames
 from fusion_core.workflows.poses import recorded_poses
-from fusion_core.workflows.session import FuseOptions
 from fusion_core.workflows.time_order import TimeOrder
-from fusion_core.workflows.visual_frames import CameraFrames
+from scanloom.cli import main
 from tests.hostile.drive import (
     COLOR,
     DEPTH,

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, ViewportSize, expect, sync_playwright
 
-from app.server import ServeOptions, Workbench
-from app.state.view import View
+from scanloom.server.workbench import ServeOptions, Workbench
+from scanloom.state.view import View
 from tests.app.browser.person import ENOUGH_S, Person, at_desk
 
 SCREEN: ViewportSize = {"width": 900, "height": 600}

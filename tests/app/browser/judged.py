@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from app.scene.depth_picture import DepthPicture, depth_limits_m, depth_picture
-from app.scene.pair_pixels import pixels_of_match, repaired_depth_m
-from app.shown import Shown
-from app.state.view import View
-from fusion_core.workflows.frame import FusedFrame, judge_frame
+from fusion_core.workflows.fuse.frame import FusedFrame, judge_frame
+from scanloom.frame_view import Shown
+from scanloom.scene.depth_picture import DepthPicture, depth_limits_m, depth_picture
+from scanloom.scene.pair_pixels import pixels_of_match, repaired_depth_m
+from scanloom.state.view import View
 from tests.app.browser.person import match_of
 
 # In this frame of the recording, beams and pixels are of all classes.

@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 from playwright.sync_api import Locator, Page, expect
 
-from app.desk import STORED_VIEW, Desk
-from app.server import Workbench
-from app.shown import Shown
-from app.state.view import PanelName, View
-from fusion_core.workflows.frame import FrameMatch
-from fusion_core.workflows.live import FrameChoice
+from fusion_core.workflows.fuse.frame import FrameMatch
+from fusion_core.workflows.fuse.live import FrameChoice
+from scanloom.client_session import STORED_VIEW, Desk
+from scanloom.frame_view import Shown
+from scanloom.server.workbench import Workbench
+from scanloom.state.view import PanelName, View
 
 ENOUGH_S = 60.0
 

@@ -15,7 +15,16 @@ ROOT = Path(__file__).parents[3]
 
 
 def test_the_command_serves_until_it_is_interrupted(small_scene: Path) -> None:
-    command = [sys.executable, "-m", "app.cli", "view", str(small_scene), "--port", "0", "--json"]
+    command = [
+        sys.executable,
+        "-m",
+        "scanloom.cli",
+        "view",
+        str(small_scene),
+        "--port",
+        "0",
+        "--json",
+    ]
     with subprocess.Popen(
         command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as serving:

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import expect
 
-from app.server import Workbench
-from app.state.view import View
-from fusion_core.workflows.presets import PRESETS
+from fusion_core.workflows.fuse.presets import PRESETS
+from scanloom.server.workbench import Workbench
+from scanloom.state.view import View
 from tests.app.browser.person import Person, peak_of
 
 

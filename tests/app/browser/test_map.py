@@ -9,14 +9,14 @@ import open3d as o3d
 import pytest
 from playwright.sync_api import expect
 
-from app.jobs.build import Build, build
-from app.scene.map_picture import map_pictures
-from app.server import Workbench
-from app.state.view import View
 from fusion_core.model.progress import Progress
-from fusion_core.workflows.fuse import FuseSummary, fuse
-from fusion_core.workflows.maps import difference_of
-from fusion_core.workflows.session import FuseOptions
+from fusion_core.workflows.fuse.fuse import FuseSummary, fuse
+from fusion_core.workflows.fuse.sensor_maps import difference_of
+from fusion_core.workflows.fuse.session import FuseOptions
+from scanloom.jobs.build import Build, build
+from scanloom.scene.map_picture import map_pictures
+from scanloom.server.workbench import Workbench
+from scanloom.state.view import View
 from tests.app.browser.person import ENOUGH_S, Person
 
 VOXEL_M = 0.1
@@ -103,7 +103,7 @@ def test_a_cancelled_build_leaves_nothing_and_a_reload_finds_the_same_state(
 
         return build(view, recording, root, report, figures=figures)
 
-    monkeypatch.setattr("app.panels.map.build", build_slowly)
+    monkeypatch.setattr("scanloom.panels.map.build", build_slowly)
     view = person.desk.view.with_setting("noise", "epsilon", 1.5).changed(number=11)
     person.look_at(view)
     before = sorted(output_root.rglob("*"))

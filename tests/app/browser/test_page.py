@@ -4,7 +4,7 @@ from pathlib import Path
 
 from playwright.sync_api import expect
 
-from fusion_core.workflows.inspect import info
+from fusion_core.workflows.info import info
 from tests.app.browser.person import Person, colourful
 
 

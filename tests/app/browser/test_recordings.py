@@ -4,8 +4,8 @@ from pathlib import Path
 
 from playwright.sync_api import expect
 
-from app.state.view import PANELS, View
-from fusion_core.workflows.inspect import info
+from fusion_core.workflows.info import info
+from scanloom.state.view import PANELS, View
 from tests.app.browser.person import Person, peak_of
 
 

@@ -3,11 +3,11 @@
 import numpy as np
 from playwright.sync_api import expect
 
-from app.scene.pairs_picture import PairsPlot, pairs_picture
 from fusion_core.model.classes import NoiseClass
 from fusion_core.registration.ransac import Registration
-from fusion_core.workflows.frame import FusedFrame
-from fusion_core.workflows.registered import draw_at
+from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.registration_view import draw_at
+from scanloom.scene.pairs_picture import PairsPlot, pairs_picture
 from tests.app.browser.judged import NUMBER, judged, repaired_picture
 from tests.app.browser.person import Person, match_of
 

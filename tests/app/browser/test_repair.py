@@ -3,9 +3,9 @@
 import numpy as np
 from playwright.sync_api import expect
 
-from app.scene.palette import class_color
-from app.scene.sheet import Box
 from fusion_core.model.classes import NoiseClass
+from scanloom.scene.palette import class_color
+from scanloom.scene.sheet import Box
 from tests.app.browser.judged import NUMBER, judged, repaired_picture
 from tests.app.browser.person import Person
 

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from playwright.sync_api import expect
 
-from app.jobs import slam as job
-from app.scene.slam_picture import run_picture
-from app.server import Workbench
-from app.state.slam_choices import SlamChoices
 from fusion_core.model.errors import MappingFailed
-from fusion_core.workflows.map_results import read_run
+from fusion_core.workflows.map.result_folder import read_run
+from scanloom.jobs import slam as job
+from scanloom.scene.slam_picture import run_picture
+from scanloom.server.workbench import Workbench
+from scanloom.state.slam_choices import SlamChoices
 from tests.app.browser.person import ENOUGH_S, Person
 from tests.app.slam_runs import SCANS, FakeMap
 

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app import cli
-from app.panels.command import fuse_command, map_command
-from app.state.slam_choices import ESTIMATORS, MOTIONS, SCANS
-from fusion_core.workflows.build_map import MapOptions
-from fusion_core.workflows.session import FuseOptions
+from fusion_core.workflows.fuse.session import FuseOptions
+from fusion_core.workflows.map.build_map import MapOptions
 from fusion_core.workflows.source import RoomChoice
+from scanloom import cli
+from scanloom.panels.command import fuse_command, map_command
+from scanloom.state.slam_choices import ESTIMATORS, MOTIONS, SCANS
 from tests.hostile.names import NO_UTF8
 
 # What a shell, a parser or a terminal could take for something else.
@@ -89,7 +89,7 @@ def test_the_command_line_reads_the_same_options(
 ) -> None:
     command = fuse_command(recording, output, options)
     with pytest.MonkeyPatch.context() as monkeypatch:
-        asked = asked_of("fusion_core.workflows.fuse.fuse", command, monkeypatch)
+        asked = asked_of("fusion_core.workflows.fuse.fuse.fuse", command, monkeypatch)
         assert asked == (recording, output, options)
 
 
@@ -116,7 +116,7 @@ def test_the_command_line_reads_the_same_options_of_a_run(
 ) -> None:
     command = map_command(recording, output, options)
     with pytest.MonkeyPatch.context() as monkeypatch:
-        asked = asked_of("fusion_core.workflows.build_map.build_map", command, monkeypatch)
+        asked = asked_of("fusion_core.workflows.map.build_map.build_map", command, monkeypatch)
         assert asked == (recording, output, options)
 
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from app.panels.controls import Controls
-from app.state.view import View
+from scanloom.panels.controls import Controls
+from scanloom.state.view import View
 
 
 class Slider:

@@ -11,14 +11,14 @@ from typing import Any
 import pytest
 import viser
 
-from app.desk import Desk
-from app.jobs.long import Cancelled
-from app.panels import map as map_panel
-from app.panels.map import MapPanel
-from app.state.library import Library
-from app.state.view import View
 from fusion_core.model.errors import ExportError
 from fusion_core.model.grids import OccupancyGrid
+from scanloom.client_session import Desk
+from scanloom.jobs.long import Cancelled
+from scanloom.panels import map as map_panel
+from scanloom.panels.map import MapPanel
+from scanloom.state.library import Library
+from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, Widget, connect
 
 LONG_S = 60.0

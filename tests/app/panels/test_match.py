@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 import viser
 
-from app.panels.match import MatchPanel
-from app.shown import Shown, shown_of
-from app.state.library import Library
-from app.state.opened import Opened, Progressing
-from app.state.view import View
 from fusion_core.model.errors import AlignmentFailed, RecordingError
+from scanloom.frame_view import Shown, shown_of
+from scanloom.panels.match import MatchPanel
+from scanloom.state.library import Library
+from scanloom.state.opened import Opened, Progressing
+from scanloom.state.view import View
 
 LONG_S = 60.0
 

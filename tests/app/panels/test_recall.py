@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 import viser
 
-from app.desk import Desk
-from app.panels import recall as recall_module
-from app.panels.register import RegisterPanel
-from app.state.library import Library
-from app.state.view import View
 from fusion_core.model.errors import ScanLoomError
-from fusion_core.workflows.epsilon import epsilon_in
-from fusion_core.workflows.evaluate import EPSILON_OVER_E
-from fusion_core.workflows.recall import RecallCurve
+from fusion_core.workflows.evaluate.evaluate import EPSILON_OVER_E
+from fusion_core.workflows.fuse.epsilon import epsilon_in
+from fusion_core.workflows.fuse.recall import RecallCurve
+from scanloom.client_session import Desk
+from scanloom.panels import recall as recall_module
+from scanloom.panels.register import RegisterPanel
+from scanloom.state.library import Library
+from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, Widget, connect
 
 LONG_S = 30.0

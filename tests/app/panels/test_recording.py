@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 import viser
 
-from app.desk import Desk
-from app.panels.depth_cameras import own_parts
-from app.panels.recording import RecordingPanel
-from app.panels.stream_table import stream_table
-from app.shown import Shown
-from app.state.library import Library
-from app.state.view import View
 from fusion_core.simulation.scenes import SceneSettings, find_scene, write_scene
 from fusion_core.workflows.stream_gaps import StreamGaps
+from scanloom.client_session import Desk
+from scanloom.frame_view import Shown
+from scanloom.panels.depth_cameras import own_parts
+from scanloom.panels.recording import RecordingPanel
+from scanloom.panels.stream_table import stream_table
+from scanloom.state.library import Library
+from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, Widget, connect
 
 LONG_S = 30.0
@@ -277,7 +277,7 @@ def test_nothing_of_the_recording_before_is_said_while_another_is_aligned(
         assert go_on.wait(LONG_S)
         raise ValueError("of this test")
 
-    monkeypatch.setattr("app.state.opened.align_session", wait)
+    monkeypatch.setattr("scanloom.state.opened.align_session", wait)
     bench.change(
         recording=small_scene.name,
         aligned=bench.first.with_setting("search", "min_overlap", 0.55).settings,

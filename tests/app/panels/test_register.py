@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 import viser
 
-from app.panels import register_words as words
-from app.panels.epsilon import EpsilonControls
-from app.panels.register import RegisterPanel
-from app.panels.residual_plot import ResidualPlot
-from app.state.view import View
 from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.registration.ransac import PUBLISHED, RegistrationSettings, register
-from fusion_core.workflows.epsilon import EpsilonInFrame
-from fusion_core.workflows.registered import (
+from fusion_core.workflows.fuse.epsilon import EpsilonInFrame
+from fusion_core.workflows.fuse.registration_view import (
     consensus_of,
     draw_at,
     meaning_of_registration,
     planar_pairs,
     residual_curve,
 )
+from scanloom.panels import register_words as words
+from scanloom.panels.epsilon import EpsilonControls
+from scanloom.panels.register import RegisterPanel
+from scanloom.panels.residual_plot import ResidualPlot
+from scanloom.state.view import View
 
 SIGMA_M = 0.04
 ALIGNMENT = SimpleNamespace(scale=NoiseScale(floor_m=SIGMA_M, share=0.0))

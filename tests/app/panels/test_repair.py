@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 import viser
 
-from app.desk import Desk
-from app.panels.repair import RepairPanel
-from app.resources import sample_path
-from app.scene.findings import conflict_runs, facts_of_beam
-from app.scene.palette import class_color
-from app.shown import Shown, shown_of
-from app.state.library import Library
-from app.state.view import View
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.errors import ScanLoomError
-from fusion_core.workflows.frame import FusedFrame
+from fusion_core.workflows.fuse.frame import FusedFrame
+from scanloom.client_session import Desk
+from scanloom.frame_view import Shown, shown_of
+from scanloom.panels.repair import RepairPanel
+from scanloom.resources import sample_path
+from scanloom.scene.findings import conflict_runs, facts_of_beam
+from scanloom.scene.palette import class_color
+from scanloom.state.library import Library
+from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, connect
 
 # A frame of the sample with several conflicts, and one of a different table.

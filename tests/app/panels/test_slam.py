@@ -15,18 +15,18 @@ from typing import Any
 import pytest
 import viser
 
-from app.desk import Desk
-from app.jobs import slam as job
-from app.panels import slam as slam_panel
-from app.panels.map import MapPanel
-from app.state.library import Library
-from app.state.runs import MOST_RUNS
-from app.state.slam_choices import SlamChoices
-from app.state.view import View, view_of_link
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.grids import OccupancyGrid
-from fusion_core.workflows.map_results import RunPoses
+from fusion_core.workflows.map.result_folder import RunPoses
 from fusion_core.workflows.poses import Poses
+from scanloom.client_session import Desk
+from scanloom.jobs import slam as job
+from scanloom.panels import slam as slam_panel
+from scanloom.panels.map import MapPanel
+from scanloom.state.library import Library
+from scanloom.state.runs import MOST_RUNS
+from scanloom.state.slam_choices import SlamChoices
+from scanloom.state.view import View, view_of_link
 from tests.app.slam_runs import SCANS, FakeMap, view_at
 from tests.app.viser_client import ViserClient, Widget, connect
 

@@ -9,20 +9,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.panels.why import (
+from fusion_core.denoising.correspondence import Correspondence
+from fusion_core.denoising.noise import FrameWindow, NoiseSettings, classify
+from fusion_core.denoising.noise_scale import NoiseScale
+from fusion_core.denoising.repair import RepairSettings, repair
+from fusion_core.model.sensors import LaserScan
+from fusion_core.workflows.fuse.presets import ChainSettings
+from scanloom.panels.why import (
     length,
     why_beam_class,
     why_beam_repair,
     why_pixel_class,
     why_pixel_repair,
 )
-from app.scene.findings import BeamFacts, facts_of_beam
-from fusion_core.denoising.correspondence import Correspondence
-from fusion_core.denoising.noise import FrameWindow, NoiseSettings, classify
-from fusion_core.denoising.noise_scale import NoiseScale
-from fusion_core.denoising.repair import RepairSettings, repair
-from fusion_core.model.sensors import LaserScan
-from fusion_core.workflows.presets import ChainSettings
+from scanloom.scene.findings import BeamFacts, facts_of_beam
 
 BEAMS, ROWS, ROW = 41, 61, 30
 SCALE = NoiseScale(floor_m=0.02, share=0.0)

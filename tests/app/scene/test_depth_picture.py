@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.scene.depth_picture import DepthPicture, depth_limits_m, depth_picture
-from app.scene.pair_pixels import PairPixels
-from app.scene.palette import class_color, color_map, color_of
-from app.scene.sheet import hatch
 from fusion_core.model.classes import NoiseClass
+from scanloom.scene.depth_picture import DepthPicture, depth_limits_m, depth_picture
+from scanloom.scene.pair_pixels import PairPixels
+from scanloom.scene.palette import class_color, color_map, color_of
+from scanloom.scene.sheet import hatch
 
 COLORS = color_map("cividis")
 

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from app.scene.encoded import png_of, show_picture
 from fusion_core.model.conventions import ByteArray
+from scanloom.scene.encoded import png_of, show_picture
 
 
 @pytest.fixture

@@ -5,7 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.scene.findings import (
+from fusion_core.denoising.correspondence import Correspondence
+from fusion_core.denoising.noise import Classes
+from fusion_core.denoising.repair import Repair
+from fusion_core.model.classes import NoiseClass, RepairSource
+from scanloom.scene.findings import (
     ConflictRun,
     conflict_runs,
     counts_of_beams,
@@ -13,11 +17,7 @@ from app.scene.findings import (
     facts_of_beam,
     unwrapped_deg,
 )
-from app.scene.range_curves import range_curves
-from fusion_core.denoising.correspondence import Correspondence
-from fusion_core.denoising.noise import Classes
-from fusion_core.denoising.repair import Repair
-from fusion_core.model.classes import NoiseClass, RepairSource
+from scanloom.scene.range_curves import range_curves
 
 GOOD, HOLE, BURR, CONFLICT = NoiseClass
 RAW, OTHER, NEIGHBOURS, NONE = RepairSource

@@ -5,23 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.scene.frame_geometry import (
-    camera_pose,
-    frame_geometry,
-    pair_segments,
-    pixel_points,
-    repairs,
-    unmatched_geometry,
-)
-from app.scene.geometry import (
-    arrow_segments,
-    curve_points,
-    frustum,
-    path_segments,
-    polyline,
-    quaternion,
-    ridge_lines,
-)
 from fusion_core.denoising.correspondence import along_curve, in_row
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import R_BODY_OPTICAL
@@ -34,7 +17,24 @@ from fusion_core.model.geometry import (
 )
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import CameraIntrinsics, LaserScan
-from fusion_core.workflows.frame import FusedFrame
+from fusion_core.workflows.fuse.frame import FusedFrame
+from scanloom.scene.frame_geometry import (
+    camera_pose,
+    frame_geometry,
+    pair_segments,
+    pixel_points,
+    repairs,
+    unmatched_geometry,
+)
+from scanloom.scene.geometry import (
+    arrow_segments,
+    curve_points,
+    frustum,
+    path_segments,
+    polyline,
+    quaternion,
+    ridge_lines,
+)
 
 LENS = CameraIntrinsics(width=80, height=60, fx=70.0, fy=70.0, cx=39.5, cy=29.5)
 CAMERA = Camera(

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.scene.field_axis import AzimuthAxis, Mark, MarkKind
-from app.scene.heatmap import Heatmap, heatmap
-from app.scene.palette import color_map
-from app.scene.sheet import hatch
+from scanloom.scene.field_axis import AzimuthAxis, Mark, MarkKind
+from scanloom.scene.heatmap import Heatmap, heatmap
+from scanloom.scene.palette import color_map
+from scanloom.scene.sheet import hatch
 
 AXIS = AzimuthAxis(first_deg=119.5, step_deg=-1.0)
 

@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from app.scene.lettering import shortened, width_of, write
+from scanloom.scene.lettering import shortened, width_of, write
 
 
 def paper() -> np.ndarray:

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from app.scene.map_picture import map_pictures, map_texture
 from fusion_core.model.grids import MapDifference, OccupancyGrid
-from fusion_core.workflows.map_colors import FREE, UNKNOWN, difference_colors
+from fusion_core.workflows.map.colors import FREE, UNKNOWN, difference_colors
+from scanloom.scene.map_picture import map_pictures, map_texture
 
 SURE = 30.0
 

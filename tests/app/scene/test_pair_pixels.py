@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.scene.pair_pixels import PairPixels, pixels_of_match, repaired_depth_m
 from fusion_core.model.classes import NoiseClass
-from fusion_core.workflows.frame import FrameMatch, FusedFrame
+from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
+from scanloom.scene.pair_pixels import PairPixels, pixels_of_match, repaired_depth_m
 
 
 def pairs() -> PairPixels:

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from app.resources import palette
-from app.scene.palette import class_color, class_colors, color_map, color_of
 from fusion_core.model.classes import NoiseClass
+from scanloom.resources import palette
+from scanloom.scene.palette import class_color, class_colors, color_map, color_of
 
 
 @pytest.mark.parametrize("noise", NoiseClass)

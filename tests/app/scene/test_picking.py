@@ -8,16 +8,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.scene.boards import Board, Layout
-from app.scene.camera_views import ViewerCamera, apply, board, curve, map_from_above, perspective
-from app.scene.color_picture import upright_color
-from app.scene.geometry import quaternion
-from app.scene.picking import Plane, nearest_beam
 from fusion_core.model.geometry import (
     inverse,
     rotation_from_yaw_pitch_roll,
     transform_from_planar,
 )
+from scanloom.scene.boards import Board, Layout
+from scanloom.scene.camera_views import (
+    ViewerCamera,
+    apply,
+    board,
+    curve,
+    map_from_above,
+    perspective,
+)
+from scanloom.scene.color_picture import upright_color
+from scanloom.scene.geometry import quaternion
+from scanloom.scene.picking import Plane, nearest_beam
 
 LAYOUT = Layout(yaw_rad=0.4, reach_m=4.0)
 angles = st.floats(-3.1, 3.1)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from app.scene.lettering import INK
-from app.scene.palette import Color, color_of
-from app.scene.recall_picture import RecallPicture, recall_picture
+from scanloom.scene.lettering import INK
+from scanloom.scene.palette import Color, color_of
+from scanloom.scene.recall_picture import RecallPicture, recall_picture
 
 FACTORS = np.linspace(0.2, 6.0, 30)
 RISING = np.linspace(0.1, 0.9, 30)

@@ -5,9 +5,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.scene.palette import Color, color_map
-from app.scene.runs_picture import Apart, WayOnMap, apart, moved_grid, moved_points, runs_picture
-from app.scene.slam_picture import (
+from fusion_core.model.grids import OccupancyGrid
+from fusion_core.model.slam_view import SlamView
+from fusion_core.workflows.map.colors import difference_colors
+from scanloom.scene.palette import Color, color_map
+from scanloom.scene.runs_picture import (
+    Apart,
+    WayOnMap,
+    apart,
+    moved_grid,
+    moved_points,
+    runs_picture,
+)
+from scanloom.scene.slam_picture import (
     LOOP,
     UNTRUSTED,
     WAY,
@@ -16,10 +26,7 @@ from app.scene.slam_picture import (
     run_picture,
     window_around,
 )
-from app.scene.time_picture import Course, time_picture
-from fusion_core.model.grids import OccupancyGrid
-from fusion_core.model.slam_view import SlamView
-from fusion_core.workflows.map_colors import difference_colors
+from scanloom.scene.time_picture import Course, time_picture
 
 WINDOW: Window = (np.array([-10.0, -5.0]), np.array([10.0, 5.0]))
 NO_LOOPS = np.empty((0, 4))

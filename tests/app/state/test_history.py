@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.state.history import History
-from app.state.view import View
+from scanloom.state.history import History
+from scanloom.state.view import View
 
 CHANGES = st.lists(st.floats(0.1, 9.0), min_size=1, max_size=12)
 

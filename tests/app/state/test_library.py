@@ -11,15 +11,15 @@ from typing import Any
 
 import pytest
 
-from app.resources import sample_path
-from app.state import library as library_module
-from app.state.file_stamp import FileStamp
-from app.state.library import Library
-from app.state.opened import Opened
-from app.state.view import View
 from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.model.recording import Recording
-from fusion_core.workflows.presets import PRESETS
+from fusion_core.workflows.fuse.presets import PRESETS
+from scanloom.resources import sample_path
+from scanloom.state import library as library_module
+from scanloom.state.file_stamp import FileStamp
+from scanloom.state.library import Library
+from scanloom.state.opened import Opened
+from scanloom.state.view import View
 from tests.hostile.names import NO_UTF8, SHOWN
 
 ENOUGH_S = 60.0
@@ -139,7 +139,7 @@ def test_a_library_that_closes_stops_the_alignment(
         finally:
             stopped.set()
 
-    monkeypatch.setattr("app.state.opened.align_session", endless)
+    monkeypatch.setattr("scanloom.state.opened.align_session", endless)
     library = Library([small_scene], [])
     library.open(View(recording=small_scene.name)).align(lambda: None)
     assert began.wait(ENOUGH_S)
@@ -292,7 +292,7 @@ def test_what_is_closed_stops_to_be_aligned(
         finally:
             stopped.set()
 
-    monkeypatch.setattr("app.state.opened.align_session", endless)
+    monkeypatch.setattr("scanloom.state.opened.align_session", endless)
     library.open(views[0]).align(lambda: None)
     assert began.wait(ENOUGH_S)
     for view in views[1 : UNSEEN + 1]:
@@ -449,7 +449,7 @@ class Endless:
         self.changed = threading.Condition()
         self.at_work: list[Any] = []
         self.ended: list[Any] = []
-        monkeypatch.setattr("app.state.opened.align_session", self)
+        monkeypatch.setattr("scanloom.state.opened.align_session", self)
 
     def __call__(self, session: Any, progress: Callable[..., None], *_: object) -> None:
         with self.changed:

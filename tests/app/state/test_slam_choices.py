@@ -4,7 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from app.state.slam_choices import (
+from fusion_core.workflows.fuse.presets import PRESETS
+from fusion_core.workflows.fuse.session import FuseOptions, open_session
+from fusion_core.workflows.source import open_source
+from scanloom.state.slam_choices import (
     ESTIMATORS,
     MOTIONS,
     SCANS,
@@ -13,9 +16,6 @@ from app.state.slam_choices import (
     streams_of,
     why_not,
 )
-from fusion_core.workflows.presets import PRESETS
-from fusion_core.workflows.session import FuseOptions, open_session
-from fusion_core.workflows.source import open_source
 
 ALL: frozenset[Stream] = frozenset(("lidar", "depth", "color", "odometry", "tf"))
 

@@ -11,7 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.state.slam_choices import (
+from fusion_core.model.classes import NoiseClass
+from fusion_core.model.errors import SettingsError
+from fusion_core.workflows.fuse.presets import PRESETS, PresetName
+from scanloom.state.slam_choices import (
     ESTIMATORS,
     MOTIONS,
     PARTICLES_MAX,
@@ -19,12 +22,10 @@ from app.state.slam_choices import (
     SCANS,
     SlamChoices,
 )
-from app.state.view import MAP_MODES, PANELS, Scope, View, view_of_link
-from fusion_core.model.classes import NoiseClass
-from fusion_core.model.errors import SettingsError
-from fusion_core.workflows.presets import PRESETS, PresetName
+from scanloom.state.view import MAP_MODES, PANELS, Scope, View, view_of_link
 
-# What the page of a link takes (app.security), and what a URL holds without being escaped.
+# What the page of a link takes (scanloom.server.security), and what a URL holds without being
+# escaped.
 LONGEST_LINK = 6_000
 IN_A_URL = re.compile(r"[A-Za-z0-9_-]+")
 

@@ -1,0 +1,1 @@
+"""The command line: its subcommands, their options, and what they print."""

@@ -1,0 +1,115 @@
+"""All that the panels and the scene need to show one view: computed once, read by each of them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from fusion_core.model.errors import ScanLoomError
+from fusion_core.model.sensors import ColorImage
+from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
+from fusion_core.workflows.fuse.live import FrameChoice, LiveChain
+from fusion_core.workflows.fuse.pairing import PairedImage
+from scanloom.jobs.long import Cancelled
+from scanloom.state.opened import Opened
+from scanloom.state.view import View
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """One view and what came of it. What could not be had is None, and ``failure`` says why.
+
+    ``chain`` is None while the recording is being aligned.
+    """
+
+    view: View
+    opened: Opened
+    chain: LiveChain | None = None
+    paired: PairedImage | None = None
+    match: FrameMatch | None = None
+    fused: FusedFrame | None = None
+    color: ColorImage | None = None
+    failure: ScanLoomError | None = None
+
+
+def clock_offset_ms(view: View, chain: LiveChain) -> float:
+    """The offset that is taken out of the camera's stamps: the mount's, where asked for."""
+    return chain.alignment.mount.clock_offset_ms if view.apply_clock_offset else 0.0
+
+
+def as_failure(error: Exception) -> ScanLoomError:
+    """A failure in words for a person, whatever failed."""
+    if isinstance(error, ScanLoomError):
+        return error
+    return ScanLoomError(
+        f"Something failed: {type(error).__name__}: {error}.",
+        advice="Go to another frame, or take back the last change with Undo.",
+    )
+
+
+def problem_of(failure: ScanLoomError) -> str:
+    """What is wrong, with the name of the file where it is one: often that is the subject."""
+    return f"{Path(failure.file).name}: {failure.problem}" if failure.file else failure.problem
+
+
+def aligning_words(opened: Opened) -> str:
+    """How far the alignment is."""
+    step = opened.progress
+    count = f", {step.done} of {step.total}" if step.total else ""
+    # The loops are compiled when they are met first, and kept for later runs.
+    patience = "" if step.done else " The very first time takes up to a minute."
+    return f"Aligning the recording: {step.what}{count}.{patience}"
+
+
+def why_missing(shown: Shown) -> str:
+    """Why a stage has nothing to show, and what to do about it."""
+    if shown.failure is not None:
+        return f"{problem_of(shown.failure)} {shown.failure.advice}"
+    if shown.chain is None:
+        return aligning_words(shown.opened)
+    return "This frame could not be judged."
+
+
+def shown_of(view: View, opened: Opened, check: Callable[[], None] = lambda: None) -> Shown:
+    """Compute a view; a stage that fails leaves what came before it.
+
+    ``check`` is called between the stages, and raises Cancelled where nobody looks any more.
+
+    A frame beyond the recording's last, as an old link may ask for, is its last.
+    """
+    view = view.model_copy(update={"number": min(view.number, len(opened.frames) - 1)})
+    chain = opened.chain
+    if chain is None:
+        failure = None if opened.failure is None else as_failure(opened.failure)
+        return Shown(view=view, opened=opened, failure=failure)
+    choice = FrameChoice(
+        number=view.number,
+        clock_offset_ms=clock_offset_ms(view, chain),
+        picked=view.picked,
+    )
+    paired = match = fused = color = None
+    failure = None
+    try:
+        paired = chain.paired(choice)
+        check()
+        match = chain.matched(choice, view.settings)
+        check()
+        fused = chain.judged(choice, view.settings)
+        check()
+    except Cancelled:
+        raise
+    except Exception as error:  # noqa: BLE001  # what came before the stage that fails is shown
+        failure = as_failure(opened.explained(error))
+    try:
+        color = opened.frames.color(choice.number)
+    except Exception as error:  # noqa: BLE001  # the colour image is for looking only
+        failure = failure or as_failure(opened.explained(error))
+    return Shown(
+        view=view,
+        opened=opened,
+        chain=chain,
+        paired=paired,
+        match=match,
+        fused=fused,
+        color=color,
+        failure=failure,
+    )

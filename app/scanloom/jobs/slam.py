@@ -1,0 +1,151 @@
+"""A run of motion and SLAM: ``build_map`` into a folder of its own, watched while it works."""
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from fusion_core.model.errors import ExportError, MappingFailed, ScanLoomError
+from fusion_core.model.progress import Progress
+from fusion_core.model.slam_view import SlamView, Watch
+from fusion_core.workflows.map.build_map import MapOptions, build_map
+from fusion_core.workflows.map.report import MapSummary
+from fusion_core.workflows.map.result_folder import RunFiles, read_run
+from fusion_core.workflows.map.settings import MAP_PRESETS, MapSettings, map_settings_toml
+from scanloom.jobs.build import new_folder, preset_below, results_in, settings_in
+from scanloom.state.slam_choices import SlamChoices
+from scanloom.state.view import View
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SlamRun:
+    """What a run made: ``folder`` holds its results, and the settings file where it has one.
+
+    ``problem``: why the result is not to be relied on, None where it is. ``summary`` is None where
+    the run failed after it had written its results.
+    """
+
+    number: int
+    view: View
+    folder: Path
+    options: MapOptions
+    summary: MapSummary | None
+    files: RunFiles
+    problem: ScanLoomError | None = None
+
+    @property
+    def recording(self) -> str:
+        """Its name in the library."""
+        return self.view.recording
+
+    @property
+    def choices(self) -> SlamChoices:
+        """What was asked for."""
+        return self.view.slam
+
+    @property
+    def name(self) -> str:
+        """For a list of runs."""
+        preset = "" if self.options.preset == "default" else f", {self.options.preset}"
+        return f"{self.number}: {self.choices.words}{preset}"
+
+
+def settings_of(view: View) -> MapSettings:
+    """The settings of the view's chain, and its number of particles."""
+    base = MAP_PRESETS[preset_below(view)]
+    particles = base.particles
+    if view.slam.estimator == "particle-filter":
+        particles = particles.model_copy(update={"particles": view.slam.particles})
+    return base.model_copy(update=view.settings.stages() | {"particles": particles})
+
+
+def map_options(view: View, settings_file: Path, clock_offset_ms: float = 0.0) -> MapOptions:
+    """What a view asks of ``map``. ``settings_file`` is named where no preset says it all."""
+    choices, preset = view.slam, preset_below(view)
+    return MapOptions(
+        scan=choices.scan,
+        motion=choices.motion,
+        slam=choices.estimator,
+        preset=preset,
+        settings_file=None if settings_of(view) == MAP_PRESETS[preset] else settings_file,
+        clock_offset_ms=clock_offset_ms,
+        lidar_topic=view.lidar_topic,
+    )
+
+
+def resampling_at(view: View) -> float:
+    """The effective number below which the particle filter draws its particles anew."""
+    return settings_of(view).particles.resample_share * view.slam.particles
+
+
+def run_slam(
+    number: int,
+    view: View,
+    recording: Path,
+    root: Path,
+    progress: Progress,
+    watch: Watch,
+    clock_offset_ms: float = 0.0,
+) -> SlamRun:
+    """Run what a view asks for, into a new folder below ``root``.
+
+    A run that fails or is cancelled leaves nothing behind, but for one whose scans do not fit the
+    map: that is there to be looked at. What ``progress`` raises ends it at the next moment that is
+    watched, too. Raises what ``build_map`` raises.
+    """
+    last: list[tuple[int, int | None, str]] = []
+
+    def advance(done: int, total: int | None, what: str) -> None:
+        last[:] = [(done, total, what)]
+        progress(done, total, what)
+
+    def look(seen: SlamView) -> None:
+        # Says nothing new, and raises where the run is to end.
+        for step in last:
+            progress(*step)
+        watch(seen)
+
+    with new_folder(root, Path(f"run-{number}")) as folder:
+        settings_file = settings_in(folder)
+        options = map_options(view, settings_file, clock_offset_ms)
+        if options.settings_file is not None:
+            text = map_settings_toml(settings_of(view), options.preset)
+            settings_file.write_text(text, encoding="utf-8")
+        summary: MapSummary | None = None
+        problem: ScanLoomError | None = None
+        try:
+            summary = build_map(recording, results_in(folder), options, advance, look)
+        except MappingFailed as error:
+            # Most of its scans do not fit, yet it was written.
+            if not (results_in(folder) / "trajectory.tum").exists():
+                raise
+            problem = error
+        progress(1, 1, "done")
+        files = read_run(results_in(folder))
+    return SlamRun(
+        number=number,
+        view=view,
+        folder=folder,
+        options=options,
+        summary=summary,
+        files=files,
+        problem=problem,
+    )
+
+
+def keep(run: SlamRun, recording: Path, root: Path) -> Path:
+    """Copy a run's results and settings into a new folder below ``root``, and return that.
+
+    Raises ExportError where it cannot be written.
+    """
+    with new_folder(root, recording) as folder:
+        try:
+            shutil.copytree(results_in(run.folder), results_in(folder))
+            if settings_in(run.folder).exists():
+                shutil.copy(settings_in(run.folder), settings_in(folder))
+        except OSError as error:
+            raise ExportError(
+                f"cannot be written: {error.strerror or error}.",
+                file=folder,
+                advice="Free space, or start the workbench with another output folder.",
+            ) from error
+    return folder

@@ -1,0 +1,79 @@
+"""The commands that do what the Map panel does, to copy: ``scanloom fuse`` and ``scanloom map``."""
+
+import os
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+from fusion_core.model.names import readable
+from fusion_core.workflows.fuse.session import FuseOptions
+from fusion_core.workflows.map.build_map import MapOptions
+
+
+def fuse_command(recording: Path, output: Path, options: FuseOptions) -> str:
+    """A line for a POSIX shell that gives ``options`` to ``scanloom fuse``."""
+    words = ["scanloom", "fuse", str(recording), "--output", str(output), *_words(options)]
+    return " ".join(map(_quoted, words))
+
+
+def map_command(recording: Path, output: Path, options: MapOptions) -> str:
+    """A line for a POSIX shell that gives ``options`` to ``scanloom map``."""
+    named = (
+        ("--scan", options.scan),
+        ("--motion", options.motion),
+        ("--slam", options.slam),
+        ("--preset", None if options.preset == "default" else options.preset),
+        ("--settings", options.settings_file),
+        ("--seed", options.seed),
+        ("--extrinsics", options.extrinsics_file),
+        ("--clock-offset-ms", options.clock_offset_ms or None),
+        ("--home", options.room and options.room.session),
+        ("--room", options.room and options.room.room),
+        ("--subsession", options.room and options.room.subsession),
+        ("--lidar", options.lidar_topic),
+        ("--pose", options.pose_topic),
+    )
+    words = ["scanloom", "map", str(recording), "--output", str(output)]
+    words += [f"{option}={value}" for option, value in named if value is not None]
+    switches = (("--force", options.force), ("--overwrite", options.overwrite))
+    words += [switch for switch, is_on in switches if is_on]
+    return " ".join(map(_quoted, words))
+
+
+def _quoted(word: str) -> str:
+    """One word for the shell; what is no UTF-8 in a path as bytes, as bash and zsh read them."""
+    if readable(word) == word:
+        return shlex.quote(word)
+    raw = os.fsencode(word)
+    plain = (chr(b) if 0x20 <= b < 0x7F and chr(b) not in "'\\" else f"\\x{b:02x}" for b in raw)
+    return f"$'{''.join(plain)}'"
+
+
+def _words(options: FuseOptions) -> Iterator[str]:
+    if options.preset != "default":
+        yield from ("--preset", options.preset)
+    room = options.room
+    named = (
+        ("--home", room and room.session),
+        ("--room", room and room.room),
+        ("--subsession", room and room.subsession),
+        ("--settings", options.settings_file),
+        ("--lidar", options.lidar_topic),
+        *(("--depth", topic) for topic in options.depth_topics),
+        ("--pose", options.pose_topic),
+        ("--virtual-lidar", options.virtual_lidar_row),
+        ("--truth", options.truth),
+        ("--seed", options.seed),
+    )
+    for option, value in named:
+        if value is not None:
+            # In one word: a topic may begin with a dash.
+            yield f"{option}={value}"
+    switches = (
+        ("--apply-clock-offset", options.apply_clock_offset),
+        ("--no-maps", not options.maps),
+        ("--no-figures", not options.figures),
+        ("--force", options.force),
+        ("--overwrite", options.overwrite),
+    )
+    yield from (switch for switch, is_on in switches if is_on)

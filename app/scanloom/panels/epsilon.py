@@ -1,0 +1,112 @@
+"""The threshold epsilon: its unit, a slider whose range fits it, and what it is in metres."""
+
+from typing import Any
+
+import viser
+
+from fusion_core.workflows.fuse.epsilon import (
+    EPSILON_UNITS,
+    EpsilonUnit,
+    converted,
+    epsilon_in,
+    unit_lengths_m,
+)
+from scanloom.client_session import Desk
+from scanloom.frame_view import Shown
+from scanloom.panels.controls import Controls, put
+from scanloom.panels.register_words import epsilon_words
+from scanloom.state.view import View
+
+# Ends and step of each unit's slider; a setting may lie beyond.
+_RANGES: dict[EpsilonUnit, tuple[float, float, float]] = {
+    "sigma": (0.5, 10.0, 0.1),
+    "E": (0.1, 5.0, 0.01),
+    "m": (0.005, 1.0, 0.001),
+}
+_LABELS: dict[EpsilonUnit, str] = {"sigma": "ε (σ)", "E": "ε (E)", "m": "ε (m)"}
+_BAND_MARKS = ((1.0, "E"), (2.0**0.5, "√2 E"))
+
+
+class EpsilonSliders:
+    """A slider for each unit, of which one is seen; set by ``controls``."""
+
+    def __init__(self, gui: viser.GuiApi, desk: Desk, controls: Controls) -> None:
+        self._desk = desk
+        self._sliders = {unit: self._add(gui, controls, unit) for unit in EPSILON_UNITS}
+
+    def show(self, view: View) -> None:
+        """The slider of the view's unit."""
+        for unit, slider in self._sliders.items():
+            put(slider, visible=unit == view.settings.noise.epsilon_unit)
+
+    def _add(
+        self, gui: viser.GuiApi, controls: Controls, unit: EpsilonUnit
+    ) -> viser.GuiSliderHandle[Any]:
+        low, high, step = _RANGES[unit]
+        noise = self._desk.view.settings.noise
+        slider: viser.GuiSliderHandle[Any] = gui.add_slider(
+            _LABELS[unit],
+            min=low,
+            max=high,
+            step=step,
+            initial_value=min(max(noise.epsilon, low), high),
+            marks=_BAND_MARKS if unit == "E" else None,
+            visible=unit == noise.epsilon_unit,
+            hint=type(noise).model_fields["epsilon"].description,
+        )
+
+        def value_of(view: View) -> float | None:
+            noise = view.settings.noise
+            return min(max(noise.epsilon, low), high) if noise.epsilon_unit == unit else None
+
+        def change(value: float) -> None:
+            # A value that was on its way when the unit changed means the unit before.
+            if unit == self._desk.view.settings.noise.epsilon_unit:
+                self._desk.set("noise", "epsilon", float(value))
+
+        controls.tie(slider, value_of, change)
+        return slider
+
+
+class EpsilonControls:
+    """The unit, its slider, and words."""
+
+    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
+        self._desk = desk
+        self._lengths_m: dict[EpsilonUnit, float] = {}
+        self._controls = Controls(gui, desk)
+        noise = desk.view.settings.noise
+        unit = gui.add_dropdown(
+            "Unit of ε",
+            EPSILON_UNITS,
+            initial_value=noise.epsilon_unit,
+            hint=type(noise).model_fields["epsilon_unit"].description,
+        )
+        self._controls.tie(unit, lambda view: view.settings.noise.epsilon_unit, self._change_unit)
+        self._sliders = EpsilonSliders(gui, desk, self._controls)
+        self._words = gui.add_markdown("")
+
+    def show(self, shown: Shown) -> None:
+        """Set unit and slider; say what epsilon is in this frame."""
+        noise = shown.view.settings.noise
+        self._controls.show(shown.view)
+        self._sliders.show(shown.view)
+        if shown.match is not None and shown.chain is not None:
+            self._lengths_m = unit_lengths_m(shown.match, shown.chain.alignment)
+        said = ""
+        if shown.fused is not None:
+            said = epsilon_words(epsilon_in(shown.fused), noise.epsilon, noise.epsilon_unit)
+        put(self._words, content=said)
+
+    def _change_unit(self, unit: EpsilonUnit) -> None:
+        """The same length in another unit, as one change."""
+        view = self._desk.view
+        noise = view.settings.noise
+        low, high, step = _RANGES[unit]
+        epsilon = converted(noise.epsilon, noise.epsilon_unit, unit, self._lengths_m)
+        # On the slider, as if it had been set there.
+        on_slider = min(max(round(epsilon / step) * step, low), high)
+        changed = view.with_setting("noise", "epsilon_unit", unit).with_setting(
+            "noise", "epsilon", round(on_slider, 3)
+        )
+        self._desk.change_settings(settings=changed.settings)

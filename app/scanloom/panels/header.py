@@ -1,0 +1,92 @@
+"""What is always in sight: the recording, the preset and what differs from it, undo, the link."""
+
+import html
+from typing import get_args
+
+import viser
+
+from fusion_core.workflows.fuse.presets import PresetName
+from scanloom.client_session import Desk
+from scanloom.frame_view import Shown
+from scanloom.panels.controls import Controls, put
+from scanloom.panels.help import keys_text
+from scanloom.state.view import View
+
+_MOST_DIFFERENCES = 6
+
+
+class HeaderPanel:
+    """Preset, reset, undo, redo and link."""
+
+    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
+        self._desk = desk
+        self._title = gui.add_html("")
+        presets = get_args(PresetName)
+        preset = gui.add_dropdown(
+            "Preset", presets, initial_value=desk.view.preset, hint="Default, or what Xu 2024 does"
+        )
+        self._differs = gui.add_html("")
+        buttons = gui.add_button_group("Settings", ("Undo", "Redo", "Reset", "Link", "Keys"))
+
+        self._controls = Controls(gui, desk)
+        self._controls.tie(preset, lambda view: view.preset, desk.set_preset)
+
+        @buttons.on_click
+        def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
+            match buttons.value:
+                case "Undo":
+                    desk.undo()
+                case "Redo":
+                    desk.redo()
+                case "Reset":
+                    desk.set_preset(desk.view.preset)
+                case "Link":
+                    self._tell_link()
+                case "Keys":
+                    self._tell("Keys", keys_text())
+
+    def show(self, shown: Shown) -> None:
+        """Set title, preset and differences."""
+        view = shown.view
+        self._controls.show(view)
+        put(self._title, content=_title(view))
+        put(self._differs, content=_differences(view))
+
+    def _tell_link(self) -> None:
+        link = f"/go?view={self._desk.view.to_link()}"
+        words = "Add this to the server's address. It restores recording, time, settings and panel."
+        self._tell("A link to this view", words, link=link)
+
+    def _tell(self, title: str, words: str, *, link: str | None = None) -> None:
+        """Words over the page, and a text to copy, until they are closed."""
+        gui = self._desk.client.gui
+        with gui.add_modal(title) as modal:
+            gui.add_markdown(words)
+            if link is not None:
+                gui.add_text("Link", link, multiline=True)
+            close = gui.add_button("Close")
+        close.on_click(lambda _: modal.close())
+
+
+def _title(view: View) -> str:
+    virtual = "" if view.virtual_row is None else f" · virtual LiDAR from row {view.virtual_row}"
+    name = html.escape(view.recording)
+    return (
+        '<div style="padding:0.2em 0.5em"><b>ScanLoom</b> '
+        f'<span style="opacity:0.75">{name}{virtual}</span></div>'
+    )
+
+
+def _differences(view: View) -> str:
+    """One line that says what differs from the preset."""
+    changed = [
+        f"{stage}.{name} = {value}" if stage else f"{name} = {value}"
+        for stage, values in view.differing().items()
+        for name, value in values.items()
+    ]
+    said = f"as the preset {view.preset} has it"
+    if changed:
+        more = len(changed) - _MOST_DIFFERENCES
+        tail = f" and {more} more" if more > 0 else ""
+        said = "differs: " + ", ".join(changed[:_MOST_DIFFERENCES]) + tail
+    return f'<div style="padding:0 0.5em;font-size:0.85em;opacity:0.75">{html.escape(said)}</div>'

@@ -1,0 +1,308 @@
+"""The Map panel: the maps of the whole recording, all results as files, and the command for it; or,
+in its other mode, motion and SLAM."""
+
+import html
+import os
+import threading
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import viser
+
+from fusion_core.model.errors import ScanLoomError
+from fusion_core.model.grids import OccupancyGrid
+from fusion_core.model.progress import Progress
+from fusion_core.workflows.fuse.export_clouds import CloudExport
+from fusion_core.workflows.fuse.sensor_maps import difference_of
+from fusion_core.workflows.map.result_folder import RunPoses
+from fusion_core.workflows.poses import Poses
+from scanloom.client_session import Desk
+from scanloom.frame_view import Shown
+from scanloom.jobs.build import (
+    Build,
+    build,
+    export,
+    free_folder,
+    fuse_options,
+    results_in,
+    settings_in,
+    zipped,
+)
+from scanloom.panels.blocks import paragraph, text_box
+from scanloom.panels.command import fuse_command
+from scanloom.panels.controls import Controls, put
+from scanloom.panels.slam import SlamPanel
+from scanloom.panels.work import PanelJob
+from scanloom.scene.encoded import show_picture
+from scanloom.scene.map_picture import map_pictures
+from scanloom.state.view import MAP_MODES, View
+
+_PICTURE_PX = (480, 720)
+_TITLES = {"lidar": "LiDAR", "camera": "camera", "fused": "fused"}
+_EMPTY = np.full((2, 2, 3), 255, dtype=np.uint8)
+# Words that do not fit on a line go on under those above, right of the line's name.
+_REPORT_LINE = (
+    "padding-left:11ch;text-indent:-11ch;white-space:pre-wrap;overflow-wrap:anywhere;"
+    "font-family:ui-monospace,monospace;font-size:0.9em"
+)
+
+
+class TakeMap(Protocol):
+    """Takes the map on the floor; ``poses``: the LiDAR's in it, where not the recorded ones."""
+
+    def __call__(self, grid: OccupancyGrid | None, poses: Poses | None = None, /) -> None: ...
+
+
+class MapPanel:
+    """Builds, shows and exports the results of a whole recording, or runs SLAM over it.
+
+    ``output_root``: results go into new folders below it. ``on_map`` gets the map of the recording
+    that is shown, None where there is none, in the thread that shows views: the fused one, or that
+    of a run of SLAM with its poses.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        desk: Desk,
+        output_root: Path,
+        on_map: TakeMap,
+    ) -> None:
+        self._desk = desk
+        # Commands are for shells that stand elsewhere.
+        self._root = Path(os.path.realpath(output_root))
+        self._on_map = on_map
+        self._lock = threading.RLock()
+        self._built: Build | None = None
+        self._clouds = ""
+        # What the widgets show now; a view changes many times while these stay.
+        self._drawn: Build | None = None
+        self._on_floor: OccupancyGrid | None = None
+        self._commanded: object = None
+
+        mode = gui.add_dropdown(
+            "Mode",
+            MAP_MODES,
+            initial_value=desk.view.map_mode,
+            hint="Maps of both sensors from recorded poses, or poses by SLAM",
+        )
+        self._controls = Controls(gui, desk)
+        self._controls.bind(mode, "map_mode", str)
+        self._fuse = gui.add_folder("Fuse", visible=desk.view.map_mode == "Fuse")
+        with self._fuse:
+            self._furnish(gui)
+        self._slam_folder = gui.add_folder("Motion and SLAM", visible=desk.view.map_mode == "SLAM")
+        with self._slam_folder:
+            self._slam = SlamPanel(gui, desk, self._root)
+
+        self._build_button.on_click(lambda _: self._begin_build())
+        self._export_button.on_click(lambda _: self._begin_export())
+        self._download.on_click(lambda _: self._send())
+
+        @self._figures.on_update
+        def _(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None:
+                desk.refresh()
+
+    def _furnish(self, gui: viser.GuiApi) -> None:
+        """The widgets of a build."""
+        gui.add_html(
+            paragraph(
+                "Fuses the whole recording with the settings as they are, and builds the maps of "
+                "the LiDAR alone, the camera alone and both, from the same recorded poses."
+            )
+        )
+        self._figures = gui.add_checkbox(
+            "Figures", True, hint="Draw each stage as a picture, too, as in Xu 2024"
+        )
+        self._build_button = gui.add_button("Build", icon=viser.Icon.MAP)
+        self._job = PanelJob(gui, self._desk, self._lock, self._show_working)
+        self._picture = gui.add_image(_EMPTY, format="png", visible=False)
+        self._report = gui.add_html("")
+        self._files = gui.add_folder("Files", visible=False)
+        with self._files:
+            self._folder = gui.add_html("")
+            self._download = gui.add_button(
+                "Download .zip", hint="All results but fused.mcap and samples.parquet"
+            )
+            self._voxel = gui.add_number(
+                "Voxel (m)", 0.02, min=0.005, max=1.0, step=0.005, hint="One point is kept in each"
+            )
+            self._export_button = gui.add_button("Export clouds (PLY, PCD)")
+            self._exported = gui.add_html("")
+        with gui.add_folder("The same from the command line"):
+            self._command = gui.add_html("")
+
+    def show(self, shown: Shown) -> None:
+        """The maps of the recording that is shown, and the command of the view."""
+        with self._lock:
+            built = self._built
+            if built is not None and built.view.recording != shown.view.recording:
+                built = None
+            self._lay_floor(shown.view, built)
+            if shown.view.panel != "Map":
+                return
+            mode = shown.view.map_mode
+            self._controls.show(shown.view)
+            put(self._fuse, visible=mode == "Fuse")
+            put(self._slam_folder, visible=mode == "SLAM")
+            if mode == "SLAM":
+                self._slam.show(shown)
+                return
+            self._show_command(shown.view, built)
+            self._show_built(shown.view, built)
+
+    def close(self) -> None:
+        """The browser has gone: what it builds is of no use any more."""
+        self._job.close()
+        self._slam.close()
+
+    def _lay_floor(self, view: View, built: Build | None) -> None:
+        """The map of the mode, handed on where it is another one."""
+        run = self._slam.chosen(view.recording) if view.map_mode == "SLAM" else None
+        poses: Poses | None = None
+        if run is not None:
+            grid = run.files.grid
+            poses = RunPoses(run.name, run.files.trajectory)
+        else:
+            grid = None if built is None else built.summary.grids.get("fused")
+        if grid is self._on_floor:
+            return
+        self._on_floor = grid
+        if grid is None or poses is None:
+            self._on_map(grid)
+        else:
+            self._on_map(grid, poses)
+
+    def _begin_build(self) -> None:
+        view, figures = self._desk.view, bool(self._figures.value)
+
+        def work(progress: Progress) -> Build:
+            recording = self._desk.library.path(view.recording)
+            return build(view, recording, self._root, progress, figures=figures)
+
+        def done(built: Build) -> None:
+            with self._lock:
+                self._built, self._clouds = built, ""
+            self._job.end()
+
+        self._job.begin("build", work, done)
+
+    def _begin_export(self) -> None:
+        built, voxel_m = self._built, float(self._voxel.value)
+        if built is None:
+            return
+
+        def done(exported: CloudExport) -> None:
+            with self._lock:
+                if self._built is built:
+                    self._clouds = _clouds_said(exported)
+            self._job.end()
+
+        self._job.begin("export", lambda progress: export(built, voxel_m, progress), done)
+
+    def _show_working(self, is_at_work: bool) -> None:
+        self._commanded = None
+        put(self._build_button, disabled=is_at_work)
+        put(self._export_button, disabled=is_at_work)
+
+    def _show_command(self, view: View, built: Build | None) -> None:
+        key = (_asked(view), self._figures.value, built)
+        if key == self._commanded:
+            return
+        self._commanded = key
+        recording = self._desk.library.path(view.recording)
+        if built is not None and _asked(view) == _asked(built.view):
+            folder, options = built.folder, built.options
+        else:
+            folder = free_folder(self._root, recording)
+            options = fuse_options(view, settings_in(folder), figures=bool(self._figures.value))
+        command = fuse_command(recording, results_in(folder), options)
+        notes = []
+        if options.settings_file is not None and not options.settings_file.exists():
+            notes.append("The settings file is written by Build.")
+        if view.picked is not None:
+            notes.append("An offset picked by hand is for looking; a build finds its own.")
+        self._command.content = text_box(command) + "".join(map(paragraph, notes))
+
+    def _show_built(self, view: View, built: Build | None) -> None:
+        put(self._files, visible=built is not None)
+        if built is None:
+            self._drawn = None
+            put(self._picture, visible=False)
+            put(self._report, content="")
+            return
+        if built is not self._drawn:
+            self._drawn = built
+            grids = {_TITLES[name]: grid for name, grid in built.summary.grids.items()}
+            if grids:
+                width_px, height_px = _PICTURE_PX
+                drawn = map_pictures(
+                    grids, difference_of(grids), width_px=width_px, height_px=height_px
+                )
+                show_picture(self._picture, drawn)
+            put(self._picture, visible=bool(grids))
+            put(self._folder, content=text_box(str(built.folder)))
+            for handle in (self._voxel, self._export_button):
+                put(handle, visible=built.summary.pose_source is not None)
+        put(self._exported, content=paragraph(self._clouds) if self._clouds else "")
+        put(self._report, content=_report(built, changed=_asked(view) != _asked(built.view)))
+
+    def _send(self) -> None:
+        built = self._built
+        if built is None:
+            return
+        try:
+            content = zipped(built)
+        except ScanLoomError as error:
+            self._desk.fail(error)
+            return
+        self._desk.client.send_file_download(
+            f"{built.folder.name}.zip", content, save_immediately=True
+        )
+
+
+def _asked(view: View) -> tuple[object, ...]:
+    """What of a view a build depends on."""
+    return (
+        view.recording,
+        view.preset,
+        view.settings,
+        view.lidar_topic,
+        view.depth_topics,
+        view.virtual_row,
+        view.apply_clock_offset,
+        view.picked is None,
+    )
+
+
+def _report(built: Build, *, changed: bool) -> str:
+    """What a run has to report, as HTML."""
+    said = []
+    if changed:
+        said.append("<b>Settings or streams changed since this build.</b>")
+    if not built.summary.grids:
+        said.append(html.escape(_why_no_maps(built)))
+    paragraphs = "".join(f"<p style='margin:0.3em 0'>{line}</p>" for line in said)
+    lines = "".join(
+        # The lines are a terminal's, which may not have the sign.
+        f"<div style='{_REPORT_LINE}'>{html.escape(line.replace('+-', '±'))}</div>"
+        for line in built.summary.lines()
+    )
+    return f"<div style='padding:0 0.5em;font-size:0.85em'>{paragraphs}{lines}</div>"
+
+
+def _why_no_maps(built: Build) -> str:
+    if built.options.virtual_lidar_row is not None:
+        why = "A virtual LiDAR is cut from the camera's own images, so there is nothing to compare."
+    elif built.summary.pose_source is None:
+        why = "The recording does not say where the LiDAR was: no TF, odometry or pose topic."
+    else:
+        why = "No scan could be placed."
+    return f"No maps. {why} All other results are there."
+
+
+def _clouds_said(exported: CloudExport) -> str:
+    counts = ", ".join(f"{name} {count:,} points" for name, count in exported.points.items())
+    return " ".join([f"Clouds: {counts}, in {exported.output}.", *exported.notes])

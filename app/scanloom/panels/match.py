@@ -1,0 +1,188 @@
+"""The Match panel: the similarity field, its peak, and the two curves laid on each other."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import get_args
+
+import numpy as np
+import viser
+
+from fusion_core.workflows.fuse.frame import FrameMatch, curves_at
+from fusion_core.workflows.fuse.live import window_field
+from scanloom.client_session import Desk
+from scanloom.frame_view import Shown, why_missing
+from scanloom.panels.controls import Controls, put
+from scanloom.panels.mount_words import mount_words
+from scanloom.panels.plain import plain_markdown
+from scanloom.scene.curves_picture import curves_picture
+from scanloom.scene.encoded import show_picture
+from scanloom.scene.field_axis import AzimuthAxis, Mark, ScoreField
+from scanloom.scene.heatmap import Heatmap, heatmap
+from scanloom.state.view import Scope
+
+_WIDTH_PX, _HEIGHT_PX = 500, 420
+_CURVES_PX = (480, 260)
+_METRICS = ("euclidean", "pearson", "cosine", "inverse_cosine")
+# Frames to either side that make a window's field.
+_WINDOW_FRAMES = 2
+
+
+class MatchPanel:
+    """Heatmap, curves and mount. ``on_heatmap`` gets what draws each heatmap, for the scene's
+    board, and None where there is none."""
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        desk: Desk,
+        on_heatmap: Callable[[Callable[[], Heatmap] | None], None],
+    ) -> None:
+        self._desk = desk
+        self._on_heatmap = on_heatmap
+        self._drawn: Heatmap | None = None
+        # Frame, chain and choices that it was drawn of.
+        self._drawn_of: tuple[object, object, object] = None, None, None
+        controls = Controls(gui, desk)
+        scope = gui.add_dropdown(
+            "Field of", get_args(Scope), initial_value=desk.view.scope, hint="What is averaged"
+        )
+        controls.bind(scope, "scope", str)
+        controls.dropdown("search", "metric", "Score", _METRICS)
+        self._picture = gui.add_image(
+            np.full((_HEIGHT_PX, _WIDTH_PX, 3), 255, np.uint8), format="png", visible=False
+        )
+        self._words = gui.add_markdown("")
+        with gui.add_folder("Pick by hand"):
+            self._u = gui.add_number("u (samples)", 0.0, step=0.25)
+            self._v = gui.add_number("v (row)", 0.0, step=1.0)
+            buttons = gui.add_button_group("Offset", ("Use", "Clear"))
+            lock = gui.add_checkbox(
+                "Lock u", desk.view.lock_picked, hint="Keep the picked offset in other frames"
+            )
+            controls.bind(lock, "lock_picked", bool)
+        self._curves = gui.add_image(
+            np.full((*_CURVES_PX[::-1], 3), 255, np.uint8), format="png", visible=False
+        )
+        with gui.add_folder("Sampling and masks"):
+            controls.slider("sampling", "step_deg", "Degrees a sample", 0.25, 4.0, 0.25)
+            controls.slider("sampling", "row_band", "Rows used, from below", 0.1, 1.0, 0.05)
+            controls.slider("search", "min_overlap", "Least overlap", 0.1, 1.0, 0.05)
+            controls.checkbox("search", "mask_holes", "Leave holes out")
+            controls.checkbox("search", "partial", "Row may reach beyond the curve")
+            controls.checkbox("search", "use_prior", "Search around the recording's u")
+        with gui.add_folder("Mount"):
+            self._mount = gui.add_markdown("")
+        self._controls = controls
+
+        @buttons.on_click
+        def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
+            use = buttons.value == "Use"
+            picked = (float(self._u.value), float(self._v.value)) if use else None
+            desk.change_settings(picked=picked)
+
+    def show(self, shown: Shown) -> None:
+        """Draw the field, the curves and the words of this view."""
+        self._controls.show(shown.view)
+        match = shown.match
+        for picture in (self._picture, self._curves):
+            put(picture, visible=match is not None)
+        if match is None or shown.chain is None:
+            self._on_heatmap(None)
+            put(self._words, content=plain_markdown(why_missing(shown)))
+            return
+        self._on_heatmap(partial(self._heatmap_of, shown, match))
+        if shown.view.panel == "Match":
+            show_picture(self._picture, self._heatmap_of(shown, match).rgb)
+            put(self._words, content=_peak_words(shown, match))
+            self._show_curves(shown, match)
+            alignment = shown.chain.alignment
+            put(self._mount, content=mount_words(alignment.mount, alignment.notes))
+
+    def _heatmap_of(self, shown: Shown, match: FrameMatch) -> Heatmap:
+        """The picture of this view: the last one where nothing of it has changed."""
+        view = shown.view
+        # A match is kept as long as its settings are: a new epsilon makes no new one.
+        frame = match if view.scope != "recording" else None
+        looked_at = (view.scope, view.settings.search.metric, view.picked)
+        of, chain, before = self._drawn_of
+        is_same = of is frame and chain is shown.chain and before == looked_at
+        if self._drawn is None or not is_same:
+            self._drawn_of = frame, shown.chain, looked_at
+            self._drawn = self._draw(shown, match)
+        return self._drawn
+
+    def _draw(self, shown: Shown, match: FrameMatch) -> Heatmap:
+        view, chain = shown.view, shown.chain
+        assert chain is not None, "a match was made by a chain"
+        metric = view.settings.search.metric
+        alignment = chain.alignment
+        if view.scope == "recording":
+            field: ScoreField = alignment.fields[metric]
+            curve = alignment.curve
+            peak = alignment.peaks.get(metric)
+            prior_u, title = alignment.peak.u, f"Mean of {alignment.frames} frames"
+        else:
+            field, curve = match.search.fields[metric], match.curve
+            peak = match.search.peaks.get(metric)
+            prior_u, title = alignment.peak.u - match.u_of_rig, f"Frame {view.number}"
+            if view.scope == "window":
+                field, count = window_field(chain, view.number, view.settings, _WINDOW_FRAMES)
+                title = f"Mean of {count} frames around {view.number}"
+        marks = [Mark("prior", prior_u)]
+        if peak is not None:
+            marks += [Mark("runner_up", peak.runner_up_u, peak.runner_up_v)]
+            marks += [Mark("peak", peak.u, peak.v)]
+        if view.picked is not None:
+            marks += [Mark("picked", *view.picked)]
+        return heatmap(
+            field,
+            marks,
+            AzimuthAxis.of_curve(curve.left_rad, curve.step_rad),
+            width_px=_WIDTH_PX,
+            height_px=_HEIGHT_PX,
+            title=f"{title}, {metric.replace('_', ' ')}",
+        )
+
+    def _show_curves(self, shown: Shown, match: FrameMatch) -> None:
+        place = _place(shown, match)
+        if place is None:
+            return
+        lidar_m, depth_m = curves_at(match, place, masked=shown.view.settings.search.mask_holes)
+        width_px, height_px = _CURVES_PX
+        drawn = curves_picture(lidar_m, depth_m, width_px=width_px, height_px=height_px)
+        show_picture(self._curves, drawn)
+        put(self._u, value=round(place[0], 2))
+        put(self._v, value=round(place[1], 1))
+
+
+def _place(shown: Shown, match: FrameMatch) -> tuple[float, float] | None:
+    """The offset that is shown: the picked one, else the frame's peak."""
+    if shown.view.picked is not None:
+        return shown.view.picked
+    peak = match.search.peaks.get(shown.view.settings.search.metric)
+    return None if peak is None else (peak.u, peak.v)
+
+
+def _peak_words(shown: Shown, match: FrameMatch) -> str:
+    metric = shown.view.settings.search.metric
+    peak = match.search.peaks.get(metric)
+    if peak is None:
+        return "No offset has enough samples valid on both sides: lower the least overlap."
+    lines = [
+        f"Peak **u = {peak.u:.2f}**, **v = {peak.v:.1f}**, score {peak.score:.3f}, "
+        f"{_times(peak.ratio)} the runner-up, overlap {peak.overlap:.0%}."
+    ]
+    alone = match.search.peaks_alone.get(metric)
+    if alone is not None and abs(alone.u - peak.u) > 0.5:
+        lines.append(f"Without the recording's u it would be at u = {alone.u:.2f}.")
+    if shown.view.picked is not None:
+        u, v = shown.view.picked
+        lines.append(f"Picked by hand: u = {u:.2f}, v = {v:.1f}; pairs are those of row {v:.0f}.")
+    else:
+        along = "the LiDAR's projected curve" if match.row_model == "curve" else "the row"
+        lines.append(f"Pairs lie along {along}.")
+    return "  \n".join(lines)
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.2f} times" if np.isfinite(ratio) else "without"

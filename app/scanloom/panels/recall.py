@@ -1,0 +1,219 @@
+"""The recall curve of Fig. 6 with the present epsilon, where a truth stands by the recording."""
+
+import html
+import threading
+from collections.abc import Callable, Hashable
+from pathlib import Path
+
+import numpy as np
+import viser
+
+from fusion_core.model.conventions import FloatArray, IntArray
+from fusion_core.model.progress import Progress
+from fusion_core.workflows.fuse.epsilon import epsilon_in
+from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.live import settings_of_match
+from fusion_core.workflows.fuse.recall import PAPER_BAND, RecallCurve, recall_of, truth_beside
+from scanloom.client_session import Desk
+from scanloom.frame_view import Shown, as_failure, clock_offset_ms, problem_of
+from scanloom.jobs.long import LongJob
+from scanloom.panels.controls import put
+from scanloom.scene.encoded import show_picture
+from scanloom.scene.recall_picture import RecallPicture, recall_picture
+from scanloom.state.opened import Opened
+
+_WIDTH_PX, _HEIGHT_PX = 480, 300
+_COMPUTE, _CANCEL = "Compute", "Cancel"
+# The desk's own work goes first; a film that plays leaves no pause.
+_PATIENCE_S = 0.5
+_CLOSE_S = 10.0
+
+
+class RecallPanel:
+    """Computes the curve when asked, in a thread of its own; the recording keeps it for all."""
+
+    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
+        self._desk = desk
+        self._lock = threading.RLock()
+        self._job: LongJob | None = None
+        self._closed = False
+        self._begin: Callable[[], None] = lambda: None
+        # What the job's words are about, and whose curve is drawn.
+        self._opened: Opened | None = None
+        self._truth: Path | None = None
+        self._curve: RecallCurve | None = None
+        self._drawn: RecallPicture | None = None
+        self._marked: tuple[RecallPicture | None, int | None] = None, None
+        self._folder = gui.add_folder("Recall over ε, by the truth", visible=False)
+        with self._folder:
+            blank = np.full((_HEIGHT_PX, _WIDTH_PX, 3), 255, dtype=np.uint8)
+            self._picture = gui.add_image(blank, format="png", visible=False)
+            self._words = gui.add_markdown("", visible=False)
+            self._button = gui.add_button(
+                _COMPUTE, hint="Compares every frame with the truth, as in Fig. 6 of Xu 2024"
+            )
+            self._progress_text = gui.add_html("", visible=False)
+            self._progress = gui.add_progress_bar(0.0, visible=False)
+        self._button.on_click(lambda _: self._press())
+
+    def show(self, shown: Shown) -> None:
+        """Draw the curve of the view's settings where it is known; else offer to compute it."""
+        self._look_for_truth(shown.opened)
+        chain, truth, fused = shown.chain, self._truth, shown.fused
+        put(self._folder, visible=chain is not None and truth is not None)
+        if chain is None or truth is None:
+            return
+        settings, offset_ms = shown.view.settings, clock_offset_ms(shown.view, chain)
+        key = settings_of_match(settings), offset_ms
+        curve = shown.opened.recalls.get(key)
+
+        def work(progress: Progress) -> RecallCurve:
+            return recall_of(chain, settings, truth, offset_ms, self._patient(progress))
+
+        with self._lock:
+            self._begin = lambda: self._start(work, shown.opened, key)
+            put(self._button, visible=curve is None or self._job is not None)
+        put(self._picture, visible=curve is not None)
+        put(self._words, visible=curve is not None)
+        if curve is not None:
+            self._show_curve(curve, fused)
+
+    def close(self) -> None:
+        """The browser has gone."""
+        with self._lock:
+            self._closed = True
+            job = self._job
+        if job is not None:
+            job.cancel()
+            job.wait(_CLOSE_S)
+
+    def _look_for_truth(self, opened: Opened) -> None:
+        if self._opened is opened:
+            return
+        with self._lock:
+            self._opened = opened
+            if self._job is not None:
+                self._job.cancel()
+            put(self._progress_text, visible=False)
+        self._truth = truth_beside(opened.session.recording.path)
+
+    def _press(self) -> None:
+        with self._lock:
+            if self._job is not None:
+                self._job.cancel()
+            else:
+                self._begin()
+
+    def _start(
+        self, work: Callable[[Progress], RecallCurve], opened: Opened, key: Hashable
+    ) -> None:
+        if self._closed:
+            return
+
+        def done(curve: RecallCurve) -> None:
+            opened.recalls[key] = curve
+            self._end("")
+
+        put(self._button, label=_CANCEL)
+        put(self._progress_text, content=_paragraph("Starting …"), visible=True)
+        put(self._progress, value=0.0, visible=True)
+        self._job = LongJob(
+            "recall",
+            work,
+            on_progress=self._advance,
+            on_done=done,
+            on_failed=self._fail,
+            on_cancelled=lambda: self._end(""),
+        )
+
+    def _patient(self, progress: Progress) -> Progress:
+        """Reports, and lets the desk go first: what a person drags must not wait for this."""
+
+        def report(done: int, total: int | None, what: str) -> None:
+            progress(done, total, what)
+            self._desk.wait(_PATIENCE_S)
+
+        return report
+
+    def _advance(self, done: int, total: int | None, what: str) -> None:
+        percent = round(100.0 * done / total) if total else 0
+        put(self._progress, value=float(percent))
+        put(self._progress_text, content=_paragraph(f"{what.capitalize()}, {percent} %"))
+
+    def _fail(self, error: Exception) -> None:
+        failure = as_failure(error if self._opened is None else self._opened.explained(error))
+        self._end(f"There is no curve. {problem_of(failure)} {failure.advice}")
+
+    def _end(self, said: str) -> None:
+        """The job's last step, in its thread: the worker draws what came of it."""
+        with self._lock:
+            self._job = None
+            put(self._button, label=_COMPUTE)
+            put(self._progress, visible=False)
+            put(self._progress_text, content=_paragraph(said), visible=bool(said))
+            closed = self._closed
+        if not closed:
+            self._desk.refresh()
+
+    def _show_curve(self, curve: RecallCurve, fused: FusedFrame | None) -> None:
+        if self._curve is not curve or self._drawn is None:
+            self._curve = curve
+            self._drawn = _drawn(curve)
+        said = None if fused is None else epsilon_in(fused)
+        factor = float("nan") if said is None or not said.E_m > 0.0 else said.middle_m / said.E_m
+        known = bool(np.isfinite(factor))
+        column = self._drawn.place_of(factor, 0.0)[0] if known else None
+        if self._marked != (self._drawn, column):
+            self._marked = self._drawn, column
+            shares = [share for share in _at(curve, factor) if share is not None] if known else []
+            rgb = self._drawn.with_present(factor, shares) if known else self._drawn.rgb
+            show_picture(self._picture, rgb)
+        put(self._words, content=_words_of(curve, factor))
+
+
+def _drawn(curve: RecallCurve) -> RecallPicture:
+    return recall_picture(
+        curve.factors,
+        _shares(curve.good_kept, curve.good_pairs),
+        _shares(curve.noise_found, curve.noise_pairs),
+        band=PAPER_BAND,
+        width_px=_WIDTH_PX,
+        height_px=_HEIGHT_PX,
+    )
+
+
+def _shares(counts: IntArray, whole: int) -> FloatArray | None:
+    return counts / whole if whole else None
+
+
+def _at(curve: RecallCurve, factor: float) -> tuple[float | None, float | None]:
+    """Both recalls at an epsilon / E, between the factors that were counted."""
+    xi, eta = (
+        _shares(curve.good_kept, curve.good_pairs),
+        _shares(curve.noise_found, curve.noise_pairs),
+    )
+    return (
+        None if xi is None else float(np.interp(factor, curve.factors, xi)),
+        None if eta is None else float(np.interp(factor, curve.factors, eta)),
+    )
+
+
+def _words_of(curve: RecallCurve, factor: float) -> str:
+    counts = f"{curve.good_pairs} good and {curve.noise_pairs} noise pairs by the truth."
+    if not np.isfinite(factor):
+        return f"{counts} This frame has no E, so its ε is not marked."
+    there = f"This frame's ε is **{factor:.2f} E**"
+    if not curve.factors[0] <= factor <= curve.factors[-1]:
+        return f"{counts} {there}, outside of the plot."
+    xi, eta = _at(curve, factor)
+    shares = [] if xi is None else [f"keeps **{100.0 * xi:.1f} %** of the good pairs"]
+    shares += [] if eta is None else [f"finds **{100.0 * eta:.1f} %** of the noise pairs"]
+    alone = f" ε alone {' and '.join(shares)}; the classes look at neighbours, too."
+    return f"{counts} {there}.{alone if shares else ''}"
+
+
+def _paragraph(text: str) -> str:
+    return (
+        "<div style='padding:0.2em 0.5em;font-size:0.85em;overflow-wrap:anywhere'>"
+        f"{html.escape(text)}</div>"
+    )

@@ -1,0 +1,179 @@
+"""The Register panel: the map A, its draws one by one, the residuals and the threshold epsilon."""
+
+import numpy as np
+import viser
+
+from fusion_core.model.conventions import ByteArray
+from fusion_core.workflows.fuse.frame import FrameMatch
+from fusion_core.workflows.fuse.registration_view import (
+    PlanarPairs,
+    Registration,
+    consensus_of,
+    draw_at,
+    meaning_of_registration,
+    planar_pairs,
+)
+from scanloom.client_session import Desk
+from scanloom.frame_view import Shown, why_missing
+from scanloom.panels import register_words as words
+from scanloom.panels.controls import Controls, put
+from scanloom.panels.epsilon import EpsilonControls
+from scanloom.panels.plain import plain_markdown
+from scanloom.panels.recall import RecallPanel
+from scanloom.panels.residual_plot import ResidualPlot
+from scanloom.scene.encoded import show_picture
+from scanloom.scene.pairs_picture import PairsPlot, pairs_picture
+
+_WIDTH_PX, _PAIRS_PX, _DRAW_PX = 480, 590, 330
+_MODELS = ("auto", "rigid", "similarity", "affine", "homography")
+_STOPPINGS = ("fixed", "adaptive")
+# In the paper's own pairs x is no length that was measured.
+_AXES_BY_SAMPLE = ("x: sample times its width (m)", "z: value (m)")
+_AXES = ("x to the right (m)", "z ahead (m)")
+
+
+class RegisterPanel:
+    """Settings of RANSAC, its draws, A before and after, residuals and epsilon."""
+
+    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
+        self._desk = desk
+        # What is drawn: it is drawn again when another object takes its place.
+        self._registration: Registration | None = None
+        self._last_draw = 0
+        self._drawn_pairs: object = None
+        self._drawn_draw: tuple[Registration | None, int] = (None, -1)
+        controls = Controls(gui, desk)
+        self._controls = controls
+        controls.dropdown("registration", "model", "Map A", _MODELS)
+        self._epsilon = EpsilonControls(gui, desk)
+        self._residuals = ResidualPlot(gui)
+        self._recall = RecallPanel(gui, desk)
+        self._pairs = gui.add_image(_blank(_PAIRS_PX), format="png")
+        self._words = gui.add_markdown("")
+        with gui.add_folder("Draws, one by one"):
+            self._draw = gui.add_slider("Draw", min=0, max=1, step=1, initial_value=0)
+            self._buttons = gui.add_button_group("Go to", ("Previous", "Next", "Best"))
+            self._draw_words = gui.add_markdown("")
+            self._draw_picture = gui.add_image(_blank(_DRAW_PX), format="png")
+            self._consensus = gui.add_markdown("")
+        with gui.add_folder("How it draws", expand_by_default=False):
+            controls.slider("registration", "sample_size", "Pairs a draw", 2, 20, 1)
+            controls.slider(
+                "registration", "inlier_threshold_m", "Inlier within (m)", 0.01, 0.5, 0.01
+            )
+            controls.dropdown("registration", "stopping", "Stop", _STOPPINGS)
+            controls.slider("registration", "draws", "Draws", 1, 500, 1)
+            self._confidence = controls.slider(
+                "registration", "confidence", "Confidence", 0.5, 0.999, 0.001
+            )
+            controls.slider("registration", "seed", "Seed", 0, 99, 1)
+            controls.checkbox("registration", "guards", "Guard A")
+        with gui.add_folder("The matrix", expand_by_default=False):
+            self._matrix = gui.add_markdown("")
+
+        controls.bind(self._draw, "draw", int, lambda draw: min(draw, self._last_draw))
+
+        @self._buttons.on_click
+        def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
+            self._go(self._buttons.value)
+
+    def show(self, shown: Shown) -> None:
+        """Set the widgets; draw what differs from what is drawn, while the panel is open."""
+        view, match = shown.view, shown.match
+        self._registration = found = None if match is None else match.registration
+        if found is not None:
+            self._last_draw = len(found.draws) - 1
+            put(self._draw, max=max(self._last_draw, 1))
+        self._controls.show(view)
+        put(self._confidence, disabled=view.settings.registration.stopping == "fixed")
+        self._epsilon.show(shown)
+        for widget in (self._draw, self._buttons, self._draw_picture, self._consensus):
+            put(widget, visible=found is not None)
+        put(self._pairs, visible=match is not None)
+        if view.panel != "Register":
+            return
+        by_sample = view.settings.pairing == "frame"
+        self._residuals.show(shown.fused, signed=not by_sample)
+        self._recall.show(shown)
+        axes = _AXES_BY_SAMPLE if by_sample else _AXES
+        if match is not None:
+            self._show_pairs(match, axes)
+        else:
+            self._drawn_pairs = None
+            put(self._words, content=plain_markdown(why_missing(shown)))
+        if found is not None:
+            self._show_draw(found, min(view.draw, self._last_draw), axes)
+        else:
+            self._drawn_draw = (None, -1)
+            put(self._matrix, content="There is none.")
+            put(self._draw_words, content="Without an A there is no draw to show.")
+
+    def close(self) -> None:
+        """The browser has gone."""
+        self._recall.close()
+
+    def _go(self, where: str) -> None:
+        """To another draw; the ends stop."""
+        found = self._registration
+        if found is None:
+            return
+        last = self._last_draw
+        draw = min(self._desk.view.draw, last)
+        places = {"Previous": max(draw - 1, 0), "Next": min(draw + 1, last)}
+        self._desk.change(draw=places.get(where, found.best_draw))
+
+    def _show_pairs(self, match: FrameMatch, axes: tuple[str, str]) -> None:
+        """Fig. 5, and A in words. Epsilon changes neither."""
+        if self._drawn_pairs is match.pairs:
+            return
+        self._drawn_pairs = match.pairs
+        found, pairs = match.registration, planar_pairs(match)
+        plots = _before_and_after(pairs)
+        height_px = _PAIRS_PX if len(plots) > 1 else _DRAW_PX
+        drawn = pairs_picture(plots, width_px=_WIDTH_PX, height_px=height_px, axis_names=axes)
+        show_picture(self._pairs, drawn.rgb)
+        if found is None:
+            put(self._words, content=words.failure_words(match.refusal))
+            return
+        put(self._words, content=words.map_words(found, meaning_of_registration(found)))
+        put(self._matrix, content=words.matrix_words(found.A))
+        put(self._consensus, content=words.consensus_words(found, consensus_of(found)))
+
+    def _show_draw(self, found: Registration, index: int, axes: tuple[str, str]) -> None:
+        if self._drawn_draw[0] is found and self._drawn_draw[1] == index:
+            return
+        self._drawn_draw = (found, index)
+        draw = draw_at(found, index)
+        plot = PairsPlot(
+            title=f"Draw {index}: LiDAR through its own A, and depth",
+            lidar_m=draw.mapped_m,
+            depth_m=found.draws.depth_points_m,
+            agree=draw.agree,
+            drawn=draw.pairs,
+        )
+        drawn = pairs_picture([plot], width_px=_WIDTH_PX, height_px=_DRAW_PX, axis_names=axes)
+        show_picture(self._draw_picture, drawn.rgb)
+        put(self._draw_words, content=words.draw_words(draw, found))
+
+
+def _before_and_after(pairs: PlanarPairs) -> list[PairsPlot]:
+    """One plot where there is no A, else two."""
+    before = PairsPlot(
+        title="Before A: LiDAR and depth as they are",
+        lidar_m=pairs.lidar_m,
+        depth_m=pairs.depth_m,
+        agree=pairs.inliers,
+    )
+    if pairs.mapped_m is None:
+        return [before]
+    after = PairsPlot(
+        title="After A: LiDAR through A, and depth",
+        lidar_m=pairs.mapped_m,
+        depth_m=pairs.depth_m,
+        agree=pairs.inliers,
+    )
+    return [before, after]
+
+
+def _blank(height_px: int) -> ByteArray:
+    return np.full((height_px, _WIDTH_PX, 3), 255, dtype=np.uint8)

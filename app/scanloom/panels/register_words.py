@@ -1,0 +1,193 @@
+"""A registration in words: what A does, what a draw found, why a map was refused. As Markdown."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from fusion_core.model.conventions import FloatArray
+from fusion_core.workflows.fuse.epsilon import EpsilonInFrame, EpsilonUnit
+from fusion_core.workflows.fuse.registration_view import (
+    Consensus,
+    DrawShown,
+    MapMeaning,
+    Registration,
+)
+
+# A map that keeps less than this of some distance has an inverse that is worth a warning.
+_FLATTENS = 0.5
+_UNIT_SIGNS: dict[EpsilonUnit, str] = {"sigma": " σ", "E": " E", "m": " m"}
+
+
+def map_words(found: Registration, meaning: MapMeaning) -> str:
+    """What A does, one line for each of the model's freedoms, then how good it is."""
+    lines = [
+        f"turns the LiDAR's points by **{_turn(meaning.rotation_rad)}**",
+        f"shifts the origin by **{_shift(meaning.shift_m)}**",
+        f"moves the middle of the inliers by {_shift(meaning.moved_m)}",
+    ]
+    if found.model == "similarity":
+        lines.append(f"scales by **{meaning.scale:.3f}**: {_longer(meaning.scale)}")
+    if found.model in ("affine", "homography"):
+        lines.append(
+            f"scales x by **{meaning.scale_x:.3f}** and z by **{meaning.scale_z:.3f}** "
+            f"(a distance by {meaning.least_scale:.3f} to {meaning.greatest_scale:.3f})"
+        )
+        lines.append(
+            f"shears by **{_degrees(meaning.shear_rad)}**: the right angle of the axes becomes "
+            f"{_degrees(0.5 * np.pi - meaning.shear_rad)}"
+        )
+    if found.model == "homography":
+        right, ahead = 100.0 * meaning.tilt_per_m
+        lines.append(
+            f"tilts: w′ grows by **{_signed(right, 2)} %** a metre to the right and by "
+            f"**{_signed(ahead, 2)} %** a metre ahead; what lies there shrinks as much"
+        )
+    if meaning.mirrors:
+        lines.append("**mirrors**: left becomes right")
+    if meaning.least_scale < _FLATTENS:
+        lines.append(
+            f"**flattens**: one direction keeps {_percent(meaning.least_scale, 1)} of its length, "
+            f"so that A⁻¹ makes errors up to {1.0 / meaning.least_scale:.3g} times as long"
+        )
+    near = " near the middle of the inliers" if found.model == "homography" else ""
+    settled = "" if found.settled else ", not settled"
+    quality = (
+        f"Mean error **E = {_length(found.mean_error_m)}** over {found.valid} pairs; σ = "
+        f"{_length(found.sigma_m)} an axis over {int(found.inliers.sum())} inliers. Condition "
+        f"{found.condition:.3g}; {_counted(found.refits, 'refit')}{settled}."
+    )
+    return f"A ({found.model}){near}:\n\n" + _listed(lines) + f"\n\n{quality}" + _refused(found)
+
+
+def matrix_words(A: FloatArray) -> str:
+    """A, (3, 3), for ``(x', z', w') = (x, z, 1) A``."""
+    rows = "\n".join("  ".join(f"{value:9.4f}" for value in row) for row in A)
+    return f"`(x′, z′, w′) = (x, z, 1) A`\n\n```\n{rows}\n```"
+
+
+def failure_words(refusal: str) -> str:
+    """Why there is no A."""
+    return (
+        f"**There is no A for this frame:** {refusal}\n\nClasses and repairs go on without it: "
+        "where pairs lie along the curve the mount ties them, in the row their own values do."
+    )
+
+
+def draw_words(draw: DrawShown, found: Registration) -> str:
+    """One draw, beside the best one and beside what became of it."""
+    count, best = len(found.draws), found.best_draw
+    mark = " ★ **the best draw**" if draw.index == best else ""
+    if np.isfinite(draw.A).all():
+        share = _percent(draw.inliers / found.valid, 0)
+        said = (
+            f"its A agrees with **{draw.inliers}** of {found.valid} pairs ({share}) within "
+            f"{_length(found.draws.inlier_threshold_m)}"
+        )
+    else:
+        said = "its pairs do not determine a map"
+    numbers = ", ".join(str(pair) for pair in draw.pairs)
+    after = ""
+    if draw.index == best:
+        after = (
+            f" {_counted(found.refits, 'refit').capitalize()} to the inliers made them "
+            f"{int(found.inliers.sum())}."
+        )
+    return f"Draw **{draw.index}** of 0…{count - 1}{mark}: {said}.{after} Pairs {numbers}."
+
+
+def consensus_words(found: Registration, consensus: Consensus) -> str:
+    """Why so many draws are enough."""
+    n, count = found.draws.sample_size, len(found.draws)
+    return (
+        f"{_percent(consensus.share, 0)} of the pairs are inliers (c), so a draw of n = {n} holds "
+        f"nothing else with probability cⁿ = {_probability(consensus.clean)}; at least one of "
+        f"{count} draws did with {_probability(consensus.clean_once)}. "
+        f"Best is draw {found.best_draw}."
+    )
+
+
+def epsilon_words(said: EpsilonInFrame, epsilon: float, unit: EpsilonUnit) -> str:
+    """The threshold in metres, the pairs beyond it, and the paper's band."""
+    if said.compared == 0:
+        return "No pair of this frame has both values."
+    if not np.isfinite(said.middle_m):
+        return "This frame has no E, so ε is not known in its multiples: no pair counts as beyond."
+    spread = ""
+    if said.greatest_m > 1.01 * said.least_m:
+        spread = f" ({said.least_m:.3f} to {said.greatest_m:.3f} m, growing with range)"
+    own = "" if unit == "m" else f" = {epsilon:g}{_UNIT_SIGNS[unit]}"
+    lines = [
+        f"ε = **{said.middle_m:.3f} m**{own}{spread}; **{said.beyond}** of {said.compared} pairs "
+        "disagree by more."
+    ]
+    if np.isfinite(said.E_m):
+        low_m, high_m = said.band_m
+        where = "inside"
+        if said.middle_m < low_m * (1.0 - 1e-9):
+            where = "below"
+        elif said.middle_m > high_m * (1.0 + 1e-9):
+            where = "above"
+        ratio = "" if said.E_m <= 0.0 else f", {said.middle_m / said.E_m:.2f} E"
+        lines.append(
+            f"The paper's band [E, √2 E] is [{low_m:.3f}, {high_m:.3f}] m here: ε lies **{where}** "
+            f"it{ratio}."
+        )
+    else:
+        lines.append("This frame has no E, so the paper's band [E, √2 E] is not known.")
+    return "  \n".join(lines)
+
+
+def _refused(found: Registration) -> str:
+    if not found.refused:
+        return ""
+    reasons = [f"{refusal.model}: {refusal.reason}" for refusal in found.refused]
+    return "\n\nRefused:\n\n" + _listed(reasons)
+
+
+def _listed(lines: Iterable[str]) -> str:
+    return "\n".join(f"- {line}" for line in lines)
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def _turn(angle_rad: float) -> str:
+    words = f"{_degrees(abs(angle_rad))}"
+    if words == "0.00°":
+        return words
+    return words + (" to the left" if angle_rad > 0.0 else " to the right")
+
+
+def _degrees(angle_rad: float) -> str:
+    return f"{np.rad2deg(angle_rad):.2f}°".replace("-", "−")
+
+
+def _shift(shift_m: FloatArray) -> str:
+    right_cm, ahead_cm = 100.0 * shift_m
+    across = "to the left" if right_cm < 0.0 else "to the right"
+    along = "back" if ahead_cm < 0.0 else "ahead"
+    return f"{abs(right_cm):.1f} cm {across} and {abs(ahead_cm):.1f} cm {along}"
+
+
+def _longer(scale: float) -> str:
+    words = "longer" if scale >= 1.0 else "shorter"
+    return f"distances become {_percent(abs(scale - 1.0), 1)} {words}"
+
+
+def _length(length_m: float) -> str:
+    if not np.isfinite(length_m):
+        return "∞" if length_m > 0.0 else "unknown"
+    return f"{100.0 * length_m:.1f} cm"
+
+
+def _signed(value: float, digits: int) -> str:
+    return f"{value:+.{digits}f}".replace("-", "−")
+
+
+def _probability(value: float) -> str:
+    return "more than 99.9 %" if value > 0.999 else _percent(value, 1)
+
+
+def _percent(share: float, digits: int) -> str:
+    return f"{100.0 * share:.{digits}f} %"

@@ -1,0 +1,245 @@
+"""The Repair panel: depth and curve before and after, classes, conflicts, and why of each beam."""
+
+import html
+from dataclasses import replace
+
+import numpy as np
+import viser
+import viser.uplot
+
+from fusion_core.model.classes import NoiseClass
+from fusion_core.workflows.fuse.frame import FusedFrame
+from scanloom.client_session import Desk
+from scanloom.frame_view import Shown, why_missing
+from scanloom.panels.controls import Controls, put
+from scanloom.panels.epsilon import EpsilonSliders
+from scanloom.panels.repair_tables import beam_table, class_table
+from scanloom.resources import palette
+from scanloom.scene.depth_picture import depth_limits_m, depth_picture
+from scanloom.scene.encoded import show_picture
+from scanloom.scene.findings import ConflictRun, conflict_runs
+from scanloom.scene.pair_pixels import pixels_of_match, repaired_depth_m
+from scanloom.scene.range_curves import range_curves
+from scanloom.state.view import View
+
+# A picture in these pixels is shrunk a little by the panel, and sharp when it is enlarged.
+_WIDTH_PX, _HEIGHT_PX = 480, 420
+_NO_BEAM = -1
+_NO_CONFLICTS = "none in this frame"
+
+
+class RepairPanel:
+    """Depth image and curve before and after, a filter of classes, conflicts, one beam's story."""
+
+    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
+        self._desk = desk
+        self._drawn: tuple[FusedFrame | None, object] = None, None
+        # What the list offers, by its words.
+        self._runs: dict[str, ConflictRun] = {}
+        self._controls = Controls(gui, desk)
+        self._words = gui.add_html("", visible=False)
+        both = gui.add_checkbox(
+            "Before and after", desk.view.both, hint="Show the raw depth image and the repaired one"
+        )
+        repaired = gui.add_checkbox(
+            "Repaired", desk.view.repaired, hint="In the scene, and here where there is one image"
+        )
+        self._controls.bind(both, "both", bool)
+        self._controls.bind(repaired, "repaired", bool)
+        empty = np.full((_HEIGHT_PX, _WIDTH_PX, 3), 255, dtype=np.uint8)
+        self._pictures = [gui.add_image(empty, format="png", visible=False) for _ in range(2)]
+        with gui.add_folder("Classes"):
+            self._classes = gui.add_html("")
+            for noise in NoiseClass:
+                self._add_filter(gui, noise)
+        self._curve = _add_curve(gui)
+        with gui.add_folder("One beam"):
+            self._conflicts = gui.add_dropdown("Conflicts", (_NO_CONFLICTS,))
+            self._step = gui.add_button_group("Go to conflict", ("Previous", "Next"))
+            beam = gui.add_number(
+                "Beam",
+                _NO_BEAM,
+                min=_NO_BEAM,
+                step=1,
+                hint="Of the scan, from 0; -1: none. A click in the scene chooses one too",
+            )
+            self._story = gui.add_html("")
+        with gui.add_folder("Settings", expand_by_default=False):
+            controls = self._controls
+            self._epsilon = EpsilonSliders(gui, desk, controls)
+            controls.slider("noise", "support_sigma", "Support (σ)", 0.5, 10.0, 0.1)
+            sources = ("smaller_error", "other_sensor")
+            controls.dropdown("repair", "prefer", "Prefer", sources)
+            controls.slider("repair", "max_gap_deg", "Widest gap (°)", 0.0, 30.0, 0.5)
+            controls.slider("repair", "max_gap_pixels", "Farthest pixel", 1, 100, 1)
+            controls.slider("repair", "farther_confidence", "Sure to move farther", 0.0, 1.0, 0.05)
+        controls.bind(
+            beam,
+            "beam",
+            lambda value: None if value == _NO_BEAM else int(value),
+            lambda value: _NO_BEAM if value is None else value,
+        )
+        # What the list says follows from the frame, not from the view.
+        controls.tie(self._conflicts, lambda _: None, self._go_to)
+
+        @self._step.on_click
+        def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
+            self._go(1 if self._step.value == "Next" else -1)
+
+    def show(self, shown: Shown) -> None:
+        """Draw the frame of this view, while the panel is open."""
+        view = shown.view
+        self._controls.show(view)
+        self._epsilon.show(view)
+        if view.panel != "Repair":
+            return
+        missing = f'<div style="padding:0.5em">{html.escape(why_missing(shown))}</div>'
+        put(self._words, content=missing, visible=shown.fused is None)
+        if shown.fused is None:
+            self._hide()
+            return
+        looked_at = (view.classes, view.both, view.repaired, view.beam, view.settings)
+        if self._drawn[0] is shown.fused and self._drawn[1] == looked_at:
+            return
+        self._drawn = shown.fused, looked_at
+        self._show_pictures(shown.fused, view)
+        self._show_curve(shown.fused, view)
+        put(self._classes, content=class_table(shown.fused))
+        self._show_conflicts(shown.fused, view)
+        put(self._story, content=beam_table(shown.fused, view.beam, view.settings))
+
+    def _show_pictures(self, frame: FusedFrame, view: View) -> None:
+        after = pixels_of_match(frame)
+        before = replace(after, repaired=np.zeros_like(after.repaired))
+        images = (
+            ("Before: as recorded", frame.depth_m, before),
+            ("After: repaired", repaired_depth_m(frame), after),
+        )
+        limits_m = depth_limits_m(frame.depth_m)
+        for place, (title, depth_m, pairs) in enumerate(images):
+            handle = self._pictures[place]
+            wanted = view.both or place == int(view.repaired)
+            if wanted:
+                drawn = depth_picture(
+                    {title: depth_m},
+                    pairs,
+                    width_px=_WIDTH_PX,
+                    height_px=_HEIGHT_PX,
+                    classes=view.classes,
+                    beam=view.beam,
+                    limits_m=limits_m,
+                )
+                show_picture(handle, drawn.rgb)
+            put(handle, visible=wanted)
+
+    def _show_curve(self, frame: FusedFrame, view: View) -> None:
+        curves = range_curves(frame, view.classes, view.beam)
+        self._curve.data = (
+            curves.azimuth_deg,
+            curves.pixel_m,
+            curves.repaired_m,
+            curves.raw_m,
+            curves.camera_m,
+            curves.looked_at_m,
+        )
+        put(
+            self._curve,
+            scales=_curve_scales(curves.limits_m),
+            visible=bool(curves.azimuth_deg.size),
+        )
+
+    def _show_conflicts(self, frame: FusedFrame, view: View) -> None:
+        runs = conflict_runs(frame)
+        self._runs = {_conflict_words(run): run for run in runs}
+        heading = f"{len(runs)}: choose one" if runs else _NO_CONFLICTS
+        put(self._conflicts, options=(heading, *self._runs))
+        chosen = [words for words, run in self._runs.items() if _holds(run, view.beam)]
+        put(self._conflicts, value=chosen[0] if chosen else heading)
+
+    def _hide(self) -> None:
+        """What was drawn is of another frame."""
+        self._drawn = None, None
+        for handle in (*self._pictures, self._curve):
+            put(handle, visible=False)
+        self._runs = {}
+        put(self._conflicts, options=(_NO_CONFLICTS,))
+        for table in (self._classes, self._story):
+            put(table, content="")
+
+    def _add_filter(self, gui: viser.GuiApi, noise: NoiseClass) -> None:
+        """A box that shows a class or leaves it out."""
+        box = gui.add_checkbox(
+            f"Show {noise.name.lower()}",
+            noise in self._desk.view.classes,
+            hint="In the images, the curve and the scene",
+        )
+
+        def change(checked: bool) -> None:
+            others = self._desk.view.classes - {noise}
+            self._desk.change(classes=others | {noise} if checked else others)
+
+        self._controls.tie(box, lambda view: noise in view.classes, change)
+
+    def _go_to(self, words: str) -> None:
+        """Look at the conflict that the list calls so; its heading is none."""
+        run = self._runs.get(words)
+        if run is not None:
+            self._desk.change(beam=run.middle)
+
+    def _go(self, by: int) -> None:
+        """Look at the next conflict, around the ends."""
+        runs = list(self._runs.values())
+        if not runs:
+            return
+        at = [place for place, run in enumerate(runs) if _holds(run, self._desk.view.beam)]
+        place = at[0] + by if at else (by - 1) // 2
+        self._desk.change(beam=runs[place % len(runs)].middle)
+
+
+def _add_curve(gui: viser.GuiApi) -> viser.GuiUplotHandle:
+    """The plot of ranges over azimuth, left to right as the camera sees it.
+
+    Its samples are points: the plot would draw a line across the gaps, which are what it is about.
+    """
+
+    def dots(label: str, color: str, size_px: float, *, ring: bool = False) -> viser.uplot.Series:
+        points = viser.uplot.Series_Points(
+            show=True, size=size_px, stroke=color, fill="transparent" if ring else color
+        )
+        return viser.uplot.Series(label=label, stroke=color, width=0, points=points)
+
+    colors = palette()
+    return gui.add_uplot(
+        tuple(np.zeros(2) for _ in range(6)),
+        (
+            viser.uplot.Series(label="azimuth (°)"),
+            dots("○ pixel", colors["depth"], 9.0, ring=True),
+            dots("● repaired", colors["fused"], 6.0),
+            dots("● raw", colors["lidar"], 4.0),
+            dots("• camera", colors["depth"], 2.0),
+            dots("◯ chosen", colors["fused"], 14.0, ring=True),
+        ),
+        title="Range (m) over azimuth (°)",
+        scales=_curve_scales((0.0, 1.0)),
+        height=280,
+        padding=(12, 24, 0, 0),
+        visible=False,
+    )
+
+
+def _curve_scales(limits_m: tuple[float, float]) -> dict[str, viser.uplot.Scale]:
+    """``limits_m`` must be given: the plot finds none where a series begins with a gap."""
+    # Azimuth is positive to the left.
+    return {
+        "x": viser.uplot.Scale(time=False, dir=-1),
+        "y": viser.uplot.Scale(range=limits_m),
+    }
+
+
+def _conflict_words(run: ConflictRun) -> str:
+    beams = f"{run.first}" if run.first == run.last else f"{run.first}–{run.last}"
+    return f"beam {beams}: LiDAR {run.lidar_m:.2f} m, camera {run.camera_m:.2f} m"
+
+
+def _holds(run: ConflictRun, beam: int | None) -> bool:
+    return beam is not None and run.first <= beam <= run.last

@@ -1,0 +1,135 @@
+"""The Repair panel's tables as HTML: classes and sources in numbers, and all about one beam."""
+
+import math
+
+from fusion_core.model.classes import NoiseClass, RepairSource
+from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.presets import ChainSettings
+from scanloom.panels.why import (
+    length,
+    why_beam_class,
+    why_beam_repair,
+    why_pixel_class,
+    why_pixel_repair,
+)
+from scanloom.resources import palette
+from scanloom.scene.findings import (
+    BeamFacts,
+    SampleFacts,
+    counts_of_beams,
+    counts_of_pixels,
+    facts_of_beam,
+)
+
+_BOX = "<div style='padding:0 0.9em 0.6em;font-size:0.85em;line-height:1.45'>"
+_TABLE = (
+    "<table style='width:100%;border-collapse:collapse;font-variant-numeric:tabular-nums'>"
+    "{}</table>"
+)
+_FIRST = "<td style='padding:0.05em 0.6em 0.05em 0'>{}</td>"
+_OTHER = "<td style='padding:0.05em 0;text-align:right'>{}</td>"
+_RULE = "<tr><td colspan='3' style='border-top:1px solid rgba(128,128,128,0.35)'></td></tr>"
+_REPAIRED = (
+    (RepairSource.OTHER_SENSOR, "repaired from the other sensor"),
+    (RepairSource.NEIGHBOURS, "repaired from neighbours"),
+    (RepairSource.RAW, "kept as they are"),
+    (RepairSource.NONE, "left empty"),
+)
+
+
+def class_table(frame: FusedFrame) -> str:
+    """How many beams and pixels are of each class, and what became of the holes and burrs."""
+    beams, pixels = counts_of_beams(frame), counts_of_pixels(frame)
+    rows = [_row("", "beams", "pixels")]
+    rows += [
+        _row(_named(noise), str(beams.by_class[noise]), str(pixels.by_class[noise]))
+        for noise in NoiseClass
+    ]
+    rows += [_row("outside the image", "", str(pixels.without_pixel)), _RULE]
+    rows += [_row("of the holes and burrs", "", "")]
+    rows += [
+        _row(words, str(beams.by_source[source]), str(pixels.by_source[source]))
+        for source, words in _REPAIRED
+    ]
+    return f"{_BOX}{_TABLE.format(''.join(rows))}</div>"
+
+
+def beam_table(frame: FusedFrame, beam: int | None, settings: ChainSettings) -> str:
+    """Class, confidence, values and source of a beam and its pixel, and why in words."""
+    if beam is None:
+        return f"{_BOX}Choose a conflict or a number, or click a beam in the scene.</div>"
+    facts = facts_of_beam(frame, beam)
+    if facts is None:
+        return f"{_BOX}{_out_of_view(frame, beam)}</div>"
+    beam_side, pixel_side = _side(facts.lidar, "camera"), _side(facts.pixel, "LiDAR")
+    titles = ("", "class", "confidence", "raw", "repaired", "source")
+    heads = (f"beam {facts.beam}, range", "pixel, depth")
+    table = "".join(map(_row, titles, (heads[0], *beam_side), (heads[1], *pixel_side)))
+    said = [
+        f"<b>Beam.</b> {why_beam_class(facts, settings)} {why_beam_repair(facts, settings)}",
+        f"<b>Pixel.</b> {why_pixel_class(facts, settings)} {why_pixel_repair(facts, settings)}",
+        _measures(facts),
+    ]
+    words = "".join(f"<p style='margin:0.5em 0 0'>{line}</p>" for line in said)
+    return f"{_BOX}{_TABLE.format(table)}{words}</div>"
+
+
+def _side(sample: SampleFacts | None, other: str) -> tuple[str, ...]:
+    """Class, confidence, raw and repaired value, and source of one side."""
+    if sample is None:
+        return ("none", "", "", "", "")
+    source = {
+        RepairSource.RAW: "itself",
+        RepairSource.OTHER_SENSOR: f"the {other}",
+        RepairSource.NEIGHBOURS: "its neighbours",
+        RepairSource.NONE: "none",
+    }[sample.source]
+    return (
+        _named(sample.noise_class),
+        f"{sample.confidence:.2f}",
+        _metres(sample.raw_m),
+        _metres(sample.repaired_m),
+        source,
+    )
+
+
+def _measures(facts: BeamFacts) -> str:
+    said = [f"azimuth {facts.azimuth_deg:.1f}°"]
+    if facts.pixel is not None:
+        said += [
+            f"pixel in row {facts.row}, column {facts.column}",
+            f"its depth as a range: {_metres(facts.pixel_range_m)}",
+        ]
+    said += [
+        f"where the beam meets what the camera sees: {_metres(facts.camera_range_m)}",
+        f"residual {length(facts.residual_m)}",
+        f"epsilon {length(facts.epsilon_m)}",
+    ]
+    return "<b>Measures.</b> " + "; ".join(said).replace("-", "−") + "."
+
+
+def _out_of_view(frame: FusedFrame, beam: int) -> str:
+    ranges_m = frame.scan.ranges_m
+    if beam >= ranges_m.size:
+        return f"The scan has {ranges_m.size} beams; there is no beam {beam}."
+    return (
+        f"Beam {beam} lies outside the camera's view, so that nothing is said of it. "
+        f"Its range: {_metres(float(ranges_m[beam]))}."
+    )
+
+
+def _row(first: str, second: str, third: str) -> str:
+    return f"<tr>{_FIRST.format(first)}{_OTHER.format(second)}{_OTHER.format(third)}</tr>"
+
+
+def _named(noise: NoiseClass) -> str:
+    """A class with its colour."""
+    name = noise.name.lower()
+    return (
+        "<span style='display:inline-block;width:0.75em;height:0.75em;margin-right:0.45em;"
+        f"background:{palette()[name]}'></span>{name}"
+    )
+
+
+def _metres(value: float) -> str:
+    return f"{value:.3f} m" if math.isfinite(value) else "no value"

@@ -1,0 +1,129 @@
+"""The residuals of eq. (6) along the curve, with the threshold epsilon as two lines."""
+
+from typing import Any
+
+import numpy as np
+import viser
+import viser.uplot as uplot
+
+from fusion_core.model.classes import NoiseClass
+from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.registration_view import ResidualCurve, residual_curve
+from scanloom.panels.controls import put
+from scanloom.scene.palette import Color, class_color
+
+# The plot reaches so far beyond epsilon; what lies beyond that is drawn at its edge.
+_REACH = 2.5
+_SHOWN = (NoiseClass.GOOD, NoiseClass.CONFLICT, NoiseClass.BURR)
+_LINE = "#495057"
+_NOTHING = (
+    np.arange(2.0),
+    *(np.full(2, np.nan) for _ in range(len(_SHOWN) + 1)),
+    np.zeros(2),
+    np.zeros(2),
+)
+# Azimuth falls from left to right as the camera sees it. The two lines alone set the range of y:
+# a NaN would leave it without one, and new scales would set the plot up anew at each change.
+_BEYOND_LINES = {"pad": 0.5 * (_REACH - 1.0), "soft": 0.0, "mode": 0}
+_SCALES = {
+    "x": uplot.Scale(time=False, dir=-1),
+    "y": uplot.Scale(range={"min": _BEYOND_LINES, "max": _BEYOND_LINES}),
+}
+
+
+class ResidualPlot:
+    """A dot for each pair in the colour of its class, seen from left to right."""
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        self._plot = gui.add_uplot(
+            _NOTHING,
+            (
+                uplot.Series(label="azimuth (°)"),
+                *(_dots(noise.name.lower(), _css(class_color(noise)), 4.0) for noise in _SHOWN),
+                _dots("beyond", _LINE, 6.0, hollow=True),
+                _line("+ε"),
+                _line("−ε"),
+            ),
+            title="Residual of each pair",
+            scales=_SCALES,
+            axes=(
+                uplot.Axis(label="azimuth in the LiDAR frame (°)", labelSize=20, size=34),
+                uplot.Axis(label="residual (mm)", labelSize=20, size=48),
+            ),
+            aspect=1.5,
+            padding=(10, 20, 0, 0),
+            visible=False,
+        )
+        self._words = gui.add_markdown("")
+        self._shown: FusedFrame | None = None
+
+    def show(self, fused: FusedFrame | None, *, signed: bool) -> None:
+        """Draw a frame's pairs; nothing where less than two have both values.
+
+        ``signed``: residuals are differences along the beam, else lengths.
+        """
+        if fused is self._shown:
+            return
+        self._shown = fused
+        curve = None if fused is None else residual_curve(fused)
+        # Without an E there is no epsilon in its multiples.
+        if curve is None or curve.residual_mm.size < 2 or not np.isfinite(curve.epsilon_mm).all():
+            self._plot.data = _NOTHING
+            put(self._plot, visible=False)
+            put(self._words, content="")
+            return
+        put(self._plot, visible=True)
+        limit_mm = _REACH * float(curve.epsilon_mm.max())
+        self._plot.data = _data(curve, limit_mm)
+        put(self._words, content=_words(curve, limit_mm, signed=signed))
+
+
+def _data(curve: ResidualCurve, limit_mm: float) -> tuple[np.ndarray[Any, Any], ...]:
+    """x, a series for each class, what lies beyond at the edge, and the two lines; gaps are NaN."""
+    residual_mm = curve.residual_mm
+    beyond = np.abs(residual_mm) > limit_mm
+    by_class = (
+        np.where((curve.pair_class == noise) & ~beyond, residual_mm, np.nan) for noise in _SHOWN
+    )
+    return (
+        curve.azimuth_deg,
+        *by_class,
+        np.where(beyond, np.sign(residual_mm) * limit_mm, np.nan),
+        curve.epsilon_mm,
+        -curve.epsilon_mm,
+    )
+
+
+def _words(curve: ResidualCurve, limit_mm: float, *, signed: bool) -> str:
+    count = int((np.abs(curve.residual_mm) > limit_mm).sum())
+    said = "Positive: the camera sees farther than the LiDAR. Dashed: ±ε."
+    if not signed:
+        said = "Length of L A − D, which is never negative. Dashed: ε."
+    if count:
+        farthest_m = 1e-3 * float(np.abs(curve.residual_mm).max())
+        said += f" {count} beyond the plot at its edge, up to {farthest_m:.2f} m."
+    return said
+
+
+def _dots(label: str, color: str, size_px: float, *, hollow: bool = False) -> uplot.Series:
+    return uplot.Series(
+        label=label,
+        stroke=color,
+        auto=False,
+        # Without a line: it would bridge the gaps.
+        width=0,
+        points=uplot.Series_Points(
+            show=True, size=size_px, stroke=color, width=1, fill="#ffffff" if hollow else color
+        ),
+    )
+
+
+def _line(label: str) -> uplot.Series:
+    return uplot.Series(
+        label=label, stroke=_LINE, width=1, dash=(5, 4), points=uplot.Series_Points(show=False)
+    )
+
+
+def _css(color: Color) -> str:
+    red, green, blue = color
+    return f"rgb({red},{green},{blue})"

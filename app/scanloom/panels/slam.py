@@ -1,0 +1,274 @@
+"""Motion and SLAM in the Map panel: choose, run, look on, and see what came of it."""
+
+import shutil
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import viser
+
+from fusion_core.model.conventions import NS_PER_S
+from fusion_core.model.errors import ExportError
+from fusion_core.model.progress import Progress
+from fusion_core.model.slam_view import SlamView
+from scanloom.client_session import Desk
+from scanloom.frame_view import Shown, clock_offset_ms
+from scanloom.jobs.build import free_folder, results_in, settings_in
+from scanloom.jobs.latest import LatestWorker
+from scanloom.jobs.slam import SlamRun, map_options, resampling_at, run_slam
+from scanloom.panels.blocks import paragraph, text_box
+from scanloom.panels.command import map_command
+from scanloom.panels.controls import Controls, put
+from scanloom.panels.slam_results import SlamResults, effective_picture
+from scanloom.panels.work import BETWEEN_S, PanelJob
+from scanloom.scene.encoded import show_picture
+from scanloom.scene.slam_picture import Window, live_picture, window_around
+from scanloom.state.runs import MOST_RUNS, Runs
+from scanloom.state.slam_choices import (
+    ESTIMATORS,
+    MOTIONS,
+    PARTICLES_MAX,
+    PARTICLES_MIN,
+    SCANS,
+    streams_of,
+    why_not,
+)
+from scanloom.state.view import View
+
+_WIDTH_PX, _HEIGHT_PX = 480, 430
+# With the particles' close-up below.
+_CLOSE_UP_PX = 180
+_EMPTY = np.full((2, 2, 3), 255, dtype=np.uint8)
+_ABOUT = (
+    "Places every scan, draws the map from where they lie, and keeps the last "
+    f"{MOST_RUNS} runs to compare, until this page is closed or loaded again."
+)
+_NO_OFFSET = "The clock offset that is to be applied is known once the recording is aligned."
+
+
+class SlamPanel:
+    """Runs ``map`` over the recording that is shown, in a thread of its own."""
+
+    def __init__(self, gui: viser.GuiApi, desk: Desk, output_root: Path) -> None:
+        self._desk, self._root = desk, output_root
+        self._runs = Runs()
+        self._lock = threading.RLock()
+        self._live: LatestWorker[SlamView] | None = None
+        self._folder: Path | None = None
+        self._of_run = desk.view
+        self._window: Window | None = None
+        self._asked_s = 0.0
+        self._why_not: str | None = None
+        self._clock_offset_ms = 0.0
+        self._commanded: object = None
+
+        gui.add_html(paragraph(_ABOUT))
+        choices = desk.view.slam
+        scan = gui.add_dropdown(
+            "Scan",
+            SCANS,
+            initial_value=choices.scan,
+            hint="What is mapped: the LiDAR's scans, a scan cut from the camera, the LiDAR's "
+            "repaired by the camera, or both merged",
+        )
+        motion = gui.add_dropdown(
+            "Motion",
+            MOTIONS,
+            initial_value=choices.motion,
+            hint="What is known of the motion beforehand: recorded poses, an odometry, or nothing",
+        )
+        estimator = gui.add_dropdown(
+            "SLAM",
+            ESTIMATORS,
+            initial_value=choices.estimator,
+            hint="What places the scans: the motion alone, a particle filter, or a pose graph "
+            "that closes loops",
+        )
+        self._particles = gui.add_slider(
+            "Particles",
+            min=PARTICLES_MIN,
+            max=PARTICLES_MAX,
+            step=1,
+            initial_value=choices.particles,
+            visible=choices.estimator == "particle-filter",
+            hint="More follow more guesses at once, and take longer",
+        )
+        self._why = gui.add_html("", visible=False)
+        self._run_button = gui.add_button("Run", icon=viser.Icon.ROUTE)
+        self._job = PanelJob(gui, desk, self._lock, self._show_working, cancel_label="Cancel run")
+        self._picture = gui.add_image(_EMPTY, format="png", visible=False)
+        self._effective = gui.add_image(_EMPTY, format="png", visible=False)
+        self._results = SlamResults(gui, desk, self._runs, output_root)
+        with gui.add_folder("The same from the command line"):
+            self._command = gui.add_html("")
+
+        self._controls = Controls(gui, desk)
+        for name, handle in (
+            ("scan", scan),
+            ("motion", motion),
+            ("estimator", estimator),
+            ("particles", self._particles),
+        ):
+            self._bind(handle, name)
+        self._run_button.on_click(lambda _: self._begin())
+
+    def chosen(self, recording: str) -> SlamRun | None:
+        """The run that is looked at, None where the recording has none."""
+        return self._results.chosen(recording)
+
+    def show(self, shown: Shown) -> None:
+        """The choices, the runs of the recording, and the command of the view."""
+        view = shown.view
+        self._controls.show(view)
+        put(self._particles, visible=view.slam.estimator == "particle-filter")
+        with self._lock:
+            self._why_not = why_not(view.slam, streams_of(shown.opened.session))
+            self._clock_offset_ms = 0.0
+            if shown.chain is not None:
+                self._clock_offset_ms = clock_offset_ms(view, shown.chain)
+            elif view.apply_clock_offset:
+                self._why_not = self._why_not or _NO_OFFSET
+            put(self._why, content=paragraph(self._why_not or ""))
+            put(self._why, visible=self._why_not is not None)
+            put(self._run_button, disabled=self._job.is_at_work or self._why_not is not None)
+            self._results.show(view.recording)
+            self._show_command(view)
+
+    def close(self) -> None:
+        """The browser has gone, and its runs go with it."""
+        self._job.close()
+        self._clear_away()
+
+    def _bind(self, handle: object, name: str) -> None:
+        def change(value: object) -> None:
+            chosen = self._desk.view.slam.model_dump() | {name: value}
+            self._desk.change(slam=chosen)
+
+        self._controls.tie(handle, lambda view: getattr(view.slam, name), change)
+
+    def _begin(self) -> None:
+        """Start a run unless one is at work, it cannot be done, or the browser has gone."""
+        view = self._desk.view
+        with self._lock:
+            if self._job.is_at_work or self._job.is_closed or self._why_not is not None:
+                return
+            try:
+                self._folder = self._folder or Path(tempfile.mkdtemp(prefix="scanloom-"))
+            except OSError as error:
+                self._job.fail(_no_folder(error))
+                return
+            root, number = self._folder, self._runs.next_number()
+            offset_ms = self._clock_offset_ms
+            self._of_run, self._window = view, None
+            self._asked_s = 0.0
+            live = LatestWorker(f"run {number}", self._draw, self._desk.fail)
+            self._live = live
+
+            def work(progress: Progress) -> SlamRun:
+                recording = self._desk.library.path(view.recording)
+                return run_slam(number, view, recording, root, progress, self._watch, offset_ms)
+
+            self._job.begin("slam", work, self._take)
+
+    def _watch(self, seen: SlamView) -> None:
+        now_s = time.monotonic()
+        if now_s - self._asked_s >= BETWEEN_S and self._live is not None:
+            self._asked_s = now_s
+            self._live.ask(seen)
+
+    def _draw(self, seen: SlamView, is_newest: Callable[[], bool]) -> None:
+        """A picture of the run as it is now, unless nobody looks."""
+        view = self._desk.view
+        if view.panel != "Map" or view.map_mode != "SLAM":
+            return
+        self._window = window_around(seen, self._window)
+        if self._window is None:
+            return
+        height_px = _HEIGHT_PX + (_CLOSE_UP_PX if len(seen.particles) else 0)
+        drawn = live_picture(seen, self._window, width_px=_WIDTH_PX, height_px=height_px)
+        known = np.isfinite(seen.effective)
+        plot = None
+        if known.any():
+            times_s = (seen.stamps_ns[known] - seen.stamps_ns[0]) / NS_PER_S
+            run = self._of_run
+            plot = effective_picture(
+                times_s, seen.effective[known], run.slam.particles, resampling_at(run)
+            )
+        with self._lock:
+            # The run may have ended meanwhile.
+            if not self._job.is_at_work or self._job.is_closed:
+                return
+            with self._desk.client.atomic():
+                show_picture(self._picture, drawn)
+                put(self._picture, visible=True)
+                if plot is not None:
+                    show_picture(self._effective, plot)
+                    put(self._effective, visible=True)
+        self._desk.client.flush()
+
+    def _take(self, run: SlamRun) -> None:
+        oldest = self._runs.add(run)
+        self._results.take(run)
+        said = ""
+        if oldest is not None:
+            shutil.rmtree(oldest.folder, ignore_errors=True)
+            said = f"Run {oldest.number} was cleared away: the last {MOST_RUNS} are kept."
+        self._job.end(said)
+        if run.problem is not None and not self._job.is_closed:
+            self._desk.fail(run.problem)
+
+    def _show_working(self, is_at_work: bool) -> None:
+        self._commanded = None
+        put(self._run_button, disabled=is_at_work)
+        for picture in (self._picture, self._effective):
+            put(picture, visible=False)
+        if not is_at_work and self._live is not None:
+            self._live.close()
+        if not is_at_work and self._job.is_closed:
+            self._clear_away()
+
+    def _show_command(self, view: View) -> None:
+        recording = self._desk.library.path(view.recording)
+        run = self._results.chosen(view.recording)
+        is_same = run is not None and asked(run.view) == asked(view)
+        saved = self._results.saved(run) if run is not None and is_same else None
+        key = (asked(view), self._clock_offset_ms, saved)
+        if key == self._commanded:
+            return
+        self._commanded = key
+        folder = saved or free_folder(self._root, recording)
+        options = map_options(view, settings_in(folder), self._clock_offset_ms)
+        notes = []
+        if options.settings_file is not None and not options.settings_file.exists():
+            notes.append("The settings file is written by “Save to the output folder”.")
+        command = map_command(recording, results_in(folder), options)
+        self._command.content = text_box(command) + "".join(map(paragraph, notes))
+
+    def _clear_away(self) -> None:
+        with self._lock:
+            folder, self._folder = self._folder, None
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _no_folder(error: OSError) -> ExportError:
+    return ExportError(
+        f"no folder for the runs can be made: {error.strerror or error}.",
+        file=tempfile.gettempdir(),
+        advice="Free space there.",
+    )
+
+
+def asked(view: View) -> tuple[object, ...]:
+    """What of a view a run depends on."""
+    return (
+        view.recording,
+        view.slam,
+        view.preset,
+        view.settings,
+        view.lidar_topic,
+        view.apply_clock_offset,
+    )

@@ -1,0 +1,39 @@
+"""Which panel is open: buttons, keys and links change it, and so does a reload."""
+
+import viser
+
+from scanloom.client_session import Desk
+from scanloom.frame_view import Shown
+from scanloom.panels.controls import put
+from scanloom.panels.help import help_text
+from scanloom.state.view import PANELS, PanelName
+
+
+class PanelSwitch:
+    """Shows one of the panels' folders at a time.
+
+    viser's own tabs cannot be opened or read by the server; folders can.
+    """
+
+    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
+        self._gui = gui
+        self._open = desk.view.panel
+        self._folders: dict[PanelName, viser.GuiFolderHandle] = {}
+        buttons = gui.add_button_group("Panel", PANELS)
+
+        @buttons.on_click
+        def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
+            desk.change(panel=buttons.value)
+
+    def folder(self, name: PanelName) -> viser.GuiFolderHandle:
+        """The folder that a panel is built in."""
+        folder = self._gui.add_folder(name, visible=name == self._open)
+        self._folders[name] = folder
+        with folder, self._gui.add_folder("About this panel", expand_by_default=False):
+            self._gui.add_markdown(help_text(name))
+        return folder
+
+    def show(self, shown: Shown) -> None:
+        """Open the view's panel and close the others."""
+        for name, folder in self._folders.items():
+            put(folder, visible=name == shown.view.panel)

@@ -1,0 +1,214 @@
+"""Why a beam or a pixel has its class, and why its repair comes from where it does, in plain words.
+
+Nothing is guessed: each sentence follows from the numbers that the class or the repair was made of.
+"""
+
+import math
+
+from fusion_core.model.classes import NoiseClass, RepairSource
+from fusion_core.workflows.fuse.presets import ChainSettings
+from scanloom.scene.findings import BeamFacts, SampleFacts
+
+_ADJACENT = (
+    "no adjacent beam supports it",
+    "one adjacent beam supports it",
+    "both adjacent beams support it",
+)
+
+
+def why_beam_class(facts: BeamFacts, settings: ChainSettings) -> str:
+    """Why the beam has its class."""
+    published = settings.noise.fault == "rougher"
+    support = _beam_support(facts)
+    match facts.lidar.noise_class:
+        case NoiseClass.HOLE:
+            return "Hole: the scanner gave nothing."
+        case NoiseClass.CONFLICT:
+            return f"Conflict: {_disagrees(facts, 'the camera')}, but {support}. {_two_surfaces()}"
+        case NoiseClass.BURR if _no_pair(facts):
+            return f"Burr: {_nothing_to_compare(facts)}, and too few support it: {support}."
+        case NoiseClass.BURR if not _disagree(facts):
+            return f"Burr: {_mixed_alike('pixel')} {_capital(support)}."
+        case NoiseClass.BURR if published:
+            rough = "it strays from its neighbours no less than its pixel does"
+            return f"Burr: {_disagrees(facts, 'the camera')}, and {rough}."
+        case NoiseClass.BURR:
+            return f"Burr: {_disagrees(facts, 'the camera')}, and {support}."
+    if _no_pair(facts):
+        return f"Good: {_nothing_to_compare(facts)}" + ("." if published else f", and {support}.")
+    if _disagree(facts):
+        own = "its pixel strays more from its neighbours" if published else support
+        return f"Good: {_disagrees(facts, 'the camera')}, but {own}. Its pixel is the burr."
+    return f"Good: {_agrees(facts, 'the camera')}."
+
+
+def why_pixel_class(facts: BeamFacts, settings: ChainSettings) -> str:
+    """Why the beam's pixel has its class."""
+    if facts.pixel is None:
+        return "No pixel: the beam's point lies outside the image."
+    published = settings.noise.fault == "rougher"
+    support = _pixel_support(facts)
+    match facts.pixel.noise_class:
+        case NoiseClass.HOLE:
+            return "Hole: the camera gave no depth."
+        case NoiseClass.CONFLICT:
+            return f"Conflict: {_disagrees(facts, 'the LiDAR')}, but {support}. {_two_surfaces()}"
+        case NoiseClass.BURR if not _disagree(facts):
+            return f"Burr: {_mixed_alike('beam')} {_capital(support)}."
+        case NoiseClass.BURR if published:
+            rough = "it strays more from its neighbours than its beam does"
+            return f"Burr: {_disagrees(facts, 'the LiDAR')}, and {rough}."
+        case NoiseClass.BURR if facts.pixel_gone:
+            gone = "the image before shows nothing like it at its place"
+            return f"Burr: {_disagrees(facts, 'the LiDAR')}, and {gone}; {support}."
+        case NoiseClass.BURR:
+            return f"Burr: {_disagrees(facts, 'the LiDAR')}, and too few pixels agree: {support}."
+    if _no_pair(facts):
+        return "Good: the LiDAR has no range here to compare it with."
+    if _disagree(facts):
+        own = "its beam strays no less from its neighbours" if published else support
+        return f"Good: {_disagrees(facts, 'the LiDAR')}, but {own}. Its beam is the burr."
+    return f"Good: {_agrees(facts, 'the LiDAR')}."
+
+
+def why_beam_repair(facts: BeamFacts, settings: ChainSettings) -> str:
+    """Why the beam was repaired as it was, or not."""
+    lidar = facts.lidar
+    if lidar.noise_class == NoiseClass.BURR and math.isnan(lidar.from_other_m):
+        return "Kept: the scans before and after have it in the same place."
+    refused = "the camera offers nothing"
+    if facts.camera_range_m > 0.0:
+        refused = (
+            f"the camera's answer, {length(facts.camera_range_m)}, contradicts the sides of "
+            "this narrow gap and is not believed"
+        )
+    return _repair_words(lidar, "the camera", refused, settings)
+
+
+def why_pixel_repair(facts: BeamFacts, settings: ChainSettings) -> str:
+    """Why the pixel was repaired as it was, or not."""
+    pixel, beam = facts.pixel, facts.lidar
+    if pixel is None:
+        return ""
+    if pixel.noise_class == NoiseClass.BURR and math.isnan(pixel.from_other_m):
+        least = settings.repair.depth_burr_confidence
+        return f"Kept: its confidence as a burr, {_share(pixel.confidence)}, is below {least:.2f}."
+    least = settings.repair.lidar_confidence
+    if beam.noise_class == NoiseClass.HOLE:
+        refused = "the LiDAR has no range here"
+    elif beam.noise_class != NoiseClass.GOOD:
+        refused = f"the beam is no source, being a {beam.noise_class.name.lower()}"
+    elif beam.confidence < least:
+        refused = f"the beam's confidence, {_share(beam.confidence)}, is below {least:.2f}"
+    elif not facts.lidar_as_depth_m > 0.0:
+        refused = "the LiDAR offers nothing"
+    else:
+        refused = "what the image shows around it is nearer and may hide the LiDAR's point"
+    return _repair_words(pixel, "the LiDAR", refused, settings)
+
+
+def length(metres: float) -> str:
+    """A length as people say it; a dash where there is none."""
+    if not math.isfinite(metres):
+        return "–"
+    return f"{100.0 * metres:.1f} cm" if abs(metres) < 1.0 else f"{metres:.2f} m"
+
+
+def _repair_words(
+    sample: SampleFacts, other: str, other_refused: str, settings: ChainSettings
+) -> str:
+    """``other_refused``: why the other sensor offers nothing, where it does not."""
+    if sample.noise_class == NoiseClass.GOOD:
+        return "Kept: a good value stays."
+    if sample.noise_class == NoiseClass.CONFLICT:
+        return "Kept: in a conflict both values stay, so that no obstacle is lost."
+    done = "Filled" if sample.noise_class == NoiseClass.HOLE else "Replaced"
+    from_other, from_neighbours = sample.from_other_m, sample.from_neighbours_m
+    match sample.source:
+        case RepairSource.NONE:
+            return f"Left empty: {other_refused}, and its neighbours give no value."
+        case RepairSource.RAW if math.isinf(from_other) and math.isinf(from_neighbours):
+            return f"Kept: {other_refused}, and its neighbours give no value."
+        case RepairSource.RAW:
+            least = settings.repair.farther_confidence
+            return (
+                "Kept: a repair would move it farther away, and its confidence as a burr, "
+                f"{_share(sample.confidence)}, is below {least:.2f}."
+            )
+        case RepairSource.OTHER_SENSOR:
+            against = f"{length(from_neighbours)} from its neighbours"
+            own, theirs, source = from_other, from_neighbours, other
+            none = "its neighbours give no value"
+            preferred = settings.repair.prefer == "other_sensor"
+        case RepairSource.NEIGHBOURS:
+            against = f"{length(from_other)} from {other}"
+            own, theirs, source = from_neighbours, from_other, "its neighbours"
+            none = other_refused
+            preferred = False
+    said = f"{done} from {source}: expected error {length(own)}"
+    if preferred:
+        return f"{said}. The other sensor is preferred, whatever the neighbours give."
+    return f"{said}; {none}." if math.isinf(theirs) else f"{said} against {against}."
+
+
+def _no_pair(facts: BeamFacts) -> bool:
+    return facts.pixel is None or math.isnan(facts.pixel.raw_m) or math.isnan(facts.lidar.raw_m)
+
+
+def _disagree(facts: BeamFacts) -> bool:
+    return abs(facts.residual_m) > facts.epsilon_m
+
+
+def _disagrees(facts: BeamFacts, other: str) -> str:
+    return (
+        f"it disagrees with {other} by {length(abs(facts.residual_m))}, "
+        f"more than epsilon ({length(facts.epsilon_m)})"
+    )
+
+
+def _agrees(facts: BeamFacts, other: str) -> str:
+    if math.isnan(facts.residual_m):
+        return "this frame has no A, so that nothing is compared"
+    difference = length(abs(facts.residual_m))
+    if math.isnan(facts.epsilon_m):
+        return (
+            f"epsilon has no value in this frame, so that a difference of {difference} is allowed"
+        )
+    return f"it differs from {other} by {difference}, within epsilon ({length(facts.epsilon_m)})"
+
+
+def _nothing_to_compare(facts: BeamFacts) -> str:
+    if facts.pixel is None:
+        return "its point lies outside the image, with nothing to compare it with"
+    return "the camera has no depth here to compare it with"
+
+
+def _mixed_alike(other: str) -> str:
+    return (
+        f"it and its {other} do not disagree, but neither has support enough. "
+        "At an edge both sensors may mix the same two surfaces."
+    )
+
+
+def _two_surfaces() -> str:
+    return "Both stand on surfaces of their own."
+
+
+def _beam_support(facts: BeamFacts) -> str:
+    near, beyond, in_time = facts.supporters
+    farther = f"of those two or three away {beyond}, of the scans before and after {in_time}"
+    return f"{_ADJACENT[near]} ({farther})"
+
+
+def _pixel_support(facts: BeamFacts) -> str:
+    supporters, valid = facts.pixel_supporters
+    return f"{supporters} of the {valid} depths around it support it"
+
+
+def _capital(words: str) -> str:
+    return words[0].upper() + words[1:]
+
+
+def _share(confidence: float) -> str:
+    """Rounded down: what is below a limit of two digits must not read as the limit itself."""
+    return f"{math.floor(100.0 * confidence) / 100.0:.2f}"

@@ -1,0 +1,42 @@
+"""The files that come with ScanLoom: pictures and colours (static), built-in recordings (samples).
+
+A wheel holds both folders inside this package; in a checkout they stand at its top.
+"""
+
+import json
+from pathlib import Path
+
+from fusion_core.model.errors import ScanLoomError
+
+_PACKAGE = Path(__file__).parent
+
+
+def static_path(name: str) -> Path:
+    """The file ``name`` of the static folder. Raises ScanLoomError where it does not exist."""
+    return _find("static", name)
+
+
+def sample_path(name: str = "furnished_room.mcap") -> Path:
+    """The built-in recording ``name``. Raises ScanLoomError where it does not exist."""
+    return _find("samples", name)
+
+
+def palette() -> dict[str, str]:
+    """Colour (#RRGGBB) of each noise class, each sensor and the fused result.
+
+    The colours are those of Okabe and Ito, which stay apart for colour-blind readers.
+    """
+    colours: dict[str, str] = json.loads(static_path("palette.json").read_text(encoding="utf-8"))
+    return colours
+
+
+def _find(folder: str, name: str) -> Path:
+    for parent in (_PACKAGE, _PACKAGE.parents[1]):
+        path = parent / folder / name
+        if path.exists():
+            return path
+    raise ScanLoomError(
+        "this file of ScanLoom itself is missing.",
+        file=f"{folder}/{name}",
+        advice="Install ScanLoom anew.",
+    )

@@ -1,0 +1,101 @@
+"""Points and line segments in a browser's scene: added once, then given new values."""
+
+import numpy as np
+import viser
+
+from fusion_core.model.conventions import ByteArray, Float32Array
+from scanloom.scene.geometry import Segments
+from scanloom.scene.palette import Color
+
+# Depths are coloured over this span, the same in each frame, so that a colour is a distance.
+_NEAR_M, _FAR_M = 0.5, 8.0
+_DEPTH_COLORS = np.linspace((70.0, 92.0, 122.0), (160.0, 176.0, 196.0), 256).astype(np.uint8)
+
+
+_SRGB = np.arange(256) / 255.0
+_INTENSITIES = np.rint(
+    255.0 * np.where(_SRGB <= 0.04045, _SRGB / 12.92, ((_SRGB + 0.055) / 1.055) ** 2.4)
+).astype(np.uint8)
+
+
+class Drawn:
+    """A node of points or segments, hidden while it has none or its layer is off."""
+
+    def __init__(self, handle: viser.LineSegmentsHandle | viser.PointCloudHandle) -> None:
+        self._handle = handle
+        self._filled, self._allowed = False, True
+
+    def draw(self, points_m: Float32Array, colors: ByteArray | None = None) -> None:
+        """New points; ``colors`` of their number, or those from before where there is one for
+        all."""
+        self._filled = len(points_m) > 0
+        if self._filled:
+            self._handle.points = points_m
+            if colors is not None:
+                self._handle.colors = colors
+        self._handle.visible = self._filled and self._allowed
+
+    def empty(self) -> None:
+        """Draw nothing."""
+        self._filled = False
+        self._handle.visible = False
+
+    def allow(self, allowed: bool) -> None:
+        """Whether the node is to be seen where it has points."""
+        self._allowed = allowed
+        self._handle.visible = self._filled and self._allowed
+
+    def remove(self) -> None:
+        """Take the node out of the scene."""
+        self._handle.remove()
+
+
+def depth_colors(depth_m: Float32Array) -> ByteArray:
+    """(N, 3) grey-blues of depths, darker where nearer."""
+    share = np.clip((depth_m - _NEAR_M) / (_FAR_M - _NEAR_M), 0.0, 1.0)
+    return np.asarray(_DEPTH_COLORS[(255.0 * share).astype(np.uint8)])
+
+
+def colors_of_segments(colors: ByteArray) -> ByteArray:
+    """(N, 3) colours of segments as (N, 2, 3) of their ends.
+
+    A line's colours, unlike those of points and of whole nodes, are drawn as intensities, without
+    the gamma of sRGB; it is taken out here, so that a class looks the same everywhere.
+    """
+    of_ends: ByteArray = np.repeat(_INTENSITIES[colors][:, np.newaxis], 2, axis=1)
+    return of_ends
+
+
+def lines(scene: viser.SceneApi, name: str, color: Color | None, *, thickness_px: float) -> Drawn:
+    """Segments of one colour, or (None) of a colour each.
+
+    A browser settles with the first colours which of the two it is.
+    """
+    nothing: Segments = np.zeros((1, 2, 3), dtype=np.float32)
+    return Drawn(
+        scene.add_line_segments(
+            name,
+            nothing,
+            np.zeros((1, 2, 3), dtype=np.uint8) if color is None else color,
+            thickness=thickness_px,
+            thickness_units="screen",
+            visible=False,
+        )
+    )
+
+
+def points(scene: viser.SceneApi, name: str, color: Color, *, size_m: float) -> Drawn:
+    """Points, of one colour until they are given one each."""
+    return Drawn(
+        scene.add_point_cloud(
+            name,
+            np.zeros((1, 3), dtype=np.float32),
+            color,
+            point_size=size_m,
+            point_shape="circle",
+            point_shading="flat",
+            # Half precision is 4 mm at 8 m, as much as a LiDAR's noise.
+            precision="float32",
+            visible=False,
+        )
+    )

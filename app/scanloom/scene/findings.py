@@ -1,0 +1,205 @@
+"""What was found of a frame, as numbers: how many of each class and source, where the conflicts
+are, and all that is known of one beam and its pixel.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.model.classes import NoiseClass, RepairSource
+from fusion_core.model.conventions import FloatArray, IntArray
+from fusion_core.workflows.fuse.frame import FusedFrame
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Counts:
+    """How many beams, or pixels, are of each class, and by source how many were repaired.
+
+    ``without_pixel``: beams whose point lies outside the image; they have no class as a pixel.
+    A sample is repaired where it was a hole or a burr and its source is another one than itself.
+    """
+
+    by_class: dict[NoiseClass, int]
+    by_source: dict[RepairSource, int]
+    without_pixel: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConflictRun:
+    """Adjacent beams in conflict: ``first`` to ``last`` in the scan, ``middle`` the one to look at.
+
+    ``lidar_m`` and ``camera_m``: medians of what the sensors say of the range.
+    """
+
+    first: int
+    last: int
+    middle: int
+    lidar_m: float
+    camera_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampleFacts:
+    """One sample, a beam or its pixel: metres as it has them, NaN where missing.
+
+    ``from_other_m`` and ``from_neighbours_m``: expected errors of what each offered for a repair,
+    infinite where it offered nothing, NaN where nothing was asked.
+    """
+
+    noise_class: NoiseClass
+    confidence: float
+    raw_m: float
+    repaired_m: float
+    source: RepairSource
+    from_other_m: float
+    from_neighbours_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BeamFacts:
+    """Everything that a fused frame says of one beam in view and of its pixel.
+
+    ``pixel`` is None where the beam's point lies outside the image, and then ``row`` and ``column``
+    are -1. ``residual_m``: what epsilon is compared with,
+    NaN without a pair. ``camera_range_m``: where the beam, followed as a ray, meets what
+    the camera sees; ``pixel_range_m``: the pixel's depth as a range; ``lidar_as_depth_m``: the
+    beam's point as a depth. ``supporters``: adjacent beams, beams two and three away, scans
+    before and after; ``pixel_supporters``: of the 5 x 5 around, and how many of these have a depth.
+    ``steady``: the scans before and after have the beam's value too; ``pixel_gone``: the image
+    before has nothing like the pixel's.
+    """
+
+    beam: int
+    azimuth_deg: float
+    row: int
+    column: int
+    residual_m: float
+    epsilon_m: float
+    camera_range_m: float
+    pixel_range_m: float
+    lidar_as_depth_m: float
+    lidar: SampleFacts
+    pixel: SampleFacts | None
+    supporters: tuple[int, int, int]
+    pixel_supporters: tuple[int, int]
+    steady: bool
+    pixel_gone: bool
+
+
+def counts_of_beams(frame: FusedFrame) -> Counts:
+    """The beams in view."""
+    return _counts(frame.classes.lidar_class, frame.repair.lidar_source)
+
+
+def counts_of_pixels(frame: FusedFrame) -> Counts:
+    """The pixels of the beams in view."""
+    return _counts(frame.classes.depth_class, frame.repair.depth_source)
+
+
+def conflict_runs(frame: FusedFrame) -> list[ConflictRun]:
+    """The conflicts of a frame, those first that disagree most."""
+    pairs = frame.pairs
+    index = np.flatnonzero(frame.classes.lidar_class == NoiseClass.CONFLICT)
+    if not index.size:
+        return []
+    parted = np.flatnonzero(np.diff(pairs.beam[index]) != 1) + 1
+    runs = []
+    for run in np.split(index, parted):
+        middle = run[run.size // 2]
+        runs.append(
+            ConflictRun(
+                first=int(pairs.beam[run[0]]),
+                last=int(pairs.beam[run[-1]]),
+                middle=int(pairs.beam[middle]),
+                lidar_m=float(np.median(pairs.lidar_range_m[run])),
+                camera_m=float(np.median(pairs.depth_as_range_m[run])),
+            )
+        )
+    return sorted(runs, key=lambda run: -abs(run.lidar_m - run.camera_m))
+
+
+def facts_of_beam(frame: FusedFrame, beam: int) -> BeamFacts | None:
+    """What is known of a beam of the scan, None where it is outside of the camera's view."""
+    pairs, classes, repair = frame.pairs, frame.classes, frame.repair
+    found = np.flatnonzero(pairs.beam == beam)
+    if not found.size:
+        return None
+    at = int(found[0])
+    lidar = _sample(
+        at,
+        classes.lidar_class,
+        classes.lidar_confidence,
+        pairs.lidar_range_m,
+        repair.lidar_range_m,
+        repair.lidar_source,
+        repair.lidar_errors_m,
+    )
+    pixel = None
+    if pairs.row[at] >= 0:
+        pixel = _sample(
+            at,
+            classes.depth_class,
+            classes.depth_confidence,
+            pairs.depth_m,
+            repair.depth_m,
+            repair.depth_source,
+            repair.depth_errors_m,
+        )
+    near, beyond, in_time = classes.beam_support[at].tolist()
+    around, valid = classes.pixel_support[at].tolist()
+    return BeamFacts(
+        beam=beam,
+        azimuth_deg=float(np.rad2deg(pairs.azimuth_rad[at])),
+        row=int(pairs.row[at]),
+        column=int(pairs.column[at]),
+        residual_m=float(pairs.residual_m[at]),
+        epsilon_m=float(classes.epsilon_m[at]),
+        camera_range_m=float(pairs.camera_range_m[at]),
+        pixel_range_m=float(pairs.depth_as_range_m[at]),
+        lidar_as_depth_m=float(pairs.lidar_as_depth_m[at]),
+        lidar=lidar,
+        pixel=pixel,
+        supporters=(near, beyond, in_time),
+        pixel_supporters=(around, valid),
+        steady=bool(classes.lidar_steady[at]),
+        pixel_gone=bool(classes.pixel_gone[at]),
+    )
+
+
+def unwrapped_deg(azimuth_rad: FloatArray) -> FloatArray:
+    """(B,) degrees of azimuths that lie together, without a jump at ±180°."""
+    if not azimuth_rad.size:
+        return azimuth_rad
+    middle = np.angle(np.exp(1j * azimuth_rad).mean())
+    degrees: FloatArray = np.rad2deg(middle + np.angle(np.exp(1j * (azimuth_rad - middle))))
+    return degrees
+
+
+def _counts(noise_class: IntArray, source: IntArray) -> Counts:
+    judged = noise_class >= 0
+    asked = np.isin(noise_class, (NoiseClass.HOLE, NoiseClass.BURR))
+    return Counts(
+        by_class={kind: int((noise_class == kind).sum()) for kind in NoiseClass},
+        by_source={kind: int((asked & (source == kind)).sum()) for kind in RepairSource},
+        without_pixel=int((~judged).sum()),
+    )
+
+
+def _sample(
+    at: int,
+    noise_class: IntArray,
+    confidence: FloatArray,
+    raw_m: FloatArray,
+    repaired_m: FloatArray,
+    source: IntArray,
+    errors_m: FloatArray,
+) -> SampleFacts:
+    return SampleFacts(
+        noise_class=NoiseClass(noise_class[at]),
+        confidence=float(confidence[at]),
+        raw_m=float(raw_m[at]),
+        repaired_m=float(repaired_m[at]),
+        source=RepairSource(source[at]),
+        from_other_m=float(errors_m[at, 0]),
+        from_neighbours_m=float(errors_m[at, 1]),
+    )

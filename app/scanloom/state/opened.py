@@ -1,0 +1,144 @@
+"""A recording with the streams of one choice, aligned once for all who look at it."""
+
+import threading
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from functools import cached_property
+
+from fusion_core.model.errors import RecordingError, ScanLoomError
+from fusion_core.model.progress import Progress
+from fusion_core.workflows.fuse.align import Alignment
+from fusion_core.workflows.fuse.frame_reader import FrameReader
+from fusion_core.workflows.fuse.live import LiveChain
+from fusion_core.workflows.fuse.pairing_gaps import PairingStamps
+from fusion_core.workflows.fuse.recall import RecallCurve
+from fusion_core.workflows.fuse.session import Session, align_session
+from fusion_core.workflows.poses import Poses, recorded_poses
+from scanloom.jobs.long import LongJob
+from scanloom.jobs.turns import Turns
+from scanloom.state.file_stamp import FileStamp
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progressing:
+    """How far the alignment of a recording is."""
+
+    done: int
+    total: int | None
+    what: str
+
+
+class Opened:
+    """A recording with the streams of one choice, and its alignment once that is there.
+
+    ``chain`` is None until then; ``failure`` says why it will not come. ``pairing``: the stamps of
+    the whole recording, None until a pass over it has ended. ``recalls``: the curves of recall that
+    somebody asked for, by the settings that they depend on.
+
+    ``stamp``: the recording's files as they were opened. ``turns``: taken while it is aligned.
+    """
+
+    def __init__(
+        self, session: Session, stamp: FileStamp | None = None, turns: Turns | None = None
+    ) -> None:
+        self.session = session
+        self._stamp = FileStamp.of(session.recording.path) if stamp is None else stamp
+        self._turns = Turns(1) if turns is None else turns
+        # Whether its files are no longer those that were opened: it must be opened again.
+        self.is_outdated = False
+        self.frames = FrameReader(session)
+        self.chain: LiveChain | None = None
+        self.failure: Exception | None = None
+        self.pairing: PairingStamps | None = None
+        self.recalls: dict[Hashable, RecallCurve] = {}
+        self.progress = Progressing(done=0, total=None, what="waiting")
+        self._listeners: list[Callable[[], None]] = []
+        self._lock = threading.Lock()
+        self._job: LongJob | None = None
+
+    @cached_property
+    def poses(self) -> Poses | None:
+        """The recorded poses of the LiDAR, None where there are none."""
+        session = self.session
+        if session.virtual_row is not None:
+            return None
+        return recorded_poses(session.recording, session.streams, session.rig.lidar_frame)
+
+    def align(self, on_change: Callable[[], None]) -> None:
+        """Begin the alignment unless it runs or is done; ``on_change`` hears of every step."""
+        with self._lock:
+            if on_change not in self._listeners:
+                self._listeners.append(on_change)
+            if self._job is None:
+                self._job = LongJob(
+                    "alignment",
+                    self._work,
+                    on_progress=self._advance,
+                    on_done=self._finish,
+                    on_failed=self._fail,
+                    # Who still looks opens it again.
+                    on_cancelled=self._tell,
+                )
+
+    def forget(self, on_change: Callable[[], None]) -> None:
+        """The listener has gone."""
+        with self._lock:
+            if on_change in self._listeners:
+                self._listeners.remove(on_change)
+
+    @property
+    def is_at_work(self) -> bool:
+        """Whether it is being aligned, or waits for its turn."""
+        return self._job is not None and self.chain is None and self.failure is None
+
+    def explained(self, error: Exception) -> Exception:
+        """Why reading failed: ``error``, unless the file has changed since it was opened."""
+        is_reading = isinstance(error, RecordingError) or not isinstance(error, ScanLoomError)
+        change = self._stamp.change() if is_reading else None
+        if change is None:
+            return error
+        self.is_outdated = True
+        return RecordingError(
+            f"{change} since it was opened.",
+            file=self.session.recording.path,
+            advice="Reload the page: it is then opened again, as it is now.",
+        )
+
+    def cancel(self) -> None:
+        """Ask the alignment to stop at its next step."""
+        if self._job is not None:
+            self._job.cancel()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Whether the alignment ended within the time, or had never begun."""
+        return self._job is None or self._job.wait(timeout_s)
+
+    def _work(self, progress: Progress) -> Alignment:
+        stamps = PairingStamps()
+        try:
+            with self._turns.taken(lambda: progress(0, None, "waiting for other alignments")):
+                return align_session(self.session, progress, stamps)
+        finally:
+            # Where nothing can be aligned, the stamps may show why.
+            if stamps.complete:
+                self.pairing = stamps
+
+    def _advance(self, done: int, total: int | None, what: str) -> None:
+        before, self.progress = self.progress, Progressing(done=done, total=total, what=what)
+        # A listener redraws a bar: one step in fifty is enough, and without a total there is none.
+        if before.what != what or (total and done * 50 // total != before.done * 50 // total):
+            self._tell()
+
+    def _finish(self, alignment: object) -> None:
+        self.chain = LiveChain(self.session, self.frames, alignment)  # type: ignore[arg-type]  # a job's result is of any type
+        self._tell()
+
+    def _fail(self, error: Exception) -> None:
+        self.failure = self.explained(error)
+        self._tell()
+
+    def _tell(self) -> None:
+        with self._lock:
+            listeners = list(self._listeners)
+        for listener in listeners:
+            listener()

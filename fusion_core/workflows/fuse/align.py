@@ -1,0 +1,342 @@
+"""Pass 1: the offset (u, v), the mount and the noise scale of a whole recording."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import get_args
+
+import numpy as np
+
+from fusion_core.alignment.agreement import MountFrame, mount_frame
+from fusion_core.alignment.curves import (
+    CurveSampling,
+    RowSampling,
+    curve_samples_m,
+    offset_of_yaw,
+    row_samples_m,
+    sample_curve,
+    sample_row,
+    yaw_of_offset_rad,
+)
+from fusion_core.alignment.mount import MountEstimate, estimate_mount, frame_yaw_offset_rad
+from fusion_core.alignment.panorama import Panorama
+from fusion_core.alignment.search import FieldMean, Peak, SearchSettings, find_peak
+from fusion_core.alignment.similarity import Metric, SimilarityField, similarity_fields
+from fusion_core.alignment.time import turn_rate_rad_s
+from fusion_core.denoising.correspondence import along_curve
+from fusion_core.denoising.noise_scale import STATED, NoiseScale, learn_noise_scale
+from fusion_core.model.conventions import NS_PER_MS, Float32Array, FloatArray
+from fusion_core.model.errors import AlignmentFailed, SettingsError
+from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.progress import Progress
+from fusion_core.model.rig import Camera, Mount
+from fusion_core.model.sensors import DepthImage, LaserScan
+from fusion_core.workflows.fuse.pairing import PairedImage
+from fusion_core.workflows.fuse.presets import ChainSettings
+from fusion_core.workflows.fuse.rig import Rig
+
+METRICS: tuple[Metric, ...] = get_args(Metric)
+
+# Fields of this many frames make the mean; evenly spread, they see what all would.
+_FIELD_FRAMES = 400
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alignment:
+    """What pass 1 found. ``estimate`` is None where the pairs are taken frame by frame.
+
+    ``curve`` and ``row`` sample the recording's field (a panorama's where there are several
+    cameras). ``fields`` are the mean fields, ``peaks`` their peaks anywhere; ``peak`` is
+    that of the metric that decides, at the mount's yaw. ``lidar``: a scan, for its geometry.
+    """
+
+    fields: dict[Metric, SimilarityField]
+    peaks: dict[Metric, Peak]
+    peak: Peak
+    metric: Metric
+    curve: CurveSampling
+    row: RowSampling
+    mount: Mount
+    estimate: MountEstimate | None
+    scale: NoiseScale
+    lidar: LaserScan
+    frames: int
+
+    @property
+    def along_curve(self) -> bool:
+        """Whether pairs lie along the projected curve (else in the row)."""
+        return self.estimate is not None and self.estimate.confident
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """For people."""
+        estimate = self.estimate
+        if estimate is None:
+            return ()
+        if estimate.refusal:
+            found = "The mount is found from scans and images instead."
+            return (f"{mount_not_used(estimate.refusal)} {found}",)
+        if estimate.from_recorded and not estimate.confident:
+            yaw = "; its yaw is not observable" if estimate.mount.sd[0] is None else ""
+            return (
+                "The recorded mount is used, but scans and images do not confirm it: "
+                f"{estimate.visible:.0%} of the points in front of the camera are visible, and "
+                f"{estimate.agreement:.0%} of these agree{yaw}.",
+            )
+        return ()
+
+
+def mount_not_used(refusal: str) -> str:
+    """What people are told of a recorded mount that is refused."""
+    return f"The recorded mount is not used: {refusal}."
+
+
+def search_rows(
+    scan: LaserScan,
+    curve: CurveSampling,
+    rows_m: FloatArray,
+    settings: ChainSettings,
+    metrics: Iterable[Metric] = METRICS,
+) -> dict[Metric, SimilarityField]:
+    """The fields of one frame over all its rows; rows outside the searched band have no score.
+
+    Raises SettingsError where the band holds no row, AlignmentFailed for too short a curve.
+    """
+    height = rows_m.shape[0]
+    first = max(settings.sampling.row_first, round((1.0 - settings.sampling.row_band) * height))
+    if first >= height:
+        raise SettingsError(
+            f"sampling.row_first = {settings.sampling.row_first}: the depth images have {height} "
+            "rows.",
+            advice="Lower it, or raise sampling.row_band.",
+        )
+    curve_m = curve_samples_m(scan, curve)
+    searched_m = rows_m[first:]
+    if not settings.search.mask_holes:
+        curve_m, searched_m = np.nan_to_num(curve_m, nan=0.0), np.nan_to_num(searched_m, nan=0.0)
+    fields = similarity_fields(
+        curve_m,
+        searched_m,
+        metrics=tuple(metrics),
+        min_overlap=settings.search.min_overlap,
+        partial=settings.search.partial or rows_m.shape[1] > curve_m.size,
+    )
+    return {metric: _below(field, first) for metric, field in fields.items()}
+
+
+def _below(field: SimilarityField, first: int) -> SimilarityField:
+    """The field with ``first`` unsearched rows above it, so that v counts from the image's top."""
+    if first == 0:
+        return field
+    above = np.full((first, field.scores.shape[1]), np.nan)
+    return SimilarityField(
+        scores=np.vstack([above, field.scores]),
+        overlap=np.vstack([np.zeros_like(above), field.overlap]),
+        u_first=field.u_first,
+    )
+
+
+def align(
+    pairs: Callable[[], Iterable[LaserScan | PairedImage]],
+    rig: Rig,
+    settings: ChainSettings,
+    image_count: int,
+    progress: Progress,
+    *,
+    depth_of: Callable[[int, Float32Array], Float32Array],
+    refine: bool = True,
+) -> Alignment:
+    """Search the offset over the recording, then refine the mount around it.
+
+    ``pairs`` starts a new pass over the recording; ``depth_of(camera, stored)`` gives the upright
+    view that is searched. ``refine``: False for a virtual LiDAR, whose mount is the camera.
+
+    Raises AlignmentFailed where nothing pairs in time or no offset has a score.
+    """
+    collected = _collect(pairs(), rig, settings, image_count, progress, depth_of)
+    if collected.scan is not None and not collected.with_returns:
+        raise AlignmentFailed(
+            "no scan that is paired with a depth image has a range.",
+            advice="Check the scanner, and the limits of the ranges in its driver.",
+        )
+    fields = {metric: collected.mean.mean(metric) for metric in METRICS}
+    peaks = {metric: _peak_or_none(field, settings.search) for metric, field in fields.items()}
+    metric = settings.search.metric
+    known = {name: peak for name, peak in peaks.items() if peak is not None}
+    if metric not in known or collected.scan is None or collected.curve is None:
+        raise AlignmentFailed(
+            f"the mean field of {collected.mean.frames} frames has no peak.",
+            advice="Lower search.min_overlap, or check that both sensors see the same side.",
+        )
+    yaw_rad = yaw_of_offset_rad(known[metric].u, collected.curve, collected.row.left_rad)
+    peak = known[metric]
+    mount = Mount(yaw_rad=yaw_rad, sd=(np.deg2rad(1.0), *(None,) * 5))
+    estimate = None
+    scale = STATED
+    calibrated = all(camera.calibrated for camera in rig.cameras)
+    if refine and calibrated and settings.pairing == "mount":
+
+        def on_step() -> None:
+            progress(0, None, "refining the mount")
+
+        estimate = estimate_mount(
+            collected.kept,
+            settings.mount,
+            yaw_rad=yaw_rad,
+            recorded=rig.recorded,
+            on_step=on_step,
+        )
+        mount = estimate.mount
+        u = offset_of_yaw(mount.yaw_rad, collected.curve, collected.row.left_rad)
+        peak = _peak_at(fields[metric], peak, u, settings.search)
+        scale = _scale_of(collected.kept, mount, settings, on_step)
+    return Alignment(
+        fields=fields,
+        peaks=known,
+        peak=peak,
+        metric=metric,
+        curve=collected.curve,
+        row=collected.row,
+        mount=mount,
+        estimate=estimate,
+        scale=scale.with_steps(rig.depth_quantum_m),
+        lidar=collected.scan,
+        frames=collected.mean.frames,
+    )
+
+
+def _peak_at(field: SimilarityField, peak: Peak, u: float, search: SearchSettings) -> Peak:
+    """The field's peak at the refined mount's ``u``, if the rows alone favoured another place."""
+    if abs(u - peak.u) <= search.runner_up_distance:
+        return peak
+    try:
+        return find_peak(field, search, prior_u=u)
+    except AlignmentFailed:
+        return peak
+
+
+class _Collected:
+    """What one pass over the recording keeps: mean fields and a bounded subset of pairs."""
+
+    def __init__(self, row: RowSampling) -> None:
+        self.mean = FieldMean()
+        self.kept: list[MountFrame] = []
+        self.curve: CurveSampling | None = None
+        self.row = row
+        self.scan: LaserScan | None = None
+        self.with_returns = False
+
+    @property
+    def scan_size(self) -> int:
+        return 0 if self.scan is None else self.scan.ranges_m.size
+
+
+def _collect(
+    pairs: Iterable[LaserScan | PairedImage],
+    rig: Rig,
+    settings: ChainSettings,
+    image_count: int,
+    progress: Progress,
+    depth_of: Callable[[int, Float32Array], Float32Array],
+) -> _Collected:
+    several = len(rig.cameras) > 1
+    panorama = Panorama(rig.cameras, settings.sampling) if several else None
+    row = panorama.sampling if panorama else sample_row(rig.cameras[0], settings.sampling)
+    collected = _Collected(row)
+    # The time span of the subset is the recording's, however long it is.
+    field_every = max(1, image_count // len(rig.cameras) // _FIELD_FRAMES)
+    keep_every = max(1, image_count // settings.mount.frames)
+    seen = [0] * len(rig.cameras)
+    latest: dict[int, DepthImage] = {}
+    views = 0
+    for entry in pairs:
+        if isinstance(entry, LaserScan):
+            # Nothing new, yet work may be ended here: there may be no images for long.
+            progress(sum(seen), image_count, "searching (u, v)")
+            continue
+        # Counted for each camera, so that a steady order of the cameras leaves none out.
+        seen[entry.camera] += 1
+        progress(sum(seen), image_count, "searching (u, v)")
+        if entry.window is None:
+            continue
+        scan = entry.window.scan
+        if collected.curve is None:
+            collected.curve, collected.scan = sample_curve(scan, settings.sampling), scan
+        collected.with_returns |= bool(np.isfinite(scan.ranges_m).any())
+        if seen[entry.camera] % keep_every == 0:
+            collected.kept.append(
+                mount_frame(
+                    rig.cameras[entry.camera],
+                    scan,
+                    depth_of(entry.camera, entry.image.depth_m),
+                    scan.stamp_ns + entry.gap_ns,
+                    turn_rate_rad_s(entry.window, settings.time),
+                )
+            )
+        latest[entry.camera] = entry.image
+        if not _together(latest, len(rig.cameras), settings.time.max_gap_ms):
+            continue
+        views += 1
+        if views % field_every == 0 and scan.ranges_m.size == collected.scan_size:
+            depths_m = [depth_of(i, latest[i].depth_m) for i in range(len(rig.cameras))]
+            rows_m = panorama.samples_m(depths_m) if panorama else row_samples_m(depths_m[0], row)
+            collected.mean.add(search_rows(scan, collected.curve, rows_m, settings))
+        latest.clear()
+    return collected
+
+
+def _together(latest: dict[int, DepthImage], cameras: int, max_gap_ms: float) -> bool:
+    """Whether every camera has an image of nearly the same instant."""
+    stamps = [image.stamp_ns for image in latest.values()]
+    return len(latest) == cameras and max(stamps) - min(stamps) <= max_gap_ms * NS_PER_MS
+
+
+def _peak_or_none(field: SimilarityField, settings: SearchSettings) -> Peak | None:
+    try:
+        return find_peak(field, settings)
+    except AlignmentFailed:
+        return None
+
+
+def T_lidar_camera_at(camera: Camera, mount: Mount, turned_rad: float) -> FloatArray:
+    """(4, 4): a camera's optical frame at the image's stamp to the LiDAR frame at the scan's,
+    between which the LiDAR turned by ``turned_rad``."""
+    turn = transform(rotation_from_yaw_pitch_roll(turned_rad, 0.0, 0.0), np.zeros(3))
+    T_lidar_camera: FloatArray = turn @ mount.T_lidar_rig @ camera.T_rig_camera
+    return T_lidar_camera
+
+
+def turned_rad(frame: MountFrame, mount: Mount, settings: ChainSettings) -> float:
+    """Turn of the LiDAR from the scan's stamp to the image's, as the stamps say, corrected by the
+    frame's own check against the mount."""
+    stamped = frame.turn_rate_rad_s * frame.image_after_scan_s
+    if not settings.time.compensate_turn:
+        stamped = 0.0
+    if settings.mount.frame_yaw_sd_deg == 0.0:
+        return stamped
+    # The clock offset is applied to the stamps where it is asked for, and only there.
+    applied = replace(mount, clock_offset_ms=0.0)
+    return stamped + frame_yaw_offset_rad(frame, applied, settings.mount)
+
+
+def _scale_of(
+    kept: list[MountFrame],
+    mount: Mount,
+    settings: ChainSettings,
+    on_step: Callable[[], None],
+) -> NoiseScale:
+    """The noise scale from the kept frames' own pairs. ``on_step`` is called before each."""
+    ranges = []
+    residuals = []
+    for frame in kept:
+        on_step()
+        turned = turned_rad(frame, mount, settings)
+        pairs = along_curve(
+            frame.scan,
+            frame.raw_depth_m,
+            frame.depth_m,
+            frame.camera,
+            T_lidar_camera_at(frame.camera, mount, turned),
+        )
+        ranges.append(pairs.lidar_range_m)
+        residuals.append(pairs.residual_m)
+    return learn_noise_scale(np.concatenate(ranges), np.concatenate(residuals))

@@ -1,0 +1,81 @@
+"""The threshold epsilon of eq. (6) in its three units, and what it is in a frame."""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from fusion_core.model.conventions import FloatArray
+from fusion_core.workflows.fuse.align import Alignment
+from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
+from fusion_core.workflows.fuse.presets import PRESETS
+
+EpsilonUnit = Literal["sigma", "E", "m"]
+EPSILON_UNITS: tuple[EpsilonUnit, ...] = get_args(EpsilonUnit)
+
+# Where a unit has no length in a frame: the presets' own, and 10 cm.
+_USUAL: dict[EpsilonUnit, float] = {
+    "m": 0.10,
+    **{preset.noise.epsilon_unit: preset.noise.epsilon for preset in PRESETS.values()},
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpsilonInFrame:
+    """``middle_m``: median threshold over the pairs with both values, between ``least_m`` and
+    ``greatest_m``; ``beyond`` of these ``compared`` pairs disagree by more than theirs. ``E_m``: E.
+    NaN where the frame has none."""
+
+    middle_m: float
+    least_m: float
+    greatest_m: float
+    beyond: int
+    compared: int
+    E_m: float
+
+    @property
+    def band_m(self) -> tuple[float, float]:
+        """The paper's band [E, sqrt(2) E], in which both recalls are high (its Fig. 6)."""
+        return self.E_m, float(np.sqrt(2.0)) * self.E_m
+
+
+def unit_lengths_m(match: FrameMatch, alignment: Alignment) -> dict[EpsilonUnit, float]:
+    """The length of each unit in a frame: the median sigma over its pairs, its E, and 1.
+
+    A unit that has none, as E without a registration, is absent.
+    """
+    lengths: dict[EpsilonUnit, float] = {"m": 1.0}
+    found = match.registration
+    if found is not None and np.isfinite(found.mean_error_m) and found.mean_error_m > 0.0:
+        lengths["E"] = found.mean_error_m
+    ranges_m = match.pairs.lidar_range_m[np.isfinite(match.pairs.residual_m)]
+    if ranges_m.size:
+        lengths["sigma"] = float(np.median(alignment.scale.at(ranges_m)))
+    return lengths
+
+
+def converted(
+    epsilon: float, old: EpsilonUnit, new: EpsilonUnit, lengths_m: dict[EpsilonUnit, float]
+) -> float:
+    """Epsilon in another unit with about the same length; the usual one where a unit has none."""
+    if old == new:
+        return epsilon
+    if old not in lengths_m or new not in lengths_m:
+        return _USUAL[new]
+    return epsilon * lengths_m[old] / lengths_m[new]
+
+
+def epsilon_in(frame: FusedFrame) -> EpsilonInFrame:
+    """What the threshold is in a frame, and how many pairs disagree by more."""
+    compared = np.isfinite(frame.pairs.residual_m)
+    epsilon_m: FloatArray = frame.classes.epsilon_m[compared]
+    E_m = float("nan") if frame.registration is None else frame.registration.mean_error_m
+    known = bool(epsilon_m.size)
+    return EpsilonInFrame(
+        middle_m=frame.epsilon_m,
+        least_m=float(epsilon_m.min()) if known else float("nan"),
+        greatest_m=float(epsilon_m.max()) if known else float("nan"),
+        beyond=int((np.abs(frame.pairs.residual_m[compared]) > epsilon_m).sum()),
+        compared=int(compared.sum()),
+        E_m=E_m,
+    )

@@ -1,0 +1,158 @@
+"""Point clouds of what ``fuse`` repaired, in the map frame: the LiDAR's beams and the depth."""
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fusion_core.evaluation.fuse_folder import open_fuse_folder
+from fusion_core.exporting.clouds import write_cloud
+from fusion_core.exporting.manifest import require_as_written
+from fusion_core.exporting.output_folder import plan_output, results_folder
+from fusion_core.mapping.voxel_cloud import VoxelCloud
+from fusion_core.model.classes import NoiseClass
+from fusion_core.model.conventions import NS_PER_MS, FloatArray
+from fusion_core.model.errors import MissingStream, RecordingError
+from fusion_core.model.geometry import apply, transform_from_planar
+from fusion_core.model.progress import Progress, silent
+from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
+from fusion_core.model.sensors import DepthImage, LaserScan
+from fusion_core.recordings.formats import open_recording
+from fusion_core.workflows.fuse.presets import chain_settings
+from fusion_core.workflows.fuse.session import FuseOptions, Session, open_session
+from fusion_core.workflows.poses import Poses, recorded_poses
+from fusion_core.workflows.source import input_files, open_source
+
+_SUFFIXES = (".ply", ".pcd")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CloudExport:
+    """What was written: ``points`` by the cloud's name, ``notes`` for people."""
+
+    output: Path
+    points: dict[str, int]
+    notes: tuple[str, ...]
+
+
+def export_clouds(
+    recording: Path,
+    results: Path,
+    output: Path,
+    options: FuseOptions,
+    *,
+    voxel_m: float = 0.02,
+    progress: Progress = silent,
+) -> CloudExport:
+    """Write ``lidar`` and ``depth`` as .ply and .pcd into ``output``.
+
+    ``results``: the folder that ``fuse`` wrote from ``recording`` with ``options``. Heights count
+    from the LiDAR's plane. One point is kept for each voxel, so memory follows the surfaces and not
+    the length of the recording.
+
+    Raises MissingStream where no poses are recorded, MappingFailed where a cloud becomes too large,
+    ExportError for the folder, RecordingError where results and recording do not belong together.
+    """
+    require_as_written(results, ("settings.toml", "alignment.json", "fused.mcap"), "fuse")
+    preset, settings = chain_settings("default", results / "settings.toml", None)
+    alignment = open_fuse_folder(results).alignment
+    mount = Mount.from_vector(np.array([alignment["mount_used"][n] for n in MOUNT_PARAMETERS]))
+    fused_file = results / "fused.mcap"
+    with open_source(recording, options.room) as opened, open_recording(fused_file) as fused:
+        session = open_session(opened, options, settings)
+        poses = None
+        if session.virtual_row is None:
+            poses = recorded_poses(opened, session.streams, session.rig.lidar_frame)
+        if poses is None:
+            raise MissingStream(
+                "has no recorded poses of the LiDAR, so there is no map frame to put clouds in.",
+                file=recording,
+                advice="Use a recording with TF, odometry or a pose topic.",
+            )
+        plan = plan_output(
+            output,
+            command="export",
+            inputs=[*input_files(opened), fused_file],
+            settings_text=json.dumps({"preset": preset, "voxel_m": voxel_m}),
+            seed=settings.registration.seed,
+            force=True,
+            progress=progress,
+        )
+        clouds = {"lidar": VoxelCloud(voxel_m), "depth": VoxelCloud(voxel_m)}
+        applied_ms = mount.clock_offset_ms if options.apply_clock_offset else 0.0
+        topics = {camera.topic: i for i, camera in enumerate(session.rig.cameras)}
+        lidar_topic = session.streams.lidar
+        raw_scans = _raw_scans(session)
+        total = sum(topic.count for topic in fused.topics if topic.role in ("lidar", "depth"))
+        for done, message in enumerate(fused.messages([str(lidar_topic), *topics]), start=1):
+            progress(done, total, "collecting points")
+            value = message.value
+            if isinstance(value, LaserScan):
+                raw = next(raw_scans, None)
+                if raw is None or raw.stamp_ns != value.stamp_ns:
+                    raise RecordingError(
+                        "its scans are not those of the results.",
+                        file=recording,
+                        advice="Build the results again.",
+                    )
+                _add_in_map(clouds["lidar"], _beams_m(raw, value), poses, value.stamp_ns)
+            elif isinstance(value, DepthImage):
+                points_m = _pixels_m(session, topics[message.topic], value, mount)
+                stamp_ns = value.stamp_ns - round(applied_ms * NS_PER_MS)
+                _add_in_map(clouds["depth"], points_m, poses, stamp_ns)
+        with results_folder(plan) as folder:
+            points = {}
+            for name, cloud in clouds.items():
+                points_m = cloud.points_m()
+                points[name] = len(points_m)
+                for suffix in _SUFFIXES if points[name] else ():
+                    progress(0, None, f"writing {name}{suffix}")
+                    write_cloud(folder / f"{name}{suffix}", points_m)
+    return CloudExport(output=output, points=points, notes=tuple(_notes(session, alignment)))
+
+
+def _raw_scans(session: Session) -> Iterator[LaserScan]:
+    """The recording's scans as the results have them, each once and in the same order."""
+    messages = session.recording.messages([str(session.streams.lidar)])
+    for message in session.fitting.of(messages):
+        if isinstance(message.value, LaserScan):
+            yield message.value
+
+
+def _add_in_map(cloud: VoxelCloud, in_lidar_m: FloatArray, poses: Poses, stamp_ns: int) -> None:
+    pose = poses.at(stamp_ns)
+    if pose is not None:
+        cloud.add(apply(transform_from_planar(pose), in_lidar_m))
+
+
+def _beams_m(raw: LaserScan, repaired: LaserScan) -> FloatArray:
+    """(N, 3) in the LiDAR's frame. A burr that nothing could repair is no surface."""
+    ranges_m = repaired.ranges_m
+    # The results hold 32 bits of each range.
+    unchanged = ranges_m.astype(np.float32) == raw.ranges_m.astype(np.float32)
+    burr = repaired.intensities == float(NoiseClass.BURR)
+    kept = np.isfinite(ranges_m) & (ranges_m <= raw.range_max_m) & ~(burr & unchanged)
+    angles_rad = raw.angles_rad[kept]
+    across_m = np.stack([np.cos(angles_rad), np.sin(angles_rad), np.zeros(angles_rad.size)], axis=1)
+    points_m: FloatArray = ranges_m[kept, np.newaxis] * across_m
+    return points_m
+
+
+def _pixels_m(session: Session, camera: int, image: DepthImage, mount: Mount) -> FloatArray:
+    """(N, 3) in the LiDAR's frame."""
+    model = session.rig.cameras[camera]
+    depth_m = session.depth_of(camera, image.depth_m)
+    rows, columns = np.nonzero(depth_m > 0.0)
+    in_camera_m = depth_m[rows, columns, np.newaxis] * model.rays(rows, columns)
+    return apply(mount.T_lidar_rig @ model.T_rig_camera, in_camera_m)
+
+
+def _notes(session: Session, alignment: Mapping[str, Any]) -> Iterator[str]:
+    for camera in session.rig.cameras:
+        if not camera.calibrated:
+            yield f"{camera.topic} has no intrinsics: an assumed field of view shapes its cloud."
+    if alignment["row_model"] == "row":
+        yield "The camera's height above the LiDAR is not known: the depth may lie too high or low."

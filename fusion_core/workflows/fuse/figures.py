@@ -1,0 +1,377 @@
+"""The paper's figures and its table for a fused recording.
+
+Figs. 3, 4, 5, 7 and 8 show one frame, the showcase; Fig. 6 needs a truth and Fig. 9 maps.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fusion_core.alignment.curves import (
+    CurveSampling,
+    RowSampling,
+    yaw_of_offset_rad,
+)
+from fusion_core.alignment.search import Peak
+from fusion_core.alignment.similarity import Metric, SimilarityField
+from fusion_core.alignment.upright import UprightView
+from fusion_core.evaluation.fuse_folder import open_fuse_folder, read_frames
+from fusion_core.exporting.figures import seconds
+from fusion_core.exporting.figures_alignment import (
+    CurvePair,
+    FieldPanel,
+    MetricColumn,
+    write_aligned,
+    write_similarity,
+)
+from fusion_core.exporting.figures_maps import write_maps
+from fusion_core.exporting.figures_registration import write_pairs, write_recall
+from fusion_core.exporting.figures_repair import RepairedCurve, write_fused_depth, write_repair
+from fusion_core.exporting.tables import CsvTable
+from fusion_core.mapping.difference import map_difference
+from fusion_core.model.classes import RepairSource
+from fusion_core.model.conventions import NS_PER_MS, ByteArray
+from fusion_core.model.errors import RecordingError, ScanLoomError
+from fusion_core.model.grids import OccupancyGrid
+from fusion_core.model.names import readable
+from fusion_core.model.rig import Camera
+from fusion_core.model.sensors import ColorImage
+from fusion_core.workflows.evaluate import evaluate
+from fusion_core.workflows.fuse.align import Alignment
+from fusion_core.workflows.fuse.frame import FusedFrame, curves_at
+
+if TYPE_CHECKING:
+    from fusion_core.workflows.fuse.session import Session
+
+_METRIC_NAMES: dict[Metric, str] = {
+    "pearson": "Pearson, eq. (2)",
+    "inverse_cosine": "1 − cosine, eq. (3) as printed",
+    "cosine": "cosine",
+    "euclidean": "inverse Euclidean, eq. (4)",
+}
+TABLE_1_COLUMNS = (
+    "room",
+    "low",
+    "middle",
+    "high",
+    "high_percent",
+    "not_positive",
+    "missing",
+)
+# The log may order colour and depth images otherwise than their stamps, by a few messages.
+_COLOR_NEIGHBOURS = 3
+
+
+class FigureCollector:
+    """Keeps, in bounded memory, what the figures need of the frames that pass by: one frame to
+    show, and the counts of Table 1.
+
+    ``showcase`` is the frame with most repaired samples among those with an overlap of at least
+    half and a registration, the earliest of equal ones; where there is none, the same among all.
+    """
+
+    def __init__(self, alignment: Alignment) -> None:
+        self._alignment = alignment
+        self._rank = (False, -1)
+        self.showcase: FusedFrame | None = None
+        self.scores = {"low": 0, "middle": 0, "high": 0, "not_positive": 0, "missing": 0}
+
+    def add(self, frame: FusedFrame) -> None:
+        """Take note of one frame."""
+        self.scores[score_range(frame.search.peaks_alone.get("pearson"))] += 1
+        peak = frame.search.peaks.get(self._alignment.metric)
+        is_sound = frame.registration is not None and peak is not None and peak.overlap >= 0.5
+        rank = (is_sound, _repaired_count(frame))
+        if rank > self._rank:
+            self._rank, self.showcase = rank, frame
+
+
+def score_range(peak: Peak | None) -> str:
+    """The column of Table 1 for a frame's greatest Pearson score."""
+    if peak is None:
+        return "missing"
+    if peak.score <= 0.0:
+        return "not_positive"
+    if peak.score <= 0.3:
+        return "low"
+    return "middle" if peak.score <= 0.6 else "high"
+
+
+def _repaired_count(frame: FusedFrame) -> int:
+    sources = np.concatenate([frame.repair.lidar_source, frame.repair.depth_source])
+    return int(np.isin(sources, (RepairSource.OTHER_SENSOR, RepairSource.NEIGHBOURS)).sum())
+
+
+def write_figures(
+    folder: Path,
+    session: "Session",
+    alignment: Alignment,
+    collected: FigureCollector,
+    grids: dict[str, OccupancyGrid],
+    *,
+    preset: str,
+    fuse_dir: Path,
+    truth: Path | None,
+) -> list[str]:
+    """Draw what the recording gives into ``folder``, and return why a figure is left out.
+
+    ``fuse_dir`` holds the results that ``truth`` is compared with. Raises ExportError where a file
+    cannot be written.
+    """
+    folder.mkdir(exist_ok=True)
+    name = session.recording.path.resolve().name
+    heading = f"{printable(name)}, preset {preset}"
+    if session.virtual_row is not None:
+        heading += f", virtual LiDAR, row {session.virtual_row}"
+    notes: list[str] = []
+    write_table_1(folder / "table1.csv", [table_1_row(name, collected.scores)])
+    frame = collected.showcase
+    _write_similarity(folder, heading, session, alignment, frame)
+    if frame is None:
+        notes.append("No frame to show: Figs. 3, 5, 7 and 8 are left out.")
+    else:
+        _write_showcase(folder, heading, session, frame)
+        if frame.registration is None:
+            notes.append(f"Fig. 5 is left out: {frame.refusal}")
+    if truth is not None:
+        try:
+            _write_recall(folder, heading, fuse_dir, truth)
+        except ScanLoomError as error:
+            notes.append(f"Fig. 6 is left out: {truth.name} {error.problem}")
+    if grids:
+        _write_maps(folder, heading, grids)
+    return notes
+
+
+def printable(name: str) -> str:
+    """A name in letters that the figures' font has."""
+    return readable(name).encode("latin-1", errors="replace").decode("latin-1")
+
+
+def table_1_row(room: str, scores: dict[str, int]) -> dict[str, Any]:
+    """A row of Table 1: frames by the greatest Pearson score that each reaches alone."""
+    scored = scores["low"] + scores["middle"] + scores["high"]
+    share = 100.0 * scores["high"] / scored if scored else float("nan")
+    return {"room": room, "high_percent": round(share, 2), **scores}
+
+
+def write_table_1(path: Path, rows: Iterable[dict[str, Any]]) -> None:
+    """Table 1 of one or more rooms as CSV."""
+    with CsvTable(path, TABLE_1_COLUMNS) as table:
+        for row in rows:
+            table.append(row)
+
+
+def is_table_1(path: Path) -> bool:
+    """Whether a file begins as Table 1 does."""
+    head = ",".join(TABLE_1_COLUMNS).encode()
+    with path.open("rb") as stream:
+        return stream.read(len(head)) == head
+
+
+def _write_similarity(
+    folder: Path,
+    heading: str,
+    session: "Session",
+    alignment: Alignment,
+    frame: FusedFrame | None,
+) -> None:
+    cameras = session.rig.cameras
+    columns = []
+    for metric, name in _METRIC_NAMES.items():
+        recording = _field_panel(
+            alignment.fields[metric],
+            alignment.peaks.get(metric),
+            alignment.curve,
+            alignment.row,
+            cameras[0],
+        )
+        panel = curves = None
+        if frame is not None:
+            camera = cameras[frame.camera]
+            peak = frame.search.peaks_alone.get(metric)
+            panel = _field_panel(frame.search.fields[metric], peak, frame.curve, frame.row, camera)
+            if peak is not None:
+                lidar_m, depth_m = curves_at(
+                    frame, (peak.u, peak.v), masked=session.settings.search.mask_holes
+                )
+                curves = CurvePair(lidar_m=lidar_m, depth_m=depth_m)
+        columns.append(MetricColumn(name=name, frame=panel, recording=recording, curves=curves))
+    shown = f"Fig. 4, scores over (u, v): {heading}"
+    if frame is not None:
+        shown += f"\n{_frame_name(session, frame)}, its own peaks, without the recording's"
+    kind = "frames" if len(cameras) == 1 else "panoramas"
+    write_similarity(
+        folder / "fig4_similarity.png", shown, columns, mean_of=f"{alignment.frames} {kind}"
+    )
+
+
+def _field_panel(
+    field: SimilarityField,
+    peak: Peak | None,
+    curve: CurveSampling,
+    row: RowSampling,
+    camera: Camera,
+) -> FieldPanel:
+    return FieldPanel(
+        scores=field.scores,
+        u_first=field.u_first,
+        peak=None if peak is None else (peak.u, peak.v),
+        runner_up=None if peak is None else (peak.runner_up_u, peak.runner_up_v),
+        peak_score=float("nan") if peak is None else peak.score,
+        yaw_at_zero_deg=float(np.rad2deg(yaw_of_offset_rad(0.0, curve, row.left_rad))),
+        step_deg=float(np.rad2deg(curve.step_rad)),
+        middle_row=camera.intrinsics.cy,
+        focal_px=camera.intrinsics.fy,
+    )
+
+
+def _frame_name(session: "Session", frame: FusedFrame) -> str:
+    topic = printable(session.rig.cameras[frame.camera].topic)
+    return f"{topic} at {seconds(frame.stamp_ns)}"
+
+
+def _write_showcase(folder: Path, heading: str, session: "Session", frame: FusedFrame) -> None:
+    about = f"{heading}\n{_frame_name(session, frame)}"
+    found = _color_near(session, frame)
+    color = None if found is None else upright_color(found.rgb, session.rig.views[frame.camera])
+    after_ms = None if found is None else (found.stamp_ns - frame.stamp_ns) / NS_PER_MS
+    write_aligned(
+        folder / "fig3_aligned.png",
+        f"Fig. 3, aligned in time: {about}",
+        color=color,
+        color_after_ms=after_ms,
+        depth_m=frame.depth_m,
+        depth_stamp_ns=frame.stamp_ns,
+        scan=frame.scan,
+        gap_ns=frame.gap_ns,
+        beams_in_view=frame.pairs.beam,
+        nominal=session.recording.stamps_are_nominal,
+    )
+    by_sample = session.settings.pairing == "frame"
+    if frame.registration is not None:
+        write_pairs(
+            folder / "fig5_pairs.png",
+            f"Fig. 5, pairs before and after RANSAC: {about}",
+            lidar_points_m=frame.registration.draws.lidar_points_m,
+            depth_points_m=frame.registration.draws.depth_points_m,
+            inliers=frame.registration.inliers,
+            model=frame.registration.model,
+            mean_error_m=frame.registration.mean_error_m,
+            threshold_m=frame.registration.draws.inlier_threshold_m,
+            draws=frame.registration.draws.count,
+            axis_names=(
+                ("x: sample number × median arc of a sample (m)", "range or depth, holes as 0 (m)")
+                if by_sample
+                else ("x: to the right (m)", "z: ahead, in the middle of the view (m)")
+            ),
+        )
+    curve = RepairedCurve(
+        azimuth_rad=frame.pairs.azimuth_rad,
+        row=frame.pairs.row,
+        column=frame.pairs.column,
+        lidar_m=frame.pairs.lidar_range_m,
+        lidar_repaired_m=frame.repair.lidar_range_m,
+        lidar_class=frame.classes.lidar_class,
+        lidar_source=frame.repair.lidar_source,
+        depth_m=frame.pairs.depth_m,
+        depth_repaired_m=frame.repair.depth_m,
+        depth_class=frame.classes.depth_class,
+        depth_source=frame.repair.depth_source,
+        depth_as_range_m=frame.pairs.depth_as_range_m,
+        camera_range_m=frame.pairs.camera_range_m,
+    )
+    write_repair(
+        folder / "fig7_repair.png",
+        f"Fig. 7, before and after denoising: {about}",
+        frame.depth_m,
+        curve,
+    )
+    write_fused_depth(
+        folder / "fig8_fused_depth.png",
+        f"Fig. 8, fused depth image: {about}",
+        color=color,
+        depth_m=frame.depth_m,
+        curve=curve,
+    )
+
+
+def _color_near(session: "Session", frame: FusedFrame) -> ColorImage | None:
+    """The colour image nearest in stamp among the few that were logged around the depth image."""
+    topic = session.streams.color[
+        session.streams.depth.index(session.rig.cameras[frame.camera].topic)
+    ]
+    if topic is None:
+        return None
+    logged_ns = session.recording.received_ns(topic)
+    depth_ns = frame.image.received_ns
+    place = int(np.searchsorted(logged_ns, frame.stamp_ns if depth_ns is None else depth_ns))
+    nearest: ColorImage | None = None
+    for index in range(
+        max(0, place - _COLOR_NEIGHBOURS), min(logged_ns.size, place + _COLOR_NEIGHBOURS)
+    ):
+        try:
+            value = session.recording.read(topic, index).value
+        except RecordingError:
+            # A damaged picture is no reason to fail; reading it has left its own warning.
+            continue
+        if isinstance(value, ColorImage) and (
+            nearest is None
+            or abs(value.stamp_ns - frame.stamp_ns) < abs(nearest.stamp_ns - frame.stamp_ns)
+        ):
+            nearest = value
+    return nearest
+
+
+def upright_color(rgb: ByteArray, view: UprightView) -> ByteArray:
+    """A colour image as the depth view shows it: pixel by pixel where both have one size, else
+    only turned upright."""
+    if rgb.shape[:2] != view.stored_shape:
+        right_x, right_y = np.rint(view.R_stored_view[:2, 0]).astype(int)
+        turns = {(1, 0): 0, (0, 1): 1, (-1, 0): 2, (0, -1): 3}[int(right_x), int(right_y)]
+        return np.ascontiguousarray(np.rot90(rgb, turns))
+    if view.stored_index is None:
+        return rgb
+    seen = rgb.reshape(-1, 3)[np.maximum(view.stored_index, 0)]
+    return np.where(view.stored_index[..., np.newaxis] >= 0, seen, np.uint8(0))
+
+
+def _write_recall(folder: Path, heading: str, fuse_dir: Path, truth: Path) -> None:
+    """Fig. 6. Raises ScanLoomError where the truth does not serve."""
+    measured = evaluate.noise(fuse_dir, truth)
+    over = measured["over_epsilon"]
+    factors = np.array(over["epsilon_over_E"])
+    numbers = read_frames(open_fuse_folder(fuse_dir)).number
+    with np.errstate(invalid="ignore", divide="ignore"):
+        own = numbers["epsilon_m"] / numbers["mean_error_m"]
+    own = own[np.isfinite(own)]
+    write_recall(
+        folder / "fig6_recall.png",
+        f"Fig. 6, recall over the threshold: {heading}\n"
+        f"{over['good_pairs']} good pairs, {over['noise_pairs']} noise pairs",
+        epsilon_over_E=factors,
+        xi=over["xi"],
+        eta=over["eta"],
+        band=(over["band"][0], over["band"][1]),
+        own_epsilon_over_E=float(np.median(own)) if own.size else float("nan"),
+        own_xi=measured["xi"],
+        own_eta=measured["eta"],
+    )
+    missing = [None] * factors.size
+    with CsvTable(folder / "fig6_recall.csv", ("epsilon_over_E", "xi", "eta")) as table:
+        for factor, xi, eta in zip(
+            factors, over["xi"] or missing, over["eta"] or missing, strict=True
+        ):
+            table.append({"epsilon_over_E": factor, "xi": xi, "eta": eta})
+
+
+def _write_maps(folder: Path, heading: str, grids: dict[str, OccupancyGrid]) -> None:
+    pair = {name: grid for name, grid in grids.items() if name != "camera"}
+    write_maps(
+        folder / "fig9_maps.png",
+        f"Fig. 9, maps from the same poses: {heading}",
+        grids,
+        map_difference(pair) if len(pair) == 2 else None,
+    )

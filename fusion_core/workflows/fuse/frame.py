@@ -1,0 +1,350 @@
+"""Pass 2: one scan against one depth image, from correspondence to repair."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from fusion_core.alignment.agreement import mount_frame
+from fusion_core.alignment.curves import (
+    CurveSampling,
+    RowSampling,
+    curve_samples_m,
+    offset_of_yaw,
+    row_samples_m,
+    sample_curve,
+    sample_row,
+    yaw_of_offset_rad,
+)
+from fusion_core.alignment.search import Peak
+from fusion_core.alignment.time import ScanWindow, turn_rate_rad_s
+from fusion_core.denoising.correspondence import (
+    Correspondence,
+    RowModel,
+    along_curve,
+    by_sample,
+    compared,
+    in_row,
+    mapped,
+    planar_points,
+)
+from fusion_core.denoising.noise import Classes, FrameWindow, classify
+from fusion_core.denoising.repair import Repair, repair
+from fusion_core.model.conventions import NS_PER_S, BoolArray, Float32Array, FloatArray
+from fusion_core.model.errors import AlignmentFailed, RegistrationFailed
+from fusion_core.model.geometry import apply
+from fusion_core.model.rig import Camera, Mount
+from fusion_core.model.sensors import DepthImage, LaserScan
+from fusion_core.registration.ransac import Registration, register
+from fusion_core.workflows.fuse.align import Alignment, T_lidar_camera_at, turned_rad
+from fusion_core.workflows.fuse.frame_search import FrameSearch, search_frame
+from fusion_core.workflows.fuse.presets import ChainSettings
+from fusion_core.workflows.fuse.rig import Rig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameMatch:
+    """What pairs a depth image with its scan: everything before the classes.
+
+    ``image`` is the stored one, ``depth_m`` its upright view; ``before``: stamp and view of the
+    camera's image before, where there is one. ``curve`` and ``row`` sample the fields of
+    ``search``. ``registration`` is None where it failed, and ``refusal`` says why.
+    ``u_of_rig``: what to add to a peak's u, which is the camera's own, to get that of the
+    recording's field; not 0 where several cameras make a panorama.
+    ``turned_rad``: the turn from scan to image that the pairs were corrected by.
+    ``turn_rate_rad_s``: how fast the LiDAR turns, NaN where its scans do not tell.
+    """
+
+    camera: int
+    image: DepthImage
+    depth_m: Float32Array
+    before: tuple[int, Float32Array] | None
+    window: ScanWindow
+    gap_ns: int
+    turned_rad: float
+    turn_rate_rad_s: float
+    curve: CurveSampling
+    row: RowSampling
+    search: FrameSearch
+    u_of_rig: float
+    row_model: RowModel
+    registration: Registration | None
+    refusal: str
+    pairs: Correspondence
+
+    @property
+    def scan(self) -> LaserScan:
+        """The scan that the image is paired with."""
+        return self.window.scan
+
+    @property
+    def stamp_ns(self) -> int:
+        """The image's stamp."""
+        return self.image.stamp_ns
+
+    @property
+    def sigma_m(self) -> float:
+        """Robust standard deviation of the residuals (1.4826 median |r|), NaN without pairs."""
+        residual_m = np.abs(self.pairs.residual_m)
+        residual_m = residual_m[np.isfinite(residual_m)]
+        return 1.4826 * float(np.median(residual_m)) if residual_m.size else float("nan")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FusedFrame(FrameMatch):
+    """Everything that pass 2 says of one depth image."""
+
+    classes: Classes
+    repair: Repair
+
+    @property
+    def epsilon_m(self) -> float:
+        """Median threshold over the pairs, NaN without pairs."""
+        valid = self.classes.epsilon_m[np.isfinite(self.pairs.residual_m)]
+        return float(np.median(valid)) if valid.size else float("nan")
+
+    @property
+    def pixel_changed(self) -> BoolArray:
+        """(B,): pairs whose pixel the repair gave another value."""
+        repaired_m = self.repair.depth_m
+        changed: BoolArray = (self.pairs.row >= 0) & np.isfinite(repaired_m)
+        changed &= repaired_m != self.pairs.depth_m
+        return changed
+
+
+def fuse_frame(
+    rig: Rig,
+    camera: int,
+    depth_m: Float32Array,
+    window: ScanWindow,
+    gap_ns: int,
+    alignment: Alignment,
+    settings: ChainSettings,
+    *,
+    image: DepthImage,
+    before: tuple[int, Float32Array] | None = None,
+) -> FusedFrame:
+    """Run the chain on one pair. ``depth_m``: (H', W') upright view; ``before``: stamp and view of
+    the camera's image before, where there is one.
+
+    Raises AlignmentFailed where the frame is paired by its own (u, v) and has none.
+    """
+    match = match_frame(
+        rig, camera, depth_m, window, gap_ns, alignment, settings, image=image, before=before
+    )
+    return judge_frame(match, rig, alignment, settings)
+
+
+def match_frame(
+    rig: Rig,
+    camera: int,
+    depth_m: Float32Array,
+    window: ScanWindow,
+    gap_ns: int,
+    alignment: Alignment,
+    settings: ChainSettings,
+    *,
+    image: DepthImage,
+    before: tuple[int, Float32Array] | None = None,
+    picked: tuple[float, float] | None = None,
+) -> FrameMatch:
+    """Search, pair and register one frame, as in ``fuse_frame``.
+
+    ``picked``: an offset (u, v) of the camera's own row, chosen by hand; the pairs are then those
+    of row v.
+
+    Raises AlignmentFailed where the frame is paired by its own (u, v) and has none, and for a
+    picked row that the image does not have.
+    """
+    height = depth_m.shape[0]
+    if picked is not None and not -0.5 <= picked[1] < height - 0.5:
+        raise AlignmentFailed(
+            f"row v = {picked[1]:g} is not in the image.",
+            advice=f"Pick one from 0 to {height - 1}.",
+        )
+    scan = window.scan
+    model = rig.cameras[camera]
+    curve, row = sample_curve(scan, settings.sampling), sample_row(model, settings.sampling)
+    rate = turn_rate_rad_s(window, settings.time)
+    kept = mount_frame(model, scan, depth_m, scan.stamp_ns + gap_ns, rate)
+
+    turned = 0.0
+    prior_u = offset_of_yaw(alignment.mount.yaw_rad, curve, row.left_rad)
+    pairs = None
+    if picked is None and alignment.along_curve and settings.pairing == "mount":
+        turned = turned_rad(kept, alignment.mount, settings)
+        T_lidar_camera = T_lidar_camera_at(model, alignment.mount, turned)
+        pairs = along_curve(scan, depth_m, kept.depth_m, model, T_lidar_camera)
+        # The rows are searched at rest: what the LiDAR turned meanwhile is no part of the offset.
+        prior_u = _offset_of_pairs(pairs, curve, row, model, prior_u - turned / curve.step_rad)
+        prior_u += turned / curve.step_rad
+    found = search_frame(scan, depth_m, curve, row, prior_u, settings)
+    peak = found.peaks.get(settings.search.metric)
+    if pairs is not None:
+        registration, refusal = _register(pairs, settings)
+    elif settings.pairing == "frame":
+        chosen = picked if picked is not None else _place_of(peak)
+        pairs, registration, refusal = _by_own_peak(scan, depth_m, curve, row, chosen, settings)
+    else:
+        mount = Mount(yaw_rad=alignment.mount.yaw_rad)
+        chosen = picked if picked is not None else _place_of(peak)
+        if chosen is not None:
+            mount = Mount(yaw_rad=yaw_of_offset_rad(chosen[0], curve, row.left_rad))
+        v = round(chosen[1] if chosen is not None else alignment.peak.v)
+        pairs = in_row(scan, depth_m, kept.depth_m, model, T_lidar_camera_at(model, mount, 0.0), v)
+        registration, refusal = _register(pairs, settings)
+        if registration is not None:
+            pairs = mapped(pairs, registration.A, registration.A_inverse)
+    return FrameMatch(
+        camera=camera,
+        image=image,
+        depth_m=depth_m,
+        before=before,
+        window=window,
+        gap_ns=gap_ns,
+        turned_rad=turned,
+        turn_rate_rad_s=rate,
+        curve=curve,
+        row=row,
+        search=found,
+        u_of_rig=_offset_to_rig(pairs, row, model, alignment.row),
+        row_model=pairs.model,
+        registration=registration,
+        refusal=refusal,
+        pairs=pairs,
+    )
+
+
+def judge_frame(
+    match: FrameMatch, rig: Rig, alignment: Alignment, settings: ChainSettings
+) -> FusedFrame:
+    """Classify and repair a frame that is matched already."""
+    window, rate, scan = match.window, match.turn_rate_rad_s, match.scan
+    model = rig.cameras[match.camera]
+    registration = match.registration
+    classes = classify(
+        FrameWindow(
+            pairs=match.pairs,
+            scan=scan,
+            depth_m=match.depth_m,
+            scan_before=window.before,
+            scan_after=window.after,
+            shift_before=_beams_turned(window.before, scan, rate),
+            shift_after=_beams_turned(window.after, scan, rate),
+            depth_before_m=None if match.before is None else match.before[1],
+            columns_before=_columns_turned(match.before, match.stamp_ns, rate, model),
+        ),
+        settings.noise,
+        alignment.scale,
+        registration.mean_error_m if registration is not None else float("nan"),
+    )
+    return FusedFrame(
+        **{field.name: getattr(match, field.name) for field in fields(FrameMatch)},
+        classes=classes,
+        repair=repair(match.pairs, classes, match.depth_m, alignment.scale, settings.repair),
+    )
+
+
+def curves_at(
+    match: FrameMatch, place: tuple[float, float], *, masked: bool = True
+) -> tuple[FloatArray, FloatArray]:
+    """(W,) samples of the LiDAR's curve and of the depth row that are compared at an offset (u, v)
+    of the frame's own row. ``masked``: holes are NaN, else 0."""
+    v = int(np.clip(round(place[1]), 0, match.depth_m.shape[0] - 1))
+    depth_m = row_samples_m(match.depth_m[v : v + 1], match.row)[0]
+    index = round(place[0]) + np.arange(depth_m.size)
+    inside = (index >= 0) & (index < match.curve.beams.size)
+    lidar_m = np.full(depth_m.size, np.nan)
+    lidar_m[inside] = curve_samples_m(match.scan, match.curve)[index[inside]]
+    if not masked:
+        depth_m = np.nan_to_num(depth_m, nan=0.0)
+        lidar_m[inside] = np.nan_to_num(lidar_m[inside], nan=0.0)
+    return lidar_m, depth_m
+
+
+def _place_of(peak: Peak | None) -> tuple[float, float] | None:
+    return None if peak is None else (peak.u, peak.v)
+
+
+def _offset_of_pairs(
+    pairs: Correspondence,
+    curve: CurveSampling,
+    row: RowSampling,
+    camera: Camera,
+    otherwise: float,
+) -> float:
+    """The offset u that the mount expects in this frame: the median over the pairs, so with the
+    lever arm at the ranges that are there. ``otherwise`` where nothing pairs."""
+    paired = np.isfinite(pairs.residual_m)
+    if not paired.any():
+        return otherwise
+    on_curve = curve.sample_of_azimuth(pairs.azimuth_rad[paired])
+    in_rig_rad = camera.column_azimuths_rad(pairs.column[paired].astype(np.float64))
+    in_row = (row.left_rad - camera.yaw_rad - in_rig_rad) / row.step_rad
+    return float(np.median(on_curve - in_row))
+
+
+def _offset_to_rig(
+    pairs: Correspondence, row: RowSampling, camera: Camera, rig_row: RowSampling
+) -> float:
+    """What a camera's own u lacks to the recording's: the median over the pairs of how much
+    further left their pixels lie on its own row than on the rig's, whose origin is elsewhere."""
+    paired = np.isfinite(pairs.residual_m) & (pairs.row >= 0)
+    if not camera.T_rig_camera[:3, 3].any() or not paired.any():
+        return (row.left_rad - rig_row.left_rad) / rig_row.step_rad
+    column = pairs.column[paired]
+    rays = camera.rays(pairs.row[paired], column)
+    in_rig = apply(camera.T_rig_camera, pairs.depth_m[paired, np.newaxis] * rays)
+    on_rig = rig_row.left_rad - np.arctan2(in_rig[:, 1], in_rig[:, 0])
+    own_rad = camera.yaw_rad + camera.column_azimuths_rad(column.astype(np.float64))
+    on_own = row.left_rad - own_rad
+    return float(np.median(on_own - on_rig)) / rig_row.step_rad
+
+
+def _register(pairs: Correspondence, settings: ChainSettings) -> tuple[Registration | None, str]:
+    lidar = planar_points(pairs, pairs.lidar_range_m)
+    depth = planar_points(pairs, pairs.depth_as_range_m)
+    try:
+        return register(lidar, depth, settings.registration), ""
+    except RegistrationFailed as error:
+        return None, error.problem
+
+
+def _by_own_peak(
+    scan: LaserScan,
+    depth_m: Float32Array,
+    curve: CurveSampling,
+    row: RowSampling,
+    place: tuple[float, float] | None,
+    settings: ChainSettings,
+) -> tuple[Correspondence, Registration | None, str]:
+    """The paper's way: samples of the frame's own (u, v), tied by A alone."""
+    if place is None:
+        raise AlignmentFailed("the frame's field has no peak.")
+    pairs, lidar, depth = by_sample(scan, depth_m, curve.beams, row.columns, *place)
+    try:
+        registration = register(lidar, depth, settings.registration)
+    except RegistrationFailed as error:
+        return pairs, None, error.problem
+    pairs = compared(
+        pairs, lidar, depth, registration.A, registration.A_inverse, registration.residual_m
+    )
+    return pairs, registration, ""
+
+
+def _columns_turned(
+    before: tuple[int, Float32Array] | None, stamp_ns: int, rate_rad_s: float, camera: Camera
+) -> float:
+    """Columns to the right by which a surface lay in the image before."""
+    if before is None or not np.isfinite(rate_rad_s):
+        return 0.0
+    turned = rate_rad_s * (stamp_ns - before[0]) / NS_PER_S
+    # A camera that turns left moves what it sees to the right.
+    return -turned * camera.intrinsics.fx
+
+
+def _beams_turned(other: LaserScan | None, scan: LaserScan, rate_rad_s: float) -> int:
+    """Beams by which a surface moves from ``scan`` to its neighbour in time."""
+    if other is None or not np.isfinite(rate_rad_s):
+        return 0
+    seconds = (other.stamp_ns - scan.stamp_ns) / NS_PER_S
+    return round(-rate_rad_s * seconds / scan.angle_increment_rad)

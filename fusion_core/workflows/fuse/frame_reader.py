@@ -1,0 +1,142 @@
+"""Any depth image of a session with the scans around it, without reading what lies before."""
+
+import threading
+from collections import OrderedDict
+
+import numpy as np
+
+from fusion_core.model.conventions import NS_PER_MS, Float32Array
+from fusion_core.model.errors import MissingStream, RecordingError
+from fusion_core.model.sensors import ColorImage, DepthImage, LaserScan
+from fusion_core.workflows.fuse.pairing import PairedImage, pair_with, virtual_pair
+from fusion_core.workflows.fuse.session import Session
+
+# Scans are looked for among those logged next to the image, so many to either side.
+_SCANS_BESIDE = 6
+_SCANS_KEPT = 64
+
+
+class FrameReader:
+    """Frames are the depth images of all cameras in the order of their log, numbered from 0.
+
+    Safe for threads. A frame that cannot be read raises RecordingError.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        recording = session.recording
+        self._topics = [camera.topic for camera in session.rig.cameras]
+        clocks = [recording.received_ns(topic) for topic in self._topics]
+        owners = np.repeat(np.arange(len(clocks)), [clock.size for clock in clocks])
+        indexes = np.concatenate([np.arange(clock.size) for clock in clocks])
+        times_ns = np.concatenate(clocks)
+        order = np.lexsort((owners, times_ns))
+        self._owner, self._index = owners[order], indexes[order]
+        self.times_ns = times_ns[order]
+        lidar = session.streams.lidar if session.virtual_row is None else None
+        self._lidar = lidar
+        self._scan_times_ns = (
+            np.empty(0, np.int64) if lidar is None else recording.received_ns(lidar)
+        )
+        self._scans: OrderedDict[int, LaserScan | None] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return int(self.times_ns.size)
+
+    def camera_of(self, number: int) -> int:
+        """The camera of a frame."""
+        return int(self._owner[number])
+
+    def image(self, number: int) -> DepthImage:
+        """The stored depth image of a frame. Raises IndexError beyond the last, RecordingError for
+        one that cannot be read or is of another size than the rig's."""
+        camera = self.camera_of(number)
+        topic, view = self._topics[camera], self._session.rig.views[camera]
+        value = self._session.recording.read(topic, int(self._index[number])).value
+        if not isinstance(value, DepthImage):
+            raise MissingStream(f"{topic} holds no depth images.")
+        if value.depth_m.shape != view.stored_shape:
+            (height, width), (usual_height, usual_width) = value.depth_m.shape, view.stored_shape
+            raise RecordingError(
+                f"{topic}: image {int(self._index[number])} has {width} x {height} pixels, not "
+                f"{usual_width} x {usual_height}.",
+                file=self._session.recording.path,
+                advice="It is of another rig than the rest: go to another frame.",
+            )
+        return value
+
+    def pair(self, number: int, clock_offset_ms: float = 0.0) -> PairedImage:
+        """A frame and the scan nearest in time, as a pass over the recording pairs them."""
+        image = self.image(number)
+        if self._session.virtual_row is not None:
+            return virtual_pair(self._session.rig, image, self._session.virtual_row)
+        settings = self._session.settings.time
+        return pair_with(
+            self.camera_of(number),
+            image,
+            self._scans_near(int(self.times_ns[number])),
+            round(clock_offset_ms * NS_PER_MS),
+            round(settings.max_gap_ms * NS_PER_MS),
+        )
+
+    def before(self, number: int) -> tuple[int, Float32Array] | None:
+        """Stamp and upright view of the same camera's image before, None for its first, and where
+        that one cannot be read."""
+        index = int(self._index[number])
+        if index == 0:
+            return None
+        camera = self.camera_of(number)
+        try:
+            value = self._session.recording.read(self._topics[camera], index - 1).value
+        except RecordingError:
+            return None
+        shape = self._session.rig.views[camera].stored_shape
+        if not isinstance(value, DepthImage) or value.depth_m.shape != shape:
+            return None
+        return value.stamp_ns, self._session.depth_of(camera, value.depth_m)
+
+    def color(self, number: int) -> ColorImage | None:
+        """The colour image of the frame's camera that was logged nearest in time."""
+        topic = self._session.streams.color[self.camera_of(number)]
+        if topic is None:
+            return None
+        times_ns = self._session.recording.received_ns(topic)
+        if not times_ns.size:
+            return None
+        nearest = int(np.argmin(np.abs(times_ns - self.times_ns[number])))
+        value = self._session.recording.read(topic, nearest).value
+        return value if isinstance(value, ColorImage) else None
+
+    def _scans_near(self, time_ns: int) -> list[LaserScan]:
+        place = int(np.searchsorted(self._scan_times_ns, time_ns))
+        first = max(0, place - _SCANS_BESIDE)
+        last = min(self._scan_times_ns.size, place + _SCANS_BESIDE)
+        return [scan for i in range(first, last) if (scan := self._scan(i)) is not None]
+
+    def _scan(self, index: int) -> LaserScan | None:
+        """A scan, None where it cannot be read, is stamped out of order or is of another geometry
+        than the rig's."""
+        with self._lock:
+            if index in self._scans:
+                self._scans.move_to_end(index)
+                return self._scans[index]
+        assert self._lidar is not None, "a session without a LiDAR has a virtual one"
+        scan = self._read_scan(self._lidar, index)
+        with self._lock:
+            self._scans[index] = scan
+            while len(self._scans) > _SCANS_KEPT:
+                self._scans.popitem(last=False)
+        return scan
+
+    def _read_scan(self, topic: str, index: int) -> LaserScan | None:
+        # As in a pass over the recording, the next one nearest takes the place of what is left out.
+        if not self._session.fitting.keeps(topic, index):
+            return None
+        try:
+            value = self._session.recording.read(topic, index).value
+        except RecordingError:
+            return None
+        geometry = self._session.rig.scan_geometry
+        fits = isinstance(value, LaserScan) and geometry is not None and geometry.is_of(value)
+        return value if isinstance(value, LaserScan) and fits else None

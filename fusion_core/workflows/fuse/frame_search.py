@@ -1,0 +1,107 @@
+"""The offset (u, v) of one frame: anywhere, and near where the recording expects it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fusion_core.alignment.curves import CurveSampling, RowSampling, row_samples_m, sample_curve
+from fusion_core.alignment.search import Peak, find_peak
+from fusion_core.alignment.similarity import Metric, SimilarityField
+from fusion_core.model.conventions import Float32Array, FloatArray
+from fusion_core.model.errors import AlignmentFailed
+from fusion_core.model.sensors import LaserScan
+from fusion_core.workflows.fuse.align import METRICS, search_rows
+from fusion_core.workflows.fuse.presets import ChainSettings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameSearch:
+    """The fields of one frame, and each metric's peak with the prior (``peaks``) and without it
+    (``peaks_alone``). A metric without a peak is absent."""
+
+    fields: dict[Metric, SimilarityField]
+    peaks: dict[Metric, Peak]
+    peaks_alone: dict[Metric, Peak]
+
+
+def search_frame(
+    scan: LaserScan,
+    depth_m: Float32Array,
+    curve: CurveSampling,
+    row: RowSampling,
+    prior_u: float,
+    settings: ChainSettings,
+) -> FrameSearch:
+    """Search one frame. ``depth_m``: (H, W) upright view; ``prior_u`` counts on this camera's own
+    row."""
+    rows_m = row_samples_m(depth_m, row)
+    fields = search_rows(scan, curve, rows_m, settings)
+    alone = _peaks(fields, settings, None)
+    near = alone
+    metric = settings.search.metric
+    expected = False
+    if settings.search.use_prior:
+        reach = settings.search.prior_samples
+        near = _peaks(fields, settings, prior_u)
+        near = _refined(near, scan, rows_m, (prior_u - reach, prior_u + reach), METRICS, settings)
+        expected = metric in alone and metric in near and abs(alone[metric].u - prior_u) <= reach
+    if expected:
+        # The frame found by itself what the recording expects: one refinement serves both.
+        alone[metric] = max(alone[metric], near[metric], key=lambda peak: peak.score)
+    elif metric in alone:
+        u = alone[metric].u
+        alone = _refined(alone, scan, rows_m, (u - 1.0, u + 1.0), (metric,), settings)
+    peaks = near if settings.search.use_prior else alone
+    return FrameSearch(fields=fields, peaks=peaks, peaks_alone=alone)
+
+
+def _refined(
+    peaks: dict[Metric, Peak],
+    scan: LaserScan,
+    rows_m: FloatArray,
+    between: tuple[float, float],
+    metrics: Sequence[Metric],
+    settings: ChainSettings,
+) -> dict[Metric, Peak]:
+    """The peaks, or better ones at offsets between two whole samples.
+
+    An offset of half a sample blurs every edge of the curve against the row's, and rows far from
+    the true one may then fit as well: so the curve is sampled again a share of a sample further
+    right, over the few samples that matter.
+    """
+    best = dict(peaks)
+    if settings.sampling.by == "index":
+        return best
+    for part in range(1, settings.search.sub_samples):
+        shift = part / settings.search.sub_samples
+        curve = sample_curve(scan, settings.sampling, shift=shift)
+        first = max(0, int(np.ceil(between[0] - shift)))
+        last = min(curve.beams.size - rows_m.shape[1], int(np.floor(between[1] - shift)))
+        if last < first:
+            continue
+        window = replace(curve, beams=curve.beams[first : last + rows_m.shape[1]].copy())
+        fields = search_rows(scan, window, rows_m, settings, metrics)
+        for metric, peak in _peaks(fields, settings, None).items():
+            if metric not in best or peak.score > best[metric].score:
+                coarse = peaks.get(metric, peak)
+                best[metric] = replace(
+                    coarse,
+                    u=peak.u + first + shift,
+                    v=peak.v,
+                    score=peak.score,
+                    overlap=peak.overlap,
+                )
+    return best
+
+
+def _peaks(
+    fields: dict[Metric, SimilarityField], settings: ChainSettings, prior_u: float | None
+) -> dict[Metric, Peak]:
+    peaks = {}
+    for metric, field in fields.items():
+        try:
+            peaks[metric] = find_peak(field, settings.search, prior_u=prior_u)
+        except AlignmentFailed:
+            continue
+    return peaks

@@ -1,0 +1,127 @@
+"""Pairs of scan and depth image, streamed from a recording in bounded memory."""
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+from fusion_core.alignment.time import ScanWindow, TimeSettings
+from fusion_core.alignment.virtual_lidar import virtual_scan
+from fusion_core.model.conventions import NS_PER_MS
+from fusion_core.model.recording import Recording
+from fusion_core.model.sensors import DepthImage, LaserScan
+from fusion_core.recordings.topics import Streams
+from fusion_core.workflows.fitting import Fitting
+from fusion_core.workflows.fuse.rig import Rig
+
+# Streams of a log arrive a little out of step; what lies farther apart belongs to no pair.
+SCANS_KEPT = 64
+_IMAGES_WAITING = 32
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairedImage:
+    """A depth image and the scan nearest in time; ``window`` is None where none is near enough.
+
+    ``gap_ns``: image stamp - scan stamp, with the applied clock offset taken out.
+    """
+
+    camera: int
+    image: DepthImage
+    window: ScanWindow | None
+    gap_ns: int
+
+
+def paired_images(
+    recording: Recording,
+    streams: Streams,
+    rig: Rig,
+    fitting: Fitting,
+    settings: TimeSettings,
+    *,
+    clock_offset_ms: float = 0.0,
+    virtual_row: int | None = None,
+) -> Iterator[LaserScan | PairedImage]:
+    """Every scan as it arrives, and every depth image once the scans around it are known."""
+    if virtual_row is not None:
+        yield from _with_virtual_scans(recording, rig, fitting, virtual_row)
+        return
+    assert streams.lidar is not None, "build_rig refuses a recording without LiDAR"
+    offset_ns = round(clock_offset_ms * NS_PER_MS)
+    max_gap_ns = round(settings.max_gap_ms * NS_PER_MS)
+    scans: deque[LaserScan] = deque(maxlen=SCANS_KEPT)
+    waiting: deque[tuple[int, DepthImage]] = deque()
+    topics = [camera.topic for camera in rig.cameras]
+    for message in fitting.of(recording.messages([streams.lidar, *topics])):
+        value = message.value
+        if isinstance(value, LaserScan):
+            scans.append(value)
+            yield value
+        elif isinstance(value, DepthImage):
+            waiting.append((topics.index(message.topic), value))
+        while waiting and _settled(waiting[0][1].stamp_ns - offset_ns, scans, max_gap_ns, waiting):
+            yield pair_with(*waiting.popleft(), scans, offset_ns, max_gap_ns)
+    while waiting:
+        yield pair_with(*waiting.popleft(), scans, offset_ns, max_gap_ns)
+
+
+def _settled(
+    stamp_ns: int,
+    scans: deque[LaserScan],
+    max_gap_ns: int,
+    waiting: deque[tuple[int, DepthImage]],
+) -> bool:
+    """No later scan can be nearer, and the one after the nearest has come."""
+    after = sum(scan.stamp_ns > stamp_ns for scan in scans)
+    return after >= 2 or len(waiting) > _IMAGES_WAITING
+
+
+def pair_with(
+    camera: int,
+    image: DepthImage,
+    scans: Iterable[LaserScan],
+    offset_ns: int,
+    max_gap_ns: int,
+) -> PairedImage:
+    """The pair of an image and the nearest of ``scans``, which come in any order.
+
+    ``offset_ns``: the clock offset that is applied, camera stamp - LiDAR stamp of one instant.
+    """
+    stamp_ns = image.stamp_ns - offset_ns
+    ordered = sorted(scans, key=lambda scan: scan.stamp_ns)
+    best = min(range(len(ordered)), key=lambda i: abs(ordered[i].stamp_ns - stamp_ns), default=None)
+    if best is None or abs(ordered[best].stamp_ns - stamp_ns) > max_gap_ns:
+        return PairedImage(camera=camera, image=image, window=None, gap_ns=0)
+    return PairedImage(
+        camera=camera,
+        image=image,
+        window=ScanWindow(
+            before=ordered[best - 1] if best > 0 else None,
+            scan=ordered[best],
+            after=ordered[best + 1] if best + 1 < len(ordered) else None,
+        ),
+        gap_ns=stamp_ns - ordered[best].stamp_ns,
+    )
+
+
+def _with_virtual_scans(
+    recording: Recording, rig: Rig, fitting: Fitting, row: int
+) -> Iterator[LaserScan | PairedImage]:
+    camera = rig.cameras[0]
+    for message in fitting.of(recording.messages([camera.topic])):
+        image = message.value
+        if not isinstance(image, DepthImage):
+            continue
+        paired = virtual_pair(rig, image, row)
+        if paired.window is not None:
+            yield paired.window.scan
+        yield paired
+
+
+def virtual_pair(rig: Rig, image: DepthImage, row: int) -> PairedImage:
+    """An image of the first camera with the scan that is cut from its own ``row``."""
+    camera, view = rig.cameras[0], rig.full_views[0]
+    upright = replace(image, depth_m=view.of(image.depth_m))
+    full = replace(camera, intrinsics=view.intrinsics)
+    scan = virtual_scan(upright, full, row)
+    window = ScanWindow(before=None, scan=scan, after=None)
+    return PairedImage(camera=0, image=image, window=window, gap_ns=0)

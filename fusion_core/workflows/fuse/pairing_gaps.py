@@ -1,0 +1,82 @@
+"""How far in time each depth image of a recording lies from its scan."""
+
+from array import array
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.model.conventions import NS_PER_MS, BoolArray, FloatArray, IntArray, read_only
+from fusion_core.model.sensors import LaserScan
+from fusion_core.workflows.fuse.pairing import PairedImage
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PairingGaps:
+    """The n depth images of a recording, in the order in which they were paired.
+
+    ``time_ns``: (n,) log times. ``gap_ms``: (n,) image stamp, less the applied clock offset, less
+    the stamp of the nearest scan; NaN where there is no scan. ``paired``: (n,) whether that scan is
+    near enough. ``scan_period_ms``: median time between scans, NaN for fewer than two.
+    """
+
+    time_ns: IntArray
+    gap_ms: FloatArray
+    paired: BoolArray
+    scan_period_ms: float
+
+    def __post_init__(self) -> None:
+        if not self.time_ns.shape == self.gap_ms.shape == self.paired.shape:
+            raise ValueError("time_ns, gap_ms and paired must have one length")
+        for array_ in (self.time_ns, self.gap_ms, self.paired):
+            read_only(array_)
+
+
+class PairingStamps:
+    """The stamps of all scans and depth images that pass by in a pass over a recording.
+
+    One pass serves every clock offset: gaps follow from the stamps alone.
+    """
+
+    def __init__(self) -> None:
+        self._scan_ns = array("q")
+        self._image_ns = array("q")
+        self._time_ns = array("q")
+        self.complete = False
+
+    def passing(
+        self, entries: Iterable[LaserScan | PairedImage]
+    ) -> Iterator[LaserScan | PairedImage]:
+        """The entries as they are, noted. ``complete`` once they have all passed."""
+        for entry in entries:
+            if isinstance(entry, LaserScan):
+                self._scan_ns.append(entry.stamp_ns)
+            else:
+                image = entry.image
+                logged_ns = image.stamp_ns if image.received_ns is None else image.received_ns
+                self._image_ns.append(image.stamp_ns)
+                self._time_ns.append(logged_ns)
+            yield entry
+        self.complete = True
+
+    def gaps(self, clock_offset_ms: float, max_gap_ms: float) -> PairingGaps:
+        """The gaps with this clock offset taken out of the images' stamps."""
+        scan_ns = np.sort(np.array(self._scan_ns, dtype=np.int64))
+        image_ns = np.array(self._image_ns, dtype=np.int64) - round(clock_offset_ms * NS_PER_MS)
+        gap_ms = np.full(image_ns.shape, np.nan)
+        paired = np.zeros(image_ns.shape, dtype=np.bool_)
+        if scan_ns.size:
+            after = np.clip(np.searchsorted(scan_ns, image_ns), 1, max(scan_ns.size - 1, 1))
+            after_ns = scan_ns[np.minimum(after, scan_ns.size - 1)]
+            before_ns = scan_ns[after - 1]
+            # Of two that are equally near, pairing takes the earlier.
+            is_before = np.abs(image_ns - before_ns) <= np.abs(image_ns - after_ns)
+            gap_ns = image_ns - np.where(is_before, before_ns, after_ns)
+            gap_ms, paired = gap_ns / NS_PER_MS, np.abs(gap_ns) <= round(max_gap_ms * NS_PER_MS)
+        period_ms = float(np.median(np.diff(scan_ns))) / NS_PER_MS if scan_ns.size > 1 else np.nan
+        return PairingGaps(
+            time_ns=np.array(self._time_ns, dtype=np.int64),
+            gap_ms=gap_ms,
+            paired=paired,
+            scan_period_ms=period_ms,
+        )

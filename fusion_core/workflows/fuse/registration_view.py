@@ -1,0 +1,160 @@
+"""What there is to see of a frame's registration: its pairs in the plane, its draws, what A means,
+and the residuals along the curve.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.denoising.correspondence import planar_points
+from fusion_core.model.classes import NoiseClass
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
+from fusion_core.registration.meaning import MapMeaning, meaning_of
+from fusion_core.registration.models import map_points
+from fusion_core.registration.ransac import Registration
+from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
+
+__all__ = [
+    "Consensus",
+    "DrawShown",
+    "MapMeaning",
+    "PlanarPairs",
+    "Registration",
+    "ResidualCurve",
+    "consensus_of",
+    "draw_at",
+    "meaning_of_registration",
+    "planar_pairs",
+    "residual_curve",
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlanarPairs:
+    """The m pairs of a frame as (m, 2) points, x to the right and z ahead, NaN where missing.
+
+    ``mapped_m``: the LiDAR's points through A, ``inliers``: (m,) who agrees with it; None where
+    there is no A.
+    """
+
+    lidar_m: FloatArray
+    depth_m: FloatArray
+    mapped_m: FloatArray | None
+    inliers: BoolArray | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DrawShown:
+    """One draw of RANSAC: ``pairs`` (n,) of the m pairs, their own ``A`` (3, 3), the pairs that
+    agree with it, ``agree`` (m,), and the LiDAR's points through it, ``mapped_m`` (m, 2).
+
+    A is NaN where the pairs do not determine it; nothing agrees then.
+    """
+
+    index: int
+    pairs: IntArray
+    A: FloatArray
+    agree: BoolArray
+    mapped_m: FloatArray
+
+    @property
+    def inliers(self) -> int:
+        """Number of pairs that agree."""
+        return int(self.agree.sum())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Consensus:
+    """``share``: c, inliers of A among the valid pairs; ``clean``: probability cⁿ that a draw holds
+    inliers alone; ``clean_once``: that one of the N draws did, 1 - (1 - cⁿ)^N."""
+
+    share: float
+    clean: float
+    clean_once: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ResidualCurve:
+    """The pairs with both values, (k,), by rising azimuth.
+
+    ``residual_mm``: what eq. (6) compares with ``epsilon_mm``; depth - LiDAR along the beam, or in
+    the paper's own pairs the length of L A - D. ``pair_class``: codes of NoiseClass, the worse of
+    the pair's two: a burr before a conflict before good.
+    """
+
+    azimuth_deg: FloatArray
+    residual_mm: FloatArray
+    epsilon_mm: FloatArray
+    pair_class: IntArray
+
+    def __post_init__(self) -> None:
+        for array in (self.azimuth_deg, self.residual_mm, self.epsilon_mm, self.pair_class):
+            read_only(array)
+
+
+def planar_pairs(match: FrameMatch) -> PlanarPairs:
+    """The pairs as registration had them."""
+    found = match.registration
+    if found is not None:
+        lidar_m = found.draws.lidar_points_m
+        return PlanarPairs(
+            lidar_m=lidar_m,
+            depth_m=found.draws.depth_points_m,
+            mapped_m=map_points(found.A, lidar_m),
+            inliers=found.inliers,
+        )
+    pairs = match.pairs
+    return PlanarPairs(
+        lidar_m=planar_points(pairs, pairs.lidar_range_m),
+        depth_m=planar_points(pairs, pairs.depth_as_range_m),
+        mapped_m=None,
+        inliers=None,
+    )
+
+
+def draw_at(registration: Registration, index: int) -> DrawShown:
+    """A draw of the model that was taken, as it was at first. Raises IndexError."""
+    draw = registration.draws[index]
+    lidar_m = registration.draws.lidar_points_m
+    return DrawShown(
+        index=draw.index,
+        pairs=draw.pairs,
+        A=draw.A,
+        agree=draw.mask,
+        mapped_m=map_points(draw.A, lidar_m),
+    )
+
+
+def consensus_of(registration: Registration) -> Consensus:
+    """How likely the draws were to hold a clean one, by the inliers of A."""
+    share = int(registration.inliers.sum()) / registration.valid
+    clean = share**registration.draws.sample_size
+    missed = (1.0 - clean) ** len(registration.draws)
+    return Consensus(share=share, clean=clean, clean_once=1.0 - missed)
+
+
+def meaning_of_registration(registration: Registration) -> MapMeaning:
+    """What A does in the middle of its inliers."""
+    middle_m = registration.draws.lidar_points_m[registration.inliers].mean(axis=0)
+    return meaning_of(registration.A, middle_m)
+
+
+def residual_curve(frame: FusedFrame) -> ResidualCurve:
+    """The residuals of a frame with their thresholds and classes."""
+    pairs, classes = frame.pairs, frame.classes
+    shown = np.flatnonzero(np.isfinite(pairs.residual_m))
+    # Beams on both sides of the scan's seam are neighbours where the camera looks backwards.
+    middle_rad = float(np.angle(np.exp(1j * pairs.azimuth_rad).sum()))
+    from_middle = np.angle(np.exp(1j * (pairs.azimuth_rad[shown] - middle_rad)))
+    order = np.argsort(from_middle, kind="stable")
+    shown = shown[order]
+    worst = np.full(shown.size, int(NoiseClass.GOOD))
+    for noise in (NoiseClass.CONFLICT, NoiseClass.BURR):
+        of_either = (classes.lidar_class[shown] == noise) | (classes.depth_class[shown] == noise)
+        worst[of_either] = noise
+    return ResidualCurve(
+        azimuth_deg=np.rad2deg(middle_rad + from_middle[order]),
+        residual_mm=1e3 * pairs.residual_m[shown],
+        epsilon_mm=1e3 * classes.epsilon_m[shown],
+        pair_class=worst,
+    )

@@ -1,0 +1,60 @@
+"""Each input scan once, with what the images paired with it have repaired."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from fusion_core.model.classes import NoiseClass
+from fusion_core.model.conventions import FloatArray
+from fusion_core.model.sensors import LaserScan
+from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.pairing import SCANS_KEPT
+
+
+class _Pending:
+    def __init__(self, scan: LaserScan) -> None:
+        self.scan = scan
+        self.ranges_m = scan.ranges_m.copy()
+        self.codes = np.where(
+            np.isfinite(scan.ranges_m), float(NoiseClass.GOOD), float(NoiseClass.HOLE)
+        )
+        self.gap_ns: FloatArray = np.full(scan.ranges_m.size, np.inf)
+
+
+class ScanMerge:
+    """Scans wait until no image can be paired with them any more, so memory stays bounded.
+
+    Where two images judge the same beam, the one nearer in time decides.
+    """
+
+    def __init__(self) -> None:
+        # By identity: some drivers give two scans one stamp.
+        self._pending: dict[int, _Pending] = {}
+
+    def arrive(self, scan: LaserScan) -> None:
+        """A scan as it comes from the recording."""
+        self._pending[id(scan)] = _Pending(scan)
+
+    def add(self, frame: FusedFrame) -> None:
+        """The repairs of one image, whose scan must still wait."""
+        pending = self._pending[id(frame.scan)]
+        beam = frame.pairs.beam
+        nearer = abs(frame.gap_ns) < pending.gap_ns[beam]
+        beam = beam[nearer]
+        pending.gap_ns[beam] = abs(frame.gap_ns)
+        pending.ranges_m[beam] = frame.repair.lidar_range_m[nearer]
+        pending.codes[beam] = frame.classes.lidar_class[nearer]
+
+    def finished(self) -> Iterator[tuple[LaserScan, LaserScan]]:
+        """Raw and repaired scans that no image can be paired with any more, in order of arrival."""
+        while len(self._pending) > SCANS_KEPT:
+            yield self._take_oldest()
+
+    def rest(self) -> Iterator[tuple[LaserScan, LaserScan]]:
+        """All that still wait."""
+        while self._pending:
+            yield self._take_oldest()
+
+    def _take_oldest(self) -> tuple[LaserScan, LaserScan]:
+        pending = self._pending.pop(next(iter(self._pending)))
+        return pending.scan, pending.scan.with_ranges(pending.ranges_m, pending.codes)

@@ -1,0 +1,171 @@
+"""A recording opened for the chain: its streams, its rig, and the two passes over its frames."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from fusion_core.alignment.virtual_lidar import without_cut
+from fusion_core.model.conventions import Float32Array
+from fusion_core.model.errors import AlignmentFailed
+from fusion_core.model.progress import Progress, silent
+from fusion_core.model.recording import Recording
+from fusion_core.model.sensors import LaserScan
+from fusion_core.recordings.topics import Streams, choose_streams
+from fusion_core.workflows.fitting import Fitting
+from fusion_core.workflows.fuse.align import Alignment, align
+from fusion_core.workflows.fuse.frame import FusedFrame, fuse_frame
+from fusion_core.workflows.fuse.pairing import PairedImage, paired_images
+from fusion_core.workflows.fuse.pairing_gaps import PairingStamps
+from fusion_core.workflows.fuse.presets import ChainSettings, PresetName
+from fusion_core.workflows.fuse.rig import Rig, build_rig
+from fusion_core.workflows.source import RoomChoice
+
+
+@dataclass(frozen=True, kw_only=True)
+class FuseOptions:
+    """What a person asks of a run; the chain's own settings are in the preset and the file.
+
+    ``seed`` goes over theirs; None leaves it to them. ``room`` is a room of a data set.
+    """
+
+    preset: PresetName = "default"
+    settings_file: Path | None = None
+    room: RoomChoice | None = None
+    virtual_lidar_row: int | None = None
+    lidar_topic: str | None = None
+    depth_topics: tuple[str, ...] = ()
+    pose_topic: str | None = None
+    apply_clock_offset: bool = False
+    maps: bool = True
+    figures: bool = True
+    truth: Path | None = None
+    seed: int | None = None
+    force: bool = False
+    overwrite: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Session:
+    """An opened recording with all that its frames need: the rig and a way to run over it."""
+
+    recording: Recording
+    streams: Streams
+    rig: Rig
+    fitting: Fitting
+    settings: ChainSettings
+    virtual_row: int | None
+
+    def pairs(self, clock_offset_ms: float = 0.0) -> Iterator[LaserScan | PairedImage]:
+        """A new pass over scans and images."""
+        return paired_images(
+            self.recording,
+            self.streams,
+            self.rig,
+            self.fitting,
+            self.settings.time,
+            clock_offset_ms=clock_offset_ms,
+            virtual_row=self.virtual_row,
+        )
+
+    def depth_of(self, camera: int, stored_m: Float32Array) -> Float32Array:
+        """(H', W') upright view of a stored image, without the rows of a virtual LiDAR."""
+        depth_m = self.rig.views[camera].of(stored_m)
+        return depth_m if self.virtual_row is None else without_cut(depth_m, self.virtual_row)
+
+    @property
+    def image_count(self) -> int:
+        """Depth images of the rig's cameras."""
+        wanted = {camera.topic for camera in self.rig.cameras}
+        return sum(topic.count for topic in self.recording.topics if topic.name in wanted)
+
+
+def open_session(recording: Recording, options: FuseOptions, settings: ChainSettings) -> Session:
+    """Choose the streams and build the rig."""
+    streams = choose_streams(
+        recording,
+        lidar=options.lidar_topic,
+        depth=options.depth_topics or None,
+        pose=options.pose_topic,
+    )
+    virtual = options.virtual_lidar_row is not None
+    rig = build_rig(recording, streams, settings.sampling, virtual=virtual)
+    return session_of(recording, streams, rig, settings, options.virtual_lidar_row)
+
+
+def session_of(
+    recording: Recording,
+    streams: Streams,
+    rig: Rig,
+    settings: ChainSettings,
+    virtual_row: int | None = None,
+) -> Session:
+    """A session with a rig that is built; with the recording's own LiDAR unless ``virtual_row``."""
+    return Session(
+        recording=recording,
+        streams=streams,
+        rig=rig,
+        fitting=fitting_of(recording, rig),
+        settings=settings,
+        virtual_row=virtual_row,
+    )
+
+
+def fitting_of(recording: Recording, rig: Rig) -> Fitting:
+    """What tells the messages that fit a rig from the others."""
+    shapes = {
+        camera.topic: view.stored_shape for camera, view in zip(rig.cameras, rig.views, strict=True)
+    }
+    return Fitting(recording, rig.scan_geometry, shapes)
+
+
+def align_session(
+    session: Session, progress: Progress = silent, stamps: PairingStamps | None = None
+) -> Alignment:
+    """Pass 1 over a session. ``stamps`` takes note of what passes.
+
+    Raises AlignmentFailed, and RecordingError where the clock of a sensor tells no order.
+    """
+    lidar = session.streams.lidar if session.virtual_row is None else None
+    cameras = [camera.topic for camera in session.rig.cameras]
+    session.fitting.require_order(cameras if lidar is None else [lidar, *cameras])
+
+    def pairs() -> Iterator[LaserScan | PairedImage]:
+        entries = session.pairs()
+        return entries if stamps is None else stamps.passing(entries)
+
+    return align(
+        pairs,
+        session.rig,
+        session.settings,
+        session.image_count,
+        progress,
+        depth_of=session.depth_of,
+        refine=session.virtual_row is None,
+    )
+
+
+def fuse_session(
+    session: Session, alignment: Alignment, clock_offset_ms: float = 0.0
+) -> Iterator[LaserScan | PairedImage | FusedFrame]:
+    """Pass 2: scans as they arrive, fused frames, and the images that could not be fused."""
+    before: dict[int, tuple[int, Float32Array]] = {}
+    for entry in session.pairs(clock_offset_ms):
+        if isinstance(entry, LaserScan) or entry.window is None:
+            yield entry
+            continue
+        depth_m = session.depth_of(entry.camera, entry.image.depth_m)
+        try:
+            yield fuse_frame(
+                session.rig,
+                entry.camera,
+                depth_m,
+                entry.window,
+                entry.gap_ns,
+                alignment,
+                session.settings,
+                image=entry.image,
+                before=before.get(entry.camera),
+            )
+        except AlignmentFailed:
+            yield entry
+        before[entry.camera] = (entry.image.stamp_ns, depth_m)

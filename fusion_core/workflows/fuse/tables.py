@@ -1,0 +1,231 @@
+"""The rows that ``fuse`` writes: frames.csv, samples.parquet and alignment.json."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from fusion_core.model.classes import NoiseClass, RepairSource
+from fusion_core.model.conventions import NS_PER_MS, FloatArray
+from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
+from fusion_core.workflows.fuse.align import METRICS, Alignment
+from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.pairing import PairedImage
+from fusion_core.workflows.fuse.rig import Rig
+
+_CLASS_COUNTS = [
+    f"{sensor}_{noise.name.lower()}" for sensor in ("lidar", "depth") for noise in NoiseClass
+]
+FRAME_COLUMNS: tuple[str, ...] = (
+    "camera",
+    "stamp_ns",
+    "scan_stamp_ns",
+    "gap_ms",
+    "u",
+    "v",
+    "score",
+    "peak_ratio",
+    "u_alone",
+    "overlap",
+    "row_model",
+    "inliers",
+    "mean_error_m",
+    "sigma_m",
+    "epsilon_m",
+    *_CLASS_COUNTS,
+    "repaired_lidar",
+    "repaired_depth",
+    *(f"u_{metric}" for metric in METRICS),
+    *(f"u_alone_{metric}" for metric in METRICS),
+    "registration_refused",
+)
+
+SAMPLE_SCHEMA: dict[str, pa.DataType] = {
+    "camera": pa.dictionary(pa.int8(), pa.string()),
+    "stamp_ns": pa.int64(),
+    "scan_stamp_ns": pa.int64(),
+    "lidar_beam": pa.int32(),
+    "depth_row": pa.int32(),
+    "depth_column": pa.int32(),
+    "lidar_class": pa.int8(),
+    "depth_class": pa.int8(),
+    "lidar_confidence": pa.float32(),
+    "depth_confidence": pa.float32(),
+    "residual_m": pa.float64(),
+    "lidar_raw_m": pa.float64(),
+    "lidar_repaired_m": pa.float64(),
+    "lidar_source": pa.dictionary(pa.int8(), pa.string()),
+    "depth_raw_m": pa.float64(),
+    "depth_repaired_m": pa.float64(),
+    "depth_source": pa.dictionary(pa.int8(), pa.string()),
+}
+_SOURCE_NAMES = np.array([source.name.lower() for source in RepairSource])
+
+
+def unpaired_row(topic: str, entry: PairedImage) -> dict[str, object]:
+    """The row of an image that found no scan, or no place on its curve."""
+    row: dict[str, object] = dict.fromkeys(FRAME_COLUMNS)
+    row.update(camera=topic, stamp_ns=entry.image.stamp_ns)
+    if entry.window is not None:
+        row.update(scan_stamp_ns=entry.window.scan.stamp_ns, gap_ms=entry.gap_ns / NS_PER_MS)
+    return row
+
+
+def frame_row(topic: str, frame: FusedFrame, alignment: Alignment, rig: Rig) -> dict[str, object]:
+    """The row of a fused image. Depth is counted where the stored image has the pixel."""
+    peak = frame.search.peaks.get(alignment.metric)
+    alone = frame.search.peaks_alone.get(alignment.metric)
+    registration = frame.registration
+    stored_row, _ = rig.views[frame.camera].stored_pixels(frame.pairs.row, frame.pairs.column)
+    stored = stored_row >= 0
+    row: dict[str, object] = dict.fromkeys(FRAME_COLUMNS)
+    row.update(
+        camera=topic,
+        stamp_ns=frame.stamp_ns,
+        scan_stamp_ns=frame.scan.stamp_ns,
+        gap_ms=frame.gap_ns / NS_PER_MS,
+        u_alone=None if alone is None else alone.u + frame.u_of_rig,
+        row_model=frame.row_model,
+        inliers=None if registration is None else int(registration.inliers.sum()),
+        mean_error_m=None if registration is None else registration.mean_error_m,
+        sigma_m=frame.sigma_m,
+        epsilon_m=frame.epsilon_m,
+        repaired_lidar=_repaired(frame.repair.lidar_source),
+        repaired_depth=_repaired(frame.repair.depth_source[stored]),
+        registration_refused=frame.refusal or None,
+    )
+    if peak is not None:
+        row.update(
+            u=peak.u + frame.u_of_rig,
+            v=peak.v,
+            score=peak.score,
+            peak_ratio=peak.ratio,
+            overlap=peak.overlap,
+        )
+    for name, classes in (
+        ("lidar", frame.classes.lidar_class),
+        ("depth", frame.classes.depth_class[stored]),
+    ):
+        for noise in NoiseClass:
+            row[f"{name}_{noise.name.lower()}"] = int((classes == noise).sum())
+    for metric in METRICS:
+        if metric in frame.search.peaks:
+            row[f"u_{metric}"] = frame.search.peaks[metric].u + frame.u_of_rig
+        if metric in frame.search.peaks_alone:
+            row[f"u_alone_{metric}"] = frame.search.peaks_alone[metric].u + frame.u_of_rig
+    return row
+
+
+def _repaired(sources: npt.NDArray[np.int64]) -> int:
+    return int(np.isin(sources, (RepairSource.OTHER_SENSOR, RepairSource.NEIGHBOURS)).sum())
+
+
+def sample_columns(topic: str, frame: FusedFrame, rig: Rig) -> dict[str, npt.NDArray[Any]]:
+    """The rows of a fused image's beams, pixels named in the stored image."""
+    pairs, classes, mended = frame.pairs, frame.classes, frame.repair
+    count = pairs.beam.size
+    row, column = rig.views[frame.camera].stored_pixels(pairs.row, pairs.column)
+    outside = row < 0
+
+    def nullable(values: npt.NDArray[np.int64]) -> FloatArray:
+        return np.where(outside, np.nan, values)
+
+    return {
+        "camera": np.full(count, topic),
+        "stamp_ns": np.full(count, frame.stamp_ns),
+        "scan_stamp_ns": np.full(count, frame.scan.stamp_ns),
+        "lidar_beam": pairs.beam,
+        "depth_row": nullable(row),
+        "depth_column": nullable(column),
+        "lidar_class": classes.lidar_class,
+        "depth_class": nullable(classes.depth_class),
+        "lidar_confidence": classes.lidar_confidence,
+        "depth_confidence": np.where(outside, np.nan, classes.depth_confidence),
+        "residual_m": pairs.residual_m,
+        "lidar_raw_m": pairs.lidar_range_m,
+        "lidar_repaired_m": mended.lidar_range_m,
+        "lidar_source": _SOURCE_NAMES[mended.lidar_source],
+        "depth_raw_m": pairs.depth_m,
+        "depth_repaired_m": np.where(outside, np.nan, mended.depth_m),
+        "depth_source": _SOURCE_NAMES[
+            np.where(outside, int(RepairSource.NONE), mended.depth_source)
+        ],
+    }
+
+
+def alignment_document(
+    alignment: Alignment, rig: Rig, preset: str, *, virtual: bool, notes: list[str]
+) -> dict[str, Any]:
+    """alignment.json: offsets, mount with uncertainties, and the geometry that results rest on."""
+    peak, mount = alignment.peak, alignment.mount
+    estimate = alignment.estimate
+    scan = alignment.lidar
+    return {
+        "preset": preset,
+        "virtual_lidar": virtual,
+        "u": peak.u,
+        "v": peak.v,
+        "score": peak.score,
+        "peak_ratio": _known(peak.ratio),
+        "metric": alignment.metric,
+        **_mount_entries(mount),
+        "by_metric": {
+            metric: {
+                "u": found.u,
+                "v": found.v,
+                "score": found.score,
+                "peak_ratio": _known(found.ratio),
+            }
+            for metric, found in alignment.peaks.items()
+        },
+        "row_model": "curve" if alignment.along_curve else "row",
+        "agreement": None if estimate is None else estimate.agreement,
+        "visible": None if estimate is None else estimate.visible,
+        "mount_used": dict(zip(MOUNT_PARAMETERS, mount.vector().tolist(), strict=True)),
+        "recorded_mount_used": estimate is not None and estimate.from_recorded,
+        "noise_scale": {"floor_m": alignment.scale.floor_m, "share": alignment.scale.share},
+        "frames": alignment.frames,
+        "lidar": {
+            "angle_min_rad": scan.angle_min_rad,
+            "angle_increment_rad": scan.angle_increment_rad,
+            "beams": scan.ranges_m.size,
+            "range_max_m": _known(scan.range_max_m),
+            "samples": alignment.curve.beams.size,
+        },
+        "cameras": [_camera_entry(rig, index, mount) for index in range(len(rig.cameras))],
+        "notes": notes,
+    }
+
+
+def _mount_entries(mount: Mount) -> dict[str, float | None]:
+    """Each value of the mount with its standard deviation, both null where not observable."""
+    entries: dict[str, float | None] = {}
+    for name, sd in zip(MOUNT_PARAMETERS, mount.sd, strict=True):
+        entries[name] = None if sd is None else float(getattr(mount, name))
+        entries[f"{name}_sd"] = None if sd is None else float(sd)
+    return entries
+
+
+def _camera_entry(rig: Rig, index: int, mount: Mount) -> dict[str, Any]:
+    camera, view = rig.cameras[index], rig.full_views[index]
+    height, width = view.stored_shape
+    T_rig_stored = camera.T_rig_camera.copy()
+    T_rig_stored[:3, :3] = camera.T_rig_camera[:3, :3] @ view.R_stored_view.T
+    lens = rig.stored_intrinsics[index]
+    return {
+        "topic": camera.topic,
+        "width": width,
+        "height": height,
+        "fx": lens.fx,
+        "fy": lens.fy,
+        "cx": lens.cx,
+        "cy": lens.cy,
+        "calibrated": camera.calibrated,
+        "T_rig_camera": T_rig_stored.tolist(),
+        "T_lidar_camera": (mount.T_lidar_rig @ T_rig_stored).tolist(),
+    }
+
+
+def _known(value: float) -> float | None:
+    return value if np.isfinite(value) else None

@@ -1,0 +1,98 @@
+"""The estimators of ``scanloom map``: each places the scans of a recording."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
+from fusion_core.model.errors import MappingFailed
+from fusion_core.model.planar_poses import Prior
+from fusion_core.model.progress import Progress
+from fusion_core.model.slam_view import Watch
+from fusion_core.slam.particle_filter import ParticleResult, particle_filter_slam
+from fusion_core.slam.pose_graph_slam import SlamResult, pose_graph_slam
+from fusion_core.workflows.map.scan_source import Scans
+from fusion_core.workflows.map.settings import MapSettings
+
+SlamKind = Literal["none", "particle-filter", "pose-graph"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Placed:
+    """N scans with a pose.
+
+    ``poses_map_scan``: (N, 3) x, y, yaw. ``trusted``: (N,) whether each can be. ``graph``,
+    ``particles``: of the estimator that has them. ``seconds``: of each stage, on the wall clock.
+    ``notes``: for people.
+    """
+
+    stamps_ns: IntArray
+    poses_map_scan: FloatArray
+    trusted: BoolArray
+    seconds: Mapping[str, float]
+    graph: SlamResult | None = None
+    particles: ParticleResult | None = None
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for array in (self.stamps_ns, self.poses_map_scan, self.trusted):
+            read_only(array)
+
+
+def place(
+    scans: Scans,
+    prior: Prior | None,
+    slam: SlamKind,
+    settings: MapSettings,
+    progress: Progress,
+    watch: Watch,
+) -> Placed:
+    """Place the scans; ``prior`` is all there is without SLAM.
+
+    Raises MappingFailed where no scan can be placed.
+    """
+    if slam == "pose-graph":
+        graph = pose_graph_slam(scans, prior, settings, progress, watch)
+        return Placed(
+            stamps_ns=graph.stamps_ns,
+            poses_map_scan=graph.poses_map_scan,
+            trusted=graph.trusted,
+            seconds=graph.seconds,
+            graph=graph,
+        )
+    if slam == "particle-filter":
+        particles = particle_filter_slam(scans, prior, settings.particles, progress, watch)
+        return Placed(
+            stamps_ns=particles.stamps_ns,
+            poses_map_scan=particles.poses_map_scan,
+            trusted=particles.trusted,
+            seconds=particles.seconds,
+            particles=particles,
+        )
+    if prior is None:
+        raise MappingFailed("without SLAM and without motion there are no poses.")
+    return _placed_by_motion(scans, prior)
+
+
+def _placed_by_motion(scans: Scans, prior: Prior) -> Placed:
+    stamps_ns = []
+    found = []
+    for scan in scans:
+        stamps_ns.append(scan.stamp_ns)
+        found.append(prior(scan.stamp_ns))
+    poses = [pose for pose in found if pose is not None]
+    if not poses:
+        raise MappingFailed("the motion has no pose for any scan.")
+    known = np.array([pose is not None for pose in found])
+    notes: tuple[str, ...] = ()
+    if not known.all():
+        notes = (f"{np.count_nonzero(~known)} scans have no pose and are left out.",)
+    return Placed(
+        stamps_ns=np.array(stamps_ns, dtype=np.int64)[known],
+        poses_map_scan=np.array(poses),
+        trusted=np.ones(len(poses), dtype=np.bool_),
+        seconds={},
+        notes=notes,
+    )

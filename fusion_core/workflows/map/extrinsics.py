@@ -1,0 +1,291 @@
+"""Where the depth cameras stand against the LiDAR: from a file, from TF, or from the alignment."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from fusion_core.alignment.upright import UprightView, upright_view
+from fusion_core.model.conventions import FloatArray, read_only
+from fusion_core.model.errors import AlignmentFailed, ScanLoomError, SettingsError
+from fusion_core.model.geometry import inverse, transform
+from fusion_core.model.progress import Progress, silent
+from fusion_core.model.recording import Recording
+from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
+from fusion_core.model.sensors import Transform, TransformBatch
+from fusion_core.model.transform_tree import TransformTree
+from fusion_core.recordings.topics import Streams
+from fusion_core.workflows.fuse.align import mount_not_used
+from fusion_core.workflows.fuse.presets import ChainSettings
+from fusion_core.workflows.fuse.rig import Rig, build_rig
+from fusion_core.workflows.fuse.session import Session, align_session, session_of
+from fusion_core.workflows.map.extrinsics_file import read_extrinsics
+from fusion_core.workflows.map.recorded_mount import refusal_of_recorded
+
+ExtrinsicsSource = Literal["file", "tf", "alignment", "level"]
+
+LEVEL_FRAME = "camera_level"
+# REP 105: the frame that lies on the floor below the robot.
+_FLOOR_FRAME = "base_footprint"
+_IN_PLANE = ("yaw_rad", "forward_m", "left_m")
+_OUT_OF_PLANE = ("delta_z_m", "pitch_rad")
+_GIVE_FILE = "Give --extrinsics FILE, or use --scan lidar."
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlacedCamera:
+    """A depth camera in the LiDAR's frame.
+
+    ``T_lidar_camera``: (4, 4), the optical frame of the upright ``view`` to the LiDAR's.
+    ``upside_down``: the LiDAR's z points down.
+    """
+
+    topic: str
+    view: UprightView
+    T_lidar_camera: FloatArray
+    upside_down: bool = False
+
+    def __post_init__(self) -> None:
+        if self.T_lidar_camera.shape != (4, 4):
+            raise ValueError(f"T_lidar_camera must be (4, 4), got {self.T_lidar_camera.shape}")
+        read_only(self.T_lidar_camera)
+
+    @property
+    def T_up_camera(self) -> FloatArray:
+        """(4, 4), the optical frame to the LiDAR's, turned about its x where z points down."""
+        if not self.upside_down:
+            return self.T_lidar_camera
+        turned: FloatArray = np.diag([1.0, -1.0, -1.0, 1.0]) @ self.T_lidar_camera
+        return turned
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Extrinsics:
+    """The cameras around a LiDAR.
+
+    ``frame_id``: the LiDAR's frame, or LEVEL_FRAME under the first camera where the recording has
+    no LiDAR ("level"); only the directions of that one mean anything before the floor is known.
+    ``height_known``: whether heights and tilts against the LiDAR are; an alignment need not see
+    them. ``lidar_height_m``: above the floor, where the recording's transforms say so.
+    """
+
+    source: ExtrinsicsSource
+    frame_id: str
+    cameras: tuple[PlacedCamera, ...]
+    height_known: bool
+    lidar_height_m: float | None
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Stand:
+    """How the LiDAR stands by the static transforms. ``height_m``: above the floor's frame, None
+    where they do not say; ``upside_down``: against the root of its frames."""
+
+    height_m: float | None
+    upside_down: bool
+
+
+def extrinsics(
+    recording: Recording,
+    streams: Streams,
+    settings: ChainSettings,
+    *,
+    file: Path | None = None,
+    progress: Progress = silent,
+) -> Extrinsics:
+    """The best that is known: ``file``, else the recording's transforms, else the alignment of
+    scans and images (a pass over the recording), else, without a LiDAR, a camera that is level.
+
+    Raises MissingStream without depth images, SettingsError for the file, AlignmentFailed where
+    the alignment does not show where the camera stands in the LiDAR's plane.
+    """
+    if streams.lidar is None:
+        if file is not None:
+            raise SettingsError(
+                "there is no LiDAR to which these extrinsics could apply.",
+                file=file,
+                advice="Leave --extrinsics out, or name the LiDAR's topic.",
+            )
+        return _level(recording, streams, settings)
+    rig = build_rig(recording, streams, settings.sampling)
+    stand = _stand(recording, streams, rig.lidar_frame)
+    if file is not None:
+        return _from_file(file, rig, streams, stand)
+    session = session_of(recording, streams, rig, settings)
+    refusal = refusal_of_recorded(session)
+    if rig.recorded is not None and not refusal:
+        return Extrinsics(
+            source="tf",
+            frame_id=rig.lidar_frame,
+            cameras=_placed(rig, rig.recorded, stand),
+            height_known=True,
+            lidar_height_m=stand.height_m,
+            notes=(*rig.notes, f"Extrinsics from {streams.tf_static}."),
+        )
+    try:
+        return _aligned(session, stand, progress)
+    except AlignmentFailed as error:
+        if not refusal:
+            raise
+        raise AlignmentFailed(
+            f"{error.problem} {mount_not_used(refusal)}", file=recording.path, advice=_GIVE_FILE
+        ) from error
+
+
+def _placed(rig: Rig, mount: Mount, stand: _Stand) -> tuple[PlacedCamera, ...]:
+    return tuple(
+        PlacedCamera(
+            topic=camera.topic,
+            view=view,
+            T_lidar_camera=mount.T_lidar_rig @ camera.T_rig_camera,
+            upside_down=stand.upside_down,
+        )
+        for camera, view in zip(rig.cameras, rig.views, strict=True)
+    )
+
+
+def _level(recording: Recording, streams: Streams, settings: ChainSettings) -> Extrinsics:
+    rig = build_rig(recording, streams, settings.sampling, virtual=True)
+    T_level_camera = rig.cameras[0].T_rig_camera.copy()
+    T_level_camera[:3, 3] = 0.0
+    camera = PlacedCamera(
+        topic=rig.cameras[0].topic, view=rig.full_views[0], T_lidar_camera=T_level_camera
+    )
+    others = [topic for topic in streams.depth if topic != camera.topic]
+    notes = [*streams.notes, f"No LiDAR: scans lie in {LEVEL_FRAME}, level under {camera.topic}."]
+    if others:
+        notes.append(f"{', '.join(others)} left out: nothing joins the cameras.")
+    return Extrinsics(
+        source="level",
+        frame_id=LEVEL_FRAME,
+        cameras=(camera,),
+        height_known=False,
+        lidar_height_m=None,
+        notes=tuple(notes),
+    )
+
+
+def _from_file(file: Path, rig: Rig, streams: Streams, stand: _Stand) -> Extrinsics:
+    given = read_extrinsics(file)
+    lenses = {
+        camera.topic: stored
+        for camera, stored in zip(rig.cameras, rig.stored_intrinsics, strict=True)
+    }
+    if None in given:
+        if len(streams.depth) > 1:
+            raise SettingsError(
+                f"holds one transform for {len(streams.depth)} depth cameras.",
+                file=file,
+                advice=f'Name one with --depth, or write a table cameras."{streams.depth[0]}".',
+            )
+        given = {rig.cameras[0].topic: given[None]}
+    known: dict[str, FloatArray] = {t: T for t, T in given.items() if t in lenses}
+    if not known:
+        raise SettingsError(
+            f"names none of the depth topics {', '.join(lenses)}.", file=file, advice=_GIVE_FILE
+        )
+    cameras = []
+    for topic, T_camera_lidar in known.items():
+        up = -T_camera_lidar[:3, 2] if stand.upside_down else T_camera_lidar[:3, 2]
+        view = upright_view(lenses[topic], up)
+        cameras.append(
+            PlacedCamera(
+                topic=topic,
+                view=view,
+                T_lidar_camera=inverse(T_camera_lidar) @ transform(view.R_stored_view, np.zeros(3)),
+                upside_down=stand.upside_down,
+            )
+        )
+    notes = [*rig.notes, f"Extrinsics from {file.name}."]
+    left_out = [topic for topic in streams.depth if topic not in known]
+    if left_out:
+        notes.append(f"{', '.join(left_out)} left out: {file.name} does not place them.")
+    return Extrinsics(
+        source="file",
+        frame_id=rig.lidar_frame,
+        cameras=tuple(cameras),
+        height_known=True,
+        lidar_height_m=stand.height_m,
+        notes=tuple(notes),
+    )
+
+
+def _aligned(session: Session, stand: _Stand, progress: Progress) -> Extrinsics:
+    recording, rig = session.recording, session.rig
+    alignment = align_session(session, progress)
+    mount = alignment.mount
+    if alignment.estimate is None:
+        raise AlignmentFailed(
+            "the alignment pairs rows only, which does not tell where the camera stands.",
+            file=recording.path,
+            advice=_GIVE_FILE,
+        )
+    unseen = _unseen(mount, _IN_PLANE)
+    if unseen or not alignment.along_curve:
+        what = f"not show the camera's {_listed(unseen)}" if unseen else "not agree on a mount"
+        raise AlignmentFailed(
+            f"scans and images do {what}.", file=recording.path, advice=_GIVE_FILE
+        )
+    notes = [*rig.notes, *alignment.notes, f"Extrinsics from the alignment: {_said(mount)}."]
+    unseen = _unseen(mount, _OUT_OF_PLANE)
+    if unseen:
+        notes.append(f"The alignment does not show {_listed(unseen)}: the floor in the depth must.")
+    return Extrinsics(
+        source="alignment",
+        frame_id=rig.lidar_frame,
+        cameras=_placed(rig, mount, stand),
+        height_known=not unseen,
+        lidar_height_m=stand.height_m,
+        notes=tuple(notes),
+    )
+
+
+def _unseen(mount: Mount, names: Sequence[str]) -> list[str]:
+    sd = dict(zip(MOUNT_PARAMETERS, mount.sd, strict=True))
+    return [name for name in names if sd[name] is None]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(name.rsplit("_", 1)[0].replace("_", " ") for name in names)
+
+
+def _said(mount: Mount) -> str:
+    sd = dict(zip(MOUNT_PARAMETERS, mount.sd, strict=True))
+    yaw = f"yaw {np.rad2deg(mount.yaw_rad):.2f} +- {np.rad2deg(sd['yaw_rad'] or 0.0):.2f} deg"
+    forward = f"forward {mount.forward_m:.3f} +- {sd['forward_m']:.3f} m"
+    return f"{yaw}, {forward}, left {mount.left_m:.3f} +- {sd['left_m']:.3f} m"
+
+
+def _stand(recording: Recording, streams: Streams, lidar_frame: str) -> _Stand:
+    tree = TransformTree()
+    parents: dict[str, str] = {}
+    if streams.tf_static is not None:
+        for message in recording.messages([streams.tf_static]):
+            if isinstance(message.value, TransformBatch):
+                for entry in message.value.transforms:
+                    sample = _without_slash(entry)
+                    tree.add(sample, static=True)
+                    parents[sample.child] = sample.parent
+    lidar = root = lidar_frame.lstrip("/")
+    seen = {root}
+    while root in parents and parents[root] not in seen:
+        root = parents[root]
+        seen.add(root)
+    upside_down = bool(tree.lookup(root, lidar, 0)[2, 2] < 0.0)
+    try:
+        height_m = float(tree.lookup(_FLOOR_FRAME, lidar, 0)[2, 3])
+    except ScanLoomError:
+        height_m = 0.0
+    return _Stand(height_m=height_m if height_m > 0.0 else None, upside_down=upside_down)
+
+
+def _without_slash(sample: Transform) -> Transform:
+    return Transform(
+        stamp_ns=sample.stamp_ns,
+        parent=sample.parent.lstrip("/"),
+        child=sample.child.lstrip("/"),
+        T_parent_child=sample.T_parent_child.copy(),
+    )

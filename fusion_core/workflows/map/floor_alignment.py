@@ -1,0 +1,192 @@
+"""The floor below the cameras, and with it each camera's way into a virtual scan."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.alignment.upright import UprightView
+from fusion_core.mapping.floor_plane import FloorPlane, find_floor
+from fusion_core.mapping.virtual_scan import VirtualScanSettings
+from fusion_core.model.conventions import Float32Array, FloatArray, read_only
+from fusion_core.model.errors import AlignmentFailed, RecordingError
+from fusion_core.model.recording import Recording
+from fusion_core.model.sensors import DepthImage
+from fusion_core.workflows.map.extrinsics import Extrinsics, ExtrinsicsSource, PlacedCamera
+
+# As many images, spread evenly over the recording, show the floor.
+_IMAGES = 24
+_TILT_MAX_DEG: dict[ExtrinsicsSource, float] = {
+    "file": 10.0,
+    "tf": 10.0,
+    "alignment": 15.0,
+    "level": 45.0,
+}
+# What is worth saying of a floor that lies elsewhere than the extrinsics have it.
+_TILT_SAID_DEG = 1.0
+_HEIGHT_SAID_M = 0.03
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LevelCamera:
+    """``floor_from_camera``: (3, 4), points in the optical frame of ``view`` to x and y in the
+    scan's frame and the height above the floor."""
+
+    topic: str
+    view: UprightView
+    floor_from_camera: FloatArray
+
+    def __post_init__(self) -> None:
+        read_only(self.floor_from_camera)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Levelled:
+    """``lidar_height_m``: the LiDAR's plane above the floor, None where nothing tells."""
+
+    cameras: tuple[LevelCamera, ...]
+    lidar_height_m: float | None
+    notes: tuple[str, ...]
+
+
+def levelled(recording: Recording, placed: Extrinsics, settings: VirtualScanSettings) -> Levelled:
+    """The cameras over the floor.
+
+    The floor comes from ``settings.lidar_height_m`` where that is given, else from the depth
+    images, else from the recording's transforms.
+
+    Raises AlignmentFailed where none of them tells.
+    """
+    given_m = settings.lidar_height_m
+    if given_m is not None:
+        if not placed.height_known:
+            raise AlignmentFailed(
+                "the LiDAR's height is given, but not the camera's above the LiDAR.",
+                file=recording.path,
+                advice="Give --extrinsics FILE too, or leave virtual_scan.lidar_height_m out.",
+            )
+        return Levelled(
+            cameras=tuple(_at_height(camera, given_m) for camera in placed.cameras),
+            lidar_height_m=given_m,
+            notes=(f"The LiDAR is {given_m:g} m above the floor, as given.",),
+        )
+    floors, problem = _floors(recording, placed)
+    notes = [_said(topic, floor) for topic, floor in floors.items()]
+    lidar_heights_m = [
+        floors[camera.topic].camera_height_m - float(camera.T_up_camera[2, 3])
+        for camera in placed.cameras
+        if camera.topic in floors
+    ]
+    if lidar_heights_m:
+        # Between cameras of one rig the heights are known even where the LiDAR's is not.
+        height_m = float(np.median(lidar_heights_m))
+        notes += _differences(placed, floors, height_m)
+    elif placed.height_known and placed.lidar_height_m is not None:
+        height_m = placed.lidar_height_m
+        notes.append(f"No floor in the depth: the LiDAR's height of {height_m:.3f} m is TF's.")
+    else:
+        assert problem is not None, "without a floor there is a reason"
+        raise problem
+    cameras = tuple(
+        _over_floor(camera, floors[camera.topic])
+        if camera.topic in floors
+        else _at_height(camera, height_m)
+        for camera in placed.cameras
+    )
+    lidar_height_m = height_m if placed.height_known and placed.source != "level" else None
+    return Levelled(cameras=cameras, lidar_height_m=lidar_height_m, notes=tuple(notes))
+
+
+def _floors(
+    recording: Recording, placed: Extrinsics
+) -> tuple[dict[str, FloorPlane], AlignmentFailed | None]:
+    """The floor of each camera that sees it, by topic, and why the last other one does not."""
+    floors: dict[str, FloorPlane] = {}
+    problem = None
+    for camera in placed.cameras:
+        try:
+            floors[camera.topic] = find_floor(
+                _some_images(recording, camera),
+                camera.view.intrinsics,
+                camera.T_up_camera[2, :3],
+                tilt_max_rad=float(np.deg2rad(_TILT_MAX_DEG[placed.source])),
+            )
+        except AlignmentFailed as error:
+            problem = AlignmentFailed(
+                f"{camera.topic}: {error.problem}", file=recording.path, advice=error.advice
+            )
+    return floors, problem
+
+
+def _some_images(recording: Recording, camera: PlacedCamera) -> list[Float32Array]:
+    count = next(topic.count for topic in recording.topics if topic.name == camera.topic)
+    images = []
+    for index in np.unique(np.linspace(0, count - 1, min(count, _IMAGES)).astype(np.int64)):
+        try:
+            value = recording.read(camera.topic, int(index)).value
+        except RecordingError:
+            # Reading it has left its own warning.
+            continue
+        if isinstance(value, DepthImage) and value.depth_m.shape == camera.view.stored_shape:
+            images.append(camera.view.of(value.depth_m))
+    return images
+
+
+def _over_floor(camera: PlacedCamera, floor: FloorPlane) -> LevelCamera:
+    """The camera with the floor's tilt and height, and with the place and yaw of the extrinsics."""
+    R = camera.T_up_camera[:3, :3]
+    floor_from_camera = np.empty((3, 4))
+    floor_from_camera[:, :3] = _shortest_rotation(R @ floor.up) @ R
+    floor_from_camera[:2, 3] = camera.T_up_camera[:2, 3]
+    floor_from_camera[2, 3] = floor.camera_height_m
+    return _level_camera(camera, floor_from_camera)
+
+
+def _at_height(camera: PlacedCamera, lidar_height_m: float) -> LevelCamera:
+    floor_from_camera = camera.T_up_camera[:3].copy()
+    floor_from_camera[2, 3] += lidar_height_m
+    return _level_camera(camera, floor_from_camera)
+
+
+def _level_camera(camera: PlacedCamera, floor_from_camera: FloatArray) -> LevelCamera:
+    if camera.upside_down:
+        # Back to the LiDAR's own x and y; heights stay heights.
+        floor_from_camera[1] *= -1.0
+    return LevelCamera(topic=camera.topic, view=camera.view, floor_from_camera=floor_from_camera)
+
+
+def _shortest_rotation(direction: FloatArray) -> FloatArray:
+    """(3, 3) that turns a unit direction, which is not straight down, to z."""
+    x, y, z = direction
+    # Rodrigues' formula about direction x z, which lies in the plane.
+    K = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
+    rotation: FloatArray = np.eye(3) + K + K @ K / (1.0 + z)
+    return rotation
+
+
+def _said(topic: str, floor: FloorPlane) -> str:
+    return (
+        f"{topic} is {floor.camera_height_m:.3f} m above the floor that {floor.images} of "
+        f"its images show."
+    )
+
+
+def _differences(
+    placed: Extrinsics, floors: dict[str, FloorPlane], height_m: float
+) -> Sequence[str]:
+    """Where the floor contradicts what was told of the mount."""
+    notes = []
+    for topic, floor in floors.items():
+        tilt_deg = float(np.rad2deg(floor.tilt_rad))
+        if placed.height_known and tilt_deg > _TILT_SAID_DEG:
+            notes.append(
+                f"{topic}: the floor tilts by {tilt_deg:.1f} degrees against the extrinsics "
+                "and is believed."
+            )
+    told_m = placed.lidar_height_m
+    if placed.height_known and told_m is not None and abs(told_m - height_m) > _HEIGHT_SAID_M:
+        notes.append(
+            f"TF has the LiDAR at {told_m:.3f} m above the floor, the depth at {height_m:.3f} m, "
+            "which is believed."
+        )
+    return notes

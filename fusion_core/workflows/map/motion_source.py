@@ -1,0 +1,229 @@
+"""What is known of the LiDAR's motion before SLAM (Li 2022 §3)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from fusion_core.model.conventions import NS_PER_MS, R_BODY_OPTICAL, FloatArray, IntArray
+from fusion_core.model.errors import MissingStream
+from fusion_core.model.geometry import transform
+from fusion_core.model.progress import Progress, silent
+from fusion_core.model.recording import Recording
+from fusion_core.model.sensors import PoseSample
+from fusion_core.motion.fusion import FusionSettings, fuse
+from fusion_core.motion.fusion_weights import FusionWeights
+from fusion_core.motion.laser import LaserOdometrySettings, laser_odometry
+from fusion_core.motion.resample import resampled
+from fusion_core.motion.track import OdometryTrack
+from fusion_core.motion.visual import VisualOdometrySettings, visual_odometry
+from fusion_core.motion.wheel import WheelSettings, wheel_odometry
+from fusion_core.recordings.topics import Streams, choose_streams
+from fusion_core.settings import SettingsGroup
+from fusion_core.workflows.map.extrinsics import Extrinsics
+from fusion_core.workflows.map.scan_source import Scans
+from fusion_core.workflows.map.visual_frames import CameraFrames, camera_on_lidar
+from fusion_core.workflows.poses import Poses, recorded_poses
+from fusion_core.workflows.time_order import TimeOrder
+
+MotionKind = Literal["recorded", "wheel", "laser", "visual", "fused", "none"]
+
+
+class MotionSettings(SettingsGroup):
+    """Every source's settings, and those of their fusion."""
+
+    wheel: WheelSettings = WheelSettings()
+    laser: LaserOdometrySettings = LaserOdometrySettings()
+    visual: VisualOdometrySettings = VisualOdometrySettings()
+    fusion: FusionSettings = FusionSettings()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Motion:
+    """The LiDAR's motion by one source, or by several.
+
+    ``at``: stamp in ns to (3,) x, y, yaw of the LiDAR, interpolated; None where it is not known.
+    ``tracks``: all that took part, at the scans' stamps, and the fused one last; none for recorded
+    poses, which are used as they are. ``weights``: of the fused one. ``notes``: for people.
+    """
+
+    source: str
+    at: Callable[[int], FloatArray | None]
+    tracks: tuple[OdometryTrack, ...] = ()
+    weights: FusionWeights | None = None
+    notes: tuple[str, ...] = ()
+
+
+def open_motion(
+    recording: Recording,
+    streams: Streams,
+    scans: Scans,
+    kind: MotionKind,
+    settings: MotionSettings | None = None,
+    progress: Progress = silent,
+    *,
+    extrinsics: Extrinsics | None = None,
+    clock_offset_ms: float = 0.0,
+) -> Motion | None:
+    """The motion of the frame in which ``scans`` lie, None for "none".
+
+    ``extrinsics``: where the camera is; without it what the recording's own transforms say.
+    ``clock_offset_ms``: camera stamp - LiDAR stamp of the same instant. "fused" takes the wheels
+    and the camera where they are there, and notes what is not.
+
+    Raises MissingStream where the recording lacks what a source alone needs.
+    """
+    settings = settings or MotionSettings()
+    if kind == "none":
+        return None
+    if kind == "recorded":
+        poses = recorded_motion(recording, streams, scans.frame_id, wheel_only=False)
+        return Motion(source=poses.source, at=poses.at)
+    sources = _Sources(recording, streams, scans, settings, progress, extrinsics, clock_offset_ms)
+    if kind == "wheel":
+        return _alone(sources.wheel(), sources.notes)
+    if kind == "laser":
+        return _alone(sources.laser(None), sources.notes)
+    if kind == "visual":
+        return _alone(sources.visual(needs_place=False), sources.notes)
+    return _fused(sources, settings.fusion)
+
+
+def map_streams(recording: Recording, lidar_topic: str | None, pose_topic: str | None) -> Streams:
+    """As always, but with the LiDAR's own odometry where there is one: written with each scan, it
+    has the scan's very stamp, while another topic's must be interpolated."""
+    streams = choose_streams(recording, lidar=lidar_topic, pose=pose_topic)
+    own = f"{streams.lidar}/odom"
+    if not any(topic.name == own and topic.role == "odometry" for topic in recording.topics):
+        return streams
+    return choose_streams(recording, lidar=lidar_topic, pose=pose_topic, odometry=own)
+
+
+def recorded_motion(
+    recording: Recording, streams: Streams, lidar_frame: str, *, wheel_only: bool
+) -> Poses:
+    """The LiDAR's poses by what was recorded; ``wheel_only``: by odometry, not by TF.
+
+    Raises MissingStream where that is not there.
+    """
+    if wheel_only:
+        streams = replace(streams, tf=None, pose=None)
+    poses = recorded_poses(recording, streams, lidar_frame)
+    if poses is None:
+        what = "odometry" if wheel_only else "recorded pose"
+        raise MissingStream(
+            f"holds no {what}.", file=recording.path, advice="Use --motion none with SLAM."
+        )
+    return poses
+
+
+def _alone(track: OdometryTrack, notes: list[str]) -> Motion:
+    return Motion(
+        source=track.name, at=track.at, tracks=(track,), notes=(*notes, *_notes_of(track))
+    )
+
+
+def _fused(sources: "_Sources", settings: FusionSettings) -> Motion:
+    tracks = []
+    try:
+        tracks.append(sources.wheel())
+    except MissingStream as error:
+        sources.notes.append(f"Fused without wheels: {error.problem}")
+    # The wheels' steps tell where a match begins; what it then measures is its own.
+    tracks.append(sources.laser(tracks[0].at if tracks else None))
+    try:
+        tracks.append(sources.visual(needs_place=True))
+    except MissingStream as error:
+        sources.notes.append(f"Fused without the camera: {error.problem}")
+    notes = sources.notes + [note for track in tracks for note in _notes_of(track)]
+    if len(tracks) == 1:
+        alone = tracks[0]
+        notes.append(f"Nothing to fuse: {alone.name} odometry is all there is.")
+        return Motion(source=alone.name, at=alone.at, tracks=(alone,), notes=tuple(notes))
+    fusion = fuse(tracks, settings)
+    return Motion(
+        source=f"fused ({', '.join(track.name for track in tracks)})",
+        at=fusion.track.at,
+        tracks=(*tracks, fusion.track),
+        weights=fusion.weights,
+        notes=(*notes, *fusion.track.notes),
+    )
+
+
+def _notes_of(track: OdometryTrack) -> tuple[str, ...]:
+    if track.measured.size and not track.measured.any():
+        return (*track.notes, f"{track.name} odometry measured not a single step.")
+    return track.notes
+
+
+class _Sources:
+    def __init__(
+        self,
+        recording: Recording,
+        streams: Streams,
+        scans: Scans,
+        settings: MotionSettings,
+        progress: Progress,
+        extrinsics: Extrinsics | None,
+        clock_offset_ms: float,
+    ) -> None:
+        self._recording, self._streams, self._scans = recording, streams, scans
+        self._settings, self._progress = settings, progress
+        self._extrinsics = extrinsics
+        self._clock_offset_ns = round(clock_offset_ms * NS_PER_MS)
+        self._stamps_ns: IntArray | None = None
+        self.notes: list[str] = []
+
+    def stamps_ns(self) -> IntArray:
+        """(N,) of the scans, read once."""
+        if self._stamps_ns is None:
+            self._stamps_ns = np.array([scan.stamp_ns for scan in self._scans], dtype=np.int64)
+            if not self._stamps_ns.size:
+                raise MissingStream("there is no scan to follow.", file=self._recording.path)
+        return self._stamps_ns
+
+    def wheel(self) -> OdometryTrack:
+        poses = recorded_motion(
+            self._recording, self._streams, self._scans.frame_id, wheel_only=True
+        )
+        topic = self._streams.odometry
+        assert topic is not None, "poses by odometry have a topic"
+        if poses.source != topic:
+            self.notes.append(f"Wheel odometry: {poses.source}.")
+        order = TimeOrder(self._recording, strictly=False)
+        sampled_ns = [
+            message.value.stamp_ns
+            for message in order.of(self._recording.messages([topic]))
+            if isinstance(message.value, PoseSample)
+        ]
+        return wheel_odometry(
+            self.stamps_ns(), poses.at, np.array(sampled_ns, dtype=np.int64), self._settings.wheel
+        )
+
+    def laser(self, predicted: Callable[[int], FloatArray | None] | None) -> OdometryTrack:
+        track = laser_odometry(self._scans, self._settings.laser, predicted, self._progress)
+        self._stamps_ns = track.stamps_ns
+        return track
+
+    def visual(self, *, needs_place: bool) -> OdometryTrack:
+        frames = CameraFrames(self._recording, self._streams, clock_offset_ns=self._clock_offset_ns)
+        T_lidar_camera, notes = camera_on_lidar(self._recording, self._streams, self._extrinsics)
+        self.notes.extend(notes)
+        if T_lidar_camera is None:
+            if needs_place:
+                raise MissingStream(
+                    "does not tell where the camera stands on the LiDAR.",
+                    file=self._recording.path,
+                    advice="Give --extrinsics FILE.",
+                )
+            T_lidar_camera = transform(R_BODY_OPTICAL, np.zeros(3))
+            self.notes.append(
+                "Visual odometry is the camera's own, taken to be level and to look ahead: nothing "
+                "tells where it stands on the LiDAR."
+            )
+        track = visual_odometry(
+            frames, frames.intrinsics, T_lidar_camera, self._settings.visual, self._progress
+        )
+        self.notes.extend(frames.notes)
+        return resampled(track, self.stamps_ns())

@@ -1,0 +1,38 @@
+"""A recorded mount against the first scans and images, where no alignment is to be made of all."""
+
+from itertools import islice
+
+from fusion_core.alignment.agreement import Agreement, mount_frame
+from fusion_core.alignment.recorded_mount import refusal_of
+from fusion_core.alignment.time import turn_rate_rad_s
+from fusion_core.model.sensors import LaserScan
+from fusion_core.workflows.fuse.session import Session
+
+
+def refusal_of_recorded(session: Session) -> str:
+    """Why the mount by the recording's own transforms is not to be used, as part of a sentence;
+    "" where it is, or where nothing can be compared with it.
+
+    As many images are read as a refinement keeps.
+    """
+    recorded, settings = session.rig.recorded, session.settings
+    if recorded is None or not all(camera.calibrated for camera in session.rig.cameras):
+        return ""
+    frames = []
+    images = (entry for entry in session.pairs() if not isinstance(entry, LaserScan))
+    for entry in islice(images, settings.mount.frames):
+        if entry.window is None:
+            continue
+        scan = entry.window.scan
+        frames.append(
+            mount_frame(
+                session.rig.cameras[entry.camera],
+                scan,
+                session.depth_of(entry.camera, entry.image.depth_m),
+                scan.stamp_ns + entry.gap_ns,
+                turn_rate_rad_s(entry.window, settings.time),
+            )
+        )
+    if not any(frame.points_m.size for frame in frames):
+        return ""
+    return refusal_of(Agreement(frames, settings.mount), recorded, settings.mount, None)

@@ -1,0 +1,79 @@
+"""Each scan of a recording as Xu's chain repairs it."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from fusion_core.model.classes import NoiseClass
+from fusion_core.model.errors import MissingStream
+from fusion_core.model.progress import Progress, silent
+from fusion_core.model.recording import Recording
+from fusion_core.model.sensors import LaserScan
+from fusion_core.recordings.topics import Streams
+from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.presets import ChainSettings
+from fusion_core.workflows.fuse.rig import build_rig
+from fusion_core.workflows.fuse.scan_merge import ScanMerge
+from fusion_core.workflows.fuse.session import align_session, fuse_session, session_of
+
+
+class RepairedScans:
+    """Scans with the ranges that the images paired with them have repaired.
+
+    A scan without an image stays as it was. A burr that nothing could repair is NaN: it is no
+    obstacle, and what lies before it need not be free. ``intensities`` are None.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        streams: Streams,
+        settings: ChainSettings,
+        *,
+        clock_offset_ms: float = 0.0,
+        progress: Progress = silent,
+    ) -> None:
+        if streams.lidar is None:
+            raise MissingStream(
+                "has no 2D LiDAR to repair.", file=recording.path, advice="Use --scan camera."
+            )
+        rig = build_rig(recording, streams, settings.sampling)
+        self._session = session_of(recording, streams, rig, settings)
+        self._alignment = align_session(self._session, progress)
+        self._clock_offset_ms = clock_offset_ms
+        self.frame_id = rig.lidar_frame
+        self.recorded = recording.received_ns(streams.lidar).size
+        self._scans = self._judged = 0
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        notes = [*self._session.rig.notes, *self._alignment.notes]
+        if self._clock_offset_ms:
+            notes.append(f"Camera stamps taken {self._clock_offset_ms:g} ms earlier.")
+        if self._judged < self._scans:
+            left = self._scans - self._judged
+            notes.append(f"{left} of {self._scans} scans have no image and stay as they were.")
+        return tuple(notes)
+
+    def __iter__(self) -> Iterator[LaserScan]:
+        merge = ScanMerge()
+        self._scans = self._judged = 0
+        for raw, repaired in self._merged(merge):
+            self._scans += 1
+            left = (repaired.intensities == NoiseClass.BURR) & (repaired.ranges_m == raw.ranges_m)
+            yield raw.with_ranges(np.where(left, np.nan, repaired.ranges_m), None)
+
+    def _merged(self, merge: ScanMerge) -> Iterator[tuple[LaserScan, LaserScan]]:
+        judged: set[int] = set()
+        for entry in fuse_session(self._session, self._alignment, self._clock_offset_ms):
+            if isinstance(entry, LaserScan):
+                merge.arrive(entry)
+                for raw, repaired in merge.finished():
+                    judged.discard(id(raw))
+                    yield raw, repaired
+            elif isinstance(entry, FusedFrame):
+                # Two images of one scan count once.
+                self._judged += id(entry.scan) not in judged
+                judged.add(id(entry.scan))
+                merge.add(entry)
+        yield from merge.rest()

@@ -1,0 +1,148 @@
+"""What ``scanloom map`` reports: report.json's content, and the same for people."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fusion_core.model.conventions import NS_PER_S, BoolArray, FloatArray, IntArray
+from fusion_core.slam.particle_filter import ParticleResult
+from fusion_core.slam.pose_graph_slam import SlamResult
+from fusion_core.workflows.map.estimators import Placed
+
+# Of more stretches than this people are told the longest.
+_STRETCHES_SAID = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapSummary:
+    """What a run has to report: report.json's content, and the seconds of its stages.
+
+    The seconds stand in no file, since they alone differ from run to run; a skipped run has none.
+    """
+
+    output: Path
+    skipped: bool
+    report: dict[str, Any]
+    seconds: Mapping[str, float]
+
+    def to_json(self) -> dict[str, Any]:
+        """One machine-readable result."""
+        return {
+            "output": str(self.output),
+            "skipped": self.skipped,
+            **self.report,
+            "seconds": dict(self.seconds),
+        }
+
+    def lines(self) -> list[str]:
+        """The same for people."""
+        report = self.report
+        lines = [
+            f"scans      {report['scans']} of {report['duration_s']:.1f} s, "
+            f"{report['path_m']:.1f} m of way",
+        ]
+        if "loops" in report:
+            lines.append(
+                f"graph      {report['key_scans']} key scans, {report['edges']} edges, "
+                f"{report['loops']} loops ({report['loops_dropped']} dropped)"
+            )
+        if "particles" in report:
+            lines.append(
+                f"particles  {report['particles']}, {report['key_scans']} scans weighed, "
+                f"{report['resamplings']} times resampled"
+            )
+        longest = sorted(report["untrusted"], key=lambda stretch: -int(stretch["scans"]))
+        for stretch in sorted(longest[:_STRETCHES_SAID], key=lambda stretch: stretch["from_s"]):
+            lines.append(
+                f"untrusted  {stretch['from_s']:.3f} s to {stretch['to_s']:.3f} s: "
+                f"{stretch['scans']} scans"
+            )
+        if len(longest) > _STRETCHES_SAID:
+            lines.append(f"untrusted  {len(longest) - _STRETCHES_SAID} shorter ones in report.json")
+        lines += [f"time       {name} {value:.1f} s" for name, value in self.seconds.items()]
+        lines += [f"note       {note}" for note in report["notes"]]
+        if self.skipped:
+            lines.append("Nothing was done, the results were there already (--force redoes).")
+        return [*lines, f"results    {self.output}"]
+
+
+def report_of(
+    placed: Placed,
+    recorded: int,
+    asked: Mapping[str, str],
+    notes: Sequence[str],
+    warnings: Iterable[str],
+) -> dict[str, Any]:
+    """report.json's content. ``recorded``: scans in the recording, of which those that are not
+    placed cannot be trusted; ``asked``: what a person chose, by name."""
+    steps_m = np.hypot(*np.diff(placed.poses_map_scan[:, :2], axis=0).T)
+    report: dict[str, Any] = {
+        **asked,
+        "scans": int(placed.stamps_ns.size),
+        "scans_recorded": recorded,
+        "duration_s": float(placed.stamps_ns[-1] - placed.stamps_ns[0]) / 1e9,
+        "path_m": float(steps_m.sum()),
+        "trusted_share": float(placed.trusted.sum() / recorded),
+        "untrusted": untrusted_stretches(placed.stamps_ns, placed.trusted),
+        "notes": [*notes, *warnings],
+    }
+    if placed.graph is not None:
+        report |= _graph_report(placed.stamps_ns, placed.graph)
+    if placed.particles is not None:
+        report |= _particle_report(placed.stamps_ns, placed.particles)
+    return report
+
+
+def _particle_report(stamps_ns: IntArray, result: ParticleResult) -> dict[str, Any]:
+    times_s = stamps_ns[result.key] / NS_PER_S
+    return {
+        "key_scans": int(result.key.size),
+        "particles": int(result.weights.size),
+        "resamplings": int(result.resampled.sum()),
+        "unmatched": int(result.unmatched.sum()),
+        "effective": [
+            list(pair) for pair in zip(times_s.tolist(), _or_none(result.effective), strict=True)
+        ],
+    }
+
+
+def _or_none(values: FloatArray) -> list[float | None]:
+    """JSON has no NaN."""
+    return [float(value) if np.isfinite(value) else None for value in values]
+
+
+def _graph_report(stamps_ns: IntArray, result: SlamResult) -> dict[str, Any]:
+    graph = result.graph
+    away_m = np.hypot(*result.residuals[:, :2].T)
+    return {
+        "key_scans": int(result.key.size),
+        "edges": int(graph.first.size),
+        "loops": result.loops,
+        "loops_tried": result.loops_tried,
+        "loops_dropped": result.loops_dropped,
+        "loop_closures": [
+            {
+                "first_s": float(stamps_ns[result.key[graph.first[edge]]]) / 1e9,
+                "second_s": float(stamps_ns[result.key[graph.second[edge]]]) / 1e9,
+                "residual_m": float(away_m[edge]),
+                "residual_rad": float(result.residuals[edge, 2]),
+            }
+            for edge in np.flatnonzero(graph.is_loop)
+        ],
+    }
+
+
+def untrusted_stretches(stamps_ns: IntArray, trusted: BoolArray) -> list[dict[str, Any]]:
+    """Each run of scans that cannot be trusted: stamps of its first and last, and how many."""
+    turns = np.flatnonzero(np.diff(np.concatenate([[True], trusted, [True]]).astype(np.int8)))
+    return [
+        {
+            "from_s": float(stamps_ns[first]) / 1e9,
+            "to_s": float(stamps_ns[end - 1]) / 1e9,
+            "scans": int(end - first),
+        }
+        for first, end in zip(turns[::2], turns[1::2], strict=True)
+    ]

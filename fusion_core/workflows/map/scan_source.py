@@ -1,0 +1,110 @@
+"""The scans that motion and SLAM work on, read anew each time they are needed."""
+
+from collections.abc import Iterator
+from typing import Literal, Protocol
+
+from fusion_core.mapping.virtual_scan import VirtualScanSettings
+from fusion_core.model.errors import MissingStream
+from fusion_core.model.progress import Progress, silent
+from fusion_core.model.recording import Recording
+from fusion_core.model.sensors import LaserScan
+from fusion_core.recordings.topics import Streams
+from fusion_core.workflows.fitting import first_scan
+from fusion_core.workflows.fuse.presets import ChainSettings
+from fusion_core.workflows.map.extrinsics import Extrinsics, extrinsics
+from fusion_core.workflows.map.repaired_scans import RepairedScans
+from fusion_core.workflows.map.virtual_scans import CameraScans, MergedScans, Motion
+from fusion_core.workflows.time_order import TimeOrder
+
+ScanKind = Literal["lidar", "camera", "repaired", "merged"]
+
+
+class Scans(Protocol):
+    """Scans with stamps that increase, any number of times.
+
+    ``frame_id``: the frame in which they lie. ``recorded``: how many the recording holds, be they
+    left out or not. ``notes``: for people, complete once the scans were read to their end.
+    """
+
+    frame_id: str
+    recorded: int
+
+    @property
+    def notes(self) -> tuple[str, ...]: ...
+
+    def __iter__(self) -> Iterator[LaserScan]: ...
+
+
+class LidarScans:
+    """The scans of a topic as they were recorded."""
+
+    def __init__(self, recording: Recording, streams: Streams) -> None:
+        if streams.lidar is None:
+            raise MissingStream(
+                "holds no LaserScan.",
+                file=recording.path,
+                advice="scanloom info lists what it holds.",
+            )
+        self._recording, self._topic = recording, streams.lidar
+        self._order = TimeOrder(recording)
+        self.recorded = recording.received_ns(streams.lidar).size
+        self.frame_id = first_scan(recording, streams.lidar).frame_id
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return ()
+
+    def __iter__(self) -> Iterator[LaserScan]:
+        for message in self._order.of(self._recording.messages([self._topic])):
+            if isinstance(message.value, LaserScan):
+                yield message.value
+
+
+def open_scans(
+    recording: Recording,
+    streams: Streams,
+    kind: ScanKind,
+    settings: VirtualScanSettings | None = None,
+    *,
+    chain: ChainSettings | None = None,
+    cameras: Extrinsics | None = None,
+    motion: Motion | None = None,
+    clock_offset_ms: float = 0.0,
+    progress: Progress = silent,
+) -> Scans:
+    """The scans of a kind.
+
+    "lidar": as recorded. "camera": the depth cameras' own, one an image, in the LiDAR's frame, or
+    level under the camera where the recording has no LiDAR. "merged": the LiDAR's with what the
+    cameras saw at their times. "repaired": the LiDAR's as Xu's chain repairs them.
+
+    ``settings`` are of virtual scans, ``chain`` of the alignment that finds the mount where nobody
+    tells it, and of the repair. ``cameras``: where they stand, if that is known. ``motion``: where
+    the scans' frame was by odometry, to carry what a camera saw to the scan's stamp; without it
+    the scans themselves tell the turn. ``clock_offset_ms``: camera stamp - LiDAR stamp of the same
+    instant, taken out.
+
+    Raises MissingStream for what the recording lacks, AlignmentFailed where mount or floor cannot
+    be told.
+    """
+    settings, chain = settings or VirtualScanSettings(), chain or ChainSettings()
+    if kind == "lidar":
+        return LidarScans(recording, streams)
+    if kind == "repaired":
+        return RepairedScans(
+            recording, streams, chain, clock_offset_ms=clock_offset_ms, progress=progress
+        )
+    if kind == "merged" and streams.lidar is None:
+        raise MissingStream(
+            "has no 2D LiDAR to merge the camera with.",
+            file=recording.path,
+            advice="Use --scan camera.",
+        )
+    placed = cameras or extrinsics(recording, streams, chain, progress=progress)
+    if kind == "camera":
+        return CameraScans(
+            recording, placed, settings, motion=motion, clock_offset_ms=clock_offset_ms
+        )
+    return MergedScans(
+        recording, streams, placed, settings, motion=motion, clock_offset_ms=clock_offset_ms
+    )

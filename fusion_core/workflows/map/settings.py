@@ -1,0 +1,62 @@
+"""The settings of ``scanloom map``, and its two presets.
+
+``default`` is what is right; ``published`` is Li 2022 as far as its text decides: clouds by stride
+and cropped scans (§2.2), odometry fused by (6) to (9) as printed, and, where the mount must be
+found or scans repaired, Xu 2024's chain as published. Its pose graph is Cartographer's (Fu 2024):
+the map is not refined with the poses.
+"""
+
+from pathlib import Path
+
+from fusion_core.exporting.settings_file import dump_toml
+from fusion_core.mapping import virtual_scan
+from fusion_core.mapping.virtual_scan import VirtualScanSettings
+from fusion_core.motion.fusion import FusionSettings
+from fusion_core.slam.joint_refinement import RefinementSettings
+from fusion_core.slam.particle_set import ParticleSettings
+from fusion_core.slam.pose_graph_slam import SlamSettings
+from fusion_core.workflows.fuse.presets import (
+    PRESETS,
+    ChainSettings,
+    PresetName,
+    preset_with_file,
+    with_seed,
+)
+from fusion_core.workflows.map.motion_source import MotionSettings
+
+
+class MapSettings(SlamSettings, MotionSettings, ChainSettings):
+    """Every stage's settings: of the chain that finds the mount, of motion and of SLAM."""
+
+    virtual_scan: VirtualScanSettings = VirtualScanSettings()
+    particles: ParticleSettings = ParticleSettings()
+
+
+MAP_PRESETS: dict[PresetName, MapSettings] = {
+    "default": MapSettings(),
+    "published": MapSettings(
+        **dict(PRESETS["published"]),
+        virtual_scan=virtual_scan.PUBLISHED,
+        fusion=FusionSettings(method="published"),
+        refinement=RefinementSettings(rounds=0),
+    ),
+}
+
+
+def map_settings(
+    preset: PresetName, settings_file: Path | None, seed: int | None = None
+) -> tuple[PresetName, MapSettings]:
+    """The preset with a file's values over it and, where given, the particles' seed over both.
+
+    A file that names a preset decides on it. Raises SettingsError for what the file has wrong.
+    """
+    preset, settings = preset_with_file(preset, MAP_PRESETS, settings_file)
+    if seed is None:
+        return preset, settings
+    seeded = with_seed(settings.particles, seed)
+    return preset, settings.model_copy(update={"particles": seeded})
+
+
+def map_settings_toml(settings: MapSettings, preset: PresetName = "default") -> str:
+    """The settings file that repeats a run."""
+    return dump_toml(settings.stages(), preset)

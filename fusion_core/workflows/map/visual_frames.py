@@ -1,0 +1,183 @@
+"""Grey images with depth for visual odometry, from a recording's colour and depth topics."""
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from fusion_core.model.conventions import NS_PER_MS, ByteArray, FloatArray
+from fusion_core.model.errors import MissingStream
+from fusion_core.model.geometry import inverse, transform
+from fusion_core.model.recording import Recording
+from fusion_core.model.sensors import CameraInfo, CameraIntrinsics, ColorImage, DepthImage
+from fusion_core.motion.visual import GrayDepth
+from fusion_core.recordings.topics import Streams
+from fusion_core.workflows.fitting import first_value
+from fusion_core.workflows.fuse.align import mount_not_used
+from fusion_core.workflows.fuse.presets import ChainSettings
+from fusion_core.workflows.fuse.rig import build_rig
+from fusion_core.workflows.fuse.session import session_of
+from fusion_core.workflows.map.extrinsics import Extrinsics
+from fusion_core.workflows.map.recorded_mount import refusal_of_recorded
+from fusion_core.workflows.time_order import TimeOrder
+
+# Colour and depth of one instant are not farther apart, whatever triggers them.
+_GAP_NS = 40 * NS_PER_MS
+# A depth image waits for a colour image that is logged after it, so many images at most.
+_WAITING = 8
+# More pixels than these cost time, and features are no better placed.
+_WIDTH_PX = 640
+
+
+class CameraFrames:
+    """The images of the first depth camera, any number of times, one in memory at a time.
+
+    ``intrinsics``: of the grey images, stored as they are, with their distortion. ``notes``: for
+    people. ``clock_offset_ns``: camera stamp - LiDAR stamp of the same instant, taken off the
+    stamps.
+
+    Raises MissingStream where the recording lacks colour, depth or intrinsics.
+    """
+
+    def __init__(self, recording: Recording, streams: Streams, *, clock_offset_ns: int = 0) -> None:
+        self._recording, self._clock_offset_ns = recording, clock_offset_ns
+        self._order = TimeOrder(recording)
+        if not streams.depth:
+            raise MissingStream(
+                "has no depth images.",
+                file=recording.path,
+                advice="Visual odometry needs colour and depth: choose another --motion.",
+            )
+        self._depth, color = streams.depth[0], streams.color[0]
+        if color is None:
+            raise MissingStream(
+                f"has no colour images beside {self._depth}.",
+                file=recording.path,
+                advice="Visual odometry needs both, the colour topic below the same name as the "
+                "depth topic (/camera/depth/..., /camera/color/...): choose another --motion.",
+            )
+        self._color = color
+        self.notes: tuple[str, ...] = ()
+        if len(streams.depth) > 1:
+            self.notes = (f"Visual odometry follows {self._color} alone.",)
+        self.intrinsics = self._intrinsics(streams.camera_info[0])
+
+    def _intrinsics(self, info_topic: str | None) -> CameraIntrinsics:
+        depth, color = (first_value(self._recording, name) for name in (self._depth, self._color))
+        info = None if info_topic is None else first_value(self._recording, info_topic)
+        if not isinstance(depth, DepthImage) or not isinstance(color, ColorImage):
+            raise MissingStream(
+                f"{self._depth} or {self._color} holds no image that can be read.",
+                file=self._recording.path,
+            )
+        lens = info.intrinsics if isinstance(info, CameraInfo) else None
+        if lens is None or (lens.height, lens.width) != depth.depth_m.shape:
+            raise MissingStream(
+                f"{self._depth} has no usable intrinsics.",
+                file=self._recording.path,
+                advice="Visual odometry needs them: choose another --motion.",
+            )
+        height, width = color.rgb.shape[:2]
+        if abs(height * lens.width - width * lens.height) > 0.02 * height * lens.width:
+            raise MissingStream(
+                f"{self._color} of {width} x {height} pixels does not show what {self._depth} of "
+                f"{lens.width} x {lens.height} does.",
+                file=self._recording.path,
+                advice="Record depth registered to colour.",
+            )
+        if color.frame_id.lstrip("/") != depth.frame_id.lstrip("/"):
+            self.notes += (
+                f"{self._color} is taken to show what {self._depth} does, though their frames "
+                f"{color.frame_id} and {depth.frame_id} differ.",
+            )
+        return _scaled(lens, _shape(height, width))
+
+    def __iter__(self) -> Iterator[GrayDepth]:
+        """Depth images, each with the colour image nearest in time; those without one are left
+        out, and so is what is stamped out of order."""
+        waiting: deque[DepthImage] = deque()
+        colors: deque[ColorImage] = deque(maxlen=2 * _WAITING)
+        for message in self._order.of(self._recording.messages([self._depth, self._color])):
+            value = message.value
+            if isinstance(value, DepthImage):
+                waiting.append(value)
+            elif isinstance(value, ColorImage):
+                colors.append(value)
+            # A later colour image tells that none nearer will come.
+            while waiting and (
+                (colors and colors[-1].stamp_ns >= waiting[0].stamp_ns) or len(waiting) > _WAITING
+            ):
+                frame = self._joined(waiting.popleft(), colors)
+                if frame is not None:
+                    yield frame
+        for depth in waiting:
+            frame = self._joined(depth, colors)
+            if frame is not None:
+                yield frame
+
+    def _joined(self, depth: DepthImage, colors: deque[ColorImage]) -> GrayDepth | None:
+        if not colors:
+            return None
+        color = min(colors, key=lambda image: abs(image.stamp_ns - depth.stamp_ns))
+        if abs(color.stamp_ns - depth.stamp_ns) > _GAP_NS:
+            return None
+        height, width = _shape(*color.rgb.shape[:2])
+        if (height, width) != (self.intrinsics.height, self.intrinsics.width):
+            # Of another rig than the first.
+            return None
+        gray = cv2.cvtColor(color.rgb, cv2.COLOR_RGB2GRAY)
+        if gray.shape != (height, width):
+            gray = cv2.resize(gray, (width, height), interpolation=cv2.INTER_AREA)
+        image: ByteArray = np.asarray(gray, dtype=np.uint8)
+        stamp_ns = depth.stamp_ns - self._clock_offset_ns
+        return GrayDepth(stamp_ns=stamp_ns, gray=image, depth_m=depth.depth_m)
+
+
+def _shape(height: int, width: int) -> tuple[int, int]:
+    """The size at which an image is looked at."""
+    if width <= _WIDTH_PX:
+        return height, width
+    return round(height * _WIDTH_PX / width), _WIDTH_PX
+
+
+def _scaled(lens: CameraIntrinsics, shape: tuple[int, int]) -> CameraIntrinsics:
+    """The same camera with images of another size; pixel centres are integers."""
+    height, width = shape
+    across, down = width / lens.width, height / lens.height
+    return replace(
+        lens,
+        width=width,
+        height=height,
+        fx=across * lens.fx,
+        fy=down * lens.fy,
+        cx=across * (lens.cx + 0.5) - 0.5,
+        cy=down * (lens.cy + 0.5) - 0.5,
+    )
+
+
+def camera_on_lidar(
+    recording: Recording, streams: Streams, extrinsics: Extrinsics | None
+) -> tuple[FloatArray | None, tuple[str, ...]]:
+    """(4, 4) T_lidar_camera of the first depth camera's stored images, by ``extrinsics`` or by the
+    recording's own transforms; None where neither says. And notes for people."""
+    if not streams.depth:
+        return None, ()
+    if extrinsics is not None:
+        placed = [camera for camera in extrinsics.cameras if camera.topic == streams.depth[0]]
+        if not placed:
+            return None, ()
+        T_view_stored = inverse(transform(placed[0].view.R_stored_view, np.zeros(3)))
+        return placed[0].T_lidar_camera @ T_view_stored, ()
+    if streams.lidar is None:
+        return None, ()
+    settings = ChainSettings()
+    rig = build_rig(recording, streams, settings.sampling)
+    if rig.recorded is None:
+        return None, ()
+    refusal = refusal_of_recorded(session_of(recording, streams, rig, settings))
+    if refusal:
+        return None, (mount_not_used(refusal),)
+    T_view_stored = inverse(transform(rig.views[0].R_stored_view, np.zeros(3)))
+    return rig.recorded.T_lidar_rig @ rig.cameras[0].T_rig_camera @ T_view_stored, ()

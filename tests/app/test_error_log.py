@@ -1,0 +1,52 @@
+"""Lines on stderr: the first at once, the next when it is due, none with a traceback."""
+
+import logging
+
+from scanloom.server.error_log import Complaints, in_short, log_to
+
+
+class Clock:
+    now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def test_the_first_is_told_at_once_and_the_rest_are_counted() -> None:
+    lines: list[str] = []
+    clock = Clock()
+    complaints = Complaints(lines.append, clock)
+    for now_s in (0.0, 1.0, 9.9, 10.0, 10.1, 25.0):
+        clock.now_s = now_s
+        complaints.tell("browser", f"at {now_s}")
+    assert lines == [
+        "browser: at 0.0",
+        "browser: at 10.0 (2 more before it)",
+        "browser: at 25.0 (1 more before it)",
+    ]
+
+
+def test_a_line_is_one_line_and_steers_no_terminal() -> None:
+    lines: list[str] = []
+    Complaints(lines.append).tell("a\nb", "\x1b[31m" + "x" * 10_000)
+    (line,) = lines
+    assert line.isprintable()
+    assert len(line) < 400
+
+
+def test_a_librarys_error_is_told_without_its_traceback() -> None:
+    lines: list[str] = []
+    log = log_to(Complaints(lines.append))
+    try:
+        raise ZeroDivisionError("by zero")
+    except ZeroDivisionError:
+        log.error("opening handshake failed", exc_info=True)
+        log.warning("nothing much")
+        log.error("handler failed", exc_info=True)
+    (line,) = lines
+    assert line.startswith("a browser: handler failed: ZeroDivisionError: by zero (test_error_log")
+    assert not logging.getLogger().handlers or log.parent is None
+
+
+def test_an_error_that_was_never_raised_has_no_place() -> None:
+    assert in_short(KeyError("x")) == "KeyError: 'x'"

@@ -1,0 +1,326 @@
+"""The figures of a run: which frame is shown, Table 1, and what is left out with a reason."""
+
+import csv
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fusion_core.alignment.search import Peak
+from fusion_core.alignment.upright import upright_view
+from fusion_core.exporting.figures import seconds
+from fusion_core.model.errors import RecordingError
+from fusion_core.model.sensors import CameraIntrinsics, ColorImage
+from fusion_core.recordings.formats import open_recording
+from fusion_core.simulation.scenes import SceneSettings, write_scene
+from fusion_core.simulation.truth import truth_path
+from fusion_core.workflows.evaluate import evaluate
+from fusion_core.workflows.fuse import figures, fuse
+from fusion_core.workflows.fuse import session as sessions
+from fusion_core.workflows.fuse.figures import (
+    FigureCollector,
+    printable,
+    score_range,
+    upright_color,
+    write_figures,
+)
+from fusion_core.workflows.fuse.presets import ChainSettings
+
+PICTURES = {
+    f"fig{number}_{name}.png"
+    for number, name in (
+        (3, "aligned"),
+        (4, "similarity"),
+        (5, "pairs"),
+        (6, "recall"),
+        (7, "repair"),
+        (8, "fused_depth"),
+        (9, "maps"),
+    )
+}
+
+
+def peak(score: float, overlap: float = 1.0) -> Peak:
+    return Peak(
+        u=1.0, v=1.0, score=score, ratio=1.1, overlap=overlap, runner_up_u=8.0, runner_up_v=1.0
+    )
+
+
+@pytest.mark.parametrize(
+    ("found", "column"),
+    [
+        (None, "missing"),
+        (peak(-0.2), "not_positive"),
+        (peak(0.0), "not_positive"),
+        (peak(1e-6), "low"),
+        (peak(0.3), "low"),
+        (peak(0.30001), "middle"),
+        (peak(0.6), "middle"),
+        (peak(0.60001), "high"),
+        (peak(1.0), "high"),
+    ],
+)
+def test_table_1_has_the_papers_half_open_ranges(found: Peak | None, column: str) -> None:
+    assert score_range(found) == column
+
+
+def frame(
+    repaired: int, *, overlap: float | None = 0.9, registered: bool = True, alone: float = 0.7
+) -> Any:
+    """What the collector reads of a frame: ``repaired`` samples, half of them of each sensor."""
+    source = np.zeros(40, dtype=np.int64)
+    source[: repaired // 2] = 1
+    other = np.full(40, 3)
+    other[: repaired - repaired // 2] = 2
+    return SimpleNamespace(
+        search=SimpleNamespace(
+            peaks={} if overlap is None else {"euclidean": peak(0.8, overlap)},
+            peaks_alone={"pearson": peak(alone)},
+        ),
+        registration=object() if registered else None,
+        repair=SimpleNamespace(lidar_source=source, depth_source=other),
+    )
+
+
+def showcase_of(*frames: Any) -> Any:
+    alignment: Any = SimpleNamespace(metric="euclidean")
+    collector = FigureCollector(alignment)
+    for entry in frames:
+        collector.add(entry)
+    return collector.showcase
+
+
+def test_the_showcase_has_most_repaired_samples_and_ties_go_to_the_earliest() -> None:
+    frames = [frame(3), frame(7), frame(7), frame(5)]
+    assert showcase_of(*frames) is frames[1]
+
+
+@pytest.mark.parametrize(
+    "unsound",
+    [frame(30, overlap=0.49), frame(30, overlap=None), frame(30, registered=False)],
+    ids=["overlap", "no peak", "no registration"],
+)
+def test_an_unsound_frame_is_shown_only_where_no_other_is(unsound: Any) -> None:
+    sound = frame(0, overlap=0.5)
+    assert showcase_of(unsound, sound) is sound
+    assert showcase_of(sound, unsound) is sound
+    assert showcase_of(unsound) is unsound
+
+
+def test_no_frame_is_shown_where_there_is_none() -> None:
+    assert showcase_of() is None
+
+
+def test_scores_are_counted_whatever_is_shown() -> None:
+    alignment: Any = SimpleNamespace(metric="euclidean")
+    collector = FigureCollector(alignment)
+    for score in (0.1, 0.5, 0.9, 0.95, -0.1):
+        collector.add(frame(0, alone=score))
+    assert collector.scores == {"low": 1, "middle": 1, "high": 2, "not_positive": 1, "missing": 0}
+
+
+@pytest.mark.parametrize(
+    "up", [(0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)], ids=["0", "1", "2", "3"]
+)
+@pytest.mark.parametrize("distortion", [(), (0.05, -0.02, 0.0, 0.0, 0.0)], ids=["plain", "lens"])
+def test_a_colour_image_is_turned_as_the_depth_image_is(
+    up: tuple[float, float], distortion: tuple[float, ...]
+) -> None:
+    lens = CameraIntrinsics(
+        width=6, height=4, fx=6.0, fy=6.0, cx=2.5, cy=1.5, distortion=distortion
+    )
+    view = upright_view(lens, np.array([*up, 0.0]))
+    values = np.arange(1, 25, dtype=np.uint8).reshape(4, 6)
+    rgb = np.repeat(values[:, :, np.newaxis], 3, axis=2)
+    seen = np.nan_to_num(view.of(values.astype(np.float32)), nan=0.0)
+    turned = upright_color(rgb, view)
+    for channel in range(3):
+        np.testing.assert_array_equal(turned[:, :, channel], seen)
+
+
+@pytest.mark.parametrize("up", [(0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)])
+def test_a_colour_image_of_another_size_is_turned_too(up: tuple[float, float]) -> None:
+    lens = CameraIntrinsics(width=6, height=4, fx=6.0, fy=6.0, cx=2.5, cy=1.5)
+    view = upright_view(lens, np.array([*up, 0.0]))
+    values = np.arange(24, dtype=np.uint8).reshape(4, 6)
+    large = values.repeat(2, axis=0).repeat(2, axis=1)
+    turned = upright_color(np.repeat(large[:, :, np.newaxis], 3, axis=2), view)
+    np.testing.assert_array_equal(turned[::2, ::2, 0], view.of(values.astype(np.float32)))
+
+
+class ColorLog:
+    """A recording of colour images alone, logged every 100 ns in the order of ``stamps_ns``."""
+
+    def __init__(self, stamps_ns: list[int | None]) -> None:
+        self._stamps_ns = stamps_ns
+        self.decoded = 0
+
+    def received_ns(self, topic: str) -> np.ndarray:
+        return 100 * np.arange(len(self._stamps_ns))
+
+    def read(self, topic: str, index: int) -> Any:
+        self.decoded += 1
+        stamp_ns = self._stamps_ns[index]
+        if stamp_ns is None:
+            raise RecordingError("is damaged.")
+        rgb = np.zeros((1, 1, 3), dtype=np.uint8)
+        return SimpleNamespace(
+            value=ColorImage(stamp_ns=stamp_ns, received_ns=100 * index, frame_id="", rgb=rgb)
+        )
+
+
+def color_near(log: ColorLog, stamp_ns: int, received_ns: int | None, topic: str | None) -> Any:
+    session: Any = SimpleNamespace(
+        streams=SimpleNamespace(depth=("/other", "/depth"), color=("/none", topic)),
+        rig=SimpleNamespace(cameras=[SimpleNamespace(topic="/depth")]),
+        recording=log,
+    )
+    shown: Any = SimpleNamespace(
+        camera=0, stamp_ns=stamp_ns, image=SimpleNamespace(received_ns=received_ns)
+    )
+    return figures._color_near(session, shown)
+
+
+def test_the_colour_image_is_the_nearest_in_stamp_and_few_are_decoded() -> None:
+    # The log has the images out of the order of their stamps, and 40 ns late.
+    stamps_ns: list[int | None] = [100 * i - 40 for i in range(1000)]
+    stamps_ns[500], stamps_ns[501] = stamps_ns[501], stamps_ns[500]
+    log = ColorLog(stamps_ns)
+    assert color_near(log, 50_055, 50_100, "/color").stamp_ns == 50_060
+    assert log.decoded <= 6
+
+
+def test_a_damaged_colour_image_is_passed_over() -> None:
+    log = ColorLog([0, None, 200])
+    assert color_near(log, 110, 110, "/color").stamp_ns == 200
+    assert color_near(ColorLog([None]), 0, 0, "/color") is None
+
+
+def test_without_a_log_stamps_find_the_colour_image() -> None:
+    assert color_near(ColorLog([0, 100, 200]), 90, None, "/color").stamp_ns == 100
+
+
+def test_a_camera_without_colour_has_no_colour_image() -> None:
+    assert color_near(ColorLog([0]), 0, 0, None) is None
+
+
+def test_names_are_written_in_the_letters_of_the_font() -> None:
+    assert printable("Küche_1") == "Küche_1"
+    assert printable("客厅 1") == "?? 1"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
+    """A short recording, fused, with what write_figures was called with."""
+    called: dict[str, Any] = {}
+
+    def write_and_remember(folder: Path, *args: Any, **named: Any) -> list[str]:
+        called.update(args=args, named=named)
+        return write_figures(folder, *args, **named)
+
+    folder = tmp_path_factory.mktemp("figures")
+    recording = folder / "room.mcap"
+    settings = SceneSettings(seed=173, duration_s=2.0, camera_rate_hz=10.0, image_scale=0.5)
+    write_scene("furnished_room", recording, settings=settings)
+    truth = truth_path(recording)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fuse, "write_figures", write_and_remember)
+        summary = fuse.fuse(recording, folder / "fused", sessions.FuseOptions(truth=truth))
+    return SimpleNamespace(
+        recording=recording, truth=truth, output=folder / "fused", summary=summary, **called
+    )
+
+
+@contextmanager
+def opened(
+    run: SimpleNamespace, options: sessions.FuseOptions | None = None
+) -> Iterator[sessions.Session]:
+    with open_recording(run.recording) as recording:
+        yield sessions.open_session(recording, options or sessions.FuseOptions(), ChainSettings())
+
+
+def test_every_figure_is_written_and_listed(run: SimpleNamespace) -> None:
+    written = {path.name for path in (run.output / "figures").iterdir()}
+    assert written == PICTURES | {"fig6_recall.csv", "table1.csv"}
+    manifest = (run.output / "manifest.json").read_text(encoding="utf-8")
+    assert all(f"figures/{name}" in manifest for name in written)
+
+
+def test_no_picture_is_large(run: SimpleNamespace) -> None:
+    sizes = {path.name: path.stat().st_size for path in (run.output / "figures").iterdir()}
+    assert max(sizes.values()) < 330 * 1024, sizes
+
+
+def test_table_1_counts_every_paired_frame_once(run: SimpleNamespace) -> None:
+    with (run.output / "figures" / "table1.csv").open(encoding="utf-8") as stream:
+        (row,) = csv.DictReader(stream)
+    assert row["room"] == "room.mcap"
+    counts = {name: int(row[name]) for name in ("low", "middle", "high", "not_positive", "missing")}
+    assert sum(counts.values()) == run.summary.paired
+    scored = counts["low"] + counts["middle"] + counts["high"]
+    assert float(row["high_percent"]) == pytest.approx(100 * counts["high"] / scored, abs=0.005)
+
+
+def test_table_1_leaves_the_share_open_where_nothing_is_scored(tmp_path: Path) -> None:
+    scores = {"low": 0, "middle": 0, "high": 0, "not_positive": 2, "missing": 1}
+    figures.write_table_1(tmp_path / "t.csv", [figures.table_1_row("room", scores)])
+    assert (tmp_path / "t.csv").read_text().splitlines()[1] == "room,0,0,0,,2,1"
+
+
+def test_the_recall_table_is_what_evaluate_measures(run: SimpleNamespace) -> None:
+    over = evaluate.noise(run.output, run.truth)["over_epsilon"]
+    with (run.output / "figures" / "fig6_recall.csv").open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    for name in ("epsilon_over_E", "xi", "eta"):
+        assert [float(row[name]) for row in rows] == over[name]
+
+
+def test_a_truth_that_does_not_serve_costs_its_figure_alone(
+    run: SimpleNamespace, tmp_path: Path
+) -> None:
+    with np.load(run.truth) as arrays:
+        without_mount = {name: arrays[name] for name in arrays.files if name != "T_lidar_camera"}
+    truth = tmp_path / "truth.npz"
+    np.savez(truth, **without_mount)
+    alignment = run.args[1]
+    named = {**run.named, "fuse_dir": run.output, "truth": truth}
+    with opened(run) as session:
+        notes = write_figures(
+            tmp_path / "figures", session, alignment, FigureCollector(alignment), {}, **named
+        )
+    assert [note.split(":")[0] for note in notes] == ["No frame to show", "Fig. 6 is left out"]
+    assert "mounted" in notes[1]
+    assert str(tmp_path) not in notes[1]
+    written = {path.name for path in (tmp_path / "figures").iterdir()}
+    assert written == {"fig4_similarity.png", "table1.csv"}
+
+
+def test_the_headings_say_preset_frame_and_virtual_lidar(
+    run: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    headings = []
+
+    def note_heading(path: Path, heading: str, *args: Any, **named: Any) -> None:
+        headings.append(heading)
+
+    for name in (
+        "write_aligned",
+        "write_similarity",
+        "write_pairs",
+        "write_repair",
+        "write_fused_depth",
+        "write_maps",
+    ):
+        monkeypatch.setattr(figures, name, note_heading)
+    named = {"preset": "published", "fuse_dir": run.output, "truth": None}
+    alignment, collected, grids = run.args[1:]
+    with opened(run, sessions.FuseOptions(virtual_lidar_row=60)) as session:
+        write_figures(tmp_path / "figures", session, alignment, collected, grids, **named)
+    assert len(headings) == 6
+    for heading in headings:
+        assert "room.mcap, preset published, virtual LiDAR, row 60" in heading
+    assert sum(seconds(collected.showcase.stamp_ns) in heading for heading in headings) == 5

@@ -1,0 +1,83 @@
+"""Single frames of recordings in which not every message can be read or fits."""
+
+import numpy as np
+import pytest
+
+from fusion_core.model.conventions import NS_PER_MS
+from fusion_core.model.errors import RecordingError
+from fusion_core.workflows.fuse.frame_reader import FrameReader
+from fusion_core.workflows.fuse.pairing import PairedImage
+from fusion_core.workflows.fuse.presets import PRESETS
+from fusion_core.workflows.fuse.session import FuseOptions, open_session
+
+
+def reader_of(log):
+    session = open_session(log.open(), FuseOptions(), PRESETS["default"])
+    return session, FrameReader(session)
+
+
+@pytest.fixture
+def filled(log):
+    """Ten scans and ten images, alternating; image 4 is of another size, scan 6 of other beams."""
+    log.info()
+    for index in range(10):
+        log.scan(100.0 * index, beams=5 if index == 6 else 9)
+        shape = (6, 8) if index == 4 else (log.lens.height, log.lens.width)
+        log.image(100.0 * index + 20.0, shape=shape)
+    return log
+
+
+def unreadable(monkeypatch, session, topic, index):
+    """Let one message fail to be read."""
+    recording = session.recording
+    read = recording.read
+
+    def fail(name, number):
+        if (name, number) == (topic, index):
+            raise RecordingError(f"{topic}: message {index} is damaged.")
+        return read(name, number)
+
+    monkeypatch.setattr(recording, "read", fail)
+
+
+def test_the_frames_are_those_of_a_pass(filled):
+    session, frames = reader_of(filled)
+    passed = [entry for entry in session.pairs() if isinstance(entry, PairedImage)]
+    numbers = [number for number in range(10) if number != 4]
+    assert len(frames) == 10
+    for number, entry in zip(numbers, passed, strict=True):
+        paired = frames.pair(number)
+        assert paired.gap_ns == entry.gap_ns
+        assert np.array_equal(paired.image.depth_m, entry.image.depth_m)
+        assert (paired.window is None) == (entry.window is None)
+        if entry.window is not None:
+            assert paired.window.scan.stamp_ns == entry.window.scan.stamp_ns
+
+
+def test_an_image_of_another_size_says_so_and_the_next_has_none_before_it(filled):
+    _, frames = reader_of(filled)
+    with pytest.raises(RecordingError, match="image 4 has 8 x 6 pixels, not 16 x 12") as refused:
+        frames.pair(4)
+    assert "another frame" in refused.value.advice
+    assert frames.before(5) is None
+    assert frames.before(4) is not None
+    assert frames.pair(5).window is not None
+
+
+def test_a_damaged_image_leaves_the_next_one_whole(filled, monkeypatch):
+    session, frames = reader_of(filled)
+    unreadable(monkeypatch, session, "/camera/depth/image_raw", 7)
+    with pytest.raises(RecordingError, match="message 7 is damaged"):
+        frames.pair(7)
+    assert frames.before(8) is None
+    assert frames.pair(8).window is not None
+
+
+def test_a_damaged_scan_gives_way_to_the_next_nearest(filled, monkeypatch):
+    session, frames = reader_of(filled)
+    assert frames.pair(2).gap_ns == 20 * NS_PER_MS
+    session, frames = reader_of(filled)
+    unreadable(monkeypatch, session, "/scan", 2)
+    assert frames.pair(2).window is None
+    # With another clock the scan after it is near enough.
+    assert frames.pair(2, clock_offset_ms=-40.0).gap_ns == -40 * NS_PER_MS
