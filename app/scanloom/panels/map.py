@@ -34,8 +34,8 @@ from scanloom.panels.command import fuse_command
 from scanloom.panels.controls import Controls, put
 from scanloom.panels.slam import SlamPanel
 from scanloom.panels.work import PanelJob
-from scanloom.scene.encoded import show_picture
-from scanloom.scene.map_picture import map_pictures
+from scanloom.plots.map_picture import map_pictures
+from scanloom.plots.png import show_picture
 from scanloom.state.view import MAP_MODES, View
 
 _PICTURE_PX = (480, 720)

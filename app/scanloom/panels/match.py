@@ -14,10 +14,10 @@ from scanloom.frame_view import Shown, why_missing
 from scanloom.panels.controls import Controls, put
 from scanloom.panels.mount_words import mount_words
 from scanloom.panels.plain import plain_markdown
-from scanloom.scene.curves_picture import curves_picture
-from scanloom.scene.encoded import show_picture
-from scanloom.scene.field_axis import AzimuthAxis, Mark, ScoreField
-from scanloom.scene.heatmap import Heatmap, heatmap
+from scanloom.plots.curves_picture import curves_picture
+from scanloom.plots.heatmap import Heatmap, heatmap
+from scanloom.plots.png import show_picture
+from scanloom.plots.score_field import AzimuthAxis, Mark, ScoreField
 from scanloom.state.view import Scope
 
 _WIDTH_PX, _HEIGHT_PX = 500, 420

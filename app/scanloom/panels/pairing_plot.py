@@ -7,8 +7,8 @@ from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, ByteArray, FloatA
 from fusion_core.workflows.fuse.pairing_gaps import PairingGaps, PairingStamps
 from scanloom.frame_view import Shown, clock_offset_ms
 from scanloom.panels.controls import put
-from scanloom.scene.encoded import show_picture
-from scanloom.scene.gaps_picture import GapsPicture, gaps_picture
+from scanloom.plots.gaps_picture import GapsPicture, gaps_picture
+from scanloom.plots.png import show_picture
 
 _WIDTH_PX, _HEIGHT_PX = 480, 280
 

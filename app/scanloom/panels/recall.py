@@ -18,8 +18,8 @@ from scanloom.client_session import Desk
 from scanloom.frame_view import Shown, as_failure, clock_offset_ms, problem_of
 from scanloom.jobs.long import LongJob
 from scanloom.panels.controls import put
-from scanloom.scene.encoded import show_picture
-from scanloom.scene.recall_picture import RecallPicture, recall_picture
+from scanloom.plots.png import show_picture
+from scanloom.plots.recall_picture import RecallPicture, recall_picture
 from scanloom.state.opened import Opened
 
 _WIDTH_PX, _HEIGHT_PX = 480, 300

@@ -21,8 +21,8 @@ from scanloom.panels.epsilon import EpsilonControls
 from scanloom.panels.plain import plain_markdown
 from scanloom.panels.recall import RecallPanel
 from scanloom.panels.residual_plot import ResidualPlot
-from scanloom.scene.encoded import show_picture
-from scanloom.scene.pairs_picture import PairsPlot, pairs_picture
+from scanloom.plots.pair_plot import PairsPlot, pairs_picture
+from scanloom.plots.png import show_picture
 
 _WIDTH_PX, _PAIRS_PX, _DRAW_PX = 480, 590, 330
 _MODELS = ("auto", "rigid", "similarity", "affine", "homography")

@@ -14,9 +14,9 @@ from scanloom.frame_view import Shown, why_missing
 from scanloom.panels.controls import Controls, put
 from scanloom.panels.epsilon import EpsilonSliders
 from scanloom.panels.repair_tables import beam_table, class_table
+from scanloom.plots.depth_image import depth_limits_m, depth_picture
+from scanloom.plots.png import show_picture
 from scanloom.resources import palette
-from scanloom.scene.depth_picture import depth_limits_m, depth_picture
-from scanloom.scene.encoded import show_picture
 from scanloom.scene.findings import ConflictRun, conflict_runs
 from scanloom.scene.pair_pixels import pixels_of_match, repaired_depth_m
 from scanloom.scene.range_curves import range_curves

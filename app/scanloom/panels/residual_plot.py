@@ -10,7 +10,7 @@ from fusion_core.model.classes import NoiseClass
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.registration_view import ResidualCurve, residual_curve
 from scanloom.panels.controls import put
-from scanloom.scene.palette import Color, class_color
+from scanloom.plots.palette import Color, class_color
 
 # The plot reaches so far beyond epsilon; what lies beyond that is drawn at its edge.
 _REACH = 2.5

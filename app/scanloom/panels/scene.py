@@ -13,14 +13,14 @@ from fusion_core.workflows.poses import Poses
 from scanloom.client_session import Desk
 from scanloom.frame_view import Shown
 from scanloom.panels.controls import Controls
+from scanloom.plots.depth_image import DepthPicture, depth_picture
+from scanloom.plots.heatmap import Heatmap
+from scanloom.plots.map_picture import map_texture
 from scanloom.scene import camera_views
 from scanloom.scene.boards import Board, Layout, layout_of
 from scanloom.scene.color_picture import upright_color
-from scanloom.scene.depth_picture import DepthPicture, depth_picture
 from scanloom.scene.frame_geometry import FrameGeometry, frame_geometry, unmatched_geometry
-from scanloom.scene.heatmap import Heatmap
 from scanloom.scene.layers import LAYERS, Layer
-from scanloom.scene.map_picture import map_texture
 from scanloom.scene.nodes import MapPlane, Picked, SceneNodes
 from scanloom.scene.pair_pixels import pixels_of_match, repaired_depth_m
 

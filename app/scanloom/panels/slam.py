@@ -24,8 +24,8 @@ from scanloom.panels.command import map_command
 from scanloom.panels.controls import Controls, put
 from scanloom.panels.slam_results import SlamResults, effective_picture
 from scanloom.panels.work import BETWEEN_S, PanelJob
-from scanloom.scene.encoded import show_picture
-from scanloom.scene.slam_picture import Window, live_picture, window_around
+from scanloom.plots.png import show_picture
+from scanloom.plots.slam_progress import Window, live_picture, window_around
 from scanloom.state.runs import MOST_RUNS, Runs
 from scanloom.state.slam_choices import (
     ESTIMATORS,

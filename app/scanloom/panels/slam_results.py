@@ -17,11 +17,11 @@ from scanloom.jobs.slam import SlamRun, keep, resampling_at
 from scanloom.panels.blocks import paragraph, text_box
 from scanloom.panels.controls import put
 from scanloom.panels.slam_words import apart_words, run_report
-from scanloom.scene.encoded import show_picture
-from scanloom.scene.palette import Color, color_of
-from scanloom.scene.runs_picture import WayOnMap, apart, runs_picture
-from scanloom.scene.slam_picture import run_picture
-from scanloom.scene.time_picture import Course, time_picture
+from scanloom.plots.palette import Color, color_of
+from scanloom.plots.png import show_picture
+from scanloom.plots.run_comparison import WayOnMap, apart, runs_picture
+from scanloom.plots.slam_progress import run_picture
+from scanloom.plots.time_picture import Course, time_picture
 from scanloom.state.runs import Runs
 
 _WIDTH_PX, _HEIGHT_PX, _PLOT_PX = 480, 640, 220

@@ -7,7 +7,7 @@ import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S
 from scanloom.jobs.slam import SlamRun
-from scanloom.scene.runs_picture import Apart
+from scanloom.plots.run_comparison import Apart
 
 _MOST_STRETCHES = 12
 # Words that do not fit on a line go on under those above, right of the line's name.

@@ -4,8 +4,8 @@ import numpy as np
 import viser
 
 from fusion_core.model.conventions import ByteArray, Float32Array
+from scanloom.plots.palette import Color
 from scanloom.scene.geometry import Segments
-from scanloom.scene.palette import Color
 
 # Depths are coloured over this span, the same in each frame, so that a colour is a distance.
 _NEAR_M, _FAR_M = 0.5, 8.0

@@ -11,13 +11,13 @@ from fusion_core.model.conventions import (
     FloatArray,
     read_only,
 )
+from scanloom.plots.palette import Color, class_colors, color_of
+from scanloom.plots.png import show_picture
 from scanloom.scene.boards import Board
 from scanloom.scene.drawn import colors_of_segments, depth_colors, lines, points
-from scanloom.scene.encoded import show_picture
 from scanloom.scene.frame_geometry import FrameGeometry
 from scanloom.scene.geometry import NO_SEGMENTS, arrow_segments, path_segments, quaternion
 from scanloom.scene.layers import LAYERS, Layer
-from scanloom.scene.palette import Color, class_colors, color_of
 from scanloom.scene.picking import nearest_beam
 
 # The cameras of a panorama are triggered one after the other; what is older is of another place.

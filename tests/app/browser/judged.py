@@ -4,7 +4,7 @@ import numpy as np
 
 from fusion_core.workflows.fuse.frame import FusedFrame, judge_frame
 from scanloom.frame_view import Shown
-from scanloom.scene.depth_picture import DepthPicture, depth_limits_m, depth_picture
+from scanloom.plots.depth_image import DepthPicture, depth_limits_m, depth_picture
 from scanloom.scene.pair_pixels import pixels_of_match, repaired_depth_m
 from scanloom.state.view import View
 from tests.app.browser.person import match_of

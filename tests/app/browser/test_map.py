@@ -14,7 +14,7 @@ from fusion_core.workflows.fuse.fuse import FuseSummary, fuse
 from fusion_core.workflows.fuse.sensor_maps import difference_of
 from fusion_core.workflows.fuse.session import FuseOptions
 from scanloom.jobs.build import Build, build
-from scanloom.scene.map_picture import map_pictures
+from scanloom.plots.map_picture import map_pictures
 from scanloom.server.workbench import Workbench
 from scanloom.state.view import View
 from tests.app.browser.person import ENOUGH_S, Person

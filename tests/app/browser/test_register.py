@@ -7,7 +7,7 @@ from fusion_core.model.classes import NoiseClass
 from fusion_core.registration.ransac import Registration
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.registration_view import draw_at
-from scanloom.scene.pairs_picture import PairsPlot, pairs_picture
+from scanloom.plots.pair_plot import PairsPlot, pairs_picture
 from tests.app.browser.judged import NUMBER, judged, repaired_picture
 from tests.app.browser.person import Person, match_of
 

@@ -4,8 +4,8 @@ import numpy as np
 from playwright.sync_api import expect
 
 from fusion_core.model.classes import NoiseClass
-from scanloom.scene.palette import class_color
-from scanloom.scene.sheet import Box
+from scanloom.plots.palette import class_color
+from scanloom.plots.sheet import Box
 from tests.app.browser.judged import NUMBER, judged, repaired_picture
 from tests.app.browser.person import Person
 

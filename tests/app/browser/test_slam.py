@@ -12,7 +12,7 @@ from playwright.sync_api import expect
 from fusion_core.model.errors import MappingFailed
 from fusion_core.workflows.map.result_folder import read_run
 from scanloom.jobs import slam as job
-from scanloom.scene.slam_picture import run_picture
+from scanloom.plots.slam_progress import run_picture
 from scanloom.server.workbench import Workbench
 from scanloom.state.slam_choices import SlamChoices
 from tests.app.browser.person import ENOUGH_S, Person

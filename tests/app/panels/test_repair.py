@@ -15,9 +15,9 @@ from fusion_core.workflows.fuse.frame import FusedFrame
 from scanloom.client_session import Desk
 from scanloom.frame_view import Shown, shown_of
 from scanloom.panels.repair import RepairPanel
+from scanloom.plots.palette import class_color
 from scanloom.resources import sample_path
 from scanloom.scene.findings import conflict_runs, facts_of_beam
-from scanloom.scene.palette import class_color
 from scanloom.state.library import Library
 from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, connect

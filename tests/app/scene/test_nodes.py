@@ -9,13 +9,13 @@ import viser
 
 from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.model.geometry import inverse, transform_from_planar
+from scanloom.plots.palette import class_colors, color_of
 from scanloom.scene.boards import Layout, layout_of
 from scanloom.scene.drawn import colors_of_segments
 from scanloom.scene.frame_geometry import FrameGeometry
 from scanloom.scene.geometry import Frustum
 from scanloom.scene.layers import LAYERS
 from scanloom.scene.nodes import MapPlane, SceneNodes
-from scanloom.scene.palette import class_colors, color_of
 
 LAYOUT = Layout(yaw_rad=0.0, reach_m=4.0)
 DOWN = np.array([0.0, 0.0, -1.0])

@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion_core.model.classes import NoiseClass
-from scanloom.scene.depth_picture import DepthPicture, depth_limits_m, depth_picture
+from scanloom.plots.depth_image import DepthPicture, depth_limits_m, depth_picture
+from scanloom.plots.palette import class_color, color_map, color_of
+from scanloom.plots.sheet import hatch
 from scanloom.scene.pair_pixels import PairPixels
-from scanloom.scene.palette import class_color, color_map, color_of
-from scanloom.scene.sheet import hatch
 
 COLORS = color_map("cividis")
 

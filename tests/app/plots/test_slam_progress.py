@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.slam_view import SlamView
 from fusion_core.workflows.map.colors import difference_colors
-from scanloom.scene.palette import Color, color_map
-from scanloom.scene.runs_picture import (
+from scanloom.plots.palette import Color, color_map
+from scanloom.plots.run_comparison import (
     Apart,
     WayOnMap,
     apart,
@@ -17,7 +17,7 @@ from scanloom.scene.runs_picture import (
     moved_points,
     runs_picture,
 )
-from scanloom.scene.slam_picture import (
+from scanloom.plots.slam_progress import (
     LOOP,
     UNTRUSTED,
     WAY,
@@ -26,7 +26,7 @@ from scanloom.scene.slam_picture import (
     run_picture,
     window_around,
 )
-from scanloom.scene.time_picture import Course, time_picture
+from scanloom.plots.time_picture import Course, time_picture
 
 WINDOW: Window = (np.array([-10.0, -5.0]), np.array([10.0, 5.0]))
 NO_LOOPS = np.empty((0, 4))

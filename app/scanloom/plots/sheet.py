@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray, IntArray
-from scanloom.scene.lettering import width_of, write
-from scanloom.scene.palette import Color
+from scanloom.plots.lettering import width_of, write
+from scanloom.plots.palette import Color
 
 FAINT: Color = (134, 142, 150)
 MARGIN_PX = 8

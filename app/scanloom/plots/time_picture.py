@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 
 from fusion_core.model.conventions import ByteArray, FloatArray, read_only
-from scanloom.scene import sheet as paper
-from scanloom.scene.lettering import width_of, write
-from scanloom.scene.palette import Color
-from scanloom.scene.sheet import FAINT, LINE_PX, MARGIN_PX, LegendEntry
+from scanloom.plots import sheet as paper
+from scanloom.plots.lettering import width_of, write
+from scanloom.plots.palette import Color
+from scanloom.plots.sheet import FAINT, LINE_PX, MARGIN_PX, LegendEntry
 
 _NAME_PX, _BELOW_PX = 26, 40
 _GRID: Color = (241, 243, 245)

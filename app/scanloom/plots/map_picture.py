@@ -10,11 +10,11 @@ import numpy as np
 from fusion_core.model.conventions import ByteArray
 from fusion_core.model.grids import MapDifference, OccupancyGrid
 from fusion_core.workflows.map.colors import FREE, UNKNOWN, difference_colors
-from scanloom.scene import sheet as paper
-from scanloom.scene.lettering import shortened, write
-from scanloom.scene.palette import Color
-from scanloom.scene.raster import Raster, draw_scale_bar, drawn, layout, raster_of_grid
-from scanloom.scene.sheet import LINE_PX, MARGIN_PX, LegendEntry
+from scanloom.plots import sheet as paper
+from scanloom.plots.lettering import shortened, write
+from scanloom.plots.map_raster import Raster, draw_scale_bar, drawn, layout, raster_of_grid
+from scanloom.plots.palette import Color
+from scanloom.plots.sheet import LINE_PX, MARGIN_PX, LegendEntry
 
 _OCCUPIED: Color = (0, 0, 0)
 

@@ -15,13 +15,13 @@ from fusion_core.model.conventions import (
 )
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.workflows.map.colors import difference_colors, scale_bar_m
-from scanloom.scene import sheet as paper
-from scanloom.scene.canvas import Canvas, canvas_for
-from scanloom.scene.lettering import INK, shortened, write
-from scanloom.scene.palette import Color
-from scanloom.scene.raster import TITLE_PX, draw_scale_bar, layout
-from scanloom.scene.sheet import LINE_PX, MARGIN_PX, LegendEntry
-from scanloom.scene.slam_picture import LATTICE, bounds, lay_map, map_legend
+from scanloom.plots import sheet as paper
+from scanloom.plots.canvas import Canvas, canvas_for
+from scanloom.plots.lettering import INK, shortened, write
+from scanloom.plots.map_raster import TITLE_PX, draw_scale_bar, layout
+from scanloom.plots.palette import Color
+from scanloom.plots.sheet import LINE_PX, MARGIN_PX, LegendEntry
+from scanloom.plots.slam_progress import LATTICE, bounds, lay_map, map_legend
 
 # Height of the ways alone.
 _WAYS_PX = 190

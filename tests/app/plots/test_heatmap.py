@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scanloom.scene.field_axis import AzimuthAxis, Mark, MarkKind
-from scanloom.scene.heatmap import Heatmap, heatmap
-from scanloom.scene.palette import color_map
-from scanloom.scene.sheet import hatch
+from scanloom.plots.heatmap import Heatmap, heatmap
+from scanloom.plots.palette import color_map
+from scanloom.plots.score_field import AzimuthAxis, Mark, MarkKind
+from scanloom.plots.sheet import hatch
 
 AXIS = AzimuthAxis(first_deg=119.5, step_deg=-1.0)
 

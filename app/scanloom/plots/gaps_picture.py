@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 
 from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray, IntArray
-from scanloom.scene import sheet as paper
-from scanloom.scene.lettering import INK, write
-from scanloom.scene.palette import color_of
-from scanloom.scene.sheet import FAINT, LINE_PX, MARGIN_PX, Box, LegendEntry
+from scanloom.plots import sheet as paper
+from scanloom.plots.lettering import INK, write
+from scanloom.plots.palette import color_of
+from scanloom.plots.sheet import FAINT, LINE_PX, MARGIN_PX, Box, LegendEntry
 
 _LEFT_PX, _BELOW_PX = 58, 40
 _DASH_PX, _CROSS_PX, _RING_PX = 5, 3, 5

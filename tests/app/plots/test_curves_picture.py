@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from scanloom.scene.curves_picture import curves_picture
-from scanloom.scene.palette import color_of
+from scanloom.plots.curves_picture import curves_picture
+from scanloom.plots.palette import color_of
 
 SIZE = {"width_px": 400, "height_px": 240}
 

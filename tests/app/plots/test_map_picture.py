@@ -5,7 +5,7 @@ import pytest
 
 from fusion_core.model.grids import MapDifference, OccupancyGrid
 from fusion_core.workflows.map.colors import FREE, UNKNOWN, difference_colors
-from scanloom.scene.map_picture import map_pictures, map_texture
+from scanloom.plots.map_picture import map_pictures, map_texture
 
 SURE = 30.0
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scanloom.scene.palette import color_map
-from scanloom.scene.sheet import (
+from scanloom.plots.palette import color_map
+from scanloom.plots.sheet import (
     LegendEntry,
     cells_of_pixels,
     hatch,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from fusion_core.model.conventions import ByteArray
-from scanloom.scene.palette import Color
+from scanloom.plots.palette import Color
 
 if TYPE_CHECKING:
     from matplotlib.ft2font import FT2Font

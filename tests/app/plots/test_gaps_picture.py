@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scanloom.scene.gaps_picture import GapsPicture, gaps_picture
-from scanloom.scene.lettering import INK
-from scanloom.scene.palette import color_of
+from scanloom.plots.gaps_picture import GapsPicture, gaps_picture
+from scanloom.plots.lettering import INK
+from scanloom.plots.palette import color_of
 
 SIZE = {"width_px": 480, "height_px": 280}
 TIMES_S = np.linspace(0.0, 6.0, 13)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from scanloom.scene.pairs_picture import PairsPicture, PairsPlot, pairs_picture
-from scanloom.scene.palette import color_of
+from scanloom.plots.pair_plot import PairsPicture, PairsPlot, pairs_picture
+from scanloom.plots.palette import color_of
 
 LIDAR_M = np.array([[-1.0, 3.0], [0.0, 3.2], [1.0, 3.0], [0.5, 2.5], [np.nan, np.nan]])
 DEPTH_M = np.array([[-1.0, 2.0], [0.0, 2.2], [1.0, 2.0], [np.nan, np.nan], [-0.5, 2.5]])

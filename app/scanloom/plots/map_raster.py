@@ -8,9 +8,9 @@ import numpy as np
 from fusion_core.model.conventions import ByteArray, FloatArray
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.workflows.map.colors import UNKNOWN, scale_bar_m
-from scanloom.scene import sheet as paper
-from scanloom.scene.lettering import INK, write
-from scanloom.scene.sheet import LINE_PX, MARGIN_PX, Box
+from scanloom.plots import sheet as paper
+from scanloom.plots.lettering import INK, write
+from scanloom.plots.sheet import LINE_PX, MARGIN_PX, Box
 
 TITLE_PX = LINE_PX + 8
 """What a title over a box takes."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fusion_core.model.conventions import ByteArray
-from scanloom.scene.encoded import png_of, show_picture
+from scanloom.plots.png import png_of, show_picture
 
 
 @pytest.fixture

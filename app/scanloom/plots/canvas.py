@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray
-from scanloom.scene.palette import Color
-from scanloom.scene.sheet import Box
+from scanloom.plots.palette import Color
+from scanloom.plots.sheet import Box
 
 # Fractions of a pixel that OpenCV draws with.
 _SHIFT = 4

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 
 from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray, IntArray
-from scanloom.scene import sheet as paper
-from scanloom.scene.lettering import shortened, write
-from scanloom.scene.palette import Color, color_of
-from scanloom.scene.sheet import LINE_PX, MARGIN_PX, Box, LegendEntry
+from scanloom.plots import sheet as paper
+from scanloom.plots.lettering import shortened, write
+from scanloom.plots.palette import Color, color_of
+from scanloom.plots.sheet import LINE_PX, MARGIN_PX, Box, LegendEntry
 
 _LEFT_PX = 50
 _BELOW_PX = 40

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from scanloom.scene.lettering import INK
-from scanloom.scene.palette import Color, color_of
-from scanloom.scene.recall_picture import RecallPicture, recall_picture
+from scanloom.plots.lettering import INK
+from scanloom.plots.palette import Color, color_of
+from scanloom.plots.recall_picture import RecallPicture, recall_picture
 
 FACTORS = np.linspace(0.2, 6.0, 30)
 RISING = np.linspace(0.1, 0.9, 30)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fusion_core.model.classes import NoiseClass
+from scanloom.plots.palette import class_color, class_colors, color_map, color_of
 from scanloom.resources import palette
-from scanloom.scene.palette import class_color, class_colors, color_map, color_of
 
 
 @pytest.mark.parametrize("noise", NoiseClass)

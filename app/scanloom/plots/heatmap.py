@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 
 from fusion_core.model.conventions import ByteArray, FloatArray
-from scanloom.scene import sheet as paper
-from scanloom.scene.field_axis import AzimuthAxis, Mark, MarkKind, ScoreField
-from scanloom.scene.lettering import shortened, width_of, write
-from scanloom.scene.palette import Color, color_map
-from scanloom.scene.sheet import LINE_PX, MARGIN_PX, Box, LegendEntry
+from scanloom.plots import sheet as paper
+from scanloom.plots.lettering import shortened, width_of, write
+from scanloom.plots.palette import Color, color_map
+from scanloom.plots.score_field import AzimuthAxis, Mark, MarkKind, ScoreField
+from scanloom.plots.sheet import LINE_PX, MARGIN_PX, Box, LegendEntry
 
 _WORDS: dict[MarkKind, str] = {
     "peak": "peak",

@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from scanloom.scene.lettering import shortened, width_of, write
+from scanloom.plots.lettering import shortened, width_of, write
 
 
 def paper() -> np.ndarray:

@@ -11,11 +11,11 @@ import numpy as np
 
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import BoolArray, ByteArray, Float32Array, IntArray
-from scanloom.scene import sheet as paper
-from scanloom.scene.lettering import shortened, write
+from scanloom.plots import sheet as paper
+from scanloom.plots.lettering import shortened, write
+from scanloom.plots.palette import Color, class_color, color_map, color_of
+from scanloom.plots.sheet import LINE_PX, MARGIN_PX, Box, LegendEntry
 from scanloom.scene.pair_pixels import PairPixels
-from scanloom.scene.palette import Color, class_color, color_map, color_of
-from scanloom.scene.sheet import LINE_PX, MARGIN_PX, Box, LegendEntry
 
 _LEFT_PX = 54
 _BELOW_PX = 40

@@ -1,0 +1,1 @@
+"""Pictures with axes that a slider drives or a click picks in, and plots of curves with hover."""
