@@ -13,12 +13,12 @@ import viser
 
 from fusion_core.model.errors import SettingsError
 from fusion_core.workflows.fuse.presets import PRESETS, PresetName
-from scanloom.frame_view import Shown, as_failure, problem_of, shown_of
-from scanloom.jobs.latest import LatestWorker
-from scanloom.jobs.long import Cancelled
+from scanloom.frame_view import FrameView, as_failure, compute_frame_view, failure_summary
+from scanloom.jobs.latest_only_worker import LatestOnlyWorker
+from scanloom.jobs.long_job import Cancelled
 from scanloom.state.history import History
 from scanloom.state.library import Library
-from scanloom.state.opened import Opened
+from scanloom.state.open_recording import OpenRecording
 from scanloom.state.view import View
 
 # Where a browser keeps the view between two visits.
@@ -33,25 +33,25 @@ class Panel(Protocol):
     """Shows one stage. ``show`` gets each computed view, in the worker's thread, and must set its
     widgets from it: the view may come from a link, an undo or another panel."""
 
-    def show(self, shown: Shown) -> None: ...
+    def show(self, frame_view: FrameView) -> None: ...
 
 
-class Desk:
+class ClientSession:
     """The view of one browser. Safe for threads."""
 
     def __init__(self, client: viser.ClientHandle, library: Library, view: View) -> None:
         self.client = client
         self.library = library
         self.panels: list[Panel] = []
-        self.shown: Shown | None = None
+        self.frame_view: FrameView | None = None
         self._view = view
         self._history = History()
-        self._opened: Opened | None = None
+        self._opened: OpenRecording | None = None
         self._told = ""
         self._shown_s = 0.0
         self._closed = threading.Event()
         self._lock = threading.RLock()
-        self._worker = LatestWorker(f"desk {client.client_id}", self._work, self.fail)
+        self._worker = LatestOnlyWorker(f"desk {client.client_id}", self._work, self.fail)
 
     @property
     def view(self) -> View:
@@ -123,7 +123,7 @@ class Desk:
         failure = as_failure(error)
         if str(failure) != self._told:
             self._told = str(failure)
-            self.tell(problem_of(failure), failure.advice, color="red")
+            self.tell(failure_summary(failure), failure.advice, color="red")
 
     def check(self) -> None:
         """Raises Cancelled once the browser has gone: for the steps of what the worker does."""
@@ -157,30 +157,30 @@ class Desk:
             self.refresh()
 
     def _work(self, view: View, is_newest: Callable[[], bool]) -> None:
-        opened = self.library.open(view, seen_by=self)
+        open_recording = self.library.open(view, seen_by=self)
         if self._closed.is_set():
             self.library.leave(self)
             return
-        if opened is not self._opened:
+        if open_recording is not self._opened:
             if self._opened is not None:
                 self._opened.forget(self.refresh)
-            self._opened = opened
-        if opened.chain is None and opened.failure is None:
-            opened.align(self.refresh)
-        shown = shown_of(view, opened, self.check)
+            self._opened = open_recording
+        if open_recording.chain is None and open_recording.failure is None:
+            open_recording.align(self.refresh)
+        frame_view = compute_frame_view(view, open_recording, self.check)
         is_due = time.monotonic() - self._shown_s > _LEAST_OFTEN_S
         if self._closed.is_set() or not (is_newest() or is_due):
             return
-        if shown.failure is not None:
-            self.fail(shown.failure)
-        elif shown.fused is not None:
+        if frame_view.failure is not None:
+            self.fail(frame_view.failure)
+        elif frame_view.fused is not None:
             self._told = ""
-        self.shown = shown
+        self.frame_view = frame_view
         for panel in self.panels:
             if self._closed.is_set():
                 return
             with self.client.atomic():
-                panel.show(shown)
+                panel.show(frame_view)
             # Else viser waits a sixtieth of a second for more.
             self.client.flush()
         self._shown_s = time.monotonic()

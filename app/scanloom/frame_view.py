@@ -9,20 +9,20 @@ from fusion_core.model.sensors import ColorImage
 from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
 from fusion_core.workflows.fuse.live import FrameChoice, LiveChain
 from fusion_core.workflows.fuse.pairing import PairedImage
-from scanloom.jobs.long import Cancelled
-from scanloom.state.opened import Opened
+from scanloom.jobs.long_job import Cancelled
+from scanloom.state.open_recording import OpenRecording
 from scanloom.state.view import View
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shown:
+class FrameView:
     """One view and what came of it. What could not be had is None, and ``failure`` says why.
 
     ``chain`` is None while the recording is being aligned.
     """
 
     view: View
-    opened: Opened
+    open_recording: OpenRecording
     chain: LiveChain | None = None
     paired: PairedImage | None = None
     match: FrameMatch | None = None
@@ -46,41 +46,43 @@ def as_failure(error: Exception) -> ScanLoomError:
     )
 
 
-def problem_of(failure: ScanLoomError) -> str:
+def failure_summary(failure: ScanLoomError) -> str:
     """What is wrong, with the name of the file where it is one: often that is the subject."""
     return f"{Path(failure.file).name}: {failure.problem}" if failure.file else failure.problem
 
 
-def aligning_words(opened: Opened) -> str:
+def alignment_progress_text(open_recording: OpenRecording) -> str:
     """How far the alignment is."""
-    step = opened.progress
+    step = open_recording.progress
     count = f", {step.done} of {step.total}" if step.total else ""
     # The loops are compiled when they are met first, and kept for later runs.
     patience = "" if step.done else " The very first time takes up to a minute."
     return f"Aligning the recording: {step.what}{count}.{patience}"
 
 
-def why_missing(shown: Shown) -> str:
+def missing_result_text(frame_view: FrameView) -> str:
     """Why a stage has nothing to show, and what to do about it."""
-    if shown.failure is not None:
-        return f"{problem_of(shown.failure)} {shown.failure.advice}"
-    if shown.chain is None:
-        return aligning_words(shown.opened)
+    if frame_view.failure is not None:
+        return f"{failure_summary(frame_view.failure)} {frame_view.failure.advice}"
+    if frame_view.chain is None:
+        return alignment_progress_text(frame_view.open_recording)
     return "This frame could not be judged."
 
 
-def shown_of(view: View, opened: Opened, check: Callable[[], None] = lambda: None) -> Shown:
+def compute_frame_view(
+    view: View, open_recording: OpenRecording, check: Callable[[], None] = lambda: None
+) -> FrameView:
     """Compute a view; a stage that fails leaves what came before it.
 
     ``check`` is called between the stages, and raises Cancelled where nobody looks any more.
 
     A frame beyond the recording's last, as an old link may ask for, is its last.
     """
-    view = view.model_copy(update={"number": min(view.number, len(opened.frames) - 1)})
-    chain = opened.chain
+    view = view.model_copy(update={"number": min(view.number, len(open_recording.frames) - 1)})
+    chain = open_recording.chain
     if chain is None:
-        failure = None if opened.failure is None else as_failure(opened.failure)
-        return Shown(view=view, opened=opened, failure=failure)
+        failure = None if open_recording.failure is None else as_failure(open_recording.failure)
+        return FrameView(view=view, open_recording=open_recording, failure=failure)
     choice = FrameChoice(
         number=view.number,
         clock_offset_ms=clock_offset_ms(view, chain),
@@ -98,14 +100,14 @@ def shown_of(view: View, opened: Opened, check: Callable[[], None] = lambda: Non
     except Cancelled:
         raise
     except Exception as error:  # noqa: BLE001  # what came before the stage that fails is shown
-        failure = as_failure(opened.explained(error))
+        failure = as_failure(open_recording.explained(error))
     try:
-        color = opened.frames.color(choice.number)
+        color = open_recording.frames.color(choice.number)
     except Exception as error:  # noqa: BLE001  # the colour image is for looking only
-        failure = failure or as_failure(opened.explained(error))
-    return Shown(
+        failure = failure or as_failure(open_recording.explained(error))
+    return FrameView(
         view=view,
-        opened=opened,
+        open_recording=open_recording,
         chain=chain,
         paired=paired,
         match=match,

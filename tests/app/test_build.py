@@ -15,8 +15,8 @@ from fusion_core.workflows.fuse.presets import PRESETS, chain_settings, settings
 from scanloom import cli
 from scanloom.jobs import build as building
 from scanloom.jobs.build import Build, build, folder_name, free_folder, zipped
-from scanloom.jobs.long import Cancelled
-from scanloom.panels.command import fuse_command
+from scanloom.jobs.long_job import Cancelled
+from scanloom.panels.command_line import fuse_command
 from scanloom.state.view import View
 
 VIEW = View(recording="small room.mcap")

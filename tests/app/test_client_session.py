@@ -17,11 +17,11 @@ from fusion_core.model.errors import AlignmentFailed, RecordingError
 from fusion_core.workflows.fuse.frame import FrameMatch
 from fusion_core.workflows.fuse.live import FrameChoice
 from fusion_core.workflows.fuse.presets import PRESETS
-from scanloom.client_session import STORED_VIEW, Desk
-from scanloom.frame_view import Shown, shown_of
+from scanloom.client_session import STORED_VIEW, ClientSession
+from scanloom.frame_view import FrameView, compute_frame_view
 from scanloom.resources import sample_path
 from scanloom.state.library import Library
-from scanloom.state.opened import Opened
+from scanloom.state.open_recording import OpenRecording
 from scanloom.state.view import View, view_of_link
 
 ENOUGH_S = 60.0
@@ -51,40 +51,40 @@ class Recorder:
     """A panel that keeps what it was shown, and fails where it is asked to."""
 
     def __init__(self) -> None:
-        self.shown: list[Shown] = []
+        self.frame_view: list[FrameView] = []
         self.failure: Exception | None = None
         self._changed = threading.Condition()
 
-    def show(self, shown: Shown) -> None:
+    def show(self, frame_view: FrameView) -> None:
         if self.failure is not None:
             raise self.failure
         with self._changed:
-            self.shown.append(shown)
+            self.frame_view.append(frame_view)
             self._changed.notify_all()
 
-    def until(self, condition: Callable[[Shown], bool]) -> Shown:
+    def until(self, condition: Callable[[FrameView], bool]) -> FrameView:
         """Wait until what was shown last fits: an alignment ends when it will."""
         with self._changed:
             assert self._changed.wait_for(
-                lambda: bool(self.shown) and condition(self.shown[-1]), ENOUGH_S
+                lambda: bool(self.frame_view) and condition(self.frame_view[-1]), ENOUGH_S
             )
-            return self.shown[-1]
+            return self.frame_view[-1]
 
 
-def aligned(library: Library, view: View) -> Opened:
+def aligned(library: Library, view: View) -> OpenRecording:
     """The recording of a view, once its alignment has ended."""
-    opened = library.open(view)
+    open_recording = library.open(view)
     ended = threading.Event()
 
     def hear() -> None:
-        if opened.chain is not None or opened.failure is not None:
+        if open_recording.chain is not None or open_recording.failure is not None:
             ended.set()
 
-    opened.align(hear)
+    open_recording.align(hear)
     hear()
     assert ended.wait(ENOUGH_S)
-    opened.forget(hear)
-    return opened
+    open_recording.forget(hear)
+    return open_recording
 
 
 @pytest.fixture(scope="module")
@@ -114,9 +114,9 @@ def panel() -> Recorder:
 
 
 @pytest.fixture
-def desk(library: Library, view: View, client: Told, panel: Recorder) -> Iterator[Desk]:
+def session(library: Library, view: View, client: Told, panel: Recorder) -> Iterator[ClientSession]:
     """A desk that shows its first view."""
-    made = Desk(client, library, view)  # type: ignore[arg-type]  # as far as it is needed
+    made = ClientSession(client, library, view)  # type: ignore[arg-type]  # as far as it is needed
     made.panels = [panel]
     made.refresh()
     assert made.wait(ENOUGH_S)
@@ -124,128 +124,130 @@ def desk(library: Library, view: View, client: Told, panel: Recorder) -> Iterato
     made.close()
 
 
-def shown_by(desk: Desk) -> Shown:
+def shown_by(session: ClientSession) -> FrameView:
     """What the desk shows of its latest view."""
-    assert desk.wait(ENOUGH_S)
-    assert desk.shown is not None
-    return desk.shown
+    assert session.wait(ENOUGH_S)
+    assert session.frame_view is not None
+    return session.frame_view
 
 
-def frames_of(desk: Desk) -> int:
-    return len(shown_by(desk).opened.frames)
+def frames_of(session: ClientSession) -> int:
+    return len(shown_by(session).open_recording.frames)
 
 
 # The desk
 
 
 def test_a_desk_shows_its_first_view_and_has_the_browser_keep_it(
-    desk: Desk, view: View, client: Told, panel: Recorder
+    session: ClientSession, view: View, client: Told, panel: Recorder
 ) -> None:
-    assert [shown.view for shown in panel.shown] == [view]
-    assert panel.shown[0].fused is not None
+    assert [frame_view.view for frame_view in panel.frame_view] == [view]
+    assert panel.frame_view[0].fused is not None
     assert view_of_link(client.stored[STORED_VIEW]) == view
     assert client.notes == []
 
 
 def test_of_many_changes_the_last_is_shown_and_kept(
-    desk: Desk, client: Told, panel: Recorder
+    session: ClientSession, client: Told, panel: Recorder
 ) -> None:
     for tenths in range(1, 41):
-        desk.set("noise", "epsilon", tenths / 10)
-    shown = shown_by(desk)
-    assert shown.view.settings.noise.epsilon == 4.0
-    assert panel.shown[-1] is shown
-    assert view_of_link(client.stored[STORED_VIEW]) == desk.view == shown.view
-    assert [s.view.settings.noise.epsilon for s in panel.shown[1:]] == sorted(
-        {s.view.settings.noise.epsilon for s in panel.shown[1:]}
+        session.set("noise", "epsilon", tenths / 10)
+    frame_view = shown_by(session)
+    assert frame_view.view.settings.noise.epsilon == 4.0
+    assert panel.frame_view[-1] is frame_view
+    assert view_of_link(client.stored[STORED_VIEW]) == session.view == frame_view.view
+    assert [s.view.settings.noise.epsilon for s in panel.frame_view[1:]] == sorted(
+        {s.view.settings.noise.epsilon for s in panel.frame_view[1:]}
     )
 
 
-def test_epsilon_decides_what_is_shown(desk: Desk) -> None:
+def test_epsilon_decides_what_is_shown(session: ClientSession) -> None:
     found = []
     for epsilon in (0.5, 10.0):
-        desk.set("noise", "epsilon", epsilon)
-        fused = shown_by(desk).fused
+        session.set("noise", "epsilon", epsilon)
+        fused = shown_by(session).fused
         assert fused is not None
         found.append(np.count_nonzero(fused.classes.lidar_class))
     assert found[0] > found[1]
 
 
 def test_a_refused_value_is_told_each_time_and_the_view_stays(
-    desk: Desk, view: View, client: Told, panel: Recorder
+    session: ClientSession, view: View, client: Told, panel: Recorder
 ) -> None:
     for count in (1, 2):
-        before = len(panel.shown)
-        desk.set("noise", "epsilon", -1.0)
-        assert desk.view == view
+        before = len(panel.frame_view)
+        session.set("noise", "epsilon", -1.0)
+        assert session.view == view
         assert len(client.notes) == count
         # The widget that holds the refused value is set back.
-        shown_by(desk)
-        assert len(panel.shown) > before
+        shown_by(session)
+        assert len(panel.frame_view) > before
     title, body = client.notes[0]
     assert title.startswith("noise.epsilon: ")
     assert body == "The value before is kept."
-    desk.undo()
-    assert desk.view == view
+    session.undo()
+    assert session.view == view
 
 
-def test_undo_takes_settings_back_and_leaves_the_place(desk: Desk, view: View) -> None:
-    desk.set("noise", "epsilon", 2.0)
-    desk.set("noise", "support_sigma", 3.0)
-    desk.change(number=7, panel="Repair")
-    desk.undo()
-    assert desk.view == view.with_setting("noise", "epsilon", 2.0).changed(number=7, panel="Repair")
-    desk.undo()
-    desk.undo()
-    assert desk.view == view.changed(number=7, panel="Repair")
-    desk.redo()
-    desk.redo()
-    desk.redo()
-    assert desk.view.settings.noise.epsilon == 2.0
-    assert desk.view.settings.noise.support_sigma == 3.0
-    assert desk.view.number == 7
+def test_undo_takes_settings_back_and_leaves_the_place(session: ClientSession, view: View) -> None:
+    session.set("noise", "epsilon", 2.0)
+    session.set("noise", "support_sigma", 3.0)
+    session.change(number=7, panel="Repair")
+    session.undo()
+    assert session.view == view.with_setting("noise", "epsilon", 2.0).changed(
+        number=7, panel="Repair"
+    )
+    session.undo()
+    session.undo()
+    assert session.view == view.changed(number=7, panel="Repair")
+    session.redo()
+    session.redo()
+    session.redo()
+    assert session.view.settings.noise.epsilon == 2.0
+    assert session.view.settings.noise.support_sigma == 3.0
+    assert session.view.number == 7
 
 
-def test_one_drag_of_a_slider_is_undone_at_once(desk: Desk, view: View) -> None:
+def test_one_drag_of_a_slider_is_undone_at_once(session: ClientSession, view: View) -> None:
     for epsilon in (2.0, 2.5, 3.0):
-        desk.set("noise", "epsilon", epsilon)
-    desk.undo()
-    assert desk.view == view
+        session.set("noise", "epsilon", epsilon)
+    session.undo()
+    assert session.view == view
 
 
-def test_undo_of_a_preset_brings_its_alignment_back_too(desk: Desk, view: View) -> None:
-    own = shown_by(desk).opened
-    desk.set_preset("published")
-    assert desk.view.settings == desk.view.aligned == PRESETS["published"]
-    assert shown_by(desk).opened is not own
-    desk.undo()
-    assert desk.view == view
-    assert shown_by(desk).opened is own
-    desk.redo()
-    assert desk.view.aligned == PRESETS["published"]
+def test_undo_of_a_preset_brings_its_alignment_back_too(session: ClientSession, view: View) -> None:
+    own = shown_by(session).open_recording
+    session.set_preset("published")
+    assert session.view.settings == session.view.aligned == PRESETS["published"]
+    assert shown_by(session).open_recording is not own
+    session.undo()
+    assert session.view == view
+    assert shown_by(session).open_recording is own
+    session.redo()
+    assert session.view.aligned == PRESETS["published"]
 
 
 def test_another_alignment_is_undone_before_the_setting_that_asked_for_it(
-    desk: Desk, view: View
+    session: ClientSession, view: View
 ) -> None:
-    desk.set("search", "min_overlap", 0.6)
-    desk.align_again()
-    assert not desk.view.needs_alignment()
-    desk.undo()
-    assert desk.view == view.with_setting("search", "min_overlap", 0.6)
-    desk.undo()
-    assert desk.view == view
+    session.set("search", "min_overlap", 0.6)
+    session.align_again()
+    assert not session.view.needs_alignment()
+    session.undo()
+    assert session.view == view.with_setting("search", "min_overlap", 0.6)
+    session.undo()
+    assert session.view == view
 
 
-def test_a_place_picked_by_hand_is_that_of_its_frame_unless_locked(desk: Desk) -> None:
-    desk.change_settings(picked=(80.0, 40.0))
-    desk.change(panel="Match")
-    assert desk.view.picked == (80.0, 40.0)
-    desk.step(1)
-    assert desk.view.picked is None
-    desk.change_settings(picked=(80.0, 40.0), lock_picked=True)
-    desk.step(1)
-    assert desk.view.picked == (80.0, 40.0)
+def test_a_place_picked_by_hand_is_that_of_its_frame_unless_locked(session: ClientSession) -> None:
+    session.change_settings(picked=(80.0, 40.0))
+    session.change(panel="Match")
+    assert session.view.picked == (80.0, 40.0)
+    session.step(1)
+    assert session.view.picked is None
+    session.change_settings(picked=(80.0, 40.0), lock_picked=True)
+    session.step(1)
+    assert session.view.picked == (80.0, 40.0)
 
 
 @pytest.mark.parametrize(
@@ -253,56 +255,60 @@ def test_a_place_picked_by_hand_is_that_of_its_frame_unless_locked(desk: Desk) -
     [(True, 0, -1, -1), (True, -1, 1, 0), (False, 0, -1, 0), (False, -1, 1, -1), (True, 3, 2, 5)],
 )
 def test_a_step_comes_in_again_from_the_other_end_or_stops(
-    desk: Desk, loop: bool, start: int, by: int, end: int
+    session: ClientSession, loop: bool, start: int, by: int, end: int
 ) -> None:
-    count = frames_of(desk)
-    desk.change(loop=loop, number=start % count)
-    desk.step(by)
-    assert desk.view.number == end % count
+    count = frames_of(session)
+    session.change(loop=loop, number=start % count)
+    session.step(by)
+    assert session.view.number == end % count
 
 
-def test_a_failure_is_told_once_until_it_is_over(desk: Desk, client: Told, panel: Recorder) -> None:
+def test_a_failure_is_told_once_until_it_is_over(
+    session: ClientSession, client: Told, panel: Recorder
+) -> None:
     # No scan lies so near that it would not be too far.
-    desk.set("time", "max_gap_ms", 0.001)
-    desk.align_again()
-    failure = panel.until(lambda shown: shown.failure is not None).failure
+    session.set("time", "max_gap_ms", 0.001)
+    session.align_again()
+    failure = panel.until(lambda frame_view: frame_view.failure is not None).failure
     assert failure is not None
     for _ in range(3):
-        desk.refresh()
-        assert desk.wait(ENOUGH_S)
+        session.refresh()
+        assert session.wait(ENOUGH_S)
     assert [title for title, _ in client.notes] == [failure.problem]
-    desk.undo()
-    panel.until(lambda shown: shown.fused is not None)
+    session.undo()
+    panel.until(lambda frame_view: frame_view.fused is not None)
 
 
 def test_a_panel_that_fails_is_told_and_the_desk_goes_on(
-    desk: Desk, client: Told, panel: Recorder
+    session: ClientSession, client: Told, panel: Recorder
 ) -> None:
     panel.failure = ZeroDivisionError("by zero")
-    desk.change(number=3)
-    assert desk.wait(ENOUGH_S)
+    session.change(number=3)
+    assert session.wait(ENOUGH_S)
     ((title, body),) = client.notes
     assert title == "Something failed: ZeroDivisionError: by zero."
     assert "another frame" in body
     panel.failure = None
-    desk.change(number=4)
-    assert shown_by(desk).view.number == panel.shown[-1].view.number == 4
+    session.change(number=4)
+    assert shown_by(session).view.number == panel.frame_view[-1].view.number == 4
 
 
-def test_a_recording_that_is_none_is_told_and_the_desk_goes_on(desk: Desk, client: Told) -> None:
-    desk.change(lidar_topic="/none")
-    assert desk.wait(ENOUGH_S)
+def test_a_recording_that_is_none_is_told_and_the_desk_goes_on(
+    session: ClientSession, client: Told
+) -> None:
+    session.change(lidar_topic="/none")
+    assert session.wait(ENOUGH_S)
     assert "'/none'" in client.notes[0][0]
-    desk.change(lidar_topic=None, number=2)
-    assert shown_by(desk).view.number == 2
+    session.change(lidar_topic=None, number=2)
+    assert shown_by(session).view.number == 2
 
 
-def test_a_closed_desk_shows_nothing_any_more(desk: Desk, panel: Recorder) -> None:
-    before = len(panel.shown)
-    desk.close()
-    desk.change(number=5)
-    assert desk.wait(ENOUGH_S)
-    assert len(panel.shown) == before
+def test_a_closed_desk_shows_nothing_any_more(session: ClientSession, panel: Recorder) -> None:
+    before = len(panel.frame_view)
+    session.close()
+    session.change(number=5)
+    assert session.wait(ENOUGH_S)
+    assert len(panel.frame_view) == before
 
 
 def test_a_desk_looks_at_what_it_shows_until_it_is_closed(
@@ -315,7 +321,7 @@ def test_a_desk_looks_at_what_it_shows_until_it_is_closed(
     monkeypatch.setattr(
         library, "open", lambda v, seen_by=None: (seen.append(seen_by), own(v, seen_by))[1]
     )
-    other = Desk(client, library, view)  # type: ignore[arg-type]  # as far as it is needed
+    other = ClientSession(client, library, view)  # type: ignore[arg-type]  # as far as it is needed
     other.refresh()
     assert other.wait(ENOUGH_S)
     assert set(seen) == {other}
@@ -333,7 +339,7 @@ def test_a_desk_that_is_closed_while_its_recording_opens_looks_at_nothing(
     opening, go_on, left = threading.Event(), threading.Event(), threading.Event()
     own_open, own_leave = library.open, library.leave
 
-    def slow(asked: View, seen_by: object = None) -> Opened:
+    def slow(asked: View, seen_by: object = None) -> OpenRecording:
         opening.set()
         assert go_on.wait(ENOUGH_S)
         return own_open(asked, seen_by)
@@ -345,13 +351,13 @@ def test_a_desk_that_is_closed_while_its_recording_opens_looks_at_nothing(
 
     monkeypatch.setattr(library, "open", slow)
     monkeypatch.setattr(library, "leave", leave)
-    desk = Desk(client, library, view)  # type: ignore[arg-type]  # as far as it is needed
-    desk.refresh()
+    session = ClientSession(client, library, view)  # type: ignore[arg-type]  # as far as it is needed
+    session.refresh()
     assert opening.wait(ENOUGH_S)
-    desk.close()
+    session.close()
     go_on.set()
     assert left.wait(ENOUGH_S)
-    assert desk.shown is None
+    assert session.frame_view is None
     library.close()
 
 
@@ -374,21 +380,21 @@ def test_an_alignment_that_fails_is_told_and_the_streams_are_shown(
     def fail(*_: Any) -> None:
         raise error
 
-    monkeypatch.setattr("scanloom.state.opened.align_session", fail)
+    monkeypatch.setattr("scanloom.state.open_recording.align_session", fail)
     library = Library([small_scene], [])
-    opened = library.open(View(recording=small_scene.name))
-    desk = Desk(client, library, View(recording=small_scene.name))  # type: ignore[arg-type]  # as far as it is needed
-    desk.panels = [panel]
+    open_recording = library.open(View(recording=small_scene.name))
+    session = ClientSession(client, library, View(recording=small_scene.name))  # type: ignore[arg-type]  # as far as it is needed
+    session.panels = [panel]
     failed = threading.Event()
-    opened.align(lambda: failed.set() if opened.failure is not None else None)
+    open_recording.align(lambda: failed.set() if open_recording.failure is not None else None)
     assert failed.wait(ENOUGH_S)
-    desk.refresh()
-    shown = shown_by(desk)
-    assert (shown.opened, shown.chain) == (opened, None)
+    session.refresh()
+    frame_view = shown_by(session)
+    assert (frame_view.open_recording, frame_view.chain) == (open_recording, None)
     ((said, then),) = client.notes
     assert said == title
     assert then.startswith(body)
-    desk.close()
+    session.close()
     library.close()
 
 
@@ -403,14 +409,14 @@ def test_a_recording_that_is_cut_while_it_is_open_is_told_so(
     # It stays open, and there is nothing to be aligned yet.
     library.open(view, seen_by="the test")
     os.truncate(path, path.stat().st_size // 2)
-    desk = Desk(client, library, view)  # type: ignore[arg-type]  # as far as it is needed
-    desk.panels = [panel]
-    desk.refresh()
-    panel.until(lambda shown: shown.failure is not None)
+    session = ClientSession(client, library, view)  # type: ignore[arg-type]  # as far as it is needed
+    session.panels = [panel]
+    session.refresh()
+    panel.until(lambda frame_view: frame_view.failure is not None)
     ((title, advice),) = client.notes
     assert title == "room.mcap: has become shorter since it was opened."
     assert advice == "Reload the page: it is then opened again, as it is now."
-    desk.close()
+    session.close()
     library.close()
 
 
@@ -418,41 +424,41 @@ def test_a_recording_that_is_cut_while_it_is_open_is_told_so(
 
 
 def test_what_is_shown_is_what_the_chain_computes(library: Library, view: View) -> None:
-    opened = library.open(view)
-    assert opened.chain is not None
-    shown = shown_of(view.changed(number=9), opened)
+    open_recording = library.open(view)
+    assert open_recording.chain is not None
+    frame_view = compute_frame_view(view.changed(number=9), open_recording)
     choice = FrameChoice(number=9)
-    assert shown.match is opened.chain.matched(choice, view.settings)
-    assert shown.fused is opened.chain.judged(choice, view.settings)
-    assert shown.color is not None
-    assert shown.failure is None
+    assert frame_view.match is open_recording.chain.matched(choice, view.settings)
+    assert frame_view.fused is open_recording.chain.judged(choice, view.settings)
+    assert frame_view.color is not None
+    assert frame_view.failure is None
 
 
 def test_a_frame_beyond_the_last_is_the_last(library: Library, view: View) -> None:
-    opened = library.open(view)
-    last = len(opened.frames) - 1
+    open_recording = library.open(view)
+    last = len(open_recording.frames) - 1
     for number in (last, last + 1, 2**31 - 1):
-        shown = shown_of(view.changed(number=number), opened)
-        assert shown.view.number == last
-        assert shown.paired is not None
-        assert shown.paired.image.stamp_ns == opened.frames.image(last).stamp_ns
+        frame_view = compute_frame_view(view.changed(number=number), open_recording)
+        assert frame_view.view.number == last
+        assert frame_view.paired is not None
+        assert frame_view.paired.image.stamp_ns == open_recording.frames.image(last).stamp_ns
 
 
 def test_the_clock_offset_is_the_mounts_and_only_where_asked_for(
     library: Library, view: View
 ) -> None:
-    opened = library.open(view)
-    chain = opened.chain
+    open_recording = library.open(view)
+    chain = open_recording.chain
     assert chain is not None
-    late = Opened(opened.session)
+    late = OpenRecording(open_recording.fuse_session)
     late.chain = type(chain)(
-        opened.session,
-        opened.frames,
+        open_recording.fuse_session,
+        open_recording.frames,
         replace(chain.alignment, mount=replace(chain.alignment.mount, clock_offset_ms=30.0)),
     )
     gaps_ns = []
     for applied in (False, True):
-        paired = shown_of(view.changed(number=9, apply_clock_offset=applied), late).paired
+        paired = compute_frame_view(view.changed(number=9, apply_clock_offset=applied), late).paired
         assert paired is not None
         assert paired.window is not None
         gaps_ns.append((paired.gap_ns, paired.window.scan.stamp_ns))
@@ -463,13 +469,13 @@ def test_the_clock_offset_is_the_mounts_and_only_where_asked_for(
 def test_a_picked_row_that_the_image_lacks_is_a_failure_in_words(
     library: Library, view: View, preset: str
 ) -> None:
-    opened = library.open(view)
+    open_recording = library.open(view)
     asked = view.changed(preset=preset, settings=PRESETS[preset])  # type: ignore[index]  # one of the two
-    rows = opened.frames.image(0).depth_m.shape[0]
-    inside = shown_of(asked.changed(picked=(80.0, rows - 1.0)), opened)
+    rows = open_recording.frames.image(0).depth_m.shape[0]
+    inside = compute_frame_view(asked.changed(picked=(80.0, rows - 1.0)), open_recording)
     assert inside.match is not None
     assert set(inside.match.pairs.row.tolist()) == {rows - 1}
-    outside = shown_of(asked.changed(picked=(80.0, float(rows))), opened)
+    outside = compute_frame_view(asked.changed(picked=(80.0, float(rows))), open_recording)
     assert outside.match is None
     assert outside.paired is not None
     assert isinstance(outside.failure, AlignmentFailed)
@@ -477,7 +483,7 @@ def test_a_picked_row_that_the_image_lacks_is_a_failure_in_words(
 
 
 def test_a_stage_that_fails_on_one_frame_leaves_what_came_before_it(
-    desk: Desk, client: Told, monkeypatch: pytest.MonkeyPatch
+    session: ClientSession, client: Told, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(match: FrameMatch, *_: Any) -> None:
         raise ZeroDivisionError("in the classes")
@@ -485,41 +491,41 @@ def test_a_stage_that_fails_on_one_frame_leaves_what_came_before_it(
     with monkeypatch.context() as patched:
         patched.setattr("fusion_core.workflows.fuse.live.judge_frame", fail)
         # No other test has judged it so.
-        desk.change(number=5)
-        desk.set("noise", "epsilon", 3.21)
-        shown = shown_by(desk)
-    assert shown.view.number == 5
-    assert shown.paired is not None
-    assert shown.match is not None
-    assert shown.fused is None
-    assert shown.color is not None
+        session.change(number=5)
+        session.set("noise", "epsilon", 3.21)
+        frame_view = shown_by(session)
+    assert frame_view.view.number == 5
+    assert frame_view.paired is not None
+    assert frame_view.match is not None
+    assert frame_view.fused is None
+    assert frame_view.color is not None
     title, body = client.notes[-1]
     assert title == "Something failed: ZeroDivisionError: in the classes."
     assert "another frame" in body
-    desk.change(number=6)
-    assert shown_by(desk).fused is not None
-    desk.change(number=5)
-    assert shown_by(desk).fused is not None
+    session.change(number=6)
+    assert shown_by(session).fused is not None
+    session.change(number=5)
+    assert shown_by(session).fused is not None
 
 
 def test_a_colour_image_that_cannot_be_read_hides_no_frame(
-    desk: Desk, client: Told, monkeypatch: pytest.MonkeyPatch
+    session: ClientSession, client: Told, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    frames = shown_by(desk).opened.frames
+    frames = shown_by(session).open_recording.frames
 
     def fail(number: int) -> None:
         raise RecordingError("/color: message 7 is damaged.", advice="Record it again.")
 
     monkeypatch.setattr(frames, "color", fail)
-    desk.change(number=7)
-    shown = shown_by(desk)
-    assert shown.fused is not None
-    assert shown.color is None
+    session.change(number=7)
+    frame_view = shown_by(session)
+    assert frame_view.fused is not None
+    assert frame_view.color is None
     assert client.notes == [("/color: message 7 is damaged.", "Record it again.")]
 
 
 def test_while_a_recording_is_aligned_its_streams_are_shown(library: Library, view: View) -> None:
-    waiting = Opened(library.open(view).session)
-    shown = shown_of(view, waiting)
-    assert (shown.chain, shown.match, shown.failure) == (None, None, None)
-    assert shown.opened is waiting
+    waiting = OpenRecording(library.open(view).fuse_session)
+    frame_view = compute_frame_view(view, waiting)
+    assert (frame_view.chain, frame_view.match, frame_view.failure) == (None, None, None)
+    assert frame_view.open_recording is waiting

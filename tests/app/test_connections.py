@@ -24,8 +24,8 @@ from viser import _messages as messages
 from scanloom.client_session import STORED_VIEW
 from scanloom.server import connections as connections_module
 from scanloom.server.connections import Connections
-from scanloom.server.error_log import Complaints, log_to
-from scanloom.server.message_filter import MOST_BYTES, judge
+from scanloom.server.error_log import ErrorLog, websockets_logger
+from scanloom.server.message_filter import MOST_BYTES, check_message
 from scanloom.server.security import guard_for, guarded
 from scanloom.server.workbench import ServeOptions, Workbench
 from tests.app.viser_client import CAMERA, connect
@@ -49,13 +49,13 @@ class Served:
     def __init__(self) -> None:
         self.lines: list[str] = []
         # Each line is due.
-        complaints = Complaints(self.lines.append, iter(range(0, 10**6, 100)).__next__)
-        self.connections = Connections(complaints)
+        error_log = ErrorLog(self.lines.append, iter(range(0, 10**6, 100)).__next__)
+        self.connections = Connections(error_log)
         with guarded(
             guard_for("127.0.0.1"),
             create_connection=self.connections.make,
             max_size=MOST_BYTES,
-            logger=log_to(complaints),
+            logger=websockets_logger(error_log),
         ):
             self.server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         self.address = f"http://127.0.0.1:{self.server.get_port()}"
@@ -171,7 +171,7 @@ def test_who_reads_something_stays(size: int, stays: bool) -> None:
         protocol=SimpleNamespace(state=None),
         _watch=lambda: happened.append("watched on"),
     )
-    connections_module.Visit._look(visit, 100)  # type: ignore[arg-type]  # as far as it is needed
+    connections_module.ClientConnection._look(visit, 100)  # type: ignore[arg-type]  # as far as it is needed
     assert happened == (["watched on"] if stays else ["cut off"])
 
 
@@ -179,7 +179,7 @@ def test_who_reads_something_stays(size: int, stays: bool) -> None:
     ("name", "data"), [pytest.param(*each, id=each[0]) for each in malformed_messages()]
 )
 def test_a_malformed_message_changes_nothing(name: str, data: bytes) -> None:
-    judged = judge(data)
+    judged = check_message(data)
     if name == "an answer that was not asked for":
         assert judged.is_wanted
         return
@@ -190,7 +190,7 @@ def test_a_malformed_message_changes_nothing(name: str, data: bytes) -> None:
 
 @given(data=st.binary(max_size=200))
 def test_any_bytes_are_judged(data: bytes) -> None:
-    assert not judge(data).is_wanted
+    assert not check_message(data).is_wanted
 
 
 VALUES = st.recursive(
@@ -209,7 +209,7 @@ VALUES = st.recursive(
 def test_what_is_let_in_is_what_viser_reads(name: str, value: object) -> None:
     """A camera with one value changed: let in, viser makes a message of it without a word."""
     data = msgspec.msgpack.encode(CAMERA | {name: value})
-    if judge(data).is_wanted:
+    if check_message(data).is_wanted:
         message = messages.Message.deserialize(data)
         assert isinstance(message, messages.ViewerCameraMessage)
         assert message.image_height >= 0
@@ -267,4 +267,4 @@ def test_beside_forty_silent_pages_another_has_its_desk_at_once(
     ):
         client.wait_until(lambda: STORED_VIEW in storage, ENOUGH_S)
         # It waited for none of them, and none has a desk.
-        assert len(workbench.desks) == 1
+        assert len(workbench.sessions) == 1

@@ -2,7 +2,7 @@
 
 import logging
 
-from scanloom.server.error_log import Complaints, in_short, log_to
+from scanloom.server.error_log import ErrorLog, error_summary, websockets_logger
 
 
 class Clock:
@@ -15,10 +15,10 @@ class Clock:
 def test_the_first_is_told_at_once_and_the_rest_are_counted() -> None:
     lines: list[str] = []
     clock = Clock()
-    complaints = Complaints(lines.append, clock)
+    error_log = ErrorLog(lines.append, clock)
     for now_s in (0.0, 1.0, 9.9, 10.0, 10.1, 25.0):
         clock.now_s = now_s
-        complaints.tell("browser", f"at {now_s}")
+        error_log.tell("browser", f"at {now_s}")
     assert lines == [
         "browser: at 0.0",
         "browser: at 10.0 (2 more before it)",
@@ -28,7 +28,7 @@ def test_the_first_is_told_at_once_and_the_rest_are_counted() -> None:
 
 def test_a_line_is_one_line_and_steers_no_terminal() -> None:
     lines: list[str] = []
-    Complaints(lines.append).tell("a\nb", "\x1b[31m" + "x" * 10_000)
+    ErrorLog(lines.append).tell("a\nb", "\x1b[31m" + "x" * 10_000)
     (line,) = lines
     assert line.isprintable()
     assert len(line) < 400
@@ -36,7 +36,7 @@ def test_a_line_is_one_line_and_steers_no_terminal() -> None:
 
 def test_a_librarys_error_is_told_without_its_traceback() -> None:
     lines: list[str] = []
-    log = log_to(Complaints(lines.append))
+    log = websockets_logger(ErrorLog(lines.append))
     try:
         raise ZeroDivisionError("by zero")
     except ZeroDivisionError:
@@ -49,4 +49,4 @@ def test_a_librarys_error_is_told_without_its_traceback() -> None:
 
 
 def test_an_error_that_was_never_raised_has_no_place() -> None:
-    assert in_short(KeyError("x")) == "KeyError: 'x'"
+    assert error_summary(KeyError("x")) == "KeyError: 'x'"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from scanloom.panels.help import help_text, keys_text
+from scanloom.panels.widgets.help import help_text, keys_text
 from scanloom.resources import static_path
 from scanloom.state.view import PANELS, PanelName
 from tests.pictures.formulas import FORMULAS, svg_of

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from fusion_core.model.progress import Progress
-from scanloom.jobs.latest import LatestWorker
-from scanloom.jobs.long import Cancelled, LongJob
-from scanloom.jobs.turns import Turns
+from scanloom.jobs.fair_semaphore import FairSemaphore
+from scanloom.jobs.latest_only_worker import LatestOnlyWorker
+from scanloom.jobs.long_job import Cancelled, LongJob
 
 LONG_S = 20.0
 
@@ -20,7 +20,7 @@ class Gate:
 
     def __init__(self) -> None:
         self.begun: list[int] = []
-        self.shown: list[int] = []
+        self.frame_view: list[int] = []
         self.errors: list[Exception] = []
         self.at_work = threading.Semaphore(0)
         self.may_go_on = threading.Semaphore(0)
@@ -32,7 +32,7 @@ class Gate:
         if request < 0:
             raise ValueError(f"no work for {request}")
         if is_newest():
-            self.shown.append(request)
+            self.frame_view.append(request)
 
 
 @pytest.fixture
@@ -41,14 +41,14 @@ def gate() -> Gate:
 
 
 @pytest.fixture
-def worker(gate: Gate) -> Iterator[LatestWorker[int]]:
-    worker = LatestWorker("test", gate.work, gate.errors.append)
+def worker(gate: Gate) -> Iterator[LatestOnlyWorker[int]]:
+    worker = LatestOnlyWorker("test", gate.work, gate.errors.append)
     yield worker
     worker.close()
     gate.may_go_on.release(100)
 
 
-def test_what_comes_in_between_is_never_done(gate: Gate, worker: LatestWorker[int]) -> None:
+def test_what_comes_in_between_is_never_done(gate: Gate, worker: LatestOnlyWorker[int]) -> None:
     worker.ask(1)
     assert gate.at_work.acquire(timeout=LONG_S)
     for request in range(2, 200):
@@ -56,18 +56,20 @@ def test_what_comes_in_between_is_never_done(gate: Gate, worker: LatestWorker[in
     gate.may_go_on.release(2)
     assert worker.wait(LONG_S)
     # The first was no longer the newest when it was done.
-    assert (gate.begun, gate.shown) == ([1, 199], [199])
+    assert (gate.begun, gate.frame_view) == ([1, 199], [199])
 
 
-def test_requests_one_after_the_other_are_all_done(gate: Gate, worker: LatestWorker[int]) -> None:
+def test_requests_one_after_the_other_are_all_done(
+    gate: Gate, worker: LatestOnlyWorker[int]
+) -> None:
     for request in (3, 1, 2):
         gate.may_go_on.release()
         worker.ask(request)
         assert worker.wait(LONG_S)
-    assert gate.shown == [3, 1, 2]
+    assert gate.frame_view == [3, 1, 2]
 
 
-def test_wait_says_whether_all_is_done(gate: Gate, worker: LatestWorker[int]) -> None:
+def test_wait_says_whether_all_is_done(gate: Gate, worker: LatestOnlyWorker[int]) -> None:
     assert worker.wait(0.0)
     worker.ask(1)
     assert gate.at_work.acquire(timeout=LONG_S)
@@ -77,7 +79,7 @@ def test_wait_says_whether_all_is_done(gate: Gate, worker: LatestWorker[int]) ->
 
 
 def test_a_failure_is_told_and_the_next_request_is_done(
-    gate: Gate, worker: LatestWorker[int]
+    gate: Gate, worker: LatestOnlyWorker[int]
 ) -> None:
     gate.may_go_on.release(2)
     worker.ask(-1)
@@ -85,12 +87,12 @@ def test_a_failure_is_told_and_the_next_request_is_done(
     worker.ask(1)
     assert worker.wait(LONG_S)
     assert [str(error) for error in gate.errors] == ["no work for -1"]
-    assert gate.shown == [1]
+    assert gate.frame_view == [1]
 
 
 @pytest.mark.parametrize("request_at_work", [1, -1])
 def test_a_closed_worker_shows_nothing_and_begins_nothing(gate: Gate, request_at_work: int) -> None:
-    worker = LatestWorker("test", gate.work, gate.errors.append)
+    worker = LatestOnlyWorker("test", gate.work, gate.errors.append)
     worker.ask(request_at_work)
     assert gate.at_work.acquire(timeout=LONG_S)
     worker.ask(2)
@@ -98,7 +100,7 @@ def test_a_closed_worker_shows_nothing_and_begins_nothing(gate: Gate, request_at
     gate.may_go_on.release(2)
     worker._thread.join(LONG_S)
     assert not worker._thread.is_alive()
-    assert (gate.begun, gate.shown, gate.errors) == ([request_at_work], [], [])
+    assert (gate.begun, gate.frame_view, gate.errors) == ([request_at_work], [], [])
     assert worker.wait(0.0), "nobody waits for a closed worker"
 
 
@@ -181,7 +183,7 @@ def test_work_that_is_cancelled_is_told_to_nobody(gate: Gate) -> None:
         done.append(request)
         raise Cancelled
 
-    worker = LatestWorker("test", work, gate.errors.append)
+    worker = LatestOnlyWorker("test", work, gate.errors.append)
     for request in (1, 2):
         worker.ask(request)
         assert worker.wait(LONG_S)
@@ -192,7 +194,7 @@ def test_work_that_is_cancelled_is_told_to_nobody(gate: Gate) -> None:
 class Queue:
     """Threads that take turns, each at work until it is let go."""
 
-    def __init__(self, turns: Turns) -> None:
+    def __init__(self, turns: FairSemaphore) -> None:
         self.turns = turns
         self.changed = threading.Condition()
         self.at_work: list[int] = []
@@ -238,7 +240,7 @@ class Queue:
 
 
 def test_so_many_work_at_once_and_the_others_in_their_order() -> None:
-    queue = Queue(Turns(2))
+    queue = Queue(FairSemaphore(2))
     for number in range(5):
         queue.come(number)
     assert queue.at_work == [0, 1]

@@ -9,11 +9,11 @@ import pytest
 import viser
 from viser import _messages as messages
 
-from scanloom.server.message_filter import only_values, without_sharing
+from scanloom.server.message_filter import disable_share_tunnel, restrict_gui_updates
 from tests.app.viser_client import ViserClient, connect
 
 
-class Desk:
+class ClientSession:
     """A server with one widget of each kind, in one scope or the other."""
 
     def __init__(self, server: viser.ViserServer, *, own: bool) -> None:
@@ -36,7 +36,7 @@ class Desk:
         self.welcomed.set()
 
     def _guard(self, gui: viser.GuiApi) -> None:
-        only_values(gui, lambda client_id, line: self.refused.append((client_id, line)))
+        restrict_gui_updates(gui, lambda client_id, line: self.refused.append((client_id, line)))
 
     def _furnish(self, gui: viser.GuiApi) -> None:
         self.handles = {
@@ -83,28 +83,28 @@ class Desk:
 @pytest.fixture(scope="module")
 def server() -> Iterator[viser.ViserServer]:
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    without_sharing(server)
+    disable_share_tunnel(server)
     yield server
     server.stop()
 
 
 @pytest.fixture(params=["one browser's", "everybody's"])
-def desk(request: pytest.FixtureRequest) -> Iterator[Desk]:
+def session(request: pytest.FixtureRequest) -> Iterator[ClientSession]:
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    without_sharing(server)
-    yield Desk(server, own=request.param == "one browser's")
+    disable_share_tunnel(server)
+    yield ClientSession(server, own=request.param == "one browser's")
     server.stop()
 
 
 @pytest.fixture
-def client(desk: Desk) -> Iterator[ViserClient]:
-    with connect(f"http://127.0.0.1:{desk.server.get_port()}") as client:
-        assert desk.welcomed.wait(5.0)
+def client(session: ClientSession) -> Iterator[ViserClient]:
+    with connect(f"http://127.0.0.1:{session.server.get_port()}") as client:
+        assert session.welcomed.wait(5.0)
         client.find("last")
         yield client
 
 
-def test_what_people_do_gets_through(desk: Desk, client: ViserClient) -> None:
+def test_what_people_do_gets_through(session: ClientSession, client: ViserClient) -> None:
     for label, sent, value in (
         ("switch", True, True),
         ("whole", 10, 10),
@@ -122,24 +122,24 @@ def test_what_people_do_gets_through(desk: Desk, client: ViserClient) -> None:
         ("group", "y", "y"),
     ):
         client.set_value(label, sent)
-        desk.settle(client)
-        assert desk.value(label) == value
-        assert type(desk.value(label)) is type(value)
+        session.settle(client)
+        assert session.value(label) == value
+        assert type(session.value(label)) is type(value)
     client.click("button")
     client.click("button")
-    desk.settle(client)
-    assert desk.refused == []
-    assert desk.happened.count("button") == 2
-    assert desk.happened.count("group") == 1
-    assert desk.happened.count("whole") == 2
+    session.settle(client)
+    assert session.refused == []
+    assert session.happened.count("button") == 2
+    assert session.happened.count("group") == 1
+    assert session.happened.count("whole") == 2
 
 
-def test_the_ends_of_a_slider_may_be_rounded(desk: Desk, client: ViserClient) -> None:
+def test_the_ends_of_a_slider_may_be_rounded(session: ClientSession, client: ViserClient) -> None:
     client.set_value("ends", 0.6666667)
     client.set_value("ends", 0.3333333)
-    desk.settle(client)
-    assert desk.refused == []
-    assert desk.value("ends") == 0.3333333
+    session.settle(client)
+    assert session.refused == []
+    assert session.value("ends") == 0.3333333
 
 
 @pytest.mark.parametrize(
@@ -184,19 +184,19 @@ def test_the_ends_of_a_slider_may_be_rounded(desk: Desk, client: ViserClient) ->
     ],
 )
 def test_values_of_another_kind_or_range_change_nothing(
-    desk: Desk, client: ViserClient, label: str, value: object, why: str
+    session: ClientSession, client: ViserClient, label: str, value: object, why: str
 ) -> None:
-    before = desk.value(label)
+    before = session.value(label)
     client.update(client.find(label).uuid, {"value": value})
-    desk.settle(client)
-    ((client_id, line),) = desk.refused
+    session.settle(client)
+    ((client_id, line),) = session.refused
     assert client_id >= 0
     assert line.startswith(f"'{label}': ")
     assert why in line
     assert len(line) < 120
     assert "\n" not in line
-    assert desk.value(label) == before
-    assert desk.happened == ["last"]
+    assert session.value(label) == before
+    assert session.happened == ["last"]
 
 
 @pytest.mark.parametrize(
@@ -221,48 +221,52 @@ def test_values_of_another_kind_or_range_change_nothing(
     ids=repr,
 )
 def test_nothing_but_the_value_can_be_changed(
-    desk: Desk, client: ViserClient, updates: object
+    session: ClientSession, client: ViserClient, updates: object
 ) -> None:
-    state = desk.handles["whole"]._impl
+    state = session.handles["whole"]._impl
     before = {name: value for name, value in vars(state).items() if name != "update_timestamp"}
     client.update(client.find("whole").uuid, updates)
-    desk.settle(client)
-    assert [line for _, line in desk.refused] == ["'whole': only its value can be changed"]
+    session.settle(client)
+    assert [line for _, line in session.refused] == ["'whole': only its value can be changed"]
     assert {name: vars(state)[name] for name in before} == before
     assert state.props.max == 10
 
 
-def test_a_progress_bar_is_shown_and_not_worked(desk: Desk, client: ViserClient) -> None:
+def test_a_progress_bar_is_shown_and_not_worked(
+    session: ClientSession, client: ViserClient
+) -> None:
     (bar,) = (widget for widget in client.widgets.values() if "ProgressBar" in widget.type)
     client.update(bar.uuid, {"value": 99.0})
-    desk.settle(client)
-    assert desk.value("bar") == 30.0
-    assert len(desk.refused) == 1
+    session.settle(client)
+    assert session.value("bar") == 30.0
+    assert len(session.refused) == 1
 
 
-def test_a_line_about_a_refusal_holds_no_line_break(desk: Desk, client: ViserClient) -> None:
+def test_a_line_about_a_refusal_holds_no_line_break(
+    session: ClientSession, client: ViserClient
+) -> None:
     client.set_value("choice", "a\nb\x1b[31m" + "c" * 1000)
-    desk.settle(client)
-    ((_, line),) = desk.refused
+    session.settle(client)
+    ((_, line),) = session.refused
     assert line.isprintable()
     assert len(line) < 120
 
 
 def test_widgets_that_are_not_there_are_nobodys(
-    desk: Desk, client: ViserClient, caplog: pytest.LogCaptureFixture
+    session: ClientSession, client: ViserClient, caplog: pytest.LogCaptureFixture
 ) -> None:
     gone = client.find("text").uuid
-    desk.handles["text"].remove()
+    session.handles["text"].remove()
     for uuid in ("", "unknown", gone, 5, None, ["list"], {"a": 1}):
         client.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": "x"}})
-    desk.settle(client)
-    assert desk.refused == []
-    assert desk.handles["text"].value == "old"
+    session.settle(client)
+    assert session.refused == []
+    assert session.handles["text"].value == "old"
     gc.collect()  # asyncio tells of a task's failure when the task is thrown away
     assert caplog.records == []
 
 
-def test_uploads_and_forms_are_not_taken(desk: Desk, client: ViserClient) -> None:
+def test_uploads_and_forms_are_not_taken(session: ClientSession, client: ViserClient) -> None:
     uuid = client.find("text").uuid
     client.send(
         {
@@ -287,24 +291,24 @@ def test_uploads_and_forms_are_not_taken(desk: Desk, client: ViserClient) -> Non
     for number in range(3):
         client.send({"type": "GuiFormDirtyMessage", "uuid": f"form {number}"})
         client.send({"type": "GuiFormSubmitMessage", "uuid": f"form {number}"})
-    desk.settle(client)
-    gui = desk.handles["last"]._impl.gui_api
+    session.settle(client)
+    gui = session.handles["last"]._impl.gui_api
     assert gui._current_file_upload_states == {}
-    if gui is desk.server.gui:
-        kept = desk.server._websock_server.get_message_buffer().message_from_id.values()
+    if gui is session.server.gui:
+        kept = session.server._websock_server.get_message_buffer().message_from_id.values()
         assert not any("Form" in type(message).__name__ for message in kept)
 
 
 def test_one_browser_changes_nothing_of_anothers() -> None:
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    desks: dict[int, viser.GuiInputHandle[int]] = {}
+    sessions: dict[int, viser.GuiInputHandle[int]] = {}
     refused: list[str] = []
     done = threading.Event()
 
     @server.on_client_connect
     def _(client: viser.ClientHandle) -> None:
-        only_values(client.gui, lambda _, line: refused.append(line))
-        desks[client.client_id] = client.gui.add_slider("whole", 0, 10, 1, 5)
+        restrict_gui_updates(client.gui, lambda _, line: refused.append(line))
+        sessions[client.client_id] = client.gui.add_slider("whole", 0, 10, 1, 5)
         client.gui.add_button("done").on_click(lambda _: done.set())
 
     address = f"http://127.0.0.1:{server.get_port()}"
@@ -315,7 +319,7 @@ def test_one_browser_changes_nothing_of_anothers() -> None:
             one.update(theirs, {"value": 9})
             one.click("done")
             assert done.wait(5.0)
-            assert [handle.value for handle in desks.values()] == [5, 5]
+            assert [handle.value for handle in sessions.values()] == [5, 5]
             assert refused == []
     finally:
         server.stop()
@@ -328,7 +332,7 @@ def test_no_browser_opens_a_tunnel(monkeypatch: pytest.MonkeyPatch) -> None:
     for guarded, told in ((False, True), (True, False)):
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         if guarded:
-            without_sharing(server)
+            disable_share_tunnel(server)
         pressed = threading.Event()
         server.gui.add_button("done").on_click(_setting(pressed))
         asked.clear()

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fusion_core.model.errors import RecordingError, SettingsError
-from scanloom.client_session import STORED_VIEW, Desk
+from scanloom.client_session import STORED_VIEW, ClientSession
 from scanloom.server.security import LINK_KEY
 from scanloom.server.workbench import ServeOptions, Workbench
 from scanloom.state.view import View, view_of_link
@@ -108,17 +108,17 @@ def test_a_frame_that_cannot_be_read_takes_the_one_before_out_of_sight(
             client.wait_for(
                 lambda r: r.type == "ImageMessage" and r.message["name"] in boards, ENOUGH_S
             )
-        desk = desk_of(workbench)
-        assert desk.wait(ENOUGH_S)
-        assert desk.shown is not None
-        frames = desk.shown.opened.frames
+        session = desk_of(workbench)
+        assert session.wait(ENOUGH_S)
+        assert session.frame_view is not None
+        frames = session.frame_view.open_recording.frames
 
         def fail(*_: Any) -> None:
             raise RecordingError("message 7 is damaged.", advice="Go on.")
 
         monkeypatch.setattr(frames, "pair", fail)
         # No other test has looked at it.
-        desk.change(number=13)
+        session.change(number=13)
         title, body = next(notes_of(client))
         assert (title, body) == ("message 7 is damaged.", "Go on.")
         removed = set()
@@ -126,7 +126,7 @@ def test_a_frame_that_cannot_be_read_takes_the_one_before_out_of_sight(
             gone = client.wait_for(lambda r: r.type == "RemoveSceneNodeMessage", ENOUGH_S)
             removed.add(gone.message["name"])
         monkeypatch.undo()
-        desk.change(number=14)
+        session.change(number=14)
         for _ in boards:
             client.wait_for(
                 lambda r: r.type == "ImageMessage" and r.message["name"] in boards, ENOUGH_S
@@ -142,7 +142,7 @@ def test_a_desk_ends_with_its_browser_even_half_furnished(
         return {t.name for t in threading.enumerate() if t.name.startswith(("desk", "play"))}
 
     def ended() -> bool:
-        return not workbench.desks and not threads()
+        return not workbench.sessions and not threads()
 
     assert within(ended)
     with connect(workbench.address, storage={}) as client:
@@ -173,10 +173,10 @@ def within(condition: Callable[[], bool]) -> bool:
     return True
 
 
-def desk_of(workbench: Workbench) -> Desk:
+def desk_of(workbench: Workbench) -> ClientSession:
     """The one browser's desk; that of the test before may still be going."""
-    assert within(lambda: len(workbench.desks) == 1)
-    return workbench.desks[0]
+    assert within(lambda: len(workbench.sessions) == 1)
+    return workbench.sessions[0]
 
 
 def client_shows(client: Any, label: str, value: Any) -> bool:
@@ -212,7 +212,9 @@ def test_an_alignment_that_a_link_asked_for_ends_with_its_browser(
     workbench: Workbench, view: View, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     endless = Endless()
-    monkeypatch.setattr("scanloom.state.opened.align_session", lambda *args: endless.work(args[1]))
+    monkeypatch.setattr(
+        "scanloom.state.open_recording.align_session", lambda *args: endless.work(args[1])
+    )
     with connect(
         workbench.address, storage={LINK_KEY: view.changed(virtual_row=61).to_link()}
     ) as client:
@@ -239,7 +241,7 @@ def test_a_build_ends_with_its_browser_and_leaves_nothing_behind(
         storage = {STORED_VIEW: view.changed(panel="Map").to_link()}
         with connect(own.address, storage=storage) as client:
             # By then a press is heard.
-            assert within(lambda: len(own.desks) == 1)
+            assert within(lambda: len(own.sessions) == 1)
             client.click("Build")
             assert endless.began.wait(ENOUGH_S)
             assert list(root.iterdir())

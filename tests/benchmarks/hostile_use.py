@@ -120,8 +120,8 @@ def visited(
 
 def called(*words: str | Path) -> Call:
     """A command as it is called, and how it ended."""
-    shown = [word.name if isinstance(word, Path) else word for word in words]
-    return f"scanloom {' '.join(shown)}", run(words)
+    frame_view = [word.name if isinstance(word, Path) else word for word in words]
+    return f"scanloom {' '.join(frame_view)}", run(words)
 
 
 def inputs_kept(folder: Path) -> Iterator[Call]:

@@ -44,12 +44,14 @@ def main() -> None:
         page = browser.new_page(viewport=SIZE)
         page.goto(workbench.address)
         until = time.monotonic() + _LOADED_S
-        while not any(desk.shown and desk.shown.fused for desk in workbench.desks):
+        while not any(
+            session.frame_view and session.frame_view.fused for session in workbench.sessions
+        ):
             if time.monotonic() > until:
                 sys.exit("the recording was not aligned in time")
             time.sleep(0.2)
-        for desk in workbench.desks:
-            desk.change(number=asked.frame, panel=asked.panel)
+        for session in workbench.sessions:
+            session.change(number=asked.frame, panel=asked.panel)
         # The browser's own warning that it has no graphics card is no part of the picture.
         page.get_by_text("Software WebGL").locator("xpath=../..").get_by_role("button").click()
         page.wait_for_timeout(1000 * _DRAWN_S)

@@ -17,7 +17,7 @@ from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.fuse.fuse import fuse
 from fusion_core.workflows.fuse.session import FuseOptions
 from fusion_core.workflows.map.build_map import MapOptions, build_map
-from scanloom.jobs.slam import run_slam
+from scanloom.jobs.slam_run import run_slam
 from scanloom.state.slam_choices import SlamChoices
 from scanloom.state.view import View
 from tests.hostile.scans import (

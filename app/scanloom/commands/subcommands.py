@@ -32,7 +32,7 @@ from scanloom.commands.options import (
     room_of,
 )
 from scanloom.commands.reports import Report, conversion_lines, info_lines, scene_lines
-from scanloom.commands.terminal import leave_out_partings
+from scanloom.commands.terminal import silence_disconnect_warnings
 from scanloom.resources import sample_path
 from scanloom.server.listening import LAST_PORT
 from scanloom.server.malloc_arenas import limit_arenas
@@ -76,7 +76,7 @@ class Serve:
             virtual_row=self.virtual_lidar,
         )
         workbench = Workbench(options)
-        leave_out_partings()
+        silence_disconnect_warnings()
         # From here on it serves, and Ctrl-C is how it ends.
         with interruption() as interrupted, workbench:
             said = json.dumps({"address": workbench.address}) if self.json else workbench.address

@@ -29,7 +29,7 @@ def progress_on_stderr() -> Iterator[Progress]:
         yield _Lines()
 
 
-def leave_out_partings() -> None:
+def silence_disconnect_warnings() -> None:
     """Let nothing be said on stderr, from now on, of messages that reach browsers no more."""
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
 

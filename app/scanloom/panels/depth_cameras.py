@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import viser
 
-from scanloom.client_session import Desk
-from scanloom.frame_view import Shown
-from scanloom.panels.controls import Controls
-from scanloom.state.opened import Opened
+from scanloom.client_session import ClientSession
+from scanloom.frame_view import FrameView
+from scanloom.panels.widgets.controls import Controls
+from scanloom.state.open_recording import OpenRecording
 from scanloom.state.view import View
 
 
@@ -18,33 +18,35 @@ class DepthCameras:
     of its own.
     """
 
-    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
+    def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
         self._gui = gui
-        self._desk = desk
+        self._session = session
         self._recording: object = None
         self._topics: tuple[str, ...] = ()
         self._used: tuple[str, ...] = ()
         self._boxes: list[viser.GuiCheckboxHandle] = []
-        self._controls = Controls(gui, desk)
+        self._controls = Controls(gui, session)
         self._folder = gui.add_folder("Depth cameras", expand_by_default=True)
 
-    def show(self, shown: Shown) -> None:
+    def show(self, frame_view: FrameView) -> None:
         """Boxes once for each recording; what is checked is what the view asks for."""
-        opened = shown.opened
-        if self._recording is not opened.session.recording:
-            self._recording = opened.session.recording
-            self._make_boxes(shown.view, opened)
-        self._used = opened.session.streams.depth
-        self._controls.show(shown.view)
+        open_recording = frame_view.open_recording
+        if self._recording is not open_recording.fuse_session.recording:
+            self._recording = open_recording.fuse_session.recording
+            self._make_boxes(frame_view.view, open_recording)
+        self._used = open_recording.fuse_session.streams.depth
+        self._controls.show(frame_view.view)
 
-    def _make_boxes(self, view: View, opened: Opened) -> None:
+    def _make_boxes(self, view: View, open_recording: OpenRecording) -> None:
         for box in self._boxes:
             box.remove()
         self._topics = tuple(
-            topic.name for topic in opened.session.recording.topics if topic.role == "depth"
+            topic.name
+            for topic in open_recording.fuse_session.recording.topics
+            if topic.role == "depth"
         )
-        self._used = opened.session.streams.depth
-        self._controls = Controls(self._gui, self._desk)
+        self._used = open_recording.fuse_session.streams.depth
+        self._controls = Controls(self._gui, self._session)
         with self._folder:
             by_type = self._gui.add_checkbox(
                 "Found by type",
@@ -52,13 +54,13 @@ class DepthCameras:
                 hint="Each camera once: packed copies of its images are left out",
             )
             self._boxes = [by_type]
-            self._controls.tie(by_type, lambda v: not v.depth_topics, self._take_found)
+            self._controls.bind(by_type, lambda v: not v.depth_topics, self._take_found)
             for topic, label in zip(self._topics, own_parts(self._topics), strict=True):
                 self._boxes.append(self._add_box(topic, label, view))
 
     def _add_box(self, topic: str, label: str, view: View) -> viser.GuiCheckboxHandle:
         box = self._gui.add_checkbox(label, topic in self._chosen(view), hint=topic)
-        self._controls.tie(
+        self._controls.bind(
             box,
             lambda v: topic in self._chosen(v),
             lambda checked: self._take(topic, checked),
@@ -72,17 +74,17 @@ class DepthCameras:
         self._choose(() if checked else self._used)
 
     def _take(self, topic: str, checked: bool) -> None:
-        others = set(self._chosen(self._desk.view)) - {topic}
+        others = set(self._chosen(self._session.view)) - {topic}
         chosen = others | {topic} if checked else others
         if not chosen:
-            self._desk.tell("One depth camera is needed", "Check another one first.")
-            self._desk.refresh()
+            self._session.tell("One depth camera is needed", "Check another one first.")
+            self._session.refresh()
             return
         # In the recording's order: the same cameras are the same choice.
         self._choose(tuple(name for name in self._topics if name in chosen))
 
     def _choose(self, topics: tuple[str, ...]) -> None:
-        self._desk.change(depth_topics=topics, number=0)
+        self._session.change(depth_topics=topics, number=0)
 
 
 def own_parts(topics: Sequence[str]) -> list[str]:

@@ -11,10 +11,10 @@ from fusion_core.workflows.fuse.epsilon import (
     epsilon_in,
     unit_lengths_m,
 )
-from scanloom.client_session import Desk
-from scanloom.frame_view import Shown
-from scanloom.panels.controls import Controls, put
-from scanloom.panels.register_words import epsilon_words
+from scanloom.client_session import ClientSession
+from scanloom.frame_view import FrameView
+from scanloom.panels.registration_text import epsilon_text
+from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.state.view import View
 
 # Ends and step of each unit's slider; a setting may lie beyond.
@@ -30,20 +30,20 @@ _BAND_MARKS = ((1.0, "E"), (2.0**0.5, "√2 E"))
 class EpsilonSliders:
     """A slider for each unit, of which one is seen; set by ``controls``."""
 
-    def __init__(self, gui: viser.GuiApi, desk: Desk, controls: Controls) -> None:
-        self._desk = desk
+    def __init__(self, gui: viser.GuiApi, session: ClientSession, controls: Controls) -> None:
+        self._session = session
         self._sliders = {unit: self._add(gui, controls, unit) for unit in EPSILON_UNITS}
 
     def show(self, view: View) -> None:
         """The slider of the view's unit."""
         for unit, slider in self._sliders.items():
-            put(slider, visible=unit == view.settings.noise.epsilon_unit)
+            update_widget(slider, visible=unit == view.settings.noise.epsilon_unit)
 
     def _add(
         self, gui: viser.GuiApi, controls: Controls, unit: EpsilonUnit
     ) -> viser.GuiSliderHandle[Any]:
         low, high, step = _RANGES[unit]
-        noise = self._desk.view.settings.noise
+        noise = self._session.view.settings.noise
         slider: viser.GuiSliderHandle[Any] = gui.add_slider(
             _LABELS[unit],
             min=low,
@@ -61,46 +61,46 @@ class EpsilonSliders:
 
         def change(value: float) -> None:
             # A value that was on its way when the unit changed means the unit before.
-            if unit == self._desk.view.settings.noise.epsilon_unit:
-                self._desk.set("noise", "epsilon", float(value))
+            if unit == self._session.view.settings.noise.epsilon_unit:
+                self._session.set("noise", "epsilon", float(value))
 
-        controls.tie(slider, value_of, change)
+        controls.bind(slider, value_of, change)
         return slider
 
 
 class EpsilonControls:
     """The unit, its slider, and words."""
 
-    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
-        self._desk = desk
+    def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
+        self._session = session
         self._lengths_m: dict[EpsilonUnit, float] = {}
-        self._controls = Controls(gui, desk)
-        noise = desk.view.settings.noise
+        self._controls = Controls(gui, session)
+        noise = session.view.settings.noise
         unit = gui.add_dropdown(
             "Unit of ε",
             EPSILON_UNITS,
             initial_value=noise.epsilon_unit,
             hint=type(noise).model_fields["epsilon_unit"].description,
         )
-        self._controls.tie(unit, lambda view: view.settings.noise.epsilon_unit, self._change_unit)
-        self._sliders = EpsilonSliders(gui, desk, self._controls)
+        self._controls.bind(unit, lambda view: view.settings.noise.epsilon_unit, self._change_unit)
+        self._sliders = EpsilonSliders(gui, session, self._controls)
         self._words = gui.add_markdown("")
 
-    def show(self, shown: Shown) -> None:
+    def show(self, frame_view: FrameView) -> None:
         """Set unit and slider; say what epsilon is in this frame."""
-        noise = shown.view.settings.noise
-        self._controls.show(shown.view)
-        self._sliders.show(shown.view)
-        if shown.match is not None and shown.chain is not None:
-            self._lengths_m = unit_lengths_m(shown.match, shown.chain.alignment)
+        noise = frame_view.view.settings.noise
+        self._controls.show(frame_view.view)
+        self._sliders.show(frame_view.view)
+        if frame_view.match is not None and frame_view.chain is not None:
+            self._lengths_m = unit_lengths_m(frame_view.match, frame_view.chain.alignment)
         said = ""
-        if shown.fused is not None:
-            said = epsilon_words(epsilon_in(shown.fused), noise.epsilon, noise.epsilon_unit)
-        put(self._words, content=said)
+        if frame_view.fused is not None:
+            said = epsilon_text(epsilon_in(frame_view.fused), noise.epsilon, noise.epsilon_unit)
+        update_widget(self._words, content=said)
 
     def _change_unit(self, unit: EpsilonUnit) -> None:
         """The same length in another unit, as one change."""
-        view = self._desk.view
+        view = self._session.view
         noise = view.settings.noise
         low, high, step = _RANGES[unit]
         epsilon = converted(noise.epsilon, noise.epsilon_unit, unit, self._lengths_m)
@@ -109,4 +109,4 @@ class EpsilonControls:
         changed = view.with_setting("noise", "epsilon_unit", unit).with_setting(
             "noise", "epsilon", round(on_slider, 3)
         )
-        self._desk.change_settings(settings=changed.settings)
+        self._session.change_settings(settings=changed.settings)

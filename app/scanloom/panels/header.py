@@ -6,10 +6,10 @@ from typing import get_args
 import viser
 
 from fusion_core.workflows.fuse.presets import PresetName
-from scanloom.client_session import Desk
-from scanloom.frame_view import Shown
-from scanloom.panels.controls import Controls, put
-from scanloom.panels.help import keys_text
+from scanloom.client_session import ClientSession
+from scanloom.frame_view import FrameView
+from scanloom.panels.widgets.controls import Controls, update_widget
+from scanloom.panels.widgets.help import keys_text
 from scanloom.state.view import View
 
 _MOST_DIFFERENCES = 6
@@ -18,48 +18,51 @@ _MOST_DIFFERENCES = 6
 class HeaderPanel:
     """Preset, reset, undo, redo and link."""
 
-    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
-        self._desk = desk
+    def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
+        self._session = session
         self._title = gui.add_html("")
         presets = get_args(PresetName)
         preset = gui.add_dropdown(
-            "Preset", presets, initial_value=desk.view.preset, hint="Default, or what Xu 2024 does"
+            "Preset",
+            presets,
+            initial_value=session.view.preset,
+            hint="Default, or what Xu 2024 does",
         )
         self._differs = gui.add_html("")
         buttons = gui.add_button_group("Settings", ("Undo", "Redo", "Reset", "Link", "Keys"))
 
-        self._controls = Controls(gui, desk)
-        self._controls.tie(preset, lambda view: view.preset, desk.set_preset)
+        self._controls = Controls(gui, session)
+        self._controls.bind(preset, lambda view: view.preset, session.set_preset)
 
         @buttons.on_click
         def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
             match buttons.value:
                 case "Undo":
-                    desk.undo()
+                    session.undo()
                 case "Redo":
-                    desk.redo()
+                    session.redo()
                 case "Reset":
-                    desk.set_preset(desk.view.preset)
+                    session.set_preset(session.view.preset)
                 case "Link":
                     self._tell_link()
                 case "Keys":
                     self._tell("Keys", keys_text())
 
-    def show(self, shown: Shown) -> None:
+    def show(self, frame_view: FrameView) -> None:
         """Set title, preset and differences."""
-        view = shown.view
+        view = frame_view.view
         self._controls.show(view)
-        put(self._title, content=_title(view))
-        put(self._differs, content=_differences(view))
+        update_widget(self._title, content=_title(view))
+        update_widget(self._differs, content=_differences(view))
 
     def _tell_link(self) -> None:
-        link = f"/go?view={self._desk.view.to_link()}"
+        link = f"/go?view={self._session.view.to_link()}"
         words = "Add this to the server's address. It restores recording, time, settings and panel."
         self._tell("A link to this view", words, link=link)
 
     def _tell(self, title: str, words: str, *, link: str | None = None) -> None:
         """Words over the page, and a text to copy, until they are closed."""
-        gui = self._desk.client.gui
+        gui = self._session.client.gui
         with gui.add_modal(title) as modal:
             gui.add_markdown(words)
             if link is not None:

@@ -17,8 +17,8 @@ from fusion_core.workflows.fuse.export_clouds import CloudExport
 from fusion_core.workflows.fuse.sensor_maps import difference_of
 from fusion_core.workflows.map.result_folder import RunPoses
 from fusion_core.workflows.poses import Poses
-from scanloom.client_session import Desk
-from scanloom.frame_view import Shown
+from scanloom.client_session import ClientSession
+from scanloom.frame_view import FrameView
 from scanloom.jobs.build import (
     Build,
     build,
@@ -29,11 +29,11 @@ from scanloom.jobs.build import (
     settings_in,
     zipped,
 )
-from scanloom.panels.blocks import paragraph, text_box
-from scanloom.panels.command import fuse_command
-from scanloom.panels.controls import Controls, put
+from scanloom.panels.command_line import fuse_command
 from scanloom.panels.slam import SlamPanel
-from scanloom.panels.work import PanelJob
+from scanloom.panels.widgets.controls import Controls, update_widget
+from scanloom.panels.widgets.markup import paragraph, text_box
+from scanloom.panels.widgets.panel_job import PanelJob
 from scanloom.plots.map_picture import map_pictures
 from scanloom.plots.png import show_picture
 from scanloom.state.view import MAP_MODES, View
@@ -65,11 +65,11 @@ class MapPanel:
     def __init__(
         self,
         gui: viser.GuiApi,
-        desk: Desk,
+        session: ClientSession,
         output_root: Path,
         on_map: TakeMap,
     ) -> None:
-        self._desk = desk
+        self._session = session
         # Commands are for shells that stand elsewhere.
         self._root = Path(os.path.realpath(output_root))
         self._on_map = on_map
@@ -84,17 +84,19 @@ class MapPanel:
         mode = gui.add_dropdown(
             "Mode",
             MAP_MODES,
-            initial_value=desk.view.map_mode,
+            initial_value=session.view.map_mode,
             hint="Maps of both sensors from recorded poses, or poses by SLAM",
         )
-        self._controls = Controls(gui, desk)
-        self._controls.bind(mode, "map_mode", str)
-        self._fuse = gui.add_folder("Fuse", visible=desk.view.map_mode == "Fuse")
+        self._controls = Controls(gui, session)
+        self._controls.bind_field(mode, "map_mode", str)
+        self._fuse = gui.add_folder("Fuse", visible=session.view.map_mode == "Fuse")
         with self._fuse:
             self._furnish(gui)
-        self._slam_folder = gui.add_folder("Motion and SLAM", visible=desk.view.map_mode == "SLAM")
+        self._slam_folder = gui.add_folder(
+            "Motion and SLAM", visible=session.view.map_mode == "SLAM"
+        )
         with self._slam_folder:
-            self._slam = SlamPanel(gui, desk, self._root)
+            self._slam = SlamPanel(gui, session, self._root)
 
         self._build_button.on_click(lambda _: self._begin_build())
         self._export_button.on_click(lambda _: self._begin_export())
@@ -103,7 +105,7 @@ class MapPanel:
         @self._figures.on_update
         def _(event: viser.GuiEvent[Any]) -> None:
             if event.client is not None:
-                desk.refresh()
+                session.refresh()
 
     def _furnish(self, gui: viser.GuiApi) -> None:
         """The widgets of a build."""
@@ -117,7 +119,7 @@ class MapPanel:
             "Figures", True, hint="Draw each stage as a picture, too, as in Xu 2024"
         )
         self._build_button = gui.add_button("Build", icon=viser.Icon.MAP)
-        self._job = PanelJob(gui, self._desk, self._lock, self._show_working)
+        self._job = PanelJob(gui, self._session, self._lock, self._show_working)
         self._picture = gui.add_image(_EMPTY, format="png", visible=False)
         self._report = gui.add_html("")
         self._files = gui.add_folder("Files", visible=False)
@@ -134,24 +136,24 @@ class MapPanel:
         with gui.add_folder("The same from the command line"):
             self._command = gui.add_html("")
 
-    def show(self, shown: Shown) -> None:
+    def show(self, frame_view: FrameView) -> None:
         """The maps of the recording that is shown, and the command of the view."""
         with self._lock:
             built = self._built
-            if built is not None and built.view.recording != shown.view.recording:
+            if built is not None and built.view.recording != frame_view.view.recording:
                 built = None
-            self._lay_floor(shown.view, built)
-            if shown.view.panel != "Map":
+            self._lay_floor(frame_view.view, built)
+            if frame_view.view.panel != "Map":
                 return
-            mode = shown.view.map_mode
-            self._controls.show(shown.view)
-            put(self._fuse, visible=mode == "Fuse")
-            put(self._slam_folder, visible=mode == "SLAM")
+            mode = frame_view.view.map_mode
+            self._controls.show(frame_view.view)
+            update_widget(self._fuse, visible=mode == "Fuse")
+            update_widget(self._slam_folder, visible=mode == "SLAM")
             if mode == "SLAM":
-                self._slam.show(shown)
+                self._slam.show(frame_view)
                 return
-            self._show_command(shown.view, built)
-            self._show_built(shown.view, built)
+            self._show_command(frame_view.view, built)
+            self._show_built(frame_view.view, built)
 
     def close(self) -> None:
         """The browser has gone: what it builds is of no use any more."""
@@ -176,10 +178,10 @@ class MapPanel:
             self._on_map(grid, poses)
 
     def _begin_build(self) -> None:
-        view, figures = self._desk.view, bool(self._figures.value)
+        view, figures = self._session.view, bool(self._figures.value)
 
         def work(progress: Progress) -> Build:
-            recording = self._desk.library.path(view.recording)
+            recording = self._session.library.path(view.recording)
             return build(view, recording, self._root, progress, figures=figures)
 
         def done(built: Build) -> None:
@@ -204,15 +206,15 @@ class MapPanel:
 
     def _show_working(self, is_at_work: bool) -> None:
         self._commanded = None
-        put(self._build_button, disabled=is_at_work)
-        put(self._export_button, disabled=is_at_work)
+        update_widget(self._build_button, disabled=is_at_work)
+        update_widget(self._export_button, disabled=is_at_work)
 
     def _show_command(self, view: View, built: Build | None) -> None:
         key = (_asked(view), self._figures.value, built)
         if key == self._commanded:
             return
         self._commanded = key
-        recording = self._desk.library.path(view.recording)
+        recording = self._session.library.path(view.recording)
         if built is not None and _asked(view) == _asked(built.view):
             folder, options = built.folder, built.options
         else:
@@ -227,11 +229,11 @@ class MapPanel:
         self._command.content = text_box(command) + "".join(map(paragraph, notes))
 
     def _show_built(self, view: View, built: Build | None) -> None:
-        put(self._files, visible=built is not None)
+        update_widget(self._files, visible=built is not None)
         if built is None:
             self._drawn = None
-            put(self._picture, visible=False)
-            put(self._report, content="")
+            update_widget(self._picture, visible=False)
+            update_widget(self._report, content="")
             return
         if built is not self._drawn:
             self._drawn = built
@@ -242,12 +244,14 @@ class MapPanel:
                     grids, difference_of(grids), width_px=width_px, height_px=height_px
                 )
                 show_picture(self._picture, drawn)
-            put(self._picture, visible=bool(grids))
-            put(self._folder, content=text_box(str(built.folder)))
+            update_widget(self._picture, visible=bool(grids))
+            update_widget(self._folder, content=text_box(str(built.folder)))
             for handle in (self._voxel, self._export_button):
-                put(handle, visible=built.summary.pose_source is not None)
-        put(self._exported, content=paragraph(self._clouds) if self._clouds else "")
-        put(self._report, content=_report(built, changed=_asked(view) != _asked(built.view)))
+                update_widget(handle, visible=built.summary.pose_source is not None)
+        update_widget(self._exported, content=paragraph(self._clouds) if self._clouds else "")
+        update_widget(
+            self._report, content=_report(built, changed=_asked(view) != _asked(built.view))
+        )
 
     def _send(self) -> None:
         built = self._built
@@ -256,9 +260,9 @@ class MapPanel:
         try:
             content = zipped(built)
         except ScanLoomError as error:
-            self._desk.fail(error)
+            self._session.fail(error)
             return
-        self._desk.client.send_file_download(
+        self._session.client.send_file_download(
             f"{built.folder.name}.zip", content, save_immediately=True
         )
 

@@ -9,11 +9,11 @@ import viser
 
 from fusion_core.workflows.fuse.frame import FrameMatch, curves_at
 from fusion_core.workflows.fuse.live import window_field
-from scanloom.client_session import Desk
-from scanloom.frame_view import Shown, why_missing
-from scanloom.panels.controls import Controls, put
-from scanloom.panels.mount_words import mount_words
-from scanloom.panels.plain import plain_markdown
+from scanloom.client_session import ClientSession
+from scanloom.frame_view import FrameView, missing_result_text
+from scanloom.panels.mount_text import mount_text
+from scanloom.panels.widgets.controls import Controls, update_widget
+from scanloom.panels.widgets.markup import escape_markdown
 from scanloom.plots.curves_picture import curves_picture
 from scanloom.plots.heatmap import Heatmap, heatmap
 from scanloom.plots.png import show_picture
@@ -34,19 +34,19 @@ class MatchPanel:
     def __init__(
         self,
         gui: viser.GuiApi,
-        desk: Desk,
+        session: ClientSession,
         on_heatmap: Callable[[Callable[[], Heatmap] | None], None],
     ) -> None:
-        self._desk = desk
+        self._session = session
         self._on_heatmap = on_heatmap
         self._drawn: Heatmap | None = None
         # Frame, chain and choices that it was drawn of.
         self._drawn_of: tuple[object, object, object] = None, None, None
-        controls = Controls(gui, desk)
+        controls = Controls(gui, session)
         scope = gui.add_dropdown(
-            "Field of", get_args(Scope), initial_value=desk.view.scope, hint="What is averaged"
+            "Field of", get_args(Scope), initial_value=session.view.scope, hint="What is averaged"
         )
-        controls.bind(scope, "scope", str)
+        controls.bind_field(scope, "scope", str)
         controls.dropdown("search", "metric", "Score", _METRICS)
         self._picture = gui.add_image(
             np.full((_HEIGHT_PX, _WIDTH_PX, 3), 255, np.uint8), format="png", visible=False
@@ -57,9 +57,9 @@ class MatchPanel:
             self._v = gui.add_number("v (row)", 0.0, step=1.0)
             buttons = gui.add_button_group("Offset", ("Use", "Clear"))
             lock = gui.add_checkbox(
-                "Lock u", desk.view.lock_picked, hint="Keep the picked offset in other frames"
+                "Lock u", session.view.lock_picked, hint="Keep the picked offset in other frames"
             )
-            controls.bind(lock, "lock_picked", bool)
+            controls.bind_field(lock, "lock_picked", bool)
         self._curves = gui.add_image(
             np.full((*_CURVES_PX[::-1], 3), 255, np.uint8), format="png", visible=False
         )
@@ -78,41 +78,41 @@ class MatchPanel:
         def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
             use = buttons.value == "Use"
             picked = (float(self._u.value), float(self._v.value)) if use else None
-            desk.change_settings(picked=picked)
+            session.change_settings(picked=picked)
 
-    def show(self, shown: Shown) -> None:
+    def show(self, frame_view: FrameView) -> None:
         """Draw the field, the curves and the words of this view."""
-        self._controls.show(shown.view)
-        match = shown.match
+        self._controls.show(frame_view.view)
+        match = frame_view.match
         for picture in (self._picture, self._curves):
-            put(picture, visible=match is not None)
-        if match is None or shown.chain is None:
+            update_widget(picture, visible=match is not None)
+        if match is None or frame_view.chain is None:
             self._on_heatmap(None)
-            put(self._words, content=plain_markdown(why_missing(shown)))
+            update_widget(self._words, content=escape_markdown(missing_result_text(frame_view)))
             return
-        self._on_heatmap(partial(self._heatmap_of, shown, match))
-        if shown.view.panel == "Match":
-            show_picture(self._picture, self._heatmap_of(shown, match).rgb)
-            put(self._words, content=_peak_words(shown, match))
-            self._show_curves(shown, match)
-            alignment = shown.chain.alignment
-            put(self._mount, content=mount_words(alignment.mount, alignment.notes))
+        self._on_heatmap(partial(self._heatmap_of, frame_view, match))
+        if frame_view.view.panel == "Match":
+            show_picture(self._picture, self._heatmap_of(frame_view, match).rgb)
+            update_widget(self._words, content=_peak_words(frame_view, match))
+            self._show_curves(frame_view, match)
+            alignment = frame_view.chain.alignment
+            update_widget(self._mount, content=mount_text(alignment.mount, alignment.notes))
 
-    def _heatmap_of(self, shown: Shown, match: FrameMatch) -> Heatmap:
+    def _heatmap_of(self, frame_view: FrameView, match: FrameMatch) -> Heatmap:
         """The picture of this view: the last one where nothing of it has changed."""
-        view = shown.view
+        view = frame_view.view
         # A match is kept as long as its settings are: a new epsilon makes no new one.
         frame = match if view.scope != "recording" else None
         looked_at = (view.scope, view.settings.search.metric, view.picked)
         of, chain, before = self._drawn_of
-        is_same = of is frame and chain is shown.chain and before == looked_at
+        is_same = of is frame and chain is frame_view.chain and before == looked_at
         if self._drawn is None or not is_same:
-            self._drawn_of = frame, shown.chain, looked_at
-            self._drawn = self._draw(shown, match)
+            self._drawn_of = frame, frame_view.chain, looked_at
+            self._drawn = self._draw(frame_view, match)
         return self._drawn
 
-    def _draw(self, shown: Shown, match: FrameMatch) -> Heatmap:
-        view, chain = shown.view, shown.chain
+    def _draw(self, frame_view: FrameView, match: FrameMatch) -> Heatmap:
+        view, chain = frame_view.view, frame_view.chain
         assert chain is not None, "a match was made by a chain"
         metric = view.settings.search.metric
         alignment = chain.alignment
@@ -143,28 +143,30 @@ class MatchPanel:
             title=f"{title}, {metric.replace('_', ' ')}",
         )
 
-    def _show_curves(self, shown: Shown, match: FrameMatch) -> None:
-        place = _place(shown, match)
+    def _show_curves(self, frame_view: FrameView, match: FrameMatch) -> None:
+        place = _place(frame_view, match)
         if place is None:
             return
-        lidar_m, depth_m = curves_at(match, place, masked=shown.view.settings.search.mask_holes)
+        lidar_m, depth_m = curves_at(
+            match, place, masked=frame_view.view.settings.search.mask_holes
+        )
         width_px, height_px = _CURVES_PX
         drawn = curves_picture(lidar_m, depth_m, width_px=width_px, height_px=height_px)
         show_picture(self._curves, drawn)
-        put(self._u, value=round(place[0], 2))
-        put(self._v, value=round(place[1], 1))
+        update_widget(self._u, value=round(place[0], 2))
+        update_widget(self._v, value=round(place[1], 1))
 
 
-def _place(shown: Shown, match: FrameMatch) -> tuple[float, float] | None:
+def _place(frame_view: FrameView, match: FrameMatch) -> tuple[float, float] | None:
     """The offset that is shown: the picked one, else the frame's peak."""
-    if shown.view.picked is not None:
-        return shown.view.picked
-    peak = match.search.peaks.get(shown.view.settings.search.metric)
+    if frame_view.view.picked is not None:
+        return frame_view.view.picked
+    peak = match.search.peaks.get(frame_view.view.settings.search.metric)
     return None if peak is None else (peak.u, peak.v)
 
 
-def _peak_words(shown: Shown, match: FrameMatch) -> str:
-    metric = shown.view.settings.search.metric
+def _peak_words(frame_view: FrameView, match: FrameMatch) -> str:
+    metric = frame_view.view.settings.search.metric
     peak = match.search.peaks.get(metric)
     if peak is None:
         return "No offset has enough samples valid on both sides: lower the least overlap."
@@ -175,8 +177,8 @@ def _peak_words(shown: Shown, match: FrameMatch) -> str:
     alone = match.search.peaks_alone.get(metric)
     if alone is not None and abs(alone.u - peak.u) > 0.5:
         lines.append(f"Without the recording's u it would be at u = {alone.u:.2f}.")
-    if shown.view.picked is not None:
-        u, v = shown.view.picked
+    if frame_view.view.picked is not None:
+        u, v = frame_view.view.picked
         lines.append(f"Picked by hand: u = {u:.2f}, v = {v:.1f}; pairs are those of row {v:.0f}.")
     else:
         along = "the LiDAR's projected curve" if match.row_model == "curve" else "the row"

@@ -5,8 +5,8 @@ import viser
 
 from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, ByteArray, FloatArray, IntArray
 from fusion_core.workflows.fuse.pairing_gaps import PairingGaps, PairingStamps
-from scanloom.frame_view import Shown, clock_offset_ms
-from scanloom.panels.controls import put
+from scanloom.frame_view import FrameView, clock_offset_ms
+from scanloom.panels.widgets.controls import update_widget
 from scanloom.plots.gaps_picture import GapsPicture, gaps_picture
 from scanloom.plots.png import show_picture
 
@@ -25,33 +25,35 @@ class PairingPlot:
         self._drawn: GapsPicture | None = None
         self._marked: tuple[GapsPicture | None, int] = None, -1
 
-    def show(self, shown: Shown) -> None:
+    def show(self, frame_view: FrameView) -> None:
         """Nothing before the first pass over the recording has ended."""
-        stamps = shown.opened.pairing
-        is_virtual = shown.opened.session.virtual_row is not None
+        stamps = frame_view.open_recording.pairing
+        is_virtual = frame_view.open_recording.fuse_session.virtual_row is not None
         if is_virtual:
-            put(self._words, content="A virtual LiDAR has the stamps of its images.")
-        put(self._picture, visible=stamps is not None and not is_virtual)
-        put(self._words, visible=stamps is not None)
+            update_widget(self._words, content="A virtual LiDAR has the stamps of its images.")
+        update_widget(self._picture, visible=stamps is not None and not is_virtual)
+        update_widget(self._words, visible=stamps is not None)
         if stamps is None or is_virtual:
             return
-        offset_ms = 0.0 if shown.chain is None else clock_offset_ms(shown.view, shown.chain)
-        drawn, gaps = self._draw(stamps, offset_ms, shown)
-        number = shown.view.number
+        offset_ms = (
+            0.0 if frame_view.chain is None else clock_offset_ms(frame_view.view, frame_view.chain)
+        )
+        drawn, gaps = self._draw(stamps, offset_ms, frame_view)
+        number = frame_view.view.number
         if self._marked != (drawn, number):
             self._marked = drawn, number
-            show_picture(self._picture, _marked(drawn, gaps, shown))
+            show_picture(self._picture, _marked(drawn, gaps, frame_view))
 
     def _draw(
-        self, stamps: PairingStamps, offset_ms: float, shown: Shown
+        self, stamps: PairingStamps, offset_ms: float, frame_view: FrameView
     ) -> tuple[GapsPicture, PairingGaps]:
         if self._drawn is not None and self._gaps is not None and self._of == (stamps, offset_ms):
             return self._drawn, self._gaps
         self._of = stamps, offset_ms
-        max_gap_ms = shown.opened.session.settings.time.max_gap_ms
+        max_gap_ms = frame_view.open_recording.fuse_session.settings.time.max_gap_ms
         self._gaps = gaps = stamps.gaps(offset_ms, max_gap_ms)
         self._drawn = gaps_picture(
-            _since_first_s(gaps.time_ns, shown),
+            _since_first_s(gaps.time_ns, frame_view),
             gaps.gap_ms,
             gaps.paired,
             period_ms=gaps.scan_period_ms,
@@ -59,23 +61,23 @@ class PairingPlot:
             width_px=_WIDTH_PX,
             height_px=_HEIGHT_PX,
         )
-        put(self._words, content=_words(gaps, offset_ms, max_gap_ms))
+        update_widget(self._words, content=_words(gaps, offset_ms, max_gap_ms))
         return self._drawn, gaps
 
 
-def _marked(drawn: GapsPicture, gaps: PairingGaps, shown: Shown) -> ByteArray:
-    time_ns = int(shown.opened.frames.times_ns[shown.view.number])
+def _marked(drawn: GapsPicture, gaps: PairingGaps, frame_view: FrameView) -> ByteArray:
+    time_ns = int(frame_view.open_recording.frames.times_ns[frame_view.view.number])
     gap_ms: float | None = None
-    if shown.paired is not None and shown.paired.window is not None:
-        gap_ms = shown.paired.gap_ns / NS_PER_MS
+    if frame_view.paired is not None and frame_view.paired.window is not None:
+        gap_ms = frame_view.paired.gap_ns / NS_PER_MS
     else:
         known_ms = gaps.gap_ms[(gaps.time_ns == time_ns) & np.isfinite(gaps.gap_ms)]
         gap_ms = float(known_ms[0]) if known_ms.size else None
-    return drawn.with_present(float(_since_first_s(np.array([time_ns]), shown)[0]), gap_ms)
+    return drawn.with_present(float(_since_first_s(np.array([time_ns]), frame_view)[0]), gap_ms)
 
 
-def _since_first_s(time_ns: IntArray, shown: Shown) -> FloatArray:
-    since_s: FloatArray = (time_ns - shown.opened.frames.times_ns[0]) / NS_PER_S
+def _since_first_s(time_ns: IntArray, frame_view: FrameView) -> FloatArray:
+    since_s: FloatArray = (time_ns - frame_view.open_recording.frames.times_ns[0]) / NS_PER_S
     return since_s
 
 

@@ -14,13 +14,13 @@ from fusion_core.workflows.fuse.epsilon import epsilon_in
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.live import settings_of_match
 from fusion_core.workflows.fuse.recall import PAPER_BAND, RecallCurve, recall_of, truth_beside
-from scanloom.client_session import Desk
-from scanloom.frame_view import Shown, as_failure, clock_offset_ms, problem_of
-from scanloom.jobs.long import LongJob
-from scanloom.panels.controls import put
+from scanloom.client_session import ClientSession
+from scanloom.frame_view import FrameView, as_failure, clock_offset_ms, failure_summary
+from scanloom.jobs.long_job import LongJob
+from scanloom.panels.widgets.controls import update_widget
 from scanloom.plots.png import show_picture
 from scanloom.plots.recall_picture import RecallPicture, recall_picture
-from scanloom.state.opened import Opened
+from scanloom.state.open_recording import OpenRecording
 
 _WIDTH_PX, _HEIGHT_PX = 480, 300
 _COMPUTE, _CANCEL = "Compute", "Cancel"
@@ -32,14 +32,14 @@ _CLOSE_S = 10.0
 class RecallPanel:
     """Computes the curve when asked, in a thread of its own; the recording keeps it for all."""
 
-    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
-        self._desk = desk
+    def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
+        self._session = session
         self._lock = threading.RLock()
         self._job: LongJob | None = None
         self._closed = False
         self._begin: Callable[[], None] = lambda: None
         # What the job's words are about, and whose curve is drawn.
-        self._opened: Opened | None = None
+        self._opened: OpenRecording | None = None
         self._truth: Path | None = None
         self._curve: RecallCurve | None = None
         self._drawn: RecallPicture | None = None
@@ -56,25 +56,25 @@ class RecallPanel:
             self._progress = gui.add_progress_bar(0.0, visible=False)
         self._button.on_click(lambda _: self._press())
 
-    def show(self, shown: Shown) -> None:
+    def show(self, frame_view: FrameView) -> None:
         """Draw the curve of the view's settings where it is known; else offer to compute it."""
-        self._look_for_truth(shown.opened)
-        chain, truth, fused = shown.chain, self._truth, shown.fused
-        put(self._folder, visible=chain is not None and truth is not None)
+        self._look_for_truth(frame_view.open_recording)
+        chain, truth, fused = frame_view.chain, self._truth, frame_view.fused
+        update_widget(self._folder, visible=chain is not None and truth is not None)
         if chain is None or truth is None:
             return
-        settings, offset_ms = shown.view.settings, clock_offset_ms(shown.view, chain)
+        settings, offset_ms = frame_view.view.settings, clock_offset_ms(frame_view.view, chain)
         key = settings_of_match(settings), offset_ms
-        curve = shown.opened.recalls.get(key)
+        curve = frame_view.open_recording.recalls.get(key)
 
         def work(progress: Progress) -> RecallCurve:
             return recall_of(chain, settings, truth, offset_ms, self._patient(progress))
 
         with self._lock:
-            self._begin = lambda: self._start(work, shown.opened, key)
-            put(self._button, visible=curve is None or self._job is not None)
-        put(self._picture, visible=curve is not None)
-        put(self._words, visible=curve is not None)
+            self._begin = lambda: self._start(work, frame_view.open_recording, key)
+            update_widget(self._button, visible=curve is None or self._job is not None)
+        update_widget(self._picture, visible=curve is not None)
+        update_widget(self._words, visible=curve is not None)
         if curve is not None:
             self._show_curve(curve, fused)
 
@@ -87,15 +87,15 @@ class RecallPanel:
             job.cancel()
             job.wait(_CLOSE_S)
 
-    def _look_for_truth(self, opened: Opened) -> None:
-        if self._opened is opened:
+    def _look_for_truth(self, open_recording: OpenRecording) -> None:
+        if self._opened is open_recording:
             return
         with self._lock:
-            self._opened = opened
+            self._opened = open_recording
             if self._job is not None:
                 self._job.cancel()
-            put(self._progress_text, visible=False)
-        self._truth = truth_beside(opened.session.recording.path)
+            update_widget(self._progress_text, visible=False)
+        self._truth = truth_beside(open_recording.fuse_session.recording.path)
 
     def _press(self) -> None:
         with self._lock:
@@ -105,18 +105,18 @@ class RecallPanel:
                 self._begin()
 
     def _start(
-        self, work: Callable[[Progress], RecallCurve], opened: Opened, key: Hashable
+        self, work: Callable[[Progress], RecallCurve], open_recording: OpenRecording, key: Hashable
     ) -> None:
         if self._closed:
             return
 
         def done(curve: RecallCurve) -> None:
-            opened.recalls[key] = curve
+            open_recording.recalls[key] = curve
             self._end("")
 
-        put(self._button, label=_CANCEL)
-        put(self._progress_text, content=_paragraph("Starting …"), visible=True)
-        put(self._progress, value=0.0, visible=True)
+        update_widget(self._button, label=_CANCEL)
+        update_widget(self._progress_text, content=_paragraph("Starting …"), visible=True)
+        update_widget(self._progress, value=0.0, visible=True)
         self._job = LongJob(
             "recall",
             work,
@@ -131,29 +131,29 @@ class RecallPanel:
 
         def report(done: int, total: int | None, what: str) -> None:
             progress(done, total, what)
-            self._desk.wait(_PATIENCE_S)
+            self._session.wait(_PATIENCE_S)
 
         return report
 
     def _advance(self, done: int, total: int | None, what: str) -> None:
         percent = round(100.0 * done / total) if total else 0
-        put(self._progress, value=float(percent))
-        put(self._progress_text, content=_paragraph(f"{what.capitalize()}, {percent} %"))
+        update_widget(self._progress, value=float(percent))
+        update_widget(self._progress_text, content=_paragraph(f"{what.capitalize()}, {percent} %"))
 
     def _fail(self, error: Exception) -> None:
         failure = as_failure(error if self._opened is None else self._opened.explained(error))
-        self._end(f"There is no curve. {problem_of(failure)} {failure.advice}")
+        self._end(f"There is no curve. {failure_summary(failure)} {failure.advice}")
 
     def _end(self, said: str) -> None:
         """The job's last step, in its thread: the worker draws what came of it."""
         with self._lock:
             self._job = None
-            put(self._button, label=_COMPUTE)
-            put(self._progress, visible=False)
-            put(self._progress_text, content=_paragraph(said), visible=bool(said))
+            update_widget(self._button, label=_COMPUTE)
+            update_widget(self._progress, visible=False)
+            update_widget(self._progress_text, content=_paragraph(said), visible=bool(said))
             closed = self._closed
         if not closed:
-            self._desk.refresh()
+            self._session.refresh()
 
     def _show_curve(self, curve: RecallCurve, fused: FusedFrame | None) -> None:
         if self._curve is not curve or self._drawn is None:
@@ -168,7 +168,7 @@ class RecallPanel:
             shares = [share for share in _at(curve, factor) if share is not None] if known else []
             rgb = self._drawn.with_present(factor, shares) if known else self._drawn.rgb
             show_picture(self._picture, rgb)
-        put(self._words, content=_words_of(curve, factor))
+        update_widget(self._words, content=_words_of(curve, factor))
 
 
 def _drawn(curve: RecallCurve) -> RecallPicture:

@@ -7,12 +7,12 @@ import viser
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
 from fusion_core.workflows.info import describe
 from fusion_core.workflows.stream_gaps import stream_gaps
-from scanloom.client_session import Desk
-from scanloom.frame_view import Shown, aligning_words
-from scanloom.panels.controls import Controls, put
+from scanloom.client_session import ClientSession
+from scanloom.frame_view import FrameView, alignment_progress_text
 from scanloom.panels.depth_cameras import DepthCameras
 from scanloom.panels.pairing_plot import PairingPlot
 from scanloom.panels.stream_table import stream_table
+from scanloom.panels.widgets.controls import Controls, update_widget
 
 _NOT_NAMED = "found by type"
 _NO_ROW = -1
@@ -22,11 +22,11 @@ _CLOCK = MOUNT_PARAMETERS.index("clock_offset_ms")
 class RecordingPanel:
     """Chooses the recording and its streams, and shows what they are."""
 
-    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
-        self._desk = desk
+    def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
+        self._session = session
         # The recording and how many of its warnings are listed: reading on may find more.
         self._listed: tuple[object, int] = None, 0
-        self._names = tuple(desk.library.names())
+        self._names = tuple(session.library.names())
         self._name = gui.add_dropdown("Recording", self._names, initial_value=self._names[0])
         self._progress_text = gui.add_html("", visible=False)
         self._progress = gui.add_progress_bar(0.0, visible=False)
@@ -40,54 +40,58 @@ class RecordingPanel:
                 step=1,
                 hint="A row of the depth image; -1: none",
             )
-            self._cameras = DepthCameras(gui, desk)
+            self._cameras = DepthCameras(gui, session)
         with gui.add_folder("Clocks"):
             self._clock = gui.add_markdown("")
-            self._apply = gui.add_checkbox("Apply the clock offset", desk.view.apply_clock_offset)
+            self._apply = gui.add_checkbox(
+                "Apply the clock offset", session.view.apply_clock_offset
+            )
             self._pairing = PairingPlot(gui)
         with gui.add_folder("Alignment"):
             self._aligned = gui.add_markdown("")
             again = gui.add_button("Align again with these settings")
-        self._controls = Controls(gui, desk)
-        self._controls.bind(self._apply, "apply_clock_offset", bool)
-        self._controls.tie(self._name, lambda view: view.recording, self._open)
-        self._controls.bind(
+        self._controls = Controls(gui, session)
+        self._controls.bind_field(self._apply, "apply_clock_offset", bool)
+        self._controls.bind(self._name, lambda view: view.recording, self._open)
+        self._controls.bind_field(
             self._lidar,
             "lidar_topic",
             lambda topic: None if topic == _NOT_NAMED else topic,
             lambda topic: topic or _NOT_NAMED,
         )
-        self._controls.bind(
+        self._controls.bind_field(
             virtual,
             "virtual_row",
             lambda row: None if row < 0 else int(row),
             lambda row: _NO_ROW if row is None else row,
         )
-        again.on_click(lambda _: desk.align_again())
+        again.on_click(lambda _: session.align_again())
 
-    def show(self, shown: Shown) -> None:
+    def show(self, frame_view: FrameView) -> None:
         """Streams once for each recording; progress and clock as they come."""
-        view = shown.view
-        self._offer(shown)
+        view = frame_view.view
+        self._offer(frame_view)
         self._controls.show(view)
-        self._cameras.show(shown)
-        self._show_progress(shown)
+        self._cameras.show(frame_view)
+        self._show_progress(frame_view)
         if view.panel == "Recording":
-            self._show_streams(shown)
-            self._pairing.show(shown)
-        chain = shown.chain
+            self._show_streams(frame_view)
+            self._pairing.show(frame_view)
+        chain = frame_view.chain
         sd_ms = None if chain is None else chain.alignment.mount.sd[_CLOCK]
-        put(self._clock, content="" if chain is None else _clock_words(chain.alignment.mount))
+        update_widget(
+            self._clock, content="" if chain is None else _clock_words(chain.alignment.mount)
+        )
         # What was applied can be taken back in any case.
-        put(self._apply, disabled=sd_ms is None and not view.apply_clock_offset)
+        update_widget(self._apply, disabled=sd_ms is None and not view.apply_clock_offset)
         aligned = ""
         if chain is not None:
             changed = " Settings changed since." if view.needs_alignment() else ""
             aligned = f"{chain.alignment.frames} frames made the recording's field.{changed}"
-        put(self._aligned, content=aligned)
+        update_widget(self._aligned, content=aligned)
 
     def _open(self, name: str) -> None:
-        self._desk.change(
+        self._session.change(
             recording=name,
             number=0,
             picked=None,
@@ -97,33 +101,39 @@ class RecordingPanel:
             beam=None,
         )
 
-    def _offer(self, shown: Shown) -> None:
+    def _offer(self, frame_view: FrameView) -> None:
         """What there is to choose from. A link may name a recording in an inner folder."""
-        name = shown.view.recording
-        put(self._name, options=self._names if name in self._names else (*self._names, name))
-        topics = shown.opened.session.recording.topics
+        name = frame_view.view.recording
+        update_widget(
+            self._name, options=self._names if name in self._names else (*self._names, name)
+        )
+        topics = frame_view.open_recording.fuse_session.recording.topics
         lidars = [topic.name for topic in topics if topic.role == "lidar"]
-        put(self._lidar, options=(_NOT_NAMED, *lidars))
+        update_widget(self._lidar, options=(_NOT_NAMED, *lidars))
 
-    def _show_streams(self, shown: Shown) -> None:
-        recording = shown.opened.session.recording
+    def _show_streams(self, frame_view: FrameView) -> None:
+        recording = frame_view.open_recording.fuse_session.recording
         listed = recording, len(recording.warnings)
         if self._listed != listed:
             self._listed = listed
-            put(self._streams, content=stream_table(describe(recording), stream_gaps(recording)))
+            update_widget(
+                self._streams, content=stream_table(describe(recording), stream_gaps(recording))
+            )
 
-    def _show_progress(self, shown: Shown) -> None:
-        opened = shown.opened
-        waiting = opened.chain is None and opened.failure is None
-        put(self._progress, visible=waiting)
-        put(self._progress_text, visible=waiting)
+    def _show_progress(self, frame_view: FrameView) -> None:
+        open_recording = frame_view.open_recording
+        waiting = open_recording.chain is None and open_recording.failure is None
+        update_widget(self._progress, visible=waiting)
+        update_widget(self._progress_text, visible=waiting)
         if not waiting:
             return
-        step = opened.progress
+        step = open_recording.progress
         share = 100.0 * step.done / step.total if step.total else 0.0
-        put(self._progress, value=min(share, 100.0))
-        said = aligning_words(opened)
-        put(self._progress_text, content=f'<div style="padding:0 0.5em">{html.escape(said)}</div>')
+        update_widget(self._progress, value=min(share, 100.0))
+        said = alignment_progress_text(open_recording)
+        update_widget(
+            self._progress_text, content=f'<div style="padding:0 0.5em">{html.escape(said)}</div>'
+        )
 
 
 def _clock_words(mount: Mount) -> str:

@@ -13,14 +13,14 @@ from fusion_core.workflows.fuse.registration_view import (
     meaning_of_registration,
     planar_pairs,
 )
-from scanloom.client_session import Desk
-from scanloom.frame_view import Shown, why_missing
-from scanloom.panels import register_words as words
-from scanloom.panels.controls import Controls, put
+from scanloom.client_session import ClientSession
+from scanloom.frame_view import FrameView, missing_result_text
+from scanloom.panels import registration_text
 from scanloom.panels.epsilon import EpsilonControls
-from scanloom.panels.plain import plain_markdown
 from scanloom.panels.recall import RecallPanel
 from scanloom.panels.residual_plot import ResidualPlot
+from scanloom.panels.widgets.controls import Controls, update_widget
+from scanloom.panels.widgets.markup import escape_markdown
 from scanloom.plots.pair_plot import PairsPlot, pairs_picture
 from scanloom.plots.png import show_picture
 
@@ -35,19 +35,19 @@ _AXES = ("x to the right (m)", "z ahead (m)")
 class RegisterPanel:
     """Settings of RANSAC, its draws, A before and after, residuals and epsilon."""
 
-    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
-        self._desk = desk
+    def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
+        self._session = session
         # What is drawn: it is drawn again when another object takes its place.
         self._registration: Registration | None = None
         self._last_draw = 0
         self._drawn_pairs: object = None
         self._drawn_draw: tuple[Registration | None, int] = (None, -1)
-        controls = Controls(gui, desk)
+        controls = Controls(gui, session)
         self._controls = controls
         controls.dropdown("registration", "model", "Map A", _MODELS)
-        self._epsilon = EpsilonControls(gui, desk)
+        self._epsilon = EpsilonControls(gui, session)
         self._residuals = ResidualPlot(gui)
-        self._recall = RecallPanel(gui, desk)
+        self._recall = RecallPanel(gui, session)
         self._pairs = gui.add_image(_blank(_PAIRS_PX), format="png")
         self._words = gui.add_markdown("")
         with gui.add_folder("Draws, one by one"):
@@ -71,42 +71,42 @@ class RegisterPanel:
         with gui.add_folder("The matrix", expand_by_default=False):
             self._matrix = gui.add_markdown("")
 
-        controls.bind(self._draw, "draw", int, lambda draw: min(draw, self._last_draw))
+        controls.bind_field(self._draw, "draw", int, lambda draw: min(draw, self._last_draw))
 
         @self._buttons.on_click
         def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
             self._go(self._buttons.value)
 
-    def show(self, shown: Shown) -> None:
+    def show(self, frame_view: FrameView) -> None:
         """Set the widgets; draw what differs from what is drawn, while the panel is open."""
-        view, match = shown.view, shown.match
+        view, match = frame_view.view, frame_view.match
         self._registration = found = None if match is None else match.registration
         if found is not None:
             self._last_draw = len(found.draws) - 1
-            put(self._draw, max=max(self._last_draw, 1))
+            update_widget(self._draw, max=max(self._last_draw, 1))
         self._controls.show(view)
-        put(self._confidence, disabled=view.settings.registration.stopping == "fixed")
-        self._epsilon.show(shown)
+        update_widget(self._confidence, disabled=view.settings.registration.stopping == "fixed")
+        self._epsilon.show(frame_view)
         for widget in (self._draw, self._buttons, self._draw_picture, self._consensus):
-            put(widget, visible=found is not None)
-        put(self._pairs, visible=match is not None)
+            update_widget(widget, visible=found is not None)
+        update_widget(self._pairs, visible=match is not None)
         if view.panel != "Register":
             return
         by_sample = view.settings.pairing == "frame"
-        self._residuals.show(shown.fused, signed=not by_sample)
-        self._recall.show(shown)
+        self._residuals.show(frame_view.fused, signed=not by_sample)
+        self._recall.show(frame_view)
         axes = _AXES_BY_SAMPLE if by_sample else _AXES
         if match is not None:
             self._show_pairs(match, axes)
         else:
             self._drawn_pairs = None
-            put(self._words, content=plain_markdown(why_missing(shown)))
+            update_widget(self._words, content=escape_markdown(missing_result_text(frame_view)))
         if found is not None:
             self._show_draw(found, min(view.draw, self._last_draw), axes)
         else:
             self._drawn_draw = (None, -1)
-            put(self._matrix, content="There is none.")
-            put(self._draw_words, content="Without an A there is no draw to show.")
+            update_widget(self._matrix, content="There is none.")
+            update_widget(self._draw_words, content="Without an A there is no draw to show.")
 
     def close(self) -> None:
         """The browser has gone."""
@@ -118,9 +118,9 @@ class RegisterPanel:
         if found is None:
             return
         last = self._last_draw
-        draw = min(self._desk.view.draw, last)
+        draw = min(self._session.view.draw, last)
         places = {"Previous": max(draw - 1, 0), "Next": min(draw + 1, last)}
-        self._desk.change(draw=places.get(where, found.best_draw))
+        self._session.change(draw=places.get(where, found.best_draw))
 
     def _show_pairs(self, match: FrameMatch, axes: tuple[str, str]) -> None:
         """Fig. 5, and A in words. Epsilon changes neither."""
@@ -133,11 +133,16 @@ class RegisterPanel:
         drawn = pairs_picture(plots, width_px=_WIDTH_PX, height_px=height_px, axis_names=axes)
         show_picture(self._pairs, drawn.rgb)
         if found is None:
-            put(self._words, content=words.failure_words(match.refusal))
+            update_widget(self._words, content=registration_text.failure_text(match.refusal))
             return
-        put(self._words, content=words.map_words(found, meaning_of_registration(found)))
-        put(self._matrix, content=words.matrix_words(found.A))
-        put(self._consensus, content=words.consensus_words(found, consensus_of(found)))
+        update_widget(
+            self._words,
+            content=registration_text.transform_text(found, meaning_of_registration(found)),
+        )
+        update_widget(self._matrix, content=registration_text.matrix_text(found.A))
+        update_widget(
+            self._consensus, content=registration_text.consensus_text(found, consensus_of(found))
+        )
 
     def _show_draw(self, found: Registration, index: int, axes: tuple[str, str]) -> None:
         if self._drawn_draw[0] is found and self._drawn_draw[1] == index:
@@ -153,7 +158,7 @@ class RegisterPanel:
         )
         drawn = pairs_picture([plot], width_px=_WIDTH_PX, height_px=_DRAW_PX, axis_names=axes)
         show_picture(self._draw_picture, drawn.rgb)
-        put(self._draw_words, content=words.draw_words(draw, found))
+        update_widget(self._draw_words, content=registration_text.draw_text(draw, found))
 
 
 def _before_and_after(pairs: PlanarPairs) -> list[PairsPlot]:

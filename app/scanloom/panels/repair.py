@@ -9,15 +9,15 @@ import viser.uplot
 
 from fusion_core.model.classes import NoiseClass
 from fusion_core.workflows.fuse.frame import FusedFrame
-from scanloom.client_session import Desk
-from scanloom.frame_view import Shown, why_missing
-from scanloom.panels.controls import Controls, put
+from scanloom.client_session import ClientSession
+from scanloom.frame_view import FrameView, missing_result_text
 from scanloom.panels.epsilon import EpsilonSliders
 from scanloom.panels.repair_tables import beam_table, class_table
+from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.plots.depth_image import depth_limits_m, depth_picture
 from scanloom.plots.png import show_picture
 from scanloom.resources import palette
-from scanloom.scene.findings import ConflictRun, conflict_runs
+from scanloom.scene.frame_summary import ConflictRun, conflict_runs
 from scanloom.scene.pair_pixels import pixels_of_match, repaired_depth_m
 from scanloom.scene.range_curves import range_curves
 from scanloom.state.view import View
@@ -31,21 +31,25 @@ _NO_CONFLICTS = "none in this frame"
 class RepairPanel:
     """Depth image and curve before and after, a filter of classes, conflicts, one beam's story."""
 
-    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
-        self._desk = desk
+    def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
+        self._session = session
         self._drawn: tuple[FusedFrame | None, object] = None, None
         # What the list offers, by its words.
         self._runs: dict[str, ConflictRun] = {}
-        self._controls = Controls(gui, desk)
+        self._controls = Controls(gui, session)
         self._words = gui.add_html("", visible=False)
         both = gui.add_checkbox(
-            "Before and after", desk.view.both, hint="Show the raw depth image and the repaired one"
+            "Before and after",
+            session.view.both,
+            hint="Show the raw depth image and the repaired one",
         )
         repaired = gui.add_checkbox(
-            "Repaired", desk.view.repaired, hint="In the scene, and here where there is one image"
+            "Repaired",
+            session.view.repaired,
+            hint="In the scene, and here where there is one image",
         )
-        self._controls.bind(both, "both", bool)
-        self._controls.bind(repaired, "repaired", bool)
+        self._controls.bind_field(both, "both", bool)
+        self._controls.bind_field(repaired, "repaired", bool)
         empty = np.full((_HEIGHT_PX, _WIDTH_PX, 3), 255, dtype=np.uint8)
         self._pictures = [gui.add_image(empty, format="png", visible=False) for _ in range(2)]
         with gui.add_folder("Classes"):
@@ -66,47 +70,47 @@ class RepairPanel:
             self._story = gui.add_html("")
         with gui.add_folder("Settings", expand_by_default=False):
             controls = self._controls
-            self._epsilon = EpsilonSliders(gui, desk, controls)
+            self._epsilon = EpsilonSliders(gui, session, controls)
             controls.slider("noise", "support_sigma", "Support (σ)", 0.5, 10.0, 0.1)
             sources = ("smaller_error", "other_sensor")
             controls.dropdown("repair", "prefer", "Prefer", sources)
             controls.slider("repair", "max_gap_deg", "Widest gap (°)", 0.0, 30.0, 0.5)
             controls.slider("repair", "max_gap_pixels", "Farthest pixel", 1, 100, 1)
             controls.slider("repair", "farther_confidence", "Sure to move farther", 0.0, 1.0, 0.05)
-        controls.bind(
+        controls.bind_field(
             beam,
             "beam",
             lambda value: None if value == _NO_BEAM else int(value),
             lambda value: _NO_BEAM if value is None else value,
         )
         # What the list says follows from the frame, not from the view.
-        controls.tie(self._conflicts, lambda _: None, self._go_to)
+        controls.bind(self._conflicts, lambda _: None, self._go_to)
 
         @self._step.on_click
         def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
             self._go(1 if self._step.value == "Next" else -1)
 
-    def show(self, shown: Shown) -> None:
+    def show(self, frame_view: FrameView) -> None:
         """Draw the frame of this view, while the panel is open."""
-        view = shown.view
+        view = frame_view.view
         self._controls.show(view)
         self._epsilon.show(view)
         if view.panel != "Repair":
             return
-        missing = f'<div style="padding:0.5em">{html.escape(why_missing(shown))}</div>'
-        put(self._words, content=missing, visible=shown.fused is None)
-        if shown.fused is None:
+        missing = f'<div style="padding:0.5em">{html.escape(missing_result_text(frame_view))}</div>'
+        update_widget(self._words, content=missing, visible=frame_view.fused is None)
+        if frame_view.fused is None:
             self._hide()
             return
         looked_at = (view.classes, view.both, view.repaired, view.beam, view.settings)
-        if self._drawn[0] is shown.fused and self._drawn[1] == looked_at:
+        if self._drawn[0] is frame_view.fused and self._drawn[1] == looked_at:
             return
-        self._drawn = shown.fused, looked_at
-        self._show_pictures(shown.fused, view)
-        self._show_curve(shown.fused, view)
-        put(self._classes, content=class_table(shown.fused))
-        self._show_conflicts(shown.fused, view)
-        put(self._story, content=beam_table(shown.fused, view.beam, view.settings))
+        self._drawn = frame_view.fused, looked_at
+        self._show_pictures(frame_view.fused, view)
+        self._show_curve(frame_view.fused, view)
+        update_widget(self._classes, content=class_table(frame_view.fused))
+        self._show_conflicts(frame_view.fused, view)
+        update_widget(self._story, content=beam_table(frame_view.fused, view.beam, view.settings))
 
     def _show_pictures(self, frame: FusedFrame, view: View) -> None:
         after = pixels_of_match(frame)
@@ -130,7 +134,7 @@ class RepairPanel:
                     limits_m=limits_m,
                 )
                 show_picture(handle, drawn.rgb)
-            put(handle, visible=wanted)
+            update_widget(handle, visible=wanted)
 
     def _show_curve(self, frame: FusedFrame, view: View) -> None:
         curves = range_curves(frame, view.classes, view.beam)
@@ -142,7 +146,7 @@ class RepairPanel:
             curves.camera_m,
             curves.looked_at_m,
         )
-        put(
+        update_widget(
             self._curve,
             scales=_curve_scales(curves.limits_m),
             visible=bool(curves.azimuth_deg.size),
@@ -152,48 +156,48 @@ class RepairPanel:
         runs = conflict_runs(frame)
         self._runs = {_conflict_words(run): run for run in runs}
         heading = f"{len(runs)}: choose one" if runs else _NO_CONFLICTS
-        put(self._conflicts, options=(heading, *self._runs))
+        update_widget(self._conflicts, options=(heading, *self._runs))
         chosen = [words for words, run in self._runs.items() if _holds(run, view.beam)]
-        put(self._conflicts, value=chosen[0] if chosen else heading)
+        update_widget(self._conflicts, value=chosen[0] if chosen else heading)
 
     def _hide(self) -> None:
         """What was drawn is of another frame."""
         self._drawn = None, None
         for handle in (*self._pictures, self._curve):
-            put(handle, visible=False)
+            update_widget(handle, visible=False)
         self._runs = {}
-        put(self._conflicts, options=(_NO_CONFLICTS,))
+        update_widget(self._conflicts, options=(_NO_CONFLICTS,))
         for table in (self._classes, self._story):
-            put(table, content="")
+            update_widget(table, content="")
 
     def _add_filter(self, gui: viser.GuiApi, noise: NoiseClass) -> None:
         """A box that shows a class or leaves it out."""
         box = gui.add_checkbox(
             f"Show {noise.name.lower()}",
-            noise in self._desk.view.classes,
+            noise in self._session.view.classes,
             hint="In the images, the curve and the scene",
         )
 
         def change(checked: bool) -> None:
-            others = self._desk.view.classes - {noise}
-            self._desk.change(classes=others | {noise} if checked else others)
+            others = self._session.view.classes - {noise}
+            self._session.change(classes=others | {noise} if checked else others)
 
-        self._controls.tie(box, lambda view: noise in view.classes, change)
+        self._controls.bind(box, lambda view: noise in view.classes, change)
 
     def _go_to(self, words: str) -> None:
         """Look at the conflict that the list calls so; its heading is none."""
         run = self._runs.get(words)
         if run is not None:
-            self._desk.change(beam=run.middle)
+            self._session.change(beam=run.middle)
 
     def _go(self, by: int) -> None:
         """Look at the next conflict, around the ends."""
         runs = list(self._runs.values())
         if not runs:
             return
-        at = [place for place, run in enumerate(runs) if _holds(run, self._desk.view.beam)]
+        at = [place for place, run in enumerate(runs) if _holds(run, self._session.view.beam)]
         place = at[0] + by if at else (by - 1) // 2
-        self._desk.change(beam=runs[place % len(runs)].middle)
+        self._session.change(beam=runs[place % len(runs)].middle)
 
 
 def _add_curve(gui: viser.GuiApi) -> viser.GuiUplotHandle:

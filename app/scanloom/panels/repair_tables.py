@@ -5,15 +5,15 @@ import math
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.presets import ChainSettings
-from scanloom.panels.why import (
+from scanloom.panels.explanation import (
+    explain_beam_class,
+    explain_beam_repair,
+    explain_pixel_class,
+    explain_pixel_repair,
     length,
-    why_beam_class,
-    why_beam_repair,
-    why_pixel_class,
-    why_pixel_repair,
 )
 from scanloom.resources import palette
-from scanloom.scene.findings import (
+from scanloom.scene.frame_summary import (
     BeamFacts,
     SampleFacts,
     counts_of_beams,
@@ -66,8 +66,10 @@ def beam_table(frame: FusedFrame, beam: int | None, settings: ChainSettings) -> 
     heads = (f"beam {facts.beam}, range", "pixel, depth")
     table = "".join(map(_row, titles, (heads[0], *beam_side), (heads[1], *pixel_side)))
     said = [
-        f"<b>Beam.</b> {why_beam_class(facts, settings)} {why_beam_repair(facts, settings)}",
-        f"<b>Pixel.</b> {why_pixel_class(facts, settings)} {why_pixel_repair(facts, settings)}",
+        "<b>Beam.</b> "
+        f"{explain_beam_class(facts, settings)} {explain_beam_repair(facts, settings)}",
+        "<b>Pixel.</b> "
+        f"{explain_pixel_class(facts, settings)} {explain_pixel_repair(facts, settings)}",
         _measures(facts),
     ]
     words = "".join(f"<p style='margin:0.5em 0 0'>{line}</p>" for line in said)

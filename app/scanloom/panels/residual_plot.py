@@ -9,7 +9,7 @@ import viser.uplot as uplot
 from fusion_core.model.classes import NoiseClass
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.registration_view import ResidualCurve, residual_curve
-from scanloom.panels.controls import put
+from scanloom.panels.widgets.controls import update_widget
 from scanloom.plots.palette import Color, class_color
 
 # The plot reaches so far beyond epsilon; what lies beyond that is drawn at its edge.
@@ -69,13 +69,13 @@ class ResidualPlot:
         # Without an E there is no epsilon in its multiples.
         if curve is None or curve.residual_mm.size < 2 or not np.isfinite(curve.epsilon_mm).all():
             self._plot.data = _NOTHING
-            put(self._plot, visible=False)
-            put(self._words, content="")
+            update_widget(self._plot, visible=False)
+            update_widget(self._words, content="")
             return
-        put(self._plot, visible=True)
+        update_widget(self._plot, visible=True)
         limit_mm = _REACH * float(curve.epsilon_mm.max())
         self._plot.data = _data(curve, limit_mm)
-        put(self._words, content=_words(curve, limit_mm, signed=signed))
+        update_widget(self._words, content=_words(curve, limit_mm, signed=signed))
 
 
 def _data(curve: ResidualCurve, limit_mm: float) -> tuple[np.ndarray[Any, Any], ...]:

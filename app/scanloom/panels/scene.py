@@ -10,18 +10,18 @@ from fusion_core.model.conventions import FloatArray
 from fusion_core.model.geometry import inverse, transform_from_planar
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.workflows.poses import Poses
-from scanloom.client_session import Desk
-from scanloom.frame_view import Shown
-from scanloom.panels.controls import Controls
+from scanloom.client_session import ClientSession
+from scanloom.frame_view import FrameView
+from scanloom.panels.widgets.controls import Controls
 from scanloom.plots.depth_image import DepthPicture, depth_picture
 from scanloom.plots.heatmap import Heatmap
 from scanloom.plots.map_picture import map_texture
 from scanloom.scene import camera_views
-from scanloom.scene.boards import Board, Layout, layout_of
 from scanloom.scene.color_picture import upright_color
 from scanloom.scene.frame_geometry import FrameGeometry, frame_geometry, unmatched_geometry
+from scanloom.scene.image_planes import ImagePlane, Layout, layout_of
 from scanloom.scene.layers import LAYERS, Layer
-from scanloom.scene.nodes import MapPlane, Picked, SceneNodes
+from scanloom.scene.nodes import MapPlane, PickResult, SceneNodes
 from scanloom.scene.pair_pixels import pixels_of_match, repaired_depth_m
 
 _VIEWS = ("3D", "Curve", "From above", "Heatmap", "Depth")
@@ -31,12 +31,12 @@ _BOARD_PX = (560, 470)
 class ScenePanel:
     """Draws each view in the browser's scene and reads its clicks."""
 
-    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
-        self._desk = desk
-        self._nodes = SceneNodes(desk.client.scene)
+    def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
+        self._session = session
+        self._nodes = SceneNodes(session.client.scene)
         self._layout: Layout | None = None
         self._opened: object = None
-        self._boards: dict[str, Board] = {}
+        self._boards: dict[str, ImagePlane] = {}
         self._hidden: frozenset[Layer] = frozenset()
         # Nodes are drawn in the desk's worker, and switched and clicked in viser's threads.
         self._drawing = threading.RLock()
@@ -53,24 +53,24 @@ class ScenePanel:
         self._views = gui.add_button_group("View", _VIEWS, hint="From where the scene is looked at")
         with gui.add_folder("Shown in 3D", expand_by_default=False):
             rows = gui.add_slider(
-                "Every k-th row", min=1, max=40, step=1, initial_value=desk.view.row_step
+                "Every k-th row", min=1, max=40, step=1, initial_value=session.view.row_step
             )
             switches = {name: gui.add_checkbox(name.capitalize(), True) for name in LAYERS}
-        self._controls = Controls(gui, desk)
-        self._controls.bind(rows, "row_step", int)
+        self._controls = Controls(gui, session)
+        self._controls.bind_field(rows, "row_step", int)
 
         self._switches = switches
         for box in switches.values():
             box.on_update(lambda _: self._show_layers())
         self._views.on_click(lambda _: self._look(self._views.value))
-        desk.client.scene.on_click()(self._clicked)
+        session.client.scene.on_click()(self._clicked)
 
-    def take_heatmap(self, draw: Callable[[], Heatmap] | None) -> None:
+    def set_heatmap_source(self, draw: Callable[[], Heatmap] | None) -> None:
         """What draws the picture of the heatmap's board where that is seen, until the next one;
         None for none."""
         self._draw_heatmap = draw
 
-    def take_map(self, grid: OccupancyGrid | None, poses: Poses | None = None) -> None:
+    def set_map(self, grid: OccupancyGrid | None, poses: Poses | None = None) -> None:
         """The map on the floor, None for none; from the Map panel. ``poses``: the LiDAR's in that
         map, where they are not the recorded ones."""
         self._grid, self._map_poses = grid, poses
@@ -78,60 +78,62 @@ class ScenePanel:
             self._nodes.show_map(None if grid is None else _plane_of(grid))
         self._path_of = None
 
-    def show(self, shown: Shown) -> None:
+    def show(self, frame_view: FrameView) -> None:
         """Draw the frame; what could not be matched is drawn without pairs."""
-        self._controls.show(shown.view)
-        geometry = _geometry(shown)
+        self._controls.show(frame_view.view)
+        geometry = _geometry(frame_view)
         with self._drawing:
-            if geometry is not None and shown.chain is not None:
-                self._draw(shown, geometry, shown.chain.alignment.mount.yaw_rad)
+            if geometry is not None and frame_view.chain is not None:
+                self._draw(frame_view, geometry, frame_view.chain.alignment.mount.yaw_rad)
             else:
                 # What is still there is of another frame.
                 self._nodes.hide_frame()
-                self._show_boards(shown)
+                self._show_boards(frame_view)
 
-    def _draw(self, shown: Shown, geometry: FrameGeometry, yaw_rad: float) -> None:
-        if self._opened is not shown.opened:
-            self._opened = shown.opened
+    def _draw(self, frame_view: FrameView, geometry: FrameGeometry, yaw_rad: float) -> None:
+        if self._opened is not frame_view.open_recording:
+            self._opened = frame_view.open_recording
             self._nodes.clear()
             self._boards = {}
-            self.take_map(self._grid, self._map_poses)
+            self.set_map(self._grid, self._map_poses)
             self._layout = layout_of(geometry, yaw_rad)
             self._look("3D")
         self._nodes.show(geometry)
-        if shown.color is not None:
-            rgb = upright_color(shown.color.rgb, shown.opened.session.rig, geometry.camera)
+        if frame_view.color is not None:
+            rgb = upright_color(
+                frame_view.color.rgb, frame_view.open_recording.fuse_session.rig, geometry.camera
+            )
             self._nodes.show_color(geometry.camera, rgb)
-        self._nodes.mark_beam(shown.view.beam)
-        self._stand(shown)
-        self._show_boards(shown)
+        self._nodes.mark_beam(frame_view.view.beam)
+        self._stand(frame_view)
+        self._show_boards(frame_view)
 
-    def _stand(self, shown: Shown) -> None:
+    def _stand(self, frame_view: FrameView) -> None:
         """Lay map and trajectory around the LiDAR, where the recording has poses."""
         poses = None
         if self._grid is not None:
-            poses = shown.opened.poses if self._map_poses is None else self._map_poses
-        if poses is None or shown.match is None:
-            self._nodes.stand_at(None)
+            poses = frame_view.open_recording.poses if self._map_poses is None else self._map_poses
+        if poses is None or frame_view.match is None:
+            self._nodes.place_map(None)
             return
         if self._path_of is not poses:
             self._path_of = poses
-            found = [poses.at(int(stamp)) for stamp in shown.opened.frames.times_ns]
+            found = [poses.at(int(stamp)) for stamp in frame_view.open_recording.frames.times_ns]
             path = [pose for pose in found if pose is not None]
             self._nodes.show_path(np.array(path).reshape(-1, 3)[:, :2])
-        pose = poses.at(shown.match.scan.stamp_ns)
+        pose = poses.at(frame_view.match.scan.stamp_ns)
         T_map_lidar = None if pose is None else transform_from_planar(pose)
         self._T_lidar_map = None if T_map_lidar is None else inverse(T_map_lidar)
-        self._nodes.stand_at(T_map_lidar)
+        self._nodes.place_map(T_map_lidar)
 
-    def _show_boards(self, shown: Shown) -> None:
+    def _show_boards(self, frame_view: FrameView) -> None:
         if self._layout is None or not self._boards_seen:
             return
-        view, frame = shown.view, shown.fused or shown.match or shown.paired
+        view, frame = frame_view.view, frame_view.fused or frame_view.match or frame_view.paired
         looked_at = (view.number, view.repaired, view.classes, view.beam)
         if self._depth_of[0] is not frame or self._depth_of[1] != looked_at:
             self._depth_of = frame, looked_at
-            self._depth = _depth(shown)
+            self._depth = _depth(frame_view)
         self._heatmap = None if self._draw_heatmap is None else self._draw_heatmap()
         boards = {}
         if self._depth is not None:
@@ -139,9 +141,9 @@ class ScenePanel:
         if self._heatmap is not None:
             boards["heatmap"] = self._layout.heatmap_board(self._heatmap.rgb)
         for name in self._boards.keys() - boards.keys():
-            self._nodes.hide_board(name)
+            self._nodes.hide_image_plane(name)
         for board in boards.values():
-            self._nodes.show_board(board)
+            self._nodes.show_image_plane(board)
         self._boards = boards
 
     def _look(self, name: str) -> None:
@@ -154,19 +156,19 @@ class ScenePanel:
                 plane = _plane_of(self._grid)
                 view = camera_views.map_from_above(self._T_lidar_map, plane.origin_m, plane.size_m)
             case "From above":
-                self._desk.tell("There is no map yet", "Build it in the Map panel.")
+                self._session.tell("There is no map yet", "Build it in the Map panel.")
                 return
             case "Heatmap" | "Depth" if name.lower() in self._boards:
                 view = camera_views.board(self._boards[name.lower()])
             case _:
-                camera = self._desk.client.camera
+                camera = self._session.client.camera
                 # A window may be as small as nothing.
                 aspect = max(camera.image_width, 1) / max(camera.image_height, 1)
                 view = camera_views.perspective(self._layout, aspect)
         self._hidden = view.hides
-        with self._desk.client.atomic():
+        with self._session.client.atomic():
             self._show_layers()
-            camera_views.apply(self._desk.client.camera, view)
+            camera_views.apply(self._session.client.camera, view)
 
     def _show_layers(self) -> None:
         """Those switched on, less those of which the view shows nothing."""
@@ -177,7 +179,7 @@ class ScenePanel:
             were_seen, self._boards_seen = self._boards_seen, are_seen
         if are_seen and not were_seen:
             # Their pictures were not drawn meanwhile.
-            self._desk.refresh()
+            self._session.refresh()
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
         origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
@@ -189,20 +191,20 @@ class ScenePanel:
         if picked is not None:
             self._take(picked)
 
-    def _take(self, picked: Picked) -> None:
+    def _take(self, picked: PickResult) -> None:
         if picked.beam is not None:
-            self._desk.change(beam=picked.beam)
+            self._session.change(beam=picked.beam)
         elif picked.board == "heatmap" and self._heatmap is not None and picked.pixel is not None:
             place = self._heatmap.offset_at(*picked.pixel)
             if place is not None:
-                self._desk.change_settings(picked=place)
+                self._session.change_settings(picked=place)
         elif picked.board == "depth" and self._depth is not None and picked.pixel is not None:
             pixel = self._depth.pixel_at(*picked.pixel)
             if pixel is not None:
-                self._desk.change(beam=self._beam_near(*pixel))
+                self._session.change(beam=self._beam_near(*pixel))
 
     def _beam_near(self, row: int, column: int) -> int | None:
-        match = self._desk.shown.match if self._desk.shown is not None else None
+        match = self._session.frame_view.match if self._session.frame_view is not None else None
         return None if match is None else pixels_of_match(match).beam_near(row, column)
 
 
@@ -211,12 +213,12 @@ def _plane_of(grid: OccupancyGrid) -> MapPlane:
     return MapPlane(picture=map_texture(grid), resolution_m=grid.resolution_m, origin_m=(x_m, y_m))
 
 
-def _geometry(shown: Shown) -> FrameGeometry | None:
-    chain, view = shown.chain, shown.view
-    if chain is None or shown.paired is None:
+def _geometry(frame_view: FrameView) -> FrameGeometry | None:
+    chain, view = frame_view.chain, frame_view.view
+    if chain is None or frame_view.paired is None:
         return None
-    rig = shown.opened.session.rig
-    match = shown.fused or shown.match
+    rig = frame_view.open_recording.fuse_session.rig
+    match = frame_view.fused or frame_view.match
     if match is not None:
         return frame_geometry(
             match,
@@ -226,11 +228,11 @@ def _geometry(shown: Shown) -> FrameGeometry | None:
             classes=view.classes,
             repaired=view.repaired,
         )
-    paired = shown.paired
+    paired = frame_view.paired
     return unmatched_geometry(
         paired.camera,
         paired.image.stamp_ns,
-        shown.opened.session.depth_of(paired.camera, paired.image.depth_m),
+        frame_view.open_recording.fuse_session.depth_of(paired.camera, paired.image.depth_m),
         None if paired.window is None else paired.window.scan,
         rig,
         chain.alignment,
@@ -238,19 +240,22 @@ def _geometry(shown: Shown) -> FrameGeometry | None:
     )
 
 
-def _depth(shown: Shown) -> DepthPicture | None:
+def _depth(frame_view: FrameView) -> DepthPicture | None:
     """The depth image with its pairs; of a frame that could not be matched, without."""
-    view, paired = shown.view, shown.paired
-    match = shown.fused or shown.match
+    view, paired = frame_view.view, frame_view.paired
+    match = frame_view.fused or frame_view.match
     title = f"Depth, frame {view.number}"
     if match is not None:
         depth_m, pairs = match.depth_m, pixels_of_match(match)
     elif paired is not None:
-        depth_m, pairs = shown.opened.session.depth_of(paired.camera, paired.image.depth_m), None
+        depth_m, pairs = (
+            frame_view.open_recording.fuse_session.depth_of(paired.camera, paired.image.depth_m),
+            None,
+        )
     else:
         return None
-    if shown.fused is not None and view.repaired:
-        depth_m, title = repaired_depth_m(shown.fused), f"{title}, repaired"
+    if frame_view.fused is not None and view.repaired:
+        depth_m, title = repaired_depth_m(frame_view.fused), f"{title}, repaired"
     width_px, height_px = _BOARD_PX
     return depth_picture(
         {title: depth_m},

@@ -14,19 +14,18 @@ from fusion_core.model.conventions import NS_PER_S
 from fusion_core.model.errors import ExportError
 from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import SlamView
-from scanloom.client_session import Desk
-from scanloom.frame_view import Shown, clock_offset_ms
+from scanloom.client_session import ClientSession
+from scanloom.frame_view import FrameView, clock_offset_ms
 from scanloom.jobs.build import free_folder, results_in, settings_in
-from scanloom.jobs.latest import LatestWorker
-from scanloom.jobs.slam import SlamRun, map_options, resampling_at, run_slam
-from scanloom.panels.blocks import paragraph, text_box
-from scanloom.panels.command import map_command
-from scanloom.panels.controls import Controls, put
+from scanloom.jobs.latest_only_worker import LatestOnlyWorker
+from scanloom.jobs.slam_run import SlamRun, map_options, resampling_at, run_slam
+from scanloom.panels.command_line import map_command
 from scanloom.panels.slam_results import SlamResults, effective_picture
-from scanloom.panels.work import BETWEEN_S, PanelJob
+from scanloom.panels.widgets.controls import Controls, update_widget
+from scanloom.panels.widgets.markup import paragraph, text_box
+from scanloom.panels.widgets.panel_job import BETWEEN_S, PanelJob
 from scanloom.plots.png import show_picture
 from scanloom.plots.slam_progress import Window, live_picture, window_around
-from scanloom.state.runs import MOST_RUNS, Runs
 from scanloom.state.slam_choices import (
     ESTIMATORS,
     MOTIONS,
@@ -36,6 +35,7 @@ from scanloom.state.slam_choices import (
     streams_of,
     why_not,
 )
+from scanloom.state.slam_runs import MOST_RUNS, SlamRuns
 from scanloom.state.view import View
 
 _WIDTH_PX, _HEIGHT_PX = 480, 430
@@ -52,13 +52,13 @@ _NO_OFFSET = "The clock offset that is to be applied is known once the recording
 class SlamPanel:
     """Runs ``map`` over the recording that is shown, in a thread of its own."""
 
-    def __init__(self, gui: viser.GuiApi, desk: Desk, output_root: Path) -> None:
-        self._desk, self._root = desk, output_root
-        self._runs = Runs()
+    def __init__(self, gui: viser.GuiApi, session: ClientSession, output_root: Path) -> None:
+        self._session, self._root = session, output_root
+        self._runs = SlamRuns()
         self._lock = threading.RLock()
-        self._live: LatestWorker[SlamView] | None = None
+        self._live: LatestOnlyWorker[SlamView] | None = None
         self._folder: Path | None = None
-        self._of_run = desk.view
+        self._of_run = session.view
         self._window: Window | None = None
         self._asked_s = 0.0
         self._why_not: str | None = None
@@ -66,7 +66,7 @@ class SlamPanel:
         self._commanded: object = None
 
         gui.add_html(paragraph(_ABOUT))
-        choices = desk.view.slam
+        choices = session.view.slam
         scan = gui.add_dropdown(
             "Scan",
             SCANS,
@@ -98,14 +98,16 @@ class SlamPanel:
         )
         self._why = gui.add_html("", visible=False)
         self._run_button = gui.add_button("Run", icon=viser.Icon.ROUTE)
-        self._job = PanelJob(gui, desk, self._lock, self._show_working, cancel_label="Cancel run")
+        self._job = PanelJob(
+            gui, session, self._lock, self._show_working, cancel_label="Cancel run"
+        )
         self._picture = gui.add_image(_EMPTY, format="png", visible=False)
         self._effective = gui.add_image(_EMPTY, format="png", visible=False)
-        self._results = SlamResults(gui, desk, self._runs, output_root)
+        self._results = SlamResults(gui, session, self._runs, output_root)
         with gui.add_folder("The same from the command line"):
             self._command = gui.add_html("")
 
-        self._controls = Controls(gui, desk)
+        self._controls = Controls(gui, session)
         for name, handle in (
             ("scan", scan),
             ("motion", motion),
@@ -119,21 +121,23 @@ class SlamPanel:
         """The run that is looked at, None where the recording has none."""
         return self._results.chosen(recording)
 
-    def show(self, shown: Shown) -> None:
+    def show(self, frame_view: FrameView) -> None:
         """The choices, the runs of the recording, and the command of the view."""
-        view = shown.view
+        view = frame_view.view
         self._controls.show(view)
-        put(self._particles, visible=view.slam.estimator == "particle-filter")
+        update_widget(self._particles, visible=view.slam.estimator == "particle-filter")
         with self._lock:
-            self._why_not = why_not(view.slam, streams_of(shown.opened.session))
+            self._why_not = why_not(view.slam, streams_of(frame_view.open_recording.fuse_session))
             self._clock_offset_ms = 0.0
-            if shown.chain is not None:
-                self._clock_offset_ms = clock_offset_ms(view, shown.chain)
+            if frame_view.chain is not None:
+                self._clock_offset_ms = clock_offset_ms(view, frame_view.chain)
             elif view.apply_clock_offset:
                 self._why_not = self._why_not or _NO_OFFSET
-            put(self._why, content=paragraph(self._why_not or ""))
-            put(self._why, visible=self._why_not is not None)
-            put(self._run_button, disabled=self._job.is_at_work or self._why_not is not None)
+            update_widget(self._why, content=paragraph(self._why_not or ""))
+            update_widget(self._why, visible=self._why_not is not None)
+            update_widget(
+                self._run_button, disabled=self._job.is_at_work or self._why_not is not None
+            )
             self._results.show(view.recording)
             self._show_command(view)
 
@@ -144,14 +148,14 @@ class SlamPanel:
 
     def _bind(self, handle: object, name: str) -> None:
         def change(value: object) -> None:
-            chosen = self._desk.view.slam.model_dump() | {name: value}
-            self._desk.change(slam=chosen)
+            chosen = self._session.view.slam.model_dump() | {name: value}
+            self._session.change(slam=chosen)
 
-        self._controls.tie(handle, lambda view: getattr(view.slam, name), change)
+        self._controls.bind(handle, lambda view: getattr(view.slam, name), change)
 
     def _begin(self) -> None:
         """Start a run unless one is at work, it cannot be done, or the browser has gone."""
-        view = self._desk.view
+        view = self._session.view
         with self._lock:
             if self._job.is_at_work or self._job.is_closed or self._why_not is not None:
                 return
@@ -164,11 +168,11 @@ class SlamPanel:
             offset_ms = self._clock_offset_ms
             self._of_run, self._window = view, None
             self._asked_s = 0.0
-            live = LatestWorker(f"run {number}", self._draw, self._desk.fail)
+            live = LatestOnlyWorker(f"run {number}", self._draw, self._session.fail)
             self._live = live
 
             def work(progress: Progress) -> SlamRun:
-                recording = self._desk.library.path(view.recording)
+                recording = self._session.library.path(view.recording)
                 return run_slam(number, view, recording, root, progress, self._watch, offset_ms)
 
             self._job.begin("slam", work, self._take)
@@ -181,7 +185,7 @@ class SlamPanel:
 
     def _draw(self, seen: SlamView, is_newest: Callable[[], bool]) -> None:
         """A picture of the run as it is now, unless nobody looks."""
-        view = self._desk.view
+        view = self._session.view
         if view.panel != "Map" or view.map_mode != "SLAM":
             return
         self._window = window_around(seen, self._window)
@@ -201,13 +205,13 @@ class SlamPanel:
             # The run may have ended meanwhile.
             if not self._job.is_at_work or self._job.is_closed:
                 return
-            with self._desk.client.atomic():
+            with self._session.client.atomic():
                 show_picture(self._picture, drawn)
-                put(self._picture, visible=True)
+                update_widget(self._picture, visible=True)
                 if plot is not None:
                     show_picture(self._effective, plot)
-                    put(self._effective, visible=True)
-        self._desk.client.flush()
+                    update_widget(self._effective, visible=True)
+        self._session.client.flush()
 
     def _take(self, run: SlamRun) -> None:
         oldest = self._runs.add(run)
@@ -218,20 +222,20 @@ class SlamPanel:
             said = f"Run {oldest.number} was cleared away: the last {MOST_RUNS} are kept."
         self._job.end(said)
         if run.problem is not None and not self._job.is_closed:
-            self._desk.fail(run.problem)
+            self._session.fail(run.problem)
 
     def _show_working(self, is_at_work: bool) -> None:
         self._commanded = None
-        put(self._run_button, disabled=is_at_work)
+        update_widget(self._run_button, disabled=is_at_work)
         for picture in (self._picture, self._effective):
-            put(picture, visible=False)
+            update_widget(picture, visible=False)
         if not is_at_work and self._live is not None:
             self._live.close()
         if not is_at_work and self._job.is_closed:
             self._clear_away()
 
     def _show_command(self, view: View) -> None:
-        recording = self._desk.library.path(view.recording)
+        recording = self._session.library.path(view.recording)
         run = self._results.chosen(view.recording)
         is_same = run is not None and asked(run.view) == asked(view)
         saved = self._results.saved(run) if run is not None and is_same else None

@@ -11,18 +11,18 @@ import viser
 
 from fusion_core.model.conventions import NS_PER_S, ByteArray, FloatArray
 from fusion_core.model.errors import ScanLoomError
-from scanloom.client_session import Desk
+from scanloom.client_session import ClientSession
 from scanloom.jobs.build import results_in, zip_of
-from scanloom.jobs.slam import SlamRun, keep, resampling_at
-from scanloom.panels.blocks import paragraph, text_box
-from scanloom.panels.controls import put
-from scanloom.panels.slam_words import apart_words, run_report
+from scanloom.jobs.slam_run import SlamRun, keep, resampling_at
+from scanloom.panels.slam_text import run_distance_text, run_report_html
+from scanloom.panels.widgets.controls import update_widget
+from scanloom.panels.widgets.markup import paragraph, text_box
 from scanloom.plots.palette import Color, color_of
 from scanloom.plots.png import show_picture
 from scanloom.plots.run_comparison import WayOnMap, apart, runs_picture
 from scanloom.plots.slam_progress import run_picture
 from scanloom.plots.time_picture import Course, time_picture
-from scanloom.state.runs import Runs
+from scanloom.state.slam_runs import SlamRuns
 
 _WIDTH_PX, _HEIGHT_PX, _PLOT_PX = 480, 640, 220
 _NONE_YET = "none yet"
@@ -64,14 +64,16 @@ class _RunChoice:
             self._known = None
         if chosen.name != self._known:
             self._known = chosen.name
-            put(self._handle, value=chosen.name)
+            update_widget(self._handle, value=chosen.name)
 
 
 class SlamResults:
     """Shows what the runs of one browser made. ``show`` is called in the thread of the views."""
 
-    def __init__(self, gui: viser.GuiApi, desk: Desk, runs: Runs, output_root: Path) -> None:
-        self._desk, self._runs, self._root = desk, runs, output_root
+    def __init__(
+        self, gui: viser.GuiApi, session: ClientSession, runs: SlamRuns, output_root: Path
+    ) -> None:
+        self._session, self._runs, self._root = session, runs, output_root
         self._lock = threading.RLock()
         self._chosen: str | None = None
         self._compared: dict[str, str | None] = {"A": None, "B": None}
@@ -130,8 +132,8 @@ class SlamResults:
         with self._lock:
             runs = self._runs.of(recording)
             self._forget()
-            put(self._result, visible=bool(runs))
-            put(self._comparison, visible=len(runs) > 1)
+            update_widget(self._result, visible=bool(runs))
+            update_widget(self._comparison, visible=len(runs) > 1)
             if not runs:
                 return
             run = self.chosen(recording)
@@ -143,7 +145,7 @@ class SlamResults:
 
     def _show_run(self, run: SlamRun) -> None:
         saved = self._saved.get(run)
-        put(self._where, content="" if saved is None else text_box(str(saved)))
+        update_widget(self._where, content="" if saved is None else text_box(str(saved)))
         if run is self._drawn:
             return
         self._drawn = run
@@ -165,8 +167,8 @@ class SlamResults:
         ):
             if plot is not None:
                 show_picture(handle, plot)
-            put(handle, visible=plot is not None)
-        put(self._report, content=run_report(run))
+            update_widget(handle, visible=plot is not None)
+        update_widget(self._report, content=run_report_html(run))
 
     def _show_pair(self, runs: list[SlamRun]) -> None:
         by_name = {run.name: run for run in runs}
@@ -181,9 +183,9 @@ class SlamResults:
         self._drawn_pair = first, second
         ways = _way_of(first), _way_of(second)
         found = apart(*ways)
-        put(self._both, visible=found is not None)
-        put(self._distance, visible=found is not None)
-        put(self._apart, content=paragraph(apart_words(found)))
+        update_widget(self._both, visible=found is not None)
+        update_widget(self._distance, visible=found is not None)
+        update_widget(self._apart, content=paragraph(run_distance_text(found)))
         if found is None:
             return
         drawn = runs_picture(
@@ -200,11 +202,11 @@ class SlamResults:
 
     def _choose(self, value: str) -> None:
         self._chosen = value
-        self._desk.refresh()
+        self._session.refresh()
 
     def _compare(self, side: str, value: str) -> None:
         self._compared[side] = value
-        self._desk.refresh()
+        self._session.refresh()
 
     def _send(self) -> None:
         run = self._drawn
@@ -214,9 +216,9 @@ class SlamResults:
             name = f"{run.folder.name}-{run.choices.estimator}"
             content = zip_of(results_in(run.folder), name)
         except ScanLoomError as error:
-            self._desk.fail(error)
+            self._session.fail(error)
             return
-        self._desk.client.send_file_download(f"{name}.zip", content, save_immediately=True)
+        self._session.client.send_file_download(f"{name}.zip", content, save_immediately=True)
 
     def _keep(self) -> None:
         with self._lock:
@@ -225,12 +227,12 @@ class SlamResults:
                 return
             try:
                 if run not in self._saved:
-                    recording = self._desk.library.path(run.recording)
+                    recording = self._session.library.path(run.recording)
                     self._saved[run] = keep(run, recording, self._root)
             except ScanLoomError as error:
-                self._desk.fail(error)
+                self._session.fail(error)
                 return
-        self._desk.refresh()
+        self._session.refresh()
 
     def _forget(self) -> None:
         """What has been cleared away need not be held."""

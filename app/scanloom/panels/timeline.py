@@ -8,9 +8,9 @@ from functools import partial
 
 import viser
 
-from scanloom.client_session import Desk
-from scanloom.frame_view import Shown
-from scanloom.panels.controls import Controls, put
+from scanloom.client_session import ClientSession
+from scanloom.frame_view import FrameView
+from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.state.view import PANELS
 
 # Frames a second at speed 1 where the recording has no rate of its own.
@@ -23,8 +23,8 @@ _CHOICE_OF_SPEED = {float(speed): speed for speed in _SPEEDS}
 class TimelinePanel:
     """Moves through the frames."""
 
-    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
-        self._desk = desk
+    def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
+        self._session = session
         self._rate_hz = _USUAL_HZ
         self._last = 0
         self._playing = threading.Event()
@@ -40,20 +40,22 @@ class TimelinePanel:
         self._time = gui.add_html("")
         self._buttons = gui.add_button_group("Go", ("|<", "<", "Play", ">", ">|"))
         speed = gui.add_dropdown("Speed", _SPEEDS, initial_value="1")
-        self._loop = gui.add_checkbox("Loop", desk.view.loop)
-        self._controls = Controls(gui, desk)
-        self._controls.bind(self._loop, "loop", bool)
-        self._controls.bind(self._frame, "number", int, lambda number: min(number, self._last))
+        self._loop = gui.add_checkbox("Loop", session.view.loop)
+        self._controls = Controls(gui, session)
+        self._controls.bind_field(self._loop, "loop", bool)
+        self._controls.bind_field(
+            self._frame, "number", int, lambda number: min(number, self._last)
+        )
         # A link may ask for a speed that is not among the choices.
-        self._controls.bind(speed, "speed", float, lambda value: _CHOICE_OF_SPEED.get(value))
+        self._controls.bind_field(speed, "speed", float, lambda value: _CHOICE_OF_SPEED.get(value))
 
         @self._buttons.on_click
         def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
             actions = {
                 "|<": self.first,
-                "<": lambda: desk.step(-1),
+                "<": lambda: session.step(-1),
                 "Play": self.play_or_pause,
-                ">": lambda: desk.step(1),
+                ">": lambda: session.step(1),
                 ">|": self.last,
             }
             actions[self._buttons.value]()
@@ -71,26 +73,26 @@ class TimelinePanel:
 
     def first(self) -> None:
         """Go to the first frame."""
-        self._desk.change(number=0)
+        self._session.change(number=0)
 
     def last(self) -> None:
         """Go to the last frame."""
-        self._desk.change(number=self._last)
+        self._session.change(number=self._last)
 
-    def show(self, shown: Shown) -> None:
+    def show(self, frame_view: FrameView) -> None:
         """Set the slider and the stamp."""
-        times_ns = shown.opened.frames.times_ns
+        times_ns = frame_view.open_recording.frames.times_ns
         self._last = max(len(times_ns) - 1, 0)
         if self._frame.max != max(self._last, 1):
-            put(self._frame, max=max(self._last, 1))
+            update_widget(self._frame, max=max(self._last, 1))
             span_s = float(times_ns[-1] - times_ns[0]) / 1e9 if len(times_ns) > 1 else 0.0
             self._rate_hz = self._last / span_s if span_s > 0.0 else _USUAL_HZ
-        number = min(shown.view.number, self._last)
-        self._controls.show(shown.view)
+        number = min(frame_view.view.number, self._last)
+        self._controls.show(frame_view.view)
         self._time.content = (
             '<div style="padding:0 0.5em;font-size:0.85em;opacity:0.75">'
-            f"{_seconds(shown, number)} · frame {number} of {self._last + 1}"
-            f"{_gap(shown)}{_camera(shown, number)}</div>"
+            f"{_seconds(frame_view, number)} · frame {number} of {self._last + 1}"
+            f"{_gap(frame_view)}{_camera(frame_view, number)}</div>"
         )
 
     def close(self) -> None:
@@ -104,25 +106,25 @@ class TimelinePanel:
             self._playing.wait()
             if self._closed.is_set():
                 return
-            rate_hz = min(self._rate_hz * self._desk.view.speed, _MOST_HZ)
-            view = self._desk.view
+            rate_hz = min(self._rate_hz * self._session.view.speed, _MOST_HZ)
+            view = self._session.view
             if not view.loop and view.number >= self._last:
                 self._playing.clear()
                 continue
-            self._desk.step(1)
+            self._session.step(1)
             # A frame that takes longer than its time is waited for: playing drops none.
-            self._desk.wait(2.0)
+            self._session.wait(2.0)
             due_s = max(due_s + 1.0 / rate_hz, time.monotonic())
             self._closed.wait(due_s - time.monotonic())
 
     def _add_keys(self, gui: viser.GuiApi) -> None:
-        desk = self._desk
+        session = self._session
         keys: tuple[tuple[str, str, Callable[[], None]], ...] = (
             ("Play or pause", "space", self.play_or_pause),
-            ("Previous frame", "pageup", lambda: desk.step(-1)),
-            ("Next frame", "pagedown", lambda: desk.step(1)),
-            ("Next frame (J)", "J", lambda: desk.step(1)),
-            ("Previous frame (K)", "K", lambda: desk.step(-1)),
+            ("Previous frame", "pageup", lambda: session.step(-1)),
+            ("Next frame", "pagedown", lambda: session.step(1)),
+            ("Next frame (J)", "J", lambda: session.step(1)),
+            ("Previous frame (K)", "K", lambda: session.step(-1)),
             ("First frame", "home", self.first),
             ("Last frame", "end", self.last),
         )
@@ -131,11 +133,11 @@ class TimelinePanel:
             command.on_trigger(_calling(action))
         for number, name in enumerate(PANELS):
             command = gui.add_command(f"Panel {name}", hotkey=str(number + 1), modifier="alt")  # type: ignore[arg-type]  # a digit
-            command.on_trigger(_calling(partial(desk.change, panel=name)))
+            command.on_trigger(_calling(partial(session.change, panel=name)))
         undo = gui.add_command("Undo", hotkey="Z", modifier="cmd/ctrl")
-        undo.on_trigger(lambda _: desk.undo())
+        undo.on_trigger(lambda _: session.undo())
         redo = gui.add_command("Redo", hotkey="Z", modifier="cmd/ctrl+shift")
-        redo.on_trigger(lambda _: desk.redo())
+        redo.on_trigger(lambda _: session.redo())
 
 
 def _calling(action: Callable[[], None]) -> Callable[[object], None]:
@@ -143,25 +145,25 @@ def _calling(action: Callable[[], None]) -> Callable[[object], None]:
     return lambda _: action()
 
 
-def _seconds(shown: Shown, number: int) -> str:
-    times_ns = shown.opened.frames.times_ns
+def _seconds(frame_view: FrameView, number: int) -> str:
+    times_ns = frame_view.open_recording.frames.times_ns
     if not len(times_ns):
         return "no frames"
     return f"{(int(times_ns[number]) - int(times_ns[0])) / 1e9:.3f} s"
 
 
-def _gap(shown: Shown) -> str:
-    if shown.paired is None or shown.opened.session.virtual_row is not None:
+def _gap(frame_view: FrameView) -> str:
+    if frame_view.paired is None or frame_view.open_recording.fuse_session.virtual_row is not None:
         return ""
-    if shown.paired.window is None:
+    if frame_view.paired.window is None:
         return " · no scan near enough"
-    gap_ms = shown.paired.gap_ns / 1e6
+    gap_ms = frame_view.paired.gap_ns / 1e6
     return f" · scan {abs(gap_ms):.1f} ms {'before' if gap_ms >= 0.0 else 'after'} it"
 
 
-def _camera(shown: Shown, number: int) -> str:
+def _camera(frame_view: FrameView, number: int) -> str:
     """Whose image it is, where several cameras take turns."""
-    cameras = shown.opened.session.rig.cameras
-    if len(cameras) < 2 or not len(shown.opened.frames):
+    cameras = frame_view.open_recording.fuse_session.rig.cameras
+    if len(cameras) < 2 or not len(frame_view.open_recording.frames):
         return ""
-    return f"<br>{html.escape(cameras[shown.opened.frames.camera_of(number)].topic)}"
+    return f"<br>{html.escape(cameras[frame_view.open_recording.frames.camera_of(number)].topic)}"

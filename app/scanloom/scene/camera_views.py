@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.geometry import apply as apply_transform
-from scanloom.scene.boards import Board, Layout
+from scanloom.scene.image_planes import ImagePlane, Layout
 from scanloom.scene.layers import Layer
 
 # Narrow: from far above, what lies above or below the plane hardly moves sideways.
@@ -83,7 +83,7 @@ def map_from_above(
     )
 
 
-def board(shown: Board) -> CameraView:
+def board(shown: ImagePlane) -> CameraView:
     """Straight onto a board."""
     plane = shown.plane
     _, down, away = plane.R_lidar_plane.T

@@ -13,10 +13,10 @@ from fusion_core.model.conventions import (
 )
 from scanloom.plots.palette import Color, class_colors, color_of
 from scanloom.plots.png import show_picture
-from scanloom.scene.boards import Board
-from scanloom.scene.drawn import colors_of_segments, depth_colors, lines, points
 from scanloom.scene.frame_geometry import FrameGeometry
 from scanloom.scene.geometry import NO_SEGMENTS, arrow_segments, path_segments, quaternion
+from scanloom.scene.geometry_nodes import colors_of_segments, depth_colors, lines, points
+from scanloom.scene.image_planes import ImagePlane
 from scanloom.scene.layers import LAYERS, Layer
 from scanloom.scene.picking import nearest_beam
 
@@ -48,7 +48,7 @@ class MapPlane:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Picked:
+class PickResult:
     """What a click meant: a pixel (x_px, y_px) of the board ``board``, or a beam of the scan."""
 
     board: str | None = None
@@ -113,7 +113,7 @@ class SceneNodes:
         self._in_map = scene.add_frame("/in_map", show_axes=False, visible=False)
         self._path = lines(scene, "/in_map/path", color_of("fused"), thickness_px=2.0)
         self._map: viser.ImageHandle | None = None
-        self._boards: dict[str, tuple[Board, viser.ImageHandle]] = {}
+        self._boards: dict[str, tuple[ImagePlane, viser.ImageHandle]] = {}
 
     def show(self, frame: FrameGeometry) -> None:
         """Draw a frame instead of the one before.
@@ -184,7 +184,7 @@ class SceneNodes:
         on_floor[:, :2] = positions_in_map[:, :2]
         self._path.draw(path_segments(on_floor))
 
-    def stand_at(self, T_map_lidar: FloatArray | None) -> None:
+    def place_map(self, T_map_lidar: FloatArray | None) -> None:
         """Where the LiDAR stands in the map: map and path are laid out around it. None hides them,
         as for frames without a pose."""
         if T_map_lidar is not None:
@@ -196,7 +196,7 @@ class SceneNodes:
         self._in_a_map = T_map_lidar is not None
         self._in_map.visible = self._in_a_map and "map" in self._layers
 
-    def show_board(self, board: Board) -> None:
+    def show_image_plane(self, board: ImagePlane) -> None:
         """A picture that stands in the scene; one of the same name is replaced."""
         shown = self._boards.get(board.name)
         plane = board.plane
@@ -226,7 +226,7 @@ class SceneNodes:
         self._layers = layers
         self._update_visible()
 
-    def pick(self, ray_origin_m: FloatArray, ray_direction: FloatArray) -> Picked | None:
+    def pick(self, ray_origin_m: FloatArray, ray_direction: FloatArray) -> PickResult | None:
         """What the ray of a click on the scene means, None where it means nothing shown."""
         if "boards" in self._layers:
             hits = [
@@ -236,13 +236,13 @@ class SceneNodes:
             hits = [hit for hit in hits if np.isfinite(hit[2])]
             if hits:
                 x_px, y_px, _, name = min(hits, key=lambda hit: hit[2])
-                return Picked(board=name, pixel=(x_px, y_px))
+                return PickResult(board=name, pixel=(x_px, y_px))
         if self._frame is None or "curve" not in self._layers:
             return None
         beam = nearest_beam(self._frame.beams_m, ray_origin_m, ray_direction)
-        return None if beam is None else Picked(beam=beam)
+        return None if beam is None else PickResult(beam=beam)
 
-    def hide_board(self, name: str) -> None:
+    def hide_image_plane(self, name: str) -> None:
         """Take a picture out of the scene until the next of its name."""
         shown = self._boards.pop(name, None)
         if shown is not None:
@@ -266,7 +266,7 @@ class SceneNodes:
         for drawn in (*self._of_frame, self._path):
             drawn.empty()
         self.show_map(None)
-        self.stand_at(None)
+        self.place_map(None)
         self._lidar.visible = self._floor.visible = False
 
     def _place_floor(self, lowest_m: float) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import FloatArray, read_only
 from fusion_core.workflows.fuse.frame import FusedFrame
-from scanloom.scene.findings import unwrapped_deg
+from scanloom.scene.frame_summary import unwrapped_deg
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,6 +1,7 @@
 """The connections of the server: how many may wait, what they may send, how long they may not read.
 
-websockets makes one ``Visit`` for each connection, page or socket. It waits until its browser has
+websockets makes one ``ClientConnection`` for each connection, page or socket. It waits until its
+browser has
 answered what the server asks first (``scanloom.server.browser_storage``): until then it costs
 little, and where too many wait, the one that has waited longest goes. No browser's silence costs
 another one anything.
@@ -14,8 +15,8 @@ from websockets.asyncio.server import ServerConnection
 from websockets.protocol import State
 from websockets.typing import Data
 
-from scanloom.server.error_log import Complaints, address_of
-from scanloom.server.message_filter import judge
+from scanloom.server.error_log import ErrorLog, client_address
+from scanloom.server.message_filter import check_message
 
 # Pages that load and tabs that were opened in the background. A page that is not read is kept in
 # memory, 3 MB each.
@@ -30,20 +31,20 @@ _MOST_UNREAD_S = 30.0
 class Connections:
     """All connections of a server, for its event loop alone."""
 
-    def __init__(self, complaints: Complaints) -> None:
-        self.complaints = complaints
+    def __init__(self, error_log: ErrorLog) -> None:
+        self.error_log = error_log
         # The longest waiting first.
-        self._waiting: dict[Visit, None] = {}
-        self._settled: set[Visit] = set()
+        self._waiting: dict[ClientConnection, None] = {}
+        self._settled: set[ClientConnection] = set()
 
     def __len__(self) -> int:
         return len(self._waiting) + len(self._settled)
 
-    def make(self, *args: Any, **options: Any) -> "Visit":
+    def make(self, *args: Any, **options: Any) -> "ClientConnection":
         """A connection, for websockets."""
-        return Visit(self, *args, **options)
+        return ClientConnection(self, *args, **options)
 
-    def enter(self, visit: "Visit") -> None:
+    def enter(self, visit: "ClientConnection") -> None:
         """A connection was opened; another may have to go for it."""
         self._waiting[visit] = None
         of_one = [other for other in self._waiting if other.host == visit.host]
@@ -52,22 +53,22 @@ class Connections:
         elif len(self) > _MOST:
             self._end(next(iter(self._waiting)))
 
-    def settle(self, visit: "Visit") -> None:
+    def settle(self, visit: "ClientConnection") -> None:
         """A browser has answered: it waits no longer."""
         if self._waiting.pop(visit, self) is None:
             self._settled.add(visit)
 
-    def leave(self, visit: "Visit") -> None:
+    def leave(self, visit: "ClientConnection") -> None:
         """A connection is closed."""
         self._waiting.pop(visit, None)
         self._settled.discard(visit)
 
-    def _end(self, visit: "Visit") -> None:
+    def _end(self, visit: "ClientConnection") -> None:
         self.leave(visit)
         visit.transport.abort()
 
 
-class Visit(ServerConnection):
+class ClientConnection(ServerConnection):
     """A connection that hands on what a browser may send, and ends where nothing is read."""
 
     def __init__(self, connections: Connections, *args: Any, **options: Any) -> None:
@@ -99,10 +100,10 @@ class Visit(ServerConnection):
         """The next message that viser can take. Others are left out; some are told of."""
         while True:
             data = await super().recv(decode)
-            judged = judge(data)
+            judged = check_message(data)
             if judged.problem:
-                self._connections.complaints.tell(
-                    address_of(self), f"sent {judged.problem}; it is left out."
+                self._connections.error_log.tell(
+                    client_address(self), f"sent {judged.problem}; it is left out."
                 )
             elif judged.is_wanted:
                 if judged.answers:
@@ -119,7 +120,7 @@ class Visit(ServerConnection):
             self._watch()
             return
         if self.protocol.state is State.OPEN:
-            self._connections.complaints.tell(address_of(self), "reads nothing; it is cut off.")
+            self._connections.error_log.tell(client_address(self), "reads nothing; it is cut off.")
         self.transport.abort()
 
     def _stop_watching(self) -> None:
@@ -128,7 +129,7 @@ class Visit(ServerConnection):
             self._unread = None
 
 
-def of_this_version(handler: Callable[[Any], Any], version: str) -> Callable[[Any], Any]:
+def require_viser_version(handler: Callable[[Any], Any], version: str) -> Callable[[Any], Any]:
     """``handler`` for pages of this version of viser alone; others are told to load again.
 
     viser tells them, too, but on stdout, which belongs to the command, with what they sent.

@@ -21,7 +21,7 @@ def _on_stderr(line: str) -> None:
     sys.stderr.flush()
 
 
-class Complaints:
+class ErrorLog:
     """Tells the first at once, then one in ten seconds with the number of those left out. Safe for
     threads."""
 
@@ -48,35 +48,35 @@ class Complaints:
         self._write(f"{printable(f'{who}: {what}')[:_MOST_CHARACTERS]}{before}")
 
 
-def log_to(complaints: Complaints) -> logging.Logger:
+def websockets_logger(error_log: ErrorLog) -> logging.Logger:
     """A log for websockets, whose errors are told without their traceback."""
     log = logging.Logger("connections", logging.ERROR)
-    log.addHandler(_OneLine(complaints))
+    log.addHandler(_OneLine(error_log))
     return log
 
 
 class _OneLine(logging.Handler):
-    def __init__(self, complaints: Complaints) -> None:
+    def __init__(self, error_log: ErrorLog) -> None:
         super().__init__(logging.ERROR)
-        self._complaints = complaints
+        self._error_log = error_log
 
     def emit(self, record: logging.LogRecord) -> None:
         if record.msg in _PARTINGS:
             return
-        who = address_of(getattr(record, "websocket", None))
+        who = client_address(getattr(record, "websocket", None))
         error = record.exc_info[1] if record.exc_info else None
         what = record.getMessage().partition("\n")[0]
-        self._complaints.tell(who, f"{what}: {in_short(error)}" if error else what)
+        self._error_log.tell(who, f"{what}: {error_summary(error)}" if error else what)
 
 
-def in_short(error: BaseException) -> str:
+def error_summary(error: BaseException) -> str:
     """An error, and the line of code that raised it."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({frames[-1].filename.rpartition('/')[2]}:{frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {error}{where}"
 
 
-def address_of(connection: object) -> str:
+def client_address(connection: object) -> str:
     """Whose connection it is."""
     address = getattr(connection, "remote_address", None)
     return f"browser at {address[0]}:{address[1]}" if address else "a browser"

@@ -48,7 +48,7 @@ MOST_BYTES = 2**18
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class MessageCheck:
     """What to do with a message: hand it on where it ``is_wanted``, and else tell of its
     ``problem``, if any. ``answers``: it says what the browser keeps."""
 
@@ -57,25 +57,27 @@ class Judged:
     problem: str = ""
 
 
-def judge(data: str | bytes) -> Judged:
+def check_message(data: str | bytes) -> MessageCheck:
     """What to do with a message, before viser reads it: it must be of a kind that is used, with all
     the values of that kind and no other, and no number that is none."""
     if not isinstance(data, bytes):
-        return Judged(problem="a text where viser sends bytes")
+        return MessageCheck(problem="a text where viser sends bytes")
     try:
         values = msgspec.msgpack.decode(data)
         name = values.pop("type")
         kind = _USED.get(name)
     except (msgspec.DecodeError, RecursionError, AttributeError, KeyError, TypeError, ValueError):
-        return Judged(problem="what is no message of viser's")
+        return MessageCheck(problem="what is no message of viser's")
     if kind is None:
         known = name in messages.Message._subclass_from_type_string()
         # A page may send more than is made use of.
-        return Judged(problem="" if known else f"a message of the unknown kind {_short(name)}")
+        return MessageCheck(
+            problem="" if known else f"a message of the unknown kind {_short(name)}"
+        )
     problem = _problem_of_message(values, kind)
     if problem:
-        return Judged(problem=f"a {name}: {problem}")
-    return Judged(is_wanted=True, answers=kind is _ANSWER)
+        return MessageCheck(problem=f"a {name}: {problem}")
+    return MessageCheck(is_wanted=True, answers=kind is _ANSWER)
 
 
 def _problem_of_message(values: dict[Any, Any], kind: type[Any]) -> str | None:
@@ -105,7 +107,7 @@ def _is_finite(value: object) -> bool:
     return not isinstance(value, float) or math.isfinite(value)
 
 
-def only_values(gui: viser.GuiApi, refused: Callable[[int, str], None]) -> None:
+def restrict_gui_updates(gui: viser.GuiApi, refused: Callable[[int, str], None]) -> None:
     """Let browsers change nothing of ``gui`` but the values of its widgets.
 
     A value must be of the widget's kind, finite, within its range or among its options, and of at
@@ -134,7 +136,7 @@ def only_values(gui: viser.GuiApi, refused: Callable[[int, str], None]) -> None:
         taken.unregister_handler(kind)
 
 
-def without_sharing(server: viser.ViserServer) -> None:
+def disable_share_tunnel(server: viser.ViserServer) -> None:
     """Take from browsers the power to open, and to close, a tunnel for the whole internet."""
     for kind in (messages.ShareUrlRequest, messages.ShareUrlDisconnect):
         server._websock_server.unregister_handler(kind)

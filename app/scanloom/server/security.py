@@ -24,7 +24,7 @@ import websockets.asyncio.server
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from scanloom.server.connections import of_this_version
+from scanloom.server.connections import require_viser_version
 
 LINK_KEY = "link"
 # Longer than any person's view. A whole request line may have 8192 bytes in websockets.
@@ -122,7 +122,7 @@ def guarded(guard: Guard, **instead: Any) -> Iterator[None]:
 
     def serve(handler: Any, *args: Any, process_request: Any = None, **options: Any) -> Any:
         return original(
-            of_this_version(handler, viser.__version__),
+            require_viser_version(handler, viser.__version__),
             *args,
             process_request=_asking(guard, process_request),
             **options | instead,

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import viser
 
 from fusion_core.model.errors import ExportError, ScanLoomError
-from scanloom.client_session import STORED_VIEW, Desk
+from scanloom.client_session import STORED_VIEW, ClientSession
 from scanloom.panels.header import HeaderPanel
 from scanloom.panels.map import MapPanel
 from scanloom.panels.match import MatchPanel
@@ -19,14 +19,14 @@ from scanloom.panels.recording import RecordingPanel
 from scanloom.panels.register import RegisterPanel
 from scanloom.panels.repair import RepairPanel
 from scanloom.panels.scene import ScenePanel
-from scanloom.panels.switch import PanelSwitch
 from scanloom.panels.timeline import TimelinePanel
+from scanloom.panels.widgets.panel_switch import PanelSwitch
 from scanloom.resources import sample_path
 from scanloom.server import browser_storage as storage
 from scanloom.server.connections import Connections
-from scanloom.server.error_log import Complaints, in_short, log_to
+from scanloom.server.error_log import ErrorLog, error_summary, websockets_logger
 from scanloom.server.listening import free_port
-from scanloom.server.message_filter import MOST_BYTES, only_values, without_sharing
+from scanloom.server.message_filter import MOST_BYTES, disable_share_tunnel, restrict_gui_updates
 from scanloom.server.security import LINK_KEY, Guard, guard_for, guarded
 from scanloom.state.library import Library
 from scanloom.state.view import View, view_of_link
@@ -73,11 +73,11 @@ class Workbench:
         self._library.open(self._first_view)
         self.guard: Guard = guard_for(options.host)
         self._options = options
-        self._desks: dict[int, tuple[Desk, list[Closable]]] = {}
+        self._sessions: dict[int, tuple[ClientSession, list[Closable]]] = {}
         self._lock = threading.Lock()
         self._is_closed = False
-        self._complaints = Complaints()
-        self._connections = Connections(self._complaints)
+        self._error_log = ErrorLog()
+        self._connections = Connections(self._error_log)
 
     def start(self) -> None:
         """Listen."""
@@ -87,15 +87,15 @@ class Workbench:
             self.guard,
             create_connection=self._connections.make,
             max_size=MOST_BYTES,
-            logger=log_to(self._complaints),
+            logger=websockets_logger(self._error_log),
         )
         with serving, redirect_stdout(io.StringIO()):
             self._server = viser.ViserServer(
                 host=options.host, port=self._port, label="ScanLoom", verbose=False
             )
-        _tell_in_one_line(self._server, self._complaints)
-        without_sharing(self._server)
-        only_values(self._server.gui, _leave)
+        _tell_in_one_line(self._server, self._error_log)
+        disable_share_tunnel(self._server)
+        restrict_gui_updates(self._server.gui, _leave)
         self._server.gui.configure_theme(
             control_width="large", show_logo=False, show_share_button=False, dark_mode=False
         )
@@ -115,18 +115,18 @@ class Workbench:
         return f"http://{name}:{self._server.get_port()}{token}"
 
     @property
-    def desks(self) -> list[Desk]:
+    def sessions(self) -> list[ClientSession]:
         """The desks of the browsers that are connected."""
         with self._lock:
-            return [desk for desk, _ in self._desks.values()]
+            return [session for session, _ in self._sessions.values()]
 
     def close(self) -> None:
         """Stop serving and free the files."""
         with self._lock:
             self._is_closed = True
-            parting = list(self._desks)
+            parting = list(self._sessions)
         for client_id in parting:
-            self._close_desk(client_id)
+            self._close_session(client_id)
         with redirect_stdout(io.StringIO()):
             self._server.stop()
         self._library.close()
@@ -140,37 +140,37 @@ class Workbench:
 
     async def _welcome(self, client: viser.ClientHandle) -> None:
         """Give a browser its desk, once it has told what it keeps."""
-        only_values(client.gui, _leave)
+        restrict_gui_updates(client.gui, _leave)
 
         def on_answer(answers: storage.Answers) -> None:
             if answers[LINK_KEY] is not None:
                 client.local_storage.remove_item(LINK_KEY)
             links = [link for key in (LINK_KEY, STORED_VIEW) if (link := answers[key]) is not None]
-            _in_own_thread("welcome", self._open_desk, client, links)
+            _in_own_thread("welcome", self._open_session, client, links)
 
         storage.ask(client, (LINK_KEY, STORED_VIEW), on_answer)
 
-    def _open_desk(self, client: viser.ClientHandle, links: list[str]) -> None:
+    def _open_session(self, client: viser.ClientHandle, links: list[str]) -> None:
         try:
             self._furnish(client, links)
         except Exception as error:  # noqa: BLE001  # it may have left meanwhile
             if client.client_id in self._server.get_clients():
-                self._complaints.tell(f"browser {client.client_id}", in_short(error))
+                self._error_log.tell(f"browser {client.client_id}", error_summary(error))
 
     def _furnish(self, client: viser.ClientHandle, links: list[str]) -> None:
         view, problem = self._view_for(links)
-        desk = Desk(client, self._library, view)
-        closables = _furnish(desk, self._options.output_root)
+        session = ClientSession(client, self._library, view)
+        closables = _furnish(session, self._options.output_root)
         with self._lock:
-            self._desks[client.client_id] = (desk, closables)
+            self._sessions[client.client_id] = (session, closables)
             is_closed = self._is_closed
         if is_closed or client.client_id not in self._server.get_clients():
             # It left while its desk was made.
-            self._close_desk(client.client_id)
+            self._close_session(client.client_id)
             return
         if problem is not None:
-            desk.fail(problem)
-        desk.refresh()
+            session.fail(problem)
+        session.refresh()
 
     def _view_for(self, links: list[str]) -> tuple[View, ScanLoomError | None]:
         """The first of the links that can be followed, else the first view; and why not an earlier
@@ -187,16 +187,16 @@ class Workbench:
         return self._first_view, problem
 
     async def _part(self, client: viser.ClientHandle) -> None:
-        _in_own_thread("parting", self._close_desk, client.client_id)
+        _in_own_thread("parting", self._close_session, client.client_id)
 
-    def _close_desk(self, client_id: int) -> None:
+    def _close_session(self, client_id: int) -> None:
         with self._lock:
-            parting = self._desks.pop(client_id, None)
+            parting = self._sessions.pop(client_id, None)
         if parting is not None:
-            desk, closables = parting
+            session, closables = parting
             for panel in closables:
                 panel.close()
-            desk.close()
+            session.close()
 
 
 def _leave(client_id: int, reason: str) -> None:
@@ -214,14 +214,14 @@ def _require_folder(output_root: Path) -> None:
         raise ExportError("is not a folder.", file=output_root, advice="Name another with -o.")
 
 
-def _tell_in_one_line(server: viser.ViserServer, complaints: Complaints) -> None:
+def _tell_in_one_line(server: viser.ViserServer, error_log: ErrorLog) -> None:
     """What fails in the server's own loop and threads is told without a traceback."""
     loop = server.get_event_loop()
 
     def on_error(_: object, context: dict[str, Any]) -> None:
         error = context.get("exception")
         what = str(context.get("message", "failed"))
-        complaints.tell("server", f"{what}: {in_short(error)}" if error else what)
+        error_log.tell("server", f"{what}: {error_summary(error)}" if error else what)
 
     loop.call_soon_threadsafe(loop.set_exception_handler, on_error)
     pool: Any = server._thread_executor
@@ -232,30 +232,30 @@ def _tell_in_one_line(server: viser.ViserServer, complaints: Complaints) -> None
             try:
                 work(*args)
             except Exception as error:  # noqa: BLE001  # viser prints a traceback of it
-                complaints.tell("a widget's callback", in_short(error))
+                error_log.tell("a widget's callback", error_summary(error))
 
         return submit(told)
 
     pool.submit = submit_told
 
 
-def _furnish(desk: Desk, output_root: Path) -> list[Closable]:
+def _furnish(session: ClientSession, output_root: Path) -> list[Closable]:
     """Put the panels on a desk, in the order from top to bottom; those that run end with it."""
-    gui = desk.client.gui
-    header = HeaderPanel(gui, desk)
-    timeline = TimelinePanel(gui, desk)
-    scene = ScenePanel(gui, desk)
-    switch = PanelSwitch(gui, desk)
+    gui = session.client.gui
+    header = HeaderPanel(gui, session)
+    timeline = TimelinePanel(gui, session)
+    scene = ScenePanel(gui, session)
+    switch = PanelSwitch(gui, session)
     with switch.folder("Recording"):
-        recording = RecordingPanel(gui, desk)
+        recording = RecordingPanel(gui, session)
     with switch.folder("Match"):
-        match = MatchPanel(gui, desk, scene.take_heatmap)
+        match = MatchPanel(gui, session, scene.set_heatmap_source)
     with switch.folder("Register"):
-        register = RegisterPanel(gui, desk)
+        register = RegisterPanel(gui, session)
     with switch.folder("Repair"):
-        repair = RepairPanel(gui, desk)
+        repair = RepairPanel(gui, session)
     with switch.folder("Map"):
-        maps = MapPanel(gui, desk, output_root, scene.take_map)
+        maps = MapPanel(gui, session, output_root, scene.set_map)
     # The scene last: it shows what the other panels have just drawn.
-    desk.panels = [header, timeline, switch, recording, match, register, repair, maps, scene]
+    session.panels = [header, timeline, switch, recording, match, register, repair, maps, scene]
     return [timeline, register, maps]

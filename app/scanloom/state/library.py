@@ -14,9 +14,9 @@ from fusion_core.model.names import readable
 from fusion_core.model.recording import Recording
 from fusion_core.workflows.fuse.session import FuseOptions, Session, open_session
 from fusion_core.workflows.source import open_source
-from scanloom.jobs.turns import Turns
+from scanloom.jobs.fair_semaphore import FairSemaphore
 from scanloom.state.file_stamp import FileStamp
-from scanloom.state.opened import Opened
+from scanloom.state.open_recording import OpenRecording
 from scanloom.state.view import View
 
 # More files than this in a folder are no list to choose from.
@@ -46,11 +46,11 @@ class Library:
         if len(self._named) < len(recordings):
             self._named = {readable(str(p)): Path(os.path.realpath(p)) for p in recordings}
         self._roots = [_folder(root) for root in roots]
-        self._turns = Turns(_ALIGNMENTS_AT_ONCE)
+        self._turns = FairSemaphore(_ALIGNMENTS_AT_ONCE)
         self._lock = threading.Lock()
         self._closed = False
         # What was asked for last comes last.
-        self._opened: OrderedDict[_Key, Opened] = OrderedDict()
+        self._opened: OrderedDict[_Key, OpenRecording] = OrderedDict()
         self._seen_by: dict[Hashable, _Key] = {}
         self._files: dict[Path, _File] = {}
         # Not the files at their paths any more, and still in use.
@@ -63,7 +63,7 @@ class Library:
             found.update(dict.fromkeys(_listed(root)))
         return list(found)
 
-    def open(self, view: View, seen_by: Hashable = None) -> Opened:
+    def open(self, view: View, seen_by: Hashable = None) -> OpenRecording:
         """The recording of a view with its streams and settings.
 
         ``seen_by``: who looks at it, until they open another or ``leave``; what is opened for
@@ -86,7 +86,7 @@ class Library:
                     # Somebody may have opened it meanwhile.
                     if (opened := self._look_at(key, seen_by)) is not None:
                         return opened
-                made = Opened(_session_of(file.recording(), view), file.stamp, self._turns)
+                made = OpenRecording(_session_of(file.recording(), view), file.stamp, self._turns)
                 with self._lock:
                     if self._closed:
                         raise RecordingError("The server is closing.", advice="Start it again.")
@@ -134,7 +134,7 @@ class Library:
             advice="Choose one of the list, or start scanloom view with its folder as --root.",
         )
 
-    def _look_at(self, key: "_Key", seen_by: Hashable) -> Opened | None:
+    def _look_at(self, key: "_Key", seen_by: Hashable) -> OpenRecording | None:
         """What is open under a key, then the last that was asked for."""
         if key not in self._opened:
             return None
@@ -154,7 +154,7 @@ class Library:
         if path in self._files:
             self._outdated.append(self._files.pop(path))
 
-    def _take_unused(self) -> tuple[list[Opened], list["_File"]]:
+    def _take_unused(self) -> tuple[list[OpenRecording], list["_File"]]:
         """Take out what is to be closed, which may last."""
         seen = set(self._seen_by.values())
         unseen = [key for key in self._opened if key not in seen]
@@ -264,7 +264,7 @@ def _session_of(recording: Recording, view: View) -> Session:
     return open_session(recording, options, view.aligned)
 
 
-def _close(opened: list[Opened], files: list[_File]) -> None:
+def _close(opened: list[OpenRecording], files: list[_File]) -> None:
     for one in opened:
         one.cancel()
     for file in files:

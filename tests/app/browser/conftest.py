@@ -10,7 +10,7 @@ from playwright.sync_api import Browser, ViewportSize, expect, sync_playwright
 
 from scanloom.server.workbench import ServeOptions, Workbench
 from scanloom.state.view import View
-from tests.app.browser.person import ENOUGH_S, Person, at_desk
+from tests.app.browser.person import ENOUGH_S, Person, at_session
 
 SCREEN: ViewportSize = {"width": 900, "height": 600}
 # What would be seen if a name were taken for HTML or Markdown.
@@ -82,9 +82,9 @@ def arrive(browser: Browser, workbench: Workbench) -> Iterator[Callable[..., Per
         context.set_default_timeout(ENOUGH_S * 1000)
         contexts.append(context)
         page = context.new_page()
-        known = workbench.desks
+        known = workbench.sessions
         page.goto(f"{workbench.address}{path}")
-        return at_desk(page, workbench, known)
+        return at_session(page, workbench, known)
 
     expect.set_options(timeout=ENOUGH_S * 1000)
     yield open_in_own_browser

@@ -3,7 +3,7 @@
 import numpy as np
 
 from fusion_core.workflows.fuse.frame import FusedFrame, judge_frame
-from scanloom.frame_view import Shown
+from scanloom.frame_view import FrameView
 from scanloom.plots.depth_image import DepthPicture, depth_limits_m, depth_picture
 from scanloom.scene.pair_pixels import pixels_of_match, repaired_depth_m
 from scanloom.state.view import View
@@ -15,11 +15,11 @@ NUMBER = 8
 _ROOM_PX = 1000
 
 
-def judged(shown: Shown, view: View) -> FusedFrame:
+def judged(frame_view: FrameView, view: View) -> FusedFrame:
     """The frame of a view, whatever the server has kept of it."""
-    assert shown.chain is not None
-    rig = shown.opened.session.rig
-    return judge_frame(match_of(shown, view), rig, shown.chain.alignment, view.settings)
+    assert frame_view.chain is not None
+    rig = frame_view.open_recording.fuse_session.rig
+    return judge_frame(match_of(frame_view, view), rig, frame_view.chain.alignment, view.settings)
 
 
 def repaired_picture(frame: FusedFrame, view: View, like: np.ndarray) -> DepthPicture:

@@ -12,8 +12,8 @@ from playwright.sync_api import Locator, Page, expect
 
 from fusion_core.workflows.fuse.frame import FrameMatch
 from fusion_core.workflows.fuse.live import FrameChoice
-from scanloom.client_session import STORED_VIEW, Desk
-from scanloom.frame_view import Shown
+from scanloom.client_session import STORED_VIEW, ClientSession
+from scanloom.frame_view import FrameView
 from scanloom.server.workbench import Workbench
 from scanloom.state.view import PanelName, View
 
@@ -33,25 +33,25 @@ class Person:
     """Somebody before a browser, and the desk that the server gave them."""
 
     page: Page
-    desk: Desk
+    session: ClientSession
 
     def look_at(self, view: View) -> None:
         """Go there at once, and wait until it is shown."""
-        self.desk.change(**dict(view))
-        self.wait_until(lambda: self.shown.view == view and self.shown.chain is not None)
+        self.session.change(**dict(view))
+        self.wait_until(lambda: self.frame_view.view == view and self.frame_view.chain is not None)
 
     @property
-    def shown(self) -> Shown:
+    def frame_view(self) -> FrameView:
         """What the desk has shown last."""
-        assert self.desk.shown is not None
-        return self.desk.shown
+        assert self.session.frame_view is not None
+        return self.session.frame_view
 
     def reload(self, workbench: Workbench) -> None:
         """Load the page again, once the browser has kept the view, and wait for the new desk."""
-        self.wait_until(lambda: self.kept() == self.desk.view.to_link())
-        known = workbench.desks
+        self.wait_until(lambda: self.kept() == self.session.view.to_link())
+        known = workbench.sessions
         self.page.reload()
-        self.desk = at_desk(self.page, workbench, known).desk
+        self.session = at_session(self.page, workbench, known).session
 
     def kept(self) -> str | None:
         """The link of the view that the browser keeps."""
@@ -85,7 +85,7 @@ class Person:
 
     def wait_for_panel(self, panel: PanelName) -> None:
         """Wait until a panel is shown."""
-        self.wait_until(lambda: self.shown.view.panel == panel)
+        self.wait_until(lambda: self.frame_view.view.panel == panel)
 
     def press(self, name: str) -> None:
         self.button(name).click()
@@ -144,9 +144,9 @@ class Person:
 
     def picture(self, which: int = 0) -> np.ndarray:
         """(H, W, 3) BGR: a picture that the open panel shows, counted from its top."""
-        shown = self.page.locator("img[src^='blob:']").locator("visible=true").nth(which)
+        frame_view = self.page.locator("img[src^='blob:']").locator("visible=true").nth(which)
         deadline_s = time.monotonic() + ENOUGH_S
-        while (data := self.page.evaluate(FETCH, shown.element_handle())) is None:
+        while (data := self.page.evaluate(FETCH, frame_view.element_handle())) is None:
             assert time.monotonic() < deadline_s, "no picture stayed"
         return decoded(b64decode(data))
 
@@ -155,13 +155,17 @@ class Person:
         return decoded(self.page.screenshot())
 
 
-def at_desk(page: Page, workbench: Workbench, known: list[Desk]) -> Person:
+def at_session(page: Page, workbench: Workbench, known: list[ClientSession]) -> Person:
     """The person at a page whose desk is none of those known; their recording is aligned."""
     deadline_s = time.monotonic() + ENOUGH_S
     while time.monotonic() < deadline_s:
-        for desk in workbench.desks:
-            if desk not in known and desk.shown is not None and desk.shown.chain is not None:
-                return Person(page, desk)
+        for session in workbench.sessions:
+            if (
+                session not in known
+                and session.frame_view is not None
+                and session.frame_view.chain is not None
+            ):
+                return Person(page, session)
         page.wait_for_timeout(50)
     raise AssertionError("no desk was made")
 
@@ -183,13 +187,13 @@ def colourful(image: np.ndarray) -> np.ndarray:
     return np.ptp(image.astype(np.int64), axis=2) > 40
 
 
-def match_of(shown: Shown, view: View) -> FrameMatch:
+def match_of(frame_view: FrameView, view: View) -> FrameMatch:
     """What the chain of what is shown computes for a view."""
-    assert shown.chain is not None
-    return shown.chain.matched(FrameChoice(number=view.number), view.settings)
+    assert frame_view.chain is not None
+    return frame_view.chain.matched(FrameChoice(number=view.number), view.settings)
 
 
-def peak_of(shown: Shown, view: View) -> tuple[float, float]:
+def peak_of(frame_view: FrameView, view: View) -> tuple[float, float]:
     """(u, v) of the peak as the Match panel writes it."""
-    peak = match_of(shown, view).search.peaks[view.settings.search.metric]
+    peak = match_of(frame_view, view).search.peaks[view.settings.search.metric]
     return round(peak.u, 2), round(peak.v, 1)

@@ -14,12 +14,12 @@ from tests.app.browser.person import Person, peak_of
 
 def assert_shows(person: Person, view: View) -> None:
     """The page shows frame, settings and panel of a view whose panel is Match."""
-    assert person.desk.view == view
-    count = len(person.shown.opened.frames)
+    assert person.session.view == view
+    count = len(person.frame_view.open_recording.frames)
     expect(person.text(f"frame {view.number} of {count}")).to_be_visible()
     expect(person.text(f"sampling.step_deg = {view.settings.sampling.step_deg}")).to_be_visible()
     assert person.page.get_by_label("Recording", exact=True).count() == 0
-    person.wait_for_peak(peak_of(person.shown, view))
+    person.wait_for_peak(peak_of(person.frame_view, view))
 
 
 def changed(view: View) -> View:
@@ -28,11 +28,11 @@ def changed(view: View) -> View:
 
 
 def test_a_reload_brings_everything_back(person: Person, workbench: Workbench) -> None:
-    view = changed(person.desk.view)
+    view = changed(person.session.view)
     person.look_at(view)
-    before = person.desk
+    before = person.session
     person.reload(workbench)
-    assert person.desk is not before
+    assert person.session is not before
     assert_shows(person, view)
 
 
@@ -43,7 +43,7 @@ def friend(arrive: Callable[..., Person], small_scene: Path) -> Person:
 
 
 def test_a_link_brings_everything_into_another_browser(person: Person, friend: Person) -> None:
-    view = changed(person.desk.view)
+    view = changed(person.session.view)
     assert_shows(friend, view)
     assert friend.page.url.endswith("/")
     person.look_at(view)
@@ -56,24 +56,26 @@ def test_a_link_brings_everything_into_another_browser(person: Person, friend: P
 
 
 def test_what_one_does_changes_nothing_for_another(person: Person, friend: Person) -> None:
-    first = person.desk.view.changed(panel="Match")
+    first = person.session.view.changed(panel="Match")
     person.look_at(first)
     friend.look_at(first)
     friend.choose("Preset", "published")
     person.choose("Score", "cosine")
     friend.key("End")
-    last = len(friend.shown.opened.frames) - 1
+    last = len(friend.frame_view.open_recording.frames) - 1
     expect(friend.text("as the preset published has it")).to_be_visible()
     expect(friend.text(f"frame {last} of {last + 1}")).to_be_visible()
     expect(person.text("search.metric = cosine")).to_be_visible()
     expect(person.text(f"frame 0 of {last + 1}")).to_be_visible()
-    assert person.desk.view == first.with_setting("search", "metric", "cosine")
+    assert person.session.view == first.with_setting("search", "metric", "cosine")
     published = PRESETS["published"]
-    assert friend.desk.view == first.changed(
+    assert friend.session.view == first.changed(
         preset="published", settings=published, aligned=published, number=last
     )
     friend.wait_until(
-        lambda: friend.shown.view == friend.desk.view and friend.shown.match is not None
+        lambda: (
+            friend.frame_view.view == friend.session.view and friend.frame_view.match is not None
+        )
     )
     for someone in (person, friend):
-        someone.wait_for_peak(peak_of(someone.shown, someone.desk.view))
+        someone.wait_for_peak(peak_of(someone.frame_view, someone.session.view))

@@ -104,11 +104,11 @@ def test_a_cancelled_build_leaves_nothing_and_a_reload_finds_the_same_state(
         return build(view, recording, root, report, figures=figures)
 
     monkeypatch.setattr("scanloom.panels.map.build", build_slowly)
-    view = person.desk.view.with_setting("noise", "epsilon", 1.5).changed(number=11)
+    view = person.session.view.with_setting("noise", "epsilon", 1.5).changed(number=11)
     person.look_at(view)
     before = sorted(output_root.rglob("*"))
     begin_build(person)
-    count = len(person.shown.opened.frames)
+    count = len(person.frame_view.open_recording.frames)
     # What follows on another within a fifth of a second is not shown.
     expect(person.text(re.compile(rf"Fusing, [1-5] of {count}"))).to_be_visible()
     person.wait_until(begun.is_set)
@@ -122,7 +122,7 @@ def test_a_cancelled_build_leaves_nothing_and_a_reload_finds_the_same_state(
     assert sorted(output_root.rglob("*")) == before
 
     person.reload(workbench)
-    assert person.desk.view == view.changed(panel="Map")
+    assert person.session.view == view.changed(panel="Map")
     expect(person.text(f"frame 11 of {count}")).to_be_visible()
     expect(person.text("differs: noise.epsilon = 1.5")).to_be_visible()
     expect(person.button("Build")).to_be_enabled()

@@ -10,19 +10,19 @@ from tests.app.browser.person import Person, colourful, match_of, peak_of
 def test_the_sampling_slider_changes_heatmap_and_peak(person: Person) -> None:
     person.press("Match")
     expect(person.text("Peak u =")).to_be_visible()
-    shown = person.shown
-    first = peak_of(shown, person.desk.view)
+    frame_view = person.frame_view
+    first = peak_of(frame_view, person.session.view)
     assert person.peak() == first
     before = person.picture()
     step_deg = person.drag("Degrees a sample", 60.0)
     assert step_deg > 1.0
-    person.wait_until(lambda: person.shown.view.settings.sampling.step_deg == step_deg)
-    second = peak_of(shown, person.shown.view)
+    person.wait_until(lambda: person.frame_view.view.settings.sampling.step_deg == step_deg)
+    second = peak_of(frame_view, person.frame_view.view)
     assert second != first
     person.wait_for_peak(second)
     person.wait_for_another_picture(before)
     # A slow drag may be several changes.
-    while person.desk.view.differing():
+    while person.session.view.differing():
         person.press("Undo")
         person.page.wait_for_timeout(100)
     person.wait_for_peak(first)
@@ -33,7 +33,7 @@ def test_a_click_on_the_heatmap_picks_the_offset_under_it(person: Person) -> Non
     person.press("Match")
     expect(person.text("Peak u =")).to_be_visible()
     picture = person.picture()
-    field = match_of(person.shown, person.desk.view).search.fields["euclidean"]
+    field = match_of(person.frame_view, person.session.view).search.fields["euclidean"]
     canvas = person.page.locator("canvas[data-engine]").bounding_box()
     assert canvas is not None
     person.press("Heatmap")
@@ -56,9 +56,9 @@ def test_a_click_on_the_heatmap_picks_the_offset_under_it(person: Person) -> Non
         # The mark of what was picked takes a line below the next picture.
         picture = person.wait_for_another_picture(picture)
     expect(person.text("Picked by hand: u =")).to_be_visible()
-    assert person.desk.view.picked is not None
+    assert person.session.view.picked is not None
     person.press("Clear")
-    u, v = peak_of(person.shown, person.desk.view)
+    u, v = peak_of(person.frame_view, person.session.view)
     person.wait_for_number("u (samples)", u, within=0.01)
     # Rows are shown whole.
     person.wait_for_number("v (row)", v, within=0.51)

@@ -39,7 +39,7 @@ def test_the_streams_are_listed_with_their_counts(person: Person, small_scene: P
 
 
 def test_the_keys_go_through_the_frames(person: Person) -> None:
-    times_ns = person.shown.opened.frames.times_ns
+    times_ns = person.frame_view.open_recording.frames.times_ns
     count = len(times_ns)
     for key, number in (
         ("PageDown", 1),
@@ -54,15 +54,15 @@ def test_the_keys_go_through_the_frames(person: Person) -> None:
         time_s = (times_ns[number] - times_ns[0]) / 1e9
         expect(person.text(f"{time_s:.3f} s · frame {number} of {count}")).to_be_visible()
         expect(person.thumb("Frame")).to_have_attribute("aria-valuenow", str(number))
-        assert person.desk.view.number == number
+        assert person.session.view.number == number
 
 
 def test_a_preset_changes_the_line_of_differences_and_undo_brings_it_back(person: Person) -> None:
-    person.desk.set("noise", "epsilon", 2.5)
+    person.session.set("noise", "epsilon", 2.5)
     expect(person.text("differs: noise.epsilon = 2.5")).to_be_visible()
     person.choose("Preset", "published")
     expect(person.text("as the preset published has it")).to_be_visible()
-    person.wait_until(lambda: person.shown.view.preset == "published")
+    person.wait_until(lambda: person.frame_view.view.preset == "published")
     person.press("Undo")
     expect(person.text("differs: noise.epsilon = 2.5")).to_be_visible()
     assert person.page.get_by_label("Preset", exact=True).input_value() == "default"

@@ -10,19 +10,19 @@ from tests.app.browser.person import Person, peak_of
 
 
 def test_a_recording_cut_in_the_middle_warns_and_works(person: Person, damaged: Path) -> None:
-    whole = len(person.shown.opened.frames)
+    whole = len(person.frame_view.open_recording.frames)
     person.choose("Recording", damaged.name)
     expect(person.text("Warning:")).to_be_visible()
     expect(person.text(info(damaged)["warnings"][0])).to_be_visible()
-    person.wait_until(lambda: person.shown.view.recording == damaged.name)
-    person.wait_until(lambda: person.shown.fused is not None)
-    left = len(person.shown.opened.frames)
+    person.wait_until(lambda: person.frame_view.view.recording == damaged.name)
+    person.wait_until(lambda: person.frame_view.fused is not None)
+    left = len(person.frame_view.open_recording.frames)
     assert whole // 3 < left < whole
     person.key("End")
     expect(person.text(f"frame {left - 1} of {left}")).to_be_visible()
     person.key("Home")
     person.press("Match")
-    person.wait_for_peak(peak_of(person.shown, View(recording=damaged.name)))
+    person.wait_for_peak(peak_of(person.frame_view, View(recording=damaged.name)))
 
 
 def test_a_hostile_name_is_text(person: Person, hostile: Path) -> None:
@@ -31,7 +31,7 @@ def test_a_hostile_name_is_text(person: Person, hostile: Path) -> None:
     person.choose("Recording", hostile.name)
     expect(header).to_have_count(1)
     assert person.page.get_by_label("Recording", exact=True).input_value() == hostile.name
-    person.wait_until(lambda: person.shown.view.recording == hostile.name)
+    person.wait_until(lambda: person.frame_view.view.recording == hostile.name)
     for number, panel in enumerate(PANELS):
         person.key(f"Alt+{number + 1}")
         person.wait_for_panel(panel)

@@ -15,24 +15,24 @@ Counts = dict[str, tuple[int, int]]
 
 
 def test_a_dragged_epsilon_judges_every_pair_again(person: Person) -> None:
-    person.look_at(person.desk.view.changed(number=NUMBER, panel="Repair"))
-    before = judged(person.shown, person.desk.view)
+    person.look_at(person.session.view.changed(number=NUMBER, panel="Repair"))
+    before = judged(person.frame_view, person.session.view)
     person.wait_until(lambda: counts_on(person) == counts_of(before))
-    shown = person.picture(1)
-    person.wait_for_picture(repaired_picture(before, person.desk.view, shown).rgb, 1)
+    frame_view = person.picture(1)
+    person.wait_for_picture(repaired_picture(before, person.session.view, frame_view).rgb, 1)
     person.press("Register")
     person.wait_until(lambda: threshold_on(person) == threshold_in(before))
     epsilon = person.drag("ε (σ)", -25.0)
-    person.wait_until(lambda: person.shown.view.settings.noise.epsilon == epsilon)
+    person.wait_until(lambda: person.frame_view.view.settings.noise.epsilon == epsilon)
     expect(person.text(f"differs: noise.epsilon = {epsilon}")).to_be_visible()
-    after = judged(person.shown, person.desk.view)
+    after = judged(person.frame_view, person.session.view)
     assert threshold_in(after)[0] < threshold_in(before)[0]
     assert threshold_in(after)[1] > threshold_in(before)[1]
     person.wait_until(lambda: threshold_on(person) == threshold_in(after))
     assert counts_of(after) != counts_of(before)
     person.press("Repair")
     person.wait_until(lambda: counts_on(person) == counts_of(after))
-    person.wait_for_picture(repaired_picture(after, person.desk.view, shown).rgb, 1)
+    person.wait_for_picture(repaired_picture(after, person.session.view, frame_view).rgb, 1)
 
 
 def threshold_in(frame: FusedFrame) -> tuple[float, int, int]:
@@ -68,8 +68,8 @@ def counts_on(person: Person) -> Counts:
 
 
 def test_each_draw_is_shown_as_it_was_drawn(person: Person) -> None:
-    person.look_at(person.desk.view.changed(number=NUMBER, panel="Register"))
-    found = match_of(person.shown, person.desk.view).registration
+    person.look_at(person.session.view.changed(number=NUMBER, panel="Register"))
+    found = match_of(person.frame_view, person.session.view).registration
     assert found is not None
     best = found.best_draw
     assert best > 2

@@ -11,7 +11,7 @@ from playwright.sync_api import expect
 
 from fusion_core.model.errors import MappingFailed
 from fusion_core.workflows.map.result_folder import read_run
-from scanloom.jobs import slam as job
+from scanloom.jobs import slam_run as job
 from scanloom.plots.slam_progress import run_picture
 from scanloom.server.workbench import Workbench
 from scanloom.state.slam_choices import SlamChoices
@@ -31,7 +31,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeMap]:
 @pytest.fixture
 def newcomer(person: Person, workbench: Workbench) -> Person:
     """The resident in the mode, after a reload, so that their runs begin anew."""
-    person.look_at(person.desk.view.changed(panel="Map", map_mode="SLAM"))
+    person.look_at(person.session.view.changed(panel="Map", map_mode="SLAM"))
     person.reload(workbench)
     expect(person.button("Run")).to_be_enabled()
     return person
@@ -61,7 +61,7 @@ def test_a_run_moves_and_ends_on_its_map(newcomer: Person, fake: FakeMap) -> Non
     go_on.set()
     finish(person, FIRST)
     files = read_run(fake.calls[0][1])
-    shown = person.wait_for_another_picture(live)
+    frame_view = person.wait_for_another_picture(live)
     person.wait_for_picture(
         run_picture(
             FIRST,
@@ -69,7 +69,7 @@ def test_a_run_moves_and_ends_on_its_map(newcomer: Person, fake: FakeMap) -> Non
             files.poses_map_scan,
             files.trusted,
             files.loops_m,
-            width_px=shown.shape[1],
+            width_px=frame_view.shape[1],
             height_px=640,
         )
     )
@@ -93,7 +93,7 @@ def test_two_runs_are_compared(newcomer: Person, fake: FakeMap) -> None:
     finish(person, FIRST)
     fake.shift_m = 0.2
     person.choose("SLAM", "particle-filter")
-    person.wait_until(lambda: person.desk.view.slam.estimator == "particle-filter")
+    person.wait_until(lambda: person.session.view.slam.estimator == "particle-filter")
     person.press("Run")
     finish(person, SECOND)
     expect(person.text("10.0 cm apart in the median, at most 20.0 cm")).to_be_visible()
@@ -128,11 +128,11 @@ def test_a_reload_restores_the_choices_and_forgets_the_runs(
     person.choose("Scan", "repaired")
     person.choose("SLAM", "particle-filter")
     chosen = SlamChoices(scan="repaired", estimator="particle-filter")
-    person.wait_until(lambda: person.desk.view.slam == chosen)
+    person.wait_until(lambda: person.session.view.slam == chosen)
     folder = fake.calls[0][1].parent
     assert folder.exists()
     person.reload(workbench)
-    assert person.desk.view.slam == chosen
+    assert person.session.view.slam == chosen
     for label, value in (("Mode", "SLAM"), ("Scan", "repaired"), ("SLAM", "particle-filter")):
         expect(person.page.get_by_label(label, exact=True)).to_have_value(value)
     assert person.thumb("Particles").get_attribute("aria-valuenow") == "30"

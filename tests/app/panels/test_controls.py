@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from scanloom.panels.controls import Controls
+from scanloom.panels.widgets.controls import Controls
 from scanloom.state.view import View
 
 
@@ -41,7 +41,7 @@ class Slider:
             callback(SimpleNamespace(client=client))
 
 
-class Desk:
+class ClientSession:
     """Takes every change, unless it is told to refuse."""
 
     def __init__(self) -> None:
@@ -54,37 +54,37 @@ class Desk:
 
 
 @pytest.fixture
-def desk() -> Desk:
-    return Desk()
+def session() -> ClientSession:
+    return ClientSession()
 
 
 @pytest.fixture
-def slider(desk: Desk) -> Slider:
-    return Slider(desk.view.number)
+def slider(session: ClientSession) -> Slider:
+    return Slider(session.view.number)
 
 
 @pytest.fixture
-def controls(desk: Desk, slider: Slider) -> Controls:
-    controls = Controls(gui=None, desk=desk)  # type: ignore[arg-type]  # no widget is made
-    controls.bind(slider, "number", int)
+def controls(session: ClientSession, slider: Slider) -> Controls:
+    controls = Controls(gui=None, session=session)  # type: ignore[arg-type]  # no widget is made
+    controls.bind_field(slider, "number", int)
     return controls
 
 
 def test_a_view_from_elsewhere_moves_the_widget(
-    desk: Desk, slider: Slider, controls: Controls
+    session: ClientSession, slider: Slider, controls: Controls
 ) -> None:
-    desk.view = desk.view.changed(number=7)
-    controls.show(desk.view)
+    session.view = session.view.changed(number=7)
+    controls.show(session.view)
     assert slider.value == 7
-    assert desk.view.number == 7
+    assert session.view.number == 7
 
 
 def test_a_view_that_is_no_longer_asked_for_does_not_pull_the_widget_back(
-    desk: Desk, slider: Slider, controls: Controls
+    session: ClientSession, slider: Slider, controls: Controls
 ) -> None:
     slider.arrive(3)
     slider.hear()
-    late = desk.view
+    late = session.view
     slider.arrive(4)
     slider.hear()
     controls.show(late)
@@ -92,19 +92,21 @@ def test_a_view_that_is_no_longer_asked_for_does_not_pull_the_widget_back(
 
 
 def test_a_value_whose_callback_is_still_to_come_is_not_lost(
-    desk: Desk, slider: Slider, controls: Controls
+    session: ClientSession, slider: Slider, controls: Controls
 ) -> None:
     slider.arrive(3)
     slider.hear()
     slider.arrive(4)
-    controls.show(desk.view)
+    controls.show(session.view)
     slider.hear()
-    assert desk.view.number == 4
+    assert session.view.number == 4
 
 
-def test_a_refused_value_is_set_back(desk: Desk, slider: Slider, controls: Controls) -> None:
-    desk.refuses = True
+def test_a_refused_value_is_set_back(
+    session: ClientSession, slider: Slider, controls: Controls
+) -> None:
+    session.refuses = True
     slider.arrive(3)
     slider.hear()
-    controls.show(desk.view)
-    assert slider.value == desk.view.number == 0
+    controls.show(session.view)
+    assert slider.value == session.view.number == 0

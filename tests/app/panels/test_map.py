@@ -13,8 +13,8 @@ import viser
 
 from fusion_core.model.errors import ExportError
 from fusion_core.model.grids import OccupancyGrid
-from scanloom.client_session import Desk
-from scanloom.jobs.long import Cancelled
+from scanloom.client_session import ClientSession
+from scanloom.jobs.long_job import Cancelled
 from scanloom.panels import map as map_panel
 from scanloom.panels.map import MapPanel
 from scanloom.state.library import Library
@@ -39,15 +39,15 @@ class Bench:
 
     def _welcome(self, client: viser.ClientHandle) -> None:
         view = View(recording=self.library.names()[0], panel="Map")
-        self.desk = Desk(client, self.library, view)
-        self.panel = MapPanel(client.gui, self.desk, self.root, self.floor.append)
-        self.desk.panels = [self.panel]
-        self.desk.refresh()
+        self.session = ClientSession(client, self.library, view)
+        self.panel = MapPanel(client.gui, self.session, self.root, self.floor.append)
+        self.session.panels = [self.panel]
+        self.session.refresh()
         self.furnished.set()
 
     def close(self) -> None:
         self.panel.close()
-        self.desk.close()
+        self.session.close()
         self.client.close()
         self.server.stop()
         self.library.close()
@@ -133,12 +133,12 @@ def test_build_show_and_export(bench: Bench) -> None:
     assert (results / "map_fused.pgm").exists()
 
     # Other settings: the maps stay, and it is said that they are of others.
-    bench.desk.set("noise", "epsilon", 2.25)
+    bench.session.set("noise", "epsilon", 2.25)
     bench.html("changed since this build")
     bench.until(lambda: bench.command()[4].startswith(str(bench.root / "small_room-2")))
     settings = f"--settings={bench.root / 'small_room-2' / 'settings.toml'}"
     assert settings in bench.command()
-    bench.desk.undo()
+    bench.session.undo()
     bench.until(lambda: bench.command()[4] == str(results))
 
     # Clouds go beside the results.
@@ -194,7 +194,7 @@ def test_closing_cancels(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_without_poses_it_says_why_there_are_no_maps(bench: Bench) -> None:
     bench.client.set_value("Figures", False)
-    bench.desk.change(virtual_row=60)
+    bench.session.change(virtual_row=60)
     bench.until(lambda: "--virtual-lidar=60" in bench.command())
     bench.client.click("Build")
     bench.html("No maps. A virtual LiDAR is cut from the camera's own images")

@@ -9,10 +9,10 @@ import pytest
 import viser
 
 from fusion_core.model.errors import AlignmentFailed, RecordingError
-from scanloom.frame_view import Shown, shown_of
+from scanloom.frame_view import FrameView, compute_frame_view
 from scanloom.panels.match import MatchPanel
 from scanloom.state.library import Library
-from scanloom.state.opened import Opened, Progressing
+from scanloom.state.open_recording import AlignmentProgress, OpenRecording
 from scanloom.state.view import View
 
 LONG_S = 60.0
@@ -26,7 +26,7 @@ def server() -> Iterator[viser.ViserServer]:
 
 
 @pytest.fixture(scope="module")
-def opened(small_scene: Path) -> Iterator[Opened]:
+def open_recording(small_scene: Path) -> Iterator[OpenRecording]:
     library = Library([small_scene], [])
     found = library.open(View(recording=small_scene.name))
     found.align(lambda: None)
@@ -55,10 +55,10 @@ def seen(panel: MatchPanel) -> list[bool]:
 
 
 def test_a_match_is_drawn(
-    panel: MatchPanel, opened: Opened, view: View, heatmaps: list[Any]
+    panel: MatchPanel, open_recording: OpenRecording, view: View, heatmaps: list[Any]
 ) -> None:
     assert seen(panel) == [False, False]
-    panel.show(shown_of(view, opened))
+    panel.show(compute_frame_view(view, open_recording))
     assert seen(panel) == [True, True]
     assert panel._picture.image.min() < 255
     assert heatmaps[-1] is not None
@@ -66,18 +66,18 @@ def test_a_match_is_drawn(
 
 
 def test_while_it_is_being_aligned_it_says_how_far_that_is(
-    panel: MatchPanel, opened: Opened, view: View
+    panel: MatchPanel, open_recording: OpenRecording, view: View
 ) -> None:
-    before = opened.progress
+    before = open_recording.progress
     for step, words in (
-        (Progressing(done=0, total=None, what="waiting"), "waiting. The very first time "),
-        (Progressing(done=40, total=90, what="matching"), "matching, 40 of 90."),
+        (AlignmentProgress(done=0, total=None, what="waiting"), "waiting. The very first time "),
+        (AlignmentProgress(done=40, total=90, what="matching"), "matching, 40 of 90."),
     ):
-        opened.progress = step
-        panel.show(Shown(view=view, opened=opened))
+        open_recording.progress = step
+        panel.show(FrameView(view=view, open_recording=open_recording))
         assert f"Aligning the recording: {words}" in panel._words.content.replace("\\", "")
     assert "first time" not in panel._words.content
-    opened.progress = before
+    open_recording.progress = before
 
 
 @pytest.mark.parametrize(
@@ -89,16 +89,16 @@ def test_while_it_is_being_aligned_it_says_how_far_that_is(
 )
 def test_without_a_match_it_says_why_and_shows_no_other(
     panel: MatchPanel,
-    opened: Opened,
+    open_recording: OpenRecording,
     view: View,
     heatmaps: list[Any],
     failure: Any,
     words: str,
 ) -> None:
-    panel.show(shown_of(view, opened))
-    panel.show(Shown(view=view, opened=opened, failure=failure))
+    panel.show(compute_frame_view(view, open_recording))
+    panel.show(FrameView(view=view, open_recording=open_recording, failure=failure))
     assert seen(panel) == [False, False]
     assert heatmaps[-1] is None
     assert panel._words.content == words.strip()
-    panel.show(shown_of(view, opened))
+    panel.show(compute_frame_view(view, open_recording))
     assert seen(panel) == [True, True]

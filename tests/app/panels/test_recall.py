@@ -15,7 +15,7 @@ from fusion_core.model.errors import ScanLoomError
 from fusion_core.workflows.evaluate.evaluate import EPSILON_OVER_E
 from fusion_core.workflows.fuse.epsilon import epsilon_in
 from fusion_core.workflows.fuse.recall import RecallCurve
-from scanloom.client_session import Desk
+from scanloom.client_session import ClientSession
 from scanloom.panels import recall as recall_module
 from scanloom.panels.register import RegisterPanel
 from scanloom.state.library import Library
@@ -37,35 +37,39 @@ class Bench:
         self.furnished = threading.Event()
         self.client: ViserClient = connect(f"http://127.0.0.1:{self.server.get_port()}")
         assert self.furnished.wait(LONG_S)
-        self.until(lambda: self.desk.shown is not None and self.desk.shown.fused is not None)
+        self.until(
+            lambda: (
+                self.session.frame_view is not None and self.session.frame_view.fused is not None
+            )
+        )
         self.until(lambda: self.is_offered)
 
     def _welcome(self, client: viser.ClientHandle) -> None:
-        self.desk = Desk(client, self.library, self.first)
-        self.panel = RegisterPanel(client.gui, self.desk)
-        self.desk.panels = [self.panel]
-        self.desk.refresh()
+        self.session = ClientSession(client, self.library, self.first)
+        self.panel = RegisterPanel(client.gui, self.session)
+        self.session.panels = [self.panel]
+        self.session.refresh()
         self.furnished.set()
 
     def close(self) -> None:
         self.panel.close()
-        self.desk.close()
+        self.session.close()
         self.client.close()
         self.server.stop()
         self.library.close()
 
     def until(self, condition: Callable[[], bool]) -> None:
         self.client.wait_until(condition, LONG_S)
-        assert self.desk.wait(LONG_S)
+        assert self.session.wait(LONG_S)
 
     def change(self, **values: object) -> None:
-        self.desk.change(**values)
-        assert self.desk.wait(LONG_S)
+        self.session.change(**values)
+        assert self.session.wait(LONG_S)
 
     def epsilon(self, value: float, unit: str = "E") -> None:
-        self.desk.set("noise", "epsilon_unit", unit)
-        self.desk.set("noise", "epsilon", value)
-        assert self.desk.wait(LONG_S)
+        self.session.set("noise", "epsilon_unit", unit)
+        self.session.set("noise", "epsilon", value)
+        assert self.session.wait(LONG_S)
 
     def within(self, kind: str) -> Widget:
         """The one widget of a kind in the curve's folder."""
@@ -154,18 +158,18 @@ def test_a_press_draws_the_curve_with_this_frames_epsilon(bench: Bench) -> None:
     bench.until(lambda: bench.sees("GuiImageMessage"))
     assert not bench.sees("GuiButtonMessage")
     assert not bench.sees("GuiProgressBarMessage")
-    assert bench.desk.shown is not None
-    fused = bench.desk.shown.fused
+    assert bench.session.frame_view is not None
+    fused = bench.session.frame_view.fused
     assert fused is not None
     said = epsilon_in(fused)
     assert f"**{said.middle_m / said.E_m:.2f} E**" in bench.words
-    (curve,) = bench.desk.shown.opened.recalls.values()
+    (curve,) = bench.session.frame_view.open_recording.recalls.values()
     assert curve.good_pairs > 100
     picture = bench.panel._recall._drawn
     assert picture is not None
     x = picture.place_of(said.middle_m / said.E_m, 0.0)[0]
-    shown = bench.panel._recall._picture.image
-    assert (shown[picture.place_of(0.0, 0.3)[1], x] < 60).all()
+    frame_view = bench.panel._recall._picture.image
+    assert (frame_view[picture.place_of(0.0, 0.3)[1], x] < 60).all()
 
 
 def test_epsilon_moves_the_mark_and_computes_nothing(bench: Bench, computed: Computed) -> None:
@@ -193,14 +197,14 @@ def test_the_curve_is_kept_for_its_settings(bench: Bench, computed: Computed) ->
     computed.go_on.set()
     bench.press()
     bench.until(lambda: bench.sees("GuiImageMessage"))
-    bench.desk.set("registration", "model", "affine")
+    bench.session.set("registration", "model", "affine")
     bench.until(lambda: bench.sees("GuiButtonMessage") and not bench.sees("GuiImageMessage"))
     bench.press()
     bench.until(lambda: bench.sees("GuiImageMessage"))
     assert [args[1].registration.model for args in computed.calls] == ["rigid", "affine"]
     for model in ("rigid", "affine"):
-        bench.desk.set("registration", "model", model)
-        assert bench.desk.wait(LONG_S)
+        bench.session.set("registration", "model", model)
+        assert bench.session.wait(LONG_S)
         bench.until(lambda: bench.sees("GuiImageMessage") and not bench.sees("GuiButtonMessage"))
     assert len(computed.calls) == 2
 
@@ -230,12 +234,12 @@ def test_progress_is_shown_and_the_button_cancels(bench: Bench, computed: Comput
 def test_another_recording_cancels_what_is_computed(bench: Bench, computed: Computed) -> None:
     bench.press()
     assert computed.begun.wait(LONG_S)
-    assert bench.desk.shown is not None
-    opened = bench.desk.shown.opened
+    assert bench.session.frame_view is not None
+    open_recording = bench.session.frame_view.open_recording
     bench.change(recording="alone.mcap")
     computed.go_on.set()
     bench.until(lambda: bench.panel._recall._job is None)
-    assert opened.recalls == {}
+    assert open_recording.recalls == {}
 
 
 @pytest.mark.parametrize(
@@ -293,9 +297,9 @@ def test_what_is_computed_waits_for_the_desk(bench: Bench, monkeypatch: pytest.M
 
     monkeypatch.setattr(recall_module, "recall_of", recall_of)
     monkeypatch.setattr(recall_module, "_PATIENCE_S", LONG_S)
-    bench.desk.panels.append(Slow())  # type: ignore[arg-type]  # a panel as far as a desk needs one
+    bench.session.panels.append(Slow())  # type: ignore[arg-type]  # a panel as far as a desk needs one
     busy.set()
-    bench.desk.refresh()
+    bench.session.refresh()
     bench.press()
     bench.until(lambda: bench.sees("GuiImageMessage"))
     assert len(steps) == 3

@@ -13,8 +13,8 @@ import viser
 
 from fusion_core.simulation.scenes import SceneSettings, find_scene, write_scene
 from fusion_core.workflows.stream_gaps import StreamGaps
-from scanloom.client_session import Desk
-from scanloom.frame_view import Shown
+from scanloom.client_session import ClientSession
+from scanloom.frame_view import FrameView
 from scanloom.panels.depth_cameras import own_parts
 from scanloom.panels.recording import RecordingPanel
 from scanloom.panels.stream_table import stream_table
@@ -36,34 +36,38 @@ class Bench:
         self.server.on_client_connect(self._welcome)
         self.client: ViserClient = connect(f"http://127.0.0.1:{self.server.get_port()}")
         assert self.furnished.wait(LONG_S)
-        self.until(lambda: self.desk.shown is not None and self.desk.shown.chain is not None)
+        self.until(
+            lambda: (
+                self.session.frame_view is not None and self.session.frame_view.chain is not None
+            )
+        )
 
     def _welcome(self, client: viser.ClientHandle) -> None:
-        self.desk = Desk(client, self.library, self.first)
-        self.panel = RecordingPanel(client.gui, self.desk)
-        self.desk.panels = [self.panel]
-        self.desk.refresh()
+        self.session = ClientSession(client, self.library, self.first)
+        self.panel = RecordingPanel(client.gui, self.session)
+        self.session.panels = [self.panel]
+        self.session.refresh()
         self.furnished.set()
 
     def close(self) -> None:
-        self.desk.close()
+        self.session.close()
         self.client.close()
         self.server.stop()
         self.library.close()
 
     @property
-    def shown(self) -> Shown:
-        assert self.desk.shown is not None
-        return self.desk.shown
+    def frame_view(self) -> FrameView:
+        assert self.session.frame_view is not None
+        return self.session.frame_view
 
     def until(self, condition: Callable[[], bool]) -> None:
         """Wait for what some message brings about."""
         self.client.wait_until(condition, LONG_S)
-        assert self.desk.wait(LONG_S)
+        assert self.session.wait(LONG_S)
 
     def change(self, **values: object) -> None:
-        self.desk.change(**values)
-        assert self.desk.wait(LONG_S)
+        self.session.change(**values)
+        assert self.session.wait(LONG_S)
 
     def boxes(self) -> dict[str, bool]:
         """The check boxes by label."""
@@ -92,8 +96,8 @@ class Bench:
 
     def texts(self) -> list[str]:
         """All visible text, of HTML and of Markdown."""
-        shown = [w.props for w in self.client.widgets.values() if w.props.get("visible")]
-        texts = [str(props.get("content", props.get("_markdown", ""))) for props in shown]
+        frame_view = [w.props for w in self.client.widgets.values() if w.props.get("visible")]
+        texts = [str(props.get("content", props.get("_markdown", ""))) for props in frame_view]
         return [html.unescape(text) for text in texts if text]
 
     def _image(self) -> Widget:
@@ -121,19 +125,19 @@ def module_bench(four_cameras: Path, small_scene: Path) -> Iterator[Bench]:
 def bench(module_bench: Bench) -> Bench:
     """The bench as at the start, its recording aligned."""
     module_bench.change(**dict(module_bench.first))
-    module_bench.until(lambda: module_bench.shown.chain is not None)
+    module_bench.until(lambda: module_bench.frame_view.chain is not None)
     return module_bench
 
 
 def depth_topics(bench: Bench) -> list[str]:
-    topics = bench.shown.opened.session.recording.topics
+    topics = bench.frame_view.open_recording.fuse_session.recording.topics
     return [topic.name for topic in topics if topic.role == "depth"]
 
 
 def used(bench: Bench) -> tuple[str, ...]:
     """The depth topics of what is shown."""
-    assert bench.desk.wait(LONG_S)
-    return bench.shown.opened.session.streams.depth
+    assert bench.session.wait(LONG_S)
+    return bench.frame_view.open_recording.fuse_session.streams.depth
 
 
 # Several cameras
@@ -151,17 +155,17 @@ def test_any_cameras_can_be_chosen_and_the_type_takes_over_again(bench: Bench) -
     topics = depth_topics(bench)
     bench.client.set_value("/camera_2", False)
     chosen = (topics[0], *topics[2:])
-    bench.until(lambda: bench.desk.view.depth_topics == chosen)
+    bench.until(lambda: bench.session.view.depth_topics == chosen)
     assert used(bench) == chosen
     bench.until(lambda: not bench.boxes()["Found by type"])
     bench.client.set_value("/camera_4", False)
-    bench.until(lambda: bench.desk.view.depth_topics == (topics[0], topics[2]))
+    bench.until(lambda: bench.session.view.depth_topics == (topics[0], topics[2]))
     bench.client.set_value("/camera_2", True)
     # In the recording's order, however they were chosen.
-    bench.until(lambda: bench.desk.view.depth_topics == tuple(topics[:3]))
+    bench.until(lambda: bench.session.view.depth_topics == tuple(topics[:3]))
     assert used(bench) == tuple(topics[:3])
     bench.client.set_value("Found by type", True)
-    bench.until(lambda: bench.desk.view.depth_topics == ())
+    bench.until(lambda: bench.session.view.depth_topics == ())
     assert used(bench) == tuple(topics)
     bench.until(lambda: all(bench.boxes().values()))
 
@@ -172,7 +176,7 @@ def test_the_last_camera_cannot_be_taken_away(bench: Bench) -> None:
     bench.until(lambda: [label for label, on in bench.boxes().items() if on] == ["/camera_3"])
     bench.client.set_value("/camera_3", False)
     bench.until(lambda: bench.boxes()["/camera_3"])
-    assert bench.desk.view.depth_topics == (topics[2],)
+    assert bench.session.view.depth_topics == (topics[2],)
     assert used(bench) == (topics[2],)
 
 
@@ -209,7 +213,7 @@ def test_the_plot_follows_frame_and_clock_offset_and_nothing_else(
     bench: Bench, small_scene: Path
 ) -> None:
     bench.change(recording=small_scene.name, number=0)
-    bench.until(lambda: bench.shown.fused is not None)
+    bench.until(lambda: bench.frame_view.fused is not None)
     first = bench.picture()
     assert "ms** apart at most" in bench.words("apart at most")
     bench.change(settings=bench.first.with_setting("noise", "epsilon", 4.0).settings, beam=3)
@@ -222,7 +226,7 @@ def test_the_plot_follows_frame_and_clock_offset_and_nothing_else(
     drawn = bench.panel._pairing._drawn
     assert drawn is marked[0]
     bench.change(apply_clock_offset=True)
-    chain = bench.shown.chain
+    chain = bench.frame_view.chain
     assert chain is not None
     assert bench.panel._pairing._drawn is not drawn
     said = f"The clock offset of {chain.alignment.mount.clock_offset_ms:.1f} ms is taken out."
@@ -244,10 +248,12 @@ def test_frames_without_a_scan_are_counted_in_words(bench: Bench, small_scene: P
     said = bench.words("have no scan within 25 ms")
     found = re.search(r"\*\*(\d+)\*\* of (\d+) depth images", said)
     assert found is not None
-    opened = bench.shown.opened
-    without = sum(opened.frames.pair(n).window is None for n in range(len(opened.frames)))
-    assert (int(found[1]), int(found[2])) == (without, len(opened.frames))
-    assert 0 < without < len(opened.frames)
+    open_recording = bench.frame_view.open_recording
+    without = sum(
+        open_recording.frames.pair(n).window is None for n in range(len(open_recording.frames))
+    )
+    assert (int(found[1]), int(found[2])) == (without, len(open_recording.frames))
+    assert 0 < without < len(open_recording.frames)
 
 
 def test_where_nothing_can_be_aligned_the_stamps_show_why(bench: Bench, small_scene: Path) -> None:
@@ -255,9 +261,9 @@ def test_where_nothing_can_be_aligned_the_stamps_show_why(bench: Bench, small_sc
     bench.change(recording=small_scene.name, settings=none, aligned=none)
     said = bench.words("have no scan within 0.001 ms")
     # The stamps are known before that.
-    bench.until(lambda: bench.shown.failure is not None)
-    assert bench.shown.chain is None
-    count = len(bench.shown.opened.frames)
+    bench.until(lambda: bench.frame_view.failure is not None)
+    assert bench.frame_view.chain is None
+    count = len(bench.frame_view.open_recording.frames)
     assert f"**{count}** of {count} depth images" in said
 
 
@@ -277,7 +283,7 @@ def test_nothing_of_the_recording_before_is_said_while_another_is_aligned(
         assert go_on.wait(LONG_S)
         raise ValueError("of this test")
 
-    monkeypatch.setattr("scanloom.state.opened.align_session", wait)
+    monkeypatch.setattr("scanloom.state.open_recording.align_session", wait)
     bench.change(
         recording=small_scene.name,
         aligned=bench.first.with_setting("search", "min_overlap", 0.55).settings,
@@ -288,7 +294,10 @@ def test_nothing_of_the_recording_before_is_said_while_another_is_aligned(
     assert not any("of one instant" in text for text in texts)
     go_on.set()
     bench.until(
-        lambda: bench.desk.shown is not None and bench.desk.shown.opened.failure is not None
+        lambda: (
+            bench.session.frame_view is not None
+            and bench.session.frame_view.open_recording.failure is not None
+        )
     )
 
 

@@ -19,7 +19,7 @@ from fusion_core.workflows.fuse.registration_view import (
     planar_pairs,
     residual_curve,
 )
-from scanloom.panels import register_words as words
+from scanloom.panels import registration_text
 from scanloom.panels.epsilon import EpsilonControls
 from scanloom.panels.register import RegisterPanel
 from scanloom.panels.residual_plot import ResidualPlot
@@ -29,7 +29,7 @@ SIGMA_M = 0.04
 ALIGNMENT = SimpleNamespace(scale=NoiseScale(floor_m=SIGMA_M, share=0.0))
 # No truth stands beside it.
 RECORDING = SimpleNamespace(path=Path("no such recording.mcap"))
-OPENED = SimpleNamespace(session=SimpleNamespace(recording=RECORDING), recalls={})
+OPENED = SimpleNamespace(fuse_session=SimpleNamespace(recording=RECORDING), recalls={})
 AZIMUTHS_RAD = np.linspace(0.5, -0.5, 60)
 LIDAR_M = np.stack([-np.linspace(-1.5, 1.5, 60), 2.0 + 0.4 * np.linspace(-1.5, 1.5, 60) ** 2], 1)
 
@@ -50,7 +50,7 @@ def registered(depth_m, model="rigid", **values):
 
 
 def words_of(found):
-    return words.map_words(found, meaning_of_registration(found))
+    return registration_text.transform_text(found, meaning_of_registration(found))
 
 
 def test_a_turn_and_a_shift_in_words():
@@ -103,11 +103,11 @@ def test_refused_models_are_named_with_their_reason():
 
 def test_a_draw_in_words():
     found = registered(moved(LIDAR_M, shift_m=(0.1, 0.0)))
-    best = words.draw_words(draw_at(found, found.best_draw), found)
+    best = registration_text.draw_text(draw_at(found, found.best_draw), found)
     assert "★ **the best draw**" in best
     assert "its A agrees with **60** of 60 pairs (100 %) within 10.0 cm" in best
     other = draw_at(found, (found.best_draw + 1) % 20)
-    said = words.draw_words(other, found)
+    said = registration_text.draw_text(other, found)
     assert "best" not in said
     assert f"Pairs {', '.join(map(str, other.pairs))}." in said
 
@@ -117,11 +117,11 @@ def test_a_draw_that_determines_nothing_says_so():
     draw = SimpleNamespace(
         index=3, pairs=np.array([1, 2]), A=np.full((3, 3), np.nan), inliers=0, agree=None
     )
-    assert "its pairs do not determine a map" in words.draw_words(draw, found)
+    assert "its pairs do not determine a map" in registration_text.draw_text(draw, found)
 
 
 def test_the_number_of_draws_is_explained():
-    said = words.consensus_words(registered(LIDAR_M), consensus_of(registered(LIDAR_M)))
+    said = registration_text.consensus_text(registered(LIDAR_M), consensus_of(registered(LIDAR_M)))
     assert said.startswith("100 % of the pairs are inliers (c), so a draw of n = 6")
 
 
@@ -129,7 +129,7 @@ def epsilon_said(middle_m, E_m=0.05, unit="sigma", epsilon=2.6):
     said = EpsilonInFrame(
         middle_m=middle_m, least_m=middle_m, greatest_m=middle_m, beyond=3, compared=40, E_m=E_m
     )
-    return words.epsilon_words(said, epsilon, unit)
+    return registration_text.epsilon_text(said, epsilon, unit)
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ def server() -> Iterator[viser.ViserServer]:
 
 
 @pytest.fixture
-def desk() -> RecordingDesk:
+def session() -> RecordingDesk:
     return RecordingDesk()
 
 
@@ -194,142 +194,152 @@ def frame_of(found, *, residual_m=None, epsilon_m=0.1, refusal=""):
     )
 
 
-def shown(desk, frame, failure=None):
+def frame_view(session, frame, failure=None):
     chain = SimpleNamespace(alignment=ALIGNMENT)
     return SimpleNamespace(
-        view=desk.view, opened=OPENED, chain=chain, match=frame, fused=frame, failure=failure
+        view=session.view,
+        open_recording=OPENED,
+        chain=chain,
+        match=frame,
+        fused=frame,
+        failure=failure,
     )
 
 
 @pytest.fixture
-def panel(server, desk) -> RegisterPanel:
-    return RegisterPanel(server.gui, desk)
+def panel(server, session) -> RegisterPanel:
+    return RegisterPanel(server.gui, session)
 
 
-def test_the_panel_shows_a_frame(panel, desk):
+def test_the_panel_shows_a_frame(panel, session):
     found = registered(moved(LIDAR_M, turn_deg=2.0))
-    panel.show(shown(desk, frame_of(found)))
+    panel.show(frame_view(session, frame_of(found)))
     assert panel._draw.max == 19
     assert "2.00° to the left" in panel._words.content
     assert panel._pairs.image.min() < 255
     assert "Draw **0** of 0…19" in panel._draw_words.content
 
 
-def test_epsilon_alone_redraws_no_pairs(panel, desk):
+def test_epsilon_alone_redraws_no_pairs(panel, session):
     found = registered(moved(LIDAR_M, turn_deg=2.0))
     frame = frame_of(found)
-    panel.show(shown(desk, frame))
+    panel.show(frame_view(session, frame))
     pairs, draw, data = panel._pairs.image, panel._draw_picture.image, panel._residuals._plot.data
     again = frame_of(found, epsilon_m=0.2)
     again.pairs = frame.pairs
-    panel.show(shown(desk, again))
+    panel.show(frame_view(session, again))
     assert panel._pairs.image is pairs
     assert panel._draw_picture.image is draw
     assert panel._residuals._plot.data[-1][0] == -200.0 != data[-1][0]
 
 
-def test_a_closed_panel_draws_nothing(panel, desk):
-    desk.change(panel="Repair")
-    panel.show(shown(desk, frame_of(registered(LIDAR_M))))
+def test_a_closed_panel_draws_nothing(panel, session):
+    session.change(panel="Repair")
+    panel.show(frame_view(session, frame_of(registered(LIDAR_M))))
     assert panel._pairs.image.min() == 255
-    desk.change(panel="Register")
-    panel.show(shown(desk, frame_of(registered(LIDAR_M))))
+    session.change(panel="Register")
+    panel.show(frame_view(session, frame_of(registered(LIDAR_M))))
     assert panel._pairs.image.min() < 255
 
 
-def test_a_draw_beyond_the_last_shows_the_last(panel, desk):
-    desk.change(draw=500)
-    panel.show(shown(desk, frame_of(registered(LIDAR_M))))
+def test_a_draw_beyond_the_last_shows_the_last(panel, session):
+    session.change(draw=500)
+    panel.show(frame_view(session, frame_of(registered(LIDAR_M))))
     assert panel._draw.value == 19
     assert "Draw **19**" in panel._draw_words.content
 
 
-def test_the_buttons_go_from_draw_to_draw(panel, desk):
+def test_the_buttons_go_from_draw_to_draw(panel, session):
     found = registered(moved(LIDAR_M, shift_m=(0.3, 0.0)) + np.sin(LIDAR_M * 50.0) * 0.09)
-    panel.show(shown(desk, frame_of(found)))
+    panel.show(frame_view(session, frame_of(found)))
     panel._go("Previous")
-    assert desk.view.draw == 0
+    assert session.view.draw == 0
     panel._go("Next")
-    assert desk.view.draw == 1
+    assert session.view.draw == 1
     panel._go("Best")
-    assert desk.view.draw == found.best_draw
-    desk.change(draw=19)
+    assert session.view.draw == found.best_draw
+    session.change(draw=19)
     panel._go("Next")
-    assert desk.view.draw == 19
+    assert session.view.draw == 19
 
 
-def test_a_frame_without_a_map_says_why_and_shows_its_points(panel, desk):
-    panel.show(shown(desk, frame_of(registered(LIDAR_M))))
-    panel.show(shown(desk, frame_of(None, refusal="no map fits the 60 valid of 60 pairs.")))
+def test_a_frame_without_a_map_says_why_and_shows_its_points(panel, session):
+    panel.show(frame_view(session, frame_of(registered(LIDAR_M))))
+    panel.show(frame_view(session, frame_of(None, refusal="no map fits the 60 valid of 60 pairs.")))
     assert "no map fits the 60 valid of 60 pairs." in panel._words.content
     assert panel._pairs.visible
     assert panel._pairs.image.min() < 255
     assert not panel._draw.visible
     panel._go("Next")
-    assert desk.view.draw == 0
+    assert session.view.draw == 0
 
 
-def test_a_frame_that_failed_gives_its_reason_and_then_the_old_frame_comes_back(panel, desk):
+def test_a_frame_that_failed_gives_its_reason_and_then_the_old_frame_comes_back(panel, session):
     frame = frame_of(registered(LIDAR_M))
-    panel.show(shown(desk, frame))
+    panel.show(frame_view(session, frame))
     before = panel._words.content
-    panel.show(shown(desk, None, AlignmentFailed("no scan lies near.")))
+    panel.show(frame_view(session, None, AlignmentFailed("no scan lies near.")))
     assert "no scan lies near" in panel._words.content
     assert panel._epsilon._words.content == ""
     assert not panel._pairs.visible
-    panel.show(shown(desk, frame))
+    panel.show(frame_view(session, frame))
     assert panel._words.content == before
     assert panel._pairs.visible
 
 
-def test_another_unit_has_about_the_same_length(server, desk):
-    controls = EpsilonControls(server.gui, desk)
+def test_another_unit_has_about_the_same_length(server, session):
+    controls = EpsilonControls(server.gui, session)
     found = registered(moved(LIDAR_M, shift_m=(0.1, 0.0)) + np.sin(LIDAR_M * 50.0) * 0.05)
-    controls.show(shown(desk, frame_of(found)))
+    controls.show(frame_view(session, frame_of(found)))
     lengths_m = {"sigma": SIGMA_M, "E": found.mean_error_m, "m": 1.0}
     before_m = 2.6 * SIGMA_M
     for unit in ("E", "m", "sigma"):
         controls._change_unit(unit)
-        noise = desk.view.settings.noise
+        noise = session.view.settings.noise
         assert noise.epsilon_unit == unit
         assert noise.epsilon * lengths_m[unit] == pytest.approx(before_m, rel=0.03)
-    assert desk.view.settings.noise.epsilon == pytest.approx(2.6)
+    assert session.view.settings.noise.epsilon == pytest.approx(2.6)
 
 
-def test_only_the_units_slider_is_seen(server, desk):
-    controls = EpsilonControls(server.gui, desk)
-    desk.set("noise", "epsilon_unit", "E")
-    desk.set("noise", "epsilon", 1.3)
-    controls.show(shown(desk, frame_of(registered(LIDAR_M))))
+def test_only_the_units_slider_is_seen(server, session):
+    controls = EpsilonControls(server.gui, session)
+    session.set("noise", "epsilon_unit", "E")
+    session.set("noise", "epsilon", 1.3)
+    controls.show(frame_view(session, frame_of(registered(LIDAR_M))))
     seen = [unit for unit, slider in controls._sliders._sliders.items() if slider.visible]
     assert seen == ["E"]
     assert controls._sliders._sliders["E"].value == 1.3
 
 
-def test_a_value_of_the_unit_before_is_not_taken_for_one_of_the_next(server, desk):
-    controls = EpsilonControls(server.gui, desk)
+def test_a_value_of_the_unit_before_is_not_taken_for_one_of_the_next(server, session):
+    controls = EpsilonControls(server.gui, session)
     late = controls._sliders._sliders["sigma"]
-    desk.set("noise", "epsilon_unit", "m")
-    desk.set("noise", "epsilon", 0.1)
+    session.set("noise", "epsilon_unit", "m")
+    session.set("noise", "epsilon", 0.1)
     late._impl.value = 4.0
     moved = SimpleNamespace(client="a browser", target=late)
     for callback in late._impl.update_cb:
         callback(moved)
-    assert (desk.view.settings.noise.epsilon, desk.view.settings.noise.epsilon_unit) == (0.1, "m")
-    desk.set("noise", "epsilon_unit", "sigma")
+    assert (session.view.settings.noise.epsilon, session.view.settings.noise.epsilon_unit) == (
+        0.1,
+        "m",
+    )
+    session.set("noise", "epsilon_unit", "sigma")
     for callback in late._impl.update_cb:
         callback(moved)
-    assert desk.view.settings.noise.epsilon == 4.0
+    assert session.view.settings.noise.epsilon == 4.0
 
 
-def test_what_another_unit_cannot_hold_ends_at_its_slider(server, desk):
-    controls = EpsilonControls(server.gui, desk)
-    desk.set("noise", "epsilon", 90.0)
-    controls.show(shown(desk, frame_of(registered(LIDAR_M + np.sin(LIDAR_M * 50.0) * 0.002))))
+def test_what_another_unit_cannot_hold_ends_at_its_slider(server, session):
+    controls = EpsilonControls(server.gui, session)
+    session.set("noise", "epsilon", 90.0)
+    controls.show(
+        frame_view(session, frame_of(registered(LIDAR_M + np.sin(LIDAR_M * 50.0) * 0.002)))
+    )
     assert controls._sliders._sliders["sigma"].value == 10.0
-    assert desk.view.settings.noise.epsilon == 90.0
+    assert session.view.settings.noise.epsilon == 90.0
     controls._change_unit("E")
-    assert desk.view.settings.noise.epsilon == 5.0
+    assert session.view.settings.noise.epsilon == 5.0
 
 
 def test_residuals_beyond_the_plot_are_at_its_edge(server):
@@ -359,9 +369,9 @@ def test_without_an_epsilon_the_plot_is_empty(server):
     assert plot._words.content == ""
 
 
-def test_the_panels_draws_are_those_of_the_registration(panel, desk):
+def test_the_panels_draws_are_those_of_the_registration(panel, session):
     found = registered(moved(LIDAR_M, turn_deg=1.0), refits_max=1)
-    panel.show(shown(desk, frame_of(found)))
+    panel.show(frame_view(session, frame_of(found)))
     panel._go("Best")
-    best = draw_at(found, desk.view.draw)
+    best = draw_at(found, session.view.draw)
     np.testing.assert_array_equal(best.agree, planar_pairs(frame_of(found)).inliers)

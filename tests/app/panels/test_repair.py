@@ -12,12 +12,12 @@ import viser
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.workflows.fuse.frame import FusedFrame
-from scanloom.client_session import Desk
-from scanloom.frame_view import Shown, shown_of
+from scanloom.client_session import ClientSession
+from scanloom.frame_view import FrameView, compute_frame_view
 from scanloom.panels.repair import RepairPanel
 from scanloom.plots.palette import class_color
 from scanloom.resources import sample_path
-from scanloom.scene.findings import conflict_runs, facts_of_beam
+from scanloom.scene.frame_summary import conflict_runs, facts_of_beam
 from scanloom.state.library import Library
 from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, connect
@@ -31,18 +31,18 @@ ALL = frozenset(NoiseClass)
 class Bench:
     """A browser at a desk with nothing but this panel."""
 
-    desk: Desk
+    session: ClientSession
     panel: RepairPanel
     browser: ViserClient
 
     @property
-    def shown(self) -> Shown:
-        opened = self.desk.library.open(self.desk.view)
-        return shown_of(self.desk.view, opened)
+    def frame_view(self) -> FrameView:
+        open_recording = self.session.library.open(self.session.view)
+        return compute_frame_view(self.session.view, open_recording)
 
     @property
     def frame(self) -> FusedFrame:
-        fused = self.shown.fused
+        fused = self.frame_view.fused
         assert fused is not None
         return fused
 
@@ -52,11 +52,11 @@ class Bench:
         while not condition():
             assert time.monotonic() < deadline, "not so within 10 s"
             time.sleep(0.005)
-        assert self.desk.wait(10.0)
+        assert self.session.wait(10.0)
 
     def change(self, **values: object) -> None:
-        self.desk.change(**values)
-        assert self.desk.wait(10.0)
+        self.session.change(**values)
+        assert self.session.wait(10.0)
 
     def html(self, *words: str) -> str:
         """The HTML that holds these words, as the browser has it."""
@@ -72,16 +72,16 @@ class Bench:
 def module_bench() -> Iterator[Bench]:
     library = Library([sample_path()], [])
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    built: list[tuple[Desk, RepairPanel]] = []
+    built: list[tuple[ClientSession, RepairPanel]] = []
 
     @server.on_client_connect
     def _(client: viser.ClientHandle) -> None:
         view = View(recording=library.names()[0], panel="Repair", number=FRAME)
-        desk = Desk(client, library, view)
-        panel = RepairPanel(client.gui, desk)
-        desk.panels = [panel]
-        desk.refresh()
-        built.append((desk, panel))
+        session = ClientSession(client, library, view)
+        panel = RepairPanel(client.gui, session)
+        session.panels = [panel]
+        session.refresh()
+        built.append((session, panel))
 
     with connect(f"http://127.0.0.1:{server.get_port()}") as browser:
         browser.find("Conflicts")
@@ -98,7 +98,7 @@ def module_bench() -> Iterator[Bench]:
 @pytest.fixture
 def bench(module_bench: Bench) -> Bench:
     """The bench as at the start."""
-    fresh = View(recording=module_bench.desk.view.recording)
+    fresh = View(recording=module_bench.session.view.recording)
     module_bench.change(
         panel="Repair",
         number=FRAME,
@@ -148,14 +148,14 @@ def test_the_filter_takes_a_class_out_of_picture_and_curve(bench: Bench) -> None
     assert colored(after.image, NoiseClass.GOOD) > 500
     assert np.isfinite(bench.panel._curve.data[3]).sum() > good
     bench.browser.set_value("Show good", False)
-    bench.until(lambda: bench.desk.view.classes == ALL - {NoiseClass.GOOD})
+    bench.until(lambda: bench.session.view.classes == ALL - {NoiseClass.GOOD})
     for picture in (before, after):
         assert colored(picture.image, NoiseClass.GOOD) == 0
         assert colored(picture.image, NoiseClass.HOLE) > 0
     others = np.isfinite(bench.frame.pairs.lidar_range_m).sum() - good
     assert np.isfinite(bench.panel._curve.data[3]).sum() == others
     bench.browser.set_value("Show good", True)
-    bench.until(lambda: bench.desk.view.classes == ALL)
+    bench.until(lambda: bench.session.view.classes == ALL)
     assert colored(after.image, NoiseClass.GOOD) > 500
 
 
@@ -183,7 +183,7 @@ def test_the_list_of_conflicts_jumps_to_each(bench: Bench) -> None:
     for run, words in zip(runs, options, strict=True):
         assert f"{run.lidar_m:.2f} m" in words
         bench.browser.set_value("Conflicts", words)
-        bench.until(lambda run=run: bench.desk.view.beam == run.middle)
+        bench.until(lambda run=run: bench.session.view.beam == run.middle)
         bench.html(f"beam {run.middle}, range", "Conflict: it disagrees")
         assert np.isfinite(bench.panel._curve.data[5]).sum() == 1
 
@@ -193,10 +193,10 @@ def test_the_buttons_go_around_the_conflicts(bench: Bench) -> None:
     step = bench.browser.find("Go to conflict").uuid
 
     def press(name: str) -> int | None:
-        before = bench.desk.view.beam
+        before = bench.session.view.beam
         bench.browser.update(step, {"value": name})
-        bench.until(lambda: bench.desk.view.beam != before)
-        return bench.desk.view.beam
+        bench.until(lambda: bench.session.view.beam != before)
+        return bench.session.view.beam
 
     assert [press("Next") for _ in range(len(middles) + 1)] == [*middles, middles[0]]
     assert press("Previous") == middles[-1]
@@ -211,14 +211,14 @@ def test_a_number_tells_of_that_beam(bench: Bench) -> None:
     facts = facts_of_beam(bench.frame, beam)
     assert facts is not None
     bench.browser.set_value("Beam", beam)
-    bench.until(lambda: bench.desk.view.beam == beam)
+    bench.until(lambda: bench.session.view.beam == beam)
     table = bench.html(f"beam {beam}, range")
     assert f"{facts.lidar.repaired_m:.3f} m" in table
     assert "no value" in table
     assert f"{facts.lidar.confidence:.2f}" in table
     assert "Filled from" in table
     bench.browser.set_value("Beam", -1)
-    bench.until(lambda: bench.desk.view.beam is None)
+    bench.until(lambda: bench.session.view.beam is None)
     bench.html("Choose a conflict or a number")
 
 
@@ -233,10 +233,10 @@ def test_before_after_or_both(bench: Bench) -> None:
     before, after = bench.panel._pictures
     assert (before.visible, after.visible) == (True, True)
     bench.browser.set_value("Before and after", False)
-    bench.until(lambda: not bench.desk.view.both)
+    bench.until(lambda: not bench.session.view.both)
     assert (before.visible, after.visible) == (False, True)
     bench.browser.set_value("Repaired", False)
-    bench.until(lambda: not bench.desk.view.repaired)
+    bench.until(lambda: not bench.session.view.repaired)
     assert (before.visible, after.visible) == (True, False)
 
 
@@ -254,20 +254,20 @@ def test_epsilon_has_one_slider_in_the_unit_of_the_settings(bench: Bench) -> Non
     assert [unit for unit, slider in sliders.items() if slider.visible] == ["sigma"]
     agreeing = (bench.frame.classes.lidar_class == NoiseClass.GOOD).sum()
     bench.browser.set_value("ε (σ)", 0.5)
-    bench.until(lambda: bench.desk.view.settings.noise.epsilon == 0.5)
+    bench.until(lambda: bench.session.view.settings.noise.epsilon == 0.5)
     fewer = int((bench.frame.classes.lidar_class == NoiseClass.GOOD).sum())
     assert fewer < agreeing
     bench.html("burrs", f">{fewer}<")
-    bench.desk.set("noise", "epsilon_unit", "m")
+    bench.session.set("noise", "epsilon_unit", "m")
     bench.until(lambda: sliders["m"].visible)
     assert [unit for unit, slider in sliders.items() if slider.visible] == ["m"]
 
 
 def test_a_box_takes_its_class_out_and_an_undone_view_brings_it_back(bench: Bench) -> None:
     bench.browser.set_value("Show burr", False)
-    bench.until(lambda: bench.desk.view.classes == ALL - {NoiseClass.BURR})
+    bench.until(lambda: bench.session.view.classes == ALL - {NoiseClass.BURR})
     bench.browser.set_value("Show hole", False)
-    bench.until(lambda: bench.desk.view.classes == {NoiseClass.GOOD, NoiseClass.CONFLICT})
+    bench.until(lambda: bench.session.view.classes == {NoiseClass.GOOD, NoiseClass.CONFLICT})
     bench.change(classes=ALL)
     for name in ("burr", "hole"):
         box = bench.browser.find(f"Show {name}")
@@ -292,10 +292,10 @@ def test_what_stays_the_same_is_not_drawn_again(bench: Bench) -> None:
 
 def test_a_frame_that_failed_says_why_and_shows_nothing_of_another(bench: Bench) -> None:
     failure = ScanLoomError("no peak in <b>/scan</b>.", advice="Go on.")
-    bench.panel.show(replace(bench.shown, fused=None, failure=failure))
+    bench.panel.show(replace(bench.frame_view, fused=None, failure=failure))
     bench.html("no peak in &lt;b&gt;/scan&lt;/b&gt;. Go on.")
     assert not any(handle.visible for handle in (*bench.panel._pictures, bench.panel._curve))
     assert bench.panel._classes.content == ""
     assert bench.panel._conflicts.options == ("none in this frame",)
-    bench.panel.show(bench.shown)
+    bench.panel.show(bench.frame_view)
     assert all(handle.visible for handle in (*bench.panel._pictures, bench.panel._curve))

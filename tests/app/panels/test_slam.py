@@ -19,13 +19,13 @@ from fusion_core.model.errors import MissingStream
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.workflows.map.result_folder import RunPoses
 from fusion_core.workflows.poses import Poses
-from scanloom.client_session import Desk
-from scanloom.jobs import slam as job
+from scanloom.client_session import ClientSession
+from scanloom.jobs import slam_run as job
 from scanloom.panels import slam as slam_panel
 from scanloom.panels.map import MapPanel
 from scanloom.state.library import Library
-from scanloom.state.runs import MOST_RUNS
 from scanloom.state.slam_choices import SlamChoices
+from scanloom.state.slam_runs import MOST_RUNS
 from scanloom.state.view import View, view_of_link
 from tests.app.slam_runs import SCANS, FakeMap, view_at
 from tests.app.viser_client import ViserClient, Widget, connect
@@ -41,17 +41,17 @@ class Seat:
         self.floor: list[tuple[OccupancyGrid | None, Poses | None]] = []
         self.client: ViserClient
         view = View(recording=library.names()[0], panel="Map", map_mode="SLAM")
-        self.desk = Desk(client, library, view)
-        self.panel = MapPanel(client.gui, self.desk, root, self.take)
-        self.desk.panels = [self.panel]
-        self.desk.refresh()
+        self.session = ClientSession(client, library, view)
+        self.panel = MapPanel(client.gui, self.session, root, self.take)
+        self.session.panels = [self.panel]
+        self.session.refresh()
 
     def take(self, grid: OccupancyGrid | None, poses: Poses | None = None) -> None:
         self.floor.append((grid, poses))
 
     def close(self) -> None:
         self.panel.close()
-        self.desk.close()
+        self.session.close()
         self.client.close()
 
     def until(self, condition: Callable[[], bool]) -> None:
@@ -75,7 +75,7 @@ class Seat:
         # The first belongs to the other mode.
         return found[1:]
 
-    def shown(self) -> list[bool]:
+    def frame_view(self) -> list[bool]:
         return [bool(picture.props["visible"]) for picture in self.pictures()]
 
     def command(self) -> list[str]:
@@ -93,7 +93,7 @@ class Seat:
         for label, value in choices.items():
             self.client.set_value(label, value)
             # A click may overtake it.
-            self.until(lambda: value in dict(self.desk.view.slam).values())  # noqa: B023  # waited for at once
+            self.until(lambda: value in dict(self.session.view.slam).values())  # noqa: B023  # waited for at once
         self.until(lambda: not self.widget("Run").props["disabled"])
         self.client.click("Run")
         self.until(lambda: name in self.widget("Run shown").props["options"])
@@ -163,7 +163,7 @@ class Gate:
 
 
 def test_a_run_shows_its_map_its_report_and_its_floor(seat: Seat, bench: Bench) -> None:
-    assert seat.shown() == [False, False, True, False, False, False, False, False]
+    assert seat.frame_view() == [False, False, True, False, False, False, False, False]
     assert not seat.widget("Result").props["visible"]
     seat.run(FIRST)
     seat.until_says("83.3 % of the scans")
@@ -174,7 +174,7 @@ def test_a_run_shows_its_map_its_report_and_its_floor(seat: Seat, bench: Bench) 
     assert not any("<b>& more" in str(w.props.get("content")) for w in seat.client.widgets.values())
     assert seat.widget("Result").props["visible"]
     assert not seat.widget("Two runs side by side").props["visible"]
-    seat.until(lambda: not seat.shown()[0])
+    seat.until(lambda: not seat.frame_view()[0])
     seat.until(lambda: len(seat.floor) == 1)
     grid, poses = seat.floor[-1]
     assert grid is not None
@@ -192,7 +192,7 @@ def test_the_panel_moves_while_it_runs(seat: Seat, fake: FakeMap) -> None:
     seat.until(lambda: seat.widget("Particles").props["visible"])
     seat.client.click("Run")
     assert gate.begun.wait(LONG_S)
-    seat.until(lambda: seat.shown()[0] and seat.shown()[1])
+    seat.until(lambda: seat.frame_view()[0] and seat.frame_view()[1])
     assert seat.widget("Run").props["disabled"]
     seat.until_says("Matching scans")
     gate.go_on.set()
@@ -201,7 +201,7 @@ def test_the_panel_moves_while_it_runs(seat: Seat, fake: FakeMap) -> None:
             "1: lidar, recorded, particle-filter (30)" in seat.widget("Run shown").props["options"]
         )
     )
-    seat.until(lambda: seat.shown()[:4] == [False, False, True, True])
+    seat.until(lambda: seat.frame_view()[:4] == [False, False, True, True])
     seat.until_says("least effective number 3.0 at 1.5 s")
 
 
@@ -245,7 +245,7 @@ def test_a_run_that_does_not_fit_is_shown_with_a_warning(seat: Seat, fake: FakeM
     seat.run(FIRST)
     seat.until_says("Not to be relied on:")
     seat.client.wait_for(lambda got: got.type == "NotificationShowMessage", LONG_S)
-    seat.until(lambda: seat.shown()[2])
+    seat.until(lambda: seat.frame_view()[2])
 
 
 def test_what_cannot_be_done_is_said_and_not_begun(seat: Seat, fake: FakeMap) -> None:
@@ -265,7 +265,7 @@ def test_two_runs_side_by_side(seat: Seat, fake: FakeMap) -> None:
     seat.run(FIRST)
     fake.shift_m = 0.3
     seat.run("2: lidar, fused, particle-filter (30)", SLAM="particle-filter", Motion="fused")
-    seat.until(lambda: all(seat.shown()[2:]))
+    seat.until(lambda: all(seat.frame_view()[2:]))
     # It drifts steadily: half of the way has half of the most.
     seat.until_says("15.0 cm apart in the median, at most 30.0 cm, 5.9 s later")
     # Each with itself.
@@ -273,7 +273,7 @@ def test_two_runs_side_by_side(seat: Seat, fake: FakeMap) -> None:
     seat.until_says("0.0 cm apart in the median, at most 0.0 cm")
     seat.client.set_value("Run shown", FIRST)
     seat.until_says("2 closed, 1 dropped")
-    seat.until(lambda: seat.shown()[2:6] == [True, False, False, False])
+    seat.until(lambda: seat.frame_view()[2:6] == [True, False, False, False])
     seat.until(
         lambda: isinstance(seat.floor[-1][1], RunPoses) and seat.floor[-1][1].source == FIRST
     )
@@ -358,7 +358,7 @@ def test_pictures_come_a_few_times_a_second(
             asked.append(len(seen.stamps_ns))
 
     monkeypatch.setattr(panel, "_live", Noted())
-    options = job.map_options(seat.desk.view, Path("settings.toml"))
+    options = job.map_options(seat.session.view, Path("settings.toml"))
     for number in range(1, SCANS + 1):
         panel._watch(view_at(number, "matching scans", options))
     assert asked == [21, 41]
@@ -369,6 +369,6 @@ def test_choices_are_in_the_link_of_the_view(seat: Seat) -> None:
     seat.client.set_value("SLAM", "particle-filter")
     seat.client.set_value("Particles", 50)
     chosen = SlamChoices(scan="repaired", estimator="particle-filter", particles=50)
-    seat.until(lambda: seat.desk.view.slam == chosen)
-    restored = view_of_link(seat.desk.view.to_link())
+    seat.until(lambda: seat.session.view.slam == chosen)
+    restored = view_of_link(seat.session.view.to_link())
     assert (restored.slam, restored.map_mode) == (chosen, "SLAM")

@@ -10,10 +10,10 @@ import viser
 from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.model.geometry import inverse, transform_from_planar
 from scanloom.plots.palette import class_colors, color_of
-from scanloom.scene.boards import Layout, layout_of
-from scanloom.scene.drawn import colors_of_segments
 from scanloom.scene.frame_geometry import FrameGeometry
 from scanloom.scene.geometry import Frustum
+from scanloom.scene.geometry_nodes import colors_of_segments
+from scanloom.scene.image_planes import Layout, layout_of
 from scanloom.scene.layers import LAYERS
 from scanloom.scene.nodes import MapPlane, SceneNodes
 
@@ -155,7 +155,7 @@ def test_what_a_frame_has_none_of_is_hidden_until_it_comes_back(scene):
 
 def test_layers_hide_and_show(scene):
     nodes = SceneNodes(scene)
-    nodes.show_board(LAYOUT.depth_board(np.zeros((3, 4, 3), dtype=np.uint8)))
+    nodes.show_image_plane(LAYOUT.depth_board(np.zeros((3, 4, 3), dtype=np.uint8)))
     nodes.show_layers(frozenset({"curve"}))
     nodes.show(frame())
     shown = {
@@ -214,7 +214,7 @@ def test_the_map_lies_on_the_floor_around_the_lidar(scene):
     nodes.show_path(np.array([[0.0, 0.0], [0.5, 0.0]]))
     assert not node(scene, "/in_map").visible
     T_map_lidar = transform_from_planar(np.array([1.0, 2.0, 0.5]))
-    nodes.stand_at(T_map_lidar)
+    nodes.place_map(T_map_lidar)
     placed, shown = node(scene, "/in_map"), node(scene, "/in_map/map")
     assert placed.visible
     T_lidar_map = inverse(T_map_lidar)
@@ -232,7 +232,7 @@ def test_the_map_lies_on_the_floor_around_the_lidar(scene):
     assert not placed.visible
     nodes.show_layers(frozenset(LAYERS))
     assert placed.visible
-    nodes.stand_at(None)
+    nodes.place_map(None)
     assert not placed.visible
     nodes.show_map(None)
     assert not shown.visible
@@ -240,10 +240,10 @@ def test_the_map_lies_on_the_floor_around_the_lidar(scene):
 
 def test_a_board_takes_a_new_picture_in_place(scene, sent):
     nodes = SceneNodes(scene)
-    nodes.show_board(LAYOUT.depth_board(np.zeros((30, 40, 3), dtype=np.uint8)))
+    nodes.show_image_plane(LAYOUT.depth_board(np.zeros((30, 40, 3), dtype=np.uint8)))
     shown = node(scene, "/boards/depth")
     sent.clear()
-    nodes.show_board(LAYOUT.depth_board(np.full((40, 40, 3), 9, dtype=np.uint8)))
+    nodes.show_image_plane(LAYOUT.depth_board(np.full((40, 40, 3), 9, dtype=np.uint8)))
     assert node(scene, "/boards/depth") is shown
     assert "ImageMessage" not in sent.kinds()
     assert ("/boards/depth", "_data") in sent.updated()
@@ -253,7 +253,7 @@ def test_a_board_takes_a_new_picture_in_place(scene, sent):
 def test_a_click_means_the_board_before_the_beam_behind_it(scene):
     nodes = SceneNodes(scene)
     board = LAYOUT.heatmap_board(np.zeros((30, 40, 3), dtype=np.uint8))
-    nodes.show_board(board)
+    nodes.show_image_plane(board)
     target = board.plane.at_pixel(7.0, 5.0)
     eye = target - board.plane.R_lidar_plane[:, 2]
     behind = target + board.plane.R_lidar_plane[:, 2]
@@ -291,7 +291,7 @@ def test_a_hidden_frame_leaves_floor_and_map_until_the_next(scene):
     nodes.show_map(
         MapPlane(picture=np.zeros((4, 4, 3), np.uint8), resolution_m=1.0, origin_m=(0, 0))
     )
-    nodes.stand_at(np.eye(4))
+    nodes.place_map(np.eye(4))
     of_frame = ("matched", "curve", "beams", "pairs", "moved", "filled", "mark")
     names = [*(f"/frame/{name}" for name in of_frame), "/cameras/0/rows", "/cameras/0/frustum"]
     assert all(node(scene, name).visible for name in names)
@@ -307,23 +307,23 @@ def test_a_hidden_frame_leaves_floor_and_map_until_the_next(scene):
 def test_a_hidden_board_is_neither_seen_nor_picked_until_the_next(scene):
     nodes = SceneNodes(scene)
     board = LAYOUT.depth_board(np.zeros((30, 40, 3), dtype=np.uint8))
-    nodes.show_board(board)
+    nodes.show_image_plane(board)
     middle = np.array(board.plane.position_m)
     eye = middle - board.plane.R_lidar_plane[:, 2]
     assert nodes.pick(eye, middle - eye) is not None
-    nodes.hide_board("depth")
-    nodes.hide_board("depth")
+    nodes.hide_image_plane("depth")
+    nodes.hide_image_plane("depth")
     assert nodes.pick(eye, middle - eye) is None
     assert node(scene, "/boards/depth") is None
-    nodes.show_board(board)
+    nodes.show_image_plane(board)
     assert nodes.pick(eye, middle - eye) is not None
 
 
 def test_clearing_leaves_nothing_to_be_seen_or_picked(scene):
     nodes = SceneNodes(scene)
     nodes.show(frame())
-    nodes.show_board(LAYOUT.depth_board(np.zeros((3, 4, 3), dtype=np.uint8)))
-    nodes.stand_at(np.eye(4))
+    nodes.show_image_plane(LAYOUT.depth_board(np.zeros((3, 4, 3), dtype=np.uint8)))
+    nodes.place_map(np.eye(4))
     nodes.clear()
     assert node(scene, "/cameras/0/rows") is None
     assert node(scene, "/boards/depth") is None

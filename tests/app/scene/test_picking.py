@@ -13,7 +13,6 @@ from fusion_core.model.geometry import (
     rotation_from_yaw_pitch_roll,
     transform_from_planar,
 )
-from scanloom.scene.boards import Board, Layout
 from scanloom.scene.camera_views import (
     ViewerCamera,
     apply,
@@ -24,6 +23,7 @@ from scanloom.scene.camera_views import (
 )
 from scanloom.scene.color_picture import upright_color
 from scanloom.scene.geometry import quaternion
+from scanloom.scene.image_planes import ImagePlane, Layout
 from scanloom.scene.picking import Plane, nearest_beam
 
 LAYOUT = Layout(yaw_rad=0.4, reach_m=4.0)
@@ -94,7 +94,9 @@ def test_boards_hide_nothing_that_the_camera_sees(shape):
 
 def test_a_board_is_of_its_pictures_shape():
     with pytest.raises(ValueError, match="none of"):
-        Board(name="x", rgb=np.zeros((3, 3, 3), np.uint8), plane=LAYOUT.depth_board(PICTURE).plane)
+        ImagePlane(
+            name="x", rgb=np.zeros((3, 3, 3), np.uint8), plane=LAYOUT.depth_board(PICTURE).plane
+        )
 
 
 @given(st.integers(0, 40), st.tuples(metres, metres, st.floats(1.0, 8.0)), st.floats(0.1, 9.0))

@@ -18,7 +18,7 @@ from scanloom.resources import sample_path
 from scanloom.state import library as library_module
 from scanloom.state.file_stamp import FileStamp
 from scanloom.state.library import Library
-from scanloom.state.opened import Opened
+from scanloom.state.open_recording import OpenRecording
 from scanloom.state.view import View
 from tests.hostile.names import NO_UTF8, SHOWN
 
@@ -64,9 +64,9 @@ def is_open(recording: Recording) -> bool:
     return True
 
 
-def open_of(every: list[Opened]) -> list[bool]:
+def open_of(every: list[OpenRecording]) -> list[bool]:
     """Which of these can still be read from."""
-    return [is_open(opened.session.recording) for opened in every]
+    return [is_open(opened.fuse_session.recording) for opened in every]
 
 
 # Names
@@ -78,7 +78,7 @@ def test_names_that_are_no_utf8_are_listed_and_opened(small_scene: Path, tmp_pat
     for shared in (Library([path], []), Library([], [tmp_path])):
         (name,) = shared.names()
         assert name == SHOWN
-        assert shared.open(View(recording=name)).session.recording.path == path
+        assert shared.open(View(recording=name)).fuse_session.recording.path == path
         with pytest.raises(RecordingError):
             shared.path(f"{SHOWN}x")
         shared.close()
@@ -93,7 +93,7 @@ def test_people_share_a_recording_and_its_alignment(library: Library, view: View
     assert library.open(elsewhere) is opened
     other = library.open(view.changed(virtual_row=60))
     assert other is not opened
-    assert other.session.recording is opened.session.recording
+    assert other.fuse_session.recording is opened.fuse_session.recording
     published = view.changed(settings=PRESETS["published"])
     assert library.open(published) is opened
     assert library.open(published.changed(aligned=PRESETS["published"])) is not opened
@@ -139,7 +139,7 @@ def test_a_library_that_closes_stops_the_alignment(
         finally:
             stopped.set()
 
-    monkeypatch.setattr("scanloom.state.opened.align_session", endless)
+    monkeypatch.setattr("scanloom.state.open_recording.align_session", endless)
     library = Library([small_scene], [])
     library.open(View(recording=small_scene.name)).align(lambda: None)
     assert began.wait(ENOUGH_S)
@@ -270,7 +270,7 @@ def test_a_file_stays_open_as_long_as_one_of_its_choices(
     second = library.open(views[0].changed(virtual_row=60), seen_by="ann")
     for view in views[1:]:
         library.open(view)
-    assert first.session.recording is second.session.recording
+    assert first.fuse_session.recording is second.fuse_session.recording
     assert open_of([second]) == [True]
     assert library.open(views[0]) is not first
     library.leave("ann")
@@ -292,7 +292,7 @@ def test_what_is_closed_stops_to_be_aligned(
         finally:
             stopped.set()
 
-    monkeypatch.setattr("scanloom.state.opened.align_session", endless)
+    monkeypatch.setattr("scanloom.state.open_recording.align_session", endless)
     library.open(views[0]).align(lambda: None)
     assert began.wait(ENOUGH_S)
     for view in views[1 : UNSEEN + 1]:
@@ -418,9 +418,9 @@ def test_many_who_come_and_go_find_open_what_they_look_at(
             view = chosen.choice(every)
             try:
                 opened = library.open(view, seen_by=seed)
-                if not is_open(opened.session.recording):
+                if not is_open(opened.fuse_session.recording):
                     problems.append(f"{view.recording} is closed")
-                if opened.session.virtual_row != view.virtual_row:
+                if opened.fuse_session.virtual_row != view.virtual_row:
                     problems.append(f"{view.recording} is another")
                 if chosen.random() < 0.2:
                     library.leave(seed)
@@ -449,7 +449,7 @@ class Endless:
         self.changed = threading.Condition()
         self.at_work: list[Any] = []
         self.ended: list[Any] = []
-        monkeypatch.setattr("scanloom.state.opened.align_session", self)
+        monkeypatch.setattr("scanloom.state.open_recording.align_session", self)
 
     def __call__(self, session: Any, progress: Callable[..., None], *_: object) -> None:
         with self.changed:
@@ -483,7 +483,7 @@ def test_an_alignment_ends_with_the_last_who_waits_for_it(
     assert library.open(view) is opened
     assert endless.ended == []
     library.leave("ben")
-    endless.until(lambda: endless.ended == [opened.session])
+    endless.until(lambda: endless.ended == [opened.fuse_session])
     # Who comes now has it aligned again.
     again = library.open(view, seen_by="ann")
     assert again is not opened
@@ -499,7 +499,7 @@ def test_who_goes_on_to_another_view_ends_the_alignment_of_the_one_before(
     first.align(lambda: None)
     endless.until(lambda: len(endless.at_work) == 1)
     library.open(view.changed(virtual_row=60), seen_by="ann")
-    endless.until(lambda: endless.ended == [first.session])
+    endless.until(lambda: endless.ended == [first.fuse_session])
 
 
 def test_of_many_alignments_two_are_at_work_and_the_rest_wait(
@@ -518,15 +518,15 @@ def test_of_many_alignments_two_are_at_work_and_the_rest_wait(
         )
     for _ in range(4):
         assert waits.acquire(timeout=ENOUGH_S)
-    assert set(map(id, endless.at_work)) == {id(one.session) for one in every[:2]}
+    assert set(map(id, endless.at_work)) == {id(one.fuse_session) for one in every[:2]}
     library.leave(50)
-    endless.until(lambda: any(session is every[2].session for session in endless.at_work))
+    endless.until(lambda: any(session is every[2].fuse_session for session in endless.at_work))
     assert len(endless.at_work) == 2
     # One that waits goes without ever having begun.
     library.leave(53)
     library.leave(51)
-    endless.until(lambda: any(session is every[4].session for session in endless.at_work))
-    assert all(session is not every[3].session for session in endless.ended)
+    endless.until(lambda: any(session is every[4].fuse_session for session in endless.at_work))
+    assert all(session is not every[3].fuse_session for session in endless.ended)
 
 
 # Below a root
@@ -634,7 +634,7 @@ def test_a_recording_that_is_cut_while_it_is_open_says_so_and_is_opened_again(
     assert len(again.frames) == len(opened.frames)
     assert again.frames.pair(len(again.frames) - 1)
     library.close()
-    assert not is_open(opened.session.recording)
+    assert not is_open(opened.fuse_session.recording)
 
 
 def test_an_error_of_a_recording_that_did_not_change_stays_as_it_is(

@@ -13,7 +13,7 @@ from fusion_core.workflows.fuse.session import FuseOptions, align_session, sessi
 from fusion_core.workflows.map.extrinsics import extrinsics
 from fusion_core.workflows.map.recorded_mount import refusal_of_recorded
 from fusion_core.workflows.map.visual_frames import camera_on_lidar
-from scanloom.panels.mount_words import mount_words
+from scanloom.panels.mount_text import mount_text
 from tests.hostile.drive import write_drive
 from tests.hostile.mounts import moved_mount
 from tests.mapping.box_room import camera_pose
@@ -84,4 +84,4 @@ def test_a_mount_that_is_right_is_used_without_a_word(tmp_path):
         assert not any(NOT_USED in note for note in found.notes)
         rig = build_rig(recording, streams, settings.sampling)
         assert refusal_of_recorded(session_of(recording, streams, rig, settings)) == ""
-        assert mount_words(rig.recorded, ["said"]).endswith("- said")
+        assert mount_text(rig.recorded, ["said"]).endswith("- said")

@@ -22,7 +22,7 @@ _NAMES = {
 }
 
 
-def mount_words(mount: Mount, notes: Sequence[str] = ()) -> str:
+def mount_text(mount: Mount, notes: Sequence[str] = ()) -> str:
     """One line for each parameter and note, as Markdown; what is not observable is named."""
     lines = []
     unknown = []

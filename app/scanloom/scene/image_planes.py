@@ -18,7 +18,7 @@ _SMALLEST_REACH_M, _USUAL_REACH_M, _LARGEST_REACH_M = 2.0, 4.0, 12.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Board:
+class ImagePlane:
     """A picture, (H, W, 3) uint8, on a plane in the scene."""
 
     name: str
@@ -48,11 +48,11 @@ class Layout:
     yaw_rad: float
     reach_m: float
 
-    def depth_board(self, rgb: ByteArray) -> Board:
+    def depth_board(self, rgb: ByteArray) -> ImagePlane:
         """The depth image's board, to the left."""
         return self._board("depth", rgb, side=1.0)
 
-    def heatmap_board(self, rgb: ByteArray) -> Board:
+    def heatmap_board(self, rgb: ByteArray) -> ImagePlane:
         """The heatmap's board, to the right."""
         return self._board("heatmap", rgb, side=-1.0)
 
@@ -62,7 +62,7 @@ class Layout:
         point: FloatArray = R_lidar_ahead @ np.array([forward_m, left_m, up_m])
         return point
 
-    def _board(self, name: str, rgb: ByteArray, *, side: float) -> Board:
+    def _board(self, name: str, rgb: ByteArray, *, side: float) -> ImagePlane:
         height_px, width_px = rgb.shape[:2]
         width_m = self.reach_m * min(0.29, 0.26 * width_px / height_px)
         height_m = width_m * height_px / width_px
@@ -78,7 +78,7 @@ class Layout:
             wxyz=(float(wxyz[0]), float(wxyz[1]), float(wxyz[2]), float(wxyz[3])),
             position_m=(float(position[0]), float(position[1]), float(position[2])),
         )
-        return Board(name=name, rgb=rgb, plane=plane)
+        return ImagePlane(name=name, rgb=rgb, plane=plane)
 
 
 def layout_of(geometry: FrameGeometry, yaw_rad: float) -> Layout:

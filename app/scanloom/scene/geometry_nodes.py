@@ -18,7 +18,7 @@ _INTENSITIES = np.rint(
 ).astype(np.uint8)
 
 
-class Drawn:
+class SceneGeometry:
     """A node of points or segments, hidden while it has none or its layer is off."""
 
     def __init__(self, handle: viser.LineSegmentsHandle | viser.PointCloudHandle) -> None:
@@ -66,13 +66,15 @@ def colors_of_segments(colors: ByteArray) -> ByteArray:
     return of_ends
 
 
-def lines(scene: viser.SceneApi, name: str, color: Color | None, *, thickness_px: float) -> Drawn:
+def lines(
+    scene: viser.SceneApi, name: str, color: Color | None, *, thickness_px: float
+) -> SceneGeometry:
     """Segments of one colour, or (None) of a colour each.
 
     A browser settles with the first colours which of the two it is.
     """
     nothing: Segments = np.zeros((1, 2, 3), dtype=np.float32)
-    return Drawn(
+    return SceneGeometry(
         scene.add_line_segments(
             name,
             nothing,
@@ -84,9 +86,9 @@ def lines(scene: viser.SceneApi, name: str, color: Color | None, *, thickness_px
     )
 
 
-def points(scene: viser.SceneApi, name: str, color: Color, *, size_m: float) -> Drawn:
+def points(scene: viser.SceneApi, name: str, color: Color, *, size_m: float) -> SceneGeometry:
     """Points, of one colour until they are given one each."""
-    return Drawn(
+    return SceneGeometry(
         scene.add_point_cloud(
             name,
             np.zeros((1, 3), dtype=np.float32),

@@ -7,7 +7,7 @@ import math
 
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.workflows.fuse.presets import ChainSettings
-from scanloom.scene.findings import BeamFacts, SampleFacts
+from scanloom.scene.frame_summary import BeamFacts, SampleFacts
 
 _ADJACENT = (
     "no adjacent beam supports it",
@@ -16,7 +16,7 @@ _ADJACENT = (
 )
 
 
-def why_beam_class(facts: BeamFacts, settings: ChainSettings) -> str:
+def explain_beam_class(facts: BeamFacts, settings: ChainSettings) -> str:
     """Why the beam has its class."""
     published = settings.noise.fault == "rougher"
     support = _beam_support(facts)
@@ -42,7 +42,7 @@ def why_beam_class(facts: BeamFacts, settings: ChainSettings) -> str:
     return f"Good: {_agrees(facts, 'the camera')}."
 
 
-def why_pixel_class(facts: BeamFacts, settings: ChainSettings) -> str:
+def explain_pixel_class(facts: BeamFacts, settings: ChainSettings) -> str:
     """Why the beam's pixel has its class."""
     if facts.pixel is None:
         return "No pixel: the beam's point lies outside the image."
@@ -71,7 +71,7 @@ def why_pixel_class(facts: BeamFacts, settings: ChainSettings) -> str:
     return f"Good: {_agrees(facts, 'the LiDAR')}."
 
 
-def why_beam_repair(facts: BeamFacts, settings: ChainSettings) -> str:
+def explain_beam_repair(facts: BeamFacts, settings: ChainSettings) -> str:
     """Why the beam was repaired as it was, or not."""
     lidar = facts.lidar
     if lidar.noise_class == NoiseClass.BURR and math.isnan(lidar.from_other_m):
@@ -85,7 +85,7 @@ def why_beam_repair(facts: BeamFacts, settings: ChainSettings) -> str:
     return _repair_words(lidar, "the camera", refused, settings)
 
 
-def why_pixel_repair(facts: BeamFacts, settings: ChainSettings) -> str:
+def explain_pixel_repair(facts: BeamFacts, settings: ChainSettings) -> str:
     """Why the pixel was repaired as it was, or not."""
     pixel, beam = facts.pixel, facts.lidar
     if pixel is None:

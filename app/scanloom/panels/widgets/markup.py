@@ -1,9 +1,15 @@
-"""Pieces of HTML that panels are made of; whatever is put in is text, not markup."""
+"""Pieces of HTML and Markdown that panels are made of.
+
+Whatever is put in is text, not markup: names from recordings may hold anything.
+"""
 
 import html
+import re
 
 from fusion_core.model.names import readable
 
+# All of ASCII's punctuation: CommonMark 2.4 lets each be escaped.
+_PUNCTUATION = re.compile(r"([!-/:-@\[-`{-~])")
 _BOX = (
     "width:100%;box-sizing:border-box;border:1px solid #c4ccd6;border-radius:4px;padding:0.4em;"
     "font-family:ui-monospace,monospace;font-size:0.8em;resize:vertical;"
@@ -27,3 +33,8 @@ def text_box(text: str) -> str:
         f"<div style='padding:0.2em 0.5em'><textarea readonly spellcheck='false' rows='{rows}' "
         f"style='{_BOX}'>{html.escape(readable(text))}</textarea></div>"
     )
+
+
+def escape_markdown(text: str) -> str:
+    """Markdown that shows ``text`` as it is, on one line. viser would run HTML in it."""
+    return _PUNCTUATION.sub(r"\\\1", " ".join(text.split()))

@@ -8,11 +8,11 @@ from typing import Any
 import viser
 
 from fusion_core.model.progress import Progress
-from scanloom.client_session import Desk
-from scanloom.frame_view import as_failure, problem_of
-from scanloom.jobs.long import LongJob
-from scanloom.panels.blocks import paragraph
-from scanloom.panels.controls import put
+from scanloom.client_session import ClientSession
+from scanloom.frame_view import as_failure, failure_summary
+from scanloom.jobs.long_job import LongJob
+from scanloom.panels.widgets.controls import update_widget
+from scanloom.panels.widgets.markup import paragraph
 
 # People see no more, and the work goes on meanwhile.
 BETWEEN_S = 0.2
@@ -29,13 +29,13 @@ class PanelJob:
     def __init__(
         self,
         gui: viser.GuiApi,
-        desk: Desk,
+        session: ClientSession,
         lock: threading.RLock,
         on_change: Callable[[bool], None],
         *,
         cancel_label: str = "Cancel",
     ) -> None:
-        self._desk, self._lock, self._on_change = desk, lock, on_change
+        self._session, self._lock, self._on_change = session, lock, on_change
         self._job: LongJob | None = None
         self._is_cancelling = self._is_closed = False
         self._stage, self._advanced_s = "", 0.0
@@ -62,7 +62,7 @@ class PanelJob:
             if self._job is not None or self._is_closed:
                 return
             self._is_cancelling, self._stage = False, ""
-            put(self._said, content="")
+            update_widget(self._said, content="")
             self._advance(0, None, "starting")
             self._show_working(True)
             self._job = LongJob(
@@ -78,18 +78,18 @@ class PanelJob:
         """The job's last step, in its thread: the worker draws what came of it."""
         with self._lock:
             self._job = None
-            put(self._said, content=paragraph(said) if said else "")
+            update_widget(self._said, content=paragraph(said) if said else "")
             self._show_working(False)
             is_closed = self._is_closed
         if not is_closed:
-            self._desk.refresh()
+            self._session.refresh()
 
     def fail(self, error: Exception) -> None:
         """End with what went wrong."""
         failure = as_failure(error)
-        self.end(f"Failed: {problem_of(failure)} {failure.advice}")
+        self.end(f"Failed: {failure_summary(failure)} {failure.advice}")
         if not self._is_closed:
-            self._desk.fail(error)
+            self._session.fail(error)
 
     def close(self) -> None:
         """The browser has gone: what is at work, a build as well, is cancelled as by the button and
@@ -106,8 +106,8 @@ class PanelJob:
             if self._job is not None:
                 self._is_cancelling = True
                 self._job.cancel()
-                put(self._cancel_button, disabled=True)
-                put(self._progress_text, content=paragraph("Stopping at the next step …"))
+                update_widget(self._cancel_button, disabled=True)
+                update_widget(self._progress_text, content=paragraph("Stopping at the next step …"))
 
     def _advance(self, done: int, total: int | None, what: str) -> None:
         now_s = time.monotonic()
@@ -116,11 +116,11 @@ class PanelJob:
         self._stage, self._advanced_s = what, now_s
         share = 100.0 * done / total if total else 100.0
         count = f", {done} of {total}" if total else f", {done}" if done else ""
-        put(self._progress, value=round(min(share, 100.0), 1), animated=not total)
-        put(self._progress_text, content=paragraph(f"{what.capitalize()}{count}"))
+        update_widget(self._progress, value=round(min(share, 100.0), 1), animated=not total)
+        update_widget(self._progress_text, content=paragraph(f"{what.capitalize()}{count}"))
 
     def _show_working(self, is_at_work: bool) -> None:
         for handle in (self._progress, self._progress_text, self._cancel_button):
-            put(handle, visible=is_at_work)
-        put(self._cancel_button, disabled=False)
+            update_widget(handle, visible=is_at_work)
+        update_widget(self._cancel_button, disabled=False)
         self._on_change(is_at_work)

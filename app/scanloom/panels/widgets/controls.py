@@ -11,7 +11,7 @@ from typing import Any
 import viser
 
 from fusion_core.settings import StageSettings
-from scanloom.client_session import Desk
+from scanloom.client_session import ClientSession
 from scanloom.state.view import View
 
 
@@ -27,9 +27,9 @@ class _Bound:
 class Controls:
     """The bound widgets of one panel."""
 
-    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
+    def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
         self._gui = gui
-        self._desk = desk
+        self._session = session
         self._bound: list[_Bound] = []
         self._lock = threading.RLock()
 
@@ -37,7 +37,7 @@ class Controls:
         self, stage: str, name: str, label: str, low: float, high: float, step: float
     ) -> viser.GuiSliderHandle[Any]:
         """A number of a stage's settings. The ends are the widget's; the setting's are checked."""
-        value = _setting(self._desk.view, stage, name)
+        value = _setting(self._session.view, stage, name)
         whole = isinstance(value, int) and isinstance(step, int)
         handle = self._gui.add_slider(
             label,
@@ -47,22 +47,22 @@ class Controls:
             initial_value=min(max(value, low), high),
             hint=self._help(stage, name),
         )
-        self.tie(
+        self.bind(
             handle,
             lambda view: _clamped(_setting(view, stage, name), low, high),
-            lambda new: self._desk.set(stage, name, int(new) if whole else float(new)),
+            lambda new: self._session.set(stage, name, int(new) if whole else float(new)),
         )
         return handle
 
     def checkbox(self, stage: str, name: str, label: str) -> viser.GuiCheckboxHandle:
         """A switch of a stage's settings."""
         handle = self._gui.add_checkbox(
-            label, _setting(self._desk.view, stage, name), hint=self._help(stage, name)
+            label, _setting(self._session.view, stage, name), hint=self._help(stage, name)
         )
-        self.tie(
+        self.bind(
             handle,
             lambda view: _setting(view, stage, name),
-            lambda new: self._desk.set(stage, name, bool(new)),
+            lambda new: self._session.set(stage, name, bool(new)),
         )
         return handle
 
@@ -73,31 +73,31 @@ class Controls:
         handle = self._gui.add_dropdown(
             label,
             tuple(options),
-            initial_value=_setting(self._desk.view, stage, name),
+            initial_value=_setting(self._session.view, stage, name),
             hint=self._help(stage, name),
         )
-        self.tie(
+        self.bind(
             handle,
             lambda view: _setting(view, stage, name),
-            lambda new: self._desk.set(stage, name, str(new)),
+            lambda new: self._session.set(stage, name, str(new)),
         )
         return handle
 
-    def bind(
+    def bind_field(
         self,
         handle: Any,
         name: str,
         convert: Callable[[Any], Any] = lambda value: value,
-        shown: Callable[[Any], Any] = lambda value: value,
+        frame_view: Callable[[Any], Any] = lambda value: value,
     ) -> None:
         """Tie a widget to a value of the view itself. ``shown``: how the widget has that value."""
-        self.tie(
+        self.bind(
             handle,
-            lambda view: shown(getattr(view, name)),
-            lambda new: self._desk.change(**{name: convert(new)}),
+            lambda view: frame_view(getattr(view, name)),
+            lambda new: self._session.change(**{name: convert(new)}),
         )
 
-    def tie(
+    def bind(
         self, handle: Any, value_of: Callable[[View], Any], change: Callable[[Any], None]
     ) -> None:
         """Tie a widget to what a view says of it, None for nothing, by what a new value changes."""
@@ -120,20 +120,20 @@ class Controls:
         A person may be moving it: a value that is no longer asked for would pull it back.
         """
         with self._lock:
-            asked = self._desk.view
+            asked = self._session.view
             for bound in self._bound:
                 value = bound.value_of(view)
                 if value is None or value == bound.known or value != bound.value_of(asked):
                     continue
                 bound.known = value
-                put(bound.handle, value=value)
+                update_widget(bound.handle, value=value)
 
     def _help(self, stage: str, name: str) -> str | None:
-        fields = type(_stage(self._desk.view, stage)).model_fields
+        fields = type(_stage(self._session.view, stage)).model_fields
         return fields[name].description
 
 
-def put(handle: Any, **values: Any) -> None:
+def update_widget(handle: Any, **values: Any) -> None:
     """Set properties of a widget that differ: what is set goes over the wire."""
     for name, value in values.items():
         if getattr(handle, name) != value:

@@ -18,7 +18,7 @@ _FLATTENS = 0.5
 _UNIT_SIGNS: dict[EpsilonUnit, str] = {"sigma": " σ", "E": " E", "m": " m"}
 
 
-def map_words(found: Registration, meaning: MapMeaning) -> str:
+def transform_text(found: Registration, meaning: MapMeaning) -> str:
     """What A does, one line for each of the model's freedoms, then how good it is."""
     lines = [
         f"turns the LiDAR's points by **{_turn(meaning.rotation_rad)}**",
@@ -59,13 +59,13 @@ def map_words(found: Registration, meaning: MapMeaning) -> str:
     return f"A ({found.model}){near}:\n\n" + _listed(lines) + f"\n\n{quality}" + _refused(found)
 
 
-def matrix_words(A: FloatArray) -> str:
+def matrix_text(A: FloatArray) -> str:
     """A, (3, 3), for ``(x', z', w') = (x, z, 1) A``."""
     rows = "\n".join("  ".join(f"{value:9.4f}" for value in row) for row in A)
     return f"`(x′, z′, w′) = (x, z, 1) A`\n\n```\n{rows}\n```"
 
 
-def failure_words(refusal: str) -> str:
+def failure_text(refusal: str) -> str:
     """Why there is no A."""
     return (
         f"**There is no A for this frame:** {refusal}\n\nClasses and repairs go on without it: "
@@ -73,7 +73,7 @@ def failure_words(refusal: str) -> str:
     )
 
 
-def draw_words(draw: DrawShown, found: Registration) -> str:
+def draw_text(draw: DrawShown, found: Registration) -> str:
     """One draw, beside the best one and beside what became of it."""
     count, best = len(found.draws), found.best_draw
     mark = " ★ **the best draw**" if draw.index == best else ""
@@ -95,7 +95,7 @@ def draw_words(draw: DrawShown, found: Registration) -> str:
     return f"Draw **{draw.index}** of 0…{count - 1}{mark}: {said}.{after} Pairs {numbers}."
 
 
-def consensus_words(found: Registration, consensus: Consensus) -> str:
+def consensus_text(found: Registration, consensus: Consensus) -> str:
     """Why so many draws are enough."""
     n, count = found.draws.sample_size, len(found.draws)
     return (
@@ -106,7 +106,7 @@ def consensus_words(found: Registration, consensus: Consensus) -> str:
     )
 
 
-def epsilon_words(said: EpsilonInFrame, epsilon: float, unit: EpsilonUnit) -> str:
+def epsilon_text(said: EpsilonInFrame, epsilon: float, unit: EpsilonUnit) -> str:
     """The threshold in metres, the pairs beyond it, and the paper's band."""
     if said.compared == 0:
         return "No pair of this frame has both values."

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S
-from scanloom.jobs.slam import SlamRun
+from scanloom.jobs.slam_run import SlamRun
 from scanloom.plots.run_comparison import Apart
 
 _MOST_STRETCHES = 12
@@ -17,7 +17,7 @@ _LINE = (
 )
 
 
-def run_report(run: SlamRun) -> str:
+def run_report_html(run: SlamRun) -> str:
     """Way, loops, trust, stretches that cannot be trusted, and the time of each stage, as HTML."""
     problem = ""
     if run.problem is not None:
@@ -58,7 +58,7 @@ def report_lines(run: SlamRun) -> Iterator[tuple[str, str]]:
         yield "note", note.replace("+-", "±")
 
 
-def apart_words(apart: Apart | None) -> str:
+def run_distance_text(apart: Apart | None) -> str:
     """How far two runs are apart."""
     if apart is None:
         return "The two runs have no time in common."

@@ -8,12 +8,12 @@ import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from scanloom.jobs.long import Cancelled
+from scanloom.jobs.long_job import Cancelled
 
 Request = TypeVar("Request")
 
 
-class LatestWorker(Generic[Request]):
+class LatestOnlyWorker(Generic[Request]):
     """Calls ``work`` with the newest request, one at a time, in a thread of its own.
 
     ``work`` gets the request and a function that tells whether it is still the newest: it asks

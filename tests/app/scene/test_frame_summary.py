@@ -9,7 +9,7 @@ from fusion_core.denoising.correspondence import Correspondence
 from fusion_core.denoising.noise import Classes
 from fusion_core.denoising.repair import Repair
 from fusion_core.model.classes import NoiseClass, RepairSource
-from scanloom.scene.findings import (
+from scanloom.scene.frame_summary import (
     ConflictRun,
     conflict_runs,
     counts_of_beams,

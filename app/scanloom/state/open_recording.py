@@ -14,13 +14,13 @@ from fusion_core.workflows.fuse.pairing_gaps import PairingStamps
 from fusion_core.workflows.fuse.recall import RecallCurve
 from fusion_core.workflows.fuse.session import Session, align_session
 from fusion_core.workflows.poses import Poses, recorded_poses
-from scanloom.jobs.long import LongJob
-from scanloom.jobs.turns import Turns
+from scanloom.jobs.fair_semaphore import FairSemaphore
+from scanloom.jobs.long_job import LongJob
 from scanloom.state.file_stamp import FileStamp
 
 
 @dataclass(frozen=True, kw_only=True)
-class Progressing:
+class AlignmentProgress:
     """How far the alignment of a recording is."""
 
     done: int
@@ -28,7 +28,7 @@ class Progressing:
     what: str
 
 
-class Opened:
+class OpenRecording:
     """A recording with the streams of one choice, and its alignment once that is there.
 
     ``chain`` is None until then; ``failure`` says why it will not come. ``pairing``: the stamps of
@@ -39,11 +39,11 @@ class Opened:
     """
 
     def __init__(
-        self, session: Session, stamp: FileStamp | None = None, turns: Turns | None = None
+        self, session: Session, stamp: FileStamp | None = None, turns: FairSemaphore | None = None
     ) -> None:
-        self.session = session
+        self.fuse_session = session
         self._stamp = FileStamp.of(session.recording.path) if stamp is None else stamp
-        self._turns = Turns(1) if turns is None else turns
+        self._turns = FairSemaphore(1) if turns is None else turns
         # Whether its files are no longer those that were opened: it must be opened again.
         self.is_outdated = False
         self.frames = FrameReader(session)
@@ -51,7 +51,7 @@ class Opened:
         self.failure: Exception | None = None
         self.pairing: PairingStamps | None = None
         self.recalls: dict[Hashable, RecallCurve] = {}
-        self.progress = Progressing(done=0, total=None, what="waiting")
+        self.progress = AlignmentProgress(done=0, total=None, what="waiting")
         self._listeners: list[Callable[[], None]] = []
         self._lock = threading.Lock()
         self._job: LongJob | None = None
@@ -59,7 +59,7 @@ class Opened:
     @cached_property
     def poses(self) -> Poses | None:
         """The recorded poses of the LiDAR, None where there are none."""
-        session = self.session
+        session = self.fuse_session
         if session.virtual_row is not None:
             return None
         return recorded_poses(session.recording, session.streams, session.rig.lidar_frame)
@@ -100,7 +100,7 @@ class Opened:
         self.is_outdated = True
         return RecordingError(
             f"{change} since it was opened.",
-            file=self.session.recording.path,
+            file=self.fuse_session.recording.path,
             advice="Reload the page: it is then opened again, as it is now.",
         )
 
@@ -117,20 +117,20 @@ class Opened:
         stamps = PairingStamps()
         try:
             with self._turns.taken(lambda: progress(0, None, "waiting for other alignments")):
-                return align_session(self.session, progress, stamps)
+                return align_session(self.fuse_session, progress, stamps)
         finally:
             # Where nothing can be aligned, the stamps may show why.
             if stamps.complete:
                 self.pairing = stamps
 
     def _advance(self, done: int, total: int | None, what: str) -> None:
-        before, self.progress = self.progress, Progressing(done=done, total=total, what=what)
+        before, self.progress = self.progress, AlignmentProgress(done=done, total=total, what=what)
         # A listener redraws a bar: one step in fifty is enough, and without a total there is none.
         if before.what != what or (total and done * 50 // total != before.done * 50 // total):
             self._tell()
 
     def _finish(self, alignment: object) -> None:
-        self.chain = LiveChain(self.session, self.frames, alignment)  # type: ignore[arg-type]  # a job's result is of any type
+        self.chain = LiveChain(self.fuse_session, self.frames, alignment)  # type: ignore[arg-type]  # a job's result is of any type
         self._tell()
 
     def _fail(self, error: Exception) -> None:

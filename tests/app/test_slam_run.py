@@ -15,9 +15,9 @@ from fusion_core.workflows.fuse.presets import PRESETS, PresetName
 from fusion_core.workflows.map.result_folder import RunPoses, read_run
 from fusion_core.workflows.map.settings import map_settings, map_settings_toml
 from scanloom import cli
-from scanloom.jobs import slam as job
-from scanloom.jobs.long import Cancelled
-from scanloom.jobs.slam import (
+from scanloom.jobs import slam_run as job
+from scanloom.jobs.long_job import Cancelled
+from scanloom.jobs.slam_run import (
     SlamRun,
     keep,
     map_options,
@@ -25,9 +25,9 @@ from scanloom.jobs.slam import (
     run_slam,
     settings_of,
 )
-from scanloom.panels.command import map_command
-from scanloom.state.runs import MOST_RUNS, Runs
+from scanloom.panels.command_line import map_command
 from scanloom.state.slam_choices import SlamChoices
+from scanloom.state.slam_runs import MOST_RUNS, SlamRuns
 from scanloom.state.view import View
 from tests.app import slam_runs
 from tests.app.slam_runs import LOOPS, LOST, SCANS, FakeMap
@@ -262,7 +262,7 @@ def test_a_saved_run_is_a_copy_in_a_folder_of_its_own(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("fake")
 def test_the_last_runs_are_kept(tmp_path: Path) -> None:
-    runs = Runs()
+    runs = SlamRuns()
     gone = []
     for _ in range(MOST_RUNS + 2):
         oldest = runs.add(run(tmp_path, runs.next_number()))

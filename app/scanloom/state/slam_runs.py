@@ -2,12 +2,12 @@
 
 import threading
 
-from scanloom.jobs.slam import SlamRun
+from scanloom.jobs.slam_run import SlamRun
 
 MOST_RUNS = 8
 
 
-class Runs:
+class SlamRuns:
     """The runs of one browser, oldest first. Safe for threads.
 
     Whoever adds one beyond ``MOST_RUNS`` gets the oldest back, to be cleared away.

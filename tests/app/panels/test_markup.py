@@ -7,21 +7,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scanloom.panels.plain import plain_markdown
+from scanloom.panels.widgets.markup import escape_markdown
 
 
 @given(st.text(alphabet=st.characters(blacklist_categories=("Cs",)), max_size=60))
 def test_without_its_backslashes_it_is_the_text_on_one_line(text: str) -> None:
-    assert re.sub(r"\\(.)", r"\1", plain_markdown(text)) == " ".join(text.split())
+    assert re.sub(r"\\(.)", r"\1", escape_markdown(text)) == " ".join(text.split())
 
 
 @pytest.mark.parametrize("sign", string.punctuation)
 def test_no_sign_of_ascii_means_anything(sign: str) -> None:
-    assert plain_markdown(f"a{sign}b") == f"a\\{sign}b"
+    assert escape_markdown(f"a{sign}b") == f"a\\{sign}b"
 
 
 def test_html_and_pictures_stay_text() -> None:
     hostile = "<img src=x onerror=alert(1)> ![a](b)\n\n# big"
-    said = plain_markdown(hostile)
+    said = escape_markdown(hostile)
     assert not re.search(r"(?<!\\)[<>\[\]()!#]", said)
     assert "\n" not in said

@@ -15,7 +15,7 @@ from fusion_core.workflows.fuse.session import FuseOptions
 from fusion_core.workflows.map.build_map import MapOptions
 from fusion_core.workflows.source import RoomChoice
 from scanloom import cli
-from scanloom.panels.command import fuse_command, map_command
+from scanloom.panels.command_line import fuse_command, map_command
 from scanloom.state.slam_choices import ESTIMATORS, MOTIONS, SCANS
 from tests.hostile.names import NO_UTF8
 
@@ -133,12 +133,12 @@ def test_a_shell_runs_nothing_of_a_name(tmp_path: Path) -> None:
         Path("/out"),
         FuseOptions(lidar_topic=name, depth_topics=(name,)),
     )
-    shown = subprocess.run(
+    frame_view = subprocess.run(
         ["/bin/sh", "-c", command.replace("scanloom", "printf '%s\\0'", 1)],
         check=True,
         capture_output=True,
     ).stdout.decode()
-    assert shown.split("\0")[:-1] == shlex.split(command)[1:]
+    assert frame_view.split("\0")[:-1] == shlex.split(command)[1:]
     assert not trap.exists()
 
 

@@ -15,14 +15,14 @@ from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.denoising.repair import RepairSettings, repair
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.presets import ChainSettings
-from scanloom.panels.why import (
+from scanloom.panels.explanation import (
+    explain_beam_class,
+    explain_beam_repair,
+    explain_pixel_class,
+    explain_pixel_repair,
     length,
-    why_beam_class,
-    why_beam_repair,
-    why_pixel_class,
-    why_pixel_repair,
 )
-from scanloom.scene.findings import BeamFacts, facts_of_beam
+from scanloom.scene.frame_summary import BeamFacts, facts_of_beam
 
 BEAMS, ROWS, ROW = 41, 61, 30
 SCALE = NoiseScale(floor_m=0.02, share=0.0)
@@ -114,23 +114,23 @@ def with_values(values: np.ndarray, value: float, *where: int | slice) -> np.nda
 
 def test_a_pair_that_agrees() -> None:
     said = facts(with_values(wall(), 2.03, 20), wall_image())
-    assert why_beam_class(said, SETTINGS) == (
+    assert explain_beam_class(said, SETTINGS) == (
         "Good: it differs from the camera by 3.0 cm, within epsilon (6.0 cm)."
     )
-    assert why_pixel_class(said, SETTINGS) == (
+    assert explain_pixel_class(said, SETTINGS) == (
         "Good: it differs from the LiDAR by 3.0 cm, within epsilon (6.0 cm)."
     )
-    assert why_beam_repair(said, SETTINGS) == "Kept: a good value stays."
-    assert why_pixel_repair(said, SETTINGS) == "Kept: a good value stays."
+    assert explain_beam_repair(said, SETTINGS) == "Kept: a good value stays."
+    assert explain_pixel_repair(said, SETTINGS) == "Kept: a good value stays."
 
 
 def test_a_lone_beam_is_a_burr_and_its_pixel_good() -> None:
     said = facts(with_values(wall(), 1.69, 20), wall_image())
-    assert why_beam_class(said, SETTINGS) == (
+    assert explain_beam_class(said, SETTINGS) == (
         "Burr: it disagrees with the camera by 31.0 cm, more than epsilon (6.0 cm), and no "
         "adjacent beam supports it (of those two or three away 0, of the scans before and after 0)."
     )
-    assert why_pixel_class(said, SETTINGS) == (
+    assert explain_pixel_class(said, SETTINGS) == (
         "Good: it disagrees with the LiDAR by 31.0 cm, more than epsilon (6.0 cm), but 24 of the "
         "24 depths around it support it. Its beam is the burr."
     )
@@ -138,13 +138,13 @@ def test_a_lone_beam_is_a_burr_and_its_pixel_good() -> None:
 
 def test_the_smaller_expected_error_is_told_with_the_greater() -> None:
     said = facts(with_values(wall(), np.nan, slice(15, 26)), wall_image())
-    assert why_beam_class(said, SETTINGS) == "Hole: the scanner gave nothing."
+    assert explain_beam_class(said, SETTINGS) == "Hole: the scanner gave nothing."
     # Half the noise of 2 cm; over a gap of 12 beams 0.6 of it and a tenth of its width.
-    assert why_beam_repair(said, SETTINGS) == (
+    assert explain_beam_repair(said, SETTINGS) == (
         "Filled from the camera: expected error 1.0 cm against 3.1 cm from its neighbours."
     )
     no_camera = facts(with_values(wall(), np.nan, 20), wall_image(), camera=np.full(BEAMS, np.nan))
-    words = why_beam_repair(no_camera, SETTINGS)
+    words = explain_beam_repair(no_camera, SETTINGS)
     assert re.fullmatch(
         r"Filled from its neighbours: expected error 1\.\d cm; the camera offers nothing\.", words
     )
@@ -153,51 +153,55 @@ def test_the_smaller_expected_error_is_told_with_the_greater() -> None:
 def test_a_camera_that_contradicts_a_narrow_gap_is_named() -> None:
     said = facts(with_values(wall(), np.nan, 20), wall_image(), camera=with_values(wall(), 3.0, 20))
     assert "the camera's answer, 3.00 m, contradicts the sides of this narrow gap" in (
-        why_beam_repair(said, SETTINGS)
+        explain_beam_repair(said, SETTINGS)
     )
 
 
 def test_a_hole_that_nothing_fills() -> None:
     everything = facts(np.full(BEAMS, np.nan), np.full_like(wall_image(), np.nan))
-    assert why_beam_repair(everything, SETTINGS) == (
+    assert explain_beam_repair(everything, SETTINGS) == (
         "Left empty: the camera offers nothing, and its neighbours give no value."
     )
-    assert why_pixel_class(everything, SETTINGS) == "Hole: the camera gave no depth."
-    assert why_pixel_repair(everything, SETTINGS) == (
+    assert explain_pixel_class(everything, SETTINGS) == "Hole: the camera gave no depth."
+    assert explain_pixel_repair(everything, SETTINGS) == (
         "Left empty: the LiDAR has no range here, and its neighbours give no value."
     )
 
 
 def test_a_conflict_keeps_both() -> None:
     said = facts(with_values(wall(), 1.2, slice(15, 26)), wall_image())
-    assert why_beam_class(said, SETTINGS) == (
+    assert explain_beam_class(said, SETTINGS) == (
         "Conflict: it disagrees with the camera by 80.0 cm, more than epsilon (6.0 cm), but both "
         "adjacent beams support it (of those two or three away 4, of the scans before and after "
         "0). Both stand on surfaces of their own."
     )
-    assert why_pixel_class(said, SETTINGS).startswith("Conflict: it disagrees with the LiDAR by 80")
-    for repaired in (why_beam_repair, why_pixel_repair):
+    assert explain_pixel_class(said, SETTINGS).startswith(
+        "Conflict: it disagrees with the LiDAR by 80"
+    )
+    for repaired in (explain_beam_repair, explain_pixel_repair):
         assert repaired(said, SETTINGS).startswith("Kept: in a conflict both values stay")
 
 
 def test_a_burr_that_a_repair_would_move_farther_needs_confidence() -> None:
     lidar = with_values(wall(), 1.2, 20)
     sure = facts(lidar, wall_image())
-    assert why_beam_repair(sure, SETTINGS).startswith("Replaced from the camera: expected error")
+    assert explain_beam_repair(sure, SETTINGS).startswith(
+        "Replaced from the camera: expected error"
+    )
     strict = SETTINGS.model_copy(
         update={"repair": SETTINGS.repair.model_copy(update={"farther_confidence": 1.0})}
     )
     doubtful = facts(with_values(lidar, 1.2, 18), wall_image(), settings=strict, camera=wall())
     assert doubtful.lidar.confidence < 1.0
-    words = why_beam_repair(doubtful, strict)
+    words = explain_beam_repair(doubtful, strict)
     assert words.startswith("Kept: a repair would move it farther away, and its confidence as a")
     assert words.endswith("is below 1.00.")
 
 
 def test_a_burr_that_the_other_scans_have_too_is_kept() -> None:
     said = facts(with_values(wall(), 1.2, 20), wall_image(), steady=True, camera=wall())
-    assert why_beam_class(said, SETTINGS).startswith("Burr: it disagrees")
-    assert why_beam_repair(said, SETTINGS) == (
+    assert explain_beam_class(said, SETTINGS).startswith("Burr: it disagrees")
+    assert explain_beam_repair(said, SETTINGS) == (
         "Kept: the scans before and after have it in the same place."
     )
 
@@ -206,11 +210,11 @@ def test_a_burr_with_nothing_to_take_from() -> None:
     lidar = np.full(BEAMS, np.nan)
     lidar[20] = 1.2
     said = facts(lidar, np.full_like(wall_image(), np.nan))
-    assert why_beam_class(said, SETTINGS) == (
+    assert explain_beam_class(said, SETTINGS) == (
         "Burr: the camera has no depth here to compare it with, and too few support it: no "
         "adjacent beam supports it (of those two or three away 0, of the scans before and after 0)."
     )
-    assert why_beam_repair(said, SETTINGS) == (
+    assert explain_beam_repair(said, SETTINGS) == (
         "Kept: the camera offers nothing, and its neighbours give no value."
     )
 
@@ -219,9 +223,11 @@ def test_a_beam_whose_point_lies_outside_the_image() -> None:
     row = np.full(BEAMS, ROW)
     row[20] = -1
     said = facts(wall(), wall_image(), row=row)
-    assert why_pixel_class(said, SETTINGS) == ("No pixel: the beam's point lies outside the image.")
-    assert why_pixel_repair(said, SETTINGS) == ""
-    assert why_beam_class(said, SETTINGS).startswith(
+    assert explain_pixel_class(said, SETTINGS) == (
+        "No pixel: the beam's point lies outside the image."
+    )
+    assert explain_pixel_repair(said, SETTINGS) == ""
+    assert explain_beam_class(said, SETTINGS).startswith(
         "Good: its point lies outside the image, with nothing to compare it with, and both "
     )
 
@@ -230,13 +236,13 @@ def test_a_lone_pixel_is_a_burr_and_its_beam_good() -> None:
     image = wall_image()
     image[ROW, 20] = 1.2
     said = facts(wall(), image, camera=wall())
-    assert why_pixel_class(said, SETTINGS) == (
+    assert explain_pixel_class(said, SETTINGS) == (
         "Burr: it disagrees with the LiDAR by 80.0 cm, more than epsilon (6.0 cm), and too few "
         "pixels agree: 0 of the 24 depths around it support it."
     )
-    assert why_beam_class(said, SETTINGS).endswith("Its pixel is the burr.")
-    assert why_pixel_repair(said, SETTINGS).startswith("Replaced from its neighbours: expected")
-    assert "from the LiDAR" in why_pixel_repair(said, SETTINGS)
+    assert explain_beam_class(said, SETTINGS).endswith("Its pixel is the burr.")
+    assert explain_pixel_repair(said, SETTINGS).startswith("Replaced from its neighbours: expected")
+    assert "from the LiDAR" in explain_pixel_repair(said, SETTINGS)
 
 
 def test_a_speckle_that_the_image_before_lacks() -> None:
@@ -244,7 +250,7 @@ def test_a_speckle_that_the_image_before_lacks() -> None:
     image[ROW - 1 : ROW + 2, 19:22] = 1.2
     said = facts(wall(), image, camera=wall(), before=wall_image())
     assert "and the image before shows nothing like it at its place; 8 of the 24" in (
-        why_pixel_class(said, SETTINGS)
+        explain_pixel_class(said, SETTINGS)
     )
 
 
@@ -255,7 +261,7 @@ def test_a_pixel_that_is_no_sure_burr_is_kept() -> None:
         update={"repair": SETTINGS.repair.model_copy(update={"depth_burr_confidence": 0.9})}
     )
     said = facts(wall(), image, camera=wall(), before=wall_image(), settings=strict)
-    assert why_pixel_repair(said, strict) == (
+    assert explain_pixel_repair(said, strict) == (
         "Kept: its confidence as a burr, 0.66, is below 0.90."
     )
 
@@ -273,7 +279,7 @@ def test_why_a_pixel_is_not_taken_from_its_beam(
     image = wall_image()
     image[ROW, 20] = np.nan
     said = facts(with_values(wall(), lidar_m, 20), image, settings=settings, camera=wall())
-    assert why_pixel_repair(said, settings).endswith(f"; {refused}.")
+    assert explain_pixel_repair(said, settings).endswith(f"; {refused}.")
 
 
 def test_a_beam_that_is_not_sure_enough_is_no_source() -> None:
@@ -284,7 +290,7 @@ def test_a_beam_that_is_not_sure_enough_is_no_source() -> None:
     # Good without a pair, and supported by all beams around but one.
     said = facts(with_values(wall(), 1.5, 22), image, camera=wall(), settings=strict)
     assert said.lidar.confidence < 1.0
-    words = why_pixel_repair(said, strict)
+    words = explain_pixel_repair(said, strict)
     assert (
         f"; the beam's confidence, {np.floor(100 * said.lidar.confidence) / 100:.2f}, is" in words
     )
@@ -294,7 +300,7 @@ def test_a_table_top_that_hides_the_beams_end() -> None:
     image = np.full((ROWS, BEAMS), 1.2, dtype=np.float32)
     image[ROW - 1 : ROW + 2, 19:22] = np.nan
     said = facts(wall(), image, camera=wall())
-    assert why_pixel_repair(said, SETTINGS).endswith(
+    assert explain_pixel_repair(said, SETTINGS).endswith(
         "; what the image shows around it is nearer and may hide the LiDAR's point."
     )
 
@@ -303,38 +309,38 @@ def test_at_an_edge_both_may_mix_alike() -> None:
     edge = np.where(np.arange(BEAMS) < 20, 2.0, 3.0)
     edge[20] = 2.5
     said = facts(edge, np.tile(edge, (ROWS, 1)).astype(np.float32))
-    assert why_beam_class(said, SETTINGS).startswith(
+    assert explain_beam_class(said, SETTINGS).startswith(
         "Burr: it and its pixel do not disagree, but neither has support enough."
     )
-    assert why_pixel_class(said, SETTINGS).startswith("Burr: it and its beam do not disagree")
+    assert explain_pixel_class(said, SETTINGS).startswith("Burr: it and its beam do not disagree")
 
 
 def test_in_the_paper_the_rougher_side_is_the_burr_and_the_other_sensor_is_preferred() -> None:
     said = facts(with_values(wall(), 1.2, 20), wall_image(), settings=PUBLISHED)
-    assert why_beam_class(said, PUBLISHED).endswith(
+    assert explain_beam_class(said, PUBLISHED).endswith(
         "and it strays from its neighbours no less than its pixel does."
     )
-    assert why_pixel_class(said, PUBLISHED).endswith(
+    assert explain_pixel_class(said, PUBLISHED).endswith(
         "but its beam strays no less from its neighbours. Its beam is the burr."
     )
-    assert why_beam_repair(said, PUBLISHED) == (
+    assert explain_beam_repair(said, PUBLISHED) == (
         "Replaced from the camera: expected error 1.0 cm. The other sensor is preferred, whatever "
         "the neighbours give."
     )
     image = wall_image()
     image[ROW, 20] = 1.2
     said = facts(wall(), image, settings=PUBLISHED)
-    assert why_pixel_class(said, PUBLISHED).endswith(
+    assert explain_pixel_class(said, PUBLISHED).endswith(
         "and it strays more from its neighbours than its beam does."
     )
-    assert why_beam_class(said, PUBLISHED).endswith(
+    assert explain_beam_class(said, PUBLISHED).endswith(
         "but its pixel strays more from its neighbours. Its pixel is the burr."
     )
 
 
 def test_a_frame_without_a_map_a_compares_nothing() -> None:
     said = facts(wall(), wall_image(), compared=False, settings=PUBLISHED)
-    assert why_beam_class(said, PUBLISHED) == (
+    assert explain_beam_class(said, PUBLISHED) == (
         "Good: this frame has no A, so that nothing is compared."
     )
 

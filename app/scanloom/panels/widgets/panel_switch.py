@@ -2,10 +2,10 @@
 
 import viser
 
-from scanloom.client_session import Desk
-from scanloom.frame_view import Shown
-from scanloom.panels.controls import put
-from scanloom.panels.help import help_text
+from scanloom.client_session import ClientSession
+from scanloom.frame_view import FrameView
+from scanloom.panels.widgets.controls import update_widget
+from scanloom.panels.widgets.help import help_text
 from scanloom.state.view import PANELS, PanelName
 
 
@@ -15,15 +15,15 @@ class PanelSwitch:
     viser's own tabs cannot be opened or read by the server; folders can.
     """
 
-    def __init__(self, gui: viser.GuiApi, desk: Desk) -> None:
+    def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
         self._gui = gui
-        self._open = desk.view.panel
+        self._open = session.view.panel
         self._folders: dict[PanelName, viser.GuiFolderHandle] = {}
         buttons = gui.add_button_group("Panel", PANELS)
 
         @buttons.on_click
         def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
-            desk.change(panel=buttons.value)
+            session.change(panel=buttons.value)
 
     def folder(self, name: PanelName) -> viser.GuiFolderHandle:
         """The folder that a panel is built in."""
@@ -33,7 +33,7 @@ class PanelSwitch:
             self._gui.add_markdown(help_text(name))
         return folder
 
-    def show(self, shown: Shown) -> None:
+    def show(self, frame_view: FrameView) -> None:
         """Open the view's panel and close the others."""
         for name, folder in self._folders.items():
-            put(folder, visible=name == shown.view.panel)
+            update_widget(folder, visible=name == frame_view.view.panel)

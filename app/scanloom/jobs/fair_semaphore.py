@@ -8,7 +8,7 @@ from contextlib import contextmanager
 _ASK_S = 0.1
 
 
-class Turns:
+class FairSemaphore:
     """Lets ``at_once`` threads work at a time. Safe for threads."""
 
     def __init__(self, at_once: int) -> None:
