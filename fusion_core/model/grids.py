@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray, read_only
 
@@ -37,6 +38,11 @@ class OccupancyGrid:
     def probability(self) -> FloatArray:
         """(rows, columns) probability of being occupied, NaN where unknown."""
         return 1.0 / (1.0 + np.exp(-self.log_odds))
+
+    def to_numpy(self) -> NDArray[np.int8]:
+        """(rows, columns) as nav_msgs/OccupancyGrid has it: 0 free to 100 occupied, -1 unknown."""
+        percent = np.where(self.known, np.rint(100.0 * self.probability), -1.0)
+        return percent.astype(np.int8)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -88,3 +88,21 @@ def test_the_wheel_works_outside_the_repository(wheel: Path, tmp_path: Path) -> 
         str(inside / "static" / "palette.json"),
         palette(),
     ]
+
+
+def test_the_wheel_leaves_the_name_app_to_others(wheel: Path, tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    (site / "app").mkdir(parents=True)
+    (site / "app" / "__init__.py").write_text("name = 'another project'\n", encoding="utf-8")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(site)
+    code = "import app, scanloom, scanloom.cli; print(app.name, scanloom.__file__)"
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(site)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert run.stdout.strip() == f"another project {site / 'scanloom' / '__init__.py'}"

@@ -163,3 +163,13 @@ def read_grid(file: Path) -> OccupancyGrid:
     return OccupancyGrid(
         resolution_m=drawn.resolution_m, origin_m=drawn.origin[:2], log_odds=log_odds
     )
+
+
+def read_maps(folder: Path) -> dict[str, OccupancyGrid]:
+    """Every map that a run of ``fuse`` or ``map`` wrote, by name ("lidar" for map_lidar.yaml).
+
+    Raises ScanLoomError where a file is not as it was written.
+    """
+    files = sorted(folder.glob("map_*.yaml"))
+    require_as_written(folder, [name for file in files for name in (file.name, f"{file.stem}.pgm")])
+    return {file.stem.removeprefix("map_"): read_grid(file) for file in files}
