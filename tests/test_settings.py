@@ -110,8 +110,16 @@ def test_the_ends_of_a_range_are_found_by_their_names() -> None:
 @pytest.mark.parametrize(
     ("settings_class", "values", "named"),
     [
-        (SubmapSettings, {"reach_m": 200.0, "resolution_m": 0.04}, "reach_m = 200 over resol"),
-        (ParticleSettings, {"reach_m": 100.0, "resolution_m": 0.02}, "reach_m = 100 over resol"),
+        (
+            SubmapSettings,
+            {"max_range_m": 200.0, "resolution_m": 0.04},
+            "max_range_m = 200 over res",
+        ),
+        (
+            ParticleSettings,
+            {"max_range_m": 100.0, "resolution_m": 0.02},
+            "max_range_m = 100 over res",
+        ),
         (
             PlIcpSettings,
             {"search_translation_m": 50.0, "search_step_rad": 0.001},

@@ -37,9 +37,9 @@ class SlamView:
             read_only(array)
 
 
-Watch = Callable[[SlamView], None]
+SlamObserver = Callable[[SlamView], None]
 """Called now and then in a run, on its own thread; what it raises ends the run."""
 
 
-def unwatched(view: SlamView) -> None:
+def no_observer(view: SlamView) -> None:
     """Nobody looks on."""

@@ -15,7 +15,7 @@ import numpy as np
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
 from fusion_core.model.progress import Progress, silent
 from fusion_core.settings import StageSettings, setting
-from fusion_core.slam.scan_points import wall_points
+from fusion_core.slam.scan_points import densified_points
 from fusion_core.slam.scan_to_grid import POINTS_MIN, match_scan
 from fusion_core.slam.submaps import GrowingSubmap, SubmapSettings
 
@@ -26,15 +26,31 @@ _SQUARE_M = 100.0
 class RefinementSettings(StageSettings):
     """Joint refinement of poses and map."""
 
-    rounds: int = setting(1, "Turns of map and poses; 0 leaves the graph's poses", ge=0, le=50)
-    sigma_m: float = setting(0.02, "Doubt of the graph's poses", unit="m", ge=1e-6, le=1.0)
-    sigma_rad: float = setting(0.01, "Doubt of the graph's poses", unit="rad", ge=1e-6, le=1.0)
+    rounds: int = setting(
+        1, "Alternations of map and poses; 0 leaves the graph's poses", ge=0, le=50
+    )
+    prior_sigma_m: float = setting(
+        0.02,
+        "Standard deviation of the graph's poses as a prior",
+        unit="m",
+        ge=1e-6,
+        le=1.0,
+        formerly="sigma_m",
+    )
+    prior_sigma_rad: float = setting(
+        0.01,
+        "Standard deviation of the graph's poses as a prior",
+        unit="rad",
+        ge=1e-6,
+        le=1.0,
+        formerly="sigma_rad",
+    )
 
 
 def refine(
     poses_map_node: FloatArray,
     key_points_m: Sequence[FloatArray],
-    is_joined: BoolArray,
+    is_connected: BoolArray,
     submaps: SubmapSettings,
     settings: RefinementSettings,
     progress: Progress = silent,
@@ -46,14 +62,14 @@ def refine(
     """
     poses = poses_map_node.copy()
     taken = np.flatnonzero(
-        is_joined & np.array([points_m.shape[0] >= POINTS_MIN for points_m in key_points_m])
+        is_connected & np.array([points_m.shape[0] >= POINTS_MIN for points_m in key_points_m])
     )
     total = settings.rounds * taken.size
     done = 0
     for _ in range(settings.rounds):
         # All from the poses of the round before: the squares' order must not matter.
         before = poses.copy()
-        for inside, about in _squares(before[taken, :2], submaps.reach_m):
+        for inside, about in _squares(before[taken, :2], submaps.max_range_m):
             cells = _map_of(before, key_points_m, taken[about], submaps)
             for node in taken[inside].tolist():
                 progress(done, total, "refining")
@@ -65,7 +81,7 @@ def refine(
                     key_points_m[node],
                     before[node],
                     predicted=poses_map_node[node],
-                    prior_sigma=(settings.sigma_m, settings.sigma_rad),
+                    prior_sigma=(settings.prior_sigma_m, settings.prior_sigma_rad),
                 ).pose_grid_scan
     # The first one is the map's origin. Turning all with it would swing what lies far away.
     poses[0] = poses_map_node[0]
@@ -97,5 +113,5 @@ def _map_of(
     farthest_m = float(np.abs(poses[nodes, :2] - middle_m).max())
     cells = GrowingSubmap(middle_m, int(nodes[0]), farthest_m, settings)
     for node in nodes.tolist():
-        cells.add_scan(poses[node], wall_points(key_points_m[node], settings.resolution_m))
+        cells.add_scan(poses[node], densified_points(key_points_m[node], settings.resolution_m))
     return cells

@@ -14,18 +14,18 @@ from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_
 from fusion_core.model.planar_poses import compose, move_points, relative
 from fusion_core.model.sensors import LaserScan
 from fusion_core.settings import StageSettings, setting
-from fusion_core.slam.hold import Hold
-from fusion_core.slam.odometry_doubt import OdometryDoubt
-from fusion_core.slam.scan_points import end_points, wall_points
-from fusion_core.slam.scan_to_grid import POINTS_MIN, GridMatch, best_of_window, match_scan
+from fusion_core.slam.odometry_noise import OdometryNoiseModel
+from fusion_core.slam.scan_points import densified_points, scan_points
+from fusion_core.slam.scan_to_grid import POINTS_MIN, GridMatch, correlative_match, match_scan
 from fusion_core.slam.submaps import GrowingSubmap, Submap, SubmapSettings
+from fusion_core.slam.tracking import Hold
 
 # Every second point is enough to find the cell in which Gauss-Newton starts.
 _POINT_STRIDE = 2
 _TURN_STEP_RAD = np.radians(1.0)
 # The lattice's own caution, for each metre and radian from the prediction. Weaker than this, a
 # corridor's far end, which the submap does not know yet, holds every scan back by a cell.
-_CAUTION = (5.0, 1.0)
+_PRIOR_WEIGHT = (5.0, 1.0)
 # Constant velocity is a guess and no measurement: so much less caution, and a wider search.
 _GUESS_CAUTION = 0.25
 _GUESS_SEARCH = 2.0
@@ -48,35 +48,80 @@ _JUMP_M, _JUMP_RAD = 0.1, 0.1
 class LocalSlamSettings(StageSettings):
     """Scan matching one after the other."""
 
-    key_step_m: float = setting(0.2, "Way between two key scans", unit="m", ge=1e-6, le=5.0)
-    key_turn_rad: float = setting(
-        0.0873, "Turn between two key scans", unit="rad", ge=1e-6, le=3.1416
+    key_distance_m: float = setting(
+        0.2, "Distance between two key scans", unit="m", ge=1e-6, le=5.0, formerly="key_step_m"
     )
-    search_m: float = setting(0.15, "Search about the prediction", unit="m", ge=0.0, le=2.0)
-    search_rad: float = setting(0.14, "Search about the prediction", unit="rad", ge=0.0, le=1.6)
-    odometry_m: float = setting(
-        0.3, "Odometry's error in a metre, until it is learned", unit="m", ge=1e-6, le=10.0
+    key_rotation_rad: float = setting(
+        0.0873,
+        "Rotation between two key scans",
+        unit="rad",
+        ge=1e-6,
+        le=3.1416,
+        formerly="key_turn_rad",
     )
-    odometry_rad: float = setting(
-        0.5, "Odometry's error in a radian, until it is learned", unit="rad", ge=1e-6, le=10.0
+    search_m: float = setting(
+        0.15, "Correlative search about the prediction", unit="m", ge=0.0, le=2.0
     )
-    guess_sigma_m: float = setting(
-        0.2, "Doubt of a step without odometry", unit="m", ge=1e-6, le=10.0
+    search_rad: float = setting(
+        0.14, "Correlative search about the prediction", unit="rad", ge=0.0, le=1.6
     )
-    guess_sigma_rad: float = setting(
-        0.4, "Doubt of a step without odometry", unit="rad", ge=1e-6, le=10.0
+    odometry_sigma_m_per_m: float = setting(
+        0.3,
+        "Initial standard deviation of odometry's distance",
+        unit="m/m",
+        ge=1e-6,
+        le=10.0,
+        formerly="odometry_m",
+    )
+    odometry_sigma_rad_per_rad: float = setting(
+        0.5,
+        "Initial standard deviation of odometry's rotation",
+        unit="rad/rad",
+        ge=1e-6,
+        le=10.0,
+        formerly="odometry_rad",
+    )
+    velocity_sigma_m: float = setting(
+        0.2,
+        "Standard deviation of the constant-velocity prediction",
+        unit="m",
+        ge=1e-6,
+        le=10.0,
+        formerly="guess_sigma_m",
+    )
+    velocity_sigma_rad: float = setting(
+        0.4,
+        "Standard deviation of the constant-velocity prediction",
+        unit="rad",
+        ge=1e-6,
+        le=10.0,
+        formerly="guess_sigma_rad",
     )
     occupancy_min: float = setting(
-        0.35, "A scan whose points lie on less, on average, does not fit", ge=0.0, le=1.0
+        0.35, "Least mean occupancy at a scan's points for a match", ge=0.0, le=1.0
     )
-    drop: float = setting(
-        0.7, "A scan that fits by less of what the last ones did contradicts", ge=0.0, le=1.0
+    occupancy_ratio_min: float = setting(
+        0.7,
+        "A scan contradicts the map below this fraction of the recent scans' occupancy",
+        ge=0.0,
+        le=1.0,
+        formerly="drop",
     )
-    lost_m: float = setting(
-        0.3, "Doubt of the way from which on scans cannot be trusted", unit="m", ge=1e-6, le=10.0
+    uncertainty_max_m: float = setting(
+        0.3,
+        "Tracking is lost beyond this uncertainty, in metres or radians",
+        unit="m",
+        ge=1e-6,
+        le=10.0,
+        formerly="lost_m",
     )
-    lost_scans: int = setting(
-        12, "So many that contradict the map begin another", unit="scans", ge=1, le=1000
+    contradictions_max: int = setting(
+        12,
+        "So many scans that contradict the map begin a new segment",
+        unit="scans",
+        ge=1,
+        le=1000,
+        formerly="lost_scans",
     )
     beams_max: int = setting(360, "Beams used of a scan, evenly spread", ge=16, le=10_000)
 
@@ -97,25 +142,25 @@ class LocalTrajectory:
     stamps_ns: IntArray
     poses_local_scan: FloatArray
     occupancy: FloatArray
-    key: IntArray
-    key_points_m: Sequence[FloatArray]
-    part: IntArray
-    told: BoolArray
+    key_scans: IntArray
+    node_points_m: Sequence[FloatArray]
+    segment: IntArray
+    is_bridged: BoolArray
     adrift: BoolArray
     submaps: Sequence[Submap]
-    key_poses: FloatArray = field(init=False)
+    poses_local_node: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "key_poses", self.poses_local_scan[self.key])
+        object.__setattr__(self, "key_poses", self.poses_local_scan[self.key_scans])
         for array in (
             self.stamps_ns,
             self.poses_local_scan,
             self.occupancy,
-            self.key,
-            self.part,
-            self.told,
+            self.key_scans,
+            self.segment,
+            self.is_bridged,
             self.adrift,
-            self.key_poses,
+            self.poses_local_node,
         ):
             read_only(array)
 
@@ -136,14 +181,16 @@ class LocalSlam:
         self._growing: list[GrowingSubmap] = []
         self._finished: list[Submap] = []
         self._prior_before: FloatArray | None = None
-        self._odometry = OdometryDoubt(settings.odometry_m, settings.odometry_rad)
-        self._hold = Hold(settings.lost_m, settings.lost_scans)
+        self._odometry = OdometryNoiseModel(
+            settings.odometry_sigma_m_per_m, settings.odometry_sigma_rad_per_rad
+        )
+        self._hold = Hold(settings.uncertainty_max_m, settings.contradictions_max)
         self._is_broken = False
         self._has_points = False
         self._fitted: deque[float] = deque(maxlen=_OF_LATE)
 
     @property
-    def placed(self) -> tuple[IntArray, FloatArray]:
+    def trajectory_so_far(self) -> tuple[IntArray, FloatArray]:
         """Stamps (n,) and poses (n, 3) in the local frame of the scans so far."""
         return np.array(self._stamps_ns, dtype=np.int64), np.array(self._poses).reshape(-1, 3)
 
@@ -173,7 +220,7 @@ class LocalSlam:
             self._key_points_m.append(points_m)
             self._part.append(self._hold.part)
             self._told.append(self._hold.is_told)
-            self._insert(pose, wall_points(points_m, self._submap_settings.resolution_m))
+            self._insert(pose, densified_points(points_m, self._submap_settings.resolution_m))
 
     @property
     def last_pose(self) -> FloatArray:
@@ -190,9 +237,9 @@ class LocalSlam:
 
     def points(self, scan: LaserScan) -> FloatArray:
         """(n, 2) end points within reach, of at most ``beams_max`` beams."""
-        return end_points(scan, self._submap_settings.reach_m, self._settings.beams_max)
+        return scan_points(scan, self._submap_settings.max_range_m, self._settings.beams_max)
 
-    def forget(self) -> None:
+    def drop_finished(self) -> None:
         """Drop what only loops need of the scans so far; the next are placed as if it were kept."""
         self._finished.clear()
         if self._key_points_m:
@@ -218,10 +265,10 @@ class LocalSlam:
             stamps_ns=np.array(self._stamps_ns, dtype=np.int64),
             poses_local_scan=np.array(self._poses),
             occupancy=np.array(self._occupancy),
-            key=np.array(self._key, dtype=np.int64),
-            key_points_m=tuple(self._key_points_m),
-            part=np.array(self._part, dtype=np.int64),
-            told=np.array(self._told, dtype=np.bool_),
+            key_scans=np.array(self._key, dtype=np.int64),
+            node_points_m=tuple(self._key_points_m),
+            segment=np.array(self._part, dtype=np.int64),
+            is_bridged=np.array(self._told, dtype=np.bool_),
             adrift=np.array(self._adrift, dtype=np.bool_),
             submaps=tuple(submaps),
         )
@@ -242,7 +289,7 @@ class LocalSlam:
         sigma = self._odometry.sigma(step) if is_measured else None
         doubt = self._doubt_of_guess(stamp_ns) if sigma is None else self._odometry.error(step)
         if not self._growing or points_m.shape[0] < POINTS_MIN:
-            self._odometry.forget_window()
+            self._odometry.discard_window()
             self._hold.carried(doubt, is_lost=bool(self._growing), is_measured=is_plausible)
             return predicted, np.nan
         match = self._match(
@@ -256,14 +303,14 @@ class LocalSlam:
             match = self._recovered(points_m, match, predicted, guess, is_measured=is_measured)
         elif is_measured:
             match = self._unslipped(points_m, match, predicted, step)
-        is_sudden = match.occupancy < self._settings.drop * self._reference
+        is_sudden = match.occupancy < self._settings.occupancy_ratio_min * self._reference
         if match.occupancy >= occupancy_min and not is_sudden:
             self._fitted.append(match.occupancy)
             is_sure = is_measured and not self._hold.is_doubtful
             is_held = is_sure or self._is_held(points_m, match.pose_grid_scan)
             self._hold.matched(doubt, is_held=is_held, is_measured=is_measured)
             return match.pose_grid_scan, match.occupancy
-        self._odometry.forget_window()
+        self._odometry.discard_window()
         # Where scans have fitted less and less, among leaves, odometry may hold them nevertheless.
         self._hold.missed(doubt, contradicts=is_sudden, is_measured=is_plausible)
         if self._hold.breaks:
@@ -299,7 +346,7 @@ class LocalSlam:
             other = self._match(points_m, predicted, None, _GUESS_SEARCH)
             if other.occupancy > max(match.occupancy + _BETTER / 2.0, _SURE):
                 match, error = other, relative(predicted, other.pose_grid_scan)
-        self._odometry.learn(step, error, match.information)
+        self._odometry.update(step, error, match.information)
         return match
 
     @property
@@ -362,9 +409,9 @@ class LocalSlam:
         settings = self._settings
         caution = 1.0 if sigma is not None else _GUESS_CAUTION
         if sigma is None:
-            sigma = np.array([settings.guess_sigma_m, settings.guess_sigma_rad])
+            sigma = np.array([settings.velocity_sigma_m, settings.velocity_sigma_rad])
         submap, resolution_m = self._growing[0], self._submap_settings.resolution_m
-        start = best_of_window(
+        start = correlative_match(
             submap.occupancy,
             *submap.corner_m,
             resolution_m,
@@ -372,7 +419,7 @@ class LocalSlam:
             predicted,
             (wider * settings.search_m, wider * settings.search_rad),
             _TURN_STEP_RAD,
-            (_CAUTION[0] * caution, _CAUTION[1] * caution),
+            (_PRIOR_WEIGHT[0] * caution, _PRIOR_WEIGHT[1] * caution),
         )
         return match_scan(
             submap.occupancy,
@@ -389,8 +436,8 @@ class LocalSlam:
             return True
         step = relative(self._poses[self._key[-1]], pose)
         return bool(
-            np.hypot(step[0], step[1]) > self._settings.key_step_m
-            or abs(step[2]) > self._settings.key_turn_rad
+            np.hypot(step[0], step[1]) > self._settings.key_distance_m
+            or abs(step[2]) > self._settings.key_rotation_rad
         )
 
     def _insert(self, pose: FloatArray, points_m: FloatArray) -> None:
@@ -400,7 +447,7 @@ class LocalSlam:
         if self._growing and self._growing[0].scans >= full:
             self._finished.append(self._growing.pop(0).finish(number))
         if not self._growing or (len(self._growing) == 1 and self._growing[0].scans >= full // 2):
-            travel_m = 1.5 * full * self._settings.key_step_m
+            travel_m = 1.5 * full * self._settings.key_distance_m
             self._growing.append(GrowingSubmap(pose[:2], number, travel_m, self._submap_settings))
         for submap in self._growing:
             submap.add_scan(pose, points_m)

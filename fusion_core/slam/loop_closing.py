@@ -14,11 +14,17 @@ import numpy as np
 from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.model.planar_poses import compose, inverse, relative
 from fusion_core.model.progress import Progress
-from fusion_core.slam.breaks import Breaks
-from fusion_core.slam.graph_ways import GraphWays
+from fusion_core.slam.graph_distances import GraphDistances
 from fusion_core.slam.local_slam import LocalTrajectory
-from fusion_core.slam.loop_search import LoopSearch, LoopSettings, Window
-from fusion_core.slam.pose_graph import Edge, GraphSettings, optimise, residuals, unknown_step
+from fusion_core.slam.loop_search import LoopSearch, LoopSettings, LoopWindow
+from fusion_core.slam.pose_graph import (
+    Edge,
+    GraphSettings,
+    optimise,
+    residuals,
+    without_information,
+)
+from fusion_core.slam.tracking_losses import TrackingLosses
 
 # The graph is solved anew when it has grown by so much, so that the work stays linear in its size.
 _GROWTH = 0.3
@@ -26,16 +32,16 @@ _KEY_SCANS_MIN = 100
 # Of the last step. A robust sum falls slowly near its end, and along the way that is lost time.
 _ROUGHLY, _EXACTLY = 1e-2, 1e-4
 # Where another stretch is looked for, once one was found; it must fit so well.
-_SECOND_WINDOW = Window(1.5, 0.15)
+_SECOND_WINDOW = LoopWindow(1.5, 0.15)
 _AGREES_M = 0.4
 _SECONDS_MIN, _SECONDS_MIN_BREAK = 2, 3
 
-Solved = Callable[[str, FloatArray, list[Edge]], None]
+OptimisationObserver = Callable[[str, FloatArray, list[Edge]], None]
 """Called with the stage, the (n, 3) poses of the first n key scans, and the loops so far."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Closed:
+class LoopClosureResult:
     """The outcome: (K, 3) poses, all edges, and what the search cost.
 
     ``is_joined``: (K,) whether a key scan hangs together with the first one.
@@ -43,10 +49,10 @@ class Closed:
 
     poses_map_node: FloatArray
     edges: list[Edge]
-    tried: int
-    dropped: int
+    candidates_tried: int
+    loops_dropped: int
     optimisation_s: float
-    is_joined: BoolArray
+    is_connected: BoolArray
 
 
 def close_loops(
@@ -55,21 +61,21 @@ def close_loops(
     loop_settings: LoopSettings,
     graph_settings: GraphSettings,
     progress: Progress,
-    solved: Solved,
-) -> Closed:
+    observer: OptimisationObserver,
+) -> LoopClosureResult:
     """Search along the way, solve as the graph grows, then drop what the whole contradicts.
 
     ``steps``: the K - 1 edges from each key scan to the next.
     """
-    closing = _Closing(local, steps, loop_settings, graph_settings, solved)
+    closing = _Closing(local, steps, loop_settings, graph_settings, observer)
     closing.run(progress)
-    return Closed(
+    return LoopClosureResult(
         poses_map_node=closing.poses,
         edges=[*closing.steps, *closing.loops],
-        tried=closing.search.tried,
-        dropped=closing.dropped,
+        candidates_tried=closing.search.tried,
+        loops_dropped=closing.dropped,
         optimisation_s=closing.optimisation_s,
-        is_joined=closing.is_joined(),
+        is_connected=closing.is_joined(),
     )
 
 
@@ -82,20 +88,20 @@ class _Closing:
         steps: list[Edge],
         loop_settings: LoopSettings,
         graph_settings: GraphSettings,
-        solved: Solved,
+        solved: OptimisationObserver,
     ) -> None:
         self._local, self.steps = local, list(steps)
         self._loop_settings, self._graph_settings = loop_settings, graph_settings
         self._report = solved
         self.search = LoopSearch(local, loop_settings)
         self.loops: list[Edge] = []
-        self.poses = local.key_poses.copy()
+        self.poses = local.poses_local_node.copy()
         # Beyond this node poses are the local ones, moved as the last node before was.
         self._placed = 0
         self.dropped = 0
         self.optimisation_s = 0.0
-        self.breaks = Breaks(local)
-        self._ways = GraphWays(local, self.breaks)
+        self.breaks = TrackingLosses(local)
+        self._ways = GraphDistances(local, self.breaks)
         self._first = np.array([submap.first for submap in local.submaps])
 
     def run(self, progress: Progress) -> None:
@@ -129,7 +135,7 @@ class _Closing:
             self.poses[self.search.centre, :2],
             self.poses[node, :2],
             self._ways.to_submaps(node),
-            self.breaks.is_joined(self.search.centre, node),
+            self.breaks.are_connected(self.search.centre, node),
         )
         for number, window in candidates:
             first = int(self._first[number])
@@ -142,7 +148,7 @@ class _Closing:
                 self._take(edge, number)
                 continue
             agreeing = self._seconds(edge, self.search.score_min(window))
-            is_broken = window.is_across_break or window.is_across_told
+            is_broken = window.is_across_loss or window.is_across_bridged_loss
             enough = _SECONDS_MIN_BREAK if is_broken else _SECONDS_MIN
             if len(agreeing) < enough:
                 self.dropped += 1
@@ -160,15 +166,15 @@ class _Closing:
     def _judge(self, edge: Edge, number: int) -> None:
         """Whether the loop is where odometry has it, over the breaks between its ends."""
         window = self.search.window(float(self._ways.to_submaps(edge.second)[number]))
-        if window.is_across_break:
+        if window.is_across_loss:
             return
         off = residuals(self.poses, [edge])[0]
         is_as_told = np.hypot(off[0], off[1]) <= window.translation_m
         is_as_told &= abs(off[2]) <= window.rotation_rad
-        self.breaks.take(edge, is_as_told=bool(is_as_told))
-        for node in self.breaks.node[~self.breaks.is_told].tolist():
-            self.steps[node - 1] = unknown_step(self.steps[node - 1])
-        self._ways.take_breaks(self.breaks)
+        self.breaks.add_loop(edge, agrees_with_odometry=bool(is_as_told))
+        for node in self.breaks.node_after[~self.breaks.is_bridged].tolist():
+            self.steps[node - 1] = without_information(self.steps[node - 1])
+        self._ways.set_losses(self.breaks)
 
     def _seconds(self, found: Edge, score_min: float) -> list[tuple[Edge, int]]:
         """Edges of stretches before and after that agree with ``found``."""
@@ -176,13 +182,15 @@ class _Closing:
         pose = compose(self.poses[found.first], found.pose_first_second)
         agreeing = []
         for away in (2, -2, 4, -4, 6, -6):
-            other = node + away * self._loop_settings.stretch
-            if not 0 <= other < len(self.poses) or local.part[other] != local.part[node]:
+            other = node + away * self._loop_settings.window_key_scans
+            if not 0 <= other < len(self.poses) or local.segment[other] != local.segment[node]:
                 continue
-            before = self.search.before(min(node, other))
+            before = self.search.submaps_before(min(node, other))
             if before == 0:
                 continue
-            expected = compose(pose, relative(local.key_poses[node], local.key_poses[other]))
+            expected = compose(
+                pose, relative(local.poses_local_node[node], local.poses_local_node[other])
+            )
             centres_m = self.poses[self.search.centre[:before], :2]
             number = int(np.argmin(np.hypot(*(centres_m - expected[:2]).T)))
             first = int(self._first[number])
@@ -198,18 +206,18 @@ class _Closing:
 
     def _take(self, edge: Edge, number: int) -> None:
         self.loops.append(edge)
-        self.breaks.take(edge, is_as_told=None)
-        self._ways.tie(number, edge.second)
+        self.breaks.add_loop(edge, agrees_with_odometry=None)
+        self._ways.add_loop(number, edge.second)
 
     def is_joined(self) -> BoolArray:
         """(K,) by the loops that were kept, and the breaks that they confirm."""
-        return self.breaks.joined_by(self.loops)
+        return self.breaks.connected_by(self.loops)
 
     def _place_to(self, node: int) -> None:
         """Carry the poses on to a node by the local ones."""
         if node <= self._placed:
             return
-        local = self._local.key_poses
+        local = self._local.poses_local_node
         begin, end = self._placed, node + 1
         self.poses[begin + 1 : end] = compose(
             self.poses[begin], relative(local[begin], local[begin + 1 : end])
@@ -233,7 +241,7 @@ class _Closing:
     def _started(self, end: int, reached: list[Edge]) -> FloatArray:
         """(end, 3) poses to start from: where a part hangs on a loop alone, it begins there."""
         poses = self.poses[:end].copy()
-        part = self.breaks.blocks()[:end]
+        part = self.breaks.unbridged_segments()[:end]
         known = {int(part[0])} | {int(part[edge.second]) for edge in self._solved_loops(reached)}
         for edge in reached:
             here = int(part[edge.second])

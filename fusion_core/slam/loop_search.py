@@ -18,7 +18,7 @@ from fusion_core.model.planar_poses import compose, move_points, relative
 from fusion_core.registration.correlative import SearchWindow, correlate
 from fusion_core.registration.likelihood_grid import LikelihoodPyramid, likelihood_pyramid
 from fusion_core.settings import StageSettings, setting
-from fusion_core.slam.graph_ways import WAY_OF_BREAK_M
+from fusion_core.slam.graph_distances import LOSS_DISTANCE_M
 from fusion_core.slam.local_slam import LocalTrajectory
 from fusion_core.slam.pose_graph import Edge
 from fusion_core.slam.scan_to_grid import match_scan
@@ -45,50 +45,74 @@ class LoopSettings(StageSettings):
     """Search for places seen before."""
 
     every: int = setting(5, "Key scans between two searches", unit="key scans", ge=1, le=1000)
-    stretch: int = setting(
-        10, "Neighbours either way laid with one", unit="key scans", ge=0, le=500
+    window_key_scans: int = setting(
+        10,
+        "Key scans before and after that are matched together, the local window",
+        unit="key scans",
+        ge=0,
+        le=500,
+        formerly="stretch",
     )
     distance_m: float = setting(
-        8.0, "Submaps nearer than this are tried", unit="m", ge=1e-6, le=200
+        8.0, "Submaps nearer than this are candidates", unit="m", ge=1e-6, le=200
     )
-    submaps: int = setting(2, "Submaps near the estimate tried at a time", ge=1, le=100)
+    submaps: int = setting(2, "Nearest submaps tried in a search", ge=1, le=100)
     window_m: float = setting(2.0, "Search about the estimate", unit="m", ge=1e-6, le=50.0)
     window_rad: float = setting(0.35, "Search about the estimate", unit="rad", ge=1e-6, le=3.1416)
-    drift: float = setting(
-        0.04, "Search so much wider with the way between", unit="m/m", ge=0.0, le=10.0
+    drift_m_per_m: float = setting(
+        0.04,
+        "Search window's growth with the path length",
+        unit="m/m",
+        ge=0.0,
+        le=10.0,
+        formerly="drift",
     )
-    drift_rad_m: float = setting(
-        0.0005, "Search so much wider with the way between", unit="rad/m", ge=0.0, le=10.0
+    drift_rad_per_m: float = setting(
+        0.0005,
+        "Search window's growth with the path length",
+        unit="rad/m",
+        ge=0.0,
+        le=10.0,
+        formerly="drift_rad_m",
     )
     window_max_m: float = setting(40.0, "Widest search", unit="m", ge=1e-6, le=100.0)
-    score_min: float = setting(0.6, "Least share of points on obstacles", ge=0.1, le=1.0)
+    score_min: float = setting(0.6, "Least fraction of points on obstacles", ge=0.1, le=1.0)
     score_min_wide: float = setting(
-        0.4, "The same where others must agree: who comes back sees other sides", ge=0.1, le=1.0
+        0.4, "Least score in a wide window, where other matches must confirm", ge=0.1, le=1.0
     )
-    score_min_break: float = setting(
-        0.7, "The same across a break, where any place may be meant", ge=0.1, le=1.0
+    score_min_loss: float = setting(
+        0.7,
+        "Least score across a tracking loss, where the prior says nothing",
+        ge=0.1,
+        le=1.0,
+        formerly="score_min_break",
     )
     contradiction_max: float = setting(
         0.15,
-        "Largest share of points where the submap is free, beyond that in their own",
+        "Largest fraction of points in free cells, beyond that in their own submap",
         ge=0.0,
         le=1.0,
     )
     sigma_max_m: float = setting(
-        0.3, "Largest doubt of a match along any way", unit="m", ge=1e-6, le=100.0
+        0.3, "Largest standard deviation of a match in any direction", unit="m", ge=1e-6, le=100.0
     )
-    thinning_m: float = setting(
-        0.1, "Points of a stretch are this far apart", unit="m", ge=0.001, le=10.0
+    subsampling_m: float = setting(
+        0.1,
+        "Cell size to which a local window's points are subsampled",
+        unit="m",
+        ge=0.001,
+        le=10.0,
+        formerly="thinning_m",
     )
 
     @property
-    def widest_window(self) -> "Window":
+    def widest_window(self) -> "LoopWindow":
         """As far as any search goes."""
-        return Window(self.window_max_m, float(np.pi))
+        return LoopWindow(self.window_max_m, float(np.pi))
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class LoopWindow:
     """How far the estimate of a pose between two places may be off, in metres and radians.
 
     ``is_across_break``: over a way of which nothing is known. ``is_across_told``: over one that
@@ -97,8 +121,8 @@ class Window:
 
     translation_m: float
     rotation_rad: float
-    is_across_break: bool = False
-    is_across_told: bool = False
+    is_across_loss: bool = False
+    is_across_bridged_loss: bool = False
 
     @property
     def is_wide(self) -> bool:
@@ -124,28 +148,28 @@ class LoopSearch:
         self._tried_at = np.full(self.centre.size, np.iinfo(np.int64).min)
         self.tried = 0
 
-    def window(self, way_m: float, *, is_across_told: bool = False) -> Window:
+    def window(self, way_m: float, *, is_across_told: bool = False) -> LoopWindow:
         """What to search over a way along the graph; infinite where the two are not joined."""
         settings = self._settings
         # Any share of an endless way is endless, but none of it would be no number.
         grown_m = min(way_m, 1e6)
-        return Window(
-            min(settings.window_m + settings.drift * grown_m, settings.window_max_m),
-            min(settings.window_rad + settings.drift_rad_m * grown_m, float(np.pi)),
-            is_across_break=way_m >= WAY_OF_BREAK_M,
-            is_across_told=is_across_told,
+        return LoopWindow(
+            min(settings.window_m + settings.drift_m_per_m * grown_m, settings.window_max_m),
+            min(settings.window_rad + settings.drift_rad_per_m * grown_m, float(np.pi)),
+            is_across_loss=way_m >= LOSS_DISTANCE_M,
+            is_across_bridged_loss=is_across_told,
         )
 
-    def score_min(self, window: Window) -> float:
+    def score_min(self, window: LoopWindow) -> float:
         """What a match must reach in a window; at the least what is asked of all."""
         settings = self._settings
-        if window.is_across_break:
-            return max(settings.score_min, settings.score_min_break)
+        if window.is_across_loss:
+            return max(settings.score_min, settings.score_min_loss)
         return settings.score_min_wide if window.is_wide else settings.score_min
 
-    def before(self, node: int) -> int:
+    def submaps_before(self, node: int) -> int:
         """How many submaps, which end in the order of their numbers, ended before a stretch."""
-        return int(np.searchsorted(self._end, node - 3 * self._settings.stretch))
+        return int(np.searchsorted(self._end, node - 3 * self._settings.window_key_scans))
 
     def candidates(
         self,
@@ -154,7 +178,7 @@ class LoopSearch:
         place_m: FloatArray,
         ways_m: FloatArray,
         is_joined: BoolArray,
-    ) -> list[tuple[int, Window]]:
+    ) -> list[tuple[int, LoopWindow]]:
         """Submaps that key scan ``node`` may overlap, with the window of each, the nearest first.
 
         ``centres_m``: (S, 2) of the submaps in the map; ``place_m``: (2,) of the node;
@@ -164,19 +188,19 @@ class LoopSearch:
         other time one is taken, each in turn.
         """
         settings = self._settings
-        before = self.before(node)
+        before = self.submaps_before(node)
         away_m = np.hypot(*(centres_m[:before] - place_m).T)
         turn = node // settings.every
         is_carried = turn % (2 * _CARRIED_EVERY) == 0
         if is_carried:
-            ways_m = np.where(is_joined, ways_m, WAY_OF_BREAK_M)
+            ways_m = np.where(is_joined, ways_m, LOSS_DISTANCE_M)
         window_m = np.minimum(
-            settings.window_m + settings.drift * ways_m[:before], settings.window_max_m
+            settings.window_m + settings.drift_m_per_m * ways_m[:before], settings.window_max_m
         )
         is_wide = window_m > WIDE_M
         near = np.flatnonzero(~is_wide & (away_m < settings.distance_m))
         near = near[np.argsort(away_m[near], kind="stable")[: settings.submaps]]
-        chosen = near[self._tried_at[near] < node - 2 * settings.stretch].tolist()
+        chosen = near[self._tried_at[near] < node - 2 * settings.window_key_scans].tolist()
         self._tried_at[chosen] = node
         far = np.flatnonzero(is_wide & (away_m < settings.distance_m + window_m))
         if far.size and turn % 2 == 0:
@@ -200,7 +224,7 @@ class LoopSearch:
         node: int,
         number: int,
         pose_first_node: FloatArray,
-        window: Window,
+        window: LoopWindow,
         score_min: float | None = None,
     ) -> Edge | None:
         """The edge from submap ``number`` to key scan ``node``, None where it does not fit well.
@@ -216,7 +240,7 @@ class LoopSearch:
         if points_m.shape[0] == 0 or pyramid is None:
             return None
         submap = self._local.submaps[number]
-        anchor = self._local.key_poses[submap.first]
+        anchor = self._local.poses_local_node[submap.first]
         predicted = compose(anchor, pose_first_node)
         stride = -(-points_m.shape[0] // _POINTS_OF_A_SEARCH)
         try:
@@ -264,7 +288,7 @@ class LoopSearch:
         )
         if self._pyramid(own) is None:
             return True
-        return beyond > self._contradiction(own, self._local.key_poses[node], points_m)
+        return beyond > self._contradiction(own, self._local.poses_local_node[node], points_m)
 
     def _contradiction(self, number: int, pose: FloatArray, points_m: FloatArray) -> float:
         """Share of the points in cells that the submap knows to be free, with no obstacle near.
@@ -293,22 +317,24 @@ class LoopSearch:
     def _stretch_points(self, node: int) -> FloatArray:
         """(n, 2) points of the stretch in the node's frame, one in each cell of the thinning."""
         if self._stretch is None or self._stretch[0] != node:
-            reach, part = self._settings.stretch, self._local.part
+            reach, part = self._settings.window_key_scans, self._local.segment
             nodes = np.arange(
-                max(node - reach, 0), min(node + reach + 1, len(self._local.key_poses))
+                max(node - reach, 0), min(node + reach + 1, len(self._local.poses_local_node))
             )
             nodes = nodes[part[nodes] == part[node]]
             joined = np.concatenate(
                 [
-                    move_points(pose, self._local.key_points_m[other])
+                    move_points(pose, self._local.node_points_m[other])
                     for pose, other in zip(
-                        relative(self._local.key_poses[node], self._local.key_poses[nodes]),
+                        relative(
+                            self._local.poses_local_node[node], self._local.poses_local_node[nodes]
+                        ),
                         nodes.tolist(),
                         strict=True,
                     )
                 ]
             )
-            cells = np.floor(joined / self._settings.thinning_m).astype(np.int64)
+            cells = np.floor(joined / self._settings.subsampling_m).astype(np.int64)
             _, first = np.unique(cells[:, 0] * (1 << 32) + cells[:, 1], return_index=True)
             self._stretch = node, joined[np.sort(first)]
         return self._stretch[1]

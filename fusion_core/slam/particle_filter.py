@@ -23,8 +23,8 @@ from fusion_core.model.errors import MappingFailed
 from fusion_core.model.planar_poses import Prior, relative
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import LaserScan
-from fusion_core.model.slam_view import SlamView, Watch, unwatched
-from fusion_core.slam.carried import carried
+from fusion_core.model.slam_view import SlamObserver, SlamView, no_observer
+from fusion_core.slam.interpolate_poses import interpolate_poses
 from fusion_core.slam.local_slam import LocalSlamSettings
 from fusion_core.slam.particle_odometry import LocalPose, ScanMatchedOdometry
 from fusion_core.slam.particle_proposal import MotionModel
@@ -82,7 +82,7 @@ def particle_filter_slam(
     prior: Prior | None = None,
     settings: ParticleSettings | None = None,
     progress: Progress = silent,
-    watch: Watch = unwatched,
+    observer: SlamObserver = no_observer,
 ) -> ParticleResult:
     """Place every scan.
 
@@ -97,10 +97,10 @@ def particle_filter_slam(
         run.add_scan(scan, None if prior is None else prior(scan.stamp_ns))
         progress(len(run.stamps_ns), None, "weighing particles")
         # A view is as long as the way so far: none is made for nobody.
-        if run.is_worth_a_look and watch is not unwatched:
-            watch(run.view())
+        if run.is_worth_a_look and observer is not no_observer:
+            observer(run.view())
     result = run.finish()
-    watch(run.view())
+    observer(run.view())
     return result
 
 
@@ -111,7 +111,7 @@ class _Run:
         self._settings = settings
         self._odometry = ScanMatchedOdometry(
             LocalSlamSettings(),
-            SubmapSettings(resolution_m=settings.resolution_m, reach_m=settings.reach_m),
+            SubmapSettings(resolution_m=settings.resolution_m, max_range_m=settings.max_range_m),
         )
         self._particles = ParticleSet(settings)
         self.stamps_ns: list[int] = []
@@ -135,7 +135,9 @@ class _Run:
         if self._local_poses:
             self._variance += self._noise(relative(self._local_poses[-1], placed.pose_local_scan))
             if not placed.is_sure:
-                lost = np.array([self._settings.lost_m, self._settings.lost_rad])
+                lost = np.array(
+                    [self._settings.unmatched_sigma_m, self._settings.unmatched_sigma_rad]
+                )
                 self._variance += lost**2
         self.stamps_ns.append(scan.stamp_ns)
         self._local_poses.append(placed.pose_local_scan)
@@ -153,8 +155,8 @@ class _Run:
         way_m, turn = float(np.hypot(step[0], step[1])), abs(float(step[2]))
         return np.array(
             [
-                way_m * settings.drift_m**2 + turn * settings.turn_m**2,
-                way_m * settings.drift_rad**2 + turn * settings.turn_rad**2,
+                way_m * settings.sigma_m_per_m**2 + turn * settings.sigma_m_per_rad**2,
+                way_m * settings.sigma_rad_per_m**2 + turn * settings.sigma_rad_per_rad**2,
             ]
         )
 
@@ -198,14 +200,14 @@ class _Run:
             raise MappingFailed("there is no scan to place.")
         if not self._key:
             raise MappingFailed(
-                f"none of {count} scans has a point within {self._settings.reach_m:g} m.",
-                advice="Check the ranges' limits, or set a larger reach_m.",
+                f"none of {count} scans has a point within {self._settings.max_range_m:g} m.",
+                advice="Check the ranges' limits, or set a larger max_range_m.",
             )
         way = self._particles.best_path()
         key = np.array(self._key, dtype=np.int64)
         return ParticleResult(
             stamps_ns=np.array(self.stamps_ns, dtype=np.int64),
-            poses_map_scan=carried(np.array(self._local_poses), key, way[:, :3]),
+            poses_map_scan=interpolate_poses(np.array(self._local_poses), key, way[:, :3]),
             trusted=self._trusted(key, way[:, 3]),
             key=key,
             effective=np.array(self._effective),
@@ -230,7 +232,9 @@ class _Run:
         trusted = np.array(self._is_sure) & ~local.adrift
         trusted[key] &= matches
         number = np.arange(trusted.size)
-        part = local.part[np.maximum(np.searchsorted(local.key, number, side="right") - 1, 0)]
+        part = local.segment[
+            np.maximum(np.searchsorted(local.key_scans, number, side="right") - 1, 0)
+        ]
         for of in np.unique(part[part > 0]):
             weighed = np.flatnonzero(part[key] == of)
             if weighed.size == 0 or not matches[weighed[0]]:
@@ -245,7 +249,7 @@ class _Run:
         return SlamView(
             stage="weighing particles",
             stamps_ns=np.array(self.stamps_ns, dtype=np.int64),
-            poses_map_scan=carried(
+            poses_map_scan=interpolate_poses(
                 np.array(self._local_poses), key, self._particles.best_path()[:, :3]
             ),
             particles=self._particles.poses.copy(),

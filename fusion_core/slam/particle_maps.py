@@ -22,7 +22,7 @@ TILE = 64
 # What a program may take that others share a machine with: 1 GB.
 _TILES_MAX = 2**30 // TILE**2
 UNKNOWN = 0
-_EVEN = 128
+_EVEN_ODDS = 128
 # 127 steps are the odds of a probability of 0.98: no cell becomes so sure that it cannot change.
 _STEP = np.log(0.98 / 0.02) / 127.0
 # Probabilities of about 0.6 and 0.48, so that one scan decides nothing.
@@ -33,7 +33,7 @@ Int32Array = npt.NDArray[np.int32]
 
 
 def _occupancy_table() -> ByteArray:
-    odds = np.exp(_STEP * (np.arange(256) - _EVEN))
+    odds = np.exp(_STEP * (np.arange(256) - _EVEN_ODDS))
     table: ByteArray = np.round(255.0 * odds / (1.0 + odds)).astype(np.uint8)
     table[UNKNOWN] = 0
     read_only(table)
@@ -226,7 +226,7 @@ def add_scan(cells: ByteArray, origin: FloatArray, hits: FloatArray, ends: Float
         row, column = int(np.floor(hits[i, 1])), int(np.floor(hits[i, 0]))
         if not is_done[row, column]:
             is_done[row, column] = True
-            cells[row, column] = _moved(cells[row, column], _HIT)
+            cells[row, column] = update_cell(cells[row, column], _HIT)
     way = np.empty((cells.shape[0] + cells.shape[1], 2), dtype=np.int64)
     for i in range(ends.shape[0]):
         count = trace_ray(origin[0], origin[1], ends[i, 0], ends[i, 1], way)
@@ -234,10 +234,10 @@ def add_scan(cells: ByteArray, origin: FloatArray, hits: FloatArray, ends: Float
             row, column = way[k, 0], way[k, 1]
             if not is_done[row, column]:
                 is_done[row, column] = True
-                cells[row, column] = _moved(cells[row, column], -_MISS)
+                cells[row, column] = update_cell(cells[row, column], -_MISS)
 
 
 @compiled()
-def _moved(cell: int, steps: int) -> int:
-    before = _EVEN if cell == UNKNOWN else int(cell)
+def update_cell(cell: int, steps: int) -> int:
+    before = _EVEN_ODDS if cell == UNKNOWN else int(cell)
     return min(max(before + steps, _LOWEST), _HIGHEST)

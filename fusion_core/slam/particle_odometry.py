@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.sensors import LaserScan
 from fusion_core.slam.local_slam import LocalSlam, LocalSlamSettings, LocalTrajectory
-from fusion_core.slam.scan_points import wall_points
+from fusion_core.slam.scan_points import densified_points
 from fusion_core.slam.submaps import SubmapSettings
 
 
@@ -39,13 +39,13 @@ class ScanMatchedOdometry:
     def place(self, scan: LaserScan, prior: FloatArray | None) -> LocalPose:
         """Take the next scan; arguments and errors as ``LocalSlam.add_scan``."""
         self._slam.add_scan(scan, prior)
-        self._slam.forget()
+        self._slam.drop_finished()
         points_m = self._slam.points(scan)
         return LocalPose(
             pose_local_scan=self._slam.last_pose,
             is_sure=self._slam.fits_last,
             points_m=points_m,
-            wall_points_m=wall_points(points_m, self._resolution_m),
+            wall_points_m=densified_points(points_m, self._resolution_m),
         )
 
     def finish(self) -> LocalTrajectory:

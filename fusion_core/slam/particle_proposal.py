@@ -25,7 +25,7 @@ from fusion_core.compiled import compiled
 from fusion_core.model.conventions import ByteArray, FloatArray, read_only, wrap_angle
 from fusion_core.slam.scan_to_grid import (
     INFORMATION_OF_A_SCAN,
-    best_of_window,
+    correlative_match,
     interpolate,
     match_scan,
 )
@@ -35,7 +35,7 @@ from fusion_core.slam.scan_to_grid import (
 _LATTICE_STEP = 1.25
 _LATTICE_RADIUS_SQUARED = 5
 # The search's own caution, for each metre and radian from the prediction; see best_of_window.
-_CAUTION = (1.0, 1.0)
+_PRIOR_WEIGHT = (1.0, 1.0)
 _TURN_STEP_RAD = np.radians(1.0)
 _POINT_STRIDE = 2
 # A match this many times farther away than was searched has run off along a wall.
@@ -101,7 +101,7 @@ def propose(
     match on whose points less than ``occupancy_min`` lies on average, or that is twice as far
     away as was searched, is none.
     """
-    start = best_of_window(
+    start = correlative_match(
         occupancy,
         *corner_m,
         resolution_m,
@@ -109,7 +109,7 @@ def propose(
         predicted,
         search,
         _TURN_STEP_RAD,
-        _CAUTION,
+        _PRIOR_WEIGHT,
     )
     sigma = (motion.sigma_m, motion.sigma_rad)
     match = match_scan(

@@ -13,9 +13,9 @@ from fusion_core.model.planar_poses import compose, move_points
 from fusion_core.model.seeds import SEED_MAX
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.particle_maps import MapWindow, ParticleMaps, add_scan
-from fusion_core.slam.particle_paths import ParticlePaths
 from fusion_core.slam.particle_proposal import MotionModel, log_likelihoods, propose
-from fusion_core.slam.submaps import require_cells
+from fusion_core.slam.submaps import check_grid_size
+from fusion_core.slam.trajectory_tree import TrajectoryTree
 
 # The interpolation of the map reads two cells either side.
 _MARGIN_CELLS = 4
@@ -28,43 +28,86 @@ class ParticleSettings(StageSettings):
     particles: int = setting(30, "Number of particles", ge=1, le=1000)
     seed: int = setting(0, "Seed of all that is drawn", ge=0, le=SEED_MAX)
     resolution_m: float = setting(0.05, "Side of a map's cell", unit="m", ge=0.01, le=1.0)
-    reach_m: float = setting(30.0, "Points farther away are not used", unit="m", ge=1.0, le=200.0)
-    step_m: float = setting(0.3, "Way between two scans that are weighed", unit="m", ge=1e-6, le=10)
+    max_range_m: float = setting(
+        30.0, "Points farther away are not used", unit="m", ge=1.0, le=200.0, formerly="reach_m"
+    )
+    step_m: float = setting(0.3, "Distance between two filter updates", unit="m", ge=1e-6, le=10)
     step_rad: float = setting(
-        0.3, "Turn between two scans that are weighed", unit="rad", ge=1e-6, le=3.1416
+        0.3, "Rotation between two filter updates", unit="rad", ge=1e-6, le=3.1416
     )
     search_m: float = setting(0.15, "Least search about the prediction", unit="m", ge=0.0, le=2.0)
     search_rad: float = setting(
         0.06, "Least search about the prediction", unit="rad", ge=0.0, le=1.6
     )
-    drift_m: float = setting(
-        0.05, "Noise of a metre's way, growing with its root", unit="m", ge=1e-6, le=10.0
+    sigma_m_per_m: float = setting(
+        0.05,
+        "Translation noise after a metre, growing with the distance's root",
+        unit="m",
+        ge=1e-6,
+        le=10.0,
+        formerly="drift_m",
     )
-    drift_rad: float = setting(
-        0.02, "Noise of a metre's way, growing with its root", unit="rad", ge=1e-6, le=3.0
+    sigma_rad_per_m: float = setting(
+        0.02,
+        "Rotation noise after a metre, growing with the distance's root",
+        unit="rad",
+        ge=1e-6,
+        le=3.0,
+        formerly="drift_rad",
     )
-    turn_m: float = setting(0.01, "Noise of a radian's turn", unit="m", ge=1e-6, le=10.0)
-    turn_rad: float = setting(0.01, "Noise of a radian's turn", unit="rad", ge=1e-6, le=3.0)
-    lost_m: float = setting(
-        0.2, "Noise added by a scan that local matching does not trust", unit="m", ge=0.0, le=10.0
+    sigma_m_per_rad: float = setting(
+        0.01,
+        "Translation noise after a radian, growing with the rotation's root",
+        unit="m",
+        ge=1e-6,
+        le=10.0,
+        formerly="turn_m",
     )
-    lost_rad: float = setting(0.15, "The same", unit="rad", ge=0.0, le=3.0)
-    weight_share: float = setting(
+    sigma_rad_per_rad: float = setting(
+        0.01,
+        "Rotation noise after a radian, growing with the rotation's root",
+        unit="rad",
+        ge=1e-6,
+        le=3.0,
+        formerly="turn_rad",
+    )
+    unmatched_sigma_m: float = setting(
+        0.2,
+        "Translation noise added where scan matching failed",
+        unit="m",
+        ge=0.0,
+        le=10.0,
+        formerly="lost_m",
+    )
+    unmatched_sigma_rad: float = setting(
         0.15,
-        "Share of a scan's log likelihood that weighs: scans of one place err alike",
+        "Rotation noise added where scan matching failed",
+        unit="rad",
+        ge=0.0,
+        le=3.0,
+        formerly="lost_rad",
+    )
+    likelihood_gain: float = setting(
+        0.15,
+        "Factor of a scan's log likelihood: errors of scans from one place are correlated",
         ge=1e-6,
         le=1,
+        formerly="weight_share",
     )
-    resample_share: float = setting(
-        0.5, "Resample when fewer particles are effective", ge=0.0, le=1.0
+    resample_fraction: float = setting(
+        0.5,
+        "Resample when fewer than this fraction of the particles are effective",
+        ge=0.0,
+        le=1.0,
+        formerly="resample_share",
     )
     occupancy_min: float = setting(
-        0.3, "A match whose points lie on less, on average, is none", ge=0.0, le=1.0
+        0.3, "Least mean occupancy at a scan's points for a match", ge=0.0, le=1.0
     )
 
     @model_validator(mode="after")
     def _bounded_cells(self) -> Self:
-        require_cells(self.reach_m, self.resolution_m)
+        check_grid_size(self.max_range_m, self.resolution_m)
         return self
 
 
@@ -98,7 +141,7 @@ class ParticleSet:
         self._log_weights: FloatArray = np.zeros(count)
         self.maps = ParticleMaps(count)
         # x, y, yaw and the occupancy at the points.
-        self._paths = ParticlePaths(count, 4)
+        self._paths = TrajectoryTree(count, 4)
 
     @property
     def best(self) -> int:
@@ -133,14 +176,14 @@ class ParticleSet:
                 unmatched += 1
             else:
                 occupancy[particle] = found
-            self._log_weights[particle] += self._settings.weight_share * gain
+            self._log_weights[particle] += self._settings.likelihood_gain * gain
             self._insert(particle, points_m, wall_points_m)
         self._log_weights -= self._log_weights.max()
         weights = np.exp(self._log_weights)
         self.weights = weights / weights.sum()
         self._paths.add(np.column_stack([self.poses, occupancy]))
         effective = effective_number(self.weights)
-        is_due = effective < self._settings.resample_share * len(self.poses)
+        is_due = effective < self._settings.resample_fraction * len(self.poses)
         if is_due:
             parents = systematic_resample(self.weights, float(self._rng.random()))
             self.poses = self.poses[parents]

@@ -13,26 +13,26 @@ from fusion_core.settings import StageSettings, setting
 # The first pose is the map's origin: as good as fixed.
 _ANCHOR_SIGMA = 1e-6
 # Over a step that says nothing: a loop may move what follows anywhere, the optimum stays one.
-BREAK_SIGMAS = (100.0, 100.0, 10.0)
+UNKNOWN_STEP_SIGMAS = (100.0, 100.0, 10.0)
 
 
 class GraphSettings(StageSettings):
     """Optimisation of the pose graph."""
 
     local_sigma_m: float = setting(
-        0.03, "Doubt of a step of local SLAM", unit="m", ge=1e-6, le=10.0
+        0.03, "Standard deviation of a step of local SLAM", unit="m", ge=1e-6, le=10.0
     )
     local_sigma_rad: float = setting(
-        0.01, "Doubt of a step of local SLAM", unit="rad", ge=1e-6, le=3.2
+        0.01, "Standard deviation of a step of local SLAM", unit="rad", ge=1e-6, le=3.2
     )
     untrusted_factor: float = setting(
-        10.0, "So much more doubt where scans do not fit", ge=1.0, le=1e6
+        10.0, "Factor of these deviations where scans do not fit", ge=1.0, le=1e6
     )
     robust_scale: float = setting(
-        1.0, "Residual, in deviations, from which a loop loses weight", ge=1e-6, le=100.0
+        1.0, "Cauchy kernel's scale for loops, in standard deviations", ge=1e-6, le=100.0
     )
     residual_max_m: float = setting(
-        0.5, "Loops that the optimum leaves farther apart are dropped", unit="m", ge=1e-6, le=100.0
+        0.5, "Loops with a larger residual at the optimum are dropped", unit="m", ge=1e-6, le=100.0
     )
 
 
@@ -51,9 +51,9 @@ class Edge:
     is_loop: bool
 
 
-def unknown_step(edge: Edge) -> Edge:
+def without_information(edge: Edge) -> Edge:
     """The edge of a step of which nothing is known."""
-    return replace(edge, information=np.diag(np.array(BREAK_SIGMAS) ** -2.0))
+    return replace(edge, information=np.diag(np.array(UNKNOWN_STEP_SIGMAS) ** -2.0))
 
 
 def optimise(

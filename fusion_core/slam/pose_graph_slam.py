@@ -21,15 +21,15 @@ from fusion_core.model.planar_poses import Prior, relative
 from fusion_core.model.pose_graph import PoseGraph
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import LaserScan
-from fusion_core.model.slam_view import SlamView, Watch, unwatched
+from fusion_core.model.slam_view import SlamObserver, SlamView, no_observer
 from fusion_core.registration.correlative import POSES_MAX, poses_of
 from fusion_core.settings import SettingsGroup
-from fusion_core.slam.carried import carried
+from fusion_core.slam.interpolate_poses import interpolate_poses
 from fusion_core.slam.joint_refinement import RefinementSettings, refine
 from fusion_core.slam.local_slam import LocalSlam, LocalSlamSettings, LocalTrajectory
 from fusion_core.slam.loop_closing import close_loops
 from fusion_core.slam.loop_search import LoopSettings
-from fusion_core.slam.pose_graph import BREAK_SIGMAS, Edge, GraphSettings, residuals
+from fusion_core.slam.pose_graph import UNKNOWN_STEP_SIGMAS, Edge, GraphSettings, residuals
 from fusion_core.slam.submaps import SubmapSettings
 
 # Over a break, odometry's.
@@ -95,14 +95,14 @@ def pose_graph_slam(
     prior: Prior | None = None,
     settings: SlamSettings | None = None,
     progress: Progress = silent,
-    watch: Watch = unwatched,
+    observer: SlamObserver = no_observer,
 ) -> SlamResult:
     """Place every scan.
 
     ``scans``: stamps strictly increasing; read once, and not kept. ``prior``: odometry; without
     it, and where it knows nothing, velocity is taken to be constant. The first scan lies where the
-    prior has it, else at the origin. ``watch``: shown what is known about every twenty scans, when
-    the graph is solved (the key scans alone), and at the end.
+    prior has it, else at the origin. ``observer``: called about every twenty scans, when the graph
+    is solved (with the key scans alone), and at the end.
 
     Raises MappingFailed where there is no scan, or none has a point within reach.
     """
@@ -114,23 +114,23 @@ def pose_graph_slam(
         slam.add_scan(scan, None if prior is None else prior(scan.stamp_ns))
         count += 1
         progress(count, None, "matching scans")
-        if count % _WATCHED_EVERY == 0 and watch is not unwatched:
-            watch(_view("matching scans", *slam.placed, []))
+        if count % _WATCHED_EVERY == 0 and observer is not no_observer:
+            observer(_view("matching scans", *slam.trajectory_so_far, []))
     if count == 0:
         raise MappingFailed("there is no scan to place.")
     local = slam.finish()
-    if all(points_m.size == 0 for points_m in local.key_points_m):
+    if all(points_m.size == 0 for points_m in local.node_points_m):
         raise MappingFailed(
-            f"none of {count} scans has a point within {settings.submaps.reach_m:g} m.",
-            advice="Check the ranges' limits, or set a larger reach_m.",
+            f"none of {count} scans has a point within {settings.submaps.max_range_m:g} m.",
+            advice="Check the ranges' limits, or set a larger max_range_m.",
         )
     local_s = time.perf_counter()
     fits = _fits(local, settings.local.occupancy_min)
 
     def solved(stage: str, poses_map_node: FloatArray, loops: list[Edge]) -> None:
-        if watch is not unwatched:
-            stamps_ns = local.stamps_ns[local.key[: len(poses_map_node)]]
-            watch(_view(stage, stamps_ns, poses_map_node, loops))
+        if observer is not no_observer:
+            stamps_ns = local.stamps_ns[local.key_scans[: len(poses_map_node)]]
+            observer(_view(stage, stamps_ns, poses_map_node, loops))
 
     closed = close_loops(
         local, _steps(local, fits, settings.graph), settings.loops, settings.graph, progress, solved
@@ -138,26 +138,26 @@ def pose_graph_slam(
     closed_s = time.perf_counter()
     poses_map_node = refine(
         closed.poses_map_node,
-        local.key_points_m,
-        closed.is_joined,
+        local.node_points_m,
+        closed.is_connected,
         settings.submaps,
         settings.refinement,
         progress,
     )
     end_s = time.perf_counter()
-    poses_map_scan = carried(local.poses_local_scan, local.key, poses_map_node)
+    poses_map_scan = interpolate_poses(local.poses_local_scan, local.key_scans, poses_map_node)
     loops = [edge for edge in closed.edges if edge.is_loop]
-    if watch is not unwatched:
-        watch(_view("done", local.stamps_ns, poses_map_scan, loops, poses_map_node))
+    if observer is not no_observer:
+        observer(_view("done", local.stamps_ns, poses_map_scan, loops, poses_map_node))
     return SlamResult(
         stamps_ns=local.stamps_ns,
         poses_map_scan=poses_map_scan,
-        trusted=fits & _is_joined(local, closed.is_joined),
-        key=local.key,
+        trusted=fits & _is_joined(local, closed.is_connected),
+        key=local.key_scans,
         graph=_graph(poses_map_node, closed.edges),
         residuals=residuals(poses_map_node, closed.edges),
-        loops_tried=closed.tried,
-        loops_dropped=closed.dropped,
+        loops_tried=closed.candidates_tried,
+        loops_dropped=closed.loops_dropped,
         seconds={
             "local_slam": local_s - start_s,
             "loop_search": closed_s - local_s - closed.optimisation_s,
@@ -193,14 +193,14 @@ def _fits(local: LocalTrajectory, occupancy_min: float) -> BoolArray:
     """(N,) the first scan with points defines the map; each other must fit it in one place."""
     # NaN compares false.
     fits: BoolArray = (local.occupancy >= occupancy_min) & ~local.adrift
-    fits[0] = local.key_points_m[0].size > 0
+    fits[0] = local.node_points_m[0].size > 0
     return fits
 
 
 def _is_joined(local: LocalTrajectory, is_joined: BoolArray) -> BoolArray:
     """(N,) whether it is known where a scan is in the first one's map: not after a break, unless
     loops join what follows to what was before, or confirm what odometry told."""
-    node = np.searchsorted(local.key, np.arange(len(local.stamps_ns)), side="right") - 1
+    node = np.searchsorted(local.key_scans, np.arange(len(local.stamps_ns)), side="right") - 1
     joined: BoolArray = is_joined[node]
     return joined
 
@@ -208,17 +208,17 @@ def _is_joined(local: LocalTrajectory, is_joined: BoolArray) -> BoolArray:
 def _steps(local: LocalTrajectory, fits: BoolArray, settings: GraphSettings) -> list[Edge]:
     """The way from each key scan to the next, less sure where a scan between them is lost."""
     sigmas = np.array([settings.local_sigma_m, settings.local_sigma_m, settings.local_sigma_rad])
-    poses = local.key_poses
+    poses = local.poses_local_node
     lost_before = np.concatenate([[0], np.cumsum(~fits)])
     edges = []
     for node in range(len(poses) - 1):
-        begin, end = local.key[node] + 1, local.key[node + 1] + 1
+        begin, end = local.key_scans[node] + 1, local.key_scans[node + 1] + 1
         is_lost = lost_before[end] > lost_before[begin]
         sigma = sigmas * (settings.untrusted_factor if is_lost else 1.0)
-        if local.part[node + 1] != local.part[node]:
+        if local.segment[node + 1] != local.segment[node]:
             sigma = np.array(_TOLD_SIGMAS)
-            if not local.told[node + 1]:
-                sigma = np.array(BREAK_SIGMAS)
+            if not local.is_bridged[node + 1]:
+                sigma = np.array(UNKNOWN_STEP_SIGMAS)
         edges.append(
             Edge(
                 first=node,

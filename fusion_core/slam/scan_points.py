@@ -6,21 +6,21 @@ from fusion_core.model.conventions import FloatArray, wrap_angle
 from fusion_core.model.sensors import LaserScan
 
 # Two neighbours are of one wall unless it would be seen under less than 20 degrees.
-_WALL_SLANT = 3.0
-_WALL_TURN_RAD = np.radians(2.5)
+_SLANT_MAX = 3.0
+_BEAM_GAP_MAX_RAD = np.radians(2.5)
 
 
-def end_points(scan: LaserScan, reach_m: float, beams_max: int) -> FloatArray:
+def scan_points(scan: LaserScan, max_range_m: float, beams_max: int) -> FloatArray:
     """(n, 2) end points nearer than ``reach_m``, of at most ``beams_max`` beams, evenly spread."""
     stride = -(-scan.ranges_m.size // beams_max)
     ranges_m, angles_rad = scan.ranges_m[::stride], scan.angles_rad[::stride]
     # NaN compares false.
-    used = (ranges_m > 0.0) & (ranges_m < reach_m)
+    used = (ranges_m > 0.0) & (ranges_m < max_range_m)
     ranges_m, angles_rad = ranges_m[used], angles_rad[used]
     return np.stack([ranges_m * np.cos(angles_rad), ranges_m * np.sin(angles_rad)], axis=1)
 
 
-def wall_points(points_m: FloatArray, resolution_m: float) -> FloatArray:
+def densified_points(points_m: FloatArray, resolution_m: float) -> FloatArray:
     """(n', 2) the points and, a cell of ``resolution_m`` apart, the wall between neighbours.
 
     A wall of dots would hold the next scan's dots, and with them every scan back.
@@ -33,7 +33,7 @@ def wall_points(points_m: FloatArray, resolution_m: float) -> FloatArray:
     azimuth = np.arctan2(points_m[:, 1], points_m[:, 0])
     turn = np.abs(wrap_angle(np.diff(azimuth)))
     nearest_m = np.minimum(range_m[:-1], range_m[1:])
-    is_wall = (gap_m < _WALL_SLANT * nearest_m * turn) & (turn < _WALL_TURN_RAD)
+    is_wall = (gap_m < _SLANT_MAX * nearest_m * turn) & (turn < _BEAM_GAP_MAX_RAD)
     pieces = np.ceil(gap_m / resolution_m).astype(np.int64)
     pieces[~is_wall] = 1
     first = np.repeat(np.arange(pieces.size), pieces)

@@ -91,7 +91,7 @@ def match_scan(
 
 
 @compiled(error_model="numpy")
-def best_of_window(
+def correlative_match(
     grid: ByteArray,
     left_m: float,
     bottom_m: float,
@@ -100,7 +100,7 @@ def best_of_window(
     predicted: FloatArray,
     window: tuple[float, float],
     step_rad: float,
-    caution: tuple[float, float],
+    prior_weight: tuple[float, float],
 ) -> FloatArray:
     """(3,) the pose about ``predicted`` on whose points most obstacle lies, on a lattice of cells.
 
@@ -130,7 +130,7 @@ def best_of_window(
             for column in range(side):
                 up, across = row - cells, column - cells
                 away_m = np.hypot(up, across) * resolution_m
-                away = caution[0] * away_m + caution[1] * abs(turn * step_rad)
+                away = prior_weight[0] * away_m + prior_weight[1] * abs(turn * step_rad)
                 score = total[row, column] * np.exp(-away * away)
                 if score > best:
                     best = score

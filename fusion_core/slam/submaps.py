@@ -25,7 +25,7 @@ _BORDER = 3
 # one, where growing takes long, by a share.
 _ROOM, _ROOM_SHARE = 60, 0.25
 # Of a scan's reach: a grid of twice that on a side, at 13 bytes a cell, takes 0.8 GB.
-_REACH_CELLS_MAX = 4_000
+_RANGE_CELLS_MAX = 4_000
 
 
 class SubmapSettings(StageSettings):
@@ -33,24 +33,26 @@ class SubmapSettings(StageSettings):
 
     resolution_m: float = setting(0.05, "Side of a cell", unit="m", ge=0.01, le=1.0)
     key_scans: int = setting(60, "Key scans in a submap", ge=4, le=1000)
-    reach_m: float = setting(30.0, "Points farther away are not used", unit="m", ge=1.0, le=200.0)
+    max_range_m: float = setting(
+        30.0, "Points farther away are not used", unit="m", ge=1.0, le=200.0, formerly="reach_m"
+    )
     p_hit: float = setting(0.6, "Probability of occupied given a hit", gt=0.5, le=0.99)
     p_miss: float = setting(0.48, "Probability of occupied given a pass", ge=0.01, le=0.5)
     p_limit: float = setting(0.98, "Highest probability; lowest is 1 minus it", gt=0.5, le=0.999)
 
     @model_validator(mode="after")
     def _bounded_cells(self) -> Self:
-        require_cells(self.reach_m, self.resolution_m)
+        check_grid_size(self.max_range_m, self.resolution_m)
         return self
 
 
-def require_cells(reach_m: float, resolution_m: float) -> None:
+def check_grid_size(max_range_m: float, resolution_m: float) -> None:
     """Raises ValueError where a scan reaches over more cells than a grid may be large."""
     # A hundredth of a cell: what rounding adds to a whole number of them is none.
-    if reach_m / resolution_m > _REACH_CELLS_MAX + 0.01:
+    if max_range_m / resolution_m > _RANGE_CELLS_MAX + 0.01:
         raise ValueError(
-            f"reach_m = {reach_m:g} over resolution_m = {resolution_m:g} is "
-            f"{reach_m / resolution_m:.0f} cells, more than {_REACH_CELLS_MAX}"
+            f"max_range_m = {max_range_m:g} over resolution_m = {resolution_m:g} is "
+            f"{max_range_m / resolution_m:.0f} cells, more than {_RANGE_CELLS_MAX}"
         )
 
 
@@ -90,7 +92,7 @@ class GrowingSubmap:
         self.first = first
         self.scans = 0
         # All (column, row). Beyond these limits nothing is taken.
-        half = int(np.ceil((settings.reach_m + travel_m) / settings.resolution_m))
+        half = int(np.ceil((settings.max_range_m + travel_m) / settings.resolution_m))
         self._limits = np.floor(centre_m / settings.resolution_m) + np.array([[-half], [half]])
         # The cells met so far, the last not included; and the first one of the grid.
         self._met: tuple[IntArray, IntArray] | None = None

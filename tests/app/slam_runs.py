@@ -14,7 +14,7 @@ from fusion_core.model.conventions import NS_PER_S, FloatArray, IntArray
 from fusion_core.model.errors import MappingFailed
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress
-from fusion_core.model.slam_view import SlamView, Watch, unwatched
+from fusion_core.model.slam_view import SlamObserver, SlamView, no_observer
 from fusion_core.model.trajectory import Trajectory
 from fusion_core.workflows.map.build_map import MapOptions
 from fusion_core.workflows.map.report import MapSummary
@@ -94,15 +94,15 @@ class FakeMap:
         output: Path,
         options: MapOptions,
         progress: Progress,
-        watch: Watch = unwatched,
+        observer: SlamObserver = no_observer,
     ) -> MapSummary:
         self.calls.append((recording, output, options))
         for number in range(1, SCANS + 1):
             progress(number, SCANS, "matching scans")
             self.at_scan(number)
-            watch(view_at(number, "matching scans", options))
+            observer(view_at(number, "matching scans", options))
         if options.slam == "pose-graph":
-            watch(view_at(SCANS, "closing loops", options))
+            observer(view_at(SCANS, "closing loops", options))
         report = write_results(output, options, self.shift_m)
         if not self.fits:
             raise MappingFailed(

@@ -10,7 +10,7 @@ import pytest
 
 from fusion_core.model.errors import ExportError, MappingFailed
 from fusion_core.model.progress import Progress, silent
-from fusion_core.model.slam_view import SlamView, unwatched
+from fusion_core.model.slam_view import SlamView, no_observer
 from fusion_core.workflows.fuse.presets import PRESETS, PresetName
 from fusion_core.workflows.map.result_folder import RunPoses, read_run
 from fusion_core.workflows.map.settings import map_settings, map_settings_toml
@@ -47,7 +47,7 @@ def asked(**choices: object) -> View:
 
 
 def run(root: Path, number: int = 1, progress: Progress = silent, **choices: object) -> SlamRun:
-    return run_slam(number, asked(**choices), RECORDING, root, progress, unwatched)
+    return run_slam(number, asked(**choices), RECORDING, root, progress, no_observer)
 
 
 @pytest.mark.usefixtures("fake")

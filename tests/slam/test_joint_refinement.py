@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 
 from fusion_core.model.conventions import wrap_angle
 from fusion_core.slam.joint_refinement import RefinementSettings, _squares, refine
-from fusion_core.slam.scan_points import end_points
+from fusion_core.slam.scan_points import scan_points
 from fusion_core.slam.submaps import SubmapSettings
 from tests.benchmarks.scan_matching_room import WALLS as ROOM
 from tests.slam.ring import scan_of
@@ -29,7 +29,7 @@ def room():
         axis=1,
     )
     scans = [scan_of(pose, number, rng, ROOM, 12.0) for number, pose in enumerate(truth)]
-    return truth, [end_points(scan, SUBMAPS.reach_m, 360) for scan in scans]
+    return truth, [scan_points(scan, SUBMAPS.max_range_m, 360) for scan in scans]
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from fusion_core.model.trajectory import Trajectory
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.relation_file import read_relations
 from fusion_core.recordings.topics import choose_streams
-from fusion_core.slam.carried import carried
+from fusion_core.slam.interpolate_poses import interpolate_poses
 from fusion_core.slam.local_slam import LocalSlamSettings
 from fusion_core.slam.particle_filter import ParticleSettings, particle_filter_slam
 from fusion_core.slam.particle_odometry import ScanMatchedOdometry
@@ -39,7 +39,7 @@ def views():
 
 @pytest.fixture(scope="module")
 def closed(ring, views):
-    return particle_filter_slam(ring.scans, ring.prior, watch=views.append)
+    return particle_filter_slam(ring.scans, ring.prior, observer=views.append)
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +118,7 @@ def room_drive(scans, rounds=1):
 
 def test_maps_follow_the_area_and_not_time():
     # Drawn anew most of the time, so that tiles are shared and parted again and again.
-    settings = FEW.model_copy(update={"resample_share": 0.99})
+    settings = FEW.model_copy(update={"resample_fraction": 0.99})
     once = particle_filter_slam(room_drive(100)[0], None, settings)
     twice = particle_filter_slam(room_drive(200, 2)[0], None, settings)
     assert twice.key.size > 1.7 * once.key.size
@@ -152,11 +152,11 @@ def test_scans_between_weighed_ones_keep_the_local_way():
     moved = np.array([4.0, -2.0, 1.3])
     poses = compose(moved, local)
     # One rigid motion: nothing is to be spread.
-    found = carried(local, key, poses[key])
+    found = interpolate_poses(local, key, poses[key])
     np.testing.assert_allclose(relative(found, poses), 0.0, atol=1e-9)
     # Else each scan lies between what its two neighbours say.
     bent = poses[key] + rng.normal(0.0, 0.1, (3, 3))
-    found = carried(local, key, bent)
+    found = interpolate_poses(local, key, bent)
     np.testing.assert_allclose(relative(found[key], bent), 0.0, atol=1e-9)
     by_before = compose(bent[1], relative(local[5], local[7]))
     by_after = compose(bent[2], relative(local[10], local[7]))
@@ -187,7 +187,9 @@ def test_scans_without_a_point_are_no_map():
 
 def test_points_out_of_reach_are_no_map(ring):
     with pytest.raises(MappingFailed, match="within 1 m"):
-        particle_filter_slam([scan_with(np.full(180, 3.0), 0)], None, ParticleSettings(reach_m=1.0))
+        particle_filter_slam(
+            [scan_with(np.full(180, 3.0), 0)], None, ParticleSettings(max_range_m=1.0)
+        )
 
 
 def test_one_scan_is_a_map(ring):

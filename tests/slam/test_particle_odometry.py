@@ -22,13 +22,13 @@ def test_it_places_scans_as_local_slam_does():
     poses = np.array([local_pose.pose_local_scan for local_pose in placed])
     np.testing.assert_array_equal(poses, local.poses_local_scan)
     assert all(local_pose.is_sure for local_pose in placed)
-    for node, points_m in zip(local.key, local.key_points_m, strict=True):
+    for node, points_m in zip(local.key_scans, local.node_points_m, strict=True):
         np.testing.assert_array_equal(placed[node].points_m, points_m)
     # What is left are the two submaps that still grow.
     assert len(local.submaps) >= 10
     forgotten = odometry.finish()
     assert len(forgotten.submaps) <= 2
-    assert sum(points_m.size for points_m in forgotten.key_points_m) == 0
+    assert sum(points_m.size for points_m in forgotten.node_points_m) == 0
 
 
 def test_a_scan_that_fits_nothing_is_not_sure():

@@ -183,7 +183,7 @@ def test_submaps_overlap_and_cover_the_way(ring):
         slam.add_scan(scan, pose)
     local = slam.finish()
     assert local.submaps[0].first == 0
-    assert local.submaps[-1].end == local.key.size
+    assert local.submaps[-1].end == local.key_scans.size
     for submap, following in zip(local.submaps[:-2], local.submaps[1:], strict=False):
         assert submap.end - submap.first == 20
         assert following.first - submap.first == 10

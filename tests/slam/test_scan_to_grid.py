@@ -7,7 +7,7 @@ from fusion_core.model.planar_poses import compose, move_points
 from fusion_core.slam.scan_to_grid import (
     FULL,
     INFORMATION_OF_A_SCAN,
-    best_of_window,
+    correlative_match,
     interpolate,
     match_scan,
 )
@@ -148,12 +148,12 @@ def test_the_window_finds_the_best_of_all_its_poses():
     truth = np.array([3.0, 2.0, 0.0])
     points_m = box_points(truth)
     predicted = compose(truth, np.array([0.1, -0.15, 0.06]))
-    found = best_of_window(
+    found = correlative_match(
         grid, 0.0, 0.0, RESOLUTION_M, points_m, predicted, (0.2, 0.1), 0.02, (0.0, 0.0)
     )
     np.testing.assert_allclose(found[:2], truth[:2], atol=RESOLUTION_M)
     assert found[2] == pytest.approx(0.0, abs=0.021)
-    cautious = best_of_window(
+    cautious = correlative_match(
         grid, 0.0, 0.0, RESOLUTION_M, points_m, predicted, (0.2, 0.1), 0.02, (1e3, 1e3)
     )
     assert (cautious == predicted).all()

@@ -7,7 +7,7 @@ from fusion_core.mapping.grid import GridBuilder, GridSettings
 from fusion_core.model.planar_poses import move_points
 from fusion_core.slam.submaps import GrowingSubmap, SubmapSettings
 
-SETTINGS = SubmapSettings(reach_m=5.0)
+SETTINGS = SubmapSettings(max_range_m=5.0)
 
 
 def points(rng, count=60):

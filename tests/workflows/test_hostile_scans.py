@@ -11,7 +11,7 @@ import pytest
 from fusion_core.evaluation.fuse_folder import open_fuse_folder
 from fusion_core.model.errors import AlignmentFailed, MissingStream, RecordingError, ScanLoomError
 from fusion_core.model.progress import silent
-from fusion_core.model.slam_view import unwatched
+from fusion_core.model.slam_view import no_observer
 from fusion_core.recordings.decode import decode
 from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.fuse.fuse import fuse
@@ -85,7 +85,7 @@ def test_the_workbench_tells_a_run_without_any_scan_as_failed(tmp_path: Path) ->
     root = tmp_path / "runs"
     root.mkdir()
     with pytest.raises(ScanLoomError, match="the scan has no ranges"):
-        run_slam(1, view, recording, root, silent, unwatched)
+        run_slam(1, view, recording, root, silent, no_observer)
     assert not list(root.iterdir())
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from fusion_core.model.errors import ExportError, MappingFailed, ScanLoomError
 from fusion_core.model.progress import Progress
-from fusion_core.model.slam_view import SlamView, Watch
+from fusion_core.model.slam_view import SlamObserver, SlamView
 from fusion_core.workflows.map.build_map import MapOptions, build_map
 from fusion_core.workflows.map.report import MapSummary
 from fusion_core.workflows.map.result_folder import RunFiles, read_run
@@ -74,7 +74,7 @@ def map_options(view: View, settings_file: Path, clock_offset_ms: float = 0.0) -
 
 def resampling_at(view: View) -> float:
     """The effective number below which the particle filter draws its particles anew."""
-    return settings_of(view).particles.resample_share * view.slam.particles
+    return settings_of(view).particles.resample_fraction * view.slam.particles
 
 
 def run_slam(
@@ -83,7 +83,7 @@ def run_slam(
     recording: Path,
     root: Path,
     progress: Progress,
-    watch: Watch,
+    observer: SlamObserver,
     clock_offset_ms: float = 0.0,
 ) -> SlamRun:
     """Run what a view asks for, into a new folder below ``root``.
@@ -102,7 +102,7 @@ def run_slam(
         # Says nothing new, and raises where the run is to end.
         for step in last:
             progress(*step)
-        watch(seen)
+        observer(seen)
 
     with new_folder(root, Path(f"run-{number}")) as folder:
         settings_file = settings_in(folder)

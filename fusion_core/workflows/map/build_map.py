@@ -18,7 +18,7 @@ from fusion_core.model.errors import MappingFailed, MissingStream, SettingsError
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
-from fusion_core.model.slam_view import Watch, unwatched
+from fusion_core.model.slam_view import SlamObserver, no_observer
 from fusion_core.model.trajectory import Trajectory
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.fuse.figures import printable
@@ -87,7 +87,7 @@ def build_map(
     output: Path,
     options: MapOptions,
     progress: Progress = silent,
-    watch: Watch = unwatched,
+    observer: SlamObserver = no_observer,
 ) -> MapSummary:
     """Trajectory and maps of a recording into a folder of results.
 
@@ -126,7 +126,7 @@ def build_map(
         else:
             with results_folder(plan) as folder:
                 summary = _run(
-                    opened, output, folder, options, settings, settings_text, progress, watch
+                    opened, output, folder, options, settings, settings_text, progress, observer
                 )
     if summary.report["trusted_share"] < _TRUSTED_SHARE_MIN:
         raise _untrusted(summary.report, output)
@@ -179,7 +179,7 @@ def _run(
     settings: MapSettings,
     settings_text: str,
     progress: Progress,
-    watch: Watch,
+    observer: SlamObserver,
 ) -> MapSummary:
     start_s = time.perf_counter()
     streams = map_streams(recording, options.lidar_topic, options.pose_topic)
@@ -187,11 +187,11 @@ def _run(
     motion = sources.motion
     seconds = {"motion": time.perf_counter() - start_s}
     placed = place(
-        sources.scans, motion.at if motion else None, options.slam, settings, progress, watch
+        sources.scans, motion.at if motion else None, options.slam, settings, progress, observer
     )
     seconds.update(placed.seconds)
     start_s = time.perf_counter()
-    reach_m = settings.submaps.reach_m
+    reach_m = settings.submaps.max_range_m
     grids, no_maps = draw_maps(sources.drawn, placed, settings.grid, reach_m, progress)
     if sources.has_layers:
         grids = with_layers(grids)

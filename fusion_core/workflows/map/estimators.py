@@ -10,7 +10,7 @@ from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_
 from fusion_core.model.errors import MappingFailed
 from fusion_core.model.planar_poses import Prior
 from fusion_core.model.progress import Progress
-from fusion_core.model.slam_view import Watch
+from fusion_core.model.slam_view import SlamObserver
 from fusion_core.slam.particle_filter import ParticleResult, particle_filter_slam
 from fusion_core.slam.pose_graph_slam import SlamResult, pose_graph_slam
 from fusion_core.workflows.map.scan_source import Scans
@@ -47,14 +47,14 @@ def place(
     slam: SlamKind,
     settings: MapSettings,
     progress: Progress,
-    watch: Watch,
+    observer: SlamObserver,
 ) -> Placed:
     """Place the scans; ``prior`` is all there is without SLAM.
 
     Raises MappingFailed where no scan can be placed.
     """
     if slam == "pose-graph":
-        graph = pose_graph_slam(scans, prior, settings, progress, watch)
+        graph = pose_graph_slam(scans, prior, settings, progress, observer)
         return Placed(
             stamps_ns=graph.stamps_ns,
             poses_map_scan=graph.poses_map_scan,
@@ -63,7 +63,7 @@ def place(
             graph=graph,
         )
     if slam == "particle-filter":
-        particles = particle_filter_slam(scans, prior, settings.particles, progress, watch)
+        particles = particle_filter_slam(scans, prior, settings.particles, progress, observer)
         return Placed(
             stamps_ns=particles.stamps_ns,
             poses_map_scan=particles.poses_map_scan,

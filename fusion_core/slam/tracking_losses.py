@@ -14,10 +14,10 @@ from fusion_core.slam.local_slam import LocalTrajectory
 from fusion_core.slam.pose_graph import Edge
 
 # Key scans. Who sees the floor for a while begins a map of it.
-_PART_MIN = 10
+_SEGMENT_KEY_SCANS_MIN = 10
 
 
-class Breaks:
+class TrackingLosses:
     """The B breaks of a trajectory of P parts, and what is known of each.
 
     ``node``: (B,) the key scan after each break. ``is_told``: (B,) odometry told the way over it,
@@ -26,54 +26,54 @@ class Breaks:
     """
 
     def __init__(self, local: LocalTrajectory) -> None:
-        self._local, self._part = local, local.part
+        self._local, self._part = local, local.segment
         self._taken: list[tuple[Edge, bool | None]] = []
-        self.node: IntArray = np.flatnonzero(np.diff(local.part)) + 1
-        self.is_told: BoolArray = local.told[self.node].copy()
-        self.is_confirmed: BoolArray = np.zeros(self.node.size, dtype=np.bool_)
-        self._joined: IntArray = np.arange(int(local.part[-1]) + 1)
+        self.node_after: IntArray = np.flatnonzero(np.diff(local.segment)) + 1
+        self.is_bridged: BoolArray = local.is_bridged[self.node_after].copy()
+        self.is_confirmed: BoolArray = np.zeros(self.node_after.size, dtype=np.bool_)
+        self._joined: IntArray = np.arange(int(local.segment[-1]) + 1)
 
-    def take(self, edge: Edge, *, is_as_told: bool | None) -> None:
+    def add_loop(self, edge: Edge, *, agrees_with_odometry: bool | None) -> None:
         """A loop joins the parts of its ends; ``is_as_told``: whether where odometry has them,
         None where it was not asked."""
-        self._taken.append((edge, is_as_told))
+        self._taken.append((edge, agrees_with_odometry))
         self._join(edge.first, edge.second)
-        between = (self.node > edge.first) & (self.node <= edge.second)
-        if is_as_told is None or not self.is_told[between].all():
+        between = (self.node_after > edge.first) & (self.node_after <= edge.second)
+        if agrees_with_odometry is None or not self.is_bridged[between].all():
             return
-        if is_as_told:
+        if agrees_with_odometry:
             self.is_confirmed |= between
-            for node in self.node[between].tolist():
+            for node in self.node_after[between].tolist():
                 self._join(node - 1, node)
         else:
-            self.is_told &= ~between | self.is_confirmed
+            self.is_bridged &= ~between | self.is_confirmed
 
     def _join(self, first: int, second: int) -> None:
         low, high = sorted(int(self._joined[self._part[node]]) for node in (first, second))
         self._joined[self._joined == high] = low
 
-    def is_joined(self, nodes: IntArray, node: int) -> BoolArray:
+    def are_connected(self, nodes: IntArray, node: int) -> BoolArray:
         """(n,) whether key scans hang together with another by more than a hypothesis."""
         joined: BoolArray = self._joined[self._part[nodes]] == self._joined[self._part[node]]
         return joined
 
-    def joined_by(self, loops: Sequence[Edge]) -> BoolArray:
+    def connected_by(self, loops: Sequence[Edge]) -> BoolArray:
         """(K,) whether key scans hang together with the first by those of the loops alone.
 
         A short part does not on odometry's word alone: its scans may be the false ones.
         """
-        again = Breaks(self._local)
+        again = TrackingLosses(self._local)
         kept = {id(edge) for edge in loops}
         for edge, is_as_told in self._taken:
             if id(edge) in kept:
-                again.take(edge, is_as_told=is_as_told)
-        is_short = np.bincount(self._part) < _PART_MIN
+                again.add_loop(edge, agrees_with_odometry=is_as_told)
+        is_short = np.bincount(self._part) < _SEGMENT_KEY_SCANS_MIN
         is_short[[self._part[node] for edge in loops for node in (edge.first, edge.second)]] = False
         is_short[0] = False
-        return again.is_joined(np.arange(len(self._part)), 0) & ~is_short[self._part]
+        return again.are_connected(np.arange(len(self._part)), 0) & ~is_short[self._part]
 
-    def blocks(self) -> IntArray:
+    def unbridged_segments(self) -> IntArray:
         """(K,) a number that grows by one at each break over which odometry told nothing."""
         blocks = np.zeros(len(self._part), dtype=np.int64)
-        blocks[self.node[~self.is_told]] = 1
+        blocks[self.node_after[~self.is_bridged]] = 1
         return np.cumsum(blocks)

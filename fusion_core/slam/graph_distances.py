@@ -9,42 +9,44 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from fusion_core.model.conventions import FloatArray, IntArray
-from fusion_core.slam.breaks import Breaks
 from fusion_core.slam.local_slam import LocalTrajectory
+from fusion_core.slam.tracking_losses import TrackingLosses
 
 # A way of so many metres stands for one of which nothing is known.
-WAY_OF_BREAK_M = 1e5
+LOSS_DISTANCE_M = 1e5
 # One that odometry told has a doubt, and a wide window, as a way of so many.
-WAY_OF_TOLD_BREAK_M = 80.0
+BRIDGED_LOSS_DISTANCE_M = 80.0
 # Ways that two places have between them when a loop joins them: it is not exact.
-_WAY_OF_LOOP_M = 1.0
-_WAY_MIN_M = 1e-3
+_LOOP_DISTANCE_M = 1.0
+_DISTANCE_MIN_M = 1e-3
 
 
-class GraphWays:
+class GraphDistances:
     """The ways of a local trajectory of K key scans and S submaps, shorter with each loop."""
 
-    def __init__(self, local: LocalTrajectory, breaks: Breaks) -> None:
-        self._steps_m = np.hypot(*np.diff(local.key_poses[:, :2], axis=0).T)
+    def __init__(self, local: LocalTrajectory, breaks: TrackingLosses) -> None:
+        self._steps_m = np.hypot(*np.diff(local.poses_local_node[:, :2], axis=0).T)
         self._first: IntArray = np.array([submap.first for submap in local.submaps])
         self._ties_m: dict[tuple[int, int], float] = {}
         self._joined: csr_array | None = None
         # (S,) ways from each submap that was asked for since the last change.
         self._from_m: dict[int, FloatArray] = {}
-        self.take_breaks(breaks)
+        self.set_losses(breaks)
 
-    def take_breaks(self, breaks: Breaks) -> None:
+    def set_losses(self, breaks: TrackingLosses) -> None:
         """What is known of the breaks has changed, and the ways over them with it."""
         steps_m = self._steps_m.copy()
-        steps_m[breaks.node - 1] += np.where(breaks.is_told, WAY_OF_TOLD_BREAK_M, WAY_OF_BREAK_M)
+        steps_m[breaks.node_after - 1] += np.where(
+            breaks.is_bridged, BRIDGED_LOSS_DISTANCE_M, LOSS_DISTANCE_M
+        )
         self._way_m: FloatArray = np.concatenate([[0.0], np.cumsum(steps_m)])
         self._joined = None
 
-    def tie(self, number: int, node: int) -> None:
+    def add_loop(self, number: int, node: int) -> None:
         """A loop joins submap ``number`` and key scan ``node``."""
         other = self._submap_of(node)
         pair = (min(number, other), max(number, other))
-        way_m = _WAY_OF_LOOP_M + abs(float(self._way_m[node] - self._way_m[self._first[other]]))
+        way_m = _LOOP_DISTANCE_M + abs(float(self._way_m[node] - self._way_m[self._first[other]]))
         if number != other and way_m < self._ties_m.get(pair, np.inf):
             self._ties_m[pair] = way_m
             self._joined = None
@@ -64,7 +66,7 @@ class GraphWays:
 
     def _graph(self) -> csr_array:
         """(S, S) the shortest way of each pair that is joined, the upper triangle alone."""
-        chain_m = np.maximum(np.diff(self._way_m[self._first]), _WAY_MIN_M)
+        chain_m = np.maximum(np.diff(self._way_m[self._first]), _DISTANCE_MIN_M)
         shortest = dict(self._ties_m)
         for number, way_m in enumerate(chain_m.tolist()):
             pair = (number, number + 1)

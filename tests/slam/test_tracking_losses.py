@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from fusion_core.slam.breaks import Breaks
 from fusion_core.slam.local_slam import LocalTrajectory
 from fusion_core.slam.pose_graph import Edge
+from fusion_core.slam.tracking_losses import TrackingLosses
 
 STARTS = (10, 20, 30)
 
@@ -17,10 +17,10 @@ def trajectory(part, told=()):
         stamps_ns=np.arange(40),
         poses_local_scan=np.zeros((40, 3)),
         occupancy=np.ones(40),
-        key=np.arange(40),
-        key_points_m=[np.zeros((1, 2))] * 40,
-        part=part,
-        told=is_told,
+        key_scans=np.arange(40),
+        node_points_m=[np.zeros((1, 2))] * 40,
+        segment=part,
+        is_bridged=is_told,
         adrift=np.zeros(40, dtype=np.bool_),
         submaps=[],
     )
@@ -28,7 +28,7 @@ def trajectory(part, told=()):
 
 def breaks(told=(True, True, True)):
     """Four parts of ten key scans."""
-    return Breaks(trajectory(np.arange(40) // 10, told))
+    return TrackingLosses(trajectory(np.arange(40) // 10, told))
 
 
 def loop(first, second):
@@ -47,7 +47,7 @@ def joined_parts(of, loops):
 
 def test_a_loop_where_odometry_has_the_place_confirms_all_breaks_between():
     of, edge = breaks(), loop(2, 35)
-    of.take(edge, is_as_told=True)
+    of.add_loop(edge, agrees_with_odometry=True)
     assert of.is_confirmed.all()
     assert joined_parts(of, [edge]) == [True] * 4
     # Once the loop is dropped, so is what hung on it.
@@ -56,32 +56,32 @@ def test_a_loop_where_odometry_has_the_place_confirms_all_breaks_between():
 
 def test_a_loop_elsewhere_refutes_and_joins_its_own_parts_alone():
     of, edge = breaks(), loop(2, 35)
-    of.take(edge, is_as_told=False)
-    assert not of.is_told.any()
+    of.add_loop(edge, agrees_with_odometry=False)
+    assert not of.is_bridged.any()
     assert joined_parts(of, [edge]) == [True, False, False, True]
-    np.testing.assert_array_equal(of.blocks()[::10], [0, 1, 2, 3])
+    np.testing.assert_array_equal(of.unbridged_segments()[::10], [0, 1, 2, 3])
 
 
 def test_what_is_confirmed_is_not_refuted():
     of = breaks()
-    of.take(loop(2, 15), is_as_told=True)
-    of.take(loop(2, 35), is_as_told=False)
-    np.testing.assert_array_equal(of.is_told, [True, False, False])
+    of.add_loop(loop(2, 15), agrees_with_odometry=True)
+    of.add_loop(loop(2, 35), agrees_with_odometry=False)
+    np.testing.assert_array_equal(of.is_bridged, [True, False, False])
 
 
 def test_over_a_break_that_odometry_did_not_tell_nothing_is_confirmed():
     of, edge = breaks((True, False, True)), loop(2, 35)
-    of.take(edge, is_as_told=True)
+    of.add_loop(edge, agrees_with_odometry=True)
     assert not of.is_confirmed.any()
-    np.testing.assert_array_equal(of.blocks()[::10], [0, 0, 1, 1])
-    assert of.is_joined(np.array([5, 15, 25, 35]), 5).tolist() == [True, False, False, True]
+    np.testing.assert_array_equal(of.unbridged_segments()[::10], [0, 0, 1, 1])
+    assert of.are_connected(np.array([5, 15, 25, 35]), 5).tolist() == [True, False, False, True]
 
 
 def test_a_short_part_is_not_joined_by_odometry_alone():
     local = trajectory(np.array([0] * 10 + [1] * 4 + [2] * 26))
     over, into = loop(2, 35), loop(2, 11)
     for loops, expected in (([over], [True, False, True]), ([over, into], [True, True, True])):
-        of = Breaks(local)
+        of = TrackingLosses(local)
         for edge in loops:
-            of.take(edge, is_as_told=True)
-        assert of.joined_by(loops)[[5, 11, 30]].tolist() == expected
+            of.add_loop(edge, agrees_with_odometry=True)
+        assert of.connected_by(loops)[[5, 11, 30]].tolist() == expected

@@ -7,7 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion_core.slam.graph_ways import WAY_OF_BREAK_M, WAY_OF_TOLD_BREAK_M, GraphWays
+from fusion_core.slam.graph_distances import (
+    BRIDGED_LOSS_DISTANCE_M,
+    LOSS_DISTANCE_M,
+    GraphDistances,
+)
 
 PER_SUBMAP, SUBMAPS = 5, 8
 NODES = PER_SUBMAP * SUBMAPS
@@ -48,24 +52,24 @@ ends = st.tuples(st.integers(0, SUBMAPS - 1), st.integers(0, NODES - 1))
 
 @given(steps, st.lists(ends, max_size=6), st.integers(0, NODES - 1))
 def test_ways_are_the_shortest(steps_m, ties, node):
-    ways = GraphWays(trajectory(steps_m), breaks())
+    ways = GraphDistances(trajectory(steps_m), breaks())
     for taken, (number, end) in enumerate(ties):
         # What was asked before must not be what is told after the next loop.
         np.testing.assert_allclose(
             ways.to_submaps(node), expected_m(steps_m, ties[:taken], node), atol=1e-9
         )
-        ways.tie(number, end)
+        ways.add_loop(number, end)
     np.testing.assert_allclose(ways.to_submaps(node), expected_m(steps_m, ties, node), atol=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("told", "longer_m"), [(True, WAY_OF_TOLD_BREAK_M), (False, WAY_OF_BREAK_M)]
+    ("told", "longer_m"), [(True, BRIDGED_LOSS_DISTANCE_M), (False, LOSS_DISTANCE_M)]
 )
 def test_a_break_is_a_long_way(told, longer_m):
     steps_m = np.full(NODES - 1, 0.2)
-    whole = GraphWays(trajectory(steps_m), breaks())
-    broken = GraphWays(trajectory(steps_m), breaks([12], [told]))
+    whole = GraphDistances(trajectory(steps_m), breaks())
+    broken = GraphDistances(trajectory(steps_m), breaks([12], [told]))
     more_m = broken.to_submaps(0) - whole.to_submaps(0)
     np.testing.assert_allclose(more_m, [0.0] * 3 + [longer_m] * 5, atol=1e-6)
-    broken.take_breaks(breaks())
+    broken.set_losses(breaks())
     np.testing.assert_array_equal(broken.to_submaps(0), whole.to_submaps(0))

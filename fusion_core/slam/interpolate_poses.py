@@ -6,7 +6,9 @@ from fusion_core.model.conventions import FloatArray, IntArray, wrap_angle
 from fusion_core.model.planar_poses import compose, relative
 
 
-def carried(poses_local_scan: FloatArray, key: IntArray, poses_map_key: FloatArray) -> FloatArray:
+def interpolate_poses(
+    poses_local_scan: FloatArray, key: IntArray, poses_map_key: FloatArray
+) -> FloatArray:
     """(N, 3) every scan by the key scans before and after it, the nearer one counting more.
 
     ``poses_local_scan``: (N, 3). ``key``: (K,) rising, K >= 1. ``poses_map_key``: (K, 3).

@@ -12,7 +12,7 @@ from fusion_core.model.conventions import FloatArray, IntArray
 _EVERY = 64
 
 
-class ParticlePaths:
+class TrajectoryTree:
     """Values (V,) of each of P particles at each step, along the lines of descent."""
 
     def __init__(self, particles: int, values: int) -> None:

@@ -28,7 +28,7 @@ _SAFETY = 2.0
 _SHARE_MIN = 0.03
 
 
-class OdometryDoubt:
+class OdometryNoiseModel:
     """The doubt of odometry's steps; ``share_m`` and ``share_rad`` are where learning starts."""
 
     def __init__(self, share_m: float, share_rad: float) -> None:
@@ -42,14 +42,14 @@ class OdometryDoubt:
         self._sizes, self._gains, self._steps = np.zeros(2), np.zeros(3), 0
 
     @property
-    def shares(self) -> FloatArray:
+    def relative_sigmas(self) -> FloatArray:
         """(2,) the error of a metre in metres and of a radian in radians, one deviation."""
         shares: FloatArray = np.sqrt(self._squares)
         return shares
 
     def sigma(self, step: FloatArray) -> FloatArray:
         """(2,) deviation in metres and radians of ``step``, (3,) x, y, yaw in its own axes."""
-        sigma: FloatArray = _SAFETY * self.shares * _size(step)
+        sigma: FloatArray = _SAFETY * self.relative_sigmas * _size(step)
         return sigma
 
     def error(self, step: FloatArray) -> FloatArray:
@@ -70,7 +70,7 @@ class OdometryDoubt:
         told = np.diag(information)
         return sigma, told / (told + sigma**-2.0)
 
-    def learn(self, step: FloatArray, error: FloatArray, information: FloatArray) -> None:
+    def update(self, step: FloatArray, error: FloatArray, information: FloatArray) -> None:
         """Take in what a scan says of a step.
 
         ``error``: (3,) from the step to where the scan was placed, in the scan's axes.
@@ -96,7 +96,7 @@ class OdometryDoubt:
         self._squares = np.maximum(self._squares, self._floor)
         self._begin_window()
 
-    def forget_window(self) -> None:
+    def discard_window(self) -> None:
         """A scan was lost: what odometry said meanwhile has no counterpart."""
         self._begin_window()
 

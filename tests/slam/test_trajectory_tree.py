@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion_core.slam.particle_paths import ParticlePaths
+from fusion_core.slam.trajectory_tree import TrajectoryTree
 
 PARTICLES = 5
 
@@ -12,7 +12,7 @@ PARTICLES = 5
 @given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.floats(0.0, 1.0))
 def test_a_path_is_that_of_the_ancestors(seed, steps, often):
     rng = np.random.default_rng(seed)
-    paths = ParticlePaths(PARTICLES, 2)
+    paths = TrajectoryTree(PARTICLES, 2)
     plain = [[] for _ in range(PARTICLES)]
     for _ in range(steps):
         values = rng.normal(size=(PARTICLES, 2))
@@ -30,7 +30,7 @@ def test_a_path_is_that_of_the_ancestors(seed, steps, often):
 
 def test_what_all_have_in_common_is_kept_once():
     rng = np.random.default_rng(1)
-    paths = ParticlePaths(PARTICLES, 3)
+    paths = TrajectoryTree(PARTICLES, 3)
     longest = 0
     for _ in range(2000):
         paths.add(rng.normal(size=(PARTICLES, 3)))
@@ -42,7 +42,7 @@ def test_what_all_have_in_common_is_kept_once():
 
 
 def test_nothing_is_dropped_where_nothing_is_resampled():
-    paths = ParticlePaths(2, 1)
+    paths = TrajectoryTree(2, 1)
     for step in range(200):
         paths.add(np.array([[step], [-step]], dtype=np.float64))
     np.testing.assert_array_equal(paths.path(1)[:, 0], -np.arange(200.0))
