@@ -20,7 +20,7 @@ from fusion_core.model.conventions import (
     IntArray,
     read_only,
 )
-from fusion_core.model.geometry import inverse
+from fusion_core.model.geometry import invert_transform
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import LaserScan
 from fusion_core.settings import StageSettings, setting
@@ -162,7 +162,9 @@ class Agreement:
                 for lens in (frame.camera.intrinsics for frame in frames)
             ]
         )
-        self._T_camera_rig = np.stack([inverse(frame.camera.T_rig_camera) for frame in frames])
+        self._T_camera_rig = np.stack(
+            [invert_transform(frame.camera.T_rig_camera) for frame in frames]
+        )
         self.turn_rates_rad_s = np.array([frame.turn_rate_rad_s for frame in frames])
         self._after_s = np.array([frame.image_after_scan_s for frame in frames])
         self.blocks = max(1, len(frames) // _FRAMES_PER_BLOCK)
@@ -193,14 +195,14 @@ class Agreement:
     def frame_tallies(self, values: FloatArray) -> FloatArray:
         """(F, 4): cost, points in front of the camera, points on valid depth, points in accord."""
         mount = Mount.from_vector(values)
-        return self._tallies(inverse(mount.T_lidar_rig), mount)
+        return self._tallies(invert_transform(mount.T_lidar_rig), mount)
 
     def costs_at_yaws(self, mount: Mount, yaws_rad: FloatArray) -> FloatArray:
         """(K,) cost of all frames for the mount at other yaws."""
         pitched = replace(mount, yaw_rad=0.0, forward_m=0.0, left_m=0.0, delta_z_m=0.0)
         back = np.eye(4)
         back[:3, 3] = -mount.T_lidar_rig[:3, 3]
-        T_rig_lidar = inverse(pitched.T_lidar_rig) @ _turns(-yaws_rad) @ back
+        T_rig_lidar = invert_transform(pitched.T_lidar_rig) @ _turns(-yaws_rad) @ back
         return np.array([self._tallies(T, mount)[:, 0].sum() for T in T_rig_lidar])
 
     def _tallies(self, T_rig_lidar: FloatArray, mount: Mount) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy as np
 
 from fusion_core.alignment.curves import RowSampling, SamplingSettings
 from fusion_core.model.conventions import Float32Array, FloatArray
-from fusion_core.model.geometry import apply
+from fusion_core.model.geometry import transform_points
 from fusion_core.model.rig import Camera
 
 
@@ -34,7 +34,7 @@ class Panorama:
             u, v = np.meshgrid(columns, np.arange(lens.height))
             rays = camera.rays(v, u)
             self._rays.append((columns, rays))
-            ends = apply(camera.T_rig_camera, 2.0 * rays[lens.height // 2, [0, -1]])
+            ends = transform_points(camera.T_rig_camera, 2.0 * rays[lens.height // 2, [0, -1]])
             azimuths.extend(np.arctan2(ends[:, 1], ends[:, 0]))
         lens = self._cameras[0].intrinsics
         self._rows, self._focal, self._middle_row = lens.height, lens.fy, lens.cy
@@ -58,7 +58,7 @@ class Panorama:
         for camera, (columns, rays), depth_m in zip(
             self._cameras, self._rays, depths_m, strict=True
         ):
-            points = apply(
+            points = transform_points(
                 camera.T_rig_camera, depth_m[:, columns, np.newaxis].astype(np.float64) * rays
             )
             points = points[np.isfinite(depth_m[:, columns])]

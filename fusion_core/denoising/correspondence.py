@@ -20,7 +20,7 @@ from fusion_core.model.conventions import (
     IntArray,
     read_only,
 )
-from fusion_core.model.geometry import apply, inverse
+from fusion_core.model.geometry import invert_transform, transform_points
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import LaserScan
 from fusion_core.registration.models import map_points
@@ -80,7 +80,7 @@ def along_curve(
     scan's stamp.
     """
     lens = camera.intrinsics
-    T_camera_lidar = inverse(T_lidar_camera)
+    T_camera_lidar = invert_transform(T_lidar_camera)
     camera_range = _follow_rays(
         scan.angles_rad,
         smooth_depth_m,
@@ -92,13 +92,13 @@ def along_curve(
     beam = np.flatnonzero(_column_in_view(scan.angles_rad, guess, T_camera_lidar, camera))
     azimuth_rad = scan.angles_rad[beam]
     lidar = scan.ranges_m[beam]
-    in_camera = apply(T_camera_lidar, _at_range(azimuth_rad, guess[beam]))
+    in_camera = transform_points(T_camera_lidar, _at_range(azimuth_rad, guess[beam]))
     scale = np.where(in_camera[:, 2] > _NEAREST_M, in_camera[:, 2], np.nan)
     u = lens.cx + lens.fx * in_camera[:, 0] / scale
     v = lens.cy + lens.fy * in_camera[:, 1] / scale
     row, column = _pixel(u, v, lens.height, lens.width)
     depth = np.where(row >= 0, depth_m[row, column], np.nan).astype(np.float64)
-    seen = apply(T_lidar_camera, depth[:, np.newaxis] * camera.rays(row, column))
+    seen = transform_points(T_lidar_camera, depth[:, np.newaxis] * camera.rays(row, column))
     depth_as_range = np.hypot(seen[:, 0], seen[:, 1])
     return Correspondence(
         model="curve",
@@ -273,7 +273,7 @@ def _column_in_view(
         return np.zeros(range_m.size, dtype=np.bool_)
     index = np.arange(range_m.size)
     filled = np.interp(index, index[known], range_m[known])
-    in_camera = apply(T_camera_lidar, _at_range(azimuth_rad, filled))
+    in_camera = transform_points(T_camera_lidar, _at_range(azimuth_rad, filled))
     ahead = in_camera[:, 2] > _NEAREST_M
     lens = camera.intrinsics
     u = lens.cx + lens.fx * in_camera[:, 0] / np.where(ahead, in_camera[:, 2], np.nan)

@@ -24,7 +24,7 @@ from fusion_core.evaluation.scene import SAME_SURFACE_M, Scene, SceneCamera, joi
 from fusion_core.evaluation.truth import Truth
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import FloatArray, IntArray, read_only, wrap_angle
-from fusion_core.model.geometry import apply, inverse, transform
+from fusion_core.model.geometry import invert_transform, make_transform, transform_points
 
 U_TOLERANCE_SAMPLES = 2.0
 LEAST_OVERLAP = 0.5
@@ -173,10 +173,10 @@ def _good_pair_offsets(
     depth_m = camera.truth.depth_m(shown, row, column)
     near = np.abs(camera.horizontal_range_m(row, column, depth_m) - range_m) < SAME_SURFACE_M
     good = inside & near & (camera.truth.kind[image, row, column] == NoiseClass.GOOD)
-    in_lidar = apply(
+    in_lidar = transform_points(
         camera.T_lidar_camera, camera.points_in_camera(row[good], column[good], depth_m[good])
     )
-    in_rig = apply(inverse(T_lidar_rig), in_lidar)
+    in_rig = transform_points(invert_transform(T_lidar_rig), in_lidar)
     azimuth_rad = np.arctan2(in_rig[:, 1], in_rig[:, 0])
     step_rad = _step_rad(lidar)
     from_left_rad = _curve_left_rad(scene, step_rad) - angle_rad[good]
@@ -209,7 +209,7 @@ def _true_rig(scene: Scene) -> FloatArray:
     forward = forward / np.linalg.norm(forward)
     left = np.array([-forward[1], forward[0], 0.0]) / np.hypot(forward[0], forward[1])
     axes = np.stack([forward, left, np.cross(forward, left)], axis=-1)
-    return transform(axes, np.mean([mount[:3, 3] for mount in mounts], axis=0))
+    return make_transform(axes, np.mean([mount[:3, 3] for mount in mounts], axis=0))
 
 
 def _left_of_row_rad(scene: Scene, T_lidar_rig: FloatArray, lidar: RecordedLidar) -> float:
@@ -221,7 +221,7 @@ def _left_of_row_rad(scene: Scene, T_lidar_rig: FloatArray, lidar: RecordedLidar
         column = np.array([-0.5, width - 0.5, cx, cx])
         row = np.array([cy, cy, -0.5, height - 0.5])
         edge = camera.points_in_camera(row, column, np.full(4, _PANORAMA_END_M))
-        in_rig = apply(inverse(T_lidar_rig) @ camera.T_lidar_camera, edge)
+        in_rig = transform_points(invert_transform(T_lidar_rig) @ camera.T_lidar_camera, edge)
         edges.append(np.arctan2(in_rig[:, 1], in_rig[:, 0]).max())
     return float(max(edges)) - 0.5 * _step_rad(lidar)
 

@@ -9,7 +9,7 @@ from fusion_core.evaluation.fuse_folder import FuseFolder, RecordedCamera
 from fusion_core.evaluation.truth import CameraTruth, Truth
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
 from fusion_core.model.errors import ScanLoomError
-from fusion_core.model.geometry import apply, inverse
+from fusion_core.model.geometry import invert_transform, transform_points
 
 SAME_SURFACE_M = 0.10
 """True horizontal ranges that differ by less belong to one surface (a good pair)."""
@@ -42,7 +42,7 @@ class SceneCamera:
         self, row: IntArray, column: IntArray, depth_m: FloatArray
     ) -> FloatArray:
         """Distance in the LiDAR's plane, from its origin, of pixels with a depth."""
-        points = apply(self.T_lidar_camera, self.points_in_camera(row, column, depth_m))
+        points = transform_points(self.T_lidar_camera, self.points_in_camera(row, column, depth_m))
         return np.hypot(points[..., 0], points[..., 1])
 
     def pixels(self, points_in_lidar: FloatArray) -> tuple[IntArray, IntArray, BoolArray]:
@@ -51,7 +51,9 @@ class SceneCamera:
         Row and column are 0 where the point does not.
         """
         fx, fy, cx, cy = self.intrinsics
-        x, y, z = np.moveaxis(apply(inverse(self.T_lidar_camera), points_in_lidar), -1, 0)
+        x, y, z = np.moveaxis(
+            transform_points(invert_transform(self.T_lidar_camera), points_in_lidar), -1, 0
+        )
         ahead = z > 0.0  # NaN compares false.
         depth_m = np.where(ahead, z, 1.0)
         _, height, width = self.truth.depth_mm.shape

@@ -17,7 +17,7 @@ from fusion_core.model.conventions import (
     read_only,
 )
 from fusion_core.model.errors import ScanLoomError
-from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -43,7 +43,7 @@ class LeverArm:
         """(4, 4) T_lidar_camera of an optical frame that looks ``yaw_rad`` to the left."""
         rotation = rotation_from_yaw_pitch_roll(yaw_rad, self.pitch_rad, 0.0) @ R_BODY_OPTICAL
         up_m = self.camera_height_m - self.lidar_height_m
-        return transform(rotation, np.array([self.forward_m, self.left_m, up_m]))
+        return make_transform(rotation, np.array([self.forward_m, self.left_m, up_m]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,11 +4,11 @@ import numpy as np
 
 from fusion_core.model.conventions import FloatArray, wrap_angle
 
-FARTHEST_M = 1e8
+POSITION_MAX_M = 1e8
 """No recorded position lies farther from its origin: round the Earth it is 4e7 m."""
 
 
-def transform(rotation: FloatArray, translation_m: FloatArray) -> FloatArray:
+def make_transform(rotation: FloatArray, translation_m: FloatArray) -> FloatArray:
     """(4, 4) from a (3, 3) rotation and a (3,) translation."""
     result = np.eye(4)
     result[:3, :3] = rotation
@@ -16,13 +16,13 @@ def transform(rotation: FloatArray, translation_m: FloatArray) -> FloatArray:
     return result
 
 
-def inverse(T_a_b: FloatArray) -> FloatArray:
+def invert_transform(T_a_b: FloatArray) -> FloatArray:
     """T_b_a of a rigid (4, 4) T_a_b."""
     rotation = T_a_b[:3, :3].T
-    return transform(rotation, -rotation @ T_a_b[:3, 3])
+    return make_transform(rotation, -rotation @ T_a_b[:3, 3])
 
 
-def apply(T_a_b: FloatArray, points_in_b: FloatArray) -> FloatArray:
+def transform_points(T_a_b: FloatArray, points_in_b: FloatArray) -> FloatArray:
     """(..., 3) points in b to (..., 3) points in a."""
     moved: FloatArray = points_in_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
     return moved
@@ -68,15 +68,15 @@ def planar_from_transform(T_a_b: FloatArray) -> FloatArray:
 
 def transform_from_planar(pose: FloatArray) -> FloatArray:
     """(4, 4) of (x, y, yaw)."""
-    return transform(
+    return make_transform(
         rotation_from_yaw_pitch_roll(float(pose[2]), 0.0, 0.0), np.array([pose[0], pose[1], 0.0])
     )
 
 
-def interpolate_planar(before: FloatArray, after: FloatArray, share: float) -> FloatArray:
+def interpolate_pose(before: FloatArray, after: FloatArray, fraction: float) -> FloatArray:
     """(x, y, yaw) at ``share`` in [0, 1] of the way, the yaw along the shorter arc."""
     step = after - before
     step[2] = wrap_angle(step[2])
-    result: FloatArray = before + share * step
+    result: FloatArray = before + fraction * step
     result[2] = wrap_angle(result[2])
     return result

@@ -3,7 +3,7 @@
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray
-from fusion_core.model.geometry import rotation_from_quaternion, transform
+from fusion_core.model.geometry import make_transform, rotation_from_quaternion
 
 # Below this angle sin(angle) loses digits; the normalised straight line is then exact enough.
 _SMALL_ANGLE_RAD = 1e-4
@@ -48,4 +48,4 @@ def interpolate_transform(T_before: FloatArray, T_after: FloatArray, share: floa
         quaternion_from_rotation(T_before[:3, :3]), quaternion_from_rotation(T_after[:3, :3]), share
     )
     position_m = (1.0 - share) * T_before[:3, 3] + share * T_after[:3, 3]
-    return transform(rotation_from_quaternion(*quaternion), position_m)
+    return make_transform(rotation_from_quaternion(*quaternion), position_m)

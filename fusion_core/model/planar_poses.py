@@ -9,45 +9,45 @@ import numpy as np
 
 from fusion_core.model.conventions import FloatArray, wrap_angle
 
-Prior = Callable[[int], FloatArray | None]
+PosePrior = Callable[[int], FloatArray | None]
 """Stamp in ns to the (3,) pose of the LiDAR by odometry, None where that is not known."""
 
 
-def compose(pose_a_b: FloatArray, pose_b_c: FloatArray) -> FloatArray:
+def compose_poses(pose_a_b: FloatArray, pose_b_c: FloatArray) -> FloatArray:
     """(..., 3) pose_a_c; the two broadcast."""
     c, s = np.cos(pose_a_b[..., 2]), np.sin(pose_a_b[..., 2])
     x, y = pose_b_c[..., 0], pose_b_c[..., 1]
-    return _joined(
+    return _stack_poses(
         pose_a_b[..., 0] + c * x - s * y,
         pose_a_b[..., 1] + s * x + c * y,
         wrap_angle(pose_a_b[..., 2] + pose_b_c[..., 2]),
     )
 
 
-def inverse(pose_a_b: FloatArray) -> FloatArray:
+def invert_pose(pose_a_b: FloatArray) -> FloatArray:
     """(..., 3) pose_b_a."""
     c, s = np.cos(pose_a_b[..., 2]), np.sin(pose_a_b[..., 2])
     x, y = pose_a_b[..., 0], pose_a_b[..., 1]
-    return _joined(-c * x - s * y, s * x - c * y, wrap_angle(-pose_a_b[..., 2]))
+    return _stack_poses(-c * x - s * y, s * x - c * y, wrap_angle(-pose_a_b[..., 2]))
 
 
-def relative(pose_a_b: FloatArray, pose_a_c: FloatArray) -> FloatArray:
+def relative_pose(pose_a_b: FloatArray, pose_a_c: FloatArray) -> FloatArray:
     """(..., 3) pose_b_c."""
     c, s = np.cos(pose_a_b[..., 2]), np.sin(pose_a_b[..., 2])
     # Subtracted first, so that nothing is lost far from the origin.
     x, y = pose_a_c[..., 0] - pose_a_b[..., 0], pose_a_c[..., 1] - pose_a_b[..., 1]
     turn = wrap_angle(pose_a_c[..., 2] - pose_a_b[..., 2])
-    return _joined(c * x + s * y, c * y - s * x, turn)
+    return _stack_poses(c * x + s * y, c * y - s * x, turn)
 
 
-def _joined(x: FloatArray, y: FloatArray, yaw: FloatArray) -> FloatArray:
+def _stack_poses(x: FloatArray, y: FloatArray, yaw: FloatArray) -> FloatArray:
     """(..., 3); np.stack takes longer than the sums, and a scan needs dozens of poses."""
     poses = np.empty((*yaw.shape, 3))
     poses[..., 0], poses[..., 1], poses[..., 2] = x, y, yaw
     return poses
 
 
-def move_points(pose_a_b: FloatArray, points_in_b_m: FloatArray) -> FloatArray:
+def transform_planar_points(pose_a_b: FloatArray, points_in_b_m: FloatArray) -> FloatArray:
     """(n, 2) points in a."""
     c, s = np.cos(pose_a_b[2]), np.sin(pose_a_b[2])
     moved: FloatArray = points_in_b_m @ np.array([[c, s], [-s, c]]) + pose_a_b[:2]

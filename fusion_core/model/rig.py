@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, IntArray, read_only
-from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.model.sensors import CameraIntrinsics
 
 
@@ -93,7 +93,7 @@ class Mount:
     @property
     def T_lidar_rig(self) -> FloatArray:
         """(4, 4): rig coordinates to the LiDAR's."""
-        return transform(
+        return make_transform(
             rotation_from_yaw_pitch_roll(self.yaw_rad, self.pitch_rad, 0.0),
             np.array([self.forward_m, self.left_m, self.delta_z_m]),
         )

@@ -45,11 +45,11 @@ class Trajectory:
         )
 
     @property
-    def planar(self) -> FloatArray:
+    def planar_poses(self) -> FloatArray:
         """(N, 3) poses x, y, yaw; height, pitch and roll are dropped."""
         return np.array([planar_from_transform(pose) for pose in self.T_map_body])
 
-    def at(self, stamp_ns: int) -> FloatArray:
+    def pose_at(self, stamp_ns: int) -> FloatArray:
         """(4, 4) T_map_body at an instant, interpolated between its two neighbours.
 
         Raises StampOutsideRange before the first and after the last stamp.

@@ -6,7 +6,7 @@ import numpy as np
 
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import FramesNotConnected, StampOutsideRange
-from fusion_core.model.geometry import inverse
+from fusion_core.model.geometry import invert_transform
 from fusion_core.model.interpolation import interpolate_transform
 from fusion_core.model.sensors import Transform
 
@@ -36,7 +36,7 @@ class TransformTree:
         self._static: dict[_Pair, FloatArray] = {}
         self._timed: dict[_Pair, _Samples] = {}
         self._neighbours: dict[str, dict[str, None]] = {}
-        self.refused = 0
+        self.rejected_count = 0
         """Transforms that were left out: not finite, not rigid, or from a frame to itself."""
 
     @property
@@ -47,7 +47,7 @@ class TransformTree:
     def add(self, sample: Transform, *, static: bool) -> None:
         """Take one transform. One that is no rigid pose is left out and counted in ``refused``."""
         if sample.parent == sample.child or not _is_rigid(sample.T_parent_child):
-            self.refused += 1
+            self.rejected_count += 1
             return
         pair = (sample.parent, sample.child)
         self._neighbours.setdefault(sample.parent, {})[sample.child] = None
@@ -114,12 +114,12 @@ class TransformTree:
         if (a, b) in self._static:
             return self._static[a, b]
         if (b, a) in self._static:
-            return inverse(self._static[b, a])
+            return invert_transform(self._static[b, a])
         gap_ns = self._gap_ns(a, b, stamp_ns)
         forward = self._timed.get((a, b))
         if forward is not None and forward.gap_ns(stamp_ns) == gap_ns:
             return forward.at(stamp_ns)
-        return inverse(self._timed[b, a].at(stamp_ns))
+        return invert_transform(self._timed[b, a].at(stamp_ns))
 
     def _failure(
         self, target: str, source: str, stamp_ns: int

@@ -12,7 +12,7 @@ import numpy as np
 
 from fusion_core.model.conventions import FloatArray, wrap_angle
 from fusion_core.model.errors import MissingStream, RegistrationFailed
-from fusion_core.model.planar_poses import compose, relative
+from fusion_core.model.planar_poses import compose_poses, relative_pose
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import LaserScan
 from fusion_core.motion.keyframe_chain import KeyframeChain
@@ -176,7 +176,7 @@ class _Follower:
             return np.zeros(3)
         last = poses[-1]
         if prior is not None and self._prior is not None:
-            return compose(last, relative(self._prior, prior))
+            return compose_poses(last, relative_pose(self._prior, prior))
         back = self._steps_back()
         if back == 0:
             # A velocity that led to no match is no better known than none.
@@ -191,7 +191,7 @@ class _Follower:
         way_ns = min(since_ns, int(np.diff(stamps_ns[-1 - back :]).max()))
         step = steps.sum(axis=0) * (way_ns / (stamps_ns[-1] - stamps_ns[-1 - back]))
         step[2] = share * steps[-1, 2]
-        return compose(last, step)
+        return compose_poses(last, step)
 
     def _steps_back(self) -> int:
         """How many steps before the next scan were measured without a break, up to a few."""
@@ -203,7 +203,7 @@ class _Follower:
 
     def _match(self, key: _Swept, scan: LaserScan, predicted: FloatArray) -> ScanMatch | str:
         """The match to a keyframe, or why there is none."""
-        guess = relative(key.pose, predicted)
+        guess = relative_pose(key.pose, predicted)
         try:
             match = match_to(
                 key.reference,
@@ -226,8 +226,10 @@ class _Follower:
         assert self._key is not None, "a match has a keyframe"
         settings = self._settings
         noise = match.covariance * settings.noise_factor**2
-        step = self._supported(match.pose_first_second, noise, relative(self._key.pose, predicted))
-        pose = compose(self._key.pose, step)
+        step = self._supported(
+            match.pose_first_second, noise, relative_pose(self._key.pose, predicted)
+        )
+        pose = compose_poses(self._key.pose, step)
         # The match's own covariance: what the prediction adds is not the laser's to claim.
         self._chain.append(pose, in_axes_of(float(step[2]), noise), matched=True)
         self._misses = 0

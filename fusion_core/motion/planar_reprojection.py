@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray
-from fusion_core.model.geometry import apply, inverse
+from fusion_core.model.geometry import invert_transform, transform_points
 
 _ITERATIONS = 10
 _SMALL_STEP = 1e-7
@@ -48,8 +48,8 @@ def fit_planar_step(
     1 m along the optical axis. ``depth_sigma_per_m2``: noise of a depth over its square. None where
     the points do not determine the step.
     """
-    T_camera_lidar = inverse(T_lidar_camera)
-    depth_m = apply(T_camera_lidar, points_in_lidar_m)[:, 2]
+    T_camera_lidar = invert_transform(T_lidar_camera)
+    depth_m = transform_points(T_camera_lidar, points_in_lidar_m)[:, 2]
     rays = (points_in_lidar_m - T_lidar_camera[:3, 3]) / depth_m[:, np.newaxis]
     depth_sigma_m = depth_sigma_per_m2 * depth_m**2
     step = start.astype(np.float64).copy()
@@ -95,7 +95,7 @@ def _project(
     by_step = np.zeros((len(points_m), 3, 3))
     by_step[:, 0, 0], by_step[:, 0, 1], by_step[:, 0, 2] = -c, -s, now[:, 1]
     by_step[:, 1, 0], by_step[:, 1, 1], by_step[:, 1, 2] = s, -c, -now[:, 0]
-    in_camera = apply(T_camera_lidar, np.column_stack([now, points_m[:, 2]]))
+    in_camera = transform_points(T_camera_lidar, np.column_stack([now, points_m[:, 2]]))
     ahead = in_camera[:, 2] > _NEAREST_M
     z = np.where(ahead, in_camera[:, 2], 1.0)
     projected = in_camera[:, :2] / z[:, np.newaxis]

@@ -7,12 +7,12 @@ and of the turn.
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, wrap_angle
-from fusion_core.model.planar_poses import relative
+from fusion_core.model.planar_poses import relative_pose
 
 
 def steps_of(poses: FloatArray) -> FloatArray:
     """(N - 1, 3) the step from each of (N, 3) poses to the next."""
-    return relative(poses[:-1], poses[1:])
+    return relative_pose(poses[:-1], poses[1:])
 
 
 def chained(steps: FloatArray, start: FloatArray | None = None) -> FloatArray:

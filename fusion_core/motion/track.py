@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
-from fusion_core.model.geometry import interpolate_planar
+from fusion_core.model.geometry import interpolate_pose
 from fusion_core.motion.steps import steps_of
 
 
@@ -83,7 +83,7 @@ class OdometryTrack:
         begin_ns, end_ns = (int(stamp) for stamp in self.stamps_ns[after - 1 : after + 1])
         share = (stamp_ns - begin_ns) / (end_ns - begin_ns)
         before = self.poses_odom_lidar[after - 1]
-        return interpolate_planar(before, self.poses_odom_lidar[after], share)
+        return interpolate_pose(before, self.poses_odom_lidar[after], share)
 
 
 def masked(covariance: FloatArray, measured: BoolArray) -> FloatArray:

@@ -19,8 +19,13 @@ from fusion_core.model.conventions import (
     wrap_angle,
 )
 from fusion_core.model.errors import MissingStream
-from fusion_core.model.geometry import apply, inverse, planar_from_transform, transform
-from fusion_core.model.planar_poses import compose
+from fusion_core.model.geometry import (
+    invert_transform,
+    make_transform,
+    planar_from_transform,
+    transform_points,
+)
+from fusion_core.model.planar_poses import compose_poses
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.motion.keyframe_chain import KeyframeChain
@@ -188,7 +193,7 @@ class _Follower:
         if np.count_nonzero(usable) < settings.inliers_min:
             return "too few features with depth"
         rays = np.column_stack([self._at_one_metre(pixels), np.ones(len(pixels))])
-        points = apply(self._T, np.where(usable, depth_m, np.nan)[:, np.newaxis] * rays)
+        points = transform_points(self._T, np.where(usable, depth_m, np.nan)[:, np.newaxis] * rays)
         return _Features(frame.gray, pixels, np.asarray(descriptors, dtype=np.uint8), points, pose)
 
     def _at_one_metre(self, pixels: Float32Array) -> FloatArray:
@@ -277,7 +282,7 @@ class _Follower:
     def _start(self, points: FloatArray, seen: FloatArray) -> tuple[FloatArray | None, BoolArray]:
         """PnP in RANSAC: the LiDAR's step, of which the planar part is taken, and the inliers."""
         none = np.zeros(len(points), dtype=np.bool_)
-        in_camera = apply(inverse(self._T), points)
+        in_camera = transform_points(invert_transform(self._T), points)
         settings = self._settings
         try:
             done, turn, shift, inliers = cv2.solvePnPRansac(
@@ -297,16 +302,18 @@ class _Follower:
             return None, none
         mask = none.copy()
         mask[np.asarray(inliers).reshape(-1)] = True
-        T_now_key = transform(
+        T_now_key = make_transform(
             np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(shift, np.float64).reshape(3)
         )
-        step = planar_from_transform(self._T @ inverse(T_now_key) @ inverse(self._T))
+        step = planar_from_transform(
+            self._T @ invert_transform(T_now_key) @ invert_transform(self._T)
+        )
         return (step if np.isfinite(step).all() else None), mask
 
     def _hit(self, features: _Features, fit: PlanarFit, found: int) -> None:
         assert self._key is not None, "a match has a keyframe"
         settings, step = self._settings, fit.step
-        pose = compose(self._key.pose, step)
+        pose = compose_poses(self._key.pose, step)
         noise = fit.covariance * settings.noise_factor**2
         self._chain.append(pose, in_axes_of(float(step[2]), noise), matched=True)
         self._misses = 0

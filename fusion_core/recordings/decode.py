@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from fusion_core.model.conventions import NS_PER_S, Float32Array, FloatArray
 from fusion_core.model.errors import RecordingError
-from fusion_core.model.geometry import FARTHEST_M
+from fusion_core.model.geometry import POSITION_MAX_M
 from fusion_core.model.sensors import (
     CameraInfo,
     CameraIntrinsics,
@@ -290,9 +290,9 @@ def _pose_matrix(
     """(4, 4) in plain floats: recordings hold transforms by the ten thousand, and arrays of four
     numbers would take several times as long (as ``geometry.rotation_from_quaternion`` does).
     """
-    if not (abs(px) <= FARTHEST_M and abs(py) <= FARTHEST_M and abs(pz) <= FARTHEST_M):
+    if not (abs(px) <= POSITION_MAX_M and abs(py) <= POSITION_MAX_M and abs(pz) <= POSITION_MAX_M):
         is_far = isfinite(px) and isfinite(py) and isfinite(pz)
-        what = f"lies farther than {FARTHEST_M:g} m" if is_far else "is not finite"
+        what = f"lies farther than {POSITION_MAX_M:g} m" if is_far else "is not finite"
         raise BadMessage(f"position {px} {py} {pz} {what}", "Check the source of the pose.")
     xx, yy, zz = x * x, y * y, z * z
     squared = xx + yy + zz + w * w

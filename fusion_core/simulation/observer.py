@@ -6,7 +6,11 @@ import numpy as np
 
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray
-from fusion_core.model.geometry import apply, planar_from_transform, transform_from_planar
+from fusion_core.model.geometry import (
+    planar_from_transform,
+    transform_from_planar,
+    transform_points,
+)
 from fusion_core.simulation import depth_camera, lidar
 from fusion_core.simulation.colors import shade
 from fusion_core.simulation.depth_camera import DepthNoise, DepthView
@@ -126,7 +130,9 @@ class Observer:
         depth_m = _finite(hits.distance)
         points_m = eye_m + depth_m[:, None] * directions
         baseline_m = np.array([setup.depth_noise.projector_baseline_m, 0.0, 0.0])
-        shadowed = self._caster.blocked(points_m, apply(T_world_optical, baseline_m), time_s)
+        shadowed = self._caster.blocked(
+            points_m, transform_points(T_world_optical, baseline_m), time_s
+        )
         shape = (mount.intrinsics.height, mount.intrinsics.width)
         noisy = depth_camera.add_noise(
             DepthView(

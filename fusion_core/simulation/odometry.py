@@ -4,7 +4,7 @@ import numpy as np
 
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.geometry import (
-    inverse,
+    invert_transform,
     planar_from_transform,
     transform_from_planar,
 )
@@ -53,7 +53,7 @@ class DriftingOdometry:
         T_map_base = transform_from_planar(pose)
         if self._before is not None:
             time_before_s, T_map_before = self._before
-            moved = planar_from_transform(inverse(T_map_before) @ T_map_base)
+            moved = planar_from_transform(invert_transform(T_map_before) @ T_map_base)
             draw = self._rng.standard_normal(2)
             scale = self._noise.distance_scale + self._noise.distance_sigma_share * draw[0]
             turn = moved[2] * (1.0 + self._noise.yaw_sigma_share * draw[1])

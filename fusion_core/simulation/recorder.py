@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, FloatArray
-from fusion_core.model.geometry import inverse, transform_from_planar
+from fusion_core.model.geometry import invert_transform, transform_from_planar
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import (
     CameraInfo,
@@ -223,7 +223,7 @@ class _Recorder:
             sensors += [(camera.frame_id, camera.T_base_optical) for camera in rig.cameras]
             return tuple(_transform("base_link", child, T) for child, T in sensors)
         if self._take.extrinsics == "cameras":
-            T_rig_base = inverse(rig.T_base_rig)
+            T_rig_base = invert_transform(rig.T_base_rig)
             return tuple(
                 _transform("camera_rig", camera.frame_id, T_rig_base @ camera.T_base_optical)
                 for camera in rig.cameras

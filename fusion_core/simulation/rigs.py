@@ -7,7 +7,11 @@ from functools import cache
 import numpy as np
 
 from fusion_core.model.conventions import R_BODY_OPTICAL, FloatArray
-from fusion_core.model.geometry import inverse, rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import (
+    invert_transform,
+    make_transform,
+    rotation_from_yaw_pitch_roll,
+)
 from fusion_core.model.sensors import CameraIntrinsics
 
 
@@ -89,12 +93,12 @@ class Rig:
 
     def T_lidar_camera(self) -> FloatArray:
         """(C, 4, 4) optical frames in the LiDAR's."""
-        T_lidar_base = inverse(self.lidar.T_base_lidar)
+        T_lidar_base = invert_transform(self.lidar.T_base_lidar)
         return np.stack([T_lidar_base @ camera.T_base_optical for camera in self.cameras])
 
 
 def _lidar(height_m: float, forward_m: float = 0.0) -> LidarMount:
-    return LidarMount(T_base_lidar=transform(np.eye(3), np.array([forward_m, 0.0, height_m])))
+    return LidarMount(T_base_lidar=make_transform(np.eye(3), np.array([forward_m, 0.0, height_m])))
 
 
 def _single_camera(
@@ -106,7 +110,7 @@ def _single_camera(
 ) -> Rig:
     yaw_rad = float(np.radians(yaw_deg))
     body = rotation_from_yaw_pitch_roll(yaw_rad, 0.0, 0.0)
-    T_base_optical = transform(body @ R_BODY_OPTICAL, np.array(position_m))
+    T_base_optical = make_transform(body @ R_BODY_OPTICAL, np.array(position_m))
     camera = CameraMount(
         namespace="/camera",
         frame_id="camera_depth_optical_frame",
@@ -174,10 +178,10 @@ def turtlebot2() -> Rig:
             cy=119.5,
             distortion=(0.0, 0.0, 0.0, 0.0, 0.0),
         ),
-        T_base_optical=transform(body @ R_BODY_OPTICAL, np.array([0.08, 0.0, 0.45])),
+        T_base_optical=make_transform(body @ R_BODY_OPTICAL, np.array([0.08, 0.0, 0.45])),
     )
     lidar = LidarMount(
-        T_base_lidar=transform(np.eye(3), np.array([0.0, 0.0, 0.3])),
+        T_base_lidar=make_transform(np.eye(3), np.array([0.0, 0.0, 0.3])),
         beams=360,
         angle_increment_rad=2.0 * np.pi / 360.0,
         rate_hz=5.5,
@@ -203,7 +207,7 @@ def robot_at_home() -> Rig:
     """
     yaw_rad = float(np.radians(2.5))
     middle_m = np.array([0.26, 0.0, 1.045])
-    T_base_rig = transform(rotation_from_yaw_pitch_roll(yaw_rad, 0.0, 0.0), middle_m)
+    T_base_rig = make_transform(rotation_from_yaw_pitch_roll(yaw_rad, 0.0, 0.0), middle_m)
     # From the robot's base, as published, with the LiDAR at (0.205, 0, 0.31).
     places = [
         ((0.271, 0.031, 1.045), 45.0),
@@ -223,7 +227,7 @@ def robot_at_home() -> Rig:
     cameras = []
     for number, (position_m, yaw_deg) in enumerate(places, start=1):
         body = rotation_from_yaw_pitch_roll(float(np.radians(yaw_deg)), 0.0, -0.5 * np.pi)
-        T_rig_optical = transform(body @ R_BODY_OPTICAL, np.array(position_m) - middle_m)
+        T_rig_optical = make_transform(body @ R_BODY_OPTICAL, np.array(position_m) - middle_m)
         cameras.append(
             CameraMount(
                 namespace=f"/camera_{number}",

@@ -8,7 +8,7 @@ that no beam of a coarse sweep hits the sample do not count; range, field of vie
 import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray
-from fusion_core.model.geometry import apply, inverse
+from fusion_core.model.geometry import invert_transform, transform_points
 from fusion_core.model.world_outline import ObstacleOutline, WorldOutline, runs_of
 from fusion_core.simulation.observer import Setup
 from fusion_core.simulation.ray_casting import Hits, RayCaster
@@ -54,7 +54,7 @@ class Sightings:
         height_m = float(T_world_lidar[2, 3])
         left = np.flatnonzero(~self._seen["lidar"] & self._stands_at(height_m))
         targets_m = self._at_height(left, height_m)
-        in_lidar = apply(inverse(T_world_lidar), targets_m)
+        in_lidar = transform_points(invert_transform(T_world_lidar), targets_m)
         range_m = np.hypot(in_lidar[:, 0], in_lidar[:, 1])
         azimuth = np.arctan2(in_lidar[:, 1], in_lidar[:, 0])
         # Around the whole circle the last beam's neighbour is the first.
@@ -73,11 +73,11 @@ class Sightings:
         mount, noise = self._setup.rig.cameras[camera], self._setup.depth_noise
         lens = mount.intrinsics
         T_world_optical = T_world_base @ mount.T_base_optical
-        T_optical_world = inverse(T_world_optical)
+        T_optical_world = invert_transform(T_world_optical)
         for height_m in _HEIGHTS_M:
             left = np.flatnonzero(~self._seen["camera"] & self._stands_at(float(height_m)))
             targets_m = self._at_height(left, float(height_m))
-            x, y, z = apply(T_optical_world, targets_m).T
+            x, y, z = transform_points(T_optical_world, targets_m).T
             ahead = (z >= noise.near_m) & (z <= noise.far_m)
             depth = np.where(ahead, z, 1.0)
             u, v = lens.cx + lens.fx * x / depth, lens.cy + lens.fy * y / depth

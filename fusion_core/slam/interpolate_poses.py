@@ -3,7 +3,7 @@
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, IntArray, wrap_angle
-from fusion_core.model.planar_poses import compose, relative
+from fusion_core.model.planar_poses import compose_poses, relative_pose
 
 
 def interpolate_poses(
@@ -17,7 +17,9 @@ def interpolate_poses(
     before = np.maximum(np.searchsorted(key, number, side="right") - 1, 0)
     after = np.minimum(before + 1, key.size - 1)
     by_before, by_after = (
-        compose(poses_map_key[node], relative(poses_local_scan[key[node]], poses_local_scan))
+        compose_poses(
+            poses_map_key[node], relative_pose(poses_local_scan[key[node]], poses_local_scan)
+        )
         for node in (before, after)
     )
     span = np.maximum(key[after] - key[before], 1)

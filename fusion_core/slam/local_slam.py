@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
-from fusion_core.model.planar_poses import compose, move_points, relative
+from fusion_core.model.planar_poses import compose_poses, relative_pose, transform_planar_points
 from fusion_core.model.sensors import LaserScan
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.odometry_noise import OdometryNoiseModel
@@ -283,8 +283,8 @@ class LocalSlam:
         is_measured = prior is not None and self._prior_before is not None
         predicted = guess
         if prior is not None and self._prior_before is not None:
-            predicted = compose(self._poses[-1], relative(self._prior_before, prior))
-        step = relative(self._poses[-1], predicted)
+            predicted = compose_poses(self._poses[-1], relative_pose(self._prior_before, prior))
+        step = relative_pose(self._poses[-1], predicted)
         is_plausible = is_measured and self._is_plausible(stamp_ns, step)
         sigma = self._odometry.sigma(step) if is_measured else None
         doubt = self._doubt_of_guess(stamp_ns) if sigma is None else self._odometry.error(step)
@@ -341,11 +341,11 @@ class LocalSlam:
         self, points_m: FloatArray, match: GridMatch, predicted: FloatArray, step: FloatArray
     ) -> GridMatch:
         """The match, without odometry's part where the scan refutes that; what odometry learns."""
-        error = relative(predicted, match.pose_grid_scan)
+        error = relative_pose(predicted, match.pose_grid_scan)
         if self._odometry.is_refuted(step, error, match.information):
             other = self._match(points_m, predicted, None, _GUESS_SEARCH)
             if other.occupancy > max(match.occupancy + _BETTER / 2.0, _SURE):
-                match, error = other, relative(predicted, other.pose_grid_scan)
+                match, error = other, relative_pose(predicted, other.pose_grid_scan)
         self._odometry.update(step, error, match.information)
         return match
 
@@ -384,7 +384,7 @@ class LocalSlam:
         """Sum of the older submap's cells at the points that lie on its grid."""
         submap = self._growing[0]
         cells = np.floor(
-            (move_points(pose, points_m) - np.array(submap.corner_m))
+            (transform_planar_points(pose, points_m) - np.array(submap.corner_m))
             / self._submap_settings.resolution_m
         ).astype(np.int64)
         cells = cells[((cells >= 0) & (cells < submap.occupancy.shape[::-1])).all(axis=1)]
@@ -396,7 +396,7 @@ class LocalSlam:
             return last
         share = (stamp_ns - self._stamps_ns[-1]) / (self._stamps_ns[-1] - self._stamps_ns[-2])
         # After a pause nobody knows whether it went on.
-        return compose(last, min(share, 1.0) * relative(self._poses[-2], last))
+        return compose_poses(last, min(share, 1.0) * relative_pose(self._poses[-2], last))
 
     def _match(
         self,
@@ -434,7 +434,7 @@ class LocalSlam:
     def _is_key(self, pose: FloatArray) -> bool:
         if not self._key or self._is_broken:
             return True
-        step = relative(self._poses[self._key[-1]], pose)
+        step = relative_pose(self._poses[self._key[-1]], pose)
         return bool(
             np.hypot(step[0], step[1]) > self._settings.key_distance_m
             or abs(step[2]) > self._settings.key_rotation_rad

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray
-from fusion_core.model.planar_poses import compose, inverse, relative
+from fusion_core.model.planar_poses import compose_poses, invert_pose, relative_pose
 from fusion_core.model.progress import Progress
 from fusion_core.slam.graph_distances import GraphDistances
 from fusion_core.slam.local_slam import LocalTrajectory
@@ -140,7 +140,7 @@ class _Closing:
         for number, window in candidates:
             first = int(self._first[number])
             edge = self.search.match(
-                node, number, relative(self.poses[first], self.poses[node]), window
+                node, number, relative_pose(self.poses[first], self.poses[node]), window
             )
             if edge is None:
                 continue
@@ -179,7 +179,7 @@ class _Closing:
     def _seconds(self, found: Edge, score_min: float) -> list[tuple[Edge, int]]:
         """Edges of stretches before and after that agree with ``found``."""
         local, node = self._local, found.second
-        pose = compose(self.poses[found.first], found.pose_first_second)
+        pose = compose_poses(self.poses[found.first], found.pose_first_second)
         agreeing = []
         for away in (2, -2, 4, -4, 6, -6):
             other = node + away * self._loop_settings.window_key_scans
@@ -188,18 +188,18 @@ class _Closing:
             before = self.search.submaps_before(min(node, other))
             if before == 0:
                 continue
-            expected = compose(
-                pose, relative(local.poses_local_node[node], local.poses_local_node[other])
+            expected = compose_poses(
+                pose, relative_pose(local.poses_local_node[node], local.poses_local_node[other])
             )
             centres_m = self.poses[self.search.centre[:before], :2]
             number = int(np.argmin(np.hypot(*(centres_m - expected[:2]).T)))
             first = int(self._first[number])
             edge = self.search.match(
-                other, number, relative(self.poses[first], expected), _SECOND_WINDOW, score_min
+                other, number, relative_pose(self.poses[first], expected), _SECOND_WINDOW, score_min
             )
             if edge is None:
                 continue
-            off = relative(expected, compose(self.poses[first], edge.pose_first_second))
+            off = relative_pose(expected, compose_poses(self.poses[first], edge.pose_first_second))
             if np.hypot(off[0], off[1]) < _AGREES_M:
                 agreeing.append((edge, number))
         return agreeing
@@ -219,8 +219,8 @@ class _Closing:
             return
         local = self._local.poses_local_node
         begin, end = self._placed, node + 1
-        self.poses[begin + 1 : end] = compose(
-            self.poses[begin], relative(local[begin], local[begin + 1 : end])
+        self.poses[begin + 1 : end] = compose_poses(
+            self.poses[begin], relative_pose(local[begin], local[begin + 1 : end])
         )
         self._placed = node
 
@@ -247,9 +247,9 @@ class _Closing:
             here = int(part[edge.second])
             if here in known or int(part[edge.first]) not in known:
                 continue
-            found = compose(poses[edge.first], edge.pose_first_second)
-            moved = compose(found, inverse(poses[edge.second]))
-            poses[part == here] = compose(moved, poses[part == here])
+            found = compose_poses(poses[edge.first], edge.pose_first_second)
+            moved = compose_poses(found, invert_pose(poses[edge.second]))
+            poses[part == here] = compose_poses(moved, poses[part == here])
             known.add(here)
         return poses
 

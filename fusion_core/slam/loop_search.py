@@ -14,7 +14,7 @@ import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.model.errors import RegistrationFailed
-from fusion_core.model.planar_poses import compose, move_points, relative
+from fusion_core.model.planar_poses import compose_poses, relative_pose, transform_planar_points
 from fusion_core.registration.correlative import SearchWindow, correlate
 from fusion_core.registration.likelihood_grid import LikelihoodPyramid, likelihood_pyramid
 from fusion_core.settings import StageSettings, setting
@@ -241,7 +241,7 @@ class LoopSearch:
             return None
         submap = self._local.submaps[number]
         anchor = self._local.poses_local_node[submap.first]
-        predicted = compose(anchor, pose_first_node)
+        predicted = compose_poses(anchor, pose_first_node)
         stride = -(-points_m.shape[0] // _POINTS_OF_A_SEARCH)
         try:
             coarse = correlate(
@@ -267,7 +267,7 @@ class LoopSearch:
         return Edge(
             first=submap.first,
             second=node,
-            pose_first_second=relative(anchor, match.pose_grid_scan),
+            pose_first_second=relative_pose(anchor, match.pose_grid_scan),
             information=match.information + _LEAST_INFORMATION,
             is_loop=True,
         )
@@ -298,9 +298,9 @@ class LoopSearch:
         submap, pyramid = self._local.submaps[number], self._pyramid(number)
         assert pyramid is not None
         corner = np.array(submap.corner_m)
-        cells = np.floor((move_points(pose, points_m) - corner) / submap.resolution_m).astype(
-            np.int64
-        )
+        cells = np.floor(
+            (transform_planar_points(pose, points_m) - corner) / submap.resolution_m
+        ).astype(np.int64)
         rows, columns = submap.occupancy.shape
         inside = (cells >= 0).all(axis=1) & (cells < [columns, rows]).all(axis=1)
         cells = cells[inside]
@@ -324,9 +324,9 @@ class LoopSearch:
             nodes = nodes[part[nodes] == part[node]]
             joined = np.concatenate(
                 [
-                    move_points(pose, self._local.node_points_m[other])
+                    transform_planar_points(pose, self._local.node_points_m[other])
                     for pose, other in zip(
-                        relative(
+                        relative_pose(
                             self._local.poses_local_node[node], self._local.poses_local_node[nodes]
                         ),
                         nodes.tolist(),

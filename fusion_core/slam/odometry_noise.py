@@ -8,7 +8,7 @@ the robot's own; what the scans say about each step teaches it.
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray
-from fusion_core.model.planar_poses import compose, relative
+from fusion_core.model.planar_poses import compose_poses, relative_pose
 
 # What a step is, beside its own length and turn: wheels slip a little when the robot stands, and
 # who drives straight on turns a little, who turns moves a little.
@@ -76,14 +76,14 @@ class OdometryNoiseModel:
         ``error``: (3,) from the step to where the scan was placed, in the scan's axes.
         ``information``: (3, 3) of the scan alone.
         """
-        self._by_odometry = compose(self._by_odometry, step)
-        self._by_scans = compose(self._by_scans, compose(step, error))
+        self._by_odometry = compose_poses(self._by_odometry, step)
+        self._by_scans = compose_poses(self._by_scans, compose_poses(step, error))
         self._sizes += _size(step) ** 2
         self._gains += self._gain(step, information)[1]
         self._steps += 1
         if self._steps < _STEPS_OF_WINDOW:
             return
-        away = relative(self._by_odometry, self._by_scans)
+        away = relative_pose(self._by_odometry, self._by_scans)
         is_seen = self._gains > _GAIN_MIN * self._steps
         for kind, axes in ((0, (0, 1)), (1, (2,))):
             seen = [axis for axis in axes if is_seen[axis]]

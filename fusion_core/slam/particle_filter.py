@@ -20,7 +20,7 @@ import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.errors import MappingFailed
-from fusion_core.model.planar_poses import Prior, relative
+from fusion_core.model.planar_poses import PosePrior, relative_pose
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import LaserScan
 from fusion_core.model.slam_view import SlamObserver, SlamView, no_observer
@@ -79,7 +79,7 @@ class ParticleResult:
 
 def particle_filter_slam(
     scans: Iterable[LaserScan],
-    prior: Prior | None = None,
+    prior: PosePrior | None = None,
     settings: ParticleSettings | None = None,
     progress: Progress = silent,
     observer: SlamObserver = no_observer,
@@ -133,7 +133,9 @@ class _Run:
         matched_s = time.perf_counter()
         self._seconds["scan_matching"] += matched_s - start_s
         if self._local_poses:
-            self._variance += self._noise(relative(self._local_poses[-1], placed.pose_local_scan))
+            self._variance += self._noise(
+                relative_pose(self._local_poses[-1], placed.pose_local_scan)
+            )
             if not placed.is_sure:
                 lost = np.array(
                     [self._settings.unmatched_sigma_m, self._settings.unmatched_sigma_rad]
@@ -166,7 +168,7 @@ class _Run:
             return False
         if not self._key:
             return True
-        step = relative(self._local_poses[self._key[-1]], placed.pose_local_scan)
+        step = relative_pose(self._local_poses[self._key[-1]], placed.pose_local_scan)
         return bool(
             np.hypot(step[0], step[1]) > self._settings.step_m
             or abs(step[2]) > self._settings.step_rad
@@ -178,7 +180,7 @@ class _Run:
             found = (effective_number(self._particles.weights), False, 0)
         else:
             found = self._particles.weigh(
-                relative(self._local_poses[self._key[-1]], placed.pose_local_scan),
+                relative_pose(self._local_poses[self._key[-1]], placed.pose_local_scan),
                 MotionModel(
                     sigma_m=float(np.sqrt(self._variance[0])),
                     sigma_rad=float(np.sqrt(self._variance[1])),

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import model_validator
 
 from fusion_core.model.conventions import FloatArray, IntArray, wrap_angle
-from fusion_core.model.planar_poses import compose, move_points
+from fusion_core.model.planar_poses import compose_poses, transform_planar_points
 from fusion_core.model.seeds import SEED_MAX
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.particle_maps import MapWindow, ParticleMaps, add_scan
@@ -169,7 +169,7 @@ class ParticleSet:
         """Move by ``step`` (3,), weigh, resample where due: N_eff, whether, and the unmatched."""
         unmatched = 0
         occupancy = np.full(len(self.poses), np.nan)
-        predicted = compose(self.poses, step)
+        predicted = compose_poses(self.poses, step)
         for particle in range(len(self.poses)):
             found, gain = self._draw(particle, predicted[particle], motion, points_m)
             if found is None:
@@ -207,7 +207,9 @@ class ParticleSet:
             max(settings.search_rad, _SEARCH_SIGMAS * motion.sigma_rad),
         )
         margin_m = 2.0 * (search[0] + search[1] * farthest_m)
-        window = self._window(particle, move_points(predicted, points_m), predicted, margin_m)
+        window = self._window(
+            particle, transform_planar_points(predicted, points_m), predicted, margin_m
+        )
         corner_m = (window.first_column * resolution_m, window.first_row * resolution_m)
         occupancy = window.occupancy
         proposal = propose(
@@ -249,14 +251,14 @@ class ParticleSet:
 
     def _insert(self, particle: int, points_m: FloatArray, wall_points_m: FloatArray) -> None:
         pose = self.poses[particle]
-        ends_m = move_points(pose, points_m)
+        ends_m = transform_planar_points(pose, points_m)
         window = self._window(particle, ends_m, pose, 0.0)
         corner = np.array([window.first_column, window.first_row], dtype=np.float64)
         resolution_m = self._settings.resolution_m
         add_scan(
             window.cells,
             pose[:2] / resolution_m - corner,
-            move_points(pose, wall_points_m) / resolution_m - corner,
+            transform_planar_points(pose, wall_points_m) / resolution_m - corner,
             ends_m / resolution_m - corner,
         )
         self.maps.write(particle, window)

@@ -7,7 +7,7 @@ import gtsam
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray
-from fusion_core.model.planar_poses import relative
+from fusion_core.model.planar_poses import relative_pose
 from fusion_core.settings import StageSettings, setting
 
 # The first pose is the map's origin: as good as fixed.
@@ -98,8 +98,8 @@ def residuals(poses_map_node: FloatArray, edges: Sequence[Edge]) -> FloatArray:
     if not edges:
         return np.zeros((0, 3))
     measured = np.array([edge.pose_first_second for edge in edges])
-    found = relative(
+    found = relative_pose(
         poses_map_node[[edge.first for edge in edges]],
         poses_map_node[[edge.second for edge in edges]],
     )
-    return relative(measured, found)
+    return relative_pose(measured, found)

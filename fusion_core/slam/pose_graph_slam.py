@@ -17,7 +17,7 @@ from pydantic import model_validator
 
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.errors import MappingFailed
-from fusion_core.model.planar_poses import Prior, relative
+from fusion_core.model.planar_poses import PosePrior, relative_pose
 from fusion_core.model.pose_graph import PoseGraph
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import LaserScan
@@ -92,7 +92,7 @@ class SlamResult:
 
 def pose_graph_slam(
     scans: Iterable[LaserScan],
-    prior: Prior | None = None,
+    prior: PosePrior | None = None,
     settings: SlamSettings | None = None,
     progress: Progress = silent,
     observer: SlamObserver = no_observer,
@@ -223,7 +223,7 @@ def _steps(local: LocalTrajectory, fits: BoolArray, settings: GraphSettings) -> 
             Edge(
                 first=node,
                 second=node + 1,
-                pose_first_second=relative(poses[node], poses[node + 1]),
+                pose_first_second=relative_pose(poses[node], poses[node + 1]),
                 information=np.diag(sigma**-2.0),
                 is_loop=False,
             )

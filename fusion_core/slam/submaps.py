@@ -15,7 +15,7 @@ from pydantic import model_validator
 from fusion_core.compiled import compiled
 from fusion_core.mapping.rays import update_cells
 from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray, IntArray, read_only
-from fusion_core.model.planar_poses import move_points
+from fusion_core.model.planar_poses import transform_planar_points
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.scan_to_grid import FULL
 
@@ -110,7 +110,7 @@ class GrowingSubmap:
     def add_scan(self, pose_local_scan: FloatArray, points_m: FloatArray) -> None:
         """Add the points (n, 2) of a scan and the ways to them; what lies too far is left out."""
         self.scans += 1
-        ends = move_points(pose_local_scan, points_m) / self._settings.resolution_m
+        ends = transform_planar_points(pose_local_scan, points_m) / self._settings.resolution_m
         origin = pose_local_scan[:2] / self._settings.resolution_m
         ends = np.ascontiguousarray(ends[self._is_near(ends)])
         if ends.size == 0 or not self._is_near(origin):

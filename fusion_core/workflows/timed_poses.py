@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S, BoolArray, FloatArray, IntArray
-from fusion_core.model.lone_poses import lone_poses
+from fusion_core.model.isolated_poses import find_isolated_poses
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import Transform
 from fusion_core.model.stamps import within_recording
@@ -68,5 +68,5 @@ def _lone(stamps_ns: IntArray, positions_m: FloatArray, judged: BoolArray) -> Bo
     chosen = np.flatnonzero(judged)
     chosen = chosen[np.argsort(stamps_ns[chosen], kind="stable")]
     chosen = chosen[np.append(np.diff(stamps_ns[chosen]) > 0, True)[: chosen.size]]
-    lone[chosen] = lone_poses(stamps_ns[chosen], positions_m[chosen])
+    lone[chosen] = find_isolated_poses(stamps_ns[chosen], positions_m[chosen])
     return lone

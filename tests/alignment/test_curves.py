@@ -17,7 +17,11 @@ from fusion_core.alignment.curves import (
 )
 from fusion_core.alignment.similarity import similarity_field
 from fusion_core.model.conventions import R_BODY_OPTICAL
-from fusion_core.model.geometry import apply, rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import (
+    make_transform,
+    rotation_from_yaw_pitch_roll,
+    transform_points,
+)
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import CameraIntrinsics, LaserScan
 
@@ -45,7 +49,7 @@ def level_camera(yaw_deg: float = 0.0, width: int = 640, **lens: float) -> Camer
     return Camera(
         topic="depth",
         intrinsics=CameraIntrinsics(width=width, height=8, **values),
-        T_rig_camera=transform(yaw @ R_BODY_OPTICAL, np.zeros(3)),
+        T_rig_camera=make_transform(yaw @ R_BODY_OPTICAL, np.zeros(3)),
     )
 
 
@@ -167,7 +171,7 @@ def test_row_samples_are_horizontal_ranges_of_the_pixels(yaw_deg: float) -> None
         z = depth_m[v, sampling.columns].astype(np.float64)
         u = sampling.columns
         points = np.stack([z * (u - lens.cx) / lens.fx, z * (v - lens.cy) / lens.fy, z], axis=-1)
-        in_rig = apply(camera.T_rig_camera, points)
+        in_rig = transform_points(camera.T_rig_camera, points)
         # The azimuth is the sample's, the depth the pixel's: half a pixel of tangent apart.
         np.testing.assert_allclose(found[v], np.hypot(*in_rig[:, :2].T), rtol=0.5 / 525.0 * 0.62)
         azimuths = sampling.left_rad - sampling.step_rad * np.arange(u.size)

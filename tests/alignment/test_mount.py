@@ -17,12 +17,14 @@ from fusion_core.alignment.mount import MountEstimate, estimate_mount, frame_yaw
 from fusion_core.alignment.recorded_mount import refusal_of
 from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, R_BODY_OPTICAL
 from fusion_core.model.errors import AlignmentFailed
-from fusion_core.model.geometry import transform, transform_from_planar
+from fusion_core.model.geometry import make_transform, transform_from_planar
 from fusion_core.model.rig import MOUNT_PARAMETERS, Camera, Mount
 from fusion_core.model.sensors import CameraIntrinsics, LaserScan
 
 LENS = CameraIntrinsics(width=80, height=60, fx=70.0, fy=70.0, cx=39.5, cy=29.5)
-CAMERA = Camera(topic="depth", intrinsics=LENS, T_rig_camera=transform(R_BODY_OPTICAL, np.zeros(3)))
+CAMERA = Camera(
+    topic="depth", intrinsics=LENS, T_rig_camera=make_transform(R_BODY_OPTICAL, np.zeros(3))
+)
 LIDAR_HEIGHT_M = 0.3
 SETTINGS = MountSettings()
 

@@ -8,7 +8,7 @@ import pytest
 from fusion_core.alignment.curves import SamplingSettings
 from fusion_core.alignment.panorama import Panorama
 from fusion_core.model.conventions import R_BODY_OPTICAL
-from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import CameraIntrinsics
 
@@ -34,12 +34,12 @@ def camera_at(yaw_deg: float, pitch_deg: float, position: tuple[float, float, fl
     return Camera(
         topic=f"depth {yaw_deg}",
         intrinsics=LENS,
-        T_rig_camera=transform(turn @ R_BODY_OPTICAL, np.array(position, dtype=np.float64)),
+        T_rig_camera=make_transform(turn @ R_BODY_OPTICAL, np.array(position, dtype=np.float64)),
     )
 
 
 def seen(room, camera: Camera) -> np.ndarray:
-    T_room_rig = transform(np.eye(3), RIG_IN_ROOM)
+    T_room_rig = make_transform(np.eye(3), RIG_IN_ROOM)
     return room.depth_m(T_room_rig @ camera.T_rig_camera, LENS).astype(np.float32)
 
 
@@ -88,7 +88,7 @@ def test_rows_are_elevations_of_the_first_camera(box_room) -> None:
     """The floor's range at row v is height / tan(elevation), seen from the rig's origin."""
     cameras = [camera_at(0, 0, (0.0, 0.0, 0.0)), camera_at(45, 0, (0.0, 0.1, 0.0))]
     room = box_room(size_m=(40.0, 40.0, 2.6))
-    T_room_rig = transform(np.eye(3), np.array([20.0, 20.0, 1.2]))
+    T_room_rig = make_transform(np.eye(3), np.array([20.0, 20.0, 1.2]))
     depths_m = [
         room.depth_m(T_room_rig @ camera.T_rig_camera, LENS).astype(np.float32)
         for camera in cameras

@@ -8,12 +8,14 @@ from fusion_core.alignment.upright import upright_view
 from fusion_core.alignment.virtual_lidar import cropped_view, virtual_scan, without_cut
 from fusion_core.model.conventions import R_BODY_OPTICAL
 from fusion_core.model.errors import SettingsError
-from fusion_core.model.geometry import apply, transform
+from fusion_core.model.geometry import make_transform, transform_points
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import CameraIntrinsics, DepthImage
 
 LENS = CameraIntrinsics(width=320, height=24, fx=260.0, fy=260.0, cx=150.3, cy=11.0)
-CAMERA = Camera(topic="depth", intrinsics=LENS, T_rig_camera=transform(R_BODY_OPTICAL, np.zeros(3)))
+CAMERA = Camera(
+    topic="depth", intrinsics=LENS, T_rig_camera=make_transform(R_BODY_OPTICAL, np.zeros(3))
+)
 
 
 def image_of(depth_m: np.ndarray) -> DepthImage:
@@ -29,7 +31,7 @@ def test_ranges_are_horizontal_ranges_of_the_rows_pixels() -> None:
     z = depth_m[7].astype(np.float64)
     u = np.arange(320)
     points = np.stack([z * (u - LENS.cx) / LENS.fx, z * (7 - LENS.cy) / LENS.fy, z], axis=-1)
-    in_rig = apply(CAMERA.T_rig_camera, points)
+    in_rig = transform_points(CAMERA.T_rig_camera, points)
     azimuths = np.arctan((LENS.cx - u) / LENS.fx)
     half_pixel = 0.5 / LENS.fx
     for angle, range_m in zip(scan.angles_rad, scan.ranges_m, strict=True):

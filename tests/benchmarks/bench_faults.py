@@ -17,7 +17,7 @@ import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S, BoolArray, FloatArray, IntArray
 from fusion_core.model.errors import MappingFailed
-from fusion_core.model.planar_poses import compose, relative
+from fusion_core.model.planar_poses import compose_poses, relative_pose
 from fusion_core.recordings.tum_trajectory import read_tum_trajectory
 from fusion_core.simulation.faults import FaultSettings
 from fusion_core.simulation.scenes import find_scene, write_scene
@@ -71,8 +71,8 @@ def _judged(recording: Path, folder: Path, options: MapOptions) -> tuple[float, 
     truth = np.load(truth_path(recording))
     stamps_ns, poses = truth["scan_stamp"], truth["pose"]
     _, own, theirs = np.intersect1d(estimate.stamps_ns, stamps_ns, return_indices=True)
-    found, true = estimate.planar[own], poses[theirs]
-    laid = compose(true[0], relative(found[0], found))
+    found, true = estimate.planar_poses[own], poses[theirs]
+    laid = compose_poses(true[0], relative_pose(found[0], found))
     away_m: FloatArray = np.hypot(*(laid - true)[:, :2].T)
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     untrusted = _within(estimate.stamps_ns[own], report["untrusted"])

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion_core.model.planar_poses import compose, relative
+from fusion_core.model.planar_poses import compose_poses, relative_pose
 from fusion_core.recordings.tum_trajectory import read_tum_trajectory
 from fusion_core.simulation.scenes import find_scene, write_scene
 from fusion_core.simulation.truth import truth_path
@@ -55,8 +55,8 @@ def error_m(folder: Path, recording: Path) -> float:
     estimate = read_tum_trajectory(folder / "trajectory.tum").trajectory
     truth = np.load(truth_path(recording))
     _, own, theirs = np.intersect1d(estimate.stamps_ns, truth["scan_stamp"], return_indices=True)
-    found, true = estimate.planar[own], truth["pose"][theirs]
-    laid = compose(true[0], relative(found[0], found))
+    found, true = estimate.planar_poses[own], truth["pose"][theirs]
+    laid = compose_poses(true[0], relative_pose(found[0], found))
     return float(np.sqrt(((laid - true)[:, :2] ** 2).sum(axis=1).mean()))
 
 

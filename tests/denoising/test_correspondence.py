@@ -22,13 +22,13 @@ from fusion_core.denoising.correspondence import (
     planar_points,
 )
 from fusion_core.model.conventions import R_BODY_OPTICAL
-from fusion_core.model.geometry import transform
+from fusion_core.model.geometry import make_transform
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import CameraIntrinsics, LaserScan
 
 LENS = CameraIntrinsics(width=120, height=90, fx=90.0, fy=92.0, cx=58.7, cy=44.2)
 CAMERA = Camera(
-    topic="/depth", intrinsics=LENS, T_rig_camera=transform(R_BODY_OPTICAL, np.zeros(3))
+    topic="/depth", intrinsics=LENS, T_rig_camera=make_transform(R_BODY_OPTICAL, np.zeros(3))
 )
 MOUNT = Mount(yaw_rad=0.12, delta_z_m=0.6, forward_m=0.08, left_m=-0.05, pitch_rad=0.06)
 
@@ -317,7 +317,7 @@ def test_a_level_camera_in_the_lidars_axis_pairs_alike_along_the_curve_and_in_it
     rng = np.random.default_rng(seed)
     lens = CameraIntrinsics(width=160, height=7, fx=120.0, fy=120.0, cx=79.3, cy=3.0)
     camera = Camera(
-        topic="/depth", intrinsics=lens, T_rig_camera=transform(R_BODY_OPTICAL, np.zeros(3))
+        topic="/depth", intrinsics=lens, T_rig_camera=make_transform(R_BODY_OPTICAL, np.zeros(3))
     )
     T = Mount(yaw_rad=yaw_rad).T_lidar_rig @ camera.T_rig_camera
     column = np.arange(160.0)
@@ -347,7 +347,7 @@ def test_in_row_by_hand():
     """Three beams at the azimuths of three pixel centres of a camera that looks 0.1 to the left."""
     lens = CameraIntrinsics(width=3, height=2, fx=10.0, fy=10.0, cx=1.0, cy=0.5)
     camera = Camera(
-        topic="/depth", intrinsics=lens, T_rig_camera=transform(R_BODY_OPTICAL, np.zeros(3))
+        topic="/depth", intrinsics=lens, T_rig_camera=make_transform(R_BODY_OPTICAL, np.zeros(3))
     )
     T = Mount(yaw_rad=0.1, delta_z_m=0.4, forward_m=0.2).T_lidar_rig @ camera.T_rig_camera
     step = float(np.arctan(0.1))
@@ -371,7 +371,7 @@ def test_in_row_by_hand():
 def test_in_row_has_no_beam_from_behind():
     lens = CameraIntrinsics(width=40, height=1, fx=20.0, fy=20.0, cx=19.5, cy=0.0)
     camera = Camera(
-        topic="/depth", intrinsics=lens, T_rig_camera=transform(R_BODY_OPTICAL, np.zeros(3))
+        topic="/depth", intrinsics=lens, T_rig_camera=make_transform(R_BODY_OPTICAL, np.zeros(3))
     )
     T = Mount(yaw_rad=3.0).T_lidar_rig @ camera.T_rig_camera
     scan = scan_of(np.ones(720), first_rad=-np.pi)
@@ -457,7 +457,7 @@ def row_pairs(seed=0, count=41):
     rng = np.random.default_rng(seed)
     lens = CameraIntrinsics(width=60, height=3, fx=50.0, fy=50.0, cx=29.5, cy=1.0)
     camera = Camera(
-        topic="/depth", intrinsics=lens, T_rig_camera=transform(R_BODY_OPTICAL, np.zeros(3))
+        topic="/depth", intrinsics=lens, T_rig_camera=make_transform(R_BODY_OPTICAL, np.zeros(3))
     )
     depth = rng.uniform(1.0, 4.0, (3, 60)).astype(np.float32)
     depth[rng.random(depth.shape) < 0.1] = np.nan

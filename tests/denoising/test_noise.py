@@ -20,7 +20,7 @@ from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.denoising.support import count_beam_support, count_pixel_support
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import R_BODY_OPTICAL
-from fusion_core.model.geometry import transform
+from fusion_core.model.geometry import make_transform
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import CameraIntrinsics, LaserScan
 
@@ -615,7 +615,9 @@ def mirrored_frames(seed):
         cx = 33.3 if sign == 1 else 69.0 - 33.3
         lens = CameraIntrinsics(width=70, height=50, fx=60.0, fy=60.0, cx=cx, cy=23.1)
         camera = Camera(
-            topic="/depth", intrinsics=lens, T_rig_camera=transform(R_BODY_OPTICAL, np.zeros(3))
+            topic="/depth",
+            intrinsics=lens,
+            T_rig_camera=make_transform(R_BODY_OPTICAL, np.zeros(3)),
         )
         mount = Mount(
             yaw_rad=sign * yaw, left_m=sign * left, forward_m=forward, delta_z_m=up, pitch_rad=pitch

@@ -56,7 +56,9 @@ def test_a_wheel_that_turns_too_far_is_an_error_of_angle() -> None:
 
 
 def test_where_the_map_lies_counts_for_nothing() -> None:
-    path = Trajectory.from_planar(STAMPS_NS.copy(), random_walk(STAMPS_NS.copy(), seed=1).planar)
+    path = Trajectory.from_planar(
+        STAMPS_NS.copy(), random_walk(STAMPS_NS.copy(), seed=1).planar_poses
+    )
     elsewhere = Trajectory(
         stamps_ns=STAMPS_NS.copy(),
         T_map_body=transform_from_planar(np.array([7.0, -3.0, 2.0])) @ path.T_map_body,

@@ -13,7 +13,11 @@ from fusion_core.evaluation.pose_stacks import (
     poses_at,
     relative,
 )
-from fusion_core.model.geometry import inverse, planar_from_transform, transform_from_planar
+from fusion_core.model.geometry import (
+    invert_transform,
+    planar_from_transform,
+    transform_from_planar,
+)
 from fusion_core.model.trajectory import Trajectory
 from tests.evaluation.random_poses import random_transforms, random_walk
 
@@ -23,8 +27,8 @@ START_NS = 1_700_000_000_000_000_001
 @given(st.integers(0, 2**32 - 1))
 def test_relative_and_inverse_agree_with_one_pose_at_a_time(seed: int) -> None:
     first, second = random_transforms(5, seed), random_transforms(5, seed + 1)
-    assert np.allclose(inverses(first), [inverse(pose) for pose in first])
-    one_by_one = [inverse(a) @ b for a, b in zip(first, second, strict=True)]
+    assert np.allclose(inverses(first), [invert_transform(pose) for pose in first])
+    one_by_one = [invert_transform(a) @ b for a, b in zip(first, second, strict=True)]
     assert np.allclose(relative(first, second), one_by_one)
 
 
@@ -59,7 +63,7 @@ def test_poses_are_those_of_the_trajectory_one_by_one(own: list[int], asked: lis
     stamps_ns = START_NS + np.array(asked, dtype=np.int64)
     poses, known = poses_at(trajectory, stamps_ns)
     assert known.tolist() == [min(own) <= stamp <= max(own) for stamp in asked]
-    expected = [trajectory.at(int(stamp_ns)) for stamp_ns in stamps_ns[known]]
+    expected = [trajectory.pose_at(int(stamp_ns)) for stamp_ns in stamps_ns[known]]
     assert poses.shape == (known.sum(), 4, 4)
     assert np.allclose(poses, np.reshape(expected, (-1, 4, 4)))
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from fusion_core.evaluation.relations import evaluate_relations
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import ScanLoomError
-from fusion_core.model.geometry import inverse, transform_from_planar
+from fusion_core.model.geometry import invert_transform, transform_from_planar
 from fusion_core.model.relations import Relations
 from fusion_core.model.sensors import PoseSample
 from fusion_core.model.trajectory import Trajectory
@@ -25,7 +25,7 @@ def relations_of(trajectory: Trajectory, between: list[tuple[int, int]]) -> Rela
     """What the trajectory itself says, at instants that may lie between its poses."""
     stamps_ns = np.array(between, dtype=np.int64)
     expected = [
-        inverse(trajectory.at(int(first))) @ trajectory.at(int(second))
+        invert_transform(trajectory.pose_at(int(first))) @ trajectory.pose_at(int(second))
         for first, second in stamps_ns
     ]
     return Relations(

@@ -11,7 +11,7 @@ from fusion_core.evaluation.fuse_folder import open_fuse_folder
 from fusion_core.evaluation.scene import Scene, join, stamp_positions
 from fusion_core.evaluation.truth import load_truth
 from fusion_core.model.errors import ScanLoomError
-from fusion_core.model.geometry import apply
+from fusion_core.model.geometry import transform_points
 
 
 @given(st.lists(st.integers(-(2**62), 2**62), unique=True, max_size=30), st.randoms())
@@ -79,7 +79,7 @@ def test_a_pixels_point_projects_back_onto_the_pixel(by_hand: Any) -> None:
     (camera,) = _join(by_hand, T_lidar_camera=turned).cameras
     row, column = map(np.ravel, np.indices((3, 5)))
     depth_m = np.linspace(0.5, 3.0, row.size)
-    points = apply(camera.T_lidar_camera, camera.points_in_camera(row, column, depth_m))
+    points = transform_points(camera.T_lidar_camera, camera.points_in_camera(row, column, depth_m))
     found_row, found_column, inside = camera.pixels(points)
     assert inside.all()
     np.testing.assert_array_equal(found_row, row)

@@ -107,7 +107,7 @@ def test_relative_errors_of_a_drift_grow_with_the_step(unit: StepUnit, delta: fl
 
 def test_in_the_plane_height_pitch_and_roll_count_for_nothing() -> None:
     reference = random_walk(STAMPS_NS, seed=4)
-    flat = Trajectory.from_planar(STAMPS_NS.copy(), reference.planar)
+    flat = Trajectory.from_planar(STAMPS_NS.copy(), reference.planar_poses)
     estimate = moved(flat, transform_from_planar(np.array([5.0, -2.0, 1.2])))
     report = evaluate_trajectory(estimate, reference, alignment="se2")
     assert report.aligned is not None

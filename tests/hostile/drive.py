@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from fusion_core.model.conventions import NS_PER_MS, NS_PER_S
-from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.model.sensors import (
     CameraInfo,
     CameraIntrinsics,
@@ -75,7 +75,7 @@ def write_drive(
 
 
 def _values(tf, camera, color, odometry, T_told):
-    T_base_lidar = transform(np.eye(3), np.array([0.0, 0.0, LIDAR_HEIGHT_M]))
+    T_base_lidar = make_transform(np.eye(3), np.array([0.0, 0.0, LIDAR_HEIGHT_M]))
     mounts = {"laser": T_base_lidar, "camera_optical": T_told}
     static = tuple(
         Transform(stamp_ns=START_NS, parent="base", child=child, T_parent_child=T.copy())
@@ -92,7 +92,7 @@ def _values(tf, camera, color, odometry, T_told):
         )
     for number in range(SCANS):
         stamp_ns, pose = START_NS + number * STEP_MS * NS_PER_MS, pose_of(number)
-        T_odom_base = transform(
+        T_odom_base = make_transform(
             rotation_from_yaw_pitch_roll(pose[2], 0.0, 0.0), np.array([*pose[:2], 0.0])
         )
         if odometry:

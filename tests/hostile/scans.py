@@ -16,7 +16,7 @@ from mcap.writer import Writer as McapLibraryWriter
 from rosbags.typesys import Stores, get_typestore
 
 from fusion_core.model.conventions import NS_PER_MS
-from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.model.sensors import (
     CameraInfo,
     CameraIntrinsics,
@@ -81,7 +81,7 @@ def write_room(path: Path, change: Change = unchanged, *, beams: int = BEAMS) ->
 
 def _values(beams: int) -> list[tuple[str, SensorValue]]:
     T_base_camera = camera_pose(0.8)
-    T_base_lidar = transform(np.eye(3), np.array([0.0, 0.0, LIDAR_HEIGHT_M]))
+    T_base_lidar = make_transform(np.eye(3), np.array([0.0, 0.0, LIDAR_HEIGHT_M]))
     mounts = tuple(
         Transform(stamp_ns=START_NS, parent="base_link", child=name, T_parent_child=T.copy())
         for name, T in (("laser", T_base_lidar), ("camera_optical", T_base_camera))
@@ -117,7 +117,7 @@ def _values(beams: int) -> list[tuple[str, SensorValue]]:
                     received_ns=None,
                     parent="odom",
                     child="base_link",
-                    T_parent_child=transform(turn, np.array([pose[0], pose[1], 0.0])),
+                    T_parent_child=make_transform(turn, np.array([pose[0], pose[1], 0.0])),
                 ),
             )
         )

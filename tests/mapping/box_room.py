@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.model.sensors import CameraIntrinsics, LaserScan
 
 OPTICAL = rotation_from_yaw_pitch_roll(-np.pi / 2, 0.0, -np.pi / 2)
@@ -15,7 +15,7 @@ LIDAR_HEIGHT_M = 0.3
 def camera_pose(height_m=0.8, *, x=0.05, y=0.03, yaw=0.1, pitch=0.0, roll=0.0):
     """(4, 4) T_base_camera of a camera over the floor at the robot's base."""
     rotation = rotation_from_yaw_pitch_roll(yaw, pitch, roll) @ OPTICAL
-    return transform(rotation, np.array([x, y, height_m]))
+    return make_transform(rotation, np.array([x, y, height_m]))
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class BoxRoom:
 
     def depth(self, pose, T_base_camera, *, lens=LENS, noise=None):
         """(H, W) depth image; ``noise``: a generator for a Kinect's standard deviation."""
-        base = transform(
+        base = make_transform(
             rotation_from_yaw_pitch_roll(pose[2], 0.0, 0.0), np.array([pose[0], pose[1], 0.0])
         )
         T = base @ T_base_camera

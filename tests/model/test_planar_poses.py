@@ -5,7 +5,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion_core.model.geometry import planar_from_transform, transform_from_planar
-from fusion_core.model.planar_poses import compose, inverse, move_points, relative
+from fusion_core.model.planar_poses import (
+    compose_poses,
+    invert_pose,
+    relative_pose,
+    transform_planar_points,
+)
 
 poses = st.tuples(st.floats(-100.0, 100.0), st.floats(-100.0, 100.0), st.floats(-3.1, 3.1)).map(
     np.array
@@ -20,26 +25,26 @@ def assert_same(found, expected):
 @given(poses, poses)
 def test_they_compose_as_transforms_do(a, b):
     T = transform_from_planar(a) @ transform_from_planar(b)
-    assert_same(compose(a, b), planar_from_transform(T))
+    assert_same(compose_poses(a, b), planar_from_transform(T))
 
 
 @given(poses)
 def test_a_pose_and_its_inverse_cancel(a):
-    assert_same(compose(a, inverse(a)), np.zeros(3))
-    assert_same(compose(inverse(a), a), np.zeros(3))
+    assert_same(compose_poses(a, invert_pose(a)), np.zeros(3))
+    assert_same(compose_poses(invert_pose(a), a), np.zeros(3))
 
 
 @given(poses, poses)
 def test_a_relative_pose_leads_from_one_to_the_other(a, b):
-    assert_same(compose(a, relative(a, b)), b)
+    assert_same(compose_poses(a, relative_pose(a, b)), b)
 
 
 def test_many_are_as_each():
     rng = np.random.default_rng(1)
     a, b = rng.normal(0.0, 2.0, (2, 20, 3))
-    together = compose(a, b)
+    together = compose_poses(a, b)
     for pose_a, pose_b, found in zip(a, b, together, strict=True):
-        np.testing.assert_array_equal(found, compose(pose_a, pose_b))
+        np.testing.assert_array_equal(found, compose_poses(pose_a, pose_b))
 
 
 @given(poses)
@@ -47,5 +52,5 @@ def test_points_move_as_by_the_transform(a):
     points_m = np.array([[1.0, 2.0], [-3.0, 0.5]])
     T = transform_from_planar(a)
     np.testing.assert_allclose(
-        move_points(a, points_m), points_m @ T[:2, :2].T + T[:2, 3], atol=1e-9
+        transform_planar_points(a, points_m), points_m @ T[:2, :2].T + T[:2, 3], atol=1e-9
     )

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion_core.model.errors import StampOutsideRange
-from fusion_core.model.geometry import interpolate_planar, planar_from_transform
+from fusion_core.model.geometry import interpolate_pose, planar_from_transform
 from fusion_core.model.trajectory import Trajectory
 
 
@@ -17,8 +17,8 @@ def trajectory(poses: list[list[float]], stamps_ns: list[int]) -> Trajectory:
 def test_a_recorded_stamp_gives_the_recorded_pose() -> None:
     path = trajectory([[0, 0, 0], [1, 2, 0.5], [3, 1, -2.0]], [10, 20, 40])
     for index, stamp_ns in enumerate([10, 20, 40]):
-        assert np.array_equal(path.at(stamp_ns), path.T_map_body[index])
-    assert np.allclose(path.planar, [[0, 0, 0], [1, 2, 0.5], [3, 1, -2.0]])
+        assert np.array_equal(path.pose_at(stamp_ns), path.T_map_body[index])
+    assert np.allclose(path.planar_poses, [[0, 0, 0], [1, 2, 0.5], [3, 1, -2.0]])
 
 
 @given(st.lists(st.floats(-10, 10), min_size=6, max_size=6), st.integers(0, 1000))
@@ -28,8 +28,8 @@ def test_between_two_stamps_it_is_the_planar_interpolation(values: list[float], 
     if turn > 3.1:  # Half a turn has no shorter arc.
         return
     path = trajectory([before.tolist(), after.tolist()], [0, 1000])
-    expected = interpolate_planar(before, after, at_ns / 1000)
-    pose = planar_from_transform(path.at(at_ns))
+    expected = interpolate_pose(before, after, at_ns / 1000)
+    pose = planar_from_transform(path.pose_at(at_ns))
     assert np.allclose(pose[:2], expected[:2])
     assert np.exp(1j * pose[2]) == pytest.approx(np.exp(1j * expected[2]))
 
@@ -38,14 +38,14 @@ def test_large_stamps_keep_their_nanoseconds() -> None:
     """Unix stamps exceed what a float64 can tell apart."""
     start_ns = 1_700_000_000_000_000_001
     path = trajectory([[0, 0, 0], [10, 0, 0]], [start_ns, start_ns + 10])
-    assert path.at(start_ns + 3)[0, 3] == pytest.approx(3.0)
+    assert path.pose_at(start_ns + 3)[0, 3] == pytest.approx(3.0)
 
 
 @pytest.mark.parametrize("stamp_ns", [9, 41])
 def test_outside_it_refuses_and_names_the_range(stamp_ns: int) -> None:
     path = trajectory([[0, 0, 0], [1, 2, 0.5]], [10, 40])
     with pytest.raises(StampOutsideRange, match=f"at {stamp_ns} ns: known from 10 to 40 ns") as e:
-        path.at(stamp_ns)
+        path.pose_at(stamp_ns)
     assert (e.value.start_ns, e.value.end_ns, e.value.stamp_ns) == (10, 40, stamp_ns)
 
 
@@ -61,5 +61,5 @@ def test_poses_must_be_finite_and_cannot_be_changed() -> None:
     path = trajectory([[0, 0, 0]], [0])
     with pytest.raises(ValueError, match="read-only"):
         path.T_map_body[0, 0, 3] = 1.0
-    path.at(0)[0, 3] = 1.0
-    assert path.at(0)[0, 3] == 0.0
+    path.pose_at(0)[0, 3] = 1.0
+    assert path.pose_at(0)[0, 3] == 0.0

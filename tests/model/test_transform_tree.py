@@ -7,7 +7,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fusion_core.model.errors import FramesNotConnected, StampOutsideRange
-from fusion_core.model.geometry import inverse, planar_from_transform, transform_from_planar
+from fusion_core.model.geometry import (
+    invert_transform,
+    planar_from_transform,
+    transform_from_planar,
+)
 from fusion_core.model.sensors import Transform
 from fusion_core.model.transform_tree import TransformTree
 
@@ -46,7 +50,7 @@ def test_every_pair_in_a_random_tree(seed: int, count: int) -> None:
     for frame in range(1, count):
         other = int(rng.integers(frame))
         a, b = (frame, other) if rng.random() < 0.5 else (other, frame)
-        T_a_b = inverse(T_root_frame[a]) @ T_root_frame[b]
+        T_a_b = invert_transform(T_root_frame[a]) @ T_root_frame[b]
         if rng.random() < 0.5:
             add(tree, str(a), str(b), None, T_a_b)
         else:
@@ -54,7 +58,7 @@ def test_every_pair_in_a_random_tree(seed: int, count: int) -> None:
             add(tree, str(a), str(b), 200, T_a_b)
     for target in range(count):
         for source in range(count):
-            expected = inverse(T_root_frame[target]) @ T_root_frame[source]
+            expected = invert_transform(T_root_frame[target]) @ T_root_frame[source]
             assert np.allclose(tree.lookup(str(target), str(source), 130), expected)
 
 
@@ -67,7 +71,9 @@ def test_timed_transforms_are_interpolated_whatever_the_order_of_arrival() -> No
     assert across[0] == pytest.approx(2.5)
     # From 3 to -3 rad the shorter arc goes through pi.
     assert abs(across[2]) == pytest.approx(np.pi)
-    assert np.allclose(tree.lookup("base", "odom", 150), inverse(tree.lookup("odom", "base", 150)))
+    assert np.allclose(
+        tree.lookup("base", "odom", 150), invert_transform(tree.lookup("odom", "base", 150))
+    )
 
 
 def test_a_static_mount_needs_no_time() -> None:
@@ -143,7 +149,7 @@ def test_what_is_no_pose_is_left_out_and_counted() -> None:
     for bad in (np.full((4, 4), np.nan), 2.0 * np.eye(4), mirrored, np.zeros((4, 4))):
         add(tree, "a", "b", 0, bad)
     add(tree, "a", "a", 0, np.eye(4))
-    assert tree.refused == 5
+    assert tree.rejected_count == 5
     assert tree.frames == ()
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import MissingStream
-from fusion_core.model.planar_poses import compose, relative
+from fusion_core.model.planar_poses import compose_poses, relative_pose
 from fusion_core.model.sensors import LaserScan
 from fusion_core.motion.laser import LaserOdometrySettings, laser_odometry
 from fusion_core.motion.steps import chained, steps_of
@@ -56,7 +56,9 @@ def test_it_follows_a_path_of_five_metres(room: list[LaserScan]) -> None:
     track = laser_odometry(room)
     assert track.measured.all()
     assert track.notes == ()
-    error = relative(relative(POSES[0], POSES[-1]), relative(*track.poses_odom_lidar[[0, -1]]))
+    error = relative_pose(
+        relative_pose(POSES[0], POSES[-1]), relative_pose(*track.poses_odom_lidar[[0, -1]])
+    )
     assert np.hypot(error[0], error[1]) < 0.015
     assert abs(error[2]) < np.deg2rad(0.3)
 
@@ -70,8 +72,8 @@ def test_its_covariances_are_those_of_its_errors(room: list[LaserScan]) -> None:
     assert (ratio < 1.5).all()
     assert (ratio > 0.25).all()
     over = 20
-    true = relative(POSES[:-over], POSES[over:])
-    made = relative(track.poses_odom_lidar[:-over], track.poses_odom_lidar[over:])
+    true = relative_pose(POSES[:-over], POSES[over:])
+    made = relative_pose(track.poses_odom_lidar[:-over], track.poses_odom_lidar[over:])
     drift = track.drift_of_step[:over].sum(axis=0) + track.covariance_of_step[0]
     assert np.sqrt(((made - true)[:, 0] ** 2).mean()) < 2.0 * np.sqrt(drift[0, 0])
     # Steps added up as if they were independent would be several times that.
@@ -90,7 +92,9 @@ def test_blank_scans_are_not_measured_and_counted() -> None:
     np.testing.assert_array_equal(np.flatnonzero(~track.measured), np.arange(39, 44))
     assert track.notes == ("laser: 5 steps not measured: 4 too few beams.",)
     # The keyframe outlives them, so that what follows is right again.
-    error = relative(relative(POSES[0], POSES[-1]), relative(*track.poses_odom_lidar[[0, -1]]))
+    error = relative_pose(
+        relative_pose(POSES[0], POSES[-1]), relative_pose(*track.poses_odom_lidar[[0, -1]])
+    )
     assert np.hypot(error[0], error[1]) < 0.02
 
 
@@ -125,7 +129,9 @@ def test_what_the_keyframe_no_longer_shows_the_scan_before_does() -> None:
     settings = LaserOdometrySettings(key_step_m=10.0, key_turn_rad=3.0, key_inlier_share=0.0)
     track = laser_odometry(sweeps(poses, walls), settings)
     assert track.measured.all()
-    error = relative(relative(poses[0], poses[-1]), relative(*track.poses_odom_lidar[[0, -1]]))
+    error = relative_pose(
+        relative_pose(poses[0], poses[-1]), relative_pose(*track.poses_odom_lidar[[0, -1]])
+    )
     assert np.hypot(error[0], error[1]) < 0.05
 
 
@@ -169,6 +175,6 @@ def test_without_a_scan_there_is_no_odometry() -> None:
 def test_where_the_first_scan_was_does_not_matter(room: list[LaserScan]) -> None:
     """Steps are in the axes of their poses: a second chain begun later gives the same."""
     early, late = laser_odometry(room[:60]), laser_odometry(room[20:60])
-    between = relative(early.poses_odom_lidar[20], early.poses_odom_lidar[-1])
-    again = compose(np.zeros(3), late.poses_odom_lidar[-1])
+    between = relative_pose(early.poses_odom_lidar[20], early.poses_odom_lidar[-1])
+    again = compose_poses(np.zeros(3), late.poses_odom_lidar[-1])
     np.testing.assert_allclose(between, again, atol=0.015)

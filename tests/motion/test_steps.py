@@ -6,8 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion_core.model.conventions import FloatArray, wrap_angle
-from fusion_core.model.geometry import inverse, planar_from_transform, transform_from_planar
-from fusion_core.model.planar_poses import compose, relative
+from fusion_core.model.geometry import (
+    invert_transform,
+    planar_from_transform,
+    transform_from_planar,
+)
+from fusion_core.model.planar_poses import compose_poses, relative_pose
 from fusion_core.motion.steps import chained, difference, in_axes_of, steps_of
 
 metres = st.floats(-100.0, 100.0)
@@ -23,9 +27,9 @@ def same(first: FloatArray, second: FloatArray) -> None:
 @given(poses, poses)
 def test_compose_and_relative_are_those_of_matrices(first: FloatArray, second: FloatArray) -> None:
     T_first, T_second = transform_from_planar(first), transform_from_planar(second)
-    same(compose(first, second), planar_from_transform(T_first @ T_second))
-    same(relative(first, second), planar_from_transform(inverse(T_first) @ T_second))
-    same(compose(first, relative(first, second)), second)
+    same(compose_poses(first, second), planar_from_transform(T_first @ T_second))
+    same(relative_pose(first, second), planar_from_transform(invert_transform(T_first) @ T_second))
+    same(compose_poses(first, relative_pose(first, second)), second)
 
 
 @given(poses, st.lists(poses, min_size=0, max_size=8))
@@ -34,7 +38,7 @@ def test_a_chain_is_step_after_step(start: FloatArray, steps: list[FloatArray]) 
     pose = np.array([start[0], start[1], wrap_angle(start[2])])
     for k, step in enumerate(steps):
         same(chain[k], pose)
-        pose = compose(pose, step)
+        pose = compose_poses(pose, step)
     same(chain[-1], pose)
     for made, step in zip(steps_of(chain), steps, strict=True):
         same(made, step)

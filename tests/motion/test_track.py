@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fusion_core.model.planar_poses import compose
+from fusion_core.model.planar_poses import compose_poses
 from fusion_core.motion.resample import resampled
 from fusion_core.motion.track import OdometryTrack
 from tests.motion.simulated_motion import STEP_NS, stamps, track_of, weaving
@@ -16,7 +16,7 @@ def test_between_two_stamps_it_is_interpolated_along_the_short_way() -> None:
     track = track_of("wheel", steps, SIGMA)
     at = track.at(int(track.stamps_ns[1]) + STEP_NS // 2)
     assert at is not None
-    end = compose(compose(np.zeros(3), steps[0]), steps[1])
+    end = compose_poses(compose_poses(np.zeros(3), steps[0]), steps[1])
     np.testing.assert_allclose(at[:2], 0.5 * (np.array([1.0, 0.0]) + end[:2]))
     assert at[2] == pytest.approx(3.2 - 2.0 * np.pi)
 

@@ -8,13 +8,13 @@ from scipy.optimize import least_squares
 from fusion_core.model.conventions import R_BODY_OPTICAL, FloatArray
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.geometry import (
-    apply,
-    inverse,
+    invert_transform,
+    make_transform,
     rotation_from_yaw_pitch_roll,
-    transform,
     transform_from_planar,
+    transform_points,
 )
-from fusion_core.model.planar_poses import relative
+from fusion_core.model.planar_poses import relative_pose
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.motion.planar_reprojection import fit_planar_step
 from fusion_core.motion.steps import chained
@@ -24,7 +24,7 @@ from tests.motion.simulated_motion import STEP_NS, stamps, step_errors
 LENS = CameraIntrinsics(width=320, height=240, fx=288.0, fy=288.0, cx=159.5, cy=119.5)
 K = np.array([[LENS.fx, 0.0, LENS.cx], [0.0, LENS.fy, LENS.cy], [0.0, 0.0, 1.0]])
 # 10 cm ahead, 4 cm to the left and 60 cm above the LiDAR, looking 7 degrees left and 5 down.
-T_LIDAR_CAMERA = transform(
+T_LIDAR_CAMERA = make_transform(
     rotation_from_yaw_pitch_roll(0.12, 0.09, 0.0) @ R_BODY_OPTICAL, np.array([0.1, 0.04, 0.6])
 )
 WALL_M = 3.5
@@ -48,7 +48,7 @@ TEXTURE = _texture()
 
 def frame(pose: FloatArray, number: int, *, light: float = 1.0, depth_scale: int = 1) -> GrayDepth:
     """What the camera sees at a pose of the LiDAR: the wall at x = WALL_M, and the depth of it."""
-    T_camera_map = inverse(transform_from_planar(pose) @ T_LIDAR_CAMERA)
+    T_camera_map = invert_transform(transform_from_planar(pose) @ T_LIDAR_CAMERA)
     # Wall pixels (a, b) lie at y = 4 - a / PX_PER_M, z = 4 - b / PX_PER_M.
     wall = np.array([[0.0, 0.0, WALL_M], [-1.0 / PX_PER_M, 0.0, 4.0], [0.0, -1.0 / PX_PER_M, 4.0]])
     H = K @ (T_camera_map[:3, :3] @ wall + np.outer(T_camera_map[:3, 3], [0.0, 0.0, 1.0]))
@@ -60,7 +60,7 @@ def frame(pose: FloatArray, number: int, *, light: float = 1.0, depth_scale: int
     rays = np.stack(
         [(columns - LENS.cx) / LENS.fx, (rows - LENS.cy) / LENS.fy, np.ones(rows.shape)], axis=-1
     )
-    T_map_camera = inverse(T_camera_map)
+    T_map_camera = invert_transform(T_camera_map)
     depth_m = (WALL_M - T_map_camera[0, 3]) / (rays @ T_map_camera[0, :3])
     depth_m += random.normal(0.0, 0.003, depth_m.shape) * depth_m**2
     depth_m[random.uniform(size=depth_m.shape) < 0.05] = np.nan
@@ -77,7 +77,7 @@ POSES = chained(STEPS)
 def test_it_gives_the_motion_of_the_lidar_not_of_the_camera() -> None:
     track = visual_odometry((frame(p, k) for k, p in enumerate(POSES)), LENS, T_LIDAR_CAMERA)
     assert track.measured.all()
-    error = relative(POSES[-1], track.poses_odom_lidar[-1])
+    error = relative_pose(POSES[-1], track.poses_odom_lidar[-1])
     assert np.hypot(error[0], error[1]) < 0.03
     assert abs(error[2]) < 0.01
     errors = step_errors(track, STEPS)
@@ -90,7 +90,7 @@ def test_depth_of_half_the_size_does_as_well() -> None:
     frames = (frame(p, k, depth_scale=2) for k, p in enumerate(POSES[:10]))
     track = visual_odometry(frames, LENS, T_LIDAR_CAMERA)
     assert track.measured.all()
-    error = relative(POSES[9], track.poses_odom_lidar[-1])
+    error = relative_pose(POSES[9], track.poses_odom_lidar[-1])
     assert np.hypot(error[0], error[1]) < 0.02
 
 
@@ -100,7 +100,7 @@ def test_dark_images_are_not_measured_and_what_follows_is_right_again() -> None:
     track = visual_odometry(frames, LENS, T_LIDAR_CAMERA)
     np.testing.assert_array_equal(np.flatnonzero(~track.measured), np.arange(9, 14))
     assert "visual: 5 steps not measured: 4 too few" in track.notes[0]
-    error = relative(POSES[19], track.poses_odom_lidar[-1])
+    error = relative_pose(POSES[19], track.poses_odom_lidar[-1])
     assert np.hypot(error[0], error[1]) < 0.03
 
 
@@ -135,9 +135,9 @@ def scattered(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Points in the LiDAR's frame, where they are seen after a step, and the step."""
     random = np.random.default_rng(seed)
     in_camera = random.uniform([-1.0, -0.8, 1.5], [1.0, 0.8, 4.0], (80, 3))
-    points = apply(T_LIDAR_CAMERA, in_camera)
+    points = transform_points(T_LIDAR_CAMERA, in_camera)
     step = np.array([0.12, -0.03, 0.08])
-    now = apply(inverse(transform_from_planar(step) @ T_LIDAR_CAMERA), points)
+    now = transform_points(invert_transform(transform_from_planar(step) @ T_LIDAR_CAMERA), points)
     return points, now[:, :2] / now[:, 2:], step
 
 
@@ -170,7 +170,9 @@ def test_the_planar_fit_is_that_of_scipy() -> None:
     assert found is not None
 
     def sizes(step: FloatArray) -> FloatArray:
-        now = apply(inverse(transform_from_planar(step) @ T_LIDAR_CAMERA), points)
+        now = transform_points(
+            invert_transform(transform_from_planar(step) @ T_LIDAR_CAMERA), points
+        )
         return LENS.fx * np.linalg.norm(now[:, :2] / now[:, 2:] - noisy, axis=1) / 0.5
 
     best = least_squares(sizes, np.zeros(3), loss="huber", f_scale=1.345, xtol=1e-12, ftol=1e-14)
@@ -182,7 +184,7 @@ def test_the_planar_covariance_is_that_of_many_fits() -> None:
     points, seen, step = scattered(2)
     depth_sigma = 0.003
     errors, said = [], []
-    depths = apply(inverse(T_LIDAR_CAMERA), points)[:, 2]
+    depths = transform_points(invert_transform(T_LIDAR_CAMERA), points)[:, 2]
     rays = (points - T_LIDAR_CAMERA[:3, 3]) / depths[:, np.newaxis]
     for seed in range(200):
         random = np.random.default_rng(seed)

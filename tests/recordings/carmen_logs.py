@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.model.sensors import (
     LaserScan,
     PoseSample,
@@ -41,7 +41,7 @@ def text_of(numbers: Sequence[float]) -> str:
 
 
 def planar(x: float, y: float, yaw: float) -> np.ndarray:
-    return transform(rotation_from_yaw_pitch_roll(yaw, 0.0, 0.0), np.array([x, y, 0.0]))
+    return make_transform(rotation_from_yaw_pitch_roll(yaw, 0.0, 0.0), np.array([x, y, 0.0]))
 
 
 def numbers_of(matrix: np.ndarray) -> list[float]:

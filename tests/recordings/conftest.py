@@ -23,7 +23,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.model.sensors import (
     CameraInfo,
     CameraIntrinsics,
@@ -104,7 +104,9 @@ def float32(value: float) -> float:
 
 def pose(i: int) -> np.ndarray:
     """A pose far from half turns."""
-    return transform(rotation_from_yaw_pitch_roll(0.1 * i, 0.02, -0.03), np.array([i, 0.5, 0.25]))
+    return make_transform(
+        rotation_from_yaw_pitch_roll(0.1 * i, 0.02, -0.03), np.array([i, 0.5, 0.25])
+    )
 
 
 def scan(i: int, received_ns: int, frame_id: str = "laser") -> LaserScan:
@@ -799,7 +801,7 @@ def robot_at_home_messages(source: Any, depth_bits: int) -> list[Written]:
                 stamp_ns=first,
                 parent="base_link",
                 child=child,
-                T_parent_child=transform(
+                T_parent_child=make_transform(
                     rotation_from_yaw_pitch_roll(*p[3:]) @ (optical if p[5] else np.eye(3)),
                     np.array(p[:3]),
                 ),

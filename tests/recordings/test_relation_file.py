@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fusion_core.model.errors import RecordingError
-from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.recordings.relation_file import read_relations
 
 
@@ -22,9 +22,9 @@ def test_stamps_are_exact_and_angles_are_roll_pitch_yaw(tmp_path: Path) -> None:
     assert relations.first_stamps_ns.tolist() == [976_052_905_167_303_000, 12_000_000_000]
     assert relations.second_stamps_ns.tolist() == [976_052_911_885_496_001, 3_000_000_000]
     rotation = rotation_from_yaw_pitch_roll(2.5, -0.2, 0.1)
-    expected = transform(rotation, np.array([-0.05, 0.2, 0.3]))
+    expected = make_transform(rotation, np.array([-0.05, 0.2, 0.3]))
     assert np.allclose(relations.T_first_second[0], expected, atol=1e-12)
-    flat = transform(rotation_from_yaw_pitch_roll(-1.5, 0.0, 0.0), np.array([1.0, 0.0, 0.0]))
+    flat = make_transform(rotation_from_yaw_pitch_roll(-1.5, 0.0, 0.0), np.array([1.0, 0.0, 0.0]))
     assert np.allclose(relations.T_first_second[1], flat, atol=1e-12)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fusion_core.model.conventions import R_BODY_OPTICAL
-from fusion_core.model.geometry import apply, transform, transform_from_planar
+from fusion_core.model.geometry import make_transform, transform_from_planar, transform_points
 from fusion_core.simulation import rigs, worlds
 from fusion_core.simulation.depth_camera import DepthNoise, pixel_rays
 from fusion_core.simulation.observer import Observer, Setup
@@ -33,7 +33,9 @@ def test_back_projected_pixels_lie_on_the_room(plain_room, standing, make_rig):
     for number, camera in enumerate(rig.cameras):
         true_m = watching.image(number, 0.0, 0).true_m
         points = pixel_rays(camera.intrinsics) * true_m.reshape(-1, 1)
-        x, y, z = apply(transform_from_planar(np.array(pose)) @ camera.T_base_optical, points).T
+        x, y, z = transform_points(
+            transform_from_planar(np.array(pose)) @ camera.T_base_optical, points
+        ).T
         planes = np.abs(np.stack([x, x - 6.0, y, y - 4.0, z, z - 2.5]))
         assert planes.min(axis=0).max() < 1e-12
 
@@ -123,7 +125,7 @@ def test_the_projector_casts_a_shadow_to_the_left_of_a_near_object(plain_room, s
 
 
 def _optical():
-    return transform(np.array(R_BODY_OPTICAL), np.zeros(3))
+    return make_transform(np.array(R_BODY_OPTICAL), np.zeros(3))
 
 
 def test_portrait_cameras_are_rolled_and_ordered_from_left_to_right():

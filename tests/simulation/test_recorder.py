@@ -10,7 +10,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from fusion_core.model.classes import BURR_LEAST_M
 from fusion_core.model.errors import ExportError, SettingsError
-from fusion_core.model.geometry import apply
+from fusion_core.model.geometry import transform_points
 from fusion_core.recordings.world_file import world_path
 from fusion_core.simulation.scenes import SceneSettings, find_scene, list_scenes, write_scene
 from fusion_core.simulation.truth import TruthWriter, truth_path
@@ -164,7 +164,7 @@ def test_scan_and_depth_truth_meet_where_a_beam_meets_a_pixel(recorded):
     azimuth = truth["lidar_angle_min"] + np.arange(682) * truth["lidar_angle_increment"]
     scan = truth["scan_true"][0].astype(float)
     points = np.stack([scan * np.cos(azimuth), scan * np.sin(azimuth), 0 * scan], axis=1)
-    x, y, z = apply(np.linalg.inv(truth["T_lidar_camera"][0]), points).T
+    x, y, z = transform_points(np.linalg.inv(truth["T_lidar_camera"][0]), points).T
     ahead = z > 0.1
     u = np.rint(cx + fx * x[ahead] / z[ahead]).astype(int)
     v = np.rint(cy + fy * y[ahead] / z[ahead]).astype(int)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, IntArray
-from fusion_core.model.planar_poses import compose, relative
+from fusion_core.model.planar_poses import compose_poses, relative_pose
 from fusion_core.model.sensors import LaserScan
 from tests.benchmarks.scan_matching_room import cast, rectangle
 
@@ -66,12 +66,12 @@ def drive(
     """Anticlockwise along the middle of the corridors, from the lower left."""
     rng = np.random.default_rng(seed)
     truth = np.array([on_the_way(step_m * number) for number in range(scans)])
-    steps = relative(truth[:-1], truth[1:])
+    steps = relative_pose(truth[:-1], truth[1:])
     steps[:, 0] *= 1.0 + rng.normal(SCALE, 0.03, scans - 1)
     steps[:, 2] += turn_bias_rad_per_m * step_m + rng.normal(0.0, 0.003, scans - 1)
     odometry = [truth[0]]
     for step in steps:
-        odometry.append(compose(odometry[-1], step))
+        odometry.append(compose_poses(odometry[-1], step))
     return Drive(
         scans=[scan_of(pose, number, rng) for number, pose in enumerate(truth)],
         truth=truth,
@@ -136,12 +136,14 @@ def scan_with(ranges_m: FloatArray, number: int) -> LaserScan:
 
 def error_m(poses: FloatArray, truth: FloatArray) -> float:
     """Root mean square distance of the places, both begun at the same pose."""
-    away = relative(poses[0], poses)[:, :2] - relative(truth[0], truth)[:, :2]
+    away = relative_pose(poses[0], poses)[:, :2] - relative_pose(truth[0], truth)[:, :2]
     return float(np.sqrt((away**2).sum(axis=1).mean()))
 
 
 def revisit_error_m(poses: FloatArray, truth: FloatArray, round_scans: int = 446) -> float:
     """Root mean square error of where scans of the second round lie, seen from the first's."""
     later = np.arange(round_scans, len(poses))
-    found, expected = (relative(of[later - round_scans], of[later])[:, :2] for of in (poses, truth))
+    found, expected = (
+        relative_pose(of[later - round_scans], of[later])[:, :2] for of in (poses, truth)
+    )
     return float(np.sqrt(((found - expected) ** 2).sum(axis=1).mean()))

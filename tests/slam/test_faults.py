@@ -6,7 +6,7 @@ The truth is simulated; nothing of the fault is told to the method.
 import numpy as np
 import pytest
 
-from fusion_core.model.planar_poses import compose, relative
+from fusion_core.model.planar_poses import compose_poses, relative_pose
 from fusion_core.slam.pose_graph_slam import pose_graph_slam
 from tests.benchmarks.scan_matching_room import WALLS as ROOM
 from tests.benchmarks.scan_matching_room import rectangle
@@ -18,7 +18,7 @@ BARE = rectangle((40.0, 0.0), (80.0, 2.2), 0.0)
 
 def untold(result, truth):
     """Scans that are wrong by more than 30 cm and trusted all the same."""
-    found, expected = (relative(of[0], of) for of in (result.poses_map_scan, truth))
+    found, expected = (relative_pose(of[0], of) for of in (result.poses_map_scan, truth))
     away_m = np.hypot(*(found - expected)[:, :2].T)
     return int(np.count_nonzero((away_m > WRONG_M) & result.trusted))
 
@@ -30,11 +30,11 @@ def room(count=200, seed=4):
     truth = np.stack(
         [5.6 + 1.6 * np.cos(angle), 4.0 + 1.2 * np.sin(angle), angle + 0.5 * np.pi], axis=1
     )
-    steps = relative(truth[:-1], truth[1:])
+    steps = relative_pose(truth[:-1], truth[1:])
     steps = steps * (1.0 + rng.normal(0.02, 0.03, steps.shape))
     odometry = [truth[0]]
     for step in steps:
-        odometry.append(compose(odometry[-1], step))
+        odometry.append(compose_poses(odometry[-1], step))
     return Drive(
         scans=[scan_of(pose, n, rng, ROOM, 12.0) for n, pose in enumerate(truth)],
         truth=truth,
@@ -44,10 +44,10 @@ def room(count=200, seed=4):
 
 def with_steps(whole, change):
     """The drive with the odometry's steps (N - 1, 3) changed."""
-    steps = relative(whole.odometry[:-1], whole.odometry[1:])
+    steps = relative_pose(whole.odometry[:-1], whole.odometry[1:])
     odometry = [whole.odometry[0]]
     for step in change(steps.copy()):
-        odometry.append(compose(odometry[-1], step))
+        odometry.append(compose_poses(odometry[-1], step))
     return Drive(scans=whole.scans, truth=whole.truth, odometry=np.array(odometry))
 
 
@@ -101,11 +101,11 @@ def kidnapped(ring, begin, shift):
     """The drive, but from ``begin`` on ``shift`` scans farther on its way, of which odometry knows
     nothing."""
     numbers = np.concatenate([np.arange(begin), np.arange(begin + shift, len(ring.scans))])
-    steps = relative(ring.odometry[:-1], ring.odometry[1:])
+    steps = relative_pose(ring.odometry[:-1], ring.odometry[1:])
     steps = np.delete(steps, slice(begin, begin + shift), axis=0)
     odometry = [ring.odometry[0]]
     for step in steps:
-        odometry.append(compose(odometry[-1], step))
+        odometry.append(compose_poses(odometry[-1], step))
     return numbers, np.array(odometry)
 
 
@@ -141,9 +141,11 @@ def test_a_robot_that_is_carried_away_and_comes_back_to_where_it_was():
     kept = [ring.scans[n] for n in numbers]
     number_of = {scan.stamp_ns: n for n, scan in enumerate(kept)}
     result = pose_graph_slam(kept, lambda stamp_ns: odometry[number_of[stamp_ns]])
-    found, expected = (relative(of[0], of) for of in (result.poses_map_scan, ring.truth[numbers]))
+    found, expected = (
+        relative_pose(of[0], of) for of in (result.poses_map_scan, ring.truth[numbers])
+    )
     away_m = np.hypot(*(found - expected)[:, :2].T)
-    assert np.hypot(*(relative(odometry[0], odometry) - expected)[:, :2].T)[280:].min() > 1.0
+    assert np.hypot(*(relative_pose(odometry[0], odometry) - expected)[:, :2].T)[280:].min() > 1.0
     assert result.trusted[280:].mean() > 0.9
     assert np.median(away_m[280:]) < 0.3
     assert untold(result, ring.truth[numbers]) == 0

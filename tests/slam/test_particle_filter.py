@@ -8,8 +8,8 @@ import pytest
 
 from fusion_core.evaluation.relations import evaluate_relations
 from fusion_core.model.errors import MappingFailed
-from fusion_core.model.geometry import interpolate_planar
-from fusion_core.model.planar_poses import compose, relative
+from fusion_core.model.geometry import interpolate_pose
+from fusion_core.model.planar_poses import compose_poses, relative_pose
 from fusion_core.model.trajectory import Trajectory
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.relation_file import read_relations
@@ -84,7 +84,9 @@ def test_the_state_is_told(closed):
 
 def test_weighed_scans_are_a_step_apart(closed):
     settings = ParticleSettings()
-    steps = relative(closed.poses_map_scan[closed.key[:-1]], closed.poses_map_scan[closed.key[1:]])
+    steps = relative_pose(
+        closed.poses_map_scan[closed.key[:-1]], closed.poses_map_scan[closed.key[1:]]
+    )
     way_m, turn = np.hypot(*steps[:, :2].T), np.abs(steps[:, 2])
     # The particles' own steps differ a little from those of odometry.
     assert ((way_m > settings.step_m - 0.08) | (turn > settings.step_rad - 0.03)).all()
@@ -150,20 +152,22 @@ def test_scans_between_weighed_ones_keep_the_local_way():
     local[:, 2] += 3.0
     key = np.array([2, 5, 10])
     moved = np.array([4.0, -2.0, 1.3])
-    poses = compose(moved, local)
+    poses = compose_poses(moved, local)
     # One rigid motion: nothing is to be spread.
     found = interpolate_poses(local, key, poses[key])
-    np.testing.assert_allclose(relative(found, poses), 0.0, atol=1e-9)
+    np.testing.assert_allclose(relative_pose(found, poses), 0.0, atol=1e-9)
     # Else each scan lies between what its two neighbours say.
     bent = poses[key] + rng.normal(0.0, 0.1, (3, 3))
     found = interpolate_poses(local, key, bent)
-    np.testing.assert_allclose(relative(found[key], bent), 0.0, atol=1e-9)
-    by_before = compose(bent[1], relative(local[5], local[7]))
-    by_after = compose(bent[2], relative(local[10], local[7]))
-    np.testing.assert_allclose(found[7], interpolate_planar(by_before, by_after, 0.4), atol=1e-9)
-    np.testing.assert_allclose(found[0], compose(bent[0], relative(local[2], local[0])), atol=1e-9)
+    np.testing.assert_allclose(relative_pose(found[key], bent), 0.0, atol=1e-9)
+    by_before = compose_poses(bent[1], relative_pose(local[5], local[7]))
+    by_after = compose_poses(bent[2], relative_pose(local[10], local[7]))
+    np.testing.assert_allclose(found[7], interpolate_pose(by_before, by_after, 0.4), atol=1e-9)
     np.testing.assert_allclose(
-        found[11], compose(bent[2], relative(local[10], local[11])), atol=1e-9
+        found[0], compose_poses(bent[0], relative_pose(local[2], local[0])), atol=1e-9
+    )
+    np.testing.assert_allclose(
+        found[11], compose_poses(bent[2], relative_pose(local[10], local[11])), atol=1e-9
     )
 
 

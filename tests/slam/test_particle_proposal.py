@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fusion_core.model.planar_poses import compose, move_points
+from fusion_core.model.planar_poses import compose_poses, transform_planar_points
 from fusion_core.slam.particle_maps import OCCUPANCY, add_scan
 from fusion_core.slam.particle_proposal import MotionModel, log_likelihoods, propose
 from fusion_core.slam.scan_to_grid import INFORMATION_OF_A_SCAN
@@ -30,10 +30,10 @@ def map_of(walls, rng, reach_m=20.0):
     """Occupancy from ten scans about the truth."""
     cells = np.zeros((240, 280), dtype=np.uint8)
     for _ in range(10):
-        pose = compose(TRUTH, rng.normal(0.0, [0.3, 0.3, 0.5]))
-        ends = (move_points(pose, points_of(walls, pose, rng, 720, reach_m)) - CORNER_M) / (
-            RESOLUTION_M
-        )
+        pose = compose_poses(TRUTH, rng.normal(0.0, [0.3, 0.3, 0.5]))
+        ends = (
+            transform_planar_points(pose, points_of(walls, pose, rng, 720, reach_m)) - CORNER_M
+        ) / (RESOLUTION_M)
         add_scan(cells, (pose[:2] - CORNER_M) / RESOLUTION_M, ends, ends)
     return OCCUPANCY[cells]
 
@@ -107,7 +107,7 @@ def test_the_likelihood_is_as_defined(room):
     poses = TRUTH + rng.normal(0.0, [0.05, 0.05, 0.02], (20, 3))
     found = log_likelihoods(room, *CORNER_M, RESOLUTION_M, points_m, poses)
     for pose, value in zip(poses, found, strict=True):
-        at = (move_points(pose, points_m) - CORNER_M) / RESOLUTION_M - 0.5
+        at = (transform_planar_points(pose, points_m) - CORNER_M) / RESOLUTION_M - 0.5
         along_y = keys(at[:, 1:] - np.arange(room.shape[0]))
         along_x = keys(at[:, :1] - np.arange(room.shape[1]))
         field = ((along_y @ room) * along_x).sum(axis=1) / 255.0

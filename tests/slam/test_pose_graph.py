@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from fusion_core.model.planar_poses import compose, inverse, relative
+from fusion_core.model.planar_poses import compose_poses, invert_pose, relative_pose
 from fusion_core.slam.pose_graph import Edge, optimise, residuals
 
 
@@ -22,14 +22,14 @@ def ring(seed=1, count=8):
             Edge(
                 first=first,
                 second=second,
-                pose_first_second=compose(
-                    relative(truth[first], truth[second]), rng.normal(0.0, 0.05, 3)
+                pose_first_second=compose_poses(
+                    relative_pose(truth[first], truth[second]), rng.normal(0.0, 0.05, 3)
                 ),
                 information=root @ root.T + np.diag([50.0, 40.0, 90.0]),
                 is_loop=is_loop,
             )
         )
-    return compose(truth, rng.normal(0.0, 0.1, truth.shape)), edges
+    return compose_poses(truth, rng.normal(0.0, 0.1, truth.shape)), edges
 
 
 def logarithm(pose):
@@ -44,8 +44,8 @@ def by_scipy(start, edges, robust_scale):
         poses = np.concatenate([start[:1], free.reshape(-1, 3)])
         rows = []
         for edge in edges:
-            found = compose(inverse(poses[edge.first]), poses[edge.second])
-            away = logarithm(compose(inverse(edge.pose_first_second), found))
+            found = compose_poses(invert_pose(poses[edge.first]), poses[edge.second])
+            away = logarithm(compose_poses(invert_pose(edge.pose_first_second), found))
             whitened = np.linalg.cholesky(edge.information).T @ away
             if edge.is_loop and robust_scale is not None:
                 squared = robust_scale**2 * np.log1p((whitened @ whitened) / robust_scale**2)

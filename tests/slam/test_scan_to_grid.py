@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fusion_core.model.planar_poses import compose, move_points
+from fusion_core.model.planar_poses import compose_poses, transform_planar_points
 from fusion_core.slam.scan_to_grid import (
     FULL,
     INFORMATION_OF_A_SCAN,
@@ -100,7 +100,7 @@ def test_no_pose_nearby_costs_less():
     )
 
     def cost(pose):
-        cells = move_points(pose, points_m) / RESOLUTION_M
+        cells = transform_planar_points(pose, points_m) / RESOLUTION_M
         residuals = np.array([1.0 - field(grid, x, y)[0] for x, y in cells])
         away = (pose - predicted) / [sigma[0], sigma[0], sigma[1]]
         return INFORMATION_OF_A_SCAN * (residuals**2).mean() + (away**2).sum()
@@ -147,7 +147,7 @@ def test_the_window_finds_the_best_of_all_its_poses():
     grid = box_grid()
     truth = np.array([3.0, 2.0, 0.0])
     points_m = box_points(truth)
-    predicted = compose(truth, np.array([0.1, -0.15, 0.06]))
+    predicted = compose_poses(truth, np.array([0.1, -0.15, 0.06]))
     found = correlative_match(
         grid, 0.0, 0.0, RESOLUTION_M, points_m, predicted, (0.2, 0.1), 0.02, (0.0, 0.0)
     )

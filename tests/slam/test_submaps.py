@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fusion_core.mapping.grid import GridBuilder, GridSettings
-from fusion_core.model.planar_poses import move_points
+from fusion_core.model.planar_poses import transform_planar_points
 from fusion_core.slam.submaps import GrowingSubmap, SubmapSettings
 
 SETTINGS = SubmapSettings(max_range_m=5.0)
@@ -47,7 +47,7 @@ def test_its_obstacles_lie_where_points_were():
     submap.add_scan(pose, points_m)
     obstacles_m = submap.finish(1).obstacles_m()
     assert obstacles_m.shape == (3, 2)
-    for point_m in move_points(pose, points_m):
+    for point_m in transform_planar_points(pose, points_m):
         assert np.abs(obstacles_m - point_m).max(axis=1).min() <= 0.025 + 1e-9
 
 

@@ -3,7 +3,11 @@
 import numpy as np
 
 from fusion_core.model.conventions import NS_PER_MS, NS_PER_S
-from fusion_core.model.geometry import inverse, rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import (
+    invert_transform,
+    make_transform,
+    rotation_from_yaw_pitch_roll,
+)
 from fusion_core.model.sensors import (
     CameraInfo,
     CameraIntrinsics,
@@ -36,11 +40,11 @@ def turning(time_s):
 def T_lidar(*, upside_down=False):
     """(4, 4) T_base_lidar."""
     rotation = rotation_from_yaw_pitch_roll(0.0, 0.0, np.pi if upside_down else 0.0)
-    return transform(rotation, np.array([0.0, 0.0, LIDAR_HEIGHT_M]))
+    return make_transform(rotation, np.array([0.0, 0.0, LIDAR_HEIGHT_M]))
 
 
 def T_camera_lidar(T_base_camera):
-    return inverse(T_base_camera) @ T_lidar()
+    return invert_transform(T_base_camera) @ T_lidar()
 
 
 def write_boxes(

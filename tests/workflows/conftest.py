@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fusion_core.model.conventions import NS_PER_MS, NS_PER_S
-from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import (
     CameraInfo,
@@ -159,7 +159,7 @@ def pose_of() -> Callable[..., np.ndarray]:
 
     def pose(x=0.0, y=0.0, z=0.0, *, yaw=0.0, pitch=0.0, roll=0.0, optical=False) -> np.ndarray:
         rotation = rotation_from_yaw_pitch_roll(yaw, pitch, roll)
-        return transform(rotation @ OPTICAL if optical else rotation, np.array([x, y, z]))
+        return make_transform(rotation @ OPTICAL if optical else rotation, np.array([x, y, z]))
 
     return pose
 

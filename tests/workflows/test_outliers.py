@@ -48,7 +48,7 @@ def test_a_lone_pose_far_away_costs_itself(tmp_path, tf):
     said = f"{topic}: 1 of {SCANS} poses of base are left out, as they are lone jumps"
     assert any(note.startswith(said) for note in summary.notes)
     mapped = build_map(path, tmp_path / "map", MapOptions(slam="none"))
-    planar = read_tum_trajectory(mapped.output / "trajectory.tum").trajectory.planar
+    planar = read_tum_trajectory(mapped.output / "trajectory.tum").trajectory.planar_poses
     assert planar.shape == (SCANS, 3)
     assert np.abs(planar[:, :2]).max() < 5.0
     assert any(note.startswith(said) for note in mapped.report["notes"])

@@ -7,7 +7,7 @@ import numpy as np
 import viser
 
 from fusion_core.model.conventions import FloatArray
-from fusion_core.model.geometry import inverse, transform_from_planar
+from fusion_core.model.geometry import invert_transform, transform_from_planar
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.workflows.poses import Poses
 from scanloom.client_session import ClientSession
@@ -123,7 +123,7 @@ class ScenePanel:
             self._nodes.show_path(np.array(path).reshape(-1, 3)[:, :2])
         pose = poses.at(frame_view.match.scan.stamp_ns)
         T_map_lidar = None if pose is None else transform_from_planar(pose)
-        self._T_lidar_map = None if T_map_lidar is None else inverse(T_map_lidar)
+        self._T_lidar_map = None if T_map_lidar is None else invert_transform(T_map_lidar)
         self._nodes.place_map(T_map_lidar)
 
     def _show_boards(self, frame_view: FrameView) -> None:

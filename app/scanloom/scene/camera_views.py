@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion_core.model.conventions import FloatArray
-from fusion_core.model.geometry import apply as apply_transform
+from fusion_core.model.geometry import transform_points as apply_transform
 from scanloom.scene.image_planes import ImagePlane, Layout
 from scanloom.scene.layers import Layer
 

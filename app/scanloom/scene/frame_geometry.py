@@ -15,7 +15,11 @@ from fusion_core.model.conventions import (
     IntArray,
     read_only,
 )
-from fusion_core.model.geometry import apply, rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import (
+    make_transform,
+    rotation_from_yaw_pitch_roll,
+    transform_points,
+)
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.align import Alignment, T_lidar_camera_at
@@ -168,7 +172,7 @@ def camera_pose(frame: FrameMatch, rig: Rig, alignment: Alignment) -> FloatArray
     yaw_rad = float(np.angle(np.exp(1j * yaws_rad).mean()))
     depth_m = pairs.depth_m[np.isfinite(pairs.depth_m)]
     below_m = float(np.median(depth_m)) * (pairs.row[0] - lens.cy) / lens.fy if depth_m.size else 0
-    return transform(
+    return make_transform(
         rotation_from_yaw_pitch_roll(yaw_rad, 0.0, 0.0) @ R_BODY_OPTICAL,
         np.array([0.0, 0.0, below_m]),
     )
@@ -186,7 +190,7 @@ def pixel_points(
     if frame.row_model == "curve":
         rays = camera.rays(pairs.row, pairs.column)
         inside = np.where(pairs.row >= 0, depth_m, np.nan)
-        return apply(T_lidar_camera, inside[:, np.newaxis] * rays)
+        return transform_points(T_lidar_camera, inside[:, np.newaxis] * rays)
     with np.errstate(invalid="ignore", divide="ignore"):
         range_per_depth = pairs.depth_as_range_m / pairs.depth_m
     lens = camera.intrinsics

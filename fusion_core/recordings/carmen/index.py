@@ -10,7 +10,7 @@ from typing import BinaryIO
 import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S, FloatArray, IntArray, wrap_angle
-from fusion_core.model.planar_poses import relative
+from fusion_core.model.planar_poses import relative_pose
 from fusion_core.recordings.carmen.lines import (
     KINDS,
     SICK_RESOLUTIONS_DEG,
@@ -291,7 +291,7 @@ def seconds(time_ns: int) -> str:
 
 def _note_mount(rows: _Growing, laser: FloatArray, robot: FloatArray) -> None:
     """Compare the laser's pose on the robot with the first one."""
-    on_robot = relative(robot, laser)
+    on_robot = relative_pose(robot, laser)
     if rows.laser_on_robot is None:
         rows.laser_on_robot = on_robot
     elif rows.is_rigid:

@@ -19,7 +19,7 @@ from math import isfinite, radians
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray
-from fusion_core.model.geometry import FARTHEST_M
+from fusion_core.model.geometry import POSITION_MAX_M
 from fusion_core.model.sensors import LaserScan
 from fusion_core.model.sweep import ImplausibleSweep, require_sweep
 from fusion_core.recordings.decimal_time import ns_from_decimal_seconds
@@ -119,8 +119,8 @@ def planar_pose(line: CarmenLine, first: int = 0) -> FloatArray:
         raise BadLine(f"has {len(line.body)} fields where a pose should end at {first + 3}")
     pose = np.array([_number(field, "pose") for field in fields])
     farthest_m = float(np.abs(pose[:2]).max())
-    if farthest_m > FARTHEST_M:
-        raise BadLine(f"has a pose {farthest_m:g} m away, more than {FARTHEST_M:g} m")
+    if farthest_m > POSITION_MAX_M:
+        raise BadLine(f"has a pose {farthest_m:g} m away, more than {POSITION_MAX_M:g} m")
     return pose
 
 

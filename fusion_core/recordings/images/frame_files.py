@@ -12,7 +12,7 @@ import numpy as np
 from fusion_core.files.regular_file import read_regular
 from fusion_core.model.conventions import ByteArray, FloatArray
 from fusion_core.model.errors import RecordingError
-from fusion_core.model.geometry import rotation_from_quaternion, transform
+from fusion_core.model.geometry import make_transform, rotation_from_quaternion
 from fusion_core.recordings.messages.image_headers import (
     MAX_DECODED_BYTES,
     BadImage,
@@ -87,7 +87,7 @@ def read_pose_lines(file: Path, warnings: list[str]) -> dict[int, FloatArray]:
     rows = _leading_rows(file, 7, "a line tx ty tz qx qy qz qw", warnings)
     for place, row in enumerate(rows):
         try:
-            poses[place] = transform(rotation_from_quaternion(*row[3:]), row[:3])
+            poses[place] = make_transform(rotation_from_quaternion(*row[3:]), row[:3])
         except ValueError:
             continue
     if len(poses) < len(rows):

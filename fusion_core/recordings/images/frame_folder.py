@@ -16,7 +16,7 @@ import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S, FloatArray
 from fusion_core.model.errors import RecordingError
-from fusion_core.model.geometry import FARTHEST_M
+from fusion_core.model.geometry import POSITION_MAX_M
 from fusion_core.model.recording import Recording, Role
 from fusion_core.model.sensors import (
     CameraInfo,
@@ -248,9 +248,9 @@ def _pose(poses: Mapping[int, Path | FloatArray], number: int, stamp_ns: int) ->
             f"{where} is not a rigid transform: {matrix.tolist()}.",
             advice="Tracking was lost there; the frame has no pose.",
         )
-    if np.abs(matrix[:3, 3]).max() > FARTHEST_M:
+    if np.abs(matrix[:3, 3]).max() > POSITION_MAX_M:
         raise RecordingError(
-            f"{where} lies farther than {FARTHEST_M:g} m: {matrix.tolist()}.",
+            f"{where} lies farther than {POSITION_MAX_M:g} m: {matrix.tolist()}.",
             advice="Check the source of the poses.",
         )
     return PoseSample(

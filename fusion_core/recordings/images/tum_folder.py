@@ -23,7 +23,7 @@ import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S, FloatArray, IntArray
 from fusion_core.model.errors import RecordingError
-from fusion_core.model.geometry import FARTHEST_M, rotation_from_quaternion, transform
+from fusion_core.model.geometry import POSITION_MAX_M, make_transform, rotation_from_quaternion
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import CameraIntrinsics, PoseSample
 from fusion_core.recordings.decimal_time import ns_from_decimal_seconds
@@ -211,8 +211,8 @@ def _truth(file: Path, nominal: bool, warnings: list[str]) -> list[StampedStream
         least, most = _QUATERNION_LENGTHS
         if not all(map(isfinite, values)) or not least < hypot(*values[3:]) < most:
             return "its pose is no rigid transform"
-        if max(map(abs, values[:3])) > FARTHEST_M:
-            return f"its position lies farther than {FARTHEST_M:g} m"
+        if max(map(abs, values[:3])) > POSITION_MAX_M:
+            return f"its position lies farther than {POSITION_MAX_M:g} m"
         stamps_ns.append(stamp_ns)
         poses.extend(values)
         return None
@@ -231,7 +231,7 @@ def _truth(file: Path, nominal: bool, warnings: list[str]) -> list[StampedStream
             received_ns=None,
             parent=WORLD_FRAME,
             child=CAMERA_FRAME,
-            T_parent_child=transform(
+            T_parent_child=make_transform(
                 rotation_from_quaternion(*ordered[index, 3:]), ordered[index, :3]
             ),
         )

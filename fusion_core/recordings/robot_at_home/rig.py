@@ -13,7 +13,7 @@ import numpy as np
 
 from fusion_core.model.conventions import R_BODY_OPTICAL, BoolArray, Float32Array, FloatArray
 from fusion_core.model.errors import RecordingError
-from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.model.sensors import CameraIntrinsics, LaserScan
 from fusion_core.model.sweep import MAX_BEAMS
 from fusion_core.recordings.decode import ranges_m
@@ -85,7 +85,7 @@ def stamp_ns_of_ticks(ticks: int) -> int:
 def sensor_transform(label: str, pose: FloatArray) -> FloatArray:
     """(4, 4) from the sensor's frame (``frame_of``) to that of a pose x y z yaw pitch roll."""
     rotation = rotation_from_yaw_pitch_roll(float(pose[3]), float(pose[4]), float(pose[5]))
-    return transform(rotation if is_lidar(label) else rotation @ R_BODY_OPTICAL, pose[:3])
+    return make_transform(rotation if is_lidar(label) else rotation @ R_BODY_OPTICAL, pose[:3])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from fusion_core.model.conventions import ByteArray, FloatArray, IntArray
 from fusion_core.model.errors import RecordingError
-from fusion_core.model.geometry import FARTHEST_M
+from fusion_core.model.geometry import POSITION_MAX_M
 from fusion_core.model.recording import Recording, Role
 from fusion_core.model.sensors import (
     CameraInfo,
@@ -114,8 +114,10 @@ class TrackBuilder:
         values = [float(value) for value in pose]
         if len(values) != 6 or not np.isfinite(values).all():
             raise ValueError(f"a pose is six finite numbers, not {values}")
-        if max(map(abs, values[:3])) > FARTHEST_M:
-            raise ValueError(f"a pose lies no farther than {FARTHEST_M:g} m, not at {values[:3]}")
+        if max(map(abs, values[:3])) > POSITION_MAX_M:
+            raise ValueError(
+                f"a pose lies no farther than {POSITION_MAX_M:g} m, not at {values[:3]}"
+            )
         self._ids.append(number)
         self._stamps.append(stamp_ns)
         self._sequences.append(sequence)

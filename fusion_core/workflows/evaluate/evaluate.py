@@ -26,7 +26,7 @@ from fusion_core.evaluation.truth import LeverArm, Truth, load_truth
 from fusion_core.exporting.manifest import require_as_written
 from fusion_core.model.conventions import Float32Array
 from fusion_core.model.errors import SettingsError
-from fusion_core.model.planar_poses import move_points
+from fusion_core.model.planar_poses import transform_planar_points
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import DepthImage
 from fusion_core.recordings.formats import open_recording
@@ -152,8 +152,8 @@ def ros_map(
         alignment = align_map(occupied_m, outline, None if pose is None else pose_world_map)
         pose_world_map = alignment.pose_world_map
     cells = MapCells(
-        occupied_m=move_points(pose_world_map, occupied_m),
-        free_m=move_points(pose_world_map, free_m),
+        occupied_m=transform_planar_points(pose_world_map, occupied_m),
+        free_m=transform_planar_points(pose_world_map, free_m),
         resolution_m=drawn.resolution_m,
     )
     return {

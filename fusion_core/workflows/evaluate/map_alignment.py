@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from fusion_core.model.conventions import FloatArray, read_only, wrap_angle
 from fusion_core.model.errors import RegistrationFailed
-from fusion_core.model.planar_poses import move_points
+from fusion_core.model.planar_poses import transform_planar_points
 from fusion_core.model.world_outline import WorldOutline
 from fusion_core.registration.correlative import SearchWindow, best_pose
 from fusion_core.registration.likelihood_grid import likelihood_pyramid
@@ -116,7 +116,10 @@ class _Target:
         if about is None:
             centre, rotation_rad = np.array([*self._middle_m, 0.0]), np.pi
         else:
-            centre, rotation_rad = np.array([*move_points(about, middle_m), about[2]]), _NEAR_RAD
+            centre, rotation_rad = (
+                np.array([*transform_planar_points(about, middle_m), about[2]]),
+                _NEAR_RAD,
+            )
         window = SearchWindow(
             centre=(float(centre[0]), float(centre[1]), float(centre[2])),
             translation_m=translation_m,
@@ -133,7 +136,7 @@ class _Target:
         except RegistrationFailed:
             # Nothing within reach of any outline: the refinement says so.
             pose = centre
-        back = move_points(np.array([0.0, 0.0, pose[2]]), -middle_m[None])[0]
+        back = transform_planar_points(np.array([0.0, 0.0, pose[2]]), -middle_m[None])[0]
         return np.array([*(pose[:2] + back), pose[2]])
 
     def refine(self, occupied_m: FloatArray, start: FloatArray) -> MapAlignment:
@@ -142,7 +145,7 @@ class _Target:
         pose = start.copy()
         for cut_m in _CUTS_M:
             for _ in range(_ITERATIONS):
-                step = self._step(move_points(pose, points_m), cut_m)
+                step = self._step(transform_planar_points(pose, points_m), cut_m)
                 c, s = np.cos(step[2]), np.sin(step[2])
                 x, y = pose[:2] - self._middle_m
                 pose = np.array(
@@ -154,7 +157,7 @@ class _Target:
                 )
                 if np.abs(step).max() < 1e-7:
                     break
-        distance_m, _ = self._tree.query(move_points(pose, occupied_m))
+        distance_m, _ = self._tree.query(transform_planar_points(pose, occupied_m))
         return MapAlignment(pose_world_map=pose, near=float(np.mean(distance_m < _CUTS_M[-1])))
 
     def _step(self, points_m: FloatArray, cut_m: float) -> FloatArray:

@@ -26,7 +26,7 @@ from fusion_core.denoising.correspondence import along_curve
 from fusion_core.denoising.noise_scale import STATED, NoiseScale, learn_noise_scale
 from fusion_core.model.conventions import NS_PER_MS, Float32Array, FloatArray
 from fusion_core.model.errors import AlignmentFailed, SettingsError
-from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.model.progress import Progress
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import DepthImage, LaserScan
@@ -300,7 +300,7 @@ def _peak_or_none(field: SimilarityField, settings: SearchSettings) -> Peak | No
 def T_lidar_camera_at(camera: Camera, mount: Mount, turned_rad: float) -> FloatArray:
     """(4, 4): a camera's optical frame at the image's stamp to the LiDAR frame at the scan's,
     between which the LiDAR turned by ``turned_rad``."""
-    turn = transform(rotation_from_yaw_pitch_roll(turned_rad, 0.0, 0.0), np.zeros(3))
+    turn = make_transform(rotation_from_yaw_pitch_roll(turned_rad, 0.0, 0.0), np.zeros(3))
     T_lidar_camera: FloatArray = turn @ mount.T_lidar_rig @ camera.T_rig_camera
     return T_lidar_camera
 

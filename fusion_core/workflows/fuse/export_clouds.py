@@ -16,7 +16,7 @@ from fusion_core.mapping.voxel_cloud import VoxelCloud
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import NS_PER_MS, FloatArray
 from fusion_core.model.errors import MissingStream, RecordingError
-from fusion_core.model.geometry import apply, transform_from_planar
+from fusion_core.model.geometry import transform_from_planar, transform_points
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
 from fusion_core.model.sensors import DepthImage, LaserScan
@@ -125,7 +125,7 @@ def _raw_scans(session: Session) -> Iterator[LaserScan]:
 def _add_in_map(cloud: VoxelCloud, in_lidar_m: FloatArray, poses: Poses, stamp_ns: int) -> None:
     pose = poses.at(stamp_ns)
     if pose is not None:
-        cloud.add(apply(transform_from_planar(pose), in_lidar_m))
+        cloud.add(transform_points(transform_from_planar(pose), in_lidar_m))
 
 
 def _beams_m(raw: LaserScan, repaired: LaserScan) -> FloatArray:
@@ -147,7 +147,7 @@ def _pixels_m(session: Session, camera: int, image: DepthImage, mount: Mount) ->
     depth_m = session.depth_of(camera, image.depth_m)
     rows, columns = np.nonzero(depth_m > 0.0)
     in_camera_m = depth_m[rows, columns, np.newaxis] * model.rays(rows, columns)
-    return apply(mount.T_lidar_rig @ model.T_rig_camera, in_camera_m)
+    return transform_points(mount.T_lidar_rig @ model.T_rig_camera, in_camera_m)
 
 
 def _notes(session: Session, alignment: Mapping[str, Any]) -> Iterator[str]:

@@ -31,7 +31,7 @@ from fusion_core.denoising.noise import Classes, FrameWindow, classify
 from fusion_core.denoising.repair import Repair, repair
 from fusion_core.model.conventions import NS_PER_S, BoolArray, Float32Array, FloatArray
 from fusion_core.model.errors import AlignmentFailed, RegistrationFailed
-from fusion_core.model.geometry import apply
+from fusion_core.model.geometry import transform_points
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.registration.ransac import Registration, register
@@ -293,7 +293,7 @@ def _offset_to_rig(
         return (row.left_rad - rig_row.left_rad) / rig_row.step_rad
     column = pairs.column[paired]
     rays = camera.rays(pairs.row[paired], column)
-    in_rig = apply(camera.T_rig_camera, pairs.depth_m[paired, np.newaxis] * rays)
+    in_rig = transform_points(camera.T_rig_camera, pairs.depth_m[paired, np.newaxis] * rays)
     on_rig = rig_row.left_rad - np.arctan2(in_rig[:, 1], in_rig[:, 0])
     own_rad = camera.yaw_rad + camera.column_azimuths_rad(column.astype(np.float64))
     on_own = row.left_rad - own_rad

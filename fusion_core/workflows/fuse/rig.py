@@ -11,7 +11,7 @@ from fusion_core.alignment.upright import UprightView, upright_view
 from fusion_core.alignment.virtual_lidar import cropped_view
 from fusion_core.model.conventions import R_BODY_OPTICAL, FloatArray
 from fusion_core.model.errors import MissingStream, ScanLoomError
-from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.model.recording import Recording
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import (
@@ -29,7 +29,7 @@ from fusion_core.workflows.fitting import ScanGeometry, first_scan, first_value,
 _STATIC_MESSAGES = 500
 # A base in which a camera looks straight up or down is another optical frame: it is not level.
 _STEEPEST = 0.95
-_T_LEVEL = transform(R_BODY_OPTICAL, np.zeros(3))
+_T_LEVEL = make_transform(R_BODY_OPTICAL, np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -252,7 +252,7 @@ def _assemble(
             Camera(
                 topic=lens.topic,
                 intrinsics=view.intrinsics,
-                T_rig_camera=transform(
+                T_rig_camera=make_transform(
                     R_rig_stored @ view.R_stored_view, R_rig_base @ (T[:3, 3] - centre)
                 ),
                 calibrated=lens.calibrated,

@@ -8,7 +8,7 @@ import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.errors import MappingFailed
-from fusion_core.model.planar_poses import Prior
+from fusion_core.model.planar_poses import PosePrior
 from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import SlamObserver
 from fusion_core.slam.particle_filter import ParticleResult, particle_filter_slam
@@ -43,7 +43,7 @@ class Placed:
 
 def place(
     scans: Scans,
-    prior: Prior | None,
+    prior: PosePrior | None,
     slam: SlamKind,
     settings: MapSettings,
     progress: Progress,
@@ -76,7 +76,7 @@ def place(
     return _placed_by_motion(scans, prior)
 
 
-def _placed_by_motion(scans: Scans, prior: Prior) -> Placed:
+def _placed_by_motion(scans: Scans, prior: PosePrior) -> Placed:
     stamps_ns = []
     found = []
     for scan in scans:

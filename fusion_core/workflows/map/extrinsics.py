@@ -10,7 +10,7 @@ import numpy as np
 from fusion_core.alignment.upright import UprightView, upright_view
 from fusion_core.model.conventions import FloatArray, read_only
 from fusion_core.model.errors import AlignmentFailed, ScanLoomError, SettingsError
-from fusion_core.model.geometry import inverse, transform
+from fusion_core.model.geometry import invert_transform, make_transform
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
@@ -195,7 +195,8 @@ def _from_file(file: Path, rig: Rig, streams: Streams, stand: _Stand) -> Extrins
             PlacedCamera(
                 topic=topic,
                 view=view,
-                T_lidar_camera=inverse(T_camera_lidar) @ transform(view.R_stored_view, np.zeros(3)),
+                T_lidar_camera=invert_transform(T_camera_lidar)
+                @ make_transform(view.R_stored_view, np.zeros(3)),
                 upside_down=stand.upside_down,
             )
         )

@@ -26,7 +26,7 @@ import numpy as np
 from fusion_core.files.regular_file import read_regular
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import SettingsError
-from fusion_core.model.geometry import transform
+from fusion_core.model.geometry import make_transform
 
 _ADVICE = (
     "Write T_camera_lidar (4 x 4), or R (3 x 3) and t (3, in metres), which map the LiDAR's points "
@@ -80,7 +80,7 @@ def _transform_of(table: dict[str, Any], path: Path, where: str) -> FloatArray:
         name, T_camera_lidar = "T_camera_lidar", _numbers(table, "T_camera_lidar", (4, 4), path)
     elif "R" in table and "t" in table:
         name = "R"
-        T_camera_lidar = transform(
+        T_camera_lidar = make_transform(
             _numbers(table, "R", (3, 3), path), _numbers(table, "t", (3,), path)
         )
     else:
@@ -105,7 +105,7 @@ def _transform_of(table: dict[str, Any], path: Path, where: str) -> FloatArray:
         )
     # The nearest rotation, so that what follows may invert it by its transpose.
     u, _, vt = np.linalg.svd(rotation)
-    return transform(u @ vt, T_camera_lidar[:3, 3].copy())
+    return make_transform(u @ vt, T_camera_lidar[:3, 3].copy())
 
 
 def _numbers(table: dict[str, Any], name: str, shape: tuple[int, ...], path: Path) -> FloatArray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from fusion_core.model.conventions import NS_PER_MS, R_BODY_OPTICAL, FloatArray, IntArray
 from fusion_core.model.errors import MissingStream
-from fusion_core.model.geometry import transform
+from fusion_core.model.geometry import make_transform
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import PoseSample
@@ -217,7 +217,7 @@ class _Sources:
                     file=self._recording.path,
                     advice="Give --extrinsics FILE.",
                 )
-            T_lidar_camera = transform(R_BODY_OPTICAL, np.zeros(3))
+            T_lidar_camera = make_transform(R_BODY_OPTICAL, np.zeros(3))
             self.notes.append(
                 "Visual odometry is the camera's own, taken to be level and to look ahead: nothing "
                 "tells where it stands on the LiDAR."

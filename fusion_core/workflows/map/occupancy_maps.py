@@ -12,7 +12,7 @@ from fusion_core.mapping.canvas import obstacle_wins
 from fusion_core.mapping.grid import GridBuilder, GridSettings
 from fusion_core.model.conventions import NS_PER_S, FloatArray
 from fusion_core.model.errors import MappingFailed
-from fusion_core.model.geometry import interpolate_planar
+from fusion_core.model.geometry import interpolate_pose
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress
 from fusion_core.model.sensors import LaserScan
@@ -126,4 +126,4 @@ def pose_at(placed: Placed, stamp_ns: int) -> FloatArray | None:
     if gap_ns > _GAP_MAX_NS:
         return None
     share = (stamp_ns - int(stamps_ns[after - 1])) / gap_ns
-    return interpolate_planar(poses[after - 1], poses[after], share)
+    return interpolate_pose(poses[after - 1], poses[after], share)

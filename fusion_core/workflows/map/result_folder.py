@@ -70,7 +70,7 @@ class RunPoses:
     def at(self, stamp_ns: int) -> FloatArray | None:
         """(x, y, yaw), None before the first scan that was placed and after the last."""
         try:
-            return planar_from_transform(self.trajectory.at(stamp_ns))
+            return planar_from_transform(self.trajectory.pose_at(stamp_ns))
         except StampOutsideRange:
             return None
 

@@ -10,7 +10,7 @@ from fusion_core.mapping.camera_points import camera_cloud
 from fusion_core.mapping.virtual_scan import VirtualScanSettings, camera_scan, merged_scan
 from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, FloatArray
 from fusion_core.model.errors import MissingStream
-from fusion_core.model.planar_poses import move_points, relative
+from fusion_core.model.planar_poses import relative_pose, transform_planar_points
 from fusion_core.model.recording import Message, Recording
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.recordings.topics import Streams
@@ -246,7 +246,7 @@ class _Passes:
             self._at_rest += 1
             return cloud_m
         carried_m = cloud_m.copy()
-        carried_m[:, :2] = move_points(pose_scan_image, cloud_m[:, :2])
+        carried_m[:, :2] = transform_planar_points(pose_scan_image, cloud_m[:, :2])
         return carried_m
 
     def _moved(self, from_ns: int, to_ns: int, window: ScanWindow | None) -> FloatArray | None:
@@ -254,7 +254,7 @@ class _Passes:
         if self._motion is not None:
             before, after = self._motion(from_ns), self._motion(to_ns)
             if before is not None and after is not None:
-                return relative(after, before)
+                return relative_pose(after, before)
         if window is None:
             return None
         rate_rad_s = turn_rate_rad_s(window, TimeSettings())

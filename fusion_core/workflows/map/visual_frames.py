@@ -9,7 +9,7 @@ import numpy as np
 
 from fusion_core.model.conventions import NS_PER_MS, ByteArray, FloatArray
 from fusion_core.model.errors import MissingStream
-from fusion_core.model.geometry import inverse, transform
+from fusion_core.model.geometry import invert_transform, make_transform
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import CameraInfo, CameraIntrinsics, ColorImage, DepthImage
 from fusion_core.motion.visual import GrayDepth
@@ -168,7 +168,7 @@ def camera_on_lidar(
         placed = [camera for camera in extrinsics.cameras if camera.topic == streams.depth[0]]
         if not placed:
             return None, ()
-        T_view_stored = inverse(transform(placed[0].view.R_stored_view, np.zeros(3)))
+        T_view_stored = invert_transform(make_transform(placed[0].view.R_stored_view, np.zeros(3)))
         return placed[0].T_lidar_camera @ T_view_stored, ()
     if streams.lidar is None:
         return None, ()
@@ -179,5 +179,5 @@ def camera_on_lidar(
     refusal = refusal_of_recorded(session_of(recording, streams, rig, settings))
     if refusal:
         return None, (mount_not_used(refusal),)
-    T_view_stored = inverse(transform(rig.views[0].R_stored_view, np.zeros(3)))
+    T_view_stored = invert_transform(make_transform(rig.views[0].R_stored_view, np.zeros(3)))
     return rig.recorded.T_lidar_rig @ rig.cameras[0].T_rig_camera @ T_view_stored, ()

@@ -9,11 +9,11 @@ from fusion_core.denoising.correspondence import along_curve, in_row
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import R_BODY_OPTICAL
 from fusion_core.model.geometry import (
-    apply,
-    inverse,
+    invert_transform,
+    make_transform,
     rotation_from_quaternion,
     rotation_from_yaw_pitch_roll,
-    transform,
+    transform_points,
 )
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import CameraIntrinsics, LaserScan
@@ -38,7 +38,7 @@ from scanloom.scene.geometry import (
 
 LENS = CameraIntrinsics(width=80, height=60, fx=70.0, fy=70.0, cx=39.5, cy=29.5)
 CAMERA = Camera(
-    topic="/depth", intrinsics=LENS, T_rig_camera=transform(R_BODY_OPTICAL, np.zeros(3))
+    topic="/depth", intrinsics=LENS, T_rig_camera=make_transform(R_BODY_OPTICAL, np.zeros(3))
 )
 RIG = SimpleNamespace(cameras=(CAMERA,))
 MOUNT = Mount(yaw_rad=0.2, delta_z_m=0.3, forward_m=0.1, left_m=-0.05)
@@ -127,7 +127,7 @@ def test_rows_agree_with_the_rays_of_their_pixels():
     depth_m = wall_depth(T_LIDAR_CAMERA)
     segments, _ = ridge_lines(depth_m, CAMERA, T_LIDAR_CAMERA, 60)
     rays = CAMERA.rays(np.full(LENS.width, 29), np.arange(LENS.width))
-    expected = apply(T_LIDAR_CAMERA, depth_m[29, :, np.newaxis] * rays)
+    expected = transform_points(T_LIDAR_CAMERA, depth_m[29, :, np.newaxis] * rays)
     np.testing.assert_allclose(segments[:, 0], expected[:-1], atol=1e-5)
     np.testing.assert_allclose(segments[:, 1], expected[1:], atol=1e-5)
 
@@ -139,7 +139,7 @@ def test_rows_break_at_edges_and_missing_pixels():
     depth_m[0, 60] = np.nan
     segments, _ = ridge_lines(depth_m, CAMERA, T_LIDAR_CAMERA, 1)
     assert len(segments) == LENS.width - 1 - 3
-    in_camera = apply(inverse(T_LIDAR_CAMERA), segments.astype(np.float64))
+    in_camera = transform_points(invert_transform(T_LIDAR_CAMERA), segments.astype(np.float64))
     columns = np.rint(LENS.cx + LENS.fx * in_camera[:, 0, 0] / in_camera[:, 0, 2])
     assert sorted(set(range(LENS.width - 1)) - set(columns.astype(int))) == [39, 59, 60]
 
@@ -241,7 +241,9 @@ def test_a_repaired_burr_moves_and_a_filled_hole_appears(wall):
 
 
 def test_a_row_is_drawn_in_the_lidars_plane():
-    level = transform(rotation_from_yaw_pitch_roll(0.3, 0.0, 0.0) @ R_BODY_OPTICAL, np.zeros(3))
+    level = make_transform(
+        rotation_from_yaw_pitch_roll(0.3, 0.0, 0.0) @ R_BODY_OPTICAL, np.zeros(3)
+    )
     scan, depth_m = wall_scan(), wall_depth(level)
     frame = frame_of(in_row(scan, depth_m, depth_m, CAMERA, level, 45), scan, depth_m)
     T_lidar_camera = camera_pose(frame, RIG, ALIGNMENT)

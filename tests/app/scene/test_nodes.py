@@ -8,7 +8,7 @@ import pytest
 import viser
 
 from fusion_core.model.conventions import NS_PER_MS
-from fusion_core.model.geometry import inverse, transform_from_planar
+from fusion_core.model.geometry import invert_transform, transform_from_planar
 from scanloom.plots.palette import class_colors, color_of
 from scanloom.scene.frame_geometry import FrameGeometry
 from scanloom.scene.geometry import Frustum
@@ -217,7 +217,7 @@ def test_the_map_lies_on_the_floor_around_the_lidar(scene):
     nodes.place_map(T_map_lidar)
     placed, shown = node(scene, "/in_map"), node(scene, "/in_map/map")
     assert placed.visible
-    T_lidar_map = inverse(T_map_lidar)
+    T_lidar_map = invert_transform(T_map_lidar)
     np.testing.assert_allclose(placed.position, [*T_lidar_map[:2, 3], -0.4])
     np.testing.assert_allclose(placed.wxyz, [np.cos(0.25), 0.0, 0.0, -np.sin(0.25)], atol=1e-9)
     nodes.show(frame(lowest_m=-0.6))

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion_core.model.geometry import (
-    inverse,
+    invert_transform,
     rotation_from_yaw_pitch_roll,
     transform_from_planar,
 )
@@ -159,7 +159,7 @@ def test_curve_view_has_right_to_the_right_and_ahead_up():
 
 
 def test_map_view_shows_the_whole_map_upright():
-    T_lidar_map = inverse(transform_from_planar(np.array([1.0, 2.0, 0.7])))
+    T_lidar_map = invert_transform(transform_from_planar(np.array([1.0, 2.0, 0.7])))
     view = map_from_above(T_lidar_map, (-3.0, -1.0), np.array([6.0, 4.0]))
     corners = [(-3.0, -1.0), (3.0, -1.0), (3.0, 3.0)]
     seen = [on_screen(view, (T_lidar_map @ [x, y, 0.0, 1.0])[:3]) for x, y in corners]

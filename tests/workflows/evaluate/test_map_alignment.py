@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fusion_core.model.errors import RegistrationFailed
-from fusion_core.model.planar_poses import move_points
+from fusion_core.model.planar_poses import transform_planar_points
 from fusion_core.model.world_outline import WorldOutline
 from fusion_core.simulation import arena, rigs
 from fusion_core.simulation.observer import Setup
@@ -29,20 +29,20 @@ def drawn(world: WorldOutline, pose_map_world: np.ndarray, noise_m: float = 0.01
     samples = samples[samples[:, 1] < 2.4]
     samples = samples + noise_m * rng.standard_normal(samples.shape)
     strays = rng.uniform((0.0, 0.0), (5.6, 2.4), (40, 2))
-    points = move_points(pose_map_world, np.concatenate([samples, strays]))
+    points = transform_planar_points(pose_map_world, np.concatenate([samples, strays]))
     cells = np.unique(np.floor(points / RESOLUTION_M).astype(int), axis=0)
     return (cells + 0.5) * RESOLUTION_M
 
 
 def inverse(pose: np.ndarray) -> np.ndarray:
-    back = move_points(np.array([0.0, 0.0, -pose[2]]), -pose[None, :2])[0]
+    back = transform_planar_points(np.array([0.0, 0.0, -pose[2]]), -pose[None, :2])[0]
     return np.array([*back, -pose[2]])
 
 
 def apart(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
     """Metres at a corner of the world, and degrees."""
     corner = np.array([[5.6, 3.18]])
-    off = move_points(first, corner) - move_points(second, corner)
+    off = transform_planar_points(first, corner) - transform_planar_points(second, corner)
     turn = (first[2] - second[2] + np.pi) % (2 * np.pi) - np.pi
     return float(np.linalg.norm(off)), float(np.degrees(abs(turn)))
 

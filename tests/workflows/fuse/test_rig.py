@@ -7,7 +7,7 @@ import pytest
 
 from fusion_core.alignment.curves import SamplingSettings
 from fusion_core.model.errors import MissingStream
-from fusion_core.model.geometry import apply, inverse, transform
+from fusion_core.model.geometry import invert_transform, make_transform, transform_points
 from fusion_core.recordings.topics import choose_streams
 from fusion_core.workflows.fuse.rig import build_rig
 
@@ -56,7 +56,9 @@ def test_the_recorded_mount_has_the_numbers_of_the_transforms(one_camera, pose_o
     # Pitch and roll stay with the camera, so that the mount's own are small corrections.
     assert mount.pitch_rad == 0.0
     np.testing.assert_allclose(
-        mount.T_lidar_rig @ stored_pose(rig, 0), inverse(T_base_lidar) @ T_base_camera, atol=1e-12
+        mount.T_lidar_rig @ stored_pose(rig, 0),
+        invert_transform(T_base_lidar) @ T_base_camera,
+        atol=1e-12,
     )
 
 
@@ -68,7 +70,7 @@ def test_the_mount_is_seen_from_the_lidar_however_it_stands(one_camera, pose_of,
     rig = rig_of(one_camera)
     np.testing.assert_allclose(
         rig.recorded.T_lidar_rig @ stored_pose(rig, 0),
-        inverse(T_base_lidar) @ T_base_camera,
+        invert_transform(T_base_lidar) @ T_base_camera,
         atol=1e-12,
     )
     # Up is the LiDAR's up: one that hangs upside down turns the picture with it.
@@ -119,11 +121,11 @@ def test_cameras_of_one_root_keep_their_poses_among_themselves(log, side_by_side
     rig = rig_of(log)
     assert rig.recorded is None
     assert [camera.topic for camera in rig.cameras] == [f"/{n}/depth/image_raw" for n in NAMES]
-    first = inverse(rig.cameras[0].T_rig_camera)
+    first = invert_transform(rig.cameras[0].T_rig_camera)
     for index, name in enumerate(NAMES):
         np.testing.assert_allclose(
             first @ rig.cameras[index].T_rig_camera,
-            inverse(side_by_side["a"]) @ side_by_side[name],
+            invert_transform(side_by_side["a"]) @ side_by_side[name],
             atol=1e-12,
         )
     centre = np.mean([camera.T_rig_camera[:3, 3] for camera in rig.cameras], axis=0)
@@ -140,7 +142,7 @@ def test_cameras_joined_to_the_lidar_have_a_mount_at_their_middle(log, pose_of, 
     for index, name in enumerate(NAMES):
         np.testing.assert_allclose(
             rig.recorded.T_lidar_rig @ rig.cameras[index].T_rig_camera,
-            inverse(T_base_lidar) @ side_by_side[name],
+            invert_transform(T_base_lidar) @ side_by_side[name],
             atol=1e-12,
         )
 
@@ -168,10 +170,12 @@ def test_a_rolled_camera_is_seen_upright_pixel_by_pixel(one_camera, pose_of, qua
     )
     rng = np.random.default_rng(3)
     ahead = pose_of(z=0.5, yaw=0.2)
-    points = apply(ahead, np.column_stack([np.full(60, 2.0), rng.uniform(-0.6, 0.6, (60, 2))]))
+    points = transform_points(
+        ahead, np.column_stack([np.full(60, 2.0), rng.uniform(-0.6, 0.6, (60, 2))])
+    )
 
     def pixels(T_lidar_camera, intrinsics):
-        x, y, z = apply(inverse(T_lidar_camera), points).T
+        x, y, z = transform_points(invert_transform(T_lidar_camera), points).T
         column = intrinsics.cx + intrinsics.fx * x / z
         row = intrinsics.cy + intrinsics.fy * y / z
         return np.rint(row).astype(int), np.rint(column).astype(int)
@@ -239,5 +243,6 @@ def test_distortion_is_taken_out_of_the_view(log):
     assert not any(rig.cameras[0].intrinsics.distortion)
     assert any(rig.stored_intrinsics[0].distortion)
     np.testing.assert_array_equal(
-        rig.cameras[0].T_rig_camera, transform(rig.cameras[0].T_rig_camera[:3, :3], np.zeros(3))
+        rig.cameras[0].T_rig_camera,
+        make_transform(rig.cameras[0].T_rig_camera[:3, :3], np.zeros(3)),
     )

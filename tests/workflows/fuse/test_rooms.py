@@ -10,7 +10,7 @@ import pytest
 
 from fusion_core.model.conventions import R_BODY_OPTICAL
 from fusion_core.model.errors import ExportError, RecordingError
-from fusion_core.model.geometry import transform
+from fusion_core.model.geometry import make_transform
 from fusion_core.model.sensors import CameraInfo, DepthImage, LaserScan, Transform, TransformBatch
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.ros2_writer import Ros2McapWriter
@@ -38,8 +38,8 @@ def versions(scenes, tmp_path_factory) -> dict[str, Path]:
     scene = scenes("robot_at_home", duration_s=2.0, image_scale=1.0)
     truth = np.load(scene.with_name(f"{scene.stem}.truth.npz"))
     x, y, z, *_ = trees.MOUNTS["HOKUYO1"]
-    T_base_laser = transform(np.eye(3), np.array([x, y, z]))
-    body = transform(R_BODY_OPTICAL, np.zeros(3))
+    T_base_laser = make_transform(np.eye(3), np.array([x, y, z]))
+    body = make_transform(R_BODY_OPTICAL, np.zeros(3))
     poses = {"HOKUYO1": trees.MOUNTS["HOKUYO1"]}
     mounts = {"laser": T_base_laser}
     cameras = {}

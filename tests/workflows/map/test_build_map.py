@@ -61,7 +61,7 @@ def test_the_folder_holds_all_results(mapped, ring):
     assert {path.name for path in mapped.output.iterdir()} == FILES
     trajectory = read_tum_trajectory(mapped.output / "trajectory.tum").trajectory
     np.testing.assert_array_equal(trajectory.stamps_ns, ring.stamps_ns)
-    assert error_m(trajectory.planar, ring.truth) < 0.2
+    assert error_m(trajectory.planar_poses, ring.truth) < 0.2
     report = json.loads((mapped.output / "report.json").read_text(encoding="utf-8"))
     assert report == mapped.report
     assert report["scans"] == SCANS
@@ -92,14 +92,14 @@ def test_without_slam_the_poses_are_those_recorded(log, ring, tmp_path):
     assert not (summary.output / "graph.g2o").exists()
     assert "loops" not in summary.report
     trajectory = read_tum_trajectory(summary.output / "trajectory.tum").trajectory
-    np.testing.assert_allclose(trajectory.planar, ring.odometry, atol=1e-5)
+    np.testing.assert_allclose(trajectory.planar_poses, ring.odometry, atol=1e-5)
 
 
 def test_without_motion_it_begins_at_the_origin_and_bare_corridors_are_not_trusted(log, tmp_path):
     with pytest.raises(MappingFailed, match="of the scans fit"):
         build_map(log, tmp_path / "map", MapOptions(motion="none"))
     trajectory = read_tum_trajectory(tmp_path / "map" / "trajectory.tum").trajectory
-    np.testing.assert_array_equal(trajectory.planar[0], np.zeros(3))
+    np.testing.assert_array_equal(trajectory.planar_poses[0], np.zeros(3))
     report = json.loads((tmp_path / "map" / "report.json").read_text(encoding="utf-8"))
     assert any("bare corridor" in note for note in report["notes"])
 

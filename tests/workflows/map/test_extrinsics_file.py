@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion_core.model.errors import SettingsError
-from fusion_core.model.geometry import rotation_from_yaw_pitch_roll, transform
+from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.workflows.map.extrinsics_file import read_extrinsics
 
 IDENTITY = np.eye(4).tolist()
@@ -17,7 +17,7 @@ angles = st.floats(-3.0, 3.0)
 
 @given(angles, angles, angles, st.lists(st.floats(-5.0, 5.0), min_size=3, max_size=3))
 def test_what_was_written_is_read(tmp_path_factory, yaw, pitch, roll, t):
-    T = transform(rotation_from_yaw_pitch_roll(yaw, pitch, roll), np.array(t))
+    T = make_transform(rotation_from_yaw_pitch_roll(yaw, pitch, roll), np.array(t))
     path = tmp_path_factory.mktemp("extrinsics") / "file"
     for text in (
         f"T_camera_lidar = {np.round(T, 6).tolist()}",

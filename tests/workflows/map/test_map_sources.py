@@ -52,7 +52,7 @@ def test_the_way_is_that_of_the_truth(recording, tmp_path):
     estimate = read_tum_trajectory(folder / "trajectory.tum").trajectory
     truth = np.load(truth_path(recording))
     np.testing.assert_array_equal(estimate.stamps_ns, truth["scan_stamp"])
-    away = estimate.planar[:, :2] - estimate.planar[0, :2]
+    away = estimate.planar_poses[:, :2] - estimate.planar_poses[0, :2]
     true = truth["pose"][:, :2] - truth["pose"][0, :2]
     # Both begin somewhere; how far they went is the same in any frame.
     np.testing.assert_allclose(np.hypot(*away.T), np.hypot(*true.T), atol=0.03)

@@ -209,7 +209,7 @@ def test_files_and_their_evaluation(fused: Motion, tmp_path: Path) -> None:
     track = fused.tracks[-1]
     written = read_tum_trajectory(tmp_path / "odometry_fused.tum").trajectory
     np.testing.assert_array_equal(written.stamps_ns, track.stamps_ns)
-    np.testing.assert_allclose(written.planar, track.poses_odom_lidar, atol=1e-8)
+    np.testing.assert_allclose(written.planar_poses, track.poses_odom_lidar, atol=1e-8)
     with (tmp_path / "odometry_weights.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == track.stamps_ns.size - 1

@@ -12,7 +12,7 @@ _SPEED_MAX_M_S = 100.0
 _UNEVEN_S = 0.01
 
 
-def lone_poses(stamps_ns: IntArray, positions_m: FloatArray) -> BoolArray:
+def find_isolated_poses(stamps_ns: IntArray, positions_m: FloatArray) -> BoolArray:
     """(N,) which of (N,) stamps, strictly increasing, and (N, D) positions jump away and back.
 
     Steps that are too fast part the track into runs. A run jumps where it is shorter than both of
@@ -21,7 +21,7 @@ def lone_poses(stamps_ns: IntArray, positions_m: FloatArray) -> BoolArray:
     such pose.
     """
     lone = np.zeros(stamps_ns.size, dtype=np.bool_)
-    parted = _too_fast(stamps_ns, positions_m, np.arange(stamps_ns.size))
+    parted = _find_too_fast_steps(stamps_ns, positions_m, np.arange(stamps_ns.size))
     if not parted.size:
         return lone
     runs = list(pairwise([0, *(parted + 1).tolist(), stamps_ns.size]))
@@ -34,14 +34,16 @@ def lone_poses(stamps_ns: IntArray, positions_m: FloatArray) -> BoolArray:
         else:
             ends = np.array([before[1] - 1, after[0]])
             shorter = size < min(before[1] - before[0], after[1] - after[0])
-            jumps = shorter and not _too_fast(stamps_ns, positions_m, ends).size
+            jumps = shorter and not _find_too_fast_steps(stamps_ns, positions_m, ends).size
         lone[slice(*run)] = jumps
         if not jumps:
             before = run
     return lone
 
 
-def _too_fast(stamps_ns: IntArray, positions_m: FloatArray, chosen: IntArray) -> IntArray:
+def _find_too_fast_steps(
+    stamps_ns: IntArray, positions_m: FloatArray, chosen: IntArray
+) -> IntArray:
     """Indices of the steps from each of ``chosen`` to the next that nothing can make."""
     with np.errstate(over="ignore"):
         steps_m = np.linalg.norm(np.diff(positions_m[chosen], axis=0), axis=1)
