@@ -71,8 +71,8 @@ class ClientSession:
 
         An offset that was picked by hand is that of its frame, unless it is locked.
         """
-        if "number" in values and not self._view.lock_picked:
-            values = {"picked": None} | values
+        if "frame_index" in values and not self._view.lock_picked_offset:
+            values = {"picked_offset": None} | values
         self._replace(lambda view: view.changed(**values), remember=False)
 
     def change_settings(self, **values: Any) -> None:
@@ -90,11 +90,13 @@ class ClientSession:
     def set_preset(self, preset: PresetName) -> None:
         """All settings as the preset has them."""
         settings = PRESETS[preset]
-        self.change_settings(preset=preset, settings=settings, aligned=settings, picked=None)
+        self.change_settings(
+            preset=preset, settings=settings, alignment_settings=settings, picked_offset=None
+        )
 
     def align_again(self) -> None:
         """Align the whole recording with the settings as they are."""
-        self.change_settings(aligned=self._view.settings)
+        self.change_settings(alignment_settings=self._view.settings)
 
     def undo(self) -> None:
         """Take back the last change of settings."""
@@ -110,9 +112,9 @@ class ClientSession:
             count = len(self._opened.frames) if self._opened is not None else 0
             if not count:
                 return
-            number = self._view.number + by
-            number = number % count if self._view.loop else min(max(number, 0), count - 1)
-            self.change(number=number)
+            number = self._view.frame_index + by
+            number = number % count if self._view.loop_playback else min(max(number, 0), count - 1)
+            self.change(frame_index=number)
 
     def tell(self, title: str, body: str, *, color: Literal["blue", "red"] = "blue") -> None:
         """A notification that goes away by itself."""

@@ -78,15 +78,17 @@ def compute_frame_view(
 
     A frame beyond the recording's last, as an old link may ask for, is its last.
     """
-    view = view.model_copy(update={"number": min(view.number, len(open_recording.frames) - 1)})
+    view = view.model_copy(
+        update={"frame_index": min(view.frame_index, len(open_recording.frames) - 1)}
+    )
     chain = open_recording.chain
     if chain is None:
         failure = None if open_recording.failure is None else as_failure(open_recording.failure)
         return FrameView(view=view, open_recording=open_recording, failure=failure)
     choice = FrameChoice(
-        number=view.number,
+        number=view.frame_index,
         clock_offset_ms=clock_offset_ms(view, chain),
-        picked=view.picked,
+        picked=view.picked_offset,
     )
     paired = match = fused = color = None
     failure = None

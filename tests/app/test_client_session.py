@@ -192,20 +192,20 @@ def test_a_refused_value_is_told_each_time_and_the_view_stays(
 def test_undo_takes_settings_back_and_leaves_the_place(session: ClientSession, view: View) -> None:
     session.set("noise", "epsilon", 2.0)
     session.set("noise", "support_sigma", 3.0)
-    session.change(number=7, panel="Repair")
+    session.change(frame_index=7, panel="Repair")
     session.undo()
     assert session.view == view.with_setting("noise", "epsilon", 2.0).changed(
-        number=7, panel="Repair"
+        frame_index=7, panel="Repair"
     )
     session.undo()
     session.undo()
-    assert session.view == view.changed(number=7, panel="Repair")
+    assert session.view == view.changed(frame_index=7, panel="Repair")
     session.redo()
     session.redo()
     session.redo()
     assert session.view.settings.noise.epsilon == 2.0
     assert session.view.settings.noise.support_sigma == 3.0
-    assert session.view.number == 7
+    assert session.view.frame_index == 7
 
 
 def test_one_drag_of_a_slider_is_undone_at_once(session: ClientSession, view: View) -> None:
@@ -218,13 +218,13 @@ def test_one_drag_of_a_slider_is_undone_at_once(session: ClientSession, view: Vi
 def test_undo_of_a_preset_brings_its_alignment_back_too(session: ClientSession, view: View) -> None:
     own = shown_by(session).open_recording
     session.set_preset("published")
-    assert session.view.settings == session.view.aligned == PRESETS["published"]
+    assert session.view.settings == session.view.alignment_settings == PRESETS["published"]
     assert shown_by(session).open_recording is not own
     session.undo()
     assert session.view == view
     assert shown_by(session).open_recording is own
     session.redo()
-    assert session.view.aligned == PRESETS["published"]
+    assert session.view.alignment_settings == PRESETS["published"]
 
 
 def test_another_alignment_is_undone_before_the_setting_that_asked_for_it(
@@ -240,14 +240,14 @@ def test_another_alignment_is_undone_before_the_setting_that_asked_for_it(
 
 
 def test_a_place_picked_by_hand_is_that_of_its_frame_unless_locked(session: ClientSession) -> None:
-    session.change_settings(picked=(80.0, 40.0))
+    session.change_settings(picked_offset=(80.0, 40.0))
     session.change(panel="Match")
-    assert session.view.picked == (80.0, 40.0)
+    assert session.view.picked_offset == (80.0, 40.0)
     session.step(1)
-    assert session.view.picked is None
-    session.change_settings(picked=(80.0, 40.0), lock_picked=True)
+    assert session.view.picked_offset is None
+    session.change_settings(picked_offset=(80.0, 40.0), lock_picked_offset=True)
     session.step(1)
-    assert session.view.picked == (80.0, 40.0)
+    assert session.view.picked_offset == (80.0, 40.0)
 
 
 @pytest.mark.parametrize(
@@ -258,9 +258,9 @@ def test_a_step_comes_in_again_from_the_other_end_or_stops(
     session: ClientSession, loop: bool, start: int, by: int, end: int
 ) -> None:
     count = frames_of(session)
-    session.change(loop=loop, number=start % count)
+    session.change(loop_playback=loop, frame_index=start % count)
     session.step(by)
-    assert session.view.number == end % count
+    assert session.view.frame_index == end % count
 
 
 def test_a_failure_is_told_once_until_it_is_over(
@@ -283,14 +283,14 @@ def test_a_panel_that_fails_is_told_and_the_desk_goes_on(
     session: ClientSession, client: Told, panel: Recorder
 ) -> None:
     panel.failure = ZeroDivisionError("by zero")
-    session.change(number=3)
+    session.change(frame_index=3)
     assert session.wait(ENOUGH_S)
     ((title, body),) = client.notes
     assert title == "Something failed: ZeroDivisionError: by zero."
     assert "another frame" in body
     panel.failure = None
-    session.change(number=4)
-    assert shown_by(session).view.number == panel.frame_view[-1].view.number == 4
+    session.change(frame_index=4)
+    assert shown_by(session).view.frame_index == panel.frame_view[-1].view.frame_index == 4
 
 
 def test_a_recording_that_is_none_is_told_and_the_desk_goes_on(
@@ -299,14 +299,14 @@ def test_a_recording_that_is_none_is_told_and_the_desk_goes_on(
     session.change(lidar_topic="/none")
     assert session.wait(ENOUGH_S)
     assert "'/none'" in client.notes[0][0]
-    session.change(lidar_topic=None, number=2)
-    assert shown_by(session).view.number == 2
+    session.change(lidar_topic=None, frame_index=2)
+    assert shown_by(session).view.frame_index == 2
 
 
 def test_a_closed_desk_shows_nothing_any_more(session: ClientSession, panel: Recorder) -> None:
     before = len(panel.frame_view)
     session.close()
-    session.change(number=5)
+    session.change(frame_index=5)
     assert session.wait(ENOUGH_S)
     assert len(panel.frame_view) == before
 
@@ -426,7 +426,7 @@ def test_a_recording_that_is_cut_while_it_is_open_is_told_so(
 def test_what_is_shown_is_what_the_chain_computes(library: Library, view: View) -> None:
     open_recording = library.open(view)
     assert open_recording.chain is not None
-    frame_view = compute_frame_view(view.changed(number=9), open_recording)
+    frame_view = compute_frame_view(view.changed(frame_index=9), open_recording)
     choice = FrameChoice(number=9)
     assert frame_view.match is open_recording.chain.matched(choice, view.settings)
     assert frame_view.fused is open_recording.chain.judged(choice, view.settings)
@@ -438,8 +438,8 @@ def test_a_frame_beyond_the_last_is_the_last(library: Library, view: View) -> No
     open_recording = library.open(view)
     last = len(open_recording.frames) - 1
     for number in (last, last + 1, 2**31 - 1):
-        frame_view = compute_frame_view(view.changed(number=number), open_recording)
-        assert frame_view.view.number == last
+        frame_view = compute_frame_view(view.changed(frame_index=number), open_recording)
+        assert frame_view.view.frame_index == last
         assert frame_view.paired is not None
         assert frame_view.paired.image.stamp_ns == open_recording.frames.image(last).stamp_ns
 
@@ -458,7 +458,9 @@ def test_the_clock_offset_is_the_mounts_and_only_where_asked_for(
     )
     gaps_ns = []
     for applied in (False, True):
-        paired = compute_frame_view(view.changed(number=9, apply_clock_offset=applied), late).paired
+        paired = compute_frame_view(
+            view.changed(frame_index=9, apply_clock_offset=applied), late
+        ).paired
         assert paired is not None
         assert paired.window is not None
         gaps_ns.append((paired.gap_ns, paired.window.scan.stamp_ns))
@@ -472,10 +474,10 @@ def test_a_picked_row_that_the_image_lacks_is_a_failure_in_words(
     open_recording = library.open(view)
     asked = view.changed(preset=preset, settings=PRESETS[preset])  # type: ignore[index]  # one of the two
     rows = open_recording.frames.image(0).depth_m.shape[0]
-    inside = compute_frame_view(asked.changed(picked=(80.0, rows - 1.0)), open_recording)
+    inside = compute_frame_view(asked.changed(picked_offset=(80.0, rows - 1.0)), open_recording)
     assert inside.match is not None
     assert set(inside.match.pairs.row.tolist()) == {rows - 1}
-    outside = compute_frame_view(asked.changed(picked=(80.0, float(rows))), open_recording)
+    outside = compute_frame_view(asked.changed(picked_offset=(80.0, float(rows))), open_recording)
     assert outside.match is None
     assert outside.paired is not None
     assert isinstance(outside.failure, AlignmentFailed)
@@ -491,10 +493,10 @@ def test_a_stage_that_fails_on_one_frame_leaves_what_came_before_it(
     with monkeypatch.context() as patched:
         patched.setattr("fusion_core.workflows.fuse.live.judge_frame", fail)
         # No other test has judged it so.
-        session.change(number=5)
+        session.change(frame_index=5)
         session.set("noise", "epsilon", 3.21)
         frame_view = shown_by(session)
-    assert frame_view.view.number == 5
+    assert frame_view.view.frame_index == 5
     assert frame_view.paired is not None
     assert frame_view.match is not None
     assert frame_view.fused is None
@@ -502,9 +504,9 @@ def test_a_stage_that_fails_on_one_frame_leaves_what_came_before_it(
     title, body = client.notes[-1]
     assert title == "Something failed: ZeroDivisionError: in the classes."
     assert "another frame" in body
-    session.change(number=6)
+    session.change(frame_index=6)
     assert shown_by(session).fused is not None
-    session.change(number=5)
+    session.change(frame_index=5)
     assert shown_by(session).fused is not None
 
 
@@ -517,7 +519,7 @@ def test_a_colour_image_that_cannot_be_read_hides_no_frame(
         raise RecordingError("/color: message 7 is damaged.", advice="Record it again.")
 
     monkeypatch.setattr(frames, "color", fail)
-    session.change(number=7)
+    session.change(frame_index=7)
     frame_view = shown_by(session)
     assert frame_view.fused is not None
     assert frame_view.color is None

@@ -49,7 +49,7 @@ def notes_of(client: Any) -> Iterator[tuple[str, str]]:
 
 
 def test_a_browser_gets_the_view_that_it_kept(workbench: Workbench, view: View) -> None:
-    kept = view.changed(number=4, panel="Match").with_setting("noise", "epsilon", 2.5)
+    kept = view.changed(frame_index=4, panel="Match").with_setting("noise", "epsilon", 2.5)
     storage = {STORED_VIEW: kept.to_link()}
     with connect(workbench.address, storage=storage) as client:
         client.wait_until(lambda: client_shows(client, "Frame", 4), ENOUGH_S)
@@ -59,7 +59,7 @@ def test_a_browser_gets_the_view_that_it_kept(workbench: Workbench, view: View) 
 def test_a_link_goes_before_what_was_kept_and_is_followed_once(
     workbench: Workbench, view: View
 ) -> None:
-    linked, kept = view.changed(number=6), view.changed(number=4)
+    linked, kept = view.changed(frame_index=6), view.changed(frame_index=4)
     storage = {STORED_VIEW: kept.to_link(), LINK_KEY: linked.to_link()}
     with connect(workbench.address, storage=storage) as client:
         client.wait_until(lambda: client_shows(client, "Frame", 6), ENOUGH_S)
@@ -78,7 +78,7 @@ def test_a_link_goes_before_what_was_kept_and_is_followed_once(
 def test_a_link_that_cannot_be_followed_is_told_and_the_kept_view_is_shown(
     workbench: Workbench, view: View, link: str, words: str
 ) -> None:
-    storage = {STORED_VIEW: view.changed(number=4).to_link(), LINK_KEY: link}
+    storage = {STORED_VIEW: view.changed(frame_index=4).to_link(), LINK_KEY: link}
     with connect(workbench.address, storage=storage) as client:
         title, _ = next(notes_of(client))
         assert words in title
@@ -102,7 +102,7 @@ def test_a_frame_that_cannot_be_read_takes_the_one_before_out_of_sight(
     workbench: Workbench, view: View, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     boards = {"/boards/depth", "/boards/heatmap"}
-    storage = {STORED_VIEW: view.changed(number=2).to_link()}
+    storage = {STORED_VIEW: view.changed(frame_index=2).to_link()}
     with connect(workbench.address, storage=storage) as client:
         for _ in boards:
             client.wait_for(
@@ -118,7 +118,7 @@ def test_a_frame_that_cannot_be_read_takes_the_one_before_out_of_sight(
 
         monkeypatch.setattr(frames, "pair", fail)
         # No other test has looked at it.
-        session.change(number=13)
+        session.change(frame_index=13)
         title, body = next(notes_of(client))
         assert (title, body) == ("message 7 is damaged.", "Go on.")
         removed = set()
@@ -126,7 +126,7 @@ def test_a_frame_that_cannot_be_read_takes_the_one_before_out_of_sight(
             gone = client.wait_for(lambda r: r.type == "RemoveSceneNodeMessage", ENOUGH_S)
             removed.add(gone.message["name"])
         monkeypatch.undo()
-        session.change(number=14)
+        session.change(frame_index=14)
         for _ in boards:
             client.wait_for(
                 lambda r: r.type == "ImageMessage" and r.message["name"] in boards, ENOUGH_S

@@ -51,7 +51,7 @@ def main() -> None:
                 sys.exit("the recording was not aligned in time")
             time.sleep(0.2)
         for session in workbench.sessions:
-            session.change(number=asked.frame, panel=asked.panel)
+            session.change(frame_index=asked.frame, panel=asked.panel)
         # The browser's own warning that it has no graphics card is no part of the picture.
         page.get_by_text("Software WebGL").locator("xpath=../..").get_by_role("button").click()
         page.wait_for_timeout(1000 * _DRAWN_S)

@@ -84,7 +84,7 @@ class DepthCameras:
         self._choose(tuple(name for name in self._topics if name in chosen))
 
     def _choose(self, topics: tuple[str, ...]) -> None:
-        self._session.change(depth_topics=topics, number=0)
+        self._session.change(depth_topics=topics, frame_index=0)
 
 
 def own_parts(topics: Sequence[str]) -> list[str]:

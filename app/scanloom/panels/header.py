@@ -84,7 +84,7 @@ def _differences(view: View) -> str:
     """One line that says what differs from the preset."""
     changed = [
         f"{stage}.{name} = {value}" if stage else f"{name} = {value}"
-        for stage, values in view.differing().items()
+        for stage, values in view.preset_overrides().items()
         for name, value in values.items()
     ]
     said = f"as the preset {view.preset} has it"

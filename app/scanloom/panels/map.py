@@ -224,7 +224,7 @@ class MapPanel:
         notes = []
         if options.settings_file is not None and not options.settings_file.exists():
             notes.append("The settings file is written by Build.")
-        if view.picked is not None:
+        if view.picked_offset is not None:
             notes.append("An offset picked by hand is for looking; a build finds its own.")
         self._command.content = text_box(command) + "".join(map(paragraph, notes))
 
@@ -277,7 +277,7 @@ def _asked(view: View) -> tuple[object, ...]:
         view.depth_topics,
         view.virtual_row,
         view.apply_clock_offset,
-        view.picked is None,
+        view.picked_offset is None,
     )
 
 

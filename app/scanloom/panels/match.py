@@ -44,9 +44,12 @@ class MatchPanel:
         self._drawn_of: tuple[object, object, object] = None, None, None
         controls = Controls(gui, session)
         scope = gui.add_dropdown(
-            "Field of", get_args(Scope), initial_value=session.view.scope, hint="What is averaged"
+            "Field of",
+            get_args(Scope),
+            initial_value=session.view.field_scope,
+            hint="What is averaged",
         )
-        controls.bind_field(scope, "scope", str)
+        controls.bind_field(scope, "field_scope", str)
         controls.dropdown("search", "metric", "Score", _METRICS)
         self._picture = gui.add_image(
             np.full((_HEIGHT_PX, _WIDTH_PX, 3), 255, np.uint8), format="png", visible=False
@@ -57,9 +60,11 @@ class MatchPanel:
             self._v = gui.add_number("v (row)", 0.0, step=1.0)
             buttons = gui.add_button_group("Offset", ("Use", "Clear"))
             lock = gui.add_checkbox(
-                "Lock u", session.view.lock_picked, hint="Keep the picked offset in other frames"
+                "Lock u",
+                session.view.lock_picked_offset,
+                hint="Keep the picked offset in other frames",
             )
-            controls.bind_field(lock, "lock_picked", bool)
+            controls.bind_field(lock, "lock_picked_offset", bool)
         self._curves = gui.add_image(
             np.full((*_CURVES_PX[::-1], 3), 255, np.uint8), format="png", visible=False
         )
@@ -78,7 +83,7 @@ class MatchPanel:
         def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
             use = buttons.value == "Use"
             picked = (float(self._u.value), float(self._v.value)) if use else None
-            session.change_settings(picked=picked)
+            session.change_settings(picked_offset=picked)
 
     def show(self, frame_view: FrameView) -> None:
         """Draw the field, the curves and the words of this view."""
@@ -102,8 +107,8 @@ class MatchPanel:
         """The picture of this view: the last one where nothing of it has changed."""
         view = frame_view.view
         # A match is kept as long as its settings are: a new epsilon makes no new one.
-        frame = match if view.scope != "recording" else None
-        looked_at = (view.scope, view.settings.search.metric, view.picked)
+        frame = match if view.field_scope != "recording" else None
+        looked_at = (view.field_scope, view.settings.search.metric, view.picked_offset)
         of, chain, before = self._drawn_of
         is_same = of is frame and chain is frame_view.chain and before == looked_at
         if self._drawn is None or not is_same:
@@ -116,7 +121,7 @@ class MatchPanel:
         assert chain is not None, "a match was made by a chain"
         metric = view.settings.search.metric
         alignment = chain.alignment
-        if view.scope == "recording":
+        if view.field_scope == "recording":
             field: ScoreField = alignment.fields[metric]
             curve = alignment.curve
             peak = alignment.peaks.get(metric)
@@ -124,16 +129,16 @@ class MatchPanel:
         else:
             field, curve = match.search.fields[metric], match.curve
             peak = match.search.peaks.get(metric)
-            prior_u, title = alignment.peak.u - match.u_of_rig, f"Frame {view.number}"
-            if view.scope == "window":
-                field, count = window_field(chain, view.number, view.settings, _WINDOW_FRAMES)
-                title = f"Mean of {count} frames around {view.number}"
+            prior_u, title = alignment.peak.u - match.u_of_rig, f"Frame {view.frame_index}"
+            if view.field_scope == "window":
+                field, count = window_field(chain, view.frame_index, view.settings, _WINDOW_FRAMES)
+                title = f"Mean of {count} frames around {view.frame_index}"
         marks = [Mark("prior", prior_u)]
         if peak is not None:
             marks += [Mark("runner_up", peak.runner_up_u, peak.runner_up_v)]
             marks += [Mark("peak", peak.u, peak.v)]
-        if view.picked is not None:
-            marks += [Mark("picked", *view.picked)]
+        if view.picked_offset is not None:
+            marks += [Mark("picked", *view.picked_offset)]
         return heatmap(
             field,
             marks,
@@ -159,8 +164,8 @@ class MatchPanel:
 
 def _place(frame_view: FrameView, match: FrameMatch) -> tuple[float, float] | None:
     """The offset that is shown: the picked one, else the frame's peak."""
-    if frame_view.view.picked is not None:
-        return frame_view.view.picked
+    if frame_view.view.picked_offset is not None:
+        return frame_view.view.picked_offset
     peak = match.search.peaks.get(frame_view.view.settings.search.metric)
     return None if peak is None else (peak.u, peak.v)
 
@@ -177,8 +182,8 @@ def _peak_words(frame_view: FrameView, match: FrameMatch) -> str:
     alone = match.search.peaks_alone.get(metric)
     if alone is not None and abs(alone.u - peak.u) > 0.5:
         lines.append(f"Without the recording's u it would be at u = {alone.u:.2f}.")
-    if frame_view.view.picked is not None:
-        u, v = frame_view.view.picked
+    if frame_view.view.picked_offset is not None:
+        u, v = frame_view.view.picked_offset
         lines.append(f"Picked by hand: u = {u:.2f}, v = {v:.1f}; pairs are those of row {v:.0f}.")
     else:
         along = "the LiDAR's projected curve" if match.row_model == "curve" else "the row"

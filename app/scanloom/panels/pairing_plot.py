@@ -39,7 +39,7 @@ class PairingPlot:
             0.0 if frame_view.chain is None else clock_offset_ms(frame_view.view, frame_view.chain)
         )
         drawn, gaps = self._draw(stamps, offset_ms, frame_view)
-        number = frame_view.view.number
+        number = frame_view.view.frame_index
         if self._marked != (drawn, number):
             self._marked = drawn, number
             show_picture(self._picture, _marked(drawn, gaps, frame_view))
@@ -66,7 +66,7 @@ class PairingPlot:
 
 
 def _marked(drawn: GapsPicture, gaps: PairingGaps, frame_view: FrameView) -> ByteArray:
-    time_ns = int(frame_view.open_recording.frames.times_ns[frame_view.view.number])
+    time_ns = int(frame_view.open_recording.frames.times_ns[frame_view.view.frame_index])
     gap_ms: float | None = None
     if frame_view.paired is not None and frame_view.paired.window is not None:
         gap_ms = frame_view.paired.gap_ns / NS_PER_MS

@@ -93,12 +93,12 @@ class RecordingPanel:
     def _open(self, name: str) -> None:
         self._session.change(
             recording=name,
-            number=0,
-            picked=None,
+            frame_index=0,
+            picked_offset=None,
             lidar_topic=None,
             depth_topics=(),
             virtual_row=None,
-            beam=None,
+            selected_beam=None,
         )
 
     def _offer(self, frame_view: FrameView) -> None:

@@ -71,7 +71,7 @@ class RegisterPanel:
         with gui.add_folder("The matrix", expand_by_default=False):
             self._matrix = gui.add_markdown("")
 
-        controls.bind_field(self._draw, "draw", int, lambda draw: min(draw, self._last_draw))
+        controls.bind_field(self._draw, "draw_index", int, lambda draw: min(draw, self._last_draw))
 
         @self._buttons.on_click
         def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
@@ -102,7 +102,7 @@ class RegisterPanel:
             self._drawn_pairs = None
             update_widget(self._words, content=escape_markdown(missing_result_text(frame_view)))
         if found is not None:
-            self._show_draw(found, min(view.draw, self._last_draw), axes)
+            self._show_draw(found, min(view.draw_index, self._last_draw), axes)
         else:
             self._drawn_draw = (None, -1)
             update_widget(self._matrix, content="There is none.")
@@ -118,9 +118,9 @@ class RegisterPanel:
         if found is None:
             return
         last = self._last_draw
-        draw = min(self._session.view.draw, last)
+        draw = min(self._session.view.draw_index, last)
         places = {"Previous": max(draw - 1, 0), "Next": min(draw + 1, last)}
-        self._session.change(draw=places.get(where, found.best_draw))
+        self._session.change(draw_index=places.get(where, found.best_draw))
 
     def _show_pairs(self, match: FrameMatch, axes: tuple[str, str]) -> None:
         """Fig. 5, and A in words. Epsilon changes neither."""

@@ -40,16 +40,16 @@ class RepairPanel:
         self._words = gui.add_html("", visible=False)
         both = gui.add_checkbox(
             "Before and after",
-            session.view.both,
+            session.view.show_raw_and_repaired,
             hint="Show the raw depth image and the repaired one",
         )
         repaired = gui.add_checkbox(
             "Repaired",
-            session.view.repaired,
+            session.view.show_repaired,
             hint="In the scene, and here where there is one image",
         )
-        self._controls.bind_field(both, "both", bool)
-        self._controls.bind_field(repaired, "repaired", bool)
+        self._controls.bind_field(both, "show_raw_and_repaired", bool)
+        self._controls.bind_field(repaired, "show_repaired", bool)
         empty = np.full((_HEIGHT_PX, _WIDTH_PX, 3), 255, dtype=np.uint8)
         self._pictures = [gui.add_image(empty, format="png", visible=False) for _ in range(2)]
         with gui.add_folder("Classes"):
@@ -79,7 +79,7 @@ class RepairPanel:
             controls.slider("repair", "farther_confidence", "Sure to move farther", 0.0, 1.0, 0.05)
         controls.bind_field(
             beam,
-            "beam",
+            "selected_beam",
             lambda value: None if value == _NO_BEAM else int(value),
             lambda value: _NO_BEAM if value is None else value,
         )
@@ -102,7 +102,13 @@ class RepairPanel:
         if frame_view.fused is None:
             self._hide()
             return
-        looked_at = (view.classes, view.both, view.repaired, view.beam, view.settings)
+        looked_at = (
+            view.visible_classes,
+            view.show_raw_and_repaired,
+            view.show_repaired,
+            view.selected_beam,
+            view.settings,
+        )
         if self._drawn[0] is frame_view.fused and self._drawn[1] == looked_at:
             return
         self._drawn = frame_view.fused, looked_at
@@ -110,7 +116,9 @@ class RepairPanel:
         self._show_curve(frame_view.fused, view)
         update_widget(self._classes, content=class_table(frame_view.fused))
         self._show_conflicts(frame_view.fused, view)
-        update_widget(self._story, content=beam_table(frame_view.fused, view.beam, view.settings))
+        update_widget(
+            self._story, content=beam_table(frame_view.fused, view.selected_beam, view.settings)
+        )
 
     def _show_pictures(self, frame: FusedFrame, view: View) -> None:
         after = pixels_of_match(frame)
@@ -122,22 +130,22 @@ class RepairPanel:
         limits_m = depth_limits_m(frame.depth_m)
         for place, (title, depth_m, pairs) in enumerate(images):
             handle = self._pictures[place]
-            wanted = view.both or place == int(view.repaired)
+            wanted = view.show_raw_and_repaired or place == int(view.show_repaired)
             if wanted:
                 drawn = depth_picture(
                     {title: depth_m},
                     pairs,
                     width_px=_WIDTH_PX,
                     height_px=_HEIGHT_PX,
-                    classes=view.classes,
-                    beam=view.beam,
+                    classes=view.visible_classes,
+                    beam=view.selected_beam,
                     limits_m=limits_m,
                 )
                 show_picture(handle, drawn.rgb)
             update_widget(handle, visible=wanted)
 
     def _show_curve(self, frame: FusedFrame, view: View) -> None:
-        curves = range_curves(frame, view.classes, view.beam)
+        curves = range_curves(frame, view.visible_classes, view.selected_beam)
         self._curve.data = (
             curves.azimuth_deg,
             curves.pixel_m,
@@ -157,7 +165,7 @@ class RepairPanel:
         self._runs = {_conflict_words(run): run for run in runs}
         heading = f"{len(runs)}: choose one" if runs else _NO_CONFLICTS
         update_widget(self._conflicts, options=(heading, *self._runs))
-        chosen = [words for words, run in self._runs.items() if _holds(run, view.beam)]
+        chosen = [words for words, run in self._runs.items() if _holds(run, view.selected_beam)]
         update_widget(self._conflicts, value=chosen[0] if chosen else heading)
 
     def _hide(self) -> None:
@@ -174,30 +182,32 @@ class RepairPanel:
         """A box that shows a class or leaves it out."""
         box = gui.add_checkbox(
             f"Show {noise.name.lower()}",
-            noise in self._session.view.classes,
+            noise in self._session.view.visible_classes,
             hint="In the images, the curve and the scene",
         )
 
         def change(checked: bool) -> None:
-            others = self._session.view.classes - {noise}
-            self._session.change(classes=others | {noise} if checked else others)
+            others = self._session.view.visible_classes - {noise}
+            self._session.change(visible_classes=others | {noise} if checked else others)
 
-        self._controls.bind(box, lambda view: noise in view.classes, change)
+        self._controls.bind(box, lambda view: noise in view.visible_classes, change)
 
     def _go_to(self, words: str) -> None:
         """Look at the conflict that the list calls so; its heading is none."""
         run = self._runs.get(words)
         if run is not None:
-            self._session.change(beam=run.middle)
+            self._session.change(selected_beam=run.middle)
 
     def _go(self, by: int) -> None:
         """Look at the next conflict, around the ends."""
         runs = list(self._runs.values())
         if not runs:
             return
-        at = [place for place, run in enumerate(runs) if _holds(run, self._session.view.beam)]
+        at = [
+            place for place, run in enumerate(runs) if _holds(run, self._session.view.selected_beam)
+        ]
         place = at[0] + by if at else (by - 1) // 2
-        self._session.change(beam=runs[place % len(runs)].middle)
+        self._session.change(selected_beam=runs[place % len(runs)].middle)
 
 
 def _add_curve(gui: viser.GuiApi) -> viser.GuiUplotHandle:

@@ -104,7 +104,7 @@ class ScenePanel:
                 frame_view.color.rgb, frame_view.open_recording.fuse_session.rig, geometry.camera
             )
             self._nodes.show_color(geometry.camera, rgb)
-        self._nodes.mark_beam(frame_view.view.beam)
+        self._nodes.mark_beam(frame_view.view.selected_beam)
         self._stand(frame_view)
         self._show_boards(frame_view)
 
@@ -130,7 +130,7 @@ class ScenePanel:
         if self._layout is None or not self._boards_seen:
             return
         view, frame = frame_view.view, frame_view.fused or frame_view.match or frame_view.paired
-        looked_at = (view.number, view.repaired, view.classes, view.beam)
+        looked_at = (view.frame_index, view.show_repaired, view.visible_classes, view.selected_beam)
         if self._depth_of[0] is not frame or self._depth_of[1] != looked_at:
             self._depth_of = frame, looked_at
             self._depth = _depth(frame_view)
@@ -193,15 +193,15 @@ class ScenePanel:
 
     def _take(self, picked: PickResult) -> None:
         if picked.beam is not None:
-            self._session.change(beam=picked.beam)
+            self._session.change(selected_beam=picked.beam)
         elif picked.board == "heatmap" and self._heatmap is not None and picked.pixel is not None:
             place = self._heatmap.offset_at(*picked.pixel)
             if place is not None:
-                self._session.change_settings(picked=place)
+                self._session.change_settings(picked_offset=place)
         elif picked.board == "depth" and self._depth is not None and picked.pixel is not None:
             pixel = self._depth.pixel_at(*picked.pixel)
             if pixel is not None:
-                self._session.change(beam=self._beam_near(*pixel))
+                self._session.change(selected_beam=self._beam_near(*pixel))
 
     def _beam_near(self, row: int, column: int) -> int | None:
         match = self._session.frame_view.match if self._session.frame_view is not None else None
@@ -225,8 +225,8 @@ def _geometry(frame_view: FrameView) -> FrameGeometry | None:
             rig,
             chain.alignment,
             row_step=view.row_step,
-            classes=view.classes,
-            repaired=view.repaired,
+            classes=view.visible_classes,
+            repaired=view.show_repaired,
         )
     paired = frame_view.paired
     return unmatched_geometry(
@@ -244,7 +244,7 @@ def _depth(frame_view: FrameView) -> DepthPicture | None:
     """The depth image with its pairs; of a frame that could not be matched, without."""
     view, paired = frame_view.view, frame_view.paired
     match = frame_view.fused or frame_view.match
-    title = f"Depth, frame {view.number}"
+    title = f"Depth, frame {view.frame_index}"
     if match is not None:
         depth_m, pairs = match.depth_m, pixels_of_match(match)
     elif paired is not None:
@@ -254,7 +254,7 @@ def _depth(frame_view: FrameView) -> DepthPicture | None:
         )
     else:
         return None
-    if frame_view.fused is not None and view.repaired:
+    if frame_view.fused is not None and view.show_repaired:
         depth_m, title = repaired_depth_m(frame_view.fused), f"{title}, repaired"
     width_px, height_px = _BOARD_PX
     return depth_picture(
@@ -262,6 +262,6 @@ def _depth(frame_view: FrameView) -> DepthPicture | None:
         pairs,
         width_px=width_px,
         height_px=height_px,
-        classes=view.classes,
-        beam=view.beam,
+        classes=view.visible_classes,
+        beam=view.selected_beam,
     )

@@ -40,14 +40,16 @@ class TimelinePanel:
         self._time = gui.add_html("")
         self._buttons = gui.add_button_group("Go", ("|<", "<", "Play", ">", ">|"))
         speed = gui.add_dropdown("Speed", _SPEEDS, initial_value="1")
-        self._loop = gui.add_checkbox("Loop", session.view.loop)
+        self._loop = gui.add_checkbox("Loop", session.view.loop_playback)
         self._controls = Controls(gui, session)
-        self._controls.bind_field(self._loop, "loop", bool)
+        self._controls.bind_field(self._loop, "loop_playback", bool)
         self._controls.bind_field(
-            self._frame, "number", int, lambda number: min(number, self._last)
+            self._frame, "frame_index", int, lambda number: min(number, self._last)
         )
         # A link may ask for a speed that is not among the choices.
-        self._controls.bind_field(speed, "speed", float, lambda value: _CHOICE_OF_SPEED.get(value))
+        self._controls.bind_field(
+            speed, "playback_speed", float, lambda value: _CHOICE_OF_SPEED.get(value)
+        )
 
         @self._buttons.on_click
         def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
@@ -73,11 +75,11 @@ class TimelinePanel:
 
     def first(self) -> None:
         """Go to the first frame."""
-        self._session.change(number=0)
+        self._session.change(frame_index=0)
 
     def last(self) -> None:
         """Go to the last frame."""
-        self._session.change(number=self._last)
+        self._session.change(frame_index=self._last)
 
     def show(self, frame_view: FrameView) -> None:
         """Set the slider and the stamp."""
@@ -87,7 +89,7 @@ class TimelinePanel:
             update_widget(self._frame, max=max(self._last, 1))
             span_s = float(times_ns[-1] - times_ns[0]) / 1e9 if len(times_ns) > 1 else 0.0
             self._rate_hz = self._last / span_s if span_s > 0.0 else _USUAL_HZ
-        number = min(frame_view.view.number, self._last)
+        number = min(frame_view.view.frame_index, self._last)
         self._controls.show(frame_view.view)
         self._time.content = (
             '<div style="padding:0 0.5em;font-size:0.85em;opacity:0.75">'
@@ -106,9 +108,9 @@ class TimelinePanel:
             self._playing.wait()
             if self._closed.is_set():
                 return
-            rate_hz = min(self._rate_hz * self._session.view.speed, _MOST_HZ)
+            rate_hz = min(self._rate_hz * self._session.view.playback_speed, _MOST_HZ)
             view = self._session.view
-            if not view.loop and view.number >= self._last:
+            if not view.loop_playback and view.frame_index >= self._last:
                 self._playing.clear()
                 continue
             self._session.step(1)

@@ -47,9 +47,9 @@ def _with_settings_of(view: View, other: View) -> View:
         update={
             "preset": other.preset,
             "settings": other.settings,
-            "aligned": other.aligned,
-            "picked": other.picked,
-            "lock_picked": other.lock_picked,
+            "alignment_settings": other.alignment_settings,
+            "picked_offset": other.picked_offset,
+            "lock_picked_offset": other.lock_picked_offset,
             "apply_clock_offset": other.apply_clock_offset,
         }
     )

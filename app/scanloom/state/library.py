@@ -179,7 +179,7 @@ class _Key:
 
 
 def _key_of(path: Path, view: View) -> _Key:
-    settings = view.aligned
+    settings = view.alignment_settings
     asked = (
         view.lidar_topic,
         view.depth_topics,
@@ -261,7 +261,7 @@ def _session_of(recording: Recording, view: View) -> Session:
         depth_topics=view.depth_topics,
         virtual_lidar_row=view.virtual_row,
     )
-    return open_session(recording, options, view.aligned)
+    return open_session(recording, options, view.alignment_settings)
 
 
 def _close(opened: list[OpenRecording], files: list[_File]) -> None:

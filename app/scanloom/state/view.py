@@ -1,7 +1,7 @@
-"""What one person looks at: the recording, the frame, the settings and how all that is shown.
+"""What one browser displays: the recording, the frame, the settings and the display options.
 
-A view is frozen and validated: whatever a browser, a link or a stored page sends becomes a view, or
-an error in one line. It goes whole into a link, the settings as what differs from their preset.
+A view is frozen and validated: what a browser or a link sends becomes a view, or an error in one
+line. A link holds a whole view; of the settings it holds those that differ from their preset.
 """
 
 import base64
@@ -25,51 +25,75 @@ PANELS: tuple[PanelName, ...] = get_args(PanelName)
 Scope = Literal["frame", "window", "recording"]
 MapMode = Literal["Fuse", "SLAM"]
 MAP_MODES: tuple[MapMode, ...] = get_args(MapMode)
-_MAX_TEXT = 65_536
-# Of what a person is told about the place of a refused value, which a link may have named.
-_MOST_WHERE = 80
-# Far beyond the samples of any curve and the rows of any image.
-_FAR = 100_000.0
-# Of frames and of beams. What is shown of them goes to browsers as numbers of 64 bits.
-_MOST_COUNTED = 2**31 - 1
-_INT64 = 2**63
-# An integer of more digits has more than 64 bits, whatever they are.
+# Unpacked size of a link; a view with every setting changed takes about a tenth of it.
+_MAX_LINK_CHARACTERS = 65_536
+# An error message names the refused field, whose name may come from a hostile link.
+_MAX_FIELD_PATH_CHARACTERS = 80
+# Beyond the samples of any curve and the rows of any image.
+_MAX_OFFSET = 100_000.0
+# An int32; browsers are sent integers of at most 64 bits.
+_MAX_INDEX = 2**31 - 1
+_INT64_LIMIT = 2**63
+# Digits of the largest int64.
 _INT64_DIGITS = 19
+
+# Former names of fields, which older links still use: current name by former name.
+_FORMER_FIELD_NAMES = {
+    "number": "frame_index",
+    "aligned": "alignment_settings",
+    "scope": "field_scope",
+    "picked": "picked_offset",
+    "lock_picked": "lock_picked_offset",
+    "draw": "draw_index",
+    "classes": "visible_classes",
+    "repaired": "show_repaired",
+    "both": "show_raw_and_repaired",
+    "beam": "selected_beam",
+    "speed": "playback_speed",
+    "loop": "loop_playback",
+}
 
 
 class View(BaseModel):
-    """One person's view of a recording. ``recording`` is its name in the library.
+    """One browser's view of a recording. ``recording`` is its name in the library.
 
-    ``settings`` are those of the frame that is shown, ``aligned`` those with which the whole
-    recording was aligned: moving a slider does not align it again.
+    ``settings`` are used for the displayed frame. The whole recording was aligned with
+    ``alignment_settings``: moving a slider does not align it again.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     recording: str = Field(max_length=4096)
-    number: int = Field(0, ge=0, le=_MOST_COUNTED, description="Frame, counted from 0")
+    frame_index: int = Field(0, ge=0, le=_MAX_INDEX, description="Index of the frame, from 0")
     panel: PanelName = "Recording"
     preset: PresetName = "default"
     settings: ChainSettings = PRESETS["default"]
-    aligned: ChainSettings = PRESETS["default"]
+    alignment_settings: ChainSettings = PRESETS["default"]
     lidar_topic: str | None = Field(None, max_length=4096)
     depth_topics: tuple[str, ...] = Field((), max_length=64)
     virtual_row: int | None = Field(None, ge=0, le=100_000)
     apply_clock_offset: bool = False
-    scope: Scope = "frame"
-    picked: (
-        tuple[Annotated[float, Field(ge=-_FAR, le=_FAR)], Annotated[float, Field(ge=0.0, le=_FAR)]]
+    field_scope: Scope = "frame"
+    picked_offset: (
+        tuple[
+            Annotated[float, Field(ge=-_MAX_OFFSET, le=_MAX_OFFSET)],
+            Annotated[float, Field(ge=0.0, le=_MAX_OFFSET)],
+        ]
         | None
-    ) = Field(None, description="Offset (u, v) chosen by hand")
-    lock_picked: bool = False
-    draw: int = Field(0, ge=0, le=99_999, description="Draw of RANSAC, counted from 0")
-    classes: frozenset[NoiseClass] = frozenset(NoiseClass)
-    repaired: bool = Field(True, description="Show repaired values, else raw ones")
-    both: bool = Field(True, description="Show raw and repaired depth images together")
-    beam: int | None = Field(None, ge=0, le=_MOST_COUNTED, description="Beam that is looked at")
-    row_step: int = Field(6, ge=1, le=60, description="Every so many rows of depth are drawn")
-    speed: float = Field(1.0, ge=0.1, le=8.0)
-    loop: bool = True
+    ) = Field(None, description="Offset (u, v) picked by hand")
+    lock_picked_offset: bool = False
+    draw_index: int = Field(0, ge=0, le=99_999, description="Index of the RANSAC draw, from 0")
+    visible_classes: frozenset[NoiseClass] = frozenset(NoiseClass)
+    show_repaired: bool = Field(True, description="Show repaired values, else raw ones")
+    show_raw_and_repaired: bool = Field(True, description="Show both depth images")
+    selected_beam: int | None = Field(
+        None, ge=0, le=_MAX_INDEX, description="Index of the beam in the scan"
+    )
+    row_step: int = Field(
+        6, ge=1, le=60, description="Draw every n-th row of the depth image in 3D"
+    )
+    playback_speed: float = Field(1.0, ge=0.1, le=8.0)
+    loop_playback: bool = True
     map_mode: MapMode = "Fuse"
     slam: SlamChoices = SlamChoices()
 
@@ -86,7 +110,9 @@ class View(BaseModel):
                 chain[stage] = chain[stage] | {name: value}
             settings = ChainSettings.model_validate(chain)
         except ValidationError as error:
-            raise SettingsError(said(error), advice="The value before is kept.") from error
+            raise SettingsError(
+                validation_message(error), advice="The value before is kept."
+            ) from error
         return self.model_copy(update={"settings": settings})
 
     def changed(self, **values: Any) -> "View":
@@ -94,54 +120,59 @@ class View(BaseModel):
         try:
             return View.model_validate(dict(self) | values)
         except ValidationError as error:
-            raise SettingsError(said(error), advice="The value before is kept.") from error
+            raise SettingsError(
+                validation_message(error), advice="The value before is kept."
+            ) from error
 
     def needs_alignment(self) -> bool:
-        """Whether settings that the alignment read were changed since."""
+        """Whether settings that the alignment depends on have changed since."""
         stages = ("time", "sampling", "search", "mount", "pairing")
-        return any(getattr(self.settings, s) != getattr(self.aligned, s) for s in stages)
+        return any(getattr(self.settings, s) != getattr(self.alignment_settings, s) for s in stages)
 
-    def differing(self, settings: ChainSettings | None = None) -> dict[str, dict[str, Any]]:
-        """The settings that differ from the preset's, by stage; the chain's own under ""."""
+    def preset_overrides(self, settings: ChainSettings | None = None) -> dict[str, dict[str, Any]]:
+        """Settings that differ from the preset, by stage; those of the chain itself under ""."""
         mine = (self.settings if settings is None else settings).model_dump()
         base = PRESETS[self.preset].model_dump()
-        differing: dict[str, dict[str, Any]] = {}
+        overrides: dict[str, dict[str, Any]] = {}
         for stage, value in mine.items():
             if not isinstance(value, dict):
                 if value != base[stage]:
-                    differing.setdefault("", {})[stage] = value
+                    overrides.setdefault("", {})[stage] = value
                 continue
             other = {name: v for name, v in value.items() if v != base[stage][name]}
             if other:
-                differing[stage] = other
-        return differing
+                overrides[stage] = other
+        return overrides
 
     def to_link(self) -> str:
         """The view as text for a URL."""
-        values = self.model_dump(mode="json", exclude={"settings", "aligned"})
-        values["settings"] = self.differing()
-        values["aligned"] = self.differing(self.aligned)
-        # In a fixed order: the same view is the same link.
-        values["classes"] = sorted(values["classes"])
+        values = self.model_dump(mode="json", exclude={"settings", "alignment_settings"})
+        values["settings"] = self.preset_overrides()
+        values["alignment_settings"] = self.preset_overrides(self.alignment_settings)
+        # Sorted, so that equal views have equal links.
+        values["visible_classes"] = sorted(values["visible_classes"])
         packed = zlib.compress(json.dumps(values, sort_keys=True).encode(), 9)
         return base64.urlsafe_b64encode(packed).decode().rstrip("=")
 
 
 def view_of_link(link: str) -> View:
-    """The view that ``to_link`` wrote.
+    """Parse what ``to_link`` wrote, also with former names of fields and settings.
 
-    Raises SettingsError for what is none, and names the value where one is at fault.
+    Raises SettingsError for anything else, naming the field where one is at fault.
     """
     try:
         packed = base64.urlsafe_b64decode(link + "=" * (-len(link) % 4))
         unpacker = zlib.decompressobj()
-        text = unpacker.decompress(packed, _MAX_TEXT)
+        text = unpacker.decompress(packed, _MAX_LINK_CHARACTERS)
         if not unpacker.eof:
             raise ValueError("it is cut short or too long")
-        values = json.loads(text, parse_int=_int_of)
-        _require_numbers(values)
-        for name in ("settings", "aligned"):
-            values[name] = _chain_of(values, name)
+        values = json.loads(text, parse_int=_parse_int)
+        _require_int64_range(values)
+        for former, current in _FORMER_FIELD_NAMES.items():
+            if former in values and current not in values:
+                values[current] = values.pop(former)
+        for name in ("settings", "alignment_settings"):
+            values[name] = _chain_settings(values, name)
         return View.model_validate(values)
     except SettingsError:
         raise
@@ -154,53 +185,57 @@ def view_of_link(link: str) -> View:
         AttributeError,
         RecursionError,
     ) as error:
-        reason = said(error) if isinstance(error, ValidationError) else "it is no link of a view"
-        raise _no_link(reason) from error
+        reason = (
+            validation_message(error)
+            if isinstance(error, ValidationError)
+            else "it is no link of a view"
+        )
+        raise _invalid_link(reason) from error
 
 
-def _chain_of(values: dict[str, Any], name: str) -> dict[str, Any]:
-    """All settings of a link's preset, and over them those that it names."""
+def _chain_settings(values: dict[str, Any], name: str) -> dict[str, Any]:
+    """The settings of a link's preset, overridden by those that the link names."""
     if values["preset"] not in PRESETS:
-        raise _no_link("preset: there is none of this name")
+        raise _invalid_link("preset: there is none of this name")
     chain = PRESETS[values["preset"]].model_dump()
     chain |= values[name].pop("", {})
     for stage, other in values[name].items():
         if not isinstance(chain.get(stage), dict) or not isinstance(other, dict):
-            raise _no_link(f"{_place([name, stage])}: no stage has such settings")
+            raise _invalid_link(f"{_field_path([name, stage])}: no stage has such settings")
         settings_class = type(getattr(PRESETS[values["preset"]], stage))
         chain[stage] = chain[stage] | under_current_names(settings_class, other)[0]
     return chain
 
 
-def _int_of(digits: str) -> float:
-    """An integer of JSON. Python reads none of thousands of digits: too long ones are infinite."""
+def _parse_int(digits: str) -> float:
+    """An integer in JSON; infinite beyond int64. (Python refuses to parse thousands of digits.)"""
     return int(digits) if len(digits.lstrip("-")) <= _INT64_DIGITS else math.inf
 
 
-def _require_numbers(value: object, where: tuple[object, ...] = ()) -> None:
-    """Refuse numbers that are none, infinite, or larger than the integers of 64 bits."""
+def _require_int64_range(value: object, where: tuple[object, ...] = ()) -> None:
+    """Refuse NaN, infinities and numbers beyond int64."""
     if isinstance(value, dict):
         for name, inner in value.items():
-            _require_numbers(inner, (*where, name))
+            _require_int64_range(inner, (*where, name))
     elif isinstance(value, list):
         for index, inner in enumerate(value):
-            _require_numbers(inner, (*where, index))
-    elif isinstance(value, int | float) and not -_INT64 <= value < _INT64:
-        raise _no_link(f"{_place(where)}: it is no number of 64 bits")
+            _require_int64_range(inner, (*where, index))
+    elif isinstance(value, int | float) and not -_INT64_LIMIT <= value < _INT64_LIMIT:
+        raise _invalid_link(f"{_field_path(where)}: it is no number of 64 bits")
 
 
-def _no_link(reason: str) -> SettingsError:
+def _invalid_link(reason: str) -> SettingsError:
     return SettingsError(f"the link cannot be followed: {reason}", advice="Copy it again, whole.")
 
 
-def said(error: ValidationError) -> str:
-    """A validation error in one line."""
+def validation_message(error: ValidationError) -> str:
+    """The first problem of a validation error, in one line."""
     first = error.errors()[0]
-    where = _place(first["loc"])
+    where = _field_path(first["loc"])
     return f"{where}: {first['msg'].lower()}" if where else str(first["msg"]).lower()
 
 
-def _place(parts: Iterable[object]) -> str:
-    """Where a value stands, in a few printable characters."""
-    where = ".".join(str(part) for part in parts)[:_MOST_WHERE]
+def _field_path(parts: Iterable[object]) -> str:
+    """The dotted name of a field, shortened and printable."""
+    where = ".".join(str(part) for part in parts)[:_MAX_FIELD_PATH_CHARACTERS]
     return "".join(sign if sign.isprintable() else "?" for sign in where)

@@ -29,6 +29,6 @@ def repaired_picture(frame: FusedFrame, view: View, like: np.ndarray) -> DepthPi
         pixels_of_match(frame),
         width_px=like.shape[1],
         height_px=_ROOM_PX,
-        classes=view.classes,
+        classes=view.visible_classes,
         limits_m=depth_limits_m(frame.depth_m),
     )

@@ -190,7 +190,7 @@ def colourful(image: np.ndarray) -> np.ndarray:
 def match_of(frame_view: FrameView, view: View) -> FrameMatch:
     """What the chain of what is shown computes for a view."""
     assert frame_view.chain is not None
-    return frame_view.chain.matched(FrameChoice(number=view.number), view.settings)
+    return frame_view.chain.matched(FrameChoice(number=view.frame_index), view.settings)
 
 
 def peak_of(frame_view: FrameView, view: View) -> tuple[float, float]:

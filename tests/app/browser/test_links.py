@@ -16,7 +16,7 @@ def assert_shows(person: Person, view: View) -> None:
     """The page shows frame, settings and panel of a view whose panel is Match."""
     assert person.session.view == view
     count = len(person.frame_view.open_recording.frames)
-    expect(person.text(f"frame {view.number} of {count}")).to_be_visible()
+    expect(person.text(f"frame {view.frame_index} of {count}")).to_be_visible()
     expect(person.text(f"sampling.step_deg = {view.settings.sampling.step_deg}")).to_be_visible()
     assert person.page.get_by_label("Recording", exact=True).count() == 0
     person.wait_for_peak(peak_of(person.frame_view, view))
@@ -24,7 +24,7 @@ def assert_shows(person: Person, view: View) -> None:
 
 def changed(view: View) -> View:
     """Another frame, another panel, another setting."""
-    return view.with_setting("sampling", "step_deg", 1.75).changed(number=11, panel="Match")
+    return view.with_setting("sampling", "step_deg", 1.75).changed(frame_index=11, panel="Match")
 
 
 def test_a_reload_brings_everything_back(person: Person, workbench: Workbench) -> None:
@@ -70,7 +70,7 @@ def test_what_one_does_changes_nothing_for_another(person: Person, friend: Perso
     assert person.session.view == first.with_setting("search", "metric", "cosine")
     published = PRESETS["published"]
     assert friend.session.view == first.changed(
-        preset="published", settings=published, aligned=published, number=last
+        preset="published", settings=published, alignment_settings=published, frame_index=last
     )
     friend.wait_until(
         lambda: (

@@ -104,7 +104,7 @@ def test_a_cancelled_build_leaves_nothing_and_a_reload_finds_the_same_state(
         return build(view, recording, root, report, figures=figures)
 
     monkeypatch.setattr("scanloom.panels.map.build", build_slowly)
-    view = person.session.view.with_setting("noise", "epsilon", 1.5).changed(number=11)
+    view = person.session.view.with_setting("noise", "epsilon", 1.5).changed(frame_index=11)
     person.look_at(view)
     before = sorted(output_root.rglob("*"))
     begin_build(person)

@@ -22,7 +22,7 @@ def test_the_sampling_slider_changes_heatmap_and_peak(person: Person) -> None:
     person.wait_for_peak(second)
     person.wait_for_another_picture(before)
     # A slow drag may be several changes.
-    while person.session.view.differing():
+    while person.session.view.preset_overrides():
         person.press("Undo")
         person.page.wait_for_timeout(100)
     person.wait_for_peak(first)
@@ -56,7 +56,7 @@ def test_a_click_on_the_heatmap_picks_the_offset_under_it(person: Person) -> Non
         # The mark of what was picked takes a line below the next picture.
         picture = person.wait_for_another_picture(picture)
     expect(person.text("Picked by hand: u =")).to_be_visible()
-    assert person.session.view.picked is not None
+    assert person.session.view.picked_offset is not None
     person.press("Clear")
     u, v = peak_of(person.frame_view, person.session.view)
     person.wait_for_number("u (samples)", u, within=0.01)

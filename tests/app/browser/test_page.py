@@ -54,7 +54,7 @@ def test_the_keys_go_through_the_frames(person: Person) -> None:
         time_s = (times_ns[number] - times_ns[0]) / 1e9
         expect(person.text(f"{time_s:.3f} s · frame {number} of {count}")).to_be_visible()
         expect(person.thumb("Frame")).to_have_attribute("aria-valuenow", str(number))
-        assert person.session.view.number == number
+        assert person.session.view.frame_index == number
 
 
 def test_a_preset_changes_the_line_of_differences_and_undo_brings_it_back(person: Person) -> None:

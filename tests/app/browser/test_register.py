@@ -15,7 +15,7 @@ Counts = dict[str, tuple[int, int]]
 
 
 def test_a_dragged_epsilon_judges_every_pair_again(person: Person) -> None:
-    person.look_at(person.session.view.changed(number=NUMBER, panel="Repair"))
+    person.look_at(person.session.view.changed(frame_index=NUMBER, panel="Repair"))
     before = judged(person.frame_view, person.session.view)
     person.wait_until(lambda: counts_on(person) == counts_of(before))
     frame_view = person.picture(1)
@@ -68,7 +68,7 @@ def counts_on(person: Person) -> Counts:
 
 
 def test_each_draw_is_shown_as_it_was_drawn(person: Person) -> None:
-    person.look_at(person.session.view.changed(number=NUMBER, panel="Register"))
+    person.look_at(person.session.view.changed(frame_index=NUMBER, panel="Register"))
     found = match_of(person.frame_view, person.session.view).registration
     assert found is not None
     best = found.best_draw

@@ -14,7 +14,7 @@ HIDDEN = (NoiseClass.CONFLICT, NoiseClass.BURR, NoiseClass.HOLE)
 
 
 def test_a_class_that_is_filtered_loses_its_colour_and_the_others_stay(person: Person) -> None:
-    person.look_at(person.session.view.changed(number=NUMBER, panel="Repair"))
+    person.look_at(person.session.view.changed(frame_index=NUMBER, panel="Repair"))
     frame = judged(person.frame_view, person.session.view)
     expect(person.text("of the holes and burrs")).to_be_visible()
     frame_view = person.picture(1)
@@ -26,7 +26,7 @@ def test_a_class_that_is_filtered_loses_its_colour_and_the_others_stay(person: P
     for noise in HIDDEN:
         person.page.get_by_label(f"Show {noise.name.lower()}", exact=True).uncheck()
         left -= {noise}
-        view = person.session.view.changed(classes=left)
+        view = person.session.view.changed(visible_classes=left)
         expected = repaired_picture(frame, view, frame_view)
         person.wait_for_picture(expected.rgb, 1)
         seen = colors_in(person, expected.boxes[0])
@@ -37,7 +37,7 @@ def test_a_class_that_is_filtered_loses_its_colour_and_the_others_stay(person: P
         person.page.get_by_label(f"Show {noise.name.lower()}", exact=True).check()
     person.wait_for_picture(first.rgb, 1)
     assert colors_in(person, first.boxes[0]) == whole
-    assert person.session.view.classes == set(NoiseClass)
+    assert person.session.view.visible_classes == set(NoiseClass)
 
 
 def colors_in(person: Person, box: Box) -> dict[NoiseClass, tuple[int, int]]:

@@ -60,23 +60,23 @@ def session() -> ClientSession:
 
 @pytest.fixture
 def slider(session: ClientSession) -> Slider:
-    return Slider(session.view.number)
+    return Slider(session.view.frame_index)
 
 
 @pytest.fixture
 def controls(session: ClientSession, slider: Slider) -> Controls:
     controls = Controls(gui=None, session=session)  # type: ignore[arg-type]  # no widget is made
-    controls.bind_field(slider, "number", int)
+    controls.bind_field(slider, "frame_index", int)
     return controls
 
 
 def test_a_view_from_elsewhere_moves_the_widget(
     session: ClientSession, slider: Slider, controls: Controls
 ) -> None:
-    session.view = session.view.changed(number=7)
+    session.view = session.view.changed(frame_index=7)
     controls.show(session.view)
     assert slider.value == 7
-    assert session.view.number == 7
+    assert session.view.frame_index == 7
 
 
 def test_a_view_that_is_no_longer_asked_for_does_not_pull_the_widget_back(
@@ -99,7 +99,7 @@ def test_a_value_whose_callback_is_still_to_come_is_not_lost(
     slider.arrive(4)
     controls.show(session.view)
     slider.hear()
-    assert session.view.number == 4
+    assert session.view.frame_index == 4
 
 
 def test_a_refused_value_is_set_back(
@@ -109,4 +109,4 @@ def test_a_refused_value_is_set_back(
     slider.arrive(3)
     slider.hear()
     controls.show(session.view)
-    assert slider.value == session.view.number == 0
+    assert slider.value == session.view.frame_index == 0

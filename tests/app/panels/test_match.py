@@ -37,7 +37,7 @@ def open_recording(small_scene: Path) -> Iterator[OpenRecording]:
 
 @pytest.fixture
 def view() -> View:
-    return View(recording="a room", panel="Match", number=4)
+    return View(recording="a room", panel="Match", frame_index=4)
 
 
 @pytest.fixture

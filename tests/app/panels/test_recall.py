@@ -186,7 +186,7 @@ def test_epsilon_moves_the_mark_and_computes_nothing(bench: Bench, computed: Com
         assert f"finds **{100.0 - share:.1f} %**" in bench.words
         pictures.append(bench.panel._recall._picture.image)
     assert not np.array_equal(*pictures)
-    bench.change(beam=3)
+    bench.change(selected_beam=3)
     assert bench.panel._recall._picture.image is pictures[1]
     assert len(computed.calls) == 1
     bench.epsilon(0.1)
@@ -210,7 +210,7 @@ def test_the_curve_is_kept_for_its_settings(bench: Bench, computed: Computed) ->
 
 
 def test_without_a_truth_nothing_is_shown(bench: Bench) -> None:
-    bench.change(recording="alone.mcap", number=0)
+    bench.change(recording="alone.mcap", frame_index=0)
     bench.until(lambda: not bench.is_offered)
     bench.change(recording=bench.first.recording)
     bench.until(lambda: bench.is_offered)

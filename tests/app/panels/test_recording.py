@@ -212,16 +212,18 @@ def test_another_recording_has_boxes_of_its_own(bench: Bench, small_scene: Path)
 def test_the_plot_follows_frame_and_clock_offset_and_nothing_else(
     bench: Bench, small_scene: Path
 ) -> None:
-    bench.change(recording=small_scene.name, number=0)
+    bench.change(recording=small_scene.name, frame_index=0)
     bench.until(lambda: bench.frame_view.fused is not None)
     first = bench.picture()
     assert "ms** apart at most" in bench.words("apart at most")
-    bench.change(settings=bench.first.with_setting("noise", "epsilon", 4.0).settings, beam=3)
+    bench.change(
+        settings=bench.first.with_setting("noise", "epsilon", 4.0).settings, selected_beam=3
+    )
     marked = bench.panel._pairing._marked
-    bench.change(beam=None)
+    bench.change(selected_beam=None)
     assert bench.panel._pairing._marked is marked
     assert np.array_equal(bench.picture(), first)
-    bench.change(number=9)
+    bench.change(frame_index=9)
     bench.until(lambda: not np.array_equal(bench.picture(), first))
     drawn = bench.panel._pairing._drawn
     assert drawn is marked[0]
@@ -234,9 +236,9 @@ def test_the_plot_follows_frame_and_clock_offset_and_nothing_else(
 
 
 def test_a_closed_panel_draws_no_plot(bench: Bench) -> None:
-    bench.change(panel="Map", number=2)
+    bench.change(panel="Map", frame_index=2)
     marked = bench.panel._pairing._marked
-    bench.change(number=3)
+    bench.change(frame_index=3)
     assert bench.panel._pairing._marked is marked
     bench.change(panel="Recording")
     assert bench.panel._pairing._marked[1] == 3
@@ -244,7 +246,7 @@ def test_a_closed_panel_draws_no_plot(bench: Bench) -> None:
 
 def test_frames_without_a_scan_are_counted_in_words(bench: Bench, small_scene: Path) -> None:
     narrow = bench.first.with_setting("time", "max_gap_ms", 25.0).settings
-    bench.change(recording=small_scene.name, settings=narrow, aligned=narrow)
+    bench.change(recording=small_scene.name, settings=narrow, alignment_settings=narrow)
     said = bench.words("have no scan within 25 ms")
     found = re.search(r"\*\*(\d+)\*\* of (\d+) depth images", said)
     assert found is not None
@@ -258,7 +260,7 @@ def test_frames_without_a_scan_are_counted_in_words(bench: Bench, small_scene: P
 
 def test_where_nothing_can_be_aligned_the_stamps_show_why(bench: Bench, small_scene: Path) -> None:
     none = bench.first.with_setting("time", "max_gap_ms", 0.001).settings
-    bench.change(recording=small_scene.name, settings=none, aligned=none)
+    bench.change(recording=small_scene.name, settings=none, alignment_settings=none)
     said = bench.words("have no scan within 0.001 ms")
     # The stamps are known before that.
     bench.until(lambda: bench.frame_view.failure is not None)
@@ -286,7 +288,7 @@ def test_nothing_of_the_recording_before_is_said_while_another_is_aligned(
     monkeypatch.setattr("scanloom.state.open_recording.align_session", wait)
     bench.change(
         recording=small_scene.name,
-        aligned=bench.first.with_setting("search", "min_overlap", 0.55).settings,
+        alignment_settings=bench.first.with_setting("search", "min_overlap", 0.55).settings,
     )
     bench.words("Aligning the recording")
     texts = bench.texts()

@@ -243,7 +243,7 @@ def test_a_closed_panel_draws_nothing(panel, session):
 
 
 def test_a_draw_beyond_the_last_shows_the_last(panel, session):
-    session.change(draw=500)
+    session.change(draw_index=500)
     panel.show(frame_view(session, frame_of(registered(LIDAR_M))))
     assert panel._draw.value == 19
     assert "Draw **19**" in panel._draw_words.content
@@ -253,14 +253,14 @@ def test_the_buttons_go_from_draw_to_draw(panel, session):
     found = registered(moved(LIDAR_M, shift_m=(0.3, 0.0)) + np.sin(LIDAR_M * 50.0) * 0.09)
     panel.show(frame_view(session, frame_of(found)))
     panel._go("Previous")
-    assert session.view.draw == 0
+    assert session.view.draw_index == 0
     panel._go("Next")
-    assert session.view.draw == 1
+    assert session.view.draw_index == 1
     panel._go("Best")
-    assert session.view.draw == found.best_draw
-    session.change(draw=19)
+    assert session.view.draw_index == found.best_draw
+    session.change(draw_index=19)
     panel._go("Next")
-    assert session.view.draw == 19
+    assert session.view.draw_index == 19
 
 
 def test_a_frame_without_a_map_says_why_and_shows_its_points(panel, session):
@@ -271,7 +271,7 @@ def test_a_frame_without_a_map_says_why_and_shows_its_points(panel, session):
     assert panel._pairs.image.min() < 255
     assert not panel._draw.visible
     panel._go("Next")
-    assert session.view.draw == 0
+    assert session.view.draw_index == 0
 
 
 def test_a_frame_that_failed_gives_its_reason_and_then_the_old_frame_comes_back(panel, session):
@@ -373,5 +373,5 @@ def test_the_panels_draws_are_those_of_the_registration(panel, session):
     found = registered(moved(LIDAR_M, turn_deg=1.0), refits_max=1)
     panel.show(frame_view(session, frame_of(found)))
     panel._go("Best")
-    best = draw_at(found, session.view.draw)
+    best = draw_at(found, session.view.draw_index)
     np.testing.assert_array_equal(best.agree, planar_pairs(frame_of(found)).inliers)

@@ -76,7 +76,7 @@ def module_bench() -> Iterator[Bench]:
 
     @server.on_client_connect
     def _(client: viser.ClientHandle) -> None:
-        view = View(recording=library.names()[0], panel="Repair", number=FRAME)
+        view = View(recording=library.names()[0], panel="Repair", frame_index=FRAME)
         session = ClientSession(client, library, view)
         panel = RepairPanel(client.gui, session)
         session.panels = [panel]
@@ -101,11 +101,11 @@ def bench(module_bench: Bench) -> Bench:
     fresh = View(recording=module_bench.session.view.recording)
     module_bench.change(
         panel="Repair",
-        number=FRAME,
-        classes=ALL,
-        both=True,
-        repaired=True,
-        beam=None,
+        frame_index=FRAME,
+        visible_classes=ALL,
+        show_raw_and_repaired=True,
+        show_repaired=True,
+        selected_beam=None,
         settings=fresh.settings,
     )
     return module_bench
@@ -124,7 +124,7 @@ def numbers(table: str, words: str) -> list[int]:
 
 @pytest.mark.parametrize("number", [FRAME, OTHER_FRAME])
 def test_the_table_has_the_numbers_of_the_frame(bench: Bench, number: int) -> None:
-    bench.change(number=number)
+    bench.change(frame_index=number)
     classes, repair = bench.frame.classes, bench.frame.repair
     good = int((classes.lidar_class == NoiseClass.GOOD).sum())
     table = bench.html("burrs", f">{good}<")
@@ -148,14 +148,14 @@ def test_the_filter_takes_a_class_out_of_picture_and_curve(bench: Bench) -> None
     assert colored(after.image, NoiseClass.GOOD) > 500
     assert np.isfinite(bench.panel._curve.data[3]).sum() > good
     bench.browser.set_value("Show good", False)
-    bench.until(lambda: bench.session.view.classes == ALL - {NoiseClass.GOOD})
+    bench.until(lambda: bench.session.view.visible_classes == ALL - {NoiseClass.GOOD})
     for picture in (before, after):
         assert colored(picture.image, NoiseClass.GOOD) == 0
         assert colored(picture.image, NoiseClass.HOLE) > 0
     others = np.isfinite(bench.frame.pairs.lidar_range_m).sum() - good
     assert np.isfinite(bench.panel._curve.data[3]).sum() == others
     bench.browser.set_value("Show good", True)
-    bench.until(lambda: bench.session.view.classes == ALL)
+    bench.until(lambda: bench.session.view.visible_classes == ALL)
     assert colored(after.image, NoiseClass.GOOD) > 500
 
 
@@ -183,7 +183,7 @@ def test_the_list_of_conflicts_jumps_to_each(bench: Bench) -> None:
     for run, words in zip(runs, options, strict=True):
         assert f"{run.lidar_m:.2f} m" in words
         bench.browser.set_value("Conflicts", words)
-        bench.until(lambda run=run: bench.session.view.beam == run.middle)
+        bench.until(lambda run=run: bench.session.view.selected_beam == run.middle)
         bench.html(f"beam {run.middle}, range", "Conflict: it disagrees")
         assert np.isfinite(bench.panel._curve.data[5]).sum() == 1
 
@@ -193,14 +193,14 @@ def test_the_buttons_go_around_the_conflicts(bench: Bench) -> None:
     step = bench.browser.find("Go to conflict").uuid
 
     def press(name: str) -> int | None:
-        before = bench.session.view.beam
+        before = bench.session.view.selected_beam
         bench.browser.update(step, {"value": name})
-        bench.until(lambda: bench.session.view.beam != before)
-        return bench.session.view.beam
+        bench.until(lambda: bench.session.view.selected_beam != before)
+        return bench.session.view.selected_beam
 
     assert [press("Next") for _ in range(len(middles) + 1)] == [*middles, middles[0]]
     assert press("Previous") == middles[-1]
-    bench.change(beam=None)
+    bench.change(selected_beam=None)
     assert press("Previous") == middles[-1]
 
 
@@ -211,21 +211,21 @@ def test_a_number_tells_of_that_beam(bench: Bench) -> None:
     facts = facts_of_beam(bench.frame, beam)
     assert facts is not None
     bench.browser.set_value("Beam", beam)
-    bench.until(lambda: bench.session.view.beam == beam)
+    bench.until(lambda: bench.session.view.selected_beam == beam)
     table = bench.html(f"beam {beam}, range")
     assert f"{facts.lidar.repaired_m:.3f} m" in table
     assert "no value" in table
     assert f"{facts.lidar.confidence:.2f}" in table
     assert "Filled from" in table
     bench.browser.set_value("Beam", -1)
-    bench.until(lambda: bench.session.view.beam is None)
+    bench.until(lambda: bench.session.view.selected_beam is None)
     bench.html("Choose a conflict or a number")
 
 
 def test_beams_out_of_view_and_beams_that_are_none_are_said_so(bench: Bench) -> None:
-    bench.change(beam=0)
+    bench.change(selected_beam=0)
     bench.html("Beam 0 lies outside the camera")
-    bench.change(beam=9999)
+    bench.change(selected_beam=9999)
     bench.html("there is no beam 9999")
 
 
@@ -233,16 +233,16 @@ def test_before_after_or_both(bench: Bench) -> None:
     before, after = bench.panel._pictures
     assert (before.visible, after.visible) == (True, True)
     bench.browser.set_value("Before and after", False)
-    bench.until(lambda: not bench.session.view.both)
+    bench.until(lambda: not bench.session.view.show_raw_and_repaired)
     assert (before.visible, after.visible) == (False, True)
     bench.browser.set_value("Repaired", False)
-    bench.until(lambda: not bench.session.view.repaired)
+    bench.until(lambda: not bench.session.view.show_repaired)
     assert (before.visible, after.visible) == (True, False)
 
 
 def test_what_the_repair_changed_differs_between_the_pictures(bench: Bench) -> None:
     # Without the marks on top of it.
-    bench.change(classes=frozenset())
+    bench.change(visible_classes=frozenset())
     before, after = (picture.image for picture in bench.panel._pictures)
     assert before.shape == after.shape
     differing = (before[40:-80] != after[40:-80]).any(axis=2)
@@ -265,10 +265,12 @@ def test_epsilon_has_one_slider_in_the_unit_of_the_settings(bench: Bench) -> Non
 
 def test_a_box_takes_its_class_out_and_an_undone_view_brings_it_back(bench: Bench) -> None:
     bench.browser.set_value("Show burr", False)
-    bench.until(lambda: bench.session.view.classes == ALL - {NoiseClass.BURR})
+    bench.until(lambda: bench.session.view.visible_classes == ALL - {NoiseClass.BURR})
     bench.browser.set_value("Show hole", False)
-    bench.until(lambda: bench.session.view.classes == {NoiseClass.GOOD, NoiseClass.CONFLICT})
-    bench.change(classes=ALL)
+    bench.until(
+        lambda: bench.session.view.visible_classes == {NoiseClass.GOOD, NoiseClass.CONFLICT}
+    )
+    bench.change(visible_classes=ALL)
     for name in ("burr", "hole"):
         box = bench.browser.find(f"Show {name}")
         bench.browser.wait_until(lambda: box.value is True)  # noqa: B023  # called at once
@@ -277,7 +279,7 @@ def test_a_box_takes_its_class_out_and_an_undone_view_brings_it_back(bench: Benc
 def test_while_another_panel_is_open_nothing_is_drawn(bench: Bench) -> None:
     drawn = bench.panel._pictures[1].image
     bench.change(panel="Map")
-    bench.change(number=OTHER_FRAME)
+    bench.change(frame_index=OTHER_FRAME)
     assert bench.panel._pictures[1].image is drawn
     bench.change(panel="Repair")
     assert bench.panel._pictures[1].image is not drawn
@@ -285,9 +287,9 @@ def test_while_another_panel_is_open_nothing_is_drawn(bench: Bench) -> None:
 
 def test_what_stays_the_same_is_not_drawn_again(bench: Bench) -> None:
     drawn = bench.panel._pictures[1].image
-    bench.change(speed=2.0)
+    bench.change(playback_speed=2.0)
     assert bench.panel._pictures[1].image is drawn
-    bench.change(speed=1.0)
+    bench.change(playback_speed=1.0)
 
 
 def test_a_frame_that_failed_says_why_and_shows_nothing_of_another(bench: Bench) -> None:

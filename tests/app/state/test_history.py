@@ -15,7 +15,9 @@ def walked(history: History, start: View, epsilons: list[float]) -> list[View]:
     views = [start]
     for number, epsilon in enumerate(epsilons):
         history.add(views[-1])
-        views.append(views[-1].with_setting("noise", "epsilon", epsilon).changed(number=number))
+        views.append(
+            views[-1].with_setting("noise", "epsilon", epsilon).changed(frame_index=number)
+        )
     return views
 
 
@@ -29,7 +31,7 @@ def test_undo_goes_all_the_way_back_and_redo_all_the_way_again(epsilons: list[fl
             moved = step(at)
             assert moved is not None
             assert moved.settings == expected.settings
-            assert moved.number == at.number
+            assert moved.frame_index == at.frame_index
             at = moved
         assert step(at) is None
 

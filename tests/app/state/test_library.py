@@ -89,14 +89,14 @@ def test_names_that_are_no_utf8_are_listed_and_opened(small_scene: Path, tmp_pat
 
 def test_people_share_a_recording_and_its_alignment(library: Library, view: View) -> None:
     opened = library.open(view)
-    elsewhere = view.changed(number=5, panel="Map").with_setting("noise", "epsilon", 2.0)
+    elsewhere = view.changed(frame_index=5, panel="Map").with_setting("noise", "epsilon", 2.0)
     assert library.open(elsewhere) is opened
     other = library.open(view.changed(virtual_row=60))
     assert other is not opened
     assert other.fuse_session.recording is opened.fuse_session.recording
     published = view.changed(settings=PRESETS["published"])
     assert library.open(published) is opened
-    assert library.open(published.changed(aligned=PRESETS["published"])) is not opened
+    assert library.open(published.changed(alignment_settings=PRESETS["published"])) is not opened
 
 
 def test_all_who_wait_for_an_alignment_hear_of_it_until_they_leave(small_scene: Path) -> None:

@@ -52,7 +52,10 @@ SLAM = st.builds(
 def views(draw: st.DrawFn) -> View:
     preset: PresetName = draw(st.sampled_from(get_args(PresetName)))
     base = View(
-        recording=draw(NAMES), preset=preset, settings=PRESETS[preset], aligned=PRESETS[preset]
+        recording=draw(NAMES),
+        preset=preset,
+        settings=PRESETS[preset],
+        alignment_settings=PRESETS[preset],
     )
     changed = [base, base]
     for place in range(2):
@@ -60,24 +63,24 @@ def views(draw: st.DrawFn) -> View:
             changed[place] = changed[place].with_setting(stage, name, value)
     return base.changed(
         settings=changed[0].settings,
-        aligned=changed[1].settings,
-        number=draw(st.integers(0, 10**6)),
+        alignment_settings=changed[1].settings,
+        frame_index=draw(st.integers(0, 10**6)),
         panel=draw(st.sampled_from(PANELS)),
         lidar_topic=draw(st.none() | NAMES),
         depth_topics=tuple(draw(st.lists(NAMES, max_size=4))),
         virtual_row=draw(st.none() | st.integers(0, 100_000)),
         apply_clock_offset=draw(st.booleans()),
-        scope=draw(st.sampled_from(get_args(Scope))),
-        picked=draw(st.none() | st.tuples(st.floats(-1e5, 1e5), st.floats(0.0, 1e5))),
-        lock_picked=draw(st.booleans()),
-        draw=draw(st.integers(0, 99_999)),
-        classes=draw(st.frozensets(st.sampled_from(NoiseClass))),
-        repaired=draw(st.booleans()),
-        both=draw(st.booleans()),
-        beam=draw(st.none() | st.integers(0, 10**6)),
+        field_scope=draw(st.sampled_from(get_args(Scope))),
+        picked_offset=draw(st.none() | st.tuples(st.floats(-1e5, 1e5), st.floats(0.0, 1e5))),
+        lock_picked_offset=draw(st.booleans()),
+        draw_index=draw(st.integers(0, 99_999)),
+        visible_classes=draw(st.frozensets(st.sampled_from(NoiseClass))),
+        show_repaired=draw(st.booleans()),
+        show_raw_and_repaired=draw(st.booleans()),
+        selected_beam=draw(st.none() | st.integers(0, 10**6)),
         row_step=draw(st.integers(1, 60)),
-        speed=draw(st.floats(0.1, 8.0)),
-        loop=draw(st.booleans()),
+        playback_speed=draw(st.floats(0.1, 8.0)),
+        loop_playback=draw(st.booleans()),
         map_mode=draw(st.sampled_from(MAP_MODES)),
         slam=draw(SLAM),
     )
@@ -128,13 +131,13 @@ def test_a_link_holds_of_the_settings_only_what_differs_from_the_preset() -> Non
     changed = VIEW.with_setting("noise", "epsilon", 3.5).with_setting("", "pairing", "frame")
     assert values_of(VIEW)["settings"] == {}
     assert values_of(changed)["settings"] == {"noise": {"epsilon": 3.5}, "": {"pairing": "frame"}}
-    assert changed.differing() == values_of(changed)["settings"]
+    assert changed.preset_overrides() == values_of(changed)["settings"]
 
 
 def test_a_preset_differs_in_nothing_from_itself() -> None:
     published = PRESETS["published"]
-    assert VIEW.changed(preset="published", settings=published).differing() == {}
-    assert "epsilon" in VIEW.changed(settings=published).differing()["noise"]
+    assert VIEW.changed(preset="published", settings=published).preset_overrides() == {}
+    assert "epsilon" in VIEW.changed(settings=published).preset_overrides()["noise"]
 
 
 @pytest.mark.parametrize(
@@ -157,10 +160,10 @@ def test_only_what_the_alignment_reads_asks_for_another(
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("number", -1),
-        ("number", 1.5),
-        ("number", "first"),
-        ("number", None),
+        ("frame_index", -1),
+        ("frame_index", 1.5),
+        ("frame_index", "first"),
+        ("frame_index", None),
         ("map_mode", "Both"),
         ("slam", {"scan": "sonar"}),
         ("slam", {"particles": 10_000}),
@@ -174,21 +177,21 @@ def test_only_what_the_alignment_reads_asks_for_another(
         ("depth_topics", "/depth"),
         ("depth_topics", ("/depth",) * 65),
         ("virtual_row", -1),
-        ("scope", "year"),
-        ("picked", (1.0,)),
-        ("picked", (1.0, float("nan"))),
-        ("picked", (float("inf"), 1.0)),
-        ("picked", (1e300, 1.0)),
-        ("picked", (1.0, -2.0)),
-        ("draw", 100_000),
-        ("classes", [9]),
-        ("classes", "hole"),
-        ("repaired", "perhaps"),
-        ("beam", -1),
+        ("field_scope", "year"),
+        ("picked_offset", (1.0,)),
+        ("picked_offset", (1.0, float("nan"))),
+        ("picked_offset", (float("inf"), 1.0)),
+        ("picked_offset", (1e300, 1.0)),
+        ("picked_offset", (1.0, -2.0)),
+        ("draw_index", 100_000),
+        ("visible_classes", [9]),
+        ("visible_classes", "hole"),
+        ("show_repaired", "perhaps"),
+        ("selected_beam", -1),
         ("row_step", 0),
-        ("speed", 0.0),
-        ("speed", 100.0),
-        ("loop", 7),
+        ("playback_speed", 0.0),
+        ("playback_speed", 100.0),
+        ("loop_playback", 7),
         ("settings", {"noise": {"epsilon": "wide"}}),
         ("settings", {"noise": 3}),
         ("colour", "red"),
@@ -248,11 +251,11 @@ def test_what_is_no_link_is_refused(link: str) -> None:
         "view",
         {},
         {"preset": "default"},
-        {"preset": [], "settings": {}, "aligned": {}},
-        {"preset": "default", "settings": [], "aligned": {}},
-        {"preset": "default", "settings": {"": 5}, "aligned": {}},
-        {"preset": "default", "settings": {"noise": 5}, "aligned": {}},
-        {"preset": "default", "settings": {"pairing": {}}, "aligned": {}},
+        {"preset": [], "settings": {}, "alignment_settings": {}},
+        {"preset": "default", "settings": [], "alignment_settings": {}},
+        {"preset": "default", "settings": {"": 5}, "alignment_settings": {}},
+        {"preset": "default", "settings": {"noise": 5}, "alignment_settings": {}},
+        {"preset": "default", "settings": {"pairing": {}}, "alignment_settings": {}},
     ],
 )
 def test_a_link_of_another_shape_is_refused(values: Any) -> None:
@@ -265,13 +268,13 @@ def test_a_link_of_another_shape_is_refused(values: Any) -> None:
         ("unknown", 1),
         ("a\nb\x1b[31m", 1),
         ("k" * 5_000, 1),
-        ("number", "1\n2"),
-        ("number", -1),
-        ("picked", [float("nan"), 0.0]),
+        ("frame_index", "1\n2"),
+        ("frame_index", -1),
+        ("picked_offset", [float("nan"), 0.0]),
         ("recording", {"a": 1}),
         ("settings", {"noise": {"epsilon\n": 1}}),
         ("settings", {"kitchen": {"sink": 1}}),
-        ("aligned", {"": {"\u2028": 1}}),
+        ("alignment_settings", {"": {"\u2028": 1}}),
     ],
 )
 def test_a_link_with_a_refused_value_says_so_in_one_line(name: str, value: Any) -> None:
@@ -290,26 +293,26 @@ NONSENSE = {
     "infinite": "-Infinity",
 }
 NUMBERS = [
-    ("beam",),
-    ("number",),
-    ("draw",),
+    ("selected_beam",),
+    ("frame_index",),
+    ("draw_index",),
     ("row_step",),
-    ("speed",),
+    ("playback_speed",),
     ("virtual_row",),
-    ("picked", 0),
+    ("picked_offset", 0),
     ("slam", "particles"),
-    ("classes", 0),
+    ("visible_classes", 0),
     ("settings", "registration", "seed"),
     ("settings", "registration", "draws"),
     ("settings", "noise", "epsilon"),
-    ("aligned", "mount", "delta_z_min_m"),
-    ("aligned", "time", "max_gap_ms"),
+    ("alignment_settings", "mount", "delta_z_min_m"),
+    ("alignment_settings", "time", "max_gap_ms"),
 ]
 
 
 def link_with(place: tuple[Any, ...], value: str) -> str:
     """A link of which one value is another, given as JSON."""
-    values = values_of(VIEW.changed(picked=(1.0, 2.0), beam=3))
+    values = values_of(VIEW.changed(picked_offset=(1.0, 2.0), selected_beam=3))
     inner: Any = values
     for part in place[:-1]:
         inner = inner.setdefault(part, {}) if isinstance(inner, dict) else inner[part]
@@ -347,7 +350,7 @@ def test_a_link_that_unpacks_to_more_than_any_view_is_not_unpacked() -> None:
 
 def test_links_of_hostile_json_are_refused() -> None:
     nested = b'{"preset":' + b"[" * 30_000
-    digits = b'{"preset":"default","number":' + b"9" * 30_000 + b"}"
+    digits = b'{"preset":"default","frame_index":' + b"9" * 30_000 + b"}"
     for text in (nested, digits, b"\xff\xfe", b'{"preset":"default"'):
         refusal_of(base64.urlsafe_b64encode(zlib.compress(text)).decode())
 
@@ -390,3 +393,64 @@ def view_or_none(link: str) -> View | None:
         return view_of_link(link)
     except SettingsError:
         return None
+
+
+# Written when the fields of a view had their former names.
+OLD_LINK = (
+    "eNq1UcFu2zAM_RVD59Rx3AZDe9t9u6zHYjBYmU6ESqJAyQ2GIP8-knGB_cBu9HtP5PN7VwcxnDLO7qW7ukyhok1Yao"
+    "iUZR77423XOcZTqI2hBUOvbma4VJmeBqUrAvuzEQkbBy-jKwJWkd9UAaXEP5OP5D8mWpaKTSSNVxTuHSHJ1_OzztR0"
+    "zwKxKuUj1Ip66O2w68bfAs1Y2nlqVII33O09JGTYG7EPCU44iTtnYh1eusM3mWOYge8P1d6-eshOcfUk4IfFsHmKRO"
+    "UfHwnKlGjWdNzrj-8_9V1e0zuyZiDWXIGMUelfFpUQCn5tfTuM_XjcdY9DP6ivwniPQH5ngTU2ZyF74jnkk-LLyjnU"
+    "M84TE6U-eSh3TYHAtvPLG9NlkoNq91G78FTM5yXkmS7O6mlN1tb_2bKGFPJEn8gR1MvQP1nzNVq7cq42KacR2zPgFn"
+    "zEhyXELaxE210npW_5bSr1cBzs58AUUvhJQrD9BS2OsVfBZ-C2QpTQtPe8xnj7C31S6qk"
+)
+OLD_PUBLISHED_LINK = (
+    "eNrtU1tu3DAMvMpC39vFJlu0RQ_Qv5ygKARapm0hehCUlEWwyN1LUc4DaE9Q9MeQRHI4HI5vBoJfE87m--Fm9EPg2a"
+    "dVzibmlqp5OR5Myr6ghpGKDznJ-f70RSL73bbka68pfo1gJLBAC-OlEWUeOIyrL5WheoW4mbUBz0WOlRsee8sZQ69i"
+    "v_q545SaiXZCMANV_4Q7VqeqKDNS3ezUmK3LafEzJtfpnk_flAnXDf8IfZVQ8DP8tYYYF2SlHyEEqUbmzNq4QKQwGN"
+    "3M9KzE0hqws-V8tROkrufd6azZCOw2zY1QHu2WA34cGCt71zGwOaGDkHTqNlnto7mf5aUVtMQ-817bsauPYysuR8JU"
+    "oKKtjdNrSs8BovBsXcju0eZlKdiXskAovfuEEOWaWgj9luv2zswFKEXb_zwfD3fHw_3xcPklgaG2rMU7jeobw7WL96"
+    "apht-htb28PKrVXtuHnOmDFEC277-L8UPG7TqkFifdw6UvBdIwxwNQD77h7U1kaWM8Q20KvmyoDmJ0mefdQovIoxHL"
+    "OcdTdANqmEnBdjZ9k6Vi59d9XlwmZbYwRKUmraqAlv-_zr_665Sgf4dsrkg6VAUwlAt-WhloM6r6vpDdZsNyJLp5Nx"
+    "hczmof0CRVbUhBiPuscnvyXBsEMeV19_PLb0xV0FQ"
+)
+
+
+def test_links_with_former_field_names_are_read() -> None:
+    view = View(
+        recording="furnished_room.mcap",
+        frame_index=41,
+        panel="Register",
+        lidar_topic="/scan",
+        depth_topics=("/camera/depth/image_raw",),
+        apply_clock_offset=True,
+        field_scope="window",
+        picked_offset=(12.25, 30.0),
+        lock_picked_offset=True,
+        draw_index=17,
+        visible_classes=frozenset({NoiseClass.BURR, NoiseClass.HOLE}),
+        show_repaired=False,
+        show_raw_and_repaired=False,
+        selected_beam=99,
+        row_step=3,
+        playback_speed=2.0,
+        loop_playback=False,
+        map_mode="SLAM",
+        slam=SlamChoices(scan="merged", motion="laser", estimator="particle-filter", particles=50),
+    )
+    for stage, name, value in (
+        ("noise", "epsilon", 2.5),
+        ("registration", "draws", 40),
+        ("search", "metric", "pearson"),
+    ):
+        view = view.with_setting(stage, name, value)
+    view = view.changed(alignment_settings=view.settings)
+    assert view_of_link(OLD_LINK) == view.with_setting("search", "min_overlap", 0.4)
+    published = view_of_link(OLD_PUBLISHED_LINK)
+    assert (published.preset, published.panel, published.frame_index) == ("published", "Map", 3)
+    # It was made with the default settings under the preset's name.
+    assert published.settings == PRESETS["default"]
+
+
+def test_a_former_name_beside_the_current_one_is_refused() -> None:
+    assert "number" in refusal_of(link_of(values_of(VIEW) | {"number": 3}))
