@@ -5,16 +5,19 @@ PYTHON := $(VENV)/bin/python
 READY := $(VENV)/.ready
 READY_FOR_TESTS := $(VENV)/.ready-for-tests
 
-.PHONY: demo test clean
+.PHONY: demo test test-all clean
 
 demo: $(READY)
 	@$(VENV)/bin/scanloom view
 
-test: $(READY_FOR_TESTS)
+# What is slow, and more examples of each property, are left to test-all.
+test: PYTEST := -m "not slow"
+test-all: PYTEST := --hypothesis-profile=thorough
+test test-all: $(READY_FOR_TESTS)
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
 	$(PYTHON) -m mypy
-	$(PYTHON) -m pytest -n 2 --dist loadfile
+	$(PYTHON) -m pytest -n 2 --dist loadfile $(PYTEST)
 
 $(READY): pyproject.toml .ci/setup
 	bash .ci/setup $(VENV)

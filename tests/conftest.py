@@ -1,14 +1,48 @@
-"""What all tests share: reproducible examples, and the recordings of SCANLOOM_TEST_DATA."""
+"""What all tests share: reproducible examples, how they are shared out among processes, and the
+recordings of SCANLOOM_TEST_DATA."""
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
+from xdist.scheduler import LoadFileScheduling
 
-# The same examples in each run, and no clock: a slow machine is no failure.
-settings.register_profile("scanloom", deadline=None, derandomize=True)
-settings.load_profile("scanloom")
+# The same examples in each run, and no clock: a slow machine is no failure. For more of them:
+# --hypothesis-profile=thorough.
+settings.register_profile("quick", deadline=None, derandomize=True, max_examples=30)
+settings.register_profile("thorough", settings.get_profile("quick"), max_examples=100)
+settings.load_profile("quick")
+
+# Each of these is run by one process, which makes its browser, server and recordings once.
+TOGETHER = ("tests/app/browser/", "tests/workflows/fuse/", "tests/workflows/map/")
+# The longest come first, so that the processes end at the same time.
+FIRST = (*TOGETHER, "tests/workflows/", "tests/hostile/")
+
+
+class FoldersThenFiles(LoadFileScheduling):
+    """Gives each process of ``-n`` a whole folder of TOGETHER, or a whole file."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        folder = next((folder for folder in TOGETHER if nodeid.startswith(folder)), None)
+        return folder or super()._split_scope(nodeid)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadFileScheduling | None:
+    if config.getoption("dist") != "loadfile":
+        return None
+    # In the order of collection, not by the number of tests.
+    config.option.loadscopereorder = False
+    return FoldersThenFiles(config, log)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    def place(item: pytest.Item) -> int:
+        return next((n for n, f in enumerate(FIRST) if item.nodeid.startswith(f)), len(FIRST))
+
+    items.sort(key=place)
 
 
 @pytest.fixture(scope="session")
