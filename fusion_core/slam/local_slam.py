@@ -151,7 +151,7 @@ class LocalTrajectory:
     poses_local_node: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "key_poses", self.poses_local_scan[self.key_scans])
+        object.__setattr__(self, "poses_local_node", self.poses_local_scan[self.key_scans])
         for array in (
             self.stamps_ns,
             self.poses_local_scan,

@@ -22,11 +22,13 @@ def trajectory(steps_m):
     places_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     poses = np.stack([places_m, np.zeros(NODES), np.zeros(NODES)], axis=1)
     submaps = [SimpleNamespace(first=PER_SUBMAP * number) for number in range(SUBMAPS)]
-    return SimpleNamespace(key_poses=poses, submaps=submaps)
+    return SimpleNamespace(poses_local_node=poses, submaps=submaps)
 
 
 def breaks(nodes=(), told=()):
-    return SimpleNamespace(node=np.array(nodes, dtype=np.int64), is_told=np.array(told, dtype=bool))
+    return SimpleNamespace(
+        node_after=np.array(nodes, dtype=np.int64), is_bridged=np.array(told, dtype=bool)
+    )
 
 
 def expected_m(steps_m, ties, node):
