@@ -42,7 +42,7 @@ def loop(first, second):
 
 
 def joined_parts(of, loops):
-    return of.joined_by(loops)[::10].tolist()
+    return of.connected_by(loops)[::10].tolist()
 
 
 def test_a_loop_where_odometry_has_the_place_confirms_all_breaks_between():
