@@ -94,7 +94,7 @@ def _detection(obstacle: ObstacleOutline, found: BoolArray) -> Detection:
         name=obstacle.name,
         length_m=obstacle.length_m,
         found=found.copy(),
-        seen=np.stack([obstacle.seen(sensor) for sensor in SENSORS]),
+        seen=np.stack([obstacle.seen_samples(sensor) for sensor in SENSORS]),
     )
 
 

@@ -70,7 +70,7 @@ class ObstacleOutline:
         at = (np.arange(count) + 0.5) * (along[-1] / count)
         return np.stack([np.interp(at, along, self.outline_m[:, axis]) for axis in (0, 1)], axis=1)
 
-    def seen(self, sensor: str) -> BoolArray:
+    def seen_samples(self, sensor: str) -> BoolArray:
         """(S,): the samples that a sensor could see; none where it is not named."""
         flags = np.zeros(self.sample_count, dtype=np.bool_)
         for start, end in self.seen_by.get(sensor, ()):
@@ -78,7 +78,7 @@ class ObstacleOutline:
         return flags
 
 
-def runs_of(flags: BoolArray) -> IntArray:
+def find_runs(flags: BoolArray) -> IntArray:
     """(R, 2) runs [start, end) of the true among (S,) flags."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return edges.astype(np.int64).reshape(-1, 2)
@@ -96,14 +96,14 @@ class MeasuredLine:
 
     def __post_init__(self) -> None:
         _check_segments(self.faces_m, self.name)
-        first, second = directions(self.faces_m)
+        first, second = unit_directions(self.faces_m)
         if abs(first[0] * second[1] - first[1] * second[0]) > _PARALLEL_RAD:
             raise ValueError(f"the faces of {self.name} are not parallel")
 
     @property
     def length_m(self) -> float:
         """The true distance."""
-        (x, y), _ = directions(self.faces_m)
+        (x, y), _ = unit_directions(self.faces_m)
         apart = self.faces_m[1].mean(axis=0) - self.faces_m[0].mean(axis=0)
         return float(abs(x * apart[1] - y * apart[0]))
 
@@ -124,7 +124,7 @@ class MeasuredAngle:
     @property
     def angle_rad(self) -> float:
         """The true angle, in [0, pi]."""
-        first, second = directions(self.arms_m)
+        first, second = unit_directions(self.arms_m)
         return float(np.arccos(np.clip(first @ second, -1.0, 1.0)))
 
 
@@ -143,7 +143,7 @@ class WorldOutline:
             raise ValueError(f"robot_height_m must be positive, got {self.robot_height_m}")
 
 
-def directions(segments_m: FloatArray) -> FloatArray:
+def unit_directions(segments_m: FloatArray) -> FloatArray:
     """(2, 2) unit vectors along two segments (2, 2, 2)."""
     along = segments_m[:, 1] - segments_m[:, 0]
     unit: FloatArray = along / np.linalg.norm(along, axis=1, keepdims=True)

@@ -7,10 +7,10 @@ from fusion_core.model.world_outline import MeasuredAngle, MeasuredLine
 from fusion_core.simulation import furniture
 from fusion_core.simulation.floor_plan import FloorPlan
 from fusion_core.simulation.furniture import Footprint
-from fusion_core.simulation.paths import rounded
-from fusion_core.simulation.randomness import Stream, generator
+from fusion_core.simulation.paths import round_corners
+from fusion_core.simulation.random_streams import RandomStream, make_generator
 from fusion_core.simulation.solids import Material, Opening, box
-from fusion_core.simulation.worlds import CEILING_M, World, finished
+from fusion_core.simulation.worlds import CEILING_M, World, build_world
 
 _DOOR_HEIGHT_M = 2.05
 _WALL_M = 0.1
@@ -24,7 +24,9 @@ def two_room_loop(seed: int) -> World:
     size = (12.0, 7.0)
     doors_y = (1.6, 5.4)
     lane = np.array([(1.6, 1.6), (10.4, 1.6), (10.4, 5.4), (1.6, 5.4)])
-    plan = FloorPlan(generator(seed, Stream.WORLD), size, rounded(lane, 0.8), clearance_m=0.4)
+    plan = FloorPlan(
+        make_generator(seed, RandomStream.WORLD), size, round_corners(lane, 0.8), clearance_m=0.4
+    )
     openings = (
         (Opening(8.2, 9.8, 0.05, 2.1, glazed=True),),
         (),
@@ -37,7 +39,7 @@ def two_room_loop(seed: int) -> World:
     for room in ((0.0, 0.0, 5.95, 7.0), (6.05, 0.0, 12.0, 7.0)):
         _furnish(plan, room)
     lines, angles = _corner_measures(size)
-    return finished(plan, openings, lines=lines, angles=angles, fine_texture=True)
+    return build_world(plan, openings, lines=lines, angles=angles, fine_texture=True)
 
 
 def whole_floor(seed: int) -> World:
@@ -45,7 +47,9 @@ def whole_floor(seed: int) -> World:
     size = (18.0, 12.4)
     south_y, north_y = 5.0, 7.4
     middles_x = (3.0, 9.0, 15.0)
-    plan = FloorPlan(generator(seed, Stream.WORLD), size, _floor_route(middles_x), clearance_m=0.35)
+    plan = FloorPlan(
+        make_generator(seed, RandomStream.WORLD), size, _floor_route(middles_x), clearance_m=0.35
+    )
     glass = tuple(Opening(x - 0.8, x + 0.8, 0.05, 2.1, glazed=True) for x in (3.0, 15.0))
     openings = (
         glass,
@@ -73,7 +77,7 @@ def whole_floor(seed: int) -> World:
     )
     lines, angles = _corner_measures(size)
     lines = (*lines, MeasuredLine(name="line 3", faces_m=corridor))
-    return finished(plan, openings, lines=lines, angles=angles, fine_texture=True)
+    return build_world(plan, openings, lines=lines, angles=angles, fine_texture=True)
 
 
 def _keep_corners_bare(plan: FloorPlan) -> None:
@@ -133,7 +137,7 @@ def _floor_route(middles_x: tuple[float, ...]) -> FloatArray:
     turn = np.array([(16.9, 5.75), (16.9, 6.65)])
     middle = np.array([9.0, 6.2])
     west = np.concatenate([east, turn])
-    return rounded(np.concatenate([west, 2.0 * middle - west]), 0.35)
+    return round_corners(np.concatenate([west, 2.0 * middle - west]), 0.35)
 
 
 def _partition(
@@ -161,13 +165,13 @@ def _furnish(plan: FloorPlan, room: Footprint) -> None:
     """What stands in a room, as far as there is space."""
     dark = furniture.cabinet((0.7, 1.2), Material.DARK)
     light = furniture.cabinet((0.5, 1.8), Material.WOOD)
-    plan.standing_free((0.9, 1.1), (0.6, 0.7), furniture.table, room)
-    plan.against_wall((1.2, 1.6), (0.4, 0.5), dark, room)
-    plan.against_wall((1.4, 1.8), (0.7, 0.8), furniture.sofa, room)
-    plan.against_wall((0.6, 1.0), (0.35, 0.45), light, room)
-    plan.against_wall((0.5, 0.8), (0.3, 0.4), light, room)
-    plan.standing_free((0.35, 0.45), (0.35, 0.45), furniture.low_box, room)
-    plan.standing_free((0.4, 0.45), (0.4, 0.45), furniture.chair, room)
+    plan.place_freely((0.9, 1.1), (0.6, 0.7), furniture.table, room)
+    plan.place_against_wall((1.2, 1.6), (0.4, 0.5), dark, room)
+    plan.place_against_wall((1.4, 1.8), (0.7, 0.8), furniture.sofa, room)
+    plan.place_against_wall((0.6, 1.0), (0.35, 0.45), light, room)
+    plan.place_against_wall((0.5, 0.8), (0.3, 0.4), light, room)
+    plan.place_freely((0.35, 0.45), (0.35, 0.45), furniture.low_box, room)
+    plan.place_freely((0.4, 0.45), (0.4, 0.45), furniture.chair, room)
 
 
 _locker = furniture.cabinet((1.7, 1.9), Material.DARK)

@@ -47,7 +47,7 @@ class DepthNoise(StageSettings):
         ge=0.0,
         le=1.57,
     )
-    dark_lost_share: float = setting(0.1, "Pixels lost on dark surfaces at 0 m", ge=0.0, le=1.0)
+    dark_lost_fraction: float = setting(0.1, "Pixels lost on dark surfaces at 0 m", ge=0.0, le=1.0)
     dark_lost_per_m: float = setting(
         0.15,
         "Further pixels lost on dark surfaces, per metre of depth",
@@ -62,13 +62,13 @@ class DepthNoise(StageSettings):
         ge=1e-6,
         le=10.0,
     )
-    edge_lost_share: float = setting(
+    edge_lost_fraction: float = setting(
         0.3,
         "Pixels beside an edge that are lost: the matching window covers two surfaces",
         ge=0.0,
         le=1.0,
     )
-    edge_mixed_share: float = setting(
+    edge_mixed_fraction: float = setting(
         0.12, "Pixels beside an edge that fly between the two surfaces", ge=0.0, le=1.0
     )
     speckles: float = setting(
@@ -128,15 +128,17 @@ def add_noise(view: DepthView, noise: DepthNoise, rng: np.random.Generator) -> N
 
     # The pattern is mirrored away or passes through a pane.
     lost = view.shadowed | view.glass
-    lost |= view.dark & (rng.random(shape) < noise.dark_lost_share + noise.dark_lost_per_m * true_m)
+    lost |= view.dark & (
+        rng.random(shape) < noise.dark_lost_fraction + noise.dark_lost_per_m * true_m
+    )
     grazing = np.arccos(np.minimum(view.incidence_cos, 1.0)) - noise.grazing_rad
     lost |= rng.random(shape) < grazing / (0.5 * np.pi - noise.grazing_rad)
     lost |= _patches(shape, noise, rng)
 
     beside, other = _edges(inverse, noise.edge_jump_per_m)
     draw = rng.random(shape)
-    lost |= beside & (draw < noise.edge_lost_share)
-    mixed = beside & (draw > 1.0 - noise.edge_mixed_share)
+    lost |= beside & (draw < noise.edge_lost_fraction)
+    mixed = beside & (draw > 1.0 - noise.edge_mixed_fraction)
     weight = rng.uniform(0.15, 0.85, shape)
     aimed = np.where(mixed, inverse + weight * (other - inverse), inverse)
     speckled, shift_m = _speckles(shape, noise, rng)

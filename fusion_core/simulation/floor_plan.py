@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray
-from fusion_core.simulation.furniture import Footprint, Maker
+from fusion_core.simulation.furniture import Footprint, ObjectMaker
 from fusion_core.simulation.paths import closed_curve
-from fusion_core.simulation.solids import Mesh, Opening, Piece
+from fusion_core.simulation.solids import Mesh, Opening, SolidObject
 
-_TRIES = 60
+_MAX_ATTEMPTS = 60
 _GAP_M = 0.08
 
 
@@ -30,23 +30,23 @@ class FloorPlan:
     ) -> None:
         self.size_m = size_m
         self.route_m = route_m
-        self.blocks: list[Footprint] = []
+        self.footprints: list[Footprint] = []
         self.meshes: list[Mesh] = []
-        self.pieces: list[Piece] = []
+        self.objects: list[SolidObject] = []
         self._rng = rng
         self._curve = closed_curve(route_m)
         self._clearance_m = clearance_m
         self._kept_free: list[Footprint] = []
 
-    def place(self, footprint: Footprint, make: Maker) -> None:
-        """Put a piece exactly here."""
+    def place(self, footprint: Footprint, make: ObjectMaker) -> None:
+        """Place a new object exactly here."""
         self.add(make(footprint, self._rng), footprint)
 
-    def add(self, piece: Piece, footprint: Footprint) -> None:
-        """Add a piece that is made already; ``footprint`` bounds it."""
-        self.blocks.append(footprint)
-        self.meshes.append(piece.mesh)
-        self.pieces.append(piece)
+    def add(self, solid: SolidObject, footprint: Footprint) -> None:
+        """Add an existing object; ``footprint`` bounds it."""
+        self.footprints.append(footprint)
+        self.meshes.append(solid.mesh)
+        self.objects.append(solid)
 
     def add_mesh(self, mesh: Mesh) -> None:
         """Add what stands on no floor, such as a lintel."""
@@ -70,19 +70,19 @@ class FloorPlan:
                 ]
                 self.keep_free(strips[side])
 
-    def against_wall(
+    def place_against_wall(
         self,
         widths_m: tuple[float, float],
         depths_m: tuple[float, float],
-        make: Maker,
+        make: ObjectMaker,
         room: Footprint | None = None,
     ) -> None:
-        """Put a piece with its back to a wall where there is space; leave it out where not.
+        """Place an object with its back to a wall where there is space; leave it out where not.
 
         ``room``: whose walls; those of the whole world where None.
         """
         low_x, low_y, far_x, far_y = (0.0, 0.0, *self.size_m) if room is None else room
-        for _ in range(_TRIES):
+        for _ in range(_MAX_ATTEMPTS):
             width, depth = self._rng.uniform(*widths_m), self._rng.uniform(*depths_m)
             side = int(self._rng.integers(4))
             start, end = ((low_x, far_x), (low_y, far_y))[side % 2]
@@ -100,16 +100,16 @@ class FloorPlan:
                 self.place(footprint, make)
                 return
 
-    def standing_free(
+    def place_freely(
         self,
         widths_m: tuple[float, float],
         depths_m: tuple[float, float],
-        make: Maker,
+        make: ObjectMaker,
         room: Footprint | None = None,
     ) -> None:
-        """Put a piece anywhere in a room where there is space; leave it out where not."""
+        """Place an object anywhere in a room where there is space; leave it out where not."""
         low_x, low_y, far_x, far_y = (0.0, 0.0, *self.size_m) if room is None else room
-        for _ in range(_TRIES):
+        for _ in range(_MAX_ATTEMPTS):
             width, depth = self._rng.uniform(*widths_m), self._rng.uniform(*depths_m)
             x0 = float(self._rng.uniform(low_x + 0.3, far_x - 0.3 - width))
             y0 = float(self._rng.uniform(low_y + 0.3, far_y - 0.3 - depth))
@@ -120,7 +120,7 @@ class FloorPlan:
 
     def _fits(self, footprint: Footprint) -> bool:
         x0, y0, x1, y1 = footprint
-        for other in [*self.blocks, *self._kept_free]:
+        for other in [*self.footprints, *self._kept_free]:
             apart_x = x0 > other[2] + _GAP_M or x1 < other[0] - _GAP_M
             apart_y = y0 > other[3] + _GAP_M or y1 < other[1] - _GAP_M
             if not (apart_x or apart_y):

@@ -1,4 +1,4 @@
-"""A 2D LiDAR, by default like the URG-04LX: what it should measure, what it reports, and why."""
+"""Noise model of a 2D LiDAR, by default a URG-04LX: from true ranges to reported ones."""
 
 from dataclasses import dataclass
 
@@ -8,12 +8,12 @@ from fusion_core.model.classes import BURR_LEAST_M, NoiseClass
 from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray
 from fusion_core.settings import StageSettings, setting
 
-# Where data sheets of triangulating scanners change what they promise.
+# Ranges at which data sheets of triangulating scanners change the accuracy.
 _BANDS_M = (3.0, 5.0)
 
 
 class LidarNoise(StageSettings):
-    """The errors of a LiDAR. The defaults are those of a URG-04LX as far as its sheet tells."""
+    """Errors of a 2D LiDAR. Defaults: URG-04LX, from its data sheet where that has the value."""
 
     sigma_near_m: float = setting(
         0.01,
@@ -22,13 +22,13 @@ class LidarNoise(StageSettings):
         ge=0.0,
         le=1.0,
     )
-    sigma_share: float = setting(
+    relative_sigma: float = setting(
         0.01, "Standard deviation beyond 1 m, per metre of range (data sheet: 1 %)", ge=0.0, le=0.2
     )
-    sigma_share_middle: float = setting(
+    relative_sigma_middle: float = setting(
         0.01, "Standard deviation from 3 m on, per metre of range", ge=0.0, le=0.2
     )
-    sigma_share_far: float = setting(
+    relative_sigma_far: float = setting(
         0.01, "Standard deviation from 5 m on, per metre of range", ge=0.0, le=0.2
     )
     step_m: float = setting(
@@ -42,10 +42,13 @@ class LidarNoise(StageSettings):
         ge=0.0,
         le=1.6,
     )
-    glass_through_share: float = setting(
-        0.15, "Of the other beams on glass, the share that reports what lies behind", ge=0.0, le=1.0
+    glass_through_fraction: float = setting(
+        0.15,
+        "Fraction of the other beams on glass that measure what lies behind it",
+        ge=0.0,
+        le=1.0,
     )
-    dark_lost_share: float = setting(
+    dark_lost_fraction: float = setting(
         0.25,
         "Beams lost on dark surfaces at 0 m; the sheet's range is for white paper",
         ge=0.0,
@@ -70,23 +73,23 @@ class LidarNoise(StageSettings):
     lost_run_beams: float = setting(
         6.0, "Mean length of such a run", unit="beams", ge=1.0, le=10_000.0
     )
-    edge_mixed_share: float = setting(
+    edge_mixed_fraction: float = setting(
         0.7,
         "Beams beside an edge that average both surfaces (mixed pixels: Kneip et al. 2009 on"
         " the URG-04LX)",
         ge=0.0,
         le=1.0,
     )
-    edge_jump: float = setting(
+    edge_jump_per_m: float = setting(
         0.02,
         "What counts as an edge: second difference of the inverse range, zero on a plane",
         unit="1/m",
         ge=1e-6,
         le=10.0,
     )
-    spurious_share: float = setting(
+    spurious_fraction: float = setting(
         0.005,
-        "Isolated returns from nowhere: dust, cross talk, a second reflection",
+        "Fraction of spurious returns: dust, cross talk, a second reflection",
         ge=0.0,
         le=1.0,
     )
@@ -118,9 +121,9 @@ class NoisySweep:
 
 def sigma_m(true_m: FloatArray, noise: LidarNoise) -> FloatArray:
     """The ordinary noise of a range."""
-    shares = (noise.sigma_share, noise.sigma_share_middle, noise.sigma_share_far)
-    share = np.array(shares)[np.searchsorted(_BANDS_M, true_m, side="right")]
-    return np.maximum(noise.sigma_near_m, share * true_m)
+    relative_sigmas = (noise.relative_sigma, noise.relative_sigma_middle, noise.relative_sigma_far)
+    relative_sigma = np.array(relative_sigmas)[np.searchsorted(_BANDS_M, true_m, side="right")]
+    return np.maximum(noise.sigma_near_m, relative_sigma * true_m)
 
 
 def add_noise(
@@ -141,23 +144,25 @@ def add_noise(
     disturbed = np.zeros(count, dtype=np.bool_)
 
     silent_glass = view.glass & (view.incidence_cos < np.cos(noise.glass_front_rad))
-    through = silent_glass & (rng.random(count) < noise.glass_through_share)
+    through = silent_glass & (rng.random(count) < noise.glass_through_fraction)
     aimed_m[through] = view.behind_m[through]
     disturbed |= through
     lost = silent_glass & ~through
 
-    lost |= view.dark & (rng.random(count) < noise.dark_lost_share + noise.dark_lost_per_m * true_m)
+    lost |= view.dark & (
+        rng.random(count) < noise.dark_lost_fraction + noise.dark_lost_per_m * true_m
+    )
 
     grazing = np.arccos(np.minimum(view.incidence_cos, 1.0)) - noise.grazing_rad
     lost |= rng.random(count) < grazing / (0.5 * np.pi - noise.grazing_rad)
 
-    beside, other_m = _edges(true_m, noise.edge_jump)
-    mixed = beside & (rng.random(count) < noise.edge_mixed_share)
+    beside, other_m = _edges(true_m, noise.edge_jump_per_m)
+    mixed = beside & (rng.random(count) < noise.edge_mixed_fraction)
     weight = rng.uniform(0.1, 0.9, count)
     aimed_m[mixed] += (weight * (other_m - true_m))[mixed]
     disturbed |= mixed
 
-    spurious = rng.random(count) < noise.spurious_share
+    spurious = rng.random(count) < noise.spurious_fraction
     aimed_m[spurious] = rng.uniform(*range_limits_m, count)[spurious]
     disturbed |= spurious
 

@@ -12,28 +12,28 @@ from fusion_core.settings import StageSettings, setting
 
 
 class OdometryNoise(StageSettings):
-    """The errors of wheel odometry; the defaults are those of a small robot on a hard floor."""
+    """Errors of wheel odometry. The defaults fit a small robot on a hard floor."""
 
     distance_scale: float = setting(
-        1.02, "Reported over true distance: the wheels' size is not quite known", ge=1e-6, le=10.0
+        1.02, "Reported over true distance: error of the wheel radius", ge=1e-6, le=10.0
     )
     yaw_drift_rad_per_s: float = setting(
         0.004,
-        "Steady drift of the heading: two wheels of unequal size",
+        "Constant drift of the heading: unequal wheel radii",
         unit="rad/s",
         ge=-10.0,
         le=10.0,
     )
-    distance_sigma_share: float = setting(
+    relative_distance_sigma: float = setting(
         0.02, "Standard deviation of a step, per metre of it", ge=0.0, le=10.0
     )
-    yaw_sigma_share: float = setting(
+    relative_yaw_sigma: float = setting(
         0.03, "Standard deviation of a turn, per radian of it", ge=0.0, le=10.0
     )
 
 
 class DriftingOdometry:
-    """Adds up noisy steps between true poses. It starts at zero, as odometry does."""
+    """Accumulates noisy steps between true poses, starting at the identity."""
 
     def __init__(self, noise: OdometryNoise, rng: np.random.Generator) -> None:
         self._noise = noise
@@ -41,8 +41,8 @@ class DriftingOdometry:
         self._before: tuple[float, FloatArray] | None = None
         self._T_odom_base = np.eye(4)
 
-    def carried(self, time_s: float, pose: FloatArray) -> None:
-        """The robot is lifted and set down at ``pose``, of which its wheels notice nothing."""
+    def kidnap(self, time_s: float, pose: FloatArray) -> None:
+        """Move the robot to ``pose`` without a step of its odometry."""
         self._before = (time_s, transform_from_planar(pose))
 
     def step(self, time_s: float, pose: FloatArray, slip: float = 1.0) -> FloatArray:
@@ -55,8 +55,8 @@ class DriftingOdometry:
             time_before_s, T_map_before = self._before
             moved = planar_from_transform(invert_transform(T_map_before) @ T_map_base)
             draw = self._rng.standard_normal(2)
-            scale = self._noise.distance_scale + self._noise.distance_sigma_share * draw[0]
-            turn = moved[2] * (1.0 + self._noise.yaw_sigma_share * draw[1])
+            scale = self._noise.distance_scale + self._noise.relative_distance_sigma * draw[0]
+            turn = moved[2] * (1.0 + self._noise.relative_yaw_sigma * draw[1])
             turn += self._noise.yaw_drift_rad_per_s * (time_s - time_before_s)
             reported = np.array([moved[0] * scale * slip, moved[1] * scale * slip, turn])
             self._T_odom_base = self._T_odom_base @ transform_from_planar(reported)

@@ -1,4 +1,4 @@
-"""How a robot drives: a closed route, and a smooth path that weaves along it."""
+"""Paths of a robot: a closed route, and a smooth path that weaves along it."""
 
 from typing import Protocol
 
@@ -11,7 +11,7 @@ _STEP_M = 0.01
 _WAYPOINT_STEP_M = 0.2
 
 
-class Drive(Protocol):
+class RobotPath(Protocol):
     """Where a robot is at any time."""
 
     def pose(self, time_s: float) -> FloatArray:
@@ -32,7 +32,7 @@ def closed_curve(waypoints_m: FloatArray) -> FloatArray:
     return curve
 
 
-def rounded(corners_m: FloatArray, radius_m: float) -> FloatArray:
+def round_corners(corners_m: FloatArray, radius_m: float) -> FloatArray:
     """(W, 2) waypoints, at most 0.2 m apart, of a closed polygon (N, 2) with rounded corners.
 
     Where two corners are too near to each other for ``radius_m``, their arcs are smaller.
@@ -50,15 +50,15 @@ def rounded(corners_m: FloatArray, radius_m: float) -> FloatArray:
         start, end = u * cut_m - middle, v * cut_m - middle
         opening = np.pi - 2.0 * half
         steps = max(2, int(np.ceil(opening * np.linalg.norm(start) / _WAYPOINT_STEP_M)))
-        share = np.linspace(0.0, 1.0, steps + 1)[:, None]
-        arc = np.sin((1.0 - share) * opening) * start + np.sin(share * opening) * end
+        fraction = np.linspace(0.0, 1.0, steps + 1)[:, None]
+        arc = np.sin((1.0 - fraction) * opening) * start + np.sin(fraction * opening) * end
         waypoints.append(corner + middle + arc / np.sin(opening))
     straight: list[FloatArray] = []
     for here, there in zip(waypoints, [*waypoints[1:], waypoints[0]], strict=True):
         gap = there[0] - here[-1]
         steps = max(1, int(np.ceil(np.linalg.norm(gap) / _WAYPOINT_STEP_M)))
-        share = (np.arange(1, steps) / steps)[:, None]
-        straight += [here, here[-1] + share * gap]
+        fraction = (np.arange(1, steps) / steps)[:, None]
+        straight += [here, here[-1] + fraction * gap]
     return np.concatenate(straight)
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray
-from fusion_core.simulation.solids import Mesh, join
+from fusion_core.simulation.solids import Mesh, join_meshes
 from fusion_core.simulation.worlds import World
 
 
@@ -114,4 +114,4 @@ class RayCaster:
     def _moving(self, time_s: float) -> _Geometry | None:
         if not self._world.walkers:
             return None
-        return _Geometry(join([walker.mesh_at(time_s) for walker in self._world.walkers]))
+        return _Geometry(join_meshes([walker.mesh_at(time_s) for walker in self._world.walkers]))

@@ -1,4 +1,4 @@
-"""Writes what an observer sees at the sensors' stamps: a ROS 2 MCAP, its truth and its world."""
+"""Simulates a run and writes it: a ROS 2 MCAP file, its ground truth and its world."""
 
 import heapq
 from collections.abc import Callable, Iterator
@@ -24,36 +24,37 @@ from fusion_core.model.sensors import (
 from fusion_core.recordings.ros2_writer import Ros2McapWriter
 from fusion_core.recordings.world_file import world_path, write_world
 from fusion_core.simulation.faults import FaultSettings, KidnappedPath
-from fusion_core.simulation.observer import Image, Observer, Setup
 from fusion_core.simulation.odometry import DriftingOdometry, OdometryNoise
-from fusion_core.simulation.randomness import Stream, generator
-from fusion_core.simulation.rigs import CameraMount
-from fusion_core.simulation.sightings import Sightings
+from fusion_core.simulation.random_streams import RandomStream, make_generator
+from fusion_core.simulation.sensor_mounts import CameraMount
+from fusion_core.simulation.sensor_simulator import SensorSimulator, SimulatedImage, SimulationSetup
 from fusion_core.simulation.truth import TruthWriter, truth_path
+from fusion_core.simulation.visibility import VisibilityTracker
 
 START_NS = 1_700_000_000 * NS_PER_S
 ODOMETRY_HZ = 20.0
-# Nothing triggers the camera: its first image comes a little after the first sweep.
+# The camera is not triggered by the LiDAR: its first image comes a little after the first sweep.
 CAMERA_DELAY_NS = 13 * NS_PER_MS
 # Several cameras take turns, as their projectors would blind each other.
 CAMERA_STAGGER_NS = 7 * NS_PER_MS
 
-Extrinsics = Literal["all", "cameras", "none"]
+PublishedMounts = Literal["all", "cameras", "none"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Take:
-    """What decides a recording.
+class SimulatedRun:
+    """Everything that determines a synthetic recording.
 
-    ``extrinsics``: what /tf_static tells: every mount ("all", and then there is a /tf), the
-    cameras among themselves, or nothing. ``clock_offset_ms``: camera stamp - LiDAR stamp of the
-    same instant. Where the robot is kidnapped, ``setup.path`` is a KidnappedPath.
+    ``published_mounts``: the mounts in /tf_static: of every sensor ("all", and then there is a
+    /tf too), of the cameras relative to each other ("cameras"), or none. ``clock_offset_ms``:
+    camera stamp - LiDAR stamp of the same instant. Where the robot is kidnapped,
+    ``simulation.path`` is a KidnappedPath.
     """
 
-    setup: Setup
+    simulation: SimulationSetup
     duration_s: float
     camera_rate_hz: float
-    extrinsics: Extrinsics
+    published_mounts: PublishedMounts
     clock_offset_ms: float
     odometry_noise: OdometryNoise = field(default_factory=OdometryNoise)
     faults: FaultSettings = field(default_factory=FaultSettings)
@@ -63,34 +64,38 @@ class Take:
 _Event = tuple[int, Callable[[], None]]
 
 
-def record(take: Take, path: Path, progress: Progress = silent) -> None:
-    """Write a recording to ``path``, and beside it its truth and the outline of its world.
+def record_run(run: SimulatedRun, path: Path, progress: Progress = silent) -> None:
+    """Write a recording, its ground truth and its world.
 
-    They stand at ``truth_path`` and ``world_path``.
-
-    Messages come in the order of their log time, one at a time, so that memory does not grow
-    with the duration. Raises ExportError where a file cannot be written.
+    The latter two are written beside ``path``, to ``truth_path`` and ``world_path``.
+    Messages are written one at a time in the order of their log time, so that memory does not
+    grow with the duration. Raises ExportError where a file cannot be written.
     """
     with TruthWriter(truth_path(path)) as truth, Ros2McapWriter(path) as writer:
-        recorder = _Recorder(take, writer, truth)
+        recorder = _Recorder(run, writer, truth)
         recorder.run(progress)
-        write_world(world_path(path), recorder.sightings.outline())
+        write_world(world_path(path), recorder.visibility.outline())
 
 
 class _Recorder:
-    def __init__(self, take: Take, writer: Ros2McapWriter, truth: TruthWriter) -> None:
-        self._take = take
-        self._rig = take.setup.rig
-        self._observer = Observer(take.setup)
-        self.sightings = Sightings(take.setup)
+    def __init__(self, run: SimulatedRun, writer: Ros2McapWriter, truth: TruthWriter) -> None:
+        self._run = run
+        self._sensor_mounts = run.simulation.mounts
+        self._simulator = SensorSimulator(run.simulation)
+        self.visibility = VisibilityTracker(run.simulation)
         self._writer = writer
         self._truth = truth
 
     def run(self, progress: Progress) -> None:
-        self._truth.put(self._constants())
-        cameras = range(len(self._rig.cameras))
-        streams = [self._static(), self._sweeps(), self._motion(), *map(self._images, cameras)]
-        total_ms = round(self._take.duration_s * 1000.0)
+        self._truth.put(self._constant_truth())
+        cameras = range(len(self._sensor_mounts.cameras))
+        streams = [
+            self._static_transform_events(),
+            self._sweep_events(),
+            self._pose_events(),
+            *map(self._image_events, cameras),
+        ]
+        total_ms = round(self._run.duration_s * 1000.0)
         # At equal log times the streams keep their order.
         for received_ns, write in heapq.merge(*streams, key=lambda event: event[0]):
             write()
@@ -98,30 +103,30 @@ class _Recorder:
             progress(min(done_ms, total_ms), total_ms, "recording")
         progress(total_ms, total_ms, "recording")
 
-    def _static(self) -> Iterator[_Event]:
-        transforms = self._mounts()
+    def _static_transform_events(self) -> Iterator[_Event]:
+        transforms = self._published_transforms()
         if transforms:
             batch = TransformBatch(received_ns=START_NS, transforms=transforms)
             yield START_NS, partial(self._writer.write_transforms, "/tf_static", batch)
 
-    def _sweeps(self) -> Iterator[_Event]:
-        mount = self._rig.lidar
-        skew = self._take.setup.lidar_skew
-        faults, seed = self._take.faults, self._take.setup.seed
-        for index, after_ns in enumerate(_ticks(mount.rate_hz, self._take.duration_s)):
+    def _sweep_events(self) -> Iterator[_Event]:
+        mount = self._sensor_mounts.lidar
+        skew = self._run.simulation.lidar_skew
+        faults, seed = self._run.faults, self._run.simulation.seed
+        for index, after_ns in enumerate(_trigger_times_ns(mount.rate_hz, self._run.duration_s)):
             time_s = after_ns / NS_PER_S
-            sweep = self._observer.sweep(time_s, index)
+            sweep = self._simulator.simulate_sweep(time_s, index)
             stamp_ns = START_NS + after_ns
             self._truth.append("scan_stamp", np.array(stamp_ns, dtype=np.int64))
             self._truth.append("scan_true", sweep.true_m.astype(np.float32))
             self._truth.append("scan_kind", sweep.kinds)
-            self._truth.append("pose", self._observer.lidar_pose(time_s))
-            lost = faults.silent(time_s) or faults.scan_lost(seed, index)
-            if faults.any:
+            self._truth.append("pose", self._simulator.lidar_pose(time_s))
+            lost = faults.is_dropout(time_s) or faults.is_scan_lost(seed, index)
+            if faults.has_any:
                 self._truth.append("scan_lost", np.array(lost))
             if lost:
                 continue
-            self.sightings.sweep(self._T_world_base(time_s), time_s)
+            self.visibility.add_sweep(self._T_world_base(time_s), time_s)
             scan = LaserScan(
                 stamp_ns=stamp_ns,
                 received_ns=stamp_ns,
@@ -136,30 +141,30 @@ class _Recorder:
             )
             yield stamp_ns, partial(self._writer.write_laser_scan, "/scan", scan)
 
-    def _images(self, camera: int) -> Iterator[_Event]:
-        take, mount = self._take, self._rig.cameras[camera]
-        suffix = f"_{camera}" if len(self._rig.cameras) > 1 else ""
+    def _image_events(self, camera: int) -> Iterator[_Event]:
+        run, mount = self._run, self._sensor_mounts.cameras[camera]
+        suffix = f"_{camera}" if len(self._sensor_mounts.cameras) > 1 else ""
         first_ns = CAMERA_DELAY_NS + camera * CAMERA_STAGGER_NS
-        offset_ns = round(take.clock_offset_ms * NS_PER_MS)
-        faults = take.faults
-        for index, tick_ns in enumerate(_ticks(take.camera_rate_hz, take.duration_s)):
-            after_ns = first_ns + tick_ns
+        offset_ns = round(run.clock_offset_ms * NS_PER_MS)
+        faults = run.faults
+        for index, trigger_ns in enumerate(_trigger_times_ns(run.camera_rate_hz, run.duration_s)):
+            after_ns = first_ns + trigger_ns
             time_s = after_ns / NS_PER_S
-            image = self._observer.image(camera, time_s, index)
-            if faults.dark(time_s):
+            image = self._simulator.simulate_image(camera, time_s, index)
+            if faults.is_dark(time_s):
                 image = image.darkened()
             stamp_ns = START_NS + after_ns + offset_ns
             true_mm = np.rint(image.true_m * 1000.0).astype(np.uint16)
             self._truth.append(f"depth_stamp{suffix}", np.array(stamp_ns, dtype=np.int64))
             self._truth.append(f"depth_true{suffix}", true_mm)
             self._truth.append(f"depth_kind{suffix}", image.kinds)
-            if faults.silent(time_s):
+            if faults.is_dropout(time_s):
                 continue
-            if not faults.dark(time_s):
-                self.sightings.image(camera, self._T_world_base(time_s), time_s)
+            if not faults.is_dark(time_s):
+                self.visibility.add_image(camera, self._T_world_base(time_s), time_s)
             yield stamp_ns, partial(self._write_image, mount, stamp_ns, image)
 
-    def _write_image(self, mount: CameraMount, stamp_ns: int, image: Image) -> None:
+    def _write_image(self, mount: CameraMount, stamp_ns: int, image: SimulatedImage) -> None:
         depth = DepthImage(
             stamp_ns=stamp_ns,
             received_ns=stamp_ns,
@@ -180,99 +185,99 @@ class _Recorder:
         self._writer.write_color(mount.color_topic, color)
         self._writer.write_camera_info(mount.info_topic, info)
 
-    def _motion(self) -> Iterator[_Event]:
-        take, faults = self._take, self._take.faults
-        rng = generator(take.setup.seed, Stream.ODOMETRY)
-        odometry = DriftingOdometry(take.odometry_noise, rng)
-        path, time_before_s = take.setup.path, 0.0
-        for after_ns in _ticks(ODOMETRY_HZ, take.duration_s):
+    def _pose_events(self) -> Iterator[_Event]:
+        run, faults = self._run, self._run.faults
+        rng = make_generator(run.simulation.seed, RandomStream.ODOMETRY)
+        odometry = DriftingOdometry(run.odometry_noise, rng)
+        path, time_before_s = run.simulation.path, 0.0
+        for after_ns in _trigger_times_ns(ODOMETRY_HZ, run.duration_s):
             time_s, stamp_ns = after_ns / NS_PER_S, START_NS + after_ns
             if isinstance(path, KidnappedPath) and time_before_s < path.at_s <= time_s:
-                lifted_at, set_down_at = path.lifted()
-                odometry.step(path.at_s, lifted_at, faults.slip(time_before_s))
-                odometry.carried(path.at_s, set_down_at)
-            slip = faults.slip(0.5 * (time_before_s + time_s))
-            T_odom_base = odometry.step(time_s, self._observer.base_pose(time_s), slip)
-            T_map_lidar = transform_from_planar(self._observer.lidar_pose(time_s))
+                lifted_at, set_down_at = path.poses_around_kidnap()
+                odometry.step(path.at_s, lifted_at, faults.slip_factor_at(time_before_s))
+                odometry.kidnap(path.at_s, set_down_at)
+            slip = faults.slip_factor_at(0.5 * (time_before_s + time_s))
+            T_odom_base = odometry.step(time_s, self._simulator.base_pose(time_s), slip)
+            T_map_lidar = transform_from_planar(self._simulator.lidar_pose(time_s))
             time_before_s = time_s
-            heard = None if faults.silent(time_s) else T_odom_base
-            yield stamp_ns, partial(self._write_motion, stamp_ns, heard, T_map_lidar)
+            T_reported = None if faults.is_dropout(time_s) else T_odom_base
+            yield stamp_ns, partial(self._write_poses, stamp_ns, T_reported, T_map_lidar)
 
-    def _write_motion(
+    def _write_poses(
         self, stamp_ns: int, T_odom_base: FloatArray | None, T_map_lidar: FloatArray
     ) -> None:
-        """What the odometry says, None where it is silent, and the truth, which never is."""
+        """The odometry (None during a dropout) and the ground truth, which has no dropouts."""
         if T_odom_base is not None:
             odometry = _pose_sample(stamp_ns, "odom", "base_link", T_odom_base)
             self._writer.write_odometry("/odom", odometry)
         self._writer.write_pose_stamped(
             "/ground_truth", _pose_sample(stamp_ns, "map", "", T_map_lidar)
         )
-        if T_odom_base is not None and self._take.extrinsics == "all":
+        if T_odom_base is not None and self._run.published_mounts == "all":
             moving = _transform("odom", "base_link", T_odom_base, stamp_ns)
             batch = TransformBatch(received_ns=stamp_ns, transforms=(moving,))
             self._writer.write_transforms("/tf", batch)
 
     def _T_world_base(self, time_s: float) -> FloatArray:
-        return transform_from_planar(self._observer.base_pose(time_s))
+        return transform_from_planar(self._simulator.base_pose(time_s))
 
-    def _mounts(self) -> tuple[Transform, ...]:
-        rig = self._rig
-        if self._take.extrinsics == "all":
-            sensors = [(rig.lidar.frame_id, rig.lidar.T_base_lidar)]
-            sensors += [(camera.frame_id, camera.T_base_optical) for camera in rig.cameras]
+    def _published_transforms(self) -> tuple[Transform, ...]:
+        mounts = self._sensor_mounts
+        if self._run.published_mounts == "all":
+            sensors = [(mounts.lidar.frame_id, mounts.lidar.T_base_lidar)]
+            sensors += [(camera.frame_id, camera.T_base_optical) for camera in mounts.cameras]
             return tuple(_transform("base_link", child, T) for child, T in sensors)
-        if self._take.extrinsics == "cameras":
-            T_rig_base = invert_transform(rig.T_base_rig)
+        if self._run.published_mounts == "cameras":
+            T_rig_base = invert_transform(mounts.T_base_rig)
             return tuple(
                 _transform("camera_rig", camera.frame_id, T_rig_base @ camera.T_base_optical)
-                for camera in rig.cameras
+                for camera in mounts.cameras
             )
         return ()
 
-    def _constants(self) -> dict[str, np.ndarray[tuple[int, ...], np.dtype[np.generic]]]:
-        take, rig = self._take, self._rig
-        pinholes = [camera.intrinsics for camera in rig.cameras]
+    def _constant_truth(self) -> dict[str, np.ndarray[tuple[int, ...], np.dtype[np.generic]]]:
+        run, mounts = self._run, self._sensor_mounts
+        pinholes = [camera.intrinsics for camera in mounts.cameras]
         return {
-            "cam_yaw": np.array(rig.camera_yaw_rad),
-            "size": np.array(take.setup.world.size_m, dtype=np.float64),
-            "blocks": take.setup.world.blocks_m,
-            "lidar_angle_min": np.array(rig.lidar.angle_min_rad),
-            "lidar_angle_increment": np.array(rig.lidar.angle_increment_rad),
+            "cam_yaw": np.array(mounts.camera_yaw_rad),
+            "size": np.array(run.simulation.world.size_m, dtype=np.float64),
+            "blocks": run.simulation.world.blocks_m,
+            "lidar_angle_min": np.array(mounts.lidar.angle_min_rad),
+            "lidar_angle_increment": np.array(mounts.lidar.angle_increment_rad),
             "intrinsics": np.array([(p.fx, p.fy, p.cx, p.cy) for p in pinholes]),
-            "T_lidar_camera": rig.T_lidar_camera(),
-            "camera_topics": np.array([camera.depth_topic for camera in rig.cameras]),
-            "clock_offset_ms": np.array(take.clock_offset_ms, dtype=np.float64),
-            "seed": np.array(take.setup.seed, dtype=np.int64),
-            **self._faults(),
+            "T_lidar_camera": mounts.T_lidar_camera(),
+            "camera_topics": np.array([camera.depth_topic for camera in mounts.cameras]),
+            "clock_offset_ms": np.array(run.clock_offset_ms, dtype=np.float64),
+            "seed": np.array(run.simulation.seed, dtype=np.int64),
+            **self._fault_intervals(),
         }
 
-    def _faults(self) -> dict[str, np.ndarray[tuple[int, ...], np.dtype[np.generic]]]:
-        """When each fault begins and ends, [start, end) in ns; nothing where there is none."""
-        faults, path = self._take.faults, self._take.setup.path
+    def _fault_intervals(self) -> dict[str, np.ndarray[tuple[int, ...], np.dtype[np.generic]]]:
+        """The interval [start, end) of each fault that the run has, in nanoseconds."""
+        faults, path = self._run.faults, self._run.simulation.path
         spans_s = {
             "silence": (faults.silence_at_s, faults.silence_s),
             "slip": (faults.slip_at_s, faults.slip_s),
             "dark": (faults.dark_at_s, faults.dark_s),
         }
-        told: dict[str, np.ndarray[tuple[int, ...], np.dtype[np.generic]]] = {
+        intervals: dict[str, np.ndarray[tuple[int, ...], np.dtype[np.generic]]] = {
             f"fault_{name}_ns": np.array([_stamp_ns(start_s), _stamp_ns(start_s + length_s)])
             for name, (start_s, length_s) in spans_s.items()
             if length_s > 0.0
         }
         if isinstance(path, KidnappedPath):
-            told["fault_kidnap_ns"] = np.array(_stamp_ns(path.at_s))
-            # (2, 3): the base's x, y, yaw before and after.
-            told["fault_kidnap_poses"] = np.stack(path.lifted())
-        return told
+            intervals["fault_kidnap_ns"] = np.array(_stamp_ns(path.at_s))
+            # (2, 3): x, y, yaw of the base before and after.
+            intervals["fault_kidnap_poses"] = np.stack(path.poses_around_kidnap())
+        return intervals
 
 
 def _stamp_ns(time_s: float) -> int:
     return START_NS + round(time_s * NS_PER_S)
 
 
-def _ticks(rate_hz: float, duration_s: float) -> Iterator[int]:
-    """Nanoseconds after the start of each observation of a steady sensor."""
+def _trigger_times_ns(rate_hz: float, duration_s: float) -> Iterator[int]:
+    """Nanoseconds after the start at which a sensor of constant rate is triggered."""
     for index in range(round(duration_s * rate_hz)):
         yield int(index * NS_PER_S / rate_hz)
 

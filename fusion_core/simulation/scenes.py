@@ -1,4 +1,4 @@
-"""The synthetic scenes by name: what each is for, and how it is made from its settings."""
+"""The synthetic scenes by name, and how a run is planned from a scene and its settings."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -8,16 +8,16 @@ from fusion_core.model.errors import SettingsError
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.seeds import SEED_MAX
 from fusion_core.settings import StageSettings, setting
-from fusion_core.simulation import arena, buildings, rigs, worlds
+from fusion_core.simulation import arena, buildings, sensor_mounts, worlds
 from fusion_core.simulation.depth_camera import DepthNoise
 from fusion_core.simulation.faults import FaultSettings, KidnappedPath
 from fusion_core.simulation.lidar import LidarNoise
-from fusion_core.simulation.observer import Setup
 from fusion_core.simulation.odometry import OdometryNoise
-from fusion_core.simulation.paths import Drive, WeavingPath
-from fusion_core.simulation.randomness import Stream, generator
-from fusion_core.simulation.recorder import Extrinsics, Take, record
-from fusion_core.simulation.rigs import Rig
+from fusion_core.simulation.paths import RobotPath, WeavingPath
+from fusion_core.simulation.random_streams import RandomStream, make_generator
+from fusion_core.simulation.recorder import PublishedMounts, SimulatedRun, record_run
+from fusion_core.simulation.sensor_mounts import SensorMounts
+from fusion_core.simulation.sensor_simulator import SimulationSetup
 from fusion_core.simulation.worlds import World
 
 SPEED_M_S = 0.3
@@ -26,11 +26,11 @@ SPEED_M_S = 0.3
 # of three standard deviations.
 RPLIDAR_A1 = LidarNoise(
     sigma_near_m=0.0017,
-    sigma_share=0.01 / 3.0,
-    sigma_share_middle=0.02 / 3.0,
-    sigma_share_far=0.025 / 3.0,
-    # Ours: a tenth of the URG's, since a return from nowhere may lie as far as 12 m.
-    spurious_share=0.0005,
+    relative_sigma=0.01 / 3.0,
+    relative_sigma_middle=0.02 / 3.0,
+    relative_sigma_far=0.025 / 3.0,
+    # Our choice: a tenth of the URG's, since a spurious return may lie as far as 12 m.
+    spurious_fraction=0.0005,
 )
 # Li 2022, Table 2: within 1-3 mm at 1 m, growing with z². Read as three standard deviations of
 # 1 mm, shared between the quantisation of the inverse depth and what is before it.
@@ -41,15 +41,15 @@ ASTRA_PRO = DepthNoise(
 TURTLEBOT_ODOMETRY = OdometryNoise(
     distance_scale=1.0023,
     yaw_drift_rad_per_s=0.0005,
-    distance_sigma_share=0.01,
-    yaw_sigma_share=0.02,
+    relative_distance_sigma=0.01,
+    relative_yaw_sigma=0.02,
 )
-# Wheels that mapping without closed loops would show as double walls.
+# Wheels so worn that a map without loop closure shows double walls.
 WORN_ODOMETRY = OdometryNoise(distance_scale=1.015, yaw_drift_rad_per_s=0.002)
 
 
 class SceneSettings(StageSettings):
-    """What may be changed about a scene."""
+    """What a user may change about a scene."""
 
     seed: int = setting(1, "Decides the world, the path and the noise", ge=0, le=SEED_MAX)
     duration_s: float = setting(8.0, "Length of the recording", unit="s", ge=1e-6, le=3600.0)
@@ -60,20 +60,20 @@ class SceneSettings(StageSettings):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
-    """A named scene with the settings that it has when nothing else is said.
+class SimulatedScene:
+    """A named scene with its default settings.
 
-    ``extrinsics`` and ``clock_offset_ms`` are those of ``Take``; ``speed_m_s``, ``start``,
-    ``weave_m`` and ``wavelength_m`` those of ``WeavingPath``, the start drawn from the seed where
-    None.
+    ``published_mounts`` and ``clock_offset_ms`` are those of ``SimulatedRun``; ``speed_m_s``,
+    ``start``, ``weave_m`` and ``wavelength_m`` those of ``WeavingPath``. A ``start`` of None is
+    drawn from the seed.
     """
 
     name: str
     description: str
     world: Callable[[int], World]
-    rig: Callable[[], Rig]
+    mounts: Callable[[], SensorMounts]
     settings: SceneSettings
-    extrinsics: Extrinsics = "none"
+    published_mounts: PublishedMounts = "none"
     clock_offset_ms: float = 0.0
     speed_m_s: float = SPEED_M_S
     start: float | None = None
@@ -85,89 +85,89 @@ class Scene:
 
 
 _SCENES = (
-    Scene(
+    SimulatedScene(
         name="furnished_room",
         description="A living room with glass, dark furniture, low boxes and tables; mount unknown",
         world=worlds.furnished_room,
-        rig=rigs.home_robot,
+        mounts=sensor_mounts.home_robot,
         settings=SceneSettings(seed=173, duration_s=6.0),
     ),
-    Scene(
+    SimulatedScene(
         name="corridor",
         description="An open corridor, farther than the LiDAR reaches; mount unknown",
         world=worlds.open_corridor,
-        rig=rigs.home_robot,
+        mounts=sensor_mounts.home_robot,
         settings=SceneSettings(seed=2),
     ),
-    Scene(
+    SimulatedScene(
         name="bedroom",
         description="A small cluttered bedroom; /tf_static gives the mount",
         world=worlds.bedroom,
-        rig=rigs.home_robot,
+        mounts=sensor_mounts.home_robot,
         settings=SceneSettings(seed=9),
-        extrinsics="all",
+        published_mounts="all",
     ),
-    Scene(
+    SimulatedScene(
         name="turtlebot_high",
         description="Two rooms with a door; a camera at 0.96 m over a LiDAR at 0.25 m",
         world=worlds.two_rooms,
-        rig=rigs.turtlebot_high,
+        mounts=sensor_mounts.turtlebot_high,
         settings=SceneSettings(seed=4),
-        extrinsics="all",
+        published_mounts="all",
     ),
-    Scene(
+    SimulatedScene(
         name="turtlebot_low",
         description="Two rooms with a door; a camera at 0.25 m under a LiDAR at 0.31 m",
         world=worlds.two_rooms,
-        rig=rigs.turtlebot_low,
+        mounts=sensor_mounts.turtlebot_low,
         settings=SceneSettings(seed=5),
-        extrinsics="all",
+        published_mounts="all",
     ),
-    Scene(
+    SimulatedScene(
         name="robot_at_home",
         description="A living room seen by four cameras in portrait; the LiDAR's mount unknown",
         world=worlds.furnished_room,
-        rig=rigs.robot_at_home,
+        mounts=sensor_mounts.robot_at_home,
         settings=SceneSettings(seed=6, camera_rate_hz=10.72),
-        extrinsics="cameras",
+        published_mounts="cameras",
     ),
-    Scene(
+    SimulatedScene(
         name="clock_offset",
         description="A living room; the camera's stamps are 40 ms late; /tf_static gives the mount",
         world=worlds.furnished_room,
-        rig=rigs.home_robot,
+        mounts=sensor_mounts.home_robot,
         settings=SceneSettings(seed=7),
-        extrinsics="all",
+        published_mounts="all",
         clock_offset_ms=40.0,
     ),
-    Scene(
+    SimulatedScene(
         name="moving_person",
         description="A living room in which a person walks to and fro; /tf_static gives the mount",
         world=worlds.room_with_person,
-        rig=rigs.home_robot,
+        mounts=sensor_mounts.home_robot,
         settings=SceneSettings(seed=4),
-        extrinsics="all",
+        published_mounts="all",
     ),
-    Scene(
+    SimulatedScene(
         name="arena",
         description="The site of Li 2022, 5.6 m x 3.18 m: objects that one sensor alone sees",
         world=arena.arena,
-        rig=rigs.turtlebot2,
+        mounts=sensor_mounts.turtlebot2,
         settings=SceneSettings(duration_s=75.0, camera_rate_hz=7.0),
-        extrinsics="all",
+        published_mounts="all",
         start=0.0,
         weave_m=0.05,
         lidar_noise=RPLIDAR_A1,
         depth_noise=ASTRA_PRO,
         odometry_noise=TURTLEBOT_ODOMETRY,
     ),
-    Scene(
+    SimulatedScene(
         name="two_room_loop",
         description="Three rounds through two rooms with two doors; the odometry drifts",
         world=buildings.two_room_loop,
-        rig=rigs.turtlebot2_short,
+        mounts=sensor_mounts.turtlebot2_short,
         settings=SceneSettings(seed=3, duration_s=150.0, camera_rate_hz=4.0, image_scale=0.5),
-        extrinsics="all",
+        published_mounts="all",
         speed_m_s=0.5,
         start=0.0,
         weave_m=0.04,
@@ -176,13 +176,13 @@ _SCENES = (
         depth_noise=ASTRA_PRO,
         odometry_noise=WORN_ODOMETRY,
     ),
-    Scene(
+    SimulatedScene(
         name="floor",
         description="A corridor and six rooms, visited one by one; the odometry drifts",
         world=buildings.whole_floor,
-        rig=rigs.turtlebot2,
+        mounts=sensor_mounts.turtlebot2,
         settings=SceneSettings(seed=3, duration_s=200.0, camera_rate_hz=3.0, image_scale=0.5),
-        extrinsics="all",
+        published_mounts="all",
         speed_m_s=0.6,
         start=0.0,
         weave_m=0.04,
@@ -194,12 +194,12 @@ _SCENES = (
 )
 
 
-def list_scenes() -> tuple[Scene, ...]:
+def list_scenes() -> tuple[SimulatedScene, ...]:
     """Every scene, in the order of the documentation."""
     return _SCENES
 
 
-def find_scene(name: str) -> Scene:
+def find_scene(name: str) -> SimulatedScene:
     """The scene of that name. Raises SettingsError where there is none."""
     for scene in _SCENES:
         if scene.name == name:
@@ -224,15 +224,15 @@ def write_scene(
     """
     scene = find_scene(name)
     own = scene.settings if settings is None else settings
-    record(take_of(scene, own, FaultSettings() if faults is None else faults), path, progress)
+    record_run(plan_run(scene, own, FaultSettings() if faults is None else faults), path, progress)
 
 
-def take_of(scene: Scene, settings: SceneSettings, faults: FaultSettings) -> Take:
-    """What decides the recording of a scene."""
+def plan_run(scene: SimulatedScene, settings: SceneSettings, faults: FaultSettings) -> SimulatedRun:
+    """Everything that determines the recording of a scene."""
     world = scene.world(settings.seed)
     start = scene.start
     if start is None:
-        start = float(generator(settings.seed, Stream.PATH).random())
+        start = float(make_generator(settings.seed, RandomStream.PATH).random())
     path = WeavingPath(
         world.route_m,
         speed_m_s=scene.speed_m_s,
@@ -240,22 +240,22 @@ def take_of(scene: Scene, settings: SceneSettings, faults: FaultSettings) -> Tak
         weave_m=scene.weave_m,
         wavelength_m=scene.wavelength_m,
     )
-    drive: Drive = path
+    drive: RobotPath = path
     if faults.kidnap_at_s is not None:
         drive = KidnappedPath(path, at_s=faults.kidnap_at_s, ahead_m=faults.kidnap_ahead_m)
-    setup = Setup(
+    simulation = SimulationSetup(
         world=world,
-        rig=scene.rig().scaled(settings.image_scale),
+        mounts=scene.mounts().scaled(settings.image_scale),
         path=drive,
         seed=settings.seed,
         lidar_noise=scene.lidar_noise,
         depth_noise=scene.depth_noise,
     )
-    return Take(
-        setup=setup,
+    return SimulatedRun(
+        simulation=simulation,
         duration_s=settings.duration_s,
         camera_rate_hz=settings.camera_rate_hz,
-        extrinsics=scene.extrinsics,
+        published_mounts=scene.published_mounts,
         clock_offset_ms=scene.clock_offset_ms,
         odometry_noise=scene.odometry_noise,
         faults=faults,

@@ -1,7 +1,7 @@
 """Solid shapes as triangles with materials: what worlds are made of.
 
-A piece of surface is a ``Mesh``; the functions below build one from a few measures. The world's
-frame has x and y in the floor and z up, in metres.
+The functions below build a ``Mesh`` from a few measures. The world frame has x and y in the floor
+and z up, in metres.
 """
 
 from collections.abc import Sequence
@@ -56,7 +56,7 @@ class Opening:
 
 @dataclass(frozen=True, slots=True)
 class Prism:
-    """What an upright convex solid takes of the floor: (K, 2) corners, anticlockwise, and of z."""
+    """An upright convex prism: its (K, 2) corners on the floor, anticlockwise, and its z range."""
 
     corners_m: FloatArray
     heights_m: tuple[float, float]
@@ -66,19 +66,19 @@ class Prism:
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
-    """A thing of one name: its surface, and the solids that it consists of."""
+class SolidObject:
+    """A named object: its surface, and the convex prisms that it consists of."""
 
     name: str
     mesh: Mesh
     prisms: tuple[Prism, ...]
 
-    def named(self, name: str) -> "Piece":
-        """The same thing under another name."""
-        return Piece(name, self.mesh, self.prisms)
+    def renamed(self, name: str) -> "SolidObject":
+        """The same object under another name."""
+        return SolidObject(name, self.mesh, self.prisms)
 
-    def turned(self, yaw_rad: float) -> "Piece":
-        """The same thing, turned anticlockwise about the middle of its footprint's bounds."""
+    def rotated(self, yaw_rad: float) -> "SolidObject":
+        """The same object, rotated anticlockwise about the middle of its footprint's bounds."""
         corners = np.concatenate([prism.corners_m for prism in self.prisms])
         middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
         c, s = np.cos(yaw_rad), np.sin(yaw_rad)
@@ -91,20 +91,20 @@ class Piece:
         surface = self.mesh.corners_m.copy()
         surface[..., :2] = turn(surface[..., :2])
         prisms = tuple(Prism(turn(prism.corners_m), prism.heights_m) for prism in self.prisms)
-        return Piece(self.name, Mesh(surface, self.mesh.materials), prisms)
+        return SolidObject(self.name, Mesh(surface, self.mesh.materials), prisms)
 
 
-Block = tuple[Sequence[float], Sequence[float], Material]
+BoxSpec = tuple[Sequence[float], Sequence[float], Material]
 """Lowest corner, highest corner and material of a box along the axes."""
 
 
-def piece(name: str, blocks: Sequence[Block]) -> Piece:
-    """A thing made of boxes along the axes."""
+def make_object(name: str, blocks: Sequence[BoxSpec]) -> SolidObject:
+    """An object made of axis-aligned boxes."""
     prisms = tuple(
         Prism(rectangle((lower[0], lower[1], upper[0], upper[1])), (lower[2], upper[2]))
         for lower, upper, _ in blocks
     )
-    return Piece(name, join([box(*block) for block in blocks]), prisms)
+    return SolidObject(name, join_meshes([box(*block) for block in blocks]), prisms)
 
 
 def rectangle(footprint: tuple[float, float, float, float]) -> FloatArray:
@@ -113,7 +113,7 @@ def rectangle(footprint: tuple[float, float, float, float]) -> FloatArray:
     return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], dtype=np.float64)
 
 
-def join(meshes: Sequence[Mesh]) -> Mesh:
+def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
     """All triangles of several meshes, in order."""
     return Mesh(
         np.concatenate([mesh.corners_m for mesh in meshes]),
@@ -138,7 +138,7 @@ def box(lower_m: Sequence[float], upper_m: Sequence[float], material: Material) 
     x0, y0, z0 = lower_m
     x1, y1, z1 = upper_m
     along_x, along_y, along_z = (x1 - x0, 0, 0), (0, y1 - y0, 0), (0, 0, z1 - z0)
-    return join(
+    return join_meshes(
         [
             quad((x0, y0, z0), along_x, along_y, material),
             quad((x0, y0, z1), along_x, along_y, material),
@@ -187,7 +187,7 @@ def wall(
     length = float(np.linalg.norm(end - start))
     direction = (end - start) / length
 
-    def piece(s0: float, s1: float, z0: float, z1: float, material: Material) -> list[Mesh]:
+    def panel(s0: float, s1: float, z0: float, z1: float, material: Material) -> list[Mesh]:
         if s1 - s0 <= 0.0 or z1 - z0 <= 0.0:
             return []
         corner, along = start + direction * s0, direction * (s1 - s0)
@@ -195,14 +195,14 @@ def wall(
             quad((corner[0], corner[1], z0), (along[0], along[1], 0), (0, 0, z1 - z0), material)
         ]
 
-    pieces: list[Mesh] = []
+    panels: list[Mesh] = []
     done = 0.0
     for opening in openings:
         s0, s1 = opening.start_m, opening.end_m
-        pieces += piece(done, s0, 0.0, height_m, Material.WALL)
-        pieces += piece(s0, s1, 0.0, opening.bottom_m, Material.WALL)
-        pieces += piece(s0, s1, opening.top_m, height_m, Material.WALL)
+        panels += panel(done, s0, 0.0, height_m, Material.WALL)
+        panels += panel(s0, s1, 0.0, opening.bottom_m, Material.WALL)
+        panels += panel(s0, s1, opening.top_m, height_m, Material.WALL)
         if opening.glazed:
-            pieces += piece(s0, s1, opening.bottom_m, opening.top_m, Material.GLASS)
+            panels += panel(s0, s1, opening.bottom_m, opening.top_m, Material.GLASS)
         done = s1
-    return join([*pieces, *piece(done, length, 0.0, height_m, Material.WALL)])
+    return join_meshes([*panels, *panel(done, length, 0.0, height_m, Material.WALL)])

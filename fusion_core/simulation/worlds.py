@@ -10,12 +10,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, read_only
-from fusion_core.model.world_outline import MeasuredAngle, MeasuredLine
+from fusion_core.model.world_outline import MeasuredAngle, MeasuredLine, ObstacleOutline
 from fusion_core.simulation import furniture
 from fusion_core.simulation.floor_plan import FloorPlan
-from fusion_core.simulation.randomness import Stream, generator
-from fusion_core.simulation.solids import Material, Mesh, Opening, box, column, join, quad, wall
-from fusion_core.simulation.standing import Standing, outer_walls, standing_outlines
+from fusion_core.simulation.obstacle_outlines import obstacle_outlines, outer_wall_edges
+from fusion_core.simulation.random_streams import RandomStream, make_generator
+from fusion_core.simulation.solids import (
+    Material,
+    Mesh,
+    Opening,
+    box,
+    column,
+    join_meshes,
+    quad,
+    wall,
+)
 
 CEILING_M = 2.6
 _YARD_M = 3.0
@@ -44,7 +53,7 @@ class Walker:
             x, y = place + offset
             return column((float(x), float(y)), radii, z, yaw, Material.CLOTHES)
 
-        return join(
+        return join_meshes(
             [
                 part(0.1 * left + stride * forward, (0.07, 0.07), (0.0, 0.85)),
                 part(-0.1 * left - stride * forward, (0.07, 0.07), (0.0, 0.85)),
@@ -56,7 +65,7 @@ class Walker:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class World:
-    """A place that stands still, the people who move in it, and a route that is free of both.
+    """A static place, the people who move in it, and a route that is free of both.
 
     ``blocks_m``: (B, 4) footprints x0, y0, x1, y1 of the furniture and inner walls.
     ``route_m``: (W, 2) waypoints of a closed curve on which a robot touches nothing.
@@ -69,7 +78,7 @@ class World:
     blocks_m: FloatArray
     route_m: FloatArray
     walkers: tuple[Walker, ...] = ()
-    obstacles: tuple[Standing, ...] = ()
+    obstacles: tuple[ObstacleOutline, ...] = ()
     lines: tuple[MeasuredLine, ...] = ()
     angles: tuple[MeasuredAngle, ...] = ()
     fine_texture: bool = False
@@ -91,7 +100,7 @@ def room_with_person(seed: int) -> World:
 
 def open_corridor(seed: int) -> World:
     """A corridor of 14 m with open doorways, a glass door at one end and a few lockers."""
-    rng = generator(seed, Stream.WORLD)
+    rng = make_generator(seed, RandomStream.WORLD)
     size = (14.0, 2.4)
     route = np.array([[2.5, 1.2], [3.5, 0.95], [7.0, 0.95], [10.5, 0.95], [11.5, 1.2]])
     route = np.concatenate([route, np.array([[10.5, 1.45], [7.0, 1.45], [3.5, 1.45]])])
@@ -105,13 +114,13 @@ def open_corridor(seed: int) -> World:
     plan = FloorPlan(rng, size, route, clearance_m=0.32)
     plan.keep_open(openings)
     for material in (Material.WOOD, Material.DARK, Material.WOOD, Material.DARK):
-        plan.against_wall((0.6, 1.2), (0.22, 0.3), furniture.cabinet((0.9, 1.9), material))
-    return finished(plan, openings)
+        plan.place_against_wall((0.6, 1.2), (0.22, 0.3), furniture.cabinet((0.9, 1.9), material))
+    return build_world(plan, openings)
 
 
 def bedroom(seed: int) -> World:
     """A small cluttered bedroom: bed, dark wardrobe, desk, chairs, boxes on the floor."""
-    rng = generator(seed, Stream.WORLD)
+    rng = make_generator(seed, RandomStream.WORLD)
     size = (4.8, 4.4)
     route = _oval((3.1, 2.2), (0.4, 0.85))
     openings = ((), (), (Opening(0.6, 2.0, 0.9, 2.1, glazed=True),), ())
@@ -119,19 +128,19 @@ def bedroom(seed: int) -> World:
     plan.place((0.0, 1.4, 2.0, 2.9), furniture.cabinet((0.48, 0.55), Material.FABRIC))
     plan.place((0.0, 0.95, 0.4, 1.35), furniture.low_box)
     plan.place((0.0, 2.95, 0.4, 3.35), furniture.low_box)
-    plan.against_wall((1.4, 1.8), (0.5, 0.6), furniture.cabinet((2.0, 2.2), Material.DARK))
-    plan.against_wall((1.0, 1.2), (0.5, 0.6), furniture.table)
-    plan.against_wall((0.7, 0.9), (0.35, 0.45), furniture.cabinet((0.8, 1.2), Material.WOOD))
+    plan.place_against_wall((1.4, 1.8), (0.5, 0.6), furniture.cabinet((2.0, 2.2), Material.DARK))
+    plan.place_against_wall((1.0, 1.2), (0.5, 0.6), furniture.table)
+    plan.place_against_wall((0.7, 0.9), (0.35, 0.45), furniture.cabinet((0.8, 1.2), Material.WOOD))
     for _ in range(3):
-        plan.standing_free((0.4, 0.45), (0.4, 0.45), furniture.chair)
+        plan.place_freely((0.4, 0.45), (0.4, 0.45), furniture.chair)
     for _ in range(5):
-        plan.standing_free((0.25, 0.4), (0.25, 0.4), furniture.low_box)
-    return finished(plan, openings)
+        plan.place_freely((0.25, 0.4), (0.25, 0.4), furniture.low_box)
+    return build_world(plan, openings)
 
 
 def two_rooms(seed: int) -> World:
     """Two rooms with an open door between them, which the route passes both ways."""
-    rng = generator(seed, Stream.WORLD)
+    rng = make_generator(seed, RandomStream.WORLD)
     size = (8.4, 4.8)
     route = np.array([[1.6, 2.4], [2.4, 1.85], [4.2, 2.22], [6.0, 1.85], [6.8, 2.4]])
     route = np.concatenate([route, np.array([[6.0, 2.95], [4.2, 2.58], [2.4, 2.95]])])
@@ -147,11 +156,11 @@ def two_rooms(seed: int) -> World:
         plan.place((4.15, y0, 4.25, y1), furniture.inner_wall)
     plan.add_mesh(box((4.15, 1.7, 2.05), (4.25, 3.1, CEILING_M), Material.WALL))
     _furnish(plan)
-    return finished(plan, openings)
+    return build_world(plan, openings)
 
 
 def _living_room(seed: int, *, with_person: bool) -> World:
-    rng = generator(seed, Stream.WORLD)
+    rng = make_generator(seed, RandomStream.WORLD)
     size = (float(rng.uniform(6.2, 7.4)), float(rng.uniform(5.2, 6.0)))
     center = (size[0] / 2.0, size[1] / 2.0)
     route = _oval(center, (size[0] / 2.0 - 1.9, size[1] / 2.0 - 1.75))
@@ -171,23 +180,23 @@ def _living_room(seed: int, *, with_person: bool) -> World:
         plan.keep_free((0.6, y - 0.5, size[0] - 0.6, y + 0.5))
         walkers = (Walker(start_m=(1.0, y), end_m=(size[0] - 1.0, y)),)
     _furnish(plan)
-    return finished(plan, openings, walkers)
+    return build_world(plan, openings, walkers)
 
 
 def _furnish(plan: FloorPlan) -> None:
-    plan.standing_free((0.9, 1.1), (0.6, 0.7), furniture.table)
-    plan.standing_free((0.35, 0.45), (0.35, 0.45), furniture.low_box)
-    plan.standing_free((0.35, 0.45), (0.35, 0.45), furniture.low_box)
-    plan.against_wall((1.2, 1.6), (0.4, 0.5), furniture.cabinet((0.7, 1.0), Material.DARK))
-    plan.against_wall((1.6, 2.0), (0.75, 0.9), furniture.sofa)
-    plan.against_wall((0.8, 1.2), (0.35, 0.45), furniture.cabinet((1.6, 2.1), Material.WOOD))
-    plan.against_wall((0.9, 1.1), (0.55, 0.65), furniture.table)
-    plan.against_wall((0.6, 0.9), (0.35, 0.45), furniture.cabinet((1.0, 1.4), Material.DARK))
-    plan.against_wall((0.6, 1.2), (0.4, 0.6), furniture.cabinet((0.5, 0.8), Material.WOOD))
-    plan.standing_free((0.4, 0.45), (0.4, 0.45), furniture.chair)
+    plan.place_freely((0.9, 1.1), (0.6, 0.7), furniture.table)
+    plan.place_freely((0.35, 0.45), (0.35, 0.45), furniture.low_box)
+    plan.place_freely((0.35, 0.45), (0.35, 0.45), furniture.low_box)
+    plan.place_against_wall((1.2, 1.6), (0.4, 0.5), furniture.cabinet((0.7, 1.0), Material.DARK))
+    plan.place_against_wall((1.6, 2.0), (0.75, 0.9), furniture.sofa)
+    plan.place_against_wall((0.8, 1.2), (0.35, 0.45), furniture.cabinet((1.6, 2.1), Material.WOOD))
+    plan.place_against_wall((0.9, 1.1), (0.55, 0.65), furniture.table)
+    plan.place_against_wall((0.6, 0.9), (0.35, 0.45), furniture.cabinet((1.0, 1.4), Material.DARK))
+    plan.place_against_wall((0.6, 1.2), (0.4, 0.6), furniture.cabinet((0.5, 0.8), Material.WOOD))
+    plan.place_freely((0.4, 0.45), (0.4, 0.45), furniture.chair)
 
 
-def finished(
+def build_world(
     plan: FloorPlan,
     openings: tuple[tuple[Opening, ...], ...] = ((), (), (), ()),
     walkers: tuple[Walker, ...] = (),
@@ -197,18 +206,20 @@ def finished(
     fine_texture: bool = False,
 ) -> World:
     """The world of a plan, with its shell and the outlines of what stands in it."""
-    obstacles = standing_outlines(
-        outer_walls(plan.size_m, openings, CEILING_M), plan.pieces, plan.size_m
+    obstacles = obstacle_outlines(
+        outer_wall_edges(plan.size_m, openings, CEILING_M), plan.objects, plan.size_m
     )
     # What lies behind glass is out of the robot's way.
     if any(not opening.glazed for side in openings for opening in side):
         fence_m = np.array([*_yard(plan.size_m), _yard(plan.size_m)[0]])
-        fence = Standing(name="yard", heights_m=(0.0, CEILING_M), outline_m=fence_m)
+        fence = ObstacleOutline(
+            name="yard", z_min_m=0.0, z_max_m=CEILING_M, outline_m=fence_m, seen_by={}
+        )
         obstacles = (*obstacles, fence)
     return World(
         size_m=plan.size_m,
-        mesh=join([_shell(plan.size_m, openings), *plan.meshes]),
-        blocks_m=np.array(plan.blocks, dtype=np.float64).reshape(-1, 4),
+        mesh=join_meshes([_shell(plan.size_m, openings), *plan.meshes]),
+        blocks_m=np.array(plan.footprints, dtype=np.float64).reshape(-1, 4),
         route_m=plan.route_m,
         walkers=walkers,
         obstacles=obstacles,
@@ -237,7 +248,7 @@ def _shell(size_m: tuple[float, float], openings: tuple[tuple[Opening, ...], ...
     ceiling = quad(
         (low, low, CEILING_M), (high_x - low, 0, 0), (0, high_y - low, 0), Material.CEILING
     )
-    return join([floor, ceiling, *walls, *fences])
+    return join_meshes([floor, ceiling, *walls, *fences])
 
 
 def _oval(center_m: tuple[float, float], radii_m: tuple[float, float]) -> FloatArray:

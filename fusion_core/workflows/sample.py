@@ -10,7 +10,13 @@ from fusion_core.model.progress import Progress
 from fusion_core.recordings.world_file import world_path
 from fusion_core.settings import StageSettings
 from fusion_core.simulation.faults import FaultSettings
-from fusion_core.simulation.scenes import Scene, SceneSettings, find_scene, list_scenes, write_scene
+from fusion_core.simulation.scenes import (
+    SceneSettings,
+    SimulatedScene,
+    find_scene,
+    list_scenes,
+    write_scene,
+)
 from fusion_core.simulation.truth import truth_path
 
 
@@ -62,7 +68,7 @@ def write(
 
 
 def _settings(
-    scene: Scene, settings_file: Path | None, seed: int | None
+    scene: SimulatedScene, settings_file: Path | None, seed: int | None
 ) -> tuple[SceneSettings, FaultSettings]:
     settings, faults = scene.settings, FaultSettings()
     if settings_file is not None:

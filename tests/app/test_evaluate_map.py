@@ -26,7 +26,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_scene("arena", made / "arena.mcap", settings=SceneSettings(**(settings | short)))
     world = read_world(made / "arena.world.json")
     seen = [
-        obstacle.samples_m()[obstacle.seen("lidar") | obstacle.seen("camera")]
+        obstacle.samples_m()[obstacle.seen_samples("lidar") | obstacle.seen_samples("camera")]
         for obstacle in world.obstacles
     ]
     points = np.concatenate(seen)

@@ -7,7 +7,7 @@ from fusion_core.model.world_outline import (
     MeasuredLine,
     ObstacleOutline,
     WorldOutline,
-    runs_of,
+    find_runs,
 )
 
 WIDTH, DEPTH = 5.0, 3.0
@@ -25,7 +25,7 @@ def obstacle(name, points, seen=None):
         z_min_m=0.0,
         z_max_m=1.0,
         outline_m=outline_m,
-        seen_by={sensor: runs_of(own) for sensor, own in flags.items()},
+        seen_by={sensor: find_runs(own) for sensor, own in flags.items()},
     )
 
 

@@ -84,7 +84,7 @@ def test_the_shares_are_those_of_a_loop(polylines, occupied, resolution_m, seed)
         piece_m = own.length_m / len(samples)
         assert piece_m <= 0.01 + 1e-9
         for sample, lidar, camera in zip(
-            samples, own.seen("lidar"), own.seen("camera"), strict=True
+            samples, own.seen_samples("lidar"), own.seen_samples("camera"), strict=True
         ):
             near = any(np.hypot(*(cell - sample)) <= resolution_m + 0.02 for cell in cells)
             total_m += piece_m

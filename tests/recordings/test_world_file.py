@@ -45,8 +45,8 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     (box,) = read.obstacles
     assert (box.name, box.z_min_m, box.z_max_m) == ("box", 0.0, 0.4)
     np.testing.assert_array_equal(box.outline_m, SQUARE)
-    assert np.flatnonzero(~box.seen("lidar")).tolist() == list(range(10, 20))
-    assert not box.seen("camera").any()
+    assert np.flatnonzero(~box.seen_samples("lidar")).tolist() == list(range(10, 20))
+    assert not box.seen_samples("camera").any()
     assert read.lines[0].length_m == pytest.approx(1.0)
     assert np.degrees(read.angles[0].angle_rad) == pytest.approx(90.0)
     write_world(file, read)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from fusion_core.simulation.solids import Material, Mesh, join, quad, wall
+from fusion_core.simulation.solids import Material, Mesh, join_meshes, quad, wall
 from fusion_core.simulation.worlds import World
 
 WIDTH, DEPTH, HEIGHT = 6.0, 4.0, 2.5
@@ -34,7 +34,7 @@ class PlainRoom:
         ceiling = quad((0, 0, HEIGHT), along_x, along_y, Material.CEILING)
         return World(
             size_m=self.size_m,
-            mesh=join([floor, ceiling, *walls, *extra]),
+            mesh=join_meshes([floor, ceiling, *walls, *extra]),
             blocks_m=np.zeros((0, 4)),
             route_m=np.array([[2.0, 2.0], [4.0, 2.0], [3.0, 2.5]]),
         )

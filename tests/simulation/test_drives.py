@@ -95,7 +95,10 @@ def test_a_closed_curve_passes_its_waypoints():
 
 def test_perfect_odometry_is_the_motion_from_the_start():
     perfect = OdometryNoise(
-        distance_scale=1.0, yaw_drift_rad_per_s=0.0, distance_sigma_share=0.0, yaw_sigma_share=0.0
+        distance_scale=1.0,
+        yaw_drift_rad_per_s=0.0,
+        relative_distance_sigma=0.0,
+        relative_yaw_sigma=0.0,
     )
     odometry = DriftingOdometry(perfect, np.random.default_rng(0))
     at = poses(worlds.bedroom(0), duration_s=5.0)

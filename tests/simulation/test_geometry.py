@@ -5,33 +5,35 @@ import pytest
 
 from fusion_core.model.conventions import R_BODY_OPTICAL
 from fusion_core.model.geometry import make_transform, transform_from_planar, transform_points
-from fusion_core.simulation import rigs, worlds
+from fusion_core.simulation import sensor_mounts, worlds
 from fusion_core.simulation.depth_camera import DepthNoise, pixel_rays
-from fusion_core.simulation.observer import Observer, Setup
 from fusion_core.simulation.ray_casting import RayCaster
+from fusion_core.simulation.sensor_simulator import SensorSimulator, SimulationSetup
 from fusion_core.simulation.solids import Material, box, quad
 
 
-def observer(world, rig, path, **changes):
-    return Observer(Setup(world=world, rig=rig, path=path, seed=1, **changes))
+def simulator(world, mounts, path, **changes):
+    return SensorSimulator(
+        SimulationSetup(world=world, mounts=mounts, path=path, seed=1, **changes)
+    )
 
 
 @pytest.mark.parametrize("pose", [(3.0, 2.0, 0.0), (1.2, 3.1, 2.2), (5.5, 0.4, -1.0)])
 def test_ranges_in_a_rectangular_room(plain_room, standing, pose):
     x, y, yaw = pose
-    rig = rigs.home_robot()
-    sweep = observer(plain_room(), rig, standing(x, y, yaw)).sweep(0.0, 0)
+    mounts = sensor_mounts.home_robot()
+    sweep = simulator(plain_room(), mounts, standing(x, y, yaw)).simulate_sweep(0.0, 0)
     azimuth = yaw + (np.arange(682) - 340.5) * 2 * np.pi / 1024
     np.testing.assert_allclose(sweep.true_m, plain_room.range_m(x, y, azimuth), atol=1e-12)
 
 
-@pytest.mark.parametrize("make_rig", [rigs.home_robot, rigs.robot_at_home])
-def test_back_projected_pixels_lie_on_the_room(plain_room, standing, make_rig):
-    rig = make_rig()
+@pytest.mark.parametrize("make_mounts", [sensor_mounts.home_robot, sensor_mounts.robot_at_home])
+def test_back_projected_pixels_lie_on_the_room(plain_room, standing, make_mounts):
+    mounts = make_mounts()
     pose = (2.5, 1.7, 0.4)
-    watching = observer(plain_room(), rig, standing(*pose))
-    for number, camera in enumerate(rig.cameras):
-        true_m = watching.image(number, 0.0, 0).true_m
+    watching = simulator(plain_room(), mounts, standing(*pose))
+    for number, camera in enumerate(mounts.cameras):
+        true_m = watching.simulate_image(number, 0.0, 0).true_m
         points = pixel_rays(camera.intrinsics) * true_m.reshape(-1, 1)
         x, y, z = transform_points(
             transform_from_planar(np.array(pose)) @ camera.T_base_optical, points
@@ -67,55 +69,59 @@ def test_rays_agree_with_a_loop_over_all_triangles():
 
 def test_only_the_lidar_meets_a_low_box(plain_room, standing):
     low_box = box((2.6, 1.8, 0.0), (3.0, 2.2, 0.36), Material.WOOD)
-    rig, path = rigs.home_robot(), standing(2.0, 2.0, 0.0)
-    with_box, without = (observer(plain_room(extra), rig, path) for extra in ([low_box], []))
+    mounts, path = sensor_mounts.home_robot(), standing(2.0, 2.0, 0.0)
+    with_box, without = (simulator(plain_room(extra), mounts, path) for extra in ([low_box], []))
     ahead = slice(335, 346)
-    np.testing.assert_allclose(with_box.sweep(0.0, 0).true_m[ahead], 0.6, atol=1e-3)
-    np.testing.assert_array_equal(with_box.image(0, 0.0, 0).true_m, without.image(0, 0.0, 0).true_m)
+    np.testing.assert_allclose(with_box.simulate_sweep(0.0, 0).true_m[ahead], 0.6, atol=1e-3)
+    np.testing.assert_array_equal(
+        with_box.simulate_image(0, 0.0, 0).true_m, without.simulate_image(0, 0.0, 0).true_m
+    )
 
 
 def test_only_the_camera_meets_a_table_top(plain_room, standing):
     top = box((3.2, 1.5, 0.7), (4.2, 2.5, 0.74), Material.WOOD)
-    rig, path = rigs.home_robot(), standing(2.0, 2.0, 0.0)
-    with_top, without = (observer(plain_room(extra), rig, path) for extra in ([top], []))
-    np.testing.assert_array_equal(with_top.sweep(0.0, 0).true_m, without.sweep(0.0, 0).true_m)
-    differs = with_top.image(0, 0.0, 0).true_m < without.image(0, 0.0, 0).true_m
+    mounts, path = sensor_mounts.home_robot(), standing(2.0, 2.0, 0.0)
+    with_top, without = (simulator(plain_room(extra), mounts, path) for extra in ([top], []))
+    np.testing.assert_array_equal(
+        with_top.simulate_sweep(0.0, 0).true_m, without.simulate_sweep(0.0, 0).true_m
+    )
+    differs = with_top.simulate_image(0, 0.0, 0).true_m < without.simulate_image(0, 0.0, 0).true_m
     assert differs.mean() > 0.02
 
 
 def test_the_pane_is_the_truth_of_glass(plain_room, standing):
     pane = quad((4.0, 0.0, 0.0), (0, 4.0, 0), (0, 0, 2.5), Material.GLASS)
-    watching = observer(plain_room([pane]), rigs.home_robot(), standing(2.0, 2.0, 0.0))
-    sweep = watching.sweep(0.0, 0)
+    watching = simulator(plain_room([pane]), sensor_mounts.home_robot(), standing(2.0, 2.0, 0.0))
+    sweep = watching.simulate_sweep(0.0, 0)
     assert sweep.true_m[340] == pytest.approx(2.0, abs=1e-4)
     seen_through = (sweep.kinds == 2) & (sweep.ranges_m > 3.9)
     assert seen_through.sum() > 5
-    assert np.isnan(watching.image(0, 0.0, 0).depth_m).all()
+    assert np.isnan(watching.simulate_image(0, 0.0, 0).depth_m).all()
 
 
 def test_the_projector_casts_a_shadow_to_the_left_of_a_near_object(plain_room, standing):
     post = box((3.05, 1.7, 0.0), (3.06, 2.3, 2.5), Material.WOOD)
-    rig = rigs.turtlebot_low()
-    camera = rig.cameras[0]
+    mounts = sensor_mounts.turtlebot_low()
+    camera = mounts.cameras[0]
     # Looking straight along x, so that both depths are constant.
-    straight = rigs.Rig(
-        lidar=rig.lidar,
+    straight = sensor_mounts.SensorMounts(
+        lidar=mounts.lidar,
         cameras=(
-            rigs.CameraMount(
+            sensor_mounts.CameraMount(
                 namespace=camera.namespace,
                 frame_id=camera.frame_id,
                 intrinsics=camera.intrinsics,
-                T_base_optical=rigs.home_robot().lidar.T_base_lidar @ _optical(),
+                T_base_optical=sensor_mounts.home_robot().lidar.T_base_lidar @ _optical(),
             ),
         ),
         camera_yaw_rad=0.0,
         T_base_rig=np.eye(4),
     )
     quiet = DepthNoise(
-        edge_lost_share=0.0, edge_mixed_share=0.0, speckles=0.0, patches=0.0, grazing_rad=1.57
+        edge_lost_fraction=0.0, edge_mixed_fraction=0.0, speckles=0.0, patches=0.0, grazing_rad=1.57
     )
-    watching = observer(plain_room([post]), straight, standing(2.0, 2.0, 0.0), depth_noise=quiet)
-    image = watching.image(0, 0.0, 0)
+    watching = simulator(plain_room([post]), straight, standing(2.0, 2.0, 0.0), depth_noise=quiet)
+    image = watching.simulate_image(0, 0.0, 0)
     row = image.kinds[100]
     dark = np.flatnonzero(row == 1)
     width = camera.intrinsics.fx * 0.075 * (1 / 1.05 - 1 / 4.0)
@@ -129,8 +135,8 @@ def _optical():
 
 
 def test_portrait_cameras_are_rolled_and_ordered_from_left_to_right():
-    rig = rigs.robot_at_home()
-    in_lidar = rig.T_lidar_camera()
+    mounts = sensor_mounts.robot_at_home()
+    in_lidar = mounts.T_lidar_camera()
     yaw = np.degrees(np.arctan2(in_lidar[:, 1, 2], in_lidar[:, 0, 2]))
     np.testing.assert_allclose(yaw, [47.5, 2.5, -42.5, -87.5])
     for T in in_lidar:
@@ -141,7 +147,7 @@ def test_portrait_cameras_are_rolled_and_ordered_from_left_to_right():
 
 
 def test_scaling_an_image_keeps_its_rays():
-    camera = rigs.home_robot().cameras[0]
+    camera = sensor_mounts.home_robot().cameras[0]
     full = pixel_rays(camera.intrinsics).reshape(240, 320, 3)
     half = pixel_rays(camera.scaled(0.5).intrinsics).reshape(120, 160, 3)
     blocks = full.reshape(120, 2, 160, 2, 3).mean(axis=(1, 3))
@@ -159,8 +165,8 @@ def test_a_sweep_with_skew_follows_the_robot(plain_room):
         def pose(self, time_s):
             return np.array([2.0 + 0.5 * time_s, 2.0, 0.3 * time_s])
 
-    rig = rigs.home_robot()
-    sweep = observer(plain_room(), rig, Driving(), lidar_skew=True).sweep(1.0, 0)
+    mounts = sensor_mounts.home_robot()
+    sweep = simulator(plain_room(), mounts, Driving(), lidar_skew=True).simulate_sweep(1.0, 0)
     times = 1.0 + np.arange(682) * 0.1 / 1024
     azimuth = 0.3 * times + (np.arange(682) - 340.5) * 2 * np.pi / 1024
     expected = [

@@ -112,19 +112,19 @@ def test_kinds_of_pixels_follow_from_their_values(seed):
 
 def test_without_faults_every_sample_is_good():
     calm = LidarNoise(
-        glass_through_share=0.0, edge_mixed_share=0.0, spurious_share=0.0, lost_runs=0.0
+        glass_through_fraction=0.0, edge_mixed_fraction=0.0, spurious_fraction=0.0, lost_runs=0.0
     )
     true_m = np.repeat([1.0, 3.0], 300)
     sweep = lidar.add_noise(lidar_view(true_m), calm, LIMITS, np.random.default_rng(0))
     assert (sweep.kinds == NoiseClass.GOOD).all()
-    still = DepthNoise(edge_lost_share=0.0, edge_mixed_share=0.0, speckles=0.0, patches=0.0)
+    still = DepthNoise(edge_lost_fraction=0.0, edge_mixed_fraction=0.0, speckles=0.0, patches=0.0)
     truth = np.full((60, 80), 2.0)
     image = depth_camera.add_noise(depth_view(truth), still, np.random.default_rng(0))
     assert (image.kinds == NoiseClass.GOOD).all()
 
 
 def test_mixed_beams_lie_between_their_surfaces():
-    noise = LidarNoise(spurious_share=0.0, lost_runs=0.0)
+    noise = LidarNoise(spurious_fraction=0.0, lost_runs=0.0)
     true_m = np.tile(np.repeat([1.0, 3.0], 10), 200)
     sweep = lidar.add_noise(lidar_view(true_m), noise, LIMITS, np.random.default_rng(4))
     burr = sweep.kinds == NoiseClass.BURR
@@ -136,7 +136,7 @@ def test_mixed_beams_lie_between_their_surfaces():
 
 def test_glass_answers_only_head_on():
     count = 4000
-    quiet = LidarNoise(spurious_share=0.0, lost_runs=0.0)
+    quiet = LidarNoise(spurious_fraction=0.0, lost_runs=0.0)
     view = lidar_view(
         np.full(count, 2.0),
         glass=np.ones(count, dtype=bool),
@@ -150,17 +150,17 @@ def test_glass_answers_only_head_on():
     assert (oblique == NoiseClass.BURR).mean() == pytest.approx(0.15, abs=0.03)
 
 
-@pytest.mark.parametrize(("true_m", "share"), [(1.0, 0.37), (4.0, 0.73)])
-def test_dark_surfaces_lose_beams_with_their_range(true_m, share):
+@pytest.mark.parametrize(("true_m", "fraction"), [(1.0, 0.37), (4.0, 0.73)])
+def test_dark_surfaces_lose_beams_with_their_range(true_m, fraction):
     quiet = LidarNoise(lost_runs=0.0)
     view = lidar_view(np.full(20_000, true_m), dark=np.ones(20_000, dtype=bool))
     kinds = lidar.add_noise(view, quiet, LIMITS, np.random.default_rng(6)).kinds
-    assert (kinds == NoiseClass.HOLE).mean() == pytest.approx(share, abs=0.02)
+    assert (kinds == NoiseClass.HOLE).mean() == pytest.approx(fraction, abs=0.02)
 
 
 def test_a_plane_has_no_edges():
     azimuth = np.linspace(-1.2, 1.2, 400)
-    beside, _ = lidar._edges(0.6 / np.cos(azimuth), LidarNoise().edge_jump)
+    beside, _ = lidar._edges(0.6 / np.cos(azimuth), LidarNoise().edge_jump_per_m)
     assert not beside.any()
     u, v = np.meshgrid(np.linspace(-0.5, 0.5, 320), np.linspace(-0.4, 0.4, 240))
     beside, _ = depth_camera._edges(0.4 + 0.9 * u - 0.2 * v, DepthNoise().edge_jump_per_m)

@@ -88,14 +88,14 @@ def test_topics_and_counts(recorded, scene):
     counts = Counter(topic for _, topic, _ in read(recorded / f"{scene.name}.mcap"))
     cameras = [f"/camera_{n}" for n in (1, 2, 3, 4)]
     images = round(0.4 * scene.settings.camera_rate_hz)
-    scans = round(0.4 * scene.rig().lidar.rate_hz)
+    scans = round(0.4 * scene.mounts().lidar.rate_hz)
     expected = {"/scan": scans, "/odom": 8, "/ground_truth": 8}
     for camera in cameras if scene.name == "robot_at_home" else ["/camera"]:
         for topic in ("depth/image_raw", "color/image_raw", "depth/camera_info"):
             expected[f"{camera}/{topic}"] = images
-    if scene.extrinsics == "all":
+    if scene.published_mounts == "all":
         expected["/tf"] = 8
-    if scene.extrinsics != "none":
+    if scene.published_mounts != "none":
         expected["/tf_static"] = 1
     assert counts == expected
 

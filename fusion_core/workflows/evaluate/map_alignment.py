@@ -92,7 +92,7 @@ class _Target:
                 along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
                 kept = np.ones(len(samples_m), dtype=np.bool_)
                 if visible_alone:
-                    kept = obstacle.seen("lidar") | obstacle.seen("camera")
+                    kept = obstacle.seen_samples("lidar") | obstacle.seen_samples("camera")
                 points.append(samples_m[kept])
                 normals.append(np.stack([-along[:, 1], along[:, 0]], axis=1)[kept])
             if any(map(len, points)):

@@ -6,10 +6,10 @@ import pytest
 from fusion_core.model.errors import RegistrationFailed
 from fusion_core.model.planar_poses import transform_planar_points
 from fusion_core.model.world_outline import WorldOutline
-from fusion_core.simulation import arena, rigs
-from fusion_core.simulation.observer import Setup
+from fusion_core.simulation import arena, sensor_mounts
 from fusion_core.simulation.paths import WeavingPath
-from fusion_core.simulation.sightings import Sightings
+from fusion_core.simulation.sensor_simulator import SimulationSetup
+from fusion_core.simulation.visibility import VisibilityTracker
 from fusion_core.workflows.evaluate.map_alignment import align_map
 
 RESOLUTION_M = 0.05
@@ -19,7 +19,9 @@ RESOLUTION_M = 0.05
 def world() -> WorldOutline:
     made = arena.arena(1)
     path = WeavingPath(made.route_m, speed_m_s=0.3, start=0.0)
-    return Sightings(Setup(world=made, rig=rigs.turtlebot2(), path=path, seed=1)).outline()
+    return VisibilityTracker(
+        SimulationSetup(world=made, mounts=sensor_mounts.turtlebot2(), path=path, seed=1)
+    ).outline()
 
 
 def drawn(world: WorldOutline, pose_map_world: np.ndarray, noise_m: float = 0.01) -> np.ndarray:

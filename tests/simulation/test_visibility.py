@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from fusion_core.model.geometry import transform_from_planar
-from fusion_core.simulation import rigs
-from fusion_core.simulation.observer import Setup
-from fusion_core.simulation.sightings import Sightings
-from fusion_core.simulation.solids import Material, box, piece
-from fusion_core.simulation.standing import outer_walls, standing_outlines
+from fusion_core.simulation import sensor_mounts
+from fusion_core.simulation.obstacle_outlines import obstacle_outlines, outer_wall_edges
+from fusion_core.simulation.sensor_simulator import SimulationSetup
+from fusion_core.simulation.solids import Material, box, make_object
+from fusion_core.simulation.visibility import VisibilityTracker
 from fusion_core.simulation.worlds import World
 
 SIZE = (6.0, 4.0)
@@ -17,23 +17,25 @@ POSE = np.array([1.5, 1.8, 0.3])
 
 def world_of(plain_room, pieces) -> World:
     room = plain_room([p.mesh for p in pieces])
-    walls = outer_walls(SIZE, ((),) * 4, 2.5)
+    walls = outer_wall_edges(SIZE, ((),) * 4, 2.5)
     return World(
         size_m=SIZE,
         mesh=room.mesh,
         blocks_m=room.blocks_m,
         route_m=room.route_m,
-        obstacles=standing_outlines(walls, pieces, SIZE),
+        obstacles=obstacle_outlines(walls, pieces, SIZE),
     )
 
 
 def thing(name, lower, upper, material=Material.WOOD):
-    return piece(name, [(lower, upper, material)])
+    return make_object(name, [(lower, upper, material)])
 
 
-def sightings(plain_room, standing, pieces, rig) -> Sightings:
+def tracker(plain_room, standing, pieces, mounts) -> VisibilityTracker:
     world = world_of(plain_room, pieces)
-    return Sightings(Setup(world=world, rig=rig, path=standing(*POSE), seed=1))
+    return VisibilityTracker(
+        SimulationSetup(world=world, mounts=mounts, path=standing(*POSE), seed=1)
+    )
 
 
 def hidden(eye, target, boxes) -> bool:
@@ -55,14 +57,14 @@ def hidden(eye, target, boxes) -> bool:
 def test_the_lidar_sees_what_no_box_hides(plain_room, standing):
     boxes = [(3.0, 1.0, 3.4, 1.6), (2.5, 2.6, 3.3, 3.0), (4.5, 2.0, 4.8, 2.9)]
     pieces = [thing(f"box {i}", (b[0], b[1], 0), (b[2], b[3], 0.5)) for i, b in enumerate(boxes)]
-    seen = sightings(plain_room, standing, pieces, rigs.turtlebot2())
-    seen.sweep(transform_from_planar(POSE), 0.0)
+    seen = tracker(plain_room, standing, pieces, sensor_mounts.turtlebot2())
+    seen.add_sweep(transform_from_planar(POSE), 0.0)
     differing = total = 0
     for obstacle in seen.outline().obstacles:
         expected = [not hidden(POSE[:2], sample, boxes) for sample in obstacle.samples_m()]
-        differing += (obstacle.seen("lidar") != np.array(expected)).sum()
+        differing += (obstacle.seen_samples("lidar") != np.array(expected)).sum()
         total += obstacle.sample_count
-        assert not obstacle.seen("camera").any()
+        assert not obstacle.seen_samples("camera").any()
     # At the edge of a shadow a centimetre may fall to either side.
     assert total > 2000
     assert differing <= 12
@@ -75,31 +77,36 @@ def test_each_sensor_has_its_heights(plain_room, standing):
         thing("bench", (3.4, 1.9, 0.4), (3.6, 2.2, 0.5)),
         thing("post", (3.4, 3.0, 0.0), (3.6, 3.1, 0.5)),
     ]
-    seen = sightings(plain_room, standing, pieces, rigs.turtlebot2())
-    seen.sweep(transform_from_planar(POSE), 0.0)
-    seen.image(0, transform_from_planar(POSE), 0.0)
-    shares = {
-        obstacle.name: (obstacle.seen("lidar").mean(), obstacle.seen("camera").mean())
+    seen = tracker(plain_room, standing, pieces, sensor_mounts.turtlebot2())
+    seen.add_sweep(transform_from_planar(POSE), 0.0)
+    seen.add_image(0, transform_from_planar(POSE), 0.0)
+    fractions = {
+        obstacle.name: (
+            obstacle.seen_samples("lidar").mean(),
+            obstacle.seen_samples("camera").mean(),
+        )
         for obstacle in seen.outline().obstacles
     }
     for name in ("low", "bench"):
-        assert shares[name][0] == 0.0
-        assert shares[name][1] > 0.2
-    assert min(shares["post"]) > 0.2
+        assert fractions[name][0] == 0.0
+        assert fractions[name][1] > 0.2
+    assert min(fractions["post"]) > 0.2
     # Behind the robot.
-    assert shares["west wall"][0] == 1.0
-    assert shares["west wall"][1] == 0.0
+    assert fractions["west wall"][0] == 1.0
+    assert fractions["west wall"][1] == 0.0
 
 
 def test_a_camera_sees_between_its_distances_and_borders(plain_room, standing):
-    rig = rigs.turtlebot2()
-    seen = sightings(plain_room, standing, [], rig)
-    seen.image(0, transform_from_planar(POSE), 0.0)
+    mounts = sensor_mounts.turtlebot2()
+    seen = tracker(plain_room, standing, [], mounts)
+    seen.add_image(0, transform_from_planar(POSE), 0.0)
     half = np.radians(29.2)
     checked = 0
     for obstacle in seen.outline().obstacles:
         bearing = np.arctan2(*(obstacle.samples_m() - POSE[:2] - 0.08).T[::-1])
-        for visible, sample in zip(obstacle.seen("camera"), obstacle.samples_m(), strict=True):
+        for visible, sample in zip(
+            obstacle.seen_samples("camera"), obstacle.samples_m(), strict=True
+        ):
             eye = POSE[:2] + 0.08 * np.array([np.cos(POSE[2]), np.sin(POSE[2])])
             off = np.arctan2(*(sample - eye)[::-1]) - POSE[2]
             off = abs((off + np.pi) % (2 * np.pi) - np.pi)
@@ -112,29 +119,31 @@ def test_a_camera_sees_between_its_distances_and_borders(plain_room, standing):
                 checked += 1
         assert bearing.size == obstacle.sample_count
     assert checked > 1500
-    near = sightings(plain_room, standing, [], rig)
-    near.image(0, transform_from_planar(np.array([5.6, 2.0, 0.0])), 0.0)
-    assert not any(o.seen("camera").any() for o in near.outline().obstacles)
+    near = tracker(plain_room, standing, [], mounts)
+    near.add_image(0, transform_from_planar(np.array([5.6, 2.0, 0.0])), 0.0)
+    assert not any(o.seen_samples("camera").any() for o in near.outline().obstacles)
 
 
 def test_a_pane_shows_to_the_lidar_head_on_alone(plain_room, standing):
     pane = thing("pane", (4.0, 0.5, 0.0), (4.01, 3.5, 1.0), Material.GLASS)
-    seen = sightings(plain_room, standing, [pane], rigs.turtlebot2())
+    seen = tracker(plain_room, standing, [pane], sensor_mounts.turtlebot2())
     for number in (0, 1):
-        seen.sweep(transform_from_planar(POSE), float(number))
-        seen.image(0, transform_from_planar(POSE), float(number))
+        seen.add_sweep(transform_from_planar(POSE), float(number))
+        seen.add_image(0, transform_from_planar(POSE), float(number))
     (glass,) = [o for o in seen.outline().obstacles if o.name == "pane"]
-    shown = glass.samples_m()[glass.seen("lidar")]
+    shown = glass.samples_m()[glass.seen_samples("lidar")]
     np.testing.assert_allclose(shown[:, 0], 4.0)
     reach = 2.5 * np.tan(0.14)
     assert shown[:, 1].min() == pytest.approx(POSE[1] - reach, abs=0.011)
     assert shown[:, 1].max() == pytest.approx(POSE[1] + reach, abs=0.011)
-    assert not glass.seen("camera").any()
+    assert not glass.seen_samples("camera").any()
 
 
 def test_a_low_world_of_no_outline_is_none(plain_room, standing):
     room = plain_room([box((1, 1, 1), (2, 2, 2), Material.WOOD)])
-    seen = Sightings(Setup(world=room, rig=rigs.turtlebot2(), path=standing(*POSE), seed=1))
-    seen.sweep(transform_from_planar(POSE), 0.0)
-    seen.image(0, transform_from_planar(POSE), 0.0)
+    seen = VisibilityTracker(
+        SimulationSetup(world=room, mounts=sensor_mounts.turtlebot2(), path=standing(*POSE), seed=1)
+    )
+    seen.add_sweep(transform_from_planar(POSE), 0.0)
+    seen.add_image(0, transform_from_planar(POSE), 0.0)
     assert seen.outline().obstacles == ()

@@ -1,4 +1,4 @@
-"""The mounts: where LiDAR and cameras stand on the robot, and what they are."""
+"""Sensor mounts: poses of LiDAR and cameras on the robot, and their models."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ from fusion_core.model.sensors import CameraIntrinsics
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LidarMount:
-    """A 2D LiDAR on the robot. Its sweep turns with the rate, of which the beams see a part."""
+    """A 2D LiDAR on the robot. Its mirror turns at ``rate_hz``; the beams cover part of a turn."""
 
     T_base_lidar: FloatArray
     beams: int = 682
@@ -75,11 +75,11 @@ class CameraMount:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rig:
+class SensorMounts:
     """A LiDAR and its cameras, leftmost first.
 
-    ``camera_yaw_rad``: by how much the camera, or the whole rig of cameras, looks to the left of
-    the LiDAR's zero. ``T_base_rig``: the frame in which a rig of cameras is calibrated.
+    ``camera_yaw_rad``: azimuth of the camera, or of the whole camera rig, positive to the left of
+    the LiDAR's zero. ``T_base_rig``: the frame in which a camera rig is calibrated.
     """
 
     lidar: LidarMount
@@ -87,8 +87,8 @@ class Rig:
     camera_yaw_rad: float
     T_base_rig: FloatArray
 
-    def scaled(self, scale: float) -> "Rig":
-        """The same rig with scaled images."""
+    def scaled(self, scale: float) -> "SensorMounts":
+        """The same mounts with scaled images."""
         return replace(self, cameras=tuple(camera.scaled(scale) for camera in self.cameras))
 
     def T_lidar_camera(self) -> FloatArray:
@@ -107,7 +107,7 @@ def _single_camera(
     position_m: Sequence[float],
     yaw_deg: float,
     focal_px: float,
-) -> Rig:
+) -> SensorMounts:
     yaw_rad = float(np.radians(yaw_deg))
     body = rotation_from_yaw_pitch_roll(yaw_rad, 0.0, 0.0)
     T_base_optical = make_transform(body @ R_BODY_OPTICAL, np.array(position_m))
@@ -125,7 +125,7 @@ def _single_camera(
         ),
         T_base_optical=T_base_optical,
     )
-    return Rig(
+    return SensorMounts(
         lidar=_lidar(lidar_height_m),
         cameras=(camera,),
         camera_yaw_rad=yaw_rad,
@@ -134,7 +134,7 @@ def _single_camera(
 
 
 @cache
-def home_robot() -> Rig:
+def home_robot() -> SensorMounts:
     """A camera high above a LiDAR, turned 7° to the left, 5 cm ahead and 3 cm to the left."""
     return _single_camera(
         lidar_height_m=0.31, position_m=(0.05, 0.03, 0.92), yaw_deg=7.0, focal_px=288.0
@@ -142,7 +142,7 @@ def home_robot() -> Rig:
 
 
 @cache
-def turtlebot_high() -> Rig:
+def turtlebot_high() -> SensorMounts:
     """Xu 2024 Fig. 2b: a Kinect at 0.96 m over a LiDAR at 0.25 m (structured light, half size)."""
     return _single_camera(
         lidar_height_m=0.25, position_m=(-0.08, -0.02, 0.96), yaw_deg=-3.0, focal_px=287.5
@@ -150,7 +150,7 @@ def turtlebot_high() -> Rig:
 
 
 @cache
-def turtlebot_low() -> Rig:
+def turtlebot_low() -> SensorMounts:
     """Xu 2024 Fig. 2c: a Kinect at 0.25 m under a LiDAR at 0.31 m (structured light, half size)."""
     return _single_camera(
         lidar_height_m=0.31, position_m=(0.06, 0.01, 0.25), yaw_deg=4.0, focal_px=287.5
@@ -158,7 +158,7 @@ def turtlebot_low() -> Rig:
 
 
 @cache
-def turtlebot2() -> Rig:
+def turtlebot2() -> SensorMounts:
     """Li 2022, section 4.1: an RPLIDAR A1 at 0.30 m and an Astra Pro at 0.45 m on a Turtlebot2.
 
     From Tables 1 and 2: 360° at 5.5 Hz, a beam a degree, 0.15-12 m; 58.4° x 45.5° (here 320 x
@@ -188,22 +188,22 @@ def turtlebot2() -> Rig:
         range_min_m=0.15,
         range_max_m=12.0,
     )
-    return Rig(lidar=lidar, cameras=(camera,), camera_yaw_rad=0.0, T_base_rig=np.eye(4))
+    return SensorMounts(lidar=lidar, cameras=(camera,), camera_yaw_rad=0.0, T_base_rig=np.eye(4))
 
 
 @cache
-def turtlebot2_short() -> Rig:
+def turtlebot2_short() -> SensorMounts:
     """The same with a LiDAR that reaches 5.6 m only: of a larger room it never sees all walls."""
-    rig = turtlebot2()
-    return replace(rig, lidar=replace(rig.lidar, range_max_m=5.6))
+    mounts = turtlebot2()
+    return replace(mounts, lidar=replace(mounts.lidar, range_max_m=5.6))
 
 
 @cache
-def robot_at_home() -> Rig:
+def robot_at_home() -> SensorMounts:
     """The rig of Robot@Home: four Xtions in portrait over a LiDAR at 0.31 m.
 
     Each camera is rolled by -90°: a stored image is landscape, its columns run upwards. The whole
-    rig is turned by 2.5° against the LiDAR, which its own calibration does not tell.
+    rig is turned by 2.5° against the LiDAR, which the published calibration does not contain.
     """
     yaw_rad = float(np.radians(2.5))
     middle_m = np.array([0.26, 0.0, 1.045])
@@ -236,7 +236,7 @@ def robot_at_home() -> Rig:
                 T_base_optical=T_base_rig @ T_rig_optical,
             )
         )
-    return Rig(
+    return SensorMounts(
         lidar=_lidar(0.31, forward_m=0.205),
         cameras=tuple(cameras),
         camera_yaw_rad=yaw_rad,
