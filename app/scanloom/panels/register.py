@@ -21,7 +21,7 @@ from scanloom.panels.recall import RecallPanel
 from scanloom.panels.residual_plot import ResidualPlot
 from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.panels.widgets.markup import escape_markdown
-from scanloom.plots.pair_plot import PairsPlot, pairs_picture
+from scanloom.plots.pair_plot import PairPlot, pair_picture
 from scanloom.plots.png import show_picture
 
 _WIDTH_PX, _PAIRS_PX, _DRAW_PX = 480, 590, 330
@@ -130,7 +130,7 @@ class RegisterPanel:
         found, pairs = match.registration, planar_pairs(match)
         plots = _before_and_after(pairs)
         height_px = _PAIRS_PX if len(plots) > 1 else _DRAW_PX
-        drawn = pairs_picture(plots, width_px=_WIDTH_PX, height_px=height_px, axis_names=axes)
+        drawn = pair_picture(plots, width_px=_WIDTH_PX, height_px=height_px, axis_labels=axes)
         show_picture(self._pairs, drawn.rgb)
         if found is None:
             update_widget(self._words, content=registration_text.failure_text(match.refusal))
@@ -149,33 +149,33 @@ class RegisterPanel:
             return
         self._drawn_draw = (found, index)
         draw = draw_at(found, index)
-        plot = PairsPlot(
+        plot = PairPlot(
             title=f"Draw {index}: LiDAR through its own A, and depth",
             lidar_m=draw.mapped_m,
             depth_m=found.draws.depth_points_m,
-            agree=draw.agree,
-            drawn=draw.pairs,
+            is_inlier=draw.agree,
+            sample=draw.pairs,
         )
-        drawn = pairs_picture([plot], width_px=_WIDTH_PX, height_px=_DRAW_PX, axis_names=axes)
+        drawn = pair_picture([plot], width_px=_WIDTH_PX, height_px=_DRAW_PX, axis_labels=axes)
         show_picture(self._draw_picture, drawn.rgb)
         update_widget(self._draw_words, content=registration_text.draw_text(draw, found))
 
 
-def _before_and_after(pairs: PlanarPairs) -> list[PairsPlot]:
+def _before_and_after(pairs: PlanarPairs) -> list[PairPlot]:
     """One plot where there is no A, else two."""
-    before = PairsPlot(
+    before = PairPlot(
         title="Before A: LiDAR and depth as they are",
         lidar_m=pairs.lidar_m,
         depth_m=pairs.depth_m,
-        agree=pairs.inliers,
+        is_inlier=pairs.inliers,
     )
     if pairs.mapped_m is None:
         return [before]
-    after = PairsPlot(
+    after = PairPlot(
         title="After A: LiDAR through A, and depth",
         lidar_m=pairs.mapped_m,
         depth_m=pairs.depth_m,
-        agree=pairs.inliers,
+        is_inlier=pairs.inliers,
     )
     return [before, after]
 

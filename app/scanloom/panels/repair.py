@@ -14,7 +14,7 @@ from scanloom.frame_view import FrameView, missing_result_text
 from scanloom.panels.epsilon import EpsilonSliders
 from scanloom.panels.repair_tables import beam_table, class_table
 from scanloom.panels.widgets.controls import Controls, update_widget
-from scanloom.plots.depth_image import depth_limits_m, depth_picture
+from scanloom.plots.depth_image import PairOverlay, depth_limits_m, depth_picture
 from scanloom.plots.png import show_picture
 from scanloom.resources import palette
 from scanloom.scene.frame_summary import ConflictRun, conflict_runs
@@ -132,13 +132,15 @@ class RepairPanel:
             handle = self._pictures[place]
             wanted = view.show_raw_and_repaired or place == int(view.show_repaired)
             if wanted:
+                overlay = PairOverlay(
+                    pixels=pairs, classes=view.visible_classes, beam=view.selected_beam
+                )
                 drawn = depth_picture(
-                    {title: depth_m},
-                    pairs,
+                    title,
+                    depth_m,
+                    overlay,
                     width_px=_WIDTH_PX,
                     height_px=_HEIGHT_PX,
-                    classes=view.visible_classes,
-                    beam=view.selected_beam,
                     limits_m=limits_m,
                 )
                 show_picture(handle, drawn.rgb)

@@ -13,7 +13,7 @@ from fusion_core.workflows.poses import Poses
 from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView
 from scanloom.panels.widgets.controls import Controls
-from scanloom.plots.depth_image import DepthPicture, depth_picture
+from scanloom.plots.depth_image import DepthPicture, PairOverlay, depth_picture
 from scanloom.plots.heatmap import Heatmap
 from scanloom.plots.map_picture import map_texture
 from scanloom.scene import camera_views
@@ -256,12 +256,8 @@ def _depth(frame_view: FrameView) -> DepthPicture | None:
         return None
     if frame_view.fused is not None and view.show_repaired:
         depth_m, title = repaired_depth_m(frame_view.fused), f"{title}, repaired"
+    overlay = None
+    if pairs is not None:
+        overlay = PairOverlay(pixels=pairs, classes=view.visible_classes, beam=view.selected_beam)
     width_px, height_px = _BOARD_PX
-    return depth_picture(
-        {title: depth_m},
-        pairs,
-        width_px=width_px,
-        height_px=height_px,
-        classes=view.visible_classes,
-        beam=view.selected_beam,
-    )
+    return depth_picture(title, depth_m, overlay, width_px=width_px, height_px=height_px)

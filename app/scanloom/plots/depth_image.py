@@ -1,9 +1,6 @@
-"""Upright depth images as pictures to look at and pick in, with the pixels of the pairs on them.
+"""Upright depth images as pictures to look at and pick in, with the pixels of the pairs on them."""
 
-One image, or several of one camera side by side on one scale: raw and repaired.
-"""
-
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import cv2
@@ -11,50 +8,59 @@ import numpy as np
 
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import BoolArray, ByteArray, Float32Array, IntArray
-from scanloom.plots import sheet as paper
-from scanloom.plots.lettering import shortened, write
+from scanloom.plots.axes import ABOVE_PX, BELOW_PX, LEFT_PX, Axes, image_axes
+from scanloom.plots.canvas import BLACK, MARGIN_PX, WHITE, Box, blank_canvas, box_between
+from scanloom.plots.color_scale import COLOR_BAR_PX, ColorScale
+from scanloom.plots.legend import Legend, LegendEntry, hatch_symbol, padded, swatch
 from scanloom.plots.palette import Color, class_color, color_map, color_of
-from scanloom.plots.sheet import LINE_PX, MARGIN_PX, Box, LegendEntry
+from scanloom.plots.ticks import distinct_limits
 from scanloom.scene.pair_pixels import PairPixels
 
-_LEFT_PX = 54
-_BELOW_PX = 40
-_BETWEEN_PX = 14
 # Images wider than this get larger dots.
 _LARGE_PX = 480
-_LIGHT: Color = (255, 255, 255)
-_DARK: Color = (0, 0, 0)
 # The scale ends beyond nearly all depths: a few stray pixels must not take its colours.
-_BEYOND_SHARE = 0.005
+_BEYOND_FRACTION = 0.005
 # What is looked for goes on top.
-_DRAWN_IN_ORDER = (NoiseClass.GOOD, NoiseClass.CONFLICT, NoiseClass.HOLE, NoiseClass.BURR)
+_DRAWING_ORDER = (NoiseClass.GOOD, NoiseClass.CONFLICT, NoiseClass.HOLE, NoiseClass.BURR)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DepthPicture:
-    """``rgb``: (h, w, 3) uint8. ``boxes``: where each image lies in it; ``shape``: rows and columns
-    of an image; ``limits_m``: depths of the first and the last colour, None without any depth."""
+    """``rgb``: (h, w, 3) uint8. ``axes``: columns to the right, rows downwards, of an image of
+    ``shape``; ``limits_m``: depths of the first and the last colour, None without any depth."""
 
     rgb: ByteArray
-    boxes: tuple[Box, ...]
+    axes: Axes
     shape: tuple[int, int]
     limits_m: tuple[float, float] | None
 
     def pixel_at(self, x_px: float, y_px: float) -> tuple[int, int] | None:
-        """Row and column of the depth pixel under a point, None outside of the images."""
-        for box in self.boxes:
-            if box.holds(x_px, y_px):
-                row = int((y_px - box.top + 0.5) * self.shape[0] / box.height)
-                column = int((x_px - box.left + 0.5) * self.shape[1] / box.width)
-                return min(row, self.shape[0] - 1), min(column, self.shape[1] - 1)
-        return None
+        """Row and column of the depth pixel under a point, None outside of the image."""
+        place = self.axes.to_data(x_px, y_px)
+        if place is None:
+            return None
+        column, row = (int(value + 0.5) for value in place)
+        return min(row, self.shape[0] - 1), min(column, self.shape[1] - 1)
 
-    def place_of(self, row: float, column: float, *, image: int = 0) -> tuple[float, float]:
-        """Where the centre of a depth pixel lies in the picture, in the image of that number."""
-        box = self.boxes[image]
-        x = box.left + (column + 0.5) * box.width / self.shape[1] - 0.5
-        y = box.top + (row + 0.5) * box.height / self.shape[0] - 0.5
-        return x, y
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairOverlay:
+    """What is drawn of the pairs: the pixels of ``classes``, and a ring around that of ``beam``, an
+    index in the scan."""
+
+    pixels: PairPixels
+    classes: Collection[NoiseClass] = frozenset(NoiseClass)
+    beam: int | None = None
+
+    @property
+    def visible(self) -> BoolArray:
+        """(B,) of the pairs."""
+        return self.pixels.shown(self.classes)
+
+    @property
+    def beam_places(self) -> IntArray:
+        """Where in the arrays the beam is, if it has a pixel."""
+        return np.flatnonzero((self.pixels.beam == self.beam) & (self.pixels.row >= 0))
 
 
 def depth_limits_m(depth_m: Float32Array) -> tuple[float, float] | None:
@@ -63,161 +69,129 @@ def depth_limits_m(depth_m: Float32Array) -> tuple[float, float] | None:
     if not valid.size:
         return None
     last = valid.size - 1
-    ends = [round(_BEYOND_SHARE * last), round((1.0 - _BEYOND_SHARE) * last)]
+    ends = [round(_BEYOND_FRACTION * last), round((1.0 - _BEYOND_FRACTION) * last)]
     low, high = np.partition(valid, ends)[ends]
-    return paper.wide_limits(float(low), float(high))
+    return distinct_limits(float(low), float(high))
 
 
 def depth_picture(
-    images: Mapping[str, Float32Array],
-    pairs: PairPixels | None = None,
+    title: str,
+    depth_m: Float32Array,
+    overlay: PairOverlay | None = None,
     *,
     width_px: int,
     height_px: int,
-    classes: Collection[NoiseClass] = frozenset(NoiseClass),
-    beam: int | None = None,
     limits_m: tuple[float, float] | None = None,
 ) -> DepthPicture:
-    """Draw images of one size, (H, W) float32 metres, NaN where missing, by title from left to
-    right.
+    """Draw an image, (H, W) float32 metres, NaN where missing.
 
-    ``classes``: those whose pixels are drawn, the repaired ones marked in the last image;
-    ``beam``: index in the scan of the one to point at; ``limits_m``: depths of the first and the
-    last colour, for pictures that are compared, else those of the first image. The images keep
-    their proportions, so that the picture may be lower than ``height_px``.
-
-    Raises ValueError for no image, images of different sizes, or too small a picture.
+    ``limits_m``: depths of the first and the last colour, for pictures that are compared, else the
+    image's own. The image keeps its proportions, so that the picture may be lower than
+    ``height_px``. Raises ValueError for too small a picture.
     """
-    shapes = {depth_m.shape for depth_m in images.values()}
-    if len(shapes) != 1 or any(len(shape) != 2 for shape in shapes):
-        raise ValueError(f"need (H, W) images of one size, got {sorted(shapes)}")
-    first_m = next(iter(images.values()))
-    own = depth_limits_m(first_m)
-    limits = own if limits_m is None or own is None else paper.wide_limits(*limits_m)
-    legend = paper.legend_lines(_legend(pairs, classes, beam), width_px - 2 * MARGIN_PX)
-    boxes, needed_px = _layout(len(images), first_m.shape, width_px, height_px, len(legend))
-    rgb = paper.blank_sheet(width_px, needed_px)
-    shape = (first_m.shape[0], first_m.shape[1])
-    picture = DepthPicture(rgb=rgb, boxes=boxes, shape=shape, limits_m=limits)
-    for place, (title, depth_m) in enumerate(images.items()):
-        box = boxes[place]
-        paper.paint_values(box.view(rgb), depth_m, limits, color_map("cividis"))
-        box.frame(rgb)
-        words = shortened(title, box.width, size_px=paper.TITLE_PX)
-        write(rgb, words, box.left, box.top - 13, size_px=paper.TITLE_PX)
-        _draw_axes(picture, place)
-        if pairs is not None:
-            _draw_pairs(picture, place, pairs, pairs.shown(classes))
-            _draw_beam(picture, place, pairs, beam)
-    if limits is not None:
-        beyond = float(np.nanmin(first_m)) < limits[0], float(np.nanmax(first_m)) > limits[1]
-        paper.color_bar(
-            rgb, boxes[-1], limits, color_map("cividis"), words="depth (m)", beyond=beyond
-        )
-    paper.draw_legend(rgb, legend, MARGIN_PX, boxes[0].bottom + _BELOW_PX)
-    return picture
+    own = depth_limits_m(depth_m)
+    scale = ColorScale(
+        colors=color_map("cividis"),
+        limits=own if limits_m is None or own is None else distinct_limits(*limits_m),
+    )
+    legend = Legend.of(_legend(overlay), width_px - 2 * MARGIN_PX)
+    shape = (depth_m.shape[0], depth_m.shape[1])
+    below = BELOW_PX + legend.height_px + MARGIN_PX // 2
+    box = _box_of(shape, width_px, height_px - below)
+    rgb = blank_canvas(width_px, box.bottom + below)
+    axes = image_axes(rgb, box, shape)
+    scale.paint(axes.inside, depth_m)
+    axes.draw_frame()
+    axes.draw_title(title)
+    axes.draw_x_axis("column (px)", axes.x_ticks(whole=True))
+    axes.draw_y_axis("row (px)", axes.y_ticks(whole=True))
+    if overlay is not None:
+        _draw_pairs(axes, shape, overlay)
+        _draw_beam(axes, overlay)
+    if scale.limits is not None:
+        low, high = scale.limits
+        beyond = float(np.nanmin(depth_m)) < low, float(np.nanmax(depth_m)) > high
+        scale.draw_bar(rgb, box, "depth (m)", beyond=beyond)
+    legend.draw(rgb, MARGIN_PX, box.bottom + BELOW_PX)
+    return DepthPicture(rgb=rgb, axes=axes, shape=shape, limits_m=scale.limits)
 
 
-def _layout(
-    count: int, shape: tuple[int, ...], width_px: int, height_px: int, legend_lines: int
-) -> tuple[tuple[Box, ...], int]:
-    """Boxes of the images' proportions, and the height of the picture around them."""
-    top = MARGIN_PX + LINE_PX + 2
-    under = _BELOW_PX + legend_lines * LINE_PX + MARGIN_PX // 2
-    space = paper.room(_LEFT_PX, top, width_px - paper.COLOR_BAR_PX, height_px - under)
-    between = (count - 1) * _BETWEEN_PX
-    zoom = min((space.width - between) / (count * shape[1]), space.height / shape[0])
+def _box_of(shape: tuple[int, int], width_px: int, bottom: int) -> Box:
+    """The largest box of an image's proportions, in the middle of the width."""
+    space = box_between(LEFT_PX, ABOVE_PX, width_px - COLOR_BAR_PX, bottom)
+    zoom = min(space.width / shape[1], space.height / shape[0])
     width, height = max(1, int(zoom * shape[1])), max(1, int(zoom * shape[0]))
-    left = space.left + (space.width - between - count * width) // 2
-    boxes = tuple(Box(left + i * (width + _BETWEEN_PX), top, width, height) for i in range(count))
-    return boxes, top + height + under
+    return Box(space.left + (space.width - width) // 2, space.top, width, height)
 
 
-def _draw_axes(picture: DepthPicture, place: int) -> None:
-    rgb, box, (rows, columns) = picture.rgb, picture.boxes[place], picture.shape
-    for column in paper.whole_ticks_between(0, columns - 1, max(2, box.width // 44)):
-        paper.tick_below(rgb, box, picture.place_of(0, column, image=place)[0], str(column))
-    write(rgb, "column (px)", box.left + 0.5 * box.width, box.bottom + 28, align="middle")
-    if place == 0:
-        for row in paper.whole_ticks_between(0, rows - 1, max(2, box.height // 34)):
-            paper.tick_left(rgb, box, picture.place_of(row, 0)[1], str(row))
-        middle = box.top + 0.5 * box.height
-        write(rgb, "row (px)", box.left - 41, middle, align="middle", turned=True)
-
-
-def _draw_pairs(picture: DepthPicture, place: int, pairs: PairPixels, shown: BoolArray) -> None:
-    """A dot for each pixel, dark around it, in the last image light where it was repaired."""
-    box, (rows, columns) = picture.boxes[place], picture.shape
-    inside = box.view(picture.rgb)
-    y = (2 * pairs.row + 1) * box.height // (2 * rows)
-    x = (2 * pairs.column + 1) * box.width // (2 * columns)
+def _draw_pairs(axes: Axes, shape: tuple[int, int], overlay: PairOverlay) -> None:
+    """A square for each pixel, dark around it, light where it was repaired."""
+    box, pairs, visible = axes.box, overlay.pixels, overlay.visible
+    y = (2 * pairs.row + 1) * box.height // (2 * shape[0])
+    x = (2 * pairs.column + 1) * box.width // (2 * shape[1])
     size_px = 3 if box.width < _LARGE_PX else 5
-    _dots(inside, x[shown], y[shown], _DARK, size_px + 2)
-    if place == len(picture.boxes) - 1:
-        marked = shown & pairs.repaired
-        _dots(inside, x[marked], y[marked], _LIGHT, size_px + 4)
-    unjudged = shown & (pairs.noise_class < 0)
-    _dots(inside, x[unjudged], y[unjudged], color_of("lidar"), size_px)
-    for noise in _DRAWN_IN_ORDER:
-        chosen = shown & (pairs.noise_class == noise)
-        _dots(inside, x[chosen], y[chosen], class_color(noise), size_px)
+
+    def draw(chosen: BoolArray, color: Color, size_px: int) -> None:
+        _draw_squares(axes.inside, x[chosen], y[chosen], color, size_px)
+
+    draw(visible, BLACK, size_px + 2)
+    draw(visible & pairs.repaired, WHITE, size_px + 4)
+    draw(visible & (pairs.noise_class < 0), color_of("lidar"), size_px)
+    for noise in _DRAWING_ORDER:
+        draw(visible & (pairs.noise_class == noise), class_color(noise), size_px)
 
 
-def _dots(part: ByteArray, x: IntArray, y: IntArray, color: Color, size_px: int) -> None:
-    """Squares around points inside ``part``, cut at its edges."""
+def _draw_squares(part: ByteArray, x: IntArray, y: IntArray, color: Color, size_px: int) -> None:
+    """Squares around points inside ``part``, cut at its edges; there may be thousands."""
     around = np.arange(size_px) - size_px // 2
     rows = np.clip(y[:, np.newaxis] + around, 0, part.shape[0] - 1)
     columns = np.clip(x[:, np.newaxis] + around, 0, part.shape[1] - 1)
     part[rows[:, :, np.newaxis], columns[:, np.newaxis, :]] = color
 
 
-def _draw_beam(picture: DepthPicture, place: int, pairs: PairPixels, beam: int | None) -> None:
+def _draw_beam(axes: Axes, overlay: PairOverlay) -> None:
     """A ring around the pixel of the beam that is looked at."""
-    found = np.flatnonzero((pairs.beam == beam) & (pairs.row >= 0))
-    if beam is None or not found.size:
-        return
-    x, y = picture.place_of(pairs.row[found[0]], pairs.column[found[0]], image=place)
-    box = picture.boxes[place]
-    _ring(box.view(picture.rgb), (round(x) - box.left, round(y) - box.top), 9)
+    for place in overlay.beam_places[:1]:
+        pairs = overlay.pixels
+        x, y = axes.to_pixel(pairs.column[place], pairs.row[place])
+        _draw_ring(axes.inside, (round(x) - axes.box.left, round(y) - axes.box.top), 9)
 
 
-def _ring(part: ByteArray, at: tuple[int, int], radius_px: int) -> None:
-    cv2.circle(part, at, radius_px, _DARK, 4, cv2.LINE_AA)
-    cv2.circle(part, at, radius_px, _LIGHT, 2, cv2.LINE_AA)
+def _draw_ring(part: ByteArray, place: tuple[int, int], radius_px: int) -> None:
+    cv2.circle(part, place, radius_px, BLACK, 4, cv2.LINE_AA)
+    cv2.circle(part, place, radius_px, WHITE, 2, cv2.LINE_AA)
 
 
-def _legend(
-    pairs: PairPixels | None, classes: Collection[NoiseClass], beam: int | None
-) -> list[LegendEntry]:
-    """What the signs mean, with the number of pixels of each class."""
-
-    def counted(words: str, chosen: BoolArray) -> str:
-        return f"{words} {paper.steady(str(int(chosen.sum())), 3)}"
-
+def _legend(overlay: PairOverlay | None) -> list[LegendEntry]:
+    """What the colours mean, with the number of pixels of each class."""
     entries = []
-    if pairs is not None:
-        shown = pairs.shown(classes)
+
+    def counted(label: str, chosen: BoolArray) -> str:
+        return f"{label} {padded(str(int(chosen.sum())), 3)}"
+
+    if overlay is not None:
+        pairs, visible, beam = overlay.pixels, overlay.visible, overlay.beam
         if (pairs.noise_class >= 0).any():
-            for noise in sorted(classes):
-                words = counted(noise.name.lower(), shown & (pairs.noise_class == noise))
-                entries.append(LegendEntry(paper.swatch(class_color(noise)), words))
-            words = counted("repaired", shown & pairs.repaired)
-            entries.append(LegendEntry(_repaired_symbol, words))
+            for noise in sorted(overlay.classes):
+                label = counted(noise.name.lower(), visible & (pairs.noise_class == noise))
+                entries.append(LegendEntry(swatch(class_color(noise)), label))
+            label = counted("repaired", visible & pairs.repaired)
+            entries.append(LegendEntry(_repaired_symbol, label))
         else:
-            entries.append(LegendEntry(paper.swatch(color_of("lidar")), counted("pair", shown)))
+            entries.append(LegendEntry(swatch(color_of("lidar")), counted("pair", visible)))
         if beam is not None:
-            in_image = bool(((pairs.beam == beam) & (pairs.row >= 0)).any())
-            words = f"beam {beam}" if in_image else f"beam {beam}: not in the image"
-            entries.append(LegendEntry(_beam_symbol, words))
-    return [*entries, LegendEntry(paper.hatched, "no depth")]
+            in_image = overlay.beam_places.size > 0
+            label = f"beam {beam}" if in_image else f"beam {beam}: not in the image"
+            entries.append(LegendEntry(_beam_symbol, label))
+    return [*entries, LegendEntry(hatch_symbol, "no depth")]
 
 
 def _repaired_symbol(part: ByteArray) -> None:
     middle = part.shape[1] // 2, part.shape[0] // 2
-    for radius_px, color in ((5, _DARK), (4, _LIGHT), (2, class_color(NoiseClass.HOLE))):
+    for radius_px, color in ((5, BLACK), (4, WHITE), (2, class_color(NoiseClass.HOLE))):
         start, end = (m - radius_px for m in middle), (m + radius_px for m in middle)
         cv2.rectangle(part, tuple(start), tuple(end), color, -1)
 
 
 def _beam_symbol(part: ByteArray) -> None:
-    _ring(part, (part.shape[1] // 2, part.shape[0] // 2), 5)
+    _draw_ring(part, (part.shape[1] // 2, part.shape[0] // 2), 5)

@@ -16,8 +16,8 @@ from fusion_core.model.conventions import (
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.workflows.map.colors import difference_colors, scale_bar_m
 from scanloom.plots import sheet as paper
-from scanloom.plots.canvas import Canvas, canvas_for
 from scanloom.plots.lettering import INK, shortened, write
+from scanloom.plots.map_canvas import Canvas, canvas_for
 from scanloom.plots.map_raster import TITLE_PX, draw_scale_bar, layout
 from scanloom.plots.palette import Color
 from scanloom.plots.sheet import LINE_PX, MARGIN_PX, LegendEntry

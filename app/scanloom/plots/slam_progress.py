@@ -13,8 +13,8 @@ from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.slam_view import SlamView
 from fusion_core.workflows.map.colors import FREE, UNKNOWN, scale_bar_m
 from scanloom.plots import sheet as paper
-from scanloom.plots.canvas import Canvas, canvas_for
 from scanloom.plots.lettering import INK, shortened, write
+from scanloom.plots.map_canvas import Canvas, canvas_for
 from scanloom.plots.map_raster import TITLE_PX, draw_scale_bar, drawn, layout, raster_of_grid
 from scanloom.plots.palette import Color, color_map, color_of
 from scanloom.plots.sheet import LINE_PX, MARGIN_PX, LegendEntry

@@ -4,7 +4,7 @@ import numpy as np
 
 from fusion_core.workflows.fuse.frame import FusedFrame, judge_frame
 from scanloom.frame_view import FrameView
-from scanloom.plots.depth_image import DepthPicture, depth_limits_m, depth_picture
+from scanloom.plots.depth_image import DepthPicture, PairOverlay, depth_limits_m, depth_picture
 from scanloom.scene.pair_pixels import pixels_of_match, repaired_depth_m
 from scanloom.state.view import View
 from tests.app.browser.person import match_of
@@ -25,10 +25,10 @@ def judged(frame_view: FrameView, view: View) -> FusedFrame:
 def repaired_picture(frame: FusedFrame, view: View, like: np.ndarray) -> DepthPicture:
     """The panel's second picture where both are shown, as wide as another one."""
     return depth_picture(
-        {"After: repaired": repaired_depth_m(frame)},
-        pixels_of_match(frame),
+        "After: repaired",
+        repaired_depth_m(frame),
+        PairOverlay(pixels=pixels_of_match(frame), classes=view.visible_classes),
         width_px=like.shape[1],
         height_px=_ROOM_PX,
-        classes=view.visible_classes,
         limits_m=depth_limits_m(frame.depth_m),
     )

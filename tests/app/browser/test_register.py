@@ -7,7 +7,7 @@ from fusion_core.model.classes import NoiseClass
 from fusion_core.registration.ransac import Registration
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.registration_view import draw_at
-from scanloom.plots.pair_plot import PairsPlot, pairs_picture
+from scanloom.plots.pair_plot import PairPlot, pair_picture
 from tests.app.browser.judged import NUMBER, judged, repaired_picture
 from tests.app.browser.person import Person, match_of
 
@@ -105,12 +105,12 @@ def wait_for_draw(person: Person, *numbers: int) -> None:
 def picture_of_draw(found: Registration, index: int, like: np.ndarray) -> np.ndarray:
     """(H, W, 3) RGB, of the size of another picture."""
     draw = draw_at(found, index)
-    plot = PairsPlot(
+    plot = PairPlot(
         title=f"Draw {index}: LiDAR through its own A, and depth",
         lidar_m=draw.mapped_m,
         depth_m=found.draws.depth_points_m,
-        agree=agreeing(found, index),
-        drawn=draw.pairs,
+        is_inlier=agreeing(found, index),
+        sample=draw.pairs,
     )
     height_px, width_px = like.shape[:2]
-    return pairs_picture([plot], width_px=width_px, height_px=height_px).rgb
+    return pair_picture([plot], width_px=width_px, height_px=height_px).rgb

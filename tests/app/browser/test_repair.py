@@ -4,8 +4,8 @@ import numpy as np
 from playwright.sync_api import expect
 
 from fusion_core.model.classes import NoiseClass
+from scanloom.plots.canvas import Box
 from scanloom.plots.palette import class_color
-from scanloom.plots.sheet import Box
 from tests.app.browser.judged import NUMBER, judged, repaired_picture
 from tests.app.browser.person import Person
 
@@ -20,7 +20,7 @@ def test_a_class_that_is_filtered_loses_its_colour_and_the_others_stay(person: P
     frame_view = person.picture(1)
     first = repaired_picture(frame, person.session.view, frame_view)
     person.wait_for_picture(first.rgb, 1)
-    whole = colors_in(person, first.boxes[0])
+    whole = colors_in(person, first.axes.box)
     assert all(min(pixels) > 0 for pixels in whole.values())
     left = frozenset(NoiseClass)
     for noise in HIDDEN:
@@ -29,14 +29,14 @@ def test_a_class_that_is_filtered_loses_its_colour_and_the_others_stay(person: P
         view = person.session.view.changed(visible_classes=left)
         expected = repaired_picture(frame, view, frame_view)
         person.wait_for_picture(expected.rgb, 1)
-        seen = colors_in(person, expected.boxes[0])
+        seen = colors_in(person, expected.axes.box)
         # What a dot of a hidden class had covered comes to light.
         assert all(seen[kept][place] >= whole[kept][place] for kept in left for place in (0, 1))
         assert all(seen[gone] == (0, 0) for gone in set(NoiseClass) - left)
     for noise in HIDDEN:
         person.page.get_by_label(f"Show {noise.name.lower()}", exact=True).check()
     person.wait_for_picture(first.rgb, 1)
-    assert colors_in(person, first.boxes[0]) == whole
+    assert colors_in(person, first.axes.box) == whole
     assert person.session.view.visible_classes == set(NoiseClass)
 
 

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion_core.model.classes import NoiseClass
-from scanloom.plots.depth_image import DepthPicture, depth_limits_m, depth_picture
+from scanloom.plots.color_scale import hatch
+from scanloom.plots.depth_image import DepthPicture, PairOverlay, depth_limits_m, depth_picture
 from scanloom.plots.palette import class_color, color_map, color_of
-from scanloom.plots.sheet import hatch
 from scanloom.scene.pair_pixels import PairPixels
 
 COLORS = color_map("cividis")
@@ -30,12 +30,20 @@ def four_pairs() -> PairPixels:
     )
 
 
-def drawn(depth_m: np.ndarray, pairs: PairPixels | None = None, **kwargs: object) -> DepthPicture:
-    return depth_picture({"Frame 5": depth_m}, pairs, width_px=420, height_px=400, **kwargs)
+def drawn(
+    depth_m: np.ndarray,
+    pairs: PairPixels | None = None,
+    limits_m: tuple[float, float] | None = None,
+    **kwargs: object,
+) -> DepthPicture:
+    overlay = None if pairs is None else PairOverlay(pixels=pairs, **kwargs)
+    return depth_picture(
+        "Frame 5", depth_m, overlay, width_px=420, height_px=400, limits_m=limits_m
+    )
 
 
-def color_at(picture: DepthPicture, row: int, column: int, image: int = 0) -> tuple[int, ...]:
-    x, y = picture.place_of(row, column, image=image)
+def color_at(picture: DepthPicture, row: int, column: int) -> tuple[int, ...]:
+    x, y = picture.axes.to_pixel(column, row)
     return tuple(picture.rgb[round(y), round(x)].tolist())
 
 
@@ -63,18 +71,18 @@ def test_missing_depth_is_hatched() -> None:
     depth_m = slope()
     depth_m[:30, :40] = np.nan
     picture = drawn(depth_m)
-    inside = picture.boxes[0].view(picture.rgb)
+    inside = picture.axes.box.view(picture.rgb)
     height, width = inside.shape[0] // 2 - 6, inside.shape[1] // 2 - 6
     assert np.array_equal(inside[:height, :width], hatch(*inside.shape[:2])[:height, :width])
 
 
 def test_an_image_keeps_its_proportions_and_leaves_no_paper_below() -> None:
-    picture = depth_picture({"wide": slope(20, 200)}, width_px=420, height_px=800)
-    box = picture.boxes[0]
+    picture = depth_picture("wide", slope(20, 200), width_px=420, height_px=800)
+    box = picture.axes.box
     assert box.width / box.height == pytest.approx(10.0, rel=0.05)
     assert picture.rgb.shape[0] < 150
-    low = depth_picture({"high": slope(200, 20)}, width_px=420, height_px=300)
-    assert low.boxes[0].height / low.boxes[0].width == pytest.approx(10.0, rel=0.05)
+    low = depth_picture("high", slope(200, 20), width_px=420, height_px=300)
+    assert low.axes.box.height / low.axes.box.width == pytest.approx(10.0, rel=0.05)
     assert low.rgb.shape[0] <= 300
 
 
@@ -90,7 +98,7 @@ def test_only_the_chosen_classes_are_drawn() -> None:
     for column in (10, 30, 70):
         assert color_at(picture, 30, column) == color_at(plain, 30, column)
     none = drawn(slope(), four_pairs(), classes=())
-    assert np.array_equal(none.boxes[0].view(none.rgb), plain.boxes[0].view(plain.rgb))
+    assert np.array_equal(none.axes.box.view(none.rgb), plain.axes.box.view(plain.rgb))
 
 
 def test_pixels_without_a_class_have_the_lidars_colour() -> None:
@@ -105,25 +113,22 @@ def test_pixels_without_a_class_have_the_lidars_colour() -> None:
     assert color_at(drawn(slope(), pairs), 30, 10) == color_of("lidar")
 
 
-def test_repaired_pixels_are_marked_in_the_last_image() -> None:
-    picture = depth_picture(
-        {"raw": slope(), "repaired": slope()}, four_pairs(), width_px=860, height_px=400
-    )
+def test_repaired_pixels_are_marked() -> None:
+    picture = drawn(slope(), four_pairs())
 
-    def rim(column: int, image: int) -> list[int]:
-        x, y = picture.place_of(30, column, image=image)
+    def rim(column: int) -> list[int]:
+        x, y = picture.axes.to_pixel(column, 30)
         return picture.rgb[round(y), round(x) - 3].tolist()
 
-    assert rim(30, 1) == rim(50, 1) == [255, 255, 255]
-    assert rim(30, 0) != [255, 255, 255]
-    assert rim(10, 1) != [255, 255, 255]
+    assert rim(30) == rim(50) == [255, 255, 255]
+    assert rim(10) != [255, 255, 255]
 
 
 def test_the_beam_that_is_looked_at_has_a_ring() -> None:
     picture, plain = drawn(slope(), four_pairs(), beam=102), drawn(slope(), four_pairs())
-    height = min(picture.rgb.shape[0], plain.rgb.shape[0], picture.boxes[0].bottom)
+    height = min(picture.rgb.shape[0], plain.rgb.shape[0], picture.axes.box.bottom)
     rows, columns = np.nonzero((picture.rgb[:height] != plain.rgb[:height]).any(axis=2))
-    x, y = picture.place_of(30, 50)
+    x, y = picture.axes.to_pixel(50, 30)
     assert np.abs(rows - y).max() <= 13
     assert np.abs(columns - x).max() <= 13
     assert color_at(picture, 30, 50) == class_color(NoiseClass.BURR)
@@ -132,38 +137,31 @@ def test_the_beam_that_is_looked_at_has_a_ring() -> None:
 @pytest.mark.parametrize("beam", [104, 9999])
 def test_a_beam_without_a_pixel_draws_nothing_in_the_image(beam: int) -> None:
     picture, plain = drawn(slope(), four_pairs(), beam=beam), drawn(slope(), four_pairs())
-    assert np.array_equal(picture.boxes[0].view(picture.rgb), plain.boxes[0].view(plain.rgb))
+    assert np.array_equal(picture.axes.box.view(picture.rgb), plain.axes.box.view(plain.rgb))
 
 
 @settings(max_examples=60)
 @given(
     rows=st.integers(1, 400),
     columns=st.integers(1, 400),
-    count=st.integers(1, 2),
     share=st.tuples(st.floats(0, 1), st.floats(0, 1)),
 )
-def test_picking_undoes_drawing(
-    rows: int, columns: int, count: int, share: tuple[float, float]
-) -> None:
+def test_picking_undoes_drawing(rows: int, columns: int, share: tuple[float, float]) -> None:
     depth_m = np.ones((rows, columns), dtype=np.float32)
-    images = {str(number): depth_m for number in range(count)}
-    picture = depth_picture(images, width_px=500, height_px=300)
+    picture = depth_picture("Frame 5", depth_m, width_px=500, height_px=300)
     row, column = round(share[0] * (rows - 1)), round(share[1] * (columns - 1))
-    for image in range(count):
-        assert picture.pixel_at(*picture.place_of(row, column, image=image)) == (row, column)
+    assert picture.pixel_at(*picture.axes.to_pixel(column, row)) == (row, column)
 
 
-def test_between_and_around_the_images_nothing_is_picked() -> None:
-    picture = depth_picture({"a": slope(), "b": slope()}, width_px=600, height_px=400)
-    first, second = picture.boxes
-    middle = first.top + first.height // 2
-    assert first.right < second.left
+def test_around_the_image_nothing_is_picked() -> None:
+    picture = drawn(slope())
+    box = picture.axes.box
+    middle = box.top + box.height // 2
     for x, y in (
-        (first.left - 1, middle),
-        (0.5 * (first.right + second.left), middle),
-        (second.right, middle),
-        (first.left + 3, first.top - 1),
-        (first.left + 3, first.bottom),
+        (box.left - 1, middle),
+        (box.right, middle),
+        (box.left + 3, box.top - 1),
+        (box.left + 3, box.bottom),
     ):
         assert picture.pixel_at(x, y) is None
 
@@ -198,13 +196,9 @@ def test_the_size_does_not_follow_the_numbers_of_a_frame() -> None:
     for depth_m, pairs in ((slope(), many), (gaps, four_pairs()), (gaps, many)):
         picture = drawn(depth_m, pairs)
         assert picture.rgb.shape == first.rgb.shape
-        assert picture.boxes == first.boxes
+        assert picture.axes.box == first.axes.box
 
 
-def test_images_that_do_not_belong_together_are_refused() -> None:
-    with pytest.raises(ValueError, match="one size"):
-        depth_picture({"a": slope(), "b": slope(10, 10)}, width_px=420, height_px=400)
-    with pytest.raises(ValueError, match="one size"):
-        depth_picture({}, width_px=420, height_px=400)
+def test_too_small_a_picture_is_refused() -> None:
     with pytest.raises(ValueError, match="px"):
-        depth_picture({"a": slope()}, width_px=100, height_px=100)
+        depth_picture("Frame 5", slope(), width_px=100, height_px=100)

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from scanloom.plots.axes import BELOW_PX
+from scanloom.plots.color_scale import hatch
 from scanloom.plots.heatmap import Heatmap, heatmap
 from scanloom.plots.palette import color_map
 from scanloom.plots.score_field import AzimuthAxis, Mark, MarkKind
-from scanloom.plots.sheet import hatch
 
 AXIS = AzimuthAxis(first_deg=119.5, step_deg=-1.0)
 
@@ -31,7 +32,7 @@ def drawn(field: Field, *marks: Mark, width_px: int = 420, height_px: int = 380)
 
 
 def color_at(picture: Heatmap, u: float, v: float) -> list[int]:
-    x, y = picture.pixel_of(u, v)
+    x, y = picture.axes.to_pixel(u, v)
     return picture.rgb[round(y), round(x)].tolist()
 
 
@@ -53,18 +54,11 @@ def test_a_cell_is_where_u_and_v_say() -> None:
         assert color_at(picture, u, v) == colors[0].tolist()
 
 
-def test_given_limits_take_the_place_of_the_fields_own() -> None:
-    field = ramp()
-    picture = heatmap(field, [], AXIS, width_px=420, height_px=380, limits=(-1.0, 1.0))
-    assert picture.limits == (-1.0, 1.0)
-    assert color_at(picture, 89, 59) == color_map("viridis")[round(1.9 / 2 * 255)].tolist()
-
-
 def test_cells_without_a_score_are_hatched() -> None:
     field = ramp()
     field.scores[:30, :45] = np.nan
     picture = drawn(field)
-    inside = picture.box.view(picture.rgb)
+    inside = picture.axes.box.view(picture.rgb)
     height, width = inside.shape[0] // 2 - 4, inside.shape[1] // 2 - 4
     assert np.array_equal(inside[:height, :width], hatch(*inside.shape[:2])[:height, :width])
 
@@ -81,7 +75,7 @@ def test_picking_undoes_drawing(
 ) -> None:
     picture = drawn(Field(np.zeros((rows, columns)), u_first), width_px=300, height_px=260)
     u, v = u_first + share[0] * (columns - 1), share[1] * (rows - 1)
-    assert picture.offset_at(*picture.pixel_of(u, v)) == pytest.approx((u, v), abs=1e-9)
+    assert picture.offset_at(*picture.axes.to_pixel(u, v)) == pytest.approx((u, v), abs=1e-9)
 
 
 @settings(max_examples=60)
@@ -91,7 +85,7 @@ def test_a_click_picks_the_cell_that_is_seen_there(
 ) -> None:
     field = Field(np.zeros((rows, columns)))
     empty = drawn(field, width_px=300, height_px=260)
-    box = empty.box
+    box = empty.axes.box
     x = data.draw(st.integers(box.left, box.right - 1))
     y = data.draw(st.integers(box.top, box.bottom - 1))
     offset = empty.offset_at(x, y)
@@ -108,7 +102,7 @@ def test_a_click_picks_the_cell_that_is_seen_there(
 
 def test_outside_of_the_field_nothing_is_picked() -> None:
     picture = drawn(ramp())
-    box = picture.box
+    box = picture.axes.box
     for x, y in (
         (box.left - 1, box.top + 5),
         (box.right, box.top + 5),
@@ -128,14 +122,14 @@ def test_a_mark_is_drawn_at_its_place_and_nowhere_outside_of_the_field(
     # So wide that the legend is of one line in both.
     without = drawn(field, Mark("prior", 40.0), width_px=620)
     picture = drawn(field, Mark("prior", 40.0), Mark(kind, *at), width_px=620)
-    assert picture.box == without.box
-    box = picture.box
+    assert picture.axes.box == without.axes.box
+    box = picture.axes.box
     changed = (picture.rgb != without.rgb).any(axis=2)
     # The legend names the mark; everything else around the field stays.
-    changed[box.bottom + 36 :] = False
+    changed[box.bottom + BELOW_PX :] = False
     assert changed.any()
     rows, columns = np.nonzero(changed)
-    x, y = picture.pixel_of(*at)
+    x, y = picture.axes.to_pixel(*at)
     assert np.abs(rows - y).max() <= 12
     assert np.abs(columns - x).max() <= 12
     assert (rows >= box.top).all()
@@ -148,7 +142,7 @@ def test_marks_differ_in_shape() -> None:
     shapes = []
     for kind in ("peak", "runner_up", "picked"):
         picture = drawn(ramp(), Mark(kind, 45.0, 30.0))
-        x, y = (round(value) for value in picture.pixel_of(45.0, 30.0))
+        x, y = (round(value) for value in picture.axes.to_pixel(45.0, 30.0))
         shapes.append(picture.rgb[y - 9 : y + 10, x - 9 : x + 10].tobytes())
     assert len(set(shapes)) == 3
 
@@ -156,8 +150,8 @@ def test_marks_differ_in_shape() -> None:
 def test_the_prior_is_a_line_through_all_rows() -> None:
     field = ramp()
     picture, without = drawn(field, Mark("prior", 33.0)), drawn(field)
-    x = round(picture.pixel_of(33.0, 0)[0])
-    box = picture.box
+    x = round(picture.axes.to_pixel(33.0, 0)[0])
+    box = picture.axes.box
     column = picture.rgb[box.top : box.bottom, x]
     assert (column != without.rgb[box.top : box.bottom, x]).any(axis=1).all()
     assert len({tuple(color) for color in column.tolist()}) == 2
@@ -167,8 +161,8 @@ def test_the_prior_is_a_line_through_all_rows() -> None:
 def test_a_mark_beyond_the_field_is_not_drawn_in_it(at: tuple[float, float | None]) -> None:
     # The legend is of one line in both.
     picture, without = drawn(ramp(), Mark("picked", *at)), drawn(ramp(), Mark("prior", -9.0))
-    assert picture.box == without.box
-    assert np.array_equal(picture.box.view(picture.rgb), without.box.view(without.rgb))
+    assert picture.axes.box == without.axes.box
+    assert np.array_equal(picture.axes.box.view(picture.rgb), without.axes.box.view(without.rgb))
 
 
 def test_a_mark_that_does_not_exist_leaves_no_trace() -> None:
@@ -192,7 +186,7 @@ def test_fields_of_little_are_drawn(field: Field) -> None:
     assert picture.rgb.shape == (380, 420, 3)
     assert picture.rgb.dtype == np.uint8
     assert (picture.limits is None) == bool(np.isnan(field.scores).all())
-    box = picture.box
+    box = picture.axes.box
     middle = picture.offset_at(box.left + box.width / 2, box.top + box.height / 2)
     assert middle is not None
     assert field.u_first <= middle[0] <= field.u_first + field.scores.shape[1] - 1
