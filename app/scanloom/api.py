@@ -258,9 +258,9 @@ def _fuse_result(folder: Path) -> FuseResult:
 def _map_result(folder: Path) -> MapResult:
     import pyarrow as pa
 
-    from fusion_core.workflows.map.result_folder import read_run
+    from fusion_core.workflows.map.result_folder import read_map_results
 
-    found = read_run(folder)
+    found = read_map_results(folder)
     x_m, y_m, yaw_rad = found.poses_map_scan.T
     trajectory = pa.table(
         {

@@ -13,6 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from fusion_core.evaluation.associated_truth import (
+    SAME_SURFACE_M,
+    AssociatedTruth,
+    TrueCamera,
+    associate_truth,
+)
 from fusion_core.evaluation.fuse_folder import (
     MISSING,
     FuseFolder,
@@ -20,7 +26,6 @@ from fusion_core.evaluation.fuse_folder import (
     open_fuse_folder,
     read_frames,
 )
-from fusion_core.evaluation.scene import SAME_SURFACE_M, Scene, SceneCamera, join
 from fusion_core.evaluation.truth import Truth
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import FloatArray, IntArray, read_only, wrap_angle
@@ -45,7 +50,7 @@ class OffsetHits:
     within: int
 
     @property
-    def share(self) -> float | None:
+    def fraction(self) -> float | None:
         """Hits / frames that count, None without frames."""
         return self.within / self.frames if self.frames else None
 
@@ -104,7 +109,7 @@ class AlignmentReport:
 
 
 def _hits_json(hits: OffsetHits) -> dict[str, Any]:
-    return {"share": hits.share, "within": hits.within, "frames": hits.frames}
+    return {"share": hits.fraction, "within": hits.within, "frames": hits.frames}
 
 
 def evaluate_alignment(fuse_dir: Path, truth: Truth) -> AlignmentReport:
@@ -114,14 +119,14 @@ def evaluate_alignment(fuse_dir: Path, truth: Truth) -> AlignmentReport:
     no mount.
     """
     folder = open_fuse_folder(fuse_dir)
-    scene = join(truth, folder)
+    scene = associate_truth(truth, folder)
     frames = read_frames(folder)
     u_true = np.full(frames.stamp_ns.shape, np.nan)
     paired = np.flatnonzero(frames.scan_stamp_ns != MISSING)
     scan = scene.scan_index(frames.scan_stamp_ns[paired])
     image = scene.image_index(frames.camera[paired], frames.stamp_ns[paired])
     T_lidar_rig = _true_rig(scene)
-    left_rad = _left_of_row_rad(scene, T_lidar_rig, folder.lidar)
+    left_rad = _row_left_rad(scene, T_lidar_rig, folder.lidar)
     for frame, scan_index, image_index in zip(paired, scan, image, strict=True):
         offsets = _good_pair_offsets(
             scene,
@@ -135,7 +140,7 @@ def evaluate_alignment(fuse_dir: Path, truth: Truth) -> AlignmentReport:
             u_true[frame] = np.median(offsets)
     return AlignmentReport(
         u_true=u_true,
-        hits=_hits(folder, frames.number, u_true),
+        hits=_count_hits(folder, frames.number, u_true),
         mount_error=_mount_error(folder, scene),
         clock_offset_true_ms=truth.clock_offset_ms,
         clock_interval_ms=_clock_interval_ms(folder),
@@ -155,8 +160,8 @@ def pool_hits(reports: Sequence[AlignmentReport]) -> dict[str, OffsetHits]:
 
 
 def _good_pair_offsets(
-    scene: Scene,
-    camera: SceneCamera,
+    scene: AssociatedTruth,
+    camera: TrueCamera,
     scan_and_image: tuple[int, int],
     T_lidar_rig: FloatArray,
     left_rad: float,
@@ -168,13 +173,13 @@ def _good_pair_offsets(
     range_m = scene.truth.range_m[scan, beam]
     angle_rad = scene.beam_angle_rad[beam]
     points = np.stack([np.cos(angle_rad), np.sin(angle_rad), np.zeros(beam.size)], axis=-1)
-    row, column, inside = camera.pixels(points * range_m[:, np.newaxis])
+    row, column, inside = camera.project(points * range_m[:, np.newaxis])
     shown: IntArray = np.full(beam.shape, image)
     depth_m = camera.truth.depth_m(shown, row, column)
     near = np.abs(camera.horizontal_range_m(row, column, depth_m) - range_m) < SAME_SURFACE_M
     good = inside & near & (camera.truth.kind[image, row, column] == NoiseClass.GOOD)
     in_lidar = transform_points(
-        camera.T_lidar_camera, camera.points_in_camera(row[good], column[good], depth_m[good])
+        camera.T_lidar_camera, camera.back_project(row[good], column[good], depth_m[good])
     )
     in_rig = transform_points(invert_transform(T_lidar_rig), in_lidar)
     azimuth_rad = np.arctan2(in_rig[:, 1], in_rig[:, 0])
@@ -189,14 +194,14 @@ def _step_rad(lidar: RecordedLidar) -> float:
     return abs(lidar.angle_increment_rad) * lidar.beams / lidar.samples
 
 
-def _curve_left_rad(scene: Scene, step_rad: float) -> float:
+def _curve_left_rad(scene: AssociatedTruth, step_rad: float) -> float:
     """Azimuth of LiDAR sample 0: half a sample inside the left end of the field of view."""
     angles = scene.beam_angle_rad
     half_beam_rad = 0.5 * abs(angles[1] - angles[0])
     return float(angles.max() + half_beam_rad - 0.5 * step_rad)
 
 
-def _true_rig(scene: Scene) -> FloatArray:
+def _true_rig(scene: AssociatedTruth) -> FloatArray:
     """(4, 4) T_lidar_rig, about whose origin the row's azimuths are taken.
 
     One camera is its own rig, x along its optical axis. Several have theirs at the mean optical
@@ -212,7 +217,7 @@ def _true_rig(scene: Scene) -> FloatArray:
     return make_transform(axes, np.mean([mount[:3, 3] for mount in mounts], axis=0))
 
 
-def _left_of_row_rad(scene: Scene, T_lidar_rig: FloatArray, lidar: RecordedLidar) -> float:
+def _row_left_rad(scene: AssociatedTruth, T_lidar_rig: FloatArray, lidar: RecordedLidar) -> float:
     """Azimuth in the rig of row sample 0: half a sample inside the image's left edge."""
     edges = []
     for camera in scene.cameras:
@@ -220,13 +225,13 @@ def _left_of_row_rad(scene: Scene, T_lidar_rig: FloatArray, lidar: RecordedLidar
         _, height, width = camera.truth.depth_mm.shape
         column = np.array([-0.5, width - 0.5, cx, cx])
         row = np.array([cy, cy, -0.5, height - 0.5])
-        edge = camera.points_in_camera(row, column, np.full(4, _PANORAMA_END_M))
+        edge = camera.back_project(row, column, np.full(4, _PANORAMA_END_M))
         in_rig = transform_points(invert_transform(T_lidar_rig) @ camera.T_lidar_camera, edge)
         edges.append(np.arctan2(in_rig[:, 1], in_rig[:, 0]).max())
     return float(max(edges)) - 0.5 * _step_rad(lidar)
 
 
-def _hits(
+def _count_hits(
     folder: FuseFolder, number: dict[str, FloatArray], u_true: FloatArray
 ) -> dict[str, OffsetHits]:
     counts = np.isfinite(u_true) & (number["overlap"] >= LEAST_OVERLAP)
@@ -245,14 +250,14 @@ def _hits(
     }
 
 
-def _mount_error(folder: FuseFolder, scene: Scene) -> dict[str, float | None]:
+def _mount_error(folder: FuseFolder, scene: AssociatedTruth) -> dict[str, float | None]:
     true_mounts = [camera.T_lidar_camera for camera in scene.cameras]
     centre_m = np.mean([mount[:3, 3] for mount in true_mounts], axis=0)
     errors: dict[str, float | None] = {}
     for name, true_m in zip(("forward_m", "left_m", "delta_z_m"), centre_m, strict=True):
         estimate_m = folder.alignment.get(name)
         errors[name] = None if estimate_m is None else float(estimate_m - true_m)
-    for name, angle_rad in (("yaw_rad", _heading_rad), ("pitch_rad", _looks_down_rad)):
+    for name, angle_rad in (("yaw_rad", _heading_rad), ("pitch_rad", _pitch_rad)):
         if len(true_mounts) == 1:
             estimates = [folder.alignment.get(name)]
         else:
@@ -272,7 +277,7 @@ def _heading_rad(T_lidar_camera: FloatArray) -> float:
     return float(np.arctan2(T_lidar_camera[1, 2], T_lidar_camera[0, 2]))
 
 
-def _looks_down_rad(T_lidar_camera: FloatArray) -> float:
+def _pitch_rad(T_lidar_camera: FloatArray) -> float:
     return float(-np.arcsin(np.clip(T_lidar_camera[2, 2], -1.0, 1.0)))
 
 

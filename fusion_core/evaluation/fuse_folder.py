@@ -140,15 +140,20 @@ def open_fuse_folder(path: Path) -> FuseFolder:
 
 
 def _recorded_camera(entry: dict[str, Any]) -> RecordedCamera:
-    lens = [entry[name] for name in ("fx", "fy", "cx", "cy")]
+    intrinsics = [entry[name] for name in ("fx", "fy", "cx", "cy")]
     mount = entry["T_lidar_camera"]
     return RecordedCamera(
         topic=str(entry["topic"]),
         width=int(entry["width"]),
         height=int(entry["height"]),
         intrinsics=None
-        if None in lens
-        else (float(lens[0]), float(lens[1]), float(lens[2]), float(lens[3])),
+        if None in intrinsics
+        else (
+            float(intrinsics[0]),
+            float(intrinsics[1]),
+            float(intrinsics[2]),
+            float(intrinsics[3]),
+        ),
         T_lidar_camera=None if mount is None else np.array(mount, dtype=np.float64).reshape(4, 4),
     )
 
@@ -163,16 +168,16 @@ def read_frames(folder: FuseFolder) -> Frames:
     except (OSError, pa.ArrowInvalid) as error:
         raise ScanLoomError(f"cannot be read: {error}.", file=file, advice=_ADVICE) from error
     columns = dict(zip(table.column_names, table.columns, strict=True))
-    _require(columns, _FRAME_KEYS + _FRAME_NUMBERS, file)
+    _require_columns(columns, _FRAME_KEYS + _FRAME_NUMBERS, file)
     number = {
-        name: _floats(column)
+        name: _as_floats(column)
         for name, column in columns.items()
         if name not in _FRAME_KEYS and _is_numeric(column.type)
     }
     return Frames(
-        camera=_codes(columns["camera"], folder.topics, "camera", file),
-        stamp_ns=_integers(columns["stamp_ns"]),
-        scan_stamp_ns=_integers(columns["scan_stamp_ns"]),
+        camera=_as_codes(columns["camera"], folder.topics, "camera", file),
+        stamp_ns=_as_integers(columns["stamp_ns"]),
+        scan_stamp_ns=_as_integers(columns["scan_stamp_ns"]),
         number=number,
     )
 
@@ -187,7 +192,7 @@ def read_samples(folder: FuseFolder) -> Iterator[Samples]:
     wanted = tuple(field.name for field in fields(Samples))
     try:
         with open_regular(file) as stream, pq.ParquetFile(stream) as parquet:
-            _require(dict.fromkeys(parquet.schema_arrow.names), wanted, file)
+            _require_columns(dict.fromkeys(parquet.schema_arrow.names), wanted, file)
             for batch in parquet.iter_batches(batch_size=_BATCH_ROWS, columns=list(wanted)):
                 yield _samples(folder, dict(zip(wanted, batch.select(wanted), strict=True)), file)
     except (OSError, pa.ArrowInvalid) as error:
@@ -196,40 +201,42 @@ def read_samples(folder: FuseFolder) -> Iterator[Samples]:
 
 def _samples(folder: FuseFolder, columns: dict[str, Any], file: Path) -> Samples:
     samples = Samples(
-        camera=_codes(columns["camera"], folder.topics, "camera", file),
-        stamp_ns=_integers(columns["stamp_ns"]),
-        scan_stamp_ns=_integers(columns["scan_stamp_ns"]),
-        lidar_beam=_integers(columns["lidar_beam"]),
-        depth_row=_integers(columns["depth_row"]),
-        depth_column=_integers(columns["depth_column"]),
-        lidar_class=_integers(columns["lidar_class"]),
-        depth_class=_integers(columns["depth_class"]),
-        residual_m=_floats(columns["residual_m"]),
-        lidar_raw_m=_floats(columns["lidar_raw_m"]),
-        lidar_repaired_m=_floats(columns["lidar_repaired_m"]),
-        lidar_source=_codes(columns["lidar_source"], _SOURCES, "lidar_source", file),
-        depth_raw_m=_floats(columns["depth_raw_m"]),
-        depth_repaired_m=_floats(columns["depth_repaired_m"]),
-        depth_source=_codes(columns["depth_source"], _SOURCES, "depth_source", file),
+        camera=_as_codes(columns["camera"], folder.topics, "camera", file),
+        stamp_ns=_as_integers(columns["stamp_ns"]),
+        scan_stamp_ns=_as_integers(columns["scan_stamp_ns"]),
+        lidar_beam=_as_integers(columns["lidar_beam"]),
+        depth_row=_as_integers(columns["depth_row"]),
+        depth_column=_as_integers(columns["depth_column"]),
+        lidar_class=_as_integers(columns["lidar_class"]),
+        depth_class=_as_integers(columns["depth_class"]),
+        residual_m=_as_floats(columns["residual_m"]),
+        lidar_raw_m=_as_floats(columns["lidar_raw_m"]),
+        lidar_repaired_m=_as_floats(columns["lidar_repaired_m"]),
+        lidar_source=_as_codes(columns["lidar_source"], _SOURCES, "lidar_source", file),
+        depth_raw_m=_as_floats(columns["depth_raw_m"]),
+        depth_repaired_m=_as_floats(columns["depth_repaired_m"]),
+        depth_source=_as_codes(columns["depth_source"], _SOURCES, "depth_source", file),
     )
     height = np.array([camera.height for camera in folder.cameras])[samples.camera]
     width = np.array([camera.width for camera in folder.cameras])[samples.camera]
-    _within(samples.lidar_beam, 0, folder.lidar.beams, "lidar_beam", file)
-    _within(samples.lidar_class, 0, len(NoiseClass), "lidar_class", file)
-    _within(samples.depth_row, MISSING, height, "depth_row", file)
+    _require_within(samples.lidar_beam, 0, folder.lidar.beams, "lidar_beam", file)
+    _require_within(samples.lidar_class, 0, len(NoiseClass), "lidar_class", file)
+    _require_within(samples.depth_row, MISSING, height, "depth_row", file)
     row = samples.paired
-    _within(samples.depth_column[row], 0, width[row], "depth_column", file)
-    _within(samples.depth_class[row], 0, len(NoiseClass), "depth_class", file)
+    _require_within(samples.depth_column[row], 0, width[row], "depth_column", file)
+    _require_within(samples.depth_class[row], 0, len(NoiseClass), "depth_class", file)
     return samples
 
 
-def _require(columns: dict[str, Any], wanted: tuple[str, ...], file: Path) -> None:
+def _require_columns(columns: dict[str, Any], wanted: tuple[str, ...], file: Path) -> None:
     absent = [name for name in wanted if name not in columns]
     if absent:
         raise ScanLoomError(f"has no column {', '.join(absent)}.", file=file, advice=_ADVICE)
 
 
-def _within(values: IntArray, low: int, below: int | IntArray, name: str, file: Path) -> None:
+def _require_within(
+    values: IntArray, low: int, below: int | IntArray, name: str, file: Path
+) -> None:
     bad = (values < low) | (values >= below)
     if bad.any():
         raise ScanLoomError(
@@ -237,10 +244,10 @@ def _within(values: IntArray, low: int, below: int | IntArray, name: str, file: 
         )
 
 
-def _codes(column: Any, names: list[str], what: str, file: Path) -> IntArray:
+def _as_codes(column: Any, names: list[str], what: str, file: Path) -> IntArray:
     """Positions of strings in ``names``, MISSING for null."""
     strings = column.cast(pa.string())
-    codes = _integers(pc.index_in(strings, value_set=pa.array(names, pa.string())))
+    codes = _as_integers(pc.index_in(strings, value_set=pa.array(names, pa.string())))
     unknown = (codes == MISSING) & strings.is_valid().to_numpy(zero_copy_only=False)
     if unknown.any():
         first = strings[int(np.flatnonzero(unknown)[0])]
@@ -255,11 +262,11 @@ def _is_numeric(kind: Any) -> bool:
     return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind))
 
 
-def _integers(column: Any) -> IntArray:
+def _as_integers(column: Any) -> IntArray:
     values: IntArray = column.cast(pa.int64()).fill_null(MISSING).to_numpy(zero_copy_only=False)
     return values
 
 
-def _floats(column: Any) -> FloatArray:
+def _as_floats(column: Any) -> FloatArray:
     values: FloatArray = column.cast(pa.float64()).to_numpy(zero_copy_only=False)
     return values

@@ -22,10 +22,10 @@ BAND_M = 0.15
 
 # At a face's ends the cells of what joins it there begin.
 _END_M = 0.1
-_END_SHARE = 0.2
+_END_FRACTION = 0.2
 _CELLS_MIN = 4
 # Cells on less than this share of a face tell little of its direction.
-_SPAN_MIN = 0.3
+_SPAN_FRACTION_MIN = 0.3
 _ITERATIONS = 30
 # A face's free side is the one with more free cells within this distance.
 _SIDE_M = 0.3
@@ -34,7 +34,7 @@ _NEXT_CELLS = 0.75
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class Measurement:
     """A true value and the one in the map, NaN where the map does not show what it needs."""
 
     name: str
@@ -60,8 +60,8 @@ class Measured:
 class MeasureReport:
     """``lines`` in metres, ``angles`` in degrees."""
 
-    lines: tuple[Measured, ...]
-    angles: tuple[Measured, ...]
+    lines: tuple[Measurement, ...]
+    angles: tuple[Measurement, ...]
 
     def to_json(self) -> dict[str, Any]:
         """Each line and angle, and the means over those that the map shows."""
@@ -96,33 +96,33 @@ class MapCells:
 def evaluate_measures(cells: MapCells, world: WorldOutline) -> MeasureReport:
     """Measure the world's lines and angles in a map."""
     return MeasureReport(
-        lines=tuple(_length(line, cells) for line in world.lines),
-        angles=tuple(_angle(angle, cells) for angle in world.angles),
+        lines=tuple(_measure_length(line, cells) for line in world.lines),
+        angles=tuple(_measure_angle(angle, cells) for angle in world.angles),
     )
 
 
-def _length(line: MeasuredLine, cells: MapCells) -> Measured:
+def _measure_length(line: MeasuredLine, cells: MapCells) -> Measurement:
     fits = [fit_face(face, cells) for face in line.faces_m]
     first, second = fits
     if first is None or second is None:
-        return Measured(line.name, line.length_m, float("nan"))
+        return Measurement(line.name, line.length_m, float("nan"))
     # From the middle of the shorter face straight across to the other, whose direction is the
     # better known; of two alike neither is preferred.
     apart = second[0] - first[0]
     off_m = [abs(float(d[0] * apart[1] - d[1] * apart[0])) for _, d in (first, second)]
     lengths_m = np.linalg.norm(line.faces_m[:, 1] - line.faces_m[:, 0], axis=1)
     weights = lengths_m**2 / (lengths_m**2).sum()
-    return Measured(line.name, line.length_m, float(weights @ off_m))
+    return Measurement(line.name, line.length_m, float(weights @ off_m))
 
 
-def _angle(angle: MeasuredAngle, cells: MapCells) -> Measured:
+def _measure_angle(angle: MeasuredAngle, cells: MapCells) -> Measurement:
     true_deg = float(np.degrees(angle.angle_rad))
     fits = [fit_face(arm, cells) for arm in angle.arms_m]
     first, second = fits
     if first is None or second is None:
-        return Measured(angle.name, true_deg, float("nan"))
+        return Measurement(angle.name, true_deg, float("nan"))
     cosine = float(np.clip(first[1] @ second[1], -1.0, 1.0))
-    return Measured(angle.name, true_deg, float(np.degrees(np.arccos(cosine))))
+    return Measurement(angle.name, true_deg, float(np.degrees(np.arccos(cosine))))
 
 
 def fit_face(face_m: FloatArray, cells: MapCells) -> tuple[FloatArray, FloatArray] | None:
@@ -135,7 +135,7 @@ def fit_face(face_m: FloatArray, cells: MapCells) -> tuple[FloatArray, FloatArra
     length_m = float(np.linalg.norm(face_m[1] - face_m[0]))
     along = (face_m[1] - face_m[0]) / length_m
     normal = np.array([-along[1], along[0]])
-    end_m = min(_END_M, _END_SHARE * length_m)
+    end_m = min(_END_M, _END_FRACTION * length_m)
 
     def beside(points_m: FloatArray, band_m: float) -> tuple[FloatArray, FloatArray]:
         """Those of the points (N, 2) near the face, and how far they are to its left."""
@@ -152,9 +152,9 @@ def fit_face(face_m: FloatArray, cells: MapCells) -> tuple[FloatArray, FloatArra
         is_front = np.asarray(gap_m) <= _NEXT_CELLS * cells.resolution_m
         occupied_m, off_m = occupied_m[is_front], off_m[is_front]
     reach_m = (occupied_m - face_m[0]) @ along
-    if len(occupied_m) < _CELLS_MIN or np.ptp(reach_m) < _SPAN_MIN * length_m:
+    if len(occupied_m) < _CELLS_MIN or np.ptp(reach_m) < _SPAN_FRACTION_MIN * length_m:
         return None
-    point = face_m[0] + _crest_m(off_m, cells.resolution_m) * normal
+    point = face_m[0] + _mode_m(off_m, cells.resolution_m) * normal
     direction: FloatArray = along
     for _ in range(_ITERATIONS):
         residual = (occupied_m - point) @ np.array([-direction[1], direction[0]])
@@ -172,7 +172,7 @@ def fit_face(face_m: FloatArray, cells: MapCells) -> tuple[FloatArray, FloatArra
     return (point, direction) if direction @ along > np.sqrt(0.5) else None
 
 
-def _crest_m(off_m: FloatArray, resolution_m: float) -> float:
+def _mode_m(off_m: FloatArray, resolution_m: float) -> float:
     """The offset (of one of the cells) about which most cells lie, nearer ones preferred."""
     beside = np.abs(off_m[:, None] - off_m[None, :]) / resolution_m
     crowd = np.maximum(1.0 - beside, 0.0).sum(axis=1) * (1.0 - 0.5 * np.abs(off_m) / BAND_M)

@@ -21,7 +21,7 @@ TOLERANCE_M = 0.02
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Detection:
+class ObstacleDetection:
     """Of one obstacle: its length (m), the samples found and those that could be seen.
 
     ``found``: (S,). ``seen``: (sensors, S) in the order of SENSORS.
@@ -30,33 +30,35 @@ class Detection:
     name: str
     length_m: float
     found: BoolArray
-    seen: BoolArray
+    visible: BoolArray
 
     def __post_init__(self) -> None:
         read_only(self.found)
-        read_only(self.seen)
+        read_only(self.visible)
 
     def to_json(self) -> dict[str, Any]:
         """Lengths and shares; a share of nothing is null."""
-        return {"name": self.name, **_shares([self])}
+        return {"name": self.name, **_detection_rates([self])}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OutlineReport:
     """Detection of each obstacle, and how many of the map's occupied cells belong to none."""
 
-    obstacles: tuple[Detection, ...]
-    reach_m: float
-    occupied: int
-    stray: int
+    obstacles: tuple[ObstacleDetection, ...]
+    tolerance_m: float
+    occupied_cells: int
+    false_cells: int
 
     def to_json(self) -> dict[str, Any]:
         """The rates over all obstacles, the share of false obstacles, then each obstacle."""
         return {
-            **_shares(self.obstacles),
-            "reach_m": self.reach_m,
-            "occupied_cells": self.occupied,
-            "false_obstacles": self.stray / self.occupied if self.occupied else None,
+            **_detection_rates(self.obstacles),
+            "reach_m": self.tolerance_m,
+            "occupied_cells": self.occupied_cells,
+            "false_obstacles": self.false_cells / self.occupied_cells
+            if self.occupied_cells
+            else None,
             "obstacles": [obstacle.to_json() for obstacle in self.obstacles],
         }
 
@@ -73,48 +75,48 @@ def evaluate_outlines(
             "The world has no obstacles, so that nothing could be found.",
             advice="Name the world file of the recording that the map was made of.",
         )
-    reach_m = resolution_m + TOLERANCE_M
+    tolerance_m = resolution_m + TOLERANCE_M
     samples = [obstacle.samples_m() for obstacle in world.obstacles]
-    found = _within(np.concatenate(samples), occupied_m, reach_m)
+    found = _is_near(np.concatenate(samples), occupied_m, tolerance_m)
     ends = np.cumsum([len(own) for own in samples])
-    stray = ~_within(occupied_m, np.concatenate(samples), reach_m)
+    is_false = ~_is_near(occupied_m, np.concatenate(samples), tolerance_m)
     return OutlineReport(
         obstacles=tuple(
-            _detection(obstacle, found[end - len(own) : end])
+            _detect_obstacle(obstacle, found[end - len(own) : end])
             for obstacle, own, end in zip(world.obstacles, samples, ends, strict=True)
         ),
-        reach_m=reach_m,
-        occupied=len(occupied_m),
-        stray=int(stray.sum()),
+        tolerance_m=tolerance_m,
+        occupied_cells=len(occupied_m),
+        false_cells=int(is_false.sum()),
     )
 
 
-def _detection(obstacle: ObstacleOutline, found: BoolArray) -> Detection:
-    return Detection(
+def _detect_obstacle(obstacle: ObstacleOutline, found: BoolArray) -> ObstacleDetection:
+    return ObstacleDetection(
         name=obstacle.name,
         length_m=obstacle.length_m,
         found=found.copy(),
-        seen=np.stack([obstacle.seen_samples(sensor) for sensor in SENSORS]),
+        visible=np.stack([obstacle.seen_samples(sensor) for sensor in SENSORS]),
     )
 
 
-def _within(points_m: FloatArray, others_m: FloatArray, reach_m: float) -> BoolArray:
+def _is_near(points_m: FloatArray, others_m: FloatArray, tolerance_m: float) -> BoolArray:
     """(N,): whether any of the others (M, 2) lies within reach of each point (N, 2)."""
     if len(others_m) == 0 or len(points_m) == 0:
         return np.zeros(len(points_m), dtype=np.bool_)
     # The tree leaves out what lies at the bound itself.
-    bound_m = float(np.nextafter(reach_m, np.inf))
+    bound_m = float(np.nextafter(tolerance_m, np.inf))
     nearest_m, _ = cKDTree(others_m).query(points_m, distance_upper_bound=bound_m)
-    within: BoolArray = np.asarray(nearest_m) <= reach_m
+    within: BoolArray = np.asarray(nearest_m) <= tolerance_m
     return within
 
 
-def _shares(obstacles: Sequence[Detection]) -> dict[str, Any]:
+def _detection_rates(obstacles: Sequence[ObstacleDetection]) -> dict[str, Any]:
     """Lengths of all, seen and found outline, and (10) over each of them."""
     # A sample stands for its share of its own outline's length.
     weights = np.concatenate([np.full(o.found.size, o.length_m / o.found.size) for o in obstacles])
     found = np.concatenate([o.found for o in obstacles])
-    seen = np.concatenate([o.seen for o in obstacles], axis=1)
+    seen = np.concatenate([o.visible for o in obstacles], axis=1)
     figures: dict[str, Any] = {}
     parts = {"all": np.ones(found.size, dtype=np.bool_), "visible": seen.any(axis=0)}
     parts |= {f"visible_to_{sensor}": own for sensor, own in zip(SENSORS, seen, strict=True)}

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from fusion_core.evaluation.associated_truth import associate_truth
 from fusion_core.evaluation.fuse_folder import Samples, open_fuse_folder, read_samples
 from fusion_core.evaluation.pairs import PairKind, true_pairs
-from fusion_core.evaluation.scene import join
 from fusion_core.evaluation.truth import Truth
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
@@ -42,12 +42,12 @@ class NoiseReport:
     def good_recall(self) -> float | None:
         """ξ of Xu 2024: good pairs labelled good on both sides / good pairs."""
         good = self.pairs[PairKind.GOOD]
-        return _share(good[NoiseClass.GOOD, NoiseClass.GOOD], good.sum())
+        return _fraction(good[NoiseClass.GOOD, NoiseClass.GOOD], good.sum())
 
     @property
     def noise_recall(self) -> float | None:
         """η of Xu 2024: noise pairs labelled burr on either side / noise pairs."""
-        return _share(self._noise_found, self.pairs[PairKind.LIDAR_BURR :].sum())
+        return _fraction(self._noise_found, self.pairs[PairKind.LIDAR_BURR :].sum())
 
     @property
     def attribution(self) -> float | None:
@@ -61,13 +61,13 @@ class NoiseReport:
             - depth[burr, burr]
             + both[burr, burr]
         )
-        return _share(right, self._noise_found)
+        return _fraction(right, self._noise_found)
 
     @property
     def conflict_recall(self) -> float | None:
         """Conflict pairs labelled conflict on both sides / conflict pairs."""
         conflict = self.pairs[PairKind.CONFLICT]
-        return _share(conflict[NoiseClass.CONFLICT, NoiseClass.CONFLICT], conflict.sum())
+        return _fraction(conflict[NoiseClass.CONFLICT, NoiseClass.CONFLICT], conflict.sum())
 
     @property
     def conflict_recall_either(self) -> float | None:
@@ -75,22 +75,22 @@ class NoiseReport:
         conflict = self.pairs[PairKind.CONFLICT]
         label = NoiseClass.CONFLICT
         found = conflict[label].sum() + conflict[:, label].sum() - conflict[label, label]
-        return _share(found, conflict.sum())
+        return _fraction(found, conflict.sum())
 
     @property
     def conflict_changed(self) -> float | None:
         """Conflict pairs with another value than the raw one on either side / conflict pairs."""
-        return _share(self.conflicts_changed, self.pairs[PairKind.CONFLICT].sum())
+        return _fraction(self.conflicts_changed, self.pairs[PairKind.CONFLICT].sum())
 
     @property
     def lidar_hole_recall(self) -> float | None:
         """Beams that are holes in truth and labelled so / holes among the beams in view."""
-        return _share(self.lidar_holes_labelled, self.lidar_holes)
+        return _fraction(self.lidar_holes_labelled, self.lidar_holes)
 
     @property
     def depth_hole_recall(self) -> float | None:
         """The same for the pixels that are paired with a beam."""
-        return _share(self.depth_holes_labelled, self.depth_holes)
+        return _fraction(self.depth_holes_labelled, self.depth_holes)
 
     @property
     def _noise_found(self) -> int:
@@ -135,7 +135,7 @@ def evaluate_noise(fuse_dir: Path, truth: Truth) -> NoiseReport:
     no mount.
     """
     folder = open_fuse_folder(fuse_dir)
-    scene = join(truth, folder)
+    scene = associate_truth(truth, folder)
     counts = np.zeros((5, 4, 4), dtype=np.int64)
     changed = 0
     holes = np.zeros((2, 2), dtype=np.int64)
@@ -150,7 +150,7 @@ def evaluate_noise(fuse_dir: Path, truth: Truth) -> NoiseReport:
             1,
         )
         conflict = row[kind == PairKind.CONFLICT]
-        changed += int(_changed(samples, conflict).sum())
+        changed += int(_is_changed(samples, conflict).sum())
         scan = scene.scan_index(samples.scan_stamp_ns)
         lidar_hole = truth.kind[scan, samples.lidar_beam] == NoiseClass.HOLE
         depth_hole = pairs.depth_true == NoiseClass.HOLE
@@ -181,17 +181,17 @@ def pool_noise(reports: Sequence[NoiseReport]) -> NoiseReport:
     )
 
 
-def _changed(samples: Samples, row: IntArray) -> BoolArray:
+def _is_changed(samples: Samples, row: IntArray) -> BoolArray:
     """Rows in which either sensor's value is not its raw one (missing equals missing)."""
-    return _differs(samples.lidar_raw_m[row], samples.lidar_repaired_m[row]) | _differs(
+    return _values_differ(samples.lidar_raw_m[row], samples.lidar_repaired_m[row]) | _values_differ(
         samples.depth_raw_m[row], samples.depth_repaired_m[row]
     )
 
 
-def _differs(raw_m: FloatArray, repaired_m: FloatArray) -> BoolArray:
+def _values_differ(raw_m: FloatArray, repaired_m: FloatArray) -> BoolArray:
     differs: BoolArray = (raw_m != repaired_m) & ~(np.isnan(raw_m) & np.isnan(repaired_m))
     return differs
 
 
-def _share(part: int | np.integer[Any], whole: int | np.integer[Any]) -> float | None:
+def _fraction(part: int | np.integer[Any], whole: int | np.integer[Any]) -> float | None:
     return float(part) / float(whole) if whole else None

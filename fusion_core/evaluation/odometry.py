@@ -10,32 +10,32 @@ from typing import Any
 
 import numpy as np
 
-from fusion_core.evaluation.pose_stacks import planar, relative
+from fusion_core.evaluation.pose_arrays import project_to_plane, relative_poses
 from fusion_core.evaluation.relative_pose import Step
 from fusion_core.evaluation.trajectories import (
-    GREATEST_GAP_S,
+    MAX_GAP_S,
     PoseErrors,
     PosePairs,
-    absolute_errors,
+    absolute_pose_errors,
     associate,
-    relative_errors,
-    travelled_m,
+    path_length_m,
+    relative_pose_errors,
 )
 from fusion_core.model.conventions import FloatArray, IntArray, read_only
 from fusion_core.model.trajectory import Trajectory
 
-STRETCH_M = 1.0
+SEGMENT_M = 1.0
 STRAIGHT_MIN_M = 1.0
 """Of a shorter way millimetres of noise are a large share, and every curve is straight."""
 # A robot steered by hand goes no straighter.
-_ASIDE_M = 0.1
-_ASIDE_SHARE = 0.06
-_LONGER_SHARE = 0.05
-_REST_M = 0.005
+_LATERAL_MAX_M = 0.1
+_LATERAL_RATIO_MAX = 0.06
+_DETOUR_RATIO_MAX = 0.05
+_DETOUR_FLOOR_M = 0.005
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StraightDistances:
+class StraightSegments:
     """Distances between the ends of straight stretches, one after another: Li 2022, Table 5.
 
     ``true_m``, ``estimated_m``: (K,), K >= 0. ``begin_ns``: (K,) where each begins.
@@ -77,10 +77,10 @@ class OdometryReport:
 
     path_m: float
     estimated_path_m: float
-    straight: StraightDistances
+    straight: StraightSegments
     end: PoseErrors
-    stretch_m: float
-    stretches: PoseErrors
+    segment_m: float
+    segments: PoseErrors
 
     @property
     def distance_error(self) -> float:
@@ -95,9 +95,9 @@ class OdometryReport:
             "distance_error": self.distance_error,
             "straight": self.straight.to_json(),
             "end": _per_metre(self.end, self.path_m),
-            "stretch_m": self.stretch_m,
-            "stretches": int(self.stretches.translation_m.size),
-            "over_stretches": _per_metre(self.stretches, self.stretch_m),
+            "stretch_m": self.segment_m,
+            "stretches": int(self.segments.translation_m.size),
+            "over_stretches": _per_metre(self.segments, self.segment_m),
         }
 
 
@@ -105,8 +105,8 @@ def evaluate_odometry(
     estimate: Trajectory,
     reference: Trajectory,
     *,
-    stretch_m: float = STRETCH_M,
-    greatest_gap_s: float = GREATEST_GAP_S,
+    segment_m: float = SEGMENT_M,
+    max_gap_s: float = MAX_GAP_S,
 ) -> OdometryReport:
     """Drift of ``estimate`` against ``reference``, both as x, y, yaw.
 
@@ -116,28 +116,31 @@ def evaluate_odometry(
     Raises SettingsError for a stretch or gap that is not positive, ScanLoomError where no poses can
     be compared, or the reference is shorter than a stretch.
     """
-    step = Step(delta=stretch_m, unit="m")
-    pairs = associate(estimate, reference, greatest_gap_s)
+    step = Step(delta=segment_m, unit="m")
+    pairs = associate(estimate, reference, max_gap_s)
     pairs = PosePairs(
         stamps_ns=pairs.stamps_ns,
-        T_map_estimate=planar(pairs.T_map_estimate),
-        T_map_reference=planar(pairs.T_map_reference),
+        T_map_estimate=project_to_plane(pairs.T_map_estimate),
+        T_map_reference=project_to_plane(pairs.T_map_reference),
     )
-    stretches = relative_errors(pairs, pairs.T_map_estimate, step)
+    segments = relative_pose_errors(pairs, pairs.T_map_estimate, step)
     estimated, true = (
-        relative(poses[:1], poses[-1:]) for poses in (pairs.T_map_estimate, pairs.T_map_reference)
+        relative_poses(poses[:1], poses[-1:])
+        for poses in (pairs.T_map_estimate, pairs.T_map_reference)
     )
     return OdometryReport(
-        path_m=float(pairs.path_along_reference_m[-1]),
-        estimated_path_m=float(travelled_m(pairs.T_map_estimate)[-1]),
-        straight=straight_distances(pairs),
-        end=absolute_errors(estimated, true),
-        stretch_m=stretch_m,
-        stretches=stretches,
+        path_m=float(pairs.reference_path_m[-1]),
+        estimated_path_m=float(path_length_m(pairs.T_map_estimate)[-1]),
+        straight=find_straight_segments(pairs),
+        end=absolute_pose_errors(estimated, true),
+        segment_m=segment_m,
+        segments=segments,
     )
 
 
-def straight_distances(pairs: PosePairs, *, least_m: float = STRAIGHT_MIN_M) -> StraightDistances:
+def find_straight_segments(
+    pairs: PosePairs, *, least_m: float = STRAIGHT_MIN_M
+) -> StraightSegments:
     """The reference's straight stretches, from one turn to the next, measured end to end.
 
     A stretch goes on as long as it stays within 10 cm of the line between its ends and is at most
@@ -145,17 +148,19 @@ def straight_distances(pairs: PosePairs, *, least_m: float = STRAIGHT_MIN_M) -> 
     that a piece of a circle does not. ``pairs`` hold planar poses.
     """
     positions = pairs.T_map_reference[:, :2, 3]
-    way_m = pairs.path_along_reference_m
+    path_m = pairs.reference_path_m
     chosen: list[tuple[int, int]] = []
     begin = 0
-    for end in range(1, way_m.size + 1):
-        if end < way_m.size:
-            line_m, aside_m = _line_and_aside_m(positions[begin : end + 1])
-            longer_m = way_m[end] - way_m[begin] - line_m
-            if aside_m <= _ASIDE_M and longer_m <= max(_LONGER_SHARE * line_m, _REST_M):
+    for end in range(1, path_m.size + 1):
+        if end < path_m.size:
+            line_m, aside_m = _chord_and_deviation_m(positions[begin : end + 1])
+            longer_m = path_m[end] - path_m[begin] - line_m
+            if aside_m <= _LATERAL_MAX_M and longer_m <= max(
+                _DETOUR_RATIO_MAX * line_m, _DETOUR_FLOOR_M
+            ):
                 continue
-        line_m, aside_m = _line_and_aside_m(positions[begin:end])
-        if line_m >= least_m and aside_m <= _ASIDE_SHARE * line_m:
+        line_m, aside_m = _chord_and_deviation_m(positions[begin:end])
+        if line_m >= least_m and aside_m <= _LATERAL_RATIO_MAX * line_m:
             chosen.append((begin, end - 1))
         begin = end - 1
     first = np.array([pair[0] for pair in chosen], dtype=np.int64)
@@ -164,19 +169,17 @@ def straight_distances(pairs: PosePairs, *, least_m: float = STRAIGHT_MIN_M) -> 
         np.linalg.norm(poses[last, :2, 3] - poses[first, :2, 3], axis=1)
         for poses in (pairs.T_map_reference, pairs.T_map_estimate)
     )
-    return StraightDistances(
-        begin_ns=pairs.stamps_ns[first], true_m=true_m, estimated_m=estimated_m
-    )
+    return StraightSegments(begin_ns=pairs.stamps_ns[first], true_m=true_m, estimated_m=estimated_m)
 
 
-def _line_and_aside_m(positions: FloatArray) -> tuple[float, float]:
+def _chord_and_deviation_m(positions: FloatArray) -> tuple[float, float]:
     """Length of the line between the ends of (M, 2) positions, and how far they stray from it."""
-    line = positions[-1] - positions[0]
-    line_m = float(np.linalg.norm(line))
+    chord = positions[-1] - positions[0]
+    chord_m = float(np.linalg.norm(chord))
     away = positions - positions[0]
-    if line_m == 0.0:
+    if chord_m == 0.0:
         return 0.0, float(np.linalg.norm(away, axis=1).max())
-    return line_m, float(np.abs(away[:, 0] * line[1] - away[:, 1] * line[0]).max() / line_m)
+    return chord_m, float(np.abs(away[:, 0] * chord[1] - away[:, 1] * chord[0]).max() / chord_m)
 
 
 def _per_metre(errors: PoseErrors, path_m: float) -> dict[str, float]:

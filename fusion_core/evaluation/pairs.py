@@ -11,8 +11,8 @@ from enum import IntEnum
 
 import numpy as np
 
+from fusion_core.evaluation.associated_truth import SAME_SURFACE_M, AssociatedTruth
 from fusion_core.evaluation.fuse_folder import Samples
-from fusion_core.evaluation.scene import SAME_SURFACE_M, Scene
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import ByteArray, FloatArray, IntArray
 
@@ -41,7 +41,7 @@ class TruePairs:
     depth_true: ByteArray
 
 
-def true_pairs(samples: Samples, scene: Scene) -> TruePairs:
+def true_pairs(samples: Samples, scene: AssociatedTruth) -> TruePairs:
     """Look up both sides of each row of ``samples.paired``, in that order."""
     row = samples.paired
     scan = scene.scan_index(samples.scan_stamp_ns[row])

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from fusion_core.evaluation.associated_truth import AssociatedTruth, associate_truth
 from fusion_core.evaluation.fuse_folder import (
     FuseFolder,
     open_fuse_folder,
@@ -14,7 +15,6 @@ from fusion_core.evaluation.fuse_folder import (
     read_samples,
 )
 from fusion_core.evaluation.pairs import PairKind, true_pairs
-from fusion_core.evaluation.scene import Scene, join
 from fusion_core.evaluation.truth import Truth
 from fusion_core.model.conventions import FloatArray, IntArray, read_only
 
@@ -45,8 +45,8 @@ class RecallCurve:
         """The curves as lists, None where there are no such pairs; ``band`` is the paper's."""
         return {
             "epsilon_over_E": self.factors.tolist(),
-            "xi": _shares(self.good_kept, self.good_pairs),
-            "eta": _shares(self.noise_found, self.noise_pairs),
+            "xi": _fractions(self.good_kept, self.good_pairs),
+            "eta": _fractions(self.noise_found, self.noise_pairs),
             "good_pairs": self.good_pairs,
             "noise_pairs": self.noise_pairs,
             "band": list(PAPER_BAND),
@@ -62,7 +62,7 @@ def recall_over_epsilon(fuse_dir: Path, truth: Truth, factors: FloatArray) -> Re
     neither. Raises as ``evaluate_noise``.
     """
     folder = open_fuse_folder(fuse_dir)
-    scene = join(truth, folder)
+    scene = associate_truth(truth, folder)
     mean_error_m = _mean_errors_m(folder, scene)
     kept = np.zeros(factors.shape, dtype=np.int64)
     found = np.zeros(factors.shape, dtype=np.int64)
@@ -101,7 +101,7 @@ def pool_recall(curves: Sequence[RecallCurve]) -> RecallCurve:
     )
 
 
-def _mean_errors_m(folder: FuseFolder, scene: Scene) -> FloatArray:
+def _mean_errors_m(folder: FuseFolder, scene: AssociatedTruth) -> FloatArray:
     """(cameras, images) E of each depth image in the truth's order, NaN where it has none."""
     frames = read_frames(folder)
     longest = max(camera.truth.stamp_ns.size for camera in scene.cameras)
@@ -111,5 +111,5 @@ def _mean_errors_m(folder: FuseFolder, scene: Scene) -> FloatArray:
     return errors_m
 
 
-def _shares(counts: IntArray, whole: int) -> list[float] | None:
+def _fractions(counts: IntArray, whole: int) -> list[float] | None:
     return (counts / whole).tolist() if whole else None

@@ -9,7 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from fusion_core.evaluation.pose_stacks import angles_rad, inverses, lengths_m, poses_at, relative
+from fusion_core.evaluation.pose_arrays import (
+    interpolate_poses,
+    invert_poses,
+    relative_poses,
+    rotation_angles_rad,
+    translation_norms_m,
+)
 from fusion_core.evaluation.statistics import ErrorStatistics
 from fusion_core.model.conventions import NS_PER_S, FloatArray, read_only
 from fusion_core.model.errors import ScanLoomError
@@ -72,15 +78,15 @@ def evaluate_relations(trajectory: Trajectory, relations: Relations) -> Relation
             f"{stamps_ns.max() / NS_PER_S:.3f} s.",
             advice="Check that both are of one recording and count time alike.",
         )
-    first, second = (poses_at(trajectory, own_ns[inside])[0] for own_ns in stamps_ns)
-    measured = relative(first, second)
+    first, second = (interpolate_poses(trajectory, own_ns[inside])[0] for own_ns in stamps_ns)
+    measured = relative_poses(first, second)
     expected = relations.T_first_second[inside]
-    errors = relative(expected, measured)
+    errors = relative_poses(expected, measured)
     return RelationReport(
         relations=inside.size,
-        translation_m=lengths_m(errors),
-        rotation_rad=angles_rad(errors),
-        cartographer_translation_m=lengths_m(measured @ inverses(expected)),
+        translation_m=translation_norms_m(errors),
+        rotation_rad=rotation_angles_rad(errors),
+        cartographer_translation_m=translation_norms_m(measured @ invert_poses(expected)),
     )
 
 

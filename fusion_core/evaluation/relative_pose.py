@@ -10,7 +10,7 @@ from fusion_core.model.errors import ScanLoomError, SettingsError
 
 StepUnit = Literal["s", "m", "frames"]
 
-TOLERANCE = 0.1
+STEP_TOLERANCE = 0.1
 """How far a pair may be from the step, as a share of it. A gap in an estimate is no step."""
 
 
@@ -66,5 +66,5 @@ def _nearest_pairs(place: FloatArray, delta: float) -> tuple[IntArray, IntArray]
     before = np.searchsorted(place, place[np.maximum(after - 1, 0)])
     is_before = np.abs(place[before] - target) <= np.abs(place[after] - target)
     second = np.where(is_before, before, after)
-    near = np.abs(place[second] - target) <= TOLERANCE * delta
+    near = np.abs(place[second] - target) <= STEP_TOLERANCE * delta
     return np.flatnonzero(near), second[near]

@@ -21,7 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from fusion_core.evaluation.depth_rivals import RIVALS, fill_image
+from fusion_core.evaluation.associated_truth import AssociatedTruth, TrueCamera, associate_truth
+from fusion_core.evaluation.depth_baselines import BASELINES, fill_by_baselines
 from fusion_core.evaluation.fuse_folder import (
     FuseFolder,
     Samples,
@@ -35,7 +36,6 @@ from fusion_core.evaluation.repair_errors import (
     was_repaired,
 )
 from fusion_core.evaluation.runs import run_bounds
-from fusion_core.evaluation.scene import Scene, SceneCamera, join
 from fusion_core.evaluation.truth import Truth
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import BoolArray, Float32Array, FloatArray, IntArray
@@ -71,7 +71,7 @@ def evaluate_repair(
     that a repair stands in was not handed in.
     """
     folder = open_fuse_folder(fuse_dir)
-    scene = join(truth, folder)
+    scene = associate_truth(truth, folder)
     linear_m = _linear_interpolation_m(folder, scene)
     lidar, depth, pixels = [], [], []
     for samples in read_samples(folder):
@@ -82,8 +82,8 @@ def evaluate_repair(
     report = RepairReport(lidar=pool_errors(lidar, ("linear",)), depth=pool_errors(depth, ()))
     if depth_images is None or not pixels:
         return report
-    rivals = _depth_rival_errors(_joined(pixels), scene, depth_images)
-    return replace(report, depth=replace(report.depth, rival_error_m=rivals))
+    rivals = _depth_baseline_errors(_concatenate_pixels(pixels), scene, depth_images)
+    return replace(report, depth=replace(report.depth, baseline_error_m=rivals))
 
 
 def pool_repair(reports: Sequence[RepairReport]) -> RepairReport:
@@ -91,15 +91,15 @@ def pool_repair(reports: Sequence[RepairReport]) -> RepairReport:
 
     A rival that is missing in one of them is missing in the pool.
     """
-    rivals = [set(report.depth.rival_error_m) for report in reports]
-    common = [name for name in RIVALS if all(name in own for own in rivals)]
+    rivals = [set(report.depth.baseline_error_m) for report in reports]
+    common = [name for name in BASELINES if all(name in own for own in rivals)]
     return RepairReport(
         lidar=pool_errors([report.lidar for report in reports], ("linear",)),
         depth=pool_errors([report.depth for report in reports], common),
     )
 
 
-def _linear_interpolation_m(folder: FuseFolder, scene: Scene) -> FloatArray:
+def _linear_interpolation_m(folder: FuseFolder, scene: AssociatedTruth) -> FloatArray:
     """(S, N) what linear interpolation gives at each beam of each scan that samples name.
 
     NaN in scans without any valid beam.
@@ -119,7 +119,7 @@ def _linear_interpolation_m(folder: FuseFolder, scene: Scene) -> FloatArray:
 
 
 def _lidar_errors(
-    samples: Samples, folder: FuseFolder, scene: Scene, linear_m: FloatArray
+    samples: Samples, folder: FuseFolder, scene: AssociatedTruth, linear_m: FloatArray
 ) -> RepairErrors:
     truth = scene.truth
     scan, beam = scene.scan_index(samples.scan_stamp_ns), samples.lidar_beam
@@ -138,7 +138,7 @@ def _lidar_errors(
         source=samples.lidar_source,
         true_m=true_m,
         repaired_m=samples.lidar_repaired_m,
-        rival_m={"linear": linear_m[scan, beam]},
+        baseline_m={"linear": linear_m[scan, beam]},
         returns=good & np.isfinite(samples.lidar_raw_m),
         raw_m=samples.lidar_raw_m,
     )
@@ -155,7 +155,7 @@ class _RepairedPixels:
     true_m: FloatArray
 
 
-def _joined(parts: Sequence[_RepairedPixels]) -> _RepairedPixels:
+def _concatenate_pixels(parts: Sequence[_RepairedPixels]) -> _RepairedPixels:
     """All parts, of which there is at least one, in their order."""
     return _RepairedPixels(
         camera=np.concatenate([part.camera for part in parts]),
@@ -166,7 +166,7 @@ def _joined(parts: Sequence[_RepairedPixels]) -> _RepairedPixels:
     )
 
 
-def _depth_errors(samples: Samples, scene: Scene) -> tuple[RepairErrors, _RepairedPixels]:
+def _depth_errors(samples: Samples, scene: AssociatedTruth) -> tuple[RepairErrors, _RepairedPixels]:
     paired = samples.paired
     camera = samples.camera[paired]
     row, column = samples.depth_row[paired], samples.depth_column[paired]
@@ -191,7 +191,7 @@ def _depth_errors(samples: Samples, scene: Scene) -> tuple[RepairErrors, _Repair
         source=source,
         true_m=true_m,
         repaired_m=repaired_m,
-        rival_m={},
+        baseline_m={},
         returns=(kind == NoiseClass.GOOD) & np.isfinite(raw_m),
         raw_m=raw_m,
     )
@@ -212,7 +212,7 @@ def _is_wide(gap_deg: FloatArray) -> BoolArray:
 
 
 def _depth_gap_deg(
-    camera: SceneCamera, image: IntArray, row: IntArray, column: IntArray
+    camera: TrueCamera, image: IntArray, row: IntArray, column: IntArray
 ) -> FloatArray:
     """Width of the run of pixels that are not good, along the image's level axis."""
     fx, fy, cx, cy = camera.intrinsics
@@ -231,11 +231,11 @@ def _depth_gap_deg(
     return gap_deg
 
 
-def _depth_rival_errors(
-    pixels: _RepairedPixels, scene: Scene, depth_images: DepthImages
+def _depth_baseline_errors(
+    pixels: _RepairedPixels, scene: AssociatedTruth, depth_images: DepthImages
 ) -> dict[str, FloatArray]:
     """Errors of the rivals at the repaired pixels, one image in memory at a time."""
-    errors = {name: np.full(pixels.image.shape, np.nan) for name in RIVALS}
+    errors = {name: np.full(pixels.image.shape, np.nan) for name in BASELINES}
     missing = np.ones(pixels.image.shape, dtype=np.bool_)
     codes = {camera.topic: code for code, camera in enumerate(scene.cameras)}
     for topic, stamp_ns, depth_m in depth_images:
@@ -246,7 +246,7 @@ def _depth_rival_errors(
         if mine.size == 0:
             continue
         missing[mine] = False
-        filled = fill_image(depth_m, pixels.row[mine], pixels.column[mine])
+        filled = fill_by_baselines(depth_m, pixels.row[mine], pixels.column[mine])
         for name, value_m in filled.items():
             errors[name][mine] = np.abs(value_m - pixels.true_m[mine])
     if missing.any():

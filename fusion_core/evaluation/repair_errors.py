@@ -10,7 +10,7 @@ from fusion_core.model.classes import RepairSource
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 
 MOVED_FARTHER_M = 0.05
-MOVED_FARTHER_SHARE = 0.02
+MOVED_FARTHER_RATIO = 0.02
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,20 +29,20 @@ class RepairErrors:
     wide: BoolArray
     source: IntArray
     error_m: FloatArray
-    rival_error_m: dict[str, FloatArray]
+    baseline_error_m: dict[str, FloatArray]
     wanted_wide: int
     wanted_narrow: int
     returns: int
     moved_farther: int
 
     def __post_init__(self) -> None:
-        for array in (self.wide, self.source, self.error_m, *self.rival_error_m.values()):
+        for array in (self.wide, self.source, self.error_m, *self.baseline_error_m.values()):
             if array.shape != self.wide.shape:
                 raise ValueError("all arrays of repair errors must have one length")
             read_only(array)
 
     @property
-    def moved_farther_share(self) -> float | None:
+    def moved_farther_fraction(self) -> float | None:
         """True returns that were moved farther / true returns."""
         return self.moved_farther / self.returns if self.returns else None
 
@@ -52,22 +52,22 @@ class RepairErrors:
             "wide": self._gap_json(self.wide, self.wanted_wide),
             "narrow": self._gap_json(~self.wide, self.wanted_narrow),
             "by_source": {
-                source.name.lower(): _spread(self.error_m[self.source == source])
+                source.name.lower(): _summarise_errors(self.error_m[self.source == source])
                 for source in (RepairSource.OTHER_SENSOR, RepairSource.NEIGHBOURS)
             },
             "returns": self.returns,
-            "moved_farther": self.moved_farther_share,
+            "moved_farther": self.moved_farther_fraction,
         }
 
     def _gap_json(self, chosen: BoolArray, wanted: int) -> dict[str, Any]:
-        own = _spread(self.error_m[chosen])
+        own = _summarise_errors(self.error_m[chosen])
         entry: dict[str, Any] = {
             "wanted": wanted,
             "repaired": int(chosen.sum()) / wanted if wanted else None,
             "own": own,
         }
-        for rival, error_m in self.rival_error_m.items():
-            spread = _spread(error_m[chosen])
+        for rival, error_m in self.baseline_error_m.items():
+            spread = _summarise_errors(error_m[chosen])
             entry[rival] = spread | {
                 f"own_to_{name}": _ratio(own[f"{name}_m"], spread[f"{name}_m"])
                 for name in ("median", "p90", "rms")
@@ -90,7 +90,7 @@ def repair_errors(
     source: IntArray,
     true_m: FloatArray,
     repaired_m: FloatArray,
-    rival_m: dict[str, FloatArray],
+    baseline_m: dict[str, FloatArray],
     returns: BoolArray,
     raw_m: FloatArray,
 ) -> RepairErrors:
@@ -102,13 +102,13 @@ def repair_errors(
     ``returns``: good in truth with a raw value.
     """
     farthest_m = np.fmax(true_m, raw_m)
-    limit_m = farthest_m + MOVED_FARTHER_M + MOVED_FARTHER_SHARE * farthest_m
+    limit_m = farthest_m + MOVED_FARTHER_M + MOVED_FARTHER_RATIO * farthest_m
     return RepairErrors(
         wide=wide[repaired],
         source=source[repaired],
         error_m=np.abs(repaired_m - true_m)[repaired],
-        rival_error_m={
-            name: np.abs(value_m - true_m)[repaired] for name, value_m in rival_m.items()
+        baseline_error_m={
+            name: np.abs(value_m - true_m)[repaired] for name, value_m in baseline_m.items()
         },
         wanted_wide=int((wanted & wide).sum()),
         wanted_narrow=int((wanted & ~wide).sum()),
@@ -117,15 +117,15 @@ def repair_errors(
     )
 
 
-def pool_errors(parts: Sequence[RepairErrors], rivals: Sequence[str]) -> RepairErrors:
+def pool_errors(parts: Sequence[RepairErrors], baselines: Sequence[str]) -> RepairErrors:
     """All parts as one, with the named rivals, which each part must have."""
     return RepairErrors(
-        wide=_joined([part.wide for part in parts], np.bool_),
-        source=_joined([part.source for part in parts], np.int64),
-        error_m=_joined([part.error_m for part in parts], np.float64),
-        rival_error_m={
-            name: _joined([part.rival_error_m[name] for part in parts], np.float64)
-            for name in rivals
+        wide=_concatenate([part.wide for part in parts], np.bool_),
+        source=_concatenate([part.source for part in parts], np.int64),
+        error_m=_concatenate([part.error_m for part in parts], np.float64),
+        baseline_error_m={
+            name: _concatenate([part.baseline_error_m[name] for part in parts], np.float64)
+            for name in baselines
         },
         wanted_wide=sum(part.wanted_wide for part in parts),
         wanted_narrow=sum(part.wanted_narrow for part in parts),
@@ -134,11 +134,11 @@ def pool_errors(parts: Sequence[RepairErrors], rivals: Sequence[str]) -> RepairE
     )
 
 
-def _joined(parts: Sequence[Any], dtype: Any) -> Any:
+def _concatenate(parts: Sequence[Any], dtype: Any) -> Any:
     return np.concatenate([np.empty(0, dtype), *parts])
 
 
-def _spread(error_m: FloatArray) -> dict[str, Any]:
+def _summarise_errors(error_m: FloatArray) -> dict[str, Any]:
     """Count, median, 90th percentile and root mean square; None where there is nothing."""
     known = error_m[np.isfinite(error_m)]
     if known.size == 0:

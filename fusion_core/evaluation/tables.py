@@ -18,7 +18,7 @@ def alignment_table(reports: Mapping[str, AlignmentReport]) -> list[Row]:
     """Per recording and score, the share of frames within 2 samples, with prior and alone."""
     rows: list[Row] = [("recording", "score", "with prior", "alone", "yaw error", "clock")]
     for name, report in reports.items():
-        yaw, clock = _degrees(report.yaw_error_deg), _clock(report)
+        yaw, clock = _format_degrees(report.yaw_error_deg), _format_clock(report)
         rows += [(name, *cells, yaw, clock) for cells in _hit_rows(report.hits)]
     if len(reports) > 1:
         pooled = pool_hits(list(reports.values()))
@@ -49,13 +49,13 @@ def noise_table(reports: Mapping[str, NoiseReport]) -> list[Row]:
         rows.append(
             (
                 name,
-                _share(report.good_recall),
-                _share(report.noise_recall),
-                _share(report.attribution),
-                _share(report.conflict_recall),
-                _share(report.conflict_changed),
-                _share(report.lidar_hole_recall),
-                _share(report.depth_hole_recall),
+                _format_fraction(report.good_recall),
+                _format_fraction(report.noise_recall),
+                _format_fraction(report.attribution),
+                _format_fraction(report.conflict_recall),
+                _format_fraction(report.conflict_changed),
+                _format_fraction(report.lidar_hole_recall),
+                _format_fraction(report.depth_hole_recall),
                 "{good_pairs}/{noise_pairs}/{conflict_pairs}".format(**counts),
             )
         )
@@ -81,12 +81,12 @@ def _hit_rows(hits: Mapping[str, OffsetHits]) -> list[Row]:
     for suffix, score in (("", "chosen"), *((f"_{metric}", metric) for metric in METRICS)):
         names = f"u{suffix}", f"u_alone{suffix}"
         if any(name in hits for name in names):
-            rows.append((score, *(_hits(hits.get(name)) for name in names)))
+            rows.append((score, *(_format_hits(hits.get(name)) for name in names)))
     return rows
 
 
-def _hits(hits: OffsetHits | None) -> str:
-    return "–" if hits is None else f"{_share(hits.share)} of {hits.frames}"
+def _format_hits(hits: OffsetHits | None) -> str:
+    return "–" if hits is None else f"{_format_fraction(hits.fraction)} of {hits.frames}"
 
 
 def _gap_rows(errors: RepairErrors) -> list[Row]:
@@ -94,33 +94,33 @@ def _gap_rows(errors: RepairErrors) -> list[Row]:
     rows: list[Row] = []
     for gap, width in (("wide", "≥ 3°"), ("narrow", "< 3°")):
         entry = entries[gap]
-        rivals = [f"{rival} {_spread(entry[rival])}" for rival in errors.rival_error_m]
+        rivals = [f"{rival} {_format_errors(entry[rival])}" for rival in errors.baseline_error_m]
         rows.append(
             (
                 width,
-                f"{_share(entry['repaired'])} of {entry['wanted']}",
-                _spread(entry["own"]),
+                f"{_format_fraction(entry['repaired'])} of {entry['wanted']}",
+                _format_errors(entry["own"]),
                 ", ".join(rivals) or "–",
-                _share(entries["moved_farther"], digits=4),
+                _format_fraction(entries["moved_farther"], digits=4),
             )
         )
     return rows
 
 
-def _spread(entry: Mapping[str, float | None]) -> str:
+def _format_errors(entry: Mapping[str, float | None]) -> str:
     values: Sequence[float | None] = [entry[name] for name in ("median_m", "p90_m", "rms_m")]
     return " / ".join("–" if value is None else f"{value * 1000.0:.1f}" for value in values)
 
 
-def _share(value: float | None, digits: int = 3) -> str:
+def _format_fraction(value: float | None, digits: int = 3) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
 
 
-def _degrees(value: float | None) -> str:
+def _format_degrees(value: float | None) -> str:
     return "–" if value is None else f"{value:+.2f}°"
 
 
-def _clock(report: AlignmentReport) -> str:
+def _format_clock(report: AlignmentReport) -> str:
     if report.clock_interval_ms is None:
         return "not observable"
     low, high = np.round(report.clock_interval_ms, 1)

@@ -9,7 +9,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from fusion_core.evaluation.pose_stacks import angles_rad, lengths_m, planar, poses_at, relative
+from fusion_core.evaluation.pose_arrays import (
+    interpolate_poses,
+    project_to_plane,
+    relative_poses,
+    rotation_angles_rad,
+    translation_norms_m,
+)
 from fusion_core.evaluation.relative_pose import Step, pairs_of_step
 from fusion_core.evaluation.statistics import ErrorStatistics
 from fusion_core.evaluation.umeyama import Group, Similarity, align_positions
@@ -19,7 +25,7 @@ from fusion_core.model.trajectory import Trajectory
 
 Alignment = Group | Literal["none"]
 
-GREATEST_GAP_S = 0.2
+MAX_GAP_S = 0.2
 """At an acceleration of 1 m/s² the straight line between poses 0.2 s apart is 5 mm off."""
 
 
@@ -39,9 +45,9 @@ class PosePairs:
             read_only(array)
 
     @property
-    def path_along_reference_m(self) -> FloatArray:
+    def reference_path_m(self) -> FloatArray:
         """(K,) distance travelled since the first pose, along the reference."""
-        return travelled_m(self.T_map_reference)
+        return path_length_m(self.T_map_reference)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,15 +81,15 @@ class TrajectoryReport:
     estimate_poses: int
     reference_poses: int
     associated: int
-    coverage: float
+    time_coverage: float
     longest_gap_s: float
     path_m: float
     alignment: Alignment
     similarity: Similarity | None
-    as_given: PoseErrors
-    aligned: PoseErrors | None
+    ape: PoseErrors
+    ape_aligned: PoseErrors | None
     step: Step
-    relative: PoseErrors
+    rpe: PoseErrors
 
     def to_json(self) -> dict[str, Any]:
         """Every figure; rotations in degrees."""
@@ -92,18 +98,18 @@ class TrajectoryReport:
             "reference_poses": self.reference_poses,
             "associated": self.associated,
             "associated_share": self.associated / self.estimate_poses,
-            "coverage": self.coverage,
+            "coverage": self.time_coverage,
             "longest_gap_s": self.longest_gap_s,
             "path_m": self.path_m,
             "alignment": self.alignment,
             "T_reference_estimate": None if self.similarity is None else self.similarity.to_json(),
-            "absolute": self.as_given.to_json(),
-            "absolute_aligned": None if self.aligned is None else self.aligned.to_json(),
+            "absolute": self.ape.to_json(),
+            "absolute_aligned": None if self.ape_aligned is None else self.ape_aligned.to_json(),
             "relative": {
                 "delta": self.step.delta,
                 "unit": self.step.unit,
-                "pairs": int(self.relative.translation_m.size),
-                **self.relative.to_json(),
+                "pairs": int(self.rpe.translation_m.size),
+                **self.rpe.to_json(),
             },
         }
 
@@ -114,7 +120,7 @@ def evaluate_trajectory(
     *,
     alignment: Alignment = "se3",
     step: Step | None = None,
-    greatest_gap_s: float = GREATEST_GAP_S,
+    max_gap_s: float = MAX_GAP_S,
 ) -> TrajectoryReport:
     """Absolute and relative pose errors of ``estimate``; relative ones over a second by default.
 
@@ -127,12 +133,12 @@ def evaluate_trajectory(
     compared, the alignment is not determined, or no two poses are a step apart.
     """
     step = Step() if step is None else step
-    pairs = associate(estimate, reference, greatest_gap_s)
+    pairs = associate(estimate, reference, max_gap_s)
     if alignment == "se2":
         pairs = PosePairs(
             stamps_ns=pairs.stamps_ns,
-            T_map_estimate=planar(pairs.T_map_estimate),
-            T_map_reference=planar(pairs.T_map_reference),
+            T_map_estimate=project_to_plane(pairs.T_map_estimate),
+            T_map_reference=project_to_plane(pairs.T_map_reference),
         )
     similarity, T_reference_estimate = None, pairs.T_map_estimate
     if alignment != "none":
@@ -148,35 +154,35 @@ def evaluate_trajectory(
         reference_poses=reference.stamps_ns.size,
         associated=pairs.stamps_ns.size,
         # A reference of one pose, hit, is covered.
-        coverage=compared_ns / span_ns if span_ns else 1.0,
+        time_coverage=compared_ns / span_ns if span_ns else 1.0,
         longest_gap_s=float(gaps_ns.max() / NS_PER_S) if gaps_ns.size else 0.0,
-        path_m=float(pairs.path_along_reference_m[-1]),
+        path_m=float(pairs.reference_path_m[-1]),
         alignment=alignment,
         similarity=similarity,
-        as_given=absolute_errors(pairs.T_map_estimate, pairs.T_map_reference),
-        aligned=None
+        ape=absolute_pose_errors(pairs.T_map_estimate, pairs.T_map_reference),
+        ape_aligned=None
         if similarity is None
-        else absolute_errors(T_reference_estimate, pairs.T_map_reference),
+        else absolute_pose_errors(T_reference_estimate, pairs.T_map_reference),
         step=step,
-        relative=relative_errors(pairs, T_reference_estimate, step),
+        rpe=relative_pose_errors(pairs, T_reference_estimate, step),
     )
 
 
-def associate(estimate: Trajectory, reference: Trajectory, greatest_gap_s: float) -> PosePairs:
+def associate(estimate: Trajectory, reference: Trajectory, max_gap_s: float) -> PosePairs:
     """The estimate's poses with the reference interpolated at their stamps.
 
     Poses outside the reference, or where it has a gap longer than ``greatest_gap_s``, are left
     out. Raises SettingsError for a gap that is not positive, ScanLoomError where none is left.
     """
-    if not 0.0 < greatest_gap_s < np.inf:
-        raise SettingsError(f"the greatest gap must be positive and finite, got {greatest_gap_s}.")
+    if not 0.0 < max_gap_s < np.inf:
+        raise SettingsError(f"the greatest gap must be positive and finite, got {max_gap_s}.")
     # No two stamps are farther apart than int64 reaches.
-    gap_ns = round(min(greatest_gap_s * NS_PER_S, 2.0**62))
-    T_map_reference, known = poses_at(reference, estimate.stamps_ns, gap_ns)
+    gap_ns = round(min(max_gap_s * NS_PER_S, 2.0**62))
+    T_map_reference, known = interpolate_poses(reference, estimate.stamps_ns, gap_ns)
     if not known.any():
         raise ScanLoomError(
-            f"No pose of the estimate ({_span(estimate)}) lies between two of the reference "
-            f"({_span(reference)}) that are at most {greatest_gap_s:g} s apart.",
+            f"No pose of the estimate ({_format_span(estimate)}) lies between two of the reference "
+            f"({_format_span(reference)}) that are at most {max_gap_s:g} s apart.",
             advice="Check that both count time alike, or allow a greater gap.",
         )
     return PosePairs(
@@ -186,33 +192,37 @@ def associate(estimate: Trajectory, reference: Trajectory, greatest_gap_s: float
     )
 
 
-def absolute_errors(T_map_estimate: FloatArray, T_map_reference: FloatArray) -> PoseErrors:
+def absolute_pose_errors(T_map_estimate: FloatArray, T_map_reference: FloatArray) -> PoseErrors:
     """Of (K, 4, 4) poses in one map (eq. 4): E = reference⁻¹ estimate."""
-    return _sizes(relative(T_map_reference, T_map_estimate))
+    return _pose_errors(relative_poses(T_map_reference, T_map_estimate))
 
 
-def travelled_m(T_map_body: FloatArray) -> FloatArray:
+def path_length_m(T_map_body: FloatArray) -> FloatArray:
     """(K,) length of the path from the first of (K, 4, 4) poses to each."""
     steps_m = np.linalg.norm(np.diff(T_map_body[:, :3, 3], axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps_m)])
 
 
-def relative_errors(pairs: PosePairs, T_reference_estimate: FloatArray, step: Step) -> PoseErrors:
+def relative_pose_errors(
+    pairs: PosePairs, T_reference_estimate: FloatArray, step: Step
+) -> PoseErrors:
     """E = (reference motion)⁻¹ (estimated motion) over each step (eq. 1).
 
     ``T_reference_estimate``: (K, 4, 4) the pairs' estimates, in any map, at the scale to judge.
     Raises ScanLoomError where no two poses are a step apart.
     """
-    first, second = pairs_of_step(pairs.stamps_ns, pairs.path_along_reference_m, step)
-    estimated = relative(T_reference_estimate[first], T_reference_estimate[second])
-    true = relative(pairs.T_map_reference[first], pairs.T_map_reference[second])
-    return _sizes(relative(true, estimated))
+    first, second = pairs_of_step(pairs.stamps_ns, pairs.reference_path_m, step)
+    estimated = relative_poses(T_reference_estimate[first], T_reference_estimate[second])
+    true = relative_poses(pairs.T_map_reference[first], pairs.T_map_reference[second])
+    return _pose_errors(relative_poses(true, estimated))
 
 
-def _sizes(errors: FloatArray) -> PoseErrors:
-    return PoseErrors(translation_m=lengths_m(errors), rotation_rad=angles_rad(errors))
+def _pose_errors(errors: FloatArray) -> PoseErrors:
+    return PoseErrors(
+        translation_m=translation_norms_m(errors), rotation_rad=rotation_angles_rad(errors)
+    )
 
 
-def _span(trajectory: Trajectory) -> str:
+def _format_span(trajectory: Trajectory) -> str:
     first, last = (int(trajectory.stamps_ns[end]) / NS_PER_S for end in (0, -1))
     return f"{first:.3f} s to {last:.3f} s"

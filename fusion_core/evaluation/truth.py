@@ -105,25 +105,25 @@ def load_truth(
 
     Raises ScanLoomError where the file cannot be read, lacks an array, or has one of a wrong shape.
     """
-    arrays = _arrays(path)
-    scan_stamp_ns = _stamps(arrays, "scan_stamp", path)
-    range_m = _array(arrays, "scan_true", path, ndim=2).astype(np.float64)
-    _same_shape(range_m.shape[:1], scan_stamp_ns.shape, "scan_true", path)
+    arrays = _read_arrays(path)
+    scan_stamp_ns = _read_stamps(arrays, "scan_stamp", path)
+    range_m = _require_array(arrays, "scan_true", path, ndim=2).astype(np.float64)
+    _require_shape(range_m.shape[:1], scan_stamp_ns.shape, "scan_true", path)
     range_m[~(np.isfinite(range_m) & (range_m > 0.0))] = np.nan
-    own_clock = _scalar(arrays, "clock_offset_ms")
+    own_clock = _read_scalar(arrays, "clock_offset_ms")
     return Truth(
         file=path,
         scan_stamp_ns=scan_stamp_ns,
         range_m=range_m,
-        kind=_classes(arrays, "scan_kind", range_m.shape, path),
-        angle_min_rad=_scalar(arrays, "lidar_angle_min"),
-        angle_increment_rad=_scalar(arrays, "lidar_angle_increment"),
+        kind=_read_classes(arrays, "scan_kind", range_m.shape, path),
+        angle_min_rad=_read_scalar(arrays, "lidar_angle_min"),
+        angle_increment_rad=_read_scalar(arrays, "lidar_angle_increment"),
         clock_offset_ms=clock_offset_ms if own_clock is None else own_clock,
-        cameras=_cameras(arrays, path, lever_arm),
+        cameras=_read_cameras(arrays, path, lever_arm),
     )
 
 
-def _arrays(path: Path) -> Arrays:
+def _read_arrays(path: Path) -> Arrays:
     try:
         return read_arrays(path)
     except (OSError, *UNREADABLE_ARRAYS) as error:
@@ -136,26 +136,28 @@ def _arrays(path: Path) -> Arrays:
 _ADVICE = "Give the .npz that was written with the recording."
 
 
-def _cameras(arrays: Arrays, path: Path, lever_arm: LeverArm | None) -> tuple[CameraTruth, ...]:
+def _read_cameras(
+    arrays: Arrays, path: Path, lever_arm: LeverArm | None
+) -> tuple[CameraTruth, ...]:
     """One camera under plain names, or several under names that end in _0, _1, ..."""
     suffixes = [""]
     if "depth_true" not in arrays:
         count = sum(name.removeprefix("depth_true_").isdigit() for name in arrays)
         suffixes = [f"_{camera}" for camera in range(max(count, 1))]
     count = len(suffixes)
-    topics = _per_camera(arrays, "camera_topics", (), count, path)
-    intrinsics = _per_camera(arrays, "intrinsics", (4,), count, path)
-    mounts = _per_camera(arrays, "T_lidar_camera", (4, 4), count, path)
+    topics = _read_per_camera(arrays, "camera_topics", (), count, path)
+    intrinsics = _read_per_camera(arrays, "intrinsics", (4,), count, path)
+    mounts = _read_per_camera(arrays, "T_lidar_camera", (4, 4), count, path)
     if mounts is None and lever_arm is not None:
-        yaws = _per_camera(arrays, "cam_yaw", (), count, path)
+        yaws = _read_per_camera(arrays, "cam_yaw", (), count, path)
         if yaws is not None:
             mounts = np.stack([lever_arm.mount(float(yaw_rad)) for yaw_rad in yaws])
     cameras = []
     for camera, suffix in enumerate(suffixes):
-        depth_mm = _array(arrays, f"depth_true{suffix}", path, ndim=3)
+        depth_mm = _require_array(arrays, f"depth_true{suffix}", path, ndim=3)
         shared = "depth_stamp" if f"depth_stamp{suffix}" not in arrays else f"depth_stamp{suffix}"
-        stamp_ns = _stamps(arrays, shared, path)
-        _same_shape(depth_mm.shape[:1], stamp_ns.shape, f"depth_true{suffix}", path)
+        stamp_ns = _read_stamps(arrays, shared, path)
+        _require_shape(depth_mm.shape[:1], stamp_ns.shape, f"depth_true{suffix}", path)
         lens = None
         if intrinsics is not None:
             fx, fy, cx, cy = map(float, intrinsics[camera])
@@ -165,7 +167,7 @@ def _cameras(arrays: Arrays, path: Path, lever_arm: LeverArm | None) -> tuple[Ca
                 topic=None if topics is None else str(topics[camera]),
                 stamp_ns=stamp_ns,
                 depth_mm=depth_mm,
-                kind=_classes(arrays, f"depth_kind{suffix}", depth_mm.shape, path),
+                kind=_read_classes(arrays, f"depth_kind{suffix}", depth_mm.shape, path),
                 intrinsics=lens,
                 T_lidar_camera=None if mounts is None else mounts[camera].astype(np.float64),
             )
@@ -173,7 +175,7 @@ def _cameras(arrays: Arrays, path: Path, lever_arm: LeverArm | None) -> tuple[Ca
     return tuple(cameras)
 
 
-def _array(arrays: Arrays, name: str, path: Path, *, ndim: int) -> npt.NDArray[Any]:
+def _require_array(arrays: Arrays, name: str, path: Path, *, ndim: int) -> npt.NDArray[Any]:
     if name not in arrays:
         raise ScanLoomError(f"has no array {name!r}.", file=path, advice=_ADVICE)
     array = arrays[name]
@@ -186,8 +188,8 @@ def _array(arrays: Arrays, name: str, path: Path, *, ndim: int) -> npt.NDArray[A
     return array
 
 
-def _stamps(arrays: Arrays, name: str, path: Path) -> IntArray:
-    stamps = _array(arrays, name, path, ndim=1)
+def _read_stamps(arrays: Arrays, name: str, path: Path) -> IntArray:
+    stamps = _require_array(arrays, name, path, ndim=1)
     if stamps.dtype.kind not in "iu":
         raise ScanLoomError(
             f"{name} must be whole nanoseconds, is {stamps.dtype}.", file=path, advice=_ADVICE
@@ -195,9 +197,9 @@ def _stamps(arrays: Arrays, name: str, path: Path) -> IntArray:
     return stamps.astype(np.int64)
 
 
-def _classes(arrays: Arrays, name: str, shape: tuple[int, ...], path: Path) -> ByteArray:
-    kind = _array(arrays, name, path, ndim=len(shape))
-    _same_shape(kind.shape, shape, name, path)
+def _read_classes(arrays: Arrays, name: str, shape: tuple[int, ...], path: Path) -> ByteArray:
+    kind = _require_array(arrays, name, path, ndim=len(shape))
+    _require_shape(kind.shape, shape, name, path)
     if kind.size and not (kind.min() >= min(_TRUE_CLASSES) and kind.max() <= max(_TRUE_CLASSES)):
         raise ScanLoomError(
             f"{name} holds codes from {kind.min()} to {kind.max()}, not only 0 good, 1 hole, "
@@ -208,18 +210,18 @@ def _classes(arrays: Arrays, name: str, shape: tuple[int, ...], path: Path) -> B
     return kind.astype(np.uint8, copy=False)
 
 
-def _same_shape(shape: tuple[int, ...], wanted: tuple[int, ...], name: str, path: Path) -> None:
+def _require_shape(shape: tuple[int, ...], wanted: tuple[int, ...], name: str, path: Path) -> None:
     if shape != wanted:
         raise ScanLoomError(
             f"{name} has {shape} entries where {wanted} belong.", file=path, advice=_ADVICE
         )
 
 
-def _scalar(arrays: Arrays, name: str) -> float | None:
+def _read_scalar(arrays: Arrays, name: str) -> float | None:
     return float(arrays[name].reshape(-1)[0]) if name in arrays else None
 
 
-def _per_camera(
+def _read_per_camera(
     arrays: Arrays, name: str, shape: tuple[int, ...], count: int, path: Path
 ) -> npt.NDArray[Any] | None:
     """(count, *shape); with one camera the first axis may be left out."""
@@ -228,5 +230,5 @@ def _per_camera(
     array = arrays[name]
     if count == 1 and array.shape == shape:
         array = array[np.newaxis]
-    _same_shape(array.shape, (count, *shape), name, path)
+    _require_shape(array.shape, (count, *shape), name, path)
     return array

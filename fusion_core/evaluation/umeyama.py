@@ -16,7 +16,7 @@ Group = Literal["se2", "se3", "sim3"]
 
 # Ratio of the spread across a path to that along it (as variances) below which it is a line:
 # the rotation about it would be made of rounding.
-_LINE = 1e-9
+_COLLINEAR_RATIO_MAX = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +62,7 @@ def align_positions(moving_m: FloatArray, fixed_m: FloatArray, group: Group) -> 
     moving_variance, fixed_variance = (points.var(axis=0).sum() for points in (moving, fixed))
     covariance = (fixed - fixed_mean).T @ (moving - moving_mean) / len(moving)
     u, singular, v_transposed = np.linalg.svd(covariance)
-    if singular[size - 2] <= _LINE * np.sqrt(moving_variance * fixed_variance):
+    if singular[size - 2] <= _COLLINEAR_RATIO_MAX * np.sqrt(moving_variance * fixed_variance):
         raise ScanLoomError(
             f"The positions do not determine an alignment by {group}: they lie on one "
             f"{'point' if size == 2 else 'line or point'}.",

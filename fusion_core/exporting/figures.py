@@ -47,7 +47,7 @@ _DEPTH_SHADES = 64
 
 
 @contextmanager
-def drawing(path: Path, heading: str, *, width_px: int, height_px: int) -> Iterator["Figure"]:
+def png_figure(path: Path, heading: str, *, width_px: int, height_px: int) -> Iterator["Figure"]:
     """A figure that is written as PNG when the block ends without error.
 
     The bytes do not depend on the clock or on the user's matplotlib settings. Raises ExportError
@@ -60,7 +60,7 @@ def drawing(path: Path, heading: str, *, width_px: int, height_px: int) -> Itera
         figure = Figure(figsize=(width_px / _DPI, height_px / _DPI), dpi=_DPI, layout="constrained")
         figure.suptitle(heading)
         yield figure
-        _settle(figure)
+        _freeze_layout(figure)
         drawn = io.BytesIO()
         figure.savefig(drawn, format="rgba")
     rgba = np.frombuffer(drawn.getbuffer(), dtype=np.uint8).reshape(height_px, width_px, 4)
@@ -71,7 +71,7 @@ def drawing(path: Path, heading: str, *, width_px: int, height_px: int) -> Itera
     write_bytes(path, png.tobytes())
 
 
-def _settle(figure: "Figure") -> None:
+def _freeze_layout(figure: "Figure") -> None:
     """Lay out the panels once, and round where they stand: the layout's solver orders its terms by
     memory address, so that its last digits are not the same in every run."""
     figure.draw_without_rendering()
@@ -84,7 +84,7 @@ def _settle(figure: "Figure") -> None:
 def show_color(axes: "Axes", rgb: ByteArray) -> None:
     """A colour image with its pixel numbers."""
     axes.imshow(rgb)
-    _name_pixels(axes)
+    _label_pixels(axes)
 
 
 def depth_shades() -> "Colormap":
@@ -97,11 +97,11 @@ def depth_shades() -> "Colormap":
 def show_depth(axes: "Axes", depth_m: Float32Array, *, far_m: float) -> None:
     """A depth image with a colour bar."""
     image = axes.imshow(depth_m, cmap=depth_shades(), vmin=0.0, vmax=far_m)
-    _name_pixels(axes)
+    _label_pixels(axes)
     add_color_bar(axes, image, "depth along the optical axis (m)", beyond="max")
 
 
-def _name_pixels(axes: "Axes") -> None:
+def _label_pixels(axes: "Axes") -> None:
     axes.set_xlabel("column (px)")
     axes.set_ylabel("row (px)")
 
@@ -122,7 +122,7 @@ def add_color_bar(
 
 
 def add_legend_below(
-    figure: "Figure | SubFigure", panels: "Iterable[Axes]", *, columns: int, words: str = ""
+    figure: "Figure | SubFigure", panels: "Iterable[Axes]", *, columns: int, caption: str = ""
 ) -> None:
     """One legend for all panels, below them, each entry once, under a line or two of ``words``."""
     entries: dict[str, Artist] = {}
@@ -136,7 +136,7 @@ def add_legend_below(
         loc="outside lower center",
         ncols=columns,
         frameon=False,
-        title=words or None,
+        title=caption or None,
         title_fontsize=9.0,
     )
 
@@ -180,21 +180,21 @@ def middle_of_view_rad(azimuth_rad: FloatArray) -> float:
     return float(np.angle(np.exp(1j * azimuth_rad).sum()))
 
 
-def name_azimuth(axes: "Axes") -> None:
+def label_azimuth(axes: "Axes") -> None:
     """Label an axis of azimuths; they rise to the left, as seen."""
     axes.set_xlabel("azimuth in the LiDAR frame (°)")
     if not axes.xaxis_inverted():
         axes.invert_xaxis()
 
 
-def later(delay_ms: float, than: str) -> str:
+def describe_delay(delay_ms: float, than: str) -> str:
     """How long after ``than``, in words."""
     if delay_ms == 0.0:
         return f"at the stamp of {than}"
     return f"{abs(delay_ms):.1f} ms {'after' if delay_ms > 0.0 else 'before'} {than}"
 
 
-def seconds(stamp_ns: int) -> str:
+def format_stamp(stamp_ns: int) -> str:
     """A stamp in seconds, rounded to the millisecond."""
     milliseconds = round(stamp_ns / NS_PER_MS)
     return f"{milliseconds // 1000}.{milliseconds % 1000:03d} s"

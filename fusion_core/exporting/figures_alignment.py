@@ -12,11 +12,11 @@ from fusion_core.exporting.figures import (
     NO_VALUE_COLOR,
     add_color_bar,
     add_legend_below,
-    drawing,
+    describe_delay,
     far_limit_m,
-    later,
-    name_azimuth,
-    seconds,
+    format_stamp,
+    label_azimuth,
+    png_figure,
     show_color,
     show_depth,
     show_holes,
@@ -58,23 +58,23 @@ def write_aligned(
     """
     clock = " (from the frame number)" if nominal else ""
     panels = 2 if color is None else 3
-    with drawing(path, heading, width_px=530 * panels, height_px=490) as figure:
+    with png_figure(path, heading, width_px=530 * panels, height_px=490) as figure:
         axes = figure.subplots(1, panels, squeeze=False)[0]
         letters = iter("abc")
         if color is not None:
             assert color_after_ms is not None, "a colour image has a stamp"
             show_color(axes[0], color)
-            axes[0].set_title(
-                f"({next(letters)}) colour image\n{later(color_after_ms, 'the depth image')}"
-            )
+            delay = describe_delay(color_after_ms, "the depth image")
+            axes[0].set_title(f"({next(letters)}) colour image\n{delay}")
         show_depth(axes[-2], depth_m, far_m=far_limit_m(depth_m))
         axes[-2].set_title(
-            f"({next(letters)}) depth image, holes in blue\nstamp {seconds(depth_stamp_ns)}{clock}"
+            f"({next(letters)}) depth image, holes in blue\n"
+            f"stamp {format_stamp(depth_stamp_ns)}{clock}"
         )
         _show_scan(axes[-1], scan, beams_in_view)
         axes[-1].set_title(
-            f"({next(letters)}) LiDAR curve, stamp {seconds(scan.stamp_ns)}{clock}\n"
-            f"depth image {later(gap_ns / NS_PER_MS, 'the scan')}"
+            f"({next(letters)}) LiDAR curve, stamp {format_stamp(scan.stamp_ns)}{clock}\n"
+            f"depth image {describe_delay(gap_ns / NS_PER_MS, 'the scan')}"
         )
 
 
@@ -87,7 +87,7 @@ def _show_scan(axes: "Axes", scan: LaserScan, beams_in_view: IntArray) -> None:
     ):
         axes.plot(azimuth_deg[beams], scan.ranges_m[beams], ".", color=color, ms=4, label=label)
     show_holes(axes, azimuth_deg, scan.ranges_m)
-    name_azimuth(axes)
+    label_azimuth(axes)
     axes.set_ylabel("LiDAR range (m)")
     start_at_zero(axes, headroom=0.35)
     axes.legend(loc="upper right")
@@ -142,7 +142,7 @@ def write_similarity(
 
     ``mean_of`` says what the recording's mean field is made of ("90 frames").
     """
-    with drawing(path, heading, width_px=385 * len(columns), height_px=1150) as figure:
+    with png_figure(path, heading, width_px=385 * len(columns), height_px=1150) as figure:
         parts = figure.subfigures(2, 1, height_ratios=(2.1, 1.0), squeeze=False)
         above, below = parts[:, 0]
         fields = above.subplots(2, len(columns), squeeze=False)
@@ -157,7 +157,7 @@ def write_similarity(
             below,
             curves,
             columns=2,
-            words="u: LiDAR sample that falls on the leftmost sample of the depth row, counted "
+            caption="u: LiDAR sample that falls on the leftmost sample of the depth row, counted "
             "from the left. v: depth row, counted from the top.\n"
             "Yaw: how far the camera (its rig) looks to the left of the LiDAR at this u. Grey: no "
             "score (not searched, or too few samples valid on both sides).\n"
@@ -169,7 +169,7 @@ def _show_field(axes: "Axes", panel: FieldPanel | None, title: str, last: bool) 
     import matplotlib as mpl
 
     if panel is None or not np.isfinite(panel.scores).any():
-        _say(axes, f"{title}:\nno score")
+        _show_message(axes, f"{title}:\nno score")
         return
     rows, offsets = panel.scores.shape
     shades = mpl.colormaps["viridis"].resampled(_SCORE_SHADES)
@@ -194,12 +194,12 @@ def _show_field(axes: "Axes", panel: FieldPanel | None, title: str, last: bool) 
     axes.set_title(title + found)
     axes.set_xlabel("u (samples)")
     axes.set_ylabel("v (rows)")
-    _name_yaw(axes, panel)
+    _add_yaw_axis(axes, panel)
     if last:
-        _name_elevation(axes, panel)
+        _add_elevation_axis(axes, panel)
 
 
-def _name_yaw(axes: "Axes", panel: FieldPanel) -> None:
+def _add_yaw_axis(axes: "Axes", panel: FieldPanel) -> None:
     def yaw_deg(u: ArrayLike) -> FloatArray:
         return panel.yaw_at_zero_deg - panel.step_deg * np.asarray(u)
 
@@ -209,7 +209,7 @@ def _name_yaw(axes: "Axes", panel: FieldPanel) -> None:
     axes.secondary_xaxis("top", functions=(yaw_deg, offset)).set_xlabel("yaw (°)")
 
 
-def _name_elevation(axes: "Axes", panel: FieldPanel) -> None:
+def _add_elevation_axis(axes: "Axes", panel: FieldPanel) -> None:
     def elevation_deg(v: ArrayLike) -> FloatArray:
         degrees: FloatArray = np.rad2deg(
             np.arctan((panel.middle_row - np.asarray(v)) / panel.focal_px)
@@ -225,7 +225,7 @@ def _name_elevation(axes: "Axes", panel: FieldPanel) -> None:
 
 def _show_curves(axes: "Axes", column: MetricColumn) -> None:
     if column.curves is None or column.frame is None or column.frame.peak is None:
-        _say(axes, f"{column.name}:\nno peak in this frame")
+        _show_message(axes, f"{column.name}:\nno peak in this frame")
         return
     samples = np.arange(column.curves.lidar_m.size)
     for values_m, color, label in (
@@ -240,6 +240,6 @@ def _show_curves(axes: "Axes", column: MetricColumn) -> None:
     start_at_zero(axes)
 
 
-def _say(axes: "Axes", words: str) -> None:
+def _show_message(axes: "Axes", words: str) -> None:
     axes.set_axis_off()
     axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes)

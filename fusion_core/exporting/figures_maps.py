@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion_core.exporting.figures import add_color_bar, drawing
+from fusion_core.exporting.figures import add_color_bar, png_figure
 from fusion_core.exporting.palette import BURR, FUSED, LIDAR
 from fusion_core.model.grids import MapDifference, OccupancyGrid
 
@@ -38,7 +38,7 @@ def write_maps(
     panels = len(shown) + (difference is not None)
     columns = 2 if panels > 1 else 1
     rows = -(-panels // columns)
-    with drawing(path, heading, width_px=700 * columns, height_px=600 * rows) as figure:
+    with png_figure(path, heading, width_px=700 * columns, height_px=600 * rows) as figure:
         every = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
         for axes in every[panels:]:
             axes.set_axis_off()

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion_core.exporting.figures import add_legend_below, drawing
+from fusion_core.exporting.figures import add_legend_below, png_figure
 from fusion_core.exporting.palette import BURR, DEPTH, GOOD, LIDAR
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 SOURCE_COLORS: Mapping[str, str] = {"wheel": GOOD, "laser": LIDAR, "visual": DEPTH}
 # More columns than the figure has pixels would be drawn for nothing.
-_COLUMNS = 1200
+_COLUMNS_MAX = 1200
 
 
 def write_odometry_weights(
@@ -37,13 +37,13 @@ def write_odometry_weights(
     crosses on the source's difference.
     """
     seconds = (stamps_ns - stamps_ns[0]) / 1e9
-    with drawing(path, heading, width_px=1200, height_px=900) as figure:
+    with png_figure(path, heading, width_px=1200, height_px=900) as figure:
         panels = figure.subplots(4, 1, sharex=True)
         for axes, shares, title in (
             (panels[0], translation, "share in the translation"),
             (panels[1], rotation, "share in the turn"),
         ):
-            _stack(axes, seconds, shares, sources)
+            _plot_stacked(axes, seconds, shares, sources)
             axes.set_title(title)
             axes.set_ylabel("share")
             axes.set_ylim(0.0, 1.0)
@@ -80,9 +80,11 @@ def write_odometry_weights(
         add_legend_below(figure, panels, columns=len(sources) + 1)
 
 
-def _stack(axes: "Axes", seconds: FloatArray, shares: FloatArray, sources: Sequence[str]) -> None:
+def _plot_stacked(
+    axes: "Axes", seconds: FloatArray, shares: FloatArray, sources: Sequence[str]
+) -> None:
     """Shares one upon another; of long recordings the mean of each column of the figure."""
-    pieces = np.array_split(np.arange(len(shares)), max(1, min(len(shares), _COLUMNS)))
+    pieces = np.array_split(np.arange(len(shares)), max(1, min(len(shares), _COLUMNS_MAX)))
     pieces = [piece for piece in pieces if piece.size]
     if not pieces:
         return

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion_core.exporting.figures import add_legend_below, drawing
+from fusion_core.exporting.figures import add_legend_below, png_figure
 from fusion_core.exporting.palette import BURR, DEPTH, GOOD, LIDAR
 from fusion_core.model.conventions import BoolArray, FloatArray
 
@@ -34,7 +34,7 @@ def write_pairs(
     """
     paired = np.isfinite(lidar_points_m).all(axis=1) & np.isfinite(depth_points_m).all(axis=1)
     kept = paired & inliers
-    with drawing(path, heading, width_px=1560, height_px=660) as figure:
+    with png_figure(path, heading, width_px=1560, height_px=660) as figure:
         panels = figure.subplots(1, 3)
         titles = (
             f"(a) {_count(lidar_points_m)} LiDAR points, {_count(depth_points_m)} depth points",
@@ -54,9 +54,9 @@ def write_pairs(
         _show_points(panels[1], lidar_points_m[paired], depth_points_m[paired])
         _show_points(panels[2], lidar_points_m[kept], depth_points_m[kept])
         outlier = paired & ~inliers
-        _join(panels[1], lidar_points_m[kept], depth_points_m[kept], GOOD, "inlier")
-        _join(panels[1], lidar_points_m[outlier], depth_points_m[outlier], BURR, "outlier")
-        _join(panels[2], lidar_points_m[kept], depth_points_m[kept], GOOD, "inlier")
+        _connect_pairs(panels[1], lidar_points_m[kept], depth_points_m[kept], GOOD, "inlier")
+        _connect_pairs(panels[1], lidar_points_m[outlier], depth_points_m[outlier], BURR, "outlier")
+        _connect_pairs(panels[2], lidar_points_m[kept], depth_points_m[kept], GOOD, "inlier")
         add_legend_below(figure, panels, columns=4)
 
 
@@ -80,7 +80,9 @@ def _show_points(axes: "Axes", lidar_m: FloatArray, depth_m: FloatArray) -> None
     axes.plot(*depth_m.T, ".", color=DEPTH, ms=3, label="depth", zorder=3)
 
 
-def _join(axes: "Axes", lidar_m: FloatArray, depth_m: FloatArray, color: str, label: str) -> None:
+def _connect_pairs(
+    axes: "Axes", lidar_m: FloatArray, depth_m: FloatArray, color: str, label: str
+) -> None:
     from matplotlib.collections import LineCollection
 
     lines = np.stack([lidar_m, depth_m], axis=1)
@@ -107,7 +109,7 @@ def write_recall(
     ``own_...``: the run's own threshold (median over its frames, NaN where there is none) and what
     its classes reach, which see neighbours too.
     """
-    with drawing(path, heading, width_px=1000, height_px=700) as figure:
+    with png_figure(path, heading, width_px=1000, height_px=700) as figure:
         axes = figure.subplots()
         axes.axvspan(*band, color="0.88", label="band of Xu 2024: E to √2 E")
         if np.isfinite(own_epsilon_over_E):

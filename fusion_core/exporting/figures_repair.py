@@ -10,10 +10,10 @@ from fusion_core.exporting.figures import (
     add_legend_below,
     continuous_deg,
     depth_shades,
-    drawing,
     far_limit_m,
+    label_azimuth,
     middle_of_view_rad,
-    name_azimuth,
+    png_figure,
     show_color,
     show_depth,
     show_holes,
@@ -87,7 +87,7 @@ def write_repair(path: Path, heading: str, depth_m: Float32Array, curve: Repaire
     """Fig. 7: depth image, the band around the curve enlarged, and the LiDAR curve, before and
     after."""
     far_m = far_limit_m(depth_m)
-    with drawing(path, heading, width_px=1500, height_px=1320) as figure:
+    with png_figure(path, heading, width_px=1500, height_px=1320) as figure:
         grid = figure.subplots(3, 2, height_ratios=(1.6, 0.6, 1.1))
         for i, (when, image_m) in enumerate(
             (("before", depth_m), ("after", fused_depth_m(depth_m, curve)))
@@ -103,7 +103,7 @@ def write_repair(path: Path, heading: str, depth_m: Float32Array, curve: Repaire
             figure,
             grid.ravel(),
             columns=5,
-            words="Noise types of Xu 2024 §2.3.2, framed where each has its longest stretch. A: "
+            caption="Noise types of Xu 2024 §2.3.2, framed where each has its longest stretch. A: "
             "hole on both sensors. B: hole on this sensor alone. C: burr. Hatched: beams that "
             "meet no pixel.",
         )
@@ -160,7 +160,7 @@ def _show_band(
     if azimuth_deg.size < 2:
         axes.set_axis_off()
         return
-    band_m, outside = straightened_band_m(depth_m, curve)
+    band_m, outside = rectify_band_m(depth_m, curve)
     shades = depth_shades()(Normalize(0.0, far_m)(np.ma.masked_invalid(band_m)))
     shades[outside, 3] = 0.0
     axes.patch.set(hatch="////", edgecolor="0.75")
@@ -183,12 +183,10 @@ def _show_band(
         _label_noise(axes, curve, curve.depth_class, curve.lidar_class, (-5.8, -3.2, 4.5))
     axes.set_ylabel("rows from\nthe curve (px)")
     axes.set_title("the band around the curve, straightened and enlarged")
-    name_azimuth(axes)
+    label_azimuth(axes)
 
 
-def straightened_band_m(
-    depth_m: Float32Array, curve: RepairedCurve
-) -> tuple[FloatArray, BoolArray]:
+def rectify_band_m(depth_m: Float32Array, curve: RepairedCurve) -> tuple[FloatArray, BoolArray]:
     """Depths of the rows around the curve, (2 k + 1, 2 B) with equal angles from left to right,
     NaN where missing, and where there is no pixel at all."""
     azimuth_deg = curve.azimuth_deg
@@ -245,7 +243,7 @@ def _show_lidar(axes: "Axes", curve: RepairedCurve, *, after: bool) -> None:
     start_at_zero(axes, headroom=0.4)
     axes.set_ylabel("horizontal range (m)")
     axes.set_title(f"LiDAR curve {'after' if after else 'before'} denoising")
-    name_azimuth(axes)
+    label_azimuth(axes)
 
 
 def _label_noise(
@@ -260,7 +258,7 @@ def _label_noise(
     }
     azimuth_deg = curve.azimuth_deg
     for (letter, mask), y in zip(types.items(), heights, strict=True):
-        stretch = longest_stretch(mask)
+        stretch = longest_run(mask)
         if stretch.size == 0:
             continue
         ends = azimuth_deg[stretch]
@@ -278,7 +276,7 @@ def _label_noise(
         )
 
 
-def longest_stretch(mask: BoolArray) -> IntArray:
+def longest_run(mask: BoolArray) -> IntArray:
     """Positions of the longest run in ``mask``, the first of equal ones."""
     chosen = np.flatnonzero(mask)
     runs = np.split(chosen, np.flatnonzero(np.diff(chosen) != 1) + 1)
@@ -296,7 +294,7 @@ def write_fused_depth(
     """Fig. 8: colour and depth image, LiDAR and depth curve, and the fused depth image."""
     far_m = far_limit_m(depth_m)
     fused_m = fused_depth_m(depth_m, curve)
-    with drawing(path, heading, width_px=1240, height_px=960) as figure:
+    with png_figure(path, heading, width_px=1240, height_px=960) as figure:
         axes = _four_panels(figure, color)
         letters = iter("abcd")
         if color is not None:
@@ -338,6 +336,6 @@ def _show_both_curves(axes: "Axes", curve: RepairedCurve) -> None:
     axes.plot(azimuth_deg, curve.depth_as_range_m, ".", color=DEPTH, ms=3, label="depth")
     axes.set_ylabel("horizontal range (m)")
     start_at_zero(axes)
-    name_azimuth(axes)
+    label_azimuth(axes)
     axes.grid(lw=0.3, color="0.85")
     axes.legend(loc="lower right")

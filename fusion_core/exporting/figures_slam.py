@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion_core.exporting.figures import drawing
+from fusion_core.exporting.figures import png_figure
 from fusion_core.exporting.palette import BURR, DEPTH, LIDAR
 from fusion_core.model.conventions import NS_PER_S, BoolArray, FloatArray, IntArray
 from fusion_core.model.grids import OccupancyGrid
@@ -15,7 +15,7 @@ _SMALLEST_PX = 420
 _LEGEND_PX = 110
 
 
-def write_way(
+def write_trajectory_figure(
     path: Path,
     heading: str,
     grid: OccupancyGrid | None,
@@ -32,7 +32,7 @@ def write_way(
     size_m = np.maximum(high - low, 1.0)
     shape = size_m / size_m.max()
     width_px, height_px = (max(_SMALLEST_PX, round(_SIDE_PX * share)) for share in shape)
-    with drawing(path, heading, width_px=width_px, height_px=height_px + _LEGEND_PX) as figure:
+    with png_figure(path, heading, width_px=width_px, height_px=height_px + _LEGEND_PX) as figure:
         axes = figure.subplots()
         axes.set_facecolor(_UNKNOWN)
         axes.set_aspect("equal")
@@ -40,7 +40,7 @@ def write_way(
         axes.set_ylabel("y in the map frame (m)")
         if grid is not None:
             axes.imshow(
-                _shown(grid),
+                _downsampled_probability(grid),
                 cmap="gray_r",
                 vmin=0.0,
                 vmax=1.0,
@@ -66,7 +66,7 @@ def write_way(
         figure.legend(loc="outside lower center", ncols=3, frameon=False)
 
 
-def write_effective(
+def write_effective_particles(
     path: Path,
     heading: str,
     stamps_ns: IntArray,
@@ -79,7 +79,7 @@ def write_effective(
     ``stamps_ns``, ``effective``, ``resampled``: (K,), K >= 1. Raises ExportError.
     """
     since_s = (stamps_ns - stamps_ns[0]) / NS_PER_S
-    with drawing(path, heading, width_px=1000, height_px=420) as figure:
+    with png_figure(path, heading, width_px=1000, height_px=420) as figure:
         axes = figure.subplots()
         axes.plot(since_s, effective, "-", color=DEPTH, lw=0.9, label="effective particles")
         count = int(resampled.sum())
@@ -99,7 +99,7 @@ def write_effective(
         figure.legend(loc="outside lower center", ncols=3, frameon=False)
 
 
-def _shown(grid: OccupancyGrid) -> FloatArray:
+def _downsampled_probability(grid: OccupancyGrid) -> FloatArray:
     """(rows, columns) probability with no more cells than the picture can show, each the highest
     of those that it stands for, so that thin walls stay."""
     stride = -(-max(grid.log_odds.shape) // (2 * _SIDE_PX))

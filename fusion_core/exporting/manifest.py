@@ -3,7 +3,7 @@
 It names the command, the project's version, the libraries' versions, the seed, the digest of the
 settings, and the SHA-256 of every input and result. Names only: no absolute path, clock or host. A
 file that is not as its manifest says is no result: whoever reads results asks
-``require_as_written`` first.
+``require_intact`` first.
 """
 
 import hashlib
@@ -38,7 +38,7 @@ class InputDigest:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Work:
+class RunIdentity:
     """What decides a run's results: two runs of equal work give the same bytes."""
 
     command: str
@@ -103,24 +103,24 @@ class Manifest:
             and ".." not in PurePosixPath(name).parts
         }
 
-    def is_of(self, work: Work) -> bool:
+    def matches(self, run: RunIdentity) -> bool:
         """Whether the folder holds the results of this work, all as written."""
         own = self.document
         return (
             bool(self.results)
-            and all(own.get(key) == value for key, value in work.to_json().items())
-            and all(map(self.is_as_written, self.results))
+            and all(own.get(key) == value for key, value in run.to_json().items())
+            and all(map(self.is_intact, self.results))
         )
 
-    def is_as_written(self, name: str) -> bool:
+    def is_intact(self, name: str) -> bool:
         """Whether a result is still what the run wrote."""
         file = self.folder / name
         return file.is_file() and sha256_of_file(file) == self.results[name]
 
 
-def manifest_text(work: Work, results: Path, names: Sequence[str]) -> str:
+def manifest_text(run: RunIdentity, results: Path, names: Sequence[str]) -> str:
     """The manifest of the files ``names`` below ``results``."""
-    document = work.to_json() | {
+    document = run.to_json() | {
         "versions": {
             "python": ".".join(platform.python_version_tuple()[:2]),
             **{name: version(name) for name in _LIBRARIES},
@@ -130,7 +130,7 @@ def manifest_text(work: Work, results: Path, names: Sequence[str]) -> str:
     return json.dumps(document, indent=2, ensure_ascii=False) + "\n"
 
 
-def require_as_written(folder: Path, names: Collection[str], command: str | None = None) -> None:
+def require_intact(folder: Path, names: Collection[str], command: str | None = None) -> None:
     """Raise ScanLoomError where a file in ``folder`` is not as the folder's manifest says, or the
     folder's results are not those of ``command``.
 
@@ -145,7 +145,7 @@ def require_as_written(folder: Path, names: Collection[str], command: str | None
             advice=f"Give a folder that scanloom {command} has written.",
         )
     for name in manifest.results:
-        if name in names and not manifest.is_as_written(name):
+        if name in names and not manifest.is_intact(name):
             raise ScanLoomError(
                 "is not as the run that made this folder wrote it.",
                 file=folder / name,

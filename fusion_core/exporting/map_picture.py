@@ -28,8 +28,8 @@ _OBSTACLES: dict[int, tuple[Color, ...]] = {
 }
 UNKNOWN: Color = (196, 204, 214)
 FREE: Color = (255, 255, 255)
-_INK: Color = (0, 0, 0)
-_PAPER: Color = (255, 255, 255)
+_FOREGROUND: Color = (0, 0, 0)
+_BACKGROUND: Color = (255, 255, 255)
 
 _LONGEST_SIDE_PX = 800
 _ZOOM_MAX = 16
@@ -79,28 +79,30 @@ def _compose(rgb: ByteArray, resolution_m: float, legend: list[tuple[Color, str]
     cells = np.flipud(rgb).repeat(zoom, axis=0).repeat(zoom, axis=1)
     height, width = cells.shape[:2]
     top = height + 2 * _MARGIN_PX
-    sheet_shape = (
+    canvas_shape = (
         top + _LINE_PX * (1 + len(legend)),
         max(width + 2 * _MARGIN_PX, _WIDTH_MIN_PX),
         3,
     )
-    sheet = np.full(sheet_shape, _PAPER, dtype=np.uint8)
-    sheet[_MARGIN_PX : _MARGIN_PX + height, _MARGIN_PX : _MARGIN_PX + width] = cells
+    canvas = np.full(canvas_shape, _BACKGROUND, dtype=np.uint8)
+    canvas[_MARGIN_PX : _MARGIN_PX + height, _MARGIN_PX : _MARGIN_PX + width] = cells
 
-    bar_m = scale_bar_m(sheet_shape[1] / zoom * resolution_m)
+    bar_m = scale_bar_m(canvas_shape[1] / zoom * resolution_m)
     bar_px = round(bar_m / resolution_m * zoom)
-    cv2.rectangle(sheet, (_MARGIN_PX, top + 4), (_MARGIN_PX + bar_px - 1, top + 9), _INK, -1)
-    _text(sheet, f"{bar_m:g} m", _MARGIN_PX + bar_px + 8, top + 11)
+    cv2.rectangle(
+        canvas, (_MARGIN_PX, top + 4), (_MARGIN_PX + bar_px - 1, top + 9), _FOREGROUND, -1
+    )
+    _put_text(canvas, f"{bar_m:g} m", _MARGIN_PX + bar_px + 8, top + 11)
     for i, (color, words) in enumerate(legend):
         y = top + _LINE_PX * (i + 1)
-        cv2.rectangle(sheet, (_MARGIN_PX, y), (_MARGIN_PX + 14, y + 14), color, -1)
-        cv2.rectangle(sheet, (_MARGIN_PX, y), (_MARGIN_PX + 14, y + 14), _INK, 1)
-        _text(sheet, words, _MARGIN_PX + 24, y + 12)
-    return sheet
+        cv2.rectangle(canvas, (_MARGIN_PX, y), (_MARGIN_PX + 14, y + 14), color, -1)
+        cv2.rectangle(canvas, (_MARGIN_PX, y), (_MARGIN_PX + 14, y + 14), _FOREGROUND, 1)
+        _put_text(canvas, words, _MARGIN_PX + 24, y + 12)
+    return canvas
 
 
-def _text(sheet: ByteArray, text: str, x: int, y: int) -> None:
-    cv2.putText(sheet, text, (x, y), _FONT, _FONT_SCALE, _INK, 1, cv2.LINE_AA)
+def _put_text(canvas: ByteArray, text: str, x: int, y: int) -> None:
+    cv2.putText(canvas, text, (x, y), _FONT, _FONT_SCALE, _FOREGROUND, 1, cv2.LINE_AA)
 
 
 def _write(path: Path, rgb: ByteArray) -> None:

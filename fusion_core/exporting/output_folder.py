@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from fusion_core.exporting.manifest import (
     MANIFEST_NAME,
     Manifest,
-    Work,
+    RunIdentity,
     digest_input,
     files_below,
     manifest_text,
@@ -31,9 +31,9 @@ class OutputPlan:
     """
 
     folder: Path
-    work: Work
-    skip: bool
-    earlier: Manifest
+    run: RunIdentity
+    is_done: bool
+    earlier_manifest: Manifest
 
 
 def plan_output(
@@ -62,21 +62,21 @@ def plan_output(
     if (folder.exists() or folder.is_symlink()) and not folder.is_dir():
         raise ExportError("is not a folder.", file=folder, advice="Name another output folder.")
     require_apart(folder, inputs)
-    work = Work(
+    work = RunIdentity(
         command=command,
         inputs=tuple(digest_input(path, progress) for path in inputs),
         settings_sha256=hashlib.sha256(settings_text.encode("utf-8")).hexdigest(),
         seed=seed,
     )
     manifest = Manifest.read(folder)
-    skip = not force and manifest.is_of(work)
+    skip = not force and manifest.matches(work)
     if skip:
         clear_abandoned(folder)
     else:
         require_apart(folder, [path for path in also_read if path is not None])
         if not overwrite:
-            _refuse_what_is_there(manifest, command)
-    return OutputPlan(folder=folder, work=work, skip=skip, earlier=manifest)
+            _require_replaceable(manifest, command)
+    return OutputPlan(folder=folder, run=work, is_done=skip, earlier_manifest=manifest)
 
 
 @contextmanager
@@ -90,7 +90,7 @@ def results_folder(plan: OutputPlan) -> Iterator[Path]:
     before anything is touched where a result cannot be put in its place.
     """
     with work_folder(plan.folder) as work:
-        if Manifest.read(plan.folder).content != plan.earlier.content:
+        if Manifest.read(plan.folder).content != plan.earlier_manifest.content:
             raise ExportError(
                 "was written by another run just now.",
                 file=plan.folder,
@@ -109,7 +109,7 @@ def _file_names(folder: Path) -> list[str]:
     ]
 
 
-def _refuse_what_is_there(manifest: Manifest, command: str) -> None:
+def _require_replaceable(manifest: Manifest, command: str) -> None:
     """Raise ExportError for another command's results, and for files of unknown origin."""
     if manifest.document and manifest.command != command:
         raise ExportError(
@@ -133,12 +133,12 @@ def _publish(plan: OutputPlan, results: Path) -> None:
     # In this order, a run that is killed in between leaves a folder whose manifest knows each
     # file but finds some missing or changed: readers refuse it and the next run replaces it.
     names = _file_names(results)
-    stale = [name for name in plan.earlier.results if name not in names]
+    stale = [name for name in plan.earlier_manifest.results if name not in names]
     for name in (*names, *stale, MANIFEST_NAME):
-        _require_place(plan, name)
+        _require_writable(plan, name)
     # Made in the work folder, where what a killed run leaves is cleared.
     manifest = results.parent / MANIFEST_NAME
-    write_text(manifest, manifest_text(plan.work, results, names))
+    write_text(manifest, manifest_text(plan.run, results, names))
     try:
         for name in stale:
             (plan.folder / name).unlink(missing_ok=True)
@@ -155,13 +155,15 @@ def _publish(plan: OutputPlan, results: Path) -> None:
         ) from error
 
 
-def _require_place(plan: OutputPlan, name: str) -> None:
+def _require_writable(plan: OutputPlan, name: str) -> None:
     """Raise ExportError where a result cannot be put or removed, or what is there is no result."""
     target = plan.folder / name
     parent = target.parent
     while not parent.exists() and not parent.is_symlink():
         parent = parent.parent
-    is_own = name in plan.earlier.results or (name == MANIFEST_NAME and plan.earlier.document)
+    is_own = name in plan.earlier_manifest.results or (
+        name == MANIFEST_NAME and plan.earlier_manifest.document
+    )
     if not real_path(parent).is_relative_to(real_path(plan.folder)):
         problem = "leads out of the output folder"
     elif not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):

@@ -21,7 +21,7 @@ _TOO_MUCH = "holds a number of thousands of digits, or is nested too deeply"
 _LONGEST_SHOWN = 80
 # All stages with their help take some 20 kB.
 _MAX_BYTES = 1 << 20
-_RANGE_WORDS = {"ge": "at least", "gt": "more than", "le": "at most", "lt": "less than"}
+_BOUND_NAMES = {"ge": "at least", "gt": "more than", "le": "at most", "lt": "less than"}
 
 
 def dump_toml(stages: Mapping[str, StageSettings], preset: str) -> str:
@@ -32,7 +32,7 @@ def dump_toml(stages: Mapping[str, StageSettings], preset: str) -> str:
         table = tomlkit.table()
         values = settings.model_dump(mode="json")
         for name, field in type(settings).model_fields.items():
-            allowed = _allowed(field)
+            allowed = _describe_range(field)
             table.add(tomlkit.comment(f"{field.description}{f': {allowed}' if allowed else ''}"))
             if values[name] is None:
                 # TOML has no null: a key that is left out takes its default.
@@ -48,7 +48,7 @@ def read_preset(path: Path) -> str | None:
     """The preset that a settings file starts from, None where it names none."""
     preset = _read(path).get(_PRESET_KEY)
     if preset is not None and not isinstance(preset, str):
-        raise SettingsError(f"preset must be text, got {_shown(preset)}.", file=path)
+        raise SettingsError(f"preset must be text, got {_abbreviate(preset)}.", file=path)
     return preset
 
 
@@ -69,10 +69,12 @@ def load_toml(
     for stage, table in document.items():
         if stage not in stages:
             raise SettingsError(
-                f"unknown stage {_shown(stage)}.", file=path, advice=f"Stages: {', '.join(stages)}."
+                f"unknown stage {_abbreviate(stage)}.",
+                file=path,
+                advice=f"Stages: {', '.join(stages)}.",
             )
         if not isinstance(table, dict):
-            raise SettingsError(f"{stage} must be a table, got {_shown(table)}.", file=path)
+            raise SettingsError(f"{stage} must be a table, got {_abbreviate(table)}.", file=path)
     result = {}
     for stage, settings_class in stages.items():
         given, renamed = under_current_names(settings_class, document.get(stage, {}))
@@ -80,8 +82,10 @@ def load_toml(
             _log.warning("%s: %s.%s is now called %s.%s.", path, stage, former, stage, name)
         start = {} if base is None or stage not in base else base[stage].model_dump(mode="json")
         for name, value in given.items():
-            if _json_of(value) is None:
-                raise SettingsError(f"{stage}.{name} = {_shown(value)}: {_TOO_MUCH}.", file=path)
+            if _to_json(value) is None:
+                raise SettingsError(
+                    f"{stage}.{name} = {_abbreviate(value)}: {_TOO_MUCH}.", file=path
+                )
         # JSON, since there a list may become a tuple and text an enum member while text is
         # still no number.
         text = json.dumps(start | given, default=str)
@@ -104,7 +108,7 @@ def _read(path: Path) -> dict[str, Any]:
         raise SettingsError(f"{_TOO_MUCH}.", file=path) from error
 
 
-def _json_of(value: object) -> str | None:
+def _to_json(value: object) -> str | None:
     """A value as JSON, None for one that has no text: too long a number, too deep a nesting."""
     try:
         return json.dumps(value, default=str)
@@ -112,13 +116,13 @@ def _json_of(value: object) -> str | None:
         return None
 
 
-def _shown(value: object) -> str:
+def _abbreviate(value: object) -> str:
     """A value for a message of one line."""
-    text = "..." if _json_of(value) is None else repr(value)
+    text = "..." if _to_json(value) is None else repr(value)
     return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
 
 
-def problem_of(error: ValidationError) -> str:
+def first_problem(error: ValidationError) -> str:
     """The first thing that is wrong, without pydantic's word before a message of ours."""
     return error.errors(include_url=False)[0]["msg"].removeprefix("Value error, ")
 
@@ -133,7 +137,7 @@ def _settings_error(
     first = error.errors(include_url=False)[0]
     fields = settings_class.model_fields
     if not first["loc"]:
-        return SettingsError(f"{stage}: {problem_of(error)}.", file=path)
+        return SettingsError(f"{stage}: {first_problem(error)}.", file=path)
     name = str(first["loc"][0])
     if first["type"] == "extra_forbidden":
         return SettingsError(
@@ -141,21 +145,21 @@ def _settings_error(
             file=path,
             advice=f"Keys: {', '.join(fields)}.",
         )
-    allowed = _allowed(fields[name])
+    allowed = _describe_range(fields[name])
     return SettingsError(
-        f"{stage}.{name} = {_shown(given.get(name, first['input']))}: {problem_of(error)}.",
+        f"{stage}.{name} = {_abbreviate(given.get(name, first['input']))}: {first_problem(error)}.",
         file=path,
         advice=f"Allowed: {allowed}." if allowed else "",
     )
 
 
-def _allowed(field: FieldInfo) -> str:
+def _describe_range(field: FieldInfo) -> str:
     """The choices or the range of a field in words, empty where anything of its type goes."""
     if get_origin(field.annotation) is Literal:
         return " | ".join(str(choice) for choice in get_args(field.annotation))
     bounds = [
         f"{words} {bound}"
-        for name, words in _RANGE_WORDS.items()
+        for name, words in _BOUND_NAMES.items()
         for constraint in field.metadata
         if (bound := getattr(constraint, name, None)) is not None
     ]

@@ -41,7 +41,7 @@ class CsvTable:
         """Write one row. Raises ValueError unless its keys are the table's columns."""
         if row.keys() != set(self._columns):
             raise ValueError(f"row and columns differ in {sorted(row.keys() ^ set(self._columns))}")
-        self._writer.writerow([_field(row[column]) for column in self._columns])
+        self._writer.writerow([_format_field(row[column]) for column in self._columns])
 
     def __exit__(
         self,
@@ -52,7 +52,7 @@ class CsvTable:
         self._stack.__exit__(kind, error, traceback)
 
 
-def _field(value: object) -> str:
+def _format_field(value: object) -> str:
     if value is None:
         return ""
     if isinstance(value, bool | np.bool_):
@@ -103,7 +103,7 @@ class ParquetTable:
         names = self._schema.names
         if columns.keys() != set(names):
             raise ValueError(f"columns and schema differ in {sorted(columns.keys() ^ set(names))}")
-        arrays = [_arrow(columns[field.name], field.type) for field in self._schema]
+        arrays = [_to_arrow(columns[field.name], field.type) for field in self._schema]
         table = pa.Table.from_arrays(arrays, schema=self._schema)
         self._pending.append(table)
         self._pending_rows += table.num_rows
@@ -129,6 +129,6 @@ class ParquetTable:
         self._stack.__exit__(kind, error, traceback)
 
 
-def _arrow(values: npt.NDArray[Any], column_type: pa.DataType) -> Any:
+def _to_arrow(values: npt.NDArray[Any], column_type: pa.DataType) -> Any:
     # from_pandas turns NaN to null; the safe cast refuses fractions and overflow.
     return pa.array(values, from_pandas=True).cast(column_type)

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from fusion_core.files.lock import hold
+from fusion_core.files.lock import acquire_lock
 from fusion_core.model.errors import ExportError
 
 # Failures of writing itself. Any other OSError in the caller's block is not about this file.
@@ -109,7 +109,7 @@ def _new_aside(path: Path) -> tuple[Path, int]:
         aside = path.with_name(f".{path.stem}.{token}.partial{path.suffix}")
         os.close(os.open(aside, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         # In between another process may have taken it for an abandoned one.
-        descriptor = hold(aside, create=False)
+        descriptor = acquire_lock(aside, create=False)
         if descriptor is not None:
             return aside, descriptor
 
@@ -123,7 +123,7 @@ def _remove_abandoned(path: Path) -> None:
             continue
         # What is not ours to lock is not ours to remove.
         with suppress(PermissionError):
-            descriptor = hold(beside, create=False)
+            descriptor = acquire_lock(beside, create=False)
             if descriptor is not None:
                 beside.unlink(missing_ok=True)
                 os.close(descriptor)

@@ -12,7 +12,7 @@ def require_apart(output: Path, inputs: Collection[Path]) -> None:
     one or holds one, by whatever names and links."""
     target = real_path(output)
     for given in inputs:
-        for place in _places(given):
+        for place in _real_paths(given):
             if place == target:
                 problem = f"is read as the input {given.name}"
             elif place in target.parents:
@@ -28,7 +28,7 @@ def require_apart(output: Path, inputs: Collection[Path]) -> None:
             )
 
 
-def _places(given: Path) -> Iterator[Path]:
+def _real_paths(given: Path) -> Iterator[Path]:
     """Where an input really is, where it is named, and where links inside of it lead."""
     yield real_path(given)
     yield real_path(given.parent) / given.name

@@ -12,7 +12,7 @@ except ImportError as error:
     raise ImportError("ScanLoom needs flock, which Linux, macOS and WSL have.") from error
 
 
-def hold(path: Path, *, create: bool = True) -> int | None:
+def acquire_lock(path: Path, *, create: bool = True) -> int | None:
     """Open a file and lock it: its descriptor, to be closed in the end. None where another holds
     it, or where it is not there and ``create`` is False.
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from fusion_core.files.lock import hold
+from fusion_core.files.lock import acquire_lock
 from fusion_core.model.errors import ExportError
 
 WORK_NAME = ".scanloom-unfinished"
@@ -24,7 +24,7 @@ def work_folder(folder: Path) -> Iterator[Path]:
     is_new = not folder.exists()
     work = folder / WORK_NAME
     try:
-        descriptor = _hold(work)
+        descriptor = _acquire(work)
     except OSError as error:
         if is_new:
             _remove_empty(folder)
@@ -45,7 +45,7 @@ def work_folder(folder: Path) -> Iterator[Path]:
         results.mkdir()
         yield results
     finally:
-        _let_go(work, descriptor)
+        _release(work, descriptor)
         if is_new:
             _remove_empty(folder)
 
@@ -55,12 +55,12 @@ def clear_abandoned(folder: Path) -> None:
     work = folder / WORK_NAME
     if work.is_dir() and not work.is_symlink():
         with suppress(OSError):
-            descriptor = hold(work / _LOCK_NAME)
+            descriptor = acquire_lock(work / _LOCK_NAME)
             if descriptor is not None:
-                _let_go(work, descriptor)
+                _release(work, descriptor)
 
 
-def _let_go(work: Path, descriptor: int) -> None:
+def _release(work: Path, descriptor: int) -> None:
     _clear(work)
     # The lock goes last: until then nobody else works in here.
     (work / _LOCK_NAME).unlink(missing_ok=True)
@@ -68,13 +68,13 @@ def _let_go(work: Path, descriptor: int) -> None:
     os.close(descriptor)
 
 
-def _hold(work: Path) -> int | None:
+def _acquire(work: Path) -> int | None:
     while True:
         work.mkdir(parents=True, exist_ok=True)
         if work.is_symlink():
             raise NotADirectoryError(0, f"{WORK_NAME} in it is a link")
         try:
-            return hold(work / _LOCK_NAME)
+            return acquire_lock(work / _LOCK_NAME)
         except FileNotFoundError:
             # Another run has just ended, and removed its folder.
             continue

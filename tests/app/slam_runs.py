@@ -108,7 +108,7 @@ class FakeMap:
             raise MappingFailed(
                 "only 17 % of the scans fit the map.", file=output, advice="Look at the map."
             )
-        return MapSummary(output=output, skipped=False, report=report, seconds=SECONDS)
+        return MapSummary(output=output, is_skipped=False, report=report, seconds=SECONDS)
 
 
 def write_results(output: Path, options: MapOptions, shift_m: float = 0.0) -> dict[str, Any]:

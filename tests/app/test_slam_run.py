@@ -12,7 +12,7 @@ from fusion_core.model.errors import ExportError, MappingFailed
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.slam_view import SlamView, no_observer
 from fusion_core.workflows.fuse.presets import PRESETS, PresetName
-from fusion_core.workflows.map.result_folder import RunPoses, read_run
+from fusion_core.workflows.map.result_folder import TrajectoryPoses, read_map_results
 from fusion_core.workflows.map.settings import map_settings, map_settings_toml
 from scanloom import cli
 from scanloom.jobs import slam_run as job
@@ -90,7 +90,7 @@ def test_particles_and_weights_come_with_their_times(tmp_path: Path) -> None:
 def test_the_poses_of_a_run_are_those_of_its_scans_and_none_beyond(
     fake: FakeMap, tmp_path: Path
 ) -> None:
-    found = RunPoses("a run", run(tmp_path).files.trajectory)
+    found = TrajectoryPoses("a run", run(tmp_path).files.trajectory)
     stamps_ns, way = slam_runs.stamps_ns(), slam_runs.poses()
     pose = found.at(int(stamps_ns[7]))
     assert pose is not None
@@ -211,10 +211,10 @@ def test_a_damaged_result_is_told(tmp_path: Path) -> None:
     results = run(tmp_path).folder / "results"
     (results / "report.json").write_text("{}")
     with pytest.raises(ExportError, match=r"KeyError.*'scan'"):
-        read_run(results)
+        read_map_results(results)
     (results / "trajectory.tum").write_text("1 2\n")
     with pytest.raises(ExportError, match="cannot be read back"):
-        read_run(results)
+        read_map_results(results)
 
 
 def files_below(folder: Path) -> dict[str, bytes]:

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from fusion_core.evaluation.relations import evaluate_relations
-from fusion_core.exporting.figures import drawing
+from fusion_core.exporting.figures import png_figure
 from fusion_core.exporting.palette import DEPTH
 from fusion_core.model.trajectory import Trajectory
 from fusion_core.recordings.formats import open_recording
@@ -28,7 +28,7 @@ from fusion_core.recordings.relation_file import read_relations
 from fusion_core.recordings.topics import choose_streams
 from fusion_core.slam.particle_filter import ParticleResult, particle_filter_slam
 from fusion_core.slam.pose_graph_slam import SlamResult, pose_graph_slam
-from fusion_core.workflows.poses import recorded_poses
+from fusion_core.workflows.recorded_poses import recorded_poses
 
 ESTIMATORS = {"pose-graph": pose_graph_slam, "particle-filter": particle_filter_slam}
 SHARES = (1 / 8, 1 / 4, 1 / 2, 1)
@@ -95,7 +95,7 @@ def _print_errors(result: SlamResult | ParticleResult, relations: Path) -> None:
 
 
 def _plot(path: Path, slam: str, counts: list[int], spent: list[float], exponent: float) -> None:
-    with drawing(path, f"{slam} on the Intel log", width_px=800, height_px=600) as figure:
+    with png_figure(path, f"{slam} on the Intel log", width_px=800, height_px=600) as figure:
         axes = figure.subplots()
         axes.loglog(counts, spent, "o", color=DEPTH, label="CPU seconds, one process")
         # The fitted line goes through the mean of the logarithms.

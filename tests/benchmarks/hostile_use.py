@@ -351,7 +351,7 @@ ROWS = {
     5: Row(
         what="stamps that jump",
         calls=times,
-        tests=["model/test_stamps.py", "workflows/test_time_order.py"],
+        tests=["model/test_stamps.py", "workflows/test_stamp_filter.py"],
     ),
     6: Row(
         what="settings that make the work endless, and jobs of nobody",

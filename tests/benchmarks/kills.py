@@ -25,7 +25,7 @@ from multiprocessing.context import ForkProcess
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 
-from fusion_core.exporting.manifest import require_as_written
+from fusion_core.exporting.manifest import require_intact
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.workflows import (
     fuse,  # noqa: F401
@@ -111,7 +111,7 @@ def taken(command: str, output: Path) -> dict[str, str] | None:
         return {output.name: contents(output)[output.name]} if output.exists() else None
     names = READ[command]
     try:
-        require_as_written(output, names, command)
+        require_intact(output, names, command)
     except ScanLoomError:
         return None
     if not all((output / name).exists() for name in names):

@@ -247,7 +247,7 @@ def test_a_frame_without_good_pairs_has_no_true_u(by_hand: Any) -> None:
     truth = _round_room(by_hand, 0.0, scan_kind=np.full((1, BEAMS), 1, np.uint8))
     report = evaluate_alignment(_results(by_hand, _frame(by_hand, 0.0, 1.0)), truth)
     assert np.isnan(report.u_true).all()
-    assert report.hits["u"].share is None
+    assert report.hits["u"].fraction is None
     assert report.to_json()["u_true_median"] is None
 
 

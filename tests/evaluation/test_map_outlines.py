@@ -41,7 +41,7 @@ def test_what_stands_nowhere_is_a_false_obstacle():
     drawn = occupied_by(world, 0.05)
     stray = np.array([[2.0, 2.0], [4.0, 0.5], [-1.0, 1.0]])
     report = evaluate_outlines(np.concatenate([drawn, stray]), 0.05, world)
-    assert report.stray == 3
+    assert report.false_cells == 3
     assert report.to_json()["false_obstacles"] == pytest.approx(3 / (len(drawn) + 3))
 
 

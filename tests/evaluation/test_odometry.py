@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fusion_core.evaluation.odometry import StraightDistances, evaluate_odometry
+from fusion_core.evaluation.odometry import StraightSegments, evaluate_odometry
 from fusion_core.model.errors import ScanLoomError, SettingsError
 from fusion_core.model.geometry import transform_from_planar
 from fusion_core.model.trajectory import Trajectory
@@ -28,7 +28,7 @@ def test_a_longer_wheel_is_an_error_of_distance() -> None:
         Trajectory.from_planar(STAMPS_NS.copy(), np.stack([factor * x_m, flat, flat], axis=1))
         for factor in (1.0, 1.02)
     )
-    figures = evaluate_odometry(estimate, reference, stretch_m=2.0).to_json()
+    figures = evaluate_odometry(estimate, reference, segment_m=2.0).to_json()
     assert figures["path_m"] == pytest.approx(10.0)
     assert figures["estimated_path_m"] == pytest.approx(10.2)
     assert figures["distance_error"] == pytest.approx(0.02)
@@ -72,9 +72,9 @@ def test_where_the_map_lies_counts_for_nothing() -> None:
 
 def test_a_path_shorter_than_a_stretch_is_refused() -> None:
     with pytest.raises(ScanLoomError, match="are 50 m apart"):
-        evaluate_odometry(circle(1.0, 1.0), circle(1.0, 1.0), stretch_m=50.0)
+        evaluate_odometry(circle(1.0, 1.0), circle(1.0, 1.0), segment_m=50.0)
     with pytest.raises(SettingsError, match="step must be positive"):
-        evaluate_odometry(circle(1.0, 1.0), circle(1.0, 1.0), stretch_m=0.0)
+        evaluate_odometry(circle(1.0, 1.0), circle(1.0, 1.0), segment_m=0.0)
 
 
 def polyline(corners: list[tuple[float, float]], factor: float = 1.0) -> Trajectory:
@@ -104,7 +104,7 @@ def test_errors_of_either_sign_do_not_cancel() -> None:
     """Li's own numbers: 3, 6, 1, 10 and 6 mm; Σ |error| / Σ distance is 0.23 % and 0.11 %."""
     true = np.array([3.130, 2.045, 3.000])
     for estimated, percent in (([3.127, 2.051, 2.990], 0.23), ([3.132, 2.044, 3.006], 0.11)):
-        straight = StraightDistances(
+        straight = StraightSegments(
             begin_ns=np.arange(3), true_m=true.copy(), estimated_m=np.array(estimated)
         )
         assert straight.error is not None

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion_core.evaluation.relative_pose import TOLERANCE, Step, pairs_of_step
+from fusion_core.evaluation.relative_pose import STEP_TOLERANCE, Step, pairs_of_step
 from fusion_core.model.errors import ScanLoomError, SettingsError
 
 
@@ -14,7 +14,7 @@ def one_by_one(place: list[int], delta: int) -> list[tuple[int, int]]:
     pairs = []
     for first, here in enumerate(place):
         off = [abs(there - here - delta) for there in place[first + 1 :]]
-        if off and min(off) <= TOLERANCE * delta:
+        if off and min(off) <= STEP_TOLERANCE * delta:
             pairs.append((first, first + 1 + off.index(min(off))))
     return pairs
 

@@ -95,7 +95,7 @@ def test_a_beam_beyond_the_range_is_not_asked_for(by_hand: Any) -> None:
 def test_outside_the_view_the_rival_reads_true_ranges_of_good_beams(by_hand: Any) -> None:
     rows = [_beam(by_hand, beam, RANGE[beam]) for beam in (2, 3, 4)]
     lidar = evaluate_repair(_results(by_hand, rows), _truth(by_hand)).lidar
-    np.testing.assert_allclose(lidar.rival_error_m["linear"], 0.5)
+    np.testing.assert_allclose(lidar.baseline_error_m["linear"], 0.5)
 
 
 def test_angles_may_fall_along_the_scan(by_hand: Any) -> None:
@@ -104,7 +104,7 @@ def test_angles_may_fall_along_the_scan(by_hand: Any) -> None:
     truth = _truth(by_hand, lidar_angle_min=np.float64(0.1), lidar_angle_increment=np.float64(step))
     lidar = evaluate_repair(_results(by_hand, rows), truth).lidar
     assert int(lidar.wide.sum()) == 3
-    np.testing.assert_allclose(lidar.rival_error_m["linear"][lidar.wide], 0.5)
+    np.testing.assert_allclose(lidar.baseline_error_m["linear"][lidar.wide], 0.5)
 
 
 @pytest.mark.parametrize(
@@ -125,7 +125,7 @@ def test_a_true_return_moved_farther_is_counted(
     rows = [_beam(by_hand, 10, repaired_m, lidar_raw_m=raw_m), _beam(by_hand, 11, 4.0)]
     lidar = evaluate_repair(_results(by_hand, rows), _truth(by_hand)).lidar
     assert (lidar.moved_farther, lidar.returns) == (moved, 2)
-    assert lidar.moved_farther_share == moved / 2
+    assert lidar.moved_farther_fraction == moved / 2
 
 
 def _pixel(by_hand: Any, row: int, column: int, **values: Any) -> dict[str, Any]:
@@ -189,8 +189,8 @@ def test_rivals_of_depth_repairs_fill_the_raw_image(by_hand: Any) -> None:
     path, truth = _results(by_hand, rows), _truth(by_hand, depth_kind=kind)
     images = [("/other", 0, raw_m), (by_hand.topic, 7, raw_m), (by_hand.topic, 0, raw_m)]
     depth = evaluate_repair(path, truth, images).depth
-    np.testing.assert_allclose(depth.rival_error_m["nearest"], [0.0, 0.5])
-    np.testing.assert_allclose(depth.rival_error_m["inpaint"], [0.0, 0.5], atol=2e-3)
+    np.testing.assert_allclose(depth.baseline_error_m["nearest"], [0.0, 0.5])
+    np.testing.assert_allclose(depth.baseline_error_m["inpaint"], [0.0, 0.5], atol=2e-3)
     with pytest.raises(ScanLoomError, match=r"no raw image of .* of stamp 0"):
         evaluate_repair(path, truth, images[:2])
 
@@ -256,4 +256,4 @@ def test_pooling_takes_quantiles_over_all_samples(by_hand: Any) -> None:
     assert entry["own"]["median_m"] == pytest.approx(np.median(errors[wide]))
     assert entry["own"]["p90_m"] == pytest.approx(np.percentile(errors[wide], 90))
     assert entry["wanted"] == sum(report.lidar.wanted_wide for report in reports)
-    assert pooled.depth.rival_error_m == {}
+    assert pooled.depth.baseline_error_m == {}

@@ -122,7 +122,7 @@ def test_true_offset_lies_where_yaw_and_lever_arm_put_it(fused: Path, truth: Tru
     # the lever arm turns that by 0.4 (at 3.5 m) to 1.2 degrees (at 1 m).
     assert np.nanmin(report.u_true) > 82.5
     assert np.nanmax(report.u_true) < 84.0
-    assert report.hits["u"].share == 1.0
+    assert report.hits["u"].fraction == 1.0
     assert report.yaw_error_deg == pytest.approx(0.0, abs=1e-6)
 
 

@@ -59,7 +59,7 @@ def test_repair_rows_are_in_millimetres() -> None:
         wide=np.array([True]),
         source=np.array([1]),
         error_m=np.array([0.0123]),
-        rival_error_m={"linear": np.array([0.1])},
+        baseline_error_m={"linear": np.array([0.1])},
         wanted_wide=2,
         wanted_narrow=0,
         returns=1000,

@@ -13,7 +13,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion_core.exporting.figures import continuous_deg, drawing, far_limit_m, later, seconds
+from fusion_core.exporting.figures import (
+    continuous_deg,
+    describe_delay,
+    far_limit_m,
+    format_stamp,
+    png_figure,
+)
 from fusion_core.exporting.figures_alignment import (
     CurvePair,
     FieldPanel,
@@ -26,8 +32,8 @@ from fusion_core.exporting.figures_registration import write_pairs, write_recall
 from fusion_core.exporting.figures_repair import (
     RepairedCurve,
     fused_depth_m,
-    longest_stretch,
-    straightened_band_m,
+    longest_run,
+    rectify_band_m,
     write_fused_depth,
     write_repair,
 )
@@ -242,7 +248,7 @@ def test_pictures_hold_pixels_alone_and_fit_a_page(drawn: Path, number: int) -> 
 
 def test_panels_stand_on_rounded_places(tmp_path: Path) -> None:
     # The solver of the layout differs in the last digits; see the reason beside the rounding.
-    with drawing(tmp_path / "a.png", "heading", width_px=700, height_px=300) as figure:
+    with png_figure(tmp_path / "a.png", "heading", width_px=700, height_px=300) as figure:
         panels = figure.subplots(1, 3)
     for axes in panels:
         assert all(round(value, 5) == value for value in axes.get_position(True).extents[:2])
@@ -251,7 +257,7 @@ def test_panels_stand_on_rounded_places(tmp_path: Path) -> None:
 def test_a_failed_drawing_leaves_no_file(tmp_path: Path) -> None:
     with (
         pytest.raises(ZeroDivisionError),
-        drawing(tmp_path / "a.png", "heading", width_px=300, height_px=200),
+        png_figure(tmp_path / "a.png", "heading", width_px=300, height_px=200),
     ):
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
@@ -263,7 +269,7 @@ def test_a_missing_folder_is_an_export_error(tmp_path: Path) -> None:
 
 
 def test_names_with_dollars_are_no_mathematics(tmp_path: Path) -> None:
-    with drawing(tmp_path / "a.png", r"room $\frac$ 1", width_px=300, height_px=200):
+    with png_figure(tmp_path / "a.png", r"room $\frac$ 1", width_px=300, height_px=200):
         pass
     assert (tmp_path / "a.png").exists()
 
@@ -369,7 +375,7 @@ def test_only_repaired_pixels_change_in_the_fused_image() -> None:
 def test_the_straightened_band_has_the_rows_around_each_pixel() -> None:
     depth_m = depth_image()
     curve = curve_of(depth_m)
-    band_m, outside = straightened_band_m(depth_m, curve)
+    band_m, outside = rectify_band_m(depth_m, curve)
     beams = curve.row.size
     assert band_m.shape == (15, 2 * beams)
     for shown in range(2 * beams):
@@ -394,7 +400,7 @@ def test_the_band_takes_memory_by_its_beams_alone() -> None:
     fields["azimuth_rad"] = np.linspace(3.0, -3.0, beams)
     tracemalloc.start()
     try:
-        band_m, _ = straightened_band_m(depth_m, RepairedCurve(**fields))
+        band_m, _ = rectify_band_m(depth_m, RepairedCurve(**fields))
         assert tracemalloc.get_traced_memory()[1] < 10 * band_m.nbytes
     finally:
         tracemalloc.stop()
@@ -405,7 +411,7 @@ def test_the_band_is_empty_where_beams_are_missing() -> None:
     curve = curve_of(depth_m)
     keep = np.r_[0:6, 14:19]
     fields = {name: getattr(curve, name)[keep] for name in RepairedCurve.__slots__}
-    _, outside = straightened_band_m(depth_m, RepairedCurve(**fields))
+    _, outside = rectify_band_m(depth_m, RepairedCurve(**fields))
     middle = outside[7]
     assert not middle[:6].any()
     assert middle[8:12].all()
@@ -418,7 +424,7 @@ def test_the_longest_stretch_is_the_first_longest_run(mask: list[bool]) -> None:
     for i, chosen in enumerate(mask):
         run = [*run, i] if chosen else []
         best = run if len(run) > len(best) else best
-    assert longest_stretch(np.array(mask, dtype=np.bool_)).tolist() == best
+    assert longest_run(np.array(mask, dtype=np.bool_)).tolist() == best
 
 
 @given(st.floats(-3.1, 3.1), st.floats(0.1, 2.5))
@@ -439,13 +445,13 @@ def test_azimuths_have_no_jump_and_keep_their_direction(middle: float, half_view
     ],
 )
 def test_stamps_are_rounded_to_milliseconds(stamp_ns: int, text: str) -> None:
-    assert seconds(stamp_ns) == text
+    assert format_stamp(stamp_ns) == text
 
 
 def test_gaps_are_told_in_words() -> None:
-    assert later(46.3, "the scan") == "46.3 ms after the scan"
-    assert later(-2.0, "the scan") == "2.0 ms before the scan"
-    assert later(0.0, "the scan") == "at the stamp of the scan"
+    assert describe_delay(46.3, "the scan") == "46.3 ms after the scan"
+    assert describe_delay(-2.0, "the scan") == "2.0 ms before the scan"
+    assert describe_delay(0.0, "the scan") == "at the stamp of the scan"
 
 
 def test_the_depth_scale_ends_beyond_nearly_all_depths() -> None:

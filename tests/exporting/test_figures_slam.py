@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from fusion_core.exporting.figures_slam import write_effective, write_way
+from fusion_core.exporting.figures_slam import write_effective_particles, write_trajectory_figure
 from fusion_core.exporting.palette import BURR, DEPTH, LIDAR
 from fusion_core.model.grids import OccupancyGrid
 
@@ -37,7 +37,9 @@ def count(path: Path, color: str) -> int:
 @pytest.mark.parametrize("trusted", [True, False])
 def test_way_loops_and_lost_scans_have_their_colours(tmp_path: Path, trusted: bool) -> None:
     path = tmp_path / "way.png"
-    write_way(path, "a room", grid(), POSES, np.array([True, True, trusted, True]), LOOPS)
+    write_trajectory_figure(
+        path, "a room", grid(), POSES, np.array([True, True, trusted, True]), LOOPS
+    )
     assert has(path, DEPTH)
     assert has(path, LIDAR)
     assert has(path, BURR) is not trusted
@@ -45,14 +47,18 @@ def test_way_loops_and_lost_scans_have_their_colours(tmp_path: Path, trusted: bo
 
 def test_way_without_map_or_loops(tmp_path: Path) -> None:
     path = tmp_path / "way.png"
-    write_way(path, "a room", None, POSES[:1], np.ones(1, dtype=np.bool_), np.zeros((0, 4)))
+    write_trajectory_figure(
+        path, "a room", None, POSES[:1], np.ones(1, dtype=np.bool_), np.zeros((0, 4))
+    )
     assert path.stat().st_size > 1000
     assert not has(path, LIDAR)
 
 
 def test_same_bytes_twice(tmp_path: Path) -> None:
     for name in ("a.png", "b.png"):
-        write_way(tmp_path / name, "a", grid(), POSES, np.ones(4, dtype=np.bool_), LOOPS)
+        write_trajectory_figure(
+            tmp_path / name, "a", grid(), POSES, np.ones(4, dtype=np.bool_), LOOPS
+        )
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
@@ -60,7 +66,7 @@ def test_effective_number_and_each_resampling(tmp_path: Path) -> None:
     stamps_ns = np.arange(5, dtype=np.int64) * 10**9
     effective = np.array([30.0, 20.0, 14.0, 30.0, 25.0])
     once, twice = tmp_path / "once.png", tmp_path / "twice.png"
-    write_effective(once, "a room", stamps_ns, effective, effective < 15.0, 30)
-    write_effective(twice, "a room", stamps_ns, effective, effective < 21.0, 30)
+    write_effective_particles(once, "a room", stamps_ns, effective, effective < 15.0, 30)
+    write_effective_particles(twice, "a room", stamps_ns, effective, effective < 21.0, 30)
     assert has(once, DEPTH)
     assert count(twice, BURR) > count(once, BURR) > 0

@@ -8,7 +8,7 @@ import pytest
 
 from fusion_core.exporting import manifest as manifest_module
 from fusion_core.exporting import output_folder
-from fusion_core.exporting.manifest import digest_input, require_as_written, sha256_of_file
+from fusion_core.exporting.manifest import digest_input, require_intact, sha256_of_file
 from fusion_core.exporting.output_folder import OutputPlan, plan_output, results_folder
 from fusion_core.model.errors import ExportError, RecordingError, ScanLoomError
 
@@ -101,34 +101,34 @@ def test_two_runs_give_the_same_bytes(tmp_path: Path, recording: Path) -> None:
 
 
 def test_a_second_run_is_skipped_unless_forced(out: Path, recording: Path) -> None:
-    assert not plan(out, recording).skip
+    assert not plan(out, recording).is_done
     run(plan(out, recording))
-    assert plan(out, recording).skip
-    assert not plan(out, recording, force=True).skip
+    assert plan(out, recording).is_done
+    assert not plan(out, recording, force=True).is_done
 
 
 def test_a_moved_input_is_the_same_input(out: Path, recording: Path, tmp_path: Path) -> None:
     run(plan(out, recording))
     elsewhere = tmp_path / "elsewhere"
     recording.parent.rename(elsewhere)
-    assert plan(out, elsewhere / recording.name).skip
+    assert plan(out, elsewhere / recording.name).is_done
 
 
 def test_any_change_runs_again(out: Path, recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run(plan(out, recording))
-    assert not plan(out, recording, settings="a = 2\n").skip
-    assert not plan(out, recording, seed=1).skip
+    assert not plan(out, recording, settings="a = 2\n").is_done
+    assert not plan(out, recording, seed=1).is_done
     (out / FRAMES).write_text("edited")
-    assert not plan(out, recording).skip
+    assert not plan(out, recording).is_done
     (out / FRAMES).unlink()
-    assert not plan(out, recording).skip
+    assert not plan(out, recording).is_done
     (out / FRAMES).write_text(RESULTS[FRAMES])
-    assert plan(out, recording).skip
+    assert plan(out, recording).is_done
     with monkeypatch.context() as patched:
         patched.setattr(manifest_module, "project_version", lambda: "9.9")
-        assert not plan(out, recording).skip
+        assert not plan(out, recording).is_done
     recording.write_bytes(b"changed")
-    assert not plan(out, recording).skip
+    assert not plan(out, recording).is_done
 
 
 def test_new_results_replace_the_old_ones(out: Path, recording: Path) -> None:
@@ -148,7 +148,7 @@ def test_unknown_files_are_refused_and_named(out: Path, recording: Path) -> None
     with pytest.raises(ExportError, match="notes"):
         plan(out, recording, force=True)
     # Nothing would be written, so nothing is in danger.
-    assert plan(out, recording).skip
+    assert plan(out, recording).is_done
 
 
 def test_an_error_keeps_the_earlier_results(out: Path, recording: Path) -> None:
@@ -164,7 +164,7 @@ def test_an_error_keeps_the_earlier_results(out: Path, recording: Path) -> None:
     with pytest.raises(RuntimeError, match="stop"):
         fail(plan(out, recording, force=True))
     assert content(out) == RESULTS
-    assert plan(out, recording).skip
+    assert plan(out, recording).is_done
 
 
 @pytest.mark.parametrize("moves", [0, 1])
@@ -187,7 +187,7 @@ def test_a_run_killed_while_it_publishes_is_simply_repeated(
         with pytest.raises(KeyboardInterrupt):
             run(plan(out, recording, seed=1), {"a.csv": "1", "b.csv": "2"})
     again = plan(out, recording, seed=1)
-    assert not again.skip
+    assert not again.is_done
     run(again, {"a.csv": "1", "b.csv": "2"})
     assert content(out) == {"a.csv": "1", "b.csv": "2"}
 
@@ -205,7 +205,7 @@ def test_a_run_killed_as_it_cleared_up_is_done_and_cleared(out: Path, recording:
     left = out / ".scanloom-unfinished"
     left.mkdir()
     (left / "lock").touch()
-    assert plan(out, recording).skip
+    assert plan(out, recording).is_done
     assert not left.exists()
 
 
@@ -250,7 +250,7 @@ def test_what_is_read_beside_the_inputs_is_never_written_over(out: Path, recordi
     run(plan(out, recording))
     settings = out / FRAMES
     # Nothing would be written, so nothing is in danger.
-    assert plan(out, recording, also_read=(settings,)).skip
+    assert plan(out, recording, also_read=(settings,)).is_done
     with pytest.raises(ExportError, match=r"holds the input frames\.csv"):
         plan(out, recording, also_read=(settings,), force=True, overwrite=True)
 
@@ -269,7 +269,7 @@ def test_results_of_a_version_that_named_no_command_are_refused(out: Path, recor
     manifest = json.loads((out / "manifest.json").read_text())
     del manifest["command"]
     (out / "manifest.json").write_text(json.dumps(manifest))
-    require_as_written(out, RESULTS, "fuse")
+    require_intact(out, RESULTS, "fuse")
     with pytest.raises(ExportError, match="holds results of an earlier version"):
         plan(out, recording)
 
@@ -318,11 +318,11 @@ def test_a_second_run_into_the_folder_is_told_to_wait(out: Path, recording: Path
 def test_a_mix_of_two_runs_is_no_result(out: Path, recording: Path) -> None:
     run(plan(out, recording))
     (out / FIGURE).write_text("of another run")
-    require_as_written(out, [FRAMES, "never written.csv"], "fuse")
+    require_intact(out, [FRAMES, "never written.csv"], "fuse")
     with pytest.raises(ScanLoomError, match=r"3\.png: is not as the run .* wrote it"):
-        require_as_written(out, [FIGURE], "fuse")
+        require_intact(out, [FIGURE], "fuse")
     with pytest.raises(ScanLoomError, match="holds results of fuse, not of map"):
-        require_as_written(out, [FRAMES], "map")
+        require_intact(out, [FRAMES], "map")
 
 
 def test_a_place_that_cannot_be_written_is_found_before_anything_is_touched(
@@ -334,7 +334,7 @@ def test_a_place_that_cannot_be_written_is_found_before_anything_is_touched(
     with pytest.raises(ExportError, match=r"3\.png: cannot be written"):
         run(plan(out, recording, seed=1), {FRAMES: "new", FIGURE: "new"})
     assert content(out) == RESULTS
-    require_as_written(out, RESULTS, "fuse")
+    require_intact(out, RESULTS, "fuse")
 
 
 def test_an_input_folder_is_hashed_file_by_file(recording: Path) -> None:

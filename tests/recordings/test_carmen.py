@@ -22,7 +22,7 @@ from fusion_core.recordings.carmen.lines import LaserDefaults, laser_scan, parse
 from fusion_core.recordings.carmen.log import is_carmen_log, open_carmen_log
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.topics import choose_streams
-from fusion_core.workflows.poses import recorded_poses
+from fusion_core.workflows.recorded_poses import recorded_poses
 
 PACKINGS: dict[str, Callable[[bytes], bytes]] = {
     "plain": bytes,

@@ -20,7 +20,7 @@ from fusion_core.slam.particle_filter import ParticleSettings, particle_filter_s
 from fusion_core.slam.particle_odometry import ScanMatchedOdometry
 from fusion_core.slam.particle_set import effective_number
 from fusion_core.slam.submaps import SubmapSettings
-from fusion_core.workflows.poses import recorded_poses
+from fusion_core.workflows.recorded_poses import recorded_poses
 from tests.benchmarks.scan_matching_room import WALLS as ROOM
 from tests.slam.ring import drive, error_m, revisit_error_m, scan_of, scan_with
 

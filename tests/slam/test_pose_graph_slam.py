@@ -16,7 +16,7 @@ from fusion_core.slam.local_slam import LocalSlam, LocalSlamSettings
 from fusion_core.slam.loop_search import LoopSettings
 from fusion_core.slam.pose_graph_slam import SlamSettings, pose_graph_slam
 from fusion_core.slam.submaps import SubmapSettings
-from fusion_core.workflows.poses import recorded_poses
+from fusion_core.workflows.recorded_poses import recorded_poses
 from tests.benchmarks.scan_matching_room import WALLS as ROOM
 from tests.slam.ring import drive, error_m, revisit_error_m, scan_of, scan_with
 

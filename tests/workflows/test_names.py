@@ -44,8 +44,8 @@ def test_fuse(boxes: Path, tmp_path: Path) -> None:
 def test_map_of_a_folder(boxes: Path, tmp_path: Path) -> None:
     output = tmp_path / NO_UTF8
     options = MapOptions(motion="none")
-    assert not build_map(boxes.parent, output, options, silent).skipped
+    assert not build_map(boxes.parent, output, options, silent).is_skipped
     recorded = input_of(output)
     assert recorded["name"] == SHOWN
     assert list(recorded["sha256"]) == [f"{SHOWN}.mcap"]
-    assert build_map(boxes.parent, output, options, silent).skipped
+    assert build_map(boxes.parent, output, options, silent).is_skipped

@@ -9,7 +9,7 @@ from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import SlamObserver, SlamView
 from fusion_core.workflows.map.build_map import MapOptions, build_map
 from fusion_core.workflows.map.report import MapSummary
-from fusion_core.workflows.map.result_folder import RunFiles, read_run
+from fusion_core.workflows.map.result_folder import MapResults, read_map_results
 from fusion_core.workflows.map.settings import MAP_PRESETS, MapSettings, map_settings_toml
 from scanloom.jobs.build import new_folder, preset_below, results_in, settings_in
 from scanloom.state.slam_choices import SlamChoices
@@ -29,7 +29,7 @@ class SlamRun:
     folder: Path
     options: MapOptions
     summary: MapSummary | None
-    files: RunFiles
+    files: MapResults
     problem: ScanLoomError | None = None
 
     @property
@@ -120,7 +120,7 @@ def run_slam(
                 raise
             problem = error
         progress(1, 1, "done")
-        files = read_run(results_in(folder))
+        files = read_map_results(results_in(folder))
     return SlamRun(
         number=number,
         view=view,

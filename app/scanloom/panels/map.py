@@ -15,8 +15,8 @@ from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress
 from fusion_core.workflows.fuse.export_clouds import CloudExport
 from fusion_core.workflows.fuse.sensor_maps import difference_of
-from fusion_core.workflows.map.result_folder import RunPoses
-from fusion_core.workflows.poses import Poses
+from fusion_core.workflows.map.result_folder import TrajectoryPoses
+from fusion_core.workflows.recorded_poses import PoseLookup
 from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView
 from scanloom.jobs.build import (
@@ -51,7 +51,7 @@ _REPORT_LINE = (
 class TakeMap(Protocol):
     """Takes the map on the floor; ``poses``: the LiDAR's in it, where not the recorded ones."""
 
-    def __call__(self, grid: OccupancyGrid | None, poses: Poses | None = None, /) -> None: ...
+    def __call__(self, grid: OccupancyGrid | None, poses: PoseLookup | None = None, /) -> None: ...
 
 
 class MapPanel:
@@ -163,10 +163,10 @@ class MapPanel:
     def _lay_floor(self, view: View, built: Build | None) -> None:
         """The map of the mode, handed on where it is another one."""
         run = self._slam.chosen(view.recording) if view.map_mode == "SLAM" else None
-        poses: Poses | None = None
+        poses: PoseLookup | None = None
         if run is not None:
             grid = run.files.grid
-            poses = RunPoses(run.name, run.files.trajectory)
+            poses = TrajectoryPoses(run.name, run.files.trajectory)
         else:
             grid = None if built is None else built.summary.grids.get("fused")
         if grid is self._on_floor:

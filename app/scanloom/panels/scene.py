@@ -9,7 +9,7 @@ import viser
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.geometry import invert_transform, transform_from_planar
 from fusion_core.model.grids import OccupancyGrid
-from fusion_core.workflows.poses import Poses
+from fusion_core.workflows.recorded_poses import PoseLookup
 from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView
 from scanloom.panels.widgets.controls import Controls
@@ -43,7 +43,7 @@ class ScenePanel:
         self._draw_heatmap: Callable[[], Heatmap] | None = None
         self._heatmap: Heatmap | None = None
         self._grid: OccupancyGrid | None = None
-        self._map_poses: Poses | None = None
+        self._map_poses: PoseLookup | None = None
         self._T_lidar_map: FloatArray | None = None
         self._path_of: object = None
         self._depth: DepthPicture | None = None
@@ -70,7 +70,7 @@ class ScenePanel:
         None for none."""
         self._draw_heatmap = draw
 
-    def set_map(self, grid: OccupancyGrid | None, poses: Poses | None = None) -> None:
+    def set_map(self, grid: OccupancyGrid | None, poses: PoseLookup | None = None) -> None:
         """The map on the floor, None for none; from the Map panel. ``poses``: the LiDAR's in that
         map, where they are not the recorded ones."""
         self._grid, self._map_poses = grid, poses

@@ -13,7 +13,7 @@ from fusion_core.workflows.fuse.live import LiveChain
 from fusion_core.workflows.fuse.pairing_gaps import PairingStamps
 from fusion_core.workflows.fuse.recall import RecallCurve
 from fusion_core.workflows.fuse.session import Session, align_session
-from fusion_core.workflows.poses import Poses, recorded_poses
+from fusion_core.workflows.recorded_poses import PoseLookup, recorded_poses
 from scanloom.jobs.fair_semaphore import FairSemaphore
 from scanloom.jobs.long_job import LongJob
 from scanloom.state.file_stamp import FileStamp
@@ -57,7 +57,7 @@ class OpenRecording:
         self._job: LongJob | None = None
 
     @cached_property
-    def poses(self) -> Poses | None:
+    def poses(self) -> PoseLookup | None:
         """The recorded poses of the LiDAR, None where there are none."""
         session = self.fuse_session
         if session.virtual_row is not None:

@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from fusion_core.workflows.fuse.session import Session
 from fusion_core.workflows.map.estimators import SlamKind
-from fusion_core.workflows.map.motion_source import MotionKind
+from fusion_core.workflows.map.motion_prior import MotionKind
 from fusion_core.workflows.map.scan_source import ScanKind
 
 SCANS: tuple[ScanKind, ...] = get_args(ScanKind)

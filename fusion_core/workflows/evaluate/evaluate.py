@@ -21,9 +21,9 @@ from fusion_core.evaluation.recall_curve import recall_over_epsilon
 from fusion_core.evaluation.relations import evaluate_relations
 from fusion_core.evaluation.relative_pose import Step, StepUnit
 from fusion_core.evaluation.repair import evaluate_repair
-from fusion_core.evaluation.trajectories import GREATEST_GAP_S, Alignment, evaluate_trajectory
+from fusion_core.evaluation.trajectories import MAX_GAP_S, Alignment, evaluate_trajectory
 from fusion_core.evaluation.truth import LeverArm, Truth, load_truth
-from fusion_core.exporting.manifest import require_as_written
+from fusion_core.exporting.manifest import require_intact
 from fusion_core.model.conventions import Float32Array
 from fusion_core.model.errors import SettingsError
 from fusion_core.model.planar_poses import transform_planar_points
@@ -37,7 +37,7 @@ from fusion_core.recordings.world_file import read_world
 from fusion_core.workflows.evaluate.map_alignment import MapAlignment, align_map
 
 # What the measures read of a folder that ``fuse`` has written.
-_FUSED = ("alignment.json", "frames.csv", "samples.parquet")
+_FUSE_RESULTS = ("alignment.json", "frames.csv", "samples.parquet")
 
 EPSILON_OVER_E = np.linspace(0.2, 6.0, 30)
 """Fig. 6 of Xu 2024 shows [1, sqrt 2]; the rest shows what lies beside the band."""
@@ -52,8 +52,8 @@ def alignment(
     clock_offset_ms: float | None = None,
 ) -> dict[str, Any]:
     """Offset of each frame, yaw of the mount and clock against the truth."""
-    require_as_written(fuse_dir, _FUSED, "fuse")
-    known = _load(truth, lever_arm_m, pitch_rad, clock_offset_ms)
+    require_intact(fuse_dir, _FUSE_RESULTS, "fuse")
+    known = _load_truth(truth, lever_arm_m, pitch_rad, clock_offset_ms)
     return evaluate_alignment(fuse_dir, known).to_json()
 
 
@@ -66,8 +66,8 @@ def noise(
     clock_offset_ms: float | None = None,
 ) -> dict[str, Any]:
     """Recalls of good, noise and conflict pairs, and the curves of Fig. 6 (``over_epsilon``)."""
-    require_as_written(fuse_dir, _FUSED, "fuse")
-    known = _load(truth, lever_arm_m, pitch_rad, clock_offset_ms)
+    require_intact(fuse_dir, _FUSE_RESULTS, "fuse")
+    known = _load_truth(truth, lever_arm_m, pitch_rad, clock_offset_ms)
     curve = recall_over_epsilon(fuse_dir, known, EPSILON_OVER_E)
     return {**evaluate_noise(fuse_dir, known).to_json(), "over_epsilon": curve.to_json()}
 
@@ -85,8 +85,8 @@ def repair(
 
     ``recording``, what was fused, adds the rivals that fill whole depth images.
     """
-    require_as_written(fuse_dir, _FUSED, "fuse")
-    known = _load(truth, lever_arm_m, pitch_rad, clock_offset_ms)
+    require_intact(fuse_dir, _FUSE_RESULTS, "fuse")
+    known = _load_truth(truth, lever_arm_m, pitch_rad, clock_offset_ms)
     if recording is None:
         return evaluate_repair(fuse_dir, known).to_json()
     with open_recording(recording) as opened:
@@ -100,7 +100,7 @@ def trajectory(
     alignment: Alignment = "se3",
     delta: float = 1.0,
     unit: StepUnit = "s",
-    greatest_gap_s: float = GREATEST_GAP_S,
+    greatest_gap_s: float = MAX_GAP_S,
 ) -> dict[str, Any]:
     """Absolute and relative pose errors between two TUM files, as ``evaluate_trajectory`` has it.
 
@@ -108,21 +108,21 @@ def trajectory(
     """
     step = Step(delta=delta, unit=unit)
     for file in (estimate, reference):
-        require_as_written(file.parent, (file.name,))
+        require_intact(file.parent, (file.name,))
     own, true = read_tum_trajectory(estimate), read_tum_trajectory(reference)
     report = evaluate_trajectory(
         own.trajectory,
         true.trajectory,
         alignment=alignment,
         step=step,
-        greatest_gap_s=greatest_gap_s,
+        max_gap_s=greatest_gap_s,
     )
     return {**report.to_json(), "warnings": [*own.warnings, *true.warnings]}
 
 
 def relations(trajectory: Path, relations: Path) -> dict[str, Any]:
     """Errors of a TUM file over relations, as Kümmerle and as Cartographer measure them."""
-    require_as_written(trajectory.parent, (trajectory.name,))
+    require_intact(trajectory.parent, (trajectory.name,))
     own = read_tum_trajectory(trajectory)
     report = evaluate_relations(own.trajectory, read_relations(relations))
     return {**report.to_json(), "warnings": list(own.warnings)}
@@ -143,7 +143,7 @@ def ros_map(
     """
     if pose is not None and not np.isfinite(pose).all():
         raise SettingsError(f"the pose must be finite, got {pose}.")
-    require_as_written(file.parent, (file.name, f"{file.stem}.pgm"))
+    require_intact(file.parent, (file.name, f"{file.stem}.pgm"))
     drawn, outline = read_ros_map(file), read_world(world)
     occupied_m, free_m = drawn.occupied_m(), drawn.free_m()
     pose_world_map = np.zeros(3) if pose is None else np.array(pose, dtype=np.float64)
@@ -172,7 +172,7 @@ def depth_images(recording: Recording) -> Iterator[tuple[str, int, Float32Array]
             yield message.topic, message.stamp_ns, message.value.depth_m
 
 
-def _load(
+def _load_truth(
     path: Path,
     lever_arm_m: tuple[float, float, float] | None,
     pitch_rad: float,

@@ -18,14 +18,14 @@ from fusion_core.registration.correlative import SearchWindow, best_pose
 from fusion_core.registration.likelihood_grid import likelihood_pyramid
 
 _SEARCH_CELL_M = 0.1
-_SEARCH_REACH_M = 0.3
+_SEARCH_KERNEL_M = 0.3
 _SEARCH_LEVELS = 6
 _SEARCH_POINTS = 600
 _FINE_POINTS = 6000
 # About a given pose, or about none at all.
 _NEAR_M, _NEAR_RAD = 1.0, 0.35
 # Pairs farther apart than this are left out, in turn; a residual of 3 cm weighs half.
-_CUTS_M = (0.5, 0.3, 0.15)
+_INLIER_LIMITS_M = (0.5, 0.3, 0.15)
 _HALF_WEIGHT_M = 0.03
 _ITERATIONS = 30
 _PAIRS_MIN = 10
@@ -39,7 +39,7 @@ class MapAlignment:
     """
 
     pose_world_map: FloatArray
-    near: float
+    inlier_fraction: float
 
     def __post_init__(self) -> None:
         read_only(self.pose_world_map)
@@ -47,7 +47,12 @@ class MapAlignment:
     def to_json(self) -> dict[str, Any]:
         """Shift in metres, turn in degrees."""
         x, y, yaw = (float(value) for value in self.pose_world_map)
-        return {"x_m": x, "y_m": y, "yaw_deg": float(np.degrees(yaw)), "cells_near": self.near}
+        return {
+            "x_m": x,
+            "y_m": y,
+            "yaw_deg": float(np.degrees(yaw)),
+            "cells_near": self.inlier_fraction,
+        }
 
 
 def align_map(
@@ -63,14 +68,14 @@ def align_map(
             f"the map has {len(occupied_m)} occupied cells, too few to lay it over the world.",
             advice="Use --align none, or map the whole recording.",
         )
-    target = _Target(world)
+    target = _OutlineSamples(world)
     starts = [target.search(occupied_m, np.zeros(3) if guess is None else guess, _NEAR_M)]
     if guess is None:
-        starts.append(target.search(occupied_m, None, target.reach_m))
+        starts.append(target.search(occupied_m, None, target.search_radius_m))
     found = [target.refine(occupied_m, start) for start in starts]
     # The first of equals, so that a map in the world's own frame stays where it is.
-    best = max(found, key=lambda alignment: alignment.near)
-    if best.near * len(occupied_m) < _PAIRS_MIN:
+    best = max(found, key=lambda alignment: alignment.inlier_fraction)
+    if best.inlier_fraction * len(occupied_m) < _PAIRS_MIN:
         raise RegistrationFailed(
             "the map fits nowhere on the outlines of the world.",
             advice="Check that both are of one scene, or name where the map starts with --pose.",
@@ -78,7 +83,7 @@ def align_map(
     return best
 
 
-class _Target:
+class _OutlineSamples:
     """The samples of the outlines, (M, 2), with the outlines' normals there."""
 
     def __init__(self, world: WorldOutline) -> None:
@@ -104,13 +109,13 @@ class _Target:
         self._tree = cKDTree(self._points_m)
         self._middle_m = 0.5 * (self._points_m.min(axis=0) + self._points_m.max(axis=0))
         # A map of a part of the world may lie anywhere in it.
-        self.reach_m = 0.5 * float(np.ptp(self._points_m, axis=0).max()) + _NEAR_M
+        self.search_radius_m = 0.5 * float(np.ptp(self._points_m, axis=0).max()) + _NEAR_M
 
     def search(
         self, occupied_m: FloatArray, about: FloatArray | None, translation_m: float
     ) -> FloatArray:
         """The best of all poses near (x, y, yaw), or anywhere where None."""
-        points_m = _thinned(occupied_m, _SEARCH_POINTS)
+        points_m = _subsample(occupied_m, _SEARCH_POINTS)
         # Turned about their own middle, points need not be shifted as far.
         middle_m = 0.5 * (points_m.min(axis=0) + points_m.max(axis=0))
         if about is None:
@@ -128,7 +133,7 @@ class _Target:
         pyramid = likelihood_pyramid(
             self._points_m,
             resolution_m=_SEARCH_CELL_M,
-            reach_m=_SEARCH_REACH_M,
+            reach_m=_SEARCH_KERNEL_M,
             levels=_SEARCH_LEVELS,
         )
         try:
@@ -141,11 +146,13 @@ class _Target:
 
     def refine(self, occupied_m: FloatArray, start: FloatArray) -> MapAlignment:
         """Iterated least squares of the distances between cells and outlines."""
-        points_m = _thinned(occupied_m, _FINE_POINTS)
+        points_m = _subsample(occupied_m, _FINE_POINTS)
         pose = start.copy()
-        for cut_m in _CUTS_M:
+        for inlier_limit_m in _INLIER_LIMITS_M:
             for _ in range(_ITERATIONS):
-                step = self._step(transform_planar_points(pose, points_m), cut_m)
+                step = self._gauss_newton_step(
+                    transform_planar_points(pose, points_m), inlier_limit_m
+                )
                 c, s = np.cos(step[2]), np.sin(step[2])
                 x, y = pose[:2] - self._middle_m
                 pose = np.array(
@@ -158,9 +165,11 @@ class _Target:
                 if np.abs(step).max() < 1e-7:
                     break
         distance_m, _ = self._tree.query(transform_planar_points(pose, occupied_m))
-        return MapAlignment(pose_world_map=pose, near=float(np.mean(distance_m < _CUTS_M[-1])))
+        return MapAlignment(
+            pose_world_map=pose, inlier_fraction=float(np.mean(distance_m < _INLIER_LIMITS_M[-1]))
+        )
 
-    def _step(self, points_m: FloatArray, cut_m: float) -> FloatArray:
+    def _gauss_newton_step(self, points_m: FloatArray, cut_m: float) -> FloatArray:
         """(3,) shift and turn about the middle of the world; zero where nothing is in reach."""
         distance_m, index = map(np.asarray, self._tree.query(points_m))
         near = distance_m < cut_m
@@ -179,6 +188,6 @@ class _Target:
         return step
 
 
-def _thinned(points_m: FloatArray, count: int) -> FloatArray:
+def _subsample(points_m: FloatArray, count: int) -> FloatArray:
     """At most ``count`` of the points, evenly from all of them."""
     return points_m[:: -(-len(points_m) // count)]

@@ -6,25 +6,25 @@ from typing import Any
 
 import numpy as np
 
-from fusion_core.evaluation.odometry import STRETCH_M, evaluate_odometry
-from fusion_core.evaluation.trajectories import GREATEST_GAP_S
+from fusion_core.evaluation.odometry import SEGMENT_M, evaluate_odometry
+from fusion_core.evaluation.trajectories import MAX_GAP_S
 from fusion_core.evaluation.truth_arrays import UNREADABLE_ARRAYS, read_arrays
-from fusion_core.exporting.manifest import require_as_written
+from fusion_core.exporting.manifest import require_intact
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.trajectory import Trajectory
 from fusion_core.recordings.tum_trajectory import read_tum_trajectory
 
 _PREFIX = "odometry_"
-_MAP = "trajectory.tum"
+_SLAM_TRAJECTORY = "trajectory.tum"
 
 
 def odometry(
     map_dir: Path,
     reference: Path,
     *,
-    stretch_m: float = STRETCH_M,
-    greatest_gap_s: float = GREATEST_GAP_S,
+    stretch_m: float = SEGMENT_M,
+    greatest_gap_s: float = MAX_GAP_S,
 ) -> dict[str, Any]:
     """Drift of every ``odometry_NAME.tum`` of a folder, and of its trajectory.tum.
 
@@ -35,18 +35,18 @@ def odometry(
     Raises ScanLoomError where the folder holds no trajectory, the reference cannot be read, or no
     trajectory can be compared with it.
     """
-    true = _reference(reference)
+    true = _read_reference(reference)
     warnings: list[str] = []
     tracks: dict[str, Any] = {}
     failed: dict[str, str] = {}
-    files = list(_files(map_dir))
-    require_as_written(map_dir, [file.name for _, file in files], "map")
+    files = list(_trajectory_files(map_dir))
+    require_intact(map_dir, [file.name for _, file in files], "map")
     for name, file in files:
         own = read_tum_trajectory(file)
         warnings += own.warnings
         try:
             report = evaluate_odometry(
-                own.trajectory, true, stretch_m=stretch_m, greatest_gap_s=greatest_gap_s
+                own.trajectory, true, segment_m=stretch_m, max_gap_s=greatest_gap_s
             )
         except ScanLoomError as error:
             failed[name] = str(error)
@@ -95,14 +95,14 @@ def odometry_lines(result: Mapping[str, Any]) -> list[str]:
     return lines + [f"warning: {warning}" for warning in result["warnings"]]
 
 
-def _files(map_dir: Path) -> Iterator[tuple[str, Path]]:
+def _trajectory_files(map_dir: Path) -> Iterator[tuple[str, Path]]:
     for file in sorted(map_dir.glob(f"{_PREFIX}*.tum")):
         yield file.stem.removeprefix(_PREFIX), file
-    if (map_dir / _MAP).is_file():
-        yield "trajectory", map_dir / _MAP
+    if (map_dir / _SLAM_TRAJECTORY).is_file():
+        yield "trajectory", map_dir / _SLAM_TRAJECTORY
 
 
-def _reference(file: Path) -> Trajectory:
+def _read_reference(file: Path) -> Trajectory:
     if file.suffix != ".npz":
         try:
             return read_tum_trajectory(file).trajectory

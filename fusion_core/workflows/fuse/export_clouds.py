@@ -10,7 +10,7 @@ import numpy as np
 
 from fusion_core.evaluation.fuse_folder import open_fuse_folder
 from fusion_core.exporting.clouds import write_cloud
-from fusion_core.exporting.manifest import require_as_written
+from fusion_core.exporting.manifest import require_intact
 from fusion_core.exporting.output_folder import plan_output, results_folder
 from fusion_core.mapping.voxel_cloud import VoxelCloud
 from fusion_core.model.classes import NoiseClass
@@ -23,7 +23,7 @@ from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.fuse.presets import chain_settings
 from fusion_core.workflows.fuse.session import FuseOptions, Session, open_session
-from fusion_core.workflows.poses import Poses, recorded_poses
+from fusion_core.workflows.recorded_poses import PoseLookup, recorded_poses
 from fusion_core.workflows.source import input_files, open_source
 
 _SUFFIXES = (".ply", ".pcd")
@@ -56,7 +56,7 @@ def export_clouds(
     Raises MissingStream where no poses are recorded, MappingFailed where a cloud becomes too large,
     ExportError for the folder, RecordingError where results and recording do not belong together.
     """
-    require_as_written(results, ("settings.toml", "alignment.json", "fused.mcap"), "fuse")
+    require_intact(results, ("settings.toml", "alignment.json", "fused.mcap"), "fuse")
     preset, settings = chain_settings("default", results / "settings.toml", None)
     alignment = open_fuse_folder(results).alignment
     mount = Mount.from_vector(np.array([alignment["mount_used"][n] for n in MOUNT_PARAMETERS]))
@@ -117,12 +117,14 @@ def export_clouds(
 def _raw_scans(session: Session) -> Iterator[LaserScan]:
     """The recording's scans as the results have them, each once and in the same order."""
     messages = session.recording.messages([str(session.streams.lidar)])
-    for message in session.fitting.of(messages):
+    for message in session.fitting.accepted(messages):
         if isinstance(message.value, LaserScan):
             yield message.value
 
 
-def _add_in_map(cloud: VoxelCloud, in_lidar_m: FloatArray, poses: Poses, stamp_ns: int) -> None:
+def _add_in_map(
+    cloud: VoxelCloud, in_lidar_m: FloatArray, poses: PoseLookup, stamp_ns: int
+) -> None:
     pose = poses.at(stamp_ns)
     if pose is not None:
         cloud.add(transform_points(transform_from_planar(pose), in_lidar_m))

@@ -18,7 +18,7 @@ from fusion_core.alignment.search import Peak
 from fusion_core.alignment.similarity import Metric, SimilarityField
 from fusion_core.alignment.upright import UprightView
 from fusion_core.evaluation.fuse_folder import open_fuse_folder, read_frames
-from fusion_core.exporting.figures import seconds
+from fusion_core.exporting.figures import format_stamp
 from fusion_core.exporting.figures_alignment import (
     CurvePair,
     FieldPanel,
@@ -230,7 +230,7 @@ def _field_panel(
 
 def _frame_name(session: "Session", frame: FusedFrame) -> str:
     topic = printable(session.rig.cameras[frame.camera].topic)
-    return f"{topic} at {seconds(frame.stamp_ns)}"
+    return f"{topic} at {format_stamp(frame.stamp_ns)}"
 
 
 def _write_showcase(folder: Path, heading: str, session: "Session", frame: FusedFrame) -> None:

@@ -131,12 +131,12 @@ class FrameReader:
 
     def _read_scan(self, topic: str, index: int) -> LaserScan | None:
         # As in a pass over the recording, the next one nearest takes the place of what is left out.
-        if not self._session.fitting.keeps(topic, index):
+        if not self._session.fitting.is_in_order(topic, index):
             return None
         try:
             value = self._session.recording.read(topic, index).value
         except RecordingError:
             return None
         geometry = self._session.rig.scan_geometry
-        fits = isinstance(value, LaserScan) and geometry is not None and geometry.is_of(value)
+        fits = isinstance(value, LaserScan) and geometry is not None and geometry.matches(value)
         return value if isinstance(value, LaserScan) and fits else None

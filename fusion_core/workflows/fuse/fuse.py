@@ -41,7 +41,7 @@ from fusion_core.workflows.fuse.tables import (
     sample_columns,
     unpaired_row,
 )
-from fusion_core.workflows.poses import Poses, recorded_poses
+from fusion_core.workflows.recorded_poses import PoseLookup, recorded_poses
 from fusion_core.workflows.source import input_files, open_source
 
 # Small row groups: what waits for one counts in the memory of every run.
@@ -133,7 +133,7 @@ def fuse(
             overwrite=options.overwrite,
             progress=progress,
         )
-        if plan.skip:
+        if plan.is_done:
             return _skipped(output)
         with results_folder(plan) as folder:
             session = open_session(opened, options, settings)
@@ -182,7 +182,7 @@ def _run(
     alignment = align_session(session, progress)
     notes = [*session.rig.notes, *alignment.notes]
     clock_offset_ms = _clock_offset_to_apply(alignment, options, notes)
-    poses: Poses | None = None
+    poses: PoseLookup | None = None
     if options.maps and session.virtual_row is None:
         poses = recorded_poses(session.recording, session.streams, session.rig.lidar_frame)
         notes.append(f"Poses from {poses.source}." if poses else "No recorded poses: no maps.")
@@ -254,7 +254,7 @@ def _write_frames(
     session: Session,
     alignment: Alignment,
     clock_offset_ms: float,
-    poses: Poses | None,
+    poses: PoseLookup | None,
     folder: Path,
     progress: Progress,
 ) -> _Outcome:

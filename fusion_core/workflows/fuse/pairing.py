@@ -10,8 +10,8 @@ from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.recordings.topics import Streams
-from fusion_core.workflows.fitting import Fitting
 from fusion_core.workflows.fuse.rig import Rig
+from fusion_core.workflows.sensor_geometry import GeometryFilter
 
 # Streams of a log arrive a little out of step; what lies farther apart belongs to no pair.
 SCANS_KEPT = 64
@@ -35,7 +35,7 @@ def paired_images(
     recording: Recording,
     streams: Streams,
     rig: Rig,
-    fitting: Fitting,
+    fitting: GeometryFilter,
     settings: TimeSettings,
     *,
     clock_offset_ms: float = 0.0,
@@ -51,7 +51,7 @@ def paired_images(
     scans: deque[LaserScan] = deque(maxlen=SCANS_KEPT)
     waiting: deque[tuple[int, DepthImage]] = deque()
     topics = [camera.topic for camera in rig.cameras]
-    for message in fitting.of(recording.messages([streams.lidar, *topics])):
+    for message in fitting.accepted(recording.messages([streams.lidar, *topics])):
         value = message.value
         if isinstance(value, LaserScan):
             scans.append(value)
@@ -104,10 +104,10 @@ def pair_with(
 
 
 def _with_virtual_scans(
-    recording: Recording, rig: Rig, fitting: Fitting, row: int
+    recording: Recording, rig: Rig, fitting: GeometryFilter, row: int
 ) -> Iterator[LaserScan | PairedImage]:
     camera = rig.cameras[0]
-    for message in fitting.of(recording.messages([camera.topic])):
+    for message in fitting.accepted(recording.messages([camera.topic])):
         image = message.value
         if not isinstance(image, DepthImage):
             continue

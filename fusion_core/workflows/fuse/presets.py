@@ -18,7 +18,7 @@ from fusion_core.alignment.search import SearchSettings
 from fusion_core.alignment.time import TimeSettings
 from fusion_core.denoising.noise import NoiseSettings
 from fusion_core.denoising.repair import RepairSettings
-from fusion_core.exporting.settings_file import dump_toml, load_toml, problem_of, read_preset
+from fusion_core.exporting.settings_file import dump_toml, first_problem, load_toml, read_preset
 from fusion_core.mapping.grid import GridSettings
 from fusion_core.model.errors import SettingsError
 from fusion_core.model.seeds import SEED_MAX
@@ -119,4 +119,4 @@ def preset_with_file(
         return preset, type(base)(**{**dict(base), **stages})
     except ValidationError as error:
         # Each stage is right by itself.
-        raise SettingsError(f"{problem_of(error)}.", file=settings_file) from error
+        raise SettingsError(f"{first_problem(error)}.", file=settings_file) from error

@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from fusion_core.evaluation.associated_truth import associate_truth
 from fusion_core.evaluation.fuse_folder import open_fuse_folder
 from fusion_core.evaluation.recall_curve import PAPER_BAND, RecallCurve, recall_over_epsilon
-from fusion_core.evaluation.scene import join
 from fusion_core.evaluation.truth import Truth, load_truth
 from fusion_core.exporting.tables import CsvTable, ParquetTable
 from fusion_core.model.progress import Progress, silent
@@ -59,7 +59,7 @@ def _write_alignment(chain: LiveChain, folder: Path, known: Truth) -> None:
     )
     (folder / "alignment.json").write_text(json.dumps(document), encoding="utf-8")
     # What does not belong together is told before the frames are gone through.
-    join(known, open_fuse_folder(folder))
+    associate_truth(known, open_fuse_folder(folder))
 
 
 def _write_frames(

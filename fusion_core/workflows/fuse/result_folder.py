@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-from fusion_core.exporting.manifest import require_as_written
+from fusion_core.exporting.manifest import require_intact
 from fusion_core.files.regular_file import open_regular
 from fusion_core.model.errors import ExportError
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
@@ -32,7 +32,7 @@ class FuseFiles:
 
 def read_fuse_folder(folder: Path) -> FuseFiles:
     """Read what ``fuse`` wrote. Raises ScanLoomError where a file is not as it writes it."""
-    require_as_written(folder, _TABLES_AND_DOCUMENTS, "fuse")
+    require_intact(folder, _TABLES_AND_DOCUMENTS, "fuse")
     try:
         alignment = json.loads((folder / "alignment.json").read_text(encoding="utf-8"))
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))

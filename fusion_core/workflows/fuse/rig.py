@@ -23,7 +23,12 @@ from fusion_core.model.sensors import (
 )
 from fusion_core.model.transform_tree import TransformTree
 from fusion_core.recordings.topics import Streams
-from fusion_core.workflows.fitting import ScanGeometry, first_scan, first_value, usual_geometry
+from fusion_core.workflows.sensor_geometry import (
+    ScanGeometry,
+    first_scan,
+    first_value,
+    most_common_geometry,
+)
 
 # Static transforms are repeated by latching drivers; these many messages hold any tree.
 _STATIC_MESSAGES = 500
@@ -91,7 +96,7 @@ def build_rig(
     geometry = None
     if streams.lidar is not None and not virtual:
         lidar_frame = first_scan(recording, streams.lidar).frame_id
-        geometry = usual_geometry(recording, streams.lidar)
+        geometry = most_common_geometry(recording, streams.lidar)
     T_base_camera, base = _poses(tree, roots, lenses, lidar_frame, notes)
     if T_base_camera is None:
         if len(lenses) > 1:

@@ -15,7 +15,7 @@ from fusion_core.model.errors import MappingFailed
 from fusion_core.model.grids import MapDifference, OccupancyGrid
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.frame import FusedFrame
-from fusion_core.workflows.poses import Poses
+from fusion_core.workflows.recorded_poses import PoseLookup
 
 
 class Maps:
@@ -25,7 +25,7 @@ class Maps:
     is given up, and the others go on.
     """
 
-    def __init__(self, poses: Poses, settings: GridSettings) -> None:
+    def __init__(self, poses: PoseLookup, settings: GridSettings) -> None:
         self._poses = poses
         self._side_max_m = settings.side_max_m
         self._far = dict.fromkeys(("lidar", "camera", "fused"), 0)

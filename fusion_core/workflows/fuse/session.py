@@ -11,13 +11,13 @@ from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import Streams, choose_streams
-from fusion_core.workflows.fitting import Fitting
 from fusion_core.workflows.fuse.align import Alignment, align
 from fusion_core.workflows.fuse.frame import FusedFrame, fuse_frame
 from fusion_core.workflows.fuse.pairing import PairedImage, paired_images
 from fusion_core.workflows.fuse.pairing_gaps import PairingStamps
 from fusion_core.workflows.fuse.presets import ChainSettings, PresetName
 from fusion_core.workflows.fuse.rig import Rig, build_rig
+from fusion_core.workflows.sensor_geometry import GeometryFilter
 from fusion_core.workflows.source import RoomChoice
 
 
@@ -51,7 +51,7 @@ class Session:
     recording: Recording
     streams: Streams
     rig: Rig
-    fitting: Fitting
+    fitting: GeometryFilter
     settings: ChainSettings
     virtual_row: int | None
 
@@ -110,12 +110,12 @@ def session_of(
     )
 
 
-def fitting_of(recording: Recording, rig: Rig) -> Fitting:
+def fitting_of(recording: Recording, rig: Rig) -> GeometryFilter:
     """What tells the messages that fit a rig from the others."""
     shapes = {
         camera.topic: view.stored_shape for camera, view in zip(rig.cameras, rig.views, strict=True)
     }
-    return Fitting(recording, rig.scan_geometry, shapes)
+    return GeometryFilter(recording, rig.scan_geometry, shapes)
 
 
 def align_session(
@@ -127,7 +127,7 @@ def align_session(
     """
     lidar = session.streams.lidar if session.virtual_row is None else None
     cameras = [camera.topic for camera in session.rig.cameras]
-    session.fitting.require_order(cameras if lidar is None else [lidar, *cameras])
+    session.fitting.require_most_in_order(cameras if lidar is None else [lidar, *cameras])
 
     def pairs() -> Iterator[LaserScan | PairedImage]:
         entries = session.pairs()

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion_core.exporting.figures_slam import write_effective, write_way
+from fusion_core.exporting.figures_slam import write_effective_particles, write_trajectory_figure
 from fusion_core.exporting.g2o import write_g2o
 from fusion_core.exporting.output_folder import plan_output, results_folder
 from fusion_core.exporting.tum_trajectory import write_tum_trajectory
@@ -23,23 +23,23 @@ from fusion_core.model.trajectory import Trajectory
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.fuse.figures import printable
 from fusion_core.workflows.fuse.presets import PresetName
-from fusion_core.workflows.map.estimators import Placed, SlamKind, place
-from fusion_core.workflows.map.extrinsics import extrinsics
-from fusion_core.workflows.map.motion_source import MotionKind, map_streams, open_motion
+from fusion_core.workflows.map.estimators import PlacedScans, SlamKind, place_scans
+from fusion_core.workflows.map.extrinsics import find_extrinsics
+from fusion_core.workflows.map.motion_prior import MotionKind, choose_map_streams, open_motion_prior
 from fusion_core.workflows.map.occupancy_maps import (
-    SeenByCamera,
-    draw_maps,
-    with_layers,
+    CameraBeams,
+    build_maps,
+    overlay_camera_map,
     write_maps,
 )
-from fusion_core.workflows.map.odometry_files import write_odometry
-from fusion_core.workflows.map.report import MapSummary, report_of
-from fusion_core.workflows.map.scan_source import LidarScans, ScanKind, Scans, open_scans
+from fusion_core.workflows.map.report import MapSummary, build_report
+from fusion_core.workflows.map.scan_source import LidarScans, ScanKind, ScanSource, open_scans
 from fusion_core.workflows.map.settings import MapSettings, map_settings, map_settings_toml
-from fusion_core.workflows.poses import recorded_poses
+from fusion_core.workflows.map.write_odometry import write_odometry
+from fusion_core.workflows.recorded_poses import recorded_poses
 from fusion_core.workflows.source import RoomChoice, input_files, open_source
 
-_TRUSTED_SHARE_MIN = 0.5
+_TRUSTED_FRACTION_MIN = 0.5
 _REPORT_NAME = "report.json"
 
 
@@ -67,19 +67,19 @@ class MapOptions:
     overwrite: bool = False
 
     @property
-    def asked(self) -> dict[str, str]:
+    def choices(self) -> dict[str, str]:
         """What decides the kind of result, by name."""
         return {"scan": self.scan, "motion": self.motion, "slam": self.slam}
 
     @property
-    def is_virtual(self) -> bool:
+    def has_virtual_scans(self) -> bool:
         """Whether the scans are cut from depth images."""
         return self.scan in ("camera", "merged")
 
     @property
-    def looks_through_cameras(self) -> bool:
+    def needs_extrinsics(self) -> bool:
         """Whether it matters where the cameras stand."""
-        return self.is_virtual or self.motion in ("visual", "fused")
+        return self.has_virtual_scans or self.motion in ("visual", "fused")
 
 
 def build_map(
@@ -101,7 +101,7 @@ def build_map(
             file=recording,
             advice="Choose a --slam, or a --motion.",
         )
-    if options.extrinsics_file is not None and not options.looks_through_cameras:
+    if options.extrinsics_file is not None and not options.needs_extrinsics:
         raise SettingsError(
             f"--scan {options.scan} with --motion {options.motion} takes no extrinsics.",
             file=options.extrinsics_file,
@@ -121,21 +121,21 @@ def build_map(
             overwrite=options.overwrite,
             progress=progress,
         )
-        if plan.skip:
+        if plan.is_done:
             summary = _skipped(output)
         else:
             with results_folder(plan) as folder:
                 summary = _run(
                     opened, output, folder, options, settings, settings_text, progress, observer
                 )
-    if summary.report["trusted_share"] < _TRUSTED_SHARE_MIN:
+    if summary.report["trusted_share"] < _TRUSTED_FRACTION_MIN:
         raise _untrusted(summary.report, output)
     return summary
 
 
 def _untrusted(report: Mapping[str, Any], output: Path) -> MappingFailed:
     left_out = report["scans_recorded"] - report["scans"]
-    if left_out > _TRUSTED_SHARE_MIN * report["scans_recorded"]:
+    if left_out > _TRUSTED_FRACTION_MIN * report["scans_recorded"]:
         return MappingFailed(
             f"{left_out} of {report['scans_recorded']} scans are left out of the map.",
             file=output,
@@ -156,7 +156,7 @@ def _given(options: MapOptions) -> list[Path]:
 def _identity(options: MapOptions) -> str:
     """What was asked beyond the settings, as part of what makes two runs the same."""
     identity: dict[str, str | None] = {
-        **options.asked,
+        **options.choices,
         "lidar": options.lidar_topic,
         "pose": options.pose_topic,
         "clock_offset_ms": repr(options.clock_offset_ms),
@@ -168,7 +168,7 @@ def _identity(options: MapOptions) -> str:
 
 def _skipped(output: Path) -> MapSummary:
     report = json.loads((output / _REPORT_NAME).read_text(encoding="utf-8"))
-    return MapSummary(output=output, skipped=True, report=report, seconds={})
+    return MapSummary(output=output, is_skipped=True, report=report, seconds={})
 
 
 def _run(
@@ -182,21 +182,23 @@ def _run(
     observer: SlamObserver,
 ) -> MapSummary:
     start_s = time.perf_counter()
-    streams = map_streams(recording, options.lidar_topic, options.pose_topic)
+    streams = choose_map_streams(recording, options.lidar_topic, options.pose_topic)
     sources = _Sources(recording, streams, options, settings, progress)
     motion = sources.motion
     seconds = {"motion": time.perf_counter() - start_s}
-    placed = place(
+    placed = place_scans(
         sources.scans, motion.at if motion else None, options.slam, settings, progress, observer
     )
     seconds.update(placed.seconds)
     start_s = time.perf_counter()
     reach_m = settings.submaps.max_range_m
-    grids, no_maps = draw_maps(sources.drawn, placed, settings.grid, reach_m, progress)
+    grids, no_maps = build_maps(sources.drawn, placed, settings.grid, reach_m, progress)
     if sources.has_layers:
-        grids = with_layers(grids)
+        grids = overlay_camera_map(grids)
     notes = [*sources.notes, *placed.notes, *no_maps]
-    report = report_of(placed, sources.scans.recorded, options.asked, notes, recording.warnings)
+    report = build_report(
+        placed, sources.scans.recorded_count, options.choices, notes, recording.warnings
+    )
     heading = printable(recording.path.resolve().name)
     write_maps(folder, grids, heading)
     _write_way(folder, placed, grids.get(options.scan), heading)
@@ -205,7 +207,7 @@ def _run(
     write_text(folder / "settings.toml", settings_text)
     write_text(folder / _REPORT_NAME, json.dumps(report, indent=2, allow_nan=False) + "\n")
     seconds["maps"] = time.perf_counter() - start_s
-    return MapSummary(output=output, skipped=False, report=report, seconds=seconds)
+    return MapSummary(output=output, is_skipped=False, report=report, seconds=seconds)
 
 
 class _Sources:
@@ -223,11 +225,11 @@ class _Sources:
         lidar = LidarScans(recording, streams) if streams.lidar is not None else None
         # A pass over the odometry, which virtual scans alone need.
         recorded = None
-        if options.is_virtual and lidar is not None:
+        if options.has_virtual_scans and lidar is not None:
             recorded = recorded_poses(recording, streams, lidar.frame_id)
         placed_cameras = None
-        if options.is_virtual or options.extrinsics_file is not None:
-            placed_cameras = extrinsics(
+        if options.has_virtual_scans or options.extrinsics_file is not None:
+            placed_cameras = find_extrinsics(
                 recording, streams, settings, file=options.extrinsics_file, progress=progress
             )
         self.scans = open_scans(
@@ -241,7 +243,7 @@ class _Sources:
             clock_offset_ms=options.clock_offset_ms,
             progress=progress,
         )
-        self.motion = open_motion(
+        self.motion = open_motion_prior(
             recording,
             streams,
             self.scans,
@@ -251,10 +253,10 @@ class _Sources:
             extrinsics=placed_cameras,
             clock_offset_ms=options.clock_offset_ms,
         )
-        self.drawn: dict[str, Scans] = {options.scan: self.scans}
+        self.drawn: dict[str, ScanSource] = {options.scan: self.scans}
         self.has_layers = options.scan == "merged" and settings.virtual_scan.layers
         if self.has_layers:
-            self.drawn = {options.scan: SeenByCamera(self.scans)}
+            self.drawn = {options.scan: CameraBeams(self.scans)}
         if lidar is not None and options.scan != "lidar":
             self.drawn = {"lidar": lidar, **self.drawn}
 
@@ -268,7 +270,7 @@ class _Sources:
         return [*self._streams.notes, *motion, *self.scans.notes]
 
 
-def _write_way(folder: Path, placed: Placed, grid: OccupancyGrid | None, heading: str) -> None:
+def _write_way(folder: Path, placed: PlacedScans, grid: OccupancyGrid | None, heading: str) -> None:
     """The trajectory, the estimator's own results, and their figures."""
     stamps_ns, poses = placed.stamps_ns, placed.poses_map_scan
     write_tum_trajectory(folder / "trajectory.tum", Trajectory.from_planar(stamps_ns, poses))
@@ -278,10 +280,12 @@ def _write_way(folder: Path, placed: Placed, grid: OccupancyGrid | None, heading
         write_g2o(folder / "graph.g2o", graph)
         ends = (graph.first[graph.is_loop], graph.second[graph.is_loop])
         loops_m = np.hstack([graph.poses_map_node[end, :2] for end in ends])
-    write_way(folder / "trajectory.png", heading, grid, poses, placed.trusted, loops_m)
+    write_trajectory_figure(
+        folder / "trajectory.png", heading, grid, poses, placed.trusted, loops_m
+    )
     if placed.particles is not None:
         result = placed.particles
-        write_effective(
+        write_effective_particles(
             folder / "effective.png",
             heading,
             stamps_ns[result.key],

@@ -13,14 +13,14 @@ from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import SlamObserver
 from fusion_core.slam.particle_filter import ParticleResult, particle_filter_slam
 from fusion_core.slam.pose_graph_slam import SlamResult, pose_graph_slam
-from fusion_core.workflows.map.scan_source import Scans
+from fusion_core.workflows.map.scan_source import ScanSource
 from fusion_core.workflows.map.settings import MapSettings
 
 SlamKind = Literal["none", "particle-filter", "pose-graph"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Placed:
+class PlacedScans:
     """N scans with a pose.
 
     ``poses_map_scan``: (N, 3) x, y, yaw. ``trusted``: (N,) whether each can be. ``graph``,
@@ -41,21 +41,21 @@ class Placed:
             read_only(array)
 
 
-def place(
-    scans: Scans,
+def place_scans(
+    scans: ScanSource,
     prior: PosePrior | None,
     slam: SlamKind,
     settings: MapSettings,
     progress: Progress,
     observer: SlamObserver,
-) -> Placed:
+) -> PlacedScans:
     """Place the scans; ``prior`` is all there is without SLAM.
 
     Raises MappingFailed where no scan can be placed.
     """
     if slam == "pose-graph":
         graph = pose_graph_slam(scans, prior, settings, progress, observer)
-        return Placed(
+        return PlacedScans(
             stamps_ns=graph.stamps_ns,
             poses_map_scan=graph.poses_map_scan,
             trusted=graph.trusted,
@@ -64,7 +64,7 @@ def place(
         )
     if slam == "particle-filter":
         particles = particle_filter_slam(scans, prior, settings.particles, progress, observer)
-        return Placed(
+        return PlacedScans(
             stamps_ns=particles.stamps_ns,
             poses_map_scan=particles.poses_map_scan,
             trusted=particles.trusted,
@@ -73,10 +73,10 @@ def place(
         )
     if prior is None:
         raise MappingFailed("without SLAM and without motion there are no poses.")
-    return _placed_by_motion(scans, prior)
+    return _place_by_prior(scans, prior)
 
 
-def _placed_by_motion(scans: Scans, prior: PosePrior) -> Placed:
+def _place_by_prior(scans: ScanSource, prior: PosePrior) -> PlacedScans:
     stamps_ns = []
     found = []
     for scan in scans:
@@ -89,7 +89,7 @@ def _placed_by_motion(scans: Scans, prior: PosePrior) -> Placed:
     notes: tuple[str, ...] = ()
     if not known.all():
         notes = (f"{np.count_nonzero(~known)} scans have no pose and are left out.",)
-    return Placed(
+    return PlacedScans(
         stamps_ns=np.array(stamps_ns, dtype=np.int64)[known],
         poses_map_scan=np.array(poses),
         trusted=np.ones(len(poses), dtype=np.bool_),

@@ -22,7 +22,7 @@ from fusion_core.workflows.fuse.presets import ChainSettings
 from fusion_core.workflows.fuse.rig import Rig, build_rig
 from fusion_core.workflows.fuse.session import Session, align_session, session_of
 from fusion_core.workflows.map.extrinsics_file import read_extrinsics
-from fusion_core.workflows.map.recorded_mount import refusal_of_recorded
+from fusion_core.workflows.map.recorded_mount_check import recorded_mount_problem
 
 ExtrinsicsSource = Literal["file", "tf", "alignment", "level"]
 
@@ -35,7 +35,7 @@ _GIVE_FILE = "Give --extrinsics FILE, or use --scan lidar."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PlacedCamera:
+class MountedCamera:
     """A depth camera in the LiDAR's frame.
 
     ``T_lidar_camera``: (4, 4), the optical frame of the upright ``view`` to the LiDAR's.
@@ -45,7 +45,7 @@ class PlacedCamera:
     topic: str
     view: UprightView
     T_lidar_camera: FloatArray
-    upside_down: bool = False
+    is_upside_down: bool = False
 
     def __post_init__(self) -> None:
         if self.T_lidar_camera.shape != (4, 4):
@@ -55,14 +55,14 @@ class PlacedCamera:
     @property
     def T_up_camera(self) -> FloatArray:
         """(4, 4), the optical frame to the LiDAR's, turned about its x where z points down."""
-        if not self.upside_down:
+        if not self.is_upside_down:
             return self.T_lidar_camera
         turned: FloatArray = np.diag([1.0, -1.0, -1.0, 1.0]) @ self.T_lidar_camera
         return turned
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Extrinsics:
+class CameraExtrinsics:
     """The cameras around a LiDAR.
 
     ``frame_id``: the LiDAR's frame, or LEVEL_FRAME under the first camera where the recording has
@@ -73,29 +73,29 @@ class Extrinsics:
 
     source: ExtrinsicsSource
     frame_id: str
-    cameras: tuple[PlacedCamera, ...]
-    height_known: bool
+    cameras: tuple[MountedCamera, ...]
+    is_height_known: bool
     lidar_height_m: float | None
     notes: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Stand:
+class _LidarMounting:
     """How the LiDAR stands by the static transforms. ``height_m``: above the floor's frame, None
     where they do not say; ``upside_down``: against the root of its frames."""
 
-    height_m: float | None
-    upside_down: bool
+    height_above_floor_m: float | None
+    is_upside_down: bool
 
 
-def extrinsics(
+def find_extrinsics(
     recording: Recording,
     streams: Streams,
     settings: ChainSettings,
     *,
     file: Path | None = None,
     progress: Progress = silent,
-) -> Extrinsics:
+) -> CameraExtrinsics:
     """The best that is known: ``file``, else the recording's transforms, else the alignment of
     scans and images (a pass over the recording), else, without a LiDAR, a camera that is level.
 
@@ -109,24 +109,24 @@ def extrinsics(
                 file=file,
                 advice="Leave --extrinsics out, or name the LiDAR's topic.",
             )
-        return _level(recording, streams, settings)
+        return _level_extrinsics(recording, streams, settings)
     rig = build_rig(recording, streams, settings.sampling)
-    stand = _stand(recording, streams, rig.lidar_frame)
+    stand = _read_lidar_mounting(recording, streams, rig.lidar_frame)
     if file is not None:
-        return _from_file(file, rig, streams, stand)
+        return _extrinsics_from_file(file, rig, streams, stand)
     session = session_of(recording, streams, rig, settings)
-    refusal = refusal_of_recorded(session)
+    refusal = recorded_mount_problem(session)
     if rig.recorded is not None and not refusal:
-        return Extrinsics(
+        return CameraExtrinsics(
             source="tf",
             frame_id=rig.lidar_frame,
-            cameras=_placed(rig, rig.recorded, stand),
-            height_known=True,
-            lidar_height_m=stand.height_m,
+            cameras=_mounted_cameras(rig, rig.recorded, stand),
+            is_height_known=True,
+            lidar_height_m=stand.height_above_floor_m,
             notes=(*rig.notes, f"Extrinsics from {streams.tf_static}."),
         )
     try:
-        return _aligned(session, stand, progress)
+        return _extrinsics_from_alignment(session, stand, progress)
     except AlignmentFailed as error:
         if not refusal:
             raise
@@ -135,40 +135,44 @@ def extrinsics(
         ) from error
 
 
-def _placed(rig: Rig, mount: Mount, stand: _Stand) -> tuple[PlacedCamera, ...]:
+def _mounted_cameras(rig: Rig, mount: Mount, stand: _LidarMounting) -> tuple[MountedCamera, ...]:
     return tuple(
-        PlacedCamera(
+        MountedCamera(
             topic=camera.topic,
             view=view,
             T_lidar_camera=mount.T_lidar_rig @ camera.T_rig_camera,
-            upside_down=stand.upside_down,
+            is_upside_down=stand.is_upside_down,
         )
         for camera, view in zip(rig.cameras, rig.views, strict=True)
     )
 
 
-def _level(recording: Recording, streams: Streams, settings: ChainSettings) -> Extrinsics:
+def _level_extrinsics(
+    recording: Recording, streams: Streams, settings: ChainSettings
+) -> CameraExtrinsics:
     rig = build_rig(recording, streams, settings.sampling, virtual=True)
     T_level_camera = rig.cameras[0].T_rig_camera.copy()
     T_level_camera[:3, 3] = 0.0
-    camera = PlacedCamera(
+    camera = MountedCamera(
         topic=rig.cameras[0].topic, view=rig.full_views[0], T_lidar_camera=T_level_camera
     )
     others = [topic for topic in streams.depth if topic != camera.topic]
     notes = [*streams.notes, f"No LiDAR: scans lie in {LEVEL_FRAME}, level under {camera.topic}."]
     if others:
         notes.append(f"{', '.join(others)} left out: nothing joins the cameras.")
-    return Extrinsics(
+    return CameraExtrinsics(
         source="level",
         frame_id=LEVEL_FRAME,
         cameras=(camera,),
-        height_known=False,
+        is_height_known=False,
         lidar_height_m=None,
         notes=tuple(notes),
     )
 
 
-def _from_file(file: Path, rig: Rig, streams: Streams, stand: _Stand) -> Extrinsics:
+def _extrinsics_from_file(
+    file: Path, rig: Rig, streams: Streams, stand: _LidarMounting
+) -> CameraExtrinsics:
     given = read_extrinsics(file)
     lenses = {
         camera.topic: stored
@@ -189,32 +193,34 @@ def _from_file(file: Path, rig: Rig, streams: Streams, stand: _Stand) -> Extrins
         )
     cameras = []
     for topic, T_camera_lidar in known.items():
-        up = -T_camera_lidar[:3, 2] if stand.upside_down else T_camera_lidar[:3, 2]
+        up = -T_camera_lidar[:3, 2] if stand.is_upside_down else T_camera_lidar[:3, 2]
         view = upright_view(lenses[topic], up)
         cameras.append(
-            PlacedCamera(
+            MountedCamera(
                 topic=topic,
                 view=view,
                 T_lidar_camera=invert_transform(T_camera_lidar)
                 @ make_transform(view.R_stored_view, np.zeros(3)),
-                upside_down=stand.upside_down,
+                is_upside_down=stand.is_upside_down,
             )
         )
     notes = [*rig.notes, f"Extrinsics from {file.name}."]
     left_out = [topic for topic in streams.depth if topic not in known]
     if left_out:
         notes.append(f"{', '.join(left_out)} left out: {file.name} does not place them.")
-    return Extrinsics(
+    return CameraExtrinsics(
         source="file",
         frame_id=rig.lidar_frame,
         cameras=tuple(cameras),
-        height_known=True,
-        lidar_height_m=stand.height_m,
+        is_height_known=True,
+        lidar_height_m=stand.height_above_floor_m,
         notes=tuple(notes),
     )
 
 
-def _aligned(session: Session, stand: _Stand, progress: Progress) -> Extrinsics:
+def _extrinsics_from_alignment(
+    session: Session, stand: _LidarMounting, progress: Progress
+) -> CameraExtrinsics:
     recording, rig = session.recording, session.rig
     alignment = align_session(session, progress)
     mount = alignment.mount
@@ -224,43 +230,55 @@ def _aligned(session: Session, stand: _Stand, progress: Progress) -> Extrinsics:
             file=recording.path,
             advice=_GIVE_FILE,
         )
-    unseen = _unseen(mount, _IN_PLANE)
+    unseen = _unobservable(mount, _IN_PLANE)
     if unseen or not alignment.along_curve:
-        what = f"not show the camera's {_listed(unseen)}" if unseen else "not agree on a mount"
+        what = (
+            f"not show the camera's {_name_parameters(unseen)}"
+            if unseen
+            else "not agree on a mount"
+        )
         raise AlignmentFailed(
             f"scans and images do {what}.", file=recording.path, advice=_GIVE_FILE
         )
-    notes = [*rig.notes, *alignment.notes, f"Extrinsics from the alignment: {_said(mount)}."]
-    unseen = _unseen(mount, _OUT_OF_PLANE)
+    notes = [
+        *rig.notes,
+        *alignment.notes,
+        f"Extrinsics from the alignment: {_describe_mount(mount)}.",
+    ]
+    unseen = _unobservable(mount, _OUT_OF_PLANE)
     if unseen:
-        notes.append(f"The alignment does not show {_listed(unseen)}: the floor in the depth must.")
-    return Extrinsics(
+        notes.append(
+            f"The alignment does not show {_name_parameters(unseen)}: the floor in the depth must."
+        )
+    return CameraExtrinsics(
         source="alignment",
         frame_id=rig.lidar_frame,
-        cameras=_placed(rig, mount, stand),
-        height_known=not unseen,
-        lidar_height_m=stand.height_m,
+        cameras=_mounted_cameras(rig, mount, stand),
+        is_height_known=not unseen,
+        lidar_height_m=stand.height_above_floor_m,
         notes=tuple(notes),
     )
 
 
-def _unseen(mount: Mount, names: Sequence[str]) -> list[str]:
+def _unobservable(mount: Mount, names: Sequence[str]) -> list[str]:
     sd = dict(zip(MOUNT_PARAMETERS, mount.sd, strict=True))
     return [name for name in names if sd[name] is None]
 
 
-def _listed(names: Sequence[str]) -> str:
+def _name_parameters(names: Sequence[str]) -> str:
     return " and ".join(name.rsplit("_", 1)[0].replace("_", " ") for name in names)
 
 
-def _said(mount: Mount) -> str:
+def _describe_mount(mount: Mount) -> str:
     sd = dict(zip(MOUNT_PARAMETERS, mount.sd, strict=True))
     yaw = f"yaw {np.rad2deg(mount.yaw_rad):.2f} +- {np.rad2deg(sd['yaw_rad'] or 0.0):.2f} deg"
     forward = f"forward {mount.forward_m:.3f} +- {sd['forward_m']:.3f} m"
     return f"{yaw}, {forward}, left {mount.left_m:.3f} +- {sd['left_m']:.3f} m"
 
 
-def _stand(recording: Recording, streams: Streams, lidar_frame: str) -> _Stand:
+def _read_lidar_mounting(
+    recording: Recording, streams: Streams, lidar_frame: str
+) -> _LidarMounting:
     tree = TransformTree()
     parents: dict[str, str] = {}
     if streams.tf_static is not None:
@@ -280,7 +298,9 @@ def _stand(recording: Recording, streams: Streams, lidar_frame: str) -> _Stand:
         height_m = float(tree.lookup(_FLOOR_FRAME, lidar, 0)[2, 3])
     except ScanLoomError:
         height_m = 0.0
-    return _Stand(height_m=height_m if height_m > 0.0 else None, upside_down=upside_down)
+    return _LidarMounting(
+        height_above_floor_m=height_m if height_m > 0.0 else None, is_upside_down=upside_down
+    )
 
 
 def _without_slash(sample: Transform) -> Transform:

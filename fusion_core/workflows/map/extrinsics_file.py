@@ -34,7 +34,7 @@ _ADVICE = (
 )
 _ROTATION_TOLERANCE = 1e-3
 # No robot is this large: such a length is in millimetres.
-_FARTHEST_M = 10.0
+_TRANSLATION_MAX_M = 10.0
 # A hundred cameras take some 20 kB.
 _MAX_BYTES = 1 << 20
 
@@ -44,18 +44,18 @@ def read_extrinsics(path: Path) -> dict[str | None, FloatArray]:
 
     Raises SettingsError where the file cannot be read or holds no rigid transform.
     """
-    document = _parsed(path)
+    document = _parse_document(path)
     cameras = document.get("cameras")
     if cameras is None:
-        return {None: _transform_of(document, path, "")}
+        return {None: _read_transform(document, path, "")}
     if not isinstance(cameras, dict) or not all(isinstance(t, dict) for t in cameras.values()):
         raise SettingsError("cameras must hold a table for each topic.", file=path, advice=_ADVICE)
     if not cameras:
         raise SettingsError("cameras is empty.", file=path, advice=_ADVICE)
-    return {topic: _transform_of(table, path, f"{topic}: ") for topic, table in cameras.items()}
+    return {topic: _read_transform(table, path, f"{topic}: ") for topic, table in cameras.items()}
 
 
-def _parsed(path: Path) -> dict[str, Any]:
+def _parse_document(path: Path) -> dict[str, Any]:
     try:
         text = read_regular(path, _MAX_BYTES).decode()
     except OSError as error:
@@ -75,13 +75,13 @@ def _parsed(path: Path) -> dict[str, Any]:
     return document
 
 
-def _transform_of(table: dict[str, Any], path: Path, where: str) -> FloatArray:
+def _read_transform(table: dict[str, Any], path: Path, where: str) -> FloatArray:
     if "T_camera_lidar" in table:
-        name, T_camera_lidar = "T_camera_lidar", _numbers(table, "T_camera_lidar", (4, 4), path)
+        name, T_camera_lidar = "T_camera_lidar", _read_matrix(table, "T_camera_lidar", (4, 4), path)
     elif "R" in table and "t" in table:
         name = "R"
         T_camera_lidar = make_transform(
-            _numbers(table, "R", (3, 3), path), _numbers(table, "t", (3,), path)
+            _read_matrix(table, "R", (3, 3), path), _read_matrix(table, "t", (3,), path)
         )
     else:
         lacking = "t" if "R" in table else "R" if "t" in table else "T_camera_lidar"
@@ -97,7 +97,7 @@ def _transform_of(table: dict[str, Any], path: Path, where: str) -> FloatArray:
             advice=_ADVICE,
         )
     farthest_m = float(np.abs(T_camera_lidar[:3, 3]).max())
-    if farthest_m > _FARTHEST_M:
+    if farthest_m > _TRANSLATION_MAX_M:
         raise SettingsError(
             f"{where}the sensors are {farthest_m:g} m apart.",
             file=path,
@@ -108,7 +108,9 @@ def _transform_of(table: dict[str, Any], path: Path, where: str) -> FloatArray:
     return make_transform(u @ vt, T_camera_lidar[:3, 3].copy())
 
 
-def _numbers(table: dict[str, Any], name: str, shape: tuple[int, ...], path: Path) -> FloatArray:
+def _read_matrix(
+    table: dict[str, Any], name: str, shape: tuple[int, ...], path: Path
+) -> FloatArray:
     wanted = " x ".join(map(str, shape))
     try:
         values = np.asarray(table[name], dtype=np.float64)

@@ -12,10 +12,10 @@ from fusion_core.model.conventions import Float32Array, FloatArray, read_only
 from fusion_core.model.errors import AlignmentFailed, RecordingError
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import DepthImage
-from fusion_core.workflows.map.extrinsics import Extrinsics, ExtrinsicsSource, PlacedCamera
+from fusion_core.workflows.map.extrinsics import CameraExtrinsics, ExtrinsicsSource, MountedCamera
 
 # As many images, spread evenly over the recording, show the floor.
-_IMAGES = 24
+_IMAGES_SAMPLED = 24
 _TILT_MAX_DEG: dict[ExtrinsicsSource, float] = {
     "file": 10.0,
     "tf": 10.0,
@@ -23,33 +23,35 @@ _TILT_MAX_DEG: dict[ExtrinsicsSource, float] = {
     "level": 45.0,
 }
 # What is worth saying of a floor that lies elsewhere than the extrinsics have it.
-_TILT_SAID_DEG = 1.0
-_HEIGHT_SAID_M = 0.03
+_TILT_REPORTED_DEG = 1.0
+_HEIGHT_REPORTED_M = 0.03
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LevelCamera:
+class FloorAlignedCamera:
     """``floor_from_camera``: (3, 4), points in the optical frame of ``view`` to x and y in the
     scan's frame and the height above the floor."""
 
     topic: str
     view: UprightView
-    floor_from_camera: FloatArray
+    T_floor_camera: FloatArray
 
     def __post_init__(self) -> None:
-        read_only(self.floor_from_camera)
+        read_only(self.T_floor_camera)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Levelled:
+class FloorAlignment:
     """``lidar_height_m``: the LiDAR's plane above the floor, None where nothing tells."""
 
-    cameras: tuple[LevelCamera, ...]
+    cameras: tuple[FloorAlignedCamera, ...]
     lidar_height_m: float | None
     notes: tuple[str, ...]
 
 
-def levelled(recording: Recording, placed: Extrinsics, settings: VirtualScanSettings) -> Levelled:
+def align_to_floor(
+    recording: Recording, placed: CameraExtrinsics, settings: VirtualScanSettings
+) -> FloorAlignment:
     """The cameras over the floor.
 
     The floor comes from ``settings.lidar_height_m`` where that is given, else from the depth
@@ -59,19 +61,19 @@ def levelled(recording: Recording, placed: Extrinsics, settings: VirtualScanSett
     """
     given_m = settings.lidar_height_m
     if given_m is not None:
-        if not placed.height_known:
+        if not placed.is_height_known:
             raise AlignmentFailed(
                 "the LiDAR's height is given, but not the camera's above the LiDAR.",
                 file=recording.path,
                 advice="Give --extrinsics FILE too, or leave virtual_scan.lidar_height_m out.",
             )
-        return Levelled(
-            cameras=tuple(_at_height(camera, given_m) for camera in placed.cameras),
+        return FloorAlignment(
+            cameras=tuple(_align_to_known_height(camera, given_m) for camera in placed.cameras),
             lidar_height_m=given_m,
             notes=(f"The LiDAR is {given_m:g} m above the floor, as given.",),
         )
-    floors, problem = _floors(recording, placed)
-    notes = [_said(topic, floor) for topic, floor in floors.items()]
+    floors, problem = _find_floors(recording, placed)
+    notes = [_describe_floor(topic, floor) for topic, floor in floors.items()]
     lidar_heights_m = [
         floors[camera.topic].camera_height_m - float(camera.T_up_camera[2, 3])
         for camera in placed.cameras
@@ -80,25 +82,25 @@ def levelled(recording: Recording, placed: Extrinsics, settings: VirtualScanSett
     if lidar_heights_m:
         # Between cameras of one rig the heights are known even where the LiDAR's is not.
         height_m = float(np.median(lidar_heights_m))
-        notes += _differences(placed, floors, height_m)
-    elif placed.height_known and placed.lidar_height_m is not None:
+        notes += _describe_contradictions(placed, floors, height_m)
+    elif placed.is_height_known and placed.lidar_height_m is not None:
         height_m = placed.lidar_height_m
         notes.append(f"No floor in the depth: the LiDAR's height of {height_m:.3f} m is TF's.")
     else:
         assert problem is not None, "without a floor there is a reason"
         raise problem
     cameras = tuple(
-        _over_floor(camera, floors[camera.topic])
+        _align_to_seen_floor(camera, floors[camera.topic])
         if camera.topic in floors
-        else _at_height(camera, height_m)
+        else _align_to_known_height(camera, height_m)
         for camera in placed.cameras
     )
-    lidar_height_m = height_m if placed.height_known and placed.source != "level" else None
-    return Levelled(cameras=cameras, lidar_height_m=lidar_height_m, notes=tuple(notes))
+    lidar_height_m = height_m if placed.is_height_known and placed.source != "level" else None
+    return FloorAlignment(cameras=cameras, lidar_height_m=lidar_height_m, notes=tuple(notes))
 
 
-def _floors(
-    recording: Recording, placed: Extrinsics
+def _find_floors(
+    recording: Recording, placed: CameraExtrinsics
 ) -> tuple[dict[str, FloorPlane], AlignmentFailed | None]:
     """The floor of each camera that sees it, by topic, and why the last other one does not."""
     floors: dict[str, FloorPlane] = {}
@@ -106,7 +108,7 @@ def _floors(
     for camera in placed.cameras:
         try:
             floors[camera.topic] = find_floor(
-                _some_images(recording, camera),
+                _sample_images(recording, camera),
                 camera.view.intrinsics,
                 camera.T_up_camera[2, :3],
                 tilt_max_rad=float(np.deg2rad(_TILT_MAX_DEG[placed.source])),
@@ -118,10 +120,10 @@ def _floors(
     return floors, problem
 
 
-def _some_images(recording: Recording, camera: PlacedCamera) -> list[Float32Array]:
+def _sample_images(recording: Recording, camera: MountedCamera) -> list[Float32Array]:
     count = next(topic.count for topic in recording.topics if topic.name == camera.topic)
     images = []
-    for index in np.unique(np.linspace(0, count - 1, min(count, _IMAGES)).astype(np.int64)):
+    for index in np.unique(np.linspace(0, count - 1, min(count, _IMAGES_SAMPLED)).astype(np.int64)):
         try:
             value = recording.read(camera.topic, int(index)).value
         except RecordingError:
@@ -132,30 +134,34 @@ def _some_images(recording: Recording, camera: PlacedCamera) -> list[Float32Arra
     return images
 
 
-def _over_floor(camera: PlacedCamera, floor: FloorPlane) -> LevelCamera:
+def _align_to_seen_floor(camera: MountedCamera, floor: FloorPlane) -> FloorAlignedCamera:
     """The camera with the floor's tilt and height, and with the place and yaw of the extrinsics."""
     R = camera.T_up_camera[:3, :3]
     floor_from_camera = np.empty((3, 4))
-    floor_from_camera[:, :3] = _shortest_rotation(R @ floor.up) @ R
+    floor_from_camera[:, :3] = _rotation_to_vertical(R @ floor.up) @ R
     floor_from_camera[:2, 3] = camera.T_up_camera[:2, 3]
     floor_from_camera[2, 3] = floor.camera_height_m
-    return _level_camera(camera, floor_from_camera)
+    return _floor_aligned_camera(camera, floor_from_camera)
 
 
-def _at_height(camera: PlacedCamera, lidar_height_m: float) -> LevelCamera:
+def _align_to_known_height(camera: MountedCamera, lidar_height_m: float) -> FloorAlignedCamera:
     floor_from_camera = camera.T_up_camera[:3].copy()
     floor_from_camera[2, 3] += lidar_height_m
-    return _level_camera(camera, floor_from_camera)
+    return _floor_aligned_camera(camera, floor_from_camera)
 
 
-def _level_camera(camera: PlacedCamera, floor_from_camera: FloatArray) -> LevelCamera:
-    if camera.upside_down:
+def _floor_aligned_camera(
+    camera: MountedCamera, floor_from_camera: FloatArray
+) -> FloorAlignedCamera:
+    if camera.is_upside_down:
         # Back to the LiDAR's own x and y; heights stay heights.
         floor_from_camera[1] *= -1.0
-    return LevelCamera(topic=camera.topic, view=camera.view, floor_from_camera=floor_from_camera)
+    return FloorAlignedCamera(
+        topic=camera.topic, view=camera.view, T_floor_camera=floor_from_camera
+    )
 
 
-def _shortest_rotation(direction: FloatArray) -> FloatArray:
+def _rotation_to_vertical(direction: FloatArray) -> FloatArray:
     """(3, 3) that turns a unit direction, which is not straight down, to z."""
     x, y, z = direction
     # Rodrigues' formula about direction x z, which lies in the plane.
@@ -164,27 +170,31 @@ def _shortest_rotation(direction: FloatArray) -> FloatArray:
     return rotation
 
 
-def _said(topic: str, floor: FloorPlane) -> str:
+def _describe_floor(topic: str, floor: FloorPlane) -> str:
     return (
         f"{topic} is {floor.camera_height_m:.3f} m above the floor that {floor.images} of "
         f"its images show."
     )
 
 
-def _differences(
-    placed: Extrinsics, floors: dict[str, FloorPlane], height_m: float
+def _describe_contradictions(
+    placed: CameraExtrinsics, floors: dict[str, FloorPlane], height_m: float
 ) -> Sequence[str]:
     """Where the floor contradicts what was told of the mount."""
     notes = []
     for topic, floor in floors.items():
         tilt_deg = float(np.rad2deg(floor.tilt_rad))
-        if placed.height_known and tilt_deg > _TILT_SAID_DEG:
+        if placed.is_height_known and tilt_deg > _TILT_REPORTED_DEG:
             notes.append(
                 f"{topic}: the floor tilts by {tilt_deg:.1f} degrees against the extrinsics "
                 "and is believed."
             )
     told_m = placed.lidar_height_m
-    if placed.height_known and told_m is not None and abs(told_m - height_m) > _HEIGHT_SAID_M:
+    if (
+        placed.is_height_known
+        and told_m is not None
+        and abs(told_m - height_m) > _HEIGHT_REPORTED_M
+    ):
         notes.append(
             f"TF has the LiDAR at {told_m:.3f} m above the floor, the depth at {height_m:.3f} m, "
             "which is believed."

@@ -17,18 +17,18 @@ from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.sensor_maps import difference_of, write_map
-from fusion_core.workflows.map.estimators import Placed
-from fusion_core.workflows.map.scan_source import Scans
+from fusion_core.workflows.map.estimators import PlacedScans
+from fusion_core.workflows.map.scan_source import ScanSource
 
 # Between poses farther apart than this nobody knows where a scan was.
-_GAP_MAX_NS = NS_PER_S
+_POSE_GAP_MAX_NS = NS_PER_S
 
 
-def draw_maps(
-    sources: Mapping[str, Scans],
-    placed: Placed,
+def build_maps(
+    sources: Mapping[str, ScanSource],
+    placed: PlacedScans,
     settings: GridSettings,
-    reach_m: float,
+    range_max_m: float,
     progress: Progress,
 ) -> tuple[dict[str, OccupancyGrid], list[str]]:
     """A grid of each source of scans, by name, and why any is missing or coarser than was asked.
@@ -38,7 +38,7 @@ def draw_maps(
     """
     grids: dict[str, OccupancyGrid] = {}
     notes = []
-    resolution_m = _resolution_that_fits_m(placed.poses_map_scan, settings, reach_m)
+    resolution_m = _affordable_resolution_m(placed.poses_map_scan, settings, range_max_m)
     if resolution_m > settings.resolution_m:
         notes.append(
             f"Cells of {resolution_m:g} m and not {settings.resolution_m:g} m: finer ones could be "
@@ -47,30 +47,30 @@ def draw_maps(
         settings = settings.model_copy(update={"resolution_m": resolution_m})
     for name, scans in sources.items():
         try:
-            grids[name] = _draw(scans, placed, settings, reach_m, progress)
+            grids[name] = _build_map(scans, placed, settings, range_max_m, progress)
         except MappingFailed as error:
             # The trajectory is worth keeping where only the raster is too large.
             notes.append(f"No {name} map: {error}")
     return grids, notes
 
 
-def _resolution_that_fits_m(
-    poses_map_scan: FloatArray, settings: GridSettings, reach_m: float
+def _affordable_resolution_m(
+    poses_map_scan: FloatArray, settings: GridSettings, range_max_m: float
 ) -> float:
     """The set side of a cell, doubled until all that can be reached from (N, 3) poses has room."""
-    sides_m = np.ptp(poses_map_scan[:, :2], axis=0) + 2.0 * reach_m
+    sides_m = np.ptp(poses_map_scan[:, :2], axis=0) + 2.0 * range_max_m
     too_many = float(sides_m.prod()) / settings.resolution_m**2 / settings.cells_max
     doublings = int(np.ceil(0.5 * np.log2(too_many))) if too_many > 1.0 else 0
     return float(settings.resolution_m * 2**doublings)
 
 
-class SeenByCamera:
+class CameraBeams:
     """Of merged scans only the beams in whose angle the camera met something."""
 
-    def __init__(self, merged: Scans) -> None:
+    def __init__(self, merged: ScanSource) -> None:
         self._merged = merged
         self.frame_id = merged.frame_id
-        self.recorded = merged.recorded
+        self.recorded_count = merged.recorded_count
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -83,7 +83,7 @@ class SeenByCamera:
             yield scan.with_ranges(seen, scan.intensities)
 
 
-def with_layers(grids: dict[str, OccupancyGrid]) -> dict[str, OccupancyGrid]:
+def overlay_camera_map(grids: dict[str, OccupancyGrid]) -> dict[str, OccupancyGrid]:
     """The merged map, drawn of what the camera met alone, over that of the LiDAR's plane."""
     if "lidar" not in grids or "merged" not in grids:
         return grids
@@ -101,19 +101,25 @@ def write_maps(folder: Path, grids: Mapping[str, OccupancyGrid], heading: str) -
         figures_maps.write_maps(folder / "maps.png", heading, grids, difference)
 
 
-def _draw(
-    scans: Scans, placed: Placed, settings: GridSettings, reach_m: float, progress: Progress
+def _build_map(
+    scans: ScanSource,
+    placed: PlacedScans,
+    settings: GridSettings,
+    range_max_m: float,
+    progress: Progress,
 ) -> OccupancyGrid:
     builder = GridBuilder(settings)
     for done, scan in enumerate(scans):
         progress(done, None, "drawing the map")
-        pose = pose_at(placed, scan.stamp_ns)
+        pose = pose_of_placed(placed, scan.stamp_ns)
         if pose is not None:
-            builder.add_scan(pose, scan.angles_rad, scan.ranges_m, min(scan.range_max_m, reach_m))
+            builder.add_scan(
+                pose, scan.angles_rad, scan.ranges_m, min(scan.range_max_m, range_max_m)
+            )
     return builder.build()
 
 
-def pose_at(placed: Placed, stamp_ns: int) -> FloatArray | None:
+def pose_of_placed(placed: PlacedScans, stamp_ns: int) -> FloatArray | None:
     """(3,) the pose at an instant, between its two neighbours; None outside and in gaps."""
     stamps_ns, poses = placed.stamps_ns, placed.poses_map_scan
     after = int(np.searchsorted(stamps_ns, stamp_ns))
@@ -123,7 +129,7 @@ def pose_at(placed: Placed, stamp_ns: int) -> FloatArray | None:
     if after in (0, stamps_ns.size):
         return None
     gap_ns = int(stamps_ns[after] - stamps_ns[after - 1])
-    if gap_ns > _GAP_MAX_NS:
+    if gap_ns > _POSE_GAP_MAX_NS:
         return None
     share = (stamp_ns - int(stamps_ns[after - 1])) / gap_ns
     return interpolate_pose(poses[after - 1], poses[after], share)

@@ -42,28 +42,28 @@ class RepairedScans:
         self._alignment = align_session(self._session, progress)
         self._clock_offset_ms = clock_offset_ms
         self.frame_id = rig.lidar_frame
-        self.recorded = recording.received_ns(streams.lidar).size
-        self._scans = self._judged = 0
+        self.recorded_count = recording.received_ns(streams.lidar).size
+        self._scans = self._with_image = 0
 
     @property
     def notes(self) -> tuple[str, ...]:
         notes = [*self._session.rig.notes, *self._alignment.notes]
         if self._clock_offset_ms:
             notes.append(f"Camera stamps taken {self._clock_offset_ms:g} ms earlier.")
-        if self._judged < self._scans:
-            left = self._scans - self._judged
+        if self._with_image < self._scans:
+            left = self._scans - self._with_image
             notes.append(f"{left} of {self._scans} scans have no image and stay as they were.")
         return tuple(notes)
 
     def __iter__(self) -> Iterator[LaserScan]:
         merge = ScanMerge()
-        self._scans = self._judged = 0
-        for raw, repaired in self._merged(merge):
+        self._scans = self._with_image = 0
+        for raw, repaired in self._repaired_pairs(merge):
             self._scans += 1
             left = (repaired.intensities == NoiseClass.BURR) & (repaired.ranges_m == raw.ranges_m)
             yield raw.with_ranges(np.where(left, np.nan, repaired.ranges_m), None)
 
-    def _merged(self, merge: ScanMerge) -> Iterator[tuple[LaserScan, LaserScan]]:
+    def _repaired_pairs(self, merge: ScanMerge) -> Iterator[tuple[LaserScan, LaserScan]]:
         judged: set[int] = set()
         for entry in fuse_session(self._session, self._alignment, self._clock_offset_ms):
             if isinstance(entry, LaserScan):
@@ -73,7 +73,7 @@ class RepairedScans:
                     yield raw, repaired
             elif isinstance(entry, FusedFrame):
                 # Two images of one scan count once.
-                self._judged += id(entry.scan) not in judged
+                self._with_image += id(entry.scan) not in judged
                 judged.add(id(entry.scan))
                 merge.add(entry)
         yield from merge.rest()

@@ -10,10 +10,10 @@ import numpy as np
 from fusion_core.model.conventions import NS_PER_S, BoolArray, FloatArray, IntArray
 from fusion_core.slam.particle_filter import ParticleResult
 from fusion_core.slam.pose_graph_slam import SlamResult
-from fusion_core.workflows.map.estimators import Placed
+from fusion_core.workflows.map.estimators import PlacedScans
 
 # Of more stretches than this people are told the longest.
-_STRETCHES_SAID = 8
+_INTERVALS_PRINTED = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class MapSummary:
     """
 
     output: Path
-    skipped: bool
+    is_skipped: bool
     report: dict[str, Any]
     seconds: Mapping[str, float]
 
@@ -32,7 +32,7 @@ class MapSummary:
         """One machine-readable result."""
         return {
             "output": str(self.output),
-            "skipped": self.skipped,
+            "skipped": self.is_skipped,
             **self.report,
             "seconds": dict(self.seconds),
         }
@@ -55,24 +55,26 @@ class MapSummary:
                 f"{report['resamplings']} times resampled"
             )
         longest = sorted(report["untrusted"], key=lambda stretch: -int(stretch["scans"]))
-        for stretch in sorted(longest[:_STRETCHES_SAID], key=lambda stretch: stretch["from_s"]):
+        for stretch in sorted(longest[:_INTERVALS_PRINTED], key=lambda stretch: stretch["from_s"]):
             lines.append(
                 f"untrusted  {stretch['from_s']:.3f} s to {stretch['to_s']:.3f} s: "
                 f"{stretch['scans']} scans"
             )
-        if len(longest) > _STRETCHES_SAID:
-            lines.append(f"untrusted  {len(longest) - _STRETCHES_SAID} shorter ones in report.json")
+        if len(longest) > _INTERVALS_PRINTED:
+            lines.append(
+                f"untrusted  {len(longest) - _INTERVALS_PRINTED} shorter ones in report.json"
+            )
         lines += [f"time       {name} {value:.1f} s" for name, value in self.seconds.items()]
         lines += [f"note       {note}" for note in report["notes"]]
-        if self.skipped:
+        if self.is_skipped:
             lines.append("Nothing was done, the results were there already (--force redoes).")
         return [*lines, f"results    {self.output}"]
 
 
-def report_of(
-    placed: Placed,
-    recorded: int,
-    asked: Mapping[str, str],
+def build_report(
+    placed: PlacedScans,
+    recorded_count: int,
+    choices: Mapping[str, str],
     notes: Sequence[str],
     warnings: Iterable[str],
 ) -> dict[str, Any]:
@@ -80,13 +82,13 @@ def report_of(
     placed cannot be trusted; ``asked``: what a person chose, by name."""
     steps_m = np.hypot(*np.diff(placed.poses_map_scan[:, :2], axis=0).T)
     report: dict[str, Any] = {
-        **asked,
+        **choices,
         "scans": int(placed.stamps_ns.size),
-        "scans_recorded": recorded,
+        "scans_recorded": recorded_count,
         "duration_s": float(placed.stamps_ns[-1] - placed.stamps_ns[0]) / 1e9,
         "path_m": float(steps_m.sum()),
-        "trusted_share": float(placed.trusted.sum() / recorded),
-        "untrusted": untrusted_stretches(placed.stamps_ns, placed.trusted),
+        "trusted_share": float(placed.trusted.sum() / recorded_count),
+        "untrusted": untrusted_intervals(placed.stamps_ns, placed.trusted),
         "notes": [*notes, *warnings],
     }
     if placed.graph is not None:
@@ -116,7 +118,7 @@ def _or_none(values: FloatArray) -> list[float | None]:
 
 def _graph_report(stamps_ns: IntArray, result: SlamResult) -> dict[str, Any]:
     graph = result.graph
-    away_m = np.hypot(*result.residuals[:, :2].T)
+    residual_norm_m = np.hypot(*result.residuals[:, :2].T)
     return {
         "key_scans": int(result.key.size),
         "edges": int(graph.first.size),
@@ -127,7 +129,7 @@ def _graph_report(stamps_ns: IntArray, result: SlamResult) -> dict[str, Any]:
             {
                 "first_s": float(stamps_ns[result.key[graph.first[edge]]]) / 1e9,
                 "second_s": float(stamps_ns[result.key[graph.second[edge]]]) / 1e9,
-                "residual_m": float(away_m[edge]),
+                "residual_m": float(residual_norm_m[edge]),
                 "residual_rad": float(result.residuals[edge, 2]),
             }
             for edge in np.flatnonzero(graph.is_loop)
@@ -135,7 +137,7 @@ def _graph_report(stamps_ns: IntArray, result: SlamResult) -> dict[str, Any]:
     }
 
 
-def untrusted_stretches(stamps_ns: IntArray, trusted: BoolArray) -> list[dict[str, Any]]:
+def untrusted_intervals(stamps_ns: IntArray, trusted: BoolArray) -> list[dict[str, Any]]:
     """Each run of scans that cannot be trusted: stamps of its first and last, and how many."""
     turns = np.flatnonzero(np.diff(np.concatenate([[True], trusted, [True]]).astype(np.int8)))
     return [

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion_core.exporting.manifest import require_as_written
+from fusion_core.exporting.manifest import require_intact
 from fusion_core.model.conventions import (
     NS_PER_S,
     BoolArray,
@@ -25,12 +25,12 @@ from fusion_core.recordings.ros_map import read_ros_map
 from fusion_core.recordings.tum_trajectory import read_tum_trajectory
 
 # Sure either way: the picture tells no shades.
-_SURE = 5.0
+_SURE_LOG_ODDS = 5.0
 _TRANSLATION, _ROTATION = "_translation", "_rotation"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RunFiles:
+class MapResults:
     """A run's results. Times are stamps in ns.
 
     ``trusted``: (N,) of the trajectory's poses. ``loops_m``: (L, 4) x, y of both ends of each loop
@@ -61,7 +61,7 @@ class RunFiles:
 
 
 @dataclass(slots=True)
-class RunPoses:
+class TrajectoryPoses:
     """A run's trajectory as poses of the LiDAR in the map."""
 
     source: str
@@ -75,24 +75,24 @@ class RunPoses:
             return None
 
 
-def read_run(folder: Path) -> RunFiles:
+def read_map_results(folder: Path) -> MapResults:
     """Read what ``build_map`` wrote. Raises ExportError where a file is not as it writes it."""
     try:
-        require_as_written(folder, ("report.json", "trajectory.tum", "odometry_weights.csv"), "map")
+        require_intact(folder, ("report.json", "trajectory.tum", "odometry_weights.csv"), "map")
         report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
         trajectory = read_tum_trajectory(folder / "trajectory.tum").trajectory
         grid = folder / f"map_{report['scan']}.yaml"
-        require_as_written(folder, (grid.name, f"{grid.stem}.pgm"))
-        stamps_s, weights = _weights(folder / "odometry_weights.csv")
-        return RunFiles(
+        require_intact(folder, (grid.name, f"{grid.stem}.pgm"))
+        stamps_s, weights = _read_weights(folder / "odometry_weights.csv")
+        return MapResults(
             report=report,
             trajectory=trajectory,
-            trusted=_trusted(trajectory.stamps_ns, report["untrusted"]),
-            loops_m=_loops(trajectory, report.get("loop_closures", [])),
-            effective=_pairs(report.get("effective", [])),
+            trusted=_read_trusted(trajectory.stamps_ns, report["untrusted"]),
+            loops_m=_read_loops(trajectory, report.get("loop_closures", [])),
+            effective=_read_pairs(report.get("effective", [])),
             weight_stamps_s=stamps_s,
-            translation_weights=_ending(weights, _TRANSLATION),
-            rotation_weights=_ending(weights, _ROTATION),
+            translation_weights=_columns_with_suffix(weights, _TRANSLATION),
+            rotation_weights=_columns_with_suffix(weights, _ROTATION),
             grid=read_grid(grid) if grid.exists() else None,
         )
     except (OSError, ValueError, KeyError, TypeError, IndexError, ScanLoomError) as error:
@@ -103,7 +103,7 @@ def read_run(folder: Path) -> RunFiles:
         ) from error
 
 
-def _trusted(stamps_ns: IntArray, untrusted: list[dict[str, Any]]) -> BoolArray:
+def _read_trusted(stamps_ns: IntArray, untrusted: list[dict[str, Any]]) -> BoolArray:
     trusted = np.ones(stamps_ns.size, dtype=np.bool_)
     for stretch in untrusted:
         first, last = (_nearest(stamps_ns, stretch[name]) for name in ("from_s", "to_s"))
@@ -111,7 +111,7 @@ def _trusted(stamps_ns: IntArray, untrusted: list[dict[str, Any]]) -> BoolArray:
     return trusted
 
 
-def _loops(trajectory: Trajectory, closures: list[dict[str, Any]]) -> FloatArray:
+def _read_loops(trajectory: Trajectory, closures: list[dict[str, Any]]) -> FloatArray:
     positions_m = trajectory.T_map_body[:, :2, 3]
     ends = [
         [_nearest(trajectory.stamps_ns, closure[name]) for name in ("first_s", "second_s")]
@@ -125,12 +125,12 @@ def _nearest(stamps_ns: IntArray, stamp_s: float) -> int:
     return int(np.argmin(np.abs(stamps_ns - round(stamp_s * NS_PER_S))))
 
 
-def _pairs(values: list[Any]) -> FloatArray:
+def _read_pairs(values: list[Any]) -> FloatArray:
     """(K, 2); null is NaN."""
     return np.array(values, dtype=np.float64).reshape(-1, 2)
 
 
-def _weights(file: Path) -> tuple[FloatArray, dict[str, FloatArray]]:
+def _read_weights(file: Path) -> tuple[FloatArray, dict[str, FloatArray]]:
     """The middle of each step in s, and the columns of weights."""
     if not file.exists():
         return np.empty(0), {}
@@ -145,7 +145,7 @@ def _weights(file: Path) -> tuple[FloatArray, dict[str, FloatArray]]:
     }
 
 
-def _ending(columns: Mapping[str, FloatArray], ending: str) -> dict[str, FloatArray]:
+def _columns_with_suffix(columns: Mapping[str, FloatArray], ending: str) -> dict[str, FloatArray]:
     """The columns whose names end so, without that."""
     return {
         name.removesuffix(ending): values
@@ -158,8 +158,8 @@ def read_grid(file: Path) -> OccupancyGrid:
     """A map from its YAML file, as sure of each cell as the picture is. Raises RecordingError."""
     drawn = read_ros_map(file)
     log_odds = np.full(drawn.occupied.shape, np.nan)
-    log_odds[drawn.occupied] = _SURE
-    log_odds[drawn.free] = -_SURE
+    log_odds[drawn.occupied] = _SURE_LOG_ODDS
+    log_odds[drawn.free] = -_SURE_LOG_ODDS
     return OccupancyGrid(
         resolution_m=drawn.resolution_m, origin_m=drawn.origin[:2], log_odds=log_odds
     )
@@ -171,5 +171,5 @@ def read_maps(folder: Path) -> dict[str, OccupancyGrid]:
     Raises ScanLoomError where a file is not as it was written.
     """
     files = sorted(folder.glob("map_*.yaml"))
-    require_as_written(folder, [name for file in files for name in (file.name, f"{file.stem}.pgm")])
+    require_intact(folder, [name for file in files for name in (file.name, f"{file.stem}.pgm")])
     return {file.stem.removeprefix("map_"): read_grid(file) for file in files}

@@ -9,17 +9,17 @@ from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import Streams
-from fusion_core.workflows.fitting import first_scan
 from fusion_core.workflows.fuse.presets import ChainSettings
-from fusion_core.workflows.map.extrinsics import Extrinsics, extrinsics
+from fusion_core.workflows.map.extrinsics import CameraExtrinsics, find_extrinsics
 from fusion_core.workflows.map.repaired_scans import RepairedScans
 from fusion_core.workflows.map.virtual_scans import CameraScans, MergedScans, Motion
-from fusion_core.workflows.time_order import TimeOrder
+from fusion_core.workflows.sensor_geometry import first_scan
+from fusion_core.workflows.stamp_filter import StampFilter
 
 ScanKind = Literal["lidar", "camera", "repaired", "merged"]
 
 
-class Scans(Protocol):
+class ScanSource(Protocol):
     """Scans with stamps that increase, any number of times.
 
     ``frame_id``: the frame in which they lie. ``recorded``: how many the recording holds, be they
@@ -27,7 +27,7 @@ class Scans(Protocol):
     """
 
     frame_id: str
-    recorded: int
+    recorded_count: int
 
     @property
     def notes(self) -> tuple[str, ...]: ...
@@ -46,8 +46,8 @@ class LidarScans:
                 advice="scanloom info lists what it holds.",
             )
         self._recording, self._topic = recording, streams.lidar
-        self._order = TimeOrder(recording)
-        self.recorded = recording.received_ns(streams.lidar).size
+        self._order = StampFilter(recording)
+        self.recorded_count = recording.received_ns(streams.lidar).size
         self.frame_id = first_scan(recording, streams.lidar).frame_id
 
     @property
@@ -55,7 +55,7 @@ class LidarScans:
         return ()
 
     def __iter__(self) -> Iterator[LaserScan]:
-        for message in self._order.of(self._recording.messages([self._topic])):
+        for message in self._order.accepted(self._recording.messages([self._topic])):
             if isinstance(message.value, LaserScan):
                 yield message.value
 
@@ -67,11 +67,11 @@ def open_scans(
     settings: VirtualScanSettings | None = None,
     *,
     chain: ChainSettings | None = None,
-    cameras: Extrinsics | None = None,
+    cameras: CameraExtrinsics | None = None,
     motion: Motion | None = None,
     clock_offset_ms: float = 0.0,
     progress: Progress = silent,
-) -> Scans:
+) -> ScanSource:
     """The scans of a kind.
 
     "lidar": as recorded. "camera": the depth cameras' own, one an image, in the LiDAR's frame, or
@@ -100,7 +100,7 @@ def open_scans(
             file=recording.path,
             advice="Use --scan camera.",
         )
-    placed = cameras or extrinsics(recording, streams, chain, progress=progress)
+    placed = cameras or find_extrinsics(recording, streams, chain, progress=progress)
     if kind == "camera":
         return CameraScans(
             recording, placed, settings, motion=motion, clock_offset_ms=clock_offset_ms

@@ -22,7 +22,7 @@ from fusion_core.workflows.fuse.presets import (
     preset_with_file,
     with_seed,
 )
-from fusion_core.workflows.map.motion_source import MotionSettings
+from fusion_core.workflows.map.motion_prior import MotionSettings
 
 
 class MapSettings(SlamSettings, MotionSettings, ChainSettings):

@@ -14,15 +14,19 @@ from fusion_core.model.planar_poses import relative_pose, transform_planar_point
 from fusion_core.model.recording import Message, Recording
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.recordings.topics import Streams
-from fusion_core.workflows.fitting import Fitting, usual_geometry
-from fusion_core.workflows.map.extrinsics import Extrinsics
-from fusion_core.workflows.map.floor_alignment import LevelCamera, Levelled, levelled
+from fusion_core.workflows.map.extrinsics import CameraExtrinsics
+from fusion_core.workflows.map.floor_alignment import (
+    FloorAlignedCamera,
+    FloorAlignment,
+    align_to_floor,
+)
+from fusion_core.workflows.sensor_geometry import GeometryFilter, most_common_geometry
 
 Motion = Callable[[int], FloatArray | None]
 """Stamp in ns to the (3,) planar pose of the scans' frame by odometry, None where not known."""
 
 # A camera that lags its log by more than this is not waited for.
-_BEATS_WAITING = 32
+_TRIGGERS_WAITING = 32
 _IMAGES_KEPT = 64
 
 
@@ -32,25 +36,25 @@ class CameraScans:
     def __init__(
         self,
         recording: Recording,
-        placed: Extrinsics,
+        placed: CameraExtrinsics,
         settings: VirtualScanSettings,
         *,
         motion: Motion | None = None,
         clock_offset_ms: float = 0.0,
     ) -> None:
-        self._passes = _Passes(recording, placed, settings, motion, clock_offset_ms)
+        self._clouds = _CloudReader(recording, placed, settings, motion, clock_offset_ms)
         self.frame_id = placed.frame_id
-        self.recorded = recording.received_ns(self._passes.level.cameras[0].topic).size
+        self.recorded_count = recording.received_ns(self._clouds.floor.cameras[0].topic).size
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return self._passes.notes
+        return self._clouds.notes
 
     def __iter__(self) -> Iterator[LaserScan]:
-        passes = self._passes
-        first = passes.level.cameras[0].topic
-        fitting = Fitting(passes.recording, None, passes.shapes)
-        for image, window in passes.beats(None, first, fitting):
+        passes = self._clouds
+        first = passes.floor.cameras[0].topic
+        fitting = GeometryFilter(passes.recording, None, passes.shapes)
+        for image, window in passes.triggers(None, first, fitting):
             assert isinstance(image, DepthImage), "the beat is a camera's topic"
             yield camera_scan(
                 passes.cloud_at(image.stamp_ns - passes.offset_ns, window),
@@ -68,7 +72,7 @@ class MergedScans:
         self,
         recording: Recording,
         streams: Streams,
-        placed: Extrinsics,
+        placed: CameraExtrinsics,
         settings: VirtualScanSettings,
         *,
         motion: Motion | None = None,
@@ -81,32 +85,34 @@ class MergedScans:
                 advice="Use --scan camera.",
             )
         self._lidar = streams.lidar
-        self._passes = _Passes(recording, placed, settings, motion, clock_offset_ms)
-        self._geometry = usual_geometry(recording, streams.lidar)
+        self._clouds = _CloudReader(recording, placed, settings, motion, clock_offset_ms)
+        self._geometry = most_common_geometry(recording, streams.lidar)
         self.frame_id = placed.frame_id
-        self.recorded = recording.received_ns(streams.lidar).size
+        self.recorded_count = recording.received_ns(streams.lidar).size
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return self._passes.notes
+        return self._clouds.notes
 
     def __iter__(self) -> Iterator[LaserScan]:
-        passes = self._passes
-        fitting = Fitting(passes.recording, self._geometry, passes.shapes)
-        for scan, window in passes.beats(self._lidar, self._lidar, fitting):
+        passes = self._clouds
+        fitting = GeometryFilter(passes.recording, self._geometry, passes.shapes)
+        for scan, window in passes.triggers(self._lidar, self._lidar, fitting):
             assert isinstance(scan, LaserScan), "the beat is the LiDAR's topic"
             yield merged_scan(
                 scan,
                 passes.cloud_at(scan.stamp_ns, window),
                 passes.settings,
-                passes.level.lidar_height_m,
+                passes.floor.lidar_height_m,
             )
 
 
-class _Images:
+class _RecentClouds:
     """One camera's last images, each turned into a cloud once, and only if it is asked for."""
 
-    def __init__(self, camera: LevelCamera, settings: VirtualScanSettings, offset_ns: int) -> None:
+    def __init__(
+        self, camera: FloorAlignedCamera, settings: VirtualScanSettings, offset_ns: int
+    ) -> None:
         self._camera, self._settings, self._offset_ns = camera, settings, offset_ns
         self._kept: deque[tuple[int, DepthImage]] = deque(maxlen=_IMAGES_KEPT)
         self._clouds: dict[int, FloatArray] = {}
@@ -114,11 +120,11 @@ class _Images:
     def add(self, image: DepthImage) -> None:
         self._kept.append((image.stamp_ns - self._offset_ns, image))
 
-    def reaches(self, stamp_ns: int) -> bool:
+    def has_passed(self, stamp_ns: int) -> bool:
         """Whether no later image can be nearer to an instant."""
         return bool(self._kept) and self._kept[-1][0] >= stamp_ns
 
-    def forget(self, before_ns: int) -> None:
+    def drop_before(self, before_ns: int) -> None:
         """Drop what no later scan can need."""
         while self._kept and self._kept[0][0] < before_ns:
             self._kept.popleft()
@@ -137,41 +143,41 @@ class _Images:
             self._clouds[found_ns] = camera_cloud(
                 view.of(image.depth_m),
                 view.intrinsics,
-                self._camera.floor_from_camera,
+                self._camera.T_floor_camera,
                 self._settings,
             )
         return found_ns, self._clouds[found_ns]
 
 
-class _Passes:
+class _CloudReader:
     """What every pass over a recording shares, and what the last one has counted."""
 
     def __init__(
         self,
         recording: Recording,
-        placed: Extrinsics,
+        placed: CameraExtrinsics,
         settings: VirtualScanSettings,
         motion: Motion | None,
         clock_offset_ms: float,
     ) -> None:
         self.recording, self.settings = recording, settings
-        self.level: Levelled = levelled(recording, placed, settings)
+        self.floor: FloorAlignment = align_to_floor(recording, placed, settings)
         self.offset_ns = round(clock_offset_ms * NS_PER_MS)
-        self.shapes = {camera.topic: camera.view.stored_shape for camera in self.level.cameras}
+        self.shapes = {camera.topic: camera.view.stored_shape for camera in self.floor.cameras}
         self._motion = motion
         self._max_gap_ns = settings.max_gap_ms * NS_PER_MS
-        self._fixed_notes = (*placed.notes, *self.level.notes)
+        self._fixed_notes = (*placed.notes, *self.floor.notes)
         if self.offset_ns:
             self._fixed_notes += (f"Camera stamps taken {clock_offset_ms:g} ms earlier.",)
-        self._images: list[_Images] = []
-        self._alone = self._at_rest = 0
+        self._images: list[_RecentClouds] = []
+        self._without_image = self._unknown_motion = 0
 
     @property
     def notes(self) -> tuple[str, ...]:
         counted = (
-            (self._alone, f"have no image within {self.settings.max_gap_ms:g} ms."),
+            (self._without_image, f"have no image within {self.settings.max_gap_ms:g} ms."),
             (
-                self._at_rest,
+                self._unknown_motion,
                 "take the robot to stand still until the image: its turn is not known.",
             ),
         )
@@ -179,26 +185,26 @@ class _Passes:
             f"{count} scans {what}" for count, what in counted if count
         )
 
-    def beats(
-        self, lidar: str | None, beat: str, fitting: Fitting
+    def triggers(
+        self, lidar: str | None, beat: str, fitting: GeometryFilter
     ) -> Iterator[tuple[LaserScan | DepthImage, ScanWindow | None]]:
         """Every message of topic ``beat`` once the images around it are known, with the scans
         beside it where it is a scan."""
-        self._alone = self._at_rest = 0
-        cameras = self.level.cameras
-        self._images = [_Images(camera, self.settings, self.offset_ns) for camera in cameras]
+        self._without_image = self._unknown_motion = 0
+        cameras = self.floor.cameras
+        self._images = [_RecentClouds(camera, self.settings, self.offset_ns) for camera in cameras]
         index_of = {camera.topic: index for index, camera in enumerate(cameras)}
         waiting: deque[LaserScan | DepthImage] = deque()
         before: LaserScan | None = None
         topics = [*index_of] if lidar is None else [lidar, *index_of]
-        for message in _and_end(fitting.of(self.recording.messages(topics))):
+        for message in _with_end_mark(fitting.accepted(self.recording.messages(topics))):
             if message is not None:
                 value = message.value
                 if isinstance(value, DepthImage):
                     self._images[index_of[message.topic]].add(value)
                 if message.topic == beat and isinstance(value, LaserScan | DepthImage):
                     waiting.append(value)
-            while waiting and (message is None or self._settled(waiting)):
+            while waiting and (message is None or self._is_settled(waiting)):
                 taken = waiting.popleft()
                 window = None
                 if isinstance(taken, LaserScan):
@@ -209,7 +215,7 @@ class _Passes:
                 yield taken, window
                 at_ns = self._stamp_ns(taken)
                 for images in self._images:
-                    images.forget(at_ns - round(self._max_gap_ns))
+                    images.drop_before(at_ns - round(self._max_gap_ns))
 
     def cloud_at(self, stamp_ns: int, window: ScanWindow | None) -> FloatArray:
         """(N, 3) what the cameras saw nearest to an instant, as seen from the scan's frame then."""
@@ -217,39 +223,41 @@ class _Passes:
         for images in self._images:
             found = images.nearest(stamp_ns, self._max_gap_ns)
             if found is not None:
-                clouds.append(self._carried(*found, stamp_ns, window))
+                clouds.append(self._transform_cloud(*found, stamp_ns, window))
         if not clouds:
-            self._alone += 1
+            self._without_image += 1
             return np.empty((0, 3))
         return np.concatenate(clouds)
 
-    def _settled(self, waiting: Sequence[LaserScan | DepthImage]) -> bool:
+    def _is_settled(self, waiting: Sequence[LaserScan | DepthImage]) -> bool:
         """No later image can be nearer, and the scan after it has come."""
-        if len(waiting) > _BEATS_WAITING:
+        if len(waiting) > _TRIGGERS_WAITING:
             return True
         followed = len(waiting) > 1 or isinstance(waiting[0], DepthImage)
         at_ns = self._stamp_ns(waiting[0])
-        return followed and all(images.reaches(at_ns) for images in self._images)
+        return followed and all(images.has_passed(at_ns) for images in self._images)
 
     def _stamp_ns(self, beat: LaserScan | DepthImage) -> int:
         return beat.stamp_ns - (self.offset_ns if isinstance(beat, DepthImage) else 0)
 
-    def _carried(
+    def _transform_cloud(
         self, from_ns: int, cloud_m: FloatArray, to_ns: int, window: ScanWindow | None
     ) -> FloatArray:
         """The cloud as it would have been seen at another instant: at 0.5 rad/s a gap of 70 ms
         turns what is seen by 2 degrees."""
         if from_ns == to_ns:
             return cloud_m
-        pose_scan_image = self._moved(from_ns, to_ns, window)
+        pose_scan_image = self._relative_pose(from_ns, to_ns, window)
         if pose_scan_image is None:
-            self._at_rest += 1
+            self._unknown_motion += 1
             return cloud_m
         carried_m = cloud_m.copy()
         carried_m[:, :2] = transform_planar_points(pose_scan_image, cloud_m[:, :2])
         return carried_m
 
-    def _moved(self, from_ns: int, to_ns: int, window: ScanWindow | None) -> FloatArray | None:
+    def _relative_pose(
+        self, from_ns: int, to_ns: int, window: ScanWindow | None
+    ) -> FloatArray | None:
         """(3,) pose of the scans' frame at one instant in that of another."""
         if self._motion is not None:
             before, after = self._motion(from_ns), self._motion(to_ns)
@@ -263,6 +271,6 @@ class _Passes:
         return np.array([0.0, 0.0, rate_rad_s * (from_ns - to_ns) / NS_PER_S])
 
 
-def _and_end(messages: Iterator[Message]) -> Iterator[Message | None]:
+def _with_end_mark(messages: Iterator[Message]) -> Iterator[Message | None]:
     yield from messages
     yield None

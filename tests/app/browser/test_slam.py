@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import expect
 
 from fusion_core.model.errors import MappingFailed
-from fusion_core.workflows.map.result_folder import read_run
+from fusion_core.workflows.map.result_folder import read_map_results
 from scanloom.jobs import slam_run as job
 from scanloom.plots.slam_progress import run_picture
 from scanloom.server.workbench import Workbench
@@ -60,7 +60,7 @@ def test_a_run_moves_and_ends_on_its_map(newcomer: Person, fake: FakeMap) -> Non
     live = person.picture()
     go_on.set()
     finish(person, FIRST)
-    files = read_run(fake.calls[0][1])
+    files = read_map_results(fake.calls[0][1])
     frame_view = person.wait_for_another_picture(live)
     person.wait_for_picture(
         run_picture(

@@ -17,8 +17,8 @@ import viser
 
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.grids import OccupancyGrid
-from fusion_core.workflows.map.result_folder import RunPoses
-from fusion_core.workflows.poses import Poses
+from fusion_core.workflows.map.result_folder import TrajectoryPoses
+from fusion_core.workflows.recorded_poses import PoseLookup
 from scanloom.client_session import ClientSession
 from scanloom.jobs import slam_run as job
 from scanloom.panels import slam as slam_panel
@@ -38,7 +38,7 @@ class Seat:
     """One browser with a desk that has the Map panel alone, in its mode SLAM."""
 
     def __init__(self, client: viser.ClientHandle, library: Library, root: Path) -> None:
-        self.floor: list[tuple[OccupancyGrid | None, Poses | None]] = []
+        self.floor: list[tuple[OccupancyGrid | None, PoseLookup | None]] = []
         self.client: ViserClient
         view = View(recording=library.names()[0], panel="Map", map_mode="SLAM")
         self.session = ClientSession(client, library, view)
@@ -46,7 +46,7 @@ class Seat:
         self.session.panels = [self.panel]
         self.session.refresh()
 
-    def take(self, grid: OccupancyGrid | None, poses: Poses | None = None) -> None:
+    def take(self, grid: OccupancyGrid | None, poses: PoseLookup | None = None) -> None:
         self.floor.append((grid, poses))
 
     def close(self) -> None:
@@ -178,7 +178,7 @@ def test_a_run_shows_its_map_its_report_and_its_floor(seat: Seat, bench: Bench) 
     seat.until(lambda: len(seat.floor) == 1)
     grid, poses = seat.floor[-1]
     assert grid is not None
-    assert isinstance(poses, RunPoses)
+    assert isinstance(poses, TrajectoryPoses)
     assert poses.source == FIRST
     # Fusing has no map yet.
     seat.client.set_value("Mode", "Fuse")
@@ -275,7 +275,7 @@ def test_two_runs_side_by_side(seat: Seat, fake: FakeMap) -> None:
     seat.until_says("2 closed, 1 dropped")
     seat.until(lambda: seat.frame_view()[2:6] == [True, False, False, False])
     seat.until(
-        lambda: isinstance(seat.floor[-1][1], RunPoses) and seat.floor[-1][1].source == FIRST
+        lambda: isinstance(seat.floor[-1][1], TrajectoryPoses) and seat.floor[-1][1].source == FIRST
     )
 
 

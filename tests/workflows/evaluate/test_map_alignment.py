@@ -60,7 +60,7 @@ def test_a_shifted_map_is_laid_back(world, pose_map_world):
     # Half a cell.
     assert off_m < 0.025
     assert off_deg < 0.3
-    assert found.near > 0.9
+    assert found.inlier_fraction > 0.9
 
 
 def test_a_guess_decides_where_to_look(world):

@@ -12,7 +12,7 @@ import pytest
 
 from fusion_core.alignment.search import Peak
 from fusion_core.alignment.upright import upright_view
-from fusion_core.exporting.figures import seconds
+from fusion_core.exporting.figures import format_stamp
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.sensors import CameraIntrinsics, ColorImage
 from fusion_core.recordings.formats import open_recording
@@ -323,4 +323,4 @@ def test_the_headings_say_preset_frame_and_virtual_lidar(
     assert len(headings) == 6
     for heading in headings:
         assert "room.mcap, preset published, virtual LiDAR, row 60" in heading
-    assert sum(seconds(collected.showcase.stamp_ns) in heading for heading in headings) == 5
+    assert sum(format_stamp(collected.showcase.stamp_ns) in heading for heading in headings) == 5

@@ -8,7 +8,7 @@ import pytest
 from fusion_core.model.errors import MappingFailed, MissingStream
 from fusion_core.recordings.tum_trajectory import read_tum_trajectory
 from fusion_core.workflows.map.build_map import MapOptions, build_map
-from fusion_core.workflows.map.report import untrusted_stretches
+from fusion_core.workflows.map.report import untrusted_intervals
 from scanloom.cli import main
 from tests.slam.ring import drive, error_m
 
@@ -79,12 +79,12 @@ def test_the_same_run_gives_the_same_bytes(mapped, log, tmp_path):
 
 def test_a_run_that_is_done_is_skipped(mapped, log):
     again = build_map(log, mapped.output, MapOptions())
-    assert again.skipped
+    assert again.is_skipped
     assert again.seconds == {} != mapped.seconds
     assert again.report == mapped.report
     assert any("Nothing was done" in line for line in again.lines())
     other = build_map(log, mapped.output, MapOptions(force=True))
-    assert not other.skipped
+    assert not other.is_skipped
 
 
 def test_without_slam_the_poses_are_those_recorded(log, ring, tmp_path):
@@ -167,7 +167,7 @@ def test_nothing_to_place_scans_by_is_refused(tmp_path):
 def test_stretches_are_runs_of_scans_that_are_not_trusted():
     stamps_ns = np.arange(6) * 10**9
     trusted = np.array([False, True, False, False, True, False])
-    assert untrusted_stretches(stamps_ns, trusted) == [
+    assert untrusted_intervals(stamps_ns, trusted) == [
         {"from_s": 0.0, "to_s": 0.0, "scans": 1},
         {"from_s": 2.0, "to_s": 3.0, "scans": 2},
         {"from_s": 5.0, "to_s": 5.0, "scans": 1},

@@ -6,14 +6,14 @@ import pytest
 from fusion_core.mapping.grid import GridSettings
 from fusion_core.model.progress import silent
 from fusion_core.model.sensors import LaserScan
-from fusion_core.workflows.map.estimators import Placed
-from fusion_core.workflows.map.occupancy_maps import draw_maps, pose_at, write_maps
+from fusion_core.workflows.map.estimators import PlacedScans
+from fusion_core.workflows.map.occupancy_maps import build_maps, pose_of_placed, write_maps
 
 SECOND = 1_000_000_000
 
 
-def placed() -> Placed:
-    return Placed(
+def placed() -> PlacedScans:
+    return PlacedScans(
         stamps_ns=np.array([0, SECOND, 9 * SECOND]),
         poses_map_scan=np.array([[0.0, 0.0, 3.0], [1.0, 2.0, -3.0], [5.0, 2.0, 0.0]]),
         trusted=np.ones(3, dtype=np.bool_),
@@ -45,20 +45,20 @@ class Walls:
 
 
 def test_a_pose_between_two_stamps_takes_the_shorter_turn():
-    np.testing.assert_allclose(pose_at(placed(), SECOND), [1.0, 2.0, -3.0])
-    half = pose_at(placed(), SECOND // 2)
+    np.testing.assert_allclose(pose_of_placed(placed(), SECOND), [1.0, 2.0, -3.0])
+    half = pose_of_placed(placed(), SECOND // 2)
     np.testing.assert_allclose(half[:2], [0.5, 1.0])
     assert abs(half[2]) == pytest.approx(np.pi)
 
 
 @pytest.mark.parametrize("stamp_ns", [-1, 2 * SECOND, 9 * SECOND + 1])
 def test_outside_and_in_gaps_there_is_none(stamp_ns):
-    assert pose_at(placed(), stamp_ns) is None
+    assert pose_of_placed(placed(), stamp_ns) is None
 
 
 def test_each_source_gives_a_map_on_one_raster(tmp_path):
     sources = {"lidar": Walls([0, SECOND]), "merged": Walls([0, SECOND // 2], 2.0)}
-    grids, notes = draw_maps(sources, placed(), GridSettings(), 20.0, silent)
+    grids, notes = build_maps(sources, placed(), GridSettings(), 20.0, silent)
     assert list(grids) == ["lidar", "merged"]
     assert notes == []
     write_maps(tmp_path, grids, "two walls")
@@ -68,6 +68,6 @@ def test_each_source_gives_a_map_on_one_raster(tmp_path):
 
 def test_a_source_that_no_pose_places_is_told():
     sources = {"lidar": Walls([0]), "camera": Walls([5 * SECOND])}
-    grids, notes = draw_maps(sources, placed(), GridSettings(), 20.0, silent)
+    grids, notes = build_maps(sources, placed(), GridSettings(), 20.0, silent)
     assert list(grids) == ["lidar"]
     assert notes[0].startswith("No camera map")

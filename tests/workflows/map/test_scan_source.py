@@ -70,7 +70,7 @@ def test_scans_out_of_order_are_left_out_and_counted(log):
         scans = LidarScans(recording, choose_streams(recording))
         assert [scan.ranges_m[0] for scan in scans] == [1.0, 2.0, 4.0]
         assert list(scans)[2].ranges_m[0] == 4.0
-        assert scans.recorded == 4
+        assert scans.recorded_count == 4
         left_out = [line for line in recording.warnings if "out of order" in line]
         assert left_out == [
             "/scan: 1 of 4 messages are left out, as they are stamped out of order; "

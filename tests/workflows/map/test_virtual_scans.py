@@ -11,8 +11,8 @@ from fusion_core.model.errors import AlignmentFailed, MissingStream, SettingsErr
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.topics import choose_streams
 from fusion_core.workflows.fuse.presets import ChainSettings
-from fusion_core.workflows.map.extrinsics import extrinsics
-from fusion_core.workflows.map.floor_alignment import levelled
+from fusion_core.workflows.map.extrinsics import find_extrinsics
+from fusion_core.workflows.map.floor_alignment import align_to_floor
 from fusion_core.workflows.map.scan_source import open_scans
 from tests.mapping.box_room import LIDAR_HEIGHT_M, BoxRoom, camera_pose
 from tests.workflows.box_recording import (
@@ -33,7 +33,7 @@ def read(path, kind, settings=None, *, file=None, **options):
     with open_recording(path) as recording:
         streams = choose_streams(recording)
         if file is not None:
-            options["cameras"] = extrinsics(recording, streams, ChainSettings(), file=file)
+            options["cameras"] = find_extrinsics(recording, streams, ChainSettings(), file=file)
         scans = open_scans(recording, streams, kind, settings, **options)
         return list(scans), scans.notes
 
@@ -302,10 +302,10 @@ def test_a_mount_from_the_alignment_and_a_height_from_the_floor(scenes):
     truth = dict(np.load(path.with_name(f"{path.stem}.truth.npz")))
     T_true = truth["T_lidar_camera"][0]
     with open_recording(path) as recording:
-        found = extrinsics(recording, choose_streams(recording), ChainSettings())
-        level = levelled(recording, found, VirtualScanSettings())
+        found = find_extrinsics(recording, choose_streams(recording), ChainSettings())
+        level = align_to_floor(recording, found, VirtualScanSettings())
     assert found.source == "alignment"
-    P = level.cameras[0].floor_from_camera
+    P = level.cameras[0].T_floor_camera
     turned = P[:, :3] @ T_true[:3, :3].T
     assert np.rad2deg(np.arccos((np.trace(turned) - 1.0) / 2.0)) < 0.9
     # The floor shows the tilt that the alignment does not.
@@ -313,7 +313,7 @@ def test_a_mount_from_the_alignment_and_a_height_from_the_floor(scenes):
     np.testing.assert_allclose(P[:2, 3], T_true[:2, 3], atol=0.05)
     # The rig's LiDAR is 0.31 m above the floor.
     assert P[2, 3] == pytest.approx(T_true[2, 3] + 0.31, abs=0.01)
-    if not found.height_known:
+    if not found.is_height_known:
         assert level.lidar_height_m is None
         assert any("the floor in the depth must" in note for note in found.notes)
 

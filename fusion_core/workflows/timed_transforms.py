@@ -11,7 +11,7 @@ from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import Transform
 from fusion_core.model.stamps import within_recording
 from fusion_core.model.transform_tree import TransformTree
-from fusion_core.workflows.time_order import warn_once
+from fusion_core.workflows.stamp_filter import warn_once
 
 
 @dataclass(slots=True)
@@ -23,7 +23,7 @@ class _Samples:
     poses: "array[float]" = field(default_factory=lambda: array("d"))
 
 
-class TimedPoses:
+class TimedTransforms:
     """Collects the poses of one topic, in the order of its log."""
 
     def __init__(self) -> None:
@@ -36,13 +36,13 @@ class TimedPoses:
         samples.received_ns.append(sample.stamp_ns if received_ns is None else received_ns)
         samples.poses.frombytes(sample.T_parent_child.tobytes())
 
-    def fill(self, tree: TransformTree, topic: str, recording: Recording) -> None:
+    def add_inliers_to(self, tree: TransformTree, topic: str, recording: Recording) -> None:
         """Add them to a tree; what is left out costs a warning of the recording."""
         for (parent, child), samples in self._pairs.items():
             stamps_ns, received_ns = np.array(samples.stamps_ns), np.array(samples.received_ns)
             poses = np.frombuffer(samples.poses).reshape(-1, 4, 4)
             far = ~within_recording(stamps_ns, received_ns)
-            lone = _lone(stamps_ns, poses[:, :3, 3], ~far)
+            lone = _find_lone_jumps(stamps_ns, poses[:, :3, 3], ~far)
             for left_out, why in ((far, "stamped far from the others"), (lone, "lone jumps")):
                 if left_out.any():
                     count, first_s = left_out.sum(), stamps_ns[left_out.argmax()] / NS_PER_S
@@ -61,7 +61,7 @@ class TimedPoses:
                 tree.add(sample, static=False)
 
 
-def _lone(stamps_ns: IntArray, positions_m: FloatArray, judged: BoolArray) -> BoolArray:
+def _find_lone_jumps(stamps_ns: IntArray, positions_m: FloatArray, judged: BoolArray) -> BoolArray:
     """(N,) the lone jumps among the ``judged`` of (N,) samples in any order; of equal stamps, as in
     a tree, the last counts."""
     lone = np.zeros(stamps_ns.size, dtype=np.bool_)

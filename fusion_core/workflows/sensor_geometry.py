@@ -13,12 +13,12 @@ from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.model.recording import Message, Recording
 from fusion_core.model.sensors import DepthImage, LaserScan, SensorValue
 from fusion_core.recordings.skipped import SkippedMessages
-from fusion_core.workflows.time_order import TimeOrder
+from fusion_core.workflows.stamp_filter import StampFilter
 
 # The geometry that most of the first scans have is the scanner's.
-_SCANS_LOOKED_AT = 50
+_SCANS_SAMPLED = 50
 # Drivers round their angles; what moves no beam by more than this share of a step is the same.
-_SAME_STEP_SHARE = 0.1
+_STEP_TOLERANCE = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,9 +38,9 @@ class ScanGeometry:
             angle_increment_rad=scan.angle_increment_rad,
         )
 
-    def is_of(self, scan: LaserScan) -> bool:
+    def matches(self, scan: LaserScan) -> bool:
         """Whether every beam of a sweep lies where this geometry has it."""
-        limit_rad = _SAME_STEP_SHARE * abs(self.angle_increment_rad)
+        limit_rad = _STEP_TOLERANCE * abs(self.angle_increment_rad)
         first_rad = abs(scan.angle_min_rad - self.angle_min_rad)
         last_rad = abs(scan.angle_increment_rad - self.angle_increment_rad) * self.beams
         return scan.ranges_m.size == self.beams and first_rad + last_rad <= limit_rad
@@ -73,18 +73,18 @@ def first_scan(recording: Recording, topic: str) -> LaserScan:
     )
 
 
-def usual_geometry(recording: Recording, topic: str) -> ScanGeometry | None:
+def most_common_geometry(recording: Recording, topic: str) -> ScanGeometry | None:
     """The geometry of most of a topic's first scans, None where it has no readable scan."""
     scans = (message.value for message in recording.messages([topic]))
     seen = Counter(
         ScanGeometry.of(scan)
-        for scan in islice(scans, _SCANS_LOOKED_AT)
+        for scan in islice(scans, _SCANS_SAMPLED)
         if isinstance(scan, LaserScan)
     )
     return seen.most_common(1)[0][0] if seen else None
 
 
-class Fitting:
+class GeometryFilter:
     """Passes on the messages that fit and are stamped in order, and keeps the recording's warnings
     about the others."""
 
@@ -96,13 +96,13 @@ class Fitting:
     ) -> None:
         self._geometry = geometry
         self._shapes = image_shapes
-        self._order = TimeOrder(recording)
+        self._order = StampFilter(recording)
         self._counts = {topic.name: topic.count for topic in recording.topics}
         self._skipped = SkippedMessages(recording.warnings)
 
-    def of(self, messages: Iterator[Message]) -> Iterator[Message]:
+    def accepted(self, messages: Iterator[Message]) -> Iterator[Message]:
         """The messages that fit the rig, in order."""
-        for message in self._order.of(messages):
+        for message in self._order.accepted(messages):
             problem = self._problem(message.topic, message.value)
             if problem:
                 count = self._counts[message.topic]
@@ -111,14 +111,14 @@ class Fitting:
             else:
                 yield message
 
-    def keeps(self, topic: str, index: int) -> bool:
+    def is_in_order(self, topic: str, index: int) -> bool:
         """Whether the ``index``-th message of a topic is stamped in order."""
-        return self._order.keeps(topic, index)
+        return self._order.is_in_order(topic, index)
 
-    def require_order(self, topics: Iterable[str]) -> None:
+    def require_most_in_order(self, topics: Iterable[str]) -> None:
         """Raise RecordingError where more than half of a topic is stamped out of order."""
         for topic in topics:
-            self._order.require_most(topic)
+            self._order.require_most_in_order(topic)
 
     def _problem(self, topic: str, value: SensorValue) -> str:
         shape = self._shapes.get(topic)
@@ -126,12 +126,13 @@ class Fitting:
             height, width = value.depth_m.shape
             return f"an image of {width} x {height} pixels, not {shape[1]} x {shape[0]}."
         usual = self._geometry
-        if isinstance(value, LaserScan) and usual is not None and not usual.is_of(value):
-            return f"a scan of {_said(ScanGeometry.of(value))}, not {_said(usual)}."
+        if isinstance(value, LaserScan) and usual is not None and not usual.matches(value):
+            found = ScanGeometry.of(value)
+            return f"a scan of {_describe_geometry(found)}, not {_describe_geometry(usual)}."
         return ""
 
 
-def _said(geometry: ScanGeometry) -> str:
+def _describe_geometry(geometry: ScanGeometry) -> str:
     return (
         f"{geometry.beams} beams from {geometry.angle_min_rad:.4f} rad "
         f"in steps of {geometry.angle_increment_rad:.5f} rad"

@@ -10,13 +10,13 @@ from fusion_core.exporting.tum_trajectory import write_tum_trajectory
 from fusion_core.model.trajectory import Trajectory
 from fusion_core.motion.fusion_weights import FusionWeights
 from fusion_core.motion.track import OdometryTrack
-from fusion_core.workflows.map.motion_source import Motion
+from fusion_core.workflows.map.motion_prior import MotionPrior
 
 WEIGHTS_TABLE = "odometry_weights.csv"
 WEIGHTS_FIGURE = "odometry_weights.png"
 
 
-def write_odometry(folder: Path, motion: Motion) -> tuple[str, ...]:
+def write_odometry(folder: Path, motion: MotionPrior) -> tuple[str, ...]:
     """``odometry_NAME.tum`` for each track; where sources were fused, their weights too. Returns
     the files' names.
 
@@ -25,7 +25,7 @@ def write_odometry(folder: Path, motion: Motion) -> tuple[str, ...]:
     """
     written = []
     for track in motion.tracks:
-        trajectory = _measured(track)
+        trajectory = _measured_trajectory(track)
         if trajectory is not None:
             name = f"odometry_{track.name}.tum"
             write_tum_trajectory(folder / name, trajectory)
@@ -37,7 +37,7 @@ def write_odometry(folder: Path, motion: Motion) -> tuple[str, ...]:
     return tuple(written)
 
 
-def _measured(track: OdometryTrack) -> Trajectory | None:
+def _measured_trajectory(track: OdometryTrack) -> Trajectory | None:
     beside = np.concatenate([[False], track.measured]) | np.concatenate([track.measured, [False]])
     if not beside.any():
         return None

@@ -14,15 +14,15 @@ from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import PoseSample, Transform, TransformBatch
 from fusion_core.model.transform_tree import TransformTree
 from fusion_core.recordings.topics import Streams
-from fusion_core.workflows.time_order import TimeOrder
-from fusion_core.workflows.timed_poses import TimedPoses
+from fusion_core.workflows.stamp_filter import StampFilter
+from fusion_core.workflows.timed_transforms import TimedTransforms
 
 # The frame that a map hangs on, best first.
 _MAP_FRAMES = ("map", "odom", "world")
 _POSE_FRAME = "scanloom_pose_parent"
 
 
-class Poses(Protocol):
+class PoseLookup(Protocol):
     """``source`` says in words where the poses come from."""
 
     source: str
@@ -32,7 +32,7 @@ class Poses(Protocol):
         ...
 
 
-class _TreePoses:
+class _TransformLookup:
     def __init__(self, tree: TransformTree, map_frame: str, lidar_frame: str, source: str) -> None:
         self._tree, self._map, self._lidar = tree, map_frame, lidar_frame
         self.source = source
@@ -45,7 +45,7 @@ class _TreePoses:
             return None
 
 
-def recorded_poses(recording: Recording, streams: Streams, lidar_frame: str) -> Poses | None:
+def recorded_poses(recording: Recording, streams: Streams, lidar_frame: str) -> PoseLookup | None:
     """The recorded poses of the LiDAR, None where the recording has none.
 
     Raises MissingStream where a pose topic is named and holds no pose.
@@ -54,14 +54,14 @@ def recorded_poses(recording: Recording, streams: Streams, lidar_frame: str) -> 
     tree = TransformTree(samples_per_pair=None)
     _add_transforms(recording, streams.tf_static, tree, static=True)
     if streams.pose is not None:
-        return _from_topic(recording, streams.pose, tree, lidar)
+        return _poses_of_topic(recording, streams.pose, tree, lidar)
     _add_transforms(recording, streams.tf, tree, static=False)
     if streams.tf is not None and lidar in tree.frames:
         for frame in _MAP_FRAMES:
             if frame in tree.frames and _ever_connected(tree, recording, streams.tf, frame, lidar):
-                return _TreePoses(tree, frame, lidar, f"{streams.tf} ({frame} to {lidar})")
+                return _TransformLookup(tree, frame, lidar, f"{streams.tf} ({frame} to {lidar})")
     if streams.odometry is not None:
-        return _from_topic(recording, streams.odometry, tree, lidar)
+        return _poses_of_topic(recording, streams.odometry, tree, lidar)
     return None
 
 
@@ -70,7 +70,7 @@ def _add_transforms(
 ) -> None:
     if topic is None:
         return
-    timed = TimedPoses()
+    timed = TimedTransforms()
     for message in recording.messages([topic]):
         if isinstance(message.value, TransformBatch):
             for sample in message.value.transforms:
@@ -84,7 +84,7 @@ def _add_transforms(
                     tree.add(named, static=True)
                 else:
                     timed.add(named, message.received_ns)
-    timed.fill(tree, topic, recording)
+    timed.add_inliers_to(tree, topic, recording)
 
 
 def _ever_connected(
@@ -107,14 +107,16 @@ def _ever_connected(
     return False
 
 
-def _from_topic(recording: Recording, topic: str, tree: TransformTree, lidar_frame: str) -> Poses:
+def _poses_of_topic(
+    recording: Recording, topic: str, tree: TransformTree, lidar_frame: str
+) -> PoseLookup:
     """Poses of a topic. The body is the message's child where static transforms join it to the
     LiDAR; otherwise the LiDAR itself is taken to be what the topic means."""
     body = ""
     found = False
-    timed = TimedPoses()
+    timed = TimedTransforms()
     # An odometry may be asked twice at one instant.
-    for message in TimeOrder(recording, strictly=False).of(recording.messages([topic])):
+    for message in StampFilter(recording, strictly=False).accepted(recording.messages([topic])):
         sample = message.value
         if not isinstance(sample, PoseSample):
             continue
@@ -128,16 +130,16 @@ def _from_topic(recording: Recording, topic: str, tree: TransformTree, lidar_fra
             T_parent_child=sample.T_parent_child.copy(),
         )
         timed.add(named, message.received_ns)
-    timed.fill(tree, topic, recording)
+    timed.add_inliers_to(tree, topic, recording)
     if not found:
         raise MissingStream(f"{topic} holds no poses.", file=recording.path)
-    if not body or _joined(tree, body, lidar_frame):
-        return _TreePoses(tree, _POSE_FRAME, lidar_frame, topic)
+    if not body or _are_connected(tree, body, lidar_frame):
+        return _TransformLookup(tree, _POSE_FRAME, lidar_frame, topic)
     source = f"{topic} (of {body}, taken as {lidar_frame}: no static transforms join the two)"
-    return _TreePoses(tree, _POSE_FRAME, body, source)
+    return _TransformLookup(tree, _POSE_FRAME, body, source)
 
 
-def _joined(tree: TransformTree, body: str, lidar_frame: str) -> bool:
+def _are_connected(tree: TransformTree, body: str, lidar_frame: str) -> bool:
     try:
         tree.lookup(body, lidar_frame, 0)
     except ScanLoomError:

@@ -13,9 +13,9 @@ from fusion_core.recordings.topics import choose_streams
 from fusion_core.workflows.fuse.fuse import fuse
 from fusion_core.workflows.fuse.session import FuseOptions
 from fusion_core.workflows.map.build_map import MapOptions, build_map
-from fusion_core.workflows.map.visual_frames import CameraFrames
-from fusion_core.workflows.poses import recorded_poses
-from fusion_core.workflows.time_order import TimeOrder
+from fusion_core.workflows.map.rgbd_frames import RgbdFrames
+from fusion_core.workflows.recorded_poses import recorded_poses
+from fusion_core.workflows.stamp_filter import StampFilter
 from scanloom.cli import main
 from tests.hostile.drive import (
     COLOR,
@@ -95,7 +95,7 @@ def test_stamps_are_read_from_the_headers_alone_and_good_ones_cost_no_warning(tm
         assert stamps_ns.tolist() == recording.received_ns(ODOMETRY).tolist()
         # A batch of transforms has as many stamps as transforms.
         assert recording.stamps_ns("/tf_static").tolist() == [NO_STAMP]
-        TimeOrder(recording, strictly=False).require_most(ODOMETRY)
+        StampFilter(recording, strictly=False).require_most_in_order(ODOMETRY)
         assert recording.warnings == []
 
 
@@ -103,6 +103,6 @@ def test_stamps_are_read_from_the_headers_alone_and_good_ones_cost_no_warning(tm
 def test_visual_odometry_goes_on_behind_an_image_of_another_year(tmp_path, topic):
     path = one_ahead(tmp_path / "drive.mcap", topic=topic, color=True)
     with open_recording(path) as recording:
-        frames = CameraFrames(recording, choose_streams(recording))
+        frames = RgbdFrames(recording, choose_streams(recording))
         steps = [(frame.stamp_ns - START_NS) // (STEP_MS * NS_PER_MS) for frame in frames]
     assert steps == [0, 1, *range(3, SCANS)]

@@ -6,7 +6,7 @@ import pytest
 from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.model.errors import MissingStream
 from fusion_core.recordings.topics import choose_streams
-from fusion_core.workflows.poses import recorded_poses
+from fusion_core.workflows.recorded_poses import recorded_poses
 
 SPEED_M_S, TURN_RAD_S = 0.5, 0.4
 

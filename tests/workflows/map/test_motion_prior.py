@@ -19,17 +19,17 @@ from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.topics import choose_streams
 from fusion_core.recordings.tum_trajectory import read_tum_trajectory
 from fusion_core.workflows.evaluate.odometry import odometry, odometry_lines
-from fusion_core.workflows.map.extrinsics import Extrinsics, PlacedCamera
-from fusion_core.workflows.map.motion_source import (
-    Motion,
+from fusion_core.workflows.map.extrinsics import CameraExtrinsics, MountedCamera
+from fusion_core.workflows.map.motion_prior import (
     MotionKind,
+    MotionPrior,
     MotionSettings,
-    map_streams,
-    open_motion,
+    choose_map_streams,
+    open_motion_prior,
 )
-from fusion_core.workflows.map.odometry_files import write_odometry
+from fusion_core.workflows.map.rgbd_frames import RgbdFrames, first_camera_extrinsics
 from fusion_core.workflows.map.scan_source import LidarScans
-from fusion_core.workflows.map.visual_frames import CameraFrames, camera_on_lidar
+from fusion_core.workflows.map.write_odometry import write_odometry
 
 SAMPLE = Path(__file__).parents[3] / "samples" / "furnished_room.mcap"
 TRUTH = SAMPLE.with_suffix(".truth.npz")
@@ -41,12 +41,12 @@ def recording() -> Iterator[Recording]:
         yield opened
 
 
-def motion_of(recording: Recording, kind: MotionKind, **more) -> Motion | None:
-    streams = map_streams(recording, None, None)
-    return open_motion(recording, streams, LidarScans(recording, streams), kind, **more)
+def motion_of(recording: Recording, kind: MotionKind, **more) -> MotionPrior | None:
+    streams = choose_map_streams(recording, None, None)
+    return open_motion_prior(recording, streams, LidarScans(recording, streams), kind, **more)
 
 
-def placed(recording: Recording) -> Extrinsics:
+def placed(recording: Recording) -> CameraExtrinsics:
     """The camera where the truth has it; the recording itself does not tell."""
     streams = choose_streams(recording)
     assert streams.camera_info[0] is not None
@@ -54,23 +54,23 @@ def placed(recording: Recording) -> Extrinsics:
     assert isinstance(info, CameraInfo)
     assert info.intrinsics is not None
     T_lidar_camera = np.load(TRUTH)["T_lidar_camera"].reshape(4, 4)
-    camera = PlacedCamera(
+    camera = MountedCamera(
         topic=streams.depth[0],
         view=upright_view(info.intrinsics, T_lidar_camera[2, :3]),
         T_lidar_camera=T_lidar_camera.copy(),
     )
-    return Extrinsics(
+    return CameraExtrinsics(
         source="file",
         frame_id="laser",
         cameras=(camera,),
-        height_known=True,
+        is_height_known=True,
         lidar_height_m=None,
         notes=(),
     )
 
 
 @pytest.fixture(scope="module")
-def fused(recording: Recording) -> Motion:
+def fused(recording: Recording) -> MotionPrior:
     motion = motion_of(recording, "fused", extrinsics=placed(recording))
     assert motion is not None
     return motion
@@ -83,7 +83,7 @@ def errors(track_poses: tuple[np.ndarray, np.ndarray]) -> dict:
     return evaluate_odometry(estimate, reference).to_json()
 
 
-def test_fused_motion_errs_less_than_half_of_the_wheels(fused: Motion) -> None:
+def test_fused_motion_errs_less_than_half_of_the_wheels(fused: MotionPrior) -> None:
     assert [track.name for track in fused.tracks] == ["wheel", "laser", "visual", "fused"]
     by_name = {t.name: errors((t.stamps_ns, t.poses_odom_lidar)) for t in fused.tracks}
     wheel, result = by_name["wheel"]["over_stretches"], by_name["fused"]["over_stretches"]
@@ -91,7 +91,7 @@ def test_fused_motion_errs_less_than_half_of_the_wheels(fused: Motion) -> None:
     assert result["rotation_deg_per_m"] < 0.5 * wheel["rotation_deg_per_m"]
 
 
-def test_the_camera_says_how_well_it_tells_each_step(fused: Motion) -> None:
+def test_the_camera_says_how_well_it_tells_each_step(fused: MotionPrior) -> None:
     """Before a plain wall a way aside looks like a turn: it errs by centimetres there, and by
     millimetres elsewhere, and its covariance knows which."""
     visual = fused.tracks[2]
@@ -107,7 +107,7 @@ def test_the_camera_says_how_well_it_tells_each_step(fused: Motion) -> None:
     assert np.abs(away[surest, 2]).mean() < 0.3 * np.abs(away[doubtful, 2]).mean()
 
 
-def test_fused_motion_is_that_of_its_track(fused: Motion) -> None:
+def test_fused_motion_is_that_of_its_track(fused: MotionPrior) -> None:
     track = fused.tracks[-1]
     middle = int(track.stamps_ns[10])
     np.testing.assert_array_equal(fused.at(middle), track.poses_odom_lidar[10])
@@ -134,14 +134,14 @@ def test_one_source_alone_is_said_to_be_alone(recording: Recording) -> None:
             "odometry": None,
         }
     )
-    motion = open_motion(recording, bare, LidarScans(recording, bare), "fused")
+    motion = open_motion_prior(recording, bare, LidarScans(recording, bare), "fused")
     assert motion is not None
     assert motion.source == "laser"
     assert motion.weights is None
     assert any("Nothing to fuse" in note for note in motion.notes)
     assert any("without wheels" in note for note in motion.notes)
     with pytest.raises(MissingStream, match="holds no odometry"):
-        open_motion(recording, bare, LidarScans(recording, bare), "wheel")
+        open_motion_prior(recording, bare, LidarScans(recording, bare), "wheel")
 
 
 @pytest.mark.parametrize("kind", ["wheel", "laser"])
@@ -166,7 +166,7 @@ def test_none_is_none_and_recorded_is_as_recorded(recording: Recording) -> None:
 def test_a_camera_that_nobody_has_placed_says_so() -> None:
     with open_recording(SAMPLE) as recording:
         streams = choose_streams(recording)
-        assert camera_on_lidar(recording, streams, None) == (None, ())
+        assert first_camera_extrinsics(recording, streams, None) == (None, ())
         motion = motion_of(recording, "visual")
     assert motion is not None
     assert any("taken to be level" in note for note in motion.notes)
@@ -174,19 +174,19 @@ def test_a_camera_that_nobody_has_placed_says_so() -> None:
 
 
 def test_extrinsics_of_stored_images_are_those_of_the_file(recording: Recording) -> None:
-    T, _ = camera_on_lidar(recording, choose_streams(recording), placed(recording))
+    T, _ = first_camera_extrinsics(recording, choose_streams(recording), placed(recording))
     assert T is not None
     np.testing.assert_allclose(T, np.load(TRUTH)["T_lidar_camera"].reshape(4, 4), atol=1e-6)
 
 
 def test_images_are_paired_in_order_and_shifted_by_the_clock(recording: Recording) -> None:
     streams = choose_streams(recording)
-    frames = CameraFrames(recording, streams)
+    frames = RgbdFrames(recording, streams)
     plain = [frame.stamp_ns for frame in frames]
     topic = next(topic for topic in recording.topics if topic.name == streams.depth[0])
     assert len(plain) == topic.count
     assert (np.diff(plain) > 0).all()
-    shifted = [f.stamp_ns for f in CameraFrames(recording, streams, clock_offset_ns=40_000_000)]
+    shifted = [f.stamp_ns for f in RgbdFrames(recording, streams, clock_offset_ns=40_000_000)]
     np.testing.assert_array_equal(np.array(plain) - shifted, 40_000_000)
     # Any number of times.
     assert [frame.stamp_ns for frame in frames] == plain
@@ -196,14 +196,14 @@ def test_colour_or_depth_that_is_not_there_is_named(recording: Recording) -> Non
     streams = choose_streams(recording)
     fields = {name: getattr(streams, name) for name in type(streams).__dataclass_fields__}
     with pytest.raises(MissingStream, match="no colour images beside"):
-        CameraFrames(recording, type(streams)(**{**fields, "color": (None,)}))
+        RgbdFrames(recording, type(streams)(**{**fields, "color": (None,)}))
     with pytest.raises(MissingStream, match="no depth images"):
-        CameraFrames(recording, type(streams)(**{**fields, "depth": ()}))
+        RgbdFrames(recording, type(streams)(**{**fields, "depth": ()}))
     with pytest.raises(MissingStream, match="no usable intrinsics"):
-        CameraFrames(recording, type(streams)(**{**fields, "camera_info": (None,)}))
+        RgbdFrames(recording, type(streams)(**{**fields, "camera_info": (None,)}))
 
 
-def test_files_and_their_evaluation(fused: Motion, tmp_path: Path) -> None:
+def test_files_and_their_evaluation(fused: MotionPrior, tmp_path: Path) -> None:
     names = write_odometry(tmp_path, fused)
     assert set(names) == {path.name for path in tmp_path.iterdir()}
     track = fused.tracks[-1]
@@ -228,7 +228,7 @@ def test_files_and_their_evaluation(fused: Motion, tmp_path: Path) -> None:
     assert [line.split()[0] for line in lines[1:5]] == list(result["tracks"])
 
 
-def test_the_same_motion_gives_the_same_bytes(fused: Motion, tmp_path: Path) -> None:
+def test_the_same_motion_gives_the_same_bytes(fused: MotionPrior, tmp_path: Path) -> None:
     contents = []
     for folder in (tmp_path / "one", tmp_path / "two"):
         folder.mkdir()
@@ -245,7 +245,9 @@ def test_as_published_the_table_has_the_gain(recording: Recording, tmp_path: Pat
     assert header.endswith("gain_x,gain_y,gain_yaw")
 
 
-def test_a_folder_or_a_reference_that_is_none_is_refused(fused: Motion, tmp_path: Path) -> None:
+def test_a_folder_or_a_reference_that_is_none_is_refused(
+    fused: MotionPrior, tmp_path: Path
+) -> None:
     with pytest.raises(ScanLoomError, match="holds no odometry"):
         odometry(tmp_path, TRUTH)
     write_odometry(tmp_path, fused)

@@ -10,9 +10,9 @@ from fusion_core.workflows.fuse.fuse import fuse
 from fusion_core.workflows.fuse.presets import ChainSettings
 from fusion_core.workflows.fuse.rig import build_rig
 from fusion_core.workflows.fuse.session import FuseOptions, align_session, session_of
-from fusion_core.workflows.map.extrinsics import extrinsics
-from fusion_core.workflows.map.recorded_mount import refusal_of_recorded
-from fusion_core.workflows.map.visual_frames import camera_on_lidar
+from fusion_core.workflows.map.extrinsics import find_extrinsics
+from fusion_core.workflows.map.recorded_mount_check import recorded_mount_problem
+from fusion_core.workflows.map.rgbd_frames import first_camera_extrinsics
 from scanloom.panels.mount_text import mount_text
 from tests.hostile.drive import write_drive
 from tests.hostile.mounts import moved_mount
@@ -70,8 +70,8 @@ def test_map_and_visual_odometry_check_it_too(tmp_path, moved):
         streams = choose_streams(recording)
         # So short a drive does not show where the camera stands.
         with pytest.raises(AlignmentFailed, match=NOT_USED):
-            extrinsics(recording, streams, ChainSettings())
-        T, notes = camera_on_lidar(recording, streams, None)
+            find_extrinsics(recording, streams, ChainSettings())
+        T, notes = first_camera_extrinsics(recording, streams, None)
         assert T is None
         assert notes[0].startswith(NOT_USED)
 
@@ -79,9 +79,9 @@ def test_map_and_visual_odometry_check_it_too(tmp_path, moved):
 def test_a_mount_that_is_right_is_used_without_a_word(tmp_path):
     with open_recording(write_drive(tmp_path / "right.mcap")) as recording:
         streams, settings = choose_streams(recording), ChainSettings()
-        found = extrinsics(recording, streams, settings)
+        found = find_extrinsics(recording, streams, settings)
         assert found.source == "tf"
         assert not any(NOT_USED in note for note in found.notes)
         rig = build_rig(recording, streams, settings.sampling)
-        assert refusal_of_recorded(session_of(recording, streams, rig, settings)) == ""
+        assert recorded_mount_problem(session_of(recording, streams, rig, settings)) == ""
         assert mount_text(rig.recorded, ["said"]).endswith("- said")

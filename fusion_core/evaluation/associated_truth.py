@@ -16,7 +16,7 @@ SAME_SURFACE_M = 0.10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SceneCamera:
+class TrueCamera:
     """A depth camera with its truth and its true geometry."""
 
     topic: str
@@ -29,7 +29,7 @@ class SceneCamera:
         """Whether the image's rows, not its columns, lie along the LiDAR's plane."""
         return bool(abs(self.T_lidar_camera[2, 0]) <= abs(self.T_lidar_camera[2, 1]))
 
-    def points_in_camera(
+    def back_project(
         self, row: FloatArray | IntArray, column: FloatArray | IntArray, depth_m: FloatArray
     ) -> FloatArray:
         """(..., 3) points in the optical frame of pixels with a depth."""
@@ -42,10 +42,10 @@ class SceneCamera:
         self, row: IntArray, column: IntArray, depth_m: FloatArray
     ) -> FloatArray:
         """Distance in the LiDAR's plane, from its origin, of pixels with a depth."""
-        points = transform_points(self.T_lidar_camera, self.points_in_camera(row, column, depth_m))
+        points = transform_points(self.T_lidar_camera, self.back_project(row, column, depth_m))
         return np.hypot(points[..., 0], points[..., 1])
 
-    def pixels(self, points_in_lidar: FloatArray) -> tuple[IntArray, IntArray, BoolArray]:
+    def project(self, points_in_lidar: FloatArray) -> tuple[IntArray, IntArray, BoolArray]:
         """Nearest row and column of (..., 3) points, and whether they lie in the image.
 
         Row and column are 0 where the point does not.
@@ -68,7 +68,7 @@ class SceneCamera:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
+class AssociatedTruth:
     """What both files together say. ``cameras`` are in the folder's order.
 
     ``beam_angle_rad``: (N,) azimuth of each beam.
@@ -76,37 +76,37 @@ class Scene:
 
     truth: Truth
     beam_angle_rad: FloatArray
-    cameras: tuple[SceneCamera, ...]
+    cameras: tuple[TrueCamera, ...]
 
     def scan_index(self, stamp_ns: IntArray) -> IntArray:
         """Positions of scans in the truth. Raises ScanLoomError for a stamp that it lacks."""
-        return stamp_positions(self.truth.scan_stamp_ns, stamp_ns, "scan", self.truth.file)
+        return indices_of_stamps(self.truth.scan_stamp_ns, stamp_ns, "scan", self.truth.file)
 
     def image_index(self, camera: IntArray, stamp_ns: IntArray) -> IntArray:
         """Positions of depth images in their camera's truth. Raises as ``scan_index``."""
         positions = np.zeros(stamp_ns.shape, dtype=np.int64)
         for code, own in enumerate(self.cameras):
             mine = camera == code
-            positions[mine] = stamp_positions(
+            positions[mine] = indices_of_stamps(
                 own.truth.stamp_ns, stamp_ns[mine], "depth image", self.truth.file
             )
         return positions
 
 
-def join(truth: Truth, folder: FuseFolder) -> Scene:
+def associate_truth(truth: Truth, folder: FuseFolder) -> AssociatedTruth:
     """Join the two. What the truth does not know of angles and intrinsics, the recording says.
 
     Raises ScanLoomError where they do not belong together, or where the truth knows no mount.
     """
-    return Scene(
+    return AssociatedTruth(
         truth=truth,
         beam_angle_rad=_beam_angles_rad(truth, folder),
-        cameras=tuple(_scene_camera(truth, recorded, folder) for recorded in folder.cameras),
+        cameras=tuple(_true_camera(truth, recorded, folder) for recorded in folder.cameras),
     )
 
 
-def _scene_camera(truth: Truth, recorded: RecordedCamera, folder: FuseFolder) -> SceneCamera:
-    own = _truth_of(truth, recorded, alone=len(folder.cameras) == 1)
+def _true_camera(truth: Truth, recorded: RecordedCamera, folder: FuseFolder) -> TrueCamera:
+    own = _truth_of_camera(truth, recorded, alone=len(folder.cameras) == 1)
     if own.depth_mm.shape[1:] != (recorded.height, recorded.width):
         raise ScanLoomError(
             f"has images of {own.depth_mm.shape[2]} x {own.depth_mm.shape[1]} pixels, "
@@ -127,7 +127,7 @@ def _scene_camera(truth: Truth, recorded: RecordedCamera, folder: FuseFolder) ->
             file=truth.file,
             advice="Write the truth with its array 'intrinsics'.",
         )
-    return SceneCamera(
+    return TrueCamera(
         topic=recorded.topic,
         truth=own,
         intrinsics=intrinsics,
@@ -138,7 +138,7 @@ def _scene_camera(truth: Truth, recorded: RecordedCamera, folder: FuseFolder) ->
 _OTHER_RECORDING = "Give the truth of this recording."
 
 
-def _truth_of(truth: Truth, recorded: RecordedCamera, *, alone: bool) -> CameraTruth:
+def _truth_of_camera(truth: Truth, recorded: RecordedCamera, *, alone: bool) -> CameraTruth:
     """By topic; a truth of one camera that names none serves a folder of one camera."""
     for own in truth.cameras:
         if own.topic == recorded.topic:
@@ -165,7 +165,7 @@ def _beam_angles_rad(truth: Truth, folder: FuseFolder) -> FloatArray:
     return start_rad + step_rad * np.arange(beams, dtype=np.float64)
 
 
-def stamp_positions(known_ns: IntArray, stamp_ns: IntArray, what: str, file: Path) -> IntArray:
+def indices_of_stamps(known_ns: IntArray, stamp_ns: IntArray, what: str, file: Path) -> IntArray:
     """Where each stamp stands in ``known_ns``, which may be in any order."""
     order = np.argsort(known_ns, kind="stable")
     place = np.searchsorted(known_ns, stamp_ns, sorter=order)

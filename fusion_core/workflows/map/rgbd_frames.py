@@ -14,24 +14,24 @@ from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import CameraInfo, CameraIntrinsics, ColorImage, DepthImage
 from fusion_core.motion.visual import GrayDepth
 from fusion_core.recordings.topics import Streams
-from fusion_core.workflows.fitting import first_value
 from fusion_core.workflows.fuse.align import mount_not_used
 from fusion_core.workflows.fuse.presets import ChainSettings
 from fusion_core.workflows.fuse.rig import build_rig
 from fusion_core.workflows.fuse.session import session_of
-from fusion_core.workflows.map.extrinsics import Extrinsics
-from fusion_core.workflows.map.recorded_mount import refusal_of_recorded
-from fusion_core.workflows.time_order import TimeOrder
+from fusion_core.workflows.map.extrinsics import CameraExtrinsics
+from fusion_core.workflows.map.recorded_mount_check import recorded_mount_problem
+from fusion_core.workflows.sensor_geometry import first_value
+from fusion_core.workflows.stamp_filter import StampFilter
 
 # Colour and depth of one instant are not farther apart, whatever triggers them.
-_GAP_NS = 40 * NS_PER_MS
+_COLOR_GAP_MAX_NS = 40 * NS_PER_MS
 # A depth image waits for a colour image that is logged after it, so many images at most.
-_WAITING = 8
+_DEPTH_WAITING = 8
 # More pixels than these cost time, and features are no better placed.
-_WIDTH_PX = 640
+_WIDTH_MAX_PX = 640
 
 
-class CameraFrames:
+class RgbdFrames:
     """The images of the first depth camera, any number of times, one in memory at a time.
 
     ``intrinsics``: of the grey images, stored as they are, with their distortion. ``notes``: for
@@ -43,7 +43,7 @@ class CameraFrames:
 
     def __init__(self, recording: Recording, streams: Streams, *, clock_offset_ns: int = 0) -> None:
         self._recording, self._clock_offset_ns = recording, clock_offset_ns
-        self._order = TimeOrder(recording)
+        self._order = StampFilter(recording)
         if not streams.depth:
             raise MissingStream(
                 "has no depth images.",
@@ -92,14 +92,14 @@ class CameraFrames:
                 f"{self._color} is taken to show what {self._depth} does, though their frames "
                 f"{color.frame_id} and {depth.frame_id} differ.",
             )
-        return _scaled(lens, _shape(height, width))
+        return _scaled_intrinsics(lens, _scaled_shape(height, width))
 
     def __iter__(self) -> Iterator[GrayDepth]:
         """Depth images, each with the colour image nearest in time; those without one are left
         out, and so is what is stamped out of order."""
         waiting: deque[DepthImage] = deque()
-        colors: deque[ColorImage] = deque(maxlen=2 * _WAITING)
-        for message in self._order.of(self._recording.messages([self._depth, self._color])):
+        colors: deque[ColorImage] = deque(maxlen=2 * _DEPTH_WAITING)
+        for message in self._order.accepted(self._recording.messages([self._depth, self._color])):
             value = message.value
             if isinstance(value, DepthImage):
                 waiting.append(value)
@@ -107,23 +107,24 @@ class CameraFrames:
                 colors.append(value)
             # A later colour image tells that none nearer will come.
             while waiting and (
-                (colors and colors[-1].stamp_ns >= waiting[0].stamp_ns) or len(waiting) > _WAITING
+                (colors and colors[-1].stamp_ns >= waiting[0].stamp_ns)
+                or len(waiting) > _DEPTH_WAITING
             ):
-                frame = self._joined(waiting.popleft(), colors)
+                frame = self._joined_frame(waiting.popleft(), colors)
                 if frame is not None:
                     yield frame
         for depth in waiting:
-            frame = self._joined(depth, colors)
+            frame = self._joined_frame(depth, colors)
             if frame is not None:
                 yield frame
 
-    def _joined(self, depth: DepthImage, colors: deque[ColorImage]) -> GrayDepth | None:
+    def _joined_frame(self, depth: DepthImage, colors: deque[ColorImage]) -> GrayDepth | None:
         if not colors:
             return None
         color = min(colors, key=lambda image: abs(image.stamp_ns - depth.stamp_ns))
-        if abs(color.stamp_ns - depth.stamp_ns) > _GAP_NS:
+        if abs(color.stamp_ns - depth.stamp_ns) > _COLOR_GAP_MAX_NS:
             return None
-        height, width = _shape(*color.rgb.shape[:2])
+        height, width = _scaled_shape(*color.rgb.shape[:2])
         if (height, width) != (self.intrinsics.height, self.intrinsics.width):
             # Of another rig than the first.
             return None
@@ -135,30 +136,30 @@ class CameraFrames:
         return GrayDepth(stamp_ns=stamp_ns, gray=image, depth_m=depth.depth_m)
 
 
-def _shape(height: int, width: int) -> tuple[int, int]:
+def _scaled_shape(height: int, width: int) -> tuple[int, int]:
     """The size at which an image is looked at."""
-    if width <= _WIDTH_PX:
+    if width <= _WIDTH_MAX_PX:
         return height, width
-    return round(height * _WIDTH_PX / width), _WIDTH_PX
+    return round(height * _WIDTH_MAX_PX / width), _WIDTH_MAX_PX
 
 
-def _scaled(lens: CameraIntrinsics, shape: tuple[int, int]) -> CameraIntrinsics:
+def _scaled_intrinsics(intrinsics: CameraIntrinsics, shape: tuple[int, int]) -> CameraIntrinsics:
     """The same camera with images of another size; pixel centres are integers."""
     height, width = shape
-    across, down = width / lens.width, height / lens.height
+    across, down = width / intrinsics.width, height / intrinsics.height
     return replace(
-        lens,
+        intrinsics,
         width=width,
         height=height,
-        fx=across * lens.fx,
-        fy=down * lens.fy,
-        cx=across * (lens.cx + 0.5) - 0.5,
-        cy=down * (lens.cy + 0.5) - 0.5,
+        fx=across * intrinsics.fx,
+        fy=down * intrinsics.fy,
+        cx=across * (intrinsics.cx + 0.5) - 0.5,
+        cy=down * (intrinsics.cy + 0.5) - 0.5,
     )
 
 
-def camera_on_lidar(
-    recording: Recording, streams: Streams, extrinsics: Extrinsics | None
+def first_camera_extrinsics(
+    recording: Recording, streams: Streams, extrinsics: CameraExtrinsics | None
 ) -> tuple[FloatArray | None, tuple[str, ...]]:
     """(4, 4) T_lidar_camera of the first depth camera's stored images, by ``extrinsics`` or by the
     recording's own transforms; None where neither says. And notes for people."""
@@ -176,7 +177,7 @@ def camera_on_lidar(
     rig = build_rig(recording, streams, settings.sampling)
     if rig.recorded is None:
         return None, ()
-    refusal = refusal_of_recorded(session_of(recording, streams, rig, settings))
+    refusal = recorded_mount_problem(session_of(recording, streams, rig, settings))
     if refusal:
         return None, (mount_not_used(refusal),)
     T_view_stored = invert_transform(make_transform(rig.views[0].R_stored_view, np.zeros(3)))

@@ -9,7 +9,7 @@ from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.session import Session
 
 
-def refusal_of_recorded(session: Session) -> str:
+def recorded_mount_problem(session: Session) -> str:
     """Why the mount by the recording's own transforms is not to be used, as part of a sentence;
     "" where it is, or where nothing can be compared with it.
 

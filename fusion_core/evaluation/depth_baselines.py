@@ -11,17 +11,19 @@ _TELEA_RADIUS_PX = 3.0
 _MARGIN_ROWS = 32
 """Rows above and below the asked ones that inpainting reads: it works inwards from the rim."""
 
-RIVALS = ("inpaint", "nearest")
+BASELINES = ("inpaint", "nearest")
 
 
-def fill_image(depth_m: Float32Array, row: IntArray, column: IntArray) -> dict[str, FloatArray]:
+def fill_by_baselines(
+    depth_m: Float32Array, row: IntArray, column: IntArray
+) -> dict[str, FloatArray]:
     """Depth that each of RIVALS gives at pixels (row, column) of a raw image, NaN for missing.
 
     A pixel with a raw value keeps it: the rivals have no labels. NaN where nothing is valid.
     """
     missing = ~np.isfinite(depth_m)
     if missing.all():
-        return {name: np.full(row.shape, np.nan) for name in RIVALS}
+        return {name: np.full(row.shape, np.nan) for name in BASELINES}
     nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
     return {
         "inpaint": _inpaint(depth_m, missing, row, column),

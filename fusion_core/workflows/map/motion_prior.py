@@ -21,11 +21,11 @@ from fusion_core.motion.visual import VisualOdometrySettings, visual_odometry
 from fusion_core.motion.wheel import WheelSettings, wheel_odometry
 from fusion_core.recordings.topics import Streams, choose_streams
 from fusion_core.settings import SettingsGroup
-from fusion_core.workflows.map.extrinsics import Extrinsics
-from fusion_core.workflows.map.scan_source import Scans
-from fusion_core.workflows.map.visual_frames import CameraFrames, camera_on_lidar
-from fusion_core.workflows.poses import Poses, recorded_poses
-from fusion_core.workflows.time_order import TimeOrder
+from fusion_core.workflows.map.extrinsics import CameraExtrinsics
+from fusion_core.workflows.map.rgbd_frames import RgbdFrames, first_camera_extrinsics
+from fusion_core.workflows.map.scan_source import ScanSource
+from fusion_core.workflows.recorded_poses import PoseLookup, recorded_poses
+from fusion_core.workflows.stamp_filter import StampFilter
 
 MotionKind = Literal["recorded", "wheel", "laser", "visual", "fused", "none"]
 
@@ -40,7 +40,7 @@ class MotionSettings(SettingsGroup):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Motion:
+class MotionPrior:
     """The LiDAR's motion by one source, or by several.
 
     ``at``: stamp in ns to (3,) x, y, yaw of the LiDAR, interpolated; None where it is not known.
@@ -55,17 +55,17 @@ class Motion:
     notes: tuple[str, ...] = ()
 
 
-def open_motion(
+def open_motion_prior(
     recording: Recording,
     streams: Streams,
-    scans: Scans,
+    scans: ScanSource,
     kind: MotionKind,
     settings: MotionSettings | None = None,
     progress: Progress = silent,
     *,
-    extrinsics: Extrinsics | None = None,
+    extrinsics: CameraExtrinsics | None = None,
     clock_offset_ms: float = 0.0,
-) -> Motion | None:
+) -> MotionPrior | None:
     """The motion of the frame in which ``scans`` lie, None for "none".
 
     ``extrinsics``: where the camera is; without it what the recording's own transforms say.
@@ -78,19 +78,23 @@ def open_motion(
     if kind == "none":
         return None
     if kind == "recorded":
-        poses = recorded_motion(recording, streams, scans.frame_id, wheel_only=False)
-        return Motion(source=poses.source, at=poses.at)
-    sources = _Sources(recording, streams, scans, settings, progress, extrinsics, clock_offset_ms)
+        poses = require_recorded_poses(recording, streams, scans.frame_id, wheel_only=False)
+        return MotionPrior(source=poses.source, at=poses.at)
+    sources = _OdometrySources(
+        recording, streams, scans, settings, progress, extrinsics, clock_offset_ms
+    )
     if kind == "wheel":
-        return _alone(sources.wheel(), sources.notes)
+        return _single_odometry(sources.wheel(), sources.notes)
     if kind == "laser":
-        return _alone(sources.laser(None), sources.notes)
+        return _single_odometry(sources.laser(None), sources.notes)
     if kind == "visual":
-        return _alone(sources.visual(needs_place=False), sources.notes)
-    return _fused(sources, settings.fusion)
+        return _single_odometry(sources.visual(needs_place=False), sources.notes)
+    return _fused_odometry(sources, settings.fusion)
 
 
-def map_streams(recording: Recording, lidar_topic: str | None, pose_topic: str | None) -> Streams:
+def choose_map_streams(
+    recording: Recording, lidar_topic: str | None, pose_topic: str | None
+) -> Streams:
     """As always, but with the LiDAR's own odometry where there is one: written with each scan, it
     has the scan's very stamp, while another topic's must be interpolated."""
     streams = choose_streams(recording, lidar=lidar_topic, pose=pose_topic)
@@ -100,9 +104,9 @@ def map_streams(recording: Recording, lidar_topic: str | None, pose_topic: str |
     return choose_streams(recording, lidar=lidar_topic, pose=pose_topic, odometry=own)
 
 
-def recorded_motion(
+def require_recorded_poses(
     recording: Recording, streams: Streams, lidar_frame: str, *, wheel_only: bool
-) -> Poses:
+) -> PoseLookup:
     """The LiDAR's poses by what was recorded; ``wheel_only``: by odometry, not by TF.
 
     Raises MissingStream where that is not there.
@@ -118,13 +122,13 @@ def recorded_motion(
     return poses
 
 
-def _alone(track: OdometryTrack, notes: list[str]) -> Motion:
-    return Motion(
-        source=track.name, at=track.at, tracks=(track,), notes=(*notes, *_notes_of(track))
+def _single_odometry(track: OdometryTrack, notes: list[str]) -> MotionPrior:
+    return MotionPrior(
+        source=track.name, at=track.at, tracks=(track,), notes=(*notes, *_track_notes(track))
     )
 
 
-def _fused(sources: "_Sources", settings: FusionSettings) -> Motion:
+def _fused_odometry(sources: "_OdometrySources", settings: FusionSettings) -> MotionPrior:
     tracks = []
     try:
         tracks.append(sources.wheel())
@@ -136,13 +140,13 @@ def _fused(sources: "_Sources", settings: FusionSettings) -> Motion:
         tracks.append(sources.visual(needs_place=True))
     except MissingStream as error:
         sources.notes.append(f"Fused without the camera: {error.problem}")
-    notes = sources.notes + [note for track in tracks for note in _notes_of(track)]
+    notes = sources.notes + [note for track in tracks for note in _track_notes(track)]
     if len(tracks) == 1:
         alone = tracks[0]
         notes.append(f"Nothing to fuse: {alone.name} odometry is all there is.")
-        return Motion(source=alone.name, at=alone.at, tracks=(alone,), notes=tuple(notes))
+        return MotionPrior(source=alone.name, at=alone.at, tracks=(alone,), notes=tuple(notes))
     fusion = fuse(tracks, settings)
-    return Motion(
+    return MotionPrior(
         source=f"fused ({', '.join(track.name for track in tracks)})",
         at=fusion.track.at,
         tracks=(*tracks, fusion.track),
@@ -151,21 +155,21 @@ def _fused(sources: "_Sources", settings: FusionSettings) -> Motion:
     )
 
 
-def _notes_of(track: OdometryTrack) -> tuple[str, ...]:
+def _track_notes(track: OdometryTrack) -> tuple[str, ...]:
     if track.measured.size and not track.measured.any():
         return (*track.notes, f"{track.name} odometry measured not a single step.")
     return track.notes
 
 
-class _Sources:
+class _OdometrySources:
     def __init__(
         self,
         recording: Recording,
         streams: Streams,
-        scans: Scans,
+        scans: ScanSource,
         settings: MotionSettings,
         progress: Progress,
-        extrinsics: Extrinsics | None,
+        extrinsics: CameraExtrinsics | None,
         clock_offset_ms: float,
     ) -> None:
         self._recording, self._streams, self._scans = recording, streams, scans
@@ -184,17 +188,17 @@ class _Sources:
         return self._stamps_ns
 
     def wheel(self) -> OdometryTrack:
-        poses = recorded_motion(
+        poses = require_recorded_poses(
             self._recording, self._streams, self._scans.frame_id, wheel_only=True
         )
         topic = self._streams.odometry
         assert topic is not None, "poses by odometry have a topic"
         if poses.source != topic:
             self.notes.append(f"Wheel odometry: {poses.source}.")
-        order = TimeOrder(self._recording, strictly=False)
+        order = StampFilter(self._recording, strictly=False)
         sampled_ns = [
             message.value.stamp_ns
-            for message in order.of(self._recording.messages([topic]))
+            for message in order.accepted(self._recording.messages([topic]))
             if isinstance(message.value, PoseSample)
         ]
         return wheel_odometry(
@@ -207,8 +211,10 @@ class _Sources:
         return track
 
     def visual(self, *, needs_place: bool) -> OdometryTrack:
-        frames = CameraFrames(self._recording, self._streams, clock_offset_ns=self._clock_offset_ns)
-        T_lidar_camera, notes = camera_on_lidar(self._recording, self._streams, self._extrinsics)
+        frames = RgbdFrames(self._recording, self._streams, clock_offset_ns=self._clock_offset_ns)
+        T_lidar_camera, notes = first_camera_extrinsics(
+            self._recording, self._streams, self._extrinsics
+        )
         self.notes.extend(notes)
         if T_lidar_camera is None:
             if needs_place:

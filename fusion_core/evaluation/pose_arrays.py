@@ -10,7 +10,7 @@ from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
 from fusion_core.model.trajectory import Trajectory
 
 
-def inverses(T_a_b: FloatArray) -> FloatArray:
+def invert_poses(T_a_b: FloatArray) -> FloatArray:
     """(N, 4, 4) T_b_a."""
     rotations = np.swapaxes(T_a_b[:, :3, :3], 1, 2)
     result = np.tile(np.eye(4), (len(T_a_b), 1, 1))
@@ -19,7 +19,7 @@ def inverses(T_a_b: FloatArray) -> FloatArray:
     return result
 
 
-def relative(T_map_a: FloatArray, T_map_b: FloatArray) -> FloatArray:
+def relative_poses(T_map_a: FloatArray, T_map_b: FloatArray) -> FloatArray:
     """(N, 4, 4) T_a_b."""
     rotations = np.swapaxes(T_map_a[:, :3, :3], 1, 2)
     result = np.tile(np.eye(4), (len(T_map_a), 1, 1))
@@ -30,17 +30,17 @@ def relative(T_map_a: FloatArray, T_map_b: FloatArray) -> FloatArray:
     return result
 
 
-def lengths_m(T_a_b: FloatArray) -> FloatArray:
+def translation_norms_m(T_a_b: FloatArray) -> FloatArray:
     """(N,) how far each moves the origin."""
     return np.asarray(np.linalg.norm(T_a_b[:, :3, 3], axis=1))
 
 
-def angles_rad(T_a_b: FloatArray) -> FloatArray:
+def rotation_angles_rad(T_a_b: FloatArray) -> FloatArray:
     """(N,) angle of each rotation, in [0, pi]."""
     return np.asarray(Rotation.from_matrix(T_a_b[:, :3, :3]).magnitude())
 
 
-def planar(T_map_body: FloatArray) -> FloatArray:
+def project_to_plane(T_map_body: FloatArray) -> FloatArray:
     """(N, 4, 4) with x, y and yaw alone; height, pitch and roll are dropped."""
     yaw_rad = np.arctan2(T_map_body[:, 1, 0], T_map_body[:, 0, 0])
     result = np.tile(np.eye(4), (len(T_map_body), 1, 1))
@@ -49,8 +49,8 @@ def planar(T_map_body: FloatArray) -> FloatArray:
     return result
 
 
-def poses_at(
-    trajectory: Trajectory, stamps_ns: IntArray, greatest_gap_ns: int | None = None
+def interpolate_poses(
+    trajectory: Trajectory, stamps_ns: IntArray, max_gap_ns: int | None = None
 ) -> tuple[FloatArray, BoolArray]:
     """Poses interpolated at (N,) instants in any order: (K, 4, 4), and (N,) which K are known.
 
@@ -64,19 +64,23 @@ def poses_at(
     after = np.searchsorted(own_ns, asked_ns)
     before = np.where(own_ns[after] == asked_ns, after, after - 1)
     gap_ns = own_ns[after] - own_ns[before]
-    if greatest_gap_ns is not None:
-        near = gap_ns <= greatest_gap_ns
+    if max_gap_ns is not None:
+        near = gap_ns <= max_gap_ns
         known[known] = near
         asked_ns, before, after, gap_ns = (a[near] for a in (asked_ns, before, after, gap_ns))
     share = (asked_ns - own_ns[before]) / np.maximum(gap_ns, 1)
-    return _between(trajectory.T_map_body[before], trajectory.T_map_body[after], share), known
+    return _interpolate_between(
+        trajectory.T_map_body[before], trajectory.T_map_body[after], share
+    ), known
 
 
-def _between(T_before: FloatArray, T_after: FloatArray, share: FloatArray) -> FloatArray:
+def _interpolate_between(
+    T_before: FloatArray, T_after: FloatArray, fraction: FloatArray
+) -> FloatArray:
     result = T_before.copy()
     step_m = T_after[:, :3, 3] - T_before[:, :3, 3]
-    result[:, :3, 3] += share[:, np.newaxis] * step_m
-    turn = Rotation.from_matrix(relative(T_before, T_after)[:, :3, :3]).as_rotvec()
-    part = Rotation.from_rotvec(share[:, np.newaxis] * turn).as_matrix()
+    result[:, :3, 3] += fraction[:, np.newaxis] * step_m
+    rotation_vector = Rotation.from_matrix(relative_poses(T_before, T_after)[:, :3, :3]).as_rotvec()
+    part = Rotation.from_rotvec(fraction[:, np.newaxis] * rotation_vector).as_matrix()
     result[:, :3, :3] = T_before[:, :3, :3] @ part
     return result

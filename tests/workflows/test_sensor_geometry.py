@@ -8,10 +8,10 @@ from fusion_core.alignment.time import TimeSettings
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import choose_streams
-from fusion_core.workflows.fitting import ScanGeometry, usual_geometry
 from fusion_core.workflows.fuse.pairing import PairedImage, paired_images
 from fusion_core.workflows.fuse.rig import build_rig
 from fusion_core.workflows.fuse.session import fitting_of
+from fusion_core.workflows.sensor_geometry import ScanGeometry, most_common_geometry
 
 
 def run(log):
@@ -48,7 +48,7 @@ def test_the_usual_geometry_is_that_of_most_scans(log):
     for number, beams in enumerate([7, 9, 9, 7, 9]):
         log.scan(100.0 * number, beams=beams)
     with log.open() as recording:
-        assert usual_geometry(recording, "/scan") == ScanGeometry(
+        assert most_common_geometry(recording, "/scan") == ScanGeometry(
             beams=9, angle_min_rad=-1.0, angle_increment_rad=0.25
         )
 
@@ -75,7 +75,7 @@ def test_rounded_angles_are_the_same_geometry(first_rad, step_rad, same):
         range_max_m=10.0,
         ranges_m=np.full(9, 2.0),
     )
-    assert geometry.is_of(scan) is same
+    assert geometry.matches(scan) is same
 
 
 def test_a_recording_whose_scans_cannot_be_read_has_no_lidar_to_fuse(log, monkeypatch):

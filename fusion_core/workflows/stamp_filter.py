@@ -13,7 +13,7 @@ from fusion_core.model.recording import Message, Recording
 from fusion_core.model.stamps import plausible_stamps
 
 
-class TimeOrder:
+class StampFilter:
     """Passes on the messages that are stamped in order, and warns of the others.
 
     ``strictly``: of equal stamps of a topic only the first is kept, since no sensor measures twice
@@ -24,24 +24,24 @@ class TimeOrder:
         self._recording, self._strictly = recording, strictly
         self._kept: dict[str, BoolArray] = {}
 
-    def of(self, messages: Iterator[Message]) -> Iterator[Message]:
+    def accepted(self, messages: Iterator[Message]) -> Iterator[Message]:
         """The messages that are in order."""
         for message in messages:
-            if self.keeps(message.topic, message.index):
+            if self.is_in_order(message.topic, message.index):
                 yield message
 
-    def keeps(self, topic: str, index: int) -> bool:
+    def is_in_order(self, topic: str, index: int) -> bool:
         """Whether the ``index``-th message of a topic is in order."""
-        return bool(self._of_topic(topic)[index])
+        return bool(self._in_order(topic)[index])
 
-    def _of_topic(self, topic: str) -> BoolArray:
+    def _in_order(self, topic: str) -> BoolArray:
         if topic not in self._kept:
-            self._kept[topic] = self._judged(topic)
+            self._kept[topic] = self._find_in_order(topic)
         return self._kept[topic]
 
-    def require_most(self, topic: str) -> None:
+    def require_most_in_order(self, topic: str) -> None:
         """Raise RecordingError where more than half of a topic's messages are left out."""
-        kept = self._of_topic(topic)
+        kept = self._in_order(topic)
         left_out = np.count_nonzero(~kept)
         if 2 * left_out > kept.size:
             raise RecordingError(
@@ -50,7 +50,7 @@ class TimeOrder:
                 advice="Check the clock that stamps them, or name another topic.",
             )
 
-    def _judged(self, topic: str) -> BoolArray:
+    def _find_in_order(self, topic: str) -> BoolArray:
         stamps_ns, received_ns = (
             self._recording.stamps_ns(topic),
             self._recording.received_ns(topic),

@@ -7,8 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fusion_core.evaluation.associated_truth import (
+    AssociatedTruth,
+    associate_truth,
+    indices_of_stamps,
+)
 from fusion_core.evaluation.fuse_folder import open_fuse_folder
-from fusion_core.evaluation.scene import Scene, join, stamp_positions
 from fusion_core.evaluation.truth import load_truth
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.geometry import transform_points
@@ -17,7 +21,7 @@ from fusion_core.model.geometry import transform_points
 @given(st.lists(st.integers(-(2**62), 2**62), unique=True, max_size=30), st.randoms())
 def test_positions_find_every_stamp_in_any_order(known: list[int], random: Any) -> None:
     asked = random.choices(known, k=10) if known else []
-    positions = stamp_positions(np.array(known, np.int64), np.array(asked, np.int64), "scan", "t")
+    positions = indices_of_stamps(np.array(known, np.int64), np.array(asked, np.int64), "scan", "t")
     assert [known[position] for position in positions] == asked
 
 
@@ -25,10 +29,10 @@ def test_positions_find_every_stamp_in_any_order(known: list[int], random: Any) 
 @pytest.mark.parametrize("asked", [0, 2, 9])
 def test_a_stamp_that_is_not_there_is_an_error(known: list[int], asked: int) -> None:
     with pytest.raises(ScanLoomError, match=f"no scan of stamp {asked} ns"):
-        stamp_positions(np.array(known, np.int64), np.array([asked]), "scan", "truth.npz")
+        indices_of_stamps(np.array(known, np.int64), np.array([asked]), "scan", "truth.npz")
 
 
-def _join(by_hand: Any, camera: dict[str, Any] | None = None, **arrays: Any) -> Scene:
+def _join(by_hand: Any, camera: dict[str, Any] | None = None, **arrays: Any) -> AssociatedTruth:
     own = {
         "scan_true": np.ones((1, 4)),
         "scan_kind": np.zeros((1, 4), np.uint8),
@@ -40,7 +44,7 @@ def _join(by_hand: Any, camera: dict[str, Any] | None = None, **arrays: Any) -> 
         lidar=by_hand.lidar(beams=4),
         cameras=[by_hand.camera(width=5, height=3, focal=2.0) | (camera or {})],
     )
-    return join(load_truth(by_hand.truth(**(own | arrays))), open_fuse_folder(path))
+    return associate_truth(load_truth(by_hand.truth(**(own | arrays))), open_fuse_folder(path))
 
 
 @pytest.mark.parametrize(
@@ -79,8 +83,8 @@ def test_a_pixels_point_projects_back_onto_the_pixel(by_hand: Any) -> None:
     (camera,) = _join(by_hand, T_lidar_camera=turned).cameras
     row, column = map(np.ravel, np.indices((3, 5)))
     depth_m = np.linspace(0.5, 3.0, row.size)
-    points = transform_points(camera.T_lidar_camera, camera.points_in_camera(row, column, depth_m))
-    found_row, found_column, inside = camera.pixels(points)
+    points = transform_points(camera.T_lidar_camera, camera.back_project(row, column, depth_m))
+    found_row, found_column, inside = camera.project(points)
     assert inside.all()
     np.testing.assert_array_equal(found_row, row)
     np.testing.assert_array_equal(found_column, column)
@@ -88,4 +92,4 @@ def test_a_pixels_point_projects_back_onto_the_pixel(by_hand: Any) -> None:
         camera.horizontal_range_m(row, column, depth_m), np.hypot(points[:, 0], points[:, 1])
     )
     behind = points * [-1.0, 1.0, 1.0]
-    assert not camera.pixels(np.vstack([behind, np.full((1, 3), np.nan)]))[2].any()
+    assert not camera.project(np.vstack([behind, np.full((1, 3), np.nan)]))[2].any()
