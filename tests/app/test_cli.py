@@ -20,6 +20,7 @@ import pytest
 from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.workflows.source import RoomChoice
 from scanloom.cli import main
+from scanloom.commands.convert import Convert
 from scanloom.commands.evaluate import (
     EvaluateAlignment,
     EvaluateMap,
@@ -27,8 +28,11 @@ from scanloom.commands.evaluate import (
     EvaluateRepair,
     EvaluateTrajectory,
 )
+from scanloom.commands.fuse import Fuse
+from scanloom.commands.info import Info
 from scanloom.commands.map import Map
-from scanloom.commands.subcommands import Convert, Fuse, Info, Sample, Serve
+from scanloom.commands.sample import Sample
+from scanloom.commands.view import View
 from scanloom.resources import sample_path
 from tests.hostile.files import write_loop, write_pipe
 
@@ -217,7 +221,7 @@ def test_a_number_below_zero_is_wrong_usage(
 
 
 def test_advice_names_options_that_exist() -> None:
-    commands = [Serve, Info, Convert, Fuse, Sample, Map, EvaluateAlignment, EvaluateNoise]
+    commands = [View, Info, Convert, Fuse, Sample, Map, EvaluateAlignment, EvaluateNoise]
     commands += [EvaluateRepair, EvaluateTrajectory, EvaluateMap]
     known = {f"--{f.name.replace('_', '-')}" for c in commands for f in dataclasses.fields(c)}
     named = {

@@ -103,7 +103,7 @@ def test_the_lines_for_people(folder: Path, capsys: pytest.CaptureFixture[str]) 
     shown = capsys.readouterr()
     assert shown.err == ""
     lines = [" ".join(line.split()) for line in shown.out.splitlines()]
-    assert lines[0].startswith("laid by ")
+    assert lines[0].startswith("aligned by ")
     assert "outline length (m) found (m) rate" in lines
     assert any(line.startswith("east wall 3.18 0.00 0.00%") for line in lines)
     assert "line 2 5.6 - -" in lines

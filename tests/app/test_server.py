@@ -257,7 +257,9 @@ NUMBERS = st.integers() | st.integers(2**62, 2**80) | st.floats() | st.just(10**
 
 @pytest.mark.filterwarnings("ignore:Queued a")
 @given(
-    name=st.sampled_from(["beam", "number", "draw", "row_step", "speed", "virtual_row"]),
+    name=st.sampled_from(
+        ["selected_beam", "frame_index", "draw_index", "row_step", "playback_speed", "virtual_row"]
+    ),
     value=NUMBERS,
 )
 @settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])

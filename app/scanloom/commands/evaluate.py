@@ -1,7 +1,4 @@
-"""The measures of ``scanloom evaluate``, each one call of a function in its workflow.
-
-The workflow is imported inside the commands, so that ``--help`` is quick.
-"""
+"""``scanloom evaluate``: results against ground truth, a reference trajectory or relations."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,18 +21,18 @@ from scanloom.commands.reports import (
 @dataclass(frozen=True, kw_only=True)
 class _Evaluation:
     fuse_dir: Annotated[conf.Positional[Path], conf.arg(metavar="FUSE_DIR")]
-    """A folder that fuse has written."""
+    """An output folder of fuse."""
     truth: Annotated[conf.Positional[Path], conf.arg(metavar="TRUTH.npz")]
-    """The truth of the same recording."""
+    """The ground truth of the same recording."""
     lever_arm: Annotated[
         tuple[float, float, float] | None,
         conf.arg(metavar="FORWARD LEFT UP", help_behavior_hint=""),
     ] = None
-    """The camera's place seen from the LiDAR (m), for a truth that does not know it."""
+    """The camera's position in the LiDAR frame (m), if the truth file lacks it."""
     pitch: Annotated[float, conf.arg(metavar="RAD")] = 0.0
-    """How far the camera looks down, with --lever-arm."""
+    """The camera's pitch, positive downwards; used with --lever-arm."""
     clock_offset_ms: Annotated[float | None, conf.arg(metavar="MS", help_behavior_hint="")] = None
-    """Camera stamp less LiDAR stamp of one instant, for a truth that does not know it."""
+    """Camera stamp minus LiDAR stamp of the same instant, if the truth file lacks it."""
     json: Flag = False
     """Print one JSON object on stdout."""
 
@@ -53,7 +50,7 @@ class _Evaluation:
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateAlignment(_Evaluation):
-    """Offset of each frame and yaw of the mount against the truth."""
+    """Compare each frame's offset and the mount's yaw with the ground truth."""
 
     def run(self, progress: Progress) -> Report:
         from fusion_core.workflows.evaluate import evaluate
@@ -63,7 +60,7 @@ class EvaluateAlignment(_Evaluation):
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateNoise(_Evaluation):
-    """Recall of good pairs and of noise pairs, attribution, and what became of conflicts."""
+    """Recall of good pairs and of noise pairs, attribution, and the fate of conflicts."""
 
     def run(self, progress: Progress) -> Report:
         from fusion_core.workflows.evaluate import evaluate
@@ -73,10 +70,10 @@ class EvaluateNoise(_Evaluation):
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateRepair(_Evaluation):
-    """Error of the repaired values against the truth, beside plain interpolation."""
+    """Error of the repaired values, compared with plain interpolation."""
 
     recording: Annotated[Path | None, conf.arg(metavar="RECORDING", help_behavior_hint="")] = None
-    """What was fused, for the rivals that fill whole depth images."""
+    """The fused recording, for the baselines that fill whole depth images."""
 
     def run(self, progress: Progress) -> Report:
         from fusion_core.workflows.evaluate import evaluate
@@ -93,14 +90,14 @@ class EvaluateTrajectory:
     reference: Annotated[conf.Positional[Path], conf.arg(metavar="REFERENCE")]
     """Lines of the same kind, interpolated at the estimate's stamps."""
     align: Literal["se3", "se2", "sim3", "none"] = "se3"
-    """Lay the estimate on the reference: in space, in the plane (height, pitch and roll are then
-    dropped), with a scale (for monocular estimates), or not at all."""
+    """Align the estimate to the reference: in SE(3), in SE(2) (height, pitch and roll are then
+    dropped), in Sim(3) (for monocular estimates), or not at all."""
     delta: Annotated[float, conf.arg(metavar="STEP")] = 1.0
     """The step of the relative errors, in --unit."""
     unit: Literal["s", "m", "frames"] = "s"
-    """Seconds, metres along the reference, or poses of the estimate."""
+    """Unit of --delta: seconds, metres along the reference, or poses of the estimate."""
     greatest_gap: Annotated[float, conf.arg(metavar="S")] = 0.2
-    """Compare nothing where the reference has a gap longer than S seconds."""
+    """Skip poses where the reference has a gap longer than S seconds."""
     json: Flag = False
     """Print one JSON object on stdout."""
 
@@ -138,20 +135,20 @@ class EvaluateRelations:
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateMap:
-    """How much of a world's obstacles a map shows, and how true its lengths and angles are
-    (Li 2022, eq. 10 and Table 4)."""
+    """Obstacle detection rate of a map, and errors of its lengths and angles (Li 2022, eq. 10 and
+    Table 4)."""
 
     map: Annotated[conf.Positional[Path], conf.arg(metavar="MAP.yaml")]
-    """A map as ROS's map_server has it; the picture stands beside it."""
+    """A map in the format of ROS's map_server; the image lies beside it."""
     world: Annotated[conf.Positional[Path], conf.arg(metavar="WORLD.json")]
     """The outline of the world, written beside a synthetic recording."""
     align: Literal["auto", "none"] = "auto"
-    """Lay the map over the world first, or take it to be in the world's frame."""
+    """Align the map to the world first, or assume that it is in the world's frame."""
     pose: Annotated[
         tuple[float, float, float] | None, conf.arg(metavar="X Y YAW", help_behavior_hint="")
     ] = None
-    """Where the map's frame lies in the world (m, m, rad): with --align none as it is, else to
-    within 1 m and 20 degrees; without it the whole world is searched."""
+    """Pose of the map's frame in the world (m, m, rad): exact with --align none, else an initial
+    guess to within 1 m and 20 degrees; without it the whole world is searched."""
     json: Flag = False
     """Print one JSON object on stdout."""
 
@@ -164,12 +161,12 @@ class EvaluateMap:
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOdometry:
-    """Errors of each odometry over the way, and over its straight stretches (Li 2022, Table 5)."""
+    """Errors of each odometry over the path and its straight segments (Li 2022, Table 5)."""
 
     map_dir: Annotated[conf.Positional[Path], conf.arg(metavar="MAP_DIR")]
-    """A folder that map has written: its odometry_*.tum and trajectory.tum."""
+    """An output folder of map, with its odometry_*.tum and trajectory.tum."""
     reference: Annotated[conf.Positional[Path], conf.arg(metavar="REFERENCE")]
-    """A TUM file, or the truth (.npz) of a synthetic recording."""
+    """A TUM file, or the ground truth (.npz) of a synthetic recording."""
     json: Flag = False
     """Print one JSON object on stdout."""
 
@@ -182,7 +179,7 @@ class EvaluateOdometry:
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate:
-    """Measure a result against the truth, a reference or relations."""
+    """Compare a result with ground truth, a reference trajectory or relations."""
 
     measure: conf.OmitSubcommandPrefixes[
         Annotated[EvaluateAlignment, conf.subcommand("alignment")]

@@ -1,7 +1,7 @@
-"""Being asked to end: by Ctrl-C, by ``kill`` (SIGTERM), or as the terminal goes (SIGHUP).
+"""Requests to stop: Ctrl-C (SIGINT), ``kill`` (SIGTERM), or the closed terminal (SIGHUP).
 
-Work ends by an exception, and so leaves nothing half done. For a server it is the wish to end, and
-no failure of whatever is at work when it comes.
+In a batch command they raise an exception, so that work is cleaned up. For the server they are the
+usual end: they are recorded, and interrupt nothing.
 """
 
 import signal
@@ -10,12 +10,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-_LOOK_S = 0.1
-_ENDING = (signal.SIGTERM, signal.SIGHUP)
+# Ctrl-C takes effect within this time.
+_POLL_S = 0.1
+_STOP_SIGNALS = (signal.SIGTERM, signal.SIGHUP)
 
 
 class Terminated(KeyboardInterrupt):
-    """The process was asked to end by a signal other than Ctrl-C's."""
+    """The process was asked to stop by SIGTERM or SIGHUP."""
 
     def __init__(self, number: int) -> None:
         super().__init__()
@@ -24,8 +25,9 @@ class Terminated(KeyboardInterrupt):
 
 @contextmanager
 def termination() -> Iterator[None]:
-    """Within, the first SIGTERM or SIGHUP raises Terminated; later ones must not break off the
-    cleaning up. A signal that is ignored, as under nohup, stays so. Call it in the main thread.
+    """Within the block the first SIGTERM or SIGHUP raises Terminated. Later ones are ignored, so
+    that they do not interrupt the clean-up. A signal that is already ignored, as under nohup, stays
+    ignored. Call it in the main thread.
     """
 
     def end(number: int, _: FrameType | None) -> None:
@@ -33,7 +35,7 @@ def termination() -> Iterator[None]:
             signal.signal(each, signal.SIG_IGN)
         raise Terminated(number)
 
-    handled = [each for each in _ENDING if signal.getsignal(each) is not signal.SIG_IGN]
+    handled = [each for each in _STOP_SIGNALS if signal.getsignal(each) is not signal.SIG_IGN]
     before = {each: signal.signal(each, end) for each in handled}
     try:
         yield
@@ -42,39 +44,39 @@ def termination() -> Iterator[None]:
             signal.signal(each, handler)
 
 
-class Interruption:
-    """Whether the wish to end has come."""
+class StopRequest:
+    """Whether the process was asked to stop."""
 
     def __init__(self) -> None:
-        self._pressed = False
+        self._is_set = False
 
-    def note(self) -> None:
-        """It was pressed. For a signal handler, which must wait for no lock."""
-        self._pressed = True
+    def set(self) -> None:
+        """Record the request. Takes no lock: it is called in a signal handler."""
+        self._is_set = True
 
     def wait(self) -> None:
-        """Wait until it is pressed. Looks again and again: not every system wakes who waits."""
-        while not self._pressed:
-            time.sleep(_LOOK_S)
+        """Wait for the request. Polls: a signal does not wake a waiting thread on every system."""
+        while not self._is_set:
+            time.sleep(_POLL_S)
 
     def __bool__(self) -> bool:
-        return self._pressed
+        return self._is_set
 
 
 @contextmanager
-def interruption() -> Iterator[Interruption]:
-    """Within, Ctrl-C and the signals like it raise nothing and are noted instead. Call it in the
-    main thread.
+def interruption() -> Iterator[StopRequest]:
+    """Within the block the stop signals are recorded and raise nothing. Call it in the main thread.
 
-    Once one came, they stay without effect afterwards: the process is about to end, and people
-    press it twice. Otherwise what they did before holds again.
+    After a request they stay ignored: the process is about to end, and people press Ctrl-C twice.
+    Otherwise their handlers are restored.
     """
-    noted = Interruption()
+    request = StopRequest()
     before = {
-        each: signal.signal(each, lambda *_: noted.note()) for each in (signal.SIGINT, *_ENDING)
+        each: signal.signal(each, lambda *_: request.set())
+        for each in (signal.SIGINT, *_STOP_SIGNALS)
     }
     try:
-        yield noted
+        yield request
     finally:
         for each, handler in before.items():
-            signal.signal(each, signal.SIG_IGN if noted else handler or signal.SIG_DFL)
+            signal.signal(each, signal.SIG_IGN if request else handler or signal.SIG_DFL)

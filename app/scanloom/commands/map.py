@@ -1,4 +1,4 @@
-"""``scanloom map``: one call of its workflow, which is imported inside so that --help is quick."""
+"""``scanloom map``: the trajectory of the LiDAR and a map, by odometry or SLAM."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,54 +17,53 @@ from scanloom.commands.options import (
     SettingsOption,
     TopicOption,
     WrongUsage,
-    require_between,
-    require_natural,
-    room_of,
+    require_in_range,
+    require_integer,
+    room_choice,
 )
 from scanloom.commands.reports import Report
 
 
 @dataclass(frozen=True, kw_only=True)
 class Map:
-    """Where the LiDAR was, and the map of what it saw, with loops closed."""
+    """Estimate the trajectory of the LiDAR and build a map, with loop closure."""
 
     recording: RecordingArgument
     """A recording with a 2D LiDAR, or the root of a Robot@Home data set."""
     output: Annotated[Path, conf.arg(aliases=["-o"], metavar="DIR")]
     """The folder for the results."""
     scan: Literal["lidar", "camera", "repaired", "merged"] = "lidar"
-    """What goes in: the LiDAR's scans, virtual ones of the depth camera, the LiDAR's as fuse
-    repairs them, or the LiDAR's merged with what the camera sees below the robot's height."""
+    """The input scans: the LiDAR's, virtual scans of the depth camera, the LiDAR's as repaired by
+    fuse, or the LiDAR's merged with what the camera sees below the robot's height."""
     motion: Literal["recorded", "wheel", "laser", "visual", "fused", "none"] = "recorded"
-    """What is known beforehand: poses from TF, else odometry; odometry alone; scan matching; the
-    camera; all of them fused; or nothing."""
+    """The motion prior: recorded poses (TF, else odometry), wheel odometry, laser odometry (scan
+    matching), visual odometry, all of them fused, or none."""
     slam: Literal["none", "particle-filter", "pose-graph"] = "pose-graph"
-    """The estimator; none takes the motion as it is."""
+    """The estimator; none uses the motion prior as the trajectory."""
     preset: Literal["default", "published"] = "default"
-    """What is right, or Li 2022 as printed."""
+    """The project's own settings, or those of Li 2022."""
     settings: SettingsOption = None
-    """A TOML file whose values go over the defaults."""
+    """A TOML file whose values override the preset's."""
     seed: Annotated[int | None, conf.arg(metavar="N", help_behavior_hint="")] = None
-    """Seed of the particle filter, over that of the settings."""
+    """Seed of the particle filter, overriding the settings'."""
     extrinsics: Annotated[Path | None, conf.arg(metavar="FILE", help_behavior_hint="")] = None
-    """Where the camera stands on the LiDAR, where the recording's transforms should not say it: a
-    TOML or JSON file with T_camera_lidar."""
+    """A TOML or JSON file with T_camera_lidar, used instead of the recording's transforms."""
     clock_offset_ms: Annotated[float, conf.arg(metavar="MS")] = 0.0
-    """Camera stamp less LiDAR stamp of one instant, taken out."""
+    """Camera stamp minus LiDAR stamp of the same instant; subtracted from the camera's stamps."""
     home: HomeOption = None
     """A session of a Robot@Home data set, such as alma-s1, with --room."""
     room: RoomOption = None
     """A room of that session, such as bedroom1."""
     subsession: int = 1
-    """The passage through that room, where there are several."""
+    """Which of several passes through that room."""
     lidar: TopicOption = None
-    """The LaserScan topic, where it should not be found by type."""
+    """The LaserScan topic (default: found by type)."""
     pose: TopicOption = None
-    """The topic of recorded poses (TF, else odometry, unless named)."""
+    """The topic of recorded poses (default: TF, else odometry)."""
     force: Flag = False
-    """Work again where the folder already holds this very result."""
+    """Recompute even if the folder already holds this result."""
     overwrite: Flag = False
-    """Write beside files of other origin, and in place of the results of another command."""
+    """Write into a folder that holds other files or results of another command."""
     json: Flag = False
     """Print one JSON object on stdout."""
 
@@ -75,8 +74,8 @@ class Map:
             raise WrongUsage("--pose goes with --motion recorded")
         if self.home is not None and self.room is None:
             raise WrongUsage("--home needs --room, the one to map")
-        require_natural("--seed", self.seed, SEED_MAX)
-        require_between("--clock-offset-ms", -OFFSET_MAX_MS, OFFSET_MAX_MS, self.clock_offset_ms)
+        require_integer("--seed", self.seed, SEED_MAX)
+        require_in_range("--clock-offset-ms", -OFFSET_MAX_MS, OFFSET_MAX_MS, self.clock_offset_ms)
         from fusion_core.workflows.map.build_map import MapOptions, build_map
 
         options = MapOptions(
@@ -88,7 +87,7 @@ class Map:
             seed=self.seed,
             extrinsics_file=self.extrinsics,
             clock_offset_ms=self.clock_offset_ms,
-            room=room_of(self.home, self.room, self.subsession),
+            room=room_choice(self.home, self.room, self.subsession),
             lidar_topic=self.lidar,
             pose_topic=self.pose,
             force=self.force,

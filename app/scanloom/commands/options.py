@@ -1,4 +1,4 @@
-"""Options that several commands have, and what is wrong usage of them."""
+"""Options that several commands share, and the checks of their values."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,10 +10,10 @@ if TYPE_CHECKING:
 
 
 class WrongUsage(Exception):
-    """Options that do not go together."""
+    """Invalid or contradictory options (exit code 2)."""
 
 
-# An empty hint: "(default: False)" and "(default: None)" tell nobody anything.
+# Without a hint tyro would print "(default: False)" or "(default: None)".
 Flag = Annotated[bool, conf.arg(help_behavior_hint="")]
 RecordingArgument = Annotated[conf.Positional[Path], conf.arg(metavar="RECORDING")]
 SettingsOption = Annotated[Path | None, conf.arg(metavar="FILE", help_behavior_hint="")]
@@ -22,35 +22,37 @@ HomeOption = Annotated[str | None, conf.arg(metavar="SESSION", help_behavior_hin
 RoomOption = Annotated[str | None, conf.arg(metavar="ROOM", help_behavior_hint="")]
 
 
-# No image has more rows, and no data set more passages through a room.
+# The largest side of an image in the formats that are read.
 ROW_MAX = 65_535
+# Robot@Home numbers subsessions with one or two digits.
 SUBSESSION_MAX = 99
-# A day, and thirty years.
+# One day: clocks farther apart are not those of one recording.
 OFFSET_MAX_MS = 86_400_000.0
+# 30 years, beyond the length of any recording.
 TIME_MAX_S = 1e9
 
 
-def require_natural(option: str, number: int | None, most: int, least: int = 0) -> None:
-    """Raises WrongUsage for a number that is not from ``least`` to ``most``."""
+def require_integer(option: str, number: int | None, most: int, least: int = 0) -> None:
+    """Raises WrongUsage unless ``least <= number <= most``; None passes."""
     if number is None or least <= number <= most:
         return
-    # Python writes out no number of thousands of digits.
+    # Python refuses to print integers of thousands of digits.
     got = f", got {number}" if abs(number) < 10**40 else ""
     must = f"{least} or more" if number < least else f"at most {most}"
     raise WrongUsage(f"{option} must be {must}{got}")
 
 
-def require_between(option: str, least: float, most: float, *numbers: float | None) -> None:
-    """Raises WrongUsage for a number that is not from ``least`` to ``most``, and for NaN."""
+def require_in_range(option: str, least: float, most: float, *numbers: float | None) -> None:
+    """Raises WrongUsage unless all numbers lie in ``[least, most]``, and for NaN; None passes."""
     for number in numbers:
         # NaN compares false.
         if number is not None and not least <= number <= most:
             raise WrongUsage(f"{option} must be from {least:g} to {most:g}, got {number:g}")
 
 
-def room_of(home: str | None, room: str | None, subsession: int) -> "RoomChoice | None":
-    """The room that the options name, None for none. Raises WrongUsage without its session."""
-    require_natural("--subsession", subsession, SUBSESSION_MAX, least=1)
+def room_choice(home: str | None, room: str | None, subsession: int) -> "RoomChoice | None":
+    """The room that the options name, None for none. Raises WrongUsage if --home is missing."""
+    require_integer("--subsession", subsession, SUBSESSION_MAX, least=1)
     if room is None:
         return None
     if home is None:

@@ -1,4 +1,4 @@
-"""What the commands tell people. The same results go out whole under ``--json``."""
+"""Results of commands as lines of text; ``--json`` prints the results themselves."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,9 +9,9 @@ NS_PER_S = 1e9
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """What a command has to say: ``result`` for ``--json``, ``lines`` for people.
+    """A command's output: ``result`` under ``--json``, else ``lines``.
 
-    ``failed``: what it was to find out is bad news, which the exit code tells too.
+    ``failed``: exit with code 1, as a check that found damage does.
     """
 
     result: dict[str, Any]
@@ -20,7 +20,7 @@ class Report:
 
 
 def info_lines(info: Mapping[str, Any]) -> list[str]:
-    """Format, times, what was checked, a table of topics, what can be done, and warnings."""
+    """Format, times, outcome of the check, topics, possible commands, and warnings."""
     lines = [f"format    {info['format']}"]
     if "rooms" in info:
         return [*lines, "", *_room_table(info["rooms"]), "", *info["can"]]
@@ -30,7 +30,7 @@ def info_lines(info: Mapping[str, Any]) -> list[str]:
         start_s, end_s = info["start_ns"] / NS_PER_S, info["end_ns"] / NS_PER_S
         lines.append(f"time      {start_s:.3f} s to {end_s:.3f} s, {info['duration_s']:.3f} s")
     check = info["check"]
-    lines += ["checked   " + _checked(check), ""]
+    lines += ["checked   " + _check_outcome(check), ""]
     header = ["topic", "role", "count", "rate (Hz)", "type"]
     rows = [
         [
@@ -54,7 +54,7 @@ def info_lines(info: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _checked(check: Mapping[str, Any] | None) -> str:
+def _check_outcome(check: Mapping[str, Any] | None) -> str:
     if check is None:
         return "no: --check reads every message, and verifies the checksums that there are"
     outcome = "damaged" if check["damaged"] else "whole"
@@ -70,7 +70,7 @@ def _checked(check: Mapping[str, Any] | None) -> str:
 
 
 def conversion_lines(conversion: Mapping[str, Any]) -> list[str]:
-    """File, times, a table of the topics written, those skipped, and notes."""
+    """File, times, written and skipped topics, and notes."""
     lines = [f"file      {conversion['file']}", f"from      {conversion['format']}"]
     if conversion["start_ns"] is not None:
         start_s, end_s = conversion["start_ns"] / NS_PER_S, conversion["end_ns"] / NS_PER_S
@@ -88,25 +88,25 @@ def conversion_lines(conversion: Mapping[str, Any]) -> list[str]:
 
 def _room_table(rooms: Sequence[Mapping[str, Any]]) -> list[str]:
     columns = ("home", "session", "room", "subsession", "scans", "images", "depth_bits")
-    shown = [[_value(room[column]) for column in columns] for room in rooms]
+    shown = [[_format_value(room[column]) for column in columns] for room in rooms]
     return _table([[column.replace("_", " ") for column in columns], *shown])
 
 
 def scene_lines(listed: Mapping[str, Any]) -> list[str]:
-    """A table of scenes, and where the built-in recording is."""
+    """The scenes, and the path of the built-in recording."""
     rows = [(scene["name"], scene["description"]) for scene in listed["scenes"]]
     return [*_table(rows), "", f"built-in recording: {listed['built_in']}"]
 
 
 def measure_lines(measures: Mapping[str, Any]) -> list[str]:
-    """One line for each number, named by its path; tables of numbers are left to ``--json``."""
-    named = [(name, value) for name, value in _flat(measures, "") if not isinstance(value, list)]
+    """One line for each number, named by its path in the result; lists are only in ``--json``."""
+    named = [(name, value) for name, value in _flatten(measures, "") if not isinstance(value, list)]
     width = max((len(name) for name, _ in named), default=0)
-    return [f"{name:<{width}}  {_value(value)}" for name, value in named]
+    return [f"{name:<{width}}  {_format_value(value)}" for name, value in named]
 
 
 def trajectory_lines(evaluation: Mapping[str, Any]) -> list[str]:
-    """What was compared, then a row of statistics for each error."""
+    """Association and alignment, then the statistics of each error."""
     counts = "{associated} of {estimate_poses} poses, against {reference_poses}"
     lines = [
         f"compared     {counts.format(**evaluation)}",
@@ -158,26 +158,26 @@ def relation_lines(evaluation: Mapping[str, Any]) -> list[str]:
 
 
 def map_lines(evaluation: Mapping[str, Any]) -> list[str]:
-    """Where the map lies, what it shows of which outline, each obstacle, lines and angles."""
+    """Alignment, detection rates by outline and by obstacle, errors of lines and angles."""
     alignment = evaluation["alignment"]
-    lines = ["laid       as it is"]
+    lines = ["aligned    no, taken to be in the world's frame"]
     if alignment is not None:
         moved = "{x_m:.3f} m, {y_m:.3f} m, {yaw_deg:.2f} deg".format(**alignment)
-        lines = [f"laid       by {moved}; {alignment['cells_near']:.1%} of the cells near outlines"]
+        lines = [f"aligned    by {moved}; {alignment['cells_near']:.1%} of the cells near outlines"]
     false = evaluation["false_obstacles"]
     lines += [
         f"found      within {evaluation['reach_m']:.3f} m of an occupied cell",
-        f"false      {_share(false)} of {evaluation['occupied_cells']} occupied cells",
+        f"false      {_percentage(false)} of {evaluation['occupied_cells']} occupied cells",
         "",
     ]
     parts = ("all", "visible", "visible_to_lidar", "visible_to_camera")
-    rows = [(part.replace("_", " "), *_found(evaluation[part])) for part in parts]
+    rows = [(part.replace("_", " "), *_detection_cells(evaluation[part])) for part in parts]
     lines += [*_table([("outline", "length (m)", "found (m)", "rate"), *rows]), ""]
     rows = [
         (
             obstacle["name"],
-            *_found(obstacle["all"]),
-            *(_share(obstacle[part]["rate"]) for part in parts[1:]),
+            *_detection_cells(obstacle["all"]),
+            *(_percentage(obstacle[part]["rate"]) for part in parts[1:]),
         )
         for obstacle in evaluation["obstacles"]
     ]
@@ -195,34 +195,36 @@ def map_lines(evaluation: Mapping[str, Any]) -> list[str]:
             continue
         columns = (f"true_{unit}", f"measured_{unit}", f"error_{unit}")
         rows = [
-            (measure["name"], *(_value(measure[column]) for column in columns))
+            (measure["name"], *(_format_value(measure[column]) for column in columns))
             for measure in measures["each"]
         ]
         titles = [f"{word} ({unit})" for word in ("true", "measured", "error")]
-        mean = _value(measures[f"mean_absolute_error_{unit}"])
-        relative = f", relative {_share(measures['relative_error'])}" if kind == "lines" else ""
+        mean = _format_value(measures[f"mean_absolute_error_{unit}"])
+        relative = (
+            f", relative {_percentage(measures['relative_error'])}" if kind == "lines" else ""
+        )
         lines += ["", *_table([(kind, *titles), *rows])]
         lines.append(f"mean absolute error {mean} {unit}{relative}")
     return lines
 
 
-def _found(part: Mapping[str, Any]) -> tuple[str, str, str]:
-    return f"{part['outline_m']:.2f}", f"{part['found_m']:.2f}", _share(part["rate"])
+def _detection_cells(part: Mapping[str, Any]) -> tuple[str, str, str]:
+    return f"{part['outline_m']:.2f}", f"{part['found_m']:.2f}", _percentage(part["rate"])
 
 
-def _share(share: float | None) -> str:
-    return "-" if share is None else f"{share:.2%}"
+def _percentage(fraction: float | None) -> str:
+    return "-" if fraction is None else f"{fraction:.2%}"
 
 
-def _flat(measures: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+def _flatten(measures: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
     for name, value in measures.items():
         if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name}.")
+            yield from _flatten(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", value
 
 
-def _value(value: Any) -> str:
+def _format_value(value: Any) -> str:
     if value is None:
         return "-"
     return f"{value:.4g}" if isinstance(value, float) else str(value)

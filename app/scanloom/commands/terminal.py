@@ -1,4 +1,4 @@
-"""What the command line shows: progress on stderr, and texts that cannot steer the terminal."""
+"""Terminal output: progress on stderr, and text without control sequences."""
 
 import sys
 import warnings
@@ -22,31 +22,31 @@ def printable(text: str) -> str:
 
 @contextmanager
 def progress_on_stderr() -> Iterator[Progress]:
-    """A bar for each kind of work on a terminal, one line for each kind of work elsewhere."""
+    """Progress bars on a terminal; elsewhere one line at the start of each stage."""
     if sys.stderr.isatty():
         yield from _bars()
     else:
-        yield _Lines()
+        yield _StageLines()
 
 
 def silence_disconnect_warnings() -> None:
-    """Let nothing be said on stderr, from now on, of messages that reach browsers no more."""
+    """Silence viser's warnings about messages queued for disconnected browsers."""
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
 
 
-class _Lines:
+class _StageLines:
     def __init__(self) -> None:
-        self._said: set[str] = set()
+        self._printed: set[str] = set()
 
     def __call__(self, done: int, total: int | None, what: str) -> None:
-        if what not in self._said:
-            self._said.add(what)
+        if what not in self._printed:
+            self._printed.add(what)
             sys.stderr.write(f"{printable(what)}\n")
             sys.stderr.flush()
 
 
 def _bars() -> Iterator[Progress]:
-    # Not needed for --help, which must be quick.
+    # Imported here to keep --help fast.
     from rich.console import Console
     from rich.progress import (
         BarColumn,

@@ -1,0 +1,97 @@
+"""``scanloom fuse``: align, classify, repair and map a whole recording."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro import conf
+
+from fusion_core.model.progress import Progress
+from fusion_core.model.seeds import SEED_MAX
+from scanloom.commands.options import (
+    ROW_MAX,
+    Flag,
+    HomeOption,
+    RecordingArgument,
+    RoomOption,
+    SettingsOption,
+    TopicOption,
+    require_integer,
+    room_choice,
+)
+from scanloom.commands.reports import Report
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fuse:
+    """Align LiDAR and depth camera, classify noise, repair both, and build maps."""
+
+    recording: RecordingArgument
+    """A recording with a 2D LiDAR and a depth camera, depth alone with --virtual-lidar, or the
+    root of a Robot@Home data set with --home."""
+    output: Annotated[Path, conf.arg(aliases=["-o"], metavar="DIR")]
+    """The folder for the results."""
+    preset: Literal["default", "published"] = "default"
+    """The project's own settings, or those of Xu 2024."""
+    settings: SettingsOption = None
+    """A TOML file whose values override the preset's."""
+    home: HomeOption = None
+    """A session of the data set, such as alma-s1: all its rooms, and Table 1, unless --room."""
+    room: RoomOption = None
+    """A room of that session, such as bedroom1."""
+    subsession: int = 1
+    """Which of several passes through that room."""
+    lidar: TopicOption = None
+    """The LaserScan topic (default: found by type)."""
+    depth: Annotated[conf.UseAppendAction[tuple[str, ...]], conf.arg(metavar="TOPIC")] = ()
+    """A depth image topic (default: found by type)."""
+    pose: TopicOption = None
+    """The topic of the poses for the maps (default: TF, else odometry)."""
+    virtual_lidar: Annotated[int | None, conf.arg(metavar="ROW", help_behavior_hint="")] = None
+    """Use this row (0-based) of the depth images as a virtual LiDAR."""
+    apply_clock_offset: Flag = False
+    """Correct the camera's stamps by the estimated clock offset."""
+    no_maps: Flag = False
+    """Write no maps."""
+    no_figures: Flag = False
+    """Write no figures."""
+    truth: Annotated[Path | None, conf.arg(metavar="TRUTH.npz", help_behavior_hint="")] = None
+    """The ground truth of a simulated recording, for the figure of noise recall."""
+    seed: Annotated[int | None, conf.arg(help_behavior_hint="")] = None
+    """Seed of the random draws, overriding the settings'."""
+    force: Flag = False
+    """Recompute even if the folder already holds this result."""
+    overwrite: Flag = False
+    """Write into a folder that holds other files or results of another command."""
+    json: Flag = False
+    """Print one JSON object on stdout."""
+
+    def run(self, progress: Progress) -> Report:
+        require_integer("--seed", self.seed, SEED_MAX)
+        require_integer("--virtual-lidar", self.virtual_lidar, ROW_MAX)
+        from fusion_core.workflows.fuse.fuse import FuseSummary, fuse
+        from fusion_core.workflows.fuse.rooms import RoomsSummary, fuse_rooms
+        from fusion_core.workflows.fuse.session import FuseOptions
+
+        options = FuseOptions(
+            preset=self.preset,
+            settings_file=self.settings,
+            room=room_choice(self.home, self.room, self.subsession),
+            virtual_lidar_row=self.virtual_lidar,
+            lidar_topic=self.lidar,
+            depth_topics=self.depth,
+            pose_topic=self.pose,
+            apply_clock_offset=self.apply_clock_offset,
+            maps=not self.no_maps,
+            figures=not self.no_figures,
+            truth=self.truth,
+            seed=self.seed,
+            force=self.force,
+            overwrite=self.overwrite,
+        )
+        summary: FuseSummary | RoomsSummary
+        if self.home is not None and self.room is None:
+            summary = fuse_rooms(self.recording, self.home, self.output, options, progress)
+        else:
+            summary = fuse(self.recording, self.output, options, progress)
+        return Report(result=summary.to_json(), lines=summary.lines())
