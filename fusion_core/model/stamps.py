@@ -1,6 +1,7 @@
-"""Which stamps of a stream are outliers, told from the order and the times of its log."""
+"""Stamps of streams: which are outliers by the order and times of the log, which are nearest."""
 
 from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -80,3 +81,30 @@ def within_recording(stamps_ns: IntArray, received_ns: IntArray) -> BoolArray:
     if after.size:
         kept[order[after[0] + 1 :]] = False
     return kept
+
+
+def nearest_stamp(stamps_ns: Sequence[int], stamp_ns: int, max_gap_ns: float) -> int | None:
+    """Index of the stamp nearest to an instant, of two equally near ones the earlier.
+
+    ``stamps_ns`` ascend. None where there is none within ``max_gap_ns``.
+    """
+    after = bisect_left(stamps_ns, stamp_ns)
+    nearest = None
+    for index in (after - 1, after):
+        if 0 <= index < len(stamps_ns):
+            gap_ns = abs(stamps_ns[index] - stamp_ns)
+            if gap_ns <= max_gap_ns and (nearest is None or gap_ns < nearest[0]):
+                nearest = gap_ns, index
+    return None if nearest is None else nearest[1]
+
+
+def nearest_stamps(stamps_ns: IntArray, at_ns: IntArray) -> IntArray:
+    """(M,) for each of (M,) instants the index of the nearest of (N,) stamps, N >= 1.
+
+    The same rule for many at once: ``stamps_ns`` ascend, and of two equally near the earlier.
+    """
+    after = np.clip(np.searchsorted(stamps_ns, at_ns), 1, max(stamps_ns.size - 1, 1))
+    before = after - 1
+    after = np.minimum(after, stamps_ns.size - 1)
+    is_before = np.abs(at_ns - stamps_ns[before]) <= np.abs(at_ns - stamps_ns[after])
+    return np.where(is_before, before, after)

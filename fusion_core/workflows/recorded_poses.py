@@ -4,7 +4,6 @@ A ground truth is never used unless it is named. A pose that is stamped outside 
 jumps away and back, is left out with a warning.
 """
 
-from dataclasses import replace
 from typing import Protocol
 
 from fusion_core.model.conventions import FloatArray
@@ -14,6 +13,7 @@ from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import PoseSample, Transform, TransformBatch
 from fusion_core.model.transform_tree import TransformTree
 from fusion_core.recordings.topics import Streams
+from fusion_core.workflows.recorded_transforms import RecordedTransforms, frame_name
 from fusion_core.workflows.stamp_filter import StampFilter
 from fusion_core.workflows.timed_transforms import TimedTransforms
 
@@ -50,12 +50,13 @@ def recorded_poses(recording: Recording, streams: Streams, lidar_frame: str) -> 
 
     Raises MissingStream where a pose topic is named and holds no pose.
     """
-    lidar = lidar_frame.lstrip("/")
-    tree = TransformTree(samples_per_pair=None)
-    _add_transforms(recording, streams.tf_static, tree, static=True)
+    lidar = frame_name(lidar_frame)
+    transforms = RecordedTransforms(recording, streams.tf_static)
+    tree = transforms.tree
     if streams.pose is not None:
         return _poses_of_topic(recording, streams.pose, tree, lidar)
-    _add_transforms(recording, streams.tf, tree, static=False)
+    if streams.tf is not None:
+        transforms.add_timed(streams.tf)
     if streams.tf is not None and lidar in tree.frames:
         for frame in _MAP_FRAMES:
             if frame in tree.frames and _ever_connected(tree, recording, streams.tf, frame, lidar):
@@ -63,28 +64,6 @@ def recorded_poses(recording: Recording, streams: Streams, lidar_frame: str) -> 
     if streams.odometry is not None:
         return _poses_of_topic(recording, streams.odometry, tree, lidar)
     return None
-
-
-def _add_transforms(
-    recording: Recording, topic: str | None, tree: TransformTree, *, static: bool
-) -> None:
-    if topic is None:
-        return
-    timed = TimedTransforms()
-    for message in recording.messages([topic]):
-        if isinstance(message.value, TransformBatch):
-            for sample in message.value.transforms:
-                named = replace(
-                    sample,
-                    parent=sample.parent.lstrip("/"),
-                    child=sample.child.lstrip("/"),
-                    T_parent_child=sample.T_parent_child.copy(),
-                )
-                if static:
-                    tree.add(named, static=True)
-                else:
-                    timed.add(named, message.received_ns)
-    timed.add_inliers_to(tree, topic, recording)
 
 
 def _ever_connected(
@@ -121,7 +100,7 @@ def _poses_of_topic(
         if not isinstance(sample, PoseSample):
             continue
         if not found:
-            body = sample.child.lstrip("/")
+            body = frame_name(sample.child)
             found = True
         named = Transform(
             stamp_ns=sample.stamp_ns,

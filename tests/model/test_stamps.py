@@ -11,6 +11,8 @@ from fusion_core.model.conventions import NS_PER_S
 from fusion_core.model.stamps import (
     NO_STAMP,
     longest_ascending,
+    nearest_stamp,
+    nearest_stamps,
     plausible_stamps,
     within_recording,
 )
@@ -119,3 +121,18 @@ def test_few_stamps_that_ascend_are_kept(count):
     stamps_ns = regular(count)
     stamps_ns[2:] += YEAR_NS
     assert plausible_stamps(stamps_ns, regular(count)).all()
+
+
+@given(st.lists(st.integers(-50, 50), min_size=1, unique=True), st.integers(-60, 60))
+def test_the_nearest_stamp_is_that_of_a_search_of_all(stamps: list[int], at: int) -> None:
+    ordered = sorted(stamps)
+    best = min(range(len(ordered)), key=lambda index: abs(ordered[index] - at))
+    assert nearest_stamp(ordered, at, 1000.0) == best
+    gap = abs(ordered[best] - at)
+    assert nearest_stamp(ordered, at, gap) == best
+    assert nearest_stamp(ordered, at, gap - 1) is None
+    assert nearest_stamps(np.array(ordered), np.array([at, at])).tolist() == [best, best]
+
+
+def test_without_stamps_none_is_nearest() -> None:
+    assert nearest_stamp([], 0, 1000.0) is None

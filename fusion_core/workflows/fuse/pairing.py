@@ -9,6 +9,7 @@ from fusion_core.alignment.virtual_lidar import virtual_scan
 from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import DepthImage, LaserScan
+from fusion_core.model.stamps import nearest_stamp
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.fuse.rig import Rig
 from fusion_core.workflows.sensor_geometry import GeometryFilter
@@ -88,8 +89,8 @@ def pair_with(
     """
     stamp_ns = image.stamp_ns - offset_ns
     ordered = sorted(scans, key=lambda scan: scan.stamp_ns)
-    best = min(range(len(ordered)), key=lambda i: abs(ordered[i].stamp_ns - stamp_ns), default=None)
-    if best is None or abs(ordered[best].stamp_ns - stamp_ns) > max_gap_ns:
+    best = nearest_stamp([scan.stamp_ns for scan in ordered], stamp_ns, max_gap_ns)
+    if best is None:
         return PairedImage(camera=camera, image=image, window=None, gap_ns=0)
     return PairedImage(
         camera=camera,

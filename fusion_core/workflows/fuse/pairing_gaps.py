@@ -8,6 +8,7 @@ import numpy as np
 
 from fusion_core.model.conventions import NS_PER_MS, BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.sensors import LaserScan
+from fusion_core.model.stamps import nearest_stamps
 from fusion_core.workflows.fuse.pairing import PairedImage
 
 
@@ -66,12 +67,7 @@ class PairingStamps:
         gap_ms = np.full(image_ns.shape, np.nan)
         paired = np.zeros(image_ns.shape, dtype=np.bool_)
         if scan_ns.size:
-            after = np.clip(np.searchsorted(scan_ns, image_ns), 1, max(scan_ns.size - 1, 1))
-            after_ns = scan_ns[np.minimum(after, scan_ns.size - 1)]
-            before_ns = scan_ns[after - 1]
-            # Of two that are equally near, pairing takes the earlier.
-            is_before = np.abs(image_ns - before_ns) <= np.abs(image_ns - after_ns)
-            gap_ns = image_ns - np.where(is_before, before_ns, after_ns)
+            gap_ns = image_ns - scan_ns[nearest_stamps(scan_ns, image_ns)]
             gap_ms, paired = gap_ns / NS_PER_MS, np.abs(gap_ns) <= round(max_gap_ms * NS_PER_MS)
         period_ms = float(np.median(np.diff(scan_ns))) / NS_PER_MS if scan_ns.size > 1 else np.nan
         return PairingGaps(

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import islice
 
 import numpy as np
 
@@ -18,11 +17,9 @@ from fusion_core.model.sensors import (
     CameraInfo,
     CameraIntrinsics,
     DepthImage,
-    Transform,
-    TransformBatch,
 )
-from fusion_core.model.transform_tree import TransformTree
 from fusion_core.recordings.topics import Streams
+from fusion_core.workflows.recorded_transforms import RecordedTransforms, frame_name
 from fusion_core.workflows.sensor_geometry import (
     ScanGeometry,
     first_scan,
@@ -30,8 +27,6 @@ from fusion_core.workflows.sensor_geometry import (
     most_common_geometry,
 )
 
-# Static transforms are repeated by latching drivers; these many messages hold any tree.
-_STATIC_MESSAGES = 500
 # A base in which a camera looks straight up or down is another optical frame: it is not level.
 _STEEPEST = 0.95
 _T_LEVEL = make_transform(R_BODY_OPTICAL, np.zeros(3))
@@ -91,13 +86,13 @@ def build_rig(
         notes.append(f"The virtual LiDAR is cut from {topics[0][0]}; other cameras are left out.")
         topics = topics[:1]
     lenses = [_lens(recording, topic, info, sampling, notes) for topic, info in topics]
-    tree, roots = _static_tree(recording, streams.tf_static)
+    transforms = RecordedTransforms(recording, streams.tf_static)
     lidar_frame = ""
     geometry = None
     if streams.lidar is not None and not virtual:
         lidar_frame = first_scan(recording, streams.lidar).frame_id
         geometry = most_common_geometry(recording, streams.lidar)
-    T_base_camera, base = _poses(tree, roots, lenses, lidar_frame, notes)
+    T_base_camera, base = _poses(transforms, lenses, lidar_frame, notes)
     if T_base_camera is None:
         if len(lenses) > 1:
             left_out = ", ".join(lens.topic for lens in lenses[1:])
@@ -182,49 +177,20 @@ def _lens(
     )
 
 
-def _static_tree(recording: Recording, topic: str | None) -> tuple[TransformTree, dict[str, str]]:
-    """The static transforms and each frame's parent."""
-    tree = TransformTree()
-    parents: dict[str, str] = {}
-    if topic is None:
-        return tree, parents
-    for message in islice(recording.messages([topic]), _STATIC_MESSAGES):
-        if isinstance(message.value, TransformBatch):
-            for sample in message.value.transforms:
-                tree.add(_normal(sample), static=True)
-                parents[sample.child.lstrip("/")] = sample.parent.lstrip("/")
-    return tree, parents
-
-
-def _normal(sample: Transform) -> Transform:
-    """ROS 1 names may begin with a slash; they mean the same frame."""
-    return Transform(
-        stamp_ns=sample.stamp_ns,
-        parent=sample.parent.lstrip("/"),
-        child=sample.child.lstrip("/"),
-        T_parent_child=sample.T_parent_child.copy(),
-    )
-
-
 def _poses(
-    tree: TransformTree,
-    parents: dict[str, str],
+    transforms: RecordedTransforms,
     lenses: Sequence[_Lens],
     lidar_frame: str,
     notes: list[str],
 ) -> tuple[list[FloatArray] | None, str]:
     """Each camera's (4, 4) pose on a level base, and which base: the LiDAR, or a common root."""
-    frames = [lens.frame_id.lstrip("/") for lens in lenses]
-    root = frames[0]
-    seen = {root}
-    while root in parents and parents[root] not in seen:
-        root = parents[root]
-        seen.add(root)
-    for base, name in ((lidar_frame.lstrip("/"), "lidar"), (root, "root")):
+    frames = [frame_name(lens.frame_id) for lens in lenses]
+    root = transforms.root_of(frames[0])
+    for base, name in ((frame_name(lidar_frame), "lidar"), (root, "root")):
         if not base or base == frames[0]:
             continue
         try:
-            poses = [tree.lookup(base, frame, 0) for frame in frames]
+            poses = [transforms.tree.lookup(base, frame, 0) for frame in frames]
         except ScanLoomError:
             continue
         if all(abs(T_base_camera[2, 2]) < _STEEPEST for T_base_camera in poses):

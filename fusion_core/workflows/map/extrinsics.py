@@ -14,8 +14,6 @@ from fusion_core.model.geometry import invert_transform, make_transform
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
-from fusion_core.model.sensors import Transform, TransformBatch
-from fusion_core.model.transform_tree import TransformTree
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.fuse.align import mount_not_used
 from fusion_core.workflows.fuse.presets import ChainSettings
@@ -23,6 +21,7 @@ from fusion_core.workflows.fuse.rig import Rig, build_rig
 from fusion_core.workflows.fuse.session import Session, align_session, session_of
 from fusion_core.workflows.map.extrinsics_file import read_extrinsics
 from fusion_core.workflows.map.recorded_mount_check import recorded_mount_problem
+from fusion_core.workflows.recorded_transforms import RecordedTransforms, frame_name
 
 ExtrinsicsSource = Literal["file", "tf", "alignment", "level"]
 
@@ -279,34 +278,14 @@ def _describe_mount(mount: Mount) -> str:
 def _read_lidar_mounting(
     recording: Recording, streams: Streams, lidar_frame: str
 ) -> _LidarMounting:
-    tree = TransformTree()
-    parents: dict[str, str] = {}
-    if streams.tf_static is not None:
-        for message in recording.messages([streams.tf_static]):
-            if isinstance(message.value, TransformBatch):
-                for entry in message.value.transforms:
-                    sample = _without_slash(entry)
-                    tree.add(sample, static=True)
-                    parents[sample.child] = sample.parent
-    lidar = root = lidar_frame.lstrip("/")
-    seen = {root}
-    while root in parents and parents[root] not in seen:
-        root = parents[root]
-        seen.add(root)
-    upside_down = bool(tree.lookup(root, lidar, 0)[2, 2] < 0.0)
+    transforms = RecordedTransforms(recording, streams.tf_static)
+    lidar = frame_name(lidar_frame)
+    T_root_lidar = transforms.tree.lookup(transforms.root_of(lidar), lidar, 0)
     try:
-        height_m = float(tree.lookup(_FLOOR_FRAME, lidar, 0)[2, 3])
+        height_m = float(transforms.tree.lookup(_FLOOR_FRAME, lidar, 0)[2, 3])
     except ScanLoomError:
         height_m = 0.0
     return _LidarMounting(
-        height_above_floor_m=height_m if height_m > 0.0 else None, is_upside_down=upside_down
-    )
-
-
-def _without_slash(sample: Transform) -> Transform:
-    return Transform(
-        stamp_ns=sample.stamp_ns,
-        parent=sample.parent.lstrip("/"),
-        child=sample.child.lstrip("/"),
-        T_parent_child=sample.T_parent_child.copy(),
+        height_above_floor_m=height_m if height_m > 0.0 else None,
+        is_upside_down=bool(T_root_lidar[2, 2] < 0.0),
     )

@@ -20,6 +20,7 @@ from fusion_core.model.conventions import (
 from fusion_core.model.errors import ExportError, ScanLoomError, StampOutsideRange
 from fusion_core.model.geometry import planar_from_transform
 from fusion_core.model.grids import OccupancyGrid
+from fusion_core.model.stamps import nearest_stamps
 from fusion_core.model.trajectory import Trajectory
 from fusion_core.recordings.ros_map import read_ros_map
 from fusion_core.recordings.tum_trajectory import read_tum_trajectory
@@ -106,23 +107,22 @@ def read_map_results(folder: Path) -> MapResults:
 def _read_trusted(stamps_ns: IntArray, untrusted: list[dict[str, Any]]) -> BoolArray:
     trusted = np.ones(stamps_ns.size, dtype=np.bool_)
     for stretch in untrusted:
-        first, last = (_nearest(stamps_ns, stretch[name]) for name in ("from_s", "to_s"))
+        first, last = _indices_of_seconds(stamps_ns, [stretch["from_s"], stretch["to_s"]])
         trusted[first : last + 1] = False
     return trusted
 
 
 def _read_loops(trajectory: Trajectory, closures: list[dict[str, Any]]) -> FloatArray:
     positions_m = trajectory.T_map_body[:, :2, 3]
-    ends = [
-        [_nearest(trajectory.stamps_ns, closure[name]) for name in ("first_s", "second_s")]
-        for closure in closures
-    ]
-    return positions_m[np.array(ends, dtype=np.intp).reshape(-1, 2)].reshape(-1, 4)
+    ends_s = [[closure[name] for name in ("first_s", "second_s")] for closure in closures]
+    ends = _indices_of_seconds(trajectory.stamps_ns, np.reshape(ends_s, -1).tolist())
+    return positions_m[ends].reshape(-1, 4)
 
 
-def _nearest(stamps_ns: IntArray, stamp_s: float) -> int:
-    """Stamps in seconds are rounded: the nearest is meant."""
-    return int(np.argmin(np.abs(stamps_ns - round(stamp_s * NS_PER_S))))
+def _indices_of_seconds(stamps_ns: IntArray, stamps_s: list[float]) -> IntArray:
+    """Indices of stamps that are written in seconds, which rounds them: the nearest are meant."""
+    at_ns = np.array([round(stamp_s * NS_PER_S) for stamp_s in stamps_s], dtype=np.int64)
+    return nearest_stamps(stamps_ns, at_ns)
 
 
 def _read_pairs(values: list[Any]) -> FloatArray:

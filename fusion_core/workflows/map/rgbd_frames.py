@@ -12,6 +12,7 @@ from fusion_core.model.errors import MissingStream
 from fusion_core.model.geometry import invert_transform, make_transform
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import CameraInfo, CameraIntrinsics, ColorImage, DepthImage
+from fusion_core.model.stamps import nearest_stamp
 from fusion_core.motion.visual import GrayDepth
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.fuse.align import mount_not_used
@@ -20,6 +21,7 @@ from fusion_core.workflows.fuse.rig import build_rig
 from fusion_core.workflows.fuse.session import session_of
 from fusion_core.workflows.map.extrinsics import CameraExtrinsics
 from fusion_core.workflows.map.recorded_mount_check import recorded_mount_problem
+from fusion_core.workflows.recorded_transforms import frame_name
 from fusion_core.workflows.sensor_geometry import first_value
 from fusion_core.workflows.stamp_filter import StampFilter
 
@@ -87,7 +89,7 @@ class RgbdFrames:
                 file=self._recording.path,
                 advice="Record depth registered to colour.",
             )
-        if color.frame_id.lstrip("/") != depth.frame_id.lstrip("/"):
+        if frame_name(color.frame_id) != frame_name(depth.frame_id):
             self.notes += (
                 f"{self._color} is taken to show what {self._depth} does, though their frames "
                 f"{color.frame_id} and {depth.frame_id} differ.",
@@ -119,11 +121,12 @@ class RgbdFrames:
                 yield frame
 
     def _joined_frame(self, depth: DepthImage, colors: deque[ColorImage]) -> GrayDepth | None:
-        if not colors:
+        nearest = nearest_stamp(
+            [image.stamp_ns for image in colors], depth.stamp_ns, _COLOR_GAP_MAX_NS
+        )
+        if nearest is None:
             return None
-        color = min(colors, key=lambda image: abs(image.stamp_ns - depth.stamp_ns))
-        if abs(color.stamp_ns - depth.stamp_ns) > _COLOR_GAP_MAX_NS:
-            return None
+        color = colors[nearest]
         height, width = _scaled_shape(*color.rgb.shape[:2])
         if (height, width) != (self.intrinsics.height, self.intrinsics.width):
             # Of another rig than the first.

@@ -13,6 +13,7 @@ from fusion_core.model.errors import MissingStream
 from fusion_core.model.planar_poses import relative_pose, transform_planar_points
 from fusion_core.model.recording import Message, Recording
 from fusion_core.model.sensors import DepthImage, LaserScan
+from fusion_core.model.stamps import nearest_stamp
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.map.extrinsics import CameraExtrinsics
 from fusion_core.workflows.map.floor_alignment import (
@@ -133,11 +134,10 @@ class _RecentClouds:
 
     def nearest(self, stamp_ns: int, max_gap_ns: float) -> tuple[int, FloatArray] | None:
         """Stamp and cloud of the image nearest in time, None where none is near enough."""
-        if not self._kept:
+        nearest = nearest_stamp([stamp for stamp, _ in self._kept], stamp_ns, max_gap_ns)
+        if nearest is None:
             return None
-        found_ns, image = min(self._kept, key=lambda entry: abs(entry[0] - stamp_ns))
-        if abs(found_ns - stamp_ns) > max_gap_ns:
-            return None
+        found_ns, image = self._kept[nearest]
         if found_ns not in self._clouds:
             view = self._camera.view
             self._clouds[found_ns] = camera_cloud(
