@@ -23,7 +23,7 @@ from fusion_core.model.conventions import (
 from fusion_core.model.geometry import invert_transform, transform_points
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import LaserScan
-from fusion_core.registration.models import map_points
+from fusion_core.registration.models import apply_transform
 
 RowModel = Literal["curve", "row"]
 
@@ -208,12 +208,12 @@ def compared(
 ) -> Correspondence:
     """The paper's pairs with what A makes of them: D A^-1 (7) for beams, L A (8) for pixels."""
     has_lidar, has_depth = np.isfinite(pairs.lidar_range_m), np.isfinite(pairs.depth_m)
-    as_range = np.where(has_depth, map_points(A_inverse, D)[:, 1], np.nan)
+    as_range = np.where(has_depth, apply_transform(A_inverse, D)[:, 1], np.nan)
     return replace(
         pairs,
         depth_as_range_m=as_range,
         camera_range_m=as_range,
-        lidar_as_depth_m=np.where(has_lidar, map_points(A, L)[:, 1], np.nan),
+        lidar_as_depth_m=np.where(has_lidar, apply_transform(A, L)[:, 1], np.nan),
         residual_m=np.where(has_lidar & has_depth, residual_m, np.nan),
     )
 
@@ -236,7 +236,7 @@ def mapped(pairs: Correspondence, A: FloatArray, A_inverse: FloatArray) -> Corre
     """
 
     def carried(range_m: FloatArray, matrix: FloatArray) -> FloatArray:
-        image = map_points(matrix, planar_points(pairs, range_m))
+        image = apply_transform(matrix, planar_points(pairs, range_m))
         return np.hypot(image[:, 0], image[:, 1])
 
     as_range = carried(pairs.depth_as_range_m, A_inverse)

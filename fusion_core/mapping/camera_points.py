@@ -9,9 +9,9 @@ from fusion_core.model.conventions import Float32Array, FloatArray
 from fusion_core.model.sensors import CameraIntrinsics
 
 
-def camera_cloud(
+def project_to_cloud(
     depth_m: Float32Array,
-    lens: CameraIntrinsics,
+    intrinsics: CameraIntrinsics,
     floor_from_camera: FloatArray,
     settings: VirtualScanSettings,
 ) -> FloatArray:
@@ -28,7 +28,7 @@ def camera_cloud(
     stride = settings.sampling == "stride"
     points_m: FloatArray = _points_in_band(
         depth_m,
-        (lens.fx, lens.fy, lens.cx, lens.cy),
+        (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy),
         np.ascontiguousarray(floor_from_camera, dtype=np.float64),
         settings.row_stride if stride else 1,
         settings.column_stride if stride else 1,

@@ -11,7 +11,7 @@ from fusion_core.model.grids import OccupancyGrid
 _RASTER_TOLERANCE_CELLS = 1e-3
 
 
-def on_one_canvas(grids: Mapping[str, OccupancyGrid]) -> dict[str, OccupancyGrid]:
+def pad_to_common_canvas(grids: Mapping[str, OccupancyGrid]) -> dict[str, OccupancyGrid]:
     """The grids, of at least one name, with unknown cells around them, so that all have the shape
     and origin of the smallest canvas.
 
@@ -48,7 +48,7 @@ def on_one_canvas(grids: Mapping[str, OccupancyGrid]) -> dict[str, OccupancyGrid
     return laid
 
 
-def obstacle_wins(plane: OccupancyGrid, heights: OccupancyGrid) -> OccupancyGrid:
+def merge_keeping_obstacles(plane: OccupancyGrid, heights: OccupancyGrid) -> OccupancyGrid:
     """Where either grid has rather an obstacle, the surer of it; elsewhere the surer to be free. A
     cell that one grid does not know is the other's.
 
@@ -56,7 +56,7 @@ def obstacle_wins(plane: OccupancyGrid, heights: OccupancyGrid) -> OccupancyGrid
     of all heights differ, neither is wrong, and a robot runs into what either of them shows.
     Raises ValueError as ``on_one_canvas`` does.
     """
-    laid = on_one_canvas({"plane": plane, "heights": heights})
+    laid = pad_to_common_canvas({"plane": plane, "heights": heights})
     both = laid["plane"].log_odds, laid["heights"].log_odds
     highest: FloatArray = np.fmax(*both)
     # NaN compares false, and stays.

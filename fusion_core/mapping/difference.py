@@ -4,11 +4,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fusion_core.mapping.canvas import on_one_canvas
+from fusion_core.mapping.canvas import pad_to_common_canvas
 from fusion_core.model.grids import MapDifference, OccupancyGrid
 
 
-def map_difference(
+def compare_maps(
     grids: Mapping[str, OccupancyGrid], *, occupied_probability: float = 0.65
 ) -> MapDifference:
     """Compare maps, given by name, on the smallest canvas that covers all of them.
@@ -18,7 +18,7 @@ def map_difference(
     """
     if len(grids) not in (2, 3):
         raise ValueError(f"two or three maps are compared, got {len(grids)}")
-    laid = list(on_one_canvas(grids).values())
+    laid = list(pad_to_common_canvas(grids).values())
     first = laid[0]
     known = np.any([grid.known for grid in laid], axis=0)
     occupied_in = np.zeros(first.log_odds.shape, dtype=np.uint8)

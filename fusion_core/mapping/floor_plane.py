@@ -60,7 +60,7 @@ class FloorPlane:
 
 def find_floor(
     depths_m: Sequence[Float32Array],
-    lens: CameraIntrinsics,
+    intrinsics: CameraIntrinsics,
     up: FloatArray,
     *,
     tilt_max_rad: float,
@@ -74,36 +74,38 @@ def find_floor(
     Raises AlignmentFailed where no level plane is seen, or too few images agree on one.
     """
     up = up / np.linalg.norm(up)
-    found = [_level_patches(depth_m, lens, up, tilt_max_rad) for depth_m in depths_m]
+    found = [_level_patches(depth_m, intrinsics, up, tilt_max_rad) for depth_m in depths_m]
     image_of: IntArray = np.repeat(
         np.arange(len(found), dtype=np.int64), [len(points_m) for points_m in found]
     )
     points_m = np.concatenate([*found, np.empty((0, 3))])
     rng = np.random.default_rng(seed)
-    plane = _best_plane(points_m, up, tilt_max_rad, rng)
+    plane = _ransac_plane(points_m, up, tilt_max_rad, rng)
     if plane is None:
-        raise _no_floor(f"{len(points_m)} level patches in {len(depths_m)} images")
+        raise _no_floor_error(f"{len(points_m)} level patches in {len(depths_m)} images")
     # What is largest may be a table top: its floor lies below.
     for _ in range(4):
-        on_plane = int(_near(points_m, plane).sum())
+        on_plane = int(_is_near(points_m, plane).sum())
         below = points_m @ plane[:3] + plane[3] < -4.0 * _TOLERANCE_M
-        lower = _best_plane(points_m[below], up, tilt_max_rad, rng)
-        if lower is None or _near(points_m, lower).sum() < _LARGE_SHARE * on_plane:
+        lower = _ransac_plane(points_m[below], up, tilt_max_rad, rng)
+        if lower is None or _is_near(points_m, lower).sum() < _LARGE_SHARE * on_plane:
             break
         plane = lower
-    plane = _refitted(points_m, plane)
-    near = _near(points_m, plane)
+    plane = _refit_plane(points_m, plane)
+    near = _is_near(points_m, plane)
     heights_m = points_m @ plane[:3] + plane[3]
     images = int((np.bincount(image_of[near], minlength=1) >= _PATCHES_OF_IMAGE).sum())
     tilt_rad = float(np.arccos(np.clip(plane[:3] @ up, -1.0, 1.0)))
     below_share = float((heights_m < -4.0 * _TOLERANCE_M).sum()) / max(int(near.sum()), 1)
     if near.sum() < _PATCHES_MIN or images < min(_IMAGES_MIN, len(depths_m)):
-        raise _no_floor(f"its best plane has {near.sum()} patches in {images} images")
+        raise _no_floor_error(f"its best plane has {near.sum()} patches in {images} images")
     if tilt_rad > tilt_max_rad:
-        raise _no_floor(f"its best plane tilts by {np.rad2deg(tilt_rad):.1f} degrees")
+        raise _no_floor_error(f"its best plane tilts by {np.rad2deg(tilt_rad):.1f} degrees")
     if below_share > _BELOW_SHARE_MAX:
-        raise _no_floor(f"{below_share:.0%} as many patches lie below its best plane as on it")
-    _one_rig(points_m, image_of, plane, len(depths_m))
+        raise _no_floor_error(
+            f"{below_share:.0%} as many patches lie below its best plane as on it"
+        )
+    _require_fixed_camera(points_m, image_of, plane, len(depths_m))
     return FloorPlane(
         up=plane[:3].copy(),
         camera_height_m=float(plane[3]),
@@ -114,7 +116,7 @@ def find_floor(
     )
 
 
-def _no_floor(seen: str) -> AlignmentFailed:
+def _no_floor_error(seen: str) -> AlignmentFailed:
     return AlignmentFailed(
         f"no floor plane is seen in the depth: {seen}.",
         advice="Give virtual_scan.lidar_height_m with extrinsics of the whole mount, or use "
@@ -122,9 +124,11 @@ def _no_floor(seen: str) -> AlignmentFailed:
     )
 
 
-def _one_rig(points_m: FloatArray, image_of: IntArray, plane: FloatArray, images: int) -> None:
+def _require_fixed_camera(
+    points_m: FloatArray, image_of: IntArray, plane: FloatArray, images: int
+) -> None:
     """Refuse a camera that is carried by hand: its floor lies elsewhere in each image."""
-    near = _near(points_m, plane)
+    near = _is_near(points_m, plane)
     seen = np.bincount(image_of, minlength=images)
     agreeing = np.bincount(image_of[near], minlength=images)
     rich = seen >= 10 * _PATCHES_OF_IMAGE
@@ -133,7 +137,7 @@ def _one_rig(points_m: FloatArray, image_of: IntArray, plane: FloatArray, images
         elsewhere = bool(np.median(agreeing[rich] / seen[rich]) < _LARGE_SHARE)
     tilts_rad, heights_m = [], []
     for image in np.flatnonzero(agreeing >= 4 * _PATCHES_OF_IMAGE):
-        own = _refitted(points_m[image_of == image], plane)
+        own = _refit_plane(points_m[image_of == image], plane)
         tilts_rad.append(np.arccos(np.clip(own[:3] @ plane[:3], -1.0, 1.0)))
         heights_m.append(abs(own[3] - plane[3]))
     if tilts_rad:
@@ -178,12 +182,12 @@ def _tolerance_m(points_m: FloatArray) -> FloatArray:
     return _TOLERANCE_M + _TOLERANCE_PER_M * np.abs(points_m[:, 2])
 
 
-def _near(points_m: FloatArray, plane: FloatArray) -> BoolArray:
+def _is_near(points_m: FloatArray, plane: FloatArray) -> BoolArray:
     near: BoolArray = np.abs(points_m @ plane[:3] + plane[3]) <= _tolerance_m(points_m)
     return near
 
 
-def _best_plane(
+def _ransac_plane(
     points_m: FloatArray, up: FloatArray, tilt_max_rad: float, rng: np.random.Generator
 ) -> FloatArray | None:
     """(4,) unit normal towards ``up`` and offset of the plane with most points, None without."""
@@ -205,16 +209,16 @@ def _best_plane(
         plane = np.append(normal, -float(normal @ a))
         if normal @ up < np.cos(tilt_max_rad) or plane[3] < _NEAREST_BELOW_M:
             continue
-        count = int(_near(scored_m, plane).sum())
+        count = int(_is_near(scored_m, plane).sum())
         if count > most:
             best, most = plane, count
     return best
 
 
-def _refitted(points_m: FloatArray, plane: FloatArray) -> FloatArray:
+def _refit_plane(points_m: FloatArray, plane: FloatArray) -> FloatArray:
     """The least squares plane of the points near a plane, a few times over."""
     for _ in range(_REFITS):
-        near_m = points_m[_near(points_m, plane)]
+        near_m = points_m[_is_near(points_m, plane)]
         if len(near_m) < 3:
             return plane
         middle_m = near_m.mean(axis=0)

@@ -11,7 +11,7 @@ _INDEX_MAX = (1 << _INDEX_BITS) - 2
 
 
 def has_neighbours(
-    points_m: FloatArray, cloud_m: FloatArray, radius_m: float, least: int
+    points_m: FloatArray, cloud_m: FloatArray, radius_m: float, neighbours_min: int
 ) -> BoolArray:
     """(N,) which of (N, 3) points have at least ``least`` others within ``radius_m``.
 
@@ -20,7 +20,7 @@ def has_neighbours(
 
     Raises ValueError for points that are not finite or lie too far apart for the radius.
     """
-    if least == 0 or not len(points_m):
+    if neighbours_min == 0 or not len(points_m):
         return np.ones(len(points_m), dtype=np.bool_)
     lowest_m = cloud_m.min(axis=0)
     spread = (cloud_m.max(axis=0) - lowest_m).max() / radius_m
@@ -30,12 +30,14 @@ def has_neighbours(
     cell = np.floor((cloud_m - lowest_m) / radius_m).astype(np.int64) + 1
     key = (cell[:, 2] << 2 * _INDEX_BITS) | (cell[:, 1] << _INDEX_BITS) | cell[:, 0]
     order = np.argsort(key, kind="stable")
-    found: BoolArray = _supported(points_m, cloud_m[order], key[order], lowest_m, radius_m, least)
+    found: BoolArray = _count_neighbours(
+        points_m, cloud_m[order], key[order], lowest_m, radius_m, neighbours_min
+    )
     return found
 
 
 @compiled(error_model="numpy")
-def _supported(
+def _count_neighbours(
     points_m: FloatArray,
     cloud_m: FloatArray,
     keys: IntArray,

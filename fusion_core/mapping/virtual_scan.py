@@ -121,7 +121,7 @@ PUBLISHED = VirtualScanSettings(
 )
 
 
-def merged_scan(
+def merge_camera_cloud(
     scan: LaserScan,
     cloud_m: FloatArray,
     settings: VirtualScanSettings,
@@ -146,13 +146,13 @@ def merged_scan(
     lidar_m[:, 1] = reached_m * np.sin(azimuths_rad)
     lidar_m[:, 2] = 0.0 if lidar_height_m is None else lidar_height_m
     # 4), 5)
-    kept, kept_lidar = _supported(cloud_m, lidar_m, lidar_height_m is not None, settings)
+    kept, kept_lidar = _filter_by_radius(cloud_m, lidar_m, lidar_height_m is not None, settings)
     ranges_m[beams[~kept_lidar]] = np.nan
     cloud_m = cloud_m[kept]
     # 6)
-    seen_m = _nearest_on(scan, cloud_m, settings)
-    added_m = _nearest_on(
-        scan, cloud_m[~_on_surface(cloud_m, lidar_m[kept_lidar], settings)], settings
+    seen_m = _nearest_on_scan_m(scan, cloud_m, settings)
+    added_m = _nearest_on_scan_m(
+        scan, cloud_m[~_is_seen_by_lidar(cloud_m, lidar_m[kept_lidar], settings)], settings
     )
     # Where the LiDAR knows the nearest that the camera saw, what lies behind it adds nothing; a
     # beam without a return takes that nearest.
@@ -163,7 +163,9 @@ def merged_scan(
     return scan.with_ranges(ranges_m, np.isfinite(seen_m).astype(np.float64))
 
 
-def _nearest_on(scan: LaserScan, cloud_m: FloatArray, settings: VirtualScanSettings) -> FloatArray:
+def _nearest_on_scan_m(
+    scan: LaserScan, cloud_m: FloatArray, settings: VirtualScanSettings
+) -> FloatArray:
     """(beams,) what the camera's points alone give on a scan's angles and within its range."""
     nearest_m = nearest_per_angle(
         cloud_m[:, :2],
@@ -171,13 +173,13 @@ def _nearest_on(scan: LaserScan, cloud_m: FloatArray, settings: VirtualScanSetti
         scan.angle_increment_rad,
         scan.ranges_m.size,
         half_width_m=settings.half_width_m,
-        thickness_m=_same_surface_m(cloud_m, settings),
+        thickness_m=_surface_thickness_m(cloud_m, settings),
     )
     nearest_m[nearest_m > scan.range_max_m] = np.nan
     return nearest_m
 
 
-def camera_scan(
+def make_camera_scan(
     cloud_m: FloatArray,
     settings: VirtualScanSettings,
     *,
@@ -199,7 +201,7 @@ def camera_scan(
         increment_rad,
         beams,
         half_width_m=settings.half_width_m,
-        thickness_m=_same_surface_m(cloud_m, settings),
+        thickness_m=_surface_thickness_m(cloud_m, settings),
     )
     # What stands beside the camera's axis may lie farther than its greatest depth.
     range_max_m = 2.0 * settings.depth_max_m
@@ -236,7 +238,7 @@ def nearest_per_angle(
     azimuths_rad = np.arctan2(points_m[:, 1], points_m[:, 0])
     direction = 1.0 if angle_increment_rad > 0.0 else -1.0
     after_first_rad = np.mod(direction * (azimuths_rad - angle_min_rad), 2.0 * np.pi)
-    nearest_m: FloatArray = _nearest(
+    nearest_m: FloatArray = _nearest_per_angle(
         ranges_m,
         after_first_rad,
         abs(angle_increment_rad),
@@ -248,7 +250,7 @@ def nearest_per_angle(
 
 
 @compiled(error_model="numpy")
-def _nearest(
+def _nearest_per_angle(
     ranges_m: FloatArray,
     after_first_rad: FloatArray,
     step_rad: float,
@@ -281,13 +283,13 @@ def _nearest(
     return np.where(counts > 0.0, sums_m / counts, np.nan)
 
 
-def _same_surface_m(cloud_m: FloatArray, settings: VirtualScanSettings) -> FloatArray:
+def _surface_thickness_m(cloud_m: FloatArray, settings: VirtualScanSettings) -> FloatArray:
     """(N,) how far the depth of one surface strays at the distance of each point."""
     squared_m2 = cloud_m[:, 0] ** 2 + cloud_m[:, 1] ** 2
     return settings.same_surface_m + settings.same_surface_per_m2 * squared_m2
 
 
-def _supported(
+def _filter_by_radius(
     cloud_m: FloatArray, lidar_m: FloatArray, same_heights: bool, settings: VirtualScanSettings
 ) -> tuple[BoolArray, BoolArray]:
     """Which points of camera and LiDAR have neighbours in the joined cloud."""
@@ -299,11 +301,11 @@ def _supported(
     return kept, has_neighbours(lidar_m, joined_m if same_heights else lidar_m, radius_m, least)
 
 
-def _on_surface(
+def _is_seen_by_lidar(
     cloud_m: FloatArray, lidar_m: FloatArray, settings: VirtualScanSettings
 ) -> BoolArray:
     """(N,) which points of the camera the LiDAR has measured already, seen from above."""
-    limit_m = _same_surface_m(cloud_m, settings)
+    limit_m = _surface_thickness_m(cloud_m, settings)
     if not len(lidar_m) or not limit_m.any():
         return np.zeros(len(cloud_m), dtype=np.bool_)
     farthest_m = np.nextafter(limit_m.max(), np.inf)

@@ -18,12 +18,12 @@ from fusion_core.model.errors import MissingStream
 from fusion_core.motion.fusion_covariance import CovarianceFusionSettings, fuse_by_covariance
 from fusion_core.motion.fusion_published import PublishedFusionSettings, fuse_as_published
 from fusion_core.motion.fusion_weights import FusionWeights
-from fusion_core.motion.track import OdometryTrack
+from fusion_core.motion.odometry_trajectory import OdometryTrajectory
 from fusion_core.settings import setting
 
 FusionMethod = Literal["covariance", "published"]
 
-MAIN_SOURCES = ("wheel", "laser", "visual")
+SOURCES = ("wheel", "laser", "visual")
 
 
 class FusionSettings(CovarianceFusionSettings, PublishedFusionSettings):
@@ -35,15 +35,17 @@ class FusionSettings(CovarianceFusionSettings, PublishedFusionSettings):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Fusion:
+class FusedOdometry:
     """``track``: named "fused", at the sources' stamps. ``weights``: what each step rests on."""
 
-    track: OdometryTrack
+    trajectory: OdometryTrajectory
     weights: FusionWeights
 
 
-def fuse(tracks: Sequence[OdometryTrack], settings: FusionSettings | None = None) -> Fusion:
-    """Fuse tracks of the same stamps; their names are those of MAIN_SOURCES, each at most once.
+def fuse_odometry(
+    tracks: Sequence[OdometryTrajectory], settings: FusionSettings | None = None
+) -> FusedOdometry:
+    """Fuse tracks of the same stamps; their names are those of SOURCES, each at most once.
 
     A step that no source measured is carried on at the last fused velocity, and not measured.
     Raises MissingStream where there is no track, ValueError for other stamps or names.
@@ -52,8 +54,8 @@ def fuse(tracks: Sequence[OdometryTrack], settings: FusionSettings | None = None
     if not tracks:
         raise MissingStream("there is no odometry to fuse.")
     names = [track.name for track in tracks]
-    if len(set(names)) < len(names) or not set(names) <= set(MAIN_SOURCES):
-        raise ValueError(f"sources are {', '.join(MAIN_SOURCES)}, each once, got {names}")
+    if len(set(names)) < len(names) or not set(names) <= set(SOURCES):
+        raise ValueError(f"sources are {', '.join(SOURCES)}, each once, got {names}")
     stamps_ns = tracks[0].stamps_ns
     if any(
         track.stamps_ns.shape != stamps_ns.shape or (track.stamps_ns != stamps_ns).any()
@@ -64,4 +66,4 @@ def fuse(tracks: Sequence[OdometryTrack], settings: FusionSettings | None = None
         track, weights = fuse_as_published(tracks, settings)
     else:
         track, weights = fuse_by_covariance(tracks, settings)
-    return Fusion(track=track, weights=weights)
+    return FusedOdometry(trajectory=track, weights=weights)

@@ -11,8 +11,8 @@ import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray, wrap_angle
 from fusion_core.motion.fusion_weights import FusionWeights
-from fusion_core.motion.steps import chained, difference
-from fusion_core.motion.track import OdometryTrack
+from fusion_core.motion.odometry_trajectory import OdometryTrajectory
+from fusion_core.motion.steps import integrate_steps, subtract_poses
 from fusion_core.settings import StageSettings, setting
 
 
@@ -41,16 +41,16 @@ class CovarianceFusionSettings(StageSettings):
 
 
 # One wild step must not make a source worthless for a whole window.
-_GREATEST_SQUARE = 100.0
-_DEGREES = 3.0
+_SQUARE_MAX = 100.0
+_DEGREES_OF_FREEDOM = 3.0
 
 
 def fuse_by_covariance(
-    tracks: Sequence[OdometryTrack], settings: CovarianceFusionSettings
-) -> tuple[OdometryTrack, FusionWeights]:
+    tracks: Sequence[OdometryTrajectory], settings: CovarianceFusionSettings
+) -> tuple[OdometryTrajectory, FusionWeights]:
     """The fused track and its weights; ``tracks`` have the same stamps.
 
-    Whether sources agree is told by ``covariance_of_step``, what each counts by ``drift_of_step``:
+    Whether sources agree is told by ``step_covariance``, what each counts by ``drift_covariance``:
     the errors that stay. The drift of a source that has lately been farther from the others than
     its covariance allows is multiplied by how much farther, over a window of steps. Where two
     disagree and no third decides, the one is believed that is surer in the direction in which they
@@ -59,15 +59,15 @@ def fuse_by_covariance(
     count, sources = tracks[0].measured.size, len(tracks)
     steps = np.stack([track.steps for track in tracks], axis=1)
     floor = np.diag(np.square([settings.sigma_min_m] * 2 + [settings.sigma_min_rad]))
-    singles = np.stack([track.covariance_of_step for track in tracks], axis=1) + floor
-    drifts = np.stack([track.drift_of_step for track in tracks], axis=1) + floor
+    singles = np.stack([track.step_covariance for track in tracks], axis=1) + floor
+    drifts = np.stack([track.drift_covariance for track in tracks], axis=1) + floor
     measured = np.stack([track.measured for track in tracks], axis=1)
 
     fused = np.zeros((count, 3))
     covariance, drift = np.full((2, count, 3, 3), np.nan)
     translation, rotation = np.zeros((2, count, sources))
     rejected = np.zeros((count, sources), dtype=np.bool_)
-    history = [_Disagreement(settings.window) for _ in tracks]
+    history = [_CovarianceInflation(settings.window) for _ in tracks]
     seconds = np.diff(tracks[0].stamps_ns) / 1e9
     for k in range(count):
         there = [s for s in range(sources) if measured[k, s]]
@@ -75,31 +75,31 @@ def fuse_by_covariance(
             # Carried on at the last fused velocity.
             fused[k] = fused[k - 1] * (seconds[k] / seconds[k - 1]) if k else 0.0
             continue
-        believed = _believed(there, steps[k], singles[k], drifts[k], settings.gate)
+        believed = _select_consistent(there, steps[k], singles[k], drifts[k], settings.gate)
         rejected[k, [s for s in there if s not in believed]] = True
         factors = [history[s].factor for s in believed]
         informations = np.stack(
             [np.linalg.inv(drifts[k, s]) / f for s, f in zip(believed, factors, strict=True)]
         )
         drift[k] = np.linalg.inv(informations.sum(axis=0))
-        fused[k] = _mean(steps[k, believed], informations, drift[k])
+        fused[k] = _weighted_mean(steps[k, believed], informations, drift[k])
         gains = drift[k] @ informations
         spread = np.stack([f * singles[k, s] for s, f in zip(believed, factors, strict=True)])
         covariance[k] = (gains @ spread @ np.swapaxes(gains, 1, 2)).sum(axis=0)
-        translation[k, believed], rotation[k, believed] = _shares(informations)
+        translation[k, believed], rotation[k, believed] = _information_fractions(informations)
         if len(there) > 1:
             for s in there:
                 others = [o for o in believed if o != s]
                 if others:
-                    history[s].add(_square(s, others, steps[k], singles[k]))
-    away = difference(steps, fused[:, np.newaxis])
+                    history[s].add(_squared_mahalanobis(s, others, steps[k], singles[k]))
+    away = subtract_poses(steps, fused[:, np.newaxis])
     is_measured: BoolArray = np.any(measured, axis=1)
-    track = OdometryTrack(
+    track = OdometryTrajectory(
         name="fused",
         stamps_ns=tracks[0].stamps_ns.copy(),
-        poses_odom_lidar=chained(fused),
-        covariance_of_step=covariance,
-        drift_of_step=drift,
+        poses_odom_lidar=integrate_steps(fused),
+        step_covariance=covariance,
+        drift_covariance=drift,
         measured=is_measured,
         notes=_notes(tracks, rejected, is_measured.sum()),
     )
@@ -115,36 +115,39 @@ def fuse_by_covariance(
     return track, weights
 
 
-class _Disagreement:
+class _CovarianceInflation:
     """How much farther from the others a source lately was than its covariance allows."""
 
     def __init__(self, window: int) -> None:
-        self._squares = np.full(window, _DEGREES)
+        self._squares = np.full(window, _DEGREES_OF_FREEDOM)
         self._next = 0
 
     def add(self, square: float) -> None:
-        self._squares[self._next] = min(square, _GREATEST_SQUARE)
+        self._squares[self._next] = min(square, _SQUARE_MAX)
         self._next = (self._next + 1) % self._squares.size
 
     @property
     def factor(self) -> float:
         """Of the covariance, at least 1."""
-        return max(1.0, float(self._squares.mean()) / _DEGREES)
+        return max(1.0, float(self._squares.mean()) / _DEGREES_OF_FREEDOM)
 
 
-def _believed(
+def _select_consistent(
     there: Sequence[int], steps: FloatArray, singles: FloatArray, drifts: FloatArray, gate: float
 ) -> list[int]:
     """The sources that agree. One at a time is left out, the one farthest from all others."""
     believed = list(there)
     while len(believed) > 1:
-        squares = [_square(s, [o for o in believed if o != s], steps, singles) for s in believed]
+        squares = [
+            _squared_mahalanobis(s, [o for o in believed if o != s], steps, singles)
+            for s in believed
+        ]
         if max(squares) <= gate:
             break
         if len(believed) > 2:
             believed.pop(int(np.argmax(squares)))
             continue
-        away = difference(steps[believed[0]], steps[believed[1]])
+        away = subtract_poses(steps[believed[0]], steps[believed[1]])
         # Each is as far from the other as the other from it: the one is believed that would have
         # to err more, by its own account, if it were wrong by all of that.
         costs = [float(away @ np.linalg.solve(drifts[s], away)) for s in believed]
@@ -152,24 +155,30 @@ def _believed(
     return believed
 
 
-def _square(source: int, others: Sequence[int], steps: FloatArray, singles: FloatArray) -> float:
+def _squared_mahalanobis(
+    source: int, others: Sequence[int], steps: FloatArray, singles: FloatArray
+) -> float:
     """Squared Mahalanobis distance of a source's step from the mean of others."""
     informations: FloatArray = np.asarray(np.linalg.inv(singles[list(others)]), dtype=np.float64)
     covariance: FloatArray = np.asarray(np.linalg.inv(informations.sum(axis=0)), dtype=np.float64)
-    away = difference(steps[source], _mean(steps[list(others)], informations, covariance))
+    away = subtract_poses(
+        steps[source], _weighted_mean(steps[list(others)], informations, covariance)
+    )
     return float(away @ np.linalg.solve(singles[source] + covariance, away))
 
 
-def _mean(steps: FloatArray, informations: FloatArray, covariance: FloatArray) -> FloatArray:
+def _weighted_mean(
+    steps: FloatArray, informations: FloatArray, covariance: FloatArray
+) -> FloatArray:
     """(3,) mean of (S, 3) steps by their (S, 3, 3) information, the turns wrapped; ``covariance``
     is the inverse of its sum."""
-    away = difference(steps, steps[0])
+    away = subtract_poses(steps, steps[0])
     mean: FloatArray = steps[0] + covariance @ np.einsum("sab,sb->a", informations, away)
     mean[2] = wrap_angle(mean[2])
     return mean
 
 
-def _shares(informations: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _information_fractions(informations: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(S,) shares of the information about the translation, mean of its directions, and the turn.
 
     tr((Σ I)⁻¹ I_s) / 2 over the translation's block: never negative, and they sum to 1.
@@ -181,7 +190,9 @@ def _shares(informations: FloatArray) -> tuple[FloatArray, FloatArray]:
     return translation / translation.sum(), rotation / rotation.sum()
 
 
-def _notes(tracks: Sequence[OdometryTrack], rejected: BoolArray, measured: int) -> tuple[str, ...]:
+def _notes(
+    tracks: Sequence[OdometryTrajectory], rejected: BoolArray, measured: int
+) -> tuple[str, ...]:
     notes = []
     for source, track in enumerate(tracks):
         if left_out := int(np.count_nonzero(rejected[:, source])):

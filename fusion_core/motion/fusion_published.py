@@ -22,21 +22,33 @@ import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray, wrap_angle
 from fusion_core.motion.fusion_weights import FusionWeights
-from fusion_core.motion.steps import chained, difference
-from fusion_core.motion.track import OdometryTrack
+from fusion_core.motion.odometry_trajectory import OdometryTrajectory
+from fusion_core.motion.steps import integrate_steps, subtract_poses
 from fusion_core.settings import StageSettings, setting
 
 
 class PublishedFusionSettings(StageSettings):
     """Settings of the fusion as printed."""
 
-    rest_s: float = setting(
-        1.0, "Shortest standstill that tells σ at k = 0", unit="s", ge=1e-6, le=3_600.0
+    standstill_min_s: float = setting(
+        1.0,
+        "Shortest standstill that tells σ at k = 0",
+        unit="s",
+        ge=1e-6,
+        le=3_600.0,
+        formerly="rest_s",
     )
-    rest_m_per_s: float = setting(
-        0.03, "A source that reports less stands still", unit="m/s", ge=1e-6, le=1.0
+    standstill_speed_m_s: float = setting(
+        0.03,
+        "A source that reports less stands still",
+        unit="m/s",
+        ge=1e-6,
+        le=1.0,
+        formerly="rest_m_per_s",
     )
-    rest_rad_per_s: float = setting(0.05, "The same, of the turn", unit="rad/s", ge=1e-6, le=1.0)
+    standstill_turn_rad_s: float = setting(
+        0.05, "The same, of the turn", unit="rad/s", ge=1e-6, le=1.0, formerly="rest_rad_per_s"
+    )
     window: int = setting(
         20,
         "Steps over which disagreement between the sources counts",
@@ -47,13 +59,13 @@ class PublishedFusionSettings(StageSettings):
 
 
 # No residual is smaller: two sources at rest may agree to the last digit.
-_LEAST_VARIANCE = 1e-12
-_MOMENT_S = 0.5
+_VARIANCE_MIN = 1e-12
+_SPEED_INTERVAL_MIN_S = 0.5
 
 
 def fuse_as_published(
-    tracks: Sequence[OdometryTrack], settings: PublishedFusionSettings
-) -> tuple[OdometryTrack, FusionWeights]:
+    tracks: Sequence[OdometryTrajectory], settings: PublishedFusionSettings
+) -> tuple[OdometryTrajectory, FusionWeights]:
     """The fused track and its weights; ``tracks`` have the same stamps."""
     by_name = {track.name: track for track in tracks}
     wheel, laser, visual = (by_name.get(name) for name in ("wheel", "laser", "visual"))
@@ -62,18 +74,18 @@ def fuse_as_published(
     K = _first_gain(laser, visual, settings)
     fused, gains = np.zeros((count, 3)), np.zeros((count, 3))
     parts = {track.name: np.zeros((count, 3)) for track in tracks}
-    pairs, wheels = _Squares(settings.window), _Squares(settings.window)
+    pairs, wheels = _MeanSquare(settings.window), _MeanSquare(settings.window)
     seconds = np.diff(stamps_ns) / 1e9
     for k in range(count):
         gains[k] = K
         X_v, X_s, p_d = (_step(track, k) for track in (visual, laser, wheel))
         X_k: FloatArray | None
         if X_v is not None and X_s is not None:
-            X_k = X_v + K * difference(X_s, X_v)  # (7)
+            X_k = X_v + K * subtract_poses(X_s, X_v)  # (7)
             part_of = {"visual": 1.0 - K, "laser": K}
-            pairs.add(difference(X_s, X_v))
+            pairs.add(subtract_poses(X_s, X_v))
             delta_k = 0.25 * pairs.mean
-            sigma_v, sigma_s = difference(X_v, X_k), difference(X_s, X_k)  # (8)
+            sigma_v, sigma_s = subtract_poses(X_v, X_k), subtract_poses(X_s, X_k)  # (8)
             total = sigma_v**2 + sigma_s**2
             is_told = total > 0.0
             K = np.where(is_told, sigma_v**2 / np.where(is_told, total, 1.0), K)  # (6)
@@ -82,14 +94,14 @@ def fuse_as_published(
             assert alone is not None, "a step has a track"
             X_k = X_s if X_s is not None else X_v
             part_of = {alone.name: np.ones(3)}
-            delta_k = alone.covariance_of_step[k].diagonal()
+            delta_k = alone.step_covariance[k].diagonal()
         else:
             X_k, part_of, delta_k = None, {}, np.zeros(3)
         if X_k is not None and p_d is not None:
-            wheels.add(difference(p_d, X_k))
-            delta_d = np.maximum(wheels.mean - delta_k, _LEAST_VARIANCE)
-            share = delta_d / (delta_d + np.maximum(delta_k, _LEAST_VARIANCE))
-            fused[k] = p_d + share * difference(X_k, p_d)  # (9)
+            wheels.add(subtract_poses(p_d, X_k))
+            delta_d = np.maximum(wheels.mean - delta_k, _VARIANCE_MIN)
+            share = delta_d / (delta_d + np.maximum(delta_k, _VARIANCE_MIN))
+            fused[k] = p_d + share * subtract_poses(X_k, p_d)  # (9)
             part_of = {name: share * part for name, part in part_of.items()}
             part_of["wheel"] = 1.0 - share
         elif X_k is not None or p_d is not None:
@@ -102,7 +114,7 @@ def fuse_as_published(
         fused[k, 2] = wrap_angle(fused[k, 2])
         for name, part in part_of.items():
             parts[name][k] = part
-    return _results(tracks, fused, gains, parts)
+    return _make_results(tracks, fused, gains, parts)
 
 
 def next_gain(K: float) -> float:
@@ -110,7 +122,7 @@ def next_gain(K: float) -> float:
     return K**2 / (K**2 + (1.0 - K) ** 2)
 
 
-class _Squares:
+class _MeanSquare:
     """Mean square of the last residuals, for each of x, y and yaw."""
 
     def __init__(self, window: int) -> None:
@@ -125,7 +137,7 @@ class _Squares:
         return mean
 
 
-def _step(track: OdometryTrack | None, k: int) -> FloatArray | None:
+def _step(track: OdometryTrajectory | None, k: int) -> FloatArray | None:
     if track is None or not track.measured[k]:
         return None
     step: FloatArray = track.steps[k].copy()
@@ -133,7 +145,9 @@ def _step(track: OdometryTrack | None, k: int) -> FloatArray | None:
 
 
 def _first_gain(
-    laser: OdometryTrack | None, visual: OdometryTrack | None, settings: PublishedFusionSettings
+    laser: OdometryTrajectory | None,
+    visual: OdometryTrajectory | None,
+    settings: PublishedFusionSettings,
 ) -> FloatArray:
     """(3,) K of (6) with the sensors' noise at rest."""
     if laser is None or visual is None:
@@ -142,55 +156,57 @@ def _first_gain(
     both = laser.measured & visual.measured
     if not both.any():
         return np.full(3, 0.5)
-    rest = _standstill(laser, visual, settings)
+    rest = _find_standstill(laser, visual, settings)
     if rest is None:
         first = int(np.argmax(both))
-        variance_v, variance_s = (t.covariance_of_step[first].diagonal() for t in (visual, laser))
+        variance_v, variance_s = (t.step_covariance[first].diagonal() for t in (visual, laser))
     else:
         variance_v, variance_s = (
-            np.maximum(t.steps[rest].var(axis=0), _LEAST_VARIANCE) for t in (visual, laser)
+            np.maximum(t.steps[rest].var(axis=0), _VARIANCE_MIN) for t in (visual, laser)
         )
     gain: FloatArray = variance_v / (variance_v + variance_s)
     return gain
 
 
-def _standstill(
-    laser: OdometryTrack, visual: OdometryTrack, settings: PublishedFusionSettings
+def _find_standstill(
+    laser: OdometryTrajectory, visual: OdometryTrajectory, settings: PublishedFusionSettings
 ) -> slice | None:
     """The first ``rest_s`` in which both report no motion beyond the rates of rest."""
     both = laser.measured & visual.measured
     elapsed_s = (laser.stamps_ns - laser.stamps_ns[0]) / 1e9
-    ends = np.searchsorted(elapsed_s, elapsed_s + settings.rest_s)
+    ends = np.searchsorted(elapsed_s, elapsed_s + settings.standstill_min_s)
     way = [np.vstack([np.zeros(3), np.cumsum(t.steps, axis=0)]) for t in (laser, visual)]
     for begin, end in enumerate(ends.tolist()):
         if end >= elapsed_s.size:
             return None
         window = slice(begin, end + 1)
-        stood = all(_stood(summed[window], elapsed_s[window], settings) for summed in way)
+        stood = all(_is_standstill(summed[window], elapsed_s[window], settings) for summed in way)
         if stood and end - begin > 1 and both[begin:end].all():
             return slice(begin, end)
     return None
 
 
-def _stood(way: FloatArray, elapsed_s: FloatArray, settings: PublishedFusionSettings) -> bool:
+def _is_standstill(
+    way: FloatArray, elapsed_s: FloatArray, settings: PublishedFusionSettings
+) -> bool:
     """Whether (M, 3) summed steps stay near where they begin and where they end."""
     for at in (0, -1):
         # Noise may look like speed for a moment.
-        since_s = np.maximum(np.abs(elapsed_s - elapsed_s[at]), _MOMENT_S)
+        since_s = np.maximum(np.abs(elapsed_s - elapsed_s[at]), _SPEED_INTERVAL_MIN_S)
         moved = np.abs(way - way[at])
-        if np.any(np.hypot(moved[:, 0], moved[:, 1]) > settings.rest_m_per_s * since_s):
+        if np.any(np.hypot(moved[:, 0], moved[:, 1]) > settings.standstill_speed_m_s * since_s):
             return False
-        if np.any(moved[:, 2] > settings.rest_rad_per_s * since_s):
+        if np.any(moved[:, 2] > settings.standstill_turn_rad_s * since_s):
             return False
     return True
 
 
-def _results(
-    tracks: Sequence[OdometryTrack],
+def _make_results(
+    tracks: Sequence[OdometryTrajectory],
     fused: FloatArray,
     gains: FloatArray,
     parts: dict[str, FloatArray],
-) -> tuple[OdometryTrack, FusionWeights]:
+) -> tuple[OdometryTrajectory, FusionWeights]:
     stacked = np.stack([parts[track.name] for track in tracks], axis=1)
     measured = np.stack([track.measured for track in tracks], axis=1)
     is_measured: BoolArray = np.any(measured, axis=1)
@@ -202,17 +218,17 @@ def _results(
             np.nan,
         )
         for of_source in (
-            [track.covariance_of_step for track in tracks],
-            [track.drift_of_step for track in tracks],
+            [track.step_covariance for track in tracks],
+            [track.drift_covariance for track in tracks],
         )
     )
-    away = difference(np.stack([track.steps for track in tracks], axis=1), fused[:, np.newaxis])
-    track = OdometryTrack(
+    away = subtract_poses(np.stack([track.steps for track in tracks], axis=1), fused[:, np.newaxis])
+    track = OdometryTrajectory(
         name="fused",
         stamps_ns=tracks[0].stamps_ns.copy(),
-        poses_odom_lidar=chained(fused),
-        covariance_of_step=covariance,
-        drift_of_step=drift,
+        poses_odom_lidar=integrate_steps(fused),
+        step_covariance=covariance,
+        drift_covariance=drift,
         measured=is_measured,
     )
     weights = FusionWeights(

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, IntArray
-from fusion_core.motion.steps import in_axes_of, steps_of
-from fusion_core.motion.track import OdometryTrack, masked
+from fusion_core.motion.odometry_trajectory import OdometryTrajectory, mask_unmeasured
+from fusion_core.motion.steps import rotate_covariance, steps_between
 
 
 class KeyframeChain:
@@ -28,12 +28,12 @@ class KeyframeChain:
         self._noise.append(noise)
         self._keyframes.append(self.keyframe)
 
-    def miss(self, pose: FloatArray, reason: str) -> None:
+    def append_unmatched(self, pose: FloatArray, reason: str) -> None:
         """A pose that nothing measured."""
         self._reasons[reason] += 1
         self.append(pose, np.full((3, 3), np.nan), matched=False)
 
-    def begin(self, pose: FloatArray, reason: str = "") -> None:
+    def start_segment(self, pose: FloatArray, reason: str = "") -> None:
         """The first keyframe, or one that nothing joins to those before, for a reason.
 
         It is the origin of what follows, and so without error; the step to it is not measured.
@@ -42,9 +42,9 @@ class KeyframeChain:
             self._reasons[reason] += 1
         self.append(pose, np.zeros((3, 3)), matched=False)
 
-    def track(
-        self, name: str, stamps_ns: Sequence[int], *, scale_share: float = 0.0
-    ) -> OdometryTrack:
+    def to_trajectory(
+        self, name: str, stamps_ns: Sequence[int], *, scale_sigma: float = 0.0
+    ) -> OdometryTrajectory:
         """The poses at (N,) stamps.
 
         ``scale_share``: error of all ways alike, in metres per metre, that no match shows.
@@ -54,30 +54,30 @@ class KeyframeChain:
         # A step is measured where its end was matched, to its begin or to what that was matched to.
         measured = matched[1:] & np.isfinite(noise[:-1]).all(axis=(1, 2))
         poses = np.array(self.poses)
-        steps = steps_of(poses)
+        steps = steps_between(poses)
         at_begin = noise.copy()
-        at_begin[1:] = in_axes_of(-steps[:, 2], noise[1:])
+        at_begin[1:] = rotate_covariance(-steps[:, 2], noise[1:])
         single = noise[:-1] + at_begin[1:]
-        drift = _shared(single, np.array(self._keyframes, dtype=np.int64))
+        drift = _drift_covariances(single, np.array(self._keyframes, dtype=np.int64))
         # The error of scale is the same in each step: over a metre its shares add up.
         way_m = np.hypot(steps[:, 0], steps[:, 1])
-        drift[:, :2, :2] += (scale_share**2 * way_m)[:, np.newaxis, np.newaxis] * np.eye(2)
+        drift[:, :2, :2] += (scale_sigma**2 * way_m)[:, np.newaxis, np.newaxis] * np.eye(2)
         notes = []
         if reasons := [f"{count} {why}" for why, count in sorted(self._reasons.items())]:
             missed = int(np.count_nonzero(~measured))
             notes.append(f"{name}: {missed} steps not measured: {', '.join(reasons)}.")
-        return OdometryTrack(
+        return OdometryTrajectory(
             name=name,
             stamps_ns=np.array(stamps_ns, dtype=np.int64),
             poses_odom_lidar=poses,
-            covariance_of_step=masked(single, measured),
-            drift_of_step=masked(drift, measured),
+            step_covariance=mask_unmeasured(single, measured),
+            drift_covariance=mask_unmeasured(drift, measured),
             measured=measured,
             notes=tuple(notes),
         )
 
 
-def _shared(single: FloatArray, keyframe: IntArray) -> FloatArray:
+def _drift_covariances(single: FloatArray, keyframe: IntArray) -> FloatArray:
     """(N - 1, 3, 3) what a step's two matches add to a longer way.
 
     What adds up is one match for each keyframe, so the steps since it share it; each takes the mean

@@ -16,9 +16,14 @@ from fusion_core.model.planar_poses import compose_poses, relative_pose
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import LaserScan
 from fusion_core.motion.keyframe_chain import KeyframeChain
-from fusion_core.motion.steps import difference, in_axes_of, steps_of
-from fusion_core.motion.track import OdometryTrack
-from fusion_core.registration.pl_icp import PlIcpSettings, ReferenceScan, ScanMatch, match_to
+from fusion_core.motion.odometry_trajectory import OdometryTrajectory
+from fusion_core.motion.steps import rotate_covariance, steps_between, subtract_poses
+from fusion_core.registration.pl_icp import (
+    PlIcpSettings,
+    ReferenceScan,
+    ScanMatch,
+    match_to_reference,
+)
 from fusion_core.settings import StageSettings, setting
 
 Predicted = Callable[[int], FloatArray | None]
@@ -31,18 +36,30 @@ _VELOCITY_STEPS = 4
 class LaserOdometrySettings(StageSettings):
     """Settings of ``laser_odometry``."""
 
-    key_step_m: float = setting(1.0, "Way to the next keyframe", unit="m", ge=1e-6, le=10.0)
-    key_turn_rad: float = setting(
-        1.0, "Turn to the next keyframe", unit="rad", ge=1e-6, le=float(np.pi)
+    keyframe_distance_m: float = setting(
+        1.0, "Way to the next keyframe", unit="m", ge=1e-6, le=10.0, formerly="key_step_m"
     )
-    key_inlier_share: float = setting(
-        0.7, "A scan of which less fits the keyframe becomes one itself", ge=0.0, le=1.0
+    keyframe_rotation_rad: float = setting(
+        1.0,
+        "Turn to the next keyframe",
+        unit="rad",
+        ge=1e-6,
+        le=float(np.pi),
+        formerly="key_turn_rad",
     )
-    inlier_share_sure: float = setting(
+    keyframe_inlier_ratio: float = setting(
+        0.7,
+        "A scan of which less fits the keyframe becomes one itself",
+        ge=0.0,
+        le=1.0,
+        formerly="key_inlier_share",
+    )
+    inlier_ratio_sufficient: float = setting(
         0.5,
         "Share of fitting beams at which the prediction's match is not doubted",
         ge=1e-6,
         le=1.0,
+        formerly="inlier_share_sure",
     )
     prediction_sigma_m: float = setting(
         0.05,
@@ -54,25 +71,36 @@ class LaserOdometrySettings(StageSettings):
     prediction_sigma_rad: float = setting(
         0.1, "The same, of the turn", unit="rad", ge=1e-6, le=10.0
     )
-    noise_factor: float = setting(
-        1.75, "Matches err by so much more than the noise of their ranges explains", ge=1.0, le=10.0
+    sigma_inflation: float = setting(
+        1.75,
+        "Matches err by so much more than the noise of their ranges explains",
+        ge=1.0,
+        le=10.0,
+        formerly="noise_factor",
     )
-    surprise_m: float = setting(
-        0.5, "A match farther from what was predicted is refused", unit="m", ge=1e-6, le=10.0
+    innovation_max_m: float = setting(
+        0.5,
+        "A match farther from what was predicted is refused",
+        unit="m",
+        ge=1e-6,
+        le=10.0,
+        formerly="surprise_m",
     )
-    surprise_rad: float = setting(
+    innovation_max_rad: float = setting(
         0.7,
         "A match turned farther from what was predicted is refused",
         unit="rad",
         ge=1e-6,
         le=float(np.pi),
+        formerly="surprise_rad",
     )
-    patience: int = setting(
+    unmatched_scans_max: int = setting(
         5,
         "Scans without a match after which the next one begins anew",
         unit="scans",
         ge=0,
         le=10_000,
+        formerly="patience",
     )
     beams_min: int = setting(30, "Fewest valid beams of a scan", unit="beams", ge=6, le=10_000)
     search_translation_m: float = setting(
@@ -92,7 +120,7 @@ def laser_odometry(
     settings: LaserOdometrySettings | None = None,
     predicted: Predicted | None = None,
     progress: Progress = silent,
-) -> OdometryTrack:
+) -> OdometryTrajectory:
     """The LiDAR's motion by its scans, whose stamps increase; one keyframe is kept at a time.
 
     ``predicted``: another source, such as the wheels, whose steps tell where a match begins and
@@ -102,15 +130,15 @@ def laser_odometry(
 
     Raises MissingStream where there is no scan.
     """
-    follower = _Follower(settings or LaserOdometrySettings(), predicted)
+    follower = _LaserOdometry(settings or LaserOdometrySettings(), predicted)
     for count, scan in enumerate(scans, start=1):
         follower.add(scan)
         progress(count, None, "laser odometry")
-    return follower.track()
+    return follower.trajectory()
 
 
 @dataclass(eq=False)
-class _Swept:
+class _Keyframe:
     """A scan, and as what others are matched to."""
 
     scan: LaserScan
@@ -127,64 +155,64 @@ class _Swept:
         )
 
 
-class _Follower:
+class _LaserOdometry:
     def __init__(self, settings: LaserOdometrySettings, predicted: Predicted | None) -> None:
         self._settings = settings
         self._predicted = predicted
         self._icp = PlIcpSettings(
             beams_min=settings.beams_min,
-            inlier_share_sure=settings.inlier_share_sure,
+            inlier_ratio_sufficient=settings.inlier_ratio_sufficient,
             search_translation_m=settings.search_translation_m,
             search_rotation_rad=settings.search_rotation_rad,
         )
         self._stamps_ns: list[int] = []
         self._chain = KeyframeChain()
-        self._key: _Swept | None = None
-        self._last: _Swept | None = None
+        self._keyframe: _Keyframe | None = None
+        self._last: _Keyframe | None = None
         self._misses = 0
         self._prior: FloatArray | None = None
 
     def add(self, scan: LaserScan) -> None:
         """Place the next scan."""
         prior = None if self._predicted is None else self._predicted(scan.stamp_ns)
-        pose = self._prediction(scan.stamp_ns, prior)
+        pose = self._predict_pose(scan.stamp_ns, prior)
         self._prior = prior
         self._stamps_ns.append(scan.stamp_ns)
         if np.count_nonzero(scan.ranges_m > 0.0) < self._settings.beams_min:
-            self._miss(pose, "too few beams")
+            self._add_unmatched(pose, "too few beams")
             return
-        if self._key is None:
-            self._begin(scan, pose)
+        if self._keyframe is None:
+            self._start_segment(scan, pose)
             return
-        match = self._match(self._key, scan, pose)
+        match = self._match(self._keyframe, scan, pose)
         if isinstance(match, str) and self._last is not None:
             # What the keyframe no longer shows, the scan just before may.
             key = self._last
-            self._change_key(key)
+            self._set_keyframe(key)
             match = self._match(key, scan, pose)
         if isinstance(match, str):
-            if self._misses >= self._settings.patience:
-                self._begin(scan, pose, match)
+            if self._misses >= self._settings.unmatched_scans_max:
+                self._start_segment(scan, pose, match)
             else:
-                self._miss(pose, match)
+                self._add_unmatched(pose, match)
             return
-        self._hit(scan, match, pose)
+        self._accept_match(scan, match, pose)
 
-    def _prediction(self, stamp_ns: int, prior: FloatArray | None) -> FloatArray:
+    def _predict_pose(self, stamp_ns: int, prior: FloatArray | None) -> FloatArray:
         poses = self._chain.poses
         if not poses:
             return np.zeros(3)
         last = poses[-1]
         if prior is not None and self._prior is not None:
             return compose_poses(last, relative_pose(self._prior, prior))
-        back = self._steps_back()
+        back = self._count_matched_steps()
         if back == 0:
             # A velocity that led to no match is no better known than none.
             return last.copy()
         # The way is that of several steps: where the scans tell little of it, one step's error
         # would go on for ever. A turn they tell, and it changes sooner.
         stamps_ns = self._stamps_ns
-        steps = steps_of(np.array(poses[-1 - back :]))
+        steps = steps_between(np.array(poses[-1 - back :]))
         since_ns = stamp_ns - stamps_ns[-1]
         # After a pause nobody knows whether it went on.
         share = min(since_ns / (stamps_ns[-1] - stamps_ns[-2]), 1.0)
@@ -193,7 +221,7 @@ class _Follower:
         step[2] = share * steps[-1, 2]
         return compose_poses(last, step)
 
-    def _steps_back(self) -> int:
+    def _count_matched_steps(self) -> int:
         """How many steps before the next scan were measured without a break, up to a few."""
         matched = self._chain.matched
         back = 0
@@ -201,11 +229,11 @@ class _Follower:
             back += 1
         return back
 
-    def _match(self, key: _Swept, scan: LaserScan, predicted: FloatArray) -> ScanMatch | str:
+    def _match(self, key: _Keyframe, scan: LaserScan, predicted: FloatArray) -> ScanMatch | str:
         """The match to a keyframe, or why there is none."""
         guess = relative_pose(key.pose, predicted)
         try:
-            match = match_to(
+            match = match_to_reference(
                 key.reference,
                 scan.ranges_m,
                 angle_min_rad=scan.angle_min_rad,
@@ -217,55 +245,57 @@ class _Follower:
         away = match.pose_first_second - guess
         # It may have gone on while scans had no match.
         wider = 1 + self._misses
-        is_far = np.hypot(away[0], away[1]) > wider * self._settings.surprise_m
-        if is_far or abs(wrap_angle(away[2])) > wider * self._settings.surprise_rad:
+        is_far = np.hypot(away[0], away[1]) > wider * self._settings.innovation_max_m
+        if is_far or abs(wrap_angle(away[2])) > wider * self._settings.innovation_max_rad:
             return "a match far from what was predicted"
         return match
 
-    def _hit(self, scan: LaserScan, match: ScanMatch, predicted: FloatArray) -> None:
-        assert self._key is not None, "a match has a keyframe"
+    def _accept_match(self, scan: LaserScan, match: ScanMatch, predicted: FloatArray) -> None:
+        assert self._keyframe is not None, "a match has a keyframe"
         settings = self._settings
-        noise = match.covariance * settings.noise_factor**2
-        step = self._supported(
-            match.pose_first_second, noise, relative_pose(self._key.pose, predicted)
+        noise = match.covariance * settings.sigma_inflation**2
+        step = self._fuse_with_prediction(
+            match.pose_first_second, noise, relative_pose(self._keyframe.pose, predicted)
         )
-        pose = compose_poses(self._key.pose, step)
+        pose = compose_poses(self._keyframe.pose, step)
         # The match's own covariance: what the prediction adds is not the laser's to claim.
-        self._chain.append(pose, in_axes_of(float(step[2]), noise), matched=True)
+        self._chain.append(pose, rotate_covariance(float(step[2]), noise), matched=True)
         self._misses = 0
-        self._last = _Swept(scan, pose, self._icp)
+        self._last = _Keyframe(scan, pose, self._icp)
         if (
-            np.hypot(step[0], step[1]) > settings.key_step_m
-            or abs(step[2]) > settings.key_turn_rad
-            or match.inlier_share < settings.key_inlier_share
+            np.hypot(step[0], step[1]) > settings.keyframe_distance_m
+            or abs(step[2]) > settings.keyframe_rotation_rad
+            or match.inlier_ratio < settings.keyframe_inlier_ratio
         ):
-            self._change_key(self._last)
+            self._set_keyframe(self._last)
 
-    def _supported(self, step: FloatArray, noise: FloatArray, predicted: FloatArray) -> FloatArray:
+    def _fuse_with_prediction(
+        self, step: FloatArray, noise: FloatArray, predicted: FloatArray
+    ) -> FloatArray:
         """A match, drawn to the prediction in directions that the scans hardly tell: there its
         error would be taken for velocity, and grow from scan to scan."""
         sigmas = (self._settings.prediction_sigma_m,) * 2 + (self._settings.prediction_sigma_rad,)
         doubt = np.diag(np.square(sigmas))
         gain = doubt @ np.linalg.inv(doubt + noise)
-        supported: FloatArray = predicted + gain @ difference(step, predicted)
+        supported: FloatArray = predicted + gain @ subtract_poses(step, predicted)
         supported[2] = wrap_angle(supported[2])
         return supported
 
-    def _miss(self, pose: FloatArray, reason: str) -> None:
+    def _add_unmatched(self, pose: FloatArray, reason: str) -> None:
         self._misses += 1
-        self._chain.miss(pose, reason)
+        self._chain.append_unmatched(pose, reason)
 
-    def _begin(self, scan: LaserScan, pose: FloatArray, reason: str = "") -> None:
-        self._change_key(_Swept(scan, pose, self._icp))
-        self._chain.begin(pose, reason)
+    def _start_segment(self, scan: LaserScan, pose: FloatArray, reason: str = "") -> None:
+        self._set_keyframe(_Keyframe(scan, pose, self._icp))
+        self._chain.start_segment(pose, reason)
         self._misses = 0
 
-    def _change_key(self, key: _Swept) -> None:
-        self._key, self._last = key, None
+    def _set_keyframe(self, key: _Keyframe) -> None:
+        self._keyframe, self._last = key, None
         self._chain.keyframe += 1
 
-    def track(self) -> OdometryTrack:
+    def trajectory(self) -> OdometryTrajectory:
         """All scans so far."""
         if not self._stamps_ns:
             raise MissingStream("there is no scan to follow.")
-        return self._chain.track("laser", self._stamps_ns)
+        return self._chain.to_trajectory("laser", self._stamps_ns)

@@ -12,36 +12,36 @@ from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.model.geometry import invert_transform, transform_points
 
 _ITERATIONS = 10
-_SMALL_STEP = 1e-7
+_STEP_TOLERANCE = 1e-7
 # Huber's constant: 95 % as good as least squares on Gaussian errors.
 _HUBER = 1.345
 # Median of |x| of a unit Gaussian, of one of two coordinates.
-_MEDIAN_ABS = 0.6745
-_NEAREST_M = 0.05
+_NORMAL_MEDIAN_ABS = 0.6745
+_DEPTH_MIN_M = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PlanarFit:
+class PlanarStepEstimate:
     """``step``: (3,) x, y, yaw of the LiDAR in the frame where it saw the points. ``covariance``:
     (3, 3) of it. ``fits``: (M,) the points within three standard deviations. ``residual_px``:
     robust standard deviation of a coordinate."""
 
     step: FloatArray
     covariance: FloatArray
-    fits: BoolArray
+    is_inlier: BoolArray
     residual_px: float
 
 
-def fit_planar_step(
+def estimate_planar_step(
     points_in_lidar_m: FloatArray,
-    seen: FloatArray,
+    observed: FloatArray,
     start: FloatArray,
     T_lidar_camera: FloatArray,
     *,
     focal_px: float,
     sigma_px: float,
     depth_sigma_per_m2: float,
-) -> PlanarFit | None:
+) -> PlanarStepEstimate | None:
     """Gauss-Newton from ``start``, each error over what pixel and depth noise make of it.
 
     ``points_in_lidar_m``: (M, 3) in the LiDAR's frame of the keyframe. ``seen``: (M, 2) now, at
@@ -57,8 +57,8 @@ def fit_planar_step(
         projected, jacobian, ahead = _project(points_in_lidar_m, step, T_camera_lidar)
         if np.count_nonzero(ahead) < 3:
             return None
-        error_px = focal_px * (seen - projected)
-        sigma = _pixel_sigma(
+        error_px = focal_px * (observed - projected)
+        sigma = _depth_noise_px(
             step, T_camera_lidar, projected, points_in_lidar_m, rays, depth_sigma_m, focal_px
         )
         sigma = np.sqrt(sigma**2 + sigma_px**2)
@@ -70,16 +70,16 @@ def fit_planar_step(
             return None
         change = np.linalg.solve(information, np.einsum("m,mia,mi->a", weight, J, error_px))
         step += change
-        if np.abs(change).max() < _SMALL_STEP:
+        if np.abs(change).max() < _STEP_TOLERANCE:
             break
     error_size = np.where(ahead, size, np.inf)
     coordinates = np.abs(error_px / sigma[:, np.newaxis])[ahead]
-    scale = float(np.median(coordinates)) / _MEDIAN_ABS
+    scale = float(np.median(coordinates)) / _NORMAL_MEDIAN_ABS
     # Fewer errors than the noise allows are luck, not knowledge.
-    return PlanarFit(
+    return PlanarStepEstimate(
         step=step,
         covariance=np.linalg.inv(information) * max(scale, 1.0) ** 2,
-        fits=error_size < 3.0 * max(scale, 1.0) * np.sqrt(2.0),
+        is_inlier=error_size < 3.0 * max(scale, 1.0) * np.sqrt(2.0),
         residual_px=scale * sigma_px,
     )
 
@@ -96,7 +96,7 @@ def _project(
     by_step[:, 0, 0], by_step[:, 0, 1], by_step[:, 0, 2] = -c, -s, now[:, 1]
     by_step[:, 1, 0], by_step[:, 1, 1], by_step[:, 1, 2] = s, -c, -now[:, 0]
     in_camera = transform_points(T_camera_lidar, np.column_stack([now, points_m[:, 2]]))
-    ahead = in_camera[:, 2] > _NEAREST_M
+    ahead = in_camera[:, 2] > _DEPTH_MIN_M
     z = np.where(ahead, in_camera[:, 2], 1.0)
     projected = in_camera[:, :2] / z[:, np.newaxis]
     by_point = np.zeros((len(points_m), 2, 3))
@@ -105,7 +105,7 @@ def _project(
     return projected, by_point @ T_camera_lidar[:3, :3] @ by_step, ahead
 
 
-def _pixel_sigma(
+def _depth_noise_px(
     step: FloatArray,
     T_camera_lidar: FloatArray,
     projected: FloatArray,

@@ -3,10 +3,10 @@
 import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, wrap_angle
-from fusion_core.motion.track import OdometryTrack, masked
+from fusion_core.motion.odometry_trajectory import OdometryTrajectory, mask_unmeasured
 
 
-def resampled(track: OdometryTrack, stamps_ns: IntArray) -> OdometryTrack:
+def resample_odometry(track: OdometryTrajectory, stamps_ns: IntArray) -> OdometryTrajectory:
     """A track at (N,) other stamps, strictly increasing, interpolated between its own.
 
     A step is measured where all the steps are that share time with it, and its drift is that of the
@@ -14,7 +14,7 @@ def resampled(track: OdometryTrack, stamps_ns: IntArray) -> OdometryTrack:
     its ends the track stands still, not measured.
     """
     own_ns = track.stamps_ns
-    place = _places(own_ns, stamps_ns)
+    place = _fractional_indices(own_ns, stamps_ns)
     before = np.clip(np.floor(place).astype(np.int64), 0, max(own_ns.size - 2, 0))
     after = np.minimum(before + 1, own_ns.size - 1)
     share = (place - before)[:, np.newaxis]
@@ -27,23 +27,23 @@ def resampled(track: OdometryTrack, stamps_ns: IntArray) -> OdometryTrack:
     inside = (stamps_ns >= own_ns[0]) & (stamps_ns <= own_ns[-1])
     measured = inside[:-1] & inside[1:] & _all_measured(track.measured, place)
     known = track.measured[:, np.newaxis, np.newaxis]
-    drift = _sums(np.where(known, track.drift_of_step, 0.0), place)
-    single = _sums(np.where(known, track.covariance_of_step, 0.0), place)
+    drift = _integrate_covariances(np.where(known, track.drift_covariance, 0.0), place)
+    single = _integrate_covariances(np.where(known, track.step_covariance, 0.0), place)
     span = np.maximum(np.diff(place), 1e-12)[:, np.newaxis, np.newaxis]
     mean = single / span
     is_less = (np.trace(mean, axis1=1, axis2=2) < np.trace(drift, axis1=1, axis2=2))[:, None, None]
-    return OdometryTrack(
+    return OdometryTrajectory(
         name=track.name,
         stamps_ns=stamps_ns.copy(),
         poses_odom_lidar=poses,
-        covariance_of_step=masked(np.where(is_less, drift, mean), measured),
-        drift_of_step=masked(drift, measured),
+        step_covariance=mask_unmeasured(np.where(is_less, drift, mean), measured),
+        drift_covariance=mask_unmeasured(drift, measured),
         measured=measured,
         notes=track.notes,
     )
 
 
-def _places(own_ns: IntArray, stamps_ns: IntArray) -> FloatArray:
+def _fractional_indices(own_ns: IntArray, stamps_ns: IntArray) -> FloatArray:
     """(N,) where stamps lie among a track's own, counted in its steps, from 0 to their number."""
     # Differences first: an int64 of nanoseconds has more digits than a float64.
     places: FloatArray = np.interp(
@@ -61,7 +61,7 @@ def _all_measured(measured: BoolArray, place: FloatArray) -> BoolArray:
     return whole
 
 
-def _sums(of_step: FloatArray, place: FloatArray) -> FloatArray:
+def _integrate_covariances(of_step: FloatArray, place: FloatArray) -> FloatArray:
     """(N - 1, 3, 3) of the steps' matrices between places, parts of a step in proportion."""
     total = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(of_step, axis=0)])
     before = np.clip(np.floor(place).astype(np.int64), 0, max(len(of_step) - 1, 0))

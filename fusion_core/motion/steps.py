@@ -10,12 +10,12 @@ from fusion_core.model.conventions import FloatArray, wrap_angle
 from fusion_core.model.planar_poses import relative_pose
 
 
-def steps_of(poses: FloatArray) -> FloatArray:
+def steps_between(poses: FloatArray) -> FloatArray:
     """(N - 1, 3) the step from each of (N, 3) poses to the next."""
     return relative_pose(poses[:-1], poses[1:])
 
 
-def chained(steps: FloatArray, start: FloatArray | None = None) -> FloatArray:
+def integrate_steps(steps: FloatArray, start: FloatArray | None = None) -> FloatArray:
     """(N + 1, 3) the poses that (N, 3) steps lead to, from ``start`` or the origin."""
     poses = np.zeros((len(steps) + 1, 3))
     if start is not None:
@@ -29,14 +29,14 @@ def chained(steps: FloatArray, start: FloatArray | None = None) -> FloatArray:
     return poses
 
 
-def difference(first: FloatArray, second: FloatArray) -> FloatArray:
+def subtract_poses(first: FloatArray, second: FloatArray) -> FloatArray:
     """(..., 3) first - second, the turn wrapped."""
     away: FloatArray = first - second
     away[..., 2] = wrap_angle(away[..., 2])
     return away
 
 
-def in_axes_of(yaw_rad: FloatArray | float, covariance: FloatArray) -> FloatArray:
+def rotate_covariance(yaw_rad: FloatArray | float, covariance: FloatArray) -> FloatArray:
     """(..., 3, 3) a covariance of (x, y, yaw) in axes that are turned by ``yaw_rad``."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     zero, one = np.zeros_like(c), np.ones_like(c)

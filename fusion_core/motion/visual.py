@@ -29,9 +29,9 @@ from fusion_core.model.planar_poses import compose_poses
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.motion.keyframe_chain import KeyframeChain
-from fusion_core.motion.planar_reprojection import PlanarFit, fit_planar_step
-from fusion_core.motion.steps import in_axes_of
-from fusion_core.motion.track import OdometryTrack
+from fusion_core.motion.odometry_trajectory import OdometryTrajectory
+from fusion_core.motion.planar_reprojection import PlanarStepEstimate, estimate_planar_step
+from fusion_core.motion.steps import rotate_covariance
 from fusion_core.settings import StageSettings, setting
 
 # Refinement by Lucas-Kanade: window and levels.
@@ -40,58 +40,94 @@ _LK_LEVELS = 1
 _LK_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01)
 _RANSAC_CONFIDENCE = 0.999
 # A depth whose neighbours differ by more than this share may be of another surface.
-_BESIDE = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
-_EDGE_SHARE = 0.05
+_DEPTH_NEIGHBOURS = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
+_DEPTH_EDGE_RATIO = 0.05
 
 
 class VisualOdometrySettings(StageSettings):
     """Settings of ``visual_odometry``."""
 
-    features: int = setting(600, "Features of an image at most", unit="features", ge=50, le=20_000)
+    features_max: int = setting(
+        600, "Features of an image at most", unit="features", ge=50, le=20_000, formerly="features"
+    )
     fast_threshold: int = setting(8, "Contrast of a corner", unit="grey levels", ge=1, le=100)
     match_ratio: float = setting(
         0.8, "The best match must be nearer than the next by this factor", ge=1e-6, le=1.0
     )
-    refine_px: float = setting(
-        3.0, "A match that refinement moves farther is left out", unit="px", ge=1e-6, le=100.0
+    refinement_max_px: float = setting(
+        3.0,
+        "A match that refinement moves farther is left out",
+        unit="px",
+        ge=1e-6,
+        le=100.0,
+        formerly="refine_px",
     )
-    ransac_px: float = setting(2.0, "Error of an inlier at most", unit="px", ge=1e-6, le=50.0)
+    ransac_threshold_px: float = setting(
+        2.0, "Error of an inlier at most", unit="px", ge=1e-6, le=50.0, formerly="ransac_px"
+    )
     ransac_draws: int = setting(200, "Draws of RANSAC at most", unit="draws", ge=10, le=100_000)
     inliers_min: int = setting(
         12, "Fewest inliers that make a step", unit="features", ge=6, le=10_000
     )
-    inlier_share_min: float = setting(0.4, "Least share of the matches", ge=1e-6, le=1.0)
-    sigma_px: float = setting(0.4, "Noise of a feature's place", unit="px", ge=1e-6, le=10.0)
-    noise_factor: float = setting(
-        1.8, "Steps err by so much more than pixel and depth noise explain", ge=1.0, le=10.0
+    inlier_ratio_min: float = setting(
+        0.4, "Least share of the matches", ge=1e-6, le=1.0, formerly="inlier_share_min"
+    )
+    feature_sigma_px: float = setting(
+        0.4, "Noise of a feature's place", unit="px", ge=1e-6, le=10.0, formerly="sigma_px"
+    )
+    sigma_inflation: float = setting(
+        1.8,
+        "Steps err by so much more than pixel and depth noise explain",
+        ge=1.0,
+        le=10.0,
+        formerly="noise_factor",
     )
     depth_sigma_per_m2: float = setting(
         0.003, "Noise of a depth over its square", unit="1/m", ge=1e-6, le=1.0
     )
     depth_min_m: float = setting(0.2, "Nearest depth used", unit="m", ge=1e-6, le=100.0)
     depth_max_m: float = setting(8.0, "Farthest depth used", unit="m", ge=1e-6, le=100.0)
-    sigma_max_m: float = setting(
-        0.2, "A step less certain than this is not measured", unit="m", ge=1e-6, le=10.0
+    step_sigma_max_m: float = setting(
+        0.2,
+        "A step less certain than this is not measured",
+        unit="m",
+        ge=1e-6,
+        le=10.0,
+        formerly="sigma_max_m",
     )
-    scale_share: float = setting(
-        0.005, "Error of all depths alike, in metres per metre", unit="m/m", ge=0.0, le=1.0
+    depth_scale_sigma: float = setting(
+        0.005,
+        "Error of all depths alike, in metres per metre",
+        unit="m/m",
+        ge=0.0,
+        le=1.0,
+        formerly="scale_share",
     )
-    key_step_m: float = setting(0.4, "Way to the next keyframe", unit="m", ge=1e-6, le=100.0)
-    key_turn_rad: float = setting(
-        0.3, "Turn to the next keyframe", unit="rad", ge=1e-6, le=float(np.pi)
+    keyframe_distance_m: float = setting(
+        0.4, "Way to the next keyframe", unit="m", ge=1e-6, le=100.0, formerly="key_step_m"
     )
-    key_match_share: float = setting(
+    keyframe_rotation_rad: float = setting(
+        0.3,
+        "Turn to the next keyframe",
+        unit="rad",
+        ge=1e-6,
+        le=float(np.pi),
+        formerly="key_turn_rad",
+    )
+    keyframe_match_ratio: float = setting(
         0.4,
         "Features of the keyframe still found, below which the image becomes one",
         ge=0.0,
         le=1.0,
+        formerly="key_match_share",
     )
-    patience: int = setting(
+    unmatched_images_max: int = setting(
         5,
         "Images without a match after which the next one begins anew",
         unit="images",
         ge=0,
         le=10_000,
+        formerly="patience",
     )
 
 
@@ -111,7 +147,7 @@ def visual_odometry(
     T_lidar_camera: FloatArray,
     settings: VisualOdometrySettings | None = None,
     progress: Progress = silent,
-) -> OdometryTrack:
+) -> OdometryTrajectory:
     """The LiDAR's motion by a camera's images, whose stamps increase, at the images' stamps.
 
     ``intrinsics``: of the grey images. ``T_lidar_camera``: (4, 4), its optical frame to the
@@ -120,11 +156,11 @@ def visual_odometry(
 
     Raises MissingStream where there is no image.
     """
-    follower = _Follower(intrinsics, T_lidar_camera, settings or VisualOdometrySettings())
+    follower = _VisualOdometry(intrinsics, T_lidar_camera, settings or VisualOdometrySettings())
     for count, frame in enumerate(frames, start=1):
         follower.add(frame)
         progress(count, None, "visual odometry")
-    return follower.track()
+    return follower.trajectory()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,16 +175,16 @@ class _Features:
     pose: FloatArray
 
 
-class _Follower:
+class _VisualOdometry:
     def __init__(
         self,
         intrinsics: CameraIntrinsics,
         T_lidar_camera: FloatArray,
         settings: VisualOdometrySettings,
     ) -> None:
-        self._lens, self._T, self._settings = intrinsics, T_lidar_camera, settings
+        self._intrinsics, self._T, self._settings = intrinsics, T_lidar_camera, settings
         self._orb = cv2.ORB.create(
-            nfeatures=settings.features, fastThreshold=settings.fast_threshold
+            nfeatures=settings.features_max, fastThreshold=settings.fast_threshold
         )
         self._matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
         self._stamps_ns: list[int] = []
@@ -161,44 +197,44 @@ class _Follower:
         """Place the next image."""
         pose = self._chain.poses[-1].copy() if self._chain.poses else np.zeros(3)
         self._stamps_ns.append(frame.stamp_ns)
-        features = self._features(frame, pose)
+        features = self._extract_features(frame, pose)
         if isinstance(features, str):
-            self._miss(pose, features)
+            self._add_unmatched(pose, features)
             return
         if self._key is None:
-            self._begin(features)
+            self._start_segment(features)
             return
         found = self._match(self._key, features)
         if isinstance(found, str) and self._last is not None:
             key = self._last
-            self._change_key(key)
+            self._set_keyframe(key)
             found = self._match(key, features)
         if isinstance(found, str):
-            if self._misses >= self._settings.patience:
-                self._begin(features, found)
+            if self._misses >= self._settings.unmatched_images_max:
+                self._start_segment(features, found)
             else:
-                self._miss(pose, found)
+                self._add_unmatched(pose, found)
             return
-        self._hit(features, *found)
+        self._accept_match(features, *found)
 
-    def _features(self, frame: GrayDepth, pose: FloatArray) -> _Features | str:
+    def _extract_features(self, frame: GrayDepth, pose: FloatArray) -> _Features | str:
         keypoints, descriptors = self._orb.detectAndCompute(frame.gray, None)
         if descriptors is None or len(keypoints) < self._settings.inliers_min:
             return "too few features"
         pixels = np.array([point.pt for point in keypoints], dtype=np.float32)
-        depth_m = _depths(frame, pixels)
+        depth_m = _sample_depths_m(frame, pixels)
         settings = self._settings
         # NaN compares false.
         usable = (depth_m > settings.depth_min_m) & (depth_m < settings.depth_max_m)
         if np.count_nonzero(usable) < settings.inliers_min:
             return "too few features with depth"
-        rays = np.column_stack([self._at_one_metre(pixels), np.ones(len(pixels))])
+        rays = np.column_stack([self._normalised_coordinates(pixels), np.ones(len(pixels))])
         points = transform_points(self._T, np.where(usable, depth_m, np.nan)[:, np.newaxis] * rays)
         return _Features(frame.gray, pixels, np.asarray(descriptors, dtype=np.uint8), points, pose)
 
-    def _at_one_metre(self, pixels: Float32Array) -> FloatArray:
+    def _normalised_coordinates(self, pixels: Float32Array) -> FloatArray:
         """(M, 2) where the pixels' rays pass 1 m along the optical axis, without distortion."""
-        lens = self._lens
+        lens = self._intrinsics
         K = np.array([[lens.fx, 0.0, lens.cx], [0.0, lens.fy, lens.cy], [0.0, 0.0, 1.0]])
         coefficients = np.array(lens.distortion or (0.0,) * 4)
         stacked = pixels.astype(np.float64)[:, np.newaxis, :]
@@ -208,39 +244,39 @@ class _Follower:
             ideal = cv2.undistortPoints(stacked, K, coefficients)
         return np.asarray(ideal, dtype=np.float64).reshape(-1, 2)
 
-    def _match(self, key: _Features, now: _Features) -> tuple[PlanarFit, int] | str:
+    def _match(self, key: _Features, now: _Features) -> tuple[PlanarStepEstimate, int] | str:
         """The step from a keyframe and how many features of it were found, or why there is none."""
         settings = self._settings
-        first, second = self._paired(key, now)
+        first, second = self._match_descriptors(key, now)
         has_depth = np.isfinite(key.points_in_lidar_m[first, 2])
         first, second = first[has_depth], second[has_depth]
         if first.size < settings.inliers_min:
             return "too few matches"
-        pixels, kept = self._refined(key, now, first, second)
+        pixels, kept = self._refine_pixels(key, now, first, second)
         first, pixels = first[kept], pixels[kept]
         if first.size < settings.inliers_min:
             return "too few matches"
-        points, seen = key.points_in_lidar_m[first], self._at_one_metre(pixels)
-        start, inliers = self._start(points, seen)
-        enough = max(settings.inliers_min, round(settings.inlier_share_min * first.size))
+        points, seen = key.points_in_lidar_m[first], self._normalised_coordinates(pixels)
+        start, inliers = self._estimate_by_pnp(points, seen)
+        enough = max(settings.inliers_min, round(settings.inlier_ratio_min * first.size))
         if start is None or np.count_nonzero(inliers) < enough:
             return "matches that contradict each other"
-        fit = fit_planar_step(
+        fit = estimate_planar_step(
             points[inliers],
             seen[inliers],
             start,
             self._T,
             focal_px=self._focal_px,
-            sigma_px=settings.sigma_px,
+            sigma_px=settings.feature_sigma_px,
             depth_sigma_per_m2=settings.depth_sigma_per_m2,
         )
-        if fit is None or np.count_nonzero(fit.fits) < settings.inliers_min:
+        if fit is None or np.count_nonzero(fit.is_inlier) < settings.inliers_min:
             return "matches that fit no motion on the floor"
-        if np.sqrt(fit.covariance[:2, :2].trace()) > settings.sigma_max_m:
+        if np.sqrt(fit.covariance[:2, :2].trace()) > settings.step_sigma_max_m:
             return "matches that leave the motion open"
-        return fit, int(np.count_nonzero(fit.fits))
+        return fit, int(np.count_nonzero(fit.is_inlier))
 
-    def _paired(self, key: _Features, now: _Features) -> tuple[IntArray, IntArray]:
+    def _match_descriptors(self, key: _Features, now: _Features) -> tuple[IntArray, IntArray]:
         """Indices of features whose descriptors match, each way the best and clearly so."""
         pairs = self._matcher.knnMatch(key.descriptors, now.descriptors, k=2)
         ratio = self._settings.match_ratio
@@ -255,7 +291,7 @@ class _Follower:
         second = np.array([match.trainIdx for match in ordered], dtype=np.int64)
         return first, second
 
-    def _refined(
+    def _refine_pixels(
         self, key: _Features, now: _Features, first: IntArray, second: IntArray
     ) -> tuple[Float32Array, BoolArray]:
         """(M, 2) where the keyframe's features are in the image, and which could be refined."""
@@ -271,15 +307,17 @@ class _Follower:
             flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
         )
         pixels = np.asarray(found, dtype=np.float32).reshape(-1, 2)
-        near = np.linalg.norm(pixels - guess, axis=1) < self._settings.refine_px
+        near = np.linalg.norm(pixels - guess, axis=1) < self._settings.refinement_max_px
         kept: BoolArray = (np.asarray(status).reshape(-1) == 1) & near
         return pixels, kept
 
     @property
     def _focal_px(self) -> float:
-        return 0.5 * (self._lens.fx + self._lens.fy)
+        return 0.5 * (self._intrinsics.fx + self._intrinsics.fy)
 
-    def _start(self, points: FloatArray, seen: FloatArray) -> tuple[FloatArray | None, BoolArray]:
+    def _estimate_by_pnp(
+        self, points: FloatArray, seen: FloatArray
+    ) -> tuple[FloatArray | None, BoolArray]:
         """PnP in RANSAC: the LiDAR's step, of which the planar part is taken, and the inliers."""
         none = np.zeros(len(points), dtype=np.bool_)
         in_camera = transform_points(invert_transform(self._T), points)
@@ -291,7 +329,7 @@ class _Follower:
                 np.eye(3),
                 None,
                 iterationsCount=settings.ransac_draws,
-                reprojectionError=settings.ransac_px / self._focal_px,
+                reprojectionError=settings.ransac_threshold_px / self._focal_px,
                 confidence=_RANSAC_CONFIDENCE,
                 flags=cv2.SOLVEPNP_EPNP,
             )
@@ -310,45 +348,45 @@ class _Follower:
         )
         return (step if np.isfinite(step).all() else None), mask
 
-    def _hit(self, features: _Features, fit: PlanarFit, found: int) -> None:
+    def _accept_match(self, features: _Features, fit: PlanarStepEstimate, found: int) -> None:
         assert self._key is not None, "a match has a keyframe"
         settings, step = self._settings, fit.step
         pose = compose_poses(self._key.pose, step)
-        noise = fit.covariance * settings.noise_factor**2
-        self._chain.append(pose, in_axes_of(float(step[2]), noise), matched=True)
+        noise = fit.covariance * settings.sigma_inflation**2
+        self._chain.append(pose, rotate_covariance(float(step[2]), noise), matched=True)
         self._misses = 0
         self._found_most = max(self._found_most, found)
         self._last = replace(features, pose=pose)
         if (
-            np.hypot(step[0], step[1]) > settings.key_step_m
-            or abs(wrap_angle(step[2])) > settings.key_turn_rad
-            or found < settings.key_match_share * self._found_most
+            np.hypot(step[0], step[1]) > settings.keyframe_distance_m
+            or abs(wrap_angle(step[2])) > settings.keyframe_rotation_rad
+            or found < settings.keyframe_match_ratio * self._found_most
         ):
-            self._change_key(self._last)
+            self._set_keyframe(self._last)
 
-    def _miss(self, pose: FloatArray, reason: str) -> None:
+    def _add_unmatched(self, pose: FloatArray, reason: str) -> None:
         self._misses += 1
-        self._chain.miss(pose, reason)
+        self._chain.append_unmatched(pose, reason)
 
-    def _begin(self, features: _Features, reason: str = "") -> None:
-        self._change_key(features)
-        self._chain.begin(features.pose, reason)
+    def _start_segment(self, features: _Features, reason: str = "") -> None:
+        self._set_keyframe(features)
+        self._chain.start_segment(features.pose, reason)
         self._misses = 0
 
-    def _change_key(self, key: _Features) -> None:
+    def _set_keyframe(self, key: _Features) -> None:
         self._key, self._last = key, None
         self._chain.keyframe += 1
         self._found_most = 0
 
-    def track(self) -> OdometryTrack:
+    def trajectory(self) -> OdometryTrajectory:
         """All images so far."""
         if not self._stamps_ns:
             raise MissingStream("there is no image with depth to follow.")
-        share = self._settings.scale_share
-        return self._chain.track("visual", self._stamps_ns, scale_share=share)
+        share = self._settings.depth_scale_sigma
+        return self._chain.to_trajectory("visual", self._stamps_ns, scale_sigma=share)
 
 
-def _depths(frame: GrayDepth, pixels: Float32Array) -> FloatArray:
+def _sample_depths_m(frame: GrayDepth, pixels: Float32Array) -> FloatArray:
     """(M,) depth at pixels of the grey image, NaN where there is none or an edge."""
     (height, width), (rows, columns) = frame.gray.shape, frame.depth_m.shape
     column = np.floor((pixels[:, 0].astype(np.float64) + 0.5) * columns / width).astype(np.int64)
@@ -356,11 +394,11 @@ def _depths(frame: GrayDepth, pixels: Float32Array) -> FloatArray:
     beside = np.stack(
         [
             frame.depth_m[np.clip(row + down, 0, rows - 1), np.clip(column + right, 0, columns - 1)]
-            for down, right in _BESIDE
+            for down, right in _DEPTH_NEIGHBOURS
         ]
     ).astype(np.float64)
     here = beside[0]
-    near = np.abs(beside - here) < _EDGE_SHARE * here
+    near = np.abs(beside - here) < _DEPTH_EDGE_RATIO * here
     # A corner on an edge belongs to the nearer surface, and is told its depth by either.
     is_flat = near.all(axis=0)
     mean = beside.mean(axis=0)

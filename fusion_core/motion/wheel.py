@@ -5,48 +5,83 @@ from collections.abc import Callable
 import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S, BoolArray, FloatArray, IntArray
-from fusion_core.motion.steps import steps_of
-from fusion_core.motion.track import OdometryTrack, masked
+from fusion_core.motion.odometry_trajectory import OdometryTrajectory, mask_unmeasured
+from fusion_core.motion.steps import steps_between
 from fusion_core.settings import StageSettings, setting
 
 
 class WheelSettings(StageSettings):
     """How wheel odometry errs; the defaults are those of a small robot on a hard floor."""
 
-    way_share: float = setting(
-        0.03, "Standard deviation of a way, in metres per metre", unit="m/m", ge=1e-6, le=1.0
+    forward_sigma_per_m: float = setting(
+        0.03,
+        "Standard deviation of a way, in metres per metre",
+        unit="m/m",
+        ge=1e-6,
+        le=1.0,
+        formerly="way_share",
     )
-    aside_share: float = setting(
-        0.01, "The same, across the way: wheels slip aside less", unit="m/m", ge=1e-6, le=1.0
+    lateral_sigma_per_m: float = setting(
+        0.01,
+        "The same, across the way: wheels slip aside less",
+        unit="m/m",
+        ge=1e-6,
+        le=1.0,
+        formerly="aside_share",
     )
-    turn_share: float = setting(
-        0.05, "Standard deviation of a turn, in radians per radian", unit="rad/rad", ge=1e-6, le=1.0
+    rotation_sigma_per_rad: float = setting(
+        0.05,
+        "Standard deviation of a turn, in radians per radian",
+        unit="rad/rad",
+        ge=1e-6,
+        le=1.0,
+        formerly="turn_share",
     )
-    turn_per_m: float = setting(
-        0.02, "Standard deviation of the heading, per metre of way", unit="rad/m", ge=1e-6, le=1.0
+    heading_sigma_per_m: float = setting(
+        0.02,
+        "Standard deviation of the heading, per metre of way",
+        unit="rad/m",
+        ge=1e-6,
+        le=1.0,
+        formerly="turn_per_m",
     )
-    rest_sigma_m: float = setting(
-        1e-4, "Standard deviation of a step at rest", unit="m", ge=1e-6, le=0.1
+    standstill_sigma_m: float = setting(
+        1e-4,
+        "Standard deviation of a step at rest",
+        unit="m",
+        ge=1e-6,
+        le=0.1,
+        formerly="rest_sigma_m",
     )
-    rest_sigma_rad: float = setting(
-        1e-4, "Standard deviation of a turn at rest", unit="rad", ge=1e-6, le=0.1
+    standstill_sigma_rad: float = setting(
+        1e-4,
+        "Standard deviation of a turn at rest",
+        unit="rad",
+        ge=1e-6,
+        le=0.1,
+        formerly="rest_sigma_rad",
     )
-    gap_s: float = setting(
-        0.25, "Between two samples farther apart no pose is known", unit="s", ge=1e-6, le=60.0
+    gap_max_s: float = setting(
+        0.25,
+        "Between two samples farther apart no pose is known",
+        unit="s",
+        ge=1e-6,
+        le=60.0,
+        formerly="gap_s",
     )
 
 
 # Over this way and this turn the errors of wheels are alike, so that their shares add up.
-_ALIKE_M = 1.0
-_ALIKE_RAD = 1.0
+_CORRELATION_M = 1.0
+_CORRELATION_RAD = 1.0
 
 
 def wheel_odometry(
     stamps_ns: IntArray,
-    at: Callable[[int], FloatArray | None],
+    pose_at: Callable[[int], FloatArray | None],
     sampled_ns: IntArray,
     settings: WheelSettings | None = None,
-) -> OdometryTrack:
+) -> OdometryTrajectory:
     """Wheel odometry at ``stamps_ns``, (N,) the scans'.
 
     ``at``: recorded odometry of the LiDAR, x, y, yaw, None where it does not reach. ``sampled_ns``:
@@ -56,9 +91,9 @@ def wheel_odometry(
     settings = settings or WheelSettings()
     poses = np.zeros((stamps_ns.size, 3))
     reached = np.zeros(stamps_ns.size, dtype=np.bool_)
-    in_gap = _in_gap(stamps_ns, sampled_ns, settings.gap_s)
+    in_gap = _in_gap(stamps_ns, sampled_ns, settings.gap_max_s)
     for k, stamp_ns in enumerate(stamps_ns.tolist()):
-        pose = at(stamp_ns)
+        pose = pose_at(stamp_ns)
         reached[k] = pose is not None
         if pose is not None and not in_gap[k]:
             poses[k] = pose
@@ -70,15 +105,15 @@ def wheel_odometry(
         first = int(np.argmax(known))
         poses[:first] = poses[first]
     measured: BoolArray = known[:-1] & known[1:]
-    single, drift = _covariances(steps_of(poses), settings)
-    return OdometryTrack(
+    single, drift = _covariances(steps_between(poses), settings)
+    return OdometryTrajectory(
         name="wheel",
         stamps_ns=stamps_ns.copy(),
         poses_odom_lidar=poses,
-        covariance_of_step=masked(single, measured),
-        drift_of_step=masked(drift, measured),
+        step_covariance=mask_unmeasured(single, measured),
+        drift_covariance=mask_unmeasured(drift, measured),
         measured=measured,
-        notes=_notes(reached, in_gap, settings.gap_s),
+        notes=_notes(reached, in_gap, settings.gap_max_s),
     )
 
 
@@ -110,14 +145,25 @@ def _covariances(steps: FloatArray, settings: WheelSettings) -> tuple[FloatArray
     """(N - 1, 3, 3) twice: of each step alone, and what it adds to a longer way."""
     way_m, turn_rad = np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
     single, drift = np.zeros((2, len(steps), 3, 3))
-    rest = np.array([settings.rest_sigma_m, settings.rest_sigma_m, settings.rest_sigma_rad]) ** 2
+    rest = (
+        np.array(
+            [
+                settings.standstill_sigma_m,
+                settings.standstill_sigma_m,
+                settings.standstill_sigma_rad,
+            ]
+        )
+        ** 2
+    )
     for covariance, way_2, turn_2 in (
         (single, way_m**2, turn_rad**2),
-        (drift, _ALIKE_M * way_m, _ALIKE_RAD * turn_rad),
+        (drift, _CORRELATION_M * way_m, _CORRELATION_RAD * turn_rad),
     ):
-        along = settings.way_share**2 * way_2
-        heading = settings.turn_share**2 * turn_2 + settings.turn_per_m**2 * way_2
-        across = settings.aside_share**2 * way_2
+        along = settings.forward_sigma_per_m**2 * way_2
+        heading = (
+            settings.rotation_sigma_per_rad**2 * turn_2 + settings.heading_sigma_per_m**2 * way_2
+        )
+        across = settings.lateral_sigma_per_m**2 * way_2
         direction = steps[:, :2] / np.maximum(way_m, 1e-12)[:, np.newaxis]
         normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
         covariance[:, :2, :2] = along[:, None, None] * _outer(direction)

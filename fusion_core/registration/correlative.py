@@ -1,11 +1,11 @@
-"""The best pose of a sweep in a map over a whole window, with certainty (Olson 2009, Hess 2016).
+"""Correlative scan matching by branch and bound (Olson 2009, Hess et al. 2016).
 
-No first guess is refined: the score of every pose of a lattice (x, y, yaw) counts, and branch and
-bound finds their maximum without visiting them all. It is what brute force finds, in less time.
+Every pose of a regular grid over (x, y, yaw) has a score, and branch and bound finds the global
+maximum without scoring them all. The result equals that of an exhaustive search.
 
-    pyramid = likelihood_pyramid(map_points_m, resolution_m=0.05, reach_m=0.1, levels=6)
+    pyramid = make_likelihood_pyramid(map_points_m, resolution_m=0.05, truncation_m=0.1, levels=6)
     window = SearchWindow(translation_m=2.0, rotation_rad=np.pi)
-    match = correlate(pyramid, points_m, window)
+    match = match_correlative(pyramid, points_m, window)
     match.pose_map_points, match.score, match.covariance
 """
 
@@ -16,31 +16,31 @@ import numpy as np
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import ByteArray, FloatArray, IntArray, read_only, wrap_angle
 from fusion_core.model.errors import RegistrationFailed
-from fusion_core.registration.likelihood_grid import FULL, LikelihoodPyramid
+from fusion_core.registration.likelihood_grid import CELL_VALUE_MAX, LikelihoodPyramid
 
-# A point without a counterpart costs exp(-2): the truncation lies at two standard deviations.
-_NATS_OF_A_POINT = 2.0
+# Truncating a Gaussian at two standard deviations costs an unmatched point 2²/2 nats.
+_NATS_PER_POINT = 2.0
 
-# In a score: poses less likely than exp(-10) of the best one do not show in a covariance.
-_WITHIN_COVARIANCE = int(10.0 / _NATS_OF_A_POINT * FULL)
+# As a score: a pose exp(10) times less likely than the best adds below 1e-4 to a covariance.
+_COVARIANCE_SCORE_MARGIN = int(10.0 / _NATS_PER_POINT * CELL_VALUE_MAX)
 
-# Branch and bound visits few of them, but counts them in whole numbers and lists its blocks.
+# Branch and bound scores few of them; its list of top blocks and int64 counts set this limit.
 POSES_MAX = 2_000_000_000
 
 
-def poses_of(
+def count_poses(
     translation_m: float, rotation_rad: float, resolution_m: float, step_rad: float
 ) -> float:
-    """How many poses a window has, by the cells and the turns that it reaches to either side."""
+    """Number of poses in a window: whole cells and yaw steps to either side of its centre."""
     cells = 2.0 * np.ceil(translation_m / resolution_m) + 1.0
     return float(cells**2 * (2.0 * np.ceil(rotation_rad / step_rad) + 1.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchWindow:
-    """The poses to try: ``centre`` (x, y, yaw) in metres and radians, and how far from it.
+    """The poses to search: ``centre`` (x, y, yaw) in metres and radians, and the half widths.
 
-    ``translation_m``: along x and along y, either way. ``rotation_rad``: either way, at most π.
+    ``translation_m``: along x and y, to either side. ``rotation_rad``: to either side, at most π.
     """
 
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -57,14 +57,14 @@ class SearchWindow:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CorrelativeMatch:
-    """The best pose of the window's lattice.
+    """The best pose of the search grid.
 
     ``pose_map_points``: (3,) x, y, yaw that maps the points to the map. ``score``: in [0, 1], 1
-    where every point lies in the middle of a cell of the map. ``covariance``: (3, 3) of the
-    pose, over all poses of the window by their likelihood (Olson 2009, eq. 6-8) and with the
-    lattice's own rounding, so that a corridor or a second room alike make it large. A map whose
-    points are farther apart than the likelihood reaches feigns certainty: give it several sweeps.
-    ``step_m``, ``step_rad``: of the lattice. ``visited``: scores that were computed.
+    where every point lies at the centre of an occupied cell of the map. ``covariance``: (3, 3) of
+    the pose, over all poses of the window by their likelihood (Olson 2009, eq. 6-8) plus the
+    rounding to the grid; a corridor or an ambiguous second room makes it large. It is too small
+    where the map's points lie farther apart than the truncation: make the map of several sweeps.
+    ``step_m``, ``step_rad``: of the grid. ``poses_scored``: scores that were computed.
     """
 
     pose_map_points: FloatArray
@@ -72,7 +72,7 @@ class CorrelativeMatch:
     covariance: FloatArray
     step_m: float
     step_rad: float
-    visited: int
+    poses_scored: int
 
     def __post_init__(self) -> None:
         read_only(self.pose_map_points)
@@ -80,25 +80,25 @@ class CorrelativeMatch:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Lattice:
+class SearchGrid:
     """The poses of a search: ``cells``, (T, n, 2) row and column of each point for each yaw.
 
-    ``yaw_rad``: (T,). Offsets of up to ``reach_cells`` cells either way are added to the cells.
+    ``yaw_rad``: (T,). Translations add up to ``offset_max_cells`` to rows and columns, either way.
     """
 
     cells: IntArray
     yaw_rad: FloatArray
-    reach_cells: int
+    offset_max_cells: int
     step_rad: float
 
 
-def lattice_of(
+def make_search_grid(
     pyramid: LikelihoodPyramid,
     points_m: FloatArray,
     window: SearchWindow,
     step_rad: float | None = None,
-) -> Lattice:
-    """The lattice of a search; ``step_rad`` as in ``correlate``."""
+) -> SearchGrid:
+    """The poses of a search; ``step_rad`` as in ``match_correlative``."""
     if step_rad is None:
         farthest_m = float(np.sqrt((points_m**2).sum(axis=1).max()))
         # Hess et al. 2016, eq. 6-7: the farthest point moves by one cell.
@@ -107,20 +107,22 @@ def lattice_of(
     turns = int(np.ceil(window.rotation_rad / step_rad - 1e-9))
     step_rad = window.rotation_rad / turns if turns else 0.0
     yaw_rad = window.centre[2] + step_rad * np.arange(-turns, turns + 1, dtype=np.float64)
-    reach_cells = int(np.ceil(window.translation_m / pyramid.resolution_m - 1e-9))
-    if yaw_rad.size * float(2 * reach_cells + 1) ** 2 > POSES_MAX:
+    offset_max_cells = int(np.ceil(window.translation_m / pyramid.resolution_m - 1e-9))
+    if yaw_rad.size * float(2 * offset_max_cells + 1) ** 2 > POSES_MAX:
         raise ValueError(f"{window} has too many poses for cells of {pyramid.resolution_m:g} m")
-    cells: IntArray = _cells(
+    cells: IntArray = _rotated_cells(
         points_m,
         yaw_rad,
         window.centre[0] - pyramid.corner_m[0],
         window.centre[1] - pyramid.corner_m[1],
         pyramid.resolution_m,
     )
-    return Lattice(cells=cells, yaw_rad=yaw_rad, reach_cells=reach_cells, step_rad=step_rad)
+    return SearchGrid(
+        cells=cells, yaw_rad=yaw_rad, offset_max_cells=offset_max_cells, step_rad=step_rad
+    )
 
 
-def correlate(
+def match_correlative(
     pyramid: LikelihoodPyramid,
     points_m: FloatArray,
     window: SearchWindow,
@@ -128,50 +130,50 @@ def correlate(
     step_rad: float | None = None,
     score_min: float = 0.0,
 ) -> CorrelativeMatch:
-    """The maximum of the score over the window's lattice, and its covariance.
+    """The pose of the highest score in the window, and its covariance.
 
     ``points_m``: (n, 2), NaN where missing. Translations are whole cells of the pyramid from the
-    window's centre; ``step_rad`` between two yaws, by default what moves the farthest point by
-    one cell. Raises RegistrationFailed where no point is given, or no pose scores more than
+    window's centre. ``step_rad``: between two yaws; by default it moves the farthest point by one
+    cell. Raises RegistrationFailed where no point is given, or no pose scores more than
     ``score_min``.
     """
-    lattice, blocks, best = _search(pyramid, points_m, window, step_rad, score_min)
+    grid, blocks, best = _search(pyramid, points_m, window, step_rad, score_min)
     turn, row, column, total, visited = best
-    count = lattice.cells.shape[1]
-    covariance = _spread(
+    count = grid.cells.shape[1]
+    covariance = _leaf_covariance(
         pyramid.levels,
-        lattice.cells,
-        lattice.reach_cells,
+        grid.cells,
+        grid.offset_max_cells,
         blocks,
         total,
-        total - _WITHIN_COVARIANCE,
-        _NATS_OF_A_POINT / FULL,
+        total - _COVARIANCE_SCORE_MARGIN,
+        _NATS_PER_POINT / CELL_VALUE_MAX,
     )
-    # From cells and turns to metres and radians. The true position lies within half a cell; the
-    # yaw within a whole step, since that moves most points by less than a cell.
-    steps = np.array([pyramid.resolution_m, pyramid.resolution_m, lattice.step_rad])
+    # From cells and yaw steps to metres and radians, plus the variance of rounding: uniform over a
+    # cell in position, over two steps in yaw, since one step moves most points by less than a cell.
+    steps = np.array([pyramid.resolution_m, pyramid.resolution_m, grid.step_rad])
     rounding = steps**2 * np.array([1.0 / 12.0, 1.0 / 12.0, 1.0 / 3.0])
     covariance = covariance * np.outer(steps, steps) + np.diag(rounding)
     return CorrelativeMatch(
-        pose_map_points=_pose(pyramid, window, lattice, turn, row, column),
-        score=total / (FULL * count),
+        pose_map_points=_pose_of_leaf(pyramid, window, grid, turn, row, column),
+        score=total / (CELL_VALUE_MAX * count),
         covariance=covariance,
         step_m=pyramid.resolution_m,
-        step_rad=lattice.step_rad,
-        visited=visited,
+        step_rad=grid.step_rad,
+        poses_scored=visited,
     )
 
 
-def best_pose(
+def find_best_pose(
     pyramid: LikelihoodPyramid,
     points_m: FloatArray,
     window: SearchWindow,
     *,
     step_rad: float | None = None,
 ) -> FloatArray:
-    """(3,) the pose of ``correlate`` without its covariance, in about half of the time."""
-    lattice, _, (turn, row, column, _, _) = _search(pyramid, points_m, window, step_rad, 0.0)
-    return _pose(pyramid, window, lattice, turn, row, column)
+    """(3,) the pose of ``match_correlative`` without its covariance, in about half the time."""
+    grid, _, (turn, row, column, _, _) = _search(pyramid, points_m, window, step_rad, 0.0)
+    return _pose_of_leaf(pyramid, window, grid, turn, row, column)
 
 
 def _search(
@@ -180,8 +182,8 @@ def _search(
     window: SearchWindow,
     step_rad: float | None,
     score_min: float,
-) -> tuple[Lattice, IntArray, tuple[int, int, int, int, int]]:
-    """The lattice, those blocks of its top level that matter, and what branch and bound finds."""
+) -> tuple[SearchGrid, IntArray, tuple[int, int, int, int, int]]:
+    """The grid, the top level's blocks that may hold the maximum, and branch and bound's result."""
     points_m = np.asarray(points_m, dtype=np.float64)
     if points_m.ndim != 2 or points_m.shape[1] != 2:
         raise ValueError(f"points_m must be (n, 2), got {points_m.shape}")
@@ -190,14 +192,14 @@ def _search(
         raise RegistrationFailed(
             "no point to match.", advice="Check that the sweep has valid beams."
         )
-    lattice = lattice_of(pyramid, points_m, window, step_rad)
-    floor = int(score_min * FULL * points_m.shape[0])
+    grid = make_search_grid(pyramid, points_m, window, step_rad)
+    floor = int(score_min * CELL_VALUE_MAX * points_m.shape[0])
     # The covariance counts poses a little worse than the best one, which may lie at the floor.
     blocks: IntArray = _top_blocks(
-        pyramid.levels, lattice.cells, lattice.reach_cells, floor - _WITHIN_COVARIANCE
+        pyramid.levels, grid.cells, grid.offset_max_cells, floor - _COVARIANCE_SCORE_MARGIN
     )
     best: tuple[int, int, int, int, int] = _branch_and_bound(
-        pyramid.levels, lattice.cells, lattice.reach_cells, blocks, floor
+        pyramid.levels, grid.cells, grid.offset_max_cells, blocks, floor
     )
     if best[3] <= floor:
         raise RegistrationFailed(
@@ -205,27 +207,27 @@ def _search(
             f"more than {score_min:g}.",
             advice="Widen the window, or match against a map of the same place.",
         )
-    return lattice, blocks, best
+    return grid, blocks, best
 
 
-def _pose(
+def _pose_of_leaf(
     pyramid: LikelihoodPyramid,
     window: SearchWindow,
-    lattice: Lattice,
+    grid: SearchGrid,
     turn: int,
     row: int,
     column: int,
 ) -> FloatArray:
     x = window.centre[0] + column * pyramid.resolution_m
     y = window.centre[1] + row * pyramid.resolution_m
-    return np.array([x, y, float(wrap_angle(lattice.yaw_rad[turn]))])
+    return np.array([x, y, float(wrap_angle(grid.yaw_rad[turn]))])
 
 
 @compiled(error_model="numpy")
-def _cells(
+def _rotated_cells(
     points_m: FloatArray, yaw_rad: FloatArray, x_m: float, y_m: float, resolution_m: float
 ) -> IntArray:
-    """(T, n, 2) row and column of each point after each turn and the shift (x, y)."""
+    """(T, n, 2) row and column of each point, rotated by each yaw and translated by (x, y)."""
     cells = np.empty((yaw_rad.size, points_m.shape[0], 2), dtype=np.int64)
     for t in range(yaw_rad.size):
         c, s = np.cos(yaw_rad[t]), np.sin(yaw_rad[t])
@@ -237,7 +239,7 @@ def _cells(
 
 
 @compiled()
-def total_score(grid: ByteArray, cells: IntArray, row: int, column: int) -> int:
+def sum_scores(grid: ByteArray, cells: IntArray, row: int, column: int) -> int:
     """Sum of the grid's values at cells (n, 2), all moved by (row, column); 0 outside."""
     rows, columns = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])
     total = 0
@@ -250,17 +252,17 @@ def total_score(grid: ByteArray, cells: IntArray, row: int, column: int) -> int:
 
 
 @compiled()
-def _top_blocks(levels: ByteArray, cells: IntArray, reach: int, floor: int) -> IntArray:
+def _top_blocks(levels: ByteArray, cells: IntArray, offset_max: int, floor: int) -> IntArray:
     """(B, 4) turn, row, column, bound of the top level's blocks above ``floor``, best first."""
     top = levels.shape[0] - 1
     size = 1 << top
-    along = (2 * reach + size) // size
+    along = (2 * offset_max + size) // size
     blocks = np.empty((cells.shape[0] * along * along, 4), dtype=np.int64)
     count = 0
     for t in range(cells.shape[0]):
-        for r in range(-reach, reach + 1, size):
-            for c in range(-reach, reach + 1, size):
-                bound = total_score(levels[top], cells[t], r, c)
+        for r in range(-offset_max, offset_max + 1, size):
+            for c in range(-offset_max, offset_max + 1, size):
+                bound = sum_scores(levels[top], cells[t], r, c)
                 if bound > floor:
                     blocks[count, 0], blocks[count, 1], blocks[count, 2] = t, r, c
                     blocks[count, 3] = bound
@@ -270,7 +272,7 @@ def _top_blocks(levels: ByteArray, cells: IntArray, reach: int, floor: int) -> I
 
 @compiled()
 def _branch_and_bound(
-    levels: ByteArray, cells: IntArray, reach: int, blocks: IntArray, floor: int
+    levels: ByteArray, cells: IntArray, offset_max: int, blocks: IntArray, floor: int
 ) -> tuple[int, int, int, int, int]:
     """Turn, row, column and score of the best leaf above ``floor``, and the scores computed.
 
@@ -278,7 +280,7 @@ def _branch_and_bound(
     """
     best = (-1, 0, 0, floor)
     top = levels.shape[0] - 1
-    along = (2 * reach + (1 << top)) >> top
+    along = (2 * offset_max + (1 << top)) >> top
     visited = cells.shape[0] * along * along
     # Three siblings wait on each level below the top.
     stack = np.empty((3 * top + 4, 4), dtype=np.int64)
@@ -301,9 +303,9 @@ def _branch_and_bound(
             born = 0
             for down in (0, half):
                 for across in (0, half):
-                    if r + down > reach or c + across > reach:
+                    if r + down > offset_max or c + across > offset_max:
                         continue
-                    score = total_score(levels[level - 1], cells[t], r + down, c + across)
+                    score = sum_scores(levels[level - 1], cells[t], r + down, c + across)
                     visited += 1
                     if score <= best[3]:
                         continue
@@ -320,10 +322,10 @@ def _branch_and_bound(
 
 
 @compiled(error_model="numpy")
-def _spread(
+def _leaf_covariance(
     levels: ByteArray,
     cells: IntArray,
-    reach: int,
+    offset_max: int,
     blocks: IntArray,
     total: int,
     least: int,
@@ -346,9 +348,9 @@ def _spread(
         while waiting > 0:
             waiting -= 1
             level, r, c = stack[waiting]
-            if r > reach or c > reach:
+            if r > offset_max or c > offset_max:
                 continue
-            score = total_score(levels[level], cells[t], r, c)
+            score = sum_scores(levels[level], cells[t], r, c)
             if score < least:
                 continue
             if level == 0:

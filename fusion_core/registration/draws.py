@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
-from fusion_core.registration.models import Model, least_squares, residuals
+from fusion_core.registration.models import TransformModel, residuals, solve_least_squares
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -20,12 +20,12 @@ class Draw:
     pairs: IntArray
     A: FloatArray
     inliers: int
-    mask: BoolArray
+    is_inlier: BoolArray
 
     def __post_init__(self) -> None:
         read_only(self.pairs)
         read_only(self.A)
-        read_only(self.mask)
+        read_only(self.is_inlier)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,7 +36,7 @@ class Draws:
     ``lidar_points_m`` and ``depth_points_m``: (m, 2) as given, NaN where missing.
     """
 
-    model: Model
+    model: TransformModel
     count: int
     block_size: int
     sample_size: int
@@ -63,7 +63,7 @@ class Draws:
             yield from self._block(block)
 
     def _block(self, block: int) -> list[Draw]:
-        valid = np.flatnonzero(both_valid(self.lidar_points_m, self.depth_points_m))
+        valid = np.flatnonzero(find_valid_pairs(self.lidar_points_m, self.depth_points_m))
         lidar, depth = self.lidar_points_m[valid], self.depth_points_m[valid]
         first = block * self.block_size
         size = min(self.block_size, self.count - first)
@@ -77,13 +77,13 @@ class Draws:
                 pairs=valid[samples[i]],
                 A=A[i].copy(),
                 inliers=int(agree[i].sum()),
-                mask=masks[i].copy(),
+                is_inlier=masks[i].copy(),
             )
             for i in range(size)
         ]
 
 
-def both_valid(lidar_points_m: FloatArray, depth_points_m: FloatArray) -> BoolArray:
+def find_valid_pairs(lidar_points_m: FloatArray, depth_points_m: FloatArray) -> BoolArray:
     """(m,): pairs whose two points are both there."""
     given = np.isfinite(np.hstack([lidar_points_m, depth_points_m]))
     valid: BoolArray = np.logical_and.reduce(given, axis=1)
@@ -104,15 +104,19 @@ def draw_samples(pairs: int, sample_size: int, draws: int, seed: tuple[int, int]
 
 
 def evaluate_samples(
-    model: Model, lidar_m: FloatArray, depth_m: FloatArray, samples: IntArray, threshold_m: float
+    model: TransformModel,
+    lidar_m: FloatArray,
+    depth_m: FloatArray,
+    samples: IntArray,
+    threshold_m: float,
 ) -> tuple[FloatArray, BoolArray]:
     """A (draws, 3, 3) of each sample of pairs, and (draws, m): the pairs that agree with it."""
-    A = least_squares(model, lidar_m[samples], depth_m[samples])
+    A = solve_least_squares(model, lidar_m[samples], depth_m[samples])
     agree: BoolArray = np.less_equal(residuals(A, lidar_m, depth_m), threshold_m)
     return A, agree
 
 
-def draws_needed(inlier_share: float, sample_size: int, confidence: float) -> float:
+def count_draws_needed(inlier_share: float, sample_size: int, confidence: float) -> float:
     """N = ln(1 - p) / ln(1 - cⁿ): draws that hold a clean one with the confidence p.
 
     ``inlier_share`` is c; infinite where it is 0.

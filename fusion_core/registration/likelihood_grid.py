@@ -1,9 +1,9 @@
-"""How well points fit a map, cell by cell, with upper bounds over blocks of cells.
+"""A likelihood grid of a map of points, with upper bounds over blocks of cells.
 
-A cell's value is the log-likelihood of a point in its middle, truncated so that a point without a
-counterpart costs a fixed amount: 255 at a point of the map, 0 at ``reach_m`` from all of them,
-a parabola in between (Olson 2009 rasterises the same way). Level h of the pyramid holds, for each
-cell, the largest value of the 2ʰ x 2ʰ cells from there on (Hess et al. 2016, eq. 16-18).
+A cell's value is the truncated log-likelihood of a point at its centre: 255 on a point of the map,
+0 at ``truncation_m`` from all of them, a parabola in between (as in Olson 2009). Level h of the
+pyramid holds, for each cell, the largest value of the 2ʰ x 2ʰ cells from there on (Hess et al.
+2016, eq. 16-18).
 """
 
 from dataclasses import dataclass
@@ -13,9 +13,9 @@ import numpy as np
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import ByteArray, FloatArray, read_only
 
-FULL = 255
+CELL_VALUE_MAX = 255
 
-# A grid much larger than this is a wrong coordinate, not a map.
+# Bytes; a map of 1 km² in cells of 5 cm, so that a stray coordinate cannot exhaust the memory.
 _CELLS_MAX = 400_000_000
 
 
@@ -24,16 +24,17 @@ class LikelihoodPyramid:
     """The values of a map's cells and their block maxima; one serves any number of matches.
 
     ``levels``: (L, rows, columns) uint8; row 0 is the smallest y, column 0 the smallest x.
-    ``levels[h, r, c]`` is the maximum of ``levels[0, r : r + 2**h, c : c + 2**h]``, what is
-    outside of the grid being 0. ``corner_m``: (x, y) of the outer corner of ``levels[0, 0, 0]``
+    ``levels[h, r, c]`` is the maximum of ``levels[0, r : r + 2**h, c : c + 2**h]``, and 0
+    outside of the grid. ``corner_m``: (x, y) of the outer corner of ``levels[0, 0, 0]``
     in the map's frame; level h starts 2**h - 1 cells before the map's own cells, so that every
-    block that meets a cell has an entry. ``reach_m``: where the likelihood ends.
+    block that meets a cell has an entry. ``truncation_m``: distance at which the
+    likelihood is truncated.
     """
 
     levels: ByteArray
     corner_m: tuple[float, float]
     resolution_m: float
-    reach_m: float
+    truncation_m: float
 
     def __post_init__(self) -> None:
         if self.levels.ndim != 3 or self.levels.dtype != np.uint8:
@@ -41,8 +42,8 @@ class LikelihoodPyramid:
         read_only(self.levels)
 
 
-def likelihood_pyramid(
-    points_m: FloatArray, *, resolution_m: float, reach_m: float, levels: int
+def make_likelihood_pyramid(
+    points_m: FloatArray, *, resolution_m: float, truncation_m: float, levels: int
 ) -> LikelihoodPyramid:
     """The pyramid of a map given as points (n, 2) in its frame; NaN points are left out.
 
@@ -52,16 +53,16 @@ def likelihood_pyramid(
     points_m = np.asarray(points_m, dtype=np.float64)
     if points_m.ndim != 2 or points_m.shape[1] != 2:
         raise ValueError(f"points_m must be (n, 2), got {points_m.shape}")
-    if not (resolution_m > 0.0 and reach_m > 0.0 and levels >= 1):
+    if not (resolution_m > 0.0 and truncation_m > 0.0 and levels >= 1):
         raise ValueError(
-            f"resolution, reach and levels must be positive, got {resolution_m:g} m, "
-            f"{reach_m:g} m, {levels}"
+            f"resolution, truncation and levels must be positive, got {resolution_m:g} m, "
+            f"{truncation_m:g} m, {levels}"
         )
     given = points_m[np.isfinite(points_m).all(axis=1)]
     if given.size == 0:
         raise ValueError("a map needs at least one point")
-    # Whole cells of a lattice through the origin, so that equal points give equal cells.
-    margin = int(np.ceil(reach_m / resolution_m))
+    # Cells are aligned to the origin, so that equal points give equal cells.
+    margin = int(np.ceil(truncation_m / resolution_m))
     before = 2 ** (levels - 1) - 1
     low = np.floor(given.min(axis=0) / resolution_m).astype(np.int64) - margin - before
     high = np.floor(given.max(axis=0) / resolution_m).astype(np.int64) + margin
@@ -72,29 +73,29 @@ def likelihood_pyramid(
         )
     grids = np.zeros((levels, rows, columns), dtype=np.uint8)
     corner_m = low * resolution_m
-    _draw(grids[0], given, corner_m[0], corner_m[1], resolution_m, reach_m)
+    _rasterise_points(grids[0], given, corner_m[0], corner_m[1], resolution_m, truncation_m)
     for level in range(1, levels):
-        _block_maxima(grids[level - 1], grids[level], 2 ** (level - 1))
+        _fill_block_maxima(grids[level - 1], grids[level], 2 ** (level - 1))
     return LikelihoodPyramid(
         levels=grids,
         corner_m=(float(corner_m[0]), float(corner_m[1])),
         resolution_m=resolution_m,
-        reach_m=reach_m,
+        truncation_m=truncation_m,
     )
 
 
 @compiled(error_model="numpy")
-def _draw(
+def _rasterise_points(
     grid: ByteArray,
     points_m: FloatArray,
     left_m: float,
     bottom_m: float,
     resolution_m: float,
-    reach_m: float,
+    truncation_m: float,
 ) -> None:
-    """Raise the cells about each point to the value of their own middle's distance."""
-    margin = int(np.ceil(reach_m / resolution_m))
-    falling = FULL / (reach_m * reach_m)
+    """Raise the cells around each point to the value at their centre's distance from it."""
+    margin = int(np.ceil(truncation_m / resolution_m))
+    value_per_m2 = CELL_VALUE_MAX / (truncation_m * truncation_m)
     for k in range(points_m.shape[0]):
         x, y = points_m[k, 0] - left_m, points_m[k, 1] - bottom_m
         column, row = int(np.floor(x / resolution_m)), int(np.floor(y / resolution_m))
@@ -102,14 +103,14 @@ def _draw(
             dy = (r + 0.5) * resolution_m - y
             for c in range(column - margin, column + margin + 1):
                 dx = (c + 0.5) * resolution_m - x
-                value = int(FULL - falling * (dx * dx + dy * dy) + 0.5)
+                value = int(CELL_VALUE_MAX - value_per_m2 * (dx * dx + dy * dy) + 0.5)
                 if value > grid[r, c]:
                     grid[r, c] = value
 
 
 @compiled()
-def _block_maxima(below: ByteArray, grid: ByteArray, half: int) -> None:
-    """A block of 2 half cells is four blocks of half as many."""
+def _fill_block_maxima(below: ByteArray, grid: ByteArray, half: int) -> None:
+    """Each block is the maximum of the four blocks of half its width on the level below."""
     rows, columns = grid.shape
     for r in range(rows):
         other = min(r + half, rows - 1)

@@ -12,12 +12,12 @@ from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.registration.line_pairs import (
     LinePairs,
     drop_duplicates,
-    no_pairs,
-    pair_up,
-    trim,
+    find_pairs,
+    make_empty_pairs,
+    trim_pairs,
 )
-from fusion_core.registration.local_lines import LocalLines, crossing_share
-from fusion_core.registration.point_to_line import add_pair, solve
+from fusion_core.registration.local_lines import LocalLines, incidence_cos
+from fusion_core.registration.point_to_line import add_point_line_pair, solve_point_to_line
 from fusion_core.registration.polar_correspondence import PolarScan
 
 # Far from the optimum a quarter of the points tells the way as well as all of them.
@@ -28,19 +28,19 @@ _COARSE_ITERATIONS = 10
 # at the edge of trimming may come and go for ever: after a while, a third of a deviation will do.
 _COARSE_STEP = 1.0
 _FINE_STEP = 1e-3
-_PATIENCE = 12
+_LATE_ITERATION = 12
 _LATE_STEP = 0.1
 
 # Two points on each of three lines.
 PAIRS_MIN = 6
 
 # A direction with less information than this many times what noisy normals feign is open.
-_FEIGNED = 16.0
-_ROUNDING = 1e-10
+_SPURIOUS_FACTOR = 16.0
+_ROUNDING_FRACTION = 1e-10
 
 
 @compiled(error_model="numpy")
-def align(
+def iterate_pl_icp(
     reference: PolarScan,
     lines: LocalLines,
     moving: PolarScan,
@@ -59,21 +59,23 @@ def align(
     optimum they tell of a denser sweep, which the weights account for.
     """
     pose = start.copy()
-    pairs = no_pairs(moving.range_m.size)
+    pairs = make_empty_pairs(moving.range_m.size)
     stride = _COARSE_STRIDE
     limit, scale = np.inf, np.inf
     for iteration in range(1, iterations_max + 1):
-        pair_up(pairs, reference, lines, moving, pose, sigmas_m, distance_max_m, stride)
+        find_pairs(pairs, reference, lines, moving, pose, sigmas_m, distance_max_m, stride)
         if stride > 1:
             drop_duplicates(pairs, reference.range_m.size, stride)
-        left, limit, scale = trim(pairs, trim_sigmas, limit, stride)
+        left, limit, scale = trim_pairs(pairs, trim_sigmas, limit, stride)
         if left < PAIRS_MIN:
             if stride == 1:
                 return pose, pairs, iteration, False, scale
             stride = 1
             continue
-        step, squared_length = _step(pairs, reference, lines, moving, pose, sigmas_m[0], stride)
-        settled = squared_length < (_FINE_STEP if iteration < _PATIENCE else _LATE_STEP)
+        step, squared_length = _solve_step(
+            pairs, reference, lines, moving, pose, sigmas_m[0], stride
+        )
+        settled = squared_length < (_FINE_STEP if iteration < _LATE_ITERATION else _LATE_STEP)
         if stride == 1 and settled and limit <= trim_sigmas * max(scale, 1.0):
             return pose, pairs, iteration, True, scale
         pose += step
@@ -83,7 +85,7 @@ def align(
 
 
 @compiled(error_model="numpy")
-def _step(
+def _solve_step(
     pairs: LinePairs,
     reference: PolarScan,
     lines: LocalLines,
@@ -94,7 +96,7 @@ def _step(
 ) -> tuple[FloatArray, float]:
     """The motion (3,) about the moving sensor's place, and its squared length in deviations."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
-    normal_matrix, right_side, feigned = np.zeros((4, 4)), np.zeros(4), np.zeros((3, 3))
+    normal_matrix, right_side, spurious = np.zeros((4, 4)), np.zeros(4), np.zeros((3, 3))
     for i in range(0, pairs.partner.size, stride):
         j = pairs.partner[i]
         if j < 0:
@@ -104,9 +106,11 @@ def _step(
         normal_x, normal_y = lines.normal_x[j], lines.normal_y[j]
         weight = pairs.weight_per_m2[i]
         offset = normal_x * x + normal_y * y - pairs.residual_m[i]
-        add_pair(normal_matrix, right_side, x, y, normal_x, normal_y, offset, weight)
-        across = sigma_m * crossing_share(reference, lines, j, j)
-        add_feigned(feigned, x, y, normal_x, normal_y, weight * across**2 / lines.spread_m2[j])
+        add_point_line_pair(normal_matrix, right_side, x, y, normal_x, normal_y, offset, weight)
+        across = sigma_m * incidence_cos(reference, lines, j, j)
+        add_spurious_information(
+            spurious, x, y, normal_x, normal_y, weight * across**2 / lines.spread_m2[j]
+        )
 
     m = normal_matrix
     information = np.array(
@@ -114,7 +118,7 @@ def _step(
     )
     # Σ w |p|² over Σ w: a turn by one radian moves the points by about this much.
     lever_m = max(np.sqrt((m[2, 2] + m[3, 3]) / (m[0, 0] + m[1, 1])), 1e-6)
-    strength, directions, is_open = open_directions(information, feigned, lever_m)
+    strength, directions, is_open = find_unobservable_directions(information, spurious, lever_m)
     if is_open.any():
         # Half the derivative of the sum of squares at rest, u = (1, 0).
         gradient = np.array(
@@ -130,37 +134,39 @@ def _step(
                 step -= directions[:, k] * ((directions[:, k] * gradient).sum() / strength[k])
         step[2] /= lever_m
     else:
-        step = solve(normal_matrix, right_side)
+        step = solve_point_to_line(normal_matrix, right_side)
     return step, float(step @ (information @ step))
 
 
 @compiled()
-def add_feigned(
-    feigned: FloatArray, x_m: float, y_m: float, normal_x: float, normal_y: float, weight: float
+def add_spurious_information(
+    spurious: FloatArray, x_m: float, y_m: float, normal_x: float, normal_y: float, weight: float
 ) -> None:
     """Add what a turn of one normal adds to the information (3, 3), its variance in ``weight``."""
     row = (-normal_y, normal_x, normal_x * x_m + normal_y * y_m)
     for i in range(3):
         for j in range(3):
-            feigned[i, j] += weight * row[i] * row[j]
+            spurious[i, j] += weight * row[i] * row[j]
 
 
 @compiled(error_model="numpy")
-def open_directions(
-    information: FloatArray, feigned: FloatArray, lever_m: float
+def find_unobservable_directions(
+    information: FloatArray, spurious: FloatArray, lever_m: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Which directions of (x, y, yaw · lever) the pairs leave open.
 
-    ``information``, ``feigned``: (3, 3) of (x, y, yaw). Returns the eigenvalues (3,) and
+    ``information``, ``spurious``: (3, 3) of (x, y, yaw). Returns the eigenvalues (3,) and
     eigenvectors (3, 3; columns) of the information with the yaw in units of 1 / lever, and (3,)
     which of them are open.
     """
     scale = np.array([1.0, 1.0, 1.0 / lever_m])
     strength, directions = np.linalg.eigh(information * np.outer(scale, scale))
-    noise = feigned * np.outer(scale, scale)
+    noise = spurious * np.outer(scale, scale)
     is_open = np.zeros(3, dtype=np.bool_)
     for k in range(3):
         direction = np.ascontiguousarray(directions[:, k])
-        limit = _FEIGNED * (direction @ (noise @ direction)) + _ROUNDING * strength[2]
+        limit = (
+            _SPURIOUS_FACTOR * (direction @ (noise @ direction)) + _ROUNDING_FRACTION * strength[2]
+        )
         is_open[k] = strength[k] <= limit
     return strength, directions, is_open

@@ -7,11 +7,11 @@ import numpy as np
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.registration.local_lines import (
-    LEAST_INCIDENCE_COS,
+    INCIDENCE_COS_MIN,
     LocalLines,
-    crossing_share,
+    incidence_cos,
 )
-from fusion_core.registration.polar_correspondence import PolarScan, nearest
+from fusion_core.registration.polar_correspondence import PolarScan, find_nearest
 
 # Where one sweep is this much denser than the other, the sparser one alone limits the accuracy.
 _DENSITY_RATIO_MAX = 10.0
@@ -21,7 +21,7 @@ _MEDIAN_TO_SIGMA = 1.4826
 
 
 # By how much the limit of trimming may fall from one iteration to the next.
-_LIMIT_FALL = 4.0
+_LIMIT_DECREASE_MAX = 4.0
 
 
 class LinePairs(NamedTuple):
@@ -40,13 +40,13 @@ class LinePairs(NamedTuple):
 
 
 @compiled()
-def no_pairs(count: int) -> LinePairs:
+def make_empty_pairs(count: int) -> LinePairs:
     """Room for the pairs of ``count`` beams."""
     return LinePairs(np.full(count, -1), np.zeros(count), np.ones(count), np.ones(count))
 
 
 @compiled(error_model="numpy")
-def pair_up(
+def find_pairs(
     pairs: LinePairs,
     reference: PolarScan,
     lines: LocalLines,
@@ -70,7 +70,7 @@ def pair_up(
         direction_y = s * moving.cos[i] + c * moving.sin[i]
         range_m = moving.range_m[i]
         x, y = pose[0] + range_m * direction_x, pose[1] + range_m * direction_y
-        j, _ = nearest(reference, x, y, distance_max_m * distance_max_m)
+        j, _ = find_nearest(reference, x, y, distance_max_m * distance_max_m)
         if j < 0 or np.isnan(lines.offset_m[j]):
             continue
         normal_x, normal_y = lines.normal_x[j], lines.normal_y[j]
@@ -81,8 +81,8 @@ def pair_up(
             continue
         # Noise lies along the beam: what crosses the line is its share along the normal.
         here = abs(normal_x * direction_x + normal_y * direction_y)
-        here = max(here, LEAST_INCIDENCE_COS)
-        there = crossing_share(reference, lines, j, j)
+        here = max(here, INCIDENCE_COS_MIN)
+        there = incidence_cos(reference, lines, j, j)
         point_variance = (sigmas_m[1] * here) ** 2
         beam_variance = (sigmas_m[0] * there) ** 2
         off_centre = along - lines.centre_m[j]
@@ -116,7 +116,7 @@ def drop_duplicates(pairs: LinePairs, reference_count: int, stride: int) -> None
 
 
 @compiled(error_model="numpy")
-def trim(
+def trim_pairs(
     pairs: LinePairs, sigmas: float, last_limit: float, stride: int
 ) -> tuple[int, float, float]:
     """Drop pairs that are off by more than a limit, in their own standard deviations.
@@ -135,7 +135,7 @@ def trim(
     if count == 0:
         return 0, last_limit, np.inf
     scale = _MEDIAN_TO_SIGMA * np.median(size[:count])
-    limit = max(sigmas * max(scale, 1.0), min(last_limit / _LIMIT_FALL, size[:count].max()))
+    limit = max(sigmas * max(scale, 1.0), min(last_limit / _LIMIT_DECREASE_MAX, size[:count].max()))
     left = 0
     for i in range(0, pairs.partner.size, stride):
         if pairs.partner[i] >= 0:

@@ -15,18 +15,18 @@ from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.registration.polar_correspondence import PolarScan
 
 HALF_WINDOW = 8
-_LEAST_HALF_WINDOW = 1
+_HALF_WINDOW_MIN = 1
 
 # Beams that graze a surface have little range noise across it, but errors of their own angle.
-LEAST_INCIDENCE_COS = 0.1
+INCIDENCE_COS_MIN = 0.1
 
-SIGMA_FLOOR_M = 1e-5
+RANGE_SIGMA_MIN_M = 1e-5
 
 # Range noise beyond this is clutter: leaves, legs, edges.
-SIGMA_CEILING_M = 0.05
+RANGE_SIGMA_MAX_M = 0.05
 
 # A run is straight if its mean square is below what noise exceeds with about 1e-3 probability.
-_STRAIGHT = 3.0
+_CHI_SQUARE_MAX = 3.0
 
 
 class LocalLines(NamedTuple):
@@ -50,22 +50,22 @@ class LocalLines(NamedTuple):
     beams: IntArray
 
 
-def range_sigma_m(scan: PolarScan) -> float:
+def estimate_range_sigma_m(scan: PolarScan) -> float:
     """Standard deviation of a sweep's ranges, from neighbouring beams on one flat surface.
 
     On a plane 1/r is a cosine of the angle, so 1/r₋ + 1/r₊ - 2 cos(dθ)/r vanishes. Its lower
     third tells the noise: the rest may be edges.
     """
-    bends: FloatArray = _bends(scan)
+    bends: FloatArray = _second_differences_m(scan)
     if bends.size == 0:
-        return SIGMA_FLOOR_M
+        return RANGE_SIGMA_MIN_M
     third = float(np.partition(bends, bends.size // 3)[bends.size // 3])
     # A third of N(0, 1) lies within ± 0.4307; the weights 1, -2, 1 have squares that sum to 6.
-    return min(max(third / (0.4307 * sqrt(6.0)), SIGMA_FLOOR_M), SIGMA_CEILING_M)
+    return min(max(third / (0.4307 * sqrt(6.0)), RANGE_SIGMA_MIN_M), RANGE_SIGMA_MAX_M)
 
 
 @compiled()
-def _bends(scan: PolarScan) -> FloatArray:
+def _second_differences_m(scan: PolarScan) -> FloatArray:
     """Size of r² (1/r₋ + 1/r₊ - 2 cos(dθ)/r) at each beam between two valid neighbours."""
     count = scan.range_m.size
     bends = np.empty(count)
@@ -81,15 +81,15 @@ def _bends(scan: PolarScan) -> FloatArray:
 
 
 @compiled()
-def crossing_share(scan: PolarScan, lines: LocalLines, line: int, beam: int) -> float:
+def incidence_cos(scan: PolarScan, lines: LocalLines, line: int, beam: int) -> float:
     """Share of a beam's range noise that lies across a line."""
     along = lines.normal_x[line] * scan.cos[beam] + lines.normal_y[line] * scan.sin[beam]
-    share: float = max(abs(along), LEAST_INCIDENCE_COS)
+    share: float = max(abs(along), INCIDENCE_COS_MIN)
     return share
 
 
 @compiled(error_model="numpy")
-def local_lines(scan: PolarScan, sigma_m: float) -> LocalLines:
+def fit_local_lines(scan: PolarScan, sigma_m: float) -> LocalLines:
     """Lines of a sweep whose ranges have the standard deviation ``sigma_m``."""
     count = scan.range_m.size
     widest = min(HALF_WINDOW, (count - 1) // 2)
@@ -107,18 +107,18 @@ def local_lines(scan: PolarScan, sigma_m: float) -> LocalLines:
     )
     for k in range(count):
         half = widest
-        while half >= _LEAST_HALF_WINDOW:
-            first = _straightest(sums, scan, k, half, 2 * widest, sigma_m)
+        while half >= _HALF_WINDOW_MIN:
+            first = _find_straight_run(sums, scan, k, half, 2 * widest, sigma_m)
             if first > k:
                 half //= 2
                 continue
-            _keep(lines, sums, scan, k, first, 2 * half + 1, 2 * widest)
+            _store_line(lines, sums, scan, k, first, 2 * half + 1, 2 * widest)
             break
     return lines
 
 
 @compiled(error_model="numpy")
-def _straightest(
+def _find_straight_run(
     sums: FloatArray, scan: PolarScan, k: int, half: int, margin: int, sigma_m: float
 ) -> int:
     """First beam of a straight run of 2 half + 1 beams with beam k in it; k + 1 where none is.
@@ -127,11 +127,11 @@ def _straightest(
     and begin with the beam.
     """
     size = 2 * half + 1
-    if _misfit(sums, scan, k, k - half, size, margin, sigma_m) < _STRAIGHT:
+    if _reduced_chi_square(sums, scan, k, k - half, size, margin, sigma_m) < _CHI_SQUARE_MAX:
         return k - half
-    left = _misfit(sums, scan, k, k - 2 * half, size, margin, sigma_m)
-    right = _misfit(sums, scan, k, k, size, margin, sigma_m)
-    if min(left, right) >= _STRAIGHT:
+    left = _reduced_chi_square(sums, scan, k, k - 2 * half, size, margin, sigma_m)
+    right = _reduced_chi_square(sums, scan, k, k, size, margin, sigma_m)
+    if min(left, right) >= _CHI_SQUARE_MAX:
         return k + 1
     return k - 2 * half if left < right else k
 
@@ -167,7 +167,7 @@ def _moments(
 
 
 @compiled(error_model="numpy")
-def _misfit(
+def _reduced_chi_square(
     sums: FloatArray, scan: PolarScan, k: int, first: int, size: int, margin: int, sigma_m: float
 ) -> float:
     """Mean square distance from the run's own line over what the noise explains.
@@ -185,13 +185,13 @@ def _misfit(
     # The direction along the run at twice its angle, (cos 2a, sin 2a), and the beam's likewise.
     c, s = scan.cos[k], scan.sin[k]
     double = (half_difference * (c * c - s * s) + xy * 2.0 * c * s) / root if root > 0.0 else 0.0
-    crossing = max(0.5 * (1.0 - double), LEAST_INCIDENCE_COS * LEAST_INCIDENCE_COS)
+    crossing = max(0.5 * (1.0 - double), INCIDENCE_COS_MIN * INCIDENCE_COS_MIN)
     misfit: float = across / ((size - 2) * sigma_m * sigma_m * crossing)
     return misfit
 
 
 @compiled(error_model="numpy")
-def _keep(
+def _store_line(
     lines: LocalLines,
     sums: FloatArray,
     scan: PolarScan,

@@ -16,20 +16,20 @@ import numpy as np
 
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import FloatArray
-from fusion_core.registration.line_icp import add_feigned, open_directions
+from fusion_core.registration.line_icp import add_spurious_information, find_unobservable_directions
 from fusion_core.registration.line_pairs import LinePairs
-from fusion_core.registration.local_lines import LocalLines, crossing_share
+from fusion_core.registration.local_lines import LocalLines, incidence_cos
 from fusion_core.registration.polar_correspondence import PolarScan
 
 # The standard deviation that an open direction is given: finite, and larger than any room.
-OPEN_SIGMA_M = 100.0
+UNOBSERVABLE_SIGMA_M = 100.0
 
 # Residuals smaller than the ranges' noise allows mean that the two sweeps err alike (quantised
 # or filtered ranges at rest), not that the match is the better for it.
 _NOISE_FACTOR_MIN = 0.5
 
 
-def trimmed_variance(sigmas: float) -> float:
+def trimmed_gaussian_variance(sigmas: float) -> float:
     """Variance of a unit Gaussian that is cut off at ± ``sigmas``."""
     density = exp(-0.5 * sigmas**2) / sqrt(2.0 * pi)
     return 1.0 - 2.0 * sigmas * density / erf(sigmas / sqrt(2.0))
@@ -54,7 +54,11 @@ def match_covariance(
     """
     c, s = np.cos(pose[2]), np.sin(pose[2])
     count = reference.range_m.size
-    information, feigned, gradient_covariance = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    information, spurious, gradient_covariance = (
+        np.zeros((3, 3)),
+        np.zeros((3, 3)),
+        np.zeros((3, 3)),
+    )
     by_reference_range = np.zeros((count, 3))
     squares, weights, levers, used = 0.0, 0.0, 0.0, 0
     row = np.empty(3)
@@ -88,23 +92,23 @@ def match_covariance(
             share = 1.0 / lines.beams[j]
             share += foot * (along - lines.centre_m[j]) / lines.spread_m2[j]
             # Signs as in the residual do not matter: all beams of a run cross it the same way.
-            share *= weight * sigmas_m[0] * crossing_share(reference, lines, j, beam)
+            share *= weight * sigmas_m[0] * incidence_cos(reference, lines, j, beam)
             for a in range(3):
                 by_reference_range[beam, a] += share * row[a]
             beam = beam + 1 if beam + 1 < count else 0
-        turn = (sigmas_m[0] * crossing_share(reference, lines, j, j)) ** 2 / lines.spread_m2[j]
-        add_feigned(feigned, x, y, normal_x, normal_y, weight * turn)
+        turn = (sigmas_m[0] * incidence_cos(reference, lines, j, j)) ** 2 / lines.spread_m2[j]
+        add_spurious_information(spurious, x, y, normal_x, normal_y, weight * turn)
     for beam in range(count):
         _add_square(gradient_covariance, by_reference_range[beam], 1.0)
 
     lever_m = max(np.sqrt(levers / weights), 1e-6)
     scale = np.array([1.0, 1.0, 1.0 / lever_m])
-    _, directions, is_open = open_directions(information, feigned, lever_m)
+    _, directions, is_open = find_unobservable_directions(information, spurious, lever_m)
     closed, opened = directions[:, ~is_open], directions[:, is_open]
     # Noisy normals feign information and add noise of their own to the gradient: w var(e) = 1.
-    true_information = (information - feigned) * np.outer(scale, scale)
-    noise = (gradient_covariance + feigned) * np.outer(scale, scale)
-    covariance = opened @ opened.T * OPEN_SIGMA_M**2
+    true_information = (information - spurious) * np.outer(scale, scale)
+    noise = (gradient_covariance + spurious) * np.outer(scale, scale)
+    covariance = opened @ opened.T * UNOBSERVABLE_SIGMA_M**2
     if closed.shape[1] > 0:
         inverse = closed @ np.linalg.inv(closed.T @ true_information @ closed) @ closed.T
         factor = squares / max(used - 3, 1) / kept_variance

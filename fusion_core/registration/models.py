@@ -16,22 +16,27 @@ import numpy as np
 
 from fusion_core.model.conventions import FloatArray, read_only
 
-Model = Literal["rigid", "similarity", "affine", "homography"]
+TransformModel = Literal["rigid", "similarity", "affine", "homography"]
 
 # From the simplest to the richest.
-MODELS: tuple[Model, ...] = ("rigid", "similarity", "affine", "homography")
-PARAMETERS: dict[Model, int] = {"rigid": 3, "similarity": 4, "affine": 6, "homography": 8}
-MINIMAL_PAIRS: dict[Model, int] = {"rigid": 2, "similarity": 2, "affine": 3, "homography": 4}
+MODELS: tuple[TransformModel, ...] = ("rigid", "similarity", "affine", "homography")
+PARAMETERS: dict[TransformModel, int] = {"rigid": 3, "similarity": 4, "affine": 6, "homography": 8}
+MINIMAL_PAIRS: dict[TransformModel, int] = {
+    "rigid": 2,
+    "similarity": 2,
+    "affine": 3,
+    "homography": 4,
+}
 
 # Beyond this condition the digits of a float64 no longer determine the map (the condition comes
 # from normal equations, which square it).
 SINGULAR_CONDITION = 1e7
 
-_REFINEMENTS_MAX = 20
+_GAUSS_NEWTON_STEPS_MAX = 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Fit:
+class TransformFit:
     """A map fitted to pairs.
 
     ``A``: (3, 3). ``unit_covariance``: (9, 9) covariance of A's entries, row by row, for
@@ -49,7 +54,7 @@ class Fit:
         read_only(self.unit_covariance)
 
 
-def map_points(A: FloatArray, points_m: FloatArray) -> FloatArray:
+def apply_transform(A: FloatArray, points_m: FloatArray) -> FloatArray:
     """(m, 2) points through one A (3, 3) to (m, 2), NaN where a point has no image (eq. 8)."""
     mapped = _homogeneous(points_m) @ A
     w = np.where(mapped[:, 2:] > 0.0, mapped[:, 2:], np.nan)
@@ -78,7 +83,9 @@ def residuals(A: FloatArray, lidar_m: FloatArray, depth_m: FloatArray) -> FloatA
     return distance
 
 
-def least_squares(model: Model, lidar_m: FloatArray, depth_m: FloatArray) -> FloatArray:
+def solve_least_squares(
+    model: TransformModel, lidar_m: FloatArray, depth_m: FloatArray
+) -> FloatArray:
     """Closed-form least squares of ``L A = D``: (..., n, 2) twice give A (..., 3, 3).
 
     All leading axes are solved at once. Rigid and similarity: Umeyama 1991 in the plane, where
@@ -100,7 +107,7 @@ def least_squares(model: Model, lidar_m: FloatArray, depth_m: FloatArray) -> Flo
     return A
 
 
-def fit(model: Model, lidar_m: FloatArray, depth_m: FloatArray) -> Fit:
+def fit_transform(model: TransformModel, lidar_m: FloatArray, depth_m: FloatArray) -> TransformFit:
     """Least squares over all pairs, (m, 2) twice, with condition and covariance.
 
     The homography is refined by Gauss-Newton on the distances in D, since the DLT's own error
@@ -111,29 +118,29 @@ def fit(model: Model, lidar_m: FloatArray, depth_m: FloatArray) -> Fit:
     # One unit for both sides, or a rigid map would not stay rigid.
     unit_m = max(spread_lidar, spread_depth)
     if min(spread_lidar, spread_depth) * SINGULAR_CONDITION <= unit_m:
-        return _undetermined(np.inf)
+        return _undetermined_fit(np.inf)
     lidar, depth = (lidar_m - centre_lidar) / unit_m, (depth_m - centre_depth) / unit_m
-    A = least_squares(model, lidar, depth)
+    A = solve_least_squares(model, lidar, depth)
     if model == "homography" and np.isfinite(A).all():
-        A = _refined(A, lidar, depth)
+        A = _refine_homography(A, lidar, depth)
     if not np.isfinite(A).all():
-        return _undetermined(np.inf)
+        return _undetermined_fit(np.inf)
 
     directions = _tangent(model, A)
     design = (_entry_jacobian(A, lidar) @ directions).reshape(-1, directions.shape[1])
     if not np.isfinite(design).all():
-        return _undetermined(np.inf)
+        return _undetermined_fit(np.inf)
     squared, axes = np.linalg.eigh(design.T @ design)
     condition = float(np.sqrt(squared[-1] / squared[0])) if squared[0] > 0.0 else np.inf
     if condition >= SINGULAR_CONDITION:
-        return _undetermined(condition)
+        return _undetermined_fit(condition)
     axes = directions @ axes
     covariance = axes / squared @ axes.T / unit_m**2
 
-    to_unit_lidar = _to_unit(centre_lidar, unit_m)
-    from_unit_depth = np.linalg.inv(_to_unit(centre_depth, unit_m))
+    to_unit_lidar = _normalising_transform(centre_lidar, unit_m)
+    from_unit_depth = np.linalg.inv(_normalising_transform(centre_depth, unit_m))
     change = np.kron(to_unit_lidar, from_unit_depth.T)
-    return Fit(
+    return TransformFit(
         A=to_unit_lidar @ A @ from_unit_depth,
         unit_covariance=change @ covariance @ change.T,
         condition=condition,
@@ -165,7 +172,7 @@ def _centre_and_spread(points_m: FloatArray) -> tuple[FloatArray, float]:
     return centre, float(np.sqrt(np.mean((points_m - centre) ** 2)))
 
 
-def _to_unit(centre_m: FloatArray, unit_m: float) -> FloatArray:
+def _normalising_transform(centre_m: FloatArray, unit_m: float) -> FloatArray:
     """(3, 3) that takes a row vector in metres to one about the centre, in units of ``unit_m``."""
     scale = 1.0 / unit_m
     return np.array(
@@ -173,7 +180,7 @@ def _to_unit(centre_m: FloatArray, unit_m: float) -> FloatArray:
     )
 
 
-def _linear_part(model: Model, lidar: FloatArray, depth: FloatArray) -> FloatArray:
+def _linear_part(model: TransformModel, lidar: FloatArray, depth: FloatArray) -> FloatArray:
     """(..., 2, 2) from centred points, through their second moments."""
     x, z = lidar[..., 0], lidar[..., 1]
     moment = lidar.swapaxes(-1, -2) @ depth
@@ -231,11 +238,11 @@ def _entry_jacobian(A: FloatArray, points: FloatArray) -> FloatArray:
     hat = _homogeneous(points)
     w = (hat @ A)[:, 2]
     w = np.where(w > 0.0, w, np.nan)
-    jacobian: FloatArray = _cross_rows(hat, map_points(A, points)) / w[:, None, None]
+    jacobian: FloatArray = _cross_rows(hat, apply_transform(A, points)) / w[:, None, None]
     return jacobian
 
 
-def _tangent(model: Model, A: FloatArray) -> FloatArray:
+def _tangent(model: TransformModel, A: FloatArray) -> FloatArray:
     """(9, parameters): the directions in which the model lets the entries of A move."""
     entry = np.eye(9)
     if model == "affine":
@@ -251,19 +258,19 @@ def _tangent(model: Model, A: FloatArray) -> FloatArray:
     return np.stack([turning, entry[:, 6], entry[:, 7]], axis=1)
 
 
-def _refined(A: FloatArray, lidar: FloatArray, depth: FloatArray) -> FloatArray:
+def _refine_homography(A: FloatArray, lidar: FloatArray, depth: FloatArray) -> FloatArray:
     """Gauss-Newton on the squared distances in D; a step that does not lower them ends it."""
-    cost = float(np.sum((map_points(A, lidar) - depth) ** 2))
-    for _ in range(_REFINEMENTS_MAX):
+    cost = float(np.sum((apply_transform(A, lidar) - depth) ** 2))
+    for _ in range(_GAUSS_NEWTON_STEPS_MAX):
         if not np.isfinite(cost):
             break
         directions = _tangent("homography", A)
         design = (_entry_jacobian(A, lidar) @ directions).reshape(-1, directions.shape[1])
-        error = (depth - map_points(A, lidar)).reshape(-1)
+        error = (depth - apply_transform(A, lidar)).reshape(-1)
         step = np.linalg.lstsq(design, error, rcond=None)[0]
         moved = A + (directions @ step).reshape(3, 3)
         moved = moved / moved[2, 2]
-        moved_cost = float(np.sum((map_points(moved, lidar) - depth) ** 2))
+        moved_cost = float(np.sum((apply_transform(moved, lidar) - depth) ** 2))
         if not moved_cost < cost:
             break
         settled = cost - moved_cost <= 1e-12 * cost
@@ -273,7 +280,7 @@ def _refined(A: FloatArray, lidar: FloatArray, depth: FloatArray) -> FloatArray:
     return A
 
 
-def _undetermined(condition: float) -> Fit:
-    return Fit(
+def _undetermined_fit(condition: float) -> TransformFit:
+    return TransformFit(
         A=np.full((3, 3), np.nan), unit_covariance=np.full((9, 9), np.nan), condition=condition
     )

@@ -8,7 +8,7 @@
     )
     x_m, y_m, yaw_rad = match.pose_first_second     # where the second sweep was taken
     match.covariance                                # (3, 3) of these three
-    match.observable                                # False in a corridor: see open_directions
+    match.is_observable                             # False in a corridor
 
 ``first_m`` and ``second_m`` are plain arrays of ranges in metres, NaN (or inf, or 0) for a beam
 without an answer. No first guess is needed: within ``search_translation_m`` and
@@ -36,12 +36,17 @@ from pydantic import model_validator
 
 from fusion_core.model.conventions import FloatArray, read_only, wrap_angle
 from fusion_core.model.errors import RegistrationFailed
-from fusion_core.registration.correlative import POSES_MAX, SearchWindow, best_pose, poses_of
-from fusion_core.registration.likelihood_grid import LikelihoodPyramid, likelihood_pyramid
-from fusion_core.registration.line_icp import align
-from fusion_core.registration.local_lines import LocalLines, local_lines, range_sigma_m
-from fusion_core.registration.match_covariance import match_covariance, trimmed_variance
-from fusion_core.registration.polar_correspondence import PolarScan, polar_scan
+from fusion_core.registration.correlative import (
+    POSES_MAX,
+    SearchWindow,
+    count_poses,
+    find_best_pose,
+)
+from fusion_core.registration.likelihood_grid import LikelihoodPyramid, make_likelihood_pyramid
+from fusion_core.registration.line_icp import iterate_pl_icp
+from fusion_core.registration.local_lines import LocalLines, estimate_range_sigma_m, fit_local_lines
+from fusion_core.registration.match_covariance import match_covariance, trimmed_gaussian_variance
+from fusion_core.registration.polar_correspondence import PolarScan, make_polar_scan
 from fusion_core.settings import StageSettings, setting
 
 # Blocks of 16 cells are about as wide as the window: few of them to begin with.
@@ -58,22 +63,39 @@ class PlIcpSettings(StageSettings):
         ge=1e-6,
         le=1.0,
     )
-    pair_distance_m: float = setting(
-        0.3, "Greatest distance of a point from the reference's nearest", unit="m", ge=1e-6, le=10.0
+    pair_distance_max_m: float = setting(
+        0.3,
+        "Greatest distance of a point from the reference's nearest",
+        unit="m",
+        ge=1e-6,
+        le=10.0,
+        formerly="pair_distance_m",
     )
     trim_sigmas: float = setting(
         3.0, "Pairs off by more standard deviations are left out", ge=1.0, le=10.0
     )
     iterations_max: int = setting(50, "Iterations at which a start is given up", ge=1, le=1_000)
     beams_min: int = setting(30, "Fewest valid beams of a sweep", unit="beams", ge=6, le=10_000)
-    inlier_share_min: float = setting(
-        0.4, "Least share of the second sweep's valid beams that must fit", ge=1e-6, le=1.0
+    inlier_ratio_min: float = setting(
+        0.4,
+        "Least share of the second sweep's valid beams that must fit",
+        ge=1e-6,
+        le=1.0,
+        formerly="inlier_share_min",
     )
-    inlier_share_sure: float = setting(
-        0.7, "Share of fitting beams at which no other start is tried", ge=1e-6, le=1.0
+    inlier_ratio_sufficient: float = setting(
+        0.7,
+        "Share of fitting beams at which no other start is tried",
+        ge=1e-6,
+        le=1.0,
+        formerly="inlier_share_sure",
     )
-    residual_max: float = setting(
-        4.0, "Greatest robust residual, in multiples of what range noise explains", gt=1.0, le=1e3
+    residual_ratio_max: float = setting(
+        4.0,
+        "Greatest robust residual, in multiples of what range noise explains",
+        gt=1.0,
+        le=1e3,
+        formerly="residual_max",
     )
     search_translation_m: float = setting(
         1.0, "Search of a start: how far along x and y", unit="m", ge=0.0, le=50.0
@@ -93,8 +115,8 @@ class PlIcpSettings(StageSettings):
 
     @model_validator(mode="after")
     def _searchable(self) -> Self:
-        reach_m, rotation_rad = _last_resort(self)
-        poses = poses_of(reach_m, rotation_rad, self.search_resolution_m, self.search_step_rad)
+        reach_m, rotation_rad = _widest_window(self)
+        poses = count_poses(reach_m, rotation_rad, self.search_resolution_m, self.search_step_rad)
         if poses > POSES_MAX:
             raise ValueError(
                 f"search_translation_m = {self.search_translation_m:g} over search_resolution_m = "
@@ -125,17 +147,17 @@ class ReferenceScan:
         """Prepare a sweep (N,); arguments and errors as in ``match_scans``."""
         settings = settings or PlIcpSettings()
         scan, sigma_m = _prepare("first", ranges_m, angle_min_rad, angle_increment_rad, settings)
-        lines: LocalLines = local_lines(scan, sigma_m)
+        lines: LocalLines = fit_local_lines(scan, sigma_m)
         return cls(scan=scan, sigma_m=sigma_m, lines=lines, settings=settings)
 
     @cached_property
     def pyramid(self) -> LikelihoodPyramid:
         """The grid in which a start is searched."""
         resolution_m = self.settings.search_resolution_m
-        return likelihood_pyramid(
+        return make_likelihood_pyramid(
             _points(self.scan),
             resolution_m=resolution_m,
-            reach_m=2.0 * resolution_m,
+            truncation_m=2.0 * resolution_m,
             levels=_SEARCH_LEVELS,
         )
 
@@ -145,11 +167,11 @@ class ScanMatch:
     """The motion between two sweeps, and its quality.
 
     ``pose_first_second``: (3,) x, y, yaw of the second sweep in the first one's frame.
-    ``covariance``: (3, 3) of it, see match_covariance.py. ``open_directions``: (k, 3) directions
-    of (x, y, yaw) that the sweeps do not tell, as along a corridor; the pose keeps the guess there
-    and the covariance holds 100 m. ``error_m``: root mean square distance of the inliers from
-    their lines. ``residual``: the pairs' robust residual over the one that range noise explains.
-    ``inlier_share``: of the second sweep's valid beams. ``iterations``: of all starts.
+    ``covariance``: (3, 3) of it, see match_covariance.py. ``unobservable_directions``: (k, 3)
+    directions of (x, y, yaw) that the sweeps do not tell, as along a corridor; the pose keeps the
+    guess there and the covariance holds 100 m. ``error_m``: root mean square distance of the
+    inliers from their lines. ``residual``: the pairs' robust residual over the one that range noise
+    explains. ``inlier_share``: of the second sweep's valid beams. ``iterations``: of all starts.
     ``start``: (3,) the pose from which the match was found; ``starts``: how many were tried.
     ``converged``: False where the best match fits but its steps had not become small when
     ``iterations_max`` ended them.
@@ -157,23 +179,28 @@ class ScanMatch:
 
     pose_first_second: FloatArray
     covariance: FloatArray
-    open_directions: FloatArray
-    error_m: float
-    residual: float
-    inlier_share: float
+    unobservable_directions: FloatArray
+    rms_error_m: float
+    residual_ratio: float
+    inlier_ratio: float
     iterations: int
     start: FloatArray
     starts: int
     converged: bool
 
     def __post_init__(self) -> None:
-        for array in (self.pose_first_second, self.covariance, self.open_directions, self.start):
+        for array in (
+            self.pose_first_second,
+            self.covariance,
+            self.unobservable_directions,
+            self.start,
+        ):
             read_only(array)
 
     @property
-    def observable(self) -> bool:
+    def is_observable(self) -> bool:
         """Whether the sweeps tell the motion in every direction."""
-        return bool(self.open_directions.shape[0] == 0)
+        return bool(self.unobservable_directions.shape[0] == 0)
 
 
 def match_scans(
@@ -199,7 +226,7 @@ def match_scans(
         angle_increment_rad=angle_increment_rad,
         settings=settings,
     )
-    return match_to(
+    return match_to_reference(
         reference,
         second_ranges_m,
         angle_min_rad=angle_min_rad,
@@ -208,7 +235,7 @@ def match_scans(
     )
 
 
-def match_to(
+def match_to_reference(
     reference: ReferenceScan,
     ranges_m: FloatArray,
     *,
@@ -226,25 +253,25 @@ def match_to(
     best: _Candidate | None = None
     refused = []
     iterations = starts = 0
-    for attempt in _attempts(guess is not None, settings):
-        start = centre if attempt is None else _searched(reference, moving, centre, attempt)
+    for attempt in _search_windows(guess is not None, settings):
+        start = centre if attempt is None else _search_start(reference, moving, centre, attempt)
         found, steps = _refine(reference, moving, sigma_m, start)
         starts += 1
         iterations += steps
         if isinstance(found, str):
             refused.append(found)
             continue
-        if attempt is not None and found.open_directions.size:
+        if attempt is not None and found.unobservable_directions.size:
             # The search had to take some pose where all are alike; the centre's is the better one.
-            again, steps = _refine(reference, moving, sigma_m, _closest(found, centre))
+            again, steps = _refine(reference, moving, sigma_m, _move_towards_guess(found, centre))
             iterations += steps
             found = found if isinstance(again, str) else again
-        if best is None or (found.converged, found.inlier_share) > (
+        if best is None or (found.converged, found.inlier_ratio) > (
             best.converged,
-            best.inlier_share,
+            best.inlier_ratio,
         ):
             best = found
-        if best.converged and best.inlier_share >= settings.inlier_share_sure:
+        if best.converged and best.inlier_ratio >= settings.inlier_ratio_sufficient:
             break
     if best is None:
         raise RegistrationFailed(
@@ -255,10 +282,10 @@ def match_to(
     return ScanMatch(
         pose_first_second=best.pose,
         covariance=best.covariance,
-        open_directions=best.open_directions,
-        error_m=best.error_m,
-        residual=best.residual,
-        inlier_share=best.inlier_share,
+        unobservable_directions=best.unobservable_directions,
+        rms_error_m=best.rms_error_m,
+        residual_ratio=best.residual_ratio,
+        inlier_ratio=best.inlier_ratio,
         iterations=iterations,
         start=best.start,
         starts=starts,
@@ -273,11 +300,11 @@ class _Candidate:
     start: FloatArray
     pose: FloatArray
     covariance: FloatArray
-    open_directions: FloatArray
+    unobservable_directions: FloatArray
     lever_m: float
-    error_m: float
-    residual: float
-    inlier_share: float
+    rms_error_m: float
+    residual_ratio: float
+    inlier_ratio: float
     converged: bool
 
 
@@ -287,68 +314,68 @@ def _refine(
     """PL-ICP from one start: the match, or why it is none; the iterations."""
     settings = reference.settings
     sigmas_m = (reference.sigma_m, sigma_m)
-    pose, pairs, iterations, converged, residual = align(
+    pose, pairs, iterations, converged, residual = iterate_pl_icp(
         reference.scan,
         reference.lines,
         moving,
         start,
         sigmas_m,
-        settings.pair_distance_m,
+        settings.pair_distance_max_m,
         settings.trim_sigmas,
         settings.iterations_max,
     )
     inliers = pairs.partner >= 0
     share = np.count_nonzero(inliers) / inliers.size
-    if share < settings.inlier_share_min:
-        return f"{share:.0%} of the beams fit, {settings.inlier_share_min:.0%} must", iterations
-    if residual > settings.residual_max:
+    if share < settings.inlier_ratio_min:
+        return f"{share:.0%} of the beams fit, {settings.inlier_ratio_min:.0%} must", iterations
+    if residual > settings.residual_ratio_max:
         return f"residuals are {residual:.3g} times the ranges' noise", iterations
-    covariance, open_directions, lever_m = match_covariance(
+    covariance, unobservable_directions, lever_m = match_covariance(
         pairs,
         reference.scan,
         reference.lines,
         moving,
         pose,
         sigmas_m,
-        trimmed_variance(settings.trim_sigmas),
+        trimmed_gaussian_variance(settings.trim_sigmas),
     )
     residual_m = pairs.residual_m[inliers]
     candidate = _Candidate(
         start=start,
         pose=pose,
         covariance=covariance,
-        open_directions=open_directions,
+        unobservable_directions=unobservable_directions,
         lever_m=lever_m,
-        error_m=sqrt(residual_m @ residual_m / residual_m.size),
-        residual=residual,
-        inlier_share=share,
+        rms_error_m=sqrt(residual_m @ residual_m / residual_m.size),
+        residual_ratio=residual,
+        inlier_ratio=share,
         converged=converged,
     )
     return candidate, iterations
 
 
-def _closest(found: _Candidate, centre: FloatArray) -> FloatArray:
+def _move_towards_guess(found: _Candidate, centre: FloatArray) -> FloatArray:
     """The pose nearest to ``centre`` that differs from the match in open directions alone."""
     scale = np.array([1.0, 1.0, found.lever_m])
     difference = found.pose - centre
     difference[2] = wrap_angle(difference[2])
-    directions = found.open_directions * scale
+    directions = found.unobservable_directions * scale
     moved: FloatArray = found.pose - directions.T @ (directions @ (difference * scale)) / scale
     return moved
 
 
-def _attempts(has_guess: bool, settings: PlIcpSettings) -> list[tuple[float, float] | None]:
+def _search_windows(has_guess: bool, settings: PlIcpSettings) -> list[tuple[float, float] | None]:
     """How each start is found: None for the guess itself, else how far to search about it."""
     near = (settings.search_translation_m, settings.search_rotation_rad)
-    return [*([None] if has_guess else []), near, _last_resort(settings)]
+    return [*([None] if has_guess else []), near, _widest_window(settings)]
 
 
-def _last_resort(settings: PlIcpSettings) -> tuple[float, float]:
+def _widest_window(settings: PlIcpSettings) -> tuple[float, float]:
     """The widest search: any turn, and twice as far."""
     return 2.0 * settings.search_translation_m, float(np.pi)
 
 
-def _searched(
+def _search_start(
     reference: ReferenceScan, moving: PolarScan, centre: FloatArray, reach: tuple[float, float]
 ) -> FloatArray:
     """The start that fits best within (metres, radians) of a pose."""
@@ -360,7 +387,7 @@ def _searched(
         translation_m=reach[0],
         rotation_rad=reach[1],
     )
-    return best_pose(
+    return find_best_pose(
         reference.pyramid, points_m[::stride], window, step_rad=settings.search_step_rad
     )
 
@@ -378,7 +405,7 @@ def _prepare(
     angle_increment_rad: float,
     settings: PlIcpSettings,
 ) -> tuple[PolarScan, float]:
-    scan = polar_scan(ranges_m, angle_min_rad, angle_increment_rad)
+    scan = make_polar_scan(ranges_m, angle_min_rad, angle_increment_rad)
     if scan.range_m.size < settings.beams_min:
         raise RegistrationFailed(
             f"{scan.range_m.size} of the {which} sweep's {np.size(ranges_m)} beams are valid; "
@@ -386,4 +413,4 @@ def _prepare(
             advice="Skip this sweep, or lower beams_min.",
         )
     given = settings.range_sigma_m
-    return scan, range_sigma_m(scan) if given is None else given
+    return scan, estimate_range_sigma_m(scan) if given is None else given

@@ -17,7 +17,7 @@ from fusion_core.model.conventions import FloatArray
 _NEWTON_STEPS = 100
 
 
-def best_motion(
+def fit_point_to_line(
     points_m: FloatArray, normals: FloatArray, offsets_m: FloatArray, weights: FloatArray
 ) -> FloatArray:
     """(3,) x, y, theta of the global minimum.
@@ -27,15 +27,15 @@ def best_motion(
     """
     normal_matrix, right_side = np.zeros((4, 4)), np.zeros(4)
     for point, normal, offset, weight in zip(points_m, normals, offsets_m, weights, strict=True):
-        add_pair(
+        add_point_line_pair(
             normal_matrix, right_side, point[0], point[1], normal[0], normal[1], offset, weight
         )
-    motion: FloatArray = solve(normal_matrix, right_side)
+    motion: FloatArray = solve_point_to_line(normal_matrix, right_side)
     return motion
 
 
 @compiled()
-def add_pair(
+def add_point_line_pair(
     normal_matrix: FloatArray,
     right_side: FloatArray,
     x_m: float,
@@ -57,7 +57,7 @@ def add_pair(
 
 
 @compiled(error_model="numpy")
-def solve(normal_matrix: FloatArray, right_side: FloatArray) -> FloatArray:
+def solve_point_to_line(normal_matrix: FloatArray, right_side: FloatArray) -> FloatArray:
     """(3,) x, y, theta from the sums of ``add_pair``; NaN where the translation is open."""
     m, g = normal_matrix, right_side
     determinant = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]
@@ -77,12 +77,14 @@ def solve(normal_matrix: FloatArray, right_side: FloatArray) -> FloatArray:
     s11 = m[3, 3] - m[0, 3] * qx1 - m[1, 3] * qy1
     b0 = g[2] - m[0, 2] * px - m[1, 2] * py
     b1 = g[3] - m[0, 3] * px - m[1, 3] * py
-    c, s = _on_circle(s00, s01, s11, b0, b1)
+    c, s = _minimise_on_unit_circle(s00, s01, s11, b0, b1)
     return np.array([px - qx0 * c - qx1 * s, py - qy0 * c - qy1 * s, np.arctan2(s, c)])
 
 
 @compiled(error_model="numpy")
-def _on_circle(s00: float, s01: float, s11: float, b0: float, b1: float) -> tuple[float, float]:
+def _minimise_on_unit_circle(
+    s00: float, s01: float, s11: float, b0: float, b1: float
+) -> tuple[float, float]:
     """The u on the unit circle that minimises uᵀ S u - 2 b · u.
 
     (S + λ) u = b with |u| = 1. In the eigenvectors of S, with eigenvalues l₀ <= l₁, that is

@@ -38,7 +38,9 @@ class PolarScan(NamedTuple):
     nearer_down: IntArray
 
 
-def polar_scan(ranges_m: FloatArray, angle_min_rad: float, angle_increment_rad: float) -> PolarScan:
+def make_polar_scan(
+    ranges_m: FloatArray, angle_min_rad: float, angle_increment_rad: float
+) -> PolarScan:
     """Prepare a sweep (N,) for ``nearest``. A beam that is not finite and positive is missing, and
     so is one beyond a full turn.
 
@@ -121,7 +123,9 @@ def _steps_to_next(range_m: FloatArray, sign: float, direction: int) -> IntArray
 
 
 @compiled()
-def nearest(scan: PolarScan, x_m: float, y_m: float, squared_limit_m2: float) -> tuple[int, float]:
+def find_nearest(
+    scan: PolarScan, x_m: float, y_m: float, squared_limit_m2: float
+) -> tuple[int, float]:
     """Index below M of the point nearest to a place in the sensor's frame; its squared distance.
 
     -1 and the limit where none is nearer than that.

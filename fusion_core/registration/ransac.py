@@ -35,20 +35,20 @@ from fusion_core.model.errors import RegistrationFailed
 from fusion_core.model.seeds import SEED_MAX
 from fusion_core.registration.draws import (
     Draws,
-    both_valid,
+    count_draws_needed,
     draw_samples,
-    draws_needed,
     evaluate_samples,
+    find_valid_pairs,
 )
 from fusion_core.registration.models import (
     MINIMAL_PAIRS,
     MODELS,
     PARAMETERS,
     SINGULAR_CONDITION,
-    Fit,
-    Model,
-    fit,
-    map_points,
+    TransformFit,
+    TransformModel,
+    apply_transform,
+    fit_transform,
     point_covariance,
     point_jacobian,
     residuals,
@@ -62,7 +62,7 @@ _RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
 # Below this the residuals of exact pairs are rounding and do not tell models apart.
 _SIGMA_FLOOR_M = 1e-6
 
-_VERY_STRONG_EVIDENCE = 10.0
+_GRIC_MARGIN = 10.0
 
 
 class RegistrationSettings(StageSettings):
@@ -112,10 +112,10 @@ PUBLISHED = RegistrationSettings(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Refusal:
+class RejectedModel:
     """A model that was not taken, and why."""
 
-    model: Model
+    model: TransformModel
     reason: str
 
 
@@ -135,7 +135,7 @@ class Registration:
     the last refit changed no inlier. ``refused``: models that were tried and not allowed.
     """
 
-    model: Model
+    model: TransformModel
     A: FloatArray
     A_inverse: FloatArray
     inliers: BoolArray
@@ -148,9 +148,9 @@ class Registration:
     draws: Draws
     best_draw: int
     refits: int
-    settled: bool
+    has_converged: bool
     seed: int
-    refused: tuple[Refusal, ...]
+    rejected: tuple[RejectedModel, ...]
 
     def __post_init__(self) -> None:
         for array in (self.A, self.A_inverse, self.inliers, self.residual_m, self.covariance):
@@ -163,11 +163,11 @@ class Registration:
         and for one beyond the horizon of a homography.
         """
         spread = point_covariance(self.A, self.covariance, lidar_points_m)
-        return map_points(self.A, lidar_points_m), np.sqrt(np.trace(spread, axis1=1, axis2=2))
+        return apply_transform(self.A, lidar_points_m), np.sqrt(np.trace(spread, axis1=1, axis2=2))
 
     def predict_inverse(self, depth_points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Eq. (7), ``L̂ = D A⁻¹``: as ``predict``, in the other direction."""
-        points_m = map_points(self.A_inverse, depth_points_m)
+        points_m = apply_transform(self.A_inverse, depth_points_m)
         spread = point_covariance(self.A, self.covariance, points_m)
         back = point_jacobian(self.A_inverse, depth_points_m)
         spread = back.swapaxes(1, 2) @ spread @ back
@@ -185,7 +185,7 @@ def register(
     depth_points_m = np.array(depth_points_m, dtype=np.float64)
     if lidar_points_m.shape != depth_points_m.shape or lidar_points_m.shape[1:] != (2,):
         raise ValueError(f"pairs must be (m, 2), got {lidar_points_m.shape, depth_points_m.shape}")
-    valid = both_valid(lidar_points_m, depth_points_m)
+    valid = find_valid_pairs(lidar_points_m, depth_points_m)
     count = int(valid.sum())
     needed = max(settings.sample_size, settings.inliers_min if settings.guards else 0)
     if count < needed:
@@ -197,10 +197,10 @@ def register(
     lidar, depth = lidar_points_m[valid], depth_points_m[valid]
     models = MODELS if settings.model == "auto" else (settings.model,)
     candidates: list[_Candidate] = []
-    refused: list[Refusal] = []
+    refused: list[RejectedModel] = []
     for model in models:
-        found = _candidate(model, lidar, depth, settings)
-        if isinstance(found, Refusal):
+        found = _fit_candidate(model, lidar, depth, settings)
+        if isinstance(found, RejectedModel):
             refused.append(found)
         else:
             candidates.append(found)
@@ -210,7 +210,7 @@ def register(
             f"no map fits the {count} valid of {valid.size} pairs ({reasons}).",
             advice="Check (u, v) of the alignment, or try another model or inlier_threshold_m.",
         )
-    best = candidates[_simplest_that_explains(candidates, settings.inlier_threshold_m)]
+    best = candidates[_select_by_gric(candidates, settings.inlier_threshold_m)]
 
     inliers = np.zeros(valid.size, dtype=np.bool_)
     inliers[valid] = best.inliers
@@ -240,9 +240,9 @@ def register(
         ),
         best_draw=best.best_draw,
         refits=best.refits,
-        settled=best.settled,
+        has_converged=best.has_converged,
         seed=settings.seed,
-        refused=tuple(refused),
+        rejected=tuple(refused),
     )
 
 
@@ -250,22 +250,22 @@ def register(
 class _Candidate:
     """One model's map over the valid pairs alone."""
 
-    model: Model
-    fit: Fit
+    model: TransformModel
+    fit: TransformFit
     inliers: BoolArray
     residual_m: FloatArray
     sigma_m: float
     draws: int
     best_draw: int
     refits: int
-    settled: bool
+    has_converged: bool
 
 
-def _candidate(
-    model: Model, lidar_m: FloatArray, depth_m: FloatArray, settings: RegistrationSettings
-) -> _Candidate | Refusal:
+def _fit_candidate(
+    model: TransformModel, lidar_m: FloatArray, depth_m: FloatArray, settings: RegistrationSettings
+) -> _Candidate | RejectedModel:
     """The best draw of one model, refitted until its inliers settle, unless the guards object."""
-    inliers, best_draw, draws = _consensus(model, lidar_m, depth_m, settings)
+    inliers, best_draw, draws = _find_consensus(model, lidar_m, depth_m, settings)
     # One pair more than the model needs, or no residual is left to judge it by.
     needed = max(settings.sample_size, MINIMAL_PAIRS[model] + 1)
     if settings.guards:
@@ -276,10 +276,10 @@ def _candidate(
         count = int(inliers.sum())
         if count < needed:
             reason = f"{count} of {inliers.size} valid pairs agree, {needed} are needed"
-            if fit(model, lidar_m, depth_m).condition >= SINGULAR_CONDITION:
+            if fit_transform(model, lidar_m, depth_m).condition >= SINGULAR_CONDITION:
                 reason = f"all {inliers.size} valid pairs lie on a line or a point"
-            return Refusal(model=model, reason=reason)
-        fitted = fit(model, lidar_m[inliers], depth_m[inliers])
+            return RejectedModel(model=model, reason=reason)
+        fitted = fit_transform(model, lidar_m[inliers], depth_m[inliers])
         residual_m = residuals(fitted.A, lidar_m, depth_m)
         agree = residual_m <= settings.inlier_threshold_m
         refits += 1
@@ -288,9 +288,9 @@ def _candidate(
             break
         inliers = agree
 
-    objection = _objection(fitted, lidar_m, inliers, settings)
+    objection = _rejection_reason(fitted, lidar_m, inliers, settings)
     if objection:
-        return Refusal(model=model, reason=objection)
+        return RejectedModel(model=model, reason=objection)
     free = 2 * count
     median_m = float(np.median(residual_m[inliers]))
     sigma_m = median_m / _RAYLEIGH_MEDIAN * np.sqrt(free / (free - PARAMETERS[model]))
@@ -303,12 +303,12 @@ def _candidate(
         draws=draws,
         best_draw=best_draw,
         refits=refits,
-        settled=settled,
+        has_converged=settled,
     )
 
 
-def _consensus(
-    model: Model, lidar_m: FloatArray, depth_m: FloatArray, settings: RegistrationSettings
+def _find_consensus(
+    model: TransformModel, lidar_m: FloatArray, depth_m: FloatArray, settings: RegistrationSettings
 ) -> tuple[BoolArray, int, int]:
     """The largest set of agreeing pairs, the index of its draw, and the number of draws made."""
     pairs = lidar_m.shape[0]
@@ -328,12 +328,12 @@ def _consensus(
         block += 1
         if settings.stopping == "adaptive":
             share = float(best.mean())
-            enough = draws_needed(share, settings.sample_size, settings.confidence)
+            enough = count_draws_needed(share, settings.sample_size, settings.confidence)
     return best, best_draw, done
 
 
-def _objection(
-    fitted: Fit, lidar_m: FloatArray, inliers: BoolArray, settings: RegistrationSettings
+def _rejection_reason(
+    fitted: TransformFit, lidar_m: FloatArray, inliers: BoolArray, settings: RegistrationSettings
 ) -> str:
     """Why a fit is not acceptable; empty where it is."""
     count = f"its {inliers.sum()} inliers of {inliers.size} valid pairs"
@@ -365,13 +365,13 @@ def _objection(
         )
     if anisotropy > settings.anisotropy_max:
         return f"it stretches {count} by {anisotropy:.3g} (at most {settings.anisotropy_max:g})"
-    lost = int(np.isnan(map_points(fitted.A, lidar_m)[:, 0]).sum())
+    lost = int(np.isnan(apply_transform(fitted.A, lidar_m)[:, 0]).sum())
     if lost:
         return f"its horizon leaves {lost} of {inliers.size} valid pairs without an image"
     return ""
 
 
-def _simplest_that_explains(candidates: list[_Candidate], threshold_m: float) -> int:
+def _select_by_gric(candidates: list[_Candidate], threshold_m: float) -> int:
     """Index of the simplest candidate whose GRIC is at most 10 above the least.
 
     GRIC (Torr 1998): sum of min(r²/σ², 4) + k ln(4 m), with k the model's parameters and m valid
@@ -387,4 +387,4 @@ def _simplest_that_explains(candidates: list[_Candidate], threshold_m: float) ->
     misfit = np.fmin(squares / sigma_m**2, 4.0).sum(axis=1)
     parameters = np.array([PARAMETERS[candidate.model] for candidate in candidates])
     gric = misfit + parameters * np.log(4 * squares.shape[1])
-    return int(np.flatnonzero(gric <= gric.min() + _VERY_STRONG_EVIDENCE)[0])
+    return int(np.flatnonzero(gric <= gric.min() + _GRIC_MARGIN)[0])

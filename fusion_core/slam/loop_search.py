@@ -15,8 +15,8 @@ import numpy as np
 from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.model.errors import RegistrationFailed
 from fusion_core.model.planar_poses import compose_poses, relative_pose, transform_planar_points
-from fusion_core.registration.correlative import SearchWindow, correlate
-from fusion_core.registration.likelihood_grid import LikelihoodPyramid, likelihood_pyramid
+from fusion_core.registration.correlative import SearchWindow, match_correlative
+from fusion_core.registration.likelihood_grid import LikelihoodPyramid, make_likelihood_pyramid
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.graph_distances import LOSS_DISTANCE_M
 from fusion_core.slam.local_slam import LocalTrajectory
@@ -244,7 +244,7 @@ class LoopSearch:
         predicted = compose_poses(anchor, pose_first_node)
         stride = -(-points_m.shape[0] // _POINTS_OF_A_SEARCH)
         try:
-            coarse = correlate(
+            coarse = match_correlative(
                 pyramid,
                 points_m[::stride],
                 SearchWindow(
@@ -346,10 +346,10 @@ class LoopSearch:
         submap = self._local.submaps[number]
         obstacles_m = submap.obstacles_m()
         self._pyramids[number] = (
-            likelihood_pyramid(
+            make_likelihood_pyramid(
                 obstacles_m,
                 resolution_m=submap.resolution_m,
-                reach_m=_REACH_M,
+                truncation_m=_REACH_M,
                 levels=_LEVELS,
             )
             if obstacles_m.size

@@ -22,7 +22,7 @@ from fusion_core.model.pose_graph import PoseGraph
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import LaserScan
 from fusion_core.model.slam_view import SlamObserver, SlamView, no_observer
-from fusion_core.registration.correlative import POSES_MAX, poses_of
+from fusion_core.registration.correlative import POSES_MAX, count_poses
 from fusion_core.settings import SettingsGroup
 from fusion_core.slam.interpolate_poses import interpolate_poses
 from fusion_core.slam.joint_refinement import RefinementSettings, refine
@@ -49,7 +49,9 @@ class SlamSettings(SettingsGroup):
     @model_validator(mode="after")
     def _searchable(self) -> Self:
         window, resolution_m = self.loops.widest_window, self.submaps.resolution_m
-        poses = poses_of(window.translation_m, window.rotation_rad, resolution_m, window.step_rad)
+        poses = count_poses(
+            window.translation_m, window.rotation_rad, resolution_m, window.step_rad
+        )
         if poses > POSES_MAX:
             raise ValueError(
                 f"loops.window_max_m = {self.loops.window_max_m:g} over submaps.resolution_m = "

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from fusion_core.model.errors import RegistrationFailed
-from fusion_core.registration.models import fit, map_points
+from fusion_core.registration.models import apply_transform, fit_transform
 from fusion_core.registration.ransac import RegistrationSettings, register
 
 SCENES = 40
@@ -49,7 +49,7 @@ def room_curve(count=180):
 def scene(model, outliers, seed):
     rng = np.random.default_rng(seed)
     curve = room_curve()
-    depth = map_points(MAPS[model], curve) + rng.normal(0.0, 0.01, curve.shape)
+    depth = apply_transform(MAPS[model], curve) + rng.normal(0.0, 0.01, curve.shape)
     bad = rng.permutation(len(curve)) < round(outliers * len(curve))
     depth[bad] += rng.uniform(-1.5, 1.5, (bad.sum(), 2))
     return curve + rng.normal(0.0, 0.0025, curve.shape), depth, ~bad
@@ -95,7 +95,7 @@ def by_us(**chosen):
 
 
 def by_oracle(model, lidar, depth, good, threshold_m):
-    return fit(model, lidar[good], depth[good]).A
+    return fit_transform(model, lidar[good], depth[good]).A
 
 
 METHODS = {
@@ -119,7 +119,7 @@ def main():
     print(f"{'model':<11}{'outliers':<9}{'method':<18}{header}")
     curve = room_curve()
     for model in MAPS:
-        truth = map_points(MAPS[model], curve)
+        truth = apply_transform(MAPS[model], curve)
         for outliers in OUTLIERS:
             scenes = [scene(model, outliers, seed) for seed in range(SCENES)]
             for name, solve in METHODS.items():
@@ -137,7 +137,7 @@ def main():
                         times.append(time.perf_counter() - begin)
                         error = np.inf
                         if A is not None:
-                            distance = np.linalg.norm(map_points(A, curve) - truth, axis=1)
+                            distance = np.linalg.norm(apply_transform(A, curve) - truth, axis=1)
                             error = float(np.nan_to_num(distance, nan=np.inf).mean())
                         errors.append(error if error <= FAILED_M else np.inf)
                     failed = int(np.isinf(errors).sum())

@@ -35,8 +35,8 @@ from scipy.stats import chi2
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import RegistrationFailed
 from fusion_core.model.geometry import planar_from_transform, transform_from_planar
-from fusion_core.registration.correlative import SearchWindow, best_pose
-from fusion_core.registration.likelihood_grid import likelihood_pyramid
+from fusion_core.registration.correlative import SearchWindow, find_best_pose
+from fusion_core.registration.likelihood_grid import make_likelihood_pyramid
 from fusion_core.registration.pl_icp import match_scans
 from tests.benchmarks.scan_matching_room import Pair, bound, compose, draw_pair, inverse
 
@@ -73,11 +73,11 @@ def pl_icp(guess: FloatArray | None = None):
 
 def search(pair: Pair) -> FloatArray:
     """The start that PL-ICP finds for itself."""
-    pyramid = likelihood_pyramid(
-        points_of(pair, pair.first_m), resolution_m=0.1, reach_m=0.2, levels=5
+    pyramid = make_likelihood_pyramid(
+        points_of(pair, pair.first_m), resolution_m=0.1, truncation_m=0.2, levels=5
     )
     points_m = points_of(pair, pair.second_m)
-    return best_pose(
+    return find_best_pose(
         pyramid,
         points_m[:: points_m.shape[0] // 90],
         SearchWindow(translation_m=1.0, rotation_rad=np.pi / 3.0),

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion_core.mapping.canvas import obstacle_wins, on_one_canvas
+from fusion_core.mapping.canvas import merge_keeping_obstacles, pad_to_common_canvas
 from fusion_core.model.grids import OccupancyGrid
 
 CELL_M = 0.1
@@ -43,12 +43,12 @@ def test_the_obstacle_wins_two_is_that_of_each_cell(
     for place, value in cells(second).items():
         values = [value, expected.get(place, value)]
         expected[place] = max(values) if max(values) > 0.0 else min(values)
-    assert cells(obstacle_wins(first, second)) == expected
+    assert cells(merge_keeping_obstacles(first, second)) == expected
 
 
 @given(grids, grids)
 def test_a_canvas_changes_no_cell(first: OccupancyGrid, second: OccupancyGrid) -> None:
-    laid = on_one_canvas({"a": first, "b": second})
+    laid = pad_to_common_canvas({"a": first, "b": second})
     assert cells(laid["a"]) == cells(first)
     assert cells(laid["b"]) == cells(second)
     assert laid["a"].log_odds.shape == laid["b"].log_odds.shape
@@ -58,4 +58,4 @@ def test_a_canvas_changes_no_cell(first: OccupancyGrid, second: OccupancyGrid) -
 def test_another_raster_is_refused() -> None:
     shifted = OccupancyGrid(resolution_m=CELL_M, origin_m=(0.04, 0.0), log_odds=np.zeros((1, 1)))
     with pytest.raises(ValueError, match="do not lie on those"):
-        obstacle_wins(_grid(0, 0, 1, 1, 0), shifted)
+        merge_keeping_obstacles(_grid(0, 0, 1, 1, 0), shifted)

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from fusion_core.mapping.camera_points import camera_cloud
+from fusion_core.mapping.camera_points import project_to_cloud
 from fusion_core.mapping.virtual_scan import (
     PUBLISHED,
     VirtualScanSettings,
-    camera_scan,
-    merged_scan,
+    make_camera_scan,
+    merge_camera_cloud,
     nearest_per_angle,
 )
 from fusion_core.model.conventions import wrap_angle
@@ -123,7 +123,7 @@ def test_the_published_preset_is_the_papers_six_steps(seed):
     assert len(cloud) > 20
     assert 0 < sum(map(stays, cloud)) < len(cloud)
     assert 0 < sum(map(stays, lidar.values())) < len(lidar)
-    found = merged_scan(scan, camera_cloud(depth, LENS, P, PUBLISHED), PUBLISHED, 0.3)
+    found = merge_camera_cloud(scan, project_to_cloud(depth, LENS, P, PUBLISHED), PUBLISHED, 0.3)
     np.testing.assert_allclose(found.ranges_m, expected, atol=1e-6)
 
 
@@ -134,7 +134,7 @@ WIDE = CameraIntrinsics(width=1280, height=1024, fx=1145.0, fy=1145.0, cx=639.5,
 def seen(room, settings):
     lens = LENS if settings is DEFAULT else WIDE
     depth_m = room.depth(POSE, camera_pose(), lens=lens, noise=np.random.default_rng(5))
-    return camera_cloud(depth_m, lens, camera_pose()[:3], settings)
+    return project_to_cloud(depth_m, lens, camera_pose()[:3], settings)
 
 
 def in_view(angles):
@@ -145,7 +145,7 @@ def in_view(angles):
 @pytest.mark.parametrize("settings", [DEFAULT, PUBLISHED], ids=["default", "published"])
 def test_the_merged_scan_has_the_true_obstacles_of_the_band(settings):
     scan = ROOM.scan(POSE)
-    merged = merged_scan(scan, seen(ROOM, settings), settings, LIDAR_HEIGHT_M)
+    merged = merge_camera_cloud(scan, seen(ROOM, settings), settings, LIDAR_HEIGHT_M)
     angles = scan.angles_rad
     # Clear of edges, where half a beam decides.
     true = ROOM.nearest_in_band(POSE, angles, 0.06, 0.55)
@@ -170,7 +170,9 @@ def test_the_merged_scan_has_the_true_obstacles_of_the_band(settings):
 
 
 def test_the_camera_alone_draws_walls_where_they_are():
-    scan = camera_scan(seen(ROOM, DEFAULT), DEFAULT, stamp_ns=7, received_ns=None, frame_id="laser")
+    scan = make_camera_scan(
+        seen(ROOM, DEFAULT), DEFAULT, stamp_ns=7, received_ns=None, frame_id="laser"
+    )
     assert (scan.stamp_ns, scan.frame_id, scan.ranges_m.size) == (7, "laser", 720)
     angles = scan.angles_rad
     true = ROOM.nearest_in_band(POSE, angles, 0.06, 0.55)
@@ -190,13 +192,13 @@ def test_noise_on_the_floor_is_no_obstacle():
     pose = np.array([20.0, 20.0, 0.3])
     # The mount is off by half a degree: the floor seems to rise.
     T = camera_pose(1.0, pitch=0.2)
-    cloud = camera_cloud(
+    cloud = project_to_cloud(
         room.depth(pose, T, noise=np.random.default_rng(3)),
         LENS,
         camera_pose(1.0, pitch=0.2 - np.deg2rad(0.5))[:3],
         DEFAULT,
     )
-    scan = camera_scan(cloud, DEFAULT, stamp_ns=0, received_ns=0, frame_id="laser")
+    scan = make_camera_scan(cloud, DEFAULT, stamp_ns=0, received_ns=0, frame_id="laser")
     assert np.isnan(scan.ranges_m).all()
 
 
@@ -204,16 +206,16 @@ def test_a_lone_depth_is_dropped_and_a_thin_post_is_not():
     room = BoxRoom(boxes=((2.5, 2.6, 0.0, 2.53, 2.63, 1.0),))
     depth = room.depth(POSE, camera_pose()).copy()
     depth[150, 60] = 1.1
-    cloud = camera_cloud(depth, LENS, camera_pose()[:3], DEFAULT)
-    scan = camera_scan(cloud, DEFAULT, stamp_ns=0, received_ns=0, frame_id="laser")
+    cloud = project_to_cloud(depth, LENS, camera_pose()[:3], DEFAULT)
+    scan = make_camera_scan(cloud, DEFAULT, stamp_ns=0, received_ns=0, frame_id="laser")
     assert np.nanmin(scan.ranges_m) == pytest.approx(np.hypot(1.5, 0.1), abs=0.03)
 
 
 def test_a_beam_that_met_nothing_stays_unless_something_lies_before_it():
     scan = replace(ROOM.scan(POSE), ranges_m=np.full(360, 81.9))
-    merged = merged_scan(scan, np.empty((0, 3)), DEFAULT, LIDAR_HEIGHT_M)
+    merged = merge_camera_cloud(scan, np.empty((0, 3)), DEFAULT, LIDAR_HEIGHT_M)
     np.testing.assert_array_equal(merged.ranges_m, 81.9)
-    merged = merged_scan(scan, seen(ROOM, DEFAULT), DEFAULT, LIDAR_HEIGHT_M)
+    merged = merge_camera_cloud(scan, seen(ROOM, DEFAULT), DEFAULT, LIDAR_HEIGHT_M)
     ahead = np.abs(scan.angles_rad) < 0.02
     assert merged.ranges_m[ahead] == pytest.approx(1.9, abs=0.03)
     assert (merged.ranges_m[np.abs(scan.angles_rad) > 1.0] == 81.9).all()
@@ -221,7 +223,7 @@ def test_a_beam_that_met_nothing_stays_unless_something_lies_before_it():
 
 def test_beams_without_a_return_take_what_the_camera_saw():
     scan = replace(ROOM.scan(POSE), ranges_m=np.full(360, np.nan))
-    merged = merged_scan(scan, seen(ROOM, DEFAULT), DEFAULT, LIDAR_HEIGHT_M)
+    merged = merge_camera_cloud(scan, seen(ROOM, DEFAULT), DEFAULT, LIDAR_HEIGHT_M)
     shown = np.abs(wrap_angle(scan.angles_rad - 0.1)) < np.deg2rad(20.0)
     assert np.isfinite(merged.ranges_m[shown]).mean() > 0.9
     assert np.isnan(merged.ranges_m[np.abs(scan.angles_rad) > 1.0]).all()
@@ -232,7 +234,7 @@ def test_a_hole_between_beams_that_met_a_surface_is_closed_by_the_camera():
     # Over a low box whose front the LiDAR has met, the camera sees the wall behind as well.
     room = BoxRoom(size_m=ROOM.size_m, boxes=((2.9, 1.5, 0.0, 3.2, 3.5, 0.35),))
     scan = replace(room.scan(POSE), ranges_m=np.where(holes, np.nan, room.scan(POSE).ranges_m))
-    merged = merged_scan(scan, seen(room, DEFAULT), DEFAULT, LIDAR_HEIGHT_M)
+    merged = merge_camera_cloud(scan, seen(room, DEFAULT), DEFAULT, LIDAR_HEIGHT_M)
     true = room.nearest_in_band(POSE, scan.angles_rad, 0.06, 0.55)
     front = in_view(scan.angles_rad) & (true < 2.2)
     assert (front & holes).sum() > 20
@@ -253,14 +255,14 @@ def test_what_lies_behind_the_lidars_surface_adds_nothing():
     ranges[180] = 4.5
     scan = replace(scan, ranges_m=ranges)
     cloud = np.concatenate([patch(2.0), patch(3.5)])
-    merged = merged_scan(scan, cloud, DEFAULT, LIDAR_HEIGHT_M)
+    merged = merge_camera_cloud(scan, cloud, DEFAULT, LIDAR_HEIGHT_M)
     np.testing.assert_array_equal(merged.ranges_m, ranges)
 
 
 def test_nothing_is_added_beyond_the_lidars_range():
     scan = replace(ROOM.scan(POSE), ranges_m=np.full(360, np.nan), range_max_m=3.0)
-    assert np.isnan(merged_scan(scan, patch(3.5), DEFAULT, None).ranges_m).all()
-    assert np.isfinite(merged_scan(scan, patch(2.5), DEFAULT, None).ranges_m).sum() > 15
+    assert np.isnan(merge_camera_cloud(scan, patch(3.5), DEFAULT, None).ranges_m).all()
+    assert np.isfinite(merge_camera_cloud(scan, patch(2.5), DEFAULT, None).ranges_m).sum() > 15
 
 
 def test_where_heights_cannot_be_compared_the_clouds_do_not_support_each_other():
@@ -268,9 +270,9 @@ def test_where_heights_cannot_be_compared_the_clouds_do_not_support_each_other()
     lone = np.array([[2.0, 0.1, 0.3], [2.0, -0.1, 0.3]])
     settings = DEFAULT.model_copy(update={"same_surface_m": 0.001, "same_surface_per_m2": 0.0})
     near = lone - [0.03, 0.0, 0.0]
-    beside = merged_scan(scan, near, settings, 0.3)
+    beside = merge_camera_cloud(scan, near, settings, 0.3)
     assert (beside.ranges_m < 1.99).sum() > 0
-    unknown = merged_scan(scan, near, settings, None)
+    unknown = merge_camera_cloud(scan, near, settings, None)
     np.testing.assert_array_equal(unknown.ranges_m, scan.ranges_m)
 
 

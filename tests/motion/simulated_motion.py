@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, IntArray, wrap_angle
-from fusion_core.motion.steps import chained
-from fusion_core.motion.track import OdometryTrack, masked
+from fusion_core.motion.odometry_trajectory import OdometryTrajectory, mask_unmeasured
+from fusion_core.motion.steps import integrate_steps
 
 STEP_NS = 100_000_000
 
@@ -31,7 +31,7 @@ def track_of(
     seed: int | None = None,
     unmeasured: slice | None = None,
     covariance: FloatArray | None = None,
-) -> OdometryTrack:
+) -> OdometryTrajectory:
     """A source whose steps err independently by ``sigma`` (x, y, yaw) and say so; with a seed they
     really err. ``covariance``: (3, 3) or (N - 1, 3, 3), what it says instead."""
     count = len(steps)
@@ -44,18 +44,18 @@ def track_of(
         measured[unmeasured] = False
         noisy[unmeasured] = 0.0
     said = np.diag(np.square(sigma)) if covariance is None else covariance
-    said = masked(np.broadcast_to(said, (count, 3, 3)), measured)
-    return OdometryTrack(
+    said = mask_unmeasured(np.broadcast_to(said, (count, 3, 3)), measured)
+    return OdometryTrajectory(
         name=name,
         stamps_ns=stamps(count + 1),
-        poses_odom_lidar=chained(noisy),
-        covariance_of_step=said.copy(),
-        drift_of_step=said.copy(),
+        poses_odom_lidar=integrate_steps(noisy),
+        step_covariance=said.copy(),
+        drift_covariance=said.copy(),
         measured=measured,
     )
 
 
-def step_errors(track: OdometryTrack, truth: FloatArray) -> FloatArray:
+def step_errors(track: OdometryTrajectory, truth: FloatArray) -> FloatArray:
     """(N - 1, 3) of a track's steps."""
     away = track.steps - truth
     away[:, 2] = wrap_angle(away[:, 2])

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import MissingStream
-from fusion_core.motion.fusion import Fusion, FusionSettings, fuse
+from fusion_core.motion.fusion import FusedOdometry, FusionSettings, fuse_odometry
 from fusion_core.motion.fusion_published import next_gain
-from fusion_core.motion.track import OdometryTrack
+from fusion_core.motion.odometry_trajectory import OdometryTrajectory
 from tests.motion.simulated_motion import stamps, step_errors, track_of, weaving
 
 COUNT = 301
@@ -18,7 +18,7 @@ WHEEL, LASER, VISUAL = (0.002, 0.001, 0.003), (0.001, 0.001, 0.001), (0.003, 0.0
 PUBLISHED = FusionSettings(method="published")
 
 
-def sources(**more: slice) -> list[OdometryTrack]:
+def sources(**more: slice) -> list[OdometryTrajectory]:
     """Wheel, laser and visual with noise; ``more``: which steps of one are not measured."""
     return [
         track_of(name, TRUTH, sigma, seed=seed, unmeasured=more.get(name))
@@ -28,20 +28,20 @@ def sources(**more: slice) -> list[OdometryTrack]:
     ]
 
 
-def slipping(factor: float, when: slice) -> OdometryTrack:
+def slipping(factor: float, when: slice) -> OdometryTrajectory:
     """Wheels that report ``factor`` times the way, and do not know."""
     steps = TRUTH.copy()
     steps[when, 0] *= factor
     return track_of("wheel", steps, WHEEL, seed=0)
 
 
-def way_error_m(track: OdometryTrack, when: slice = slice(None)) -> float:
+def way_error_m(track: OdometryTrajectory, when: slice = slice(None)) -> float:
     """Of the way ahead, summed over steps; the noise alone of 300 steps is 2 cm for the laser."""
     return abs(float(step_errors(track, TRUTH)[when, 0].sum()))
 
 
-def rms(fusion: Fusion, truth: FloatArray = TRUTH) -> FloatArray:
-    errors = step_errors(fusion.track, truth)
+def rms(fusion: FusedOdometry, truth: FloatArray = TRUTH) -> FloatArray:
+    errors = step_errors(fusion.trajectory, truth)
     return np.sqrt(np.mean(errors**2, axis=0))
 
 
@@ -55,32 +55,39 @@ def test_it_is_the_least_squares_mean_of_the_steps() -> None:
         covariance = root @ root.T + 1e-6 * np.eye(3)
         tracks.append(track_of(name, truth, (0.002,) * 3, seed=len(name), covariance=covariance))
     settings = FusionSettings(gate=1e9, window=1000, sigma_min_m=1e-9, sigma_min_rad=1e-9)
-    fusion = fuse(tracks, settings)
+    fusion = fuse_odometry(tracks, settings)
     for k in range(5):
-        roots = [np.linalg.cholesky(np.linalg.inv(t.drift_of_step[k])).T for t in tracks]
+        roots = [np.linalg.cholesky(np.linalg.inv(t.drift_covariance[k])).T for t in tracks]
         rows = np.concatenate(roots)
         right = np.concatenate([root @ t.steps[k] for root, t in zip(roots, tracks, strict=True)])
         expected, *_ = np.linalg.lstsq(rows, right, rcond=None)
-        np.testing.assert_allclose(fusion.track.steps[k], expected, atol=1e-6)
+        np.testing.assert_allclose(fusion.trajectory.steps[k], expected, atol=1e-6)
         np.testing.assert_allclose(
-            fusion.track.drift_of_step[k], np.linalg.inv(rows.T @ rows), rtol=1e-3, atol=1e-10
+            fusion.trajectory.drift_covariance[k],
+            np.linalg.inv(rows.T @ rows),
+            rtol=1e-3,
+            atol=1e-10,
         )
 
 
 def test_it_is_better_than_each_source_and_knows_how_good_it_is() -> None:
     tracks = sources()
-    fusion = fuse(tracks)
+    fusion = fuse_odometry(tracks)
     best = np.min([np.sqrt(np.mean(step_errors(t, TRUTH) ** 2, axis=0)) for t in tracks], axis=0)
     assert (rms(fusion) < best).all()
-    said = np.sqrt(np.mean(np.diagonal(fusion.track.covariance_of_step, axis1=1, axis2=2), axis=0))
+    said = np.sqrt(
+        np.mean(np.diagonal(fusion.trajectory.step_covariance, axis1=1, axis2=2), axis=0)
+    )
     np.testing.assert_allclose(rms(fusion), said, rtol=0.25)
     assert fusion.weights.rejected.mean() < 0.01
 
 
 def test_the_order_of_the_sources_does_not_matter() -> None:
     tracks = sources(laser=slice(50, 70))
-    one, other = fuse(tracks), fuse(tracks[::-1])
-    np.testing.assert_allclose(one.track.poses_odom_lidar, other.track.poses_odom_lidar, atol=1e-9)
+    one, other = fuse_odometry(tracks), fuse_odometry(tracks[::-1])
+    np.testing.assert_allclose(
+        one.trajectory.poses_odom_lidar, other.trajectory.poses_odom_lidar, atol=1e-9
+    )
     np.testing.assert_allclose(one.weights.translation, other.weights.translation[:, ::-1])
 
 
@@ -89,13 +96,13 @@ def test_the_order_of_the_sources_does_not_matter() -> None:
 def test_wheels_that_slip_for_three_seconds_are_not_believed(factor: float, count: int) -> None:
     slip = slice(100, 130)
     tracks = [slipping(factor, slip), *sources()[1:count]]
-    fusion = fuse(tracks)
+    fusion = fuse_odometry(tracks)
     assert fusion.weights.rejected[slip, 0].mean() > 0.95
     assert fusion.weights.translation[slip, 0].max() < 0.25
     assert fusion.weights.rejected[slip, 1:].mean() < 0.05
     # The wheels alone are off by the slip: 1.2 m and more.
     assert way_error_m(tracks[0], slip) > 1.0
-    assert way_error_m(fusion.track, slip) < 0.02
+    assert way_error_m(fusion.trajectory, slip) < 0.02
     # Once they grip again they count again.
     assert fusion.weights.translation[180:, 0].mean() > 0.1
 
@@ -105,36 +112,38 @@ def test_a_source_that_says_it_is_better_than_it_is_counts_less() -> None:
     said = np.diag(np.square(LASER))
     boasting = track_of("laser", TRUTH, (0.003, 0.003, 0.003), seed=1, covariance=said)
     wheel, _, visual = sources()
-    fusion = fuse([wheel, boasting, visual])
+    fusion = fuse_odometry([wheel, boasting, visual])
     believed = ~fusion.weights.rejected[:, 1]
     taken = np.array([1.0 / sigma**2 for sigma in (WHEEL[2], LASER[2], VISUAL[2])])
     by_its_word = taken[1] / taken.sum()
     assert fusion.weights.rotation[believed, 1][50:].mean() < 0.8 * by_its_word
-    honest = fuse(sources()).weights.rotation[:, 1]
+    honest = fuse_odometry(sources()).weights.rotation[:, 1]
     assert honest.mean() == pytest.approx(by_its_word, rel=0.05)
 
 
 def test_a_source_that_drops_out_has_no_weight_and_one_that_is_there_all() -> None:
     dark, blind = slice(80, 120), slice(100, 140)
-    fusion = fuse(sources(visual=dark, laser=blind))
+    fusion = fuse_odometry(sources(visual=dark, laser=blind))
     weights = fusion.weights
     np.testing.assert_array_equal(weights.translation[dark, 2], 0.0)
     np.testing.assert_array_equal(weights.rotation[blind, 1], 0.0)
     np.testing.assert_allclose(weights.translation[100:120], np.tile([1.0, 0.0, 0.0], (20, 1)))
-    assert fusion.track.measured.all()
+    assert fusion.trajectory.measured.all()
     assert not weights.rejected[100:120].any()
     assert np.isnan(weights.residual_m[dark, 2]).all()
-    assert way_error_m(fusion.track) < 0.05
+    assert way_error_m(fusion.trajectory) < 0.05
 
 
 def test_where_nothing_measures_it_is_carried_on_and_says_so() -> None:
     lost = slice(100, 110)
-    fusion = fuse(sources(wheel=lost, laser=lost, visual=lost))
-    np.testing.assert_array_equal(np.flatnonzero(~fusion.track.measured), np.arange(100, 110))
-    np.testing.assert_allclose(fusion.track.steps[lost], np.tile(fusion.track.steps[99], (10, 1)))
+    fusion = fuse_odometry(sources(wheel=lost, laser=lost, visual=lost))
+    np.testing.assert_array_equal(np.flatnonzero(~fusion.trajectory.measured), np.arange(100, 110))
+    np.testing.assert_allclose(
+        fusion.trajectory.steps[lost], np.tile(fusion.trajectory.steps[99], (10, 1))
+    )
     assert (fusion.weights.translation[lost] == 0.0).all()
-    assert fusion.track.at(int(stamps(COUNT)[105])) is None
-    assert "10 steps that no source measured" in fusion.track.notes[-1]
+    assert fusion.trajectory.pose_at(int(stamps(COUNT)[105])) is None
+    assert "10 steps that no source measured" in fusion.trajectory.notes[-1]
 
 
 def test_along_a_corridor_the_wheels_count_and_across_it_the_laser() -> None:
@@ -143,7 +152,7 @@ def test_along_a_corridor_the_wheels_count_and_across_it_the_laser() -> None:
     steps[:, 0] = 0.0
     said = np.diag([1e4, 0.001**2, 0.001**2])
     laser = track_of("laser", steps, (1e-9, 0.001, 0.001), seed=1, covariance=said)
-    fusion = fuse([track_of("wheel", TRUTH, (0.002, 0.02, 0.02), seed=0), laser])
+    fusion = fuse_odometry([track_of("wheel", TRUTH, (0.002, 0.02, 0.02), seed=0), laser])
     errors = rms(fusion)
     assert errors[0] < 0.0025
     assert errors[1] < 0.0012
@@ -154,31 +163,31 @@ def test_along_a_corridor_the_wheels_count_and_across_it_the_laser() -> None:
 
 def test_turns_are_fused_across_the_half_turn() -> None:
     steps = np.tile([0.0, 0.0, np.pi - 0.001], (20, 1))
-    fusion = fuse(
+    fusion = fuse_odometry(
         [
             track_of("wheel", steps, (0.001, 0.001, 0.01), seed=0),
             track_of("laser", steps, (0.001, 0.001, 0.01), seed=1),
         ]
     )
-    assert np.abs(step_errors(fusion.track, steps)[:, 2]).max() < 0.05
+    assert np.abs(step_errors(fusion.trajectory, steps)[:, 2]).max() < 0.05
 
 
 def test_one_source_alone_stays_what_it_is() -> None:
     alone = sources()[1]
     for settings in (FusionSettings(), PUBLISHED):
-        fusion = fuse([alone], settings)
-        np.testing.assert_allclose(fusion.track.steps, alone.steps, atol=1e-12)
+        fusion = fuse_odometry([alone], settings)
+        np.testing.assert_allclose(fusion.trajectory.steps, alone.steps, atol=1e-12)
         np.testing.assert_allclose(fusion.weights.translation, 1.0)
 
 
 def test_what_does_not_belong_together_is_refused() -> None:
     wheel, laser, _ = sources()
     with pytest.raises(MissingStream):
-        fuse([])
+        fuse_odometry([])
     with pytest.raises(ValueError, match="each once"):
-        fuse([wheel, wheel])
+        fuse_odometry([wheel, wheel])
     with pytest.raises(ValueError, match="same stamps"):
-        fuse([wheel, track_of("laser", TRUTH[:-1], LASER)])
+        fuse_odometry([wheel, track_of("laser", TRUTH[:-1], LASER)])
     del laser
 
 
@@ -197,7 +206,7 @@ def test_as_published_one_source_takes_all() -> None:
     first = 0.0031**2 / (0.0031**2 + 0.003**2)
     visual = track_of("visual", TRUTH, (0.003,) * 3, seed=2)
     laser = track_of("laser", TRUTH, (0.0031,) * 3, seed=1)
-    fusion = fuse([laser, visual], PUBLISHED)
+    fusion = fuse_odometry([laser, visual], PUBLISHED)
     gain = fusion.weights.gain
     assert gain is not None
     expected = 1.0 - first
@@ -206,16 +215,18 @@ def test_as_published_one_source_takes_all() -> None:
         expected = next_gain(expected)
     np.testing.assert_allclose(fusion.weights.translation[12:, 1], 1.0, atol=1e-6)
     # Variances propagated, both go on to count.
-    assert fuse([laser, visual]).weights.translation[:, 0].mean() == pytest.approx(0.48, abs=0.05)
+    assert fuse_odometry([laser, visual]).weights.translation[:, 0].mean() == pytest.approx(
+        0.48, abs=0.05
+    )
 
 
 def test_as_published_agreement_keeps_the_gain() -> None:
     """0 / 0 in (6): both deviations are zero."""
     laser, visual = track_of("laser", TRUTH, LASER), track_of("visual", TRUTH, LASER)
-    fusion = fuse([laser, visual], PUBLISHED)
+    fusion = fuse_odometry([laser, visual], PUBLISHED)
     assert fusion.weights.gain is not None
     np.testing.assert_allclose(fusion.weights.gain, 0.5)
-    np.testing.assert_allclose(fusion.track.steps, TRUTH, atol=1e-9)
+    np.testing.assert_allclose(fusion.trajectory.steps, TRUTH, atol=1e-9)
 
 
 def test_as_published_the_noise_at_rest_decides_the_first_gain() -> None:
@@ -226,8 +237,8 @@ def test_as_published_the_noise_at_rest_decides_the_first_gain() -> None:
     said = np.diag([1e-4, 1e-4, 1e-4])
     visual = track_of("visual", steps, (0.002,) * 3, seed=2, covariance=said)
     laser = track_of("laser", steps, (0.001,) * 3, seed=1, covariance=said)
-    settings = PUBLISHED.model_copy(update={"rest_s": 8.0})
-    gain = fuse([laser, visual], settings).weights.gain
+    settings = PUBLISHED.model_copy(update={"standstill_min_s": 8.0})
+    gain = fuse_odometry([laser, visual], settings).weights.gain
     assert gain is not None
     np.testing.assert_allclose(gain[0], 0.8, atol=0.06)
 
@@ -235,22 +246,22 @@ def test_as_published_the_noise_at_rest_decides_the_first_gain() -> None:
 def test_as_published_the_wheels_are_weighed_by_their_residuals() -> None:
     """(9): wheels that slip lose weight, with the delay of the window, and are never rejected."""
     tracks = [slipping(3.0, slice(100, 130)), *sources()[1:]]
-    fusion = fuse(tracks, PUBLISHED)
+    fusion = fuse_odometry(tracks, PUBLISHED)
     weights = fusion.weights
     # Half of the share is that of the way aside, where they do not slip.
     before = weights.translation[60:100, 0].mean()
     assert weights.translation[110:130, 0].mean() < before - 0.2
     assert not weights.rejected.any()
     np.testing.assert_allclose(weights.translation.sum(axis=1), 1.0)
-    assert way_error_m(fusion.track) < 0.3 * way_error_m(tracks[0])
+    assert way_error_m(fusion.trajectory) < 0.3 * way_error_m(tracks[0])
 
 
 @pytest.mark.parametrize("settings", [FusionSettings(), PUBLISHED], ids=["covariance", "published"])
 def test_shares_sum_to_one_with_any_dropouts(settings: FusionSettings) -> None:
     tracks = sources(wheel=slice(0, 90), laser=slice(60, 150), visual=slice(140, 301))
-    fusion = fuse(tracks, settings)
+    fusion = fuse_odometry(tracks, settings)
     there = np.stack([t.measured for t in tracks], axis=1).any(axis=1)
     for shares in (fusion.weights.translation, fusion.weights.rotation):
         np.testing.assert_allclose(shares[there].sum(axis=1), 1.0)
         np.testing.assert_array_equal(shares[~there], 0.0)
-    np.testing.assert_array_equal(fusion.track.measured, there)
+    np.testing.assert_array_equal(fusion.trajectory.measured, there)

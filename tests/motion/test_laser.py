@@ -8,7 +8,7 @@ from fusion_core.model.errors import MissingStream
 from fusion_core.model.planar_poses import compose_poses, relative_pose
 from fusion_core.model.sensors import LaserScan
 from fusion_core.motion.laser import LaserOdometrySettings, laser_odometry
-from fusion_core.motion.steps import chained, steps_of
+from fusion_core.motion.steps import integrate_steps, steps_between
 from tests.benchmarks.scan_matching_room import WALLS, cast, full_turn, rectangle
 from tests.motion.simulated_motion import STEP_NS, stamps, step_errors, weaving
 
@@ -16,7 +16,7 @@ COUNT = 100
 BEAMS = 360
 ANGLE_MIN, INCREMENT = full_turn(BEAMS)
 NOISE_M = 0.01
-POSES = chained(weaving(COUNT, speed_m_s=0.5), np.array([3.0, 4.0, 0.0]))
+POSES = integrate_steps(weaving(COUNT, speed_m_s=0.5), np.array([3.0, 4.0, 0.0]))
 CORRIDOR = rectangle((0.0, 0.0), (200.0, 2.4), 0.0)
 
 
@@ -66,25 +66,25 @@ def test_it_follows_a_path_of_five_metres(room: list[LaserScan]) -> None:
 def test_its_covariances_are_those_of_its_errors(room: list[LaserScan]) -> None:
     """Of single steps, and of two seconds, in which what matches add does not grow with steps."""
     track = laser_odometry(room)
-    errors = step_errors(track, steps_of(POSES))
-    said = np.sqrt(np.diagonal(track.covariance_of_step, axis1=1, axis2=2).mean(axis=0))
+    errors = step_errors(track, steps_between(POSES))
+    said = np.sqrt(np.diagonal(track.step_covariance, axis1=1, axis2=2).mean(axis=0))
     ratio = np.sqrt((errors**2).mean(axis=0)) / said
     assert (ratio < 1.5).all()
     assert (ratio > 0.25).all()
     over = 20
     true = relative_pose(POSES[:-over], POSES[over:])
     made = relative_pose(track.poses_odom_lidar[:-over], track.poses_odom_lidar[over:])
-    drift = track.drift_of_step[:over].sum(axis=0) + track.covariance_of_step[0]
+    drift = track.drift_covariance[:over].sum(axis=0) + track.step_covariance[0]
     assert np.sqrt(((made - true)[:, 0] ** 2).mean()) < 2.0 * np.sqrt(drift[0, 0])
     # Steps added up as if they were independent would be several times that.
-    assert track.covariance_of_step[:over, 0, 0].sum() > 4.0 * drift[0, 0]
+    assert track.step_covariance[:over, 0, 0].sum() > 4.0 * drift[0, 0]
 
 
 def test_at_rest_nothing_adds_up() -> None:
     poses = np.tile(POSES[:1], (60, 1))
     track = laser_odometry(sweeps(poses))
     assert np.abs(track.poses_odom_lidar[-1, :2]).max() < 0.006
-    assert np.sqrt(track.drift_of_step.sum(axis=0)[0, 0]) < 0.01
+    assert np.sqrt(track.drift_covariance.sum(axis=0)[0, 0]) < 0.01
 
 
 def test_blank_scans_are_not_measured_and_counted() -> None:
@@ -101,15 +101,15 @@ def test_blank_scans_are_not_measured_and_counted() -> None:
 def test_a_robot_that_was_carried_away_begins_anew() -> None:
     """From one end of the room to a place in another house, which no scan before has shown."""
     elsewhere = rectangle((0.0, 0.0), (3.0, 40.0), 0.4)
-    scans = sweeps(POSES[:20]) + sweeps(chained(weaving(20)), elsewhere)
+    scans = sweeps(POSES[:20]) + sweeps(integrate_steps(weaving(20)), elsewhere)
     moved = [
         LaserScan(**{**_fields(scan), "stamp_ns": int(stamps(1)[0]) + k * STEP_NS})
         for k, scan in enumerate(scans)
     ]
-    track = laser_odometry(moved, LaserOdometrySettings(patience=3))
+    track = laser_odometry(moved, LaserOdometrySettings(unmatched_scans_max=3))
     assert not track.measured[19]
     assert 1 <= np.count_nonzero(~track.measured) <= 5
-    true = steps_of(chained(weaving(20)))[-5:]
+    true = steps_between(integrate_steps(weaving(20)))[-5:]
     errors = (track.steps[-5:] - true)[:, 2]
     assert np.abs(errors).max() < 0.01
     assert "not measured" in track.notes[0]
@@ -125,8 +125,10 @@ def test_what_the_keyframe_no_longer_shows_the_scan_before_does() -> None:
             rectangle((10.5, 4.2), (1.0, 0.8), 0.3),
         ]
     )
-    poses = chained(np.tile([0.1, 0.0, 0.002], (80, 1)), np.array([1.5, 2.5, -0.05]))
-    settings = LaserOdometrySettings(key_step_m=10.0, key_turn_rad=3.0, key_inlier_share=0.0)
+    poses = integrate_steps(np.tile([0.1, 0.0, 0.002], (80, 1)), np.array([1.5, 2.5, -0.05]))
+    settings = LaserOdometrySettings(
+        keyframe_distance_m=10.0, keyframe_rotation_rad=3.0, keyframe_inlier_ratio=0.0
+    )
     track = laser_odometry(sweeps(poses, walls), settings)
     assert track.measured.all()
     error = relative_pose(
@@ -144,7 +146,7 @@ def test_a_corridor_shows_in_the_covariance() -> None:
     poses = np.tile([0.05, 0.0, 0.0], (COUNT, 1)).cumsum(axis=0) * np.array([1.0, 0.0, 0.0])
     scans = sweeps(poses[:40], CORRIDOR, reach_m=8.0)
     track = laser_odometry(scans)
-    sigma = np.sqrt(np.diagonal(track.covariance_of_step, axis1=1, axis2=2))
+    sigma = np.sqrt(np.diagonal(track.step_covariance, axis1=1, axis2=2))
     assert np.median(sigma[:, 0]) > 10.0
     assert np.median(sigma[:, 1]) < 0.02
     assert np.median(sigma[:, 2]) < 0.03
@@ -158,13 +160,13 @@ def test_a_corridor_shows_in_the_covariance() -> None:
 def test_a_prediction_that_is_wrong_does_not_mislead_it(room: list[LaserScan]) -> None:
     """Wheels that spin: 20 cm ahead and 6 degrees too far in each scan."""
     spin = np.array([0.2, 0.0, 0.1])
-    wrong = chained(steps_of(POSES) + spin)
+    wrong = integrate_steps(steps_between(POSES) + spin)
     track = laser_odometry(
         room[:40], predicted=lambda stamp_ns: wrong[(stamp_ns - room[0].stamp_ns) // STEP_NS]
     )
-    errors = step_errors(track, steps_of(POSES[:40]))
+    errors = step_errors(track, steps_between(POSES[:40]))
     assert np.abs(errors[track.measured]).max() < 0.03
-    assert track.measured_share > 0.9
+    assert track.measured_fraction > 0.9
 
 
 def test_without_a_scan_there_is_no_odometry() -> None:

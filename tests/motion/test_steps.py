@@ -12,7 +12,12 @@ from fusion_core.model.geometry import (
     transform_from_planar,
 )
 from fusion_core.model.planar_poses import compose_poses, relative_pose
-from fusion_core.motion.steps import chained, difference, in_axes_of, steps_of
+from fusion_core.motion.steps import (
+    integrate_steps,
+    rotate_covariance,
+    steps_between,
+    subtract_poses,
+)
 
 metres = st.floats(-100.0, 100.0)
 radians = st.floats(-7.0, 7.0)
@@ -34,18 +39,18 @@ def test_compose_and_relative_are_those_of_matrices(first: FloatArray, second: F
 
 @given(poses, st.lists(poses, min_size=0, max_size=8))
 def test_a_chain_is_step_after_step(start: FloatArray, steps: list[FloatArray]) -> None:
-    chain = chained(np.array(steps).reshape(-1, 3), start)
+    chain = integrate_steps(np.array(steps).reshape(-1, 3), start)
     pose = np.array([start[0], start[1], wrap_angle(start[2])])
     for k, step in enumerate(steps):
         same(chain[k], pose)
         pose = compose_poses(pose, step)
     same(chain[-1], pose)
-    for made, step in zip(steps_of(chain), steps, strict=True):
+    for made, step in zip(steps_between(chain), steps, strict=True):
         same(made, step)
 
 
 def test_a_difference_of_turns_takes_the_short_way() -> None:
-    away = difference(np.array([1.0, 2.0, 3.1]), np.array([0.5, 2.5, -3.1]))
+    away = subtract_poses(np.array([1.0, 2.0, 3.1]), np.array([0.5, 2.5, -3.1]))
     np.testing.assert_allclose(away, [0.5, -0.5, 6.2 - 2.0 * np.pi], atol=1e-12)
 
 
@@ -58,4 +63,6 @@ def test_a_covariance_in_other_axes_is_that_of_the_samples(yaw_rad: float) -> No
         [c * errors[:, 0] + s * errors[:, 1], c * errors[:, 1] - s * errors[:, 0], errors[:, 2]],
         axis=1,
     )
-    np.testing.assert_allclose(in_axes_of(yaw_rad, np.cov(errors.T)), np.cov(turned.T), atol=1e-12)
+    np.testing.assert_allclose(
+        rotate_covariance(yaw_rad, np.cov(errors.T)), np.cov(turned.T), atol=1e-12
+    )

@@ -16,8 +16,8 @@ from fusion_core.model.geometry import (
 )
 from fusion_core.model.planar_poses import relative_pose
 from fusion_core.model.sensors import CameraIntrinsics
-from fusion_core.motion.planar_reprojection import fit_planar_step
-from fusion_core.motion.steps import chained
+from fusion_core.motion.planar_reprojection import estimate_planar_step
+from fusion_core.motion.steps import integrate_steps
 from fusion_core.motion.visual import GrayDepth, VisualOdometrySettings, visual_odometry
 from tests.motion.simulated_motion import STEP_NS, stamps, step_errors
 
@@ -71,7 +71,7 @@ def frame(pose: FloatArray, number: int, *, light: float = 1.0, depth_scale: int
 STEPS = np.stack(
     [np.full(COUNT - 1, 0.03), np.zeros(COUNT - 1), 0.03 * np.cos(np.arange(COUNT - 1) / 4.0)], 1
 )
-POSES = chained(STEPS)
+POSES = integrate_steps(STEPS)
 
 
 def test_it_gives_the_motion_of_the_lidar_not_of_the_camera() -> None:
@@ -81,7 +81,7 @@ def test_it_gives_the_motion_of_the_lidar_not_of_the_camera() -> None:
     assert np.hypot(error[0], error[1]) < 0.03
     assert abs(error[2]) < 0.01
     errors = step_errors(track, STEPS)
-    said = np.sqrt(np.diagonal(track.covariance_of_step, axis1=1, axis2=2).mean(axis=0))
+    said = np.sqrt(np.diagonal(track.step_covariance, axis1=1, axis2=2).mean(axis=0))
     assert (np.sqrt((errors**2).mean(axis=0)) < 2.0 * said).all()
     assert said[0] < 0.05
 
@@ -142,7 +142,7 @@ def scattered(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def fit(points: FloatArray, seen: FloatArray, depth_sigma: float = 1e-9):
-    return fit_planar_step(
+    return estimate_planar_step(
         points,
         seen,
         np.zeros(3),
@@ -158,7 +158,7 @@ def test_the_planar_fit_is_exact_on_exact_points() -> None:
     found = fit(points, seen)
     assert found is not None
     np.testing.assert_allclose(found.step, step, atol=1e-6)
-    assert found.fits.all()
+    assert found.is_inlier.all()
 
 
 def test_the_planar_fit_is_that_of_scipy() -> None:
@@ -177,7 +177,7 @@ def test_the_planar_fit_is_that_of_scipy() -> None:
 
     best = least_squares(sizes, np.zeros(3), loss="huber", f_scale=1.345, xtol=1e-12, ftol=1e-14)
     np.testing.assert_allclose(found.step, best.x, atol=2e-5)
-    assert not found.fits[:6].any()
+    assert not found.is_inlier[:6].any()
 
 
 def test_the_planar_covariance_is_that_of_many_fits() -> None:

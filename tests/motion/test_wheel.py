@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from fusion_core.model.conventions import FloatArray
-from fusion_core.motion.steps import chained
+from fusion_core.motion.steps import integrate_steps
 from fusion_core.motion.wheel import WheelSettings, wheel_odometry
 from tests.motion.simulated_motion import STEP_NS, stamps, weaving
 
 COUNT = 30
 STAMPS = stamps(COUNT)
-POSES = chained(weaving(COUNT), np.array([3.0, -2.0, 1.0]))
+POSES = integrate_steps(weaving(COUNT), np.array([3.0, -2.0, 1.0]))
 
 
 def recorded(stamp_ns: int) -> FloatArray | None:
@@ -55,17 +55,17 @@ def test_errors_of_a_scale_stay_within_what_drift_says_of_a_long_way() -> None:
     """A wheel 3 % too large is off by 3 % of a metre after a metre, and drift says one sigma; its
     single steps are off by 3 % each, which is what their own covariance says."""
     steps = np.tile([0.02, 0.0, 0.0], (50, 1))
-    poses = chained(steps)
-    settings = WheelSettings(way_share=0.03)
+    poses = integrate_steps(steps)
+    settings = WheelSettings(forward_sigma_per_m=0.03)
     track = wheel_odometry(
         stamps(51), lambda s: poses[(s - STAMPS[0]) // STEP_NS], stamps(51), settings
     )
-    assert np.sqrt(track.drift_of_step[:, 0, 0].sum()) == pytest.approx(0.03, rel=1e-3)
-    assert np.sqrt(track.covariance_of_step[:, 0, 0]) == pytest.approx(0.03 * 0.02, rel=0.02)
+    assert np.sqrt(track.drift_covariance[:, 0, 0].sum()) == pytest.approx(0.03, rel=1e-3)
+    assert np.sqrt(track.step_covariance[:, 0, 0]) == pytest.approx(0.03 * 0.02, rel=0.02)
 
 
 def test_the_doubt_of_a_way_lies_along_it() -> None:
     """A LiDAR that moves aside has its doubt aside."""
-    poses = chained(np.tile([0.0, 0.02, 0.0], (5, 1)))
+    poses = integrate_steps(np.tile([0.0, 0.02, 0.0], (5, 1)))
     track = wheel_odometry(stamps(6), lambda s: poses[(s - STAMPS[0]) // STEP_NS], stamps(6))
-    assert track.covariance_of_step[0, 1, 1] > 4.0 * track.covariance_of_step[0, 0, 0]
+    assert track.step_covariance[0, 1, 1] > 4.0 * track.step_covariance[0, 0, 0]

@@ -6,19 +6,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion_core.model.errors import RegistrationFailed
-from fusion_core.registration.correlative import SearchWindow, best_pose, correlate
-from fusion_core.registration.likelihood_grid import likelihood_pyramid
+from fusion_core.registration.correlative import SearchWindow, find_best_pose, match_correlative
+from fusion_core.registration.likelihood_grid import make_likelihood_pyramid
 from tests.benchmarks.scan_matching_room import WALLS, cast, compose, full_turn
 
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-def sweep(pose, beams=360, walls=WALLS, reach_m=np.inf):
+def sweep(pose, beams=360, walls=WALLS, range_max_m=np.inf):
     """(n, 2) points of a noise-free sweep in the sensor's frame."""
     first, step = full_turn(beams)
     angles = first + step * np.arange(beams)
     ranges = cast(walls, np.asarray(pose, dtype=float), angles)[0]
-    ranges = np.where(ranges < reach_m, ranges, np.nan)
+    ranges = np.where(ranges < range_max_m, ranges, np.nan)
     return ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
@@ -52,10 +52,10 @@ def problem(seed):
     points = moved(landmarks, np.append(rng.uniform(-0.4, 0.4, 2), rng.uniform(-0.5, 0.5)))
     points = np.vstack([points, rng.uniform(-4.0, 4.0, (rng.integers(0, 10), 2))])
     resolution, turns = float(rng.uniform(0.05, 0.2)), int(rng.integers(0, 4))
-    pyramid = likelihood_pyramid(
+    pyramid = make_likelihood_pyramid(
         landmarks,
         resolution_m=resolution,
-        reach_m=resolution * float(rng.uniform(0.5, 3.0)),
+        truncation_m=resolution * float(rng.uniform(0.5, 3.0)),
         levels=int(rng.integers(1, 6)),
     )
     window = SearchWindow(
@@ -73,9 +73,9 @@ def test_the_maximum_is_that_of_brute_force(seed):
     step = window.rotation_rad / max(turns, 1) or None
     if scores.max() == 0:
         with pytest.raises(RegistrationFailed, match="no pose within"):
-            correlate(pyramid, points, window, step_rad=step)
+            match_correlative(pyramid, points, window, step_rad=step)
         return
-    match = correlate(pyramid, points, window, step_rad=step)
+    match = match_correlative(pyramid, points, window, step_rad=step)
     assert match.score == scores.max() / (255 * len(points))
     # Ties leave the choice open; the pose must be one that brute force scores as high.
     t = np.abs(yaws - match.pose_map_points[2]).argmin()
@@ -100,7 +100,7 @@ def test_the_covariance_is_that_of_all_poses(seed):
     if scores.max() == 0:
         return
     step = window.rotation_rad / max(turns, 1)
-    match = correlate(pyramid, points, window, step_rad=step or None)
+    match = match_correlative(pyramid, points, window, step_rad=step or None)
     weights = np.exp(2.0 / 255.0 * (scores - scores.max()))
     turn, row, column = np.meshgrid(yaws, offsets, offsets, indexing="ij")
     resolution = pyramid.resolution_m
@@ -115,10 +115,10 @@ def test_the_covariance_is_that_of_all_poses(seed):
 @given(seed=SEEDS)
 def test_each_level_holds_the_maxima_of_its_blocks(seed):
     rng = np.random.default_rng(seed)
-    pyramid = likelihood_pyramid(
+    pyramid = make_likelihood_pyramid(
         rng.uniform(-1.0, 1.0, (rng.integers(1, 12), 2)),
         resolution_m=0.1,
-        reach_m=0.15,
+        truncation_m=0.15,
         levels=int(rng.integers(2, 5)),
     )
     ground = pyramid.levels[0]
@@ -134,7 +134,7 @@ def test_a_cell_tells_how_near_its_middle_is_to_the_map(seed):
     rng = np.random.default_rng(seed)
     landmarks = rng.uniform(-1.0, 1.0, (rng.integers(1, 12), 2))
     reach = float(rng.uniform(0.05, 0.4))
-    pyramid = likelihood_pyramid(landmarks, resolution_m=0.1, reach_m=reach, levels=3)
+    pyramid = make_likelihood_pyramid(landmarks, resolution_m=0.1, truncation_m=reach, levels=3)
     rows, columns = np.indices(pyramid.levels[0].shape)
     middles = np.stack([columns, rows], axis=-1) * 0.1 + pyramid.corner_m + 0.05
     squared = ((middles[:, :, None] - landmarks) ** 2).sum(axis=-1).min(axis=-1)
@@ -145,26 +145,30 @@ def test_a_cell_tells_how_near_its_middle_is_to_the_map(seed):
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -3.0])
 def test_one_pyramid_finds_every_sweep_of_its_room(yaw):
     origin = (5.0, 4.0, 0.0)
-    pyramid = likelihood_pyramid(sweep(origin, 1440), resolution_m=0.05, reach_m=0.1, levels=6)
+    pyramid = make_likelihood_pyramid(
+        sweep(origin, 1440), resolution_m=0.05, truncation_m=0.1, levels=6
+    )
     window = SearchWindow(translation_m=1.5, rotation_rad=np.pi)
     for x, y in ((0.0, 0.0), (1.2, -0.4), (-0.8, 1.3)):
         points = sweep(compose(np.array(origin), np.array([x, y, yaw])))
-        match = correlate(pyramid, points, window)
+        match = match_correlative(pyramid, points, window)
         assert np.hypot(*(match.pose_map_points[:2] - (x, y))) < 0.06
         assert abs(match.pose_map_points[2] - yaw) < 0.01
-        np.testing.assert_array_equal(best_pose(pyramid, points, window), match.pose_map_points)
+        np.testing.assert_array_equal(
+            find_best_pose(pyramid, points, window), match.pose_map_points
+        )
         # Brute force would score each of the lattice's poses.
         poses = (2 * np.pi / match.step_rad) * (2 * 1.5 / 0.05) ** 2
-        assert match.visited < 0.01 * poses
+        assert match.poses_scored < 0.01 * poses
 
 
 def test_a_corridor_leaves_its_length_open():
     walls = np.array([[[-50.0, -1.0], [50.0, -1.0]], [[50.0, 1.2], [-50.0, 1.2]]])
     # Dense enough that neighbouring points of the map are nearer than the likelihood's reach.
-    dense = sweep((0.0, 0.0, 0.0), 2880, walls=walls, reach_m=8.0)
-    pyramid = likelihood_pyramid(dense, resolution_m=0.1, reach_m=0.2, levels=5)
-    seen = sweep((0.0, 0.0, 0.0), walls=walls, reach_m=4.0)
-    match = correlate(pyramid, seen, SearchWindow(translation_m=2.0, rotation_rad=0.3))
+    dense = sweep((0.0, 0.0, 0.0), 2880, walls=walls, range_max_m=8.0)
+    pyramid = make_likelihood_pyramid(dense, resolution_m=0.1, truncation_m=0.2, levels=5)
+    seen = sweep((0.0, 0.0, 0.0), walls=walls, range_max_m=4.0)
+    match = match_correlative(pyramid, seen, SearchWindow(translation_m=2.0, rotation_rad=0.3))
     deviation = np.sqrt(np.diag(match.covariance))
     assert deviation[0] > 0.5
     assert deviation[1] < 0.06
@@ -172,44 +176,44 @@ def test_a_corridor_leaves_its_length_open():
 
 def test_two_places_alike_are_told_by_the_covariance():
     corner = np.array([(0.1 * k, 0.0) for k in range(15)] + [(0.0, 0.1 * k) for k in range(1, 15)])
-    once = likelihood_pyramid(corner, resolution_m=0.1, reach_m=0.2, levels=4)
-    twice = likelihood_pyramid(
-        np.vstack([corner, corner + 1.5]), resolution_m=0.1, reach_m=0.2, levels=4
+    once = make_likelihood_pyramid(corner, resolution_m=0.1, truncation_m=0.2, levels=4)
+    twice = make_likelihood_pyramid(
+        np.vstack([corner, corner + 1.5]), resolution_m=0.1, truncation_m=0.2, levels=4
     )
     window = SearchWindow(translation_m=2.0, rotation_rad=0.2)
-    assert np.sqrt(correlate(once, corner, window).covariance[0, 0]) < 0.15
+    assert np.sqrt(match_correlative(once, corner, window).covariance[0, 0]) < 0.15
     # Two poses alike, 1.5 m apart along x: a standard deviation of half of it.
-    assert np.sqrt(correlate(twice, corner, window).covariance[0, 0]) == pytest.approx(
+    assert np.sqrt(match_correlative(twice, corner, window).covariance[0, 0]) == pytest.approx(
         0.75, abs=0.1
     )
 
 
 def test_missing_points_are_left_out():
     points = sweep((5.0, 4.0, 0.0))
-    pyramid = likelihood_pyramid(points, resolution_m=0.1, reach_m=0.2, levels=4)
+    pyramid = make_likelihood_pyramid(points, resolution_m=0.1, truncation_m=0.2, levels=4)
     window = SearchWindow(translation_m=0.5, rotation_rad=0.2)
     holed = points.copy()
     holed[::3] = np.nan
-    match = correlate(pyramid, holed, window)
-    given_alone = correlate(pyramid, holed[np.isfinite(holed).all(axis=1)], window)
+    match = match_correlative(pyramid, holed, window)
+    given_alone = match_correlative(pyramid, holed[np.isfinite(holed).all(axis=1)], window)
     assert match.score == given_alone.score
     np.testing.assert_array_equal(match.pose_map_points, given_alone.pose_map_points)
 
 
 def test_a_match_that_is_none_fails():
     points = sweep((5.0, 4.0, 0.0))
-    pyramid = likelihood_pyramid(points, resolution_m=0.1, reach_m=0.2, levels=4)
+    pyramid = make_likelihood_pyramid(points, resolution_m=0.1, truncation_m=0.2, levels=4)
     window = SearchWindow(translation_m=0.5, rotation_rad=0.2)
     with pytest.raises(RegistrationFailed, match="no point"):
-        correlate(pyramid, np.full((5, 2), np.nan), window)
+        match_correlative(pyramid, np.full((5, 2), np.nan), window)
     far = SearchWindow(centre=(100.0, 0.0, 0.0), translation_m=0.5, rotation_rad=0.2)
     with pytest.raises(RegistrationFailed, match=r"no pose within 0\.5 m"):
-        correlate(pyramid, points, far)
+        match_correlative(pyramid, points, far)
     shape = 3.0 * np.stack([np.cos(np.arange(60)), np.sin(np.arange(60))], axis=1)
-    score = correlate(pyramid, shape, window).score
-    assert correlate(pyramid, shape, window, score_min=score - 1e-3).score == score
+    score = match_correlative(pyramid, shape, window).score
+    assert match_correlative(pyramid, shape, window, score_min=score - 1e-3).score == score
     with pytest.raises(RegistrationFailed, match="scores more than"):
-        correlate(pyramid, shape, window, score_min=score)
+        match_correlative(pyramid, shape, window, score_min=score)
 
 
 @pytest.mark.parametrize(
@@ -223,9 +227,9 @@ def test_a_match_that_is_none_fails():
     ],
 )
 def test_a_map_that_is_none_is_refused(wrong, text):
-    right = {"points_m": np.zeros((1, 2)), "resolution_m": 0.1, "reach_m": 0.2, "levels": 2}
+    right = {"points_m": np.zeros((1, 2)), "resolution_m": 0.1, "truncation_m": 0.2, "levels": 2}
     with pytest.raises(ValueError, match=text):
-        likelihood_pyramid(**(right | wrong))
+        make_likelihood_pyramid(**(right | wrong))
 
 
 @pytest.mark.parametrize(
@@ -238,6 +242,10 @@ def test_a_window_that_is_none_is_refused(translation, rotation, text):
 
 
 def test_a_window_beyond_reason_is_refused():
-    pyramid = likelihood_pyramid(np.zeros((1, 2)), resolution_m=0.01, reach_m=0.02, levels=2)
+    pyramid = make_likelihood_pyramid(
+        np.zeros((1, 2)), resolution_m=0.01, truncation_m=0.02, levels=2
+    )
     with pytest.raises(ValueError, match="too many poses"):
-        correlate(pyramid, np.ones((3, 2)), SearchWindow(translation_m=500.0, rotation_rad=np.pi))
+        match_correlative(
+            pyramid, np.ones((3, 2)), SearchWindow(translation_m=500.0, rotation_rad=np.pi)
+        )

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.stats import chisquare
 
 from fusion_core.registration import ransac
-from fusion_core.registration.draws import draw_samples, draws_needed
-from fusion_core.registration.models import MODELS, fit
+from fusion_core.registration.draws import count_draws_needed, draw_samples
+from fusion_core.registration.models import MODELS, fit_transform
 from fusion_core.registration.ransac import RegistrationSettings, register
 
 
@@ -34,15 +34,15 @@ def test_each_subset_is_equally_likely():
 
 
 def test_the_number_of_draws_of_the_paper():
-    assert np.ceil(draws_needed(0.6, 6, 0.975)) == 78
-    assert np.ceil(draws_needed(0.6, 6, 1.0 - np.exp(-4.0))) == 84
-    assert draws_needed(0.0, 6, 0.99) == np.inf
-    assert draws_needed(1.0, 6, 0.99) == 1.0
+    assert np.ceil(count_draws_needed(0.6, 6, 0.975)) == 78
+    assert np.ceil(count_draws_needed(0.6, 6, 1.0 - np.exp(-4.0))) == 84
+    assert count_draws_needed(0.0, 6, 0.99) == np.inf
+    assert count_draws_needed(1.0, 6, 0.99) == 1.0
 
 
 def test_so_many_draws_hold_a_clean_one_with_the_confidence():
     """Brute force: 60 good of 100 pairs, draws of 3, told clean by their indices."""
-    draws = int(np.ceil(draws_needed(0.6, 3, 0.9)))
+    draws = int(np.ceil(count_draws_needed(0.6, 3, 0.9)))
     held = [(draw_samples(100, 3, draws, (seed, 0)) < 60).all(axis=1).any() for seed in range(2000)]
     # Draws without replacement are clean a little less often than c to the n: 0.211 for 0.216.
     assert np.mean(held) == pytest.approx(1.0 - (1.0 - 0.2116) ** draws, abs=0.02)
@@ -84,7 +84,7 @@ def test_a_replay_equals_the_original_draws(model, stopping, monkeypatch):
         assert draw.index == i
         np.testing.assert_array_equal(draw.pairs, valid[samples[i]])
         np.testing.assert_array_equal(draw.A, A[i])
-        np.testing.assert_array_equal(np.flatnonzero(draw.mask), valid[agree[i]])
+        np.testing.assert_array_equal(np.flatnonzero(draw.is_inlier), valid[agree[i]])
         assert draw.inliers == agree[i].sum()
     for i in (0, 49, len(result.draws) - 1, -1):
         np.testing.assert_array_equal(result.draws[i].A, A[i])
@@ -99,10 +99,10 @@ def test_a_draw_is_what_its_pairs_say():
     lidar, depth = noisy_pairs()
     result = register(lidar, depth, RegistrationSettings(model="affine"))
     for draw in list(result.draws)[:20]:
-        alone = fit("affine", lidar[draw.pairs], depth[draw.pairs]).A
+        alone = fit_transform("affine", lidar[draw.pairs], depth[draw.pairs]).A
         np.testing.assert_allclose(draw.A, alone, atol=1e-8)
         distance = [
             np.hypot(*((np.array([*a, 1.0]) @ alone)[:2] - b))
             for a, b in zip(lidar, depth, strict=True)
         ]
-        np.testing.assert_array_equal(draw.mask, np.array(distance) <= 0.10)
+        np.testing.assert_array_equal(draw.is_inlier, np.array(distance) <= 0.10)

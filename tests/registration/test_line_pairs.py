@@ -3,9 +3,14 @@
 import numpy as np
 import pytest
 
-from fusion_core.registration.line_pairs import drop_duplicates, no_pairs, pair_up, trim
-from fusion_core.registration.local_lines import local_lines
-from fusion_core.registration.polar_correspondence import polar_scan
+from fusion_core.registration.line_pairs import (
+    drop_duplicates,
+    find_pairs,
+    make_empty_pairs,
+    trim_pairs,
+)
+from fusion_core.registration.local_lines import fit_local_lines
+from fusion_core.registration.polar_correspondence import make_polar_scan
 from tests.benchmarks.scan_matching_room import cast
 
 SIGMA_M = 0.01
@@ -17,13 +22,13 @@ def scan_of(beams, half_view_rad, pose=(0.0, 0.0, 0.0), walls=WALL):
     step = 2.0 * half_view_rad / (beams - 1)
     angles = -half_view_rad + step * np.arange(beams)
     ranges = cast(walls, np.asarray(pose, dtype=float), angles)[0]
-    return polar_scan(ranges, -half_view_rad, step)
+    return make_polar_scan(ranges, -half_view_rad, step)
 
 
 def paired(reference, moving, pose=(0.0, 0.0, 0.0), sigmas_m=(SIGMA_M, SIGMA_M), distance_m=0.3):
-    pairs = no_pairs(moving.range_m.size)
-    lines = local_lines(reference, sigmas_m[0])
-    pair_up(pairs, reference, lines, moving, np.array(pose), sigmas_m, distance_m, 1)
+    pairs = make_empty_pairs(moving.range_m.size)
+    lines = fit_local_lines(reference, sigmas_m[0])
+    find_pairs(pairs, reference, lines, moving, np.array(pose), sigmas_m, distance_m, 1)
     return pairs
 
 
@@ -79,7 +84,7 @@ def test_the_variance_is_that_of_many_draws():
     residuals, variances = [], []
     for _ in range(400):
         scans = [
-            polar_scan(clean.range_m + rng.normal(0.0, SIGMA_M, 60), -half_view, step)
+            make_polar_scan(clean.range_m + rng.normal(0.0, SIGMA_M, 60), -half_view, step)
             for _ in range(2)
         ]
         pairs = paired(*scans)
@@ -92,7 +97,7 @@ def test_the_variance_is_that_of_many_draws():
 
 def test_of_duplicates_the_nearest_stays():
     rng = np.random.default_rng(2)
-    pairs = no_pairs(60)
+    pairs = make_empty_pairs(60)
     pairs.partner[:] = rng.integers(-1, 12, 60)
     pairs.residual_m[:] = rng.normal(0.0, 1.0, 60)
     before = pairs.partner.copy()
@@ -106,17 +111,17 @@ def test_of_duplicates_the_nearest_stays():
 
 def test_trimming_follows_the_robust_scale_and_falls_slowly():
     rng = np.random.default_rng(3)
-    pairs = no_pairs(1000)
+    pairs = make_empty_pairs(1000)
     pairs.partner[:] = 0
     pairs.residual_m[:] = rng.normal(0.0, 2.0, 1000)
     pairs.residual_m[:100] = 1000.0
     size = np.abs(pairs.residual_m)
-    left, limit, scale = trim(pairs, 3.0, 40.0, 1)
+    left, limit, scale = trim_pairs(pairs, 3.0, 40.0, 1)
     assert scale == pytest.approx(np.median(size) * 1.4826, rel=1e-3)
     # 10, a quarter of the last limit, is more than three robust deviations.
     assert limit == 10.0
     assert left == (size <= 10.0).sum()
-    left, limit, scale = trim(pairs, 3.0, limit, 1)
+    left, limit, scale = trim_pairs(pairs, 3.0, limit, 1)
     assert limit == pytest.approx(3.0 * scale)
     assert left == (size <= limit).sum()
     np.testing.assert_array_equal(pairs.partner >= 0, size <= limit)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from fusion_core.registration.local_lines import (
-    SIGMA_CEILING_M,
-    SIGMA_FLOOR_M,
-    local_lines,
-    range_sigma_m,
+    RANGE_SIGMA_MAX_M,
+    RANGE_SIGMA_MIN_M,
+    estimate_range_sigma_m,
+    fit_local_lines,
 )
-from fusion_core.registration.polar_correspondence import polar_scan
+from fusion_core.registration.polar_correspondence import make_polar_scan
 from tests.benchmarks.scan_matching_room import WALLS, cast, full_turn
 
 
@@ -17,27 +17,31 @@ def scan_of(pose, sigma_m=0.0, seed=0):
     first, step = full_turn(720)
     ranges = cast(WALLS, np.asarray(pose, dtype=float), first + step * np.arange(720))[0]
     noise = np.random.default_rng(seed).normal(0.0, 1.0, 720)
-    return polar_scan(ranges + sigma_m * noise, first, step)
+    return make_polar_scan(ranges + sigma_m * noise, first, step)
 
 
 @pytest.mark.parametrize("sigma_m", [0.003, 0.01, 0.03])
 def test_the_noise_is_told_from_the_sweep(sigma_m):
-    told = [range_sigma_m(scan_of((4.0 + 0.1 * k, 4.0, 0.3), sigma_m, k)) for k in range(20)]
+    told = [
+        estimate_range_sigma_m(scan_of((4.0 + 0.1 * k, 4.0, 0.3), sigma_m, k)) for k in range(20)
+    ]
     assert np.mean(told) == pytest.approx(sigma_m, rel=0.05)
     assert np.std(told) < 0.1 * sigma_m
 
 
 def test_no_noise_and_clutter_keep_their_limits():
-    assert range_sigma_m(scan_of((5.0, 4.0, 0.0))) == SIGMA_FLOOR_M
+    assert estimate_range_sigma_m(scan_of((5.0, 4.0, 0.0))) == RANGE_SIGMA_MIN_M
     clutter = np.random.default_rng(1).uniform(0.5, 8.0, 720)
-    assert range_sigma_m(polar_scan(clutter, *full_turn(720))) == SIGMA_CEILING_M
+    assert estimate_range_sigma_m(make_polar_scan(clutter, *full_turn(720))) == RANGE_SIGMA_MAX_M
     every_other = np.where(np.arange(720) % 2, 3.0, np.nan)
-    assert range_sigma_m(polar_scan(every_other, *full_turn(720))) == SIGMA_FLOOR_M
+    assert (
+        estimate_range_sigma_m(make_polar_scan(every_other, *full_turn(720))) == RANGE_SIGMA_MIN_M
+    )
 
 
 def test_lines_lie_on_the_walls():
     scan = scan_of((5.0, 4.0, 0.0))
-    lines = local_lines(scan, 1e-5)
+    lines = fit_local_lines(scan, 1e-5)
     point = scan.range_m[:, None] * np.stack([scan.cos, scan.sin], axis=1)
     normal = np.stack([lines.normal_x, lines.normal_y], axis=1)
     has = np.isfinite(lines.offset_m)
@@ -52,7 +56,7 @@ def test_lines_lie_on_the_walls():
 
 def test_a_line_is_the_least_squares_line_of_its_run():
     scan = scan_of((5.0, 4.0, 0.0), 0.01)
-    lines = local_lines(scan, 0.01)
+    lines = fit_local_lines(scan, 0.01)
     point = scan.range_m[:, None] * np.stack([scan.cos, scan.sin], axis=1)
     for k in np.flatnonzero(np.isfinite(lines.offset_m)):
         run = (lines.first[k] + np.arange(lines.beams[k])) % 720
@@ -72,4 +76,4 @@ def test_a_line_is_the_least_squares_line_of_its_run():
 
 def test_scattered_points_have_no_line():
     ranges = np.tile([2.0, 3.0, 5.0], 40)
-    assert np.isnan(local_lines(polar_scan(ranges, *full_turn(120)), 0.01).offset_m).all()
+    assert np.isnan(fit_local_lines(make_polar_scan(ranges, *full_turn(120)), 0.01).offset_m).all()

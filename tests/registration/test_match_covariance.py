@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import truncnorm
 
-from fusion_core.registration.line_pairs import no_pairs, pair_up
-from fusion_core.registration.local_lines import local_lines
-from fusion_core.registration.match_covariance import match_covariance, trimmed_variance
-from fusion_core.registration.polar_correspondence import polar_scan
+from fusion_core.registration.line_pairs import find_pairs, make_empty_pairs
+from fusion_core.registration.local_lines import fit_local_lines
+from fusion_core.registration.match_covariance import match_covariance, trimmed_gaussian_variance
+from fusion_core.registration.polar_correspondence import make_polar_scan
 from tests.benchmarks.scan_matching_room import draw_pair
 
 SIGMAS_M = (0.01, 0.02)
@@ -16,7 +16,7 @@ STEP_M = 1e-7
 
 @pytest.mark.parametrize("sigmas", [1.0, 2.5, 3.0, 6.0])
 def test_trimming_leaves_the_variance_of_a_truncated_gaussian(sigmas):
-    assert trimmed_variance(sigmas) == pytest.approx(truncnorm.var(-sigmas, sigmas))
+    assert trimmed_gaussian_variance(sigmas) == pytest.approx(truncnorm.var(-sigmas, sigmas))
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -26,16 +26,19 @@ def test_the_covariance_is_that_of_numerical_derivatives(seed):
     pose = pair.pose_first_second
     c, s = np.cos(pose[2]), np.sin(pose[2])
 
-    reference, moving = polar_scan(pair.first_m, *angles), polar_scan(pair.second_m, *angles)
-    lines = local_lines(reference, SIGMAS_M[0])
-    pairs = no_pairs(180)
-    pair_up(pairs, reference, lines, moving, pose, SIGMAS_M, 0.3, 1)
+    reference, moving = (
+        make_polar_scan(pair.first_m, *angles),
+        make_polar_scan(pair.second_m, *angles),
+    )
+    lines = fit_local_lines(reference, SIGMAS_M[0])
+    pairs = make_empty_pairs(180)
+    find_pairs(pairs, reference, lines, moving, pose, SIGMAS_M, 0.3, 1)
     used = np.flatnonzero(pairs.partner >= 0)
     j, weight = pairs.partner[used], pairs.weight_per_m2[used]
 
     def residuals(first_m, second_m):
-        lines = local_lines(polar_scan(first_m, *angles), SIGMAS_M[0])
-        scan = polar_scan(second_m, *angles)
+        lines = fit_local_lines(make_polar_scan(first_m, *angles), SIGMAS_M[0])
+        scan = make_polar_scan(second_m, *angles)
         own = (scan.range_m[:, None] * np.stack([scan.cos, scan.sin], axis=1))[used]
         placed = own @ np.array([[c, s], [-s, c]]) + pose[:2]
         normal = np.stack([lines.normal_x[j], lines.normal_y[j]], axis=1)

@@ -11,12 +11,12 @@ from skimage.transform import EuclideanTransform, SimilarityTransform
 from fusion_core.registration.models import (
     MODELS,
     SINGULAR_CONDITION,
-    fit,
-    least_squares,
-    map_points,
+    apply_transform,
+    fit_transform,
     point_covariance,
     point_jacobian,
     residuals,
+    solve_least_squares,
 )
 
 
@@ -50,20 +50,20 @@ def same_map(A, B):
 def test_exact_pairs_give_the_map_back(model, turn_rad, x_m, z_m, seed):
     A = true_map(model, turn_rad, x_m, z_m)
     lidar = points(seed, 12)
-    depth = map_points(A, lidar)
-    assert same_map(fit(model, lidar, depth).A, A)
-    assert np.nanmax(residuals(fit(model, lidar, depth).A, lidar, depth)) < 1e-9
-    assert np.nanmax(residuals(least_squares(model, lidar, depth), lidar, depth)) < 1e-6
+    depth = apply_transform(A, lidar)
+    assert same_map(fit_transform(model, lidar, depth).A, A)
+    assert np.nanmax(residuals(fit_transform(model, lidar, depth).A, lidar, depth)) < 1e-9
+    assert np.nanmax(residuals(solve_least_squares(model, lidar, depth), lidar, depth)) < 1e-6
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_a_stack_of_samples_equals_one_sample_at_a_time(model):
     rng = np.random.default_rng(3)
     lidar, depth = rng.normal(size=(2, 30, 6, 2))
-    stacked = least_squares(model, lidar, depth)
+    stacked = solve_least_squares(model, lidar, depth)
     for i in range(30):
         np.testing.assert_allclose(
-            stacked[i], least_squares(model, lidar[i], depth[i]), rtol=1e-7, atol=1e-9
+            stacked[i], solve_least_squares(model, lidar[i], depth[i]), rtol=1e-7, atol=1e-9
         )
 
 
@@ -82,7 +82,7 @@ def test_residuals_equal_a_loop(model):
 def noisy_pairs(model, seed, sigma_m=0.02, count=60):
     rng = np.random.default_rng(seed)
     lidar = points(seed, count)
-    return lidar, map_points(true_map(model), lidar) + rng.normal(0.0, sigma_m, (count, 2))
+    return lidar, apply_transform(true_map(model), lidar) + rng.normal(0.0, sigma_m, (count, 2))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -90,7 +90,7 @@ def test_rigid_and_similarity_equal_umeyama_of_scikit_image(seed):
     lidar, depth = noisy_pairs("similarity", seed)
     for model, oracle in (("rigid", EuclideanTransform), ("similarity", SimilarityTransform)):
         expected = oracle.from_estimate(lidar, depth).params.T
-        np.testing.assert_allclose(fit(model, lidar, depth).A, expected, atol=1e-10)
+        np.testing.assert_allclose(fit_transform(model, lidar, depth).A, expected, atol=1e-10)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -98,7 +98,7 @@ def test_affine_equals_lstsq_of_equation_5(seed):
     lidar, depth = noisy_pairs("affine", seed)
     ones = np.ones((len(lidar), 1))
     expected = np.linalg.lstsq(np.hstack([lidar, ones]), np.hstack([depth, ones]), rcond=None)[0]
-    np.testing.assert_allclose(fit("affine", lidar, depth).A, expected, atol=1e-10)
+    np.testing.assert_allclose(fit_transform("affine", lidar, depth).A, expected, atol=1e-10)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -106,7 +106,7 @@ def test_homography_is_no_worse_than_opencv(seed):
     lidar, depth = noisy_pairs("homography", seed)
     oracle = cv2.findHomography(lidar, depth, 0)[0].T
     oracle = oracle / (np.array([*lidar.mean(0), 1.0]) @ oracle)[2]
-    ours = fit("homography", lidar, depth).A
+    ours = fit_transform("homography", lidar, depth).A
     np.testing.assert_allclose(ours, oracle, atol=1e-3)
     assert np.sum(residuals(ours, lidar, depth) ** 2) <= np.sum(
         residuals(oracle, lidar, depth) ** 2
@@ -118,16 +118,16 @@ def test_homography_is_no_worse_than_opencv(seed):
 def test_a_rigid_motion_of_the_depth_points_moves_the_map(model, turn_rad, x_m, z_m):
     lidar, depth = noisy_pairs(model, 11)
     motion = true_map("rigid", turn_rad, x_m, z_m)
-    moved = fit(model, lidar, map_points(motion, depth)).A
-    np.testing.assert_allclose(moved, fit(model, lidar, depth).A @ motion, atol=1e-6)
+    moved = fit_transform(model, lidar, apply_transform(motion, depth)).A
+    np.testing.assert_allclose(moved, fit_transform(model, lidar, depth).A @ motion, atol=1e-6)
 
 
 @given(seed=st.integers(0, 1000), turn_rad=st.floats(-3.0, 3.0))
 def test_swapping_the_sides_inverts_a_rigid_map(seed, turn_rad):
     rng = np.random.default_rng(seed)
     lidar = points(seed)
-    depth = map_points(true_map("rigid", turn_rad), lidar) + rng.normal(0.0, 0.05, lidar.shape)
-    there, back = fit("rigid", lidar, depth).A, fit("rigid", depth, lidar).A
+    depth = apply_transform(true_map("rigid", turn_rad), lidar) + rng.normal(0.0, 0.05, lidar.shape)
+    there, back = fit_transform("rigid", lidar, depth).A, fit_transform("rigid", depth, lidar).A
     np.testing.assert_allclose(there @ back, np.eye(3), atol=1e-9)
 
 
@@ -135,13 +135,13 @@ def test_swapping_the_sides_inverts_a_rigid_map(seed, turn_rad):
 def test_a_mirrored_curve_is_answered_by_a_rotation(model):
     lidar = points(5)
     mirrored = lidar * [-1.0, 1.0]
-    assert np.linalg.det(fit(model, lidar, mirrored).A) > 0.0
+    assert np.linalg.det(fit_transform(model, lidar, mirrored).A) > 0.0
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_points_that_coincide_determine_nothing(model):
     same = np.tile([1.0, 2.0], (8, 1))
-    undetermined = fit(model, same, points(0, 8))
+    undetermined = fit_transform(model, same, points(0, 8))
     assert undetermined.condition == np.inf
     assert np.isnan(undetermined.A).all()
 
@@ -149,19 +149,19 @@ def test_points_that_coincide_determine_nothing(model):
 @pytest.mark.parametrize("model", ["affine", "homography"])
 def test_points_on_a_line_determine_no_rich_map(model):
     line = np.stack([np.linspace(-2.0, 2.0, 20), np.full(20, 3.0)], axis=1)
-    depth = map_points(true_map("rigid"), line)
-    assert fit(model, line, depth).condition >= SINGULAR_CONDITION
-    assert same_map(fit("rigid", line, depth).A, true_map("rigid"))
+    depth = apply_transform(true_map("rigid"), line)
+    assert fit_transform(model, line, depth).condition >= SINGULAR_CONDITION
+    assert same_map(fit_transform("rigid", line, depth).A, true_map("rigid"))
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_one_undetermined_sample_leaves_the_rest_of_the_stack_alone(model):
     lidar = np.stack([points(0, 6), np.tile([1.0, 2.0], (6, 1)), points(1, 6)])
     depth = np.stack([points(2, 6)] * 3)
-    stacked = least_squares(model, lidar, depth)
+    stacked = solve_least_squares(model, lidar, depth)
     for i in (0, 2):
         np.testing.assert_allclose(
-            stacked[i], least_squares(model, lidar[i], depth[i]), rtol=1e-7, atol=1e-9
+            stacked[i], solve_least_squares(model, lidar[i], depth[i]), rtol=1e-7, atol=1e-9
         )
 
 
@@ -170,11 +170,11 @@ def test_derivatives_equal_numeric_ones(model):
     A = true_map(model)
     covariance = np.cov(np.random.default_rng(0).normal(size=(9, 40)))
     for point in points(4, 5):
-        by_point = approx_fprime(point, lambda p: map_points(A, p[None])[0], 1e-7)
+        by_point = approx_fprime(point, lambda p: apply_transform(A, p[None])[0], 1e-7)
         np.testing.assert_allclose(point_jacobian(A, point[None])[0], by_point.T, atol=1e-5)
 
         by_entry = approx_fprime(
-            A.ravel(), lambda a, p=point: map_points(a.reshape(3, 3), p[None])[0], 1e-7
+            A.ravel(), lambda a, p=point: apply_transform(a.reshape(3, 3), p[None])[0], 1e-7
         )
         np.testing.assert_allclose(
             point_covariance(A, covariance, point[None])[0],
@@ -185,7 +185,7 @@ def test_derivatives_equal_numeric_ones(model):
 
 def test_a_point_beyond_the_horizon_has_no_image():
     A = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, -0.5], [0.0, 0.0, 1.0]])
-    image = map_points(A, np.array([[0.3, 1.0], [0.3, 2.0], [0.3, 5.0]]))
+    image = apply_transform(A, np.array([[0.3, 1.0], [0.3, 2.0], [0.3, 5.0]]))
     np.testing.assert_allclose(image[0], [0.6, 2.0])
     assert np.isnan(image[1:]).all()
     assert np.isnan(residuals(A, np.array([[0.3, 5.0]]), np.zeros((1, 2)))).all()

@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from fusion_core.model.errors import RegistrationFailed
-from fusion_core.registration.match_covariance import OPEN_SIGMA_M
+from fusion_core.registration.match_covariance import UNOBSERVABLE_SIGMA_M
 from fusion_core.registration.pl_icp import (
     PlIcpSettings,
     ReferenceScan,
     match_scans,
-    match_to,
+    match_to_reference,
 )
 from tests.benchmarks.scan_matching_room import (
     WALLS,
@@ -61,9 +61,9 @@ def test_without_noise_the_match_is_exact(seed):
     match = matched(pair)
     np.testing.assert_allclose(off(match.pose_first_second, pair.pose_first_second), 0, atol=1e-9)
     assert match.converged
-    assert match.observable
-    assert match.inlier_share > 0.85
-    assert match.error_m < 1e-6
+    assert match.is_observable
+    assert match.inlier_ratio > 0.85
+    assert match.rms_error_m < 1e-6
 
 
 @given(seed=st.integers(0, 10_000))
@@ -124,7 +124,7 @@ def test_sweeps_of_different_beams_match():
     rng = np.random.default_rng(6)
     pair = draw_pair(rng, 720, 0.4, 0.4, 0.01)
     reference = ReferenceScan.of(pair.first_m, **TURN)
-    match = match_to(
+    match = match_to_reference(
         reference,
         pair.second_m[90:-90:3],
         angle_min_rad=pair.angle_min_rad + 90 * pair.angle_increment_rad,
@@ -162,7 +162,7 @@ def test_outliers_are_trimmed():
     match = match_scans(pair.first_m, second, **TURN)
     error = off(match.pose_first_second, pair.pose_first_second)
     assert error @ np.linalg.solve(match.covariance, error) < chi2.ppf(0.9999, 3)
-    assert 0.7 < match.inlier_share < 0.9
+    assert 0.7 < match.inlier_ratio < 0.9
 
 
 def test_a_bad_guess_falls_back_on_the_search():
@@ -189,11 +189,11 @@ def test_a_corridor_leaves_its_length_open(sigma_m, heading):
         (match_scans(first, second, **TURN), np.zeros(3)),
         (match_scans(first, second, guess=guess, **TURN), guess),
     ):
-        assert not match.observable
+        assert not match.is_observable
         along = np.array([np.cos(heading), -np.sin(heading), 0.0])
         across = np.array([np.sin(heading), np.cos(heading), 0.0])
-        np.testing.assert_allclose(np.abs(match.open_directions @ along), [1.0], atol=0.01)
-        assert match.covariance @ along @ along == pytest.approx(OPEN_SIGMA_M**2, rel=0.01)
+        np.testing.assert_allclose(np.abs(match.unobservable_directions @ along), [1.0], atol=0.01)
+        assert match.covariance @ along @ along == pytest.approx(UNOBSERVABLE_SIGMA_M**2, rel=0.01)
         # What the walls do tell stays right, and what they do not stays as it was guessed.
         error = match.pose_first_second - move
         assert abs(error @ across) < 0.002
@@ -208,7 +208,7 @@ def test_a_corridor_with_an_end_is_observable():
     first = sweep((0.0, 0.0, 0.0), walls, 8.0, 0.01, rng)
     second = sweep(move, walls, 8.0, 0.01, rng)
     match = match_scans(first, second, **TURN)
-    assert match.observable
+    assert match.is_observable
     deviation = np.sqrt(np.diag(match.covariance))
     error = off(match.pose_first_second, move)
     assert (np.abs(error) < 4.0 * deviation).all()
@@ -220,8 +220,11 @@ def test_a_round_room_leaves_the_turn_open():
     rng = np.random.default_rng(14)
     first, second = (3.0 + rng.normal(0.0, 0.01, 720) for _ in range(2))
     match = match_scans(first, second, **TURN)
-    assert match.open_directions.shape == (1, 3)
-    shift, turn = np.hypot(*match.open_directions[0, :2]), abs(match.open_directions[0, 2])
+    assert match.unobservable_directions.shape == (1, 3)
+    shift, turn = (
+        np.hypot(*match.unobservable_directions[0, :2]),
+        abs(match.unobservable_directions[0, 2]),
+    )
     assert turn > 100.0 * shift
     assert np.hypot(*match.pose_first_second[:2]) < 0.005
     assert abs(match.pose_first_second[2]) < 1e-3

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from fusion_core.registration.point_to_line import best_motion
+from fusion_core.registration.point_to_line import fit_point_to_line
 
 
 def cost(motion, points, normals, offsets, weights):
@@ -26,11 +26,11 @@ def test_the_closed_form_is_the_global_minimum(seed, kind):
     c, s = np.cos(truth[2]), np.sin(truth[2])
     offsets = (normals * (points @ np.array([[c, s], [-s, c]]) + truth[:2])).sum(axis=1)
     if kind == "exact":
-        found = best_motion(points, normals, offsets, weights)
+        found = fit_point_to_line(points, normals, offsets, weights)
         assert cost(found, points, normals, offsets, weights) < 1e-18
         return
     offsets = offsets + rng.normal(0.0, 0.05, count) if kind == "noisy" else rng.normal(size=count)
-    found = best_motion(points, normals, offsets, weights)
+    found = fit_point_to_line(points, normals, offsets, weights)
     problem = (points, normals, offsets, weights)
     least = min(
         minimize(cost, [0.0, 0.0, start], args=problem, tol=1e-12).fun
@@ -41,7 +41,7 @@ def test_the_closed_form_is_the_global_minimum(seed, kind):
 
 def test_parallel_lines_leave_the_closed_form_open():
     normals = np.tile([[0.6, 0.8]], (5, 1))
-    motion = best_motion(np.arange(10.0).reshape(5, 2), normals, np.ones(5), np.ones(5))
+    motion = fit_point_to_line(np.arange(10.0).reshape(5, 2), normals, np.ones(5), np.ones(5))
     assert np.isnan(motion).all()
 
 
@@ -51,6 +51,6 @@ def test_of_two_turns_alike_one_is_found(cosine):
     points = np.array([[1.0, 0.0], [2.0, 0.0], [4.0, 0.0], [0.0, 0.0]])
     normals = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     offsets = cosine * points[:, 0]
-    motion = best_motion(points, normals, offsets, np.ones(4))
+    motion = fit_point_to_line(points, normals, offsets, np.ones(4))
     np.testing.assert_allclose(motion[:2], 0.0, atol=1e-7)
     assert np.cos(motion[2]) == pytest.approx(cosine, abs=1e-7)

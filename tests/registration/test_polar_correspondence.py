@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion_core.registration.polar_correspondence import nearest, polar_scan
+from fusion_core.registration.polar_correspondence import find_nearest, make_polar_scan
 
 
 @given(seed=st.integers(0, 2**32 - 1))
@@ -18,7 +18,7 @@ def test_the_jump_tables_find_the_nearest_point(seed):
     ranges = rng.choice(rng.uniform(0.2, 5.0, int(rng.integers(1, 40))), count)
     ranges[rng.random(count) < rng.uniform(0.0, 0.7)] = rng.choice([np.nan, np.inf, 0.0, -1.0])
     start = float(rng.uniform(-7.0, 7.0))
-    scan = polar_scan(ranges, start, step)
+    scan = make_polar_scan(ranges, start, step)
     valid = np.flatnonzero(np.isfinite(ranges) & (ranges > 0.0))
     assert sorted(scan.beam) == list(valid)
     angles = start + step * scan.beam
@@ -32,7 +32,7 @@ def test_the_jump_tables_find_the_nearest_point(seed):
     for place in np.vstack([rng.normal(0.0, 3.0, (20, 2)), near]):
         squared = ((points - place) ** 2).sum(axis=1)
         limit = float(rng.choice([0.5, 4.0, 1e3]))
-        found, distance = nearest(scan, place[0], place[1], limit)
+        found, distance = find_nearest(scan, place[0], place[1], limit)
         if squared.size == 0 or squared.min() >= limit:
             assert found == -1
         else:
@@ -45,7 +45,7 @@ def test_beams_past_a_full_turn_are_left_out(sign):
     """A driver that rounds the increment up reports a turn of more than 360 degrees."""
     beams = 370
     ranges = np.linspace(1.0, 2.0, beams)
-    scan = polar_scan(ranges, -np.pi, sign * np.radians(1.0))
+    scan = make_polar_scan(ranges, -np.pi, sign * np.radians(1.0))
     assert sorted(scan.beam) == list(range(361))
     angles = -np.pi + sign * np.radians(1.0) * scan.beam
     np.testing.assert_allclose(scan.cos, np.cos(angles), atol=1e-12)
@@ -63,4 +63,4 @@ def test_beams_past_a_full_turn_are_left_out(sign):
 )
 def test_what_is_no_sweep_is_refused(shape, start, step, text):
     with pytest.raises(ValueError, match=text):
-        polar_scan(np.ones(shape), start, step)
+        make_polar_scan(np.ones(shape), start, step)

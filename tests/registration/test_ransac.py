@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from fusion_core.model.errors import RegistrationFailed
 from fusion_core.registration.draws import draw_samples, evaluate_samples
-from fusion_core.registration.models import MODELS, PARAMETERS, fit, map_points
+from fusion_core.registration.models import MODELS, PARAMETERS, apply_transform, fit_transform
 from fusion_core.registration.ransac import PUBLISHED, RegistrationSettings, register
 
 RIGID = np.array(
@@ -41,7 +41,7 @@ def wall_curve(count=120):
 def pairs_of(curve, A, seed, outliers=0.4, sigma_m=0.01):
     """LiDAR points, depth points and the mask of good pairs; noise on both sides."""
     rng = np.random.default_rng(seed)
-    depth = map_points(A, curve) + rng.normal(0.0, sigma_m, curve.shape)
+    depth = apply_transform(A, curve) + rng.normal(0.0, sigma_m, curve.shape)
     bad = rng.permutation(len(curve)) < round(outliers * len(curve))
     depth[bad] += rng.uniform(-1.5, 1.5, (bad.sum(), 2))
     return curve + rng.normal(0.0, sigma_m / 4.0, curve.shape), depth, ~bad
@@ -78,16 +78,16 @@ def opencv_map(model, lidar, depth, method):
 )
 def test_as_accurate_as_opencv(model, methods, outliers):
     curve = room_curve()
-    truth = map_points(MAPS[model], curve)
+    truth = apply_transform(MAPS[model], curve)
     chosen = RegistrationSettings(model=model, inlier_threshold_m=0.05)
     ours, rivals = [], {method: [] for method in methods}
     for seed in range(12):
         lidar, depth, _ = pairs_of(curve, MAPS[model], seed, outliers)
         found = register(lidar, depth, chosen)
-        ours.append(np.linalg.norm(map_points(found.A, curve) - truth, axis=1).mean())
+        ours.append(np.linalg.norm(apply_transform(found.A, curve) - truth, axis=1).mean())
         for method, errors in rivals.items():
             oracle = opencv_map(model, lidar, depth, method)
-            errors.append(np.linalg.norm(map_points(oracle, curve) - truth, axis=1).mean())
+            errors.append(np.linalg.norm(apply_transform(oracle, curve) - truth, axis=1).mean())
     assert max(ours) < 0.01
     for errors in rivals.values():
         assert np.median(ours) < 1.1 * np.median(errors)
@@ -98,7 +98,7 @@ def test_as_accurate_as_opencv(model, methods, outliers):
 @settings(max_examples=20)
 def test_exact_pairs_among_outliers_are_recovered(model, seed):
     lidar = room_curve()
-    depth = map_points(MAPS[model], lidar)
+    depth = apply_transform(MAPS[model], lidar)
     bad = np.random.default_rng(seed).permutation(len(lidar)) < 60
     depth[bad] += 3.0
     found = register(lidar, depth, RegistrationSettings(seed=seed))
@@ -107,7 +107,7 @@ def test_exact_pairs_among_outliers_are_recovered(model, seed):
     A = found.A * MAPS[model][2, 2] / found.A[2, 2]
     np.testing.assert_allclose(A, MAPS[model], atol=1e-8)
     np.testing.assert_allclose(found.A @ found.A_inverse, np.eye(3), atol=1e-9)
-    assert found.settled
+    assert found.has_converged
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -128,7 +128,7 @@ def test_a_rigid_motion_of_the_depth_points_moves_the_map(model, turn_rad, x_m, 
     motion = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [x_m, z_m, 1.0]])
     chosen = RegistrationSettings(model=model)
     found = register(lidar, depth, chosen)
-    moved = register(lidar, map_points(motion, depth), chosen)
+    moved = register(lidar, apply_transform(motion, depth), chosen)
     np.testing.assert_array_equal(moved.inliers, found.inliers)
     np.testing.assert_allclose(moved.A, found.A @ motion, atol=1e-6)
     assert moved.mean_error_m == pytest.approx(found.mean_error_m, abs=1e-6)
@@ -183,16 +183,16 @@ def test_the_covariance_is_honest(model):
     """Mean NEES over 400 trials within the 95 % interval of chi-square."""
     curve, trials = room_curve(100), 400
     probes = np.array([[-1.5, 1.5], [1.5, 1.5], [-0.5, 3.0], [1.0, 2.5]])
-    truth = map_points(MAPS[model], probes)
+    truth = apply_transform(MAPS[model], probes)
     nees, errors, sds, back_errors, back_sds = [], [], [], [], []
     chosen = RegistrationSettings(model=model, stopping="fixed", draws=20)
     for seed in range(trials):
         rng = np.random.default_rng(10_000 + seed)
-        depth = map_points(MAPS[model], curve) + rng.normal(0.0, 0.01, curve.shape)
+        depth = apply_transform(MAPS[model], curve) + rng.normal(0.0, 0.01, curve.shape)
         found = register(curve, depth, chosen)
         images, sd_m = found.predict(probes)
         jacobian = approx_fprime(
-            found.A.ravel(), lambda a: map_points(a.reshape(3, 3), probes).ravel(), 1e-7
+            found.A.ravel(), lambda a: apply_transform(a.reshape(3, 3), probes).ravel(), 1e-7
         )
         error = (images - truth).ravel()
         joint = jacobian @ found.covariance @ jacobian.T
@@ -215,10 +215,10 @@ def test_refits_end_where_the_inliers_support_themselves(model):
     for seed in range(10):
         lidar, depth, _ = pairs_of(room_curve(), MAPS[model], seed, outliers=0.5, sigma_m=0.03)
         found = register(lidar, depth, RegistrationSettings(model=model))
-        assert found.settled
+        assert found.has_converged
         np.testing.assert_array_equal(found.inliers, found.residual_m <= 0.10)
         np.testing.assert_allclose(
-            found.A, fit(model, lidar[found.inliers], depth[found.inliers]).A, atol=1e-9
+            found.A, fit_transform(model, lidar[found.inliers], depth[found.inliers]).A, atol=1e-9
         )
         refits.append(found.refits)
     assert max(refits) > 1
@@ -226,7 +226,7 @@ def test_refits_end_where_the_inliers_support_themselves(model):
     lidar, depth, _ = pairs_of(
         room_curve(), MAPS[model], int(np.argmax(refits)), outliers=0.5, sigma_m=0.03
     )
-    assert not register(lidar, depth, once).settled
+    assert not register(lidar, depth, once).has_converged
 
 
 def test_a_rigid_map_turns_and_does_not_stretch_within_its_covariance():
@@ -252,10 +252,10 @@ def test_the_inverse_carries_the_uncertainty_back_through_a_sheared_map(model):
         shear[:2, 2] = 0.0
     lidar, depth, _ = pairs_of(room_curve(), shear, 0)
     found = register(lidar, depth, RegistrationSettings(model=model, guards=False))
-    for point in map_points(shear, np.array([[-1.5, 1.5], [0.5, 3.0]])):
+    for point in apply_transform(shear, np.array([[-1.5, 1.5], [0.5, 3.0]])):
 
         def back(entries, point=point):
-            return map_points(np.linalg.inv(entries.reshape(3, 3)), point[None])[0]
+            return apply_transform(np.linalg.inv(entries.reshape(3, 3)), point[None])[0]
 
         jacobian = approx_fprime(found.A.ravel(), back, 1e-7)
         expected = np.sqrt(np.trace(jacobian @ found.covariance @ jacobian.T))
@@ -281,11 +281,11 @@ def test_on_a_plain_wall_repairs_stay_bounded(seed):
     lidar, depth, _ = pairs_of(curve, RIGID, seed, outliers=0.3)
     found = register(lidar, depth, RegistrationSettings())
     assert found.model in ("rigid", "similarity")
-    repaired, sd_m = found.predict_inverse(map_points(RIGID, curve))
+    repaired, sd_m = found.predict_inverse(apply_transform(RIGID, curve))
     assert np.linalg.norm(repaired - curve, axis=1).max() < 0.02
     assert sd_m.max() < 0.02
     # A point in front of the wall, where nothing held the map.
-    repaired, _ = found.predict_inverse(map_points(RIGID, np.array([[0.3, 1.0]])))
+    repaired, _ = found.predict_inverse(apply_transform(RIGID, np.array([[0.3, 1.0]])))
     assert np.linalg.norm(repaired - [[0.3, 1.0]]) < 0.05
 
 
@@ -304,7 +304,7 @@ def test_published_goes_wrong_on_a_plain_wall_as_the_paper_does():
         found = register(lidar, depth, PUBLISHED)
         assert found.model == "affine"
         assert len(found.draws) == 84
-        repaired, _ = found.predict_inverse(map_points(RIGID, probe))
+        repaired, _ = found.predict_inverse(apply_transform(RIGID, probe))
         worst = max(worst, float(np.linalg.norm(repaired - probe)))
     assert worst > 0.5
 
@@ -313,7 +313,7 @@ def test_published_goes_wrong_on_a_plain_wall_as_the_paper_does():
 def test_collinear_pairs_are_refused_with_their_number(chosen):
     curve = wall_curve()
     with pytest.raises(RegistrationFailed, match="all 120 valid pairs lie on a line"):
-        register(curve, map_points(RIGID, curve), chosen)
+        register(curve, apply_transform(RIGID, curve), chosen)
 
 
 def test_collinear_images_have_no_inverse():
@@ -367,13 +367,13 @@ def test_a_map_that_distorts_is_refused_unless_the_guards_are_off(distortion, re
 def test_auto_says_which_models_it_refused():
     lidar, depth, _ = pairs_of(wall_curve(), RIGID, 0, outliers=0.3)
     found = register(lidar, depth, RegistrationSettings())
-    assert {refusal.model for refusal in found.refused} == {"affine", "homography"}
+    assert {refusal.model for refusal in found.rejected} == {"affine", "homography"}
 
 
 def test_a_homography_that_hides_valid_pairs_is_refused():
     curve = room_curve()
     horizon = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, -0.05], [0.0, 0.0, 1.05]])
-    depth = map_points(horizon, curve)
+    depth = apply_transform(horizon, curve)
     lidar = np.vstack([curve, [[0.0, 30.0]]])
     depth = np.vstack([depth, [[0.0, 3.0]]])
     chosen = RegistrationSettings(model="homography", scale_max=2.0, anisotropy_max=2.0)

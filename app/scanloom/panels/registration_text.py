@@ -9,8 +9,8 @@ from fusion_core.workflows.fuse.epsilon import EpsilonInFrame, EpsilonUnit
 from fusion_core.workflows.fuse.registration_view import (
     Consensus,
     DrawShown,
-    MapMeaning,
     Registration,
+    TransformDecomposition,
 )
 
 # A map that keeps less than this of some distance has an inverse that is worth a warning.
@@ -18,39 +18,39 @@ _FLATTENS = 0.5
 _UNIT_SIGNS: dict[EpsilonUnit, str] = {"sigma": " σ", "E": " E", "m": " m"}
 
 
-def transform_text(found: Registration, meaning: MapMeaning) -> str:
+def transform_text(found: Registration, meaning: TransformDecomposition) -> str:
     """What A does, one line for each of the model's freedoms, then how good it is."""
     lines = [
         f"turns the LiDAR's points by **{_turn(meaning.rotation_rad)}**",
-        f"shifts the origin by **{_shift(meaning.shift_m)}**",
-        f"moves the middle of the inliers by {_shift(meaning.moved_m)}",
+        f"shifts the origin by **{_shift(meaning.translation_m)}**",
+        f"moves the middle of the inliers by {_shift(meaning.displacement_m)}",
     ]
     if found.model == "similarity":
         lines.append(f"scales by **{meaning.scale:.3f}**: {_longer(meaning.scale)}")
     if found.model in ("affine", "homography"):
         lines.append(
             f"scales x by **{meaning.scale_x:.3f}** and z by **{meaning.scale_z:.3f}** "
-            f"(a distance by {meaning.least_scale:.3f} to {meaning.greatest_scale:.3f})"
+            f"(a distance by {meaning.scale_min:.3f} to {meaning.scale_max:.3f})"
         )
         lines.append(
             f"shears by **{_degrees(meaning.shear_rad)}**: the right angle of the axes becomes "
             f"{_degrees(0.5 * np.pi - meaning.shear_rad)}"
         )
     if found.model == "homography":
-        right, ahead = 100.0 * meaning.tilt_per_m
+        right, ahead = 100.0 * meaning.perspective_per_m
         lines.append(
             f"tilts: w′ grows by **{_signed(right, 2)} %** a metre to the right and by "
             f"**{_signed(ahead, 2)} %** a metre ahead; what lies there shrinks as much"
         )
-    if meaning.mirrors:
+    if meaning.is_mirrored:
         lines.append("**mirrors**: left becomes right")
-    if meaning.least_scale < _FLATTENS:
+    if meaning.scale_min < _FLATTENS:
         lines.append(
-            f"**flattens**: one direction keeps {_percent(meaning.least_scale, 1)} of its length, "
-            f"so that A⁻¹ makes errors up to {1.0 / meaning.least_scale:.3g} times as long"
+            f"**flattens**: one direction keeps {_percent(meaning.scale_min, 1)} of its length, "
+            f"so that A⁻¹ makes errors up to {1.0 / meaning.scale_min:.3g} times as long"
         )
     near = " near the middle of the inliers" if found.model == "homography" else ""
-    settled = "" if found.settled else ", not settled"
+    settled = "" if found.has_converged else ", not settled"
     quality = (
         f"Mean error **E = {_length(found.mean_error_m)}** over {found.valid} pairs; σ = "
         f"{_length(found.sigma_m)} an axis over {int(found.inliers.sum())} inliers. Condition "
@@ -138,9 +138,9 @@ def epsilon_text(said: EpsilonInFrame, epsilon: float, unit: EpsilonUnit) -> str
 
 
 def _refused(found: Registration) -> str:
-    if not found.refused:
+    if not found.rejected:
         return ""
-    reasons = [f"{refusal.model}: {refusal.reason}" for refusal in found.refused]
+    reasons = [f"{refusal.model}: {refusal.reason}" for refusal in found.rejected]
     return "\n\nRefused:\n\n" + _listed(reasons)
 
 

@@ -14,8 +14,8 @@ from fusion_core.model.conventions import FloatArray, read_only, wrap_angle
 from fusion_core.model.errors import RegistrationFailed
 from fusion_core.model.planar_poses import transform_planar_points
 from fusion_core.model.world_outline import WorldOutline
-from fusion_core.registration.correlative import SearchWindow, best_pose
-from fusion_core.registration.likelihood_grid import likelihood_pyramid
+from fusion_core.registration.correlative import SearchWindow, find_best_pose
+from fusion_core.registration.likelihood_grid import make_likelihood_pyramid
 
 _SEARCH_CELL_M = 0.1
 _SEARCH_KERNEL_M = 0.3
@@ -130,14 +130,14 @@ class _OutlineSamples:
             translation_m=translation_m,
             rotation_rad=rotation_rad,
         )
-        pyramid = likelihood_pyramid(
+        pyramid = make_likelihood_pyramid(
             self._points_m,
             resolution_m=_SEARCH_CELL_M,
-            reach_m=_SEARCH_KERNEL_M,
+            truncation_m=_SEARCH_KERNEL_M,
             levels=_SEARCH_LEVELS,
         )
         try:
-            pose = best_pose(pyramid, points_m - middle_m, window)
+            pose = find_best_pose(pyramid, points_m - middle_m, window)
         except RegistrationFailed:
             # Nothing within reach of any outline: the refinement says so.
             pose = centre

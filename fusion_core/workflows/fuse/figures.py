@@ -30,7 +30,7 @@ from fusion_core.exporting.figures_maps import write_maps
 from fusion_core.exporting.figures_registration import write_pairs, write_recall
 from fusion_core.exporting.figures_repair import RepairedCurve, write_fused_depth, write_repair
 from fusion_core.exporting.tables import CsvTable
-from fusion_core.mapping.difference import map_difference
+from fusion_core.mapping.difference import compare_maps
 from fusion_core.model.classes import RepairSource
 from fusion_core.model.conventions import NS_PER_MS, ByteArray
 from fusion_core.model.errors import RecordingError, ScanLoomError
@@ -373,5 +373,5 @@ def _write_maps(folder: Path, heading: str, grids: dict[str, OccupancyGrid]) -> 
         folder / "fig9_maps.png",
         f"Fig. 9, maps from the same poses: {heading}",
         grids,
-        map_difference(pair) if len(pair) == 2 else None,
+        compare_maps(pair) if len(pair) == 2 else None,
     )

@@ -9,18 +9,21 @@ import numpy as np
 from fusion_core.denoising.correspondence import planar_points
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
-from fusion_core.registration.meaning import MapMeaning, meaning_of
-from fusion_core.registration.models import map_points
+from fusion_core.registration.models import apply_transform
 from fusion_core.registration.ransac import Registration
+from fusion_core.registration.transform_decomposition import (
+    TransformDecomposition,
+    decompose_transform,
+)
 from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
 
 __all__ = [
     "Consensus",
     "DrawShown",
-    "MapMeaning",
     "PlanarPairs",
     "Registration",
     "ResidualCurve",
+    "TransformDecomposition",
     "consensus_of",
     "draw_at",
     "meaning_of_registration",
@@ -100,7 +103,7 @@ def planar_pairs(match: FrameMatch) -> PlanarPairs:
         return PlanarPairs(
             lidar_m=lidar_m,
             depth_m=found.draws.depth_points_m,
-            mapped_m=map_points(found.A, lidar_m),
+            mapped_m=apply_transform(found.A, lidar_m),
             inliers=found.inliers,
         )
     pairs = match.pairs
@@ -120,8 +123,8 @@ def draw_at(registration: Registration, index: int) -> DrawShown:
         index=draw.index,
         pairs=draw.pairs,
         A=draw.A,
-        agree=draw.mask,
-        mapped_m=map_points(draw.A, lidar_m),
+        agree=draw.is_inlier,
+        mapped_m=apply_transform(draw.A, lidar_m),
     )
 
 
@@ -133,10 +136,10 @@ def consensus_of(registration: Registration) -> Consensus:
     return Consensus(share=share, clean=clean, clean_once=1.0 - missed)
 
 
-def meaning_of_registration(registration: Registration) -> MapMeaning:
+def meaning_of_registration(registration: Registration) -> TransformDecomposition:
     """What A does in the middle of its inliers."""
     middle_m = registration.draws.lidar_points_m[registration.inliers].mean(axis=0)
-    return meaning_of(registration.A, middle_m)
+    return decompose_transform(registration.A, middle_m)
 
 
 def residual_curve(frame: FusedFrame) -> ResidualCurve:

@@ -7,7 +7,7 @@ import numpy as np
 
 from fusion_core.exporting.map_picture import write_difference_picture, write_grid_picture
 from fusion_core.exporting.ros_map import write_ros_map
-from fusion_core.mapping.difference import map_difference
+from fusion_core.mapping.difference import compare_maps
 from fusion_core.mapping.grid import GridBuilder, GridSettings
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import FloatArray
@@ -104,4 +104,4 @@ def write_map(folder: Path, name: str, grid: OccupancyGrid) -> None:
 
 def difference_of(grids: Mapping[str, OccupancyGrid]) -> MapDifference | None:
     """Where the maps of a recording differ, None where there are not two."""
-    return map_difference(grids) if len(grids) > 1 else None
+    return compare_maps(grids) if len(grids) > 1 else None

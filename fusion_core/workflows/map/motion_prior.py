@@ -12,11 +12,11 @@ from fusion_core.model.geometry import make_transform
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import PoseSample
-from fusion_core.motion.fusion import FusionSettings, fuse
+from fusion_core.motion.fusion import FusionSettings, fuse_odometry
 from fusion_core.motion.fusion_weights import FusionWeights
 from fusion_core.motion.laser import LaserOdometrySettings, laser_odometry
-from fusion_core.motion.resample import resampled
-from fusion_core.motion.track import OdometryTrack
+from fusion_core.motion.odometry_trajectory import OdometryTrajectory
+from fusion_core.motion.resample import resample_odometry
 from fusion_core.motion.visual import VisualOdometrySettings, visual_odometry
 from fusion_core.motion.wheel import WheelSettings, wheel_odometry
 from fusion_core.recordings.topics import Streams, choose_streams
@@ -50,7 +50,7 @@ class MotionPrior:
 
     source: str
     at: Callable[[int], FloatArray | None]
-    tracks: tuple[OdometryTrack, ...] = ()
+    tracks: tuple[OdometryTrajectory, ...] = ()
     weights: FusionWeights | None = None
     notes: tuple[str, ...] = ()
 
@@ -122,9 +122,9 @@ def require_recorded_poses(
     return poses
 
 
-def _single_odometry(track: OdometryTrack, notes: list[str]) -> MotionPrior:
+def _single_odometry(track: OdometryTrajectory, notes: list[str]) -> MotionPrior:
     return MotionPrior(
-        source=track.name, at=track.at, tracks=(track,), notes=(*notes, *_track_notes(track))
+        source=track.name, at=track.pose_at, tracks=(track,), notes=(*notes, *_track_notes(track))
     )
 
 
@@ -135,7 +135,7 @@ def _fused_odometry(sources: "_OdometrySources", settings: FusionSettings) -> Mo
     except MissingStream as error:
         sources.notes.append(f"Fused without wheels: {error.problem}")
     # The wheels' steps tell where a match begins; what it then measures is its own.
-    tracks.append(sources.laser(tracks[0].at if tracks else None))
+    tracks.append(sources.laser(tracks[0].pose_at if tracks else None))
     try:
         tracks.append(sources.visual(needs_place=True))
     except MissingStream as error:
@@ -144,18 +144,18 @@ def _fused_odometry(sources: "_OdometrySources", settings: FusionSettings) -> Mo
     if len(tracks) == 1:
         alone = tracks[0]
         notes.append(f"Nothing to fuse: {alone.name} odometry is all there is.")
-        return MotionPrior(source=alone.name, at=alone.at, tracks=(alone,), notes=tuple(notes))
-    fusion = fuse(tracks, settings)
+        return MotionPrior(source=alone.name, at=alone.pose_at, tracks=(alone,), notes=tuple(notes))
+    fusion = fuse_odometry(tracks, settings)
     return MotionPrior(
         source=f"fused ({', '.join(track.name for track in tracks)})",
-        at=fusion.track.at,
-        tracks=(*tracks, fusion.track),
+        at=fusion.trajectory.pose_at,
+        tracks=(*tracks, fusion.trajectory),
         weights=fusion.weights,
-        notes=(*notes, *fusion.track.notes),
+        notes=(*notes, *fusion.trajectory.notes),
     )
 
 
-def _track_notes(track: OdometryTrack) -> tuple[str, ...]:
+def _track_notes(track: OdometryTrajectory) -> tuple[str, ...]:
     if track.measured.size and not track.measured.any():
         return (*track.notes, f"{track.name} odometry measured not a single step.")
     return track.notes
@@ -187,7 +187,7 @@ class _OdometrySources:
                 raise MissingStream("there is no scan to follow.", file=self._recording.path)
         return self._stamps_ns
 
-    def wheel(self) -> OdometryTrack:
+    def wheel(self) -> OdometryTrajectory:
         poses = require_recorded_poses(
             self._recording, self._streams, self._scans.frame_id, wheel_only=True
         )
@@ -205,12 +205,12 @@ class _OdometrySources:
             self.stamps_ns(), poses.at, np.array(sampled_ns, dtype=np.int64), self._settings.wheel
         )
 
-    def laser(self, predicted: Callable[[int], FloatArray | None] | None) -> OdometryTrack:
+    def laser(self, predicted: Callable[[int], FloatArray | None] | None) -> OdometryTrajectory:
         track = laser_odometry(self._scans, self._settings.laser, predicted, self._progress)
         self._stamps_ns = track.stamps_ns
         return track
 
-    def visual(self, *, needs_place: bool) -> OdometryTrack:
+    def visual(self, *, needs_place: bool) -> OdometryTrajectory:
         frames = RgbdFrames(self._recording, self._streams, clock_offset_ns=self._clock_offset_ns)
         T_lidar_camera, notes = first_camera_extrinsics(
             self._recording, self._streams, self._extrinsics
@@ -232,4 +232,4 @@ class _OdometrySources:
             frames, frames.intrinsics, T_lidar_camera, self._settings.visual, self._progress
         )
         self.notes.extend(frames.notes)
-        return resampled(track, self.stamps_ns())
+        return resample_odometry(track, self.stamps_ns())

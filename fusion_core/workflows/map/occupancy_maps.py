@@ -8,7 +8,7 @@ import numpy as np
 
 from fusion_core.exporting import figures_maps
 from fusion_core.exporting.map_picture import write_difference_picture
-from fusion_core.mapping.canvas import obstacle_wins
+from fusion_core.mapping.canvas import merge_keeping_obstacles
 from fusion_core.mapping.grid import GridBuilder, GridSettings
 from fusion_core.model.conventions import NS_PER_S, FloatArray
 from fusion_core.model.errors import MappingFailed
@@ -87,7 +87,7 @@ def overlay_camera_map(grids: dict[str, OccupancyGrid]) -> dict[str, OccupancyGr
     """The merged map, drawn of what the camera met alone, over that of the LiDAR's plane."""
     if "lidar" not in grids or "merged" not in grids:
         return grids
-    return {**grids, "merged": obstacle_wins(grids["lidar"], grids["merged"])}
+    return {**grids, "merged": merge_keeping_obstacles(grids["lidar"], grids["merged"])}
 
 
 def write_maps(folder: Path, grids: Mapping[str, OccupancyGrid], heading: str) -> None:

@@ -6,8 +6,12 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from fusion_core.alignment.time import ScanWindow, TimeSettings, turn_rate_rad_s
-from fusion_core.mapping.camera_points import camera_cloud
-from fusion_core.mapping.virtual_scan import VirtualScanSettings, camera_scan, merged_scan
+from fusion_core.mapping.camera_points import project_to_cloud
+from fusion_core.mapping.virtual_scan import (
+    VirtualScanSettings,
+    make_camera_scan,
+    merge_camera_cloud,
+)
 from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, FloatArray
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.planar_poses import relative_pose, transform_planar_points
@@ -57,7 +61,7 @@ class CameraScans:
         fitting = GeometryFilter(passes.recording, None, passes.shapes)
         for image, window in passes.triggers(None, first, fitting):
             assert isinstance(image, DepthImage), "the beat is a camera's topic"
-            yield camera_scan(
+            yield make_camera_scan(
                 passes.cloud_at(image.stamp_ns - passes.offset_ns, window),
                 passes.settings,
                 stamp_ns=image.stamp_ns - passes.offset_ns,
@@ -100,7 +104,7 @@ class MergedScans:
         fitting = GeometryFilter(passes.recording, self._geometry, passes.shapes)
         for scan, window in passes.triggers(self._lidar, self._lidar, fitting):
             assert isinstance(scan, LaserScan), "the beat is the LiDAR's topic"
-            yield merged_scan(
+            yield merge_camera_cloud(
                 scan,
                 passes.cloud_at(scan.stamp_ns, window),
                 passes.settings,
@@ -140,7 +144,7 @@ class _RecentClouds:
         found_ns, image = self._kept[nearest]
         if found_ns not in self._clouds:
             view = self._camera.view
-            self._clouds[found_ns] = camera_cloud(
+            self._clouds[found_ns] = project_to_cloud(
                 view.of(image.depth_m),
                 view.intrinsics,
                 self._camera.T_floor_camera,

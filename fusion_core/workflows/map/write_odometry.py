@@ -9,7 +9,7 @@ from fusion_core.exporting.tables import CsvTable
 from fusion_core.exporting.tum_trajectory import write_tum_trajectory
 from fusion_core.model.trajectory import Trajectory
 from fusion_core.motion.fusion_weights import FusionWeights
-from fusion_core.motion.track import OdometryTrack
+from fusion_core.motion.odometry_trajectory import OdometryTrajectory
 from fusion_core.workflows.map.motion_prior import MotionPrior
 
 WEIGHTS_TABLE = "odometry_weights.csv"
@@ -37,7 +37,7 @@ def write_odometry(folder: Path, motion: MotionPrior) -> tuple[str, ...]:
     return tuple(written)
 
 
-def _measured_trajectory(track: OdometryTrack) -> Trajectory | None:
+def _measured_trajectory(track: OdometryTrajectory) -> Trajectory | None:
     beside = np.concatenate([[False], track.measured]) | np.concatenate([track.measured, [False]])
     if not beside.any():
         return None

@@ -95,9 +95,9 @@ def test_a_tilt_in_words():
 
 def test_refused_models_are_named_with_their_reason():
     found = registered(LIDAR_M, model="auto", condition_max=3.0)
-    assert found.refused
+    assert found.rejected
     said = words_of(found)
-    for refusal in found.refused:
+    for refusal in found.rejected:
         assert f"- {refusal.model}: {refusal.reason}" in said
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.model.classes import NoiseClass
-from fusion_core.registration.models import map_points
+from fusion_core.registration.models import apply_transform
 from fusion_core.registration.ransac import RegistrationSettings, register
 from fusion_core.workflows.fuse.epsilon import (
     EPSILON_UNITS,
@@ -44,7 +44,7 @@ def test_each_draw_is_that_of_the_registration():
         assert shown.index == index
         np.testing.assert_array_equal(shown.pairs, draw.pairs)
         np.testing.assert_array_equal(shown.A, draw.A)
-        np.testing.assert_array_equal(shown.agree, draw.mask)
+        np.testing.assert_array_equal(shown.agree, draw.is_inlier)
         assert shown.inliers == draw.inliers
         counts.append(shown.inliers)
     assert counts[found.best_draw] == max(counts)
@@ -54,7 +54,9 @@ def test_the_best_draws_inliers_are_those_that_the_refits_began_with():
     found = registered(refits_max=1)
     best = draw_at(found, found.best_draw)
     np.testing.assert_array_equal(best.agree, found.inliers)
-    np.testing.assert_array_equal(best.mapped_m, map_points(best.A, found.draws.lidar_points_m))
+    np.testing.assert_array_equal(
+        best.mapped_m, apply_transform(best.A, found.draws.lidar_points_m)
+    )
 
 
 @pytest.mark.parametrize("index", [60, -61])
@@ -79,7 +81,9 @@ def test_pairs_before_and_after_are_those_of_the_registration():
     after_m = np.linalg.norm(pairs.mapped_m - pairs.depth_m, axis=1)
     np.testing.assert_allclose(after_m, found.residual_m)
     assert np.median(after_m[pairs.inliers]) < np.median(before_m[pairs.inliers])
-    np.testing.assert_allclose(meaning_of_registration(found).moved_m, (0.02, 0.01), atol=0.01)
+    np.testing.assert_allclose(
+        meaning_of_registration(found).displacement_m, (0.02, 0.01), atol=0.01
+    )
 
 
 def test_without_a_map_the_points_are_there():

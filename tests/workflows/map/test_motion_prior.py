@@ -14,7 +14,7 @@ from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import CameraInfo
 from fusion_core.model.trajectory import Trajectory
 from fusion_core.motion.fusion import FusionSettings
-from fusion_core.motion.steps import difference, steps_of
+from fusion_core.motion.steps import steps_between, subtract_poses
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.topics import choose_streams
 from fusion_core.recordings.tum_trajectory import read_tum_trajectory
@@ -96,9 +96,9 @@ def test_the_camera_says_how_well_it_tells_each_step(fused: MotionPrior) -> None
     millimetres elsewhere, and its covariance knows which."""
     visual = fused.tracks[2]
     truth = np.load(TRUTH)
-    true = steps_of(truth["pose"])
-    away = difference(visual.steps, true)[visual.measured]
-    said = visual.covariance_of_step[visual.measured]
+    true = steps_between(truth["pose"])
+    away = subtract_poses(visual.steps, true)[visual.measured]
+    said = visual.step_covariance[visual.measured]
     squares = np.einsum("ka,kab,kb->k", away, np.linalg.inv(said), away)
     assert 0.3 < np.median(squares) < 5.0
     sigma = np.sqrt(said[:, 2, 2])
@@ -150,7 +150,7 @@ def test_single_sources(recording: Recording, kind: MotionKind) -> None:
     assert motion is not None
     (track,) = motion.tracks
     assert track.name == motion.source == kind
-    assert track.measured_share > 0.95
+    assert track.measured_fraction > 0.95
     error = errors((track.stamps_ns, track.poses_odom_lidar))["over_stretches"]
     assert error["translation_error"] < 0.04
 
@@ -170,7 +170,7 @@ def test_a_camera_that_nobody_has_placed_says_so() -> None:
         motion = motion_of(recording, "visual")
     assert motion is not None
     assert any("taken to be level" in note for note in motion.notes)
-    assert motion.tracks[0].measured_share > 0.9
+    assert motion.tracks[0].measured_fraction > 0.9
 
 
 def test_extrinsics_of_stored_images_are_those_of_the_file(recording: Recording) -> None:

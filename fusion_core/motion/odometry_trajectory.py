@@ -7,18 +7,18 @@ import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.geometry import interpolate_pose
-from fusion_core.motion.steps import steps_of
+from fusion_core.motion.steps import steps_between
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class OdometryTrack:
+class OdometryTrajectory:
     """The LiDAR's poses by one source, and how far each step between them can be trusted.
 
     ``stamps_ns``: (N,) int64, N >= 1, strictly increasing. ``poses_odom_lidar``: (N, 3) x, y, yaw.
     ``measured``: (N - 1,) False where the source said nothing of the step from pose k to k + 1;
     the pose is carried on there as well as the source can, and no more than that.
-    ``covariance_of_step``: (N - 1, 3, 3) of that step alone, in the axes of pose k (m, rad).
-    ``drift_of_step``: (N - 1, 3, 3) what the step adds to the covariance of a longer way, in the
+    ``step_covariance``: (N - 1, 3, 3) of that step alone, in the axes of pose k (m, rad).
+    ``drift_covariance``: (N - 1, 3, 3) what the step adds to the covariance of a longer way, in the
     same axes. The two differ since errors are not independent: a match to a keyframe errs anew in
     each pose but does not add up, a wheel of the wrong size errs little in each step but always
     alike. Both are NaN where ``measured`` is False: unknown, not large.
@@ -28,8 +28,8 @@ class OdometryTrack:
     name: str
     stamps_ns: IntArray
     poses_odom_lidar: FloatArray
-    covariance_of_step: FloatArray
-    drift_of_step: FloatArray
+    step_covariance: FloatArray
+    drift_covariance: FloatArray
     measured: BoolArray
     notes: tuple[str, ...] = ()
 
@@ -45,7 +45,7 @@ class OdometryTrack:
             raise ValueError("poses_odom_lidar must be finite")
         if self.measured.shape != (count - 1,) or self.measured.dtype != np.bool_:
             raise ValueError(f"measured must be ({count - 1},) bool, got {self.measured.shape}")
-        for covariance in (self.covariance_of_step, self.drift_of_step):
+        for covariance in (self.step_covariance, self.drift_covariance):
             if covariance.shape != (count - 1, 3, 3):
                 raise ValueError(f"covariances must be ({count - 1}, 3, 3)")
             if not np.array_equal(np.isfinite(covariance).all(axis=(1, 2)), self.measured):
@@ -57,14 +57,14 @@ class OdometryTrack:
     @cached_property
     def steps(self) -> FloatArray:
         """(N - 1, 3) the step from each pose to the next, in its axes."""
-        return steps_of(self.poses_odom_lidar)
+        return steps_between(self.poses_odom_lidar)
 
     @property
-    def measured_share(self) -> float:
+    def measured_fraction(self) -> float:
         """Share of the steps that were measured, 0 where there is none."""
         return float(self.measured.mean()) if self.measured.size else 0.0
 
-    def at(self, stamp_ns: int) -> FloatArray | None:
+    def pose_at(self, stamp_ns: int) -> FloatArray | None:
         """(3,) pose at an instant, interpolated; None outside the track and across dropouts.
 
         At a stamp of the track it is the pose there, unless neither of its steps was measured.
@@ -86,6 +86,6 @@ class OdometryTrack:
         return interpolate_pose(before, self.poses_odom_lidar[after], share)
 
 
-def masked(covariance: FloatArray, measured: BoolArray) -> FloatArray:
+def mask_unmeasured(covariance: FloatArray, measured: BoolArray) -> FloatArray:
     """(N - 1, 3, 3) with NaN where nothing was measured."""
     return np.where(measured[:, np.newaxis, np.newaxis], covariance, np.nan)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fusion_core.model.planar_poses import compose_poses
-from fusion_core.motion.resample import resampled
-from fusion_core.motion.track import OdometryTrack
+from fusion_core.motion.odometry_trajectory import OdometryTrajectory
+from fusion_core.motion.resample import resample_odometry
 from tests.motion.simulated_motion import STEP_NS, stamps, track_of, weaving
 
 SIGMA = (0.01, 0.02, 0.005)
@@ -14,7 +14,7 @@ SIGMA = (0.01, 0.02, 0.005)
 def test_between_two_stamps_it_is_interpolated_along_the_short_way() -> None:
     steps = np.array([[1.0, 0.0, 3.0], [1.0, 0.0, 0.4]])
     track = track_of("wheel", steps, SIGMA)
-    at = track.at(int(track.stamps_ns[1]) + STEP_NS // 2)
+    at = track.pose_at(int(track.stamps_ns[1]) + STEP_NS // 2)
     assert at is not None
     end = compose_poses(compose_poses(np.zeros(3), steps[0]), steps[1])
     np.testing.assert_allclose(at[:2], 0.5 * (np.array([1.0, 0.0]) + end[:2]))
@@ -24,14 +24,14 @@ def test_between_two_stamps_it_is_interpolated_along_the_short_way() -> None:
 def test_outside_and_across_a_dropout_it_is_unknown() -> None:
     track = track_of("laser", weaving(10), SIGMA, unmeasured=slice(3, 5))
     begin = track.stamps_ns
-    assert track.at(int(begin[0]) - 1) is None
-    assert track.at(int(begin[-1]) + 1) is None
+    assert track.pose_at(int(begin[0]) - 1) is None
+    assert track.pose_at(int(begin[-1]) + 1) is None
     for step, known in ((2, True), (3, False), (4, False), (5, True)):
-        assert (track.at(int(begin[step]) + 1) is not None) == known, step
+        assert (track.pose_at(int(begin[step]) + 1) is not None) == known, step
     # Pose 4 lies between two steps that were not measured; 3 and 5 end and begin one that was.
-    assert track.at(int(begin[4])) is None
+    assert track.pose_at(int(begin[4])) is None
     for pose in (3, 5):
-        at = track.at(int(begin[pose]))
+        at = track.pose_at(int(begin[pose]))
         assert at is not None
         np.testing.assert_array_equal(at, track.poses_odom_lidar[pose])
 
@@ -39,23 +39,23 @@ def test_outside_and_across_a_dropout_it_is_unknown() -> None:
 def test_it_checks_itself() -> None:
     good = track_of("wheel", weaving(4), SIGMA)
     with pytest.raises(ValueError, match="strictly increasing"):
-        OdometryTrack(**{**_fields(good), "stamps_ns": good.stamps_ns[::-1].copy()})
+        OdometryTrajectory(**{**_fields(good), "stamps_ns": good.stamps_ns[::-1].copy()})
     with pytest.raises(ValueError, match="finite where measured"):
-        OdometryTrack(**{**_fields(good), "measured": np.zeros(3, dtype=np.bool_)})
+        OdometryTrajectory(**{**_fields(good), "measured": np.zeros(3, dtype=np.bool_)})
     with pytest.raises(ValueError, match="read-only"):
         good.poses_odom_lidar[0, 0] = 1.0
 
 
-def _fields(track: OdometryTrack) -> dict:
-    names = ("stamps_ns", "poses_odom_lidar", "covariance_of_step", "drift_of_step", "measured")
+def _fields(track: OdometryTrajectory) -> dict:
+    names = ("stamps_ns", "poses_odom_lidar", "step_covariance", "drift_covariance", "measured")
     return {"name": track.name, **{name: getattr(track, name).copy() for name in names}}
 
 
 def test_resampled_at_its_own_stamps_it_is_itself() -> None:
     track = track_of("visual", weaving(20), SIGMA, seed=1, unmeasured=slice(8, 10))
-    again = resampled(track, track.stamps_ns)
+    again = resample_odometry(track, track.stamps_ns)
     np.testing.assert_allclose(again.poses_odom_lidar, track.poses_odom_lidar, atol=1e-12)
-    np.testing.assert_allclose(again.drift_of_step, track.drift_of_step)
+    np.testing.assert_allclose(again.drift_covariance, track.drift_covariance)
     np.testing.assert_array_equal(again.measured, track.measured)
 
 
@@ -64,12 +64,12 @@ def test_resampled_it_loses_each_step_that_shares_time_with_a_dropout() -> None:
     track = track_of("visual", weaving(10), SIGMA, unmeasured=slice(3, 5))
     at = np.array([-0.5, 0.5, 2.5, 4.5, 6.5, 8.5, 9.5])
     chosen = stamps(1)[0] + np.round(at * STEP_NS).astype(np.int64)
-    again = resampled(track, chosen)
+    again = resample_odometry(track, chosen)
     np.testing.assert_array_equal(again.measured, [False, True, False, False, True, False])
     # Two steps' worth of drift, whatever they were cut into.
-    np.testing.assert_allclose(again.drift_of_step[1], 2.0 * np.diag(np.square(SIGMA)))
+    np.testing.assert_allclose(again.drift_covariance[1], 2.0 * np.diag(np.square(SIGMA)))
     for k in (1, 2, 4, 5):
-        at_k = track.at(int(chosen[k]))
+        at_k = track.pose_at(int(chosen[k]))
         if at_k is not None:
             np.testing.assert_allclose(again.poses_odom_lidar[k], at_k, atol=1e-12)
 
@@ -77,4 +77,4 @@ def test_resampled_it_loses_each_step_that_shares_time_with_a_dropout() -> None:
 def test_resampled_a_step_that_ends_inside_a_dropout_is_not_measured() -> None:
     track = track_of("visual", weaving(10), SIGMA, unmeasured=slice(3, 4))
     at = stamps(1)[0] + np.array([1, 5, 7, 9, 11]) * (STEP_NS // 2)
-    np.testing.assert_array_equal(resampled(track, at).measured, [True, False, False, True])
+    np.testing.assert_array_equal(resample_odometry(track, at).measured, [True, False, False, True])
