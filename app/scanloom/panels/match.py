@@ -14,14 +14,14 @@ from scanloom.frame_view import FrameView, missing_result_text
 from scanloom.panels.mount_text import mount_text
 from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.panels.widgets.markup import escape_markdown
-from scanloom.plots.curves_picture import curves_picture
 from scanloom.plots.heatmap import Heatmap, heatmap
+from scanloom.plots.line_plot import PlotLabels, add_line_plot, dots, set_y_limits, whole_limits
+from scanloom.plots.palette import color_of
 from scanloom.plots.png import show_picture
 from scanloom.plots.score_field import AzimuthAxis, Mark, ScoreField
 from scanloom.state.view import Scope
 
 _WIDTH_PX, _HEIGHT_PX = 500, 420
-_CURVES_PX = (480, 260)
 _METRICS = ("euclidean", "pearson", "cosine", "inverse_cosine")
 # Frames to either side that make a window's field.
 _WINDOW_FRAMES = 2
@@ -65,8 +65,15 @@ class MatchPanel:
                 hint="Keep the picked offset in other frames",
             )
             controls.bind_field(lock, "lock_picked_offset", bool)
-        self._curves = gui.add_image(
-            np.full((*_CURVES_PX[::-1], 3), 255, np.uint8), format="png", visible=False
+        self._curves = add_line_plot(
+            gui,
+            PlotLabels(
+                title="The two curves at this offset",
+                x="sample of the row, from the left",
+                x_short="sample",
+                y="range (m)",
+            ),
+            (dots("depth row", color_of("depth")), dots("LiDAR curve", color_of("lidar"))),
         )
         with gui.add_folder("Sampling and masks"):
             controls.slider("sampling", "step_deg", "Degrees a sample", 0.25, 4.0, 0.25)
@@ -155,9 +162,8 @@ class MatchPanel:
         lidar_m, depth_m = curves_at(
             match, place, masked=frame_view.view.settings.search.mask_holes
         )
-        width_px, height_px = _CURVES_PX
-        drawn = curves_picture(lidar_m, depth_m, width_px=width_px, height_px=height_px)
-        show_picture(self._curves, drawn)
+        self._curves.data = np.arange(lidar_m.size, dtype=np.float64), depth_m, lidar_m
+        set_y_limits(self._curves, *whole_limits(lidar_m, depth_m))
         update_widget(self._u, value=round(place[0], 2))
         update_widget(self._v, value=round(place[1], 1))
 

@@ -1,29 +1,55 @@
-"""The time between each depth image and its scan, as a picture and in words."""
+"""The time between each depth image and its scan over the recording, as a plot and as text."""
 
 import numpy as np
 import viser
 
-from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, ByteArray, FloatArray, IntArray
+from fusion_core.model.conventions import NS_PER_S, FloatArray
 from fusion_core.workflows.fuse.pairing_gaps import PairingGaps, PairingStamps
 from scanloom.frame_view import FrameView, clock_offset_ms
 from scanloom.panels.widgets.controls import update_widget
-from scanloom.plots.gaps_picture import GapsPicture, gaps_picture
-from scanloom.plots.png import show_picture
+from scanloom.plots.lettering import INK
+from scanloom.plots.line_plot import (
+    NEUTRAL,
+    PlotLabels,
+    add_line_plot,
+    dots,
+    line,
+    set_y_limits,
+    with_vertical_line,
+)
+from scanloom.plots.palette import color_of
 
-_WIDTH_PX, _HEIGHT_PX = 480, 280
+# The plot ends so far beyond the largest gap of a pair.
+_MARGIN_FRACTION = 0.12
+# What clocks of robots resolve: smaller gaps need no larger scale.
+_LEAST_LIMIT_MS = 0.5
 
 
 class PairingPlot:
-    """Drawn anew for other stamps or another clock offset; another frame only moves its mark."""
+    """Follows the stamps and the clock offset; another frame only moves its line."""
 
     def __init__(self, gui: viser.GuiApi) -> None:
-        blank = np.full((_HEIGHT_PX, _WIDTH_PX, 3), 255, dtype=np.uint8)
-        self._picture = gui.add_image(blank, format="png", visible=False)
+        self._plot = add_line_plot(
+            gui,
+            PlotLabels(
+                title="Each depth image against its scan",
+                x="time since the first frame (s)",
+                x_short="time (s)",
+                y="image − scan (ms)",
+            ),
+            (
+                dots("depth image", color_of("depth"), 3.0),
+                dots("without a scan", INK, 6.0, hollow=True),
+                line("half a scan period", NEUTRAL, dashed=True),
+                line("and its negative", NEUTRAL, dashed=True),
+                line("this frame", INK),
+            ),
+            y_limits=(-1.0, 1.0),
+        )
         self._words = gui.add_markdown("", visible=False)
         self._of: tuple[PairingStamps | None, float] = None, 0.0
-        self._gaps: PairingGaps | None = None
-        self._drawn: GapsPicture | None = None
-        self._marked: tuple[GapsPicture | None, int] = None, -1
+        self._curves: GapCurves | None = None
+        self._marked: tuple[GapCurves | None, int] = None, -1
 
     def show(self, frame_view: FrameView) -> None:
         """Nothing before the first pass over the recording has ended."""
@@ -31,54 +57,65 @@ class PairingPlot:
         is_virtual = frame_view.open_recording.fuse_session.virtual_row is not None
         if is_virtual:
             update_widget(self._words, content="A virtual LiDAR has the stamps of its images.")
-        update_widget(self._picture, visible=stamps is not None and not is_virtual)
+        update_widget(self._plot, visible=stamps is not None and not is_virtual)
         update_widget(self._words, visible=stamps is not None)
         if stamps is None or is_virtual:
             return
         offset_ms = (
             0.0 if frame_view.chain is None else clock_offset_ms(frame_view.view, frame_view.chain)
         )
-        drawn, gaps = self._draw(stamps, offset_ms, frame_view)
-        number = frame_view.view.frame_index
-        if self._marked != (drawn, number):
-            self._marked = drawn, number
-            show_picture(self._picture, _marked(drawn, gaps, frame_view))
+        curves = self._curves_of(stamps, offset_ms, frame_view)
+        index = frame_view.view.frame_index
+        if self._marked != (curves, index):
+            self._marked = curves, index
+            self._plot.data = curves.data_at(int(frame_view.open_recording.frames.times_ns[index]))
 
-    def _draw(
+    def _curves_of(
         self, stamps: PairingStamps, offset_ms: float, frame_view: FrameView
-    ) -> tuple[GapsPicture, PairingGaps]:
-        if self._drawn is not None and self._gaps is not None and self._of == (stamps, offset_ms):
-            return self._drawn, self._gaps
+    ) -> "GapCurves":
+        if self._curves is not None and self._of == (stamps, offset_ms):
+            return self._curves
         self._of = stamps, offset_ms
         max_gap_ms = frame_view.open_recording.fuse_session.settings.time.max_gap_ms
-        self._gaps = gaps = stamps.gaps(offset_ms, max_gap_ms)
-        self._drawn = gaps_picture(
-            _since_first_s(gaps.time_ns, frame_view),
-            gaps.gap_ms,
-            gaps.paired,
-            period_ms=gaps.scan_period_ms,
-            max_gap_ms=max_gap_ms,
-            width_px=_WIDTH_PX,
-            height_px=_HEIGHT_PX,
-        )
+        gaps = stamps.gaps(offset_ms, max_gap_ms)
+        first_ns = int(frame_view.open_recording.frames.times_ns[0])
+        self._curves = curves = GapCurves(gaps, first_ns)
+        set_y_limits(self._plot, -curves.limit_ms, curves.limit_ms)
         update_widget(self._words, content=_words(gaps, offset_ms, max_gap_ms))
-        return self._drawn, gaps
+        return curves
 
 
-def _marked(drawn: GapsPicture, gaps: PairingGaps, frame_view: FrameView) -> ByteArray:
-    time_ns = int(frame_view.open_recording.frames.times_ns[frame_view.view.frame_index])
-    gap_ms: float | None = None
-    if frame_view.paired is not None and frame_view.paired.window is not None:
-        gap_ms = frame_view.paired.gap_ns / NS_PER_MS
-    else:
-        known_ms = gaps.gap_ms[(gaps.time_ns == time_ns) & np.isfinite(gaps.gap_ms)]
-        gap_ms = float(known_ms[0]) if known_ms.size else None
-    return drawn.with_present(float(_since_first_s(np.array([time_ns]), frame_view)[0]), gap_ms)
+class GapCurves:
+    """The plot's series. All pairs are within ``limit_ms``; what lies beyond is at the edge."""
 
+    def __init__(self, gaps: PairingGaps, first_ns: int) -> None:
+        order = np.argsort(gaps.time_ns, kind="stable")
+        gap_ms, paired = gaps.gap_ms[order], gaps.paired[order]
+        known_ms = np.abs(gap_ms[paired if paired.any() else np.isfinite(gap_ms)])
+        farthest_ms = float(known_ms.max()) if known_ms.size else 0.0
+        self.limit_ms = max((1.0 + _MARGIN_FRACTION) * farthest_ms, _LEAST_LIMIT_MS)
+        # An image without any scan is as far away as can be.
+        inside_ms = np.clip(np.nan_to_num(gap_ms, nan=np.inf), -self.limit_ms, self.limit_ms)
+        half_ms = np.full(gap_ms.size, 0.5 * gaps.scan_period_ms)
+        half_ms[half_ms > self.limit_ms] = np.nan
+        self._first_ns = first_ns
+        self._time_s: FloatArray = (gaps.time_ns[order] - first_ns) / NS_PER_S
+        self._series = (
+            np.where(paired, gap_ms, np.nan),
+            np.where(paired, np.nan, inside_ms),
+            half_ms,
+            -half_ms,
+        )
 
-def _since_first_s(time_ns: IntArray, frame_view: FrameView) -> FloatArray:
-    since_s: FloatArray = (time_ns - frame_view.open_recording.frames.times_ns[0]) / NS_PER_S
-    return since_s
+    def data_at(self, time_ns: int) -> tuple[FloatArray, ...]:
+        """The plot's data with the frame of that time marked."""
+        return with_vertical_line(
+            self._time_s,
+            self._series,
+            (time_ns - self._first_ns) / NS_PER_S,
+            (-self.limit_ms, self.limit_ms),
+            interpolate=False,
+        )
 
 
 def _words(gaps: PairingGaps, offset_ms: float, max_gap_ms: float) -> str:

@@ -18,11 +18,12 @@ from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView, as_failure, clock_offset_ms, failure_summary
 from scanloom.jobs.long_job import LongJob
 from scanloom.panels.widgets.controls import update_widget
-from scanloom.plots.png import show_picture
-from scanloom.plots.recall_picture import RecallPicture, recall_picture
+from scanloom.plots.lettering import INK
+from scanloom.plots.line_plot import PlotLabels, add_line_plot, area, line, with_vertical_line
+from scanloom.plots.palette import Color, color_of
 from scanloom.state.open_recording import OpenRecording
 
-_WIDTH_PX, _HEIGHT_PX = 480, 300
+_BAND_COLOR: Color = (225, 229, 233)
 _COMPUTE, _CANCEL = "Compute", "Cancel"
 # The desk's own work goes first; a film that plays leaves no pause.
 _PATIENCE_S = 0.5
@@ -41,13 +42,25 @@ class RecallPanel:
         # What the job's words are about, and whose curve is drawn.
         self._opened: OpenRecording | None = None
         self._truth: Path | None = None
-        self._curve: RecallCurve | None = None
-        self._drawn: RecallPicture | None = None
-        self._marked: tuple[RecallPicture | None, int | None] = None, None
+        # Whose curve the plot shows, and the epsilon that is marked.
+        self._plotted: tuple[RecallCurve | None, float] = None, 0.0
         self._folder = gui.add_folder("Recall over ε, by the truth", visible=False)
         with self._folder:
-            blank = np.full((_HEIGHT_PX, _WIDTH_PX, 3), 255, dtype=np.uint8)
-            self._picture = gui.add_image(blank, format="png", visible=False)
+            self._plot = add_line_plot(
+                gui,
+                PlotLabels(
+                    title="Recall over the threshold",
+                    x="threshold ε in multiples of the frame's E",
+                    x_short="ε / E",
+                    y="recall",
+                ),
+                (
+                    line("ξ: good pairs kept", color_of("good")),
+                    line("η: noise pairs found", color_of("burr")),
+                    area("E to √2 E", _BAND_COLOR),
+                    line("ε of this frame", INK),
+                ),
+            )
             self._words = gui.add_markdown("", visible=False)
             self._button = gui.add_button(
                 _COMPUTE, hint="Compares every frame with the truth, as in Fig. 6 of Xu 2024"
@@ -73,7 +86,7 @@ class RecallPanel:
         with self._lock:
             self._begin = lambda: self._start(work, frame_view.open_recording, key)
             update_widget(self._button, visible=curve is None or self._job is not None)
-        update_widget(self._picture, visible=curve is not None)
+        update_widget(self._plot, visible=curve is not None)
         update_widget(self._words, visible=curve is not None)
         if curve is not None:
             self._show_curve(curve, fused)
@@ -156,46 +169,47 @@ class RecallPanel:
             self._session.refresh()
 
     def _show_curve(self, curve: RecallCurve, fused: FusedFrame | None) -> None:
-        if self._curve is not curve or self._drawn is None:
-            self._curve = curve
-            self._drawn = _drawn(curve)
         said = None if fused is None else epsilon_in(fused)
         factor = float("nan") if said is None or not said.E_m > 0.0 else said.middle_m / said.E_m
-        known = bool(np.isfinite(factor))
-        column = self._drawn.place_of(factor, 0.0)[0] if known else None
-        if self._marked != (self._drawn, column):
-            self._marked = self._drawn, column
-            shares = [share for share in _at(curve, factor) if share is not None] if known else []
-            rgb = self._drawn.with_present(factor, shares) if known else self._drawn.rgb
-            show_picture(self._picture, rgb)
+        marked = factor if _is_in_plot(curve, factor) else float("nan")
+        before, at = self._plotted
+        if before is not curve or not np.array_equal(at, marked, equal_nan=True):
+            self._plotted = curve, marked
+            self._plot.data = _data(curve, marked)
         update_widget(self._words, content=_words_of(curve, factor))
 
 
-def _drawn(curve: RecallCurve) -> RecallPicture:
-    return recall_picture(
-        curve.factors,
-        _shares(curve.good_kept, curve.good_pairs),
-        _shares(curve.noise_found, curve.noise_pairs),
-        band=PAPER_BAND,
-        width_px=_WIDTH_PX,
-        height_px=_HEIGHT_PX,
+def _data(curve: RecallCurve, marked: float) -> tuple[FloatArray, ...]:
+    """x, both recalls, the paper's band, and a line at the threshold ``marked``, unless NaN."""
+    first, last = PAPER_BAND
+    factors = np.sort(np.concatenate([curve.factors, [first, first, last, last]]))
+    band = np.zeros(factors.size)
+    # Its edges stand twice, so that they are upright.
+    band[np.searchsorted(factors, first) + 1 : np.searchsorted(factors, last, "right") - 1] = 1.0
+    recalls = [
+        np.interp(factors, curve.factors, _shares(counts, whole))
+        for counts, whole in (
+            (curve.good_kept, curve.good_pairs),
+            (curve.noise_found, curve.noise_pairs),
+        )
+    ]
+    is_marked = bool(np.isfinite(marked))
+    return with_vertical_line(
+        factors,
+        (*recalls, band),
+        marked if is_marked else float(factors[0]),
+        (0.0, 1.0) if is_marked else (np.nan, np.nan),
+        interpolate=True,
     )
 
 
-def _shares(counts: IntArray, whole: int) -> FloatArray | None:
-    return counts / whole if whole else None
+def _is_in_plot(curve: RecallCurve, factor: float) -> bool:
+    return bool(curve.factors[0] <= factor <= curve.factors[-1])
 
 
-def _at(curve: RecallCurve, factor: float) -> tuple[float | None, float | None]:
-    """Both recalls at an epsilon / E, between the factors that were counted."""
-    xi, eta = (
-        _shares(curve.good_kept, curve.good_pairs),
-        _shares(curve.noise_found, curve.noise_pairs),
-    )
-    return (
-        None if xi is None else float(np.interp(factor, curve.factors, xi)),
-        None if eta is None else float(np.interp(factor, curve.factors, eta)),
-    )
+def _shares(counts: IntArray, whole: int) -> FloatArray:
+    """Counts as shares of all, NaN where there are none."""
+    return counts / whole if whole else np.full(counts.shape, np.nan)
 
 
 def _words_of(curve: RecallCurve, factor: float) -> str:
@@ -203,11 +217,16 @@ def _words_of(curve: RecallCurve, factor: float) -> str:
     if not np.isfinite(factor):
         return f"{counts} This frame has no E, so its ε is not marked."
     there = f"This frame's ε is **{factor:.2f} E**"
-    if not curve.factors[0] <= factor <= curve.factors[-1]:
+    if not _is_in_plot(curve, factor):
         return f"{counts} {there}, outside of the plot."
-    xi, eta = _at(curve, factor)
-    shares = [] if xi is None else [f"keeps **{100.0 * xi:.1f} %** of the good pairs"]
-    shares += [] if eta is None else [f"finds **{100.0 * eta:.1f} %** of the noise pairs"]
+    shares = []
+    for verb, found, whole, what in (
+        ("keeps", curve.good_kept, curve.good_pairs, "good"),
+        ("finds", curve.noise_found, curve.noise_pairs, "noise"),
+    ):
+        if whole:
+            percent = 100.0 * np.interp(factor, curve.factors, _shares(found, whole))
+            shares.append(f"{verb} **{percent:.1f} %** of the {what} pairs")
     alone = f" ε alone {' and '.join(shares)}; the classes look at neighbours, too."
     return f"{counts} {there}.{alone if shares else ''}"
 

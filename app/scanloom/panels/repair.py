@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import viser
-import viser.uplot
 
 from fusion_core.model.classes import NoiseClass
 from fusion_core.workflows.fuse.frame import FusedFrame
@@ -15,8 +14,9 @@ from scanloom.panels.epsilon import EpsilonSliders
 from scanloom.panels.repair_tables import beam_table, class_table
 from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.plots.depth_image import PairOverlay, depth_limits_m, depth_picture
+from scanloom.plots.line_plot import PlotLabels, add_line_plot, dots, set_y_limits
+from scanloom.plots.palette import color_of
 from scanloom.plots.png import show_picture
-from scanloom.resources import palette
 from scanloom.scene.frame_summary import ConflictRun, conflict_runs
 from scanloom.scene.pair_pixels import pixels_of_match, repaired_depth_m
 from scanloom.scene.range_curves import range_curves
@@ -56,7 +56,7 @@ class RepairPanel:
             self._classes = gui.add_html("")
             for noise in NoiseClass:
                 self._add_filter(gui, noise)
-        self._curve = _add_curve(gui)
+        self._curve = _add_range_plot(gui)
         with gui.add_folder("One beam"):
             self._conflicts = gui.add_dropdown("Conflicts", (_NO_CONFLICTS,))
             self._step = gui.add_button_group("Go to conflict", ("Previous", "Next"))
@@ -156,11 +156,8 @@ class RepairPanel:
             curves.camera_m,
             curves.looked_at_m,
         )
-        update_widget(
-            self._curve,
-            scales=_curve_scales(curves.limits_m),
-            visible=bool(curves.azimuth_deg.size),
-        )
+        set_y_limits(self._curve, *curves.limits_m)
+        update_widget(self._curve, visible=bool(curves.azimuth_deg.size))
 
     def _show_conflicts(self, frame: FusedFrame, view: View) -> None:
         runs = conflict_runs(frame)
@@ -212,44 +209,25 @@ class RepairPanel:
         self._session.change(selected_beam=runs[place % len(runs)].middle)
 
 
-def _add_curve(gui: viser.GuiApi) -> viser.GuiUplotHandle:
-    """The plot of ranges over azimuth, left to right as the camera sees it.
-
-    Its samples are points: the plot would draw a line across the gaps, which are what it is about.
-    """
-
-    def dots(label: str, color: str, size_px: float, *, ring: bool = False) -> viser.uplot.Series:
-        points = viser.uplot.Series_Points(
-            show=True, size=size_px, stroke=color, fill="transparent" if ring else color
-        )
-        return viser.uplot.Series(label=label, stroke=color, width=0, points=points)
-
-    colors = palette()
-    return gui.add_uplot(
-        tuple(np.zeros(2) for _ in range(6)),
-        (
-            viser.uplot.Series(label="azimuth (°)"),
-            dots("○ pixel", colors["depth"], 9.0, ring=True),
-            dots("● repaired", colors["fused"], 6.0),
-            dots("● raw", colors["lidar"], 4.0),
-            dots("• camera", colors["depth"], 2.0),
-            dots("◯ chosen", colors["fused"], 14.0, ring=True),
+def _add_range_plot(gui: viser.GuiApi) -> viser.GuiUplotHandle:
+    """The plot of ranges over azimuth, left to right as the camera sees it."""
+    return add_line_plot(
+        gui,
+        PlotLabels(
+            title="LiDAR curve and what the camera sees",
+            x="azimuth in the LiDAR frame (°)",
+            x_short="azimuth (°)",
+            y="range (m)",
+            x_falls=True,
         ),
-        title="Range (m) over azimuth (°)",
-        scales=_curve_scales((0.0, 1.0)),
-        height=280,
-        padding=(12, 24, 0, 0),
-        visible=False,
+        (
+            dots("○ pixel", color_of("depth"), 9.0, hollow=True),
+            dots("● repaired", color_of("fused"), 6.0),
+            dots("● raw", color_of("lidar"), 4.0),
+            dots("• camera", color_of("depth"), 2.0),
+            dots("◯ chosen", color_of("fused"), 14.0, hollow=True),
+        ),
     )
-
-
-def _curve_scales(limits_m: tuple[float, float]) -> dict[str, viser.uplot.Scale]:
-    """``limits_m`` must be given: the plot finds none where a series begins with a gap."""
-    # Azimuth is positive to the left.
-    return {
-        "x": viser.uplot.Scale(time=False, dir=-1),
-        "y": viser.uplot.Scale(range=limits_m),
-    }
 
 
 def _conflict_words(run: ConflictRun) -> str:

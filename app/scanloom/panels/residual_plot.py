@@ -4,55 +4,43 @@ from typing import Any
 
 import numpy as np
 import viser
-import viser.uplot as uplot
 
 from fusion_core.model.classes import NoiseClass
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.registration_view import ResidualCurve, residual_curve
 from scanloom.panels.widgets.controls import update_widget
-from scanloom.plots.palette import Color, class_color
+from scanloom.plots.line_plot import NEUTRAL, PlotLabels, add_line_plot, dots, line, no_data
+from scanloom.plots.palette import class_color
 
 # The plot reaches so far beyond epsilon; what lies beyond that is drawn at its edge.
 _REACH = 2.5
 _SHOWN = (NoiseClass.GOOD, NoiseClass.CONFLICT, NoiseClass.BURR)
-_LINE = "#495057"
-_NOTHING = (
-    np.arange(2.0),
-    *(np.full(2, np.nan) for _ in range(len(_SHOWN) + 1)),
-    np.zeros(2),
-    np.zeros(2),
-)
-# Azimuth falls from left to right as the camera sees it. The two lines alone set the range of y:
-# a NaN would leave it without one, and new scales would set the plot up anew at each change.
+_NOTHING = (*no_data(len(_SHOWN) + 1), np.zeros(2), np.zeros(2))
+# The two lines of epsilon alone set the range of y: limits of its own for each frame would set the
+# plot up anew at each change.
 _BEYOND_LINES = {"pad": 0.5 * (_REACH - 1.0), "soft": 0.0, "mode": 0}
-_SCALES = {
-    "x": uplot.Scale(time=False, dir=-1),
-    "y": uplot.Scale(range={"min": _BEYOND_LINES, "max": _BEYOND_LINES}),
-}
 
 
 class ResidualPlot:
     """A dot for each pair in the colour of its class, seen from left to right."""
 
     def __init__(self, gui: viser.GuiApi) -> None:
-        self._plot = gui.add_uplot(
-            _NOTHING,
+        self._plot = add_line_plot(
+            gui,
+            PlotLabels(
+                title="Residual of each pair",
+                x="azimuth in the LiDAR frame (°)",
+                x_short="azimuth (°)",
+                y="residual (mm)",
+                x_falls=True,
+            ),
             (
-                uplot.Series(label="azimuth (°)"),
-                *(_dots(noise.name.lower(), _css(class_color(noise)), 4.0) for noise in _SHOWN),
-                _dots("beyond", _LINE, 6.0, hollow=True),
-                _line("+ε"),
-                _line("−ε"),
+                *(dots(noise.name.lower(), class_color(noise)) for noise in _SHOWN),
+                dots("beyond the plot", NEUTRAL, 6.0, hollow=True),
+                line("+ε", NEUTRAL, dashed=True),
+                line("−ε", NEUTRAL, dashed=True),
             ),
-            title="Residual of each pair",
-            scales=_SCALES,
-            axes=(
-                uplot.Axis(label="azimuth in the LiDAR frame (°)", labelSize=20, size=34),
-                uplot.Axis(label="residual (mm)", labelSize=20, size=48),
-            ),
-            aspect=1.5,
-            padding=(10, 20, 0, 0),
-            visible=False,
+            y_limits={"min": _BEYOND_LINES, "max": _BEYOND_LINES},
         )
         self._words = gui.add_markdown("")
         self._shown: FusedFrame | None = None
@@ -103,27 +91,3 @@ def _words(curve: ResidualCurve, limit_mm: float, *, signed: bool) -> str:
         farthest_m = 1e-3 * float(np.abs(curve.residual_mm).max())
         said += f" {count} beyond the plot at its edge, up to {farthest_m:.2f} m."
     return said
-
-
-def _dots(label: str, color: str, size_px: float, *, hollow: bool = False) -> uplot.Series:
-    return uplot.Series(
-        label=label,
-        stroke=color,
-        auto=False,
-        # Without a line: it would bridge the gaps.
-        width=0,
-        points=uplot.Series_Points(
-            show=True, size=size_px, stroke=color, width=1, fill="#ffffff" if hollow else color
-        ),
-    )
-
-
-def _line(label: str) -> uplot.Series:
-    return uplot.Series(
-        label=label, stroke=_LINE, width=1, dash=(5, 4), points=uplot.Series_Points(show=False)
-    )
-
-
-def _css(color: Color) -> str:
-    red, green, blue = color
-    return f"rgb({red},{green},{blue})"

@@ -7,6 +7,7 @@ import numpy as np
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import FloatArray, read_only
 from fusion_core.workflows.fuse.frame import FusedFrame
+from scanloom.plots.line_plot import whole_limits
 from scanloom.scene.frame_summary import unwrapped_deg
 
 
@@ -34,12 +35,7 @@ class RangeCurves:
     @property
     def limits_m(self) -> tuple[float, float]:
         """Whole metres around all ranges, so that they seldom change from frame to frame."""
-        ranges_m = np.concatenate([self.repaired_m, self.raw_m, self.pixel_m, self.camera_m])
-        ranges_m = ranges_m[np.isfinite(ranges_m)]
-        if not ranges_m.size:
-            return 0.0, 1.0
-        low_m, high_m = float(np.floor(ranges_m.min())), float(np.ceil(ranges_m.max()))
-        return low_m, max(high_m, low_m + 1.0)
+        return whole_limits(self.repaired_m, self.raw_m, self.pixel_m, self.camera_m)
 
 
 def range_curves(

@@ -5,10 +5,12 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import viser
 
 from fusion_core.model.errors import AlignmentFailed, RecordingError
+from fusion_core.workflows.fuse.frame import curves_at
 from scanloom.frame_view import FrameView, compute_frame_view
 from scanloom.panels.match import MatchPanel
 from scanloom.state.library import Library
@@ -63,6 +65,17 @@ def test_a_match_is_drawn(
     assert panel._picture.image.min() < 255
     assert heatmaps[-1] is not None
     assert "Peak **u = " in panel._words.content
+    sample, depth_m, lidar_m = panel._curves.data
+    assert sample.tolist() == list(range(lidar_m.size))
+    both = np.concatenate([depth_m, lidar_m])
+    low_m, high_m = panel._curves.scales["y"]["range"]
+    assert low_m <= np.nanmin(both) < np.nanmax(both) <= high_m
+    frame_view = compute_frame_view(view, open_recording)
+    assert frame_view.match is not None
+    peak = frame_view.match.search.peaks[view.settings.search.metric]
+    expected = curves_at(frame_view.match, (peak.u, peak.v), masked=view.settings.search.mask_holes)
+    np.testing.assert_array_equal(lidar_m, expected[0])
+    np.testing.assert_array_equal(depth_m, expected[1])
 
 
 def test_while_it_is_being_aligned_it_says_how_far_that_is(

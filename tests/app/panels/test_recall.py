@@ -153,9 +153,9 @@ def computed(monkeypatch: pytest.MonkeyPatch) -> Computed:
 
 def test_a_press_draws_the_curve_with_this_frames_epsilon(bench: Bench) -> None:
     assert bench.is_offered
-    assert not bench.sees("GuiImageMessage")
+    assert not bench.sees("GuiUplotMessage")
     bench.press()
-    bench.until(lambda: bench.sees("GuiImageMessage"))
+    bench.until(lambda: bench.sees("GuiUplotMessage"))
     assert not bench.sees("GuiButtonMessage")
     assert not bench.sees("GuiProgressBarMessage")
     assert bench.session.frame_view is not None
@@ -165,18 +165,42 @@ def test_a_press_draws_the_curve_with_this_frames_epsilon(bench: Bench) -> None:
     assert f"**{said.middle_m / said.E_m:.2f} E**" in bench.words
     (curve,) = bench.session.frame_view.open_recording.recalls.values()
     assert curve.good_pairs > 100
-    picture = bench.panel._recall._drawn
-    assert picture is not None
-    x = picture.place_of(said.middle_m / said.E_m, 0.0)[0]
-    frame_view = bench.panel._recall._picture.image
-    assert (frame_view[picture.place_of(0.0, 0.3)[1], x] < 60).all()
+    at = said.middle_m / said.E_m
+    factors, xi, eta, _, here = bench.panel._recall._plot.data
+    np.testing.assert_allclose(
+        np.interp(curve.factors, factors, xi), curve.good_kept / curve.good_pairs
+    )
+    np.testing.assert_allclose(
+        np.interp(curve.factors, factors, eta), curve.noise_found / curve.noise_pairs
+    )
+    assert factors[np.isfinite(here)].tolist() == [at, at]
+    assert here[np.isfinite(here)].tolist() == [0.0, 1.0]
+
+
+def test_the_plot_has_the_papers_band_and_no_curve_of_no_pairs(
+    bench: Bench, computed: Computed
+) -> None:
+    computed.curve = a_curve(noise_pairs=0)
+    computed.go_on.set()
+    bench.press()
+    bench.until(lambda: bench.sees("GuiUplotMessage"))
+    factors, xi, eta, band, _ = bench.panel._recall._plot.data
+    assert (np.diff(factors) >= 0.0).all()
+    assert np.isfinite(xi).all()
+    assert np.isnan(eta).all()
+    first, last = factors[band == 1.0][[0, -1]]
+    assert (first, last) == pytest.approx((1.0, np.sqrt(2.0)))
+    assert (band[(factors > first) & (factors < last)] == 1.0).all()
+    assert (band[(factors < first) | (factors > last)] == 0.0).all()
+    # Upright edges: both ends stand twice.
+    assert {0.0, 1.0} == set(band[factors == first]) == set(band[factors == last])
 
 
 def test_epsilon_moves_the_mark_and_computes_nothing(bench: Bench, computed: Computed) -> None:
     computed.go_on.set()
     bench.press()
-    bench.until(lambda: bench.sees("GuiImageMessage"))
-    pictures = []
+    bench.until(lambda: bench.sees("GuiUplotMessage"))
+    plots = []
     for epsilon in (2.0, 4.0):
         bench.epsilon(epsilon)
         bench.until(lambda: f"**{epsilon:.2f} E**" in bench.words)  # noqa: B023  # called at once
@@ -184,28 +208,30 @@ def test_epsilon_moves_the_mark_and_computes_nothing(bench: Bench, computed: Com
         share = 100.0 * (epsilon - 0.2) / 0.2 / 29.0
         assert f"keeps **{share:.1f} %**" in bench.words
         assert f"finds **{100.0 - share:.1f} %**" in bench.words
-        pictures.append(bench.panel._recall._picture.image)
-    assert not np.array_equal(*pictures)
+        plots.append(bench.panel._recall._plot.data)
+    for (factors, *_, here), epsilon in zip(plots, (2.0, 4.0), strict=True):
+        assert factors[np.isfinite(here)] == pytest.approx([epsilon, epsilon])
     bench.change(selected_beam=3)
-    assert bench.panel._recall._picture.image is pictures[1]
+    assert bench.panel._recall._plot.data is plots[1]
     assert len(computed.calls) == 1
     bench.epsilon(0.1)
     bench.until(lambda: "outside of the plot" in bench.words)
+    assert np.isnan(bench.panel._recall._plot.data[-1]).all()
 
 
 def test_the_curve_is_kept_for_its_settings(bench: Bench, computed: Computed) -> None:
     computed.go_on.set()
     bench.press()
-    bench.until(lambda: bench.sees("GuiImageMessage"))
+    bench.until(lambda: bench.sees("GuiUplotMessage"))
     bench.session.set("registration", "model", "affine")
-    bench.until(lambda: bench.sees("GuiButtonMessage") and not bench.sees("GuiImageMessage"))
+    bench.until(lambda: bench.sees("GuiButtonMessage") and not bench.sees("GuiUplotMessage"))
     bench.press()
-    bench.until(lambda: bench.sees("GuiImageMessage"))
+    bench.until(lambda: bench.sees("GuiUplotMessage"))
     assert [args[1].registration.model for args in computed.calls] == ["rigid", "affine"]
     for model in ("rigid", "affine"):
         bench.session.set("registration", "model", model)
         assert bench.session.wait(LONG_S)
-        bench.until(lambda: bench.sees("GuiImageMessage") and not bench.sees("GuiButtonMessage"))
+        bench.until(lambda: bench.sees("GuiUplotMessage") and not bench.sees("GuiButtonMessage"))
     assert len(computed.calls) == 2
 
 
@@ -228,7 +254,7 @@ def test_progress_is_shown_and_the_button_cancels(bench: Bench, computed: Comput
     computed.go_on.set()
     bench.until(lambda: bench.button.label == "Compute")
     assert not bench.sees("GuiProgressBarMessage")
-    assert not bench.sees("GuiImageMessage")
+    assert not bench.sees("GuiUplotMessage")
 
 
 def test_another_recording_cancels_what_is_computed(bench: Bench, computed: Computed) -> None:
@@ -259,7 +285,7 @@ def test_a_failure_is_said_and_can_be_tried_again(
     assert bench.button.label == "Compute"
     computed.failure = None
     bench.press()
-    bench.until(lambda: bench.sees("GuiImageMessage"))
+    bench.until(lambda: bench.sees("GuiUplotMessage"))
     assert not bench.sees("GuiHtmlMessage")
 
 
@@ -267,7 +293,7 @@ def test_pairs_that_there_are_none_of_are_not_spoken_of(bench: Bench, computed: 
     computed.curve = a_curve(noise_pairs=0)
     computed.go_on.set()
     bench.press()
-    bench.until(lambda: bench.sees("GuiImageMessage"))
+    bench.until(lambda: bench.sees("GuiUplotMessage"))
     bench.epsilon(2.0)
     bench.until(lambda: "keeps **" in bench.words)
     assert "finds" not in bench.words
@@ -301,7 +327,7 @@ def test_what_is_computed_waits_for_the_desk(bench: Bench, monkeypatch: pytest.M
     busy.set()
     bench.session.refresh()
     bench.press()
-    bench.until(lambda: bench.sees("GuiImageMessage"))
+    bench.until(lambda: bench.sees("GuiUplotMessage"))
     assert len(steps) == 3
     assert steps[0] >= ended[0]
 

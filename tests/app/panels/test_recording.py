@@ -6,7 +6,6 @@ import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import viser
@@ -77,14 +76,6 @@ class Bench:
             if w.type == "GuiCheckboxMessage" and w.label != "Apply the clock offset"
         }
 
-    def picture(self) -> np.ndarray:
-        """(H, W, 3) RGB of the plot as the browser has it, once it is seen."""
-        self.client.wait_until(lambda: bool(self._image().props["visible"]), LONG_S)
-        data = self._image().props["_data"]
-        bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-        assert bgr is not None
-        return np.asarray(bgr[..., ::-1])
-
     def words(self, within: str) -> str:
         """The visible text that says these words."""
 
@@ -100,9 +91,9 @@ class Bench:
         texts = [str(props.get("content", props.get("_markdown", ""))) for props in frame_view]
         return [html.unescape(text) for text in texts if text]
 
-    def _image(self) -> Widget:
-        (image,) = (w for w in self.client.widgets.values() if w.type == "GuiImageMessage")
-        return image
+    def _plot(self) -> Widget:
+        (plot,) = (w for w in self.client.widgets.values() if w.type == "GuiUplotMessage")
+        return plot
 
 
 @pytest.fixture(scope="module")
@@ -214,7 +205,9 @@ def test_the_plot_follows_frame_and_clock_offset_and_nothing_else(
 ) -> None:
     bench.change(recording=small_scene.name, frame_index=0)
     bench.until(lambda: bench.frame_view.fused is not None)
-    first = bench.picture()
+    plot = bench.panel._pairing._plot
+    first = plot.data
+    assert plot.visible
     assert "ms** apart at most" in bench.words("apart at most")
     bench.change(
         settings=bench.first.with_setting("noise", "epsilon", 4.0).settings, selected_beam=3
@@ -222,15 +215,19 @@ def test_the_plot_follows_frame_and_clock_offset_and_nothing_else(
     marked = bench.panel._pairing._marked
     bench.change(selected_beam=None)
     assert bench.panel._pairing._marked is marked
-    assert np.array_equal(bench.picture(), first)
+    assert plot.data is first
     bench.change(frame_index=9)
-    bench.until(lambda: not np.array_equal(bench.picture(), first))
-    drawn = bench.panel._pairing._drawn
-    assert drawn is marked[0]
+    bench.until(lambda: plot.data is not first)
+    times_ns = bench.frame_view.open_recording.frames.times_ns
+    for data, index in ((first, 0), (plot.data, 9)):
+        at_s = (times_ns[index] - times_ns[0]) / 1e9
+        assert data[0][np.isfinite(data[-1])].tolist() == [at_s, at_s]
+    curves = bench.panel._pairing._curves
+    assert curves is marked[0]
     bench.change(apply_clock_offset=True)
     chain = bench.frame_view.chain
     assert chain is not None
-    assert bench.panel._pairing._drawn is not drawn
+    assert bench.panel._pairing._curves is not curves
     said = f"The clock offset of {chain.alignment.mount.clock_offset_ms:.1f} ms is taken out."
     assert said.replace("-", "−") in bench.words("is taken out")
 
@@ -272,7 +269,7 @@ def test_where_nothing_can_be_aligned_the_stamps_show_why(bench: Bench, small_sc
 def test_a_virtual_lidar_has_no_gaps(bench: Bench, small_scene: Path) -> None:
     bench.change(recording=small_scene.name, virtual_row=60)
     bench.words("has the stamps of its images")
-    bench.until(lambda: not bench._image().props["visible"])
+    bench.until(lambda: not bench._plot().props["visible"])
 
 
 def test_nothing_of_the_recording_before_is_said_while_another_is_aligned(

@@ -1,0 +1,149 @@
+"""Curves by viser's uPlot, all in one look: axes with their units, the values under the cursor.
+
+A missing value is NaN. uPlot would draw a line across it, so a series with gaps is one of dots.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import viser
+from viser import uplot
+
+from fusion_core.model.conventions import FloatArray
+from scanloom.plots.palette import Color
+
+NEUTRAL: Color = (73, 80, 87)
+"""Of what belongs to no sensor and no class; visible on light and dark pages."""
+
+_HEIGHT_PX = 260
+# Room for the ticks and the label of an axis.
+_X_AXIS_PX, _Y_AXIS_PX, _LABEL_PX = 34, 48, 20
+_PADDING_PX = (12, 20, 0, 0)
+_DASH_PX = (5, 4)
+
+Limits = tuple[float, float] | dict[str, Any]
+"""Of y: least and greatest value, or uPlot's rule for finding them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlotLabels:
+    """What a plot says around its curves: the axes' labels have their units.
+
+    ``x_short`` names the value of x under the cursor. ``x_falls``: azimuth, which is positive to
+    the left, falls to the right.
+    """
+
+    title: str
+    x: str
+    x_short: str
+    y: str
+    x_falls: bool = False
+
+
+def add_line_plot(
+    gui: viser.GuiApi,
+    labels: PlotLabels,
+    series: Sequence[uplot.Series],
+    *,
+    y_limits: Limits = (0.0, 1.0),
+) -> viser.GuiUplotHandle:
+    """An empty plot, hidden; its ``data`` are x, rising, and the values of each series."""
+    return gui.add_uplot(
+        no_data(len(series)),
+        (uplot.Series(label=labels.x_short), *series),
+        title=labels.title,
+        scales=_scales(y_limits, x_falls=labels.x_falls),
+        axes=(
+            uplot.Axis(label=labels.x, labelSize=_LABEL_PX, size=_X_AXIS_PX),
+            uplot.Axis(label=labels.y, labelSize=_LABEL_PX, size=_Y_AXIS_PX),
+        ),
+        height=_HEIGHT_PX,
+        padding=_PADDING_PX,
+        visible=False,
+    )
+
+
+def set_y_limits(plot: viser.GuiUplotHandle, low: float, high: float) -> None:
+    """Other limits set the plot up anew in the browser, so they should seldom change."""
+    x_falls = plot.scales is not None and plot.scales["x"].get("dir") == -1
+    scales = _scales((low, high), x_falls=x_falls)
+    if plot.scales != scales:
+        plot.scales = scales
+
+
+def no_data(series: int) -> tuple[FloatArray, ...]:
+    """Data of nothing for so many series."""
+    return (np.arange(2.0), *(np.full(2, np.nan) for _ in range(series)))
+
+
+def line(label: str, color: Color, *, dashed: bool = False) -> uplot.Series:
+    """A series without gaps, as a line."""
+    style = uplot.Series(
+        label=label, stroke=css(color), width=1.5, points=uplot.Series_Points(show=False)
+    )
+    return uplot.Series(**style, dash=_DASH_PX) if dashed else style
+
+
+def dots(label: str, color: Color, size_px: float = 4.0, *, hollow: bool = False) -> uplot.Series:
+    """A series that may have gaps, as dots or rings."""
+    points = uplot.Series_Points(
+        show=True,
+        size=size_px,
+        stroke=css(color),
+        width=1,
+        fill="transparent" if hollow else css(color),
+    )
+    # Without a line between them, and without a say in the range of y.
+    return uplot.Series(label=label, stroke=css(color), width=0, auto=False, points=points)
+
+
+def area(label: str, color: Color) -> uplot.Series:
+    """A series as the area below it."""
+    fill = css(color)
+    points = uplot.Series_Points(show=False)
+    return uplot.Series(label=label, stroke=fill, fill=fill, width=0, points=points)
+
+
+def css(color: Color) -> str:
+    """A colour as CSS has it."""
+    return f"rgb({color[0]},{color[1]},{color[2]})"
+
+
+def whole_limits(*curves: FloatArray) -> tuple[float, float]:
+    """Whole numbers around all values, so that they seldom change from frame to frame."""
+    values = np.concatenate(curves)
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return 0.0, 1.0
+    low, high = float(np.floor(values.min())), float(np.ceil(values.max()))
+    return low, max(high, low + 1.0)
+
+
+def with_vertical_line(
+    x: FloatArray,
+    curves: Sequence[FloatArray],
+    at: float,
+    limits: tuple[float, float],
+    *,
+    interpolate: bool,
+) -> tuple[FloatArray, ...]:
+    """The data with one more series, a vertical line at ``at`` between ``limits``.
+
+    x has that place twice more then, where the curves are interpolated or, as dots, have no value.
+    """
+    place = int(np.searchsorted(x, at))
+    values = np.full(x.size, np.nan)
+    data = [np.insert(x, place, (at, at))]
+    for curve in curves:
+        between = np.interp(at, x, curve, np.nan, np.nan) if interpolate and x.size else np.nan
+        data.append(np.insert(curve, place, (between, between)))
+    return (*data, np.insert(values, place, limits))
+
+
+def _scales(y_limits: Limits, *, x_falls: bool) -> dict[str, uplot.Scale]:
+    return {
+        "x": uplot.Scale(time=False, dir=-1 if x_falls else 1),
+        "y": uplot.Scale(range=y_limits),
+    }
