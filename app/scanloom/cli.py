@@ -20,7 +20,7 @@ import tyro
 from tyro import conf
 
 from fusion_core.model.errors import ScanLoomError
-from fusion_core.model.names import readable_values
+from fusion_core.model.names import escape_undecodable_values
 from scanloom.commands.evaluate import Evaluate
 from scanloom.commands.interruption import Terminated, termination
 from scanloom.commands.options import WrongUsage
@@ -84,7 +84,7 @@ def _run(args: Sequence[str]) -> int:
         return _DONE
     if command.json:
         sys.stdout.write(
-            json.dumps(readable_values(report.result), indent=2, allow_nan=False) + "\n"
+            json.dumps(escape_undecodable_values(report.result), indent=2, allow_nan=False) + "\n"
         )
     else:
         sys.stdout.writelines(f"{printable(line)}\n" for line in report.lines)

@@ -17,7 +17,7 @@ from typing import Any, Self
 
 from fusion_core.files.regular_file import open_regular, read_regular
 from fusion_core.model.errors import ExportError, RecordingError, ScanLoomError
-from fusion_core.model.names import readable
+from fusion_core.model.names import escape_undecodable
 from fusion_core.model.progress import Progress, silent
 
 MANIFEST_NAME = "manifest.json"
@@ -166,8 +166,8 @@ def digest_input(path: Path, progress: Progress = silent) -> InputDigest:
 
     Raises RecordingError where it cannot be read.
     """
-    name = readable(path.resolve().name)
-    files = {readable(below): path / below for below in files_below(path)} or {name: path}
+    name = escape_undecodable(path.resolve().name)
+    files = {escape_undecodable(below): path / below for below in files_below(path)} or {name: path}
     sha256 = {}
     try:
         total = sum(file.stat().st_size for file in files.values())

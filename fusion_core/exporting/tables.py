@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from fusion_core.files.atomic import atomic_stream
-from fusion_core.model.names import readable
+from fusion_core.model.names import escape_undecodable
 
 
 class CsvTable:
@@ -60,7 +60,7 @@ def _format_field(value: object) -> str:
     if isinstance(value, float | np.floating):
         # str, not repr: numpy's scalars of any width then give their own shortest digits.
         return "" if np.isnan(value) else str(value)
-    text = readable(str(value))
+    text = escape_undecodable(str(value))
     if "\r" in text:
         # The csv module would leave it unquoted, and a reader would end the row there.
         raise ValueError(f"a field cannot hold a carriage return: {text!r}")

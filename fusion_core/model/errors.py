@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from fusion_core.model.names import readable
+from fusion_core.model.names import escape_undecodable
 
 
 class ScanLoomError(Exception):
@@ -12,9 +12,9 @@ class ScanLoomError(Exception):
     """
 
     def __init__(self, problem: str, *, file: Path | str | None = None, advice: str = "") -> None:
-        self.problem = readable(problem)
-        self.file = None if file is None else readable(str(file))
-        self.advice = readable(advice)
+        self.problem = escape_undecodable(problem)
+        self.file = None if file is None else escape_undecodable(str(file))
+        self.advice = escape_undecodable(advice)
         where = f"{self.file}: " if self.file else ""
         then = f" {self.advice}" if advice else ""
         super().__init__(f"{where}{self.problem}{then}")

@@ -1,28 +1,31 @@
-"""Names of files as text that can be shown and written.
+"""File names as text that can be displayed and encoded.
 
-A file's name is bytes. Python has those that are no UTF-8 as lone surrogates, which no encoder
-takes: neither a terminal nor JSON, a picture or a browser.
+A file name is bytes. Python represents bytes that are not UTF-8 as lone surrogates, which cannot
+be encoded for a terminal, JSON, an image or a browser.
 """
 
 from typing import Any
 
 
-def readable(text: str) -> str:
-    r"""The text with ``\xff`` in the place of each byte that is no UTF-8; other text as it is."""
+def escape_undecodable(text: str) -> str:
+    r"""The text with ``\xff`` in place of each byte that is not UTF-8; other text unchanged."""
     try:
         raw = text.encode("utf-8", "surrogateescape")
     except UnicodeEncodeError:
-        # Surrogates that are no bytes of a name.
+        # Surrogates that do not stand for bytes.
         raw = text.encode("utf-8", "backslashreplace")
     return raw.decode("utf-8", "backslashreplace")
 
 
-def readable_values(value: Any) -> Any:
-    """Dictionaries, lists and tuples, as JSON has them, with every text in them readable."""
+def escape_undecodable_values(value: Any) -> Any:
+    """``escape_undecodable`` for every text in nested dictionaries, lists and tuples."""
     if isinstance(value, str):
-        return readable(value)
+        return escape_undecodable(value)
     if isinstance(value, dict):
-        return {readable_values(key): readable_values(inner) for key, inner in value.items()}
+        return {
+            escape_undecodable_values(key): escape_undecodable_values(inner)
+            for key, inner in value.items()
+        }
     if isinstance(value, list | tuple):
-        return [readable_values(inner) for inner in value]
+        return [escape_undecodable_values(inner) for inner in value]
     return value

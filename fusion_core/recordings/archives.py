@@ -14,19 +14,19 @@ from fusion_core.files.regular_file import read_head
 from fusion_core.model.errors import RecordingError
 
 # Where an archive is damaged, the piece that is being unpacked is lost.
-_PIECE_BYTES = 4 << 10
+_STEP_BYTES = 4 << 10
 # A log is some ten times its packed size; what unpacks to more than this is no log.
-_MAX_UNPACKED_BYTES = 8 << 30
+_MAX_DECOMPRESSED_BYTES = 8 << 30
 _MAX_RATIO = 100
 _SMALLEST_LIMIT_BYTES = 256 << 20
 # What a full disk would take from everybody else.
-_KEPT_FREE_BYTES = 256 << 20
+_DISK_RESERVE_BYTES = 256 << 20
 # gzip and bz2 tell damage by OSError, a cut by EOFError; zlib has its own error.
 _DAMAGE = (OSError, EOFError, zlib.error)
 
 
 @dataclass(frozen=True, slots=True)
-class Packing:
+class Compression:
     """A way to pack one file. ``open`` gives a stream that has ``read1``."""
 
     name: str
@@ -35,7 +35,7 @@ class Packing:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Unpacked:
+class DecompressedFile:
     """``file`` is nameless and goes with its closing. ``lost`` says why it is not the whole text,
     and is empty where it is."""
 
@@ -43,28 +43,31 @@ class Unpacked:
     lost: str
 
 
-PACKINGS = (Packing("gzip", b"\x1f\x8b\x08", gzip.GzipFile), Packing("bzip2", b"BZh", bz2.BZ2File))
+_COMPRESSIONS = (
+    Compression("gzip", b"\x1f\x8b\x08", gzip.GzipFile),
+    Compression("bzip2", b"BZh", bz2.BZ2File),
+)
 
 
-def packing_of(path: Path) -> Packing | None:
+def detect_compression(path: Path) -> Compression | None:
     """How a file is packed, told by its first bytes; None if it is neither gzip nor bzip2."""
-    head = read_head(path, max(len(packing.magic) for packing in PACKINGS))
-    return next((packing for packing in PACKINGS if head.startswith(packing.magic)), None)
+    head = read_head(path, max(len(packing.magic) for packing in _COMPRESSIONS))
+    return next((packing for packing in _COMPRESSIONS if head.startswith(packing.magic)), None)
 
 
-def first_bytes(path: Path, count: int) -> bytes:
+def read_decompressed_head(path: Path, count: int) -> bytes:
     """Up to ``count`` bytes from the beginning of a file, unpacked if it is packed.
 
     What of an archive cannot be unpacked is left out.
     """
-    packing = packing_of(path)
+    packing = detect_compression(path)
     if packing is None:
         return read_head(path, count)
     head = b""
     with packing.open(path) as packed:
         while len(head) < count:
             try:
-                piece = packed.read1(min(_PIECE_BYTES, count - len(head)))
+                piece = packed.read1(min(_STEP_BYTES, count - len(head)))
             except _DAMAGE:
                 break
             if not piece:
@@ -73,39 +76,41 @@ def first_bytes(path: Path, count: int) -> bytes:
     return head
 
 
-def unpack(path: Path, packing: Packing) -> Unpacked:
+def decompress_to_temporary_file(path: Path, packing: Compression) -> DecompressedFile:
     """Unpack to a temporary file, as far as the archive can be read and the limits allow.
 
     The limits are 8 GiB, 100 times the packed size and the free space of the disk.
     Raises RecordingError where the temporary file cannot be written.
     """
-    limit, reason = _limit(path)
+    limit, reason = _size_limit(path)
     file = tempfile.TemporaryFile()  # noqa: SIM115  # The caller closes it.
     try:
-        lost = _copy(path, packing, file, limit, reason)
+        lost = _decompress(path, packing, file, limit, reason)
         file.seek(0)
     except BaseException:
         file.close()
         raise
-    return Unpacked(file=file, lost=lost)
+    return DecompressedFile(file=file, lost=lost)
 
 
-def _limit(path: Path) -> tuple[int, str]:
+def _size_limit(path: Path) -> tuple[int, str]:
     """The most bytes to unpack, and what to say where the archive holds more."""
-    most = min(_MAX_UNPACKED_BYTES, max(_SMALLEST_LIMIT_BYTES, _MAX_RATIO * path.stat().st_size))
-    room = max(0, shutil.disk_usage(tempfile.gettempdir()).free - _KEPT_FREE_BYTES)
+    most = min(
+        _MAX_DECOMPRESSED_BYTES, max(_SMALLEST_LIMIT_BYTES, _MAX_RATIO * path.stat().st_size)
+    )
+    room = max(0, shutil.disk_usage(tempfile.gettempdir()).free - _DISK_RESERVE_BYTES)
     if room < most:
         return room, f"the disk of temporary files has room for no more than {room} bytes of it"
     return most, f"the archive unpacks to more than {most} bytes"
 
 
-def _copy(path: Path, packing: Packing, file: BinaryIO, limit: int, reason: str) -> str:
+def _decompress(path: Path, packing: Compression, file: BinaryIO, limit: int, reason: str) -> str:
     """Unpack into ``file``; why it is not the whole archive, or nothing if it is."""
     size = 0
     with packing.open(path) as packed:
         while True:
             try:
-                piece = packed.read1(_PIECE_BYTES)
+                piece = packed.read1(_STEP_BYTES)
             except _DAMAGE as error:
                 said = " ".join(str(error).split()).rstrip(".")
                 return f"the {packing.name} archive breaks off after {size} unpacked bytes ({said})"

@@ -7,7 +7,7 @@ from itertools import chain
 
 from fusion_core.model.progress import Progress
 from fusion_core.model.recording import Recording
-from fusion_core.recordings.containers import Verified
+from fusion_core.recordings.containers import ChecksumReport
 from fusion_core.recordings.indexed import IndexedRecording
 
 _PROGRESS_STEP = 100
@@ -15,7 +15,7 @@ _READING = "reading every message"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CheckedTopic:
+class TopicIntegrity:
     """How many messages of a topic could be read, and how many could not.
 
     Those of a type that is not decoded are read as bytes.
@@ -27,32 +27,34 @@ class CheckedTopic:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Check:
+class IntegrityReport:
     """The outcome: ``checksums`` were right, ``unguarded`` parts of it have none.
 
     ``damage`` has a line for each thing that is wrong besides unreadable messages.
     """
 
-    topics: tuple[CheckedTopic, ...]
+    topics: tuple[TopicIntegrity, ...]
     checksums: int
     unguarded: int
     damage: tuple[str, ...]
 
     @property
-    def damaged(self) -> bool:
+    def is_damaged(self) -> bool:
         return bool(self.damage) or any(topic.unreadable for topic in self.topics)
 
 
-def check(recording: Recording, progress: Progress) -> Check:
+def check_integrity(recording: Recording, progress: Progress) -> IntegrityReport:
     """Read and decode every message once, and verify the checksums that there are.
 
     The recording's ``warnings`` name the messages that fail, one line for each topic.
     """
-    verified = Verified()
+    verified = ChecksumReport()
     damage = []
     undecoded = {topic.name for topic in recording.topics if topic.role == "other"}
     if isinstance(recording, IndexedRecording):
-        damage += [line for line in recording.warnings if line not in recording.unread]
+        damage += [
+            line for line in recording.warnings if line not in recording.unreadable_topic_warnings
+        ]
         verified = recording.verify()
         damage += verified.damage
     total = sum(topic.count for topic in recording.topics)
@@ -61,16 +63,16 @@ def check(recording: Recording, progress: Progress) -> Check:
     decoded = [topic.name for topic in recording.topics if topic.name not in undecoded]
     names: Iterator[str] = (message.topic for message in recording.messages(decoded))
     if isinstance(recording, IndexedRecording):
-        names = chain(names, _names_of_undecoded(recording, undecoded))
+        names = chain(names, _iterate_undecoded_topics(recording, undecoded))
         undecoded = set()
     for done, name in enumerate(names, 1):
         read[name] += 1
         if done % _PROGRESS_STEP == 0:
             progress(done, total, _READING)
     progress(total, total, _READING)
-    return Check(
+    return IntegrityReport(
         topics=tuple(
-            CheckedTopic(
+            TopicIntegrity(
                 name=topic.name,
                 read=read[topic.name],
                 unreadable=0 if topic.name in undecoded else topic.count - read[topic.name],
@@ -83,6 +85,8 @@ def check(recording: Recording, progress: Progress) -> Check:
     )
 
 
-def _names_of_undecoded(recording: IndexedRecording, topics: Collection[str]) -> Iterator[str]:
+def _iterate_undecoded_topics(
+    recording: IndexedRecording, topics: Collection[str]
+) -> Iterator[str]:
     for message in recording.serialized_messages(topics):
         yield recording.channels[message.channel].topic

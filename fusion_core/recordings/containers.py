@@ -40,7 +40,7 @@ class Channel:
 
 
 @dataclass(slots=True)
-class Verified:
+class ChecksumReport:
     """What reading all of a container showed besides its messages.
 
     ``checksums`` were right; ``unguarded`` parts have none: chunks, or all that is in no chunk.
@@ -51,7 +51,7 @@ class Verified:
     unguarded: int = 0
     damage: list[str] = field(default_factory=list)
 
-    def add(self, other: "Verified") -> None:
+    def add(self, other: "ChecksumReport") -> None:
         self.checksums += other.checksums
         self.unguarded += other.unguarded
         self.damage += other.damage
@@ -81,7 +81,7 @@ class Container(Protocol):
         """
         ...
 
-    def verify(self, entries: Entries) -> Verified:
+    def verify(self, entries: Entries) -> ChecksumReport:
         """Compare all that the file holds with its checksums, and with its index.
 
         ``entries`` are those that ``index`` gave, in any order. A chunk that cannot be read is
@@ -128,7 +128,7 @@ def ros2_type_name(name: str) -> str:
     return f"{package}/msg/{rest}" if separator and "/" not in rest else name
 
 
-def entries_from(
+def make_entries(
     received_ns: npt.ArrayLike, channel: npt.ArrayLike, block: npt.ArrayLike, offset: npt.ArrayLike
 ) -> Entries:
     """(N,) ENTRY from columns, each an array or one value for all."""
@@ -139,13 +139,13 @@ def entries_from(
     return entries
 
 
-def in_file_order(parts: list[Entries]) -> Entries:
+def merge_in_file_order(parts: list[Entries]) -> Entries:
     """All entries in the order in which the file holds them."""
     entries = np.concatenate([np.empty(0, dtype=ENTRY), *parts])
     return entries[np.lexsort((entries["offset"], entries["block"]))]
 
 
-def index_problem(held: Entries, indexed: Entries) -> str:
+def find_index_problem(held: Entries, indexed: Entries) -> str:
     """How the index of a chunk contradicts the messages that it holds, both in order of offset.
 
     Empty where it does not.
@@ -157,7 +157,7 @@ def index_problem(held: Entries, indexed: Entries) -> str:
     return f"its index is wrong about {wrong} of its {len(held)} messages" if wrong else ""
 
 
-def damaged(path: Path, what: str) -> RecordingError:
+def damaged_file_error(path: Path, what: str) -> RecordingError:
     """The error for a file that breaks off or contradicts its format."""
     one_line = " ".join(what.split())
     return RecordingError(

@@ -32,14 +32,18 @@ from fusion_core.model.sensors import (
 from fusion_core.model.stamps import NO_STAMP
 from fusion_core.model.sweep import ImplausibleSweep, require_sweep
 from fusion_core.recordings.messages.bad_message import BadMessage
-from fusion_core.recordings.messages.compressed_image import packed_encoding, unpacked
-from fusion_core.recordings.messages.image_pixels import depth_pixels, is_depth_encoding, rgb_pixels
-from fusion_core.recordings.messages.point_cloud import cloud_points
+from fusion_core.recordings.messages.compressed_image import decompress_image, decompressed_encoding
+from fusion_core.recordings.messages.image_pixels import (
+    is_depth_encoding,
+    read_depth_pixels,
+    read_rgb_pixels,
+)
+from fusion_core.recordings.messages.point_cloud import read_points
 from fusion_core.recordings.messages.rows import PoseNumbers, PoseRow, ScanRow
 
 MILLIMETRES_PER_METRE = 1000.0
 # Kinect drivers and 7-Scenes write the largest value where they saw nothing.
-SATURATED = 65535
+SATURATED_DEPTH = 65535
 _SHORTEST_QUATERNION = 1e-12
 _SMALLEST_M = float(np.finfo(np.float64).smallest_subnormal)
 _MATRIX = struct.Struct("=16d")
@@ -54,7 +58,7 @@ _MAX_DISTORTION = 14
 RawMessage = Any
 
 
-def decode(
+def decode_message(
     raw: RawMessage, message_type: str, *, topic: str, received_ns: int | None
 ) -> SensorValue:
     """The model value of a raw ROS message of a type in ``READABLE_TYPES``.
@@ -73,7 +77,7 @@ def decode(
         ) from error
 
 
-def stamp_ns(value: SensorValue) -> int | None:
+def stamp_of_value_ns(value: SensorValue) -> int | None:
     """The sensor's own stamp; None for an empty batch of transforms."""
     if isinstance(value, TransformBatch):
         return value.transforms[0].stamp_ns if value.transforms else None
@@ -87,7 +91,7 @@ def header_stamp_ns(raw: RawMessage) -> int:
         if isinstance(raw, tuple):
             seconds, nanoseconds = raw[:2]
             return _time_ns(seconds, nanoseconds)
-        return NO_STAMP if isinstance(raw, list) else _stamp(raw.header)
+        return NO_STAMP if isinstance(raw, list) else _header_stamp_ns(raw.header)
     except (BadMessage, ValueError, TypeError, AttributeError, OverflowError):
         return NO_STAMP
 
@@ -95,7 +99,7 @@ def header_stamp_ns(raw: RawMessage) -> int:
 def image_encoding(raw: RawMessage) -> str:
     """The encoding of a raw Image, or of a raw CompressedImage when it is unpacked."""
     packed = hasattr(raw, "format")
-    return str(packed_encoding(raw.format, raw.data) if packed else raw.encoding)
+    return str(decompressed_encoding(raw.format, raw.data) if packed else raw.encoding)
 
 
 def ranges_m(
@@ -123,8 +127,8 @@ def depth_m_from_units(depth: np.ndarray[Any, Any], units_per_metre: float) -> F
     # is divided by, 0 / 0 being NaN: to write NaN through it would take up to ten times as long.
     with np.errstate(invalid="ignore"):
         depth_m /= depth != 0
-    if depth.max(initial=0) == SATURATED:
-        depth_m[depth == SATURATED] = np.nan
+    if depth.max(initial=0) == SATURATED_DEPTH:
+        depth_m[depth == SATURATED_DEPTH] = np.nan
     return depth_m
 
 
@@ -136,7 +140,7 @@ def depth_m_from_millimetres(depth_mm: np.ndarray[Any, Any]) -> Float32Array:
 def millimetres_from_depth_m(depth_m: Float32Array) -> np.ndarray[Any, np.dtype[np.uint16]]:
     """(H, W) metres to uint16 millimetres; 0 for NaN and for what does not fit."""
     depth_mm = np.rint(depth_m.astype(np.float64) * MILLIMETRES_PER_METRE)
-    fits = (depth_mm > 0) & (depth_mm < SATURATED)
+    fits = (depth_mm > 0) & (depth_mm < SATURATED_DEPTH)
     return np.where(fits, depth_mm, 0).astype(np.uint16)
 
 
@@ -146,7 +150,7 @@ def depth_m_from_metres(depth: np.ndarray[Any, Any]) -> Float32Array:
     return np.where(valid, depth, np.nan).astype(np.float32, copy=False)
 
 
-def _stamp(header: RawMessage) -> int:
+def _header_stamp_ns(header: RawMessage) -> int:
     return _time_ns(int(header.stamp.sec), int(header.stamp.nanosec))
 
 
@@ -160,14 +164,14 @@ def _time_ns(seconds: int, nanoseconds: int) -> int:
     return stamp_ns
 
 
-def _frame(name: str) -> str:
+def _clean_frame_name(name: str) -> str:
     """A frame's name as tf2 has it: the first tf wrote a leading slash."""
     if len(name) > _MAX_NAME_CHARACTERS:
-        raise _long_name("a frame", name)
+        raise _long_name_error("a frame", name)
     return name.lstrip("/")
 
 
-def _long_name(what: str, name: str) -> BadMessage:
+def _long_name_error(what: str, name: str) -> BadMessage:
     return BadMessage(
         f"the name of {what} has {len(name)} characters, more than {_MAX_NAME_CHARACTERS}",
         "The message is damaged; leave the topic out.",
@@ -195,7 +199,7 @@ def _laser_scan(raw: RawMessage, received_ns: int | None) -> LaserScan:
     return LaserScan(
         stamp_ns=_time_ns(row.seconds, row.nanoseconds),
         received_ns=received_ns,
-        frame_id=_frame(row.frame),
+        frame_id=_clean_frame_name(row.frame),
         angle_min_rad=row.angle_min,
         angle_increment_rad=row.angle_increment,
         range_min_m=row.range_min,
@@ -224,19 +228,19 @@ def _scan_row(raw: RawMessage) -> ScanRow:
 
 
 def _image(raw: RawMessage, received_ns: int | None) -> DepthImage | ColorImage:
-    pixels = depth_pixels(raw) if is_depth_encoding(raw.encoding) else rgb_pixels(raw)
+    pixels = read_depth_pixels(raw) if is_depth_encoding(raw.encoding) else read_rgb_pixels(raw)
     return _image_value(raw, received_ns, pixels)
 
 
 def _compressed_image(raw: RawMessage, received_ns: int | None) -> DepthImage | ColorImage:
-    return _image_value(raw, received_ns, unpacked(raw.format, raw.data))
+    return _image_value(raw, received_ns, decompress_image(raw.format, raw.data))
 
 
 def _image_value(
     raw: RawMessage, received_ns: int | None, pixels: np.ndarray[Any, Any]
 ) -> DepthImage | ColorImage:
     """``pixels``: (H, W, 3) uint8 RGB, (H, W) uint16 millimetres or (H, W) float32 metres."""
-    stamp_ns, frame_id = _stamp(raw.header), _frame(raw.header.frame_id)
+    stamp_ns, frame_id = _header_stamp_ns(raw.header), _clean_frame_name(raw.header.frame_id)
     if pixels.ndim == 3:
         return ColorImage(stamp_ns=stamp_ns, received_ns=received_ns, frame_id=frame_id, rgb=pixels)
     in_metres = pixels.dtype.kind == "f"
@@ -260,7 +264,7 @@ def _camera_info(raw: RawMessage, received_ns: int | None) -> CameraInfo:
             "Calibrate the camera, or leave this topic out.",
         )
     if len(raw.distortion_model) > _MAX_NAME_CHARACTERS:
-        raise _long_name("the distortion model", raw.distortion_model)
+        raise _long_name_error("the distortion model", raw.distortion_model)
     # K[0] == 0 is how an uncalibrated camera says so.
     if k[0] != 0.0:
         try:
@@ -277,9 +281,9 @@ def _camera_info(raw: RawMessage, received_ns: int | None) -> CameraInfo:
         except ValueError as error:
             raise BadMessage(str(error), "Calibrate the camera, or leave this topic out.") from None
     return CameraInfo(
-        stamp_ns=_stamp(raw.header),
+        stamp_ns=_header_stamp_ns(raw.header),
         received_ns=received_ns,
-        frame_id=_frame(raw.header.frame_id),
+        frame_id=_clean_frame_name(raw.header.frame_id),
         intrinsics=intrinsics,
     )
 
@@ -313,7 +317,7 @@ def _pose_matrix(
     return np.ndarray((4, 4), np.float64, rows)
 
 
-def _numbers(position: RawMessage, orientation: RawMessage) -> PoseNumbers:
+def _pose_numbers(position: RawMessage, orientation: RawMessage) -> PoseNumbers:
     q = orientation
     return position.x, position.y, position.z, q.x, q.y, q.z, q.w
 
@@ -335,7 +339,7 @@ def _pose_row(header: RawMessage, child: str, pose: RawMessage) -> PoseRow:
         int(header.stamp.nanosec),
         header.frame_id,
         child,
-        _numbers(pose.position, pose.orientation),
+        _pose_numbers(pose.position, pose.orientation),
     )
 
 
@@ -344,8 +348,8 @@ def _pose_sample(row: PoseRow, received_ns: int | None) -> PoseSample:
     return PoseSample(
         stamp_ns=_time_ns(seconds, nanoseconds),
         received_ns=received_ns,
-        parent=_frame(parent),
-        child=_frame(child),
+        parent=_clean_frame_name(parent),
+        child=_clean_frame_name(child),
         T_parent_child=_pose_matrix(*numbers),
     )
 
@@ -355,8 +359,8 @@ def _transforms(raw: RawMessage, received_ns: int | None) -> TransformBatch:
     transforms = [
         Transform(
             stamp_ns=_time_ns(seconds, nanoseconds),
-            parent=_frame(parent),
-            child=_frame(child),
+            parent=_clean_frame_name(parent),
+            child=_clean_frame_name(child),
             T_parent_child=_pose_matrix(*numbers),
         )
         for seconds, nanoseconds, parent, child, numbers in rows
@@ -370,16 +374,16 @@ def _transform_row(entry: RawMessage) -> PoseRow:
         int(entry.header.stamp.nanosec),
         entry.header.frame_id,
         entry.child_frame_id,
-        _numbers(entry.transform.translation, entry.transform.rotation),
+        _pose_numbers(entry.transform.translation, entry.transform.rotation),
     )
 
 
 def _point_cloud(raw: RawMessage, received_ns: int | None) -> PointCloud:
-    xyz_m, intensity = cloud_points(raw)
+    xyz_m, intensity = read_points(raw)
     return PointCloud(
-        stamp_ns=_stamp(raw.header),
+        stamp_ns=_header_stamp_ns(raw.header),
         received_ns=received_ns,
-        frame_id=_frame(raw.header.frame_id),
+        frame_id=_clean_frame_name(raw.header.frame_id),
         xyz_m=xyz_m,
         intensity=intensity,
     )
@@ -389,9 +393,9 @@ def _joint_state(raw: RawMessage, received_ns: int | None) -> JointSample:
     names = tuple(raw.name)
     for name in names:
         if len(name) > _MAX_NAME_CHARACTERS:
-            raise _long_name("a joint", name)
+            raise _long_name_error("a joint", name)
     return JointSample(
-        stamp_ns=_stamp(raw.header),
+        stamp_ns=_header_stamp_ns(raw.header),
         received_ns=received_ns,
         names=names,
         positions=_joint_values(raw.position, names, "positions"),

@@ -23,7 +23,7 @@ from fusion_core.recordings.rosbag2.storage import (
     open_storage_file,
 )
 
-READABLE = (
+READABLE_FORMATS = (
     "Readable are ROS 1 bags (.bag), ROS 2 recordings (a folder, .mcap or .db3), CARMEN "
     "logs (plain, .gz or .bz2), roots and rooms of "
     "Robot@Home (plain text) and Robot@Home2 (rh.db), and folders of "
@@ -31,7 +31,7 @@ READABLE = (
 )
 _HEAD_BYTES = 512
 # Of a folder around recordings so many are looked into: it may be a whole disk.
-_MOST_CHILDREN = 500
+_MAX_CHILDREN = 500
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ _FOLDER_FORMATS = (
     _FolderFormat(is_image_folder, open_image_folder),
 )
 # What people try by mistake, told by the first bytes.
-_NO_RECORDINGS = (
+_KNOWN_NON_RECORDINGS = (
     (b"#ROSBAG V1", "a ROS 1 bag of version 1; convert a copy with `rosbag fix`"),
     (b"\x89PNG", "a single PNG image"),
     (b"\xff\xd8\xff", "a single JPEG image"),
@@ -93,7 +93,7 @@ def open_recording(path: Path) -> Recording:
             advice="Check the path and its permissions.",
         ) from error
     if exists:
-        raise RecordingError("is neither a file nor a folder.", file=path, advice=READABLE)
+        raise RecordingError("is neither a file nor a folder.", file=path, advice=READABLE_FORMATS)
     raise RecordingError("does not exist.", file=path, advice="Check the path.")
 
 
@@ -111,11 +111,13 @@ def _open_file(path: Path) -> Recording:
             return format.open(path)
     if is_carmen_log(path):
         return open_carmen_log(path)
-    raise RecordingError(f"is no recording: {_kind(head)}.", file=path, advice=READABLE)
+    raise RecordingError(
+        f"is no recording: {_describe_head(head)}.", file=path, advice=READABLE_FORMATS
+    )
 
 
-def _kind(head: bytes) -> str:
-    for magic, kind in _NO_RECORDINGS:
+def _describe_head(head: bytes) -> str:
+    for magic, kind in _KNOWN_NON_RECORDINGS:
         if head.startswith(magic):
             return kind
     is_text = b"\0" not in head and not any(byte < 9 for byte in head)
@@ -126,13 +128,13 @@ def _open_folder(path: Path) -> Recording:
     for format in _FOLDER_FORMATS:
         if format.matches(path):
             return format.open(path)
-    children = sorted(islice(path.iterdir(), _MOST_CHILDREN))
+    children = sorted(islice(path.iterdir(), _MAX_CHILDREN))
     inside = list(islice(filter(_could_be_recording, children), 3))
     if inside:
         names = ", ".join(child.name for child in inside)
         problem = f"is a folder around recordings, such as {names}."
         raise RecordingError(problem, file=path, advice="Name one of them.")
-    raise RecordingError("is a folder without a recording.", file=path, advice=READABLE)
+    raise RecordingError("is a folder without a recording.", file=path, advice=READABLE_FORMATS)
 
 
 def _could_be_recording(path: Path) -> bool:

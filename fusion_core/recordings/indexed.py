@@ -17,26 +17,26 @@ from fusion_core.model.stamps import NO_STAMP
 from fusion_core.recordings.containers import (
     ENTRY,
     Channel,
+    ChecksumReport,
     Container,
     Entries,
     Payload,
-    Verified,
 )
 from fusion_core.recordings.decode import (
     READABLE_TYPES,
-    decode,
+    decode_message,
     header_stamp_ns,
     image_encoding,
-    stamp_ns,
+    stamp_of_value_ns,
 )
 from fusion_core.recordings.messages.types import (
     READABLE_ENCODINGS,
     Deserializer,
     UnreadableType,
-    deserializer,
+    find_deserializer,
 )
 from fusion_core.recordings.skipped import SkippedMessages
-from fusion_core.recordings.topics import image_role, role_of_type, unknown_topic
+from fusion_core.recordings.topics import role_from_encoding, role_from_type, unknown_topic_error
 
 _BATCH = 1024
 # An image topic is an image topic by its first message, or by one of the next if that is broken.
@@ -47,15 +47,15 @@ _Read = TypeVar("_Read")
 
 
 @dataclass(slots=True)
-class _Stream:
+class _IndexedTopic:
     """What is known of a topic: where its messages stand in the index, and how to read them."""
 
     name: str
     message_type: str
     positions: IntArray
-    readers: dict[int, Deserializer] = field(default_factory=dict)
+    deserializers: dict[int, Deserializer] = field(default_factory=dict)
     role: Role = "other"
-    unreadable: str = ""
+    unreadable_reason: str = ""
     stamps_ns: IntArray | None = None
 
 
@@ -97,15 +97,15 @@ class IndexedRecording:
         self._closed = False
         self._skipped = SkippedMessages(self.warnings)
         try:
-            channels, self._files, self._entries = _merge(containers)
+            channels, self._files, self._entries = _merge_indexes(containers)
             self.warnings.extend(line for file in containers for line in file.warnings)
             received = self._entries["received_ns"]
             self.start_ns = int(received[0]) if len(received) else None
             self.end_ns = int(received[-1]) if len(received) else None
             self.channels = tuple(channels)
             self._streams = self._read_streams(channels)
-            self.unread = self._say_unreadable(self._streams)
-            self.warnings.extend(self.unread)
+            self.unreadable_topic_warnings = self._list_unreadable_topics(self._streams)
+            self.warnings.extend(self.unreadable_topic_warnings)
         except BaseException:
             self.close()
             raise
@@ -119,14 +119,16 @@ class IndexedRecording:
     def stamps_ns(self, topic: str) -> IntArray:
         """(count,) the sensor's stamps of a topic's messages, in the order of iteration, NO_STAMP
         for what cannot be read or has none. The first call reads the topic's messages."""
-        stream = self._readable(topic)
+        stream = self._require_readable(topic)
         if stream.stamps_ns is None:
             stamps_ns = np.full(len(stream.positions), NO_STAMP, dtype=np.int64)
             for index, position in enumerate(stream.positions):
                 _, channel, block, offset = self._entries[position].item()
                 # Iteration warns of what is broken.
                 with suppress(RecordingError):
-                    stamps_ns[index] = header_stamp_ns(self._raw(stream, channel, block, offset))
+                    stamps_ns[index] = header_stamp_ns(
+                        self._deserialize(stream, channel, block, offset)
+                    )
             self._require_open()
             read_only(stamps_ns)
             stream.stamps_ns = stamps_ns
@@ -141,9 +143,9 @@ class IndexedRecording:
         """Messages with start <= received < end, in order; broken ones cost a warning."""
         self._require_open()
         if topics is None:
-            streams = [s for s in self._streams.values() if not s.unreadable]
+            streams = [s for s in self._streams.values() if not s.unreadable_reason]
         else:
-            streams = [self._readable(name) for name in dict.fromkeys(topics)]
+            streams = [self._require_readable(name) for name in dict.fromkeys(topics)]
         return self._iterate(streams, start_ns, end_ns, self._decode)
 
     def serialized_messages(
@@ -158,15 +160,15 @@ class IndexedRecording:
 
     def read(self, topic: str, index: int) -> Message:
         """The ``index``-th message of a topic. Raises IndexError beyond its count."""
-        stream = self._readable(topic)
+        stream = self._require_readable(topic)
         if not 0 <= index < len(stream.positions):
             raise IndexError(f"{topic} has {len(stream.positions)} messages, there is no {index}")
         received, channel, block, offset = self._entries[stream.positions[index]].item()
         return self._decode(stream, index, received, channel, block, offset)
 
-    def verify(self) -> Verified:
+    def verify(self) -> ChecksumReport:
         """Read the files whole, and compare them with their checksums and their indexes."""
-        verified = Verified()
+        verified = ChecksumReport()
         first = 0
         for container in self._containers:
             channel = self._entries["channel"]
@@ -191,18 +193,18 @@ class IndexedRecording:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    def _place(self, time_ns: int) -> int:
+    def _first_position_at(self, time_ns: int) -> int:
         return int(np.searchsorted(self._entries["received_ns"], time_ns, side="left"))
 
     def _iterate(
         self,
-        streams: list[_Stream],
+        streams: list[_IndexedTopic],
         start_ns: int | None,
         end_ns: int | None,
-        read: Callable[[_Stream, int, int, int, int, int], _Read],
+        read: Callable[[_IndexedTopic, int, int, int, int, int], _Read],
     ) -> Iterator[_Read]:
-        first = 0 if start_ns is None else self._place(start_ns)
-        last = len(self._entries) if end_ns is None else self._place(end_ns)
+        first = 0 if start_ns is None else self._first_position_at(start_ns)
+        last = len(self._entries) if end_ns is None else self._first_position_at(end_ns)
         chosen = [s.positions[(s.positions >= first) & (s.positions < last)] for s in streams]
         positions = np.sort(np.concatenate([np.empty(0, dtype=np.int64), *chosen]))
         next_index = {s.name: int(np.searchsorted(s.positions, first)) for s in streams}
@@ -221,7 +223,7 @@ class IndexedRecording:
                 else:
                     yield message
 
-    def _payload(self, stream: _Stream, channel: int, block: int, offset: int) -> Payload:
+    def _payload(self, stream: _IndexedTopic, channel: int, block: int, offset: int) -> Payload:
         with self._lock:
             self._require_open()
             try:
@@ -234,7 +236,13 @@ class IndexedRecording:
                 ) from error
 
     def _serialized(
-        self, stream: _Stream, index: int, received: int, channel: int, block: int, offset: int
+        self,
+        stream: _IndexedTopic,
+        index: int,
+        received: int,
+        channel: int,
+        block: int,
+        offset: int,
     ) -> SerializedMessage:
         payload = self._payload(stream, channel, block, offset)
         with self._lock:
@@ -244,10 +252,10 @@ class IndexedRecording:
             channel=channel, received_ns=received, published_ns=published_ns, payload=payload
         )
 
-    def _raw(self, stream: _Stream, channel: int, block: int, offset: int) -> Any:
+    def _deserialize(self, stream: _IndexedTopic, channel: int, block: int, offset: int) -> Any:
         payload = self._payload(stream, channel, block, offset)
         try:
-            return stream.readers[channel](payload)
+            return stream.deserializers[channel](payload)
         except ValueError as error:
             raise RecordingError(
                 f"{stream.name}: a message cannot be read, {error}.",
@@ -256,11 +264,17 @@ class IndexedRecording:
             ) from error
 
     def _decode(
-        self, stream: _Stream, index: int, received: int, channel: int, block: int, offset: int
+        self,
+        stream: _IndexedTopic,
+        index: int,
+        received: int,
+        channel: int,
+        block: int,
+        offset: int,
     ) -> Message:
-        raw = self._raw(stream, channel, block, offset)
-        value = decode(raw, stream.message_type, topic=stream.name, received_ns=received)
-        stamp = stamp_ns(value)
+        raw = self._deserialize(stream, channel, block, offset)
+        value = decode_message(raw, stream.message_type, topic=stream.name, received_ns=received)
+        stamp = stamp_of_value_ns(value)
         return Message(
             topic=stream.name,
             index=index,
@@ -269,17 +283,17 @@ class IndexedRecording:
             value=value,
         )
 
-    def _stream(self, topic: str) -> _Stream:
+    def _stream(self, topic: str) -> _IndexedTopic:
         self._require_open()
         if topic not in self._streams:
-            raise unknown_topic(topic, self.topics, self.path)
+            raise unknown_topic_error(topic, self.topics, self.path)
         return self._streams[topic]
 
-    def _readable(self, topic: str) -> _Stream:
+    def _require_readable(self, topic: str) -> _IndexedTopic:
         stream = self._stream(topic)
-        if stream.unreadable:
+        if stream.unreadable_reason:
             raise RecordingError(
-                f"{topic} cannot be read: {stream.unreadable}.",
+                f"{topic} cannot be read: {stream.unreadable_reason}.",
                 file=self.path,
                 advice="Name another topic.",
             )
@@ -289,7 +303,7 @@ class IndexedRecording:
         if self._closed:
             raise RecordingError("is closed.", file=self.path, advice="Open it again.")
 
-    def _read_streams(self, channels: list[Channel]) -> dict[str, _Stream]:
+    def _read_streams(self, channels: list[Channel]) -> dict[str, _IndexedTopic]:
         numbers = defaultdict(list)
         for number, channel in enumerate(channels):
             numbers[channel.topic].append(number)
@@ -298,41 +312,43 @@ class IndexedRecording:
         streams = {}
         for name, own in sorted(numbers.items()):
             positions = [order[bounds[n] : bounds[n + 1]] for n in own]
-            streams[name] = stream = _Stream(
+            streams[name] = stream = _IndexedTopic(
                 name=name,
                 message_type=" and ".join(sorted({channels[n].message_type for n in own})),
                 positions=np.sort(np.concatenate(positions)).astype(np.int64),
             )
-            self._prepare(stream, {n: channels[n] for n in own})
+            self._find_deserializers(stream, {n: channels[n] for n in own})
         return streams
 
-    def _prepare(self, stream: _Stream, channels: dict[int, Channel]) -> None:
+    def _find_deserializers(self, stream: _IndexedTopic, channels: dict[int, Channel]) -> None:
         """Find the stream's role and deserialisers, or why there are none."""
         if len({channel.message_type for channel in channels.values()}) > 1:
-            stream.unreadable = "its messages are of several types"
+            stream.unreadable_reason = "its messages are of several types"
         elif stream.message_type not in READABLE_TYPES and READABLE_ENCODINGS.issuperset(
             channel.serialization for channel in channels.values()
         ):
             known = stream.message_type != ""
-            stream.unreadable = _UNKNOWN_TYPE if known else "the file does not tell its type"
+            stream.unreadable_reason = _UNKNOWN_TYPE if known else "the file does not tell its type"
         else:
             try:
-                stream.readers = {n: deserializer(channel) for n, channel in channels.items()}
+                stream.deserializers = {
+                    n: find_deserializer(channel) for n, channel in channels.items()
+                }
             except UnreadableType as error:
-                stream.unreadable = str(error)
-        if stream.unreadable:
+                stream.unreadable_reason = str(error)
+        if stream.unreadable_reason:
             return
-        role = role_of_type(stream.message_type, stream.name)
-        stream.role = role or self._role_of_image(stream)
+        role = role_from_type(stream.message_type, stream.name)
+        stream.role = role or self._role_of_images(stream)
         if stream.role == "other" and len(stream.positions):
-            stream.unreadable = "its images are of an encoding that is not read"
+            stream.unreadable_reason = "its images are of an encoding that is not read"
 
-    def _role_of_image(self, stream: _Stream) -> Role:
+    def _role_of_images(self, stream: _IndexedTopic) -> Role:
         for position in stream.positions[:_PEEKED_MESSAGES]:
             _, channel, block, offset = self._entries[position].item()
             try:
-                raw = self._raw(stream, channel, block, offset)
-                role = image_role(image_encoding(raw), stream.name)
+                raw = self._deserialize(stream, channel, block, offset)
+                role = role_from_encoding(image_encoding(raw), stream.name)
             except (RecordingError, AttributeError, TypeError):
                 # Broken, or the file's own definition has other fields: reading it will say so.
                 continue
@@ -340,20 +356,20 @@ class IndexedRecording:
                 return role
         return "other"
 
-    def _say_unreadable(self, streams: dict[str, _Stream]) -> tuple[str, ...]:
+    def _list_unreadable_topics(self, streams: dict[str, _IndexedTopic]) -> tuple[str, ...]:
         lines = []
         unknown_types = set()
         for stream in streams.values():
-            if stream.unreadable == _UNKNOWN_TYPE:
+            if stream.unreadable_reason == _UNKNOWN_TYPE:
                 unknown_types.add(stream.message_type)
-            elif stream.unreadable:
-                lines.append(f"{stream.name} is left out: {stream.unreadable}.")
+            elif stream.unreadable_reason:
+                lines.append(f"{stream.name} is left out: {stream.unreadable_reason}.")
         if unknown_types:
             listed = ", ".join(sorted(unknown_types))
             lines.append(f"Topics of these types are left out: {listed}.")
         return tuple(lines)
 
-    def _topic(self, stream: _Stream) -> Topic:
+    def _topic(self, stream: _IndexedTopic) -> Topic:
         count = len(stream.positions)
         rate_hz = None
         if count >= 2:
@@ -368,7 +384,7 @@ class IndexedRecording:
         )
 
 
-def _merge(containers: list[Container]) -> tuple[list[Channel], list[Container], Entries]:
+def _merge_indexes(containers: list[Container]) -> tuple[list[Channel], list[Container], Entries]:
     """Channels of all containers, the container of each, and their entries in order of time."""
     channels: list[Channel] = []
     files: list[Container] = []

@@ -7,7 +7,7 @@ from fusion_core.model.recording import Recording
 from fusion_core.recordings.topics import Streams, choose_streams
 
 
-def describe(recording: Recording) -> dict[str, Any]:
+def describe_recording(recording: Recording) -> dict[str, Any]:
     """A recording as plain values for JSON: times in nanoseconds, null where there is no clock.
 
     ``end_ns`` is the log time of the last message.
@@ -32,22 +32,22 @@ def describe(recording: Recording) -> dict[str, Any]:
             }
             for topic in recording.topics
         ],
-        "can": what_can_be_done(recording, streams),
+        "can": describe_capabilities(recording, streams),
         "warnings": list(recording.warnings),
     }
 
 
-def what_can_be_done(recording: Recording, streams: Streams) -> list[str]:
+def describe_capabilities(recording: Recording, streams: Streams) -> list[str]:
     """Plain sentences: which work this recording supports, and why not the rest."""
     return [
-        *_fusing(streams),
-        *_posing(recording, streams),
+        *_describe_fusion(streams),
+        *_describe_pose_sources(recording, streams),
         *(["Its stamps are made from frame numbers."] if recording.stamps_are_nominal else []),
         *streams.notes,
     ]
 
 
-def _fusing(streams: Streams) -> list[str]:
+def _describe_fusion(streams: Streams) -> list[str]:
     if not streams.depth and streams.lidar is None:
         return ["It cannot be fused: there is neither a 2D LiDAR nor a depth camera."]
     if not streams.depth:
@@ -65,7 +65,7 @@ def _fusing(streams: Streams) -> list[str]:
     ]
 
 
-def _posing(recording: Recording, streams: Streams) -> list[str]:
+def _describe_pose_sources(recording: Recording, streams: Streams) -> list[str]:
     if streams.lidar is None and not streams.depth:
         return []
     sources = [s for s in (streams.tf, streams.odometry) if s is not None]

@@ -22,24 +22,24 @@ _LONGEST_SHOWN = 40
 
 
 @dataclass(frozen=True, slots=True)
-class NumberLine:
+class NumericLine:
     """The words of one line, as many as ``columns`` names."""
 
     file: Path
     number: int
     columns: str
-    words: list[str]
+    fields: list[str]
 
     def time_ns(self, column: int) -> int:
         """A time in seconds, read without a float in between. Raises RecordingError."""
-        time_ns = ns_from_decimal_seconds(self.words[column])
+        time_ns = ns_from_decimal_seconds(self.fields[column])
         if time_ns is None:
-            raise self.error(f"{_shown(self.words[column])} is no time in seconds")
+            raise self.error(f"{_shown(self.fields[column])} is no time in seconds")
         return time_ns
 
     def numbers(self, first: int) -> list[float]:
         """The columns from ``first`` on. Raises RecordingError for what is no finite number."""
-        return [self._number(word) for word in self.words[first:]]
+        return [self._number(word) for word in self.fields[first:]]
 
     def _number(self, word: str) -> float:
         try:
@@ -60,7 +60,7 @@ class NumberLine:
         )
 
 
-def number_lines(file: Path, columns: str) -> Iterator[NumberLine]:
+def read_numeric_lines(file: Path, columns: str) -> Iterator[NumericLine]:
     """The lines of a file that are neither empty nor comments.
 
     Raises RecordingError for a line without a word for each of ``columns``, for what is no text,
@@ -72,18 +72,18 @@ def number_lines(file: Path, columns: str) -> Iterator[NumberLine]:
     with open_regular(file, _MAX_BYTES) as stream:
         lines = iter(partial(stream.readline, _MAX_LINE_BYTES), b"")
         for number, text in enumerate(lines, start=1):
-            line = NumberLine(file, number, columns, _words(text))
-            if not line.words or line.words[0].startswith("#"):
+            line = NumericLine(file, number, columns, _split_fields(text))
+            if not line.fields or line.fields[0].startswith("#"):
                 continue
-            if len(line.words) != count:
-                raise line.error(f"has {len(line.words)} fields, not {count}")
+            if len(line.fields) != count:
+                raise line.error(f"has {len(line.fields)} fields, not {count}")
             empty = False
             yield line
     if empty:
         raise RecordingError("holds no lines.", file=file, advice=f"Each line holds {columns}.")
 
 
-def _words(text: bytes) -> list[str]:
+def _split_fields(text: bytes) -> list[str]:
     # What is no text becomes a word that is no number, and is refused as such.
     return text.decode(errors="replace").split()
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fusion_core.model.relations import Relations
-from fusion_core.recordings.number_lines import number_lines
+from fusion_core.recordings.number_lines import read_numeric_lines
 
 COLUMNS = "t1 t2 x y z roll pitch yaw"
 
@@ -23,7 +23,7 @@ def read_relations(file: Path) -> Relations:
     """
     stamps = array("q")
     values = array("d")
-    for line in number_lines(file, COLUMNS):
+    for line in read_numeric_lines(file, COLUMNS):
         stamps.extend((line.time_ns(0), line.time_ns(1)))
         values.extend(line.numbers(2))
     stamps_ns = np.array(stamps, dtype=np.int64).reshape(-1, 2)

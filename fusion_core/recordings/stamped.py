@@ -11,7 +11,7 @@ from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Message, Role, Topic
 from fusion_core.model.sensors import SensorValue
 from fusion_core.recordings.skipped import SkippedMessages
-from fusion_core.recordings.topics import unknown_topic
+from fusion_core.recordings.topics import unknown_topic_error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,14 +27,14 @@ class StampedStream:
     name: str
     type: str
     role: Role
-    stamp_ns: IntArray
+    stamps_ns: IntArray
     received_ns: IntArray | None = None
-    value: Callable[[int], SensorValue] = field(repr=False)
+    read_value: Callable[[int], SensorValue] = field(repr=False)
 
     @property
-    def times_ns(self) -> IntArray:
+    def ordering_times_ns(self) -> IntArray:
         """(count,) the clock that orders the messages."""
-        return self.stamp_ns if self.received_ns is None else self.received_ns
+        return self.stamps_ns if self.received_ns is None else self.received_ns
 
 
 class StampedRecording:
@@ -63,18 +63,18 @@ class StampedRecording:
         self._closed = False
         self._streams = {stream.name: stream for stream in sorted(streams, key=lambda s: s.name)}
         self.topics = tuple(_topic(stream, stamps_are_nominal) for stream in self._streams.values())
-        clocks = [s.times_ns for s in self._streams.values() if len(s.stamp_ns)]
+        clocks = [s.ordering_times_ns for s in self._streams.values() if len(s.stamps_ns)]
         timeless = stamps_are_nominal or not clocks
         self.start_ns = None if timeless else min(int(clock.min()) for clock in clocks)
         self.end_ns = None if timeless else max(int(clock.max()) for clock in clocks)
 
     def received_ns(self, topic: str) -> IntArray:
         """(count,) log times of a topic's messages; the sensor's stamps where there is no log."""
-        return self._stream(topic).times_ns
+        return self._stream(topic).ordering_times_ns
 
     def stamps_ns(self, topic: str) -> IntArray:
         """(count,) the sensor's stamps of a topic's messages."""
-        return self._stream(topic).stamp_ns
+        return self._stream(topic).stamps_ns
 
     def messages(
         self,
@@ -90,15 +90,15 @@ class StampedRecording:
     def read(self, topic: str, index: int) -> Message:
         """The ``index``-th message of a topic. Raises IndexError beyond its count."""
         stream = self._stream(topic)
-        count = len(stream.stamp_ns)
+        count = len(stream.stamps_ns)
         if not 0 <= index < count:
             raise IndexError(f"{topic} has {count} messages, there is no {index}")
         return Message(
             topic=topic,
             index=index,
             received_ns=None if stream.received_ns is None else int(stream.received_ns[index]),
-            stamp_ns=int(stream.stamp_ns[index]),
-            value=stream.value(index),
+            stamp_ns=int(stream.stamps_ns[index]),
+            value=stream.read_value(index),
         )
 
     def close(self) -> None:
@@ -116,9 +116,9 @@ class StampedRecording:
     def _iterate(
         self, streams: Sequence[StampedStream], start_ns: int | None, end_ns: int | None
     ) -> Iterator[Message]:
-        sizes = [len(stream.stamp_ns) for stream in streams]
+        sizes = [len(stream.stamps_ns) for stream in streams]
         empty = np.empty(0, dtype=np.int64)
-        times = np.concatenate([empty, *[stream.times_ns for stream in streams]])
+        times = np.concatenate([empty, *[stream.ordering_times_ns for stream in streams]])
         owners = np.repeat(np.arange(len(streams)), sizes)
         indexes = np.concatenate([empty, *[np.arange(size) for size in sizes]])
         for place in np.lexsort((indexes, owners, times)):
@@ -131,14 +131,14 @@ class StampedRecording:
                 message = self.read(stream.name, index)
             except RecordingError as error:
                 self._require_open()
-                self._skipped.add(stream.name, index, len(stream.stamp_ns), error)
+                self._skipped.add(stream.name, index, len(stream.stamps_ns), error)
             else:
                 yield message
 
     def _stream(self, topic: str) -> StampedStream:
         self._require_open()
         if topic not in self._streams:
-            raise unknown_topic(topic, self.topics, self.path)
+            raise unknown_topic_error(topic, self.topics, self.path)
         return self._streams[topic]
 
     def _require_open(self) -> None:
@@ -147,9 +147,9 @@ class StampedRecording:
 
 
 def _topic(stream: StampedStream, stamps_are_nominal: bool) -> Topic:
-    count = len(stream.stamp_ns)
+    count = len(stream.stamps_ns)
     rate_hz = None
     if count >= 2 and not stamps_are_nominal:
-        span_ns = int(stream.times_ns[-1] - stream.times_ns[0])
+        span_ns = int(stream.ordering_times_ns[-1] - stream.ordering_times_ns[0])
         rate_hz = (count - 1) * NS_PER_S / span_ns if span_ns > 0 else None
     return Topic(name=stream.name, type=stream.type, role=stream.role, count=count, rate_hz=rate_hz)

@@ -21,11 +21,11 @@ _ROLES: Final[dict[str, Role]] = {
     "sensor_msgs/msg/JointState": "joints",
 }
 _IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-_TRIED_MESSAGES = 5
+_MAX_ATTEMPTS = 5
 # image_transport publishes the same images again under the topic's name and one of these.
 _TRANSPORTS = ("compressed", "compressedDepth")
 # A truth is for evaluation: a map built from it would prove nothing.
-_TRUTH_NAMES = ("ground_truth", "groundtruth", "ground-truth", "truth")
+_GROUND_TRUTH_NAMES = ("ground_truth", "groundtruth", "ground-truth", "truth")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +48,7 @@ class Streams:
     notes: tuple[str, ...] = ()
 
 
-def role_of_type(message_type: str, name: str) -> Role | None:
+def role_from_type(message_type: str, name: str) -> Role | None:
     """The role by type and name; None for images, which must be looked into."""
     if message_type in _IMAGE_TYPES:
         return None
@@ -56,7 +56,7 @@ def role_of_type(message_type: str, name: str) -> Role | None:
     return "tf_static" if role == "tf" and name.endswith("tf_static") else role
 
 
-def image_role(encoding: str, name: str) -> Role:
+def role_from_encoding(encoding: str, name: str) -> Role:
     """The role of an image topic by the encoding of its images.
 
     The name decides only for ``mono16``, which drivers use for depth and for infrared.
@@ -66,7 +66,7 @@ def image_role(encoding: str, name: str) -> Role:
     return "color" if is_color_encoding(encoding) else "other"
 
 
-def unknown_topic(name: str, topics: Iterable[Topic], path: Path) -> MissingStream:
+def unknown_topic_error(name: str, topics: Iterable[Topic], path: Path) -> MissingStream:
     """The error for a topic that is not there, with those that are."""
     there = ", ".join(topic.name for topic in topics) or "no topics"
     return MissingStream(f"has no topic {name!r}.", file=path, advice=f"It holds {there}.")
@@ -90,12 +90,12 @@ def choose_streams(
 
     Raises MissingStream for a name that is not there or is of another kind.
     """
-    chooser = _Chooser(recording)
-    depths = chooser.named_list(depth, "depth")
+    chooser = _StreamChooser(recording)
+    depths = chooser.require_topics(depth, "depth")
     if depths is None:
-        depths = chooser.cameras("depth")
-    colors = chooser.named_list(color, "color")
-    infos = chooser.named_list(camera_info, "camera_info")
+        depths = chooser.one_topic_per_camera("depth")
+    colors = chooser.require_topics(color, "color")
+    infos = chooser.require_topics(camera_info, "camera_info")
     for named, what in ((colors, "colour"), (infos, "CameraInfo")):
         if named is not None and len(named) != len(depths):
             raise MissingStream(
@@ -104,29 +104,31 @@ def choose_streams(
                 advice="Name one for each depth topic, in the same order.",
             )
     return Streams(
-        lidar=chooser.named(lidar, "lidar") or chooser.busiest("lidar", "LaserScan"),
+        lidar=chooser.require_topic(lidar, "lidar")
+        or chooser.topic_with_most_messages("lidar", "LaserScan"),
         depth=tuple(depths),
         color=tuple(colors or [chooser.color_of(name, len(depths)) for name in depths]),
         camera_info=tuple(infos or [chooser.camera_info_of(name) for name in depths]),
-        odometry=chooser.named(odometry, "odometry") or chooser.busiest("odometry", "odometry"),
-        tf=chooser.busiest("tf", "TF"),
-        tf_static=chooser.busiest("tf_static", "static TF"),
-        pose=chooser.named(pose, "pose", "odometry"),
+        odometry=chooser.require_topic(odometry, "odometry")
+        or chooser.topic_with_most_messages("odometry", "odometry"),
+        tf=chooser.topic_with_most_messages("tf", "TF"),
+        tf_static=chooser.topic_with_most_messages("tf_static", "static TF"),
+        pose=chooser.require_topic(pose, "pose", "odometry"),
         notes=tuple(chooser.notes),
     )
 
 
-class _Chooser:
+class _StreamChooser:
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
         self._topics = {topic.name: topic for topic in recording.topics}
         self.notes: list[str] = []
 
-    def named(self, name: str | None, *roles: Role) -> str | None:
+    def require_topic(self, name: str | None, *roles: Role) -> str | None:
         if name is None:
             return None
         if name not in self._topics:
-            raise unknown_topic(name, self._recording.topics, self._recording.path)
+            raise unknown_topic_error(name, self._recording.topics, self._recording.path)
         topic = self._topics[name]
         if topic.role not in roles:
             fitting = [t.name for t in self._topics.values() if t.role in roles]
@@ -137,7 +139,7 @@ class _Chooser:
             )
         return name
 
-    def named_list(self, names: str | Sequence[str] | None, role: Role) -> list[str] | None:
+    def require_topics(self, names: str | Sequence[str] | None, role: Role) -> list[str] | None:
         if names is None:
             return None
         listed = [names] if isinstance(names, str) else list(names)
@@ -149,24 +151,24 @@ class _Chooser:
                 file=self._recording.path,
                 advice="Name each depth topic once.",
             )
-        return [name for name in listed if self.named(name, role)]
+        return [name for name in listed if self.require_topic(name, role)]
 
-    def with_messages(self, role: Role) -> list[str]:
+    def topics_with_messages(self, role: Role) -> list[str]:
         return [t.name for t in self._topics.values() if t.role == role and t.count > 0]
 
-    def cameras(self, role: Role) -> list[str]:
+    def one_topic_per_camera(self, role: Role) -> list[str]:
         """One topic for each camera: its images as such, else the first of their packed copies."""
         chosen: dict[str, str] = {}
-        for name in sorted(self.with_messages(role)):
-            camera = _without_transport(name)
+        for name in sorted(self.topics_with_messages(role)):
+            camera = _strip_transport(name)
             if camera in chosen:
                 self._note(f"{name} repeats the images of {chosen[camera]}.")
             else:
                 chosen[camera] = name
         return list(chosen.values())
 
-    def busiest(self, role: Role, what: str) -> str | None:
-        names = [n for n in self.with_messages(role) if not _is_truth(n)]
+    def topic_with_most_messages(self, role: Role, what: str) -> str | None:
+        names = [n for n in self.topics_with_messages(role) if not _is_ground_truth(n)]
         if not names:
             return None
         best = max(names, key=lambda name: self._topics[name].count)
@@ -177,11 +179,11 @@ class _Chooser:
 
     def color_of(self, depth: str, depth_count: int) -> str | None:
         """The colour topic that shares most of the depth topic's name."""
-        names = self.cameras("color")
+        names = self.one_topic_per_camera("color")
         if not names:
             return None
-        best = max(names, key=lambda name: _shared_parts(name, depth))
-        related = _shared_parts(best, depth) > 0
+        best = max(names, key=lambda name: _count_shared_parts(name, depth))
+        related = _count_shared_parts(best, depth) > 0
         return best if related or (len(names) == 1 and depth_count == 1) else None
 
     def camera_info_of(self, depth: str) -> str | None:
@@ -189,8 +191,8 @@ class _Chooser:
 
         A nearer guess could be the colour camera's, whose intrinsics would bend the depth.
         """
-        names = self.with_messages("camera_info")
-        folder = _parent(_without_transport(depth))
+        names = self.topics_with_messages("camera_info")
+        folder = _parent(_strip_transport(depth))
         beside = [name for name in names if _parent(name) == folder]
         infos = {name: self._first_value(name) for name in beside or names}
         if len(beside) == 1 and infos[beside[0]] is not None:
@@ -202,7 +204,7 @@ class _Chooser:
     def _first_value(self, name: str) -> SensorValue | None:
         """The value of the first message, or of one of the next if that cannot be read."""
         problem = None
-        for index in range(min(self._topics[name].count, _TRIED_MESSAGES)):
+        for index in range(min(self._topics[name].count, _MAX_ATTEMPTS)):
             try:
                 return self._recording.read(name, index).value
             except RecordingError as error:
@@ -226,11 +228,11 @@ def _same_camera(image: object, info: object) -> bool:
     )
 
 
-def _is_truth(name: str) -> bool:
-    return any(word in name.lower() for word in _TRUTH_NAMES)
+def _is_ground_truth(name: str) -> bool:
+    return any(word in name.lower() for word in _GROUND_TRUTH_NAMES)
 
 
-def _without_transport(name: str) -> str:
+def _strip_transport(name: str) -> str:
     base, _, last = name.rpartition("/")
     return base if last in _TRANSPORTS else name
 
@@ -239,7 +241,7 @@ def _parent(name: str) -> str:
     return name.rpartition("/")[0]
 
 
-def _shared_parts(first: str, second: str) -> int:
+def _count_shared_parts(first: str, second: str) -> int:
     """How many leading parts two topic names share."""
     count = 0
     for a, b in zip(first.strip("/").split("/"), second.strip("/").split("/"), strict=False):

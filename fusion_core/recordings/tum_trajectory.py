@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.trajectory import Trajectory
-from fusion_core.recordings.number_lines import number_lines
+from fusion_core.recordings.number_lines import read_numeric_lines
 
 COLUMNS = "stamp x y z qx qy qz qw"
 
@@ -39,7 +39,7 @@ def read_tum_trajectory(file: Path) -> TrajectoryFile:
     """
     stamps = array("q")
     poses = array("d")
-    for line in number_lines(file, COLUMNS):
+    for line in read_numeric_lines(file, COLUMNS):
         values = line.numbers(1)
         length = hypot(*values[3:])
         if abs(length - 1.0) > _LENGTH_TOLERANCE:

@@ -45,17 +45,17 @@ _Count = Annotated[int, Field(ge=0, le=1 << 40)]
 _Run = tuple[_Count, _Count]
 
 
-class _Part(BaseModel):
+class _StrictModel(BaseModel):
     # Strict: text is no number. Unknown keys may come with later versions of what is known.
     model_config = ConfigDict(strict=True, allow_inf_nan=False)
 
 
-class _SeenBy(_Part):
+class _SeenBy(_StrictModel):
     lidar: list[_Run] = []
     camera: list[_Run] = []
 
 
-class _Obstacle(_Part):
+class _Obstacle(_StrictModel):
     name: _Name
     z_min_m: _Coordinate
     z_max_m: _Coordinate
@@ -63,17 +63,17 @@ class _Obstacle(_Part):
     seen_by: _SeenBy
 
 
-class _Line(_Part):
+class _Line(_StrictModel):
     name: _Name
     faces: tuple[_Segment, _Segment]
 
 
-class _Angle(_Part):
+class _Angle(_StrictModel):
     name: _Name
     arms: tuple[_Segment, _Segment]
 
 
-class _World(_Part):
+class _World(_StrictModel):
     format: Literal["scanloom-world"]
     version: int
     units: Literal["m"]
@@ -99,7 +99,7 @@ def read_world(file: Path) -> WorldOutline:
     try:
         stated = _World.model_validate_json(content)
     except ValidationError as error:
-        raise RecordingError(_first_problem(error), file=file, advice=_ADVICE) from error
+        raise RecordingError(_describe_first_error(error), file=file, advice=_ADVICE) from error
     if stated.version != _VERSION:
         raise RecordingError(
             f"is a world file of version {stated.version}.",
@@ -107,7 +107,7 @@ def read_world(file: Path) -> WorldOutline:
             advice=f"This version of ScanLoom reads version {_VERSION}.",
         )
     try:
-        return _outline(stated)
+        return _world_from_file(stated)
     except ValueError as error:
         raise RecordingError(f"{error}.", file=file, advice=_ADVICE) from error
 
@@ -118,12 +118,12 @@ def write_world(file: Path, world: WorldOutline) -> None:
     Raises ExportError where it cannot be written.
     """
     try:
-        write_text(file, _text(world))
+        write_text(file, _format_world(world))
     except OSError as error:
         raise cannot_write(file, error) from error
 
 
-def _outline(stated: _World) -> WorldOutline:
+def _world_from_file(stated: _World) -> WorldOutline:
     total_m = 0.0
     obstacles = []
     for part in stated.obstacles:
@@ -159,7 +159,7 @@ def _outline(stated: _World) -> WorldOutline:
     )
 
 
-def _text(world: WorldOutline) -> str:
+def _format_world(world: WorldOutline) -> str:
     """A line for each obstacle, line and angle: readable, and small."""
     head = {
         "format": "scanloom-world",
@@ -173,7 +173,7 @@ def _text(world: WorldOutline) -> str:
             "name": obstacle.name,
             "z_min_m": round(obstacle.z_min_m, _DIGITS),
             "z_max_m": round(obstacle.z_max_m, _DIGITS),
-            "outline": _rounded(obstacle.outline_m),
+            "outline": _round(obstacle.outline_m),
             "seen_by": {sensor: runs.tolist() for sensor, runs in obstacle.seen_by.items()},
         }
         for obstacle in world.obstacles
@@ -182,7 +182,7 @@ def _text(world: WorldOutline) -> str:
         {
             "name": line.name,
             "length_m": round(line.length_m, _DIGITS),
-            "faces": _rounded(line.faces_m),
+            "faces": _round(line.faces_m),
         }
         for line in world.lines
     ]
@@ -190,28 +190,28 @@ def _text(world: WorldOutline) -> str:
         {
             "name": angle.name,
             "angle_deg": round(float(np.degrees(angle.angle_rad)), _DIGITS),
-            "arms": _rounded(angle.arms_m),
+            "arms": _round(angle.arms_m),
         }
         for angle in world.angles
     ]
     parts = [f'"{key}": {json.dumps(value)}' for key, value in head.items()]
     parts += [
-        f'"{key}": {_listed(entries)}'
+        f'"{key}": {_format_entries(entries)}'
         for key, entries in (("obstacles", obstacles), ("lines", lines), ("angles", angles))
     ]
     return "{" + ",\n ".join(parts) + "}\n"
 
 
-def _listed(entries: Sequence[dict[str, Any]]) -> str:
+def _format_entries(entries: Sequence[dict[str, Any]]) -> str:
     return "[" + ",\n  ".join(json.dumps(entry) for entry in entries) + "]"
 
 
-def _rounded(values: np.ndarray[Any, np.dtype[np.float64]]) -> Any:
+def _round(values: np.ndarray[Any, np.dtype[np.float64]]) -> Any:
     # Adding zero makes -0.0 to 0.0.
     return (np.round(values, _DIGITS) + 0.0).tolist()
 
 
-def _first_problem(error: ValidationError) -> str:
+def _describe_first_error(error: ValidationError) -> str:
     first = error.errors(include_url=False, include_input=False)[0]
     where = ".".join(str(step) for step in first["loc"])
     return f"{where}: {first['msg']}." if where else f"{first['msg']}."

@@ -21,11 +21,11 @@ from fusion_core.model.sensors import (
 from fusion_core.recordings.indexed import IndexedRecording, SerializedMessage
 from fusion_core.recordings.mcap.output import McapOutput
 from fusion_core.recordings.messages.bad_message import BadMessage
-from fusion_core.recordings.messages.ros2_channels import Ros2Channel, ros2_channel
+from fusion_core.recordings.messages.ros2_channels import Ros2Channel, describe_ros2_channel
 from fusion_core.recordings.messages.types import UnreadableType
 from fusion_core.recordings.ros2_writer import Ros2McapWriter
 from fusion_core.recordings.skipped import SkippedMessages
-from fusion_core.recordings.topics import unknown_topic
+from fusion_core.recordings.topics import unknown_topic_error
 from fusion_core.workflows.source import RoomChoice, input_files, open_source
 
 _PROGRESS_STEP = 100
@@ -73,7 +73,7 @@ def convert(
             account.note(f"The log begins at {first_s:.3f} s; what is before 0 is logged at 0.")
         if isinstance(recording, IndexedRecording):
             _copy(recording, selection, output, account)
-            unrelated = recording.unread
+            unrelated = recording.unreadable_topic_warnings
         else:
             _write_values(recording, selection, output, account)
             unrelated = ()
@@ -110,7 +110,7 @@ def _select(recording: Recording, options: ConvertOptions) -> _Selection:
     known = {topic.name: topic for topic in recording.topics}
     for name in options.topics:
         if name not in known:
-            raise unknown_topic(name, recording.topics, recording.path)
+            raise unknown_topic_error(name, recording.topics, recording.path)
     topics = tuple(known[name] for name in sorted(set(options.topics) or known))
     times = {topic.name: recording.received_ns(topic.name) for topic in recording.topics}
     first_ns = min((int(own[0]) for own in times.values() if len(own)), default=0)
@@ -285,7 +285,7 @@ def _channels(
         if channel.topic not in chosen:
             continue
         try:
-            channels[number] = ros2_channel(channel)
+            channels[number] = describe_ros2_channel(channel)
         except UnreadableType as error:
             reasons[channel.topic] = str(error)
         else:

@@ -6,9 +6,9 @@ from typing import Any
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.progress import Progress, silent
-from fusion_core.recordings.check import Check
-from fusion_core.recordings.check import check as check_all
-from fusion_core.recordings.info import describe as describe
+from fusion_core.recordings.check import IntegrityReport
+from fusion_core.recordings.check import check_integrity as check_all
+from fusion_core.recordings.info import describe_recording as describe_recording
 from fusion_core.recordings.robot_at_home.rooms import is_robot_at_home
 from fusion_core.workflows.source import RoomChoice, open_source, rooms_of
 
@@ -37,7 +37,7 @@ def info(
     if room is not None or (session is None and len(rooms) <= 1):
         with open_source(path, room) as recording:
             checked = check_all(recording, progress) if check else None
-            described = describe(recording)
+            described = describe_recording(recording)
         if checked is not None:
             told = described["warnings"]
             told += [line for line in checked.damage if line not in told]
@@ -61,9 +61,9 @@ def info(
     }
 
 
-def _check_values(checked: Check) -> dict[str, Any]:
+def _check_values(checked: IntegrityReport) -> dict[str, Any]:
     return {
-        "damaged": checked.damaged,
+        "damaged": checked.is_damaged,
         "read": sum(topic.read for topic in checked.topics),
         "unreadable": sum(topic.unreadable for topic in checked.topics),
         "checksums": checked.checksums,

@@ -7,7 +7,7 @@ from pathlib import Path
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording
 from fusion_core.recordings.formats import open_recording
-from fusion_core.recordings.robot_at_home.room import RoomListing
+from fusion_core.recordings.robot_at_home.room import RoomSummary
 from fusion_core.recordings.robot_at_home.rooms import is_robot_at_home, list_rooms, open_room
 
 
@@ -47,7 +47,7 @@ def input_files(recording: Recording) -> list[Path]:
     return [recording.path, images] if beside else [recording.path]
 
 
-def rooms_of(path: Path, session: str | None) -> tuple[RoomListing, ...]:
+def rooms_of(path: Path, session: str | None) -> tuple[RoomSummary, ...]:
     """The rooms of a data set, or of one session. Raises RecordingError where there are none."""
     rooms = list_rooms(path)
     chosen = tuple(room for room in rooms if session in (None, room.session))
@@ -57,7 +57,7 @@ def rooms_of(path: Path, session: str | None) -> tuple[RoomListing, ...]:
     return chosen
 
 
-def room_choices(rooms: tuple[RoomListing, ...]) -> Iterator[RoomChoice]:
+def room_choices(rooms: tuple[RoomSummary, ...]) -> Iterator[RoomChoice]:
     """The choice that opens each listed room."""
     for room in rooms:
         yield RoomChoice(session=room.session, room=room.room, subsession=room.subsession)

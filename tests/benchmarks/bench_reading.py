@@ -26,7 +26,7 @@ from ruamel.yaml import YAML
 
 from fusion_core.model.recording import Message, Recording
 from fusion_core.recordings.formats import open_recording
-from fusion_core.recordings.messages.types import deserializer_of_type
+from fusion_core.recordings.messages.types import find_type_deserializer
 from tests.recordings.conftest import ROS2, ros_message
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "furnished_room.mcap"
@@ -72,7 +72,7 @@ def opened(path: Path) -> AnyReader:
 
 
 def ours_with_opening(path: Path) -> int:
-    deserializer_of_type.cache_clear()
+    find_type_deserializer.cache_clear()
     with open_recording(path) as recording:
         return ours(recording)
 

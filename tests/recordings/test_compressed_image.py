@@ -18,10 +18,10 @@ from PIL import Image as PillowImage
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.sensors import ColorImage, DepthImage
-from fusion_core.recordings.decode import decode, image_encoding
-from fusion_core.recordings.messages.compressed_image import packed_encoding
+from fusion_core.recordings.decode import decode_message, image_encoding
+from fusion_core.recordings.messages.compressed_image import decompressed_encoding
 from fusion_core.recordings.messages.rvl import decompress
-from fusion_core.recordings.topics import image_role
+from fusion_core.recordings.topics import role_from_encoding
 
 HEADER = SimpleNamespace(stamp=SimpleNamespace(sec=7, nanosec=5), frame_id="/camera")
 RNG = np.random.default_rng(3)
@@ -131,7 +131,7 @@ def message(format: str, data: bytes) -> SimpleNamespace:
 
 def read(format: str, data: bytes) -> Any:
     kind = "sensor_msgs/msg/CompressedImage"
-    return decode(message(format, data), kind, topic="/packed", received_ns=9)
+    return decode_message(message(format, data), kind, topic="/packed", received_ns=9)
 
 
 @pytest.mark.parametrize(
@@ -378,5 +378,5 @@ def test_damage_costs_the_message_at_most(packed: tuple[str, bytes], data: st.Da
 )
 def test_roles(format: str, data: bytes, name: str, role: str) -> None:
     raw = message(format, data)
-    assert image_encoding(raw) == packed_encoding(format, raw.data)
-    assert image_role(image_encoding(raw), name) == role
+    assert image_encoding(raw) == decompressed_encoding(format, raw.data)
+    assert role_from_encoding(image_encoding(raw), name) == role

@@ -14,7 +14,7 @@ import pytest
 
 from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.recordings.formats import open_recording
-from fusion_core.recordings.info import describe
+from fusion_core.recordings.info import describe_recording
 
 
 def clocks(messages: Any, has_log: bool) -> list[tuple[str, int | None, int]]:
@@ -197,14 +197,14 @@ def test_threads_share_a_recording(sample: Any) -> None:
 def test_the_file_is_left_as_it_was(sample: Any) -> None:
     before = digest(sample.path)
     with open_recording(sample.path) as recording:
-        describe(recording)
+        describe_recording(recording)
         list(recording.messages())
     assert digest(sample.path) == before
 
 
 def test_description_is_plain_json(sample: Any) -> None:
     with open_recording(sample.path) as recording:
-        description = json.loads(json.dumps(describe(recording), allow_nan=False))
+        description = json.loads(json.dumps(describe_recording(recording), allow_nan=False))
     assert list(description) == [
         "format",
         "start_ns",

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fusion_core.model.errors import RecordingError
-from fusion_core.recordings.containers import Channel, ChunkCache, entries_from
+from fusion_core.recordings.containers import Channel, ChunkCache, make_entries
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.indexed import IndexedRecording
 
@@ -104,7 +104,7 @@ class Zeros:
         self._payload = payload
 
     def index(self) -> Any:
-        return entries_from(np.arange(4), 0, 0, 0)
+        return make_entries(np.arange(4), 0, 0, 0)
 
     def payload(self, block: int, offset: int) -> bytes:
         return self._payload

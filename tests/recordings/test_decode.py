@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.recordings.decode import (
-    decode,
+    decode_message,
     depth_m_from_millimetres,
     millimetres_from_depth_m,
-    stamp_ns,
+    stamp_of_value_ns,
 )
 
 HEADER = SimpleNamespace(
@@ -28,7 +28,7 @@ def header(sec: float = 1, nanosec: int = 0, frame_id: str = "laser") -> SimpleN
 
 
 def read(raw: Any, kind: str) -> Any:
-    return decode(raw, kind, topic="/topic", received_ns=5)
+    return decode_message(raw, kind, topic="/topic", received_ns=5)
 
 
 def scan_message(ranges: list[float], **changes: Any) -> SimpleNamespace:
@@ -376,7 +376,7 @@ def test_poses_that_are_none(xyz: list[float], q: list[float]) -> None:
 
 
 def test_empty_batch_has_no_stamp() -> None:
-    assert stamp_ns(read(SimpleNamespace(transforms=[]), "tf2_msgs/msg/TFMessage")) is None
+    assert stamp_of_value_ns(read(SimpleNamespace(transforms=[]), "tf2_msgs/msg/TFMessage")) is None
 
 
 def test_fields_of_another_type_are_an_error() -> None:

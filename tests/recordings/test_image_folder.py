@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from fusion_core.model.errors import RecordingError
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.images.camera_files import read_camera_file
-from fusion_core.recordings.messages.image_headers import BadImage, checked_image_size
+from fusion_core.recordings.messages.image_headers import BadImage, read_image_size
 
 DEPTH, COLOR = "/camera/depth/image_raw", "/camera/color/image_raw"
 INFO = "/camera/depth/camera_info"
@@ -214,13 +214,13 @@ JPEG_SIZE_AT = JPEG.index(b"\xff\xc0") + 5
 )
 def test_a_claim_is_checked_before_decoding(content: bytes, said: str) -> None:
     with pytest.raises(BadImage, match=said):
-        checked_image_size(content)
+        read_image_size(content)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".ppm", ".pgm", ".tiff"])
 def test_the_size_is_that_of_the_decoder(suffix: str) -> None:
     pixels = np.zeros((5, 7) if suffix in (".pgm", ".tiff") else (5, 7, 3), np.uint8)
-    size = checked_image_size(cv2.imencode(suffix, pixels)[1].tobytes())
+    size = read_image_size(cv2.imencode(suffix, pixels)[1].tobytes())
     assert (size.height, size.width, size.pixel_bytes) == (5, 7, pixels.nbytes // 35)
 
 
@@ -229,7 +229,7 @@ def test_a_changed_byte_of_a_png_is_noticed(place: int, change: int) -> None:
     content = bytearray(cv2.imencode(".png", millimetres())[1].tobytes())
     content[place % len(content)] ^= change
     with pytest.raises(BadImage):
-        checked_image_size(bytes(content))
+        read_image_size(bytes(content))
 
 
 def test_swapped_bytes_are_refused(folder: Path) -> None:

@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from fusion_core.model.sensors import ColorImage, DepthImage, JointSample, PointCloud
 from fusion_core.recordings.formats import open_recording
-from fusion_core.recordings.info import describe
+from fusion_core.recordings.info import describe_recording
 from fusion_core.recordings.topics import choose_streams
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -157,7 +157,7 @@ def test_a_camera_whose_intrinsics_cannot_be_used(tmp_path: Path, focal: float) 
     }
     with open_recording(written(tmp_path, topics)) as recording:
         streams = choose_streams(recording)
-        can = describe(recording)["can"]
+        can = describe_recording(recording)["can"]
         assert list(recording.messages(["/cam/camera_info"])) == []
         assert "7 of 7 messages are left out" in recording.warnings[0]
     assert streams.depth == ("/cam/depth",)

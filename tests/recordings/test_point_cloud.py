@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.sensors import PointCloud
-from fusion_core.recordings.decode import decode
+from fusion_core.recordings.decode import decode_message
 
 HEADER = SimpleNamespace(stamp=SimpleNamespace(sec=7, nanosec=5), frame_id="/velodyne")
 LETTERS = {1: "b", 2: "B", 3: "h", 4: "H", 5: "i", 6: "I", 7: "f", 8: "d"}
@@ -46,7 +46,7 @@ def cloud(values: list[float], **changes: Any) -> SimpleNamespace:
 
 
 def read(raw: Any) -> Any:
-    return decode(raw, "sensor_msgs/msg/PointCloud2", topic="/points", received_ns=9)
+    return decode_message(raw, "sensor_msgs/msg/PointCloud2", topic="/points", received_ns=9)
 
 
 def test_plain_cloud() -> None:

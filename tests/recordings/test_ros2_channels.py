@@ -5,7 +5,7 @@ import struct
 import pytest
 
 from fusion_core.recordings.containers import Channel
-from fusion_core.recordings.messages.ros2_channels import Ros2Channel, ros2_channel
+from fusion_core.recordings.messages.ros2_channels import Ros2Channel, describe_ros2_channel
 from fusion_core.recordings.messages.types import UnreadableType
 
 LINE = "=" * 80 + "\n"
@@ -14,7 +14,7 @@ STAMP = struct.pack("<iI", 7, 8)
 
 
 def channel(name: str, definition: str = "", serialization: str = "cdr") -> Ros2Channel:
-    return ros2_channel(
+    return describe_ros2_channel(
         Channel(topic="/t", message_type=name, serialization=serialization, definition=definition)
     )
 

@@ -140,7 +140,7 @@ def test_a_broken_part_costs_its_own_messages(build: Any) -> None:
 
 
 def test_a_bomb_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compressed_storage, "_ALWAYS_UNPACKED_BYTES", 8 << 20)
+    monkeypatch.setattr(compressed_storage, "_ALWAYS_DECOMPRESSED_BYTES", 8 << 20)
     content = b"SQLite format 3\0" + bytes(64 << 20)
     (tmp_path / "a_0.db3.zstd").write_bytes(zstandard.ZstdCompressor().compress(content))
     with pytest.raises(RecordingError, match="unpacks to more than 8388608 bytes"):

@@ -14,9 +14,9 @@ from rosbags.typesys.store import Typestore
 
 from fusion_core.model.sensors import LaserScan, PoseSample, TransformBatch
 from fusion_core.recordings.containers import Channel
-from fusion_core.recordings.decode import decode
+from fusion_core.recordings.decode import decode_message
 from fusion_core.recordings.messages import cdr_rows, ros1_rows
-from fusion_core.recordings.messages.types import deserializer
+from fusion_core.recordings.messages.types import find_deserializer
 
 SCAN, ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
 POSE, TF, OLD_TF = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
@@ -169,7 +169,7 @@ def both_ways(wire: Wire, message: Any, name: str, padding_bytes: int = 0) -> tu
     """The model value by the reader of rows, and by rosbags' objects."""
     payload = bytes(wire.serialize(message, name)) + bytes(padding_bytes)
     raws = [wire.read(memoryview(payload), name), wire.deserialize(payload, name)]
-    direct, general = (decode(raw, name, topic="/topic", received_ns=5) for raw in raws)
+    direct, general = (decode_message(raw, name, topic="/topic", received_ns=5) for raw in raws)
     return direct, general
 
 
@@ -284,10 +284,10 @@ def test_only_for_their_own_layout(wire: Wire, name: str) -> None:
     first, _, rest = text.partition("\n")
     readers = set(wire.readers.values())
     for definition, is_direct in ((text, True), (f"{first}\nuint8 more\n{rest}", False)):
-        assert (deserializer(wire.channel(name, definition)) in readers) is is_direct
+        assert (find_deserializer(wire.channel(name, definition)) in readers) is is_direct
     if name in ROS1.types and name not in (TF, OLD_TF):
-        assert deserializer(wire.channel(name)) in readers
-    assert deserializer(wire.channel("sensor_msgs/msg/Image")) not in readers
+        assert find_deserializer(wire.channel(name)) in readers
+    assert find_deserializer(wire.channel("sensor_msgs/msg/Image")) not in readers
 
 
 def test_one_reader_for_all_topics_of_a_type() -> None:
@@ -301,4 +301,4 @@ def test_one_reader_for_all_topics_of_a_type() -> None:
         )
         for topic in ("/left", "/right")
     ]
-    assert deserializer(channels[0]) is deserializer(channels[1])
+    assert find_deserializer(channels[0]) is find_deserializer(channels[1])

@@ -18,9 +18,9 @@ from fusion_core.model.sensors import (
     PoseSample,
 )
 from fusion_core.recordings.formats import open_recording
-from fusion_core.recordings.info import describe
+from fusion_core.recordings.info import describe_recording
 from fusion_core.recordings.ros2_writer import Ros2McapWriter
-from fusion_core.recordings.topics import choose_streams, image_role
+from fusion_core.recordings.topics import choose_streams, role_from_encoding
 
 
 def scan(at: int) -> LaserScan:
@@ -115,7 +115,7 @@ def test_the_encoding_decides_not_the_name(record: Callable[..., Any]) -> None:
     ],
 )
 def test_roles_of_images(encoding: str, name: str, role: str) -> None:
-    assert image_role(encoding, name) == role
+    assert role_from_encoding(encoding, name) == role
 
 
 def test_the_busiest_lidar_is_taken_and_the_others_named(record: Callable[..., Any]) -> None:
@@ -224,7 +224,7 @@ def test_depth_topics_can_be_named(record: Callable[..., Any]) -> None:
 )
 def test_what_can_be_done(record: Callable[..., Any], topics: dict[str, Any], said: str) -> None:
     with record(**topics) as recording:
-        assert any(said in sentence for sentence in describe(recording)["can"])
+        assert any(said in sentence for sentence in describe_recording(recording)["can"])
 
 
 def test_rate_needs_two_stamps(record: Callable[..., Any]) -> None:

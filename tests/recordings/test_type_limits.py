@@ -3,7 +3,7 @@
 import pytest
 
 from fusion_core.recordings.containers import Channel
-from fusion_core.recordings.messages.types import UnreadableType, type_store
+from fusion_core.recordings.messages.types import UnreadableType, require_type_store
 
 LINE = "=" * 80 + "\n"
 NOTHING = LINE + "MSG: std_msgs/Empty\n"
@@ -16,7 +16,7 @@ def chain(length: int) -> str:
 
 
 def store(definition: str) -> object:
-    return type_store(
+    return require_type_store(
         Channel(topic="/t", message_type="lab/msg/T", serialization="ros1", definition=definition)
     )
 

@@ -12,7 +12,7 @@ from fusion_core.evaluation.fuse_folder import open_fuse_folder
 from fusion_core.model.errors import AlignmentFailed, MissingStream, RecordingError, ScanLoomError
 from fusion_core.model.progress import silent
 from fusion_core.model.slam_view import no_observer
-from fusion_core.recordings.decode import decode
+from fusion_core.recordings.decode import decode_message
 from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.fuse.fuse import fuse
 from fusion_core.workflows.fuse.session import FuseOptions
@@ -121,7 +121,7 @@ def test_a_scan_of_millions_of_beams_takes_no_memory() -> None:
     tracemalloc.start()
     try:
         with pytest.raises(RecordingError, match="/scan: the scan claims 16000000 beams"):
-            decode(raw, "sensor_msgs/msg/LaserScan", topic="/scan", received_ns=None)
+            decode_message(raw, "sensor_msgs/msg/LaserScan", topic="/scan", received_ns=None)
         assert tracemalloc.get_traced_memory()[1] < beams
     finally:
         tracemalloc.stop()

@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from fusion_core.model.names import readable
+from fusion_core.model.names import escape_undecodable
 from fusion_core.model.progress import Progress
 
 
@@ -16,7 +16,7 @@ def printable(text: str) -> str:
     """
     return "".join(
         char if char.isprintable() else char.encode("unicode_escape").decode()
-        for char in readable(text)
+        for char in escape_undecodable(text)
     )
 
 

@@ -5,7 +5,7 @@ import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
-from fusion_core.model.names import readable
+from fusion_core.model.names import escape_undecodable
 from fusion_core.workflows.fuse.session import FuseOptions
 from fusion_core.workflows.map.build_map import MapOptions
 
@@ -42,7 +42,7 @@ def map_command(recording: Path, output: Path, options: MapOptions) -> str:
 
 def _quoted(word: str) -> str:
     """One word for the shell; what is no UTF-8 in a path as bytes, as bash and zsh read them."""
-    if readable(word) == word:
+    if escape_undecodable(word) == word:
         return shlex.quote(word)
     raw = os.fsencode(word)
     plain = (chr(b) if 0x20 <= b < 0x7F and chr(b) not in "'\\" else f"\\x{b:02x}" for b in raw)

@@ -5,7 +5,7 @@ import html
 import viser
 
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
-from fusion_core.workflows.info import describe
+from fusion_core.workflows.info import describe_recording
 from fusion_core.workflows.stream_gaps import stream_gaps
 from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView, alignment_progress_text
@@ -117,7 +117,8 @@ class RecordingPanel:
         if self._listed != listed:
             self._listed = listed
             update_widget(
-                self._streams, content=stream_table(describe(recording), stream_gaps(recording))
+                self._streams,
+                content=stream_table(describe_recording(recording), stream_gaps(recording)),
             )
 
     def _show_progress(self, frame_view: FrameView) -> None:

@@ -10,7 +10,7 @@ from itertools import islice
 from pathlib import Path
 
 from fusion_core.model.errors import RecordingError
-from fusion_core.model.names import readable
+from fusion_core.model.names import escape_undecodable
 from fusion_core.model.recording import Recording
 from fusion_core.workflows.fuse.session import FuseOptions, Session, open_session
 from fusion_core.workflows.source import open_source
@@ -42,9 +42,11 @@ class Library:
 
     def __init__(self, recordings: list[Path], roots: list[Path]) -> None:
         # Unlike resolve, realpath knows what to do with a link that leads to itself.
-        self._named = {readable(p.name): Path(os.path.realpath(p)) for p in recordings}
+        self._named = {escape_undecodable(p.name): Path(os.path.realpath(p)) for p in recordings}
         if len(self._named) < len(recordings):
-            self._named = {readable(str(p)): Path(os.path.realpath(p)) for p in recordings}
+            self._named = {
+                escape_undecodable(str(p)): Path(os.path.realpath(p)) for p in recordings
+            }
         self._roots = [_folder(root) for root in roots]
         self._turns = FairSemaphore(_ALIGNMENTS_AT_ONCE)
         self._lock = threading.Lock()
@@ -125,7 +127,7 @@ class Library:
         if name in self._named:
             return self._named[name]
         # A browser could not be sent it.
-        roots = self._roots if name == readable(name) else []
+        roots = self._roots if name == escape_undecodable(name) else []
         for root in roots:
             if (path := _path_below(root, name) or _listed(root).get(name)) is not None:
                 return path
@@ -232,7 +234,7 @@ def _listed(root: Path) -> dict[str, Path]:
     except OSError:
         # It was there at the start.
         return {}
-    below = ((readable(name), _path_below(root, name)) for name in children)
+    below = ((escape_undecodable(name), _path_below(root, name)) for name in children)
     return dict(islice(((name, path) for name, path in below if path is not None), _MAX_LISTED))
 
 

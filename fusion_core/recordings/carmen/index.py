@@ -27,7 +27,7 @@ _NO_STAMP = -(1 << 63)
 _KEYWORD = re.compile(rb"[A-Z][A-Z0-9_-]{1,31}")
 _MAX_OTHER_KINDS = 20
 # Counts of readings for which the angles are a guess: the first few are named.
-_MAX_ODD_COUNTS = 5
+_MAX_UNUSUAL_COUNTS = 5
 # A laser is bolted on: what the rounding of a log's numbers may move it.
 _RIGID_TOLERANCE = np.array([0.01, 0.01, 0.01])
 
@@ -44,7 +44,7 @@ PARAMETERS = (
 
 
 @dataclass(slots=True)
-class Rows:
+class KeywordIndex:
     """The messages of one keyword, in the order of their log time once the index is complete.
 
     ``places``: (N,) the byte at which each line begins. ``stamp_ns`` and ``received_ns``: (N,);
@@ -53,7 +53,7 @@ class Rows:
     coordinates (x, y, yaw), and ``is_rigid`` says that all others equal it.
     """
 
-    places: IntArray
+    byte_offsets: IntArray
     stamp_ns: IntArray
     received_ns: IntArray
     with_poses: IntArray
@@ -66,9 +66,9 @@ class CarmenIndex:
     """``rows`` by keyword; ``parameters`` hold those of PARAMETERS that are numbers; ``odd_counts``
     are numbers of readings, of lasers without angles, for which no SICK stands."""
 
-    rows: dict[str, Rows]
+    by_keyword: dict[str, KeywordIndex]
     parameters: dict[str, float]
-    odd_counts: dict[str, list[int]]
+    unusual_counts: dict[str, list[int]]
     has_log: bool
     end_ns: int
     warnings: list[str]
@@ -81,14 +81,14 @@ def index_lines(file: BinaryIO) -> CarmenIndex:
     while line := file.readline(MAX_LINE_BYTES + 1):
         size = len(line)
         if size > MAX_LINE_BYTES:
-            size += _rest_of_line(line, file)
+            size += _skip_rest_of_line(line, file)
             line = b""
         indexer.add(line, place, size)
         place += size
     return indexer.finish()
 
 
-def _rest_of_line(line: bytes, file: BinaryIO) -> int:
+def _skip_rest_of_line(line: bytes, file: BinaryIO) -> int:
     """How many bytes follow until the line's end."""
     size = 0
     while line and not line.endswith(b"\n"):
@@ -98,18 +98,18 @@ def _rest_of_line(line: bytes, file: BinaryIO) -> int:
 
 
 @dataclass(slots=True)
-class _Growing:
-    places: "array[int]" = field(default_factory=lambda: array("q"))
+class _KeywordColumns:
+    byte_offsets: "array[int]" = field(default_factory=lambda: array("q"))
     stamps: "array[int]" = field(default_factory=lambda: array("q"))
     received: "array[int]" = field(default_factory=lambda: array("q"))
-    posed: "array[int]" = field(default_factory=lambda: array("b"))
+    has_poses: "array[int]" = field(default_factory=lambda: array("b"))
     laser_on_robot: FloatArray | None = None
     is_rigid: bool = True
-    odd_counts: list[int] = field(default_factory=list)
+    unusual_counts: list[int] = field(default_factory=list)
 
 
 @dataclass(slots=True)
-class _Lost:
+class _DamagedLines:
     """Lines that are left out: how many, and between which times of the log."""
 
     lines: int = 0
@@ -127,14 +127,16 @@ class _Lost:
         self.bytes += size
         self.is_last = True
 
-    def go_on(self, now_ns: int) -> None:
+    def note_readable(self, now_ns: int) -> None:
         if self.is_last:
             self.before_ns = now_ns
             self.is_last = False
 
     def warning(self) -> str:
-        start = "the start" if self.after_ns is None else seconds(self.after_ns)
-        end = "the end" if self.is_last or self.before_ns is None else seconds(self.before_ns)
+        start = "the start" if self.after_ns is None else format_seconds(self.after_ns)
+        end = (
+            "the end" if self.is_last or self.before_ns is None else format_seconds(self.before_ns)
+        )
         return (
             f"Damaged lines left out: {self.lines} ({self.bytes} bytes), from {start} to {end} of "
             f"the log; the first: {self.first_problem}."
@@ -142,7 +144,7 @@ class _Lost:
 
 
 @dataclass(slots=True)
-class _StepsBack:
+class _BackwardSteps:
     count: int = 0
     first_line: int = 0
     largest_ns: int = 0
@@ -150,11 +152,11 @@ class _StepsBack:
 
 class _Indexer:
     def __init__(self) -> None:
-        self._rows: dict[bytes, _Growing] = {}
+        self._rows: dict[bytes, _KeywordColumns] = {}
         self._parameters: dict[str, float] = {}
         self._others: Counter[str] = Counter()
-        self._lost = _Lost()
-        self._steps_back = _StepsBack()
+        self._damaged = _DamagedLines()
+        self._backward_steps = _BackwardSteps()
         self._warnings: list[str] = []
         self._number = 0
         self._now_ns: int | None = None
@@ -166,21 +168,21 @@ class _Indexer:
         try:
             self._add(line, place)
         except BadLine as error:
-            self._lost.add(self._number, size, str(error), self._now_ns)
+            self._damaged.add(self._number, size, str(error), self._now_ns)
 
     def finish(self) -> CarmenIndex:
         unlogged = sum(rows.received.count(_NO_STAMP) for rows in self._rows.values())
         shift_ns = self._shift_ns() if self._has_log else 0
         rows = {
-            keyword.decode(): _sorted(growing, shift_ns)
+            keyword.decode(): _sort_by_log_time(growing, shift_ns)
             for keyword, growing in sorted(self._rows.items())
         }
         self._warn(unlogged, shift_ns)
         return CarmenIndex(
-            rows=rows,
+            by_keyword=rows,
             parameters=self._parameters,
-            odd_counts={
-                keyword.decode(): growing.odd_counts for keyword, growing in self._rows.items()
+            unusual_counts={
+                keyword.decode(): growing.unusual_counts for keyword, growing in self._rows.items()
             },
             has_log=self._has_log,
             end_ns=max((int(r.received_ns[-1]) for r in rows.values()), default=0),
@@ -206,27 +208,27 @@ class _Indexer:
             or (self._now_ns is not None and now_ns < self._now_ns)
         ):
             raise BadLine("breaks off at the end of the file")
-        rows = self._rows.get(keyword) or _Growing()
+        rows = self._rows.get(keyword) or _KeywordColumns()
         has_poses = line.readings != [] and len(line.body) >= 6
         if has_poses:
-            _note_mount(rows, laser=planar_pose(line), robot=planar_pose(line, 3))
+            _compare_mount(rows, laser=planar_pose(line), robot=planar_pose(line, 3))
         elif KINDS[keyword].body_fields and not KINDS[keyword].has_readings:
             planar_pose(line)
         if KINDS[keyword].has_readings and not line.config:
-            _note_count(rows, len(line.readings))
+            _note_unusual_count(rows, len(line.readings))
         self._rows[keyword] = rows
-        rows.places.append(place)
+        rows.byte_offsets.append(place)
         rows.stamps.append(line.stamp_ns)
         rows.received.append(_NO_STAMP if line.received_ns is None else line.received_ns)
-        rows.posed.append(has_poses)
-        self._lost.go_on(now_ns)
+        rows.has_poses.append(has_poses)
+        self._damaged.note_readable(now_ns)
         self._has_log = self._has_log or line.received_ns is not None
-        self._follow(now_ns)
+        self._note_log_time(now_ns)
 
-    def _follow(self, now_ns: int) -> None:
+    def _note_log_time(self, now_ns: int) -> None:
         """Count steps back. One line's jump ahead is one step back, not one for each after it."""
         if self._now_ns is not None and now_ns < self._now_ns:
-            steps = self._steps_back
+            steps = self._backward_steps
             steps.first_line = steps.first_line or self._number
             steps.count += 1
             steps.largest_ns = max(steps.largest_ns, self._now_ns - now_ns)
@@ -263,8 +265,8 @@ class _Indexer:
         return int(np.median(np.concatenate(parts)))
 
     def _warn(self, unlogged: int, shift_ns: int) -> None:
-        if self._lost.lines:
-            self._warnings.append(self._lost.warning())
+        if self._damaged.lines:
+            self._warnings.append(self._damaged.warning())
         if self._others:
             listed = ", ".join(f"{name} ({count})" for name, count in sorted(self._others.items()))
             self._warnings.append(f"Messages of these kinds are left out: {listed}.")
@@ -273,23 +275,23 @@ class _Indexer:
         elif unlogged:
             self._warnings.append(
                 f"Lines without a logger timestamp: {unlogged}; theirs is the ipc timestamp moved "
-                f"by {seconds(shift_ns)}, the median difference of the two clocks."
+                f"by {format_seconds(shift_ns)}, the median difference of the two clocks."
             )
-        steps = self._steps_back
+        steps = self._backward_steps
         if steps.count:
             self._warnings.append(
                 f"Steps back in log time: {steps.count}, first at line {steps.first_line}, by "
-                f"{seconds(steps.largest_ns)} at most; messages are in the order of their log "
-                "time, not of their lines."
+                f"{format_seconds(steps.largest_ns)} at most; messages are in the order of their "
+                "log time, not of their lines."
             )
 
 
-def seconds(time_ns: int) -> str:
+def format_seconds(time_ns: int) -> str:
     """A time as the log writes it."""
     return f"{time_ns / NS_PER_S:.6f} s"
 
 
-def _note_mount(rows: _Growing, laser: FloatArray, robot: FloatArray) -> None:
+def _compare_mount(rows: _KeywordColumns, laser: FloatArray, robot: FloatArray) -> None:
     """Compare the laser's pose on the robot with the first one."""
     on_robot = relative_pose(robot, laser)
     if rows.laser_on_robot is None:
@@ -305,22 +307,22 @@ def is_same_pose(a: FloatArray, b: FloatArray) -> bool:
     return bool((np.abs(difference) <= _RIGID_TOLERANCE).all())
 
 
-def _note_count(rows: _Growing, count: int) -> None:
-    known = count in SICK_RESOLUTIONS_DEG or count in rows.odd_counts
-    if not known and len(rows.odd_counts) < _MAX_ODD_COUNTS:
-        rows.odd_counts.append(count)
+def _note_unusual_count(rows: _KeywordColumns, count: int) -> None:
+    known = count in SICK_RESOLUTIONS_DEG or count in rows.unusual_counts
+    if not known and len(rows.unusual_counts) < _MAX_UNUSUAL_COUNTS:
+        rows.unusual_counts.append(count)
 
 
-def _sorted(growing: _Growing, shift_ns: int) -> Rows:
+def _sort_by_log_time(growing: _KeywordColumns, shift_ns: int) -> KeywordIndex:
     stamp_ns = np.array(growing.stamps, dtype=np.int64)
     received_ns = np.array(growing.received, dtype=np.int64)
     received_ns = np.where(received_ns == _NO_STAMP, stamp_ns + shift_ns, received_ns)
     order = np.argsort(received_ns, kind="stable")
-    return Rows(
-        places=np.array(growing.places, dtype=np.int64)[order],
+    return KeywordIndex(
+        byte_offsets=np.array(growing.byte_offsets, dtype=np.int64)[order],
         stamp_ns=stamp_ns[order],
         received_ns=received_ns[order],
-        with_poses=np.flatnonzero(np.array(growing.posed, dtype=np.bool_)[order]),
+        with_poses=np.flatnonzero(np.array(growing.has_poses, dtype=np.bool_)[order]),
         laser_on_robot=growing.laser_on_robot,
         is_rigid=growing.is_rigid,
     )

@@ -102,11 +102,11 @@ def parse_line(line: bytes) -> CarmenLine:
         config = fields[1 : 1 + _CONFIG_FIELDS]
         position += _CONFIG_FIELDS
     if kind.has_readings:
-        readings, position = _counted(fields, position, "readings")
+        readings, position = _take_counted_list(fields, position, "readings")
     if kind.has_config:
-        remissions, position = _counted(fields, position, "remissions")
+        remissions, position = _take_counted_list(fields, position, "remissions")
     tail = fields[position:]
-    stamp, received, body = _stamps(tail, kind.body_fields)
+    stamp, received, body = _split_stamps(tail, kind.body_fields)
     stamp_ns = _time_ns(stamp, "ipc timestamp")
     received_ns = None if received is None else _log_time_ns(received)
     return CarmenLine(stamp_ns, received_ns, config, readings, remissions, body)
@@ -182,7 +182,7 @@ def _sick_angles(count: int, resolution_deg: float | None) -> tuple[float, float
     return radians(-0.5 * span_deg), radians(resolution_deg)
 
 
-def _counted(fields: list[bytes], position: int, what: str) -> tuple[list[bytes], int]:
+def _take_counted_list(fields: list[bytes], position: int, what: str) -> tuple[list[bytes], int]:
     """The list whose length stands at ``position``, and where it ends."""
     if position >= len(fields):
         raise BadLine(f"ends before its number of {what}")
@@ -197,7 +197,7 @@ def _counted(fields: list[bytes], position: int, what: str) -> tuple[list[bytes]
     return fields[start : start + count], start + count
 
 
-def _stamps(tail: list[bytes], body_fields: int) -> tuple[bytes, bytes | None, list[bytes]]:
+def _split_stamps(tail: list[bytes], body_fields: int) -> tuple[bytes, bytes | None, list[bytes]]:
     """The ipc stamp, the logger's if there is one, and the body before them.
 
     The host between the two stamps tells them from a body that an old logger wrote shorter.

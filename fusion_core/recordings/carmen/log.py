@@ -26,14 +26,18 @@ from fusion_core.model.sensors import (
     Transform,
     TransformBatch,
 )
-from fusion_core.recordings.archives import first_bytes, packing_of, unpack
+from fusion_core.recordings.archives import (
+    decompress_to_temporary_file,
+    detect_compression,
+    read_decompressed_head,
+)
 from fusion_core.recordings.carmen.index import (
     MAX_LINE_BYTES,
     CarmenIndex,
-    Rows,
+    KeywordIndex,
+    format_seconds,
     index_lines,
     is_same_pose,
-    seconds,
 )
 from fusion_core.recordings.carmen.lines import (
     KINDS,
@@ -57,7 +61,7 @@ _HEAD_LINES = 5
 
 def is_carmen_log(path: Path) -> bool:
     """Whether one of a file's first lines, unpacked, is a message of CARMEN."""
-    lines = first_bytes(path, _HEAD_BYTES).split(b"\n")
+    lines = read_decompressed_head(path, _HEAD_BYTES).split(b"\n")
     messages = (line.split(None, 3)[:3] for line in lines if not _is_comment(line))
     return any(_is_message(fields) for fields, _ in zip(messages, range(_HEAD_LINES), strict=False))
 
@@ -79,12 +83,12 @@ def _is_message(fields: list[bytes]) -> bool:
 
 def open_carmen_log(path: Path) -> Recording:
     """A CARMEN log. A packed one is unpacked to a temporary file. Raises RecordingError."""
-    packing = packing_of(path)
+    packing = detect_compression(path)
     lost = ""
     if packing is None:
         file: BinaryIO = path.open("rb")
     else:
-        unpacked = unpack(path, packing)
+        unpacked = decompress_to_temporary_file(path, packing)
         file, lost = unpacked.file, unpacked.lost
     try:
         return _recording(path, file, lost)
@@ -104,19 +108,21 @@ def _recording(path: Path, file: BinaryIO, lost: str) -> Recording:
         ) from error
     warnings = [*index.warnings]
     if lost:
-        warnings.insert(0, f"What follows {seconds(index.end_ns)} of the log is lost: {lost}.")
-    if not index.rows:
+        warnings.insert(
+            0, f"What follows {format_seconds(index.end_ns)} of the log is lost: {lost}."
+        )
+    if not index.by_keyword:
         raise RecordingError(
             " ".join(["is a CARMEN log without messages that can be read.", *warnings]),
             file=path,
             advice="Readable are FLASER, RLASER, ROBOTLASER, RAWLASER, ODOM and TRUEPOS.",
         )
-    lines = _Lines(path, file)
+    lines = _LineReader(path, file)
     streams = list(_streams(index, lines, warnings))
     return StampedRecording(path, "CARMEN log", streams, warnings, on_close=lines.close)
 
 
-class _Lines:
+class _LineReader:
     """Reads lines at their places. Safe for threads."""
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
@@ -124,7 +130,7 @@ class _Lines:
         self._file = file
         self._lock = threading.Lock()
 
-    def at(self, place: int) -> CarmenLine:
+    def read_line_at(self, place: int) -> CarmenLine:
         """The line that begins at a byte. Raises RecordingError, also where the file changed."""
         with self._lock:
             if self._file.closed:
@@ -139,13 +145,13 @@ class _Lines:
                     advice="Check the disk or the network that holds the file.",
                 ) from error
         if not text.split(None, 1) or text.split(None, 1)[0] not in KINDS:
-            raise self.bad(place, BadLine("is no longer what it was"))
+            raise self.bad_line_error(place, BadLine("is no longer what it was"))
         try:
             return parse_line(text)
         except BadLine as error:
-            raise self.bad(place, error) from error
+            raise self.bad_line_error(place, error) from error
 
-    def bad(self, place: int, error: BadLine) -> RecordingError:
+    def bad_line_error(self, place: int, error: BadLine) -> RecordingError:
         return RecordingError(
             f"the line at byte {place} {error}.",
             file=self._path,
@@ -157,33 +163,35 @@ class _Lines:
             self._file.close()
 
 
-def _streams(index: CarmenIndex, lines: _Lines, warnings: list[str]) -> Iterator[StampedStream]:
+def _streams(
+    index: CarmenIndex, lines: _LineReader, warnings: list[str]
+) -> Iterator[StampedStream]:
     mounts: dict[str, FloatArray] = {}
-    for keyword, rows in index.rows.items():
+    for keyword, rows in index.by_keyword.items():
         frame = keyword.lower()
         topic = f"/{frame}"
         stream = partial(_stream, index, lines, keyword, rows)
-        every = np.arange(len(rows.places))
+        every = np.arange(len(rows.byte_offsets))
         if keyword == "ODOM":
-            yield stream(topic, "odometry", every, _pose_of(0, ODOM_FRAME, BASE_FRAME))
+            yield stream(topic, "odometry", every, _pose_decoder(0, ODOM_FRAME, BASE_FRAME))
             continue
         if keyword == "TRUEPOS":
             truth = f"{topic}/ground_truth"
-            yield stream(truth, "pose", every, _pose_of(0, MAP_FRAME, BASE_FRAME))
+            yield stream(truth, "pose", every, _pose_decoder(0, MAP_FRAME, BASE_FRAME))
             continue
-        defaults = _defaults(index, keyword, warnings)
-        yield stream(topic, "lidar", every, _scan_of(frame, defaults))
+        defaults = _laser_defaults(index, keyword, warnings)
+        yield stream(topic, "lidar", every, _scan_decoder(frame, defaults))
         if rows.laser_on_robot is None:
             continue
-        odometry = _pose_of(3, ODOM_FRAME, BASE_FRAME)
+        odometry = _pose_decoder(3, ODOM_FRAME, BASE_FRAME)
         yield stream(f"{topic}/odom", "odometry", rows.with_poses, odometry)
-        mount = _mount(index, keyword, rows)
+        mount = _laser_mount(index, keyword, rows)
         if mount is not None:
             mounts[frame] = mount
         # Old lasers are taken to stand on the robot's centre unless PARAM says where.
         fixed = np.zeros(3) if mount is None else mount
         if not rows.is_rigid or not is_same_pose(rows.laser_on_robot, fixed):
-            corrected = _pose_of(0, MAP_FRAME, frame)
+            corrected = _pose_decoder(0, MAP_FRAME, frame)
             yield stream(f"{topic}/pose", "pose", rows.with_poses, corrected)
     if mounts:
         yield _static_transforms(index, mounts)
@@ -194,43 +202,43 @@ _Decoder = Callable[[CarmenLine, int | None], SensorValue]
 
 def _stream(
     index: CarmenIndex,
-    lines: _Lines,
+    lines: _LineReader,
     keyword: str,
-    rows: Rows,
+    rows: KeywordIndex,
     name: str,
     role: Role,
     messages: IntArray,
     decode: _Decoder,
 ) -> StampedStream:
-    places = rows.places[messages]
+    places = rows.byte_offsets[messages]
     received_ns = rows.received_ns[messages] if index.has_log else None
 
     def value(message: int) -> SensorValue:
         place = int(places[message])
         logged_ns = None if received_ns is None else int(received_ns[message])
         try:
-            return decode(lines.at(place), logged_ns)
+            return decode(lines.read_line_at(place), logged_ns)
         except BadLine as error:
-            raise lines.bad(place, error) from error
+            raise lines.bad_line_error(place, error) from error
 
     return StampedStream(
         name=name,
         type=keyword,
         role=role,
-        stamp_ns=rows.stamp_ns[messages],
+        stamps_ns=rows.stamp_ns[messages],
         received_ns=received_ns,
-        value=value,
+        read_value=value,
     )
 
 
-def _scan_of(frame: str, defaults: LaserDefaults) -> _Decoder:
+def _scan_decoder(frame: str, defaults: LaserDefaults) -> _Decoder:
     def decode(line: CarmenLine, received_ns: int | None) -> LaserScan:
         return laser_scan(line, received_ns, frame, defaults)
 
     return decode
 
 
-def _pose_of(first: int, parent: str, child: str) -> _Decoder:
+def _pose_decoder(first: int, parent: str, child: str) -> _Decoder:
     """The pose that begins at ``first`` in the body of a line."""
 
     def decode(line: CarmenLine, received_ns: int | None) -> PoseSample:
@@ -245,7 +253,7 @@ def _pose_of(first: int, parent: str, child: str) -> _Decoder:
     return decode
 
 
-def _defaults(index: CarmenIndex, keyword: str, warnings: list[str]) -> LaserDefaults:
+def _laser_defaults(index: CarmenIndex, keyword: str, warnings: list[str]) -> LaserDefaults:
     """What PARAM says of a laser; a warning where neither it nor a SICK gives the angles."""
     names = {
         "FLASER": ("laser_front_laser_resolution", "robot_front_laser_max", "robot_frontlaser_max"),
@@ -253,7 +261,7 @@ def _defaults(index: CarmenIndex, keyword: str, warnings: list[str]) -> LaserDef
     }.get(keyword, ("",))
     found = [index.parameters.get(name) for name in names]
     positive = [value if value is not None and value > 0.0 else None for value in found]
-    counts = index.odd_counts[keyword]
+    counts = index.unusual_counts[keyword]
     if positive[0] is None and counts:
         listed = ", ".join(str(count) for count in counts)
         warnings.append(
@@ -264,7 +272,7 @@ def _defaults(index: CarmenIndex, keyword: str, warnings: list[str]) -> LaserDef
     return LaserDefaults(resolution_deg=positive[0], range_max_m=maximum)
 
 
-def _mount(index: CarmenIndex, keyword: str, rows: Rows) -> FloatArray | None:
+def _laser_mount(index: CarmenIndex, keyword: str, rows: KeywordIndex) -> FloatArray | None:
     """The laser on the robot (x, y, yaw), where the log says it.
 
     ROBOTLASER lines have both poses. For FLASER there are PARAM lines; the unit of its angular
@@ -283,8 +291,8 @@ def _mount(index: CarmenIndex, keyword: str, rows: Rows) -> FloatArray | None:
 
 def _static_transforms(index: CarmenIndex, mounts: dict[str, FloatArray]) -> StampedStream:
     """One message at the first time of the log."""
-    stamp_ns = min(int(rows.stamp_ns[0]) for rows in index.rows.values())
-    received_ns = min(int(rows.received_ns[0]) for rows in index.rows.values())
+    stamp_ns = min(int(rows.stamp_ns[0]) for rows in index.by_keyword.values())
+    received_ns = min(int(rows.received_ns[0]) for rows in index.by_keyword.values())
     batch = TransformBatch(
         received_ns=received_ns if index.has_log else None,
         transforms=tuple(
@@ -301,7 +309,7 @@ def _static_transforms(index: CarmenIndex, mounts: dict[str, FloatArray]) -> Sta
         name="/tf_static",
         type="laser mounts",
         role="tf_static",
-        stamp_ns=np.array([stamp_ns]),
+        stamps_ns=np.array([stamp_ns]),
         received_ns=np.array([received_ns]) if index.has_log else None,
-        value=lambda _: batch,
+        read_value=lambda _: batch,
     )

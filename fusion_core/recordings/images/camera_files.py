@@ -39,7 +39,7 @@ _UNITS_PER_METRE = (100.0, 100_000.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StatedCamera:
+class CameraFile:
     """What a file says of a depth camera.
 
     ``pinhole``: fx, fy, cx, cy in pixels. ``shape``: (rows, columns) of its images.
@@ -73,13 +73,13 @@ class StatedCamera:
         )
 
 
-def camera_files(folder: Path) -> list[Path]:
+def find_camera_files(folder: Path) -> list[Path]:
     """The files directly in a folder that are named like a camera's, in order of their names."""
     names = {stem + suffix for stem in _STEMS for suffix in _PARSERS}
     return [folder / name for name in sorted(names) if (folder / name).is_file()]
 
 
-def read_camera_file(file: Path) -> StatedCamera:
+def read_camera_file(file: Path) -> CameraFile:
     """The camera that a file states. Raises RecordingError.
 
     Text and plain keys hold fx, fy, cx, cy; a matrix has its rows one after another, but for
@@ -113,7 +113,7 @@ def read_intrinsics(file: Path, shape: tuple[int, int]) -> CameraIntrinsics:
     return intrinsics
 
 
-def _units_per_metre(depth_scale: float) -> float:
+def _units_from_scale(depth_scale: float) -> float:
     least, most = _UNITS_PER_METRE
     units = 1.0 / depth_scale if 0.0 < depth_scale < 1.0 else depth_scale
     if not least <= units <= most:
@@ -121,28 +121,28 @@ def _units_per_metre(depth_scale: float) -> float:
     return units
 
 
-def _text_camera(text: str) -> StatedCamera:
+def _camera_from_text(text: str) -> CameraFile:
     values = [float(word) for word in text.split()]
     if len(values) == 4:
         fx, fy, cx, cy = values
-        return StatedCamera(pinhole=(fx, fy, cx, cy))
-    return StatedCamera(pinhole=_pinhole(values))
+        return CameraFile(pinhole=(fx, fy, cx, cy))
+    return CameraFile(pinhole=_pinhole_from_matrix(values))
 
 
-def _pinhole(k: Sequence[float]) -> tuple[float, float, float, float]:
+def _pinhole_from_matrix(k: Sequence[float]) -> tuple[float, float, float, float]:
     if len(k) != 9 or [k[1], k[3], *k[6:]] != [0.0, 0.0, 0.0, 0.0, 1.0]:
         raise ValueError(f"{len(k)} numbers are no 3 x 3 matrix fx 0 cx, 0 fy cy, 0 0 1")
     return k[0], k[4], k[2], k[5]
 
 
-def _json_camera(text: str) -> StatedCamera:
+def _camera_from_json(text: str) -> CameraFile:
     try:
-        return _mapped_camera(json.loads(text))
+        return _camera_from_mapping(json.loads(text))
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
 
 
-def _yaml_camera(text: str) -> StatedCamera:
+def _camera_from_yaml(text: str) -> CameraFile:
     yaml = YAML(typ="safe", pure=True)
     try:
         # Events come without recursion and without following aliases, which could multiply.
@@ -154,24 +154,24 @@ def _yaml_camera(text: str) -> StatedCamera:
             depth -= isinstance(event, CollectionEndEvent)
             if depth > _MAX_NESTING:
                 raise ValueError("it is nested too deeply")
-        return _mapped_camera(yaml.load(text))
+        return _camera_from_mapping(yaml.load(text))
     except YAMLError as error:
         problem = " ".join(str(error).split())
         raise ValueError(f"it is no YAML: {problem}") from error
 
 
-def _mapped_camera(camera: object) -> StatedCamera:
+def _camera_from_mapping(camera: object) -> CameraFile:
     if not isinstance(camera, dict):
         raise ValueError("it holds no keys")
     scale_key = next((key for key in _SCALE_KEYS if key in camera), None)
-    units_per_metre = _units_per_metre(_number(camera, scale_key)) if scale_key else None
+    units_per_metre = _units_from_scale(_number(camera, scale_key)) if scale_key else None
     if scale_key is not None and len(camera) == 1:
-        return StatedCamera(units_per_metre=units_per_metre)
+        return CameraFile(units_per_metre=units_per_metre)
     if "intrinsic_matrix" in camera:
         by_column = _numbers(camera, "intrinsic_matrix")
-        pinhole = _pinhole([*by_column[0::3], *by_column[1::3], *by_column[2::3]])
+        pinhole = _pinhole_from_matrix([*by_column[0::3], *by_column[1::3], *by_column[2::3]])
     elif "camera_matrix" in camera:
-        pinhole = _pinhole(_numbers(camera, "camera_matrix"))
+        pinhole = _pinhole_from_matrix(_numbers(camera, "camera_matrix"))
     else:
         fx, fy, cx, cy = (_number(camera, key) for key in ("fx", "fy", "cx", "cy"))
         pinhole = (fx, fy, cx, cy)
@@ -182,7 +182,7 @@ def _mapped_camera(camera: object) -> StatedCamera:
     distortion = tuple(_numbers(camera, key)) if key else ()
     if len(distortion) not in _DISTORTION_SIZES:
         raise ValueError(f"it has {len(distortion)} distortion coefficients")
-    return StatedCamera(
+    return CameraFile(
         pinhole=pinhole,
         shape=(height, width),
         distortion_model=str(camera.get("distortion_model") or "plumb_bob"),
@@ -217,9 +217,9 @@ def _numbers(camera: dict[Any, Any], key: str) -> list[float]:
     return [_number({key: number}, key) for number in flat]
 
 
-_PARSERS: dict[str, Callable[[str], StatedCamera]] = {
-    ".json": _json_camera,
-    ".yaml": _yaml_camera,
-    ".yml": _yaml_camera,
-    ".txt": _text_camera,
+_PARSERS: dict[str, Callable[[str], CameraFile]] = {
+    ".json": _camera_from_json,
+    ".yaml": _camera_from_yaml,
+    ".yml": _camera_from_yaml,
+    ".txt": _camera_from_text,
 }

@@ -16,15 +16,15 @@ from fusion_core.model.conventions import Float32Array
 from fusion_core.model.errors import RecordingError
 from fusion_core.recordings.decode import (
     MILLIMETRES_PER_METRE,
-    SATURATED,
+    SATURATED_DEPTH,
     depth_m_from_metres,
     depth_m_from_units,
 )
-from fusion_core.recordings.images.frame_files import decode_image, read_packed
+from fusion_core.recordings.images.frame_files import decode_image, read_image_bytes
 from fusion_core.recordings.messages.image_headers import (
     MAX_DECODED_BYTES,
     BadImage,
-    checked_image_size,
+    read_image_size,
 )
 
 _NPY_MAGIC = b"\x93NUMPY"
@@ -36,13 +36,13 @@ _NPY_HEADER = re.compile(
     re.DOTALL,
 )
 # Fewer values than these prove no encoding.
-_ENOUGH_PIXELS = 100
+_MIN_PIXELS = 100
 # And not many more are needed of a large image.
-_LOOKED_AT = 1 << 20
+_MAX_SAMPLED_PIXELS = 1 << 20
 _FARTHEST_MM = 10_000
 # What a rotation makes of about one metre.
 _ROTATED_MM = 8_191
-_MOST = 0.99
+_MIN_FRACTION = 0.99
 
 
 def read_depth(file: Path, units_per_metre: float) -> tuple[Float32Array, str]:
@@ -60,55 +60,55 @@ def read_depth(file: Path, units_per_metre: float) -> tuple[Float32Array, str]:
     return depth_m_from_metres(metres), "32FC1"
 
 
-def depth_shape(file: Path) -> tuple[int, int]:
+def read_depth_shape(file: Path) -> tuple[int, int]:
     """(rows, columns) without decoding."""
-    packed = read_packed(file)
+    packed = read_image_bytes(file)
     if packed.startswith(_NPY_MAGIC):
         rows, columns = _npy_pixels(file, packed).shape
         return rows, columns
     try:
-        size = checked_image_size(packed)
+        size = read_image_size(packed)
     except BadImage as error:
         raise RecordingError(f"{error}.", file=file, advice="Copy it again.") from error
     return size.height, size.width
 
 
 @dataclass(frozen=True, slots=True)
-class StoredDepth:
+class DepthEncodingCheck:
     """What the values of some files tell: whether any is of 16 bits, whose unit must be known.
 
     ``disorder``: why such values cannot be distances in their order of size, whatever their unit;
     ``other_unit``: why they cannot be millimetres. Each names its file; None for no doubt.
     """
 
-    counts_units: bool = False
-    disorder: str | None = None
+    has_integers: bool = False
+    scrambled_bits: str | None = None
     other_unit: str | None = None
 
 
-def examine_depth(files: Sequence[Path]) -> StoredDepth:
+def check_depth_encoding(files: Sequence[Path]) -> DepthEncodingCheck:
     """Look into ``files``; those that cannot be read tell nothing."""
-    stored = StoredDepth()
+    stored = DepthEncodingCheck()
     for file in files:
         try:
             pixels = _read_pixels(file)
         except RecordingError:
             continue
         if pixels.dtype == np.uint16:
-            values = pixels.ravel()[:: 1 + pixels.size // _LOOKED_AT]
-            values = values[(values != 0) & (values != SATURATED)]
-            known = values.size >= _ENOUGH_PIXELS
-            disorder = _disorder(values) if known else None
-            other_unit = _other_unit(values) if known else None
-            stored = StoredDepth(
+            values = pixels.ravel()[:: 1 + pixels.size // _MAX_SAMPLED_PIXELS]
+            values = values[(values != 0) & (values != SATURATED_DEPTH)]
+            known = values.size >= _MIN_PIXELS
+            disorder = _find_scrambled_bits(values) if known else None
+            other_unit = _find_other_unit(values) if known else None
+            stored = DepthEncodingCheck(
                 True,
-                stored.disorder or (disorder and f"{file.name}: {disorder}"),
+                stored.scrambled_bits or (disorder and f"{file.name}: {disorder}"),
                 stored.other_unit or (other_unit and f"{file.name}: {other_unit}"),
             )
     return stored
 
 
-def _disorder(values: np.ndarray[Any, Any]) -> str | None:
+def _find_scrambled_bits(values: np.ndarray[Any, Any]) -> str | None:
     low, high = int((values & 0xFF).max()), int((values >> 8).max())
     if 2 <= low < _FARTHEST_MM >> 8 < high:
         return "its two bytes seem swapped, as in raw dumps of NYU Depth"
@@ -118,15 +118,15 @@ def _disorder(values: np.ndarray[Any, Any]) -> str | None:
     return None
 
 
-def _other_unit(values: np.ndarray[Any, Any]) -> str | None:
-    if values.max() > _FARTHEST_MM and (values % 5 == 0).mean() > _MOST:
+def _find_other_unit(values: np.ndarray[Any, Any]) -> str | None:
+    if values.max() > _FARTHEST_MM and (values % 5 == 0).mean() > _MIN_FRACTION:
         return "its steps are 5 and it reaches beyond 10 m, as in TUM RGB-D with 1/5000 m"
     return None
 
 
 def _read_pixels(file: Path) -> np.ndarray[Any, Any]:
     """(H, W) uint16 or floating."""
-    packed = read_packed(file)
+    packed = read_image_bytes(file)
     if packed.startswith(_NPY_MAGIC):
         return _npy_pixels(file, packed)
     pixels = decode_image(file, packed, cv2.IMREAD_UNCHANGED)

@@ -16,7 +16,7 @@ from fusion_core.model.geometry import make_transform, rotation_from_quaternion
 from fusion_core.recordings.messages.image_headers import (
     MAX_DECODED_BYTES,
     BadImage,
-    checked_image_size,
+    read_image_size,
 )
 
 # Frames are numbered with at most twelve digits.
@@ -27,7 +27,7 @@ _MAX_PACKED_BYTES = MAX_DECODED_BYTES + (1 << 20)
 _COPY_AGAIN = "Copy it again from its source."
 
 
-def read_packed(file: Path) -> bytes:
+def read_image_bytes(file: Path) -> bytes:
     """The bytes of an image file."""
     try:
         return read_regular(file, _MAX_PACKED_BYTES)
@@ -39,13 +39,13 @@ def read_packed(file: Path) -> bytes:
 
 def read_image(file: Path, flags: int) -> np.ndarray[Any, Any]:
     """The pixels of an image file; ``flags`` are OpenCV's IMREAD flags."""
-    return decode_image(file, read_packed(file), flags)
+    return decode_image(file, read_image_bytes(file), flags)
 
 
 def decode_image(file: Path, packed: bytes, flags: int) -> np.ndarray[Any, Any]:
     """The pixels of ``packed``, the bytes of an image file."""
     try:
-        checked_image_size(packed)
+        read_image_size(packed)
         pixels = cv2.imdecode(np.frombuffer(packed, np.uint8), flags)
     except BadImage as error:
         raise RecordingError(f"{error}.", file=file, advice=_COPY_AGAIN) from error

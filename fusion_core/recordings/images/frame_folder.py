@@ -112,8 +112,8 @@ def _recording(path: Path, layout: FrameLayout) -> Recording:
             name=name,
             type=kind,
             role=role,
-            stamp_ns=stamps,
-            value=lambda index: value(int(numbers[index]), int(stamps[index])),
+            stamps_ns=stamps,
+            read_value=lambda index: value(int(numbers[index]), int(stamps[index])),
         )
 
     streams = [stream(DEPTH_TOPIC, "image", "depth", layout.depth, partial(_depth, layout.depth))]

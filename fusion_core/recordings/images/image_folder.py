@@ -25,8 +25,16 @@ from fusion_core.model.sensors import (
 )
 from fusion_core.recordings.decimal_time import ns_from_decimal_seconds
 from fusion_core.recordings.decode import MILLIMETRES_PER_METRE
-from fusion_core.recordings.images.camera_files import StatedCamera, camera_files, read_camera_file
-from fusion_core.recordings.images.depth_files import depth_shape, examine_depth, read_depth
+from fusion_core.recordings.images.camera_files import (
+    CameraFile,
+    find_camera_files,
+    read_camera_file,
+)
+from fusion_core.recordings.images.depth_files import (
+    check_depth_encoding,
+    read_depth,
+    read_depth_shape,
+)
 from fusion_core.recordings.images.frame_files import read_rgb
 from fusion_core.recordings.images.frame_folder import (
     CAMERA_FRAME,
@@ -63,7 +71,7 @@ class ImageSeries:
 
 
 @dataclass(frozen=True, slots=True)
-class FoundCamera:
+class DepthCameraParameters:
     """Intrinsics and unit of 16-bit depth; None where no file says them."""
 
     intrinsics: CameraIntrinsics | None = None
@@ -100,7 +108,7 @@ def open_image_folder(path: Path) -> Recording:
         color = None
     first = min(int(images.values[0]) for images in (depth, color) if images is not None)
     series = depth.series(first)
-    camera = find_camera(series, [path, path / _DEPTH_FOLDER], warnings)
+    camera = find_camera_parameters(series, [path, path / _DEPTH_FOLDER], warnings)
     return StampedRecording(
         path,
         "image folder",
@@ -115,34 +123,36 @@ def open_image_folder(path: Path) -> Recording:
     )
 
 
-def find_camera(depth: ImageSeries, folders: Sequence[Path], warnings: list[str]) -> FoundCamera:
+def find_camera_parameters(
+    depth: ImageSeries, folders: Sequence[Path], warnings: list[str]
+) -> DepthCameraParameters:
     """What the one camera file in ``folders`` says; what it cannot say goes to ``warnings``."""
-    files = [file for folder in folders for file in camera_files(folder)]
+    files = [file for folder in folders for file in find_camera_files(folder)]
     if len(files) > 1:
         names = ", ".join(file.name for file in files)
         warnings.append(f"There are no intrinsics: {names} exclude each other.")
     if len(files) != 1:
-        return FoundCamera()
-    stated = StatedCamera()
+        return DepthCameraParameters()
+    stated = CameraFile()
     try:
         stated = read_camera_file(files[0])
-        intrinsics = stated.intrinsics(first_shape(depth))
+        intrinsics = stated.intrinsics(read_first_shape(depth))
     except RecordingError as error:
         warnings.append(f"There are no intrinsics: {error}")
     except ValueError as error:
         warnings.append(f"There are no intrinsics: {files[0].name}: {error}.")
     else:
-        return FoundCamera(intrinsics, stated.units_per_metre)
-    return FoundCamera(None, stated.units_per_metre)
+        return DepthCameraParameters(intrinsics, stated.units_per_metre)
+    return DepthCameraParameters(None, stated.units_per_metre)
 
 
-def first_shape(depth: ImageSeries) -> tuple[int, int]:
+def read_first_shape(depth: ImageSeries) -> tuple[int, int]:
     """(rows, columns) of the first image that can be read. Raises RecordingError."""
     last = min(len(depth.names), _SHAPE_ATTEMPTS) - 1
     for index in range(last):
         with suppress(RecordingError):
-            return depth_shape(depth.file(index))
-    return depth_shape(depth.file(last))
+            return read_depth_shape(depth.file(index))
+    return read_depth_shape(depth.file(last))
 
 
 def camera_streams(
@@ -187,7 +197,9 @@ def frame_stamps_ns(numbers: IntArray, first: int) -> IntArray:
 def _stream(
     name: str, kind: str, role: Role, series: ImageSeries, value: Callable[[int], SensorValue]
 ) -> StampedStream:
-    return StampedStream(name=name, type=kind, role=role, stamp_ns=series.stamp_ns, value=value)
+    return StampedStream(
+        name=name, type=kind, role=role, stamps_ns=series.stamp_ns, read_value=value
+    )
 
 
 def _depth(series: ImageSeries, index: int, units_per_metre: float) -> DepthImage:
@@ -213,18 +225,18 @@ def _color(series: ImageSeries, index: int) -> ColorImage:
 def _units_per_metre(depth: ImageSeries, stated: float | None, warnings: list[str]) -> float:
     """``stated``, else millimetres where the values do not speak against it."""
     last = len(depth.names) - 1
-    stored = examine_depth([depth.file(index) for index in sorted({0, last // 2, last})])
+    stored = check_depth_encoding([depth.file(index) for index in sorted({0, last // 2, last})])
     if stated is not None:
-        if stored.disorder:
-            warnings.append(f"Depth is read as stated, but doubtful: {stored.disorder}.")
+        if stored.scrambled_bits:
+            warnings.append(f"Depth is read as stated, but doubtful: {stored.scrambled_bits}.")
         return stated
-    if doubt := stored.disorder or stored.other_unit:
+    if doubt := stored.scrambled_bits or stored.other_unit:
         raise RecordingError(
             f"is no depth in millimetres: {doubt}.",
             file=depth.folder,
             advice='Convert it to millimetres, or state its unit as "depth_scale" in camera.json.',
         )
-    if stored.counts_units:
+    if stored.has_integers:
         warnings.append(
             "Depth is taken as millimetres: no file that can be read says its unit "
             '("depth_scale" in camera.json).'

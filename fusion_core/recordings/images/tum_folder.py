@@ -32,18 +32,18 @@ from fusion_core.recordings.images.image_folder import (
     MAX_FILES,
     ImageSeries,
     camera_streams,
-    find_camera,
-    first_shape,
+    find_camera_parameters,
     frame_stamps_ns,
+    read_first_shape,
 )
 from fusion_core.recordings.stamped import StampedRecording, StampedStream
 
 UNITS_PER_METRE = 5000.0
 # Named so that it is never taken for odometry.
-TRUTH_TOPIC = "/camera/ground_truth"
+GROUND_TRUTH_TOPIC = "/camera/ground_truth"
 
 _DEPTH_LIST, _COLOR_LIST, _PAIR_LIST = "depth.txt", "rgb.txt", "associations.txt"
-_TRUTH_LIST = "groundtruth.txt"
+_GROUND_TRUTH_LIST = "groundtruth.txt"
 _MAX_LIST_BYTES = 64 << 20
 _MAX_LINE_BYTES = 4096
 _QUATERNION_LENGTHS = (1e-6, 1e6)
@@ -70,7 +70,7 @@ def is_tum_folder(path: Path) -> bool:
 def open_tum_folder(path: Path) -> Recording:
     """A folder that ``is_tum_folder`` knows. Raises RecordingError."""
     warnings: list[str] = []
-    depth_list, color_list = _listed_images(path, warnings)
+    depth_list, color_list = _read_image_lists(path, warnings)
     lists = [listed for listed in (depth_list, color_list) if listed.names]
     if not lists:
         raise RecordingError(
@@ -83,11 +83,11 @@ def open_tum_folder(path: Path) -> Recording:
     depth, color = (listed.series(first, warnings) for listed in (depth_list, color_list))
     intrinsics, units_per_metre = None, UNITS_PER_METRE
     if depth is not None:
-        camera = find_camera(depth, [path], warnings)
+        camera = find_camera_parameters(depth, [path], warnings)
         intrinsics = camera.intrinsics or _published_intrinsics(path, depth, warnings)
         units_per_metre = camera.units_per_metre or UNITS_PER_METRE
     streams = camera_streams(depth, color, intrinsics, units_per_metre)
-    streams += _truth(path / _TRUTH_LIST, nominal, warnings)
+    streams += _ground_truth_streams(path / _GROUND_TRUTH_LIST, nominal, warnings)
     return StampedRecording(path, "TUM RGB-D folder", streams, warnings, stamps_are_nominal=nominal)
 
 
@@ -125,14 +125,14 @@ class _ImageList:
         if not self.names:
             return None
         stamps = np.array(self.stamps_ns, dtype=np.int64)
-        order = _ascending(stamps, self.list_name, warnings)
+        order = _sorting_order(stamps, self.list_name, warnings)
         stamps = stamps[order]
         if first_number is not None:
             stamps = frame_stamps_ns(stamps // NS_PER_S, first_number)
         return ImageSeries(self.folder, tuple(self.names[i] for i in order.tolist()), stamps)
 
 
-def _listed_images(path: Path, warnings: list[str]) -> tuple[_ImageList, _ImageList]:
+def _read_image_lists(path: Path, warnings: list[str]) -> tuple[_ImageList, _ImageList]:
     """Depth and colour as rgb.txt and depth.txt say; as associations.txt where both are missing."""
     depth, color = _ImageList(path, _DEPTH_LIST), _ImageList(path, _COLOR_LIST)
 
@@ -150,14 +150,14 @@ def _listed_images(path: Path, warnings: list[str]) -> tuple[_ImageList, _ImageL
 
     singles = [listed for listed in (depth, color) if (path / listed.list_name).is_file()]
     for listed in singles:
-        _take_lines(path / listed.list_name, partial(take_image, listed), warnings)
+        _parse_lines(path / listed.list_name, partial(take_image, listed), warnings)
     if not singles:
         depth.list_name = color.list_name = _PAIR_LIST
-        _take_lines(path / _PAIR_LIST, take_pair, warnings)
+        _parse_lines(path / _PAIR_LIST, take_pair, warnings)
     return depth, color
 
 
-def _take_lines(file: Path, take: Callable[[list[str]], str | None], warnings: list[str]) -> None:
+def _parse_lines(file: Path, take: Callable[[list[str]], str | None], warnings: list[str]) -> None:
     """Hand the words of each line to ``take``, which says why it cannot use them.
 
     A list that cannot be read costs its topic, a line itself; both give a warning.
@@ -191,7 +191,7 @@ def _take_lines(file: Path, take: Callable[[list[str]], str | None], warnings: l
         warnings.append(f"{file.name}: {refused} lines are left out; the first, {first_reason}.")
 
 
-def _truth(file: Path, nominal: bool, warnings: list[str]) -> list[StampedStream]:
+def _ground_truth_streams(file: Path, nominal: bool, warnings: list[str]) -> list[StampedStream]:
     if not file.is_file():
         return []
     if nominal:
@@ -217,11 +217,11 @@ def _truth(file: Path, nominal: bool, warnings: list[str]) -> list[StampedStream
         poses.extend(values)
         return None
 
-    _take_lines(file, take, warnings)
+    _parse_lines(file, take, warnings)
     if not stamps_ns:
         return []
     unsorted_ns = np.array(stamps_ns, dtype=np.int64)
-    order = _ascending(unsorted_ns, file.name, warnings)
+    order = _sorting_order(unsorted_ns, file.name, warnings)
     ordered_ns = unsorted_ns[order]
     ordered: FloatArray = np.array(poses).reshape(-1, 7)[order]
 
@@ -237,7 +237,9 @@ def _truth(file: Path, nominal: bool, warnings: list[str]) -> list[StampedStream
         )
 
     return [
-        StampedStream(name=TRUTH_TOPIC, type="pose", role="pose", stamp_ns=ordered_ns, value=pose)
+        StampedStream(
+            name=GROUND_TRUTH_TOPIC, type="pose", role="pose", stamps_ns=ordered_ns, read_value=pose
+        )
     ]
 
 
@@ -249,7 +251,7 @@ def _published_intrinsics(
     if match is None:
         return None
     try:
-        shape = first_shape(depth)
+        shape = read_first_shape(depth)
     except RecordingError as error:
         warnings.append(f"There are no intrinsics: {error}")
         return None
@@ -269,7 +271,7 @@ def _published_intrinsics(
     )
 
 
-def _ascending(stamps_ns: IntArray, list_name: str, warnings: list[str]) -> IntArray:
+def _sorting_order(stamps_ns: IntArray, list_name: str, warnings: list[str]) -> IntArray:
     """The order that makes stamps ascend, lines of one stamp as they stand."""
     if (np.diff(stamps_ns) < 0).any():
         warnings.append(f"{list_name}: its stamps do not ascend; its lines are sorted.")

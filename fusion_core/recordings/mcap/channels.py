@@ -35,8 +35,8 @@ class McapChannels:
         self.channels: list[Channel] = []
         self._numbers: dict[int, int] = {}
         self._schemas: dict[int, Schema] = {}
-        self._spare_schemas: dict[int, Schema] = {}
-        self._spare_channels: dict[int, ChannelRecord] = {}
+        self._fallback_schemas: dict[int, Schema] = {}
+        self._fallback_channels: dict[int, ChannelRecord] = {}
 
     def define(self, opcode: int, content: bytes) -> None:
         """Take a schema or a channel. Raises ValueError for one that cannot be read."""
@@ -50,15 +50,15 @@ class McapChannels:
         else:
             self._add(record)
 
-    def define_spare(self, opcode: int, content: bytes) -> None:
+    def define_fallback(self, opcode: int, content: bytes) -> None:
         """Keep a schema or a channel in case there is no other. Raises ValueError as ``define``."""
         record = _parse(opcode, content)
-        if max(len(self._spare_schemas), len(self._spare_channels)) == _MAX_CHANNELS:
+        if max(len(self._fallback_schemas), len(self._fallback_channels)) == _MAX_CHANNELS:
             raise ValueError(f"there are more than {_MAX_CHANNELS} channels")
         if isinstance(record, Schema):
-            self._spare_schemas.setdefault(record.id, record)
+            self._fallback_schemas.setdefault(record.id, record)
         else:
-            self._spare_channels.setdefault(record.id, record)
+            self._fallback_channels.setdefault(record.id, record)
 
     def contradicts(self, opcode: int, content: bytes) -> bool:
         """Whether a schema or a channel means something else than the spare one of its number.
@@ -70,26 +70,26 @@ class McapChannels:
         except ValueError:
             return False
         if isinstance(record, Schema):
-            return self._spare_schemas.get(record.id, record) != record
-        spare = self._spare_channels.get(record.id, record)
-        return replace(spare, metadata={}) != replace(record, metadata={})
+            return self._fallback_schemas.get(record.id, record) != record
+        fallback = self._fallback_channels.get(record.id, record)
+        return replace(fallback, metadata={}) != replace(record, metadata={})
 
-    def add_spare(self) -> None:
+    def add_fallbacks(self) -> None:
         """Add the spare channels, of which some may have no message."""
-        for channel_id in self._spare_channels:
-            self.number(channel_id)
+        for channel_id in self._fallback_channels:
+            self.channel_number(channel_id)
 
-    def number(self, channel_id: int) -> int | None:
+    def channel_number(self, channel_id: int) -> int | None:
         """The place of a channel in ``channels``, None where no record defines it."""
         is_final = channel_id in self._numbers or len(self.channels) == _MAX_CHANNELS
-        if not is_final and channel_id in self._spare_channels:
-            self._add(self._spare_channels[channel_id])
+        if not is_final and channel_id in self._fallback_channels:
+            self._add(self._fallback_channels[channel_id])
         return self._numbers.get(channel_id)
 
     def _add(self, record: ChannelRecord) -> None:
         if record.id in self._numbers:
             return
-        schema = self._schemas.get(record.schema_id, self._spare_schemas.get(record.schema_id))
+        schema = self._schemas.get(record.schema_id, self._fallback_schemas.get(record.schema_id))
         readable = schema is not None and schema.encoding in _ROS_SCHEMAS
         name = "" if schema is None else schema.name
         self._numbers[record.id] = len(self.channels)
@@ -111,14 +111,14 @@ def _parse(opcode: int, content: bytes) -> Schema | ChannelRecord:
     try:
         if opcode == Opcode.SCHEMA:
             schema: Schema = Schema.read(stream)
-            return _with_sane_names(schema, schema.name, schema.encoding)
+            return _require_sane_names(schema, schema.name, schema.encoding)
         channel: ChannelRecord = ChannelRecord.read(stream)
-        return _with_sane_names(channel, channel.topic, channel.message_encoding)
+        return _require_sane_names(channel, channel.topic, channel.message_encoding)
     except (McapError, struct.error, UnicodeDecodeError) as error:
         raise ValueError("its fields are damaged") from error
 
 
-def _with_sane_names(record: _Definition, *names: str) -> _Definition:
+def _require_sane_names(record: _Definition, *names: str) -> _Definition:
     for name in names:
         if len(name.encode()) > _MAX_NAME_BYTES or not name.isprintable():
             raise ValueError("its name is too long or has control characters")

@@ -13,12 +13,12 @@ from fusion_core.recordings.containers import (
     ENTRY,
     MAX_CHUNK_BYTES,
     Channel,
+    ChecksumReport,
     ChunkCache,
     Entries,
     Payload,
-    Verified,
-    damaged,
-    index_problem,
+    damaged_file_error,
+    find_index_problem,
 )
 from fusion_core.recordings.mcap.channels import DEFINING, McapChannels
 from fusion_core.recordings.mcap.records import (
@@ -29,7 +29,7 @@ from fusion_core.recordings.mcap.records import (
     index_entries,
     records_in,
 )
-from fusion_core.recordings.mcap.walk import NOT_IN_A_CHUNK, Walk
+from fusion_core.recordings.mcap.walk import NOT_IN_A_CHUNK, RecordWalk
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -80,7 +80,7 @@ class McapFile:
         # A buffer would be filled anew at every record of a walk.
         self._file = path.open("rb", buffering=0)
         self._records = RecordFile(self._file)
-        self._chunks = ChunkCache(self._unpack)
+        self._chunks = ChunkCache(self._decompress_chunk)
         self._summary = _Summary()
 
     @property
@@ -98,7 +98,7 @@ class McapFile:
             if entries is not None and not summary.has_checksum and self._is_contradicted(entries):
                 summary.problem = "its summary contradicts its chunks"
             elif entries is not None:
-                self._channels.add_spare()
+                self._channels.add_fallbacks()
                 return entries
         return self._salvage(summary)
 
@@ -112,13 +112,15 @@ class McapFile:
             return self._records.read(start, end - start)
         if block != NOT_IN_A_CHUNK and start <= end <= len(self._chunks[block]):
             return memoryview(self._chunks[block])[start:end]
-        raise damaged(self.path, f"the message at byte {offset}{_of_chunk(block)} breaks off")
+        raise damaged_file_error(
+            self.path, f"the message at byte {offset}{_of_chunk(block)} breaks off"
+        )
 
     def published_ns(self, block: int, offset: int) -> int:
         return int(MESSAGE_HEADER.unpack(self._header(block, offset))[-1])
 
-    def verify(self, entries: Entries) -> Verified:
-        verified = Verified()
+    def verify(self, entries: Entries) -> ChecksumReport:
+        verified = ChecksumReport()
         entries = np.sort(entries, order=["block", "offset"])
         for block in np.unique(entries["block"]).tolist():
             first, end = np.searchsorted(entries["block"], [block, block + 1])
@@ -134,9 +136,9 @@ class McapFile:
     def close(self) -> None:
         self._file.close()
 
-    def _verify_chunk(self, block: int, indexed: Entries, verified: Verified) -> None:
+    def _verify_chunk(self, block: int, indexed: Entries, verified: ChecksumReport) -> None:
         try:
-            content = self._unpack(block)
+            content = self._decompress_chunk(block)
         except RecordingError:
             return
         if self._records.chunk(block).crc:
@@ -150,10 +152,10 @@ class McapFile:
             if opcode == Opcode.MESSAGE:
                 position = start - RECORD_HEADER.size
                 _, _, channel, _, log_time, _ = MESSAGE_HEADER.unpack_from(content, position)
-                number = self._channels.number(channel)
+                number = self._channels.channel_number(channel)
                 if number is not None and log_time <= MAX_TIME_NS:
                     rows.append((log_time, number, block, position))
-        problem = index_problem(np.array(rows, dtype=ENTRY), indexed)
+        problem = find_index_problem(np.array(rows, dtype=ENTRY), indexed)
         if behind < len(content):
             problem = f"no record is at byte {behind} of its content"
         if problem:
@@ -161,7 +163,7 @@ class McapFile:
                 f"{self.path.name}: Damaged: the chunk at byte {block}: {problem}."
             )
 
-    def _verify_data(self, verified: Verified) -> None:
+    def _verify_data(self, verified: ChecksumReport) -> None:
         """By the checksum of all that stands before the summary, where the writer made one."""
         end = self._summary.start - _DATA_END.size
         if self._summary.problem or end < len(MAGIC):
@@ -184,16 +186,16 @@ class McapFile:
             size = max(min(MESSAGE_HEADER.size, self._records.size - offset), 0)
             header = self._records.read(offset, size)
         if len(header) < MESSAGE_HEADER.size or header[0] != Opcode.MESSAGE:
-            raise damaged(self.path, f"no message at byte {offset}{_of_chunk(block)}")
+            raise damaged_file_error(self.path, f"no message at byte {offset}{_of_chunk(block)}")
         return header
 
-    def _unpack(self, block: int) -> bytes:
+    def _decompress_chunk(self, block: int) -> bytes:
         try:
-            unpacked = self._records.unpack(self._records.chunk(block))
+            unpacked = self._records.decompress_chunk(self._records.chunk(block))
         except ValueError as error:
-            raise damaged(self.path, f"the chunk at byte {block}, {error}") from error
+            raise damaged_file_error(self.path, f"the chunk at byte {block}, {error}") from error
         if unpacked.problem:
-            raise damaged(self.path, f"the chunk at byte {block}, {unpacked.problem}")
+            raise damaged_file_error(self.path, f"the chunk at byte {block}, {unpacked.problem}")
         return unpacked.content
 
     def _read_summary(self) -> _Summary:
@@ -239,7 +241,7 @@ class McapFile:
                 elif record.opcode == Opcode.CHUNK_INDEX:
                     summary.chunks.append(_chunk_place(content))
                 else:
-                    self._channels.define_spare(record.opcode, content)
+                    self._channels.define_fallback(record.opcode, content)
             start = record.end
 
     def _index_from_summary(self, summary: _Summary) -> Entries | None:
@@ -254,7 +256,7 @@ class McapFile:
                 parts.append(
                     index_entries(
                         self._records.read(chunk.end, chunk.index_bytes),
-                        self._channels.number,
+                        self._channels.channel_number,
                         block=chunk.position,
                         size=chunk.size,
                         start_ns=chunk.start_ns,
@@ -289,15 +291,17 @@ class McapFile:
         if summary.problem:
             # A name in a damaged summary may be damaged too: those of the chunks come first.
             self._channels = McapChannels()
-        walk = Walk(self._records, self._channels)
+        walk = RecordWalk(self._records, self._channels)
         begins = self._records.size >= len(MAGIC) and self._records.read(0, len(MAGIC)) == MAGIC
         entries = walk.entries(len(MAGIC) if begins else 0)
         if not summary.problem:
-            self._channels.add_spare()
+            self._channels.add_fallbacks()
         problem = summary.problem or ("" if begins else "its beginning is missing")
         told = walk.losses.warnings(entries, self._records.size)
         if (problem or told) and not len(entries):
-            raise damaged(self.path, f"no message of it can be read ({problem or told[0]})")
+            raise damaged_file_error(
+                self.path, f"no message of it can be read ({problem or told[0]})"
+            )
         if problem:
             nothing = "" if told else ", and none is lost"
             told.insert(0, f"Damaged or cut short ({problem}): messages were looked for{nothing}.")

@@ -7,7 +7,7 @@ import numpy as np
 from fusion_core.model.conventions import NS_PER_S, IntArray
 from fusion_core.recordings.containers import Entries
 
-_TOLD = 8
+_MAX_LISTED = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,7 +22,7 @@ class Lost:
 
 
 @dataclass(frozen=True, slots=True)
-class _Orphans:
+class _UndefinedChannel:
     """Messages of a channel that no record defines."""
 
     count: int
@@ -36,7 +36,7 @@ class Losses:
     def __init__(self) -> None:
         self.breaks_off = False
         self._lost: list[Lost] = []
-        self._orphans: dict[int, _Orphans] = {}
+        self._orphans: dict[int, _UndefinedChannel] = {}
         self._undefined = 0
         self._first_undefined = ""
         self._untimed = 0
@@ -50,13 +50,13 @@ class Losses:
         if lost.end > lost.start:
             self._lost.append(lost)
 
-    def add_orphans(self, channel: int, log_times_ns: IntArray) -> None:
+    def add_undefined_channel(self, channel: int, log_times_ns: IntArray) -> None:
         """(N,) log times of the messages of a channel that no record defines."""
-        self._orphans[channel] = _Orphans(
+        self._orphans[channel] = _UndefinedChannel(
             len(log_times_ns), int(log_times_ns.min()), int(log_times_ns.max())
         )
 
-    def add_undefined(self, problem: str) -> None:
+    def add_bad_definition(self, problem: str) -> None:
         """A schema or a channel that cannot be read."""
         self._first_undefined = self._first_undefined or problem
         self._undefined += 1
@@ -71,9 +71,9 @@ class Losses:
         told = [
             f"Lost are {lost.end - lost.start} bytes, from byte {lost.start} to {lost.end}"
             f"{clock.span(lost)}: {lost.what}."
-            for lost in self._lost[:_TOLD]
+            for lost in self._lost[:_MAX_LISTED]
         ]
-        rest = self._lost[_TOLD:]
+        rest = self._lost[_MAX_LISTED:]
         if rest:
             size = sum(lost.end - lost.start for lost in rest)
             told.append(
@@ -87,11 +87,13 @@ class Losses:
         told += [
             f"{lost.count} messages from {clock.text(lost.start_ns)} to {clock.text(lost.end_ns)} "
             f"are left out: the record of their channel {channel} cannot be read."
-            for channel, lost in orphans[:_TOLD]
+            for channel, lost in orphans[:_MAX_LISTED]
         ]
-        if orphans[_TOLD:]:
-            count = sum(lost.count for _, lost in orphans[_TOLD:])
-            told.append(f"{count} messages of {len(orphans) - _TOLD} more channels are left out.")
+        if orphans[_MAX_LISTED:]:
+            count = sum(lost.count for _, lost in orphans[_MAX_LISTED:])
+            told.append(
+                f"{count} messages of {len(orphans) - _MAX_LISTED} more channels are left out."
+            )
         if self._undefined:
             told.append(
                 f"{self._undefined} schemas or channels cannot be read; "

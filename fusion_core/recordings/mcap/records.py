@@ -81,7 +81,7 @@ class Record(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Unpacked:
+class DecompressedChunk:
     """The content of a chunk, up to where ``problem`` is if that is not empty."""
 
     content: bytes
@@ -188,17 +188,17 @@ class RecordFile:
             compression=compression,
         )
 
-    def unpack(self, chunk: Chunk) -> Unpacked:
+    def decompress_chunk(self, chunk: Chunk) -> DecompressedChunk:
         """A chunk's content. What the file's end cuts off is no problem of the rest."""
         end = min(chunk.data_end, self.size)
         packed = self.read(chunk.data_start, end - chunk.data_start)
-        content, problem = _unpack(packed, chunk.compression, chunk.size)
+        content, problem = _decompress(packed, chunk.compression, chunk.size)
         if not problem and end == chunk.data_end:
             if len(content) != chunk.size:
                 problem = f"it does not unpack to the {chunk.size} bytes that it claims"
             elif chunk.crc and zlib.crc32(content) != chunk.crc:
                 problem = "its checksum is wrong"
-        return Unpacked(content, problem)
+        return DecompressedChunk(content, problem)
 
     def find_record(self, start: int) -> int | None:
         """The next place where one record follows another, or the file ends behind one."""
@@ -298,16 +298,16 @@ def index_entries(
     return entries
 
 
-def _unpack(packed: bytes, compression: str, size: int) -> tuple[bytes, str]:
+def _decompress(packed: bytes, compression: str, size: int) -> tuple[bytes, str]:
     """At most ``size + 1`` bytes before ``packed`` breaks off or is damaged, and the damage."""
     if compression == "zstd":
-        return _unpack_zstd(packed, size)
+        return _decompress_zstd(packed, size)
     if compression == "lz4":
-        return _unpack_lz4(packed, size)
+        return _decompress_lz4(packed, size)
     return packed, ""
 
 
-def _unpack_zstd(packed: bytes, size: int) -> tuple[bytes, str]:
+def _decompress_zstd(packed: bytes, size: int) -> tuple[bytes, str]:
     decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
     try:
         return decompressor.stream_reader(packed).read(size + 1), ""
@@ -324,7 +324,7 @@ def _unpack_zstd(packed: bytes, size: int) -> tuple[bytes, str]:
     return content.getvalue(), problem
 
 
-def _unpack_lz4(packed: bytes, size: int, step: int = _PIECE_BYTES) -> tuple[bytes, str]:
+def _decompress_lz4(packed: bytes, size: int, step: int = _PIECE_BYTES) -> tuple[bytes, str]:
     decompressor = lz4.frame.LZ4FrameDecompressor()
     content = BytesIO()
     place = 0
@@ -338,6 +338,6 @@ def _unpack_lz4(packed: bytes, size: int, step: int = _PIECE_BYTES) -> tuple[byt
             content.write(decompressor.decompress(piece, room))
     except RuntimeError as error:
         if step > _STEP_BYTES:
-            return _unpack_lz4(packed, size, _STEP_BYTES)
+            return _decompress_lz4(packed, size, _STEP_BYTES)
         return content.getvalue(), f"it does not unpack, {error}"
     return content.getvalue(), ""

@@ -29,7 +29,7 @@ _CHANNEL_IDS = 1 << 16
 _NO_RECORD = "no record can be read there"
 
 
-class Walk:
+class RecordWalk:
     """Reads the data section of a file; ``losses`` then tells what of it cannot be read.
 
     A chunk is unpacked only where the message index behind it is missing, damaged, or of
@@ -59,7 +59,7 @@ class Walk:
                 self._flush()
                 position = self._take_chunk(record)
             else:
-                position = self._take(record)
+                position = self._take_record(record)
         self._flush()
         self.losses.breaks_off = record is None and self._in_data
         entries = np.concatenate(self._parts)
@@ -89,7 +89,7 @@ class Walk:
         if self._in_data:
             self.losses.add(Lost(start=start, end=end, what=what, start_ns=start_ns, end_ns=end_ns))
 
-    def _take(self, record: Record) -> int:
+    def _take_record(self, record: Record) -> int:
         """A record outside of chunks; returns where the next is looked for."""
         after = record.end
         if not self._file.follows(record.end):
@@ -134,7 +134,7 @@ class Walk:
             return after
         if end is not None and after is not None and self._take_index(chunk, end, after):
             return after
-        unpacked = self._file.unpack(chunk)
+        unpacked = self._file.decompress_chunk(chunk)
         if unpacked.problem:
             self._keep_definitions(unpacked.content)
             if end is None or after is None:
@@ -155,7 +155,7 @@ class Walk:
 
     def _take_cut_chunk(self, chunk: Chunk) -> int:
         before = len(self._parts)
-        unpacked = self._file.unpack(chunk)
+        unpacked = self._file.decompress_chunk(chunk)
         problem = f", {unpacked.problem}" if unpacked.problem else ""
         if problem:
             self._keep_definitions(unpacked.content)
@@ -203,7 +203,7 @@ class Walk:
         try:
             entries = index_entries(
                 self._file.read(start, end - start),
-                self._known,
+                self._known_channel,
                 block=chunk.position,
                 size=chunk.size,
                 start_ns=chunk.start_ns,
@@ -225,8 +225,8 @@ class Walk:
         )
         return True
 
-    def _known(self, channel: int) -> int | None:
-        return None if self._channels.number(channel) is None else channel
+    def _known_channel(self, channel: int) -> int | None:
+        return None if self._channels.channel_number(channel) is None else channel
 
     def _take_content(self, chunk: Chunk, content: bytes) -> int:
         """Take the records in a chunk; returns how many bytes of it are whole records."""
@@ -253,16 +253,16 @@ class Walk:
         for opcode, start, end in self._records_in(content):
             if opcode in DEFINING:
                 with suppress(ValueError):
-                    self._channels.define_spare(opcode, content[start:end])
+                    self._channels.define_fallback(opcode, content[start:end])
 
     def _define(self, opcode: int, content: bytes, position: int) -> None:
         try:
             if self._in_data:
                 self._channels.define(opcode, content)
             else:
-                self._channels.define_spare(opcode, content)
+                self._channels.define_fallback(opcode, content)
         except ValueError as error:
-            self.losses.add_undefined(f"at byte {position}: {error}")
+            self.losses.add_bad_definition(f"at byte {position}: {error}")
 
     def _add_row(self, log_time: int, channel: int, offset: int, block: int) -> None:
         if log_time > MAX_TIME_NS:
@@ -282,9 +282,9 @@ class Walk:
         ids = entries["channel"]
         places = np.full(_CHANNEL_IDS, -1, dtype=np.int32)
         for channel in np.flatnonzero(np.bincount(ids, minlength=_CHANNEL_IDS)).tolist():
-            number = self._channels.number(channel)
+            number = self._channels.channel_number(channel)
             if number is None:
-                self.losses.add_orphans(channel, entries["received_ns"][ids == channel])
+                self.losses.add_undefined_channel(channel, entries["received_ns"][ids == channel])
             else:
                 places[channel] = number
         entries["channel"] = places[ids]

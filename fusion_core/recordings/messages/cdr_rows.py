@@ -18,12 +18,12 @@ _ENCAPSULATION_BYTES = 4
 _COUNT_BYTES = 4
 _NUMBER_BYTES = 8
 # Of an Odometry: the pose's covariance, the twist, and the twist's covariance.
-_BEHIND_THE_POSE_BYTES = 8 * (36 + 6 + 36)
+_AFTER_POSE_BYTES = 8 * (36 + 6 + 36)
 # Middleware fills a message up to a multiple of four.
 _MAX_PADDING = 3
 
 
-class _Order(NamedTuple):
+class _ByteOrder(NamedTuple):
     """How numbers are read in one of the byte orders."""
 
     length: struct.Struct
@@ -36,8 +36,8 @@ class _Order(NamedTuple):
 
 
 # By the second byte of the encapsulation; the first is zero in plain CDR.
-_ORDERS = [
-    _Order(
+_BYTE_ORDERS = [
+    _ByteOrder(
         length=struct.Struct(f"{sign}I"),
         header=struct.Struct(f"{sign}iII"),
         pose=struct.Struct(f"{sign}7d"),
@@ -50,15 +50,21 @@ _ORDERS = [
 _Row = TypeVar("_Row")
 
 
-def _whole(read: Callable[[Payload, _Order], tuple[_Row, int]]) -> Callable[[Payload], _Row]:
+def _require_whole_payload(
+    read: Callable[[Payload, _ByteOrder], tuple[_Row, int]],
+) -> Callable[[Payload], _Row]:
     """Of a reader that gives a row and its end, one whose row fills the message."""
 
     @wraps(read)
     def read_whole(payload: Payload) -> _Row:
-        if len(payload) < _ENCAPSULATION_BYTES or payload[0] != 0 or payload[1] >= len(_ORDERS):
+        if (
+            len(payload) < _ENCAPSULATION_BYTES
+            or payload[0] != 0
+            or payload[1] >= len(_BYTE_ORDERS)
+        ):
             raise ValueError("its bytes do not fit (their encapsulation is not plain CDR)")
         try:
-            row, end = read(payload, _ORDERS[payload[1]])
+            row, end = read(payload, _BYTE_ORDERS[payload[1]])
         except (struct.error, ValueError) as error:
             raise ValueError(f"its bytes do not fit ({error})") from error
         if not 0 <= len(payload) - end <= _MAX_PADDING:
@@ -68,8 +74,8 @@ def _whole(read: Callable[[Payload, _Order], tuple[_Row, int]]) -> Callable[[Pay
     return read_whole
 
 
-@_whole
-def read_scan(payload: Payload, order: _Order) -> tuple[ScanRow, int]:
+@_require_whole_payload
+def read_scan(payload: Payload, order: _ByteOrder) -> tuple[ScanRow, int]:
     """sensor_msgs/msg/LaserScan."""
     seconds, nanoseconds, frame, at = _header(payload, _ENCAPSULATION_BYTES, order)
     at += -at % _COUNT_BYTES
@@ -84,25 +90,25 @@ def read_scan(payload: Payload, order: _Order) -> tuple[ScanRow, int]:
     return row, at + intensities.nbytes
 
 
-@_whole
-def read_odometry(payload: Payload, order: _Order) -> tuple[PoseRow, int]:
+@_require_whole_payload
+def read_odometry(payload: Payload, order: _ByteOrder) -> tuple[PoseRow, int]:
     """nav_msgs/msg/Odometry."""
     seconds, nanoseconds, parent, at = _header(payload, _ENCAPSULATION_BYTES, order)
     child, at = _name(payload, at, order)
     numbers, at = _pose(payload, at, order)
-    return (seconds, nanoseconds, parent, child, numbers), at + _BEHIND_THE_POSE_BYTES
+    return (seconds, nanoseconds, parent, child, numbers), at + _AFTER_POSE_BYTES
 
 
-@_whole
-def read_pose(payload: Payload, order: _Order) -> tuple[PoseRow, int]:
+@_require_whole_payload
+def read_pose(payload: Payload, order: _ByteOrder) -> tuple[PoseRow, int]:
     """geometry_msgs/msg/PoseStamped."""
     seconds, nanoseconds, parent, at = _header(payload, _ENCAPSULATION_BYTES, order)
     numbers, at = _pose(payload, at, order)
     return (seconds, nanoseconds, parent, "", numbers), at
 
 
-@_whole
-def read_transforms(payload: Payload, order: _Order) -> tuple[list[PoseRow], int]:
+@_require_whole_payload
+def read_transforms(payload: Payload, order: _ByteOrder) -> tuple[list[PoseRow], int]:
     """tf2_msgs/msg/TFMessage."""
     rows = []
     (count,) = order.length.unpack_from(payload, _ENCAPSULATION_BYTES)
@@ -115,21 +121,21 @@ def read_transforms(payload: Payload, order: _Order) -> tuple[list[PoseRow], int
     return rows, at
 
 
-def _header(payload: Payload, at: int, order: _Order) -> tuple[int, int, str, int]:
+def _header(payload: Payload, at: int, order: _ByteOrder) -> tuple[int, int, str, int]:
     """Seconds, nanoseconds and frame of the header at a place, and the place behind it."""
     seconds, nanoseconds, size = order.header.unpack_from(payload, at)
     at += order.header.size + size
     return seconds, nanoseconds, _text(payload, at, size), at
 
 
-def _name(payload: Payload, at: int, order: _Order) -> tuple[str, int]:
+def _name(payload: Payload, at: int, order: _ByteOrder) -> tuple[str, int]:
     at += -at % _COUNT_BYTES
     (size,) = order.length.unpack_from(payload, at)
     at += order.length.size + size
     return _text(payload, at, size), at
 
 
-def _pose(payload: Payload, at: int, order: _Order) -> tuple[tuple[float, ...], int]:
+def _pose(payload: Payload, at: int, order: _ByteOrder) -> tuple[tuple[float, ...], int]:
     at += -(at - _ENCAPSULATION_BYTES) % _NUMBER_BYTES
     return order.pose.unpack_from(payload, at), at + order.pose.size
 

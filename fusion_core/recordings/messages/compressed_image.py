@@ -14,7 +14,7 @@ import numpy as np
 
 from fusion_core.model.conventions import ByteArray, Float32Array
 from fusion_core.recordings.messages.bad_message import BadMessage
-from fusion_core.recordings.messages.image_headers import BadImage, checked_image_size
+from fusion_core.recordings.messages.image_headers import BadImage, read_image_size
 from fusion_core.recordings.messages.image_pixels import is_depth_encoding, shown
 
 # No depth camera has more; the unpacked values and their masks stay well below 256 MiB.
@@ -29,15 +29,15 @@ _CONFIG = struct.Struct("<iff")
 _RVL_SIZE = struct.Struct("<II")
 _CUT_SHORT = "The message was cut short; record again or leave the topic out."
 
-Packing = Literal["file", "compressedDepth png", "compressedDepth rvl", "unknown"]
+Compression = Literal["file", "compressedDepth png", "compressedDepth rvl", "unknown"]
 
 
-def packed_encoding(format: str, data: ByteArray) -> str:
+def decompressed_encoding(format: str, data: ByteArray) -> str:
     """The encoding that the image would have as sensor_msgs/Image; ``format`` if it is not read.
 
     Looks at no more than the first bytes of ``data``.
     """
-    encoding, packing = _parse(format)
+    encoding, packing = _parse_format(format)
     head = data[: _PNG_KIND.stop].tobytes()
     if packing == "unknown" or (is_depth_encoding(encoding) and head.startswith(_JPEG_MAGIC)):
         # Depth as JPEG is a picture of depth: 8 bits, with loss.
@@ -49,29 +49,33 @@ def packed_encoding(format: str, data: ByteArray) -> str:
     return "rgb8" if head.startswith((_PNG_MAGIC, _JPEG_MAGIC)) else format
 
 
-def unpacked(format: str, data: ByteArray) -> np.ndarray[Any, Any]:
+def decompress_image(format: str, data: ByteArray) -> np.ndarray[Any, Any]:
     """(H, W, 3) uint8 RGB, (H, W) uint16 millimetres or (H, W) float32 metres.
 
     Raises BadMessage for a format that is not read, and for data that is cut short, damaged or
     claims too much.
     """
-    packing = _parse(format)[1]
-    encoding = packed_encoding(format, data)
+    packing = _parse_format(format)[1]
+    encoding = decompressed_encoding(format, data)
     packed = data.tobytes()
     if encoding == "rgb8":
-        return _rgb(packed)
+        return _decompress_rgb(packed)
     if not is_depth_encoding(encoding):
         raise BadMessage(
             f"a compressed image of format {shown(format)} is not read",
             "Read are JPEG and PNG, and compressedDepth as PNG or RVL; or its data is damaged.",
         )
     if packing == "file":
-        return _depth_file(packed, encoding)
-    values = _rvl(packed) if packing == "compressedDepth rvl" else _depth_png(packed)
-    return _metres(packed, values) if encoding == "32FC1" else values
+        return _decompress_depth_file(packed, encoding)
+    values = (
+        _decompress_rvl(packed)
+        if packing == "compressedDepth rvl"
+        else _decompress_depth_png(packed)
+    )
+    return _metres_from_inverse(packed, values) if encoding == "32FC1" else values
 
 
-def _parse(format: str) -> tuple[str, Packing]:
+def _parse_format(format: str) -> tuple[str, Compression]:
     """The encoding before packing, empty where ``format`` does not say, and how it was packed."""
     encoding, separator, rest = (part.strip() for part in format.partition(";"))
     if not separator:
@@ -87,15 +91,15 @@ def _parse(format: str) -> tuple[str, Packing]:
     return encoding, "unknown"
 
 
-def _rgb(packed: bytes) -> ByteArray:
-    bgr = _decoded(packed, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+def _decompress_rgb(packed: bytes) -> ByteArray:
+    bgr = _decode_image_file(packed, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     rgb: ByteArray = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8)
     return rgb
 
 
-def _depth_file(packed: bytes, encoding: str) -> np.ndarray[Any, Any]:
+def _decompress_depth_file(packed: bytes, encoding: str) -> np.ndarray[Any, Any]:
     """An image file of one channel: 16 bits, or floating metres for 32FC1."""
-    pixels = _decoded(packed, cv2.IMREAD_UNCHANGED, MAX_DEPTH_PIXELS)
+    pixels = _decode_image_file(packed, cv2.IMREAD_UNCHANGED, MAX_DEPTH_PIXELS)
     expected = np.float32 if encoding == "32FC1" else np.uint16
     if pixels.ndim != 2 or pixels.dtype != expected:
         raise BadMessage(
@@ -105,15 +109,15 @@ def _depth_file(packed: bytes, encoding: str) -> np.ndarray[Any, Any]:
     return pixels
 
 
-def _depth_png(packed: bytes) -> np.ndarray[Any, Any]:
+def _decompress_depth_png(packed: bytes) -> np.ndarray[Any, Any]:
     """(H, W) uint16. The PNG is looked for: some writers leave out the header before it."""
     start = packed.find(_PNG_MAGIC)
     if start < 0:
         raise BadMessage("the compressed depth holds no PNG image", _CUT_SHORT)
-    return _depth_file(packed[start:], "16UC1")
+    return _decompress_depth_file(packed[start:], "16UC1")
 
 
-def _rvl(packed: bytes) -> np.ndarray[Any, Any]:
+def _decompress_rvl(packed: bytes) -> np.ndarray[Any, Any]:
     """(H, W) uint16."""
     # numba takes longer to import than most recordings to index, and few need it.
     from fusion_core.recordings.messages.rvl import decompress
@@ -129,7 +133,7 @@ def _rvl(packed: bytes) -> np.ndarray[Any, Any]:
         raise BadMessage(f"the RVL image of {width} x {height} {error}", _CUT_SHORT) from error
 
 
-def _metres(packed: bytes, values: np.ndarray[Any, Any]) -> Float32Array:
+def _metres_from_inverse(packed: bytes, values: np.ndarray[Any, Any]) -> Float32Array:
     """(H, W) depth from its quantised inverse: A / (inverse - B), NaN where the inverse is 0."""
     if 0 <= packed.find(_PNG_MAGIC) < _CONFIG.size:
         raise BadMessage(
@@ -150,9 +154,11 @@ def _metres(packed: bytes, values: np.ndarray[Any, Any]) -> Float32Array:
     return depth_m
 
 
-def _decoded(packed: bytes, flags: int, max_pixels: int | None = None) -> np.ndarray[Any, Any]:
+def _decode_image_file(
+    packed: bytes, flags: int, max_pixels: int | None = None
+) -> np.ndarray[Any, Any]:
     try:
-        size = checked_image_size(packed)
+        size = read_image_size(packed)
         if max_pixels is not None:
             _check_pixels(size.width, size.height, max_pixels)
         pixels = cv2.imdecode(np.frombuffer(packed, np.uint8), flags)

@@ -47,7 +47,7 @@ class ImageSize:
     pixel_bytes: int
 
 
-def checked_image_size(packed: bytes) -> ImageSize:
+def read_image_size(packed: bytes) -> ImageSize:
     """The size of a PNG, JPEG, PGM, PPM or single-channel TIFF image.
 
     Raises BadImage for other content, for a file that ends too early, for a damaged PNG, and for

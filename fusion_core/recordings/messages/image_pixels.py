@@ -35,13 +35,13 @@ def is_color_encoding(encoding: str) -> bool:
     return encoding in _COLOR_ENCODINGS
 
 
-def depth_pixels(raw: Any) -> np.ndarray[Any, Any]:
+def read_depth_pixels(raw: Any) -> np.ndarray[Any, Any]:
     """(H, W) uint16 millimetres or float32 metres of a depth encoding, a view of the message."""
     dtype = np.dtype((">" if raw.is_bigendian else "<") + _DEPTH_DTYPES[raw.encoding])
     return _rows(raw, dtype.itemsize).view(dtype)
 
 
-def rgb_pixels(raw: Any) -> ByteArray:
+def read_rgb_pixels(raw: Any) -> ByteArray:
     """(H, W, 3) uint8 of a colour or grey encoding, a copy that lets go of the message."""
     if raw.encoding not in _COLOR_ENCODINGS:
         known = ", ".join([*_DEPTH_DTYPES, *_COLOR_ENCODINGS])

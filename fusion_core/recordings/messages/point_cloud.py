@@ -14,7 +14,7 @@ _DTYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8
 _AXES = ("x", "y", "z")
 
 
-def cloud_points(raw: Any) -> tuple[Float32Array, Float32Array | None]:
+def read_points(raw: Any) -> tuple[Float32Array, Float32Array | None]:
     """(N, 3) metres and (N,) intensity of a cloud, in its order; None where it has no intensity.
 
     A point is NaN where a coordinate is not finite, whatever ``is_dense`` says, and where all are

@@ -21,12 +21,14 @@ _POSE = struct.Struct("<7d")
 _SCAN = struct.Struct("<7fI")
 _RANGE = np.dtype("<f4")
 # Of an Odometry: the pose's covariance, the twist, and the twist's covariance.
-_BEHIND_THE_POSE_BYTES = 8 * (36 + 6 + 36)
+_AFTER_POSE_BYTES = 8 * (36 + 6 + 36)
 
 _Row = TypeVar("_Row")
 
 
-def _whole(read: Callable[[Payload], tuple[_Row, int]]) -> Callable[[Payload], _Row]:
+def _require_whole_payload(
+    read: Callable[[Payload], tuple[_Row, int]],
+) -> Callable[[Payload], _Row]:
     """Of a reader that gives a row and its end, one whose row fills the message."""
 
     @wraps(read)
@@ -42,7 +44,7 @@ def _whole(read: Callable[[Payload], tuple[_Row, int]]) -> Callable[[Payload], _
     return read_whole
 
 
-@_whole
+@_require_whole_payload
 def read_scan(payload: Payload) -> tuple[ScanRow, int]:
     """sensor_msgs/LaserScan."""
     seconds, nanoseconds, frame, at = _header(payload, 0)
@@ -57,17 +59,17 @@ def read_scan(payload: Payload) -> tuple[ScanRow, int]:
     return row, at + intensities.nbytes
 
 
-@_whole
+@_require_whole_payload
 def read_odometry(payload: Payload) -> tuple[PoseRow, int]:
     """nav_msgs/Odometry."""
     seconds, nanoseconds, parent, at = _header(payload, 0)
     child, at = _name(payload, at)
     numbers = _POSE.unpack_from(payload, at)
-    at += _POSE.size + _BEHIND_THE_POSE_BYTES
+    at += _POSE.size + _AFTER_POSE_BYTES
     return (seconds, nanoseconds, parent, child, numbers), at
 
 
-@_whole
+@_require_whole_payload
 def read_pose(payload: Payload) -> tuple[PoseRow, int]:
     """geometry_msgs/PoseStamped."""
     seconds, nanoseconds, parent, at = _header(payload, 0)
@@ -75,7 +77,7 @@ def read_pose(payload: Payload) -> tuple[PoseRow, int]:
     return (seconds, nanoseconds, parent, "", numbers), at + _POSE.size
 
 
-@_whole
+@_require_whole_payload
 def read_transforms(payload: Payload) -> tuple[list[PoseRow], int]:
     """tf2_msgs/TFMessage, and tf/tfMessage."""
     rows = []

@@ -19,7 +19,7 @@ from rosbags.typesys.store import Typestore
 
 from fusion_core.model.conventions import NS_PER_S
 from fusion_core.recordings.containers import Channel, Payload
-from fusion_core.recordings.messages.types import UnreadableType, type_store
+from fusion_core.recordings.messages.types import UnreadableType, require_type_store
 
 _ROS2 = get_typestore(Stores.ROS2_HUMBLE)
 _ROS1_NAMES = {
@@ -51,19 +51,19 @@ class Ros2Channel:
     note: str = ""
 
 
-def ros2_channel(channel: Channel) -> Ros2Channel:
+def describe_ros2_channel(channel: Channel) -> Ros2Channel:
     """The channel in ROS 2. Raises UnreadableType where its messages cannot be CDR."""
     if channel.serialization == "cdr":
-        return _copied(channel)
-    return _rewritten(channel, _ros1_store(channel))
+        return _describe_cdr_channel(channel)
+    return _describe_converted_channel(channel, _ros1_store(channel))
 
 
-def _copied(channel: Channel) -> Ros2Channel:
+def _describe_cdr_channel(channel: Channel) -> Ros2Channel:
     name = channel.message_type
     if not name:
         raise UnreadableType("the file does not name the type of its messages")
     try:
-        store = type_store(channel)
+        store = require_type_store(channel)
     except UnreadableType:
         # Other tools may know the type; its bytes and its definition are theirs to judge.
         store = None
@@ -81,15 +81,15 @@ def _copied(channel: Channel) -> Ros2Channel:
 
 def _ros1_store(channel: Channel) -> Typestore:
     try:
-        return type_store(channel)
+        return require_type_store(channel)
     except UnreadableType:
         if channel.serialization != "ros1" or channel.definition:
             raise
         # A type without fields has a definition without text.
-        return type_store(replace(channel, definition=_NO_FIELDS))
+        return require_type_store(replace(channel, definition=_NO_FIELDS))
 
 
-def _rewritten(channel: Channel, source: Typestore) -> Ros2Channel:
+def _describe_converted_channel(channel: Channel, source: Typestore) -> Ros2Channel:
     old = channel.message_type
     new = _ROS1_NAMES.get(old, old)
     note = ""
@@ -110,7 +110,7 @@ def _rewritten(channel: Channel, source: Typestore) -> Ros2Channel:
     return Ros2Channel(
         message_type=new,
         definition=definition,
-        to_cdr=partial(_guarded, rewrite, old),
+        to_cdr=partial(_convert_checked, rewrite, old),
         stamp_ns=_stamp_finder(target, new),
         note=note,
     )
@@ -171,7 +171,7 @@ def _migration(
     return migrate
 
 
-def _guarded(rewrite: Callable[[Payload], Payload], name: str, payload: Payload) -> Payload:
+def _convert_checked(rewrite: Callable[[Payload], Payload], name: str, payload: Payload) -> Payload:
     try:
         return rewrite(payload)
     except (SerdeError, AssertionError, IndexError, struct.error) as error:

@@ -39,20 +39,20 @@ class UnreadableType(ValueError):
     """Messages of this channel cannot be deserialised; the text says why."""
 
 
-def deserializer(channel: Channel) -> Deserializer:
+def find_deserializer(channel: Channel) -> Deserializer:
     """A function from the channel's bytes to an object with the fields of its type, or to its row.
 
     Raises UnreadableType here, and ValueError from the function for bytes that do not fit.
     """
-    return deserializer_of_type(replace(channel, topic=""))
+    return find_type_deserializer(replace(channel, topic=""))
 
 
 @lru_cache(maxsize=128)
-def deserializer_of_type(channel: Channel) -> Deserializer:
+def find_type_deserializer(channel: Channel) -> Deserializer:
     """``deserializer``, made once for all channels that differ in their topics alone."""
     store = _type_store(channel)
     name = channel.message_type
-    row_reader = _row_reader(store, name, channel.serialization)
+    row_reader = _find_row_reader(store, name, channel.serialization)
     if row_reader is not None:
         return row_reader
     _require_code(store, name)
@@ -69,7 +69,7 @@ def deserializer_of_type(channel: Channel) -> Deserializer:
     return deserialize
 
 
-def _row_reader(store: Typestore, name: str, serialization: str) -> Deserializer | None:
+def _find_row_reader(store: Typestore, name: str, serialization: str) -> Deserializer | None:
     """The reader of rows for a type that is laid out as ROS lays it out, by its own definition."""
     is_ros1 = serialization == "ros1"
     readers: Mapping[tuple[str, str], Deserializer]
@@ -88,7 +88,7 @@ def ros1_checksum(channel: Channel) -> str:
         raise UnreadableType(f"the definition of {channel.message_type} does not parse") from error
 
 
-def type_store(channel: Channel) -> Typestore:
+def require_type_store(channel: Channel) -> Typestore:
     """The channel's type and all that it is made of. Raises UnreadableType."""
     store = _type_store(channel)
     _require_code(store, channel.message_type)

@@ -26,10 +26,10 @@ from fusion_core.recordings.robot_at_home.room import (
     MAX_OBSERVATIONS,
     Room,
     RoomKey,
-    Track,
-    TrackBuilder,
-    lidar_of,
-    sensor_builder,
+    SensorTrack,
+    SensorTrackBuilder,
+    get_track_builder,
+    select_lidar_scans,
 )
 
 FORMAT: Final = "Robot@Home2 room"
@@ -54,7 +54,7 @@ _MAX_STEPS: Final = 200 * _STEPS_AT_A_TIME
 _POSE: Final = ", ".join(f"sensor_pose_{name}" for name in ("x", "y", "z", "yaw", "pitch", "roll"))
 _WRONG: Final = (ValueError, TypeError, OverflowError, KeyError)
 # A damaged name in the schema is no text, and SQLite's own message quotes it.
-BROKEN: Final = (sqlite3.Error, UnicodeDecodeError)
+DATABASE_ERRORS: Final = (sqlite3.Error, UnicodeDecodeError)
 
 
 def find_database(path: Path) -> Path | None:
@@ -74,7 +74,7 @@ def find_database(path: Path) -> Path | None:
             return database if _tables(connection) >= _NAMES else None
         finally:
             connection.close()
-    except BROKEN:
+    except DATABASE_ERRORS:
         return database if database.name == DATABASE else None
 
 
@@ -85,7 +85,7 @@ class Database:
         self.path = path
         self._connection = _connect(path)
         self._steps = 0
-        self._connection.set_progress_handler(self._too_long, _STEPS_AT_A_TIME)
+        self._connection.set_progress_handler(self._exceeds_step_limit, _STEPS_AT_A_TIME)
         try:
             self.tables = _tables(self._connection)
             self._sessions = self._by_id("rh_home_sessions")
@@ -110,12 +110,12 @@ class Database:
         columns = "DISTINCT home_session_id, room_id, home_subsession_id"
         found: set[tuple[Any, Any, Any]] = set()
         for table in self._present(_CAMERA_TABLES):
-            rows = self.rows(f"SELECT {columns} FROM {table} WHERE {self._is_camera}")
+            rows = self.query_rows(f"SELECT {columns} FROM {table} WHERE {self._is_camera}")
             # Opening a room says what is lost.
             found |= set(self._until_damage(rows, table, []))
         seen = {(session, room) for session, room, _ in found}
         for table in self._present(_LIDAR_TABLES):
-            rows = self.rows(f"SELECT {columns} FROM {table} WHERE {self._is_lidar}")
+            rows = self.query_rows(f"SELECT {columns} FROM {table} WHERE {self._is_lidar}")
             found |= {
                 (session, room, 0)
                 for session, room, _ in self._until_damage(rows, table, [])
@@ -138,26 +138,26 @@ class Database:
         warnings: list[str] = []
         session = next(number for number, name in self._sessions.items() if name == key.session)
         room = next(n for n in self._rooms if self._room_name(session, n) == key.room)
-        cameras: list[Track] = []
+        cameras: list[SensorTrack] = []
         for table in self._present(_CAMERA_TABLES):
             where = f"{self._is_camera} AND o.home_subsession_id = ?"
             place = (session, room, key.subsession - 1)
             cameras = self._camera_tracks(table, where, place, warnings)
             if cameras:
                 break
-        sequences: dict[str, Track] = {}
+        sequences: dict[str, SensorTrack] = {}
         for table in self._present(_LIDAR_TABLES):
             sequences = self._lidar_tracks(table, (session, room), warnings)
             if sequences:
                 break
-        lidar = lidar_of(sequences, cameras, warnings)
+        lidar = select_lidar_scans(sequences, cameras, warnings)
         if not cameras and lidar is None:
             raise RecordingError(
                 f"holds no observations of {key} that can be read.",
                 file=self.path,
                 advice="Unpack it again from the archive.",
             )
-        files = _Files(self, (session, room))
+        files = _DatabaseFiles(self, (session, room))
         if lidar is not None and int(lidar.ids[0]) < _FIRST_PROCESSED_ID:
             warnings.append(
                 f"The scans are those of the raw data; where it does not tell the scanner's angles "
@@ -185,7 +185,7 @@ class Database:
         return (table for table in tables if table in self.tables)
 
     def _by_id(self, table: str) -> dict[int, str]:
-        rows = self.rows(f"SELECT id, name FROM {table} ORDER BY id LIMIT {_MAX_ROOMS}")
+        rows = self.query_rows(f"SELECT id, name FROM {table} ORDER BY id LIMIT {_MAX_ROOMS}")
         return {
             number: name
             for number, name in rows
@@ -199,39 +199,39 @@ class Database:
 
     def _camera_tracks(
         self, table: str, where: str, place: tuple[int, ...], warnings: list[str]
-    ) -> list[Track]:
+    ) -> list[SensorTrack]:
         if _FILES not in self.tables:
             warnings.append(f"{self.path.name} has no {_FILES}: the images cannot be found.")
             return []
-        rows = self.rows(
+        rows = self.query_rows(
             f"SELECT o.id, o.time_stamp, o.sensor_id, 0, f.id IS NOT NULL, {_POSE} "
             f"FROM {table} o LEFT JOIN {_FILES} f ON f.id = o.id "
             f"WHERE o.home_session_id = ? AND o.room_id = ? AND {where}",
             place,
         )
-        return list(self.tracks(table, rows, warnings).values())
+        return list(self.read_tracks(table, rows, warnings).values())
 
     def _lidar_tracks(
         self, table: str, place: tuple[int, int], warnings: list[str]
-    ) -> dict[str, Track]:
+    ) -> dict[str, SensorTrack]:
         """{number from 1: sequence}."""
-        rows = self.rows(
+        rows = self.query_rows(
             f"SELECT id, time_stamp, sensor_id, home_subsession_id, 1, {_POSE} FROM {table} "
             f"WHERE home_session_id = ? AND room_id = ? AND {self._is_lidar}",
             place,
         )
-        tracks = self.tracks(table, rows, warnings).values()
+        tracks = self.read_tracks(table, rows, warnings).values()
         return {
-            str(int(number) + 1): _part(track, int(number))
+            str(int(number) + 1): _select_sequence(track, int(number))
             for track in tracks
             for number in np.unique(track.sequences)
         }
 
-    def tracks(
+    def read_tracks(
         self, table: str, rows: Iterator[tuple[Any, ...]], warnings: list[str]
-    ) -> dict[str, Track]:
+    ) -> dict[str, SensorTrack]:
         """One track for each sensor, of rows id, ticks, sensor, sequence, has files, pose."""
-        builders: dict[str, TrackBuilder] = {}
+        builders: dict[str, SensorTrackBuilder] = {}
         unread, without, first, count = 0, 0, "", 0
         for identifier, ticks, sensor, sequence, has_files, *pose in self._until_damage(
             rows, table, warnings
@@ -244,7 +244,7 @@ class Database:
                 without += 1
                 continue
             try:
-                builder = sensor_builder(builders, self._sensors[sensor])
+                builder = get_track_builder(builders, self._sensors[sensor])
                 builder.add(identifier, ticks, pose, int(sequence))
             except _WRONG as error:
                 unread += 1
@@ -259,17 +259,17 @@ class Database:
             label: builders[label].track() for label in sorted(builders) if len(builders[label])
         }
 
-    def rows(self, query: str, values: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    def query_rows(self, query: str, values: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
         """The rows of a query, a few at a time. Raises RecordingError."""
         self._steps = 0
         try:
             cursor = self._connection.execute(query, values)
             while rows := cursor.fetchmany(_ROWS_AT_A_TIME):
                 yield from rows
-        except BROKEN as error:
-            raise damaged(self.path, error) from error
+        except DATABASE_ERRORS as error:
+            raise damaged_database_error(self.path, error) from error
 
-    def _too_long(self) -> bool:
+    def _exceeds_step_limit(self) -> bool:
         self._steps += _STEPS_AT_A_TIME
         return self._steps > _MAX_STEPS
 
@@ -286,20 +286,20 @@ class Database:
             warnings.append(f"{table}: only {count} rows can be read: {error}")
 
 
-class _Files:
+class _DatabaseFiles:
     """Single observations of a room, by their numbers."""
 
     def __init__(self, database: Database, place: tuple[int, int]) -> None:
         self._database = database
         self._place = place
 
-    def depth_file(self, track: Track, index: int) -> Path:
+    def depth_file(self, track: SensorTrack, index: int) -> Path:
         return self._file(int(track.ids[index]), "new_file_1")
 
-    def color_file(self, track: Track, index: int) -> Path:
+    def color_file(self, track: SensorTrack, index: int) -> Path:
         return self._file(int(track.ids[index]), "new_file_2")
 
-    def scan(self, track: Track, index: int) -> RawScan:
+    def scan(self, track: SensorTrack, index: int) -> RawScan:
         number = int(track.ids[index])
         table = "rh_raw" if number < _FIRST_PROCESSED_ID else "rh_lsrscan"
         aperture_rad, max_range_m, beams = self._one(
@@ -317,7 +317,7 @@ class _Files:
         count = checked_beam_count(float(beams))
         ranges, valid = np.full(count, np.nan), np.zeros(count, dtype=np.bool_)
         found = 0
-        for shot, range_m, flag in self._database.rows(
+        for shot, range_m, flag in self._database.query_rows(
             f"SELECT shot_id, scan, valid_scan FROM {table}_scans "
             "WHERE sensor_observation_id = ? ORDER BY shot_id",
             (number,),
@@ -335,18 +335,18 @@ class _Files:
             valid=valid,
         )
 
-    def scan_name(self, track: Track, index: int) -> str:
+    def scan_name(self, track: SensorTrack, index: int) -> str:
         return f"{self._database.path}: laser observation {track.ids[index]}"
 
     def raw_poses(self) -> Mapping[str, FloatArray]:
         if "rh_raw" not in self._database.tables:
             return {}
-        rows = self._database.rows(
+        rows = self._database.query_rows(
             f"SELECT id, time_stamp, sensor_id, 0, 1, {_POSE} FROM rh_raw "
             "WHERE home_session_id = ? AND room_id = ?",
             self._place,
         )
-        tracks = self._database.tracks("rh_raw", rows, [])
+        tracks = self._database.read_tracks("rh_raw", rows, [])
         return {label: track.poses for label, track in tracks.items()}
 
     def close(self) -> None:
@@ -354,10 +354,10 @@ class _Files:
 
     def _file(self, number: int, column: str) -> Path:
         folder, name = self._one(f"SELECT new_path, {column} FROM {_FILES} WHERE id = ?", number)
-        return _below(self._database.path, folder, name)
+        return _resolve_image_path(self._database.path, folder, name)
 
     def _one(self, query: str, number: int) -> tuple[Any, ...]:
-        row = next(self._database.rows(query, (number,)), None)
+        row = next(self._database.query_rows(query, (number,)), None)
         if row is None:
             raise RecordingError(
                 f"has lost observation {number}.",
@@ -367,7 +367,7 @@ class _Files:
         return row
 
 
-def _below(database: Path, folder: object, name: object) -> Path:
+def _resolve_image_path(database: Path, folder: object, name: object) -> Path:
     """The image that a row names. Refuses what is no plain path below files/rgbd."""
     if isinstance(folder, str) and isinstance(name, str) and folder and name:
         inner = PurePosixPath(folder, name)
@@ -381,7 +381,7 @@ def _below(database: Path, folder: object, name: object) -> Path:
     )
 
 
-def damaged(database: Path, error: Exception) -> RecordingError:
+def damaged_database_error(database: Path, error: Exception) -> RecordingError:
     """The error for a database that SQLite gives up on."""
     problem = " ".join(str(error).split())[:_MAX_NAME]
     return RecordingError(
@@ -389,9 +389,9 @@ def damaged(database: Path, error: Exception) -> RecordingError:
     )
 
 
-def _part(track: Track, sequence: int) -> Track:
+def _select_sequence(track: SensorTrack, sequence: int) -> SensorTrack:
     kept = track.sequences == sequence
-    return Track(
+    return SensorTrack(
         label=track.label,
         ids=track.ids[kept],
         stamp_ns=track.stamp_ns[kept],

@@ -30,10 +30,10 @@ from fusion_core.recordings.robot_at_home.room import (
     MAX_OBSERVATIONS,
     Room,
     RoomKey,
-    Track,
-    TrackBuilder,
-    lidar_of,
-    sensor_builder,
+    SensorTrack,
+    SensorTrackBuilder,
+    get_track_builder,
+    select_lidar_scans,
 )
 
 FORMAT: Final = "Robot@Home room"
@@ -112,8 +112,8 @@ class PlainTextTree:
         warnings: list[str] = []
         folders: list[Path] = []
         own = _sequence_of(session, key)
-        cameras: list[Track] = []
-        lidars: dict[str, Track] = {}
+        cameras: list[SensorTrack] = []
+        lidars: dict[str, SensorTrack] = {}
         if own is not None:
             tracks = _read_tracks(own, _add(folders, own), warnings)
             cameras = [track for track in tracks if is_camera(track.label)]
@@ -126,7 +126,7 @@ class PlainTextTree:
                 for track in _read_tracks(file, _add(folders, file), warnings):
                     if is_lidar(track.label):
                         lidars[name] = track
-        lidar = lidar_of(lidars, cameras, warnings)
+        lidar = select_lidar_scans(lidars, cameras, warnings)
         path = own if own is not None else sequences[0][1].parent
         if not cameras and lidar is None:
             raise RecordingError(
@@ -140,7 +140,7 @@ class PlainTextTree:
             format=FORMAT,
             cameras=tuple(cameras),
             lidar=lidar,
-            files=_Files(tuple(folders), _raw_sequence(session, key, own)),
+            files=_TextFiles(tuple(folders), _raw_sequence(session, key, own)),
             warnings=tuple(warnings),
         )
 
@@ -290,22 +290,24 @@ def _is_sequence(file: Path) -> bool:
     for line in head.decode("utf-8", errors="replace").splitlines():
         if line.strip() and not line.lstrip().startswith("#"):
             try:
-                _observe({}, line.split(), 0)
+                _add_observation({}, line.split(), 0)
             except (ValueError, TypeError, OverflowError):
                 return False
             return True
     return False
 
 
-def _observe(builders: dict[str, TrackBuilder], fields: list[str], sequence: int) -> None:
+def _add_observation(
+    builders: dict[str, SensorTrackBuilder], fields: list[str], sequence: int
+) -> None:
     if len(fields) != _FIELDS:
         raise ValueError(f"{len(fields)} fields, not {_FIELDS}")
-    sensor_builder(builders, fields[1]).add(fields[0], fields[8], fields[2:8], sequence)
+    get_track_builder(builders, fields[1]).add(fields[0], fields[8], fields[2:8], sequence)
 
 
-def _read_tracks(file: Path, sequence: int, warnings: list[str]) -> list[Track]:
+def _read_tracks(file: Path, sequence: int, warnings: list[str]) -> list[SensorTrack]:
     """One track for each sensor of a sequence file; lines that are cut or wrong cost a warning."""
-    builders: dict[str, TrackBuilder] = {}
+    builders: dict[str, SensorTrackBuilder] = {}
     unread, first, count = 0, "", 0
     try:
         if file.stat().st_size > _MAX_SEQUENCE_BYTES:
@@ -323,7 +325,7 @@ def _read_tracks(file: Path, sequence: int, warnings: list[str]) -> list[Track]:
                     )
                     break
                 try:
-                    _observe(builders, line.split(), sequence)
+                    _add_observation(builders, line.split(), sequence)
                 except (ValueError, TypeError, OverflowError) as error:
                     unread += 1
                     first = first or f"{line.strip()[:40]!r} ({error})"
@@ -341,22 +343,22 @@ def _read_tracks(file: Path, sequence: int, warnings: list[str]) -> list[Track]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Files:
+class _TextFiles:
     """``folders``: one for each sequence. ``raw``: the raw data's sequence file of the room."""
 
     folders: tuple[Path, ...]
     raw: Path | None = field(default=None)
 
-    def depth_file(self, track: Track, index: int) -> Path:
+    def depth_file(self, track: SensorTrack, index: int) -> Path:
         return self._file(track, index, "depth.png")
 
-    def color_file(self, track: Track, index: int) -> Path:
+    def color_file(self, track: SensorTrack, index: int) -> Path:
         return self._file(track, index, "intensity.png")
 
-    def scan(self, track: Track, index: int) -> RawScan:
+    def scan(self, track: SensorTrack, index: int) -> RawScan:
         return read_scan(self._file(track, index, "scan.txt"))
 
-    def scan_name(self, track: Track, index: int) -> str:
+    def scan_name(self, track: SensorTrack, index: int) -> str:
         return str(self._file(track, index, "scan.txt"))
 
     def raw_poses(self) -> Mapping[str, FloatArray]:
@@ -367,7 +369,7 @@ class _Files:
     def close(self) -> None:
         """Nothing is held open."""
 
-    def _file(self, track: Track, index: int, kind: str) -> Path:
+    def _file(self, track: SensorTrack, index: int, kind: str) -> Path:
         return self.folders[int(track.sequences[index])] / f"{track.ids[index]}_{kind}"
 
 

@@ -134,7 +134,9 @@ def stored_landscape(pixels: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     return np.ascontiguousarray(np.rot90(pixels, k=-1)) if upright else pixels
 
 
-def depth_m_of(pixels: np.ndarray[Any, Any], file: Path) -> tuple[Float32Array, float | None]:
+def depth_m_from_pixels(
+    pixels: np.ndarray[Any, Any], file: Path
+) -> tuple[Float32Array, float | None]:
     """(H, W) metres along the optical axis, NaN for 0, and their step in metres if it is coarse.
 
     8-bit values, in one channel or three equal ones, stand for the middle of their step.
@@ -157,7 +159,7 @@ def depth_m_of(pixels: np.ndarray[Any, Any], file: Path) -> tuple[Float32Array, 
     return stored_landscape(depth_m), COARSE_QUANTUM_M if coarse else None
 
 
-def common_pose(poses: FloatArray) -> tuple[FloatArray, int] | None:
+def most_frequent_pose(poses: FloatArray) -> tuple[FloatArray, int] | None:
     """Of (n, 6) poses of a sensor the (6,) that most observations share, and how many they are.
 
     None where less than half of them share one. A mount stays as it is; poses that move with the

@@ -33,12 +33,12 @@ from fusion_core.recordings.robot_at_home.rig import (
     MAP_FRAME,
     BeamSpacing,
     RawScan,
-    common_pose,
-    depth_m_of,
+    depth_m_from_pixels,
     frame_of,
     is_camera,
     is_lidar,
     laser_scan,
+    most_frequent_pose,
     sensor_transform,
     stamp_ns_of_ticks,
     stored_landscape,
@@ -50,7 +50,7 @@ MAX_OBSERVATIONS: Final = 1_000_000
 _PNG_HEAD = struct.Struct(">8s4x4sIIB")
 _PNG_START = (b"\x89PNG\r\n\x1a\n", b"IHDR")
 # Where the first images are missing, one of these tells what the others are.
-_HEADS_TRIED = 32
+_MAX_ATTEMPTS = 32
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, order=True)
@@ -68,7 +68,7 @@ class RoomKey:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RoomListing:
+class RoomSummary:
     """What a room holds. ``images`` counts RGB-D images of all cameras; ``depth_bits`` is None
     where none of them could be looked at."""
 
@@ -82,7 +82,7 @@ class RoomListing:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Track:
+class SensorTrack:
     """The observations of one sensor in the order of their stamps.
 
     ``ids``, ``stamp_ns``: (n,). ``poses``: (n, 6) x y z yaw pitch roll, metres and radians.
@@ -96,7 +96,7 @@ class Track:
     sequences: IntArray
 
 
-class TrackBuilder:
+class SensorTrackBuilder:
     """Collects observations as they are read, some 70 bytes each."""
 
     def __init__(self, label: str) -> None:
@@ -123,14 +123,14 @@ class TrackBuilder:
         self._sequences.append(sequence)
         self._poses.extend(values)
 
-    def track(self) -> Track:
+    def track(self) -> SensorTrack:
         ids, stamp_ns, sequences = (
             np.array(values, dtype=np.int64)
             for values in (self._ids, self._stamps, self._sequences)
         )
         poses = np.array(self._poses, dtype=np.float64).reshape(-1, 6)
         order = np.lexsort((ids, sequences, stamp_ns))
-        return Track(
+        return SensorTrack(
             label=self.label,
             ids=ids[order],
             stamp_ns=stamp_ns[order],
@@ -142,15 +142,15 @@ class TrackBuilder:
 class RoomFiles(Protocol):
     """Reads single observations. Every method raises RecordingError naming file or row."""
 
-    def depth_file(self, track: Track, index: int) -> Path: ...
+    def depth_file(self, track: SensorTrack, index: int) -> Path: ...
 
-    def color_file(self, track: Track, index: int) -> Path: ...
+    def color_file(self, track: SensorTrack, index: int) -> Path: ...
 
-    def scan(self, track: Track, index: int) -> RawScan:
+    def scan(self, track: SensorTrack, index: int) -> RawScan:
         """Raises ValueError too, saying what is wrong with the numbers."""
         ...
 
-    def scan_name(self, track: Track, index: int) -> str: ...
+    def scan_name(self, track: SensorTrack, index: int) -> str: ...
 
     def raw_poses(self) -> Mapping[str, FloatArray]:
         """(n, 6) poses of each sensor in the raw data, where there are any: always mounts."""
@@ -166,15 +166,15 @@ class Room:
     key: RoomKey
     path: Path
     format: str
-    cameras: tuple[Track, ...]
-    lidar: Track | None
+    cameras: tuple[SensorTrack, ...]
+    lidar: SensorTrack | None
     files: RoomFiles = field(repr=False)
     warnings: tuple[str, ...] = ()
 
 
-def lidar_of(
-    sequences: Mapping[str, Track], cameras: Sequence[Track], warnings: list[str]
-) -> Track | None:
+def select_lidar_scans(
+    sequences: Mapping[str, SensorTrack], cameras: Sequence[SensorTrack], warnings: list[str]
+) -> SensorTrack | None:
     """The scans of the sequences that ran while the cameras did; all where there are no images.
 
     A room's first sequence is usually another passage. What is left out goes into ``warnings``.
@@ -200,7 +200,7 @@ def lidar_of(
     tracks = list(chosen.values())
     stamp_ns = np.concatenate([track.stamp_ns for track in tracks])
     order = np.argsort(stamp_ns, kind="stable")
-    return Track(
+    return SensorTrack(
         label=tracks[0].label,
         ids=np.concatenate([track.ids for track in tracks])[order],
         stamp_ns=stamp_ns[order],
@@ -209,10 +209,10 @@ def lidar_of(
     )
 
 
-def listing_of(room: Room) -> RoomListing:
+def summarize_room(room: Room) -> RoomSummary:
     """Counts, without decoding."""
-    head = _depth_head(room)
-    return RoomListing(
+    head = _read_depth_format(room)
+    return RoomSummary(
         home=room.key.session.rpartition("-")[0] or room.key.session,
         session=room.key.session,
         subsession=room.key.subsession,
@@ -223,7 +223,7 @@ def listing_of(room: Room) -> RoomListing:
     )
 
 
-def open_tracks(room: Room, spacing: BeamSpacing) -> Recording:
+def make_recording(room: Room, spacing: BeamSpacing) -> Recording:
     """The room as a recording; closing it closes the room's files."""
     warnings = list(room.warnings)
     streams: list[StampedStream] = []
@@ -233,7 +233,7 @@ def open_tracks(room: Room, spacing: BeamSpacing) -> Recording:
         )
     elif room.cameras:
         warnings.append("There are no laser scans of this room.")
-    head = _depth_head(room)
+    head = _read_depth_format(room)
     for track in room.cameras:
         streams += _camera_streams(room, track, head)
     if head is not None:
@@ -241,26 +241,26 @@ def open_tracks(room: Room, spacing: BeamSpacing) -> Recording:
     tracks = [*room.cameras, *([room.lidar] if room.lidar is not None else [])]
     mounts, located = _mounts(room, tracks, warnings)
     if mounts:
-        streams.append(_static(mounts, min(int(track.stamp_ns[0]) for track in tracks)))
-    streams += [_stream(track, "/pose", "pose", "pose", _place) for track in located]
+        streams.append(_static_transforms(mounts, min(int(track.stamp_ns[0]) for track in tracks)))
+    streams += [_stream(track, "/pose", "pose", "pose", _map_pose) for track in located]
     return StampedRecording(room.path, room.format, streams, warnings, on_close=room.files.close)
 
 
-_Value = Callable[[Track, int, int], SensorValue]
+_Value = Callable[[SensorTrack, int, int], SensorValue]
 
 
-def _stream(track: Track, suffix: str, kind: str, role: Role, value: _Value) -> StampedStream:
+def _stream(track: SensorTrack, suffix: str, kind: str, role: Role, value: _Value) -> StampedStream:
     return StampedStream(
         name=topic_root(track.label) + suffix,
         type=kind,
         role=role,
-        stamp_ns=track.stamp_ns,
-        value=lambda index: value(track, index, int(track.stamp_ns[index])),
+        stamps_ns=track.stamp_ns,
+        read_value=lambda index: value(track, index, int(track.stamp_ns[index])),
     )
 
 
 def _camera_streams(
-    room: Room, track: Track, head: tuple[int, int, int] | None
+    room: Room, track: SensorTrack, head: tuple[int, int, int] | None
 ) -> list[StampedStream]:
     shape = None if head is None else (min(head[:2]), max(head[:2]))
     streams = [
@@ -272,10 +272,10 @@ def _camera_streams(
     return streams
 
 
-def _depth_head(room: Room) -> tuple[int, int, int] | None:
+def _read_depth_format(room: Room) -> tuple[int, int, int] | None:
     """Width, height and bits of the first depth image that is there."""
     for track in room.cameras:
-        for index in range(min(_HEADS_TRIED, len(track.ids))):
+        for index in range(min(_MAX_ATTEMPTS, len(track.ids))):
             try:
                 path = room.files.depth_file(track, index)
                 if not path.is_file():
@@ -308,23 +308,23 @@ def _depth_warnings(width: int, height: int, bits: int) -> list[str]:
 
 
 def _mounts(
-    room: Room, tracks: Sequence[Track], warnings: list[str]
-) -> tuple[dict[str, FloatArray], list[Track]]:
+    room: Room, tracks: Sequence[SensorTrack], warnings: list[str]
+) -> tuple[dict[str, FloatArray], list[SensorTrack]]:
     """{label: (6,) pose on the robot}, and the tracks whose poses move with the robot."""
     mounts: dict[str, FloatArray] = {}
     located = []
     for track in tracks:
-        found = common_pose(track.poses)
+        found = most_frequent_pose(track.poses)
         if found is None:
             located.append(track)
             continue
         mounts[track.label], count = found
         if count < len(track.poses):
-            warnings.append(_changed(track, *found))
+            warnings.append(_describe_mount_change(track, *found))
     if located:
         raw = room.files.raw_poses()
         for track in located:
-            found = common_pose(raw.get(track.label, np.empty((0, 6))))
+            found = most_frequent_pose(raw.get(track.label, np.empty((0, 6))))
             if found is not None:
                 mounts[track.label] = found[0]
         names = ", ".join(track.label for track in located)
@@ -342,7 +342,7 @@ def _mounts(
     return mounts, located
 
 
-def _changed(track: Track, pose: FloatArray, count: int) -> str:
+def _describe_mount_change(track: SensorTrack, pose: FloatArray, count: int) -> str:
     away = np.abs(track.poses - pose)
     away[:, 3:] = np.minimum(away[:, 3:], np.abs(2.0 * np.pi - away[:, 3:]))
     return (
@@ -352,7 +352,7 @@ def _changed(track: Track, pose: FloatArray, count: int) -> str:
     )
 
 
-def _static(mounts: Mapping[str, FloatArray], stamp_ns: int) -> StampedStream:
+def _static_transforms(mounts: Mapping[str, FloatArray], stamp_ns: int) -> StampedStream:
     batch = TransformBatch(
         received_ns=None,
         transforms=tuple(
@@ -369,13 +369,13 @@ def _static(mounts: Mapping[str, FloatArray], stamp_ns: int) -> StampedStream:
         name="/tf_static",
         type="transforms",
         role="tf_static",
-        stamp_ns=np.array([stamp_ns], dtype=np.int64),
-        value=lambda index: batch,
+        stamps_ns=np.array([stamp_ns], dtype=np.int64),
+        read_value=lambda index: batch,
     )
 
 
 def _scan(
-    files: RoomFiles, spacing: BeamSpacing, track: Track, index: int, stamp_ns: int
+    files: RoomFiles, spacing: BeamSpacing, track: SensorTrack, index: int, stamp_ns: int
 ) -> LaserScan:
     try:
         return laser_scan(files.scan(track, index), stamp_ns, spacing)
@@ -387,10 +387,10 @@ def _scan(
 
 
 def _depth(
-    files: RoomFiles, shape: tuple[int, int] | None, track: Track, index: int, stamp_ns: int
+    files: RoomFiles, shape: tuple[int, int] | None, track: SensorTrack, index: int, stamp_ns: int
 ) -> DepthImage:
     file = files.depth_file(track, index)
-    depth_m, quantum_m = depth_m_of(read_image(file, cv2.IMREAD_UNCHANGED), file)
+    depth_m, quantum_m = depth_m_from_pixels(read_image(file, cv2.IMREAD_UNCHANGED), file)
     if depth_m.shape != shape:
         raise RecordingError(
             f"has {depth_m.shape} pixels, the room's other images {shape}.",
@@ -406,12 +406,12 @@ def _depth(
     )
 
 
-def _color(files: RoomFiles, track: Track, index: int, stamp_ns: int) -> ColorImage:
+def _color(files: RoomFiles, track: SensorTrack, index: int, stamp_ns: int) -> ColorImage:
     rgb: ByteArray = stored_landscape(read_rgb(files.color_file(track, index)))
     return ColorImage(stamp_ns=stamp_ns, received_ns=None, frame_id=frame_of(track.label), rgb=rgb)
 
 
-def _camera_info(track: Track, index: int, stamp_ns: int) -> CameraInfo:
+def _camera_info(track: SensorTrack, index: int, stamp_ns: int) -> CameraInfo:
     return CameraInfo(
         stamp_ns=stamp_ns,
         received_ns=None,
@@ -420,7 +420,7 @@ def _camera_info(track: Track, index: int, stamp_ns: int) -> CameraInfo:
     )
 
 
-def _place(track: Track, index: int, stamp_ns: int) -> PoseSample:
+def _map_pose(track: SensorTrack, index: int, stamp_ns: int) -> PoseSample:
     return PoseSample(
         stamp_ns=stamp_ns,
         received_ns=None,
@@ -430,8 +430,8 @@ def _place(track: Track, index: int, stamp_ns: int) -> PoseSample:
     )
 
 
-def sensor_builder(builders: dict[str, TrackBuilder], label: str) -> TrackBuilder:
+def get_track_builder(builders: dict[str, SensorTrackBuilder], label: str) -> SensorTrackBuilder:
     """The builder of a sensor of this data set. Raises ValueError for any other label."""
     if not is_camera(label) and not is_lidar(label):
         raise ValueError(f"{label!r} is no sensor of Robot@Home")
-    return builders.setdefault(label, TrackBuilder(label))
+    return builders.setdefault(label, SensorTrackBuilder(label))

@@ -6,18 +6,23 @@ from typing import Protocol
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording
-from fusion_core.recordings.robot_at_home.database import BROKEN, Database, damaged, find_database
+from fusion_core.recordings.robot_at_home.database import (
+    DATABASE_ERRORS,
+    Database,
+    damaged_database_error,
+    find_database,
+)
 from fusion_core.recordings.robot_at_home.plain_text import find_plain_text
 from fusion_core.recordings.robot_at_home.rig import BeamSpacing
 from fusion_core.recordings.robot_at_home.room import (
     Room,
     RoomKey,
-    RoomListing,
-    listing_of,
-    open_tracks,
+    RoomSummary,
+    make_recording,
+    summarize_room,
 )
 
-_SHOWN = 8
+_MAX_LISTED = 8
 
 
 class _DataSet(Protocol):
@@ -33,14 +38,14 @@ def is_robot_at_home(path: Path) -> bool:
     return find_database(path) is not None or find_plain_text(path) is not None
 
 
-def list_rooms(root: Path) -> tuple[RoomListing, ...]:
+def list_rooms(root: Path) -> tuple[RoomSummary, ...]:
     """Every room of a root, or of the session or room that the path is, sorted by name.
 
     Raises RecordingError where there is none.
     """
     data = _open(root)
     try:
-        return tuple(listing_of(data.room(key)) for key in data.room_keys())
+        return tuple(summarize_room(data.room(key)) for key in data.room_keys())
     finally:
         data.close()
 
@@ -61,14 +66,14 @@ def open_room(
     def choose(keys: tuple[RoomKey, ...]) -> RoomKey:
         sessions = sorted({key.session for key in keys})
         if session not in sessions:
-            raise _unknown(root, f"session {session!r}", sessions)
+            raise _unknown_name_error(root, f"session {session!r}", sessions)
         rooms = sorted({key.room for key in keys if key.session == session})
         if room not in rooms:
-            raise _unknown(root, f"room {room!r} in session {session}", rooms)
+            raise _unknown_name_error(root, f"room {room!r} in session {session}", rooms)
         wanted = RoomKey(session=session, room=room, subsession=subsession)
         if wanted not in keys:
             there = [str(k.subsession) for k in keys if (k.session, k.room) == (session, room)]
-            raise _unknown(root, f"subsession {subsession} of {session} {room}", there)
+            raise _unknown_name_error(root, f"subsession {subsession} of {session} {room}", there)
         return wanted
 
     return _open_chosen(root, choose, beam_spacing)
@@ -80,8 +85,8 @@ def open_only_room(path: Path) -> Recording:
     def choose(keys: tuple[RoomKey, ...]) -> RoomKey:
         if len(keys) == 1:
             return keys[0]
-        shown = ", ".join(map(str, keys[:_SHOWN]))
-        more = f" and {len(keys) - _SHOWN} more" if len(keys) > _SHOWN else ""
+        shown = ", ".join(map(str, keys[:_MAX_LISTED]))
+        more = f" and {len(keys) - _MAX_LISTED} more" if len(keys) > _MAX_LISTED else ""
         raise RecordingError(
             f"holds {len(keys)} rooms of Robot@Home: {shown}{more}.",
             file=path,
@@ -96,7 +101,7 @@ def _open_chosen(
 ) -> Recording:
     data = _open(path)
     try:
-        return open_tracks(data.room(choose(data.room_keys())), spacing)
+        return make_recording(data.room(choose(data.room_keys())), spacing)
     except BaseException:
         data.close()
         raise
@@ -113,8 +118,8 @@ def _open(path: Path) -> _DataSet:
             file=path,
             advice="Check the path and its permissions.",
         ) from error
-    except BROKEN as error:
-        raise damaged(path, error) from error
+    except DATABASE_ERRORS as error:
+        raise damaged_database_error(path, error) from error
     if data is None or not data.room_keys():
         if data is not None:
             data.close()
@@ -127,5 +132,5 @@ def _open(path: Path) -> _DataSet:
     return data
 
 
-def _unknown(root: Path, what: str, there: list[str]) -> RecordingError:
+def _unknown_name_error(root: Path, what: str, there: list[str]) -> RecordingError:
     return RecordingError(f"has no {what}.", file=root, advice=f"There is {', '.join(there)}.")

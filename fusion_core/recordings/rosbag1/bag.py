@@ -11,15 +11,15 @@ from fusion_core.model.recording import Recording
 from fusion_core.recordings.containers import (
     ENTRY,
     Channel,
+    ChecksumReport,
     ChunkCache,
     Entries,
     Payload,
-    Verified,
-    damaged,
-    index_problem,
+    damaged_file_error,
+    find_index_problem,
 )
 from fusion_core.recordings.indexed import IndexedRecording
-from fusion_core.recordings.rosbag1.chunks import LZ4_HEADER_BYTES, has_checksum, unpack_chunk
+from fusion_core.recordings.rosbag1.chunks import LZ4_HEADER_BYTES, decompress_chunk, has_checksum
 from fusion_core.recordings.rosbag1.index import read_contents
 from fusion_core.recordings.rosbag1.records import (
     LENGTH,
@@ -51,7 +51,7 @@ class BagFile:
         self.warnings: list[str] = []
         self._file = path.open("rb")
         self._size = self._file.seek(0, 2)
-        self._chunks = ChunkCache(self._unpack)
+        self._chunks = ChunkCache(self._decompress_chunk)
         self._chunk_ends: dict[int, int] = {}
         self._channel_of: dict[int, int] = {}
         self._problems: dict[int, str] = {}
@@ -66,7 +66,7 @@ class BagFile:
             )
         if contents.warnings and not len(contents.entries):
             told = " ".join(dict.fromkeys([contents.warnings[0], contents.warnings[-1]]))
-            raise damaged(self.path, f"no message can be read. {told}".rstrip("."))
+            raise damaged_file_error(self.path, f"no message can be read. {told}".rstrip("."))
         self.channels = contents.channels
         self._channel_of = contents.channel_of
         self.warnings += contents.warnings
@@ -77,7 +77,7 @@ class BagFile:
 
     def payload(self, block: int, offset: int) -> Payload:
         if offset == NOT_IN_A_CHUNK:
-            return self._message_in_the_file(block)
+            return self._message_outside_chunks(block)
         chunk = self._chunks[block]
         try:
             while True:
@@ -89,23 +89,23 @@ class BagFile:
                     break
                 # Some writers let the index point at the connection before the message.
                 if chunk.find(_IS_CONNECTION, header, start) < 0:
-                    raise self._broken(block)
+                    raise self._broken_chunk_error(block)
         except struct.error as error:
-            raise self._broken(block) from error
+            raise self._broken_chunk_error(block) from error
         if offset > len(chunk):
-            raise self._broken(block)
+            raise self._broken_chunk_error(block)
         return memoryview(chunk)[start:offset]
 
     def published_ns(self, block: int, offset: int) -> None:
         return None
 
-    def verify(self, entries: Entries) -> Verified:
+    def verify(self, entries: Entries) -> ChecksumReport:
         is_in_a_chunk = entries["offset"] != NOT_IN_A_CHUNK
-        verified = Verified(unguarded=int(not is_in_a_chunk.all()))
+        verified = ChecksumReport(unguarded=int(not is_in_a_chunk.all()))
         blocks = np.unique(entries["block"][is_in_a_chunk])
         entries = np.sort(entries, order=["block", "offset"])
         for block in blocks.tolist():
-            content = self._unpack(block)
+            content = self._decompress_chunk(block)
             if block in self._problems:
                 continue
             if self._has_checksum(block):
@@ -152,25 +152,25 @@ class BagFile:
         offsets = [starts.get(offset, offset) for offset in indexed["offset"].tolist()]
         indexed["offset"] = offsets
         held = np.array(rows, dtype=ENTRY)
-        return index_problem(held[held["channel"] >= 0], indexed)
+        return find_index_problem(held[held["channel"] >= 0], indexed)
 
-    def _message_in_the_file(self, start: int) -> bytes:
+    def _message_outside_chunks(self, start: int) -> bytes:
         record = read_record(self._file, start, self._size)
         if record is None or record.op != OP_MESSAGE:
-            raise damaged(self.path, f"no message is at byte {start} any more")
+            raise damaged_file_error(self.path, f"no message is at byte {start} any more")
         self._file.seek(record.data_start)
         return self._file.read(record.data_size)
 
-    def _unpack(self, block: int) -> bytes:
+    def _decompress_chunk(self, block: int) -> bytes:
         chunk = read_record(self._file, block, self._size)
         if chunk is None or chunk.op != OP_CHUNK:
-            raise damaged(self.path, f"no chunk is at byte {block} any more")
+            raise damaged_file_error(self.path, f"no chunk is at byte {block} any more")
         end = self._chunk_ends.get(block, min(chunk.end, self._size))
-        unpacked = unpack_chunk(self._file, chunk, end)
+        unpacked = decompress_chunk(self._file, chunk, end)
         if unpacked.problem:
             self._problems[block] = unpacked.problem
         return unpacked.content
 
-    def _broken(self, block: int) -> RecordingError:
+    def _broken_chunk_error(self, block: int) -> RecordingError:
         problem = self._problems.get(block, "no whole message stands where its index points")
-        return damaged(self.path, f"the chunk at byte {block}: {problem}")
+        return damaged_file_error(self.path, f"the chunk at byte {block}: {problem}")

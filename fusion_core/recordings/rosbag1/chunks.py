@@ -20,7 +20,7 @@ _DECOMPRESSORS = {b"bz2": bz2.BZ2Decompressor, b"lz4": lz4.frame.LZ4FrameDecompr
 
 
 @dataclass(frozen=True, slots=True)
-class Unpacked:
+class DecompressedChunk:
     """The content of a chunk; ``problem`` says why it is less than the chunk had, or nothing.
 
     ``surplus_bytes`` of the chunk's data stand behind the end of what was compressed.
@@ -31,7 +31,7 @@ class Unpacked:
     surplus_bytes: int = 0
 
 
-def chunk_problem(chunk: BagRecord) -> str:
+def find_chunk_problem(chunk: BagRecord) -> str:
     """Why a chunk cannot be unpacked, judged by its header; empty where it can."""
     compression = chunk.fields[b"compression"]
     if compression == b"none":
@@ -53,19 +53,19 @@ def has_checksum(chunk: BagRecord, data: bytes) -> bool:
     )
 
 
-def unpack_chunk(stream: BinaryIO, chunk: BagRecord, end: int) -> Unpacked:
+def decompress_chunk(stream: BinaryIO, chunk: BagRecord, end: int) -> DecompressedChunk:
     """The content of a chunk whose data end at ``end``, before their place where they are cut.
 
     What a compressed chunk gave before its data break off is kept. Data that contradict
     themselves give nothing: where they began to be wrong is not known.
     """
-    problem = chunk_problem(chunk)
+    problem = find_chunk_problem(chunk)
     if problem:
-        return Unpacked(b"", problem)
+        return DecompressedChunk(b"", problem)
     stream.seek(chunk.data_start)
     left, size = end - chunk.data_start, chunk.number(b"size")
     if chunk.fields[b"compression"] == b"none":
-        return Unpacked(stream.read(left), "it breaks off" if end < chunk.end else "")
+        return DecompressedChunk(stream.read(left), "it breaks off" if end < chunk.end else "")
     decompressor = _DECOMPRESSORS[chunk.fields[b"compression"]]()
     content = BytesIO()
     try:
@@ -76,10 +76,10 @@ def unpack_chunk(stream: BinaryIO, chunk: BagRecord, end: int) -> Unpacked:
                 left -= len(packed)
                 if not packed:
                     problem = f"it breaks off after {content.tell()} of {size} bytes"
-                    return Unpacked(content.getvalue(), problem)
+                    return DecompressedChunk(content.getvalue(), problem)
             content.write(decompressor.decompress(packed, _STEP_BYTES))
             if content.tell() > size:
-                return Unpacked(b"", f"it holds more than the {size} bytes that it claims")
+                return DecompressedChunk(b"", f"it holds more than the {size} bytes that it claims")
     except (OSError, RuntimeError, ValueError, EOFError) as error:
-        return Unpacked(b"", f"it does not unpack, {error}")
-    return Unpacked(content.getvalue(), "", left + len(decompressor.unused_data or b""))
+        return DecompressedChunk(b"", f"it does not unpack, {error}")
+    return DecompressedChunk(content.getvalue(), "", left + len(decompressor.unused_data or b""))

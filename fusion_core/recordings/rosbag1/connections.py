@@ -16,13 +16,13 @@ from fusion_core.recordings.rosbag1.records import MAX_NAME_BYTES, BagRecord, re
 
 _MAX_CHANNELS = 4096
 _MAX_DEFINITIONS_BYTES = 8 << 20
-_NAMED = 5
+_MAX_LISTED = 5
 _TOPIC_NAME = re.compile(r"[~/]?[A-Za-z][A-Za-z0-9_/]*")
 _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z][A-Za-z0-9_]*")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Description:
+class _ConnectionRecord:
     """A connection as one of its records has it.
 
     ``repeated_topic`` is the topic in the record's data, empty where that has none. ``chunk`` is
@@ -37,7 +37,7 @@ class _Description:
     start: int
     end: int
 
-    def evidence(self) -> int:
+    def count_plausible_names(self) -> int:
         """How much of its names is true of itself: what ROS allows, and what is told twice."""
         return sum(
             (
@@ -47,7 +47,7 @@ class _Description:
             )
         )
 
-    def has_own_sum(self) -> bool:
+    def has_matching_md5sum(self) -> bool:
         """Whether its MD5 sum is that of its definition."""
         try:
             return ros1_checksum(self.channel) == self.md5sum
@@ -59,7 +59,7 @@ class Connections:
     """What the records of a bag tell of its connections, by their numbers."""
 
     def __init__(self) -> None:
-        self._descriptions: dict[int, list[_Description]] = {}
+        self._descriptions: dict[int, list[_ConnectionRecord]] = {}
         self._channels: set[Channel] = set()
         self._definition_bytes = 0
 
@@ -96,11 +96,11 @@ class Connections:
         known = self._descriptions.get(number, [])
         return [(one.start, one.end) for one in known if one.chunk is None]
 
-    def leave_out(self, numbers: Collection[int]) -> None:
+    def remove(self, numbers: Collection[int]) -> None:
         for number in numbers:
             self._descriptions.pop(number, None)
 
-    def settled(self) -> tuple[list[Channel], dict[int, int], list[str]]:
+    def resolve(self) -> tuple[list[Channel], dict[int, int], list[str]]:
         """The channels, the place among them for each connection, and what was contradicted."""
         channels: dict[Channel, int] = {}
         numbers = {}
@@ -109,24 +109,26 @@ class Connections:
             best = known[0]
             if len(known) > 1:
                 best = max(known, key=_credibility(known))
-                warnings.append(_contradiction(number, best, known))
+                warnings.append(_describe_contradiction(number, best, known))
             numbers[number] = channels.setdefault(best.channel, len(channels))
-        rest = len(warnings) - _NAMED
+        rest = len(warnings) - _MAX_LISTED
         if rest > 0:
-            warnings[_NAMED:] = [f"{rest} more connections are described in contradictory ways."]
+            warnings[_MAX_LISTED:] = [
+                f"{rest} more connections are described in contradictory ways."
+            ]
         return list(channels), numbers, warnings
 
 
-def _credibility(known: list[_Description]) -> Callable[[_Description], tuple[int, bool]]:
+def _credibility(known: list[_ConnectionRecord]) -> Callable[[_ConnectionRecord], tuple[int, bool]]:
     # A definition takes long to parse, and one that all have tells nothing.
     differ = len({one.channel.definition for one in known}) > 1
     return lambda one: (
-        one.evidence() + (differ and one.has_own_sum()),
+        one.count_plausible_names() + (differ and one.has_matching_md5sum()),
         one.chunk is not None,
     )
 
 
-def _read(stream: BinaryIO, record: BagRecord, chunk: int | None) -> _Description | None:
+def _read(stream: BinaryIO, record: BagRecord, chunk: int | None) -> _ConnectionRecord | None:
     """None where the content of the record is broken."""
     stream.seek(record.data_start)
     fields = read_fields(stream.read(record.data_size), needs_op=False)
@@ -140,7 +142,7 @@ def _read(stream: BinaryIO, record: BagRecord, chunk: int | None) -> _Descriptio
         serialization="ros1",
         definition=fields[b"message_definition"].decode(errors="replace"),
     )
-    return _Description(
+    return _ConnectionRecord(
         channel=channel,
         repeated_topic=_topic(fields.get(b"topic", b"")),
         md5sum=fields.get(b"md5sum", b"").decode(errors="replace"),
@@ -156,17 +158,20 @@ def _topic(name: bytes) -> str:
     return "/" * topic.startswith("/") + "/".join(part for part in topic.split("/") if part)
 
 
-def _contradiction(number: int, best: _Description, known: list[_Description]) -> str:
+def _describe_contradiction(
+    number: int, best: _ConnectionRecord, known: list[_ConnectionRecord]
+) -> str:
     names = {(one.channel.topic, one.channel.message_type) for one in known}
     told = " and ".join(
-        f"{one.channel.topic} ({one.channel.message_type}) in {_where(one)}" for one in known
+        f"{one.channel.topic} ({one.channel.message_type}) in {_describe_place(one)}"
+        for one in known
     )
     if len(names) == 1:
-        told = f"{best.channel.topic}, of which {' and '.join(map(_where, known))} differ"
-    return f"Damaged: connection {number} is {told}; that in {_where(best)} is taken."
+        told = f"{best.channel.topic}, of which {' and '.join(map(_describe_place, known))} differ"
+    return f"Damaged: connection {number} is {told}; that in {_describe_place(best)} is taken."
 
 
-def _where(one: _Description) -> str:
+def _describe_place(one: _ConnectionRecord) -> str:
     if one.chunk is None:
         return f"the record at byte {one.start}"
     return f"the chunk at byte {one.chunk}"

@@ -7,7 +7,7 @@ from typing import BinaryIO
 import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S, BoolArray, IntArray
-from fusion_core.recordings.containers import Channel, Entries, entries_from, in_file_order
+from fusion_core.recordings.containers import Channel, Entries, make_entries, merge_in_file_order
 from fusion_core.recordings.rosbag1.records import (
     OP_CHUNK_INFO,
     OP_CONNECTION,
@@ -51,11 +51,11 @@ def read_contents(file: BinaryIO, size: int) -> BagContents:
     connections, place = np.unique(rows[:, 1], return_inverse=True)
     if restored:
         # What the index has instead, of which there is no message, has a damaged number.
-        walk.connections.leave_out(unconfirmed.difference(connections.tolist()))
-    channels, channel_of, contradictions = walk.connections.settled()
+        walk.connections.remove(unconfirmed.difference(connections.tolist()))
+    channels, channel_of, contradictions = walk.connections.resolve()
     numbers = [channel_of.get(connection, -1) for connection in connections.tolist()]
     channel = np.array(numbers, dtype=np.int64)[place]
-    entries = in_file_order([entries_from(rows[:, 0], channel, rows[:, 2], rows[:, 3])])
+    entries = merge_in_file_order([make_entries(rows[:, 0], channel, rows[:, 2], rows[:, 3])])
     warnings = [*_structure_warnings(walk, size), *_lost_bytes(walk.lost, entries, size)]
     warnings += _lost_messages(walk, entries)
     warnings += contradictions

@@ -13,7 +13,11 @@ import numpy as np
 
 from fusion_core.model.conventions import IntArray
 from fusion_core.recordings.containers import MAX_CHUNK_BYTES
-from fusion_core.recordings.rosbag1.chunks import Unpacked, chunk_problem, unpack_chunk
+from fusion_core.recordings.rosbag1.chunks import (
+    DecompressedChunk,
+    decompress_chunk,
+    find_chunk_problem,
+)
 from fusion_core.recordings.rosbag1.connections import Connections
 from fusion_core.recordings.rosbag1.records import (
     MAGIC,
@@ -110,13 +114,13 @@ class BagWalk:
             elif record.op == OP_CHUNK:
                 self._close_chunk()
                 self.chunk_count += 1
-                position = self._pass_chunk(record)
+                position = self._skip_chunk(record)
             else:
                 if record.op != OP_INDEX:
                     self._close_chunk()
-                self._take(record)
+                self._take_record(record)
                 position = record.end
-                if record.op == OP_BAG and not self._stands_at(position):
+                if record.op == OP_BAG and not self._has_record_at(position):
                     # The length of its padding may be too large.
                     position = min(self._find(record.data_start), record.end)
         # A whole bag does not end in the index data of a chunk: some of them may be lost.
@@ -127,7 +131,7 @@ class BagWalk:
         found_chunk = self._chunk_at(start)
         if found_chunk is None:
             return
-        unpacked = self._unpack(*found_chunk)
+        unpacked = self._decompress_chunk(*found_chunk)
         stream, end = BytesIO(unpacked.content), len(unpacked.content)
         position = lost_bytes = 0
         while position < end:
@@ -148,10 +152,14 @@ class BagWalk:
         elif take_messages:
             self.whole.add(start)
 
-    def content(self, start: int) -> Unpacked:
+    def content(self, start: int) -> DecompressedChunk:
         """The content of the chunk at a place, or as much of it as there is."""
         chunk = self._chunk_at(start)
-        return Unpacked(b"", "no chunk is there") if chunk is None else self._unpack(*chunk)
+        return (
+            DecompressedChunk(b"", "no chunk is there")
+            if chunk is None
+            else self._decompress_chunk(*chunk)
+        )
 
     def connection_records(self, content: bytes) -> dict[int, bytes]:
         """The records of connections that seem to be in a chunk's content, by their numbers."""
@@ -173,9 +181,9 @@ class BagWalk:
             return None
         return chunk, self.chunk_ends.get(start, min(chunk.end, self._size))
 
-    def _pass_chunk(self, chunk: BagRecord) -> int:
+    def _skip_chunk(self, chunk: BagRecord) -> int:
         """Note a chunk, and say where the walk goes on."""
-        is_whole = self._stands_at(chunk.end)
+        is_whole = self._has_record_at(chunk.end)
         is_plain = chunk.fields[b"compression"] == b"none"
         content_bytes = chunk.number(b"size")
         fits = content_bytes == chunk.data_size <= MAX_CHUNK_BYTES
@@ -183,7 +191,7 @@ class BagWalk:
             # Its records are then read as if they stood in the file itself.
             return chunk.data_start
         end = chunk.end
-        problem = chunk_problem(chunk)
+        problem = find_chunk_problem(chunk)
         if not is_whole and (problem or not self._has_right_length(chunk)):
             # It ends where the next record begins.
             end = find_record(
@@ -199,7 +207,7 @@ class BagWalk:
             self._chunks.extend((chunk.start, content_bytes))
         return end
 
-    def _stands_at(self, position: int) -> bool:
+    def _has_record_at(self, position: int) -> bool:
         """Whether a record or the file's end is at a place."""
         return position == self._size or self.record_at(position) is not None
 
@@ -209,7 +217,7 @@ class BagWalk:
     def _has_right_length(self, chunk: BagRecord) -> bool:
         if chunk.end > self._size:
             return False
-        unpacked = self._unpack(chunk, chunk.end)
+        unpacked = self._decompress_chunk(chunk, chunk.end)
         return not unpacked.problem and unpacked.surplus_bytes == 0
 
     def _close_chunk(self, is_damaged: bool = False) -> None:
@@ -218,7 +226,7 @@ class BagWalk:
             self.unindexed.add(self._chunk)
         self._chunk = None
 
-    def _take(self, record: BagRecord) -> None:
+    def _take_record(self, record: BagRecord) -> None:
         """A record that stands in the file itself."""
         if record.op == OP_MESSAGE:
             self._add_message(record, record.start, NOT_IN_A_CHUNK)
@@ -244,10 +252,10 @@ class BagWalk:
     def _add_message(self, record: BagRecord, block: int, offset: int) -> None:
         self._messages.extend((record.time_ns(b"time"), record.number(b"conn"), block, offset))
 
-    def _unpack(self, chunk: BagRecord, end: int) -> Unpacked:
+    def _decompress_chunk(self, chunk: BagRecord, end: int) -> DecompressedChunk:
         if self._unpackable_bytes <= 0:
-            return Unpacked(b"", "its chunks unpack to far more than those of a recording")
-        unpacked = unpack_chunk(self._file, chunk, end)
+            return DecompressedChunk(b"", "its chunks unpack to far more than those of a recording")
+        unpacked = decompress_chunk(self._file, chunk, end)
         self._unpackable_bytes -= len(unpacked.content) or chunk.number(b"size")
         return unpacked
 

@@ -19,10 +19,10 @@ from fusion_core.model.errors import RecordingError
 from fusion_core.recordings.containers import (
     MAX_CHUNK_BYTES,
     Channel,
+    ChecksumReport,
     Entries,
     Payload,
-    Verified,
-    damaged,
+    damaged_file_error,
 )
 from fusion_core.recordings.mcap import file as mcap_file
 from fusion_core.recordings.mcap.file import McapFile
@@ -37,7 +37,7 @@ else:
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 LZ4_MAGIC = b"\x04\x22\x4d\x18"
 
-_PACKED_SUFFIXES = (".zstd", ".zst", ".lz4")
+_COMPRESSED_SUFFIXES = (".zstd", ".zst", ".lz4")
 _Container = McapFile | SqliteFile
 _KINDS: Mapping[str, tuple[bytes, Callable[[Path], _Container]]] = {
     "MCAP": (mcap_file.MAGIC, McapFile),
@@ -47,8 +47,8 @@ _KIND_OF_SUFFIX = {".mcap": "MCAP", ".db3": "SQLite"}
 _HEAD_BYTES = 16
 _PIECE_BYTES = 1 << 20
 # Depth images of nothing but holes pack a hundredfold, hostile files 30,000-fold.
-_MOST_UNPACKED_PER_PACKED = 1000
-_ALWAYS_UNPACKED_BYTES = 256 << 20
+_MAX_COMPRESSION_RATIO = 1000
+_ALWAYS_DECOMPRESSED_BYTES = 256 << 20
 _DISK_RESERVE_BYTES = 256 << 20
 
 
@@ -86,7 +86,7 @@ class StorageFile:
         try:
             self.kind, self._inner, entries = self._open()
         except RecordingError as error:
-            raise _named(error, path) from error
+            raise _with_file(error, path) from error
         self._entries: Entries | None = entries
         self.channels: list[Channel] = self._inner.channels
         self.warnings += self._inner.warnings
@@ -101,13 +101,13 @@ class StorageFile:
         try:
             payload = self._inner.payload(block, offset)
         except RecordingError as error:
-            raise _named(error, self.path) from error
-        return _unpacked_message(payload, self.path) if payload[:4] == ZSTD_MAGIC else payload
+            raise _with_file(error, self.path) from error
+        return _decompress_message(payload, self.path) if payload[:4] == ZSTD_MAGIC else payload
 
     def published_ns(self, block: int, offset: int) -> int | None:
         return self._inner.published_ns(block, offset)
 
-    def verify(self, entries: Entries) -> Verified:
+    def verify(self, entries: Entries) -> ChecksumReport:
         return self._inner.verify(entries)
 
     def close(self) -> None:
@@ -117,8 +117,8 @@ class StorageFile:
         with self.path.open("rb") as file:
             packing = _DECOMPRESSORS.get(file.read(len(ZSTD_MAGIC)))
         if packing is None:
-            return _open_plain(self.path)
-        if not (_has_storage_name(self.path) or _packs_storage(self.path)):
+            return _open_uncompressed(self.path)
+        if not (_has_storage_name(self.path) or _contains_storage(self.path)):
             raise RecordingError(
                 "is an archive that holds no storage file of ROS 2.",
                 file=self.path,
@@ -127,33 +127,35 @@ class StorageFile:
         # The name goes at once, the open file lives on: nothing is left however the process ends.
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
             unpacked = Path(folder) / self.path.name
-            lost = _unpack(self.path, packing, unpacked)
+            lost = _decompress_to(self.path, packing, unpacked)
             if lost:
                 self.warnings.append(f"{self.path.name} is cut short or damaged: {lost}.")
             try:
-                return _open_plain(unpacked)
+                return _open_uncompressed(unpacked)
             except RecordingError as error:
-                raise damaged(self.path, lost) if lost else error from error
+                raise damaged_file_error(self.path, lost) if lost else error from error
 
 
-def is_storage(path: Path) -> bool:
+def is_storage_file(path: Path) -> bool:
     """Whether a file of a folder is a storage file: by its name, or by what it is packed around."""
     if not path.is_file():
         return False
-    return _has_storage_name(path) or (path.suffix in _PACKED_SUFFIXES and _packs_storage(path))
+    return _has_storage_name(path) or (
+        path.suffix in _COMPRESSED_SUFFIXES and _contains_storage(path)
+    )
 
 
-def plain_name(name: str) -> str:
+def uncompressed_name(name: str) -> str:
     """The name of a storage file before it was packed."""
     path = Path(name)
-    return path.stem if path.suffix in _PACKED_SUFFIXES else path.name
+    return path.stem if path.suffix in _COMPRESSED_SUFFIXES else path.name
 
 
 def _has_storage_name(path: Path) -> bool:
-    return Path(plain_name(path.name)).suffix in _KIND_OF_SUFFIX
+    return Path(uncompressed_name(path.name)).suffix in _KIND_OF_SUFFIX
 
 
-def _packs_storage(path: Path) -> bool:
+def _contains_storage(path: Path) -> bool:
     packed = read_head(path, _PIECE_BYTES)
     packing = _DECOMPRESSORS.get(packed[: len(ZSTD_MAGIC)])
     try:
@@ -163,16 +165,16 @@ def _packs_storage(path: Path) -> bool:
     return any(head.startswith(magic) for magic, _ in _KINDS.values())
 
 
-def _open_plain(path: Path) -> tuple[str, _Container, Entries]:
+def _open_uncompressed(path: Path) -> tuple[str, _Container, Entries]:
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
     # A damaged head leaves the name to tell by.
-    kind = _KIND_OF_SUFFIX.get(Path(plain_name(path.name)).suffix, "")
+    kind = _KIND_OF_SUFFIX.get(Path(uncompressed_name(path.name)).suffix, "")
     for name, (magic, _) in _KINDS.items():
         if head.startswith(magic):
             kind = name
     if not head or not kind:
-        raise damaged(path, "it does not begin as a storage file of ROS 2 does")
+        raise damaged_file_error(path, "it does not begin as a storage file of ROS 2 does")
     container = _KINDS[kind][1](path)
     try:
         return kind, container, container.index()
@@ -181,14 +183,14 @@ def _open_plain(path: Path) -> tuple[str, _Container, Entries]:
         raise
 
 
-def _unpack(path: Path, packing: Callable[[], _Decompressor], target: Path) -> str:
+def _decompress_to(path: Path, packing: Callable[[], _Decompressor], target: Path) -> str:
     """Unpack as much as can be; returns what is lost. Raises RecordingError beyond the limits."""
     free = shutil.disk_usage(target.parent).free - _DISK_RESERVE_BYTES
-    sane = max(_MOST_UNPACKED_PER_PACKED * path.stat().st_size, _ALWAYS_UNPACKED_BYTES)
+    sane = max(_MAX_COMPRESSION_RATIO * path.stat().st_size, _ALWAYS_DECOMPRESSED_BYTES)
     written = 0
     try:
         with path.open("rb") as packed, target.open("wb") as plain:
-            for piece in _pieces(packed, packing):
+            for piece in _decompressed_pieces(packed, packing):
                 written += len(piece)
                 if written > sane:
                     raise RecordingError(
@@ -215,7 +217,7 @@ def _unpack(path: Path, packing: Callable[[], _Decompressor], target: Path) -> s
     return ""
 
 
-def _pieces(packed: BinaryIO, packing: Callable[[], _Decompressor]) -> Iterator[bytes]:
+def _decompressed_pieces(packed: BinaryIO, packing: Callable[[], _Decompressor]) -> Iterator[bytes]:
     """The content of one frame or several, a piece at a time. Raises one of _DAMAGE."""
     content = packed.read(_PIECE_BYTES)
     while content:
@@ -230,7 +232,7 @@ def _pieces(packed: BinaryIO, packing: Callable[[], _Decompressor]) -> Iterator[
         content = decompressor.unused_data or packed.read(_PIECE_BYTES)
 
 
-def _unpacked_message(packed: Payload, path: Path) -> Payload:
+def _decompress_message(packed: Payload, path: Path) -> Payload:
     decompressor = zstd.ZstdDecompressor()
     message = bytearray()
     content = bytes(packed)
@@ -242,12 +244,12 @@ def _unpacked_message(packed: Payload, path: Path) -> Payload:
             message += decompressor.decompress(content, _PIECE_BYTES)
             content = b""
     except _DAMAGE as error:
-        raise damaged(path, f"a compressed message ({error})") from error
+        raise damaged_file_error(path, f"a compressed message ({error})") from error
     if max(claimed, len(message)) > MAX_CHUNK_BYTES:
-        raise damaged(path, f"a message unpacks to more than {MAX_CHUNK_BYTES} bytes")
+        raise damaged_file_error(path, f"a message unpacks to more than {MAX_CHUNK_BYTES} bytes")
     return memoryview(message)
 
 
-def _named(error: RecordingError, path: Path) -> RecordingError:
+def _with_file(error: RecordingError, path: Path) -> RecordingError:
     """The same failure, of the file that the person knows."""
     return RecordingError(error.problem, file=path, advice=error.advice)

@@ -31,7 +31,7 @@ class Metadata:
 
     files: tuple[str, ...] = ()
     counts: Mapping[str, int] = field(default_factory=dict)
-    packing: str = ""
+    message_compression: str = ""
     problem: str = ""
 
 
@@ -76,18 +76,18 @@ def _parse(information: Any) -> Metadata:
         count = topic["message_count"]
         if not isinstance(count, int):
             raise ValueError("a count is no number")
-        counts[_name(topic["topic_metadata"]["name"])] += count
-    mode = _name(information.get("compression_mode") or "none").lower()
-    packing = _name(information.get("compression_format") or "")
+        counts[_require_name(topic["topic_metadata"]["name"])] += count
+    mode = _require_name(information.get("compression_mode") or "none").lower()
+    packing = _require_name(information.get("compression_format") or "")
     return Metadata(
         # Old versions wrote the folder's name before the file's.
-        files=tuple(Path(_name(name)).name for name in information["relative_file_paths"]),
+        files=tuple(Path(_require_name(name)).name for name in information["relative_file_paths"]),
         counts=counts,
-        packing=packing if mode == "message" else "",
+        message_compression=packing if mode == "message" else "",
     )
 
 
-def _name(value: Any) -> str:
+def _require_name(value: Any) -> str:
     """A text that can stand in a line. Anything else may be a tree of aliases without end."""
     if not isinstance(value, str) or len(value) > _MAX_NAME_CHARS or not value.isprintable():
         raise ValueError("a name is no name")

@@ -14,11 +14,11 @@ from fusion_core.recordings.containers import (
     ENTRY,
     MAX_CHUNK_BYTES,
     Channel,
+    ChecksumReport,
     Entries,
     Payload,
-    Verified,
-    damaged,
-    entries_from,
+    damaged_file_error,
+    make_entries,
     ros2_type_name,
 )
 from fusion_core.recordings.rosbag2.sqlite_pages import (
@@ -44,7 +44,7 @@ _COLUMNS: Mapping[str, frozenset[str]] = {
 _STEPS_AT_A_TIME = 1_000_000
 _LEAST_STEPS = 50_000_000
 _STEPS_PER_BYTE = 10
-_NAMED_PROBLEMS = 5
+_MAX_LISTED = 5
 
 # The second where SQLite's own message quotes bytes of the file that are no UTF-8.
 _DAMAGE = (sqlite3.Error, UnicodeDecodeError)
@@ -107,10 +107,10 @@ class SqliteFile:
     def published_ns(self, block: int, offset: int) -> None:
         """The tables have no such time."""
 
-    def verify(self, entries: Entries) -> Verified:
+    def verify(self, entries: Entries) -> ChecksumReport:
         """SQLite has no checksums; of its structure it says itself what is wrong."""
         damage = [f"{self.path.name}: Damaged: {line}." for line in self._rows.problems()]
-        return Verified(unguarded=1, damage=damage)
+        return ChecksumReport(unguarded=1, damage=damage)
 
     def close(self) -> None:
         self._rows.close()
@@ -145,15 +145,15 @@ class _Database:
                     "SELECT id, data FROM messages WHERE id = ?", (row_id,)
                 ).fetchone()
             except _DAMAGE as error:
-                raise damaged(self._path, f"row {row_id} ({error})") from error
+                raise damaged_file_error(self._path, f"row {row_id} ({error})") from error
         if row is None or not isinstance(row[1], bytes):
-            raise damaged(self._path, f"row {row_id} holds no message")
+            raise damaged_file_error(self._path, f"row {row_id} holds no message")
         return bytes(row[1])
 
     def problems(self) -> list[str]:
         """What SQLite finds wrong with its own structure, the first things of it."""
         try:
-            rows = self._connection.execute(f"PRAGMA integrity_check({_NAMED_PROBLEMS})").fetchall()
+            rows = self._connection.execute(f"PRAGMA integrity_check({_MAX_LISTED})").fetchall()
         except _DAMAGE as error:
             return [str(error)]
         lines = [line for (text,) in rows for line in str(text).splitlines()]
@@ -264,7 +264,7 @@ class _Database:
             if len(ids) and (ids[0] <= last or np.any(np.diff(ids) <= 0)):
                 raise sqlite3.DatabaseError("its rows are not in order")
             last = int(ids[-1]) if len(ids) else last
-            parts.append(entries_from(stamps_ns, _channels(topics, topic_ids), 0, ids))
+            parts.append(make_entries(stamps_ns, _channels(topics, topic_ids), 0, ids))
         return np.concatenate(parts), odd_rows
 
 
@@ -296,7 +296,7 @@ class _DamagedDatabase:
         topics = [(row_id, texts) for row_id, texts in pages.texts if "/" in texts[1]]
         named = _named_topics(path, topics)
         if not named:
-            raise damaged(path, f"{problem}, and its topics are lost")
+            raise damaged_file_error(path, f"{problem}, and its topics are lost")
         definitions = (texts for _, texts in pages.texts if "/" not in texts[1])
         rows, cut = pages.rows, pages.cut_rows
         lost_bytes = pages.header.claimed_bytes - pages.size
@@ -309,7 +309,7 @@ class _DamagedDatabase:
         if lost_bytes > 0:
             losses.append(_lost_at_the_end(rows, cut))
         channels = _channels(named, rows["topic_id"])
-        entries = entries_from(rows["timestamp"], channels, rows["cell"], rows["id"])
+        entries = make_entries(rows["timestamp"], channels, rows["cell"], rows["id"])
         pages.rows = pages.cut_rows = rows[:0].copy()
         return _Content(named, _readable_definitions(definitions), entries, losses)
 

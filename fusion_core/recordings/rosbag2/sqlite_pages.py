@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from fusion_core.model.conventions import BoolArray, ByteArray, IntArray
 from fusion_core.model.errors import RecordingError
-from fusion_core.recordings.containers import MAX_CHUNK_BYTES, damaged
+from fusion_core.recordings.containers import MAX_CHUNK_BYTES, damaged_file_error
 
 HEADER_BYTES = 100
 # One message and where its cell begins in the file.
@@ -278,7 +278,7 @@ class DatabasePages:
             page = int.from_bytes(content[:4], "big")
         record = b"".join(parts)
         if len(record) < size:
-            raise damaged(self.path, f"a row at byte {position} breaks off")
+            raise damaged_file_error(self.path, f"a row at byte {position} breaks off")
         return record
 
 

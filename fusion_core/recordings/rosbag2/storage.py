@@ -13,17 +13,21 @@ from pathlib import Path
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording
 from fusion_core.recordings.indexed import IndexedRecording
-from fusion_core.recordings.rosbag2.compressed_storage import StorageFile, is_storage, plain_name
+from fusion_core.recordings.rosbag2.compressed_storage import (
+    StorageFile,
+    is_storage_file,
+    uncompressed_name,
+)
 from fusion_core.recordings.rosbag2.metadata import METADATA, Metadata, read_metadata
 
 # rosbag2 numbers the parts of a split recording: name_0, name_1, ...
 _SPLIT_NAME = re.compile(r"(.*)_(\d{1,9})")
-_LISTED = 20
+_MAX_LISTED = 20
 
 
 def is_rosbag2_folder(path: Path) -> bool:
     """Whether a folder holds storage files of ROS 2, plain or packed."""
-    return any(is_storage(child) for child in path.iterdir())
+    return any(is_storage_file(child) for child in path.iterdir())
 
 
 def open_storage_file(path: Path) -> Recording:
@@ -36,13 +40,13 @@ def open_storage_file(path: Path) -> Recording:
 def open_rosbag2_folder(path: Path) -> Recording:
     """A folder of ROS 2 storage files. Raises RecordingError where none of them can be read."""
     metadata = read_metadata(path)
-    if metadata.packing not in ("", "zstd"):
+    if metadata.message_compression not in ("", "zstd"):
         raise RecordingError(
-            f"holds messages compressed by {metadata.packing}, which is not read.",
+            f"holds messages compressed by {metadata.message_compression}, which is not read.",
             file=path,
             advice="Unpack it with `ros2 bag convert`.",
         )
-    parts, warnings = _parts(path, metadata)
+    parts, warnings = _order_files(path, metadata)
     files: list[StorageFile] = []
     first_failure = None
     try:
@@ -64,15 +68,15 @@ def open_rosbag2_folder(path: Path) -> Recording:
         raise
     kinds = " and ".join(sorted({file.kind for file in files}))
     recording = IndexedRecording(path, f"ROS 2 folder ({kinds})", [*files], warnings)
-    recording.warnings.extend(_disagreements(metadata, recording))
+    recording.warnings.extend(_compare_counts(metadata, recording))
     return recording
 
 
-def _parts(path: Path, metadata: Metadata) -> tuple[list[Path], list[str]]:
+def _order_files(path: Path, metadata: Metadata) -> tuple[list[Path], list[str]]:
     """The files of the recording in order, and what is wrong with their number."""
     warnings = [metadata.problem] if metadata.problem else []
     there = _storage_files(path)
-    named = list(dict.fromkeys(plain_name(name) for name in metadata.files))
+    named = list(dict.fromkeys(uncompressed_name(name) for name in metadata.files))
     if not any(name in there for name in named):
         parts = sorted(there, key=_split_order)
         _require_one_recording(path, [there[name] for name in parts])
@@ -83,15 +87,17 @@ def _parts(path: Path, metadata: Metadata) -> tuple[list[Path], list[str]]:
         extra = sorted(name for name in forgotten if _split_order(name)[0] not in stems)
         joined = sorted(set(forgotten) - set(extra), key=_split_order)
         if joined:
-            warnings.append(f"{METADATA} does not name {_listed(joined)}, read all the same.")
+            warnings.append(f"{METADATA} does not name {_join_names(joined)}, read all the same.")
         if extra:
-            warnings.append(f"Files that {METADATA} does not name are left out: {_listed(extra)}.")
+            warnings.append(
+                f"Files that {METADATA} does not name are left out: {_join_names(extra)}."
+            )
         parts = [name for name in named if name in there] + joined
     lost = [name for name in named if name not in there]
     if lost:
-        warnings.append(f"{METADATA} names files that are missing: {_listed(lost)}.")
+        warnings.append(f"{METADATA} names files that are missing: {_join_names(lost)}.")
     else:
-        warnings += _gaps([_split_order(name) for name in parts])
+        warnings += _find_missing_parts([_split_order(name) for name in parts])
     return [there[name] for name in parts], warnings
 
 
@@ -101,8 +107,8 @@ def _storage_files(path: Path) -> dict[str, Path]:
     for child in sorted(path.iterdir()):
         # `ros2 bag play` leaves a part unpacked beside the packed one: the same part twice, and
         # the unpacked one comes first.
-        if is_storage(child):
-            there.setdefault(plain_name(child.name), child)
+        if is_storage_file(child):
+            there.setdefault(uncompressed_name(child.name), child)
     return there
 
 
@@ -110,13 +116,13 @@ def _require_one_recording(path: Path, parts: list[Path]) -> None:
     others = sorted(child for child in path.iterdir() if child.suffix == ".bag")
     recordings = {
         (Path(name).suffix, _split_order(name)[0])
-        for name in (plain_name(file.name) for file in [*parts, *others])
+        for name in (uncompressed_name(file.name) for file in [*parts, *others])
     }
     if len(recordings) > 1:
         raise RecordingError(
             f"holds several recordings and no {METADATA} that joins them.",
             file=path,
-            advice=f"Name one of them: {_listed(file.name for file in [*parts, *others])}.",
+            advice=f"Name one of them: {_join_names(file.name for file in [*parts, *others])}.",
         )
 
 
@@ -126,7 +132,7 @@ def _split_order(name: str) -> tuple[str, int]:
     return (match[1], int(match[2])) if match else (stem, -1)
 
 
-def _gaps(orders: list[tuple[str, int]]) -> list[str]:
+def _find_missing_parts(orders: list[tuple[str, int]]) -> list[str]:
     """Parts that are missing between others, as their numbers tell."""
     warnings = []
     for (stem, before), (next_stem, after) in pairwise(orders):
@@ -138,7 +144,7 @@ def _gaps(orders: list[tuple[str, int]]) -> list[str]:
     return warnings
 
 
-def _disagreements(metadata: Metadata, recording: Recording) -> list[str]:
+def _compare_counts(metadata: Metadata, recording: Recording) -> list[str]:
     if metadata.problem or not metadata.files:
         return []
     found = {topic.name: topic.count for topic in recording.topics}
@@ -149,11 +155,11 @@ def _disagreements(metadata: Metadata, recording: Recording) -> list[str]:
     ]
     if not differing:
         return []
-    listed = _listed(differing, "; ")
+    listed = _join_names(differing, "; ")
     return [f"{METADATA} and the files disagree on counts, the files hold: {listed}."]
 
 
-def _listed(names: Iterable[str], separator: str = ", ") -> str:
+def _join_names(names: Iterable[str], separator: str = ", ") -> str:
     names = list(names)
-    shown = separator.join(names[:_LISTED])
-    return shown if len(names) <= _LISTED else f"{shown} and {len(names) - _LISTED} more"
+    shown = separator.join(names[:_MAX_LISTED])
+    return shown if len(names) <= _MAX_LISTED else f"{shown} and {len(names) - _MAX_LISTED} more"

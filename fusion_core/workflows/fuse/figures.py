@@ -35,7 +35,7 @@ from fusion_core.model.classes import RepairSource
 from fusion_core.model.conventions import NS_PER_MS, ByteArray
 from fusion_core.model.errors import RecordingError, ScanLoomError
 from fusion_core.model.grids import OccupancyGrid
-from fusion_core.model.names import readable
+from fusion_core.model.names import escape_undecodable
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import ColorImage
 from fusion_core.workflows.evaluate import evaluate
@@ -147,7 +147,7 @@ def write_figures(
 
 def printable(name: str) -> str:
     """A name in letters that the figures' font has."""
-    return readable(name).encode("latin-1", errors="replace").decode("latin-1")
+    return escape_undecodable(name).encode("latin-1", errors="replace").decode("latin-1")
 
 
 def table_1_row(room: str, scores: dict[str, int]) -> dict[str, Any]:

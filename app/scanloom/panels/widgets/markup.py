@@ -6,7 +6,7 @@ Whatever is put in is text, not markup: names from recordings may hold anything.
 import html
 import re
 
-from fusion_core.model.names import readable
+from fusion_core.model.names import escape_undecodable
 
 # All of ASCII's punctuation: CommonMark 2.4 lets each be escaped.
 _PUNCTUATION = re.compile(r"([!-/:-@\[-`{-~])")
@@ -22,7 +22,7 @@ def paragraph(text: str) -> str:
     """A paragraph of small text."""
     return (
         "<div style='padding:0.2em 0.5em;font-size:0.85em;overflow-wrap:anywhere'>"
-        f"{html.escape(readable(text))}</div>"
+        f"{html.escape(escape_undecodable(text))}</div>"
     )
 
 
@@ -31,7 +31,7 @@ def text_box(text: str) -> str:
     rows = min(2 + len(text) // 60, 8)
     return (
         f"<div style='padding:0.2em 0.5em'><textarea readonly spellcheck='false' rows='{rows}' "
-        f"style='{_BOX}'>{html.escape(readable(text))}</textarea></div>"
+        f"style='{_BOX}'>{html.escape(escape_undecodable(text))}</textarea></div>"
     )
 
 
