@@ -12,7 +12,7 @@ from typing import Any, Literal, Protocol
 import viser
 
 from fusion_core.model.errors import SettingsError
-from fusion_core.workflows.fuse.presets import PRESETS, PresetName
+from fusion_core.workflows.fuse.settings import PRESETS, PresetName
 from scanloom.frame_view import FrameView, as_failure, compute_frame_view, failure_summary
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.jobs.long_job import Cancelled

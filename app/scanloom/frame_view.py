@@ -6,8 +6,8 @@ from pathlib import Path
 
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.sensors import ColorImage
+from fusion_core.workflows.fuse.cached_chain import CachedChain, FrameChoice
 from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
-from fusion_core.workflows.fuse.live import FrameChoice, LiveChain
 from fusion_core.workflows.fuse.pairing import PairedImage
 from scanloom.jobs.long_job import Cancelled
 from scanloom.state.open_recording import OpenRecording
@@ -23,7 +23,7 @@ class FrameView:
 
     view: View
     open_recording: OpenRecording
-    chain: LiveChain | None = None
+    chain: CachedChain | None = None
     paired: PairedImage | None = None
     match: FrameMatch | None = None
     fused: FusedFrame | None = None
@@ -31,7 +31,7 @@ class FrameView:
     failure: ScanLoomError | None = None
 
 
-def clock_offset_ms(view: View, chain: LiveChain) -> float:
+def clock_offset_ms(view: View, chain: CachedChain) -> float:
     """The offset that is taken out of the camera's stamps: the mount's, where asked for."""
     return chain.alignment.mount.clock_offset_ms if view.apply_clock_offset else 0.0
 
@@ -88,16 +88,16 @@ def compute_frame_view(
     choice = FrameChoice(
         number=view.frame_index,
         clock_offset_ms=clock_offset_ms(view, chain),
-        picked=view.picked_offset,
+        picked_offset=view.picked_offset,
     )
     paired = match = fused = color = None
     failure = None
     try:
-        paired = chain.paired(choice)
+        paired = chain.pair(choice)
         check()
-        match = chain.matched(choice, view.settings)
+        match = chain.match(choice, view.settings)
         check()
-        fused = chain.judged(choice, view.settings)
+        fused = chain.fused(choice, view.settings)
         check()
     except Cancelled:
         raise

@@ -34,7 +34,7 @@ class SamplingSettings(StageSettings):
     row_first: int = setting(0, "First depth row that is searched", unit="row", ge=0, le=65_535)
     row_band: float = setting(
         1.0,
-        "Share of the rows searched, counted from the bottom (published: half)",
+        "Fraction of the rows searched, counted from the bottom (published: half)",
         ge=1e-6,
         le=1.0,
     )

@@ -23,7 +23,7 @@ PEARSON, COSINE, INVERSE_COSINE, EUCLIDEAN = range(4)
 _NEGLIGIBLE = 1e-12
 
 
-class _Centred(NamedTuple):
+class _CentredCurves(NamedTuple):
     """H curves of N samples, each less the mean of its valid samples, holes as 0.
 
     ``values``: (H, N). ``means``: (H,). ``runs``: (K, 2) first hole and first valid sample after
@@ -51,7 +51,7 @@ def masked_scores(
     are valid on both sides. A score is NaN where there are fewer than ``min_samples`` of them or
     where either side has no variance (Pearson) or no norm (the others).
     """
-    along, across = _centred(curve[np.newaxis]), _centred(rows)
+    along, across = _centre(curve[np.newaxis]), _centre(rows)
     line = along.values[0]
     cumulative = np.array(
         [_cumulative(np.isfinite(curve)), _cumulative(line), _cumulative(line**2)]
@@ -69,12 +69,12 @@ def masked_scores(
     return field, overlap
 
 
-def _centred(curves: FloatArray) -> _Centred:
+def _centre(curves: FloatArray) -> _CentredCurves:
     """Centring keeps a small variance that sits on a large offset."""
     height, width = curves.shape
     values, hole, counts, means, squares = _centre_rows(curves)
     edges = np.flatnonzero(hole[:, 1:] != hole[:, :-1]).reshape(-1, 2)
-    return _Centred(
+    return _CentredCurves(
         values=values,
         means=means,
         runs=edges % (width + 1),
@@ -120,9 +120,9 @@ def _cumulative(values: FloatArray) -> FloatArray:
 
 @compiled(error_model="numpy")
 def _score_rows(
-    along: _Centred,
+    along: _CentredCurves,
     cumulative: FloatArray,
-    across: _Centred,
+    across: _CentredCurves,
     products: FloatArray,
     scores: IntArray,
     min_samples: int,
@@ -223,10 +223,10 @@ def _pearson(sums: tuple[FloatArray, ...], flat_d: float, flat_l: float, out: Fl
     """Xu 2024 eq. (2)."""
     n, sum_d, sum_dd, sum_l, sum_ll, sum_dl = sums
     for u in range(out.size):
-        share = 1.0 / n[u]
-        spread_d = sum_dd[u] - share * sum_d[u] * sum_d[u]
-        spread_l = sum_ll[u] - share * sum_l[u] * sum_l[u]
-        score = (sum_dl[u] - share * sum_d[u] * sum_l[u]) / np.sqrt(spread_d * spread_l)
+        inverse_n = 1.0 / n[u]
+        spread_d = sum_dd[u] - inverse_n * sum_d[u] * sum_d[u]
+        spread_l = sum_ll[u] - inverse_n * sum_l[u] * sum_l[u]
+        score = (sum_dl[u] - inverse_n * sum_d[u] * sum_l[u]) / np.sqrt(spread_d * spread_l)
         score = min(1.0, max(-1.0, score))
         out[u] = score if (spread_d > flat_d) & (spread_l > flat_l) else np.nan
 

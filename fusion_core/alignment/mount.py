@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from fusion_core.alignment.agreement import (
-    LEAST_POINTS,
-    Agreement,
-    MountFrame,
+from fusion_core.alignment.mount_cost import (
+    MIN_POINTS,
+    MountCost,
+    MountObservation,
     MountSettings,
 )
-from fusion_core.alignment.recorded_mount import refusal_of
+from fusion_core.alignment.recorded_mount import find_refusal
 from fusion_core.alignment.time import parabola_offset
 from fusion_core.model.conventions import FloatArray, wrap_angle
 from fusion_core.model.errors import AlignmentFailed
@@ -34,9 +34,9 @@ _RECORDED_SD = np.array([np.deg2rad(0.3), 0.01, 0.01, 0.01, np.deg2rad(0.3), 80.
 _PRIOR_BLOCKS = 20.0
 # What systematic causes (occlusion, furniture edges, slanted walls) left as error in simulated
 # rooms; no recording's own scatter shows it.
-_LEAST_SD = np.array([np.deg2rad(0.3), 0.05, 0.02, 0.015, np.deg2rad(1.0), 5.0])
-_STARTS = 3
-_RIVAL_YAWS = 3
+_MIN_SD = np.array([np.deg2rad(0.3), 0.05, 0.02, 0.015, np.deg2rad(1.0), 5.0])
+_MAX_STARTS = 3
+_MAX_RIVAL_YAWS = 3
 # Steps of the search and of the finite differences: large against a pixel, small against a mode.
 _STEP = np.array([np.deg2rad(0.6), 0.04, 0.04, 0.04, np.deg2rad(0.8), 20.0])
 # Noise that only one sensor has moves the cost of two heights apart by this much.
@@ -55,14 +55,14 @@ class MountEstimate:
     mount: Mount
     agreement: float
     visible: float
-    confident: bool
-    from_recorded: bool
+    is_confident: bool
+    is_from_recorded: bool
     delta_z_profile: FloatArray
     refusal: str = ""
 
 
 def estimate_mount(
-    frames: Sequence[MountFrame],
+    frames: Sequence[MountObservation],
     settings: MountSettings,
     *,
     yaw_rad: float,
@@ -80,47 +80,50 @@ def estimate_mount(
 
     Raises AlignmentFailed where there are too few frames or points.
     """
-    if len(frames) < 4 or sum(frame.points_m.shape[0] for frame in frames) < LEAST_POINTS:
+    if len(frames) < 4 or sum(frame.points_m.shape[0] for frame in frames) < MIN_POINTS:
         raise AlignmentFailed(
-            f"the mount needs 4 paired depth images with {LEAST_POINTS} LiDAR points, got "
+            f"the mount needs 4 paired depth images with {MIN_POINTS} LiDAR points, got "
             f"{len(frames)}.",
             advice="Use a longer recording.",
         )
-    problem = Agreement(frames, settings, on_step)
-    highest_m = min(settings.delta_z_max_m, -problem.lowest_seen_m() - settings.clearance_m)
+    cost = MountCost(frames, settings, on_step)
+    highest_m = min(settings.delta_z_max_m, -cost.lowest_surface_m() - settings.clearance_m)
     heights_m = np.arange(
         settings.delta_z_min_m, max(highest_m, settings.delta_z_min_m + 0.1), 0.05
     )
-    refusal = "" if recorded is None else refusal_of(problem, recorded, settings, yaw_rad)
-    stated = None
+    refusal = "" if recorded is None else find_refusal(cost, recorded, settings, yaw_rad)
+    recorded_fit = None
     if recorded is not None and not refusal:
         centre = recorded.vector()
-        stated = _descend(_with_prior(problem, centre, _RECORDED_SD, np.inf), centre)
+        recorded_fit = _minimize(_add_prior(cost, centre, _RECORDED_SD, np.inf), centre)
     fits: list[FloatArray] = []
-    if stated is None or problem.agreement(stated)[0] < settings.min_agreement:
-        fits = _free_fits(problem, yaw_rad, heights_m, highest_m)
-        best, doubtful_yaw = _choose(problem, fits, yaw_rad)
-        if stated is not None:
-            refusal = _contradiction(problem, stated, best, settings)
-    trusted = stated is not None and not refusal
-    if stated is not None and trusted:
-        best, doubtful_yaw = stated, False
-    spread = _RECORDED_SD if trusted else _PRIOR_SD
-    least_sd = np.minimum(_LEAST_SD, _RECORDED_SD) if trusted else _LEAST_SD
-    sd = np.maximum(_sandwich_sd(problem, best, spread), least_sd)
-    if not trusted:
+    if (
+        recorded_fit is None
+        or cost.agreement_and_visibility(recorded_fit)[0] < settings.min_agreement
+    ):
+        fits = _fit_without_recorded(cost, yaw_rad, heights_m, highest_m)
+        best, is_yaw_ambiguous = _choose_fit(cost, fits, yaw_rad)
+        if recorded_fit is not None:
+            refusal = _reason_to_prefer_free_fit(cost, recorded_fit, best, settings)
+    is_recorded_used = recorded_fit is not None and not refusal
+    if recorded_fit is not None and is_recorded_used:
+        best, is_yaw_ambiguous = recorded_fit, False
+    prior_sd = _RECORDED_SD if is_recorded_used else _PRIOR_SD
+    min_sd = np.minimum(_MIN_SD, _RECORDED_SD) if is_recorded_used else _MIN_SD
+    sd = np.maximum(_sandwich_sd(cost, best, prior_sd), min_sd)
+    if not is_recorded_used:
         level = [np.concatenate([best[:1], [height], best[2:]]) for height in heights_m]
-        for rival in _rivals(problem, [*fits, *level], best):
+        for rival in _find_rival_heights(cost, [*fits, *level], best):
             sd = np.maximum(sd, np.abs(rival - best))
             sd[[1, 4]] = np.inf
-    elif problem.frame_tallies(best)[:, 2].sum() < LEAST_POINTS:
+    elif cost.tallies_per_frame(best)[:, 2].sum() < MIN_POINTS:
         # It is used as it stands, and the recording shows nothing of it.
         sd[:] = np.inf
-    if doubtful_yaw:
+    if is_yaw_ambiguous:
         sd[0] = np.inf
     # Pairs need the turn of yaw and delay together, which is known even where neither is.
-    sure_yaw = bool(sd[0] <= _OBSERVABLE_SD[0])
-    sd = _with_delay(sd, problem.turn_rates_rad_s, spread[5], settings)
+    is_yaw_observable = bool(sd[0] <= _OBSERVABLE_SD[0])
+    sd = _widen_for_clock_offset(sd, cost.turn_rates_rad_s, prior_sd[5], settings)
     mount = Mount.from_vector(
         best,
         tuple(
@@ -128,45 +131,45 @@ def estimate_mount(
             for value, limit in zip(sd, _OBSERVABLE_SD, strict=True)
         ),
     )
-    agreement, visible = problem.agreement(best)
+    agreement, visible = cost.agreement_and_visibility(best)
     return MountEstimate(
         mount=mount,
         agreement=agreement,
         visible=visible,
-        confident=bool(agreement >= settings.min_agreement and sure_yaw),
-        from_recorded=trusted,
-        delta_z_profile=_delta_z_profile(problem, best, heights_m)[:, 1:],
+        is_confident=bool(agreement >= settings.min_agreement and is_yaw_observable),
+        is_from_recorded=is_recorded_used,
+        delta_z_profile=_delta_z_profile(cost, best, heights_m)[:, 1:],
         refusal=refusal,
     )
 
 
-def _free_fits(
-    problem: Agreement, yaw_rad: float, heights_m: FloatArray, highest_m: float
+def _fit_without_recorded(
+    problem: MountCost, yaw_rad: float, heights_m: FloatArray, highest_m: float
 ) -> list[FloatArray]:
     """Refined mounts of which nothing but the rows' yaw is known, and of the yaws that rival it."""
     fits = []
-    for yaw in [yaw_rad, *_other_yaws(problem.thinned(), yaw_rad, heights_m[::3])]:
-        centre = _level(yaw)
-        cost = _with_prior(problem, centre, _PRIOR_SD, highest_m)
+    for yaw in [yaw_rad, *_find_rival_yaws(problem.subsampled(), yaw_rad, heights_m[::3])]:
+        centre = _level_mount(yaw)
+        cost = _add_prior(problem, centre, _PRIOR_SD, highest_m)
         # A rival yaw must only show how well it can agree; the rows' own is refined fully.
-        count = _STARTS if yaw == yaw_rad else 1
-        for start in _starts(_delta_z_profile(problem, centre, heights_m), centre, count):
-            fits.append(_descend(cost, start))
+        count = _MAX_STARTS if yaw == yaw_rad else 1
+        for start in _local_minima(_delta_z_profile(problem, centre, heights_m), centre, count):
+            fits.append(_minimize(cost, start))
     return fits
 
 
-def _contradiction(
-    problem: Agreement, stated: FloatArray, free: FloatArray, settings: MountSettings
+def _reason_to_prefer_free_fit(
+    problem: MountCost, stated: FloatArray, free: FloatArray, settings: MountSettings
 ) -> str:
     """Why the fit of a recorded mount, under which too few points agree, is not to be used: the
     points agree under a free one, which is better beyond doubt; "" where that is not so.
 
     Points that no image shows under it do not contradict it: at another height walls agree as well.
     """
-    agreement, visible = problem.agreement(stated)
-    free_agreement, _ = problem.agreement(free)
+    agreement, visible = problem.agreement_and_visibility(stated)
+    free_agreement, _ = problem.agreement_and_visibility(free)
     least = settings.min_agreement
-    if min(visible, free_agreement) < least or not _surely_better(problem, free, stated):
+    if min(visible, free_agreement) < least or not _is_significantly_better(problem, free, stated):
         return ""
     return (
         f"{agreement:.0%} of the visible points agree under it, and {free_agreement:.0%} under the "
@@ -174,25 +177,25 @@ def _contradiction(
     )
 
 
-def _surely_better(problem: Agreement, fit: FloatArray, other: FloatArray) -> bool:
+def _is_significantly_better(problem: MountCost, fit: FloatArray, other: FloatArray) -> bool:
     """Whether a fit costs less than another beyond doubt (paired over blocks, 3 sigma)."""
     gain = problem.block_costs(other) - problem.block_costs(fit)
     return bool(np.mean(gain) > 3.0 * np.std(gain) / np.sqrt(gain.size))
 
 
-def _apart_rad(first_rad: float, second_rad: float) -> float:
+def _angle_between_rad(first_rad: float, second_rad: float) -> float:
     return float(np.abs(wrap_angle(first_rad - second_rad)))
 
 
-def _level(yaw_rad: float) -> FloatArray:
+def _level_mount(yaw_rad: float) -> FloatArray:
     """A mount of which only the yaw is known."""
     values = np.zeros(6)
     values[0] = yaw_rad
     return values
 
 
-def _with_prior(
-    problem: Agreement, centre: FloatArray, spread: FloatArray, highest_m: float
+def _add_prior(
+    problem: MountCost, centre: FloatArray, spread: FloatArray, highest_m: float
 ) -> Callable[[FloatArray], float]:
     weight = 1.0 / (2.0 * problem.blocks * _PRIOR_BLOCKS)
 
@@ -205,7 +208,7 @@ def _with_prior(
     return cost
 
 
-def _other_yaws(problem: Agreement, yaw_rad: float, heights_m: FloatArray) -> list[float]:
+def _find_rival_yaws(problem: MountCost, yaw_rad: float, heights_m: FloatArray) -> list[float]:
     """The best few yaws all around, more than 5 degrees from ``yaw_rad`` and from each other.
 
     A yaw counts where at least half as many points lie in front of a camera as at the best one.
@@ -215,41 +218,43 @@ def _other_yaws(problem: Agreement, yaw_rad: float, heights_m: FloatArray) -> li
     in_front = np.zeros(yaws.size)
     for index, yaw in enumerate(yaws):
         for height in heights_m:
-            values = _level(float(yaw))
+            values = _level_mount(float(yaw))
             values[1] = height
-            tallies = problem.frame_tallies(values).sum(axis=0)
+            tallies = problem.tallies_per_frame(values).sum(axis=0)
             in_front[index] = tallies[1]
             costs[index] = min(costs[index], tallies[0] / max(tallies[1], 1.0))
     costs[in_front < 0.5 * in_front.max()] = np.inf
     found: list[float] = []
     for index in np.argsort(costs):
         yaw = float(yaws[index])
-        if not np.isfinite(costs[index]) or len(found) == _RIVAL_YAWS:
+        if not np.isfinite(costs[index]) or len(found) == _MAX_RIVAL_YAWS:
             break
-        if min(_apart_rad(yaw, other) for other in [yaw_rad, *found]) > np.deg2rad(5.0):
+        if min(_angle_between_rad(yaw, other) for other in [yaw_rad, *found]) > np.deg2rad(5.0):
             found.append(yaw)
     return found
 
 
-def _choose(problem: Agreement, fits: list[FloatArray], yaw_rad: float) -> tuple[FloatArray, bool]:
+def _choose_fit(
+    problem: MountCost, fits: list[FloatArray], yaw_rad: float
+) -> tuple[FloatArray, bool]:
     """The best fit near the rows' yaw, unless another is better beyond doubt; and whether the two
     remain in doubt."""
-    near = [fit for fit in fits if _apart_rad(fit[0], yaw_rad) < np.deg2rad(5.0)]
+    near = [fit for fit in fits if _angle_between_rad(fit[0], yaw_rad) < np.deg2rad(5.0)]
     best = min(near or fits, key=problem.mean_cost)
     rival = min(fits, key=problem.mean_cost)
-    if _apart_rad(rival[0], best[0]) < np.deg2rad(5.0):
+    if _angle_between_rad(rival[0], best[0]) < np.deg2rad(5.0):
         return best, False
-    return (rival, False) if _surely_better(problem, rival, best) else (best, True)
+    return (rival, False) if _is_significantly_better(problem, rival, best) else (best, True)
 
 
-def frame_yaw_offset_rad(frame: MountFrame, mount: Mount, settings: MountSettings) -> float:
+def frame_yaw_offset_rad(frame: MountObservation, mount: Mount, settings: MountSettings) -> float:
     """How far one frame's own best yaw lies from the mount's: its check against the recording.
 
     The sum of what the frame shows and of a prior of ``frame_yaw_sd_deg`` around the mount: a
     plain wall fits at any yaw and must not pull. What remains is the turn that stamps do not
     explain (a clock offset, a scan that is not instantaneous).
     """
-    problem = Agreement([frame], settings)
+    problem = MountCost([frame], settings)
     sd_rad = np.deg2rad(settings.frame_yaw_sd_deg)
     offsets = np.linspace(-3.0, 3.0, 25) * sd_rad
     # Four neighbouring beams count as one observation; the loss is 1/16 of a log likelihood.
@@ -259,7 +264,7 @@ def frame_yaw_offset_rad(frame: MountFrame, mount: Mount, settings: MountSetting
     return float(offsets[best] + parabola_offset(costs, best) * (offsets[1] - offsets[0]))
 
 
-def _delta_z_profile(problem: Agreement, centre: FloatArray, heights_m: FloatArray) -> FloatArray:
+def _delta_z_profile(problem: MountCost, centre: FloatArray, heights_m: FloatArray) -> FloatArray:
     """(K, 3): best yaw, Delta z, cost, over a grid of Delta z with the yaw free by 3 degrees."""
     rows = []
     for delta_z in heights_m:
@@ -272,7 +277,7 @@ def _delta_z_profile(problem: Agreement, centre: FloatArray, heights_m: FloatArr
     return np.array(rows)
 
 
-def _starts(profile: FloatArray, centre: FloatArray, count: int) -> list[FloatArray]:
+def _local_minima(profile: FloatArray, centre: FloatArray, count: int) -> list[FloatArray]:
     """The ``count`` lowest local minima of the profile."""
     cost = np.concatenate([[np.inf], profile[:, 2], [np.inf]])
     minima = np.flatnonzero((cost[1:-1] <= cost[:-2]) & (cost[1:-1] <= cost[2:]))
@@ -284,7 +289,7 @@ def _starts(profile: FloatArray, centre: FloatArray, count: int) -> list[FloatAr
     return starts
 
 
-def _descend(cost: Callable[[FloatArray], float], start: FloatArray) -> FloatArray:
+def _minimize(cost: Callable[[FloatArray], float], start: FloatArray) -> FloatArray:
     simplex = np.vstack([start, start + np.diag(2.0 * _STEP)])
     # The pixels make the cost piecewise constant at the finest scale: no gradients.
     result = minimize(
@@ -303,7 +308,7 @@ def _descend(cost: Callable[[FloatArray], float], start: FloatArray) -> FloatArr
     return found
 
 
-def _sandwich_sd(problem: Agreement, values: FloatArray, spread: FloatArray) -> FloatArray:
+def _sandwich_sd(problem: MountCost, values: FloatArray, spread: FloatArray) -> FloatArray:
     """One standard deviation of each parameter: H^-1 G H^-1 over blocks of frames, G the spread of
     the blocks' gradients, H the curvature of their mean with the prior's. One block has no spread:
     nothing is known then."""
@@ -348,7 +353,7 @@ def _sandwich_sd(problem: Agreement, values: FloatArray, spread: FloatArray) -> 
     return sd
 
 
-def _with_delay(
+def _widen_for_clock_offset(
     sd: FloatArray, rates_rad_s: FloatArray, delay_spread_ms: float, settings: MountSettings
 ) -> FloatArray:
     """The deviations where a delay looks like a yaw: only changes of the turn rate tell the two
@@ -362,7 +367,9 @@ def _with_delay(
     return widened
 
 
-def _rivals(problem: Agreement, fits: list[FloatArray], best: FloatArray) -> list[FloatArray]:
+def _find_rival_heights(
+    problem: MountCost, fits: list[FloatArray], best: FloatArray
+) -> list[FloatArray]:
     """The fits with another Delta z that explain the recording as well (paired over blocks,
     2 sigma)."""
     reference = problem.block_costs(best)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fusion_core.alignment.agreement import LEAST_POINTS, Agreement, MountSettings
+from fusion_core.alignment.mount_cost import MIN_POINTS, MountCost, MountSettings
 from fusion_core.model.conventions import wrap_angle
 from fusion_core.model.rig import Mount
 
@@ -16,8 +16,8 @@ _TURNS_RAD = np.deg2rad(np.arange(10.0, 360.0, 10.0))
 _CHANCE = 0.05
 
 
-def refusal_of(
-    problem: Agreement, recorded: Mount, settings: MountSettings, yaw_rad: float | None
+def find_refusal(
+    problem: MountCost, recorded: Mount, settings: MountSettings, yaw_rad: float | None
 ) -> str:
     """Why a recorded mount is not to be used, as part of a sentence; "" where it is.
 
@@ -27,7 +27,7 @@ def refusal_of(
     the same camera is turned to look elsewhere. Of a camera that looks past the LiDAR's plane,
     with fewer than LEAST_POINTS on a valid depth, nothing is told.
     """
-    agreement, _ = problem.agreement(recorded.vector())
+    agreement, _ = problem.agreement_and_visibility(recorded.vector())
     if agreement >= settings.min_agreement:
         return ""
     if yaw_rad is not None:
@@ -38,16 +38,16 @@ def refusal_of(
                 f"and {agreement:.0%} of the visible points agree"
             )
     apart_m = float(np.linalg.norm(recorded.T_lidar_rig[:3, 3]))
-    if apart_m > problem.farthest_m:
+    if apart_m > problem.max_range_m:
         return (
             f"it puts the camera {apart_m:.4g} m from the LiDAR, which sees no farther than "
-            f"{problem.farthest_m:.4g} m"
+            f"{problem.max_range_m:.4g} m"
         )
-    visible, agreeing = _in_accord(problem, recorded)
-    if visible < LEAST_POINTS:
+    visible, agreeing = _count_agreeing(problem, recorded)
+    if visible < MIN_POINTS:
         return ""
     turned = [
-        _in_accord(problem, replace(recorded, yaw_rad=recorded.yaw_rad + turn))
+        _count_agreeing(problem, replace(recorded, yaw_rad=recorded.yaw_rad + turn))
         for turn in _TURNS_RAD
     ]
     # A camera that is turned to where the LiDAR is blind cannot be compared.
@@ -62,7 +62,7 @@ def refusal_of(
     )
 
 
-def _in_accord(problem: Agreement, mount: Mount) -> tuple[float, float]:
+def _count_agreeing(problem: MountCost, mount: Mount) -> tuple[float, float]:
     """Points on a valid depth, and those of them that agree."""
-    _, _, visible, agreeing = problem.frame_tallies(mount.vector()).sum(axis=0)
+    _, _, visible, agreeing = problem.tallies_per_frame(mount.vector()).sum(axis=0)
     return float(visible), float(agreeing)

@@ -22,9 +22,11 @@ class SearchSettings(StageSettings):
         "euclidean", "Score that decides on (u, v); all four are reported"
     )
     min_overlap: float = setting(
-        0.5, "Least share of a row's samples valid on both sides", ge=1e-6, le=1.0
+        0.5, "Least fraction of a row's samples valid on both sides", ge=1e-6, le=1.0
     )
-    partial: bool = setting(False, "Let the row reach beyond the ends of the LiDAR curve")
+    allow_partial: bool = setting(
+        False, "Let the row extend beyond the ends of the LiDAR curve", formerly="partial"
+    )
     mask_holes: bool = setting(True, "Leave holes out (published: holes count as zeros)")
     sub_samples: int = setting(
         4, "Places within a sample at which a frame's u is tried", ge=1, le=8
@@ -94,7 +96,7 @@ def find_peak(
     )
 
 
-class FieldMean:
+class MeanField:
     """The mean field of many frames, in memory that does not grow with their number.
 
     A cell has a mean only where at least half of the frames have a score.

@@ -16,7 +16,7 @@ from fusion_core.model.sensors import LaserScan
 from fusion_core.settings import StageSettings, setting
 
 # A range difference beyond this tells nothing more about the turn: another surface.
-_CAP_M = 0.3
+_MAX_DIFFERENCE_M = 0.3
 
 
 class TimeSettings(StageSettings):
@@ -42,7 +42,7 @@ class ScanWindow:
     after: LaserScan | None
 
 
-def turn_rate_rad_s(window: ScanWindow, settings: TimeSettings) -> float:
+def estimate_turn_rate_rad_s(window: ScanWindow, settings: TimeSettings) -> float:
     """Rate at which the LiDAR turns around the time of ``window.scan``, counter-clockwise.
 
     The mean over the two neighbours of the rotation that lays one scan on the next; NaN where
@@ -104,7 +104,7 @@ def _shift_costs(first: FloatArray, second: FloatArray, reach: int) -> FloatArra
         for beam in range(max(0, -shift), min(beams, beams - shift)):
             difference = abs(second[beam] - first[beam + shift])
             if difference == difference:
-                total += min(difference, _CAP_M)
+                total += min(difference, _MAX_DIFFERENCE_M)
                 count += 1
         if count * 4 >= beams:
             cost[column] = total / count

@@ -30,11 +30,11 @@ class UprightView:
         if self.stored_index is not None:
             read_only(self.stored_index)
 
-    def of(self, depth_m: Float32Array) -> Float32Array:
+    def remap(self, stored_m: Float32Array) -> Float32Array:
         """(H', W') view of a stored (H, W) image."""
         if self.stored_index is None:
-            return depth_m
-        seen = depth_m.ravel()[np.maximum(self.stored_index, 0)]
+            return stored_m
+        seen = stored_m.ravel()[np.maximum(self.stored_index, 0)]
         return np.where(self.stored_index >= 0, seen, np.float32(np.nan))
 
     def stored_pixels(self, row: IntArray, column: IntArray) -> tuple[IntArray, IntArray]:
@@ -56,11 +56,11 @@ def upright_view(intrinsics: CameraIntrinsics, up_in_camera: FloatArray | None) 
     index = np.arange(shape[0] * shape[1], dtype=np.int64).reshape(shape)
     lens = intrinsics
     if any(intrinsics.distortion):
-        index, lens = _without_distortion(index, intrinsics)
+        index, lens = _undistort_index(index, intrinsics)
     index = np.rot90(index, turns)
     plain = turns == 0 and lens is intrinsics
     return UprightView(
-        intrinsics=_turned(lens, turns),
+        intrinsics=_rotate_intrinsics(lens, turns),
         stored_shape=shape,
         stored_index=None if plain else np.ascontiguousarray(index),
         R_stored_view=_R_STORED_VIEW[turns].copy(),
@@ -85,7 +85,7 @@ def _quarter_turns(up_in_camera: FloatArray) -> int:
     return 2 if down > 0.0 else 0
 
 
-def _turned(lens: CameraIntrinsics, turns: int) -> CameraIntrinsics:
+def _rotate_intrinsics(lens: CameraIntrinsics, turns: int) -> CameraIntrinsics:
     for _ in range(turns):
         lens = replace(
             lens,
@@ -99,9 +99,7 @@ def _turned(lens: CameraIntrinsics, turns: int) -> CameraIntrinsics:
     return lens
 
 
-def _without_distortion(
-    index: IntArray, lens: CameraIntrinsics
-) -> tuple[IntArray, CameraIntrinsics]:
+def _undistort_index(index: IntArray, lens: CameraIntrinsics) -> tuple[IntArray, CameraIntrinsics]:
     K = np.array([[lens.fx, 0.0, lens.cx], [0.0, lens.fy, lens.cy], [0.0, 0.0, 1.0]])
     size = (lens.width, lens.height)
     coefficients = np.array(lens.distortion)

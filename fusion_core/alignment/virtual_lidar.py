@@ -17,12 +17,12 @@ from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.model.sweep import MAX_BEAMS
 
 FRAME_ID = "virtual_lidar"
-_KEPT_WIDTH = 0.6
+_KEPT_WIDTH_FRACTION = 0.6
 _ROWS_LEFT_OUT = 3
 _RANGE_MAX_M = 10.0
 
 
-def virtual_scan(image: DepthImage, camera: Camera, row: int) -> LaserScan:
+def cut_scan(image: DepthImage, camera: Camera, row: int) -> LaserScan:
     """The scan of an upright image's ``row``: one beam a column, on equal angles.
 
     Raises SettingsError for a row that the image does not have, and for images that are no sweep.
@@ -57,17 +57,17 @@ def virtual_scan(image: DepthImage, camera: Camera, row: int) -> LaserScan:
     )
 
 
-def without_cut(depth_m: Float32Array, row: int) -> Float32Array:
+def mask_cut_rows(depth_m: Float32Array, row: int) -> Float32Array:
     """The image without the rows around the cut (NaN there)."""
     kept = depth_m.copy()
     kept[max(0, row - _ROWS_LEFT_OUT) : row + _ROWS_LEFT_OUT + 1] = np.nan
     return kept
 
 
-def cropped_view(view: UprightView) -> UprightView:
+def crop_view(view: UprightView) -> UprightView:
     """The middle columns of a view, so that the curve is wider than the rows laid on it."""
     lens = view.intrinsics
-    first = round(0.5 * (1.0 - _KEPT_WIDTH) * lens.width)
+    first = round(0.5 * (1.0 - _KEPT_WIDTH_FRACTION) * lens.width)
     last = lens.width - first
     index = view.stored_index
     if index is None:

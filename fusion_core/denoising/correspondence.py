@@ -31,7 +31,7 @@ RowModel = Literal["curve", "row"]
 # that the ray pierces.
 _EDGE_M = 0.25
 _RAY_STEP_M = 0.03
-_NEAREST_M = 0.15
+_MIN_DEPTH_M = 0.15
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +66,7 @@ class Correspondence:
                 read_only(getattr(self, field.name))
 
 
-def along_curve(
+def match_along_curve(
     scan: LaserScan,
     depth_m: Float32Array,
     smooth_depth_m: Float32Array,
@@ -81,7 +81,7 @@ def along_curve(
     """
     lens = camera.intrinsics
     T_camera_lidar = invert_transform(T_lidar_camera)
-    camera_range = _follow_rays(
+    camera_range = _cast_rays(
         scan.angles_rad,
         smooth_depth_m,
         T_camera_lidar,
@@ -89,14 +89,14 @@ def along_curve(
         scan.range_max_m,
     )
     guess = np.where(np.isfinite(scan.ranges_m), scan.ranges_m, camera_range)
-    beam = np.flatnonzero(_column_in_view(scan.angles_rad, guess, T_camera_lidar, camera))
+    beam = np.flatnonzero(_is_column_in_view(scan.angles_rad, guess, T_camera_lidar, camera))
     azimuth_rad = scan.angles_rad[beam]
     lidar = scan.ranges_m[beam]
-    in_camera = transform_points(T_camera_lidar, _at_range(azimuth_rad, guess[beam]))
-    scale = np.where(in_camera[:, 2] > _NEAREST_M, in_camera[:, 2], np.nan)
+    in_camera = transform_points(T_camera_lidar, _points_at_range(azimuth_rad, guess[beam]))
+    scale = np.where(in_camera[:, 2] > _MIN_DEPTH_M, in_camera[:, 2], np.nan)
     u = lens.cx + lens.fx * in_camera[:, 0] / scale
     v = lens.cy + lens.fy * in_camera[:, 1] / scale
-    row, column = _pixel(u, v, lens.height, lens.width)
+    row, column = _nearest_pixel(u, v, lens.height, lens.width)
     depth = np.where(row >= 0, depth_m[row, column], np.nan).astype(np.float64)
     seen = transform_points(T_lidar_camera, depth[:, np.newaxis] * camera.rays(row, column))
     depth_as_range = np.hypot(seen[:, 0], seen[:, 1])
@@ -115,7 +115,7 @@ def along_curve(
     )
 
 
-def in_row(
+def match_in_row(
     scan: LaserScan,
     depth_m: Float32Array,
     smooth_depth_m: Float32Array,
@@ -153,7 +153,7 @@ def in_row(
     )
 
 
-def by_sample(
+def match_by_sample(
     scan: LaserScan,
     depth_m: Float32Array,
     curve_beams: IntArray,
@@ -198,7 +198,7 @@ def by_sample(
     return pairs, L, D
 
 
-def compared(
+def compare_samples(
     pairs: Correspondence,
     L: FloatArray,
     D: FloatArray,
@@ -228,7 +228,7 @@ def planar_points(pairs: Correspondence, range_m: FloatArray) -> FloatArray:
     return np.stack([-range_m * np.sin(relative), range_m * np.cos(relative)], axis=1)
 
 
-def mapped(pairs: Correspondence, A: FloatArray, A_inverse: FloatArray) -> Correspondence:
+def map_through_A(pairs: Correspondence, A: FloatArray, A_inverse: FloatArray) -> Correspondence:
     """The pairs with each sensor's value carried to the other through A, eqs. (7) and (8).
 
     For pairs in the row, whose mount is not known: what a pixel says of a beam is the length of
@@ -251,20 +251,22 @@ def mapped(pairs: Correspondence, A: FloatArray, A_inverse: FloatArray) -> Corre
     )
 
 
-def _at_range(azimuth_rad: FloatArray, range_m: FloatArray) -> FloatArray:
+def _points_at_range(azimuth_rad: FloatArray, range_m: FloatArray) -> FloatArray:
     """(N, 3) points of the LiDAR's plane."""
     zero = np.zeros(azimuth_rad.size)
     return np.stack([range_m * np.cos(azimuth_rad), range_m * np.sin(azimuth_rad), zero], axis=1)
 
 
-def _pixel(u: FloatArray, v: FloatArray, height: int, width: int) -> tuple[IntArray, IntArray]:
+def _nearest_pixel(
+    u: FloatArray, v: FloatArray, height: int, width: int
+) -> tuple[IntArray, IntArray]:
     inside = (u >= -0.5) & (u < width - 0.5) & (v >= -0.5) & (v < height - 0.5)
     row = np.where(inside, np.floor(np.where(inside, v, 0.0) + 0.5), -1).astype(np.int64)
     column = np.where(inside, np.floor(np.where(inside, u, 0.0) + 0.5), -1).astype(np.int64)
     return row, column
 
 
-def _column_in_view(
+def _is_column_in_view(
     azimuth_rad: FloatArray, range_m: FloatArray, T_camera_lidar: FloatArray, camera: Camera
 ) -> BoolArray:
     """Beams whose column lies in the image; without any range, at the range of its neighbours."""
@@ -273,8 +275,8 @@ def _column_in_view(
         return np.zeros(range_m.size, dtype=np.bool_)
     index = np.arange(range_m.size)
     filled = np.interp(index, index[known], range_m[known])
-    in_camera = transform_points(T_camera_lidar, _at_range(azimuth_rad, filled))
-    ahead = in_camera[:, 2] > _NEAREST_M
+    in_camera = transform_points(T_camera_lidar, _points_at_range(azimuth_rad, filled))
+    ahead = in_camera[:, 2] > _MIN_DEPTH_M
     lens = camera.intrinsics
     u = lens.cx + lens.fx * in_camera[:, 0] / np.where(ahead, in_camera[:, 2], np.nan)
     in_view: BoolArray = (u >= -0.5) & (u < lens.width - 0.5)
@@ -282,11 +284,11 @@ def _column_in_view(
 
 
 @compiled()
-def _follow_rays(
+def _cast_rays(
     azimuth_rad: FloatArray,
     depth_m: Float32Array,
     T_camera_lidar: FloatArray,
-    lens: FloatArray,
+    intrinsics: FloatArray,
     range_max_m: float,
 ) -> FloatArray:
     """(N,) range at which each beam first meets the seen surface, NaN where it never does.
@@ -294,7 +296,7 @@ def _follow_rays(
     A ray that disappears behind something nearer (a table top) goes on: it may come out again.
     """
     height, width = depth_m.shape
-    fx, fy, cx, cy = lens
+    fx, fy, cx, cy = intrinsics
     T = T_camera_lidar
     found = np.full(azimuth_rad.size, np.nan)
     farthest = 0.0
@@ -310,11 +312,11 @@ def _follow_rays(
             continue
         ahead_before = np.nan
         seen_before = np.nan
-        distance = _NEAREST_M
+        distance = _MIN_DEPTH_M
         while distance <= range_max_m:
             depth = T[2, 3] + distance * dz
             distance += _RAY_STEP_M
-            if depth < _NEAREST_M:
+            if depth < _MIN_DEPTH_M:
                 continue
             # One step behind all that is seen, nothing can be met any more.
             if depth > farthest + _RAY_STEP_M:

@@ -28,7 +28,7 @@ from fusion_core.settings import StageSettings, setting
 
 # A disagreement is as likely anywhere within this span (for the confidences).
 _OUTLIER_SPAN_M = 4.0
-_OUTLIER_SHARE = 0.05
+_OUTLIER_FRACTION = 0.05
 
 
 class NoiseSettings(StageSettings):
@@ -41,22 +41,26 @@ class NoiseSettings(StageSettings):
     support_sigma: float = setting(
         2.5, "A neighbour within this many standard deviations supports a beam", ge=1e-6, le=10.0
     )
-    slope_share: float = setting(
+    slope_fraction: float = setting(
         0.02,
-        "Change of range a beam that a slanted wall may have where no camera tells",
+        "Change of range from beam to beam that a slanted wall may cause, where the camera sees "
+        "nothing, as a fraction of the range",
         ge=0.0,
         le=0.2,
+        formerly="slope_share",
     )
-    pixel_tolerance_share: float = setting(
+    pixel_tolerance_fraction: float = setting(
         0.03,
-        "A neighbouring pixel within 3 cm and this share of the depth supports a pixel",
+        "A neighbouring pixel within 3 cm plus this fraction of the depth supports a pixel",
         ge=0.0,
         le=1.0,
+        formerly="pixel_tolerance_share",
     )
-    fault: Literal["support", "rougher"] = setting(
+    burr_criterion: Literal["support", "rougher"] = setting(
         "support",
-        "Which side of a disagreeing pair is a burr: one without support, or the one that strays "
-        "more from its neighbours (published; there are no conflicts then)",
+        "Which side of a disagreeing pair is a burr: a side without support, or the side that "
+        "deviates more from its neighbours (published; there are no conflicts then)",
+        formerly="fault",
     )
     pixel_support: int = setting(
         2, "Pixels of the 5 x 5 around that must support one, else it is a burr", ge=1, le=24
@@ -68,8 +72,12 @@ class NoiseSettings(StageSettings):
         ge=1,
         le=64,
     )
-    pixel_support_share: float = setting(
-        0.3, "Least share of the valid pixels around that must support one", ge=0.0, le=1.0
+    pixel_support_fraction: float = setting(
+        0.3,
+        "Least fraction of the valid pixels around that must support one",
+        ge=0.0,
+        le=1.0,
+        formerly="pixel_support_share",
     )
 
 
@@ -95,7 +103,7 @@ class FrameWindow:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Classes:
+class Classification:
     """Codes of NoiseClass for the B beams of the pairs and for their pixels.
 
     ``depth_class`` is -1 where the beam has no pixel. Confidences in [0, 1]. ``epsilon_m``: (B,).
@@ -116,7 +124,7 @@ class Classes:
     lidar_steady: BoolArray
     beam_support: IntArray
     pixel_support: IntArray
-    pixel_gone: BoolArray
+    pixel_unconfirmed: BoolArray
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -128,13 +136,13 @@ def classify(
     settings: NoiseSettings,
     scale: NoiseScale,
     mean_error_m: float,
-) -> Classes:
+) -> Classification:
     """Class and confidence of each beam and pixel. ``mean_error_m`` is the frame's E."""
     pairs = window.pairs
     has_lidar = np.isfinite(pairs.lidar_range_m)
     has_depth = np.isfinite(pairs.depth_m)
     has_pixel = pairs.row >= 0
-    sigma_m = scale.at(np.where(has_lidar, pairs.lidar_range_m, 0.0))
+    sigma_m = scale.sigma_at(np.where(has_lidar, pairs.lidar_range_m, 0.0))
     epsilon_m = _epsilon(settings, sigma_m, mean_error_m)
     residual_m = np.abs(pairs.residual_m)
     disagree = has_lidar & has_depth & (residual_m > epsilon_m)
@@ -146,17 +154,17 @@ def classify(
     lone_beam = (near == 0) & ((beyond < 2) | (in_time < 2))
     lone_beam |= (near + beyond < 2) & (in_time == 0)
     lone_pixel = pixel_support < np.maximum(
-        settings.pixel_support, settings.pixel_support_share * pixel_neighbours
+        settings.pixel_support, settings.pixel_support_fraction * pixel_neighbours
     )
     small = pixel_support < 0.6 * pixel_neighbours
-    gone = _gone_before(window, disagree & small, settings)
+    gone = _find_unconfirmed_pixels(window, disagree & small, settings)
     lone_pixel |= gone
-    if settings.fault == "rougher":
+    if settings.burr_criterion == "rougher":
         rougher = _roughness(pairs.lidar_range_m) >= _roughness(pairs.depth_m)
         lone_beam, lone_pixel = rougher, ~rougher
     # Without a counterpart, e.g. behind glass, most neighbours must be of the beam's own surface.
     beside = near + beyond
-    unseen = has_lidar & ~has_depth & (settings.fault == "support")
+    unseen = has_lidar & ~has_depth & (settings.burr_criterion == "support")
     unseen &= (beside < 2) | (2 * beside < beam_neighbours[:, 0])
 
     lidar_class = np.full(pairs.beam.size, int(NoiseClass.GOOD))
@@ -164,7 +172,7 @@ def classify(
     conflict = disagree & ~lone_beam & ~lone_pixel
     lidar_class[conflict] = depth_class[conflict] = NoiseClass.CONFLICT
     # At one edge both sensors may mix the same two surfaces, and agree on a point that is on none.
-    astray = disagree | (settings.fault == "support") & (
+    astray = disagree | (settings.burr_criterion == "support") & (
         lone_beam & lone_pixel & has_lidar & has_depth
     )
     lidar_class[(astray & lone_beam) | unseen] = NoiseClass.BURR
@@ -176,7 +184,7 @@ def classify(
     agreement = _probability_good(residual_m, sigma_m)
     beam_share = beam_support.sum(axis=1) / np.maximum(beam_neighbours.sum(axis=1), 1)
     pixel_share = pixel_support / np.maximum(pixel_neighbours, 1)
-    return Classes(
+    return Classification(
         lidar_class=lidar_class,
         depth_class=depth_class,
         lidar_confidence=_confidence(lidar_class, agreement, beam_share, has_depth),
@@ -185,11 +193,13 @@ def classify(
         lidar_steady=in_time == 2,
         beam_support=beam_support,
         pixel_support=np.stack([pixel_support, pixel_neighbours], axis=1),
-        pixel_gone=gone,
+        pixel_unconfirmed=gone,
     )
 
 
-def _gone_before(window: FrameWindow, wanted: BoolArray, settings: NoiseSettings) -> BoolArray:
+def _find_unconfirmed_pixels(
+    window: FrameWindow, wanted: BoolArray, settings: NoiseSettings
+) -> BoolArray:
     """(B,) pixels of which the image before shows nothing at their place: a speckle of several
     pixels vouches for itself in its own image, but not in another."""
     gone = np.zeros(wanted.size, dtype=np.bool_)
@@ -206,7 +216,7 @@ def _gone_before(window: FrameWindow, wanted: BoolArray, settings: NoiseSettings
         around = before[row - reach : row + reach + 1, column - reach : column + reach + 1]
         own = window.pairs.depth_m[index]
         valid = np.isfinite(around)
-        near = np.abs(around - own) <= 0.05 + settings.pixel_tolerance_share * own
+        near = np.abs(around - own) <= 0.05 + settings.pixel_tolerance_fraction * own
         gone[index] = valid.mean() > 0.8 and not near.any()
     return gone
 
@@ -231,8 +241,8 @@ def _epsilon(settings: NoiseSettings, sigma_m: FloatArray, mean_error_m: float) 
 def _probability_good(residual_m: FloatArray, sigma_m: FloatArray) -> FloatArray:
     """Posterior that a pair agrees: a normal residual against a uniform one, 0.5 without a pair."""
     normal = np.exp(-0.5 * (residual_m / sigma_m) ** 2) / (sigma_m * np.sqrt(2.0 * np.pi))
-    good = (1.0 - _OUTLIER_SHARE) * normal
-    probability: FloatArray = good / (good + _OUTLIER_SHARE / _OUTLIER_SPAN_M)
+    good = (1.0 - _OUTLIER_FRACTION) * normal
+    probability: FloatArray = good / (good + _OUTLIER_FRACTION / _OUTLIER_SPAN_M)
     return np.where(np.isfinite(probability), probability, 0.5)
 
 
@@ -275,8 +285,8 @@ def _beam_support(
         window.pairs.beam,
         window.pairs.camera_range_m,
         settings.support_sigma * scale.floor_m,
-        settings.support_sigma * scale.share,
-        settings.slope_share,
+        settings.support_sigma * scale.fraction,
+        settings.slope_fraction,
     )
     return counted
 
@@ -287,6 +297,6 @@ def _pixel_support(window: FrameWindow, settings: NoiseSettings) -> tuple[IntArr
         window.depth_m,
         window.pairs.row,
         window.pairs.column,
-        settings.pixel_tolerance_share,
+        settings.pixel_tolerance_fraction,
     )
     return counted

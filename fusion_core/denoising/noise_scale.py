@@ -16,7 +16,7 @@ from fusion_core.model.conventions import FloatArray
 # A normal deviate's standard deviation over its median absolute deviation.
 _SD_PER_MAD = 1.4826
 # No pair of sensors agrees better; a scale of zero would make each rounding a disagreement.
-_LEAST_FLOOR_M = 1e-3
+_MIN_FLOOR_M = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,13 +24,13 @@ class NoiseScale:
     """Standard deviation of a good pair's residual: sqrt(floor² + (share · range)²)."""
 
     floor_m: float
-    share: float
+    fraction: float
 
-    def at(self, range_m: FloatArray) -> FloatArray:
+    def sigma_at(self, range_m: FloatArray) -> FloatArray:
         """(N,) standard deviations at horizontal ranges."""
-        return np.hypot(self.floor_m, self.share * range_m)
+        return np.hypot(self.floor_m, self.fraction * range_m)
 
-    def with_steps(self, quantum_m: float | None) -> "NoiseScale":
+    def with_quantization(self, quantum_m: float | None) -> "NoiseScale":
         """No finer than depths in steps of ``quantum_m`` allow (None: steps that do not matter).
 
         A value anywhere within its step is off by quantum / sqrt(12) on average.
@@ -42,7 +42,7 @@ class NoiseScale:
 
 # What a URG-class LiDAR (1 % of range) and a structured-light camera state together; used where
 # a recording has too few agreeing pairs to learn from.
-STATED = NoiseScale(floor_m=0.015, share=0.012)
+DATASHEET_SCALE = NoiseScale(floor_m=0.015, fraction=0.012)
 
 
 def learn_noise_scale(range_m: FloatArray, residual_m: FloatArray) -> NoiseScale:
@@ -52,10 +52,10 @@ def learn_noise_scale(range_m: FloatArray, residual_m: FloatArray) -> NoiseScale
     """
     valid = np.isfinite(residual_m)
     # A first cut at the stated scale keeps conflicts and burrs out of the bins.
-    valid &= np.abs(residual_m) < 5.0 * STATED.at(np.where(valid, range_m, 0.0))
+    valid &= np.abs(residual_m) < 5.0 * DATASHEET_SCALE.sigma_at(np.where(valid, range_m, 0.0))
     ranges, residuals = range_m[valid], residual_m[valid]
     if ranges.size < 200:
-        return STATED
+        return DATASHEET_SCALE
     edges = np.quantile(ranges, np.linspace(0.0, 1.0, 9))
     squares = []
     for low, high in pairwise(edges):
@@ -78,4 +78,4 @@ def _fit_line(squares: Sequence[Sequence[float]]) -> NoiseScale:
         floor_m, share = 0.0, np.sqrt((square_m2 @ variance_m2) / (square_m2 @ square_m2))
     else:
         floor_m, share = np.sqrt(offset), np.sqrt(slope)
-    return NoiseScale(floor_m=max(float(floor_m), _LEAST_FLOOR_M), share=float(share))
+    return NoiseScale(floor_m=max(float(floor_m), _MIN_FLOOR_M), fraction=float(share))

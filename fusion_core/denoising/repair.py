@@ -15,9 +15,9 @@ from typing import Literal
 import numpy as np
 
 from fusion_core.denoising.correspondence import Correspondence
-from fusion_core.denoising.noise import Classes
+from fusion_core.denoising.noise import Classification
 from fusion_core.denoising.noise_scale import NoiseScale
-from fusion_core.denoising.surfaces import image_planes, ranges_across_gaps, smoothed_ranges
+from fusion_core.denoising.surfaces import fit_image_planes, interpolate_gaps, smooth_ranges
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.conventions import (
     BoolArray,
@@ -68,8 +68,12 @@ class RepairSettings(StageSettings):
     farther_confidence: float = setting(
         0.7, "Least confidence of a burr that a repair moves farther", ge=0.0, le=1.0
     )
-    camera_noise_share: float = setting(
-        0.5, "Share of a good pair's noise that is the camera's", ge=1e-6, le=1.0
+    camera_noise_fraction: float = setting(
+        0.5,
+        "Fraction of a good pair's noise that is the camera's",
+        ge=1e-6,
+        le=1.0,
+        formerly="camera_noise_share",
     )
 
 
@@ -97,7 +101,7 @@ class Repair:
 
 def repair(
     pairs: Correspondence,
-    classes: Classes,
+    classes: Classification,
     depth_m: Float32Array,
     scale: NoiseScale,
     settings: RepairSettings,
@@ -116,7 +120,7 @@ def repair(
 
 
 def _repair_lidar(
-    pairs: Correspondence, classes: Classes, scale: NoiseScale, settings: RepairSettings
+    pairs: Correspondence, classes: Classification, scale: NoiseScale, settings: RepairSettings
 ) -> tuple[FloatArray, IntArray, FloatArray]:
     raw = pairs.lidar_range_m
     burr = classes.lidar_class == NoiseClass.BURR
@@ -125,18 +129,18 @@ def _repair_lidar(
         burr &= ~classes.lidar_steady
     noisy = burr | (classes.lidar_class == NoiseClass.HOLE)
     support = np.isin(classes.lidar_class, (NoiseClass.GOOD, NoiseClass.CONFLICT))
-    neighbours, gap_rad = ranges_across_gaps(pairs.azimuth_rad, raw, support, settings.edge_m)
+    neighbours, gap_rad = interpolate_gaps(pairs.azimuth_rad, raw, support, settings.edge_m)
     neighbours = np.where(gap_rad <= np.deg2rad(settings.max_gap_deg), neighbours, np.nan)
     camera = pairs.camera_range_m
-    camera_error = settings.camera_noise_share * scale.at(camera)
+    camera_error = settings.camera_noise_fraction * scale.sigma_at(camera)
     # A gap hides structure in proportion to its width; its sides are means of three beams.
-    neighbour_error = 0.6 * scale.at(neighbours) + 0.1 * gap_rad * neighbours
+    neighbour_error = 0.6 * scale.sigma_at(neighbours) + 0.1 * gap_rad * neighbours
     # Where the two contradict each other over a narrow gap, an edge of the camera lies a beam off.
     narrow = gap_rad <= np.deg2rad(settings.narrow_gap_deg)
-    contradict = np.abs(camera - neighbours) > 4.0 * scale.at(neighbours)
+    contradict = np.abs(camera - neighbours) > 4.0 * scale.sigma_at(neighbours)
     doubtful = narrow & contradict & (settings.prefer == "smaller_error")
     camera_error = np.where(doubtful, np.inf, camera_error)
-    return _choose(
+    return _choose_source(
         raw,
         noisy,
         burr,
@@ -149,7 +153,7 @@ def _repair_lidar(
 
 def _repair_depth(
     pairs: Correspondence,
-    classes: Classes,
+    classes: Classification,
     depth_m: Float32Array,
     scale: NoiseScale,
     settings: RepairSettings,
@@ -161,20 +165,20 @@ def _repair_depth(
     reliable = classes.lidar_class == NoiseClass.GOOD
     reliable &= classes.lidar_confidence >= settings.lidar_confidence
     lidar = np.where(reliable, pairs.lidar_as_depth_m, np.nan)
-    lidar_error = scale.at(lidar)
+    lidar_error = scale.sigma_at(lidar)
     if settings.prefer == "smaller_error":
         # A beam's noise is its own; the surface that it shares with its neighbours is not.
-        smooth = smoothed_ranges(
+        smooth = smooth_ranges(
             pairs.azimuth_rad,
             np.where(reliable, pairs.lidar_range_m, np.nan),
-            scale.at(pairs.lidar_range_m),
+            scale.sigma_at(pairs.lidar_range_m),
         )
         lidar = lidar * smooth.range_m / pairs.lidar_range_m
         lidar_error = np.minimum(lidar_error, smooth.error_m)
 
     def planes_near(expected_m: FloatArray, wanted: BoolArray) -> FloatArray:
         found = np.full((raw.size, 2), np.nan)
-        found[wanted] = image_planes(
+        found[wanted] = fit_image_planes(
             depth_m,
             pairs.row[wanted],
             pairs.column[wanted],
@@ -194,7 +198,7 @@ def _repair_depth(
     hides = alone & ~(image_only[:, 0] > lidar - settings.edge_m)
     planes = np.where(hides[:, np.newaxis], image_only, planes)
     lidar = np.where(hides & np.isfinite(image_only[:, 0]), np.nan, lidar)
-    return _choose(
+    return _choose_source(
         raw,
         noisy,
         burr,
@@ -205,7 +209,7 @@ def _repair_depth(
     )
 
 
-def _choose(
+def _choose_source(
     raw: FloatArray,
     noisy: BoolArray,
     burr: BoolArray,

@@ -9,7 +9,7 @@ from fusion_core.model.conventions import Float32Array, FloatArray, IntArray
 # both of its sides the beam must lie, as a share of what supports it: an edge that is seen needs
 # less than one that is guessed.
 _EDGE_BEAMS = 2
-_OFF_EDGE_SHARE = 0.7
+_OFF_EDGE_FRACTION = 0.7
 
 
 @compiled()
@@ -20,7 +20,7 @@ def count_beam_support(
     beams: IntArray,
     camera: FloatArray,
     floor_m: float,
-    share: float,
+    fraction: float,
     slope: float,
 ) -> tuple[IntArray, IntArray]:
     """(B, 3) supporters of each of B ``beams`` among adjacent beams, beams two and three away, and
@@ -41,7 +41,7 @@ def count_beam_support(
         own = ranges[beam]
         if np.isnan(own):
             continue
-        tolerance = np.hypot(floor_m, share * own)
+        tolerance = np.hypot(floor_m, fraction * own)
         for step in (-3, -2, -1, 1, 2, 3):
             other = beam + step
             if other < 0 or other >= count or np.isnan(ranges[other]):
@@ -57,8 +57,8 @@ def count_beam_support(
                 slant = 0.0
             if abs(ranges[other] - own - slant) <= allowed:
                 support[index, 0 if abs(step) == 1 else 1] += 1
-        if _between_surfaces(ranges, beam, tolerance) or _between_seen(
-            seen_by_camera, beam, own, _OFF_EDGE_SHARE * tolerance
+        if _is_between_surfaces(ranges, beam, tolerance) or _is_between_seen_surfaces(
+            seen_by_camera, beam, own, _OFF_EDGE_FRACTION * tolerance
         ):
             support[index, 0] = support[index, 1] = 0
         for neighbour in range(2):
@@ -78,7 +78,7 @@ def count_beam_support(
 
 
 @compiled()
-def _between_surfaces(ranges: FloatArray, beam: int, tolerance: float) -> bool:
+def _is_between_surfaces(ranges: FloatArray, beam: int, tolerance: float) -> bool:
     """Whether a beam, alone or with one like it beside it, steps from one surface to another.
 
     Mixed pixels do; a thin object of its own stands before both.
@@ -99,7 +99,7 @@ def _between_surfaces(ranges: FloatArray, beam: int, tolerance: float) -> bool:
 
 
 @compiled()
-def _between_seen(seen: FloatArray, beam: int, own: float, tolerance: float) -> bool:
+def _is_between_seen_surfaces(seen: FloatArray, beam: int, own: float, tolerance: float) -> bool:
     """Whether the camera sees an edge at a beam whose range lies on neither of its sides."""
     low, high = np.inf, -np.inf
     for other in range(max(0, beam - _EDGE_BEAMS), min(seen.size, beam + _EDGE_BEAMS + 1)):
@@ -113,7 +113,7 @@ def _between_seen(seen: FloatArray, beam: int, own: float, tolerance: float) -> 
 
 @compiled()
 def count_pixel_support(
-    depth: Float32Array, rows: IntArray, columns: IntArray, share: float
+    depth: Float32Array, rows: IntArray, columns: IntArray, fraction: float
 ) -> tuple[IntArray, IntArray]:
     """(B,) supporters among the 5 x 5 pixels around each of B, within 3 cm and ``share`` of its
     depth, and how many of those had a value.
@@ -136,6 +136,6 @@ def count_pixel_support(
                 if np.isnan(other):
                     continue
                 neighbours[index] += 1
-                if abs(other - own) <= 0.03 + share * own:
+                if abs(other - own) <= 0.03 + fraction * own:
                     support[index] += 1
     return support, neighbours

@@ -12,9 +12,9 @@ from fusion_core.compiled import compiled
 from fusion_core.model.conventions import BoolArray, Float32Array, FloatArray, IntArray
 
 # A wall is fitted over at most this many beams to either side of one.
-_BEAMS_BESIDE = 5
+_MAX_BEAMS_BESIDE = 5
 # A beam farther than this many standard deviations off the wall is of another one.
-_ONE_WALL_SIGMA = 2.5
+_SAME_WALL_SIGMA = 2.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,7 +28,7 @@ class SmoothRanges:
     error_m: FloatArray
 
 
-def smoothed_ranges(
+def smooth_ranges(
     azimuth_rad: FloatArray, range_m: FloatArray, sigma_m: FloatArray
 ) -> SmoothRanges:
     """Fit a straight wall around each beam, over as many beams as one wall explains.
@@ -48,7 +48,7 @@ def _smooth(
         own = range_m[index]
         if np.isnan(own):
             continue
-        for reach in range(_BEAMS_BESIDE, 1, -1):
+        for reach in range(_MAX_BEAMS_BESIDE, 1, -1):
             first, last = max(0, index - reach), min(range_m.size, index + reach + 1)
             # Moments of (angle, inverse range): equal weights, since one wall is of one range.
             n = 0
@@ -74,7 +74,7 @@ def _smooth(
                     continue
                 inverse = middle + slope * (azimuth_rad[k] - azimuth_rad[index])
                 off_m = abs(range_m[k] * (1.0 - range_m[k] * inverse))
-                one_wall = one_wall and off_m <= _ONE_WALL_SIGMA * sigma_m[k]
+                one_wall = one_wall and off_m <= _SAME_WALL_SIGMA * sigma_m[k]
             if one_wall:
                 smooth[index] = 1.0 / middle
                 error[index] = sigma_m[index] * np.sqrt(t2 / spread)
@@ -82,7 +82,7 @@ def _smooth(
     return smooth, error
 
 
-def ranges_across_gaps(
+def interpolate_gaps(
     azimuth_rad: FloatArray,
     range_m: FloatArray,
     support: BoolArray,
@@ -146,12 +146,12 @@ def _end_points(
 
 
 @compiled()
-def image_planes(
+def fit_image_planes(
     depth: Float32Array,
     rows: IntArray,
     columns: IntArray,
     expected_m: FloatArray,
-    reach: int,
+    max_radius_px: int,
     edge_m: float,
 ) -> FloatArray:
     """(N, 2) depth and its expected error, from the plane through the good pixels around a pixel.
@@ -166,7 +166,7 @@ def image_planes(
         if row < 0:
             continue
         size = 2
-        while size <= reach:
+        while size <= max_radius_px:
             low_r, high_r = max(0, row - size), min(height, row + size + 1)
             low_c, high_c = max(0, column - size), min(width, column + size + 1)
             step = max(1, size // 6)

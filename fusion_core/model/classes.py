@@ -12,7 +12,7 @@ class NoiseClass(IntEnum):
     CONFLICT = 3
 
 
-BURR_LEAST_M = 0.10
+SAME_SURFACE_M = 0.10
 """Ranges nearer than this tell of one surface, for truths and measures alike."""
 
 

@@ -34,8 +34,8 @@ class Camera:
 
     def rays(self, rows: FloatArray | IntArray, columns: FloatArray | IntArray) -> FloatArray:
         """(..., 3) points of pixels at 1 m along the optical axis, in the optical frame."""
-        lens = self.intrinsics
-        x, y = (columns - lens.cx) / lens.fx, (rows - lens.cy) / lens.fy
+        intrinsics = self.intrinsics
+        x, y = (columns - intrinsics.cx) / intrinsics.fx, (rows - intrinsics.cy) / intrinsics.fy
         return np.stack([x, y, np.ones(np.shape(x))], axis=-1)
 
     def column_azimuths_rad(self, columns: FloatArray) -> FloatArray:

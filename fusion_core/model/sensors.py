@@ -6,15 +6,15 @@ from math import isfinite
 import numpy as np
 
 from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray, read_only
-from fusion_core.model.sweep import require_sweep
+from fusion_core.model.sweep import require_plausible_sweep
 
 # From a lens that sees all but half a sphere in a few pixels to pixels of 1 um, 1 m behind theirs.
-_FOCAL_LENGTHS_PX = (1e-2, 1e6)
+_FOCAL_LENGTH_LIMITS_PX = (1e-2, 1e6)
 # A hundred images of 10,000 pixels away.
-_FARTHEST_CENTRE_PX = 1e6
+_MAX_CENTRE_PX = 1e6
 # k3 multiplies the sixth power of the distance from the axis, which is 1e-9 at the rim of a field
 # of view of 4 degrees.
-_STRONGEST_DISTORTION = 1e9
+_MAX_DISTORTION = 1e9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,7 +41,7 @@ class LaserScan:
     def __post_init__(self) -> None:
         if self.ranges_m.ndim != 1 or self.ranges_m.dtype != np.float64:
             raise ValueError(f"ranges_m must be (N,) float64, got {self.ranges_m.shape}")
-        require_sweep(self.ranges_m.size, self.angle_min_rad, self.angle_increment_rad)
+        require_plausible_sweep(self.ranges_m.size, self.angle_min_rad, self.angle_increment_rad)
         if self.intensities is not None and self.intensities.shape != self.ranges_m.shape:
             raise ValueError("intensities must have the shape of ranges_m")
         read_only(self.ranges_m)
@@ -79,19 +79,19 @@ class CameraIntrinsics:
         if not all(map(isfinite, values)) or self.fx <= 0.0 or self.fy <= 0.0:
             listed = " ".join(f"{value:g}" for value in values)
             raise ValueError(f"intrinsics must be finite with positive focal lengths, got {listed}")
-        shortest, longest = _FOCAL_LENGTHS_PX
+        shortest, longest = _FOCAL_LENGTH_LIMITS_PX
         for name, value, least, most in (
             ("focal length fx", self.fx, shortest, longest),
             ("focal length fy", self.fy, shortest, longest),
-            ("centre cx", self.cx, -_FARTHEST_CENTRE_PX, _FARTHEST_CENTRE_PX),
-            ("centre cy", self.cy, -_FARTHEST_CENTRE_PX, _FARTHEST_CENTRE_PX),
+            ("centre cx", self.cx, -_MAX_CENTRE_PX, _MAX_CENTRE_PX),
+            ("centre cy", self.cy, -_MAX_CENTRE_PX, _MAX_CENTRE_PX),
         ):
             if not least <= value <= most:
                 raise ValueError(f"the {name} {value:g} lies outside {least:g} to {most:g} pixels")
         for value in self.distortion:
-            if abs(value) > _STRONGEST_DISTORTION:
+            if abs(value) > _MAX_DISTORTION:
                 raise ValueError(
-                    f"the distortion coefficient {value:g} is larger than {_STRONGEST_DISTORTION:g}"
+                    f"the distortion coefficient {value:g} is larger than {_MAX_DISTORTION:g}"
                 )
 
 

@@ -9,9 +9,9 @@ from math import isfinite, tau
 # The finest 2D LiDARs have 25,200 beams a turn (0.014 degrees); a hundredth of a degree has 36,000.
 MAX_BEAMS = 40_000
 # Drivers round the step between beams, to two digits by up to 5 %, and with it the whole sweep.
-WIDEST_SWEEP_RAD = 1.05 * tau
+MAX_SWEEP_RAD = 1.05 * tau
 # 0.1 mm in a distance of 1 km, which no beam is narrow enough to tell apart.
-_FINEST_STEP_RAD = 1e-7
+_MIN_STEP_RAD = 1e-7
 
 _SET_ANGLES = "Set the scanner's angles, in radians, in its driver."
 
@@ -25,7 +25,7 @@ class ImplausibleSweep(ValueError):
         self.advice = advice
 
 
-def require_sweep(beams: int, angle_min_rad: float, angle_increment_rad: float) -> None:
+def require_plausible_sweep(beams: int, angle_min_rad: float, angle_increment_rad: float) -> None:
     """Raise ImplausibleSweep unless a scanner can have so many beams in these directions."""
     if beams < 1:
         raise ImplausibleSweep(
@@ -42,19 +42,19 @@ def require_sweep(beams: int, angle_min_rad: float, angle_increment_rad: float) 
             _SET_ANGLES,
         )
     step_rad = abs(angle_increment_rad)
-    if step_rad < _FINEST_STEP_RAD:
+    if step_rad < _MIN_STEP_RAD:
         raise ImplausibleSweep(
             f"angle_increment {angle_increment_rad:g} rad is finer than any scanner's, "
-            f"{_FINEST_STEP_RAD:g} rad",
+            f"{_MIN_STEP_RAD:g} rad",
             _SET_ANGLES,
         )
     # A single beam has a step, too.
     widest_rad = step_rad * max(beams - 1, 1)
-    if widest_rad > WIDEST_SWEEP_RAD:
+    if widest_rad > MAX_SWEEP_RAD:
         raise ImplausibleSweep(
             f"angle_increment {angle_increment_rad:g} rad over {beams} beams spans "
             f"{widest_rad / tau:.4g} turns",
             _SET_ANGLES,
         )
-    if abs(angle_min_rad) > WIDEST_SWEEP_RAD:
+    if abs(angle_min_rad) > MAX_SWEEP_RAD:
         raise ImplausibleSweep(f"angle_min {angle_min_rad:g} rad is beyond a turn", _SET_ANGLES)

@@ -30,7 +30,7 @@ from fusion_core.model.sensors import (
     TransformBatch,
 )
 from fusion_core.model.stamps import NO_STAMP
-from fusion_core.model.sweep import ImplausibleSweep, require_sweep
+from fusion_core.model.sweep import ImplausibleSweep, require_plausible_sweep
 from fusion_core.recordings.messages.bad_message import BadMessage
 from fusion_core.recordings.messages.compressed_image import decompress_image, decompressed_encoding
 from fusion_core.recordings.messages.image_pixels import (
@@ -187,7 +187,7 @@ def _laser_scan(raw: RawMessage, received_ns: int | None) -> LaserScan:
         )
     try:
         # Before memory is taken for the ranges.
-        require_sweep(len(row.ranges), row.angle_min, row.angle_increment)
+        require_plausible_sweep(len(row.ranges), row.angle_min, row.angle_increment)
     except ImplausibleSweep as error:
         raise BadMessage(error.problem, error.advice) from None
     intensities = None

@@ -11,7 +11,7 @@ import numpy as np
 
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import FloatArray, IntArray
-from fusion_core.model.sweep import WIDEST_SWEEP_RAD
+from fusion_core.model.sweep import MAX_SWEEP_RAD
 
 
 class PolarScan(NamedTuple):
@@ -55,7 +55,7 @@ def make_polar_scan(
             f"angles must be finite and the increment non-zero, got {angle_min_rad:g}, "
             f"{angle_increment_rad:g}"
         )
-    if step_rad * (ranges_m.size - 1) > WIDEST_SWEEP_RAD:
+    if step_rad * (ranges_m.size - 1) > MAX_SWEEP_RAD:
         raise ValueError(f"{ranges_m.size} beams, {step_rad:g} rad apart, exceed a full turn")
     # The beam that closes the circle may be there twice. What a sweep has beyond it is the start
     # seen again, or what a rounded increment makes of the turn.

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.model.classes import BURR_LEAST_M, NoiseClass
+from fusion_core.model.classes import SAME_SURFACE_M, NoiseClass
 from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray
 from fusion_core.settings import StageSettings, setting
 
@@ -171,7 +171,7 @@ def add_noise(
     lost |= _lost_runs(count, noise, rng)
     lost |= ~np.isfinite(value_m) | (value_m < range_limits_m[0]) | (value_m > range_limits_m[1])
 
-    ordinary_m = np.maximum(3.0 * sigma_m(true_m, noise), BURR_LEAST_M)
+    ordinary_m = np.maximum(3.0 * sigma_m(true_m, noise), SAME_SURFACE_M)
     far_off = disturbed & (np.abs(value_m - true_m) > ordinary_m)
     kinds = np.where(far_off, NoiseClass.BURR, NoiseClass.GOOD)
     kinds = np.where(lost, NoiseClass.HOLE, kinds).astype(np.uint8)

@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from fusion_core.alignment.agreement import (
-    Agreement,
-    MountFrame,
-    MountSettings,
-    mount_frame,
-    without_speckle,
-)
 from fusion_core.alignment.mount import MountEstimate, estimate_mount, frame_yaw_offset_rad
-from fusion_core.alignment.recorded_mount import refusal_of
+from fusion_core.alignment.mount_cost import (
+    MountCost,
+    MountObservation,
+    MountSettings,
+    mount_observation,
+    remove_speckle,
+)
+from fusion_core.alignment.recorded_mount import find_refusal
 from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, R_BODY_OPTICAL
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.geometry import make_transform, transform_from_planar
@@ -60,7 +60,7 @@ def frame_at(
     extra_turn: float = 0.0,
     field_of_view_deg: float = 240.0,
     rng: np.random.Generator | None = None,
-) -> MountFrame:
+) -> MountObservation:
     """A scan at ``pose`` (x, y, yaw), and an image ``late_s`` after it in true time."""
     angles = np.deg2rad(np.arange(-field_of_view_deg / 2, field_of_view_deg / 2, 0.5))
     x, y, yaw = pose
@@ -82,12 +82,12 @@ def frame_at(
     )
     stamp_ns = NS_PER_S + round(late_s * NS_PER_S + mount.clock_offset_ms * NS_PER_MS)
     known = rate if known_rate is None else known_rate
-    return mount_frame(CAMERA, scan, depth_m.astype(np.float32), stamp_ns, known)
+    return mount_observation(CAMERA, scan, depth_m.astype(np.float32), stamp_ns, known)
 
 
 def drive(
     room, mount: Mount, seed: int, *, rate: float | None = None, count: int = 16, **values: float
-) -> list[MountFrame]:
+) -> list[MountObservation]:
     """A tour around the middle of the room that turns at ``rate``, or ever differently."""
     rng = np.random.default_rng(seed)
     frames = []
@@ -131,7 +131,7 @@ class Trial:
         return np.array([np.nan if sd is None else sd for sd in self.estimate.mount.sd])
 
 
-def trial(frames: list[MountFrame], truth: Mount, yaw_error_deg: float = 0.6) -> Trial:
+def trial(frames: list[MountObservation], truth: Mount, yaw_error_deg: float = 0.6) -> Trial:
     """From a yaw that is off by as much as an offset of one sample a degree may be."""
     yaw_rad = truth.yaw_rad + np.deg2rad(yaw_error_deg)
     return Trial(truth, estimate_mount(frames, SETTINGS, yaw_rad=float(yaw_rad)))
@@ -155,8 +155,8 @@ def test_the_mount_is_recovered(trials: list[Trial]) -> None:
     assert (np.median(errors, axis=0) < typical).all()
     assert (errors.max(axis=0) < largest).all()
     for one in trials:
-        assert one.estimate.confident
-        assert not one.estimate.from_recorded
+        assert one.estimate.is_confident
+        assert not one.estimate.is_from_recorded
         assert one.estimate.agreement > 0.9
         assert one.estimate.visible > 0.9
 
@@ -225,7 +225,7 @@ def test_a_recorded_mount_is_the_prior(furnished_room) -> None:
     estimate = estimate_mount(
         frames, SETTINGS, yaw_rad=truth.yaw_rad + np.deg2rad(3.0), recorded=truth
     )
-    assert estimate.from_recorded
+    assert estimate.is_from_recorded
     errors = np.abs(estimate.mount.vector() - truth.vector())
     assert (errors < [np.deg2rad(0.6), 0.02, 0.02, 0.02, np.deg2rad(0.7), 10.0]).all()
     assert all(sd is not None for sd in estimate.mount.sd[:5])
@@ -236,10 +236,10 @@ def test_a_recorded_yaw_is_compared_across_the_seam(furnished_room) -> None:
     frames = drive(furnished_room, truth, 1, count=8, field_of_view_deg=360.0)
     # Its lever arm is wrong, so that too few points agree and the yaw must speak for it.
     recorded = Mount(yaw_rad=truth.yaw_rad, delta_z_m=0.3, left_m=0.3)
-    problem = Agreement(frames, SETTINGS)
-    assert problem.agreement(recorded.vector())[0] < SETTINGS.min_agreement
-    assert refusal_of(problem, recorded, SETTINGS, 0.02 - np.pi) == ""
-    assert "past where scans and images fit best" in refusal_of(problem, recorded, SETTINGS, 0.5)
+    problem = MountCost(frames, SETTINGS)
+    assert problem.agreement_and_visibility(recorded.vector())[0] < SETTINGS.min_agreement
+    assert find_refusal(problem, recorded, SETTINGS, 0.02 - np.pi) == ""
+    assert "past where scans and images fit best" in find_refusal(problem, recorded, SETTINGS, 0.5)
 
 
 @pytest.mark.parametrize(
@@ -259,7 +259,7 @@ def test_a_recorded_mount_that_explains_nothing_is_not_used(furnished_room, move
     estimate = estimate_mount(
         frames, SETTINGS, yaw_rad=truth.yaw_rad, recorded=replace(truth, **moved)
     )
-    assert not estimate.from_recorded
+    assert not estimate.is_from_recorded
     assert re.search(why, estimate.refusal)
     without = estimate_mount(frames, SETTINGS, yaw_rad=truth.yaw_rad)
     assert estimate.mount == without.mount
@@ -269,11 +269,11 @@ def test_a_recorded_mount_that_explains_nothing_is_not_used(furnished_room, move
 def test_a_right_mount_is_better_than_chance(furnished_room, seed: int) -> None:
     """However few points must agree beyond doubt: only then is it compared with chance."""
     truth = random_mount(seed)
-    problem = Agreement(drive(furnished_room, truth, seed, count=8), SETTINGS)
+    problem = MountCost(drive(furnished_room, truth, seed, count=8), SETTINGS)
     strict = SETTINGS.model_copy(update={"min_agreement": 1.0})
     for recorded in (truth, replace(truth, left_m=truth.left_m + 0.1)):
-        assert problem.agreement(recorded.vector())[0] < 1.0
-        assert refusal_of(problem, recorded, strict, None) == ""
+        assert problem.agreement_and_visibility(recorded.vector())[0] < 1.0
+        assert find_refusal(problem, recorded, strict, None) == ""
 
 
 def test_a_recorded_mount_that_contradicts_the_data_is_left_out(furnished_room) -> None:
@@ -282,7 +282,7 @@ def test_a_recorded_mount_that_contradicts_the_data_is_left_out(furnished_room) 
     wrong = Mount(yaw_rad=truth.yaw_rad + np.deg2rad(40.0), delta_z_m=0.2)
     with_wrong = estimate_mount(frames, SETTINGS, yaw_rad=truth.yaw_rad, recorded=wrong)
     without = estimate_mount(frames, SETTINGS, yaw_rad=truth.yaw_rad)
-    assert not with_wrong.from_recorded
+    assert not with_wrong.is_from_recorded
     assert with_wrong.mount == without.mount
 
 
@@ -302,7 +302,7 @@ def test_a_handful_of_frames_shows_no_uncertainty(furnished_room) -> None:
     frames = drive(furnished_room, truth, 4, count=7)
     estimate = estimate_mount(frames, SETTINGS, yaw_rad=truth.yaw_rad)
     assert estimate.mount.sd == (None,) * 6
-    assert not estimate.confident
+    assert not estimate.is_confident
 
 
 def test_too_few_frames_or_points_are_a_failure(furnished_room) -> None:
@@ -311,7 +311,9 @@ def test_too_few_frames_or_points_are_a_failure(furnished_room) -> None:
     with pytest.raises(AlignmentFailed, match="got 3"):
         estimate_mount(frames[:3], SETTINGS, yaw_rad=truth.yaw_rad)
     nothing = frames[0].scan.with_ranges(np.full(frames[0].scan.ranges_m.size, np.nan), None)
-    blind = [mount_frame(CAMERA, nothing, frame.raw_depth_m, NS_PER_S, 0.0) for frame in frames]
+    blind = [
+        mount_observation(CAMERA, nothing, frame.raw_depth_m, NS_PER_S, 0.0) for frame in frames
+    ]
     with pytest.raises(AlignmentFailed, match="100 LiDAR points"):
         estimate_mount(blind, SETTINGS, yaw_rad=truth.yaw_rad)
 
@@ -372,7 +374,7 @@ def test_lone_values_go_and_lone_holes_are_filled() -> None:
     depth_m = plane()
     depth_m[5, 6], depth_m[15, 20] = 0.9, 4.0
     depth_m[10, 10] = np.nan
-    clean = without_speckle(depth_m)
+    clean = remove_speckle(depth_m)
     np.testing.assert_allclose(clean, plane(), atol=0.02)
     assert clean.dtype == np.float32
 
@@ -382,19 +384,19 @@ def test_every_other_pixel_is_filled() -> None:
     depth_m = plane()
     depth_m[::2, ::2] = np.nan
     depth_m[1::2, 1::2] = np.nan
-    np.testing.assert_allclose(without_speckle(depth_m)[2:-2, 2:-2], plane()[2:-2, 2:-2], atol=0.03)
+    np.testing.assert_allclose(remove_speckle(depth_m)[2:-2, 2:-2], plane()[2:-2, 2:-2], atol=0.03)
 
 
 def test_a_lone_value_among_holes_goes() -> None:
     depth_m = np.full((24, 32), np.nan, dtype=np.float32)
     depth_m[12, 12] = 1.5
-    assert np.isnan(without_speckle(depth_m)).all()
+    assert np.isnan(remove_speckle(depth_m)).all()
 
 
 def test_big_holes_stay() -> None:
     depth_m = plane()
     depth_m[6:18, 8:24] = np.nan
-    clean = without_speckle(depth_m)
+    clean = remove_speckle(depth_m)
     assert np.isnan(clean[8:16, 10:22]).all()
     np.testing.assert_allclose(clean[:5], plane()[:5], atol=0.02)
 
@@ -404,7 +406,7 @@ def test_no_value_between_two_surfaces_is_made_up() -> None:
     depth_m = np.where(np.arange(32) < 16, np.float32(1.2), np.float32(2.9))
     depth_m = np.tile(depth_m, (24, 1))
     depth_m[rng.random(depth_m.shape) < 0.4] = np.nan
-    clean = without_speckle(depth_m)
+    clean = remove_speckle(depth_m)
     known = clean[np.isfinite(clean)]
     assert known.size > 300
     assert np.minimum(np.abs(known - 1.2), np.abs(known - 2.9)).max() < 1e-5
@@ -414,5 +416,5 @@ def test_the_image_is_left_as_it_was() -> None:
     depth_m = plane()
     depth_m[3, 3] = np.nan
     before = depth_m.copy()
-    without_speckle(depth_m)
+    remove_speckle(depth_m)
     np.testing.assert_array_equal(depth_m, before)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion_core.alignment.search import FieldMean, SearchSettings, find_peak
+from fusion_core.alignment.search import MeanField, SearchSettings, find_peak
 from fusion_core.alignment.similarity import SimilarityField
 from fusion_core.model.errors import AlignmentFailed
 
@@ -121,7 +121,7 @@ def frames_of(seed: int, count: int, missing: float) -> list[np.ndarray]:
 
 
 def mean_of(frames: list[np.ndarray]) -> SimilarityField:
-    mean = FieldMean()
+    mean = MeanField()
     for scores in frames:
         overlap = np.isfinite(scores) * 0.8
         field = SimilarityField(scores=scores.copy(), overlap=overlap, u_first=-2)
@@ -148,7 +148,7 @@ def test_mean_field_is_numpys_over_half_of_the_frames(
 
 
 def test_each_metric_has_its_own_mean() -> None:
-    mean = FieldMean()
+    mean = MeanField()
     for k in range(3):
         mean.add({"pearson": field_of(hill(3.0, 3.0) - k), "cosine": field_of(hill(9.0, 5.0) + k)})
     np.testing.assert_allclose(mean.mean("pearson").scores, hill(3.0, 3.0) - 1.0)
@@ -157,4 +157,4 @@ def test_each_metric_has_its_own_mean() -> None:
 
 def test_mean_of_no_frame_is_a_failure() -> None:
     with pytest.raises(AlignmentFailed, match="max_gap_ms"):
-        FieldMean().mean("pearson")
+        MeanField().mean("pearson")

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from fusion_core.alignment.time import (
     ScanWindow,
     TimeSettings,
+    estimate_turn_rate_rad_s,
     parabola_offset,
-    turn_rate_rad_s,
 )
 from fusion_core.model.conventions import NS_PER_S
 from fusion_core.model.sensors import LaserScan
@@ -79,28 +79,28 @@ def test_turn_rate_is_that_of_the_lidar(rate_rad_s: float, increment_deg: float)
     window = turning(rate_rad_s, increment_deg=increment_deg, beams=beams)
     # A tenth of a beam within a scan period.
     tolerance = 0.1 * np.deg2rad(0.5) * NS_PER_S / PERIOD_NS
-    assert turn_rate_rad_s(window, SETTINGS) == pytest.approx(rate_rad_s, abs=tolerance)
+    assert estimate_turn_rate_rad_s(window, SETTINGS) == pytest.approx(rate_rad_s, abs=tolerance)
 
 
 @pytest.mark.parametrize("rate_rad_s", [-0.7, 0.25, 0.7])
 def test_turn_rate_stands_noise_and_holes(rate_rad_s: float) -> None:
     window = turning(rate_rad_s, noise_m=0.02, holes=0.15)
-    assert turn_rate_rad_s(window, SETTINGS) == pytest.approx(rate_rad_s, abs=0.04)
+    assert estimate_turn_rate_rad_s(window, SETTINGS) == pytest.approx(rate_rad_s, abs=0.04)
 
 
 def test_counter_clockwise_turns_are_positive() -> None:
     left = ScanWindow(before=None, scan=scan_at(0.0, 0), after=scan_at(0.05, PERIOD_NS))
     right = ScanWindow(before=scan_at(0.05, 0), scan=scan_at(0.0, PERIOD_NS), after=None)
-    assert turn_rate_rad_s(left, SETTINGS) == pytest.approx(0.5, abs=0.02)
-    assert turn_rate_rad_s(right, SETTINGS) == pytest.approx(-0.5, abs=0.02)
+    assert estimate_turn_rate_rad_s(left, SETTINGS) == pytest.approx(0.5, abs=0.02)
+    assert estimate_turn_rate_rad_s(right, SETTINGS) == pytest.approx(-0.5, abs=0.02)
 
 
 def test_turn_rate_is_the_mean_over_both_neighbours() -> None:
     before, scan, after = scan_at(0.0, 0), scan_at(0.02, PERIOD_NS), scan_at(0.08, 2 * PERIOD_NS)
-    both = turn_rate_rad_s(ScanWindow(before=before, scan=scan, after=after), SETTINGS)
+    both = estimate_turn_rate_rad_s(ScanWindow(before=before, scan=scan, after=after), SETTINGS)
     halves = [
-        turn_rate_rad_s(ScanWindow(before=before, scan=scan, after=None), SETTINGS),
-        turn_rate_rad_s(ScanWindow(before=None, scan=scan, after=after), SETTINGS),
+        estimate_turn_rate_rad_s(ScanWindow(before=before, scan=scan, after=None), SETTINGS),
+        estimate_turn_rate_rad_s(ScanWindow(before=None, scan=scan, after=after), SETTINGS),
     ]
     assert halves == pytest.approx([0.2, 0.6], abs=0.02)
     assert both == pytest.approx(np.mean(halves), abs=1e-12)
@@ -128,7 +128,7 @@ def test_unknown_without_a_neighbour_to_compare() -> None:
     }
     for name, before in neighbours.items():
         window = ScanWindow(before=before, scan=scan, after=None)
-        assert np.isnan(turn_rate_rad_s(window, SETTINGS)), name
+        assert np.isnan(estimate_turn_rate_rad_s(window, SETTINGS)), name
 
 
 @given(

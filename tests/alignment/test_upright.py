@@ -94,7 +94,7 @@ def test_the_view_holds_the_stored_pixels_values(name: str, turns: int) -> None:
     view = upright_view(lens, UPS[turns])
     depth_m = np.random.default_rng(1).uniform(0.3, 8.0, (48, 64)).astype(np.float32)
     depth_m[10:14, 20:30] = np.nan
-    seen = view.of(depth_m)
+    seen = view.remap(depth_m)
     assert seen.shape == (view.intrinsics.height, view.intrinsics.width)
     assert seen.dtype == np.float32
     row, column = np.mgrid[: seen.shape[0], : seen.shape[1]]
@@ -116,14 +116,14 @@ def test_turns_are_rotations_that_bring_up_to_the_top(turns: int) -> None:
     up_in_view = R.T @ UPS[turns]
     assert -up_in_view[1] >= abs(up_in_view[0])
     depth_m = np.arange(48 * 64, dtype=np.float32).reshape(48, 64)
-    np.testing.assert_array_equal(view.of(depth_m), np.rot90(depth_m, turns))
+    np.testing.assert_array_equal(view.remap(depth_m), np.rot90(depth_m, turns))
 
 
 def test_an_upright_image_is_handed_through() -> None:
     for up in (None, UPS[0]):
         view = upright_view(PLAIN, up)
         depth_m = np.ones((48, 64), dtype=np.float32)
-        assert view.of(depth_m) is depth_m
+        assert view.remap(depth_m) is depth_m
         assert view.intrinsics == PLAIN
         row, column = np.array([3, -1]), np.array([5, -1])
         np.testing.assert_array_equal(view.stored_pixels(row, column), [row, column])

@@ -5,7 +5,7 @@ import pytest
 
 from fusion_core.alignment.curves import SamplingSettings, sample_curve, sample_row
 from fusion_core.alignment.upright import upright_view
-from fusion_core.alignment.virtual_lidar import cropped_view, virtual_scan, without_cut
+from fusion_core.alignment.virtual_lidar import crop_view, cut_scan, mask_cut_rows
 from fusion_core.model.conventions import R_BODY_OPTICAL
 from fusion_core.model.errors import SettingsError
 from fusion_core.model.geometry import make_transform, transform_points
@@ -27,7 +27,7 @@ def image_of(depth_m: np.ndarray) -> DepthImage:
 def test_ranges_are_horizontal_ranges_of_the_rows_pixels() -> None:
     depth_m = np.random.default_rng(0).uniform(0.5, 6.0, (24, 320)).astype(np.float32)
     depth_m[7, 40:60] = np.nan
-    scan = virtual_scan(image_of(depth_m), CAMERA, 7)
+    scan = cut_scan(image_of(depth_m), CAMERA, 7)
     z = depth_m[7].astype(np.float64)
     u = np.arange(320)
     points = np.stack([z * (u - LENS.cx) / LENS.fx, z * (7 - LENS.cy) / LENS.fy, z], axis=-1)
@@ -45,7 +45,7 @@ def test_ranges_are_horizontal_ranges_of_the_rows_pixels() -> None:
 
 
 def test_beams_span_the_image_counter_clockwise() -> None:
-    scan = virtual_scan(image_of(np.full((24, 320), 2.0)), CAMERA, 0)
+    scan = cut_scan(image_of(np.full((24, 320), 2.0)), CAMERA, 0)
     assert scan.stamp_ns == 17
     assert scan.ranges_m.size == 320
     assert scan.angle_increment_rad > 0.0
@@ -54,12 +54,12 @@ def test_beams_span_the_image_counter_clockwise() -> None:
 
 
 def test_a_wall_ahead_is_straight_in_the_scan() -> None:
-    scan = virtual_scan(image_of(np.full((24, 320), 3.0)), CAMERA, 12)
+    scan = cut_scan(image_of(np.full((24, 320), 3.0)), CAMERA, 12)
     np.testing.assert_allclose(scan.ranges_m * np.cos(scan.angles_rad), 3.0, rtol=1e-6)
 
 
 def test_what_lies_beyond_the_scans_range_is_missing() -> None:
-    scan = virtual_scan(image_of(np.full((24, 320), 9.5)), CAMERA, 12)
+    scan = cut_scan(image_of(np.full((24, 320), 9.5)), CAMERA, 12)
     far = 9.5 / np.cos(scan.angles_rad) > scan.range_max_m
     assert 0 < far.sum() < far.size
     np.testing.assert_array_equal(np.isnan(scan.ranges_m), far)
@@ -68,7 +68,7 @@ def test_what_lies_beyond_the_scans_range_is_missing() -> None:
 @pytest.mark.parametrize("row", [-1, 24, 1000])
 def test_a_row_that_the_image_lacks_is_refused(row: int) -> None:
     with pytest.raises(SettingsError, match="rows 0 to 23"):
-        virtual_scan(image_of(np.ones((24, 320))), CAMERA, row)
+        cut_scan(image_of(np.ones((24, 320))), CAMERA, row)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_a_row_that_the_image_lacks_is_refused(row: int) -> None:
 )
 def test_rows_around_the_cut_are_left_out(row: int, missing: range) -> None:
     depth_m = np.ones((24, 320), dtype=np.float32)
-    kept = without_cut(depth_m, row)
+    kept = mask_cut_rows(depth_m, row)
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(kept).all(axis=1)), list(missing))
     assert np.isfinite(kept).sum() == (24 - len(missing)) * 320
     assert np.isfinite(depth_m).all()
@@ -89,9 +89,9 @@ def test_the_crop_is_the_middle_of_the_view_under_the_same_rays(
 ) -> None:
     lens = CameraIntrinsics(width=width, height=240, fx=260.0, fy=250.0, cx=150.3, cy=118.0)
     full = upright_view(lens, up)
-    cropped = cropped_view(full)
+    cropped = crop_view(full)
     depth_m = np.random.default_rng(2).uniform(1.0, 4.0, (240, width)).astype(np.float32)
-    whole, middle = full.of(depth_m), cropped.of(depth_m)
+    whole, middle = full.remap(depth_m), cropped.remap(depth_m)
     left = round(full.intrinsics.cx - cropped.intrinsics.cx)
     assert middle.shape == (cropped.intrinsics.height, cropped.intrinsics.width)
     np.testing.assert_array_equal(middle, whole[:, left : left + middle.shape[1]])
@@ -106,10 +106,10 @@ def test_the_crop_is_the_middle_of_the_view_under_the_same_rays(
 
 def test_the_scan_is_wider_than_the_cropped_rows() -> None:
     """So that alignment has offsets to choose from, and the true one lies inside."""
-    scan = virtual_scan(image_of(np.full((24, 320), 2.0)), CAMERA, 5)
+    scan = cut_scan(image_of(np.full((24, 320), 2.0)), CAMERA, 5)
     cropped = Camera(
         topic="depth",
-        intrinsics=cropped_view(upright_view(LENS, None)).intrinsics,
+        intrinsics=crop_view(upright_view(LENS, None)).intrinsics,
         T_rig_camera=CAMERA.T_rig_camera,
     )
     curve = sample_curve(scan, SamplingSettings())
@@ -123,4 +123,4 @@ def test_an_image_whose_rows_are_no_sweep_is_refused(width: int) -> None:
     lens = CameraIntrinsics(width=width, height=1, fx=260.0, fy=260.0, cx=0.0, cy=0.0)
     camera = Camera(topic="depth", intrinsics=lens, T_rig_camera=CAMERA.T_rig_camera)
     with pytest.raises(SettingsError, match=f"of the depth image {width} pixels"):
-        virtual_scan(image_of(np.ones((1, width))), camera, 0)
+        cut_scan(image_of(np.ones((1, width))), camera, 0)

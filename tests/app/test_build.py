@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from fusion_core.model.errors import ExportError, ScanLoomError
 from fusion_core.model.progress import silent
-from fusion_core.workflows.fuse.presets import PRESETS, chain_settings, settings_toml
+from fusion_core.workflows.fuse.settings import PRESETS, chain_settings, settings_toml
 from scanloom import cli
 from scanloom.jobs import build as building
 from scanloom.jobs.build import Build, build, folder_name, free_folder, zipped

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from fusion_core.model.errors import AlignmentFailed, RecordingError
+from fusion_core.workflows.fuse.cached_chain import FrameChoice
 from fusion_core.workflows.fuse.frame import FrameMatch
-from fusion_core.workflows.fuse.live import FrameChoice
-from fusion_core.workflows.fuse.presets import PRESETS
+from fusion_core.workflows.fuse.settings import PRESETS
 from scanloom.client_session import STORED_VIEW, ClientSession
 from scanloom.frame_view import FrameView, compute_frame_view
 from scanloom.resources import sample_path
@@ -380,7 +380,7 @@ def test_an_alignment_that_fails_is_told_and_the_streams_are_shown(
     def fail(*_: Any) -> None:
         raise error
 
-    monkeypatch.setattr("scanloom.state.open_recording.align_session", fail)
+    monkeypatch.setattr("scanloom.state.open_recording.align_recording", fail)
     library = Library([small_scene], [])
     open_recording = library.open(View(recording=small_scene.name))
     session = ClientSession(client, library, View(recording=small_scene.name))  # type: ignore[arg-type]  # as far as it is needed
@@ -428,8 +428,8 @@ def test_what_is_shown_is_what_the_chain_computes(library: Library, view: View) 
     assert open_recording.chain is not None
     frame_view = compute_frame_view(view.changed(frame_index=9), open_recording)
     choice = FrameChoice(number=9)
-    assert frame_view.match is open_recording.chain.matched(choice, view.settings)
-    assert frame_view.fused is open_recording.chain.judged(choice, view.settings)
+    assert frame_view.match is open_recording.chain.match(choice, view.settings)
+    assert frame_view.fused is open_recording.chain.fused(choice, view.settings)
     assert frame_view.color is not None
     assert frame_view.failure is None
 
@@ -476,7 +476,7 @@ def test_a_picked_row_that_the_image_lacks_is_a_failure_in_words(
     rows = open_recording.frames.image(0).depth_m.shape[0]
     inside = compute_frame_view(asked.changed(picked_offset=(80.0, rows - 1.0)), open_recording)
     assert inside.match is not None
-    assert set(inside.match.pairs.row.tolist()) == {rows - 1}
+    assert set(inside.match.correspondence.row.tolist()) == {rows - 1}
     outside = compute_frame_view(asked.changed(picked_offset=(80.0, float(rows))), open_recording)
     assert outside.match is None
     assert outside.paired is not None
@@ -491,7 +491,7 @@ def test_a_stage_that_fails_on_one_frame_leaves_what_came_before_it(
         raise ZeroDivisionError("in the classes")
 
     with monkeypatch.context() as patched:
-        patched.setattr("fusion_core.workflows.fuse.live.judge_frame", fail)
+        patched.setattr("fusion_core.workflows.fuse.cached_chain.classify_and_repair", fail)
         # No other test has judged it so.
         session.change(frame_index=5)
         session.set("noise", "epsilon", 3.21)

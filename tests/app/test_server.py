@@ -213,7 +213,7 @@ def test_an_alignment_that_a_link_asked_for_ends_with_its_browser(
 ) -> None:
     endless = Endless()
     monkeypatch.setattr(
-        "scanloom.state.open_recording.align_session", lambda *args: endless.work(args[1])
+        "scanloom.state.open_recording.align_recording", lambda *args: endless.work(args[1])
     )
     with connect(
         workbench.address, storage={LINK_KEY: view.changed(virtual_row=61).to_link()}

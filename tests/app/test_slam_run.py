@@ -11,7 +11,7 @@ import pytest
 from fusion_core.model.errors import ExportError, MappingFailed
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.slam_view import SlamView, no_observer
-from fusion_core.workflows.fuse.presets import PRESETS, PresetName
+from fusion_core.workflows.fuse.settings import PRESETS, PresetName
 from fusion_core.workflows.map.result_folder import TrajectoryPoses, read_map_results
 from fusion_core.workflows.map.settings import map_settings, map_settings_toml
 from scanloom import cli

@@ -29,16 +29,16 @@ from fusion_core.model.progress import silent
 from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.fuse import frame, fuse, tables
 from fusion_core.workflows.fuse import session as session_module
-from fusion_core.workflows.fuse.align import Alignment
+from fusion_core.workflows.fuse.align import RecordingAlignment
 from fusion_core.workflows.fuse.frame import FusedFrame
-from fusion_core.workflows.fuse.presets import PRESETS
 from fusion_core.workflows.fuse.session import (
     FuseOptions,
     Session,
-    align_session,
-    fuse_session,
+    align_recording,
+    fuse_frames,
     open_session,
 )
+from fusion_core.workflows.fuse.settings import PRESETS
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "furnished_room.mcap"
 ROUNDS = 7
@@ -57,10 +57,10 @@ STAGES = {
 }
 
 
-def chain(session: Session, alignment: Alignment) -> int:
+def chain(session: Session, alignment: RecordingAlignment) -> int:
     """Pass 2 with everything but files; returns the pairs."""
     pairs = 0
-    for entry in fuse_session(session, alignment):
+    for entry in fuse_frames(session, alignment):
         if isinstance(entry, FusedFrame):
             pairs += 1
             topic = session.rig.cameras[entry.camera].topic
@@ -86,7 +86,7 @@ def seconds(call: Callable[[], object]) -> float:
     return time.process_time() - begin
 
 
-def breakdown(session: Session, alignment: Alignment) -> dict[str, float]:
+def breakdown(session: Session, alignment: RecordingAlignment) -> dict[str, float]:
     """Seconds of one run in each stage, and in what lies between them."""
     spent: dict[str, float] = defaultdict(float)
 
@@ -113,7 +113,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     with open_recording(SAMPLE) as recording:
         session = open_session(recording, FuseOptions(), PRESETS["default"])
-        alignment = align_session(session, silent)
+        alignment = align_recording(session, silent)
         pairs = chain(session, alignment)
         lens = session.rig.cameras[0].intrinsics
         with_decoding = [seconds(lambda: chain(session, alignment)) for _ in range(ROUNDS)]

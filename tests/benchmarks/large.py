@@ -23,8 +23,8 @@ from typing import Any
 
 from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.fuse.frame_reader import FrameReader
-from fusion_core.workflows.fuse.presets import PRESETS
 from fusion_core.workflows.fuse.session import FuseOptions, open_session
+from fusion_core.workflows.fuse.settings import PRESETS
 from scanloom.cli import main as scanloom
 
 INFO_SECONDS, FRAME_SECONDS, MEMORY_MIB = 20.0, 5.0, 1024

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 
 from fusion_core.denoising.correspondence import (
     Correspondence,
-    along_curve,
-    by_sample,
-    compared,
-    in_row,
-    mapped,
+    compare_samples,
+    map_through_A,
+    match_along_curve,
+    match_by_sample,
+    match_in_row,
     planar_points,
 )
 from fusion_core.model.conventions import R_BODY_OPTICAL
@@ -112,7 +112,7 @@ def test_along_curve_equals_a_loop_over_the_beams():
     depth = depth_of(boxes, T)
     depth[48:60, 70:80] = np.nan
     scan = scan_of(beams_of(boxes))
-    pairs = along_curve(scan, depth, depth, CAMERA, T)
+    pairs = match_along_curve(scan, depth, depth, CAMERA, T)
     assert pairs.model == "curve"
 
     expected = []
@@ -172,7 +172,7 @@ def test_a_followed_beam_meets_what_the_camera_sees_of_its_own_surface(missing):
     elif missing == "all":
         given_m[:] = np.nan
     scan = scan_of(given_m)
-    pairs = along_curve(scan, depth, depth, CAMERA, T)
+    pairs = match_along_curve(scan, depth, depth, CAMERA, T)
 
     ends = true_m[pairs.beam, np.newaxis] * np.stack(
         [np.cos(pairs.azimuth_rad), np.sin(pairs.azimuth_rad), np.zeros(pairs.beam.size)], axis=1
@@ -206,7 +206,7 @@ def test_a_wall_across_the_axis_is_met_exactly():
     T = T_lidar_camera_of(mount)
     depth = np.full((LENS.height, LENS.width), 2.57, dtype=np.float32)
     scan = scan_of(np.full(200, np.nan))
-    pairs = along_curve(scan, depth, depth, CAMERA, T)
+    pairs = match_along_curve(scan, depth, depth, CAMERA, T)
     axis = T[:3, 2]
     flat = np.stack([np.cos(pairs.azimuth_rad), np.sin(pairs.azimuth_rad)], axis=1)
     exact = (float(np.float32(2.57)) + axis @ T[:3, 3]) / (flat @ axis[:2])
@@ -220,7 +220,7 @@ def test_a_beam_that_disappears_behind_something_may_come_out_again():
     boxes = (FLOOR, WALL, shelf)
     depth = depth_of(boxes, T)
     scan = scan_of(beams_of(boxes))
-    pairs = along_curve(scan, depth, depth, CAMERA, T)
+    pairs = match_along_curve(scan, depth, depth, CAMERA, T)
     middle = np.abs(pairs.azimuth_rad) < 0.1
     np.testing.assert_allclose(
         pairs.camera_range_m[middle], scan.ranges_m[pairs.beam][middle], atol=0.03
@@ -233,10 +233,10 @@ def test_a_beam_that_disappears_behind_something_may_come_out_again():
 def test_a_hole_in_the_image_answers_nothing_and_says_no_pixel_value():
     T = T_lidar_camera_of()
     depth = depth_of(ROOM, T)
-    whole = along_curve(scan_of(beams_of(ROOM)), depth, depth, CAMERA, T)
+    whole = match_along_curve(scan_of(beams_of(ROOM)), depth, depth, CAMERA, T)
     holed = depth.copy()
     holed[:, 50:62] = np.nan
-    pairs = along_curve(scan_of(beams_of(ROOM)), holed, holed, CAMERA, T)
+    pairs = match_along_curve(scan_of(beams_of(ROOM)), holed, holed, CAMERA, T)
     np.testing.assert_array_equal(pairs.column, whole.column)
     inside = (pairs.column >= 50) & (pairs.column < 62)
     assert inside.sum() > 5
@@ -252,12 +252,12 @@ def test_a_beam_that_nothing_tells_of_keeps_its_place_without_a_pixel():
     T = T_lidar_camera_of()
     depth = depth_of(ROOM, T)
     ranges = beams_of(ROOM)
-    whole = along_curve(scan_of(ranges), depth, depth, CAMERA, T)
+    whole = match_along_curve(scan_of(ranges), depth, depth, CAMERA, T)
     lost = whole.beam[20:23]
     ranges[lost] = np.nan
     holed = depth.copy()
     holed[:, whole.column[16:27].min() : whole.column[16:27].max() + 1] = np.nan
-    pairs = along_curve(scan_of(ranges), holed, holed, CAMERA, T)
+    pairs = match_along_curve(scan_of(ranges), holed, holed, CAMERA, T)
     np.testing.assert_array_equal(pairs.beam, whole.beam)
     np.testing.assert_array_equal(np.flatnonzero(pairs.row == -1), [20, 21, 22])
     np.testing.assert_array_equal(pairs.column[20:23], -1)
@@ -265,7 +265,9 @@ def test_a_beam_that_nothing_tells_of_keeps_its_place_without_a_pixel():
 
 def test_without_any_value_no_beam_is_in_view():
     depth = np.full((LENS.height, LENS.width), np.nan, dtype=np.float32)
-    pairs = along_curve(scan_of(np.full(50, np.nan)), depth, depth, CAMERA, T_lidar_camera_of())
+    pairs = match_along_curve(
+        scan_of(np.full(50, np.nan)), depth, depth, CAMERA, T_lidar_camera_of()
+    )
     assert all(getattr(pairs, field.name).size == 0 for field in fields(pairs)[1:])
 
 
@@ -275,21 +277,21 @@ def test_rays_end_behind_all_that_is_seen_whatever_the_lidar_reaches(range_max_m
     T = T_lidar_camera_of()
     depth = depth_of((*ROOM, TABLE_TOP), T)
     ranges = beams_of((*ROOM, TABLE_TOP))
-    near = along_curve(scan_of(ranges), depth, depth, CAMERA, T)
-    far = along_curve(scan_of(ranges, range_max_m=range_max_m), depth, depth, CAMERA, T)
+    near = match_along_curve(scan_of(ranges), depth, depth, CAMERA, T)
+    far = match_along_curve(scan_of(ranges, range_max_m=range_max_m), depth, depth, CAMERA, T)
     np.testing.assert_array_equal(far.camera_range_m, near.camera_range_m)
     # Beams that look away from the image end too.
     around = scan_of(np.full(90, np.nan), first_rad=-3.1, range_max_m=range_max_m)
-    assert along_curve(around, depth, depth, CAMERA, T).beam.size > 10
+    assert match_along_curve(around, depth, depth, CAMERA, T).beam.size > 10
 
 
 def test_rays_end_at_the_range_of_the_lidar():
     T = T_lidar_camera_of(Mount(yaw_rad=0.0, delta_z_m=0.3))
     depth = np.full((LENS.height, LENS.width), 3.0, dtype=np.float32)
     lost = np.full(100, np.nan)
-    inside = along_curve(scan_of(lost, range_max_m=3.6), depth, depth, CAMERA, T)
+    inside = match_along_curve(scan_of(lost, range_max_m=3.6), depth, depth, CAMERA, T)
     assert np.nanmax(inside.camera_range_m) <= 3.6
-    short = along_curve(scan_of(lost, range_max_m=2.9), depth, depth, CAMERA, T)
+    short = match_along_curve(scan_of(lost, range_max_m=2.9), depth, depth, CAMERA, T)
     assert short.beam.size == 0
 
 
@@ -299,8 +301,8 @@ def test_the_curve_follows_the_smooth_image_and_reads_the_raw_one():
     raw = smooth.copy()
     raw[::2, ::3] = 0.7
     scan = scan_of(beams_of(ROOM))
-    pairs = along_curve(scan, raw, smooth, CAMERA, T)
-    clean = along_curve(scan, smooth, smooth, CAMERA, T)
+    pairs = match_along_curve(scan, raw, smooth, CAMERA, T)
+    clean = match_along_curve(scan, smooth, smooth, CAMERA, T)
     np.testing.assert_array_equal(pairs.camera_range_m, clean.camera_range_m)
     inside = pairs.row >= 0
     np.testing.assert_array_equal(
@@ -326,8 +328,8 @@ def test_a_level_camera_in_the_lidars_axis_pairs_alike_along_the_curve_and_in_it
     depth[:, 90:95] = np.nan
     ranges = rng.uniform(1.0, 4.0, 400)
     scan = scan_of(ranges, first_rad=-2.0)
-    curve = along_curve(scan, depth, depth, camera, T)
-    row = in_row(scan, depth, depth, camera, T, 3)
+    curve = match_along_curve(scan, depth, depth, camera, T)
+    row = match_in_row(scan, depth, depth, camera, T, 3)
     assert row.model == "row"
     for name in ("beam", "row", "column", "azimuth_rad", "lidar_range_m", "depth_m"):
         np.testing.assert_array_equal(getattr(curve, name), getattr(row, name), err_msg=name)
@@ -353,7 +355,7 @@ def test_in_row_by_hand():
     step = float(np.arctan(0.1))
     scan = scan_of([9.0, 2.0, np.nan, 4.0, 9.0], first_rad=0.1 - 2 * step, step_rad=step)
     depth = np.array([[1.0, 2.0, 3.0], [5.0, np.nan, 7.0]], dtype=np.float32)
-    pairs = in_row(scan, depth, 10.0 * depth, camera, T, 1)
+    pairs = match_in_row(scan, depth, 10.0 * depth, camera, T, 1)
     longer = np.hypot(1.0, 0.1)
     # Azimuths run counter-clockwise and columns to the right.
     np.testing.assert_array_equal(pairs.beam, [1, 2, 3])
@@ -375,7 +377,9 @@ def test_in_row_has_no_beam_from_behind():
     )
     T = Mount(yaw_rad=3.0).T_lidar_rig @ camera.T_rig_camera
     scan = scan_of(np.ones(720), first_rad=-np.pi)
-    pairs = in_row(scan, np.ones((1, 40), np.float32), np.ones((1, 40), np.float32), camera, T, 0)
+    pairs = match_in_row(
+        scan, np.ones((1, 40), np.float32), np.ones((1, 40), np.float32), camera, T, 0
+    )
     turned = np.angle(np.exp(1j * (pairs.azimuth_rad - 3.0)))
     assert np.abs(turned).max() <= np.arctan(1.0) + 1e-9
     assert pairs.beam.size == pytest.approx(720 / 4, abs=2)
@@ -401,7 +405,7 @@ def paper_frame(seed=3, u=4.2):
 @pytest.mark.parametrize("u", [0.0, 4.2, -3.0, 12.0])
 def test_the_papers_pairs_and_points_equal_a_loop(u):
     scan, depth, curve_beams, row_columns, _ = paper_frame()
-    pairs, L, D = by_sample(scan, depth, curve_beams, row_columns, u, 2.6)
+    pairs, L, D = match_by_sample(scan, depth, curve_beams, row_columns, u, 2.6)
     ranges = scan.ranges_m
     per_sample_rad = scan.angle_increment_rad * 60 / curve_beams.size
     samples = []
@@ -423,13 +427,13 @@ def test_the_papers_pairs_and_points_equal_a_loop(u):
 
 def test_what_a_makes_of_the_papers_pairs_equals_a_loop():
     scan, depth, curve_beams, row_columns, u = paper_frame()
-    pairs, L, D = by_sample(scan, depth, curve_beams, row_columns, u, 3.0)
+    pairs, L, D = match_by_sample(scan, depth, curve_beams, row_columns, u, 3.0)
     inverse = np.linalg.inv(AFFINE)
     # (6), over all pairs: a hole counts as a zero there.
     residual_m = np.array(
         [np.hypot(*((np.append(a, 1.0) @ AFFINE)[:2] - b)) for a, b in zip(L, D, strict=True)]
     )
-    result = compared(pairs, L, D, AFFINE, inverse, residual_m)
+    result = compare_samples(pairs, L, D, AFFINE, inverse, residual_m)
     for i in range(pairs.beam.size):
         has_lidar, has_depth = np.isfinite((pairs.lidar_range_m[i], pairs.depth_m[i]))
         back = D[i, 0] * inverse[0, 1] + D[i, 1] * inverse[1, 1] + inverse[2, 1]
@@ -447,7 +451,7 @@ def test_what_a_makes_of_the_papers_pairs_equals_a_loop():
 def test_without_a_single_range_the_papers_points_keep_an_axis():
     scan, depth, curve_beams, row_columns, u = paper_frame()
     lost = scan.with_ranges(np.full(60, np.nan), None)
-    _, L, _ = by_sample(lost, depth, curve_beams, row_columns, u, 3.0)
+    _, L, _ = match_by_sample(lost, depth, curve_beams, row_columns, u, 3.0)
     assert (np.diff(L[:, 0]) > 0.0).all()
     assert (L[:, 1] == 0.0).all()
 
@@ -465,7 +469,7 @@ def row_pairs(seed=0, count=41):
     ranges[rng.random(count) < 0.1] = np.nan
     scan = scan_of(ranges, first_rad=-0.4)
     T = Mount(yaw_rad=0.05).T_lidar_rig @ camera.T_rig_camera
-    return in_row(scan, depth, depth, camera, T, 1)
+    return match_in_row(scan, depth, depth, camera, T, 1)
 
 
 def test_planar_points_lie_ahead_and_to_the_right_as_their_beams_do():
@@ -493,7 +497,7 @@ RIGID = st.builds(
 def test_mapped_equals_a_loop_over_eqs_7_and_8(A, seed):
     pairs = row_pairs(seed)
     inverse = np.linalg.inv(A)
-    result = mapped(pairs, A, inverse)
+    result = map_through_A(pairs, A, inverse)
     middle = np.median(pairs.azimuth_rad)
 
     def length(range_m, azimuth, matrix):
@@ -544,13 +548,13 @@ def test_a_rigid_map_is_undone_by_its_inverse(A, seed):
         ahead = np.array([0.0, 1.0, 1.0]) @ to_axes
         if np.allclose(-np.arctan2(ahead[0], ahead[1]), middle):
             break
-    result = mapped(seen, A @ to_axes.T, to_axes @ np.linalg.inv(A))
+    result = map_through_A(seen, A @ to_axes.T, to_axes @ np.linalg.inv(A))
     np.testing.assert_allclose(result.residual_m, 0.0, atol=1e-9)
 
 
 def test_the_identity_changes_nothing():
     pairs = row_pairs()
-    result = mapped(pairs, np.eye(3), np.eye(3))
+    result = map_through_A(pairs, np.eye(3), np.eye(3))
     for field in fields(pairs)[1:]:
         np.testing.assert_allclose(getattr(result, field.name), getattr(pairs, field.name))
 
@@ -558,7 +562,7 @@ def test_the_identity_changes_nothing():
 def test_a_point_beyond_the_horizon_of_a_homography_has_no_image():
     pairs = row_pairs()
     horizon = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, -0.5], [0.0, 0.0, 1.0]])
-    result = mapped(pairs, horizon, horizon)
+    result = map_through_A(pairs, horizon, horizon)
     for raw, image in (
         (pairs.depth_as_range_m, result.depth_as_range_m),
         (pairs.lidar_range_m, result.lidar_as_depth_m),
@@ -571,7 +575,7 @@ def test_a_point_beyond_the_horizon_of_a_homography_has_no_image():
 
 def test_pairs_cannot_be_changed():
     scan, depth, curve_beams, row_columns, u = paper_frame()
-    pairs, _, _ = by_sample(scan, depth, curve_beams, row_columns, u, 3.0)
+    pairs, _, _ = match_by_sample(scan, depth, curve_beams, row_columns, u, 3.0)
     for frozen in (pairs, row_pairs()):
         for field in fields(frozen)[1:]:
             with pytest.raises(ValueError, match="read-only"):

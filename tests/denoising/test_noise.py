@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion_core.denoising.correspondence import Correspondence, along_curve
+from fusion_core.denoising.correspondence import Correspondence, match_along_curve
 from fusion_core.denoising.noise import (
     FrameWindow,
     NoiseSettings,
@@ -27,20 +27,20 @@ from fusion_core.model.sensors import CameraIntrinsics, LaserScan
 GOOD, HOLE, BURR, CONFLICT = NoiseClass
 BEAMS = 41
 ROW = 5
-SCALE = NoiseScale(floor_m=0.01, share=0.01)
+SCALE = NoiseScale(floor_m=0.01, fraction=0.01)
 # Not the defaults: what is tested here must hold however those are tuned.
 SETTINGS = NoiseSettings(
     epsilon=3.0,
     epsilon_unit="sigma",
     support_sigma=3.0,
-    slope_share=0.02,
-    pixel_tolerance_share=0.03,
-    fault="support",
+    slope_fraction=0.02,
+    pixel_tolerance_fraction=0.03,
+    burr_criterion="support",
     pixel_support=2,
-    pixel_support_share=0.3,
+    pixel_support_fraction=0.3,
     motion_pixels=4,
 )
-PUBLISHED = NoiseSettings(epsilon=1.2, epsilon_unit="E", fault="rougher")
+PUBLISHED = NoiseSettings(epsilon=1.2, epsilon_unit="E", burr_criterion="rougher")
 
 
 def scan_of(ranges_m):
@@ -369,7 +369,7 @@ def test_what_the_classes_rest_on_is_told():
         classes.beam_support[[10, 29, 30, 31]], [[2, 4, 2], [1, 4, 2], [0, 0, 0], [1, 4, 2]]
     )
     np.testing.assert_array_equal(classes.pixel_support[[10, 16]], [[24, 24], [8, 24]])
-    np.testing.assert_array_equal(np.flatnonzero(classes.pixel_gone), [15, 16, 17])
+    np.testing.assert_array_equal(np.flatnonzero(classes.pixel_unconfirmed), [15, 16, 17])
 
 
 # Epsilon and confidences.
@@ -398,26 +398,26 @@ def replace_settings(**changes):
     return SETTINGS.model_copy(update=changes)
 
 
-@pytest.mark.parametrize("fault", ["support", "rougher"])
-def test_a_pair_is_noise_beyond_epsilon_and_not_at_it(fault):
+@pytest.mark.parametrize("criterion", ["support", "rougher"])
+def test_a_pair_is_noise_beyond_epsilon_and_not_at_it(criterion):
     lidar = wall()
-    noise = replace_settings(epsilon=0.5, epsilon_unit="m", fault=fault)
+    noise = replace_settings(epsilon=0.5, epsilon_unit="m", burr_criterion=criterion)
     lidar[20] = 1.5
     assert_classes(classes_of(window_of(lidar, wall_image()), noise))
     lidar[20] = 1.49
     assert_classes(classes_of(window_of(lidar, wall_image()), noise), lidar={20: BURR})
 
 
-@given(seed=st.integers(0, 10_000), fault=st.sampled_from(["support", "rougher"]))
+@given(seed=st.integers(0, 10_000), criterion=st.sampled_from(["support", "rougher"]))
 @settings(max_examples=50)
-def test_confidences_lie_in_0_to_1_and_classes_are_those_of_their_values(seed, fault):
+def test_confidences_lie_in_0_to_1_and_classes_are_those_of_their_values(seed, criterion):
     rng = np.random.default_rng(seed)
     lidar, image = random_frame(rng)
     row = np.where(rng.random(BEAMS) < 0.1, -1, ROW)
     window = window_of(
         lidar, image, row=row, scan_before=scan_of(lidar), scan_after=scan_of(random_frame(rng)[0])
     )
-    classes = classes_of(window, replace_settings(fault=fault))
+    classes = classes_of(window, replace_settings(burr_criterion=criterion))
     for confidence in (classes.lidar_confidence, classes.depth_confidence):
         assert confidence.min() >= 0.0
         assert confidence.max() <= 1.0
@@ -626,7 +626,7 @@ def mirrored_frames(seed):
         seen = [np.ascontiguousarray(view[:, ::sign]) for view in (raw, smooth, before)]
         scan = scan_of(ranges[::sign])
         yield FrameWindow(
-            pairs=along_curve(scan, seen[0], seen[1], camera, T_lidar_camera),
+            pairs=match_along_curve(scan, seen[0], seen[1], camera, T_lidar_camera),
             scan=scan,
             depth_m=seen[0],
             scan_before=scan_of(others[0][::sign]),

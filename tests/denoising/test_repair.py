@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion_core.denoising.correspondence import Correspondence
-from fusion_core.denoising.noise import Classes
+from fusion_core.denoising.noise import Classification
 from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.denoising.repair import RepairSettings, repair
 from fusion_core.model.classes import NoiseClass, RepairSource
@@ -17,7 +17,7 @@ GOOD, HOLE, BURR, CONFLICT = NoiseClass
 RAW, OTHER, NEIGHBOURS, NONE = RepairSource
 STEP_RAD = np.deg2rad(0.5)
 ROW = 30
-SCALE = NoiseScale(floor_m=0.02, share=0.0)
+SCALE = NoiseScale(floor_m=0.02, fraction=0.0)
 # Not the defaults: what is tested here must hold however those are tuned.
 SETTINGS = RepairSettings(
     prefer="smaller_error",
@@ -26,7 +26,7 @@ SETTINGS = RepairSettings(
     max_gap_pixels=24,
     edge_m=0.25,
     farther_confidence=0.7,
-    camera_noise_share=0.5,
+    camera_noise_fraction=0.5,
     depth_burr_confidence=0.5,
     lidar_confidence=0.5,
 )
@@ -63,7 +63,7 @@ def frame(
         residual_m=depth - lidar,
     )
     ones = np.ones(count)
-    classes = Classes(
+    classes = Classification(
         lidar_class=np.array(lidar_class, dtype=np.int64),
         depth_class=np.asarray(more.get("depth_class", np.where(np.isnan(depth), HOLE, GOOD))),
         lidar_confidence=more.get("lidar_confidence", ones.copy()),
@@ -72,7 +72,7 @@ def frame(
         lidar_steady=more.get("lidar_steady", np.zeros(ones.size, dtype=np.bool_)),
         beam_support=np.zeros((count, 3), dtype=np.int64),
         pixel_support=np.zeros((count, 2), dtype=np.int64),
-        pixel_gone=np.zeros(count, dtype=np.bool_),
+        pixel_unconfirmed=np.zeros(count, dtype=np.bool_),
     )
     return pairs, classes
 
@@ -228,7 +228,7 @@ def test_of_two_sources_the_one_with_the_smaller_error_or_always_the_other_senso
     """The error of a gap's own sides grows with its width; at 2 m they tie at about 2.3 degrees."""
     lidar, classes = holes(np.full(60, 2.0), slice(25, 25 + width))
     camera = np.full(60, 2.03)
-    settings_ = changed(camera_noise_share=1.0, prefer=prefer)
+    settings_ = changed(camera_noise_fraction=1.0, prefer=prefer)
     value, source = lidar_repair(lidar, classes, camera=camera, settings=settings_)
     own = prefer == "smaller_error" and width == 3
     assert (source[25 : 25 + width] == (NEIGHBOURS if own else OTHER)).all()

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion_core.denoising.surfaces import smoothed_ranges
+from fusion_core.denoising.surfaces import smooth_ranges
 
 STEP_RAD = np.deg2rad(0.35)
 ANGLES_RAD = np.arange(41) * STEP_RAD - 20 * STEP_RAD
@@ -18,7 +18,7 @@ def wall(distance_m: float, slant_rad: float = 0.0) -> np.ndarray:
 @given(distance_m=st.floats(0.5, 20.0), slant_rad=st.floats(-1.0, 1.0))
 def test_a_wall_without_noise_stays_where_it_is(distance_m: float, slant_rad: float) -> None:
     ranges = wall(distance_m, slant_rad)
-    smooth = smoothed_ranges(ANGLES_RAD, ranges, np.full(41, 0.02))
+    smooth = smooth_ranges(ANGLES_RAD, ranges, np.full(41, 0.02))
     # The inverse range is a cosine; over five beams beside one it is a line to this.
     np.testing.assert_allclose(smooth.range_m, ranges, rtol=2e-3)
 
@@ -28,7 +28,7 @@ def test_on_one_wall_it_is_the_line_through_the_inverse_ranges(seed: int) -> Non
     rng = np.random.default_rng(seed)
     ranges = wall(3.0, 0.4) + np.clip(rng.normal(0.0, 0.01, 41), -0.015, 0.015)
     ranges[rng.random(41) < 0.2] = np.nan
-    smooth = smoothed_ranges(ANGLES_RAD, ranges, np.full(41, 0.02))
+    smooth = smooth_ranges(ANGLES_RAD, ranges, np.full(41, 0.02))
     np.testing.assert_array_equal(np.isnan(smooth.range_m), np.isnan(ranges))
     for beam in np.flatnonzero(np.isfinite(ranges)):
         window = np.arange(max(0, beam - 5), min(41, beam + 6))
@@ -53,7 +53,7 @@ def test_noise_shrinks_on_a_wall_and_an_edge_stays_sharp() -> None:
     for _ in range(200):
         noisy = truth + rng.normal(0.0, 0.02, 41)
         before.append(noisy - truth)
-        after.append(smoothed_ranges(ANGLES_RAD, noisy, sigma).range_m - truth)
+        after.append(smooth_ranges(ANGLES_RAD, noisy, sigma).range_m - truth)
     assert np.std(after) < 0.6 * np.std(before)
     # Nothing of the wall behind reaches the one in front: no error is of the size of the step.
     assert np.abs(after).max() < 0.1

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion_core.model.sensors import LaserScan
-from fusion_core.model.sweep import MAX_BEAMS, ImplausibleSweep, require_sweep
+from fusion_core.model.sweep import MAX_BEAMS, ImplausibleSweep, require_plausible_sweep
 
 # Beams, first angle and step of scanners, some of them as recordings have them.
 SCANNERS = {
@@ -69,7 +69,7 @@ def test_what_no_scanner_sends_is_named(sweep: tuple[int, float, float], named: 
 @given(st.integers(-5, 2 * MAX_BEAMS), st.floats(), st.floats())
 def test_what_is_a_sweep_is_bounded(beams: int, first_rad: float, step_rad: float) -> None:
     try:
-        require_sweep(beams, first_rad, step_rad)
+        require_plausible_sweep(beams, first_rad, step_rad)
     except ImplausibleSweep:
         return
     assert 1 <= beams <= MAX_BEAMS

@@ -21,7 +21,7 @@ from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.robot_at_home.rig import RawScan, laser_scan, stamp_ns_of_ticks
 from fusion_core.recordings.robot_at_home.rooms import list_rooms, open_room
 from fusion_core.recordings.topics import choose_streams
-from fusion_core.workflows.fuse.rig import build_rig
+from fusion_core.workflows.fuse.camera_rig import build_camera_rig
 
 MINUTE_NS = 60 * 10**9
 RGBD = "Robot@Home-dataset_rgbd_data-plain_text"
@@ -155,7 +155,7 @@ def test_streams_are_chosen_for_each_camera(write: Callable[..., Path], room: An
 def test_the_rig_stands_upright_as_published(trees: Any, write: Callable[..., Path]) -> None:
     labels = ["RGBD_1", "RGBD_2", "RGBD_3", "RGBD_4"]
     with open_recording(write(trees.small_room(labels=labels))) as recording:
-        rig = build_rig(recording, choose_streams(recording), SamplingSettings())
+        rig = build_camera_rig(recording, choose_streams(recording), SamplingSettings())
     yaws = [round(np.rad2deg(camera.yaw_rad), 2) for camera in rig.cameras]
     assert yaws == [-45.0, -90.0, 45.0, 0.0]
     for camera in rig.cameras:
@@ -163,10 +163,10 @@ def test_the_rig_stands_upright_as_published(trees: Any, write: Callable[..., Pa
         assert (lens.width, lens.height, lens.fx, lens.fy) == (240, 320, 271.36999, 286.441384)
         # Down in the upright view is down in the rig.
         assert camera.T_rig_camera[2, 1] < -0.99
-    assert rig.recorded is not None
+    assert rig.recorded_mount is not None
     heights = [trees.MOUNTS[label][2] - 0.31 for label in labels]
-    assert rig.recorded.delta_z_m == pytest.approx(np.mean(heights))
-    assert rig.recorded.yaw_rad == pytest.approx(0.0)
+    assert rig.recorded_mount.delta_z_m == pytest.approx(np.mean(heights))
+    assert rig.recorded_mount.yaw_rad == pytest.approx(0.0)
 
 
 def sequences(room: Any, **offsets_ns: int) -> Any:

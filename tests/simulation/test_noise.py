@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fusion_core.model.classes import BURR_LEAST_M, NoiseClass
+from fusion_core.model.classes import SAME_SURFACE_M, NoiseClass
 from fusion_core.simulation import depth_camera, lidar
 from fusion_core.simulation.depth_camera import DepthNoise, DepthView
 from fusion_core.simulation.lidar import LidarNoise, LidarView
@@ -86,7 +86,7 @@ def test_kinds_of_beams_follow_from_their_values(seed):
     sweep = lidar.add_noise(view, noise, LIMITS, np.random.default_rng(seed))
     np.testing.assert_array_equal(np.isnan(sweep.ranges_m), sweep.kinds == NoiseClass.HOLE)
     off = np.abs(sweep.ranges_m - view.true_m) / np.maximum(0.01, 0.01 * view.true_m)
-    surely_off = np.abs(sweep.ranges_m - view.true_m) > BURR_LEAST_M
+    surely_off = np.abs(sweep.ranges_m - view.true_m) > SAME_SURFACE_M
     assert not (surely_off & (off > 5.0) & (sweep.kinds == NoiseClass.GOOD)).any()
     assert off[sweep.kinds == NoiseClass.BURR].min() > 3.0
     assert set(np.unique(sweep.kinds)) == {0, 1, 2}
@@ -103,7 +103,7 @@ def test_kinds_of_pixels_follow_from_their_values(seed):
     image = depth_camera.add_noise(view, noise, np.random.default_rng(seed))
     np.testing.assert_array_equal(np.isnan(image.depth_m), image.kinds == NoiseClass.HOLE)
     off = np.abs(image.depth_m - truth) / depth_camera.sigma_m(truth, noise)
-    surely_off = np.abs(image.depth_m - truth) > BURR_LEAST_M
+    surely_off = np.abs(image.depth_m - truth) > SAME_SURFACE_M
     assert not (surely_off & (off > 6.0) & (image.kinds == NoiseClass.GOOD)).any()
     assert off[image.kinds == NoiseClass.BURR].min() > 3.0
     assert set(np.unique(image.kinds)) == {0, 1, 2}

@@ -8,7 +8,7 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_typestore
 
-from fusion_core.model.classes import BURR_LEAST_M
+from fusion_core.model.classes import SAME_SURFACE_M
 from fusion_core.model.errors import ExportError, SettingsError
 from fusion_core.model.geometry import transform_points
 from fusion_core.recordings.world_file import world_path
@@ -111,7 +111,7 @@ def test_recorded_values_are_those_of_the_truth(recorded, scene):
     np.testing.assert_array_equal(np.isnan(ranges), truth["scan_kind"] == 1)
     good = truth["scan_kind"] == 0
     # Six standard deviations of the worse LiDAR, and half a step.
-    bound_m = np.maximum(0.06 * truth["scan_true"], max(0.06, BURR_LEAST_M)) + 0.001
+    bound_m = np.maximum(0.06 * truth["scan_true"], max(0.06, SAME_SURFACE_M)) + 0.001
     assert (np.abs(ranges - truth["scan_true"]) < bound_m)[good].all()
     topics = truth["camera_topics"].tolist()
     for number, name in enumerate(topics):
@@ -124,7 +124,7 @@ def test_recorded_values_are_those_of_the_truth(recorded, scene):
         np.testing.assert_array_equal(depth_mm == 0, kinds == 1)
         off = np.abs(depth_mm - true_mm.astype(float))[kinds == 0]
         ordinary = 1.0 + 6 * 1.43e-6 * true_mm[kinds == 0].astype(float) ** 2
-        assert (off < np.maximum(ordinary, 1e3 * BURR_LEAST_M + 1.0)).all()
+        assert (off < np.maximum(ordinary, 1e3 * SAME_SURFACE_M + 1.0)).all()
 
 
 def test_late_cameras_show_an_earlier_instant(recorded):

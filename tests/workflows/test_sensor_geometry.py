@@ -9,16 +9,16 @@ from fusion_core.model.errors import MissingStream
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import choose_streams
 from fusion_core.workflows.fuse.pairing import PairedImage, paired_images
-from fusion_core.workflows.fuse.rig import build_rig
-from fusion_core.workflows.fuse.session import fitting_of
+from fusion_core.workflows.fuse.camera_rig import build_camera_rig
+from fusion_core.workflows.fuse.session import fitting_for
 from fusion_core.workflows.sensor_geometry import ScanGeometry, most_common_geometry
 
 
 def run(log):
     with log.open() as recording:
         streams = choose_streams(recording)
-        rig = build_rig(recording, streams, SamplingSettings())
-        fitting = fitting_of(recording, rig)
+        rig = build_camera_rig(recording, streams, SamplingSettings())
+        fitting = fitting_for(recording, rig)
         passes = [
             list(paired_images(recording, streams, rig, fitting, TimeSettings())) for _ in range(2)
         ]
@@ -88,4 +88,4 @@ def test_a_recording_whose_scans_cannot_be_read_has_no_lidar_to_fuse(log, monkey
         recording, "messages", lambda topics: iter(()) if "/scan" in topics else readable(topics)
     )
     with pytest.raises(MissingStream, match="/scan holds no scan that can be read"):
-        build_rig(recording, streams, SamplingSettings())
+        build_camera_rig(recording, streams, SamplingSettings())

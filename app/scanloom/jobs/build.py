@@ -13,8 +13,8 @@ from fusion_core.model.errors import ExportError
 from fusion_core.model.progress import Progress
 from fusion_core.workflows.fuse.export_clouds import CloudExport, export_clouds
 from fusion_core.workflows.fuse.fuse import FuseSummary, fuse
-from fusion_core.workflows.fuse.presets import PRESETS, PresetName, settings_toml
 from fusion_core.workflows.fuse.session import FuseOptions
+from fusion_core.workflows.fuse.settings import PRESETS, PresetName, settings_toml
 from scanloom.state.view import View
 
 MAX_DOWNLOAD_BYTES = 50_000_000

@@ -7,8 +7,8 @@ import viser
 from fusion_core.workflows.fuse.epsilon import (
     EPSILON_UNITS,
     EpsilonUnit,
-    converted,
-    epsilon_in,
+    convert_epsilon,
+    measure_epsilon,
     unit_lengths_m,
 )
 from scanloom.client_session import ClientSession
@@ -95,7 +95,7 @@ class EpsilonControls:
             self._lengths_m = unit_lengths_m(frame_view.match, frame_view.chain.alignment)
         said = ""
         if frame_view.fused is not None:
-            said = epsilon_text(epsilon_in(frame_view.fused), noise.epsilon, noise.epsilon_unit)
+            said = epsilon_text(measure_epsilon(frame_view.fused), noise.epsilon, noise.epsilon_unit)
         update_widget(self._words, content=said)
 
     def _change_unit(self, unit: EpsilonUnit) -> None:
@@ -103,7 +103,7 @@ class EpsilonControls:
         view = self._session.view
         noise = view.settings.noise
         low, high, step = _RANGES[unit]
-        epsilon = converted(noise.epsilon, noise.epsilon_unit, unit, self._lengths_m)
+        epsilon = convert_epsilon(noise.epsilon, noise.epsilon_unit, unit, self._lengths_m)
         # On the slider, as if it had been set there.
         on_slider = min(max(round(epsilon / step) * step, low), high)
         changed = view.with_setting("noise", "epsilon_unit", unit).with_setting(

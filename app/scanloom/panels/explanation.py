@@ -6,7 +6,7 @@ Nothing is guessed: each sentence follows from the numbers that the class or the
 import math
 
 from fusion_core.model.classes import NoiseClass, RepairSource
-from fusion_core.workflows.fuse.presets import ChainSettings
+from fusion_core.workflows.fuse.settings import ChainSettings
 from scanloom.scene.frame_summary import BeamFacts, SampleFacts
 
 _ADJACENT = (
@@ -18,7 +18,7 @@ _ADJACENT = (
 
 def explain_beam_class(facts: BeamFacts, settings: ChainSettings) -> str:
     """Why the beam has its class."""
-    published = settings.noise.fault == "rougher"
+    published = settings.noise.burr_criterion == "rougher"
     support = _beam_support(facts)
     match facts.lidar.noise_class:
         case NoiseClass.HOLE:
@@ -46,7 +46,7 @@ def explain_pixel_class(facts: BeamFacts, settings: ChainSettings) -> str:
     """Why the beam's pixel has its class."""
     if facts.pixel is None:
         return "No pixel: the beam's point lies outside the image."
-    published = settings.noise.fault == "rougher"
+    published = settings.noise.burr_criterion == "rougher"
     support = _pixel_support(facts)
     match facts.pixel.noise_class:
         case NoiseClass.HOLE:

@@ -5,7 +5,7 @@ from typing import get_args
 
 import viser
 
-from fusion_core.workflows.fuse.presets import PresetName
+from fusion_core.workflows.fuse.settings import PresetName
 from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView
 from scanloom.panels.widgets.controls import Controls, update_widget

@@ -7,8 +7,8 @@ from typing import get_args
 import numpy as np
 import viser
 
+from fusion_core.workflows.fuse.cached_chain import mean_field_around
 from fusion_core.workflows.fuse.frame import FrameMatch, curves_at
-from fusion_core.workflows.fuse.live import window_field
 from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView, missing_result_text
 from scanloom.panels.mount_text import mount_text
@@ -80,7 +80,7 @@ class MatchPanel:
             controls.slider("sampling", "row_band", "Rows used, from below", 0.1, 1.0, 0.05)
             controls.slider("search", "min_overlap", "Least overlap", 0.1, 1.0, 0.05)
             controls.checkbox("search", "mask_holes", "Leave holes out")
-            controls.checkbox("search", "partial", "Row may reach beyond the curve")
+            controls.checkbox("search", "allow_partial", "Row may reach beyond the curve")
             controls.checkbox("search", "use_prior", "Search around the recording's u")
         with gui.add_folder("Mount"):
             self._mount = gui.add_markdown("")
@@ -138,7 +138,7 @@ class MatchPanel:
             peak = match.search.peaks.get(metric)
             prior_u, title = alignment.peak.u - match.u_of_rig, f"Frame {view.frame_index}"
             if view.field_scope == "window":
-                field, count = window_field(chain, view.frame_index, view.settings, _WINDOW_FRAMES)
+                field, count = mean_field_around(chain, view.frame_index, view.settings, _WINDOW_FRAMES)
                 title = f"Mean of {count} frames around {view.frame_index}"
         marks = [Mark("prior", prior_u)]
         if peak is not None:
@@ -185,7 +185,7 @@ def _peak_words(frame_view: FrameView, match: FrameMatch) -> str:
         f"Peak **u = {peak.u:.2f}**, **v = {peak.v:.1f}**, score {peak.score:.3f}, "
         f"{_times(peak.ratio)} the runner-up, overlap {peak.overlap:.0%}."
     ]
-    alone = match.search.peaks_alone.get(metric)
+    alone = match.search.peaks_without_prior.get(metric)
     if alone is not None and abs(alone.u - peak.u) > 0.5:
         lines.append(f"Without the recording's u it would be at u = {alone.u:.2f}.")
     if frame_view.view.picked_offset is not None:

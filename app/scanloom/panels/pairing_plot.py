@@ -90,7 +90,7 @@ class GapCurves:
 
     def __init__(self, gaps: PairingGaps, first_ns: int) -> None:
         order = np.argsort(gaps.time_ns, kind="stable")
-        gap_ms, paired = gaps.gap_ms[order], gaps.paired[order]
+        gap_ms, paired = gaps.gap_ms[order], gaps.is_paired[order]
         known_ms = np.abs(gap_ms[paired if paired.any() else np.isfinite(gap_ms)])
         farthest_ms = float(known_ms.max()) if known_ms.size else 0.0
         self.limit_ms = max((1.0 + _MARGIN_FRACTION) * farthest_ms, _LEAST_LIMIT_MS)
@@ -119,8 +119,8 @@ class GapCurves:
 
 
 def _words(gaps: PairingGaps, offset_ms: float, max_gap_ms: float) -> str:
-    without = int((~gaps.paired).sum())
-    known_ms = gaps.gap_ms[gaps.paired]
+    without = int((~gaps.is_paired).sum())
+    known_ms = gaps.gap_ms[gaps.is_paired]
     lines = []
     if known_ms.size:
         lines.append(
@@ -129,7 +129,7 @@ def _words(gaps: PairingGaps, offset_ms: float, max_gap_ms: float) -> str:
         )
     if without:
         lines.append(
-            f"**{without}** of {gaps.paired.size} depth images have no scan within "
+            f"**{without}** of {gaps.is_paired.size} depth images have no scan within "
             f"{max_gap_ms:g} ms and are not fused."
         )
     if offset_ms:

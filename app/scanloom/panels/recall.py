@@ -10,9 +10,9 @@ import viser
 
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.progress import Progress
-from fusion_core.workflows.fuse.epsilon import epsilon_in
+from fusion_core.workflows.fuse.cached_chain import settings_of_match
+from fusion_core.workflows.fuse.epsilon import measure_epsilon
 from fusion_core.workflows.fuse.frame import FusedFrame
-from fusion_core.workflows.fuse.live import settings_of_match
 from fusion_core.workflows.fuse.recall import PAPER_BAND, RecallCurve, recall_of, truth_beside
 from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView, as_failure, clock_offset_ms, failure_summary
@@ -169,7 +169,7 @@ class RecallPanel:
             self._session.refresh()
 
     def _show_curve(self, curve: RecallCurve, fused: FusedFrame | None) -> None:
-        said = None if fused is None else epsilon_in(fused)
+        said = None if fused is None else measure_epsilon(fused)
         factor = float("nan") if said is None or not said.E_m > 0.0 else said.middle_m / said.E_m
         marked = factor if _is_in_plot(curve, factor) else float("nan")
         before, at = self._plotted

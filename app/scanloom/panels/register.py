@@ -5,10 +5,10 @@ import viser
 
 from fusion_core.model.conventions import ByteArray
 from fusion_core.workflows.fuse.frame import FrameMatch
-from fusion_core.workflows.fuse.registration_view import (
+from fusion_core.workflows.fuse.registration_details import (
     PlanarPairs,
     Registration,
-    consensus_of,
+    consensus_probabilities,
     draw_at,
     meaning_of_registration,
     planar_pairs,
@@ -124,9 +124,9 @@ class RegisterPanel:
 
     def _show_pairs(self, match: FrameMatch, axes: tuple[str, str]) -> None:
         """Fig. 5, and A in words. Epsilon changes neither."""
-        if self._drawn_pairs is match.pairs:
+        if self._drawn_pairs is match.correspondence:
             return
-        self._drawn_pairs = match.pairs
+        self._drawn_pairs = match.correspondence
         found, pairs = match.registration, planar_pairs(match)
         plots = _before_and_after(pairs)
         height_px = _PAIRS_PX if len(plots) > 1 else _DRAW_PX
@@ -141,7 +141,7 @@ class RegisterPanel:
         )
         update_widget(self._matrix, content=registration_text.matrix_text(found.A))
         update_widget(
-            self._consensus, content=registration_text.consensus_text(found, consensus_of(found))
+            self._consensus, content=registration_text.consensus_text(found, consensus_probabilities(found))
         )
 
     def _show_draw(self, found: Registration, index: int, axes: tuple[str, str]) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 
 from fusion_core.model.conventions import FloatArray
 from fusion_core.workflows.fuse.epsilon import EpsilonInFrame, EpsilonUnit
-from fusion_core.workflows.fuse.registration_view import (
+from fusion_core.workflows.fuse.registration_details import (
     Consensus,
-    DrawShown,
+    RansacDraw,
     Registration,
     TransformDecomposition,
 )
@@ -73,7 +73,7 @@ def failure_text(refusal: str) -> str:
     )
 
 
-def draw_text(draw: DrawShown, found: Registration) -> str:
+def draw_text(draw: RansacDraw, found: Registration) -> str:
     """One draw, beside the best one and beside what became of it."""
     count, best = len(found.draws), found.best_draw
     mark = " ★ **the best draw**" if draw.index == best else ""
@@ -99,10 +99,10 @@ def consensus_text(found: Registration, consensus: Consensus) -> str:
     """Why so many draws are enough."""
     n, count = found.draws.sample_size, len(found.draws)
     return (
-        f"{_percent(consensus.share, 0)} of the pairs are inliers (c), so a draw of n = {n} holds "
-        f"nothing else with probability cⁿ = {_probability(consensus.clean)}; at least one of "
-        f"{count} draws did with {_probability(consensus.clean_once)}. "
-        f"Best is draw {found.best_draw}."
+        f"{_percent(consensus.inlier_fraction, 0)} of the pairs are inliers (c), so a draw of "
+        f"n = {n} holds nothing else with probability cⁿ = "
+        f"{_probability(consensus.clean_probability)}; at least one of {count} draws did with "
+        f"{_probability(consensus.any_clean_probability)}. Best is draw {found.best_draw}."
     )
 
 

@@ -4,7 +4,7 @@ import math
 
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.workflows.fuse.frame import FusedFrame
-from fusion_core.workflows.fuse.presets import ChainSettings
+from fusion_core.workflows.fuse.settings import ChainSettings
 from scanloom.panels.explanation import (
     explain_beam_class,
     explain_beam_repair,

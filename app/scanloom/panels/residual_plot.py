@@ -7,7 +7,7 @@ import viser
 
 from fusion_core.model.classes import NoiseClass
 from fusion_core.workflows.fuse.frame import FusedFrame
-from fusion_core.workflows.fuse.registration_view import ResidualCurve, residual_curve
+from fusion_core.workflows.fuse.registration_details import ResidualCurve, residual_curve
 from scanloom.panels.widgets.controls import update_widget
 from scanloom.plots.line_plot import NEUTRAL, PlotLabels, add_line_plot, dots, line, no_data
 from scanloom.plots.palette import class_color

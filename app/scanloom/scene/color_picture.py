@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 
 from fusion_core.model.conventions import ByteArray
-from fusion_core.workflows.fuse.rig import Rig
+from fusion_core.workflows.fuse.camera_rig import CameraRig
 
 
-def upright_color(rgb: ByteArray, rig: Rig, camera: int, most_px: int = 320) -> ByteArray:
+def upright_color(rgb: ByteArray, rig: CameraRig, camera: int, most_px: int = 320) -> ByteArray:
     """A stored colour image as the camera's upright view has it, at most ``most_px`` wide: turned
     as the depth is, and cut to the columns that are used."""
     view = rig.views[camera]

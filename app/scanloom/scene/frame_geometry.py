@@ -22,9 +22,9 @@ from fusion_core.model.geometry import (
 )
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import LaserScan
-from fusion_core.workflows.fuse.align import Alignment, T_lidar_camera_at
+from fusion_core.workflows.fuse.align import RecordingAlignment, T_lidar_camera_at
+from fusion_core.workflows.fuse.camera_rig import CameraRig
 from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
-from fusion_core.workflows.fuse.rig import Rig
 from scanloom.scene.geometry import (
     NO_SEGMENTS,
     Frustum,
@@ -81,8 +81,8 @@ class FrameGeometry:
 
 def frame_geometry(
     frame: FrameMatch,
-    rig: Rig,
-    alignment: Alignment,
+    rig: CameraRig,
+    alignment: RecordingAlignment,
     *,
     row_step: int,
     classes: frozenset[NoiseClass] = frozenset(NoiseClass),
@@ -93,7 +93,7 @@ def frame_geometry(
     camera = rig.cameras[frame.camera]
     T_lidar_camera = camera_pose(frame, rig, alignment)
     rows_m, rows_depth_m = ridge_lines(frame.depth_m, camera, T_lidar_camera, row_step)
-    pixels_m = pixel_points(frame, camera, T_lidar_camera, frame.pairs.depth_m)
+    pixels_m = pixel_points(frame, camera, T_lidar_camera, frame.correspondence.depth_m)
     pairs_m, pairs_class = NO_SEGMENTS, _NO_CODES
     moved_m, moved_class, filled_m, filled_class = NO_SEGMENTS, _NO_CODES, _NO_POINTS, _NO_CODES
     if isinstance(frame, FusedFrame):
@@ -126,8 +126,8 @@ def unmatched_geometry(
     stamp_ns: int,
     depth_m: Float32Array,
     scan: LaserScan | None,
-    rig: Rig,
-    alignment: Alignment,
+    rig: CameraRig,
+    alignment: RecordingAlignment,
     *,
     row_step: int,
 ) -> FrameGeometry:
@@ -155,7 +155,7 @@ def unmatched_geometry(
     )
 
 
-def camera_pose(frame: FrameMatch, rig: Rig, alignment: Alignment) -> FloatArray:
+def camera_pose(frame: FrameMatch, rig: CameraRig, alignment: RecordingAlignment) -> FloatArray:
     """(4, 4) T_lidar_camera at which a frame is drawn.
 
     Along the curve it is the mount's. Pairs in a row know the yaw alone, and take the camera for
@@ -163,7 +163,7 @@ def camera_pose(frame: FrameMatch, rig: Rig, alignment: Alignment) -> FloatArray
     (its median does).
     """
     camera = rig.cameras[frame.camera]
-    pairs = frame.pairs
+    pairs = frame.correspondence
     if frame.row_model == "curve" or not pairs.beam.size:
         return T_lidar_camera_at(camera, alignment.mount, frame.turned_rad)
     lens = camera.intrinsics
@@ -186,7 +186,7 @@ def pixel_points(
     Along the curve they stand where the camera sees them. Pairs in a row compare horizontal ranges
     on a beam; their pixels stand on the beam, at the range to which A carries them.
     """
-    pairs = frame.pairs
+    pairs = frame.correspondence
     if frame.row_model == "curve":
         rays = camera.rays(pairs.row, pairs.column)
         inside = np.where(pairs.row >= 0, depth_m, np.nan)
@@ -207,7 +207,7 @@ def pair_segments(
     A pair is what its worse side is: a burr before a conflict, a conflict before good. Where a
     side is a hole there is no line.
     """
-    pairs, judged = frame.pairs, frame.classes
+    pairs, judged = frame.correspondence, frame.classes
     segments = np.stack([points_in_plane(pairs.azimuth_rad, pairs.lidar_range_m), pixels_m], axis=1)
     code = np.full(pairs.beam.size, int(NoiseClass.GOOD))
     for worse in (NoiseClass.CONFLICT, NoiseClass.BURR):
@@ -224,7 +224,7 @@ def repairs(
 ) -> tuple[Segments, IntArray, Float32Array, IntArray]:
     """What was repaired, of beams and pixels alike: (N, 2, 3) from raw to repaired where there was
     a value, (M, 3) points where there was none, each with its classes."""
-    pairs, repair, judged = frame.pairs, frame.repair, frame.classes
+    pairs, repair, judged = frame.correspondence, frame.repair, frame.classes
     before = [
         points_in_plane(pairs.azimuth_rad, pairs.lidar_range_m),
         pixel_points(frame, camera, T_lidar_camera, pairs.depth_m),
@@ -253,7 +253,7 @@ def _ranges_m(frame: FrameMatch, repaired: bool) -> FloatArray:
     if not repaired or not isinstance(frame, FusedFrame):
         return frame.scan.ranges_m
     ranges_m = frame.scan.ranges_m.copy()
-    ranges_m[frame.pairs.beam] = frame.repair.lidar_range_m
+    ranges_m[frame.correspondence.beam] = frame.repair.lidar_range_m
     return ranges_m
 
 

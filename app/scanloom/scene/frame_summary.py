@@ -98,7 +98,7 @@ def counts_of_pixels(frame: FusedFrame) -> Counts:
 
 def conflict_runs(frame: FusedFrame) -> list[ConflictRun]:
     """The conflicts of a frame, those first that disagree most."""
-    pairs = frame.pairs
+    pairs = frame.correspondence
     index = np.flatnonzero(frame.classes.lidar_class == NoiseClass.CONFLICT)
     if not index.size:
         return []
@@ -120,7 +120,7 @@ def conflict_runs(frame: FusedFrame) -> list[ConflictRun]:
 
 def facts_of_beam(frame: FusedFrame, beam: int) -> BeamFacts | None:
     """What is known of a beam of the scan, None where it is outside of the camera's view."""
-    pairs, classes, repair = frame.pairs, frame.classes, frame.repair
+    pairs, classes, repair = frame.correspondence, frame.classes, frame.repair
     found = np.flatnonzero(pairs.beam == beam)
     if not found.size:
         return None
@@ -162,7 +162,7 @@ def facts_of_beam(frame: FusedFrame, beam: int) -> BeamFacts | None:
         supporters=(near, beyond, in_time),
         pixel_supporters=(around, valid),
         steady=bool(classes.lidar_steady[at]),
-        pixel_gone=bool(classes.pixel_gone[at]),
+        pixel_gone=bool(classes.pixel_unconfirmed[at]),
     )
 
 

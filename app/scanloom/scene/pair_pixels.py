@@ -46,7 +46,7 @@ class PairPixels:
 
 def pixels_of_match(match: FrameMatch) -> PairPixels:
     """The pairs of a frame before its classes are known, or with those that it has."""
-    pairs = match.pairs
+    pairs = match.correspondence
     noise_class = np.full(pairs.beam.size, -1)
     repaired = np.zeros(pairs.beam.size, dtype=np.bool_)
     if isinstance(match, FusedFrame):
@@ -65,6 +65,6 @@ def repaired_depth_m(frame: FusedFrame) -> Float32Array:
     """(H, W) upright view with the repaired pixels of the pairs."""
     depth_m = frame.depth_m.copy()
     changed = frame.pixel_changed
-    row, column = frame.pairs.row[changed], frame.pairs.column[changed]
+    row, column = frame.correspondence.row[changed], frame.correspondence.column[changed]
     depth_m[row, column] = frame.repair.depth_m[changed]
     return depth_m

@@ -7,12 +7,12 @@ from functools import cached_property
 
 from fusion_core.model.errors import RecordingError, ScanLoomError
 from fusion_core.model.progress import Progress
-from fusion_core.workflows.fuse.align import Alignment
+from fusion_core.workflows.fuse.align import RecordingAlignment
+from fusion_core.workflows.fuse.cached_chain import CachedChain
 from fusion_core.workflows.fuse.frame_reader import FrameReader
-from fusion_core.workflows.fuse.live import LiveChain
 from fusion_core.workflows.fuse.pairing_gaps import PairingStamps
 from fusion_core.workflows.fuse.recall import RecallCurve
-from fusion_core.workflows.fuse.session import Session, align_session
+from fusion_core.workflows.fuse.session import Session, align_recording
 from fusion_core.workflows.recorded_poses import PoseLookup, recorded_poses
 from scanloom.jobs.fair_semaphore import FairSemaphore
 from scanloom.jobs.long_job import LongJob
@@ -47,7 +47,7 @@ class OpenRecording:
         # Whether its files are no longer those that were opened: it must be opened again.
         self.is_outdated = False
         self.frames = FrameReader(session)
-        self.chain: LiveChain | None = None
+        self.chain: CachedChain | None = None
         self.failure: Exception | None = None
         self.pairing: PairingStamps | None = None
         self.recalls: dict[Hashable, RecallCurve] = {}
@@ -113,14 +113,14 @@ class OpenRecording:
         """Whether the alignment ended within the time, or had never begun."""
         return self._job is None or self._job.wait(timeout_s)
 
-    def _work(self, progress: Progress) -> Alignment:
+    def _work(self, progress: Progress) -> RecordingAlignment:
         stamps = PairingStamps()
         try:
             with self._turns.taken(lambda: progress(0, None, "waiting for other alignments")):
-                return align_session(self.fuse_session, progress, stamps)
+                return align_recording(self.fuse_session, progress, stamps)
         finally:
             # Where nothing can be aligned, the stamps may show why.
-            if stamps.complete:
+            if stamps.is_complete:
                 self.pairing = stamps
 
     def _advance(self, done: int, total: int | None, what: str) -> None:
@@ -130,7 +130,7 @@ class OpenRecording:
             self._tell()
 
     def _finish(self, alignment: object) -> None:
-        self.chain = LiveChain(self.fuse_session, self.frames, alignment)  # type: ignore[arg-type]  # a job's result is of any type
+        self.chain = CachedChain(self.fuse_session, self.frames, alignment)  # type: ignore[arg-type]  # a job's result is of any type
         self._tell()
 
     def _fail(self, error: Exception) -> None:

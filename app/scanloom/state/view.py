@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.errors import SettingsError
 from fusion_core.settings import under_current_names
-from fusion_core.workflows.fuse.presets import PRESETS, ChainSettings, PresetName
+from fusion_core.workflows.fuse.settings import PRESETS, ChainSettings, PresetName
 from scanloom.state.slam_choices import SlamChoices
 
 PanelName = Literal["Recording", "Match", "Register", "Repair", "Map"]

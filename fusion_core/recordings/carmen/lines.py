@@ -21,7 +21,7 @@ import numpy as np
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.geometry import POSITION_MAX_M
 from fusion_core.model.sensors import LaserScan
-from fusion_core.model.sweep import ImplausibleSweep, require_sweep
+from fusion_core.model.sweep import ImplausibleSweep, require_plausible_sweep
 from fusion_core.recordings.decimal_time import ns_from_decimal_seconds
 from fusion_core.recordings.decode import ranges_m
 
@@ -150,7 +150,7 @@ def laser_scan(
         range_max_m = defaults.range_max_m or SICK_FIRST_CODE_M
         limit_m = min(range_max_m, SICK_FIRST_CODE_M)
     try:
-        require_sweep(count, start_rad, increment_rad)
+        require_plausible_sweep(count, start_rad, increment_rad)
     except ImplausibleSweep as error:
         raise BadLine(f"is no scan: {error.problem}") from None
     if not range_max_m > 0.0:

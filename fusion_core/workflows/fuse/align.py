@@ -6,7 +6,6 @@ from typing import get_args
 
 import numpy as np
 
-from fusion_core.alignment.agreement import MountFrame, mount_frame
 from fusion_core.alignment.curves import (
     CurveSampling,
     RowSampling,
@@ -18,21 +17,22 @@ from fusion_core.alignment.curves import (
     yaw_of_offset_rad,
 )
 from fusion_core.alignment.mount import MountEstimate, estimate_mount, frame_yaw_offset_rad
+from fusion_core.alignment.mount_cost import MountObservation, mount_observation
 from fusion_core.alignment.panorama import Panorama
-from fusion_core.alignment.search import FieldMean, Peak, SearchSettings, find_peak
+from fusion_core.alignment.search import MeanField, Peak, SearchSettings, find_peak
 from fusion_core.alignment.similarity import Metric, SimilarityField, similarity_fields
-from fusion_core.alignment.time import turn_rate_rad_s
-from fusion_core.denoising.correspondence import along_curve
-from fusion_core.denoising.noise_scale import STATED, NoiseScale, learn_noise_scale
+from fusion_core.alignment.time import estimate_turn_rate_rad_s
+from fusion_core.denoising.correspondence import match_along_curve
+from fusion_core.denoising.noise_scale import DATASHEET_SCALE, NoiseScale, learn_noise_scale
 from fusion_core.model.conventions import NS_PER_MS, Float32Array, FloatArray
 from fusion_core.model.errors import AlignmentFailed, SettingsError
 from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.model.progress import Progress
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import DepthImage, LaserScan
+from fusion_core.workflows.fuse.camera_rig import CameraRig
 from fusion_core.workflows.fuse.pairing import PairedImage
-from fusion_core.workflows.fuse.presets import ChainSettings
-from fusion_core.workflows.fuse.rig import Rig
+from fusion_core.workflows.fuse.settings import ChainSettings
 
 METRICS: tuple[Metric, ...] = get_args(Metric)
 
@@ -41,7 +41,7 @@ _FIELD_FRAMES = 400
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Alignment:
+class RecordingAlignment:
     """What pass 1 found. ``estimate`` is None where the pairs are taken frame by frame.
 
     ``curve`` and ``row`` sample the recording's field (a panorama's where there are several
@@ -64,7 +64,7 @@ class Alignment:
     @property
     def along_curve(self) -> bool:
         """Whether pairs lie along the projected curve (else in the row)."""
-        return self.estimate is not None and self.estimate.confident
+        return self.estimate is not None and self.estimate.is_confident
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -75,7 +75,7 @@ class Alignment:
         if estimate.refusal:
             found = "The mount is found from scans and images instead."
             return (f"{mount_not_used(estimate.refusal)} {found}",)
-        if estimate.from_recorded and not estimate.confident:
+        if estimate.is_from_recorded and not estimate.is_confident:
             yaw = "; its yaw is not observable" if estimate.mount.sd[0] is None else ""
             return (
                 "The recorded mount is used, but scans and images do not confirm it: "
@@ -118,7 +118,7 @@ def search_rows(
         searched_m,
         metrics=tuple(metrics),
         min_overlap=settings.search.min_overlap,
-        partial=settings.search.partial or rows_m.shape[1] > curve_m.size,
+        partial=settings.search.allow_partial or rows_m.shape[1] > curve_m.size,
     )
     return {metric: _below(field, first) for metric, field in fields.items()}
 
@@ -137,14 +137,14 @@ def _below(field: SimilarityField, first: int) -> SimilarityField:
 
 def align(
     pairs: Callable[[], Iterable[LaserScan | PairedImage]],
-    rig: Rig,
+    rig: CameraRig,
     settings: ChainSettings,
     image_count: int,
     progress: Progress,
     *,
     depth_of: Callable[[int, Float32Array], Float32Array],
     refine: bool = True,
-) -> Alignment:
+) -> RecordingAlignment:
     """Search the offset over the recording, then refine the mount around it.
 
     ``pairs`` starts a new pass over the recording; ``depth_of(camera, stored)`` gives the upright
@@ -171,7 +171,7 @@ def align(
     peak = known[metric]
     mount = Mount(yaw_rad=yaw_rad, sd=(np.deg2rad(1.0), *(None,) * 5))
     estimate = None
-    scale = STATED
+    scale = DATASHEET_SCALE
     calibrated = all(camera.calibrated for camera in rig.cameras)
     if refine and calibrated and settings.pairing == "mount":
 
@@ -182,14 +182,14 @@ def align(
             collected.kept,
             settings.mount,
             yaw_rad=yaw_rad,
-            recorded=rig.recorded,
+            recorded=rig.recorded_mount,
             on_step=on_step,
         )
         mount = estimate.mount
         u = offset_of_yaw(mount.yaw_rad, collected.curve, collected.row.left_rad)
         peak = _peak_at(fields[metric], peak, u, settings.search)
         scale = _scale_of(collected.kept, mount, settings, on_step)
-    return Alignment(
+    return RecordingAlignment(
         fields=fields,
         peaks=known,
         peak=peak,
@@ -198,7 +198,7 @@ def align(
         row=collected.row,
         mount=mount,
         estimate=estimate,
-        scale=scale.with_steps(rig.depth_quantum_m),
+        scale=scale.with_quantization(rig.depth_quantum_m),
         lidar=collected.scan,
         frames=collected.mean.frames,
     )
@@ -218,8 +218,8 @@ class _Collected:
     """What one pass over the recording keeps: mean fields and a bounded subset of pairs."""
 
     def __init__(self, row: RowSampling) -> None:
-        self.mean = FieldMean()
-        self.kept: list[MountFrame] = []
+        self.mean = MeanField()
+        self.kept: list[MountObservation] = []
         self.curve: CurveSampling | None = None
         self.row = row
         self.scan: LaserScan | None = None
@@ -232,7 +232,7 @@ class _Collected:
 
 def _collect(
     pairs: Iterable[LaserScan | PairedImage],
-    rig: Rig,
+    rig: CameraRig,
     settings: ChainSettings,
     image_count: int,
     progress: Progress,
@@ -264,12 +264,12 @@ def _collect(
         collected.with_returns |= bool(np.isfinite(scan.ranges_m).any())
         if seen[entry.camera] % keep_every == 0:
             collected.kept.append(
-                mount_frame(
+                mount_observation(
                     rig.cameras[entry.camera],
                     scan,
                     depth_of(entry.camera, entry.image.depth_m),
                     scan.stamp_ns + entry.gap_ns,
-                    turn_rate_rad_s(entry.window, settings.time),
+                    estimate_turn_rate_rad_s(entry.window, settings.time),
                 )
             )
         latest[entry.camera] = entry.image
@@ -305,7 +305,7 @@ def T_lidar_camera_at(camera: Camera, mount: Mount, turned_rad: float) -> FloatA
     return T_lidar_camera
 
 
-def turned_rad(frame: MountFrame, mount: Mount, settings: ChainSettings) -> float:
+def turned_rad(frame: MountObservation, mount: Mount, settings: ChainSettings) -> float:
     """Turn of the LiDAR from the scan's stamp to the image's, as the stamps say, corrected by the
     frame's own check against the mount."""
     stamped = frame.turn_rate_rad_s * frame.image_after_scan_s
@@ -319,7 +319,7 @@ def turned_rad(frame: MountFrame, mount: Mount, settings: ChainSettings) -> floa
 
 
 def _scale_of(
-    kept: list[MountFrame],
+    kept: list[MountObservation],
     mount: Mount,
     settings: ChainSettings,
     on_step: Callable[[], None],
@@ -330,7 +330,7 @@ def _scale_of(
     for frame in kept:
         on_step()
         turned = turned_rad(frame, mount, settings)
-        pairs = along_curve(
+        pairs = match_along_curve(
             frame.scan,
             frame.raw_depth_m,
             frame.depth_m,

@@ -6,15 +6,15 @@ from typing import Literal, get_args
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray
-from fusion_core.workflows.fuse.align import Alignment
+from fusion_core.workflows.fuse.align import RecordingAlignment
 from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
-from fusion_core.workflows.fuse.presets import PRESETS
+from fusion_core.workflows.fuse.settings import PRESETS
 
 EpsilonUnit = Literal["sigma", "E", "m"]
 EPSILON_UNITS: tuple[EpsilonUnit, ...] = get_args(EpsilonUnit)
 
 # Where a unit has no length in a frame: the presets' own, and 10 cm.
-_USUAL: dict[EpsilonUnit, float] = {
+_DEFAULT_EPSILON: dict[EpsilonUnit, float] = {
     "m": 0.10,
     **{preset.noise.epsilon_unit: preset.noise.epsilon for preset in PRESETS.values()},
 }
@@ -39,7 +39,7 @@ class EpsilonInFrame:
         return self.E_m, float(np.sqrt(2.0)) * self.E_m
 
 
-def unit_lengths_m(match: FrameMatch, alignment: Alignment) -> dict[EpsilonUnit, float]:
+def unit_lengths_m(match: FrameMatch, alignment: RecordingAlignment) -> dict[EpsilonUnit, float]:
     """The length of each unit in a frame: the median sigma over its pairs, its E, and 1.
 
     A unit that has none, as E without a registration, is absent.
@@ -48,26 +48,26 @@ def unit_lengths_m(match: FrameMatch, alignment: Alignment) -> dict[EpsilonUnit,
     found = match.registration
     if found is not None and np.isfinite(found.mean_error_m) and found.mean_error_m > 0.0:
         lengths["E"] = found.mean_error_m
-    ranges_m = match.pairs.lidar_range_m[np.isfinite(match.pairs.residual_m)]
+    ranges_m = match.correspondence.lidar_range_m[np.isfinite(match.correspondence.residual_m)]
     if ranges_m.size:
-        lengths["sigma"] = float(np.median(alignment.scale.at(ranges_m)))
+        lengths["sigma"] = float(np.median(alignment.scale.sigma_at(ranges_m)))
     return lengths
 
 
-def converted(
+def convert_epsilon(
     epsilon: float, old: EpsilonUnit, new: EpsilonUnit, lengths_m: dict[EpsilonUnit, float]
 ) -> float:
     """Epsilon in another unit with about the same length; the usual one where a unit has none."""
     if old == new:
         return epsilon
     if old not in lengths_m or new not in lengths_m:
-        return _USUAL[new]
+        return _DEFAULT_EPSILON[new]
     return epsilon * lengths_m[old] / lengths_m[new]
 
 
-def epsilon_in(frame: FusedFrame) -> EpsilonInFrame:
+def measure_epsilon(frame: FusedFrame) -> EpsilonInFrame:
     """What the threshold is in a frame, and how many pairs disagree by more."""
-    compared = np.isfinite(frame.pairs.residual_m)
+    compared = np.isfinite(frame.correspondence.residual_m)
     epsilon_m: FloatArray = frame.classes.epsilon_m[compared]
     E_m = float("nan") if frame.registration is None else frame.registration.mean_error_m
     known = bool(epsilon_m.size)
@@ -75,7 +75,7 @@ def epsilon_in(frame: FusedFrame) -> EpsilonInFrame:
         middle_m=frame.epsilon_m,
         least_m=float(epsilon_m.min()) if known else float("nan"),
         greatest_m=float(epsilon_m.max()) if known else float("nan"),
-        beyond=int((np.abs(frame.pairs.residual_m[compared]) > epsilon_m).sum()),
+        beyond=int((np.abs(frame.correspondence.residual_m[compared]) > epsilon_m).sum()),
         compared=int(compared.sum()),
         E_m=E_m,
     )

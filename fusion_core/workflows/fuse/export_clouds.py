@@ -21,8 +21,8 @@ from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.recordings.formats import open_recording
-from fusion_core.workflows.fuse.presets import chain_settings
 from fusion_core.workflows.fuse.session import FuseOptions, Session, open_session
+from fusion_core.workflows.fuse.settings import chain_settings
 from fusion_core.workflows.recorded_poses import PoseLookup, recorded_poses
 from fusion_core.workflows.source import input_files, open_source
 

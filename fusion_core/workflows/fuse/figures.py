@@ -39,7 +39,7 @@ from fusion_core.model.names import escape_undecodable
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import ColorImage
 from fusion_core.workflows.evaluate import evaluate
-from fusion_core.workflows.fuse.align import Alignment
+from fusion_core.workflows.fuse.align import RecordingAlignment
 from fusion_core.workflows.fuse.frame import FusedFrame, curves_at
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class FigureCollector:
     half and a registration, the earliest of equal ones; where there is none, the same among all.
     """
 
-    def __init__(self, alignment: Alignment) -> None:
+    def __init__(self, alignment: RecordingAlignment) -> None:
         self._alignment = alignment
         self._rank = (False, -1)
         self.showcase: FusedFrame | None = None
@@ -80,7 +80,7 @@ class FigureCollector:
 
     def add(self, frame: FusedFrame) -> None:
         """Take note of one frame."""
-        self.scores[score_range(frame.search.peaks_alone.get("pearson"))] += 1
+        self.scores[score_range(frame.search.peaks_without_prior.get("pearson"))] += 1
         peak = frame.search.peaks.get(self._alignment.metric)
         is_sound = frame.registration is not None and peak is not None and peak.overlap >= 0.5
         rank = (is_sound, _repaired_count(frame))
@@ -107,7 +107,7 @@ def _repaired_count(frame: FusedFrame) -> int:
 def write_figures(
     folder: Path,
     session: "Session",
-    alignment: Alignment,
+    alignment: RecordingAlignment,
     collected: FigureCollector,
     grids: dict[str, OccupancyGrid],
     *,
@@ -175,7 +175,7 @@ def _write_similarity(
     folder: Path,
     heading: str,
     session: "Session",
-    alignment: Alignment,
+    alignment: RecordingAlignment,
     frame: FusedFrame | None,
 ) -> None:
     cameras = session.rig.cameras
@@ -191,7 +191,7 @@ def _write_similarity(
         panel = curves = None
         if frame is not None:
             camera = cameras[frame.camera]
-            peak = frame.search.peaks_alone.get(metric)
+            peak = frame.search.peaks_without_prior.get(metric)
             panel = _field_panel(frame.search.fields[metric], peak, frame.curve, frame.row, camera)
             if peak is not None:
                 lidar_m, depth_m = curves_at(
@@ -236,7 +236,7 @@ def _frame_name(session: "Session", frame: FusedFrame) -> str:
 def _write_showcase(folder: Path, heading: str, session: "Session", frame: FusedFrame) -> None:
     about = f"{heading}\n{_frame_name(session, frame)}"
     found = _color_near(session, frame)
-    color = None if found is None else upright_color(found.rgb, session.rig.views[frame.camera])
+    color = None if found is None else remap_color(found.rgb, session.rig.views[frame.camera])
     after_ms = None if found is None else (found.stamp_ns - frame.stamp_ns) / NS_PER_MS
     write_aligned(
         folder / "fig3_aligned.png",
@@ -247,7 +247,7 @@ def _write_showcase(folder: Path, heading: str, session: "Session", frame: Fused
         depth_stamp_ns=frame.stamp_ns,
         scan=frame.scan,
         gap_ns=frame.gap_ns,
-        beams_in_view=frame.pairs.beam,
+        beams_in_view=frame.correspondence.beam,
         nominal=session.recording.stamps_are_nominal,
     )
     by_sample = session.settings.pairing == "frame"
@@ -269,19 +269,19 @@ def _write_showcase(folder: Path, heading: str, session: "Session", frame: Fused
             ),
         )
     curve = RepairedCurve(
-        azimuth_rad=frame.pairs.azimuth_rad,
-        row=frame.pairs.row,
-        column=frame.pairs.column,
-        lidar_m=frame.pairs.lidar_range_m,
+        azimuth_rad=frame.correspondence.azimuth_rad,
+        row=frame.correspondence.row,
+        column=frame.correspondence.column,
+        lidar_m=frame.correspondence.lidar_range_m,
         lidar_repaired_m=frame.repair.lidar_range_m,
         lidar_class=frame.classes.lidar_class,
         lidar_source=frame.repair.lidar_source,
-        depth_m=frame.pairs.depth_m,
+        depth_m=frame.correspondence.depth_m,
         depth_repaired_m=frame.repair.depth_m,
         depth_class=frame.classes.depth_class,
         depth_source=frame.repair.depth_source,
-        depth_as_range_m=frame.pairs.depth_as_range_m,
-        camera_range_m=frame.pairs.camera_range_m,
+        depth_as_range_m=frame.correspondence.depth_as_range_m,
+        camera_range_m=frame.correspondence.camera_range_m,
     )
     write_repair(
         folder / "fig7_repair.png",
@@ -325,7 +325,7 @@ def _color_near(session: "Session", frame: FusedFrame) -> ColorImage | None:
     return nearest
 
 
-def upright_color(rgb: ByteArray, view: UprightView) -> ByteArray:
+def remap_color(rgb: ByteArray, view: UprightView) -> ByteArray:
     """A colour image as the depth view shows it: pixel by pixel where both have one size, else
     only turned upright."""
     if rgb.shape[:2] != view.stored_shape:

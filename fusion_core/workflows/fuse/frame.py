@@ -4,7 +4,6 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from fusion_core.alignment.agreement import mount_frame
 from fusion_core.alignment.curves import (
     CurveSampling,
     RowSampling,
@@ -15,19 +14,20 @@ from fusion_core.alignment.curves import (
     sample_row,
     yaw_of_offset_rad,
 )
+from fusion_core.alignment.mount_cost import mount_observation
 from fusion_core.alignment.search import Peak
-from fusion_core.alignment.time import ScanWindow, turn_rate_rad_s
+from fusion_core.alignment.time import ScanWindow, estimate_turn_rate_rad_s
 from fusion_core.denoising.correspondence import (
     Correspondence,
     RowModel,
-    along_curve,
-    by_sample,
-    compared,
-    in_row,
-    mapped,
+    compare_samples,
+    map_through_A,
+    match_along_curve,
+    match_by_sample,
+    match_in_row,
     planar_points,
 )
-from fusion_core.denoising.noise import Classes, FrameWindow, classify
+from fusion_core.denoising.noise import Classification, FrameWindow, classify
 from fusion_core.denoising.repair import Repair, repair
 from fusion_core.model.conventions import NS_PER_S, BoolArray, Float32Array, FloatArray
 from fusion_core.model.errors import AlignmentFailed, RegistrationFailed
@@ -35,10 +35,10 @@ from fusion_core.model.geometry import transform_points
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.registration.ransac import Registration, register
-from fusion_core.workflows.fuse.align import Alignment, T_lidar_camera_at, turned_rad
-from fusion_core.workflows.fuse.frame_search import FrameSearch, search_frame
-from fusion_core.workflows.fuse.presets import ChainSettings
-from fusion_core.workflows.fuse.rig import Rig
+from fusion_core.workflows.fuse.align import RecordingAlignment, T_lidar_camera_at, turned_rad
+from fusion_core.workflows.fuse.camera_rig import CameraRig
+from fusion_core.workflows.fuse.offset_search import OffsetSearch, search_offset
+from fusion_core.workflows.fuse.settings import ChainSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,12 +64,12 @@ class FrameMatch:
     turn_rate_rad_s: float
     curve: CurveSampling
     row: RowSampling
-    search: FrameSearch
+    search: OffsetSearch
     u_of_rig: float
     row_model: RowModel
     registration: Registration | None
     refusal: str
-    pairs: Correspondence
+    correspondence: Correspondence
 
     @property
     def scan(self) -> LaserScan:
@@ -84,7 +84,7 @@ class FrameMatch:
     @property
     def sigma_m(self) -> float:
         """Robust standard deviation of the residuals (1.4826 median |r|), NaN without pairs."""
-        residual_m = np.abs(self.pairs.residual_m)
+        residual_m = np.abs(self.correspondence.residual_m)
         residual_m = residual_m[np.isfinite(residual_m)]
         return 1.4826 * float(np.median(residual_m)) if residual_m.size else float("nan")
 
@@ -93,31 +93,31 @@ class FrameMatch:
 class FusedFrame(FrameMatch):
     """Everything that pass 2 says of one depth image."""
 
-    classes: Classes
+    classes: Classification
     repair: Repair
 
     @property
     def epsilon_m(self) -> float:
         """Median threshold over the pairs, NaN without pairs."""
-        valid = self.classes.epsilon_m[np.isfinite(self.pairs.residual_m)]
+        valid = self.classes.epsilon_m[np.isfinite(self.correspondence.residual_m)]
         return float(np.median(valid)) if valid.size else float("nan")
 
     @property
     def pixel_changed(self) -> BoolArray:
         """(B,): pairs whose pixel the repair gave another value."""
         repaired_m = self.repair.depth_m
-        changed: BoolArray = (self.pairs.row >= 0) & np.isfinite(repaired_m)
-        changed &= repaired_m != self.pairs.depth_m
+        changed: BoolArray = (self.correspondence.row >= 0) & np.isfinite(repaired_m)
+        changed &= repaired_m != self.correspondence.depth_m
         return changed
 
 
 def fuse_frame(
-    rig: Rig,
+    rig: CameraRig,
     camera: int,
     depth_m: Float32Array,
     window: ScanWindow,
     gap_ns: int,
-    alignment: Alignment,
+    alignment: RecordingAlignment,
     settings: ChainSettings,
     *,
     image: DepthImage,
@@ -131,16 +131,16 @@ def fuse_frame(
     match = match_frame(
         rig, camera, depth_m, window, gap_ns, alignment, settings, image=image, before=before
     )
-    return judge_frame(match, rig, alignment, settings)
+    return classify_and_repair(match, rig, alignment, settings)
 
 
 def match_frame(
-    rig: Rig,
+    rig: CameraRig,
     camera: int,
     depth_m: Float32Array,
     window: ScanWindow,
     gap_ns: int,
-    alignment: Alignment,
+    alignment: RecordingAlignment,
     settings: ChainSettings,
     *,
     image: DepthImage,
@@ -164,8 +164,8 @@ def match_frame(
     scan = window.scan
     model = rig.cameras[camera]
     curve, row = sample_curve(scan, settings.sampling), sample_row(model, settings.sampling)
-    rate = turn_rate_rad_s(window, settings.time)
-    kept = mount_frame(model, scan, depth_m, scan.stamp_ns + gap_ns, rate)
+    rate = estimate_turn_rate_rad_s(window, settings.time)
+    kept = mount_observation(model, scan, depth_m, scan.stamp_ns + gap_ns, rate)
 
     turned = 0.0
     prior_u = offset_of_yaw(alignment.mount.yaw_rad, curve, row.left_rad)
@@ -173,11 +173,11 @@ def match_frame(
     if picked is None and alignment.along_curve and settings.pairing == "mount":
         turned = turned_rad(kept, alignment.mount, settings)
         T_lidar_camera = T_lidar_camera_at(model, alignment.mount, turned)
-        pairs = along_curve(scan, depth_m, kept.depth_m, model, T_lidar_camera)
+        pairs = match_along_curve(scan, depth_m, kept.depth_m, model, T_lidar_camera)
         # The rows are searched at rest: what the LiDAR turned meanwhile is no part of the offset.
         prior_u = _offset_of_pairs(pairs, curve, row, model, prior_u - turned / curve.step_rad)
         prior_u += turned / curve.step_rad
-    found = search_frame(scan, depth_m, curve, row, prior_u, settings)
+    found = search_offset(scan, depth_m, curve, row, prior_u, settings)
     peak = found.peaks.get(settings.search.metric)
     if pairs is not None:
         registration, refusal = _register(pairs, settings)
@@ -190,10 +190,12 @@ def match_frame(
         if chosen is not None:
             mount = Mount(yaw_rad=yaw_of_offset_rad(chosen[0], curve, row.left_rad))
         v = round(chosen[1] if chosen is not None else alignment.peak.v)
-        pairs = in_row(scan, depth_m, kept.depth_m, model, T_lidar_camera_at(model, mount, 0.0), v)
+        pairs = match_in_row(
+            scan, depth_m, kept.depth_m, model, T_lidar_camera_at(model, mount, 0.0), v
+        )
         registration, refusal = _register(pairs, settings)
         if registration is not None:
-            pairs = mapped(pairs, registration.A, registration.A_inverse)
+            pairs = map_through_A(pairs, registration.A, registration.A_inverse)
     return FrameMatch(
         camera=camera,
         image=image,
@@ -210,12 +212,12 @@ def match_frame(
         row_model=pairs.model,
         registration=registration,
         refusal=refusal,
-        pairs=pairs,
+        correspondence=pairs,
     )
 
 
-def judge_frame(
-    match: FrameMatch, rig: Rig, alignment: Alignment, settings: ChainSettings
+def classify_and_repair(
+    match: FrameMatch, rig: CameraRig, alignment: RecordingAlignment, settings: ChainSettings
 ) -> FusedFrame:
     """Classify and repair a frame that is matched already."""
     window, rate, scan = match.window, match.turn_rate_rad_s, match.scan
@@ -223,7 +225,7 @@ def judge_frame(
     registration = match.registration
     classes = classify(
         FrameWindow(
-            pairs=match.pairs,
+            pairs=match.correspondence,
             scan=scan,
             depth_m=match.depth_m,
             scan_before=window.before,
@@ -240,7 +242,9 @@ def judge_frame(
     return FusedFrame(
         **{field.name: getattr(match, field.name) for field in fields(FrameMatch)},
         classes=classes,
-        repair=repair(match.pairs, classes, match.depth_m, alignment.scale, settings.repair),
+        repair=repair(
+            match.correspondence, classes, match.depth_m, alignment.scale, settings.repair
+        ),
     )
 
 
@@ -320,12 +324,12 @@ def _by_own_peak(
     """The paper's way: samples of the frame's own (u, v), tied by A alone."""
     if place is None:
         raise AlignmentFailed("the frame's field has no peak.")
-    pairs, lidar, depth = by_sample(scan, depth_m, curve.beams, row.columns, *place)
+    pairs, lidar, depth = match_by_sample(scan, depth_m, curve.beams, row.columns, *place)
     try:
         registration = register(lidar, depth, settings.registration)
     except RegistrationFailed as error:
         return pairs, None, error.problem
-    pairs = compared(
+    pairs = compare_samples(
         pairs, lidar, depth, registration.A, registration.A_inverse, registration.residual_m
     )
     return pairs, registration, ""

@@ -18,21 +18,21 @@ from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rig import MOUNT_PARAMETERS
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.recordings.ros2_writer import Ros2McapWriter
-from fusion_core.workflows.fuse.align import Alignment
+from fusion_core.workflows.fuse.align import RecordingAlignment
+from fusion_core.workflows.fuse.camera_rig import CameraRig
 from fusion_core.workflows.fuse.figures import FigureCollector, write_figures
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.pairing import PairedImage
-from fusion_core.workflows.fuse.presets import PresetName, chain_settings, settings_toml
-from fusion_core.workflows.fuse.rig import Rig
-from fusion_core.workflows.fuse.scan_merge import ScanMerge
-from fusion_core.workflows.fuse.sensor_maps import Maps
+from fusion_core.workflows.fuse.scan_queue import RepairedScanQueue
+from fusion_core.workflows.fuse.sensor_maps import SensorMaps
 from fusion_core.workflows.fuse.session import (
     FuseOptions,
     Session,
-    align_session,
-    fuse_session,
+    align_recording,
+    fuse_frames,
     open_session,
 )
+from fusion_core.workflows.fuse.settings import PresetName, chain_settings, settings_toml
 from fusion_core.workflows.fuse.tables import (
     FRAME_COLUMNS,
     SAMPLE_SCHEMA,
@@ -127,20 +127,20 @@ def fuse(
             command="fuse",
             inputs=inputs,
             also_read=[recording, options.settings_file],
-            settings_text=settings_text + _asked(options),
+            settings_text=settings_text + _options_text(options),
             seed=settings.registration.seed,
             force=options.force,
             overwrite=options.overwrite,
             progress=progress,
         )
         if plan.is_done:
-            return _skipped(output)
+            return _read_summary(output)
         with results_folder(plan) as folder:
             session = open_session(opened, options, settings)
             return _run(session, output, folder, options, preset, settings_text, progress)
 
 
-def _asked(options: FuseOptions) -> str:
+def _options_text(options: FuseOptions) -> str:
     """What was asked beyond the settings, as part of what makes two runs the same."""
     asked = {
         "virtual_lidar_row": options.virtual_lidar_row,
@@ -156,7 +156,7 @@ def _asked(options: FuseOptions) -> str:
     return json.dumps(asked)
 
 
-def _skipped(output: Path) -> FuseSummary:
+def _read_summary(output: Path) -> FuseSummary:
     summary = json.loads((output / "summary.json").read_text(encoding="utf-8"))
     return FuseSummary(
         output=output,
@@ -179,7 +179,7 @@ def _run(
     settings_text: str,
     progress: Progress,
 ) -> FuseSummary:
-    alignment = align_session(session, progress)
+    alignment = align_recording(session, progress)
     notes = [*session.rig.notes, *alignment.notes]
     clock_offset_ms = _clock_offset_to_apply(alignment, options, notes)
     poses: PoseLookup | None = None
@@ -228,7 +228,9 @@ def _run(
     return summary
 
 
-def _clock_offset_to_apply(alignment: Alignment, options: FuseOptions, notes: list[str]) -> float:
+def _clock_offset_to_apply(
+    alignment: RecordingAlignment, options: FuseOptions, notes: list[str]
+) -> float:
     if not options.apply_clock_offset:
         return 0.0
     if alignment.mount.sd[MOUNT_PARAMETERS.index("clock_offset_ms")] is None:
@@ -252,14 +254,14 @@ class _Outcome:
 
 def _write_frames(
     session: Session,
-    alignment: Alignment,
+    alignment: RecordingAlignment,
     clock_offset_ms: float,
     poses: PoseLookup | None,
     folder: Path,
     progress: Progress,
 ) -> _Outcome:
     """Run pass 2 and write what it yields as it comes."""
-    maps = None if poses is None else Maps(poses, session.settings.grid)
+    maps = None if poses is None else SensorMaps(poses, session.settings.grid)
     topics = [camera.topic for camera in session.rig.cameras]
     lidar_topic = session.streams.lidar if session.virtual_row is None else None
     figures = FigureCollector(alignment)
@@ -275,17 +277,17 @@ def _write_frames(
             )
         )
         mcap = stack.enter_context(Ros2McapWriter(folder / "fused.mcap"))
-        merge = ScanMerge()
+        merge = RepairedScanQueue()
 
         def write_scan(raw: LaserScan, repaired: LaserScan) -> None:
             mcap.write_laser_scan(lidar_topic or "/virtual_lidar/scan", repaired)
             if maps is not None:
                 maps.add_scan(raw, repaired)
 
-        for entry in fuse_session(session, alignment, clock_offset_ms):
+        for entry in fuse_frames(session, alignment, clock_offset_ms):
             if isinstance(entry, LaserScan):
-                merge.arrive(entry)
-                for raw, repaired in merge.finished():
+                merge.push(entry)
+                for raw, repaired in merge.pop_settled():
                     write_scan(raw, repaired)
                 continue
             frames += 1
@@ -300,7 +302,7 @@ def _write_frames(
             frame_table.append(frame_row(topic, entry, alignment, session.rig))
             sample_table.append(sample_columns(topic, entry, session.rig))
             mcap.write_depth(topic, repaired_image(entry, session.rig))
-            merge.add(entry)
+            merge.apply_repairs(entry)
             figures.add(entry)
             if maps is not None:
                 maps.add_camera(entry)
@@ -311,7 +313,7 @@ def _write_frames(
             ):
                 counts[name] = counts.get(name, 0) + int(count)
             last_stamp_ns = max(last_stamp_ns, entry.stamp_ns)
-        for raw, repaired in merge.rest():
+        for raw, repaired in merge.flush():
             write_scan(raw, repaired)
         if maps is not None:
             grids, notes = maps.write(folder)
@@ -329,10 +331,12 @@ def _write_frames(
     )
 
 
-def repaired_image(frame: FusedFrame, rig: Rig) -> DepthImage:
+def repaired_image(frame: FusedFrame, rig: CameraRig) -> DepthImage:
     """The stored depth image with the repaired pixels of the curve."""
     depth_m = frame.image.depth_m.copy()
-    row, column = rig.views[frame.camera].stored_pixels(frame.pairs.row, frame.pairs.column)
+    row, column = rig.views[frame.camera].stored_pixels(
+        frame.correspondence.row, frame.correspondence.column
+    )
     changed = frame.pixel_changed & (row >= 0)
     depth_m[row[changed], column[changed]] = frame.repair.depth_m[changed]
     return replace(frame.image, depth_m=depth_m)

@@ -5,13 +5,13 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 from fusion_core.alignment.time import ScanWindow, TimeSettings
-from fusion_core.alignment.virtual_lidar import virtual_scan
+from fusion_core.alignment.virtual_lidar import cut_scan
 from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.model.stamps import nearest_stamp
 from fusion_core.recordings.topics import Streams
-from fusion_core.workflows.fuse.rig import Rig
+from fusion_core.workflows.fuse.camera_rig import CameraRig
 from fusion_core.workflows.sensor_geometry import GeometryFilter
 
 # Streams of a log arrive a little out of step; what lies farther apart belongs to no pair.
@@ -35,7 +35,7 @@ class PairedImage:
 def paired_images(
     recording: Recording,
     streams: Streams,
-    rig: Rig,
+    rig: CameraRig,
     fitting: GeometryFilter,
     settings: TimeSettings,
     *,
@@ -46,7 +46,7 @@ def paired_images(
     if virtual_row is not None:
         yield from _with_virtual_scans(recording, rig, fitting, virtual_row)
         return
-    assert streams.lidar is not None, "build_rig refuses a recording without LiDAR"
+    assert streams.lidar is not None, "build_camera_rig refuses a recording without LiDAR"
     offset_ns = round(clock_offset_ms * NS_PER_MS)
     max_gap_ns = round(settings.max_gap_ms * NS_PER_MS)
     scans: deque[LaserScan] = deque(maxlen=SCANS_KEPT)
@@ -105,7 +105,7 @@ def pair_with(
 
 
 def _with_virtual_scans(
-    recording: Recording, rig: Rig, fitting: GeometryFilter, row: int
+    recording: Recording, rig: CameraRig, fitting: GeometryFilter, row: int
 ) -> Iterator[LaserScan | PairedImage]:
     camera = rig.cameras[0]
     for message in fitting.accepted(recording.messages([camera.topic])):
@@ -118,11 +118,11 @@ def _with_virtual_scans(
         yield paired
 
 
-def virtual_pair(rig: Rig, image: DepthImage, row: int) -> PairedImage:
+def virtual_pair(rig: CameraRig, image: DepthImage, row: int) -> PairedImage:
     """An image of the first camera with the scan that is cut from its own ``row``."""
     camera, view = rig.cameras[0], rig.full_views[0]
-    upright = replace(image, depth_m=view.of(image.depth_m))
+    upright = replace(image, depth_m=view.remap(image.depth_m))
     full = replace(camera, intrinsics=view.intrinsics)
-    scan = virtual_scan(upright, full, row)
+    scan = cut_scan(upright, full, row)
     window = ScanWindow(before=None, scan=scan, after=None)
     return PairedImage(camera=0, image=image, window=window, gap_ns=0)

@@ -23,13 +23,13 @@ class PairingGaps:
 
     time_ns: IntArray
     gap_ms: FloatArray
-    paired: BoolArray
+    is_paired: BoolArray
     scan_period_ms: float
 
     def __post_init__(self) -> None:
-        if not self.time_ns.shape == self.gap_ms.shape == self.paired.shape:
+        if not self.time_ns.shape == self.gap_ms.shape == self.is_paired.shape:
             raise ValueError("time_ns, gap_ms and paired must have one length")
-        for array_ in (self.time_ns, self.gap_ms, self.paired):
+        for array_ in (self.time_ns, self.gap_ms, self.is_paired):
             read_only(array_)
 
 
@@ -43,9 +43,9 @@ class PairingStamps:
         self._scan_ns = array("q")
         self._image_ns = array("q")
         self._time_ns = array("q")
-        self.complete = False
+        self.is_complete = False
 
-    def passing(
+    def observe(
         self, entries: Iterable[LaserScan | PairedImage]
     ) -> Iterator[LaserScan | PairedImage]:
         """The entries as they are, noted. ``complete`` once they have all passed."""
@@ -58,7 +58,7 @@ class PairingStamps:
                 self._image_ns.append(image.stamp_ns)
                 self._time_ns.append(logged_ns)
             yield entry
-        self.complete = True
+        self.is_complete = True
 
     def gaps(self, clock_offset_ms: float, max_gap_ms: float) -> PairingGaps:
         """The gaps with this clock offset taken out of the images' stamps."""
@@ -73,6 +73,6 @@ class PairingStamps:
         return PairingGaps(
             time_ns=np.array(self._time_ns, dtype=np.int64),
             gap_ms=gap_ms,
-            paired=paired,
+            is_paired=paired,
             scan_period_ms=period_ms,
         )

@@ -12,9 +12,9 @@ from fusion_core.exporting.tables import CsvTable, ParquetTable
 from fusion_core.model.progress import Progress, silent
 from fusion_core.simulation.truth import truth_path
 from fusion_core.workflows.evaluate.evaluate import EPSILON_OVER_E
-from fusion_core.workflows.fuse.live import LiveChain
+from fusion_core.workflows.fuse.cached_chain import CachedChain
 from fusion_core.workflows.fuse.pairing import PairedImage
-from fusion_core.workflows.fuse.presets import ChainSettings
+from fusion_core.workflows.fuse.settings import ChainSettings
 from fusion_core.workflows.fuse.tables import (
     FRAME_COLUMNS,
     SAMPLE_SCHEMA,
@@ -34,7 +34,7 @@ def truth_beside(recording: Path) -> Path | None:
 
 
 def recall_of(
-    chain: LiveChain,
+    chain: CachedChain,
     settings: ChainSettings,
     truth: Path,
     clock_offset_ms: float = 0.0,
@@ -52,7 +52,7 @@ def recall_of(
         return recall_over_epsilon(folder, known, EPSILON_OVER_E)
 
 
-def _write_alignment(chain: LiveChain, folder: Path, known: Truth) -> None:
+def _write_alignment(chain: CachedChain, folder: Path, known: Truth) -> None:
     session = chain.session
     document = alignment_document(
         chain.alignment, session.rig, "", virtual=session.virtual_row is not None, notes=[]
@@ -63,7 +63,7 @@ def _write_alignment(chain: LiveChain, folder: Path, known: Truth) -> None:
 
 
 def _write_frames(
-    chain: LiveChain,
+    chain: CachedChain,
     settings: ChainSettings,
     clock_offset_ms: float,
     folder: Path,
@@ -75,7 +75,7 @@ def _write_frames(
         CsvTable(folder / "frames.csv", FRAME_COLUMNS) as frames,
         ParquetTable(folder / "samples.parquet", SAMPLE_SCHEMA) as samples,
     ):
-        for done, entry in enumerate(chain.each(settings, clock_offset_ms)):
+        for done, entry in enumerate(chain.fuse_all(settings, clock_offset_ms)):
             progress(done, len(chain.frames), "comparing with the truth")
             topic = rig.cameras[entry.camera].topic
             if isinstance(entry, PairedImage):

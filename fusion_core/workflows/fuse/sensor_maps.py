@@ -18,7 +18,7 @@ from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.recorded_poses import PoseLookup
 
 
-class Maps:
+class SensorMaps:
     """Three grids that grow with the mapped area only.
 
     A range longer than the largest map is wide is in none of them. A grid that would grow larger
@@ -38,7 +38,11 @@ class Maps:
         pose = self._poses.at(frame.scan.stamp_ns)
         if pose is not None:
             self._add(
-                "camera", pose, frame.pairs.azimuth_rad, frame.pairs.camera_range_m, frame.scan
+                "camera",
+                pose,
+                frame.correspondence.azimuth_rad,
+                frame.correspondence.camera_range_m,
+                frame.scan,
             )
 
     def add_scan(self, raw: LaserScan, repaired: LaserScan) -> None:

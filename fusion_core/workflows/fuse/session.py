@@ -4,19 +4,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from fusion_core.alignment.virtual_lidar import without_cut
+from fusion_core.alignment.virtual_lidar import mask_cut_rows
 from fusion_core.model.conventions import Float32Array
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import Streams, choose_streams
-from fusion_core.workflows.fuse.align import Alignment, align
+from fusion_core.workflows.fuse.align import RecordingAlignment, align
+from fusion_core.workflows.fuse.camera_rig import CameraRig, build_camera_rig
 from fusion_core.workflows.fuse.frame import FusedFrame, fuse_frame
 from fusion_core.workflows.fuse.pairing import PairedImage, paired_images
 from fusion_core.workflows.fuse.pairing_gaps import PairingStamps
-from fusion_core.workflows.fuse.presets import ChainSettings, PresetName
-from fusion_core.workflows.fuse.rig import Rig, build_rig
+from fusion_core.workflows.fuse.settings import ChainSettings, PresetName
 from fusion_core.workflows.sensor_geometry import GeometryFilter
 from fusion_core.workflows.source import RoomChoice
 
@@ -50,7 +50,7 @@ class Session:
 
     recording: Recording
     streams: Streams
-    rig: Rig
+    rig: CameraRig
     fitting: GeometryFilter
     settings: ChainSettings
     virtual_row: int | None
@@ -69,8 +69,8 @@ class Session:
 
     def depth_of(self, camera: int, stored_m: Float32Array) -> Float32Array:
         """(H', W') upright view of a stored image, without the rows of a virtual LiDAR."""
-        depth_m = self.rig.views[camera].of(stored_m)
-        return depth_m if self.virtual_row is None else without_cut(depth_m, self.virtual_row)
+        depth_m = self.rig.views[camera].remap(stored_m)
+        return depth_m if self.virtual_row is None else mask_cut_rows(depth_m, self.virtual_row)
 
     @property
     def image_count(self) -> int:
@@ -88,14 +88,14 @@ def open_session(recording: Recording, options: FuseOptions, settings: ChainSett
         pose=options.pose_topic,
     )
     virtual = options.virtual_lidar_row is not None
-    rig = build_rig(recording, streams, settings.sampling, virtual=virtual)
+    rig = build_camera_rig(recording, streams, settings.sampling, virtual=virtual)
     return session_of(recording, streams, rig, settings, options.virtual_lidar_row)
 
 
 def session_of(
     recording: Recording,
     streams: Streams,
-    rig: Rig,
+    rig: CameraRig,
     settings: ChainSettings,
     virtual_row: int | None = None,
 ) -> Session:
@@ -104,13 +104,13 @@ def session_of(
         recording=recording,
         streams=streams,
         rig=rig,
-        fitting=fitting_of(recording, rig),
+        fitting=fitting_for(recording, rig),
         settings=settings,
         virtual_row=virtual_row,
     )
 
 
-def fitting_of(recording: Recording, rig: Rig) -> GeometryFilter:
+def fitting_for(recording: Recording, rig: CameraRig) -> GeometryFilter:
     """What tells the messages that fit a rig from the others."""
     shapes = {
         camera.topic: view.stored_shape for camera, view in zip(rig.cameras, rig.views, strict=True)
@@ -118,9 +118,9 @@ def fitting_of(recording: Recording, rig: Rig) -> GeometryFilter:
     return GeometryFilter(recording, rig.scan_geometry, shapes)
 
 
-def align_session(
+def align_recording(
     session: Session, progress: Progress = silent, stamps: PairingStamps | None = None
-) -> Alignment:
+) -> RecordingAlignment:
     """Pass 1 over a session. ``stamps`` takes note of what passes.
 
     Raises AlignmentFailed, and RecordingError where the clock of a sensor tells no order.
@@ -131,7 +131,7 @@ def align_session(
 
     def pairs() -> Iterator[LaserScan | PairedImage]:
         entries = session.pairs()
-        return entries if stamps is None else stamps.passing(entries)
+        return entries if stamps is None else stamps.observe(entries)
 
     return align(
         pairs,
@@ -144,8 +144,8 @@ def align_session(
     )
 
 
-def fuse_session(
-    session: Session, alignment: Alignment, clock_offset_ms: float = 0.0
+def fuse_frames(
+    session: Session, alignment: RecordingAlignment, clock_offset_ms: float = 0.0
 ) -> Iterator[LaserScan | PairedImage | FusedFrame]:
     """Pass 2: scans as they arrive, fused frames, and the images that could not be fused."""
     before: dict[int, tuple[int, Float32Array]] = {}

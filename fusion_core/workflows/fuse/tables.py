@@ -9,10 +9,10 @@ import pyarrow as pa
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.conventions import NS_PER_MS, FloatArray
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
-from fusion_core.workflows.fuse.align import METRICS, Alignment
+from fusion_core.workflows.fuse.align import METRICS, RecordingAlignment
+from fusion_core.workflows.fuse.camera_rig import CameraRig
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.pairing import PairedImage
-from fusion_core.workflows.fuse.rig import Rig
 
 _CLASS_COUNTS = [
     f"{sensor}_{noise.name.lower()}" for sensor in ("lidar", "depth") for noise in NoiseClass
@@ -72,12 +72,16 @@ def unpaired_row(topic: str, entry: PairedImage) -> dict[str, object]:
     return row
 
 
-def frame_row(topic: str, frame: FusedFrame, alignment: Alignment, rig: Rig) -> dict[str, object]:
+def frame_row(
+    topic: str, frame: FusedFrame, alignment: RecordingAlignment, rig: CameraRig
+) -> dict[str, object]:
     """The row of a fused image. Depth is counted where the stored image has the pixel."""
     peak = frame.search.peaks.get(alignment.metric)
-    alone = frame.search.peaks_alone.get(alignment.metric)
+    alone = frame.search.peaks_without_prior.get(alignment.metric)
     registration = frame.registration
-    stored_row, _ = rig.views[frame.camera].stored_pixels(frame.pairs.row, frame.pairs.column)
+    stored_row, _ = rig.views[frame.camera].stored_pixels(
+        frame.correspondence.row, frame.correspondence.column
+    )
     stored = stored_row >= 0
     row: dict[str, object] = dict.fromkeys(FRAME_COLUMNS)
     row.update(
@@ -112,8 +116,8 @@ def frame_row(topic: str, frame: FusedFrame, alignment: Alignment, rig: Rig) -> 
     for metric in METRICS:
         if metric in frame.search.peaks:
             row[f"u_{metric}"] = frame.search.peaks[metric].u + frame.u_of_rig
-        if metric in frame.search.peaks_alone:
-            row[f"u_alone_{metric}"] = frame.search.peaks_alone[metric].u + frame.u_of_rig
+        if metric in frame.search.peaks_without_prior:
+            row[f"u_alone_{metric}"] = frame.search.peaks_without_prior[metric].u + frame.u_of_rig
     return row
 
 
@@ -121,9 +125,9 @@ def _repaired(sources: npt.NDArray[np.int64]) -> int:
     return int(np.isin(sources, (RepairSource.OTHER_SENSOR, RepairSource.NEIGHBOURS)).sum())
 
 
-def sample_columns(topic: str, frame: FusedFrame, rig: Rig) -> dict[str, npt.NDArray[Any]]:
+def sample_columns(topic: str, frame: FusedFrame, rig: CameraRig) -> dict[str, npt.NDArray[Any]]:
     """The rows of a fused image's beams, pixels named in the stored image."""
-    pairs, classes, mended = frame.pairs, frame.classes, frame.repair
+    pairs, classes, mended = frame.correspondence, frame.classes, frame.repair
     count = pairs.beam.size
     row, column = rig.views[frame.camera].stored_pixels(pairs.row, pairs.column)
     outside = row < 0
@@ -155,7 +159,7 @@ def sample_columns(topic: str, frame: FusedFrame, rig: Rig) -> dict[str, npt.NDA
 
 
 def alignment_document(
-    alignment: Alignment, rig: Rig, preset: str, *, virtual: bool, notes: list[str]
+    alignment: RecordingAlignment, rig: CameraRig, preset: str, *, virtual: bool, notes: list[str]
 ) -> dict[str, Any]:
     """alignment.json: offsets, mount with uncertainties, and the geometry that results rest on."""
     peak, mount = alignment.peak, alignment.mount
@@ -183,8 +187,8 @@ def alignment_document(
         "agreement": None if estimate is None else estimate.agreement,
         "visible": None if estimate is None else estimate.visible,
         "mount_used": dict(zip(MOUNT_PARAMETERS, mount.vector().tolist(), strict=True)),
-        "recorded_mount_used": estimate is not None and estimate.from_recorded,
-        "noise_scale": {"floor_m": alignment.scale.floor_m, "share": alignment.scale.share},
+        "recorded_mount_used": estimate is not None and estimate.is_from_recorded,
+        "noise_scale": {"floor_m": alignment.scale.floor_m, "share": alignment.scale.fraction},
         "frames": alignment.frames,
         "lidar": {
             "angle_min_rad": scan.angle_min_rad,
@@ -207,7 +211,7 @@ def _mount_entries(mount: Mount) -> dict[str, float | None]:
     return entries
 
 
-def _camera_entry(rig: Rig, index: int, mount: Mount) -> dict[str, Any]:
+def _camera_entry(rig: CameraRig, index: int, mount: Mount) -> dict[str, Any]:
     camera, view = rig.cameras[index], rig.full_views[index]
     height, width = view.stored_shape
     T_rig_stored = camera.T_rig_camera.copy()

@@ -22,7 +22,7 @@ from fusion_core.model.slam_view import SlamObserver, no_observer
 from fusion_core.model.trajectory import Trajectory
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.fuse.figures import printable
-from fusion_core.workflows.fuse.presets import PresetName
+from fusion_core.workflows.fuse.settings import PresetName
 from fusion_core.workflows.map.estimators import PlacedScans, SlamKind, place_scans
 from fusion_core.workflows.map.extrinsics import find_extrinsics
 from fusion_core.workflows.map.motion_prior import MotionKind, choose_map_streams, open_motion_prior

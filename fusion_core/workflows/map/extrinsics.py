@@ -16,9 +16,9 @@ from fusion_core.model.recording import Recording
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.fuse.align import mount_not_used
-from fusion_core.workflows.fuse.presets import ChainSettings
-from fusion_core.workflows.fuse.rig import Rig, build_rig
-from fusion_core.workflows.fuse.session import Session, align_session, session_of
+from fusion_core.workflows.fuse.camera_rig import CameraRig, build_camera_rig
+from fusion_core.workflows.fuse.session import Session, align_recording, session_of
+from fusion_core.workflows.fuse.settings import ChainSettings
 from fusion_core.workflows.map.extrinsics_file import read_extrinsics
 from fusion_core.workflows.map.recorded_mount_check import recorded_mount_problem
 from fusion_core.workflows.recorded_transforms import RecordedTransforms, frame_name
@@ -109,17 +109,17 @@ def find_extrinsics(
                 advice="Leave --extrinsics out, or name the LiDAR's topic.",
             )
         return _level_extrinsics(recording, streams, settings)
-    rig = build_rig(recording, streams, settings.sampling)
+    rig = build_camera_rig(recording, streams, settings.sampling)
     stand = _read_lidar_mounting(recording, streams, rig.lidar_frame)
     if file is not None:
         return _extrinsics_from_file(file, rig, streams, stand)
     session = session_of(recording, streams, rig, settings)
     refusal = recorded_mount_problem(session)
-    if rig.recorded is not None and not refusal:
+    if rig.recorded_mount is not None and not refusal:
         return CameraExtrinsics(
             source="tf",
             frame_id=rig.lidar_frame,
-            cameras=_mounted_cameras(rig, rig.recorded, stand),
+            cameras=_mounted_cameras(rig, rig.recorded_mount, stand),
             is_height_known=True,
             lidar_height_m=stand.height_above_floor_m,
             notes=(*rig.notes, f"Extrinsics from {streams.tf_static}."),
@@ -134,7 +134,7 @@ def find_extrinsics(
         ) from error
 
 
-def _mounted_cameras(rig: Rig, mount: Mount, stand: _LidarMounting) -> tuple[MountedCamera, ...]:
+def _mounted_cameras(rig: CameraRig, mount: Mount, stand: _LidarMounting) -> tuple[MountedCamera, ...]:
     return tuple(
         MountedCamera(
             topic=camera.topic,
@@ -149,7 +149,7 @@ def _mounted_cameras(rig: Rig, mount: Mount, stand: _LidarMounting) -> tuple[Mou
 def _level_extrinsics(
     recording: Recording, streams: Streams, settings: ChainSettings
 ) -> CameraExtrinsics:
-    rig = build_rig(recording, streams, settings.sampling, virtual=True)
+    rig = build_camera_rig(recording, streams, settings.sampling, virtual=True)
     T_level_camera = rig.cameras[0].T_rig_camera.copy()
     T_level_camera[:3, 3] = 0.0
     camera = MountedCamera(
@@ -170,7 +170,7 @@ def _level_extrinsics(
 
 
 def _extrinsics_from_file(
-    file: Path, rig: Rig, streams: Streams, stand: _LidarMounting
+    file: Path, rig: CameraRig, streams: Streams, stand: _LidarMounting
 ) -> CameraExtrinsics:
     given = read_extrinsics(file)
     lenses = {
@@ -221,7 +221,7 @@ def _extrinsics_from_alignment(
     session: Session, stand: _LidarMounting, progress: Progress
 ) -> CameraExtrinsics:
     recording, rig = session.recording, session.rig
-    alignment = align_session(session, progress)
+    alignment = align_recording(session, progress)
     mount = alignment.mount
     if alignment.estimate is None:
         raise AlignmentFailed(

@@ -130,7 +130,7 @@ def _sample_images(recording: Recording, camera: MountedCamera) -> list[Float32A
             # Reading it has left its own warning.
             continue
         if isinstance(value, DepthImage) and value.depth_m.shape == camera.view.stored_shape:
-            images.append(camera.view.of(value.depth_m))
+            images.append(camera.view.remap(value.depth_m))
     return images
 
 

@@ -2,9 +2,9 @@
 
 from itertools import islice
 
-from fusion_core.alignment.agreement import Agreement, mount_frame
-from fusion_core.alignment.recorded_mount import refusal_of
-from fusion_core.alignment.time import turn_rate_rad_s
+from fusion_core.alignment.mount_cost import MountCost, mount_observation
+from fusion_core.alignment.recorded_mount import find_refusal
+from fusion_core.alignment.time import estimate_turn_rate_rad_s
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.session import Session
 
@@ -15,7 +15,7 @@ def recorded_mount_problem(session: Session) -> str:
 
     As many images are read as a refinement keeps.
     """
-    recorded, settings = session.rig.recorded, session.settings
+    recorded, settings = session.rig.recorded_mount, session.settings
     if recorded is None or not all(camera.calibrated for camera in session.rig.cameras):
         return ""
     frames = []
@@ -25,14 +25,14 @@ def recorded_mount_problem(session: Session) -> str:
             continue
         scan = entry.window.scan
         frames.append(
-            mount_frame(
+            mount_observation(
                 session.rig.cameras[entry.camera],
                 scan,
                 session.depth_of(entry.camera, entry.image.depth_m),
                 scan.stamp_ns + entry.gap_ns,
-                turn_rate_rad_s(entry.window, settings.time),
+                estimate_turn_rate_rad_s(entry.window, settings.time),
             )
         )
     if not any(frame.points_m.size for frame in frames):
         return ""
-    return refusal_of(Agreement(frames, settings.mount), recorded, settings.mount, None)
+    return find_refusal(MountCost(frames, settings.mount), recorded, settings.mount, None)

@@ -10,11 +10,11 @@ from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import Streams
+from fusion_core.workflows.fuse.camera_rig import build_camera_rig
 from fusion_core.workflows.fuse.frame import FusedFrame
-from fusion_core.workflows.fuse.presets import ChainSettings
-from fusion_core.workflows.fuse.rig import build_rig
-from fusion_core.workflows.fuse.scan_merge import ScanMerge
-from fusion_core.workflows.fuse.session import align_session, fuse_session, session_of
+from fusion_core.workflows.fuse.scan_queue import RepairedScanQueue
+from fusion_core.workflows.fuse.session import align_recording, fuse_frames, session_of
+from fusion_core.workflows.fuse.settings import ChainSettings
 
 
 class RepairedScans:
@@ -37,9 +37,9 @@ class RepairedScans:
             raise MissingStream(
                 "has no 2D LiDAR to repair.", file=recording.path, advice="Use --scan camera."
             )
-        rig = build_rig(recording, streams, settings.sampling)
+        rig = build_camera_rig(recording, streams, settings.sampling)
         self._session = session_of(recording, streams, rig, settings)
-        self._alignment = align_session(self._session, progress)
+        self._alignment = align_recording(self._session, progress)
         self._clock_offset_ms = clock_offset_ms
         self.frame_id = rig.lidar_frame
         self.recorded_count = recording.received_ns(streams.lidar).size
@@ -56,24 +56,24 @@ class RepairedScans:
         return tuple(notes)
 
     def __iter__(self) -> Iterator[LaserScan]:
-        merge = ScanMerge()
+        merge = RepairedScanQueue()
         self._scans = self._with_image = 0
         for raw, repaired in self._repaired_pairs(merge):
             self._scans += 1
             left = (repaired.intensities == NoiseClass.BURR) & (repaired.ranges_m == raw.ranges_m)
             yield raw.with_ranges(np.where(left, np.nan, repaired.ranges_m), None)
 
-    def _repaired_pairs(self, merge: ScanMerge) -> Iterator[tuple[LaserScan, LaserScan]]:
+    def _repaired_pairs(self, merge: RepairedScanQueue) -> Iterator[tuple[LaserScan, LaserScan]]:
         judged: set[int] = set()
-        for entry in fuse_session(self._session, self._alignment, self._clock_offset_ms):
+        for entry in fuse_frames(self._session, self._alignment, self._clock_offset_ms):
             if isinstance(entry, LaserScan):
-                merge.arrive(entry)
-                for raw, repaired in merge.finished():
+                merge.push(entry)
+                for raw, repaired in merge.pop_settled():
                     judged.discard(id(raw))
                     yield raw, repaired
             elif isinstance(entry, FusedFrame):
                 # Two images of one scan count once.
                 self._with_image += id(entry.scan) not in judged
                 judged.add(id(entry.scan))
-                merge.add(entry)
-        yield from merge.rest()
+                merge.apply_repairs(entry)
+        yield from merge.flush()

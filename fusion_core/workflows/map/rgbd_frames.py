@@ -16,9 +16,9 @@ from fusion_core.model.stamps import nearest_stamp
 from fusion_core.motion.visual import GrayDepth
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.fuse.align import mount_not_used
-from fusion_core.workflows.fuse.presets import ChainSettings
-from fusion_core.workflows.fuse.rig import build_rig
+from fusion_core.workflows.fuse.camera_rig import build_camera_rig
 from fusion_core.workflows.fuse.session import session_of
+from fusion_core.workflows.fuse.settings import ChainSettings
 from fusion_core.workflows.map.extrinsics import CameraExtrinsics
 from fusion_core.workflows.map.recorded_mount_check import recorded_mount_problem
 from fusion_core.workflows.recorded_transforms import frame_name
@@ -177,11 +177,11 @@ def first_camera_extrinsics(
     if streams.lidar is None:
         return None, ()
     settings = ChainSettings()
-    rig = build_rig(recording, streams, settings.sampling)
-    if rig.recorded is None:
+    rig = build_camera_rig(recording, streams, settings.sampling)
+    if rig.recorded_mount is None:
         return None, ()
     refusal = recorded_mount_problem(session_of(recording, streams, rig, settings))
     if refusal:
         return None, (mount_not_used(refusal),)
     T_view_stored = invert_transform(make_transform(rig.views[0].R_stored_view, np.zeros(3)))
-    return rig.recorded.T_lidar_rig @ rig.cameras[0].T_rig_camera @ T_view_stored, ()
+    return rig.recorded_mount.T_lidar_rig @ rig.cameras[0].T_rig_camera @ T_view_stored, ()

@@ -9,7 +9,7 @@ from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import Streams
-from fusion_core.workflows.fuse.presets import ChainSettings
+from fusion_core.workflows.fuse.settings import ChainSettings
 from fusion_core.workflows.map.extrinsics import CameraExtrinsics, find_extrinsics
 from fusion_core.workflows.map.repaired_scans import RepairedScans
 from fusion_core.workflows.map.virtual_scans import CameraScans, MergedScans, Motion

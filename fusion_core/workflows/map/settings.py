@@ -15,7 +15,7 @@ from fusion_core.motion.fusion import FusionSettings
 from fusion_core.slam.joint_refinement import RefinementSettings
 from fusion_core.slam.particle_set import ParticleSettings
 from fusion_core.slam.pose_graph_slam import SlamSettings
-from fusion_core.workflows.fuse.presets import (
+from fusion_core.workflows.fuse.settings import (
     PRESETS,
     ChainSettings,
     PresetName,

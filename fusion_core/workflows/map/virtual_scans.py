@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from fusion_core.alignment.time import ScanWindow, TimeSettings, turn_rate_rad_s
+from fusion_core.alignment.time import ScanWindow, TimeSettings, estimate_turn_rate_rad_s
 from fusion_core.mapping.camera_points import project_to_cloud
 from fusion_core.mapping.virtual_scan import (
     VirtualScanSettings,
@@ -145,7 +145,7 @@ class _RecentClouds:
         if found_ns not in self._clouds:
             view = self._camera.view
             self._clouds[found_ns] = project_to_cloud(
-                view.of(image.depth_m),
+                view.remap(image.depth_m),
                 view.intrinsics,
                 self._camera.T_floor_camera,
                 self._settings,
@@ -269,7 +269,7 @@ class _CloudReader:
                 return relative_pose(after, before)
         if window is None:
             return None
-        rate_rad_s = turn_rate_rad_s(window, TimeSettings())
+        rate_rad_s = estimate_turn_rate_rad_s(window, TimeSettings())
         if not np.isfinite(rate_rad_s):
             return None
         return np.array([0.0, 0.0, rate_rad_s * (from_ns - to_ns) / NS_PER_S])

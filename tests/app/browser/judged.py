@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fusion_core.workflows.fuse.frame import FusedFrame, judge_frame
+from fusion_core.workflows.fuse.frame import FusedFrame, classify_and_repair
 from scanloom.frame_view import FrameView
 from scanloom.plots.depth_image import DepthPicture, PairOverlay, depth_limits_m, depth_picture
 from scanloom.scene.pair_pixels import pixels_of_match, repaired_depth_m
@@ -19,7 +19,7 @@ def judged(frame_view: FrameView, view: View) -> FusedFrame:
     """The frame of a view, whatever the server has kept of it."""
     assert frame_view.chain is not None
     rig = frame_view.open_recording.fuse_session.rig
-    return judge_frame(match_of(frame_view, view), rig, frame_view.chain.alignment, view.settings)
+    return classify_and_repair(match_of(frame_view, view), rig, frame_view.chain.alignment, view.settings)
 
 
 def repaired_picture(frame: FusedFrame, view: View, like: np.ndarray) -> DepthPicture:

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from playwright.sync_api import Locator, Page, expect
 
+from fusion_core.workflows.fuse.cached_chain import FrameChoice
 from fusion_core.workflows.fuse.frame import FrameMatch
-from fusion_core.workflows.fuse.live import FrameChoice
 from scanloom.client_session import STORED_VIEW, ClientSession
 from scanloom.frame_view import FrameView
 from scanloom.server.workbench import Workbench
@@ -190,7 +190,7 @@ def colourful(image: np.ndarray) -> np.ndarray:
 def match_of(frame_view: FrameView, view: View) -> FrameMatch:
     """What the chain of what is shown computes for a view."""
     assert frame_view.chain is not None
-    return frame_view.chain.matched(FrameChoice(number=view.frame_index), view.settings)
+    return frame_view.chain.match(FrameChoice(number=view.frame_index), view.settings)
 
 
 def peak_of(frame_view: FrameView, view: View) -> tuple[float, float]:

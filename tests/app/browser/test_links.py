@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import expect
 
-from fusion_core.workflows.fuse.presets import PRESETS
+from fusion_core.workflows.fuse.settings import PRESETS
 from scanloom.server.workbench import Workbench
 from scanloom.state.view import View
 from tests.app.browser.person import Person, peak_of

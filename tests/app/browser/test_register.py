@@ -6,7 +6,7 @@ from playwright.sync_api import expect
 from fusion_core.model.classes import NoiseClass
 from fusion_core.registration.ransac import Registration
 from fusion_core.workflows.fuse.frame import FusedFrame
-from fusion_core.workflows.fuse.registration_view import draw_at
+from fusion_core.workflows.fuse.registration_details import draw_at
 from scanloom.plots.pair_plot import PairPlot, pair_picture
 from tests.app.browser.judged import NUMBER, judged, repaired_picture
 from tests.app.browser.person import Person, match_of
@@ -37,7 +37,7 @@ def test_a_dragged_epsilon_judges_every_pair_again(person: Person) -> None:
 
 def threshold_in(frame: FusedFrame) -> tuple[float, int, int]:
     """Epsilon in metres, the pairs that disagree by more, and all that have both values."""
-    residual_m, epsilon_m = frame.pairs.residual_m, frame.classes.epsilon_m
+    residual_m, epsilon_m = frame.correspondence.residual_m, frame.classes.epsilon_m
     both = np.isfinite(residual_m)
     beyond = np.abs(residual_m[both]) > epsilon_m[both]
     return round(float(np.median(epsilon_m[both])), 3), int(beyond.sum()), int(both.sum())

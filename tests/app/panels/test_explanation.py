@@ -14,7 +14,7 @@ from fusion_core.denoising.noise import FrameWindow, NoiseSettings, classify
 from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.denoising.repair import RepairSettings, repair
 from fusion_core.model.sensors import LaserScan
-from fusion_core.workflows.fuse.presets import ChainSettings
+from fusion_core.workflows.fuse.settings import ChainSettings
 from scanloom.panels.explanation import (
     explain_beam_class,
     explain_beam_repair,
@@ -25,7 +25,7 @@ from scanloom.panels.explanation import (
 from scanloom.scene.frame_summary import BeamFacts, facts_of_beam
 
 BEAMS, ROWS, ROW = 41, 61, 30
-SCALE = NoiseScale(floor_m=0.02, share=0.0)
+SCALE = NoiseScale(floor_m=0.02, fraction=0.0)
 # Not the defaults: the words must hold however those are tuned. Epsilon is 6 cm here.
 SETTINGS = ChainSettings(
     noise=NoiseSettings(epsilon=3.0, support_sigma=3.0),
@@ -34,7 +34,7 @@ SETTINGS = ChainSettings(
     ),
 )
 PUBLISHED = ChainSettings(
-    noise=NoiseSettings(epsilon=0.06, epsilon_unit="m", fault="rougher"),
+    noise=NoiseSettings(epsilon=0.06, epsilon_unit="m", burr_criterion="rougher"),
     repair=RepairSettings(prefer="other_sensor", farther_confidence=0.0),
 )
 
@@ -100,7 +100,9 @@ def facts(
     )
     classes = classify(window, settings.noise, SCALE, 0.05)
     repaired = repair(pairs, classes, image, SCALE, settings.repair)
-    found = facts_of_beam(SimpleNamespace(pairs=pairs, classes=classes, repair=repaired), beam)
+    found = facts_of_beam(
+        SimpleNamespace(correspondence=pairs, classes=classes, repair=repaired), beam
+    )
     assert found is not None
     return found
 

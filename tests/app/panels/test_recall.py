@@ -13,7 +13,7 @@ import viser
 
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.workflows.evaluate.evaluate import EPSILON_OVER_E
-from fusion_core.workflows.fuse.epsilon import epsilon_in
+from fusion_core.workflows.fuse.epsilon import measure_epsilon
 from fusion_core.workflows.fuse.recall import RecallCurve
 from scanloom.client_session import ClientSession
 from scanloom.panels import recall as recall_module
@@ -161,7 +161,7 @@ def test_a_press_draws_the_curve_with_this_frames_epsilon(bench: Bench) -> None:
     assert bench.session.frame_view is not None
     fused = bench.session.frame_view.fused
     assert fused is not None
-    said = epsilon_in(fused)
+    said = measure_epsilon(fused)
     assert f"**{said.middle_m / said.E_m:.2f} E**" in bench.words
     (curve,) = bench.session.frame_view.open_recording.recalls.values()
     assert curve.good_pairs > 100

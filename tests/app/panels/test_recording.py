@@ -282,7 +282,7 @@ def test_nothing_of_the_recording_before_is_said_while_another_is_aligned(
         assert go_on.wait(LONG_S)
         raise ValueError("of this test")
 
-    monkeypatch.setattr("scanloom.state.open_recording.align_session", wait)
+    monkeypatch.setattr("scanloom.state.open_recording.align_recording", wait)
     bench.change(
         recording=small_scene.name,
         alignment_settings=bench.first.with_setting("search", "min_overlap", 0.55).settings,

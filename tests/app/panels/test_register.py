@@ -12,8 +12,8 @@ from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.registration.ransac import PUBLISHED, RegistrationSettings, register
 from fusion_core.workflows.fuse.epsilon import EpsilonInFrame
-from fusion_core.workflows.fuse.registration_view import (
-    consensus_of,
+from fusion_core.workflows.fuse.registration_details import (
+    consensus_probabilities,
     draw_at,
     meaning_of_registration,
     planar_pairs,
@@ -26,7 +26,7 @@ from scanloom.panels.residual_plot import ResidualPlot
 from scanloom.state.view import View
 
 SIGMA_M = 0.04
-ALIGNMENT = SimpleNamespace(scale=NoiseScale(floor_m=SIGMA_M, share=0.0))
+ALIGNMENT = SimpleNamespace(scale=NoiseScale(floor_m=SIGMA_M, fraction=0.0))
 # No truth stands beside it.
 RECORDING = SimpleNamespace(path=Path("no such recording.mcap"))
 OPENED = SimpleNamespace(fuse_session=SimpleNamespace(recording=RECORDING), recalls={})
@@ -121,7 +121,7 @@ def test_a_draw_that_determines_nothing_says_so():
 
 
 def test_the_number_of_draws_is_explained():
-    said = registration_text.consensus_text(registered(LIDAR_M), consensus_of(registered(LIDAR_M)))
+    said = registration_text.consensus_text(registered(LIDAR_M), consensus_probabilities(registered(LIDAR_M)))
     assert said.startswith("100 % of the pairs are inliers (c), so a draw of n = 6")
 
 
@@ -190,7 +190,11 @@ def frame_of(found, *, residual_m=None, epsilon_m=0.1, refusal=""):
         lidar_class=good, depth_class=good, epsilon_m=np.full(count, epsilon_m)
     )
     return SimpleNamespace(
-        registration=found, refusal=refusal, pairs=pairs, classes=classes, epsilon_m=epsilon_m
+        registration=found,
+        refusal=refusal,
+        correspondence=pairs,
+        classes=classes,
+        epsilon_m=epsilon_m,
     )
 
 
@@ -226,7 +230,7 @@ def test_epsilon_alone_redraws_no_pairs(panel, session):
     panel.show(frame_view(session, frame))
     pairs, draw, data = panel._pairs.image, panel._draw_picture.image, panel._residuals._plot.data
     again = frame_of(found, epsilon_m=0.2)
-    again.pairs = frame.pairs
+    again.correspondence = frame.correspondence
     panel.show(frame_view(session, again))
     assert panel._pairs.image is pairs
     assert panel._draw_picture.image is draw

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fusion_core.denoising.correspondence import Correspondence
-from fusion_core.denoising.noise import Classes
+from fusion_core.denoising.noise import Classification
 from fusion_core.denoising.repair import Repair
 from fusion_core.model.classes import NoiseClass, RepairSource
 from scanloom.scene.frame_summary import (
@@ -42,7 +42,7 @@ def frame(first_rad: float = 0.3) -> SimpleNamespace:
         camera_range_m=np.array([2.0, 2.2, 2.3, NAN, NAN, NAN, NAN]),
         residual_m=depth + 0.1 - lidar,
     )
-    classes = Classes(
+    classes = Classification(
         lidar_class=np.array([GOOD, HOLE, BURR, CONFLICT, CONFLICT, CONFLICT, HOLE]),
         depth_class=np.array([GOOD, GOOD, GOOD, CONFLICT, CONFLICT, CONFLICT, -1]),
         lidar_confidence=np.linspace(0.3, 0.9, 7),
@@ -51,7 +51,7 @@ def frame(first_rad: float = 0.3) -> SimpleNamespace:
         lidar_steady=np.array([True, False, False, True, True, True, False]),
         beam_support=np.arange(21).reshape(7, 3),
         pixel_support=np.arange(14).reshape(7, 2),
-        pixel_gone=np.zeros(7, dtype=np.bool_),
+        pixel_unconfirmed=np.zeros(7, dtype=np.bool_),
     )
     repair = Repair(
         lidar_range_m=np.array([2.0, 2.2, 2.3, 3.0, 3.1, 4.0, NAN]),
@@ -61,7 +61,7 @@ def frame(first_rad: float = 0.3) -> SimpleNamespace:
         depth_source=np.array([RAW] * 6 + [NONE]),
         depth_errors_m=np.full((7, 2), NAN),
     )
-    return SimpleNamespace(pairs=pairs, classes=classes, repair=repair)
+    return SimpleNamespace(correspondence=pairs, classes=classes, repair=repair)
 
 
 def test_beams_and_pixels_are_counted_by_class_and_by_what_became_of_them() -> None:
@@ -123,7 +123,7 @@ def test_a_beam_may_have_no_pixel_or_lie_out_of_view() -> None:
 
 
 def test_azimuths_do_not_jump_where_the_camera_looks_back() -> None:
-    across = unwrapped_deg(frame(np.pi + 0.25).pairs.azimuth_rad)
+    across = unwrapped_deg(frame(np.pi + 0.25).correspondence.azimuth_rad)
     np.testing.assert_allclose(np.diff(across), np.rad2deg(-0.1))
     assert abs(across.mean()) == pytest.approx(np.rad2deg(np.pi - 0.05), abs=1e-6)
     assert unwrapped_deg(np.empty(0)).size == 0
@@ -132,10 +132,10 @@ def test_azimuths_do_not_jump_where_the_camera_looks_back() -> None:
 def test_curves_rise_in_azimuth_and_show_the_chosen_classes() -> None:
     curves = range_curves(frame(), ALL, 101)
     assert (np.diff(curves.azimuth_deg) > 0.0).all()
-    np.testing.assert_array_equal(curves.raw_m[::-1], frame().pairs.lidar_range_m)
+    np.testing.assert_array_equal(curves.raw_m[::-1], frame().correspondence.lidar_range_m)
     np.testing.assert_array_equal(curves.repaired_m[::-1], frame().repair.lidar_range_m)
-    np.testing.assert_array_equal(curves.camera_m[::-1], frame().pairs.camera_range_m)
-    np.testing.assert_array_equal(curves.pixel_m[::-1], frame().pairs.depth_as_range_m)
+    np.testing.assert_array_equal(curves.camera_m[::-1], frame().correspondence.camera_range_m)
+    np.testing.assert_array_equal(curves.pixel_m[::-1], frame().correspondence.depth_as_range_m)
     # A hole is pointed at where it was filled.
     np.testing.assert_array_equal(curves.looked_at_m[::-1], [NAN, 2.2, *[NAN] * 5])
     assert curves.limits_m == (1.0, 4.0)

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fusion_core.denoising.correspondence import along_curve, in_row
+from fusion_core.denoising.correspondence import match_along_curve, match_in_row
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import R_BODY_OPTICAL
 from fusion_core.model.geometry import (
@@ -96,7 +96,7 @@ def frame_of(pairs, scan, depth_m, lidar_class=None, depth_class=None, lidar_m=N
         row_model=pairs.model,
         registration=None,
         refusal="",
-        pairs=pairs,
+        correspondence=pairs,
         classes=classes,
         repair=repair,
     )
@@ -105,7 +105,9 @@ def frame_of(pairs, scan, depth_m, lidar_class=None, depth_class=None, lidar_m=N
 @pytest.fixture
 def wall():
     scan, depth_m = wall_scan(), wall_depth(T_LIDAR_CAMERA)
-    return frame_of(along_curve(scan, depth_m, depth_m, CAMERA, T_LIDAR_CAMERA), scan, depth_m)
+    return frame_of(
+        match_along_curve(scan, depth_m, depth_m, CAMERA, T_LIDAR_CAMERA), scan, depth_m
+    )
 
 
 def test_rows_of_a_wall_are_straight_lines_on_it():
@@ -185,7 +187,7 @@ def test_a_path_has_a_gap_where_poses_are_missing_or_far_apart():
 
 
 def test_exact_pairs_coincide(wall):
-    pixels_m = pixel_points(wall, CAMERA, T_LIDAR_CAMERA, wall.pairs.depth_m)
+    pixels_m = pixel_points(wall, CAMERA, T_LIDAR_CAMERA, wall.correspondence.depth_m)
     segments, codes = pair_segments(wall, pixels_m, ALL)
     assert len(segments) == np.isfinite(pixels_m[:, 0]).sum() > 30
     # A pixel is half a pixel off the beam's point at most.
@@ -196,12 +198,12 @@ def test_exact_pairs_coincide(wall):
 
 
 def test_a_pair_is_what_its_worse_side_is(wall):
-    lidar_class = np.zeros(wall.pairs.beam.size, dtype=np.int64)
+    lidar_class = np.zeros(wall.correspondence.beam.size, dtype=np.int64)
     depth_class = lidar_class.copy()
     lidar_class[3] = depth_class[4] = NoiseClass.BURR
     lidar_class[5] = depth_class[5] = lidar_class[4] = NoiseClass.CONFLICT
-    frame = frame_of(wall.pairs, wall.scan, wall.depth_m, lidar_class, depth_class)
-    pixels_m = pixel_points(frame, CAMERA, T_LIDAR_CAMERA, frame.pairs.depth_m)
+    frame = frame_of(wall.correspondence, wall.scan, wall.depth_m, lidar_class, depth_class)
+    pixels_m = pixel_points(frame, CAMERA, T_LIDAR_CAMERA, frame.correspondence.depth_m)
     _, codes = pair_segments(frame, pixels_m, ALL)
     assert codes[3:6].tolist() == [NoiseClass.BURR, NoiseClass.BURR, NoiseClass.CONFLICT]
     segments, codes = pair_segments(frame, pixels_m, frozenset({NoiseClass.BURR}))
@@ -213,11 +215,11 @@ def test_a_pair_is_what_its_worse_side_is(wall):
 def test_a_repaired_burr_moves_and_a_filled_hole_appears(wall):
     scan = wall_scan()
     ranges_m = scan.ranges_m.copy()
-    burr, hole = int(wall.pairs.beam[10]), int(wall.pairs.beam[20])
+    burr, hole = int(wall.correspondence.beam[10]), int(wall.correspondence.beam[20])
     ranges_m[burr] -= 1.0
     ranges_m[hole] = np.nan
     noisy = scan.with_ranges(ranges_m, None)
-    pairs = along_curve(noisy, wall.depth_m, wall.depth_m, CAMERA, T_LIDAR_CAMERA)
+    pairs = match_along_curve(noisy, wall.depth_m, wall.depth_m, CAMERA, T_LIDAR_CAMERA)
     at = {int(beam): index for index, beam in enumerate(pairs.beam)}
     lidar_class = np.zeros(pairs.beam.size, dtype=np.int64)
     lidar_class[at[burr]], lidar_class[at[hole]] = NoiseClass.BURR, NoiseClass.HOLE
@@ -245,14 +247,14 @@ def test_a_row_is_drawn_in_the_lidars_plane():
         rotation_from_yaw_pitch_roll(0.3, 0.0, 0.0) @ R_BODY_OPTICAL, np.zeros(3)
     )
     scan, depth_m = wall_scan(), wall_depth(level)
-    frame = frame_of(in_row(scan, depth_m, depth_m, CAMERA, level, 45), scan, depth_m)
+    frame = frame_of(match_in_row(scan, depth_m, depth_m, CAMERA, level, 45), scan, depth_m)
     T_lidar_camera = camera_pose(frame, RIG, ALIGNMENT)
     # The yaw is that of the pairs to half a pixel, whatever the mount says.
     np.testing.assert_allclose(T_lidar_camera[:3, :3], level[:3, :3], atol=0.5 / LENS.fx)
     # A pixel of row 45 lies below the axis; the camera is drawn as much higher.
     below = float(np.median(depth_m[45])) * (45 - LENS.cy) / LENS.fy
     assert T_lidar_camera[2, 3] == pytest.approx(below, abs=0.05)
-    pixels_m = pixel_points(frame, CAMERA, T_lidar_camera, frame.pairs.depth_m)
+    pixels_m = pixel_points(frame, CAMERA, T_lidar_camera, frame.correspondence.depth_m)
     np.testing.assert_allclose(pixels_m[:, 0], WALL_M, atol=0.05)
     np.testing.assert_array_equal(pixels_m[:, 2], 0.0)
 
@@ -261,7 +263,7 @@ def test_a_frame_without_pairs_in_view_is_drawn_at_the_mount():
     scan, depth_m = wall_scan(), wall_depth(T_LIDAR_CAMERA)
     nothing = scan.with_ranges(np.full(scan.ranges_m.size, np.nan), None)
     empty = np.full_like(depth_m, np.nan)
-    pairs = along_curve(nothing, empty, empty, CAMERA, T_LIDAR_CAMERA)
+    pairs = match_along_curve(nothing, empty, empty, CAMERA, T_LIDAR_CAMERA)
     shown = frame_geometry(frame_of(pairs, nothing, empty), RIG, ALIGNMENT, row_step=6)
     assert not len(shown.rows_m)
     assert not len(shown.pairs_m)

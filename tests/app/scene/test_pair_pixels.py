@@ -53,7 +53,7 @@ def stages() -> dict[str, Any]:
     depth_m[1, 1:3] = nan
     return {
         "depth_m": depth_m,
-        "pairs": SimpleNamespace(
+        "correspondence": SimpleNamespace(
             beam=np.array([7, 8, 9, 10]),
             row=np.array([1, 1, 1, -1]),
             column=np.array([0, 1, 2, -1]),

@@ -13,7 +13,7 @@ import pytest
 
 from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.model.recording import Recording
-from fusion_core.workflows.fuse.presets import PRESETS
+from fusion_core.workflows.fuse.settings import PRESETS
 from scanloom.resources import sample_path
 from scanloom.state import library as library_module
 from scanloom.state.file_stamp import FileStamp
@@ -139,7 +139,7 @@ def test_a_library_that_closes_stops_the_alignment(
         finally:
             stopped.set()
 
-    monkeypatch.setattr("scanloom.state.open_recording.align_session", endless)
+    monkeypatch.setattr("scanloom.state.open_recording.align_recording", endless)
     library = Library([small_scene], [])
     library.open(View(recording=small_scene.name)).align(lambda: None)
     assert began.wait(ENOUGH_S)
@@ -292,7 +292,7 @@ def test_what_is_closed_stops_to_be_aligned(
         finally:
             stopped.set()
 
-    monkeypatch.setattr("scanloom.state.open_recording.align_session", endless)
+    monkeypatch.setattr("scanloom.state.open_recording.align_recording", endless)
     library.open(views[0]).align(lambda: None)
     assert began.wait(ENOUGH_S)
     for view in views[1 : UNSEEN + 1]:
@@ -449,7 +449,7 @@ class Endless:
         self.changed = threading.Condition()
         self.at_work: list[Any] = []
         self.ended: list[Any] = []
-        monkeypatch.setattr("scanloom.state.open_recording.align_session", self)
+        monkeypatch.setattr("scanloom.state.open_recording.align_recording", self)
 
     def __call__(self, session: Any, progress: Callable[..., None], *_: object) -> None:
         with self.changed:

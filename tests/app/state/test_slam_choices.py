@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from fusion_core.workflows.fuse.presets import PRESETS
 from fusion_core.workflows.fuse.session import FuseOptions, open_session
+from fusion_core.workflows.fuse.settings import PRESETS
 from fusion_core.workflows.source import open_source
 from scanloom.state.slam_choices import (
     ESTIMATORS,

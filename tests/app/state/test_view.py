@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.errors import SettingsError
-from fusion_core.workflows.fuse.presets import PRESETS, PresetName
+from fusion_core.workflows.fuse.settings import PRESETS, PresetName
 from scanloom.state.slam_choices import (
     ESTIMATORS,
     MOTIONS,

@@ -24,11 +24,11 @@ from fusion_core.workflows.fuse import session as sessions
 from fusion_core.workflows.fuse.figures import (
     FigureCollector,
     printable,
+    remap_color,
     score_range,
-    upright_color,
     write_figures,
 )
-from fusion_core.workflows.fuse.presets import ChainSettings
+from fusion_core.workflows.fuse.settings import ChainSettings
 
 PICTURES = {
     f"fig{number}_{name}.png"
@@ -136,8 +136,8 @@ def test_a_colour_image_is_turned_as_the_depth_image_is(
     view = upright_view(lens, np.array([*up, 0.0]))
     values = np.arange(1, 25, dtype=np.uint8).reshape(4, 6)
     rgb = np.repeat(values[:, :, np.newaxis], 3, axis=2)
-    seen = np.nan_to_num(view.of(values.astype(np.float32)), nan=0.0)
-    turned = upright_color(rgb, view)
+    seen = np.nan_to_num(view.remap(values.astype(np.float32)), nan=0.0)
+    turned = remap_color(rgb, view)
     for channel in range(3):
         np.testing.assert_array_equal(turned[:, :, channel], seen)
 
@@ -148,8 +148,8 @@ def test_a_colour_image_of_another_size_is_turned_too(up: tuple[float, float]) -
     view = upright_view(lens, np.array([*up, 0.0]))
     values = np.arange(24, dtype=np.uint8).reshape(4, 6)
     large = values.repeat(2, axis=0).repeat(2, axis=1)
-    turned = upright_color(np.repeat(large[:, :, np.newaxis], 3, axis=2), view)
-    np.testing.assert_array_equal(turned[::2, ::2, 0], view.of(values.astype(np.float32)))
+    turned = remap_color(np.repeat(large[:, :, np.newaxis], 3, axis=2), view)
+    np.testing.assert_array_equal(turned[::2, ::2, 0], view.remap(values.astype(np.float32)))
 
 
 class ColorLog:

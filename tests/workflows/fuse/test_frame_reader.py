@@ -7,8 +7,8 @@ from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.model.errors import RecordingError
 from fusion_core.workflows.fuse.frame_reader import FrameReader
 from fusion_core.workflows.fuse.pairing import PairedImage
-from fusion_core.workflows.fuse.presets import PRESETS
 from fusion_core.workflows.fuse.session import FuseOptions, open_session
+from fusion_core.workflows.fuse.settings import PRESETS
 
 
 def reader_of(log):

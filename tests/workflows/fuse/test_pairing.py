@@ -13,22 +13,22 @@ from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import choose_streams
 from fusion_core.workflows.fuse import pairing
+from fusion_core.workflows.fuse.camera_rig import build_camera_rig
 from fusion_core.workflows.fuse.pairing import PairedImage, paired_images
-from fusion_core.workflows.fuse.rig import build_rig
-from fusion_core.workflows.fuse.session import fitting_of
+from fusion_core.workflows.fuse.session import fitting_for
 
 
 def entries(log, *, max_gap_ms=60.0, clock_offset_ms=0.0):
     with log.open() as recording:
         streams = choose_streams(recording)
-        rig = build_rig(recording, streams, SamplingSettings())
+        rig = build_camera_rig(recording, streams, SamplingSettings())
         wanted = TimeSettings(max_gap_ms=max_gap_ms)
         found = list(
             paired_images(
                 recording,
                 streams,
                 rig,
-                fitting_of(recording, rig),
+                fitting_for(recording, rig),
                 wanted,
                 clock_offset_ms=clock_offset_ms,
             )

@@ -12,8 +12,8 @@ from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.fuse.frame_reader import FrameReader
 from fusion_core.workflows.fuse.pairing import PairedImage
 from fusion_core.workflows.fuse.pairing_gaps import PairingStamps
-from fusion_core.workflows.fuse.presets import PRESETS
-from fusion_core.workflows.fuse.session import FuseOptions, align_session, open_session
+from fusion_core.workflows.fuse.session import FuseOptions, align_recording, open_session
+from fusion_core.workflows.fuse.settings import PRESETS
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -25,8 +25,8 @@ def session_of(log, *, max_gap_ms=60.0):
 
 def noted(entries):
     stamps = PairingStamps()
-    passed = list(stamps.passing(entries))
-    assert stamps.complete
+    passed = list(stamps.observe(entries))
+    assert stamps.is_complete
     return stamps, passed
 
 
@@ -56,7 +56,7 @@ def test_the_gaps_are_those_of_each_frame(
         assert gaps.time_ns.tolist() == frames.times_ns.tolist()
         for number in range(len(frames)):
             paired = frames.pair(number, clock_offset_ms)
-            assert gaps.paired[number] == (paired.window is not None)
+            assert gaps.is_paired[number] == (paired.window is not None)
             if paired.window is not None:
                 assert gaps.gap_ms[number] * NS_PER_MS == pytest.approx(paired.gap_ns, abs=0.5)
 
@@ -70,7 +70,7 @@ def test_a_frame_without_a_scan_near_enough_still_has_its_gap(log):
     stamps, _ = noted(session_of(log).pairs())
     gaps = stamps.gaps(0.0, 60.0)
     assert gaps.gap_ms.tolist() == [50.0, 700.0]
-    assert gaps.paired.tolist() == [True, False]
+    assert gaps.is_paired.tolist() == [True, False]
     assert gaps.scan_period_ms == 100.0
 
 
@@ -97,7 +97,7 @@ def test_no_scan_and_one_scan(scans):
     assert passed[-1] is entry
     gaps = stamps.gaps(0.0, 60.0)
     assert gaps.time_ns.tolist() == [image.stamp_ns]
-    assert gaps.paired.tolist() == [scans == 1]
+    assert gaps.is_paired.tolist() == [scans == 1]
     assert np.isnan(gaps.gap_ms[0]) == (scans == 0)
     assert np.isnan(gaps.scan_period_ms)
 
@@ -108,14 +108,14 @@ def test_a_pass_that_was_broken_off_is_not_complete(log):
         log.scan(100.0 * index)
         log.image(100.0 * index)
     stamps = PairingStamps()
-    next(stamps.passing(session_of(log).pairs()))
-    assert not stamps.complete
+    next(stamps.observe(session_of(log).pairs()))
+    assert not stamps.is_complete
 
 
 def test_the_alignment_notes_what_it_passes(scenes):
     with open_recording(scenes("bedroom", duration_s=1.0)) as recording:
         session = open_session(recording, FuseOptions(), PRESETS["default"])
         stamps = PairingStamps()
-        align_session(session, stamps=stamps)
-        assert stamps.complete
+        align_recording(session, stamps=stamps)
+        assert stamps.is_complete
         assert stamps.gaps(0.0, 60.0).gap_ms.size == session.image_count

@@ -13,13 +13,13 @@ from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.evaluate import evaluate
 from fusion_core.workflows.fuse import align as align_module
 from fusion_core.workflows.fuse.pairing import PairedImage
-from fusion_core.workflows.fuse.presets import PRESETS
 from fusion_core.workflows.fuse.session import (
     FuseOptions,
-    align_session,
-    fuse_session,
+    align_recording,
+    fuse_frames,
     open_session,
 )
+from fusion_core.workflows.fuse.settings import PRESETS
 
 TOPICS = [f"/camera_{number}/depth/image_raw" for number in (1, 2, 3, 4)]
 
@@ -79,7 +79,7 @@ def test_a_long_recording_still_gives_whole_panoramas(session, monkeypatch, fiel
     monkeypatch.setattr(align_module, "_FIELD_FRAMES", fields)
     every = max(1, session.image_count // 4 // fields)
     assert session.image_count == 84
-    assert align_session(session, lambda *_: None).frames == 21 // every
+    assert align_recording(session, lambda *_: None).frames == 21 // every
 
 
 class StopHere(Exception):
@@ -99,15 +99,15 @@ def test_no_camera_is_left_out_of_the_refinement(session, monkeypatch, kept):
     mount = default.mount.model_copy(update={"frames": kept})
     session = replace(session, settings=default.model_copy(update={"mount": mount}))
     with pytest.raises(StopHere):
-        align_session(session, lambda *_: None)
+        align_recording(session, lambda *_: None)
     counts = {topic: taken.count(topic) for topic in TOPICS}
     assert len(set(counts.values())) == 1
     assert counts[TOPICS[0]] >= 1
 
 
 def test_a_session_gives_scans_and_every_image_once(session, images):
-    alignment = align_session(session, lambda *_: None)
-    found = list(itertools.islice(fuse_session(session, alignment), 40))
+    alignment = align_recording(session, lambda *_: None)
+    found = list(itertools.islice(fuse_frames(session, alignment), 40))
     scans = [entry for entry in found if isinstance(entry, LaserScan)]
     frames = [entry for entry in found if not isinstance(entry, LaserScan | PairedImage)]
     assert scans

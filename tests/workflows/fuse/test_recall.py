@@ -8,18 +8,18 @@ import pytest
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.evaluate import evaluate
+from fusion_core.workflows.fuse.cached_chain import CachedChain
 from fusion_core.workflows.fuse.frame_reader import FrameReader
-from fusion_core.workflows.fuse.live import LiveChain
-from fusion_core.workflows.fuse.presets import PRESETS
 from fusion_core.workflows.fuse.recall import recall_of, truth_beside
-from fusion_core.workflows.fuse.session import FuseOptions, align_session, open_session
+from fusion_core.workflows.fuse.session import FuseOptions, align_recording, open_session
+from fusion_core.workflows.fuse.settings import PRESETS
 
 
 @pytest.fixture(scope="module")
 def chain(bedroom):
     with open_recording(bedroom.recording) as recording:
         session = open_session(recording, FuseOptions(), PRESETS["default"])
-        yield LiveChain(session, FrameReader(session), align_session(session))
+        yield CachedChain(session, FrameReader(session), align_recording(session))
 
 
 def test_the_curve_is_that_of_evaluate(bedroom, chain):

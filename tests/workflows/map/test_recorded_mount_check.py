@@ -6,10 +6,10 @@ import pytest
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.topics import choose_streams
+from fusion_core.workflows.fuse.camera_rig import build_camera_rig
 from fusion_core.workflows.fuse.fuse import fuse
-from fusion_core.workflows.fuse.presets import ChainSettings
-from fusion_core.workflows.fuse.rig import build_rig
-from fusion_core.workflows.fuse.session import FuseOptions, align_session, session_of
+from fusion_core.workflows.fuse.session import FuseOptions, align_recording, session_of
+from fusion_core.workflows.fuse.settings import ChainSettings
 from fusion_core.workflows.map.extrinsics import find_extrinsics
 from fusion_core.workflows.map.recorded_mount_check import recorded_mount_problem
 from fusion_core.workflows.map.rgbd_frames import first_camera_extrinsics
@@ -48,10 +48,10 @@ def test_a_camera_that_looks_over_the_lidar_keeps_its_mount_but_no_uncertainty(t
     path = write_boxes(tmp_path / "up.mcap", T_base_camera=camera_pose(0.8, pitch=-0.45))
     with open_recording(path) as recording:
         streams, settings = choose_streams(recording), ChainSettings()
-        rig = build_rig(recording, streams, settings.sampling)
-        alignment = align_session(session_of(recording, streams, rig, settings))
-    assert alignment.estimate.from_recorded
-    np.testing.assert_allclose(alignment.mount.vector(), rig.recorded.vector(), atol=0.01)
+        rig = build_camera_rig(recording, streams, settings.sampling)
+        alignment = align_recording(session_of(recording, streams, rig, settings))
+    assert alignment.estimate.is_from_recorded
+    np.testing.assert_allclose(alignment.mount.vector(), rig.recorded_mount.vector(), atol=0.01)
     assert alignment.mount.sd == (None,) * 6
     (note,) = alignment.notes
     assert note.startswith("The recorded mount is used, but scans and images do not confirm it: 0%")
@@ -59,8 +59,8 @@ def test_a_camera_that_looks_over_the_lidar_keeps_its_mount_but_no_uncertainty(t
 
 def test_a_camera_that_is_said_to_look_up_is_named(tmp_path):
     with open_recording(moved_mount(tmp_path / "up.mcap", raised_rad=0.5 * np.pi)) as recording:
-        rig = build_rig(recording, choose_streams(recording), ChainSettings().sampling)
-    assert rig.recorded is None
+        rig = build_camera_rig(recording, choose_streams(recording), ChainSettings().sampling)
+    assert rig.recorded_mount is None
     assert any(note.startswith(NOT_USED) for note in rig.notes)
 
 
@@ -82,6 +82,6 @@ def test_a_mount_that_is_right_is_used_without_a_word(tmp_path):
         found = find_extrinsics(recording, streams, settings)
         assert found.source == "tf"
         assert not any(NOT_USED in note for note in found.notes)
-        rig = build_rig(recording, streams, settings.sampling)
+        rig = build_camera_rig(recording, streams, settings.sampling)
         assert recorded_mount_problem(session_of(recording, streams, rig, settings)) == ""
-        assert mount_text(rig.recorded, ["said"]).endswith("- said")
+        assert mount_text(rig.recorded_mount, ["said"]).endswith("- said")

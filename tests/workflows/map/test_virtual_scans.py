@@ -10,7 +10,7 @@ from fusion_core.model.conventions import NS_PER_MS, wrap_angle
 from fusion_core.model.errors import AlignmentFailed, MissingStream, SettingsError
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.topics import choose_streams
-from fusion_core.workflows.fuse.presets import ChainSettings
+from fusion_core.workflows.fuse.settings import ChainSettings
 from fusion_core.workflows.map.extrinsics import find_extrinsics
 from fusion_core.workflows.map.floor_alignment import align_to_floor
 from fusion_core.workflows.map.scan_source import open_scans

@@ -12,27 +12,27 @@ from fusion_core.model.conventions import Float32Array, FloatArray
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.align import METRICS, search_rows
-from fusion_core.workflows.fuse.presets import ChainSettings
+from fusion_core.workflows.fuse.settings import ChainSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FrameSearch:
+class OffsetSearch:
     """The fields of one frame, and each metric's peak with the prior (``peaks``) and without it
     (``peaks_alone``). A metric without a peak is absent."""
 
     fields: dict[Metric, SimilarityField]
     peaks: dict[Metric, Peak]
-    peaks_alone: dict[Metric, Peak]
+    peaks_without_prior: dict[Metric, Peak]
 
 
-def search_frame(
+def search_offset(
     scan: LaserScan,
     depth_m: Float32Array,
     curve: CurveSampling,
     row: RowSampling,
     prior_u: float,
     settings: ChainSettings,
-) -> FrameSearch:
+) -> OffsetSearch:
     """Search one frame. ``depth_m``: (H, W) upright view; ``prior_u`` counts on this camera's own
     row."""
     rows_m = row_samples_m(depth_m, row)
@@ -44,19 +44,21 @@ def search_frame(
     if settings.search.use_prior:
         reach = settings.search.prior_samples
         near = _peaks(fields, settings, prior_u)
-        near = _refined(near, scan, rows_m, (prior_u - reach, prior_u + reach), METRICS, settings)
+        near = _refine_below_sample(
+            near, scan, rows_m, (prior_u - reach, prior_u + reach), METRICS, settings
+        )
         expected = metric in alone and metric in near and abs(alone[metric].u - prior_u) <= reach
     if expected:
         # The frame found by itself what the recording expects: one refinement serves both.
         alone[metric] = max(alone[metric], near[metric], key=lambda peak: peak.score)
     elif metric in alone:
         u = alone[metric].u
-        alone = _refined(alone, scan, rows_m, (u - 1.0, u + 1.0), (metric,), settings)
+        alone = _refine_below_sample(alone, scan, rows_m, (u - 1.0, u + 1.0), (metric,), settings)
     peaks = near if settings.search.use_prior else alone
-    return FrameSearch(fields=fields, peaks=peaks, peaks_alone=alone)
+    return OffsetSearch(fields=fields, peaks=peaks, peaks_without_prior=alone)
 
 
-def _refined(
+def _refine_below_sample(
     peaks: dict[Metric, Peak],
     scan: LaserScan,
     rows_m: FloatArray,

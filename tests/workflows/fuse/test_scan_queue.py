@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from fusion_core.model.sensors import LaserScan
-from fusion_core.workflows.fuse.scan_merge import ScanMerge
+from fusion_core.workflows.fuse.scan_queue import RepairedScanQueue
 
 BEAMS = 6
 GOOD, HOLE, BURR, CONFLICT = range(4)
@@ -33,17 +33,17 @@ def frame(of, gap_ns, beams, range_m, noise):
     return SimpleNamespace(
         scan=of,
         gap_ns=gap_ns,
-        pairs=SimpleNamespace(beam=np.array(beams)),
+        correspondence=SimpleNamespace(beam=np.array(beams)),
         repair=SimpleNamespace(lidar_range_m=np.full(count, range_m)),
         classes=SimpleNamespace(lidar_class=np.full(count, noise)),
     )
 
 
 def test_a_scan_that_no_image_met_is_itself_with_holes_by_value():
-    merge = ScanMerge()
+    merge = RepairedScanQueue()
     raw = scan(5, lost=(1, 4))
-    merge.arrive(raw)
-    ((given, repaired),) = merge.rest()
+    merge.push(raw)
+    ((given, repaired),) = merge.flush()
     assert given is raw
     np.testing.assert_array_equal(repaired.ranges_m, raw.ranges_m)
     np.testing.assert_array_equal(repaired.intensities, [0, 1, 0, 0, 1, 0])
@@ -52,37 +52,37 @@ def test_a_scan_that_no_image_met_is_itself_with_holes_by_value():
 
 def test_the_image_nearer_in_time_decides_beam_by_beam():
     for order in ((0, 1), (1, 0)):
-        merge = ScanMerge()
+        merge = RepairedScanQueue()
         raw = scan(5, lost=(0,))
-        merge.arrive(raw)
+        merge.push(raw)
         near, far = frame(raw, -10, [0, 1, 2], 8.0, BURR), frame(raw, 40, [2, 3], 7.0, CONFLICT)
         for index in order:
-            merge.add((near, far)[index])
-        ((_, repaired),) = merge.rest()
+            merge.apply_repairs((near, far)[index])
+        ((_, repaired),) = merge.flush()
         np.testing.assert_array_equal(repaired.ranges_m, [8.0, 8.0, 8.0, 7.0, 5.0, 6.0])
         np.testing.assert_array_equal(repaired.intensities, [BURR, BURR, BURR, CONFLICT, 0, 0])
     np.testing.assert_array_equal(raw.ranges_m[1:], [2.0, 3.0, 4.0, 5.0, 6.0])
 
 
 def test_every_scan_comes_once_in_order_and_few_wait():
-    merge = ScanMerge()
+    merge = RepairedScanQueue()
     arrived, out = [], []
     for stamp_ns in range(1000):
         arrived.append(scan(stamp_ns))
-        merge.arrive(arrived[-1])
-        out.extend(raw for raw, _ in merge.finished())
+        merge.push(arrived[-1])
+        out.extend(raw for raw, _ in merge.pop_settled())
         assert len(arrived) - len(out) <= 64
-    out.extend(raw for raw, _ in merge.rest())
+    out.extend(raw for raw, _ in merge.flush())
     assert all(a is b for a, b in zip(arrived, out, strict=True))
-    assert list(merge.rest()) == []
+    assert list(merge.flush()) == []
 
 
 def test_two_scans_of_one_stamp_are_two_scans():
-    merge = ScanMerge()
+    merge = RepairedScanQueue()
     first, second = scan(5), scan(5)
-    merge.arrive(first)
-    merge.arrive(second)
-    merge.add(frame(second, 0, [3], 8.5, BURR))
-    (_, untouched), (_, repaired) = merge.rest()
+    merge.push(first)
+    merge.push(second)
+    merge.apply_repairs(frame(second, 0, [3], 8.5, BURR))
+    (_, untouched), (_, repaired) = merge.flush()
     np.testing.assert_array_equal(untouched.ranges_m, first.ranges_m)
     assert repaired.ranges_m[3] == 8.5

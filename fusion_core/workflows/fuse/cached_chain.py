@@ -10,15 +10,20 @@ from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from fusion_core.alignment.search import FieldMean
+from fusion_core.alignment.search import MeanField
 from fusion_core.alignment.similarity import SimilarityField
 from fusion_core.model.errors import AlignmentFailed, RecordingError, ScanLoomError
-from fusion_core.workflows.fuse.align import Alignment
-from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame, judge_frame, match_frame
+from fusion_core.workflows.fuse.align import RecordingAlignment
+from fusion_core.workflows.fuse.frame import (
+    FrameMatch,
+    FusedFrame,
+    classify_and_repair,
+    match_frame,
+)
 from fusion_core.workflows.fuse.frame_reader import FrameReader
 from fusion_core.workflows.fuse.pairing import PairedImage
-from fusion_core.workflows.fuse.presets import ChainSettings
 from fusion_core.workflows.fuse.session import Session
+from fusion_core.workflows.fuse.settings import ChainSettings
 
 # A frame of 320 x 240 with its fields takes about 2 MiB.
 _FRAMES_KEPT = 48
@@ -30,13 +35,15 @@ class FrameChoice:
 
     number: int
     clock_offset_ms: float = 0.0
-    picked: tuple[float, float] | None = None
+    picked_offset: tuple[float, float] | None = None
 
 
-class LiveChain:
+class CachedChain:
     """The chain of one session with one alignment. Safe for threads; people may share it."""
 
-    def __init__(self, session: Session, frames: FrameReader, alignment: Alignment) -> None:
+    def __init__(
+        self, session: Session, frames: FrameReader, alignment: RecordingAlignment
+    ) -> None:
         self.session = session
         self.frames = frames
         self.alignment = alignment
@@ -44,7 +51,7 @@ class LiveChain:
         self._matches = _Kept(_FRAMES_KEPT)
         self._judged = _Kept(_FRAMES_KEPT)
 
-    def paired(self, choice: FrameChoice) -> PairedImage:
+    def pair(self, choice: FrameChoice) -> PairedImage:
         """The frame and its scan. Raises RecordingError for a frame that cannot be read."""
         key = (choice.number, choice.clock_offset_ms)
         found: PairedImage = self._pairs.get(
@@ -52,27 +59,27 @@ class LiveChain:
         )
         return found
 
-    def matched(self, choice: FrameChoice, settings: ChainSettings) -> FrameMatch:
+    def match(self, choice: FrameChoice, settings: ChainSettings) -> FrameMatch:
         """Fields, pairs and A of a frame.
 
         Raises AlignmentFailed where no scan is near enough in time, or the frame has no peak.
         """
         key = (choice, settings_of_match(settings))
         found: FrameMatch = self._matches.get(
-            key, lambda: self._match(self.paired(choice), choice, settings)
+            key, lambda: self._match(self.pair(choice), choice, settings)
         )
         return found
 
-    def judged(self, choice: FrameChoice, settings: ChainSettings) -> FusedFrame:
+    def fused(self, choice: FrameChoice, settings: ChainSettings) -> FusedFrame:
         """Classes and repairs of a frame. Raises as ``matched``."""
-        match = self.matched(choice, settings)
+        match = self.match(choice, settings)
         key = (choice, settings_of_match(settings), settings.noise, settings.repair)
         found: FusedFrame = self._judged.get(
-            key, lambda: judge_frame(match, self.session.rig, self.alignment, settings)
+            key, lambda: classify_and_repair(match, self.session.rig, self.alignment, settings)
         )
         return found
 
-    def each(
+    def fuse_all(
         self, settings: ChainSettings, clock_offset_ms: float = 0.0
     ) -> Iterator[FusedFrame | PairedImage]:
         """All frames in turn, those that could not be fused as they are; none of them is kept.
@@ -87,7 +94,7 @@ class LiveChain:
                 continue
             try:
                 match = self._match(paired, choice, settings)
-                yield judge_frame(match, self.session.rig, self.alignment, settings)
+                yield classify_and_repair(match, self.session.rig, self.alignment, settings)
             except AlignmentFailed:
                 yield paired
 
@@ -109,7 +116,7 @@ class LiveChain:
             settings,
             image=paired.image,
             before=self.frames.before(choice.number),
-            picked=choice.picked,
+            picked=choice.picked_offset,
         )
 
 
@@ -146,15 +153,15 @@ class _Kept:
         return value
 
 
-def window_field(
-    chain: LiveChain, number: int, settings: ChainSettings, beside: int
+def mean_field_around(
+    chain: CachedChain, number: int, settings: ChainSettings, beside: int
 ) -> tuple[SimilarityField, int]:
     """The mean field of a frame and ``beside`` frames of its camera to either side, and how many
     they are. Frames without a scan or a peak are left out.
 
     Raises AlignmentFailed where none is left.
     """
-    mean = FieldMean()
+    mean = MeanField()
     camera = chain.frames.camera_of(number)
     shape = None
     step = max(1, len(chain.session.rig.cameras))
@@ -162,7 +169,7 @@ def window_field(
         if not 0 <= other < len(chain.frames) or chain.frames.camera_of(other) != camera:
             continue
         try:
-            fields = chain.matched(FrameChoice(number=other), settings).search.fields
+            fields = chain.match(FrameChoice(number=other), settings).search.fields
         except ScanLoomError:
             continue
         own = next(iter(fields.values())).scores.shape

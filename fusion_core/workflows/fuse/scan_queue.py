@@ -11,7 +11,7 @@ from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.pairing import SCANS_KEPT
 
 
-class _Pending:
+class _WaitingScan:
     def __init__(self, scan: LaserScan) -> None:
         self.scan = scan
         self.ranges_m = scan.ranges_m.copy()
@@ -21,7 +21,7 @@ class _Pending:
         self.gap_ns: FloatArray = np.full(scan.ranges_m.size, np.inf)
 
 
-class ScanMerge:
+class RepairedScanQueue:
     """Scans wait until no image can be paired with them any more, so memory stays bounded.
 
     Where two images judge the same beam, the one nearer in time decides.
@@ -29,32 +29,32 @@ class ScanMerge:
 
     def __init__(self) -> None:
         # By identity: some drivers give two scans one stamp.
-        self._pending: dict[int, _Pending] = {}
+        self._pending: dict[int, _WaitingScan] = {}
 
-    def arrive(self, scan: LaserScan) -> None:
+    def push(self, scan: LaserScan) -> None:
         """A scan as it comes from the recording."""
-        self._pending[id(scan)] = _Pending(scan)
+        self._pending[id(scan)] = _WaitingScan(scan)
 
-    def add(self, frame: FusedFrame) -> None:
+    def apply_repairs(self, frame: FusedFrame) -> None:
         """The repairs of one image, whose scan must still wait."""
         pending = self._pending[id(frame.scan)]
-        beam = frame.pairs.beam
+        beam = frame.correspondence.beam
         nearer = abs(frame.gap_ns) < pending.gap_ns[beam]
         beam = beam[nearer]
         pending.gap_ns[beam] = abs(frame.gap_ns)
         pending.ranges_m[beam] = frame.repair.lidar_range_m[nearer]
         pending.codes[beam] = frame.classes.lidar_class[nearer]
 
-    def finished(self) -> Iterator[tuple[LaserScan, LaserScan]]:
+    def pop_settled(self) -> Iterator[tuple[LaserScan, LaserScan]]:
         """Raw and repaired scans that no image can be paired with any more, in order of arrival."""
         while len(self._pending) > SCANS_KEPT:
-            yield self._take_oldest()
+            yield self._pop_oldest()
 
-    def rest(self) -> Iterator[tuple[LaserScan, LaserScan]]:
+    def flush(self) -> Iterator[tuple[LaserScan, LaserScan]]:
         """All that still wait."""
         while self._pending:
-            yield self._take_oldest()
+            yield self._pop_oldest()
 
-    def _take_oldest(self) -> tuple[LaserScan, LaserScan]:
+    def _pop_oldest(self) -> tuple[LaserScan, LaserScan]:
         pending = self._pending.pop(next(iter(self._pending)))
         return pending.scan, pending.scan.with_ranges(pending.ranges_m, pending.codes)

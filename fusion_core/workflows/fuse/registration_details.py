@@ -19,12 +19,12 @@ from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
 
 __all__ = [
     "Consensus",
-    "DrawShown",
     "PlanarPairs",
+    "RansacDraw",
     "Registration",
     "ResidualCurve",
     "TransformDecomposition",
-    "consensus_of",
+    "consensus_probabilities",
     "draw_at",
     "meaning_of_registration",
     "planar_pairs",
@@ -47,7 +47,7 @@ class PlanarPairs:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DrawShown:
+class RansacDraw:
     """One draw of RANSAC: ``pairs`` (n,) of the m pairs, their own ``A`` (3, 3), the pairs that
     agree with it, ``agree`` (m,), and the LiDAR's points through it, ``mapped_m`` (m, 2).
 
@@ -71,9 +71,9 @@ class Consensus:
     """``share``: c, inliers of A among the valid pairs; ``clean``: probability cⁿ that a draw holds
     inliers alone; ``clean_once``: that one of the N draws did, 1 - (1 - cⁿ)^N."""
 
-    share: float
-    clean: float
-    clean_once: float
+    inlier_fraction: float
+    clean_probability: float
+    any_clean_probability: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -106,7 +106,7 @@ def planar_pairs(match: FrameMatch) -> PlanarPairs:
             mapped_m=apply_transform(found.A, lidar_m),
             inliers=found.inliers,
         )
-    pairs = match.pairs
+    pairs = match.correspondence
     return PlanarPairs(
         lidar_m=planar_points(pairs, pairs.lidar_range_m),
         depth_m=planar_points(pairs, pairs.depth_as_range_m),
@@ -115,11 +115,11 @@ def planar_pairs(match: FrameMatch) -> PlanarPairs:
     )
 
 
-def draw_at(registration: Registration, index: int) -> DrawShown:
+def draw_at(registration: Registration, index: int) -> RansacDraw:
     """A draw of the model that was taken, as it was at first. Raises IndexError."""
     draw = registration.draws[index]
     lidar_m = registration.draws.lidar_points_m
-    return DrawShown(
+    return RansacDraw(
         index=draw.index,
         pairs=draw.pairs,
         A=draw.A,
@@ -128,12 +128,14 @@ def draw_at(registration: Registration, index: int) -> DrawShown:
     )
 
 
-def consensus_of(registration: Registration) -> Consensus:
+def consensus_probabilities(registration: Registration) -> Consensus:
     """How likely the draws were to hold a clean one, by the inliers of A."""
     share = int(registration.inliers.sum()) / registration.valid
     clean = share**registration.draws.sample_size
     missed = (1.0 - clean) ** len(registration.draws)
-    return Consensus(share=share, clean=clean, clean_once=1.0 - missed)
+    return Consensus(
+        inlier_fraction=share, clean_probability=clean, any_clean_probability=1.0 - missed
+    )
 
 
 def meaning_of_registration(registration: Registration) -> TransformDecomposition:
@@ -144,7 +146,7 @@ def meaning_of_registration(registration: Registration) -> TransformDecompositio
 
 def residual_curve(frame: FusedFrame) -> ResidualCurve:
     """The residuals of a frame with their thresholds and classes."""
-    pairs, classes = frame.pairs, frame.classes
+    pairs, classes = frame.correspondence, frame.classes
     shown = np.flatnonzero(np.isfinite(pairs.residual_m))
     # Beams on both sides of the scan's seam are neighbours where the camera looks backwards.
     middle_rad = float(np.angle(np.exp(1j * pairs.azimuth_rad).sum()))

@@ -32,12 +32,26 @@ class MountSettings(StageSettings):
     # The images and two copies of them, at 640 x 480 pixels 0.7 GB.
     frames: int = setting(48, "Depth images kept for the refinement", unit="images", ge=4, le=200)
     tolerance_m: float = setting(0.03, "Agreement tolerance at range 0", unit="m", ge=1e-6, le=2.0)
-    tolerance_share: float = setting(0.02, "Growth of the tolerance with range", ge=1e-6, le=0.2)
-    nearer_cost: float = setting(
-        0.6, "Cost of depth nearer than the LiDAR point (1: beyond it)", ge=0.0, le=1.0
+    tolerance_fraction: float = setting(
+        0.02,
+        "Growth of the agreement tolerance with range, as a fraction of it",
+        ge=1e-6,
+        le=0.2,
+        formerly="tolerance_share",
     )
-    hidden_cost: float = setting(
-        0.3, "Cost of a LiDAR point outside the image or on a hole", ge=0.0, le=1.0
+    occlusion_cost: float = setting(
+        0.6,
+        "Cost of a LiDAR point that something nearer may occlude (1: depth beyond the point)",
+        ge=0.0,
+        le=1.0,
+        formerly="nearer_cost",
+    )
+    no_depth_cost: float = setting(
+        0.3,
+        "Cost of a LiDAR point above or below the image, or on a hole",
+        ge=0.0,
+        le=1.0,
+        formerly="hidden_cost",
     )
     # Every 5 cm between the two is tried, all around; no robot is taller.
     delta_z_min_m: float = setting(
@@ -61,11 +75,11 @@ class MountSettings(StageSettings):
         le=30.0,
     )
     min_agreement: float = setting(
-        0.8, "Least share of visible points that agree, to pair along the curve", ge=1e-6, le=1.0
+        0.8, "Least fraction of visible points that agree, to pair along the curve", ge=1e-6, le=1.0
     )
 
 
-LEAST_POINTS = 100
+MIN_POINTS = 100
 """Of fewer LiDAR points nothing is concluded."""
 
 # Neighbouring frames see the same walls: they count as one observation.
@@ -73,7 +87,7 @@ _FRAMES_PER_BLOCK = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MountFrame:
+class MountObservation:
     """One scan and one image of the subset that the refinement keeps.
 
     ``points_m``: (N, 2) valid LiDAR points in the LiDAR frame at the scan's stamp.
@@ -94,26 +108,30 @@ class MountFrame:
         read_only(self.depth_m)
 
 
-def mount_frame(
-    camera: Camera, scan: LaserScan, depth_m: Float32Array, image_stamp_ns: int, turn_rate: float
-) -> MountFrame:
+def mount_observation(
+    camera: Camera,
+    scan: LaserScan,
+    depth_m: Float32Array,
+    image_stamp_ns: int,
+    turn_rate_rad_s: float,
+) -> MountObservation:
     """Keep what the agreement needs of one pair. Without neighbours in time the turn rate (rad/s)
     is NaN, and no turn between the two stamps can be taken out."""
     valid = np.isfinite(scan.ranges_m)
     angles = scan.angles_rad[valid]
     ranges = scan.ranges_m[valid]
-    return MountFrame(
+    return MountObservation(
         camera=camera,
         scan=scan,
         raw_depth_m=depth_m,
         points_m=np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=1),
-        depth_m=without_speckle(depth_m),
-        turn_rate_rad_s=turn_rate if np.isfinite(turn_rate) else 0.0,
+        depth_m=remove_speckle(depth_m),
+        turn_rate_rad_s=turn_rate_rad_s if np.isfinite(turn_rate_rad_s) else 0.0,
         image_after_scan_s=(image_stamp_ns - scan.stamp_ns) / NS_PER_S,
     )
 
 
-def without_speckle(depth_m: Float32Array) -> Float32Array:
+def remove_speckle(depth_m: Float32Array) -> Float32Array:
     """The depth image without lone values, by a 3 x 3 median, and without lone holes.
 
     A hole among at least four valid pixels of one surface in the 5 x 5 around becomes their mean
@@ -133,7 +151,7 @@ def without_speckle(depth_m: Float32Array) -> Float32Array:
     return np.where(filled > 0.0, filled, np.float32(np.nan)).astype(np.float32)
 
 
-class Agreement:
+class MountCost:
     """The kept frames as flat arrays, and the cost of a mount on each of them.
 
     ``farthest_m``: the longest range of the LiDAR. ``on_step`` is called before each mount that is
@@ -142,7 +160,7 @@ class Agreement:
 
     def __init__(
         self,
-        frames: Sequence[MountFrame],
+        frames: Sequence[MountObservation],
         settings: MountSettings,
         on_step: Callable[[], None] = lambda: None,
     ) -> None:
@@ -150,13 +168,13 @@ class Agreement:
         self._on_step = on_step
         self._settings = settings
         self._points = np.concatenate([frame.points_m for frame in frames])
-        self.farthest_m = float(np.hypot(*self._points.T).max(initial=0.0))
+        self.max_range_m = float(np.hypot(*self._points.T).max(initial=0.0))
         sizes = [frame.points_m.shape[0] for frame in frames]
         self._first_point = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
         self._pixels = np.concatenate([frame.depth_m.ravel() for frame in frames])
         areas = [frame.depth_m.size for frame in frames]
         self._first_pixel = np.concatenate([[0], np.cumsum(areas)[:-1]]).astype(np.int64)
-        self._lens = np.array(
+        self._intrinsics = np.array(
             [
                 [lens.fx, lens.fy, lens.cx, lens.cy, lens.width, lens.height]
                 for lens in (frame.camera.intrinsics for frame in frames)
@@ -166,21 +184,21 @@ class Agreement:
             [invert_transform(frame.camera.T_rig_camera) for frame in frames]
         )
         self.turn_rates_rad_s = np.array([frame.turn_rate_rad_s for frame in frames])
-        self._after_s = np.array([frame.image_after_scan_s for frame in frames])
+        self._image_after_scan_s = np.array([frame.image_after_scan_s for frame in frames])
         self.blocks = max(1, len(frames) // _FRAMES_PER_BLOCK)
 
-    def thinned(self) -> "Agreement":
+    def subsampled(self) -> "MountCost":
         """Every third frame, to look far around."""
-        return Agreement(self._frames[::3], self._settings, self._on_step)
+        return MountCost(self._frames[::3], self._settings, self._on_step)
 
-    def lowest_seen_m(self) -> float:
+    def lowest_surface_m(self) -> float:
         """Height of the lowest surface in the rig frame: the floor, where it is in the image.
 
         A LiDAR plane below it would be nowhere in the images.
         """
         lowest = []
         for index, T_camera_rig in enumerate(self._T_camera_rig):
-            fx, fy, cx, cy, width, height = self._lens[index]
+            fx, fy, cx, cy, width, height = self._intrinsics[index]
             first = self._first_pixel[index]
             depth = self._pixels[first : first + int(width * height)].reshape(int(height), -1)
             v, u = np.mgrid[0 : int(height) : 4, 0 : int(width) : 4]
@@ -192,7 +210,7 @@ class Agreement:
                 lowest.append(np.quantile(heights, 0.01))
         return float(np.median(lowest)) if lowest else float("-inf")
 
-    def frame_tallies(self, values: FloatArray) -> FloatArray:
+    def tallies_per_frame(self, values: FloatArray) -> FloatArray:
         """(F, 4): cost, points in front of the camera, points on valid depth, points in accord."""
         mount = Mount.from_vector(values)
         return self._tallies(invert_transform(mount.T_lidar_rig), mount)
@@ -202,33 +220,35 @@ class Agreement:
         pitched = replace(mount, yaw_rad=0.0, forward_m=0.0, left_m=0.0, delta_z_m=0.0)
         back = np.eye(4)
         back[:3, 3] = -mount.T_lidar_rig[:3, 3]
-        T_rig_lidar = invert_transform(pitched.T_lidar_rig) @ _turns(-yaws_rad) @ back
+        T_rig_lidar = invert_transform(pitched.T_lidar_rig) @ _yaw_transforms(-yaws_rad) @ back
         return np.array([self._tallies(T, mount)[:, 0].sum() for T in T_rig_lidar])
 
     def _tallies(self, T_rig_lidar: FloatArray, mount: Mount) -> FloatArray:
         self._on_step()
-        turned_rad = self.turn_rates_rad_s * (self._after_s - mount.clock_offset_ms * 1e-3)
-        tallies: FloatArray = _tally(
+        turned_rad = self.turn_rates_rad_s * (
+            self._image_after_scan_s - mount.clock_offset_ms * 1e-3
+        )
+        tallies: FloatArray = _tally_points(
             self._points,
             self._first_point,
             self._pixels,
             self._first_pixel,
-            self._lens,
-            self._T_camera_rig @ T_rig_lidar @ _turns(-turned_rad),
+            self._intrinsics,
+            self._T_camera_rig @ T_rig_lidar @ _yaw_transforms(-turned_rad),
             self._settings.tolerance_m,
-            self._settings.tolerance_share,
-            self._settings.nearer_cost,
-            self._settings.hidden_cost,
+            self._settings.tolerance_fraction,
+            self._settings.occlusion_cost,
+            self._settings.no_depth_cost,
         )
         return tallies
 
     def mean_cost(self, values: FloatArray) -> float:
-        tallies = self.frame_tallies(values)
+        tallies = self.tallies_per_frame(values)
         return float(tallies[:, 0].sum() / max(tallies[:, 1].sum(), 1.0))
 
     def block_costs(self, values: FloatArray) -> FloatArray:
         """(blocks,) mean cost of runs of neighbouring frames."""
-        tallies = self.frame_tallies(values)
+        tallies = self.tallies_per_frame(values)
         return np.array(
             [
                 block[:, 0].sum() / max(block[:, 1].sum(), 1.0)
@@ -236,12 +256,12 @@ class Agreement:
             ]
         )
 
-    def agreement(self, values: FloatArray) -> tuple[float, float]:
-        tallies = self.frame_tallies(values).sum(axis=0)
+    def agreement_and_visibility(self, values: FloatArray) -> tuple[float, float]:
+        tallies = self.tallies_per_frame(values).sum(axis=0)
         return float(tallies[3] / max(tallies[2], 1.0)), float(tallies[2] / max(tallies[1], 1.0))
 
 
-def _turns(angles_rad: FloatArray) -> FloatArray:
+def _yaw_transforms(angles_rad: FloatArray) -> FloatArray:
     """(F, 4, 4) rotations about z."""
     turns = np.tile(np.eye(4), (angles_rad.size, 1, 1))
     turns[:, 0, 0] = turns[:, 1, 1] = np.cos(angles_rad)
@@ -251,7 +271,7 @@ def _turns(angles_rad: FloatArray) -> FloatArray:
 
 
 @compiled()
-def _tally(
+def _tally_points(
     points: FloatArray,
     first_point: IntArray,
     pixels: Float32Array,

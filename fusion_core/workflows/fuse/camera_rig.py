@@ -7,7 +7,7 @@ import numpy as np
 
 from fusion_core.alignment.curves import SamplingSettings
 from fusion_core.alignment.upright import UprightView, upright_view
-from fusion_core.alignment.virtual_lidar import cropped_view
+from fusion_core.alignment.virtual_lidar import crop_view
 from fusion_core.model.conventions import R_BODY_OPTICAL, FloatArray
 from fusion_core.model.errors import MissingStream, ScanLoomError
 from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
@@ -33,7 +33,7 @@ _T_LEVEL = make_transform(R_BODY_OPTICAL, np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rig:
+class CameraRig:
     """Cameras in upright views on one frame. ``recorded`` is the mount by the recording's own
     transforms, None where they do not connect it with the LiDAR. ``full_views`` are not cropped
     for a virtual LiDAR. ``depth_quantum_m``: the coarsest step between depths that a camera's file
@@ -46,7 +46,7 @@ class Rig:
     lidar_frame: str
     scan_geometry: ScanGeometry | None
     depth_quantum_m: float | None
-    recorded: Mount | None
+    recorded_mount: Mount | None
     notes: tuple[str, ...]
 
 
@@ -59,9 +59,9 @@ class _Lens:
     quantum_m: float | None
 
 
-def build_rig(
+def build_camera_rig(
     recording: Recording, streams: Streams, sampling: SamplingSettings, *, virtual: bool = False
-) -> Rig:
+) -> CameraRig:
     """Read what the rig needs: one image and CameraInfo of each camera, and the static transforms.
 
     ``virtual``: the LiDAR is cut from the depth itself, so the views are cropped.
@@ -106,7 +106,7 @@ def build_rig(
     full_views = tuple(views)
     quanta = [lens.quantum_m for lens in lenses if lens.quantum_m is not None]
     if virtual:
-        views = [cropped_view(view) for view in views]
+        views = [crop_view(view) for view in views]
         cameras = [
             Camera(
                 topic=camera.topic,
@@ -116,7 +116,7 @@ def build_rig(
             )
             for camera, view in zip(cameras, views, strict=True)
         ]
-    return Rig(
+    return CameraRig(
         cameras=tuple(cameras),
         views=tuple(views),
         full_views=full_views,
@@ -124,7 +124,7 @@ def build_rig(
         lidar_frame=lidar_frame,
         scan_geometry=geometry,
         depth_quantum_m=max(quanta, default=None),
-        recorded=recorded,
+        recorded_mount=recorded,
         notes=tuple(notes),
     )
 

@@ -9,14 +9,16 @@ from fusion_core.alignment.curves import SamplingSettings
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.geometry import invert_transform, make_transform, transform_points
 from fusion_core.recordings.topics import choose_streams
-from fusion_core.workflows.fuse.rig import build_rig
+from fusion_core.workflows.fuse.camera_rig import build_camera_rig
 
 NAMES = ("a", "b", "c")
 
 
 def rig_of(log, *, virtual=False):
     with log.open() as recording:
-        return build_rig(recording, choose_streams(recording), SamplingSettings(), virtual=virtual)
+        return build_camera_rig(
+            recording, choose_streams(recording), SamplingSettings(), virtual=virtual
+        )
 
 
 def stored_pose(rig, index):
@@ -36,7 +38,7 @@ def one_camera(log):
 
 def test_without_tf_the_camera_is_level_and_no_mount_is_known(one_camera, pose_of):
     rig = rig_of(one_camera)
-    assert rig.recorded is None
+    assert rig.recorded_mount is None
     assert rig.lidar_frame == "laser"
     assert rig.notes == ()
     np.testing.assert_allclose(rig.cameras[0].T_rig_camera, pose_of(optical=True), atol=1e-15)
@@ -50,7 +52,7 @@ def test_the_recorded_mount_has_the_numbers_of_the_transforms(one_camera, pose_o
     one_camera.transform(f"{slash}base_link", f"{slash}laser", T_base_lidar)
     one_camera.transform(f"{slash}base_link", f"{slash}camera_optical", T_base_camera)
     rig = rig_of(one_camera)
-    mount = rig.recorded
+    mount = rig.recorded_mount
     assert mount.yaw_rad == pytest.approx(0.12)
     assert (mount.forward_m, mount.left_m, mount.delta_z_m) == pytest.approx((0.05, 0.03, 0.61))
     # Pitch and roll stay with the camera, so that the mount's own are small corrections.
@@ -69,7 +71,7 @@ def test_the_mount_is_seen_from_the_lidar_however_it_stands(one_camera, pose_of,
     one_camera.transform("base_link", "camera_optical", T_base_camera)
     rig = rig_of(one_camera)
     np.testing.assert_allclose(
-        rig.recorded.T_lidar_rig @ stored_pose(rig, 0),
+        rig.recorded_mount.T_lidar_rig @ stored_pose(rig, 0),
         invert_transform(T_base_lidar) @ T_base_camera,
         atol=1e-12,
     )
@@ -81,7 +83,7 @@ def test_without_the_lidar_the_root_gives_the_tilt_and_no_mount(one_camera, pose
     T = pose_of(0.2, 0.1, 0.9, yaw=0.4, pitch=0.3, optical=True)
     one_camera.transform("base_link", "camera_optical", T)
     rig = rig_of(one_camera)
-    assert rig.recorded is None
+    assert rig.recorded_mount is None
     # The camera looks along the rig's x, and stands at its origin.
     np.testing.assert_allclose(
         rig.cameras[0].T_rig_camera, pose_of(pitch=0.3, optical=True), atol=1e-12
@@ -95,7 +97,7 @@ def test_an_optical_frame_is_no_level_base(one_camera, pose_of, own_is_root):
     one_camera.transform(parent, child, pose_of(x=0.05, yaw=0.02))
     rig = rig_of(one_camera)
     np.testing.assert_allclose(rig.cameras[0].T_rig_camera, pose_of(optical=True), atol=1e-12)
-    assert rig.recorded is None
+    assert rig.recorded_mount is None
 
 
 def several(log, poses, *, joined_to=None):
@@ -119,7 +121,7 @@ def side_by_side(pose_of):
 def test_cameras_of_one_root_keep_their_poses_among_themselves(log, side_by_side):
     several(log, side_by_side, joined_to="camera_rig")
     rig = rig_of(log)
-    assert rig.recorded is None
+    assert rig.recorded_mount is None
     assert [camera.topic for camera in rig.cameras] == [f"/{n}/depth/image_raw" for n in NAMES]
     first = invert_transform(rig.cameras[0].T_rig_camera)
     for index, name in enumerate(NAMES):
@@ -138,10 +140,10 @@ def test_cameras_joined_to_the_lidar_have_a_mount_at_their_middle(log, pose_of, 
     T_base_lidar = pose_of(0.05, 0.0, 0.3, yaw=0.1)
     log.transform("base_link", "laser", T_base_lidar)
     rig = rig_of(log)
-    assert (rig.recorded.yaw_rad, rig.recorded.delta_z_m) == pytest.approx((0.0, 0.7))
+    assert (rig.recorded_mount.yaw_rad, rig.recorded_mount.delta_z_m) == pytest.approx((0.0, 0.7))
     for index, name in enumerate(NAMES):
         np.testing.assert_allclose(
-            rig.recorded.T_lidar_rig @ rig.cameras[index].T_rig_camera,
+            rig.recorded_mount.T_lidar_rig @ rig.cameras[index].T_rig_camera,
             invert_transform(T_base_lidar) @ side_by_side[name],
             atol=1e-12,
         )
@@ -180,11 +182,11 @@ def test_a_rolled_camera_is_seen_upright_pixel_by_pixel(one_camera, pose_of, qua
         row = intrinsics.cy + intrinsics.fy * y / z
         return np.rint(row).astype(int), np.rint(column).astype(int)
 
-    row, column = pixels(rig.recorded.T_lidar_rig @ camera.T_rig_camera, camera.intrinsics)
+    row, column = pixels(rig.recorded_mount.T_lidar_rig @ camera.T_rig_camera, camera.intrinsics)
     found = view.stored_pixels(row, column)
     np.testing.assert_array_equal(found, pixels(T_base_camera, lens))
     stored_m = rng.uniform(1.0, 3.0, (lens.height, lens.width)).astype(np.float32)
-    np.testing.assert_array_equal(view.of(stored_m)[row, column], stored_m[found])
+    np.testing.assert_array_equal(view.remap(stored_m)[row, column], stored_m[found])
 
 
 @pytest.mark.parametrize(
@@ -225,14 +227,16 @@ def test_a_virtual_lidar_is_wider_than_the_rows_and_of_one_camera(log, side_by_s
     several(log, side_by_side, joined_to="camera_rig")
     rig = rig_of(log, virtual=True)
     assert len(rig.cameras) == len(rig.views) == len(rig.full_views) == 1
-    assert rig.recorded is None
+    assert rig.recorded_mount is None
     assert "/a/depth/image_raw" in rig.notes[-1]
     whole, cut = rig.full_views[0].intrinsics, rig.cameras[0].intrinsics
     assert whole == log.lens
     assert cut.width == pytest.approx(0.6 * whole.width, abs=1.0)
     stored_m = np.arange(whole.height * whole.width, dtype=np.float32).reshape(whole.height, -1)
     first = round(whole.cx - cut.cx)
-    np.testing.assert_array_equal(rig.views[0].of(stored_m), stored_m[:, first : first + cut.width])
+    np.testing.assert_array_equal(
+        rig.views[0].remap(stored_m), stored_m[:, first : first + cut.width]
+    )
 
 
 def test_distortion_is_taken_out_of_the_view(log):

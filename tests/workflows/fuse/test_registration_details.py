@@ -11,12 +11,12 @@ from fusion_core.registration.models import apply_transform
 from fusion_core.registration.ransac import RegistrationSettings, register
 from fusion_core.workflows.fuse.epsilon import (
     EPSILON_UNITS,
-    converted,
-    epsilon_in,
+    convert_epsilon,
+    measure_epsilon,
     unit_lengths_m,
 )
-from fusion_core.workflows.fuse.registration_view import (
-    consensus_of,
+from fusion_core.workflows.fuse.registration_details import (
+    consensus_probabilities,
     draw_at,
     meaning_of_registration,
     planar_pairs,
@@ -68,10 +68,10 @@ def test_there_is_no_other_draw(index):
 def test_the_consensus_is_the_papers_formula():
     found = registered()
     c = found.inliers.sum() / 89
-    consensus = consensus_of(found)
-    assert consensus.share == pytest.approx(c)
-    assert consensus.clean == pytest.approx(c**6)
-    assert consensus.clean_once == pytest.approx(1.0 - (1.0 - c**6) ** 60)
+    consensus = consensus_probabilities(found)
+    assert consensus.inlier_fraction == pytest.approx(c)
+    assert consensus.clean_probability == pytest.approx(c**6)
+    assert consensus.any_clean_probability == pytest.approx(1.0 - (1.0 - c**6) ** 60)
 
 
 def test_pairs_before_and_after_are_those_of_the_registration():
@@ -93,7 +93,7 @@ def test_without_a_map_the_points_are_there():
         lidar_range_m=np.array([2.0, 2.0, np.nan]),
         depth_as_range_m=np.full(3, 2.5),
     )
-    plane = planar_pairs(SimpleNamespace(registration=None, pairs=pairs))
+    plane = planar_pairs(SimpleNamespace(registration=None, correspondence=pairs))
     assert plane.mapped_m is None
     np.testing.assert_allclose(plane.lidar_m[1], (0.0, 2.0))
     # The beam of greater azimuth is on the left.
@@ -106,7 +106,7 @@ def frame(azimuth_rad, residual_m, *, lidar_class=None, depth_class=None, epsilo
     epsilon = np.full(len(azimuth_rad), epsilon_m)
     residual = np.array(residual_m)
     return SimpleNamespace(
-        pairs=SimpleNamespace(
+        correspondence=SimpleNamespace(
             azimuth_rad=np.array(azimuth_rad),
             residual_m=residual,
             lidar_range_m=np.full(len(azimuth_rad), 2.0),
@@ -149,18 +149,18 @@ LENGTHS_M = {"sigma": 0.038, "E": 0.061, "m": 1.0}
 @pytest.mark.parametrize("old", EPSILON_UNITS)
 @pytest.mark.parametrize("new", EPSILON_UNITS)
 def test_a_unit_and_back_is_the_same_length(old, new):
-    there = converted(2.6, old, new, LENGTHS_M)
+    there = convert_epsilon(2.6, old, new, LENGTHS_M)
     assert there * LENGTHS_M[new] == pytest.approx(2.6 * LENGTHS_M[old])
-    assert converted(there, new, old, LENGTHS_M) == pytest.approx(2.6)
+    assert convert_epsilon(there, new, old, LENGTHS_M) == pytest.approx(2.6)
 
 
 def test_a_unit_without_a_length_has_its_usual_value():
-    assert converted(2.6, "sigma", "E", {"sigma": 0.038, "m": 1.0}) == 1.2
-    assert converted(1.2, "E", "sigma", {"sigma": 0.038, "m": 1.0}) == 2.6
+    assert convert_epsilon(2.6, "sigma", "E", {"sigma": 0.038, "m": 1.0}) == 1.2
+    assert convert_epsilon(1.2, "E", "sigma", {"sigma": 0.038, "m": 1.0}) == 2.6
 
 
 def test_lengths_of_the_units():
-    alignment = SimpleNamespace(scale=NoiseScale(floor_m=0.0, share=0.02))
+    alignment = SimpleNamespace(scale=NoiseScale(floor_m=0.0, fraction=0.02))
     match = frame([0.1, 0.0], [0.01, np.nan])
     assert unit_lengths_m(match, alignment) == {"m": 1.0, "E": 0.04, "sigma": 0.04}
     nothing = frame([0.1], [np.nan], E_m=None)
@@ -169,7 +169,7 @@ def test_lengths_of_the_units():
 
 
 def test_epsilon_in_a_frame_counts_what_lies_beyond():
-    said = epsilon_in(frame([0.2, 0.1, 0.0, -0.1], [0.05, -0.2, np.nan, 0.1]))
+    said = measure_epsilon(frame([0.2, 0.1, 0.0, -0.1], [0.05, -0.2, np.nan, 0.1]))
     assert (said.beyond, said.compared) == (1, 3)
     assert said.band_m == pytest.approx((0.04, 0.04 * np.sqrt(2.0)))
-    assert np.isnan(epsilon_in(frame([0.2], [0.0], E_m=None)).band_m).all()
+    assert np.isnan(measure_epsilon(frame([0.2], [0.0], E_m=None)).band_m).all()

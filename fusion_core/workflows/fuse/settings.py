@@ -12,8 +12,8 @@ from typing import Literal, TypeVar
 
 from pydantic import ConfigDict, ValidationError
 
-from fusion_core.alignment.agreement import MountSettings
 from fusion_core.alignment.curves import SamplingSettings
+from fusion_core.alignment.mount_cost import MountSettings
 from fusion_core.alignment.search import SearchSettings
 from fusion_core.alignment.time import TimeSettings
 from fusion_core.denoising.noise import NoiseSettings
@@ -55,7 +55,7 @@ PRESETS: dict[PresetName, ChainSettings] = {
         sampling=SamplingSettings(by="index", row_band=0.5),
         search=SearchSettings(metric="pearson", mask_holes=False, use_prior=False, sub_samples=1),
         registration=PUBLISHED,
-        noise=NoiseSettings(epsilon=1.2, epsilon_unit="E", fault="rougher"),
+        noise=NoiseSettings(epsilon=1.2, epsilon_unit="E", burr_criterion="rougher"),
         repair=RepairSettings(
             prefer="other_sensor",
             farther_confidence=0.0,

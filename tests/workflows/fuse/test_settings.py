@@ -6,7 +6,7 @@ import pytest
 
 from fusion_core.exporting.settings_file import dump_toml
 from fusion_core.model.errors import SettingsError
-from fusion_core.workflows.fuse.presets import PRESETS, chain_settings
+from fusion_core.workflows.fuse.settings import PRESETS, chain_settings
 from fusion_core.workflows.map.settings import map_settings
 from tests.hostile.settings import (
     NUMBERS,
@@ -26,7 +26,7 @@ PUBLISHED = {
     "sampling.row_band": 0.5,
     "search.metric": "pearson",
     "search.mask_holes": False,
-    "search.partial": False,
+    "search.allow_partial": False,
     "search.use_prior": False,
     "search.sub_samples": 1,
     "registration.model": "affine",
@@ -36,7 +36,7 @@ PUBLISHED = {
     "registration.guards": False,
     "noise.epsilon": 1.2,
     "noise.epsilon_unit": "E",
-    "noise.fault": "rougher",
+    "noise.burr_criterion": "rougher",
     "repair.prefer": "other_sensor",
     # Every burr is repaired and every good value believed, however sure its class.
     "repair.farther_confidence": 0.0,
