@@ -72,11 +72,12 @@ class FrameReader:
         if self._session.virtual_row is not None:
             return virtual_pair(self._session.rig, image, self._session.virtual_row)
         settings = self._session.settings.time
+        offset_ns = round(clock_offset_ms * NS_PER_MS)
         return pair_with(
             self.camera_of(number),
             image,
-            self._scans_near(int(self.times_ns[number])),
-            round(clock_offset_ms * NS_PER_MS),
+            self._scans_near(int(self.times_ns[number]) - offset_ns),
+            offset_ns,
             round(settings.max_gap_ms * NS_PER_MS),
         )
 
