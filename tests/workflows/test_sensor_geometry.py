@@ -8,8 +8,8 @@ from fusion_core.alignment.time import TimeSettings
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import choose_streams
-from fusion_core.workflows.fuse.pairing import PairedImage, paired_images
 from fusion_core.workflows.fuse.camera_rig import build_camera_rig
+from fusion_core.workflows.fuse.pairing import PairedImage, paired_images
 from fusion_core.workflows.fuse.session import fitting_for
 from fusion_core.workflows.sensor_geometry import ScanGeometry, most_common_geometry
 

@@ -95,7 +95,9 @@ class EpsilonControls:
             self._lengths_m = unit_lengths_m(frame_view.match, frame_view.chain.alignment)
         said = ""
         if frame_view.fused is not None:
-            said = epsilon_text(measure_epsilon(frame_view.fused), noise.epsilon, noise.epsilon_unit)
+            said = epsilon_text(
+                measure_epsilon(frame_view.fused), noise.epsilon, noise.epsilon_unit
+            )
         update_widget(self._words, content=said)
 
     def _change_unit(self, unit: EpsilonUnit) -> None:

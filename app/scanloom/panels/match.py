@@ -138,7 +138,9 @@ class MatchPanel:
             peak = match.search.peaks.get(metric)
             prior_u, title = alignment.peak.u - match.u_of_rig, f"Frame {view.frame_index}"
             if view.field_scope == "window":
-                field, count = mean_field_around(chain, view.frame_index, view.settings, _WINDOW_FRAMES)
+                field, count = mean_field_around(
+                    chain, view.frame_index, view.settings, _WINDOW_FRAMES
+                )
                 title = f"Mean of {count} frames around {view.frame_index}"
         marks = [Mark("prior", prior_u)]
         if peak is not None:

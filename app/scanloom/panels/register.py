@@ -141,7 +141,8 @@ class RegisterPanel:
         )
         update_widget(self._matrix, content=registration_text.matrix_text(found.A))
         update_widget(
-            self._consensus, content=registration_text.consensus_text(found, consensus_probabilities(found))
+            self._consensus,
+            content=registration_text.consensus_text(found, consensus_probabilities(found)),
         )
 
     def _show_draw(self, found: Registration, index: int, axes: tuple[str, str]) -> None:

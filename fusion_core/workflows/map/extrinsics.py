@@ -134,7 +134,9 @@ def find_extrinsics(
         ) from error
 
 
-def _mounted_cameras(rig: CameraRig, mount: Mount, stand: _LidarMounting) -> tuple[MountedCamera, ...]:
+def _mounted_cameras(
+    rig: CameraRig, mount: Mount, stand: _LidarMounting
+) -> tuple[MountedCamera, ...]:
     return tuple(
         MountedCamera(
             topic=camera.topic,

@@ -19,7 +19,9 @@ def judged(frame_view: FrameView, view: View) -> FusedFrame:
     """The frame of a view, whatever the server has kept of it."""
     assert frame_view.chain is not None
     rig = frame_view.open_recording.fuse_session.rig
-    return classify_and_repair(match_of(frame_view, view), rig, frame_view.chain.alignment, view.settings)
+    return classify_and_repair(
+        match_of(frame_view, view), rig, frame_view.chain.alignment, view.settings
+    )
 
 
 def repaired_picture(frame: FusedFrame, view: View, like: np.ndarray) -> DepthPicture:

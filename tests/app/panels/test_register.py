@@ -121,7 +121,9 @@ def test_a_draw_that_determines_nothing_says_so():
 
 
 def test_the_number_of_draws_is_explained():
-    said = registration_text.consensus_text(registered(LIDAR_M), consensus_probabilities(registered(LIDAR_M)))
+    said = registration_text.consensus_text(
+        registered(LIDAR_M), consensus_probabilities(registered(LIDAR_M))
+    )
     assert said.startswith("100 % of the pairs are inliers (c), so a draw of n = 6")
 
 
