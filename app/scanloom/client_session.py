@@ -1,12 +1,14 @@
-"""One person's desk: their view, what is computed for it, and the panels that show it.
+"""One browser's session: its view, the worker that computes it, and the panels that display it.
 
-A widget's callback only changes the view. One worker computes the latest view and hands it to the
-panels; a failure is told and the desk goes on.
+A widget's callback only changes the view. One worker computes the latest view and passes the result
+to the panels. A failure is shown as a notification, and the session goes on.
 """
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import viser
@@ -21,126 +23,162 @@ from scanloom.state.library import Library
 from scanloom.state.open_recording import OpenRecording
 from scanloom.state.view import View
 
-# Where a browser keeps the view between two visits.
+# Key of the view in the browser's local storage.
 STORED_VIEW = "view"
-_SHOWN_S = 9.0
-# A drag that is faster than the computation shows where it goes at least so often.
-_LEAST_OFTEN_S = 0.1
-_PARTING_S = 3.0
+# Long enough to read two lines.
+_NOTIFICATION_S = 9.0
+# During a drag that outruns the computation, an outdated result is displayed at least this often.
+_MAX_DISPLAY_INTERVAL_S = 0.1
+# The panels' last messages need the connection, which closes after the session.
+_CLOSE_TIMEOUT_S = 3.0
 
 
 class Panel(Protocol):
-    """Shows one stage. ``show`` gets each computed view, in the worker's thread, and must set its
-    widgets from it: the view may come from a link, an undo or another panel."""
+    """A part of the page. ``scanloom.panels.registry`` says how to add one."""
 
-    def show(self, frame_view: FrameView) -> None: ...
+    def show(self, frame_view: FrameView) -> None:
+        """Display a computed view; called in the session's worker thread.
+
+        Set all widgets from ``frame_view.view``: it may come from a link, from undo, or from
+        another panel.
+        """
+
+    def close(self) -> None:
+        """End the panel's background work. By default there is none."""
+        return
 
 
 class ClientSession:
-    """The view of one browser. Safe for threads."""
+    """The session of one browser. Thread-safe.
+
+    ``panels``: closed with the session.
+    """
 
     def __init__(self, client: viser.ClientHandle, library: Library, view: View) -> None:
-        self.client = client
-        self.library = library
         self.panels: list[Panel] = []
         self.frame_view: FrameView | None = None
+        self._client = client
+        self._library = library
         self._view = view
         self._history = History()
-        self._opened: OpenRecording | None = None
-        self._told = ""
-        self._shown_s = 0.0
+        self._open_recording: OpenRecording | None = None
+        self._last_failure = ""
+        self._displayed_s = 0.0
         self._closed = threading.Event()
         self._lock = threading.RLock()
-        self._worker = LatestOnlyWorker(f"desk {client.client_id}", self._work, self.fail)
+        self._worker = LatestOnlyWorker(
+            f"session {client.client_id}", self._compute_and_show, self.show_failure
+        )
 
     @property
     def view(self) -> View:
-        """What is asked for; what is shown may lag behind by one computation."""
+        """The requested view; ``frame_view`` may lag behind by one computation."""
         return self._view
 
     def refresh(self) -> None:
-        """Compute and show the view again."""
-        self._worker.ask(self._view)
+        """Compute and display the view again."""
+        self._worker.submit(self._view)
 
     def wait(self, timeout_s: float) -> bool:
-        """Whether the latest view was shown within the time."""
+        """Whether the latest view was displayed within the time."""
         return self._worker.wait(timeout_s)
 
     def change(self, **values: Any) -> None:
-        """Change the view; a refused value is told, and the widgets go back.
+        """Change fields of the view. A refused value is reported, and the widgets are reset.
 
-        An offset that was picked by hand is that of its frame, unless it is locked.
+        An offset picked by hand belongs to its frame, unless it is locked.
         """
         if "frame_index" in values and not self._view.lock_picked_offset:
             values = {"picked_offset": None} | values
         self._replace(lambda view: view.changed(**values), remember=False)
 
     def change_settings(self, **values: Any) -> None:
-        """As ``change``, to be undone by ``undo``."""
+        """As ``change``, and ``undo`` takes it back."""
         self._replace(lambda view: view.changed(**values), remember=True)
 
-    def set(self, stage: str, name: str, value: Any) -> None:
-        """Change one setting of one stage ("" for the chain's own). A drag is undone at once."""
+    def change_setting(self, stage: str, name: str, value: Any) -> None:
+        """Change a setting of a stage ("" for the chain itself). Undo takes a drag as one step."""
         self._replace(
             lambda view: view.with_setting(stage, name, value),
             remember=True,
             dragged=f"{stage}.{name}",
         )
 
-    def set_preset(self, preset: PresetName) -> None:
-        """All settings as the preset has them."""
+    def apply_preset(self, preset: PresetName) -> None:
+        """Reset all settings to a preset."""
         settings = PRESETS[preset]
         self.change_settings(
             preset=preset, settings=settings, alignment_settings=settings, picked_offset=None
         )
 
     def align_again(self) -> None:
-        """Align the whole recording with the settings as they are."""
+        """Align the whole recording again, with the current settings."""
         self.change_settings(alignment_settings=self._view.settings)
 
     def undo(self) -> None:
-        """Take back the last change of settings."""
+        """Undo the last change of settings."""
         self._replace(lambda view: self._history.undo(view) or view, remember=False)
 
     def redo(self) -> None:
-        """Make the change again that was taken back."""
+        """Redo the change that was undone last."""
         self._replace(lambda view: self._history.redo(view) or view, remember=False)
 
     def step(self, by: int) -> None:
-        """Go on by so many frames; at an end stop, or come in again from the other where asked."""
+        """Move by so many frames; stop at the ends, or wrap around if playback loops."""
         with self._lock:
-            count = len(self._opened.frames) if self._opened is not None else 0
+            count = len(self._open_recording.frames) if self._open_recording is not None else 0
             if not count:
                 return
             number = self._view.frame_index + by
             number = number % count if self._view.loop_playback else min(max(number, 0), count - 1)
             self.change(frame_index=number)
 
-    def tell(self, title: str, body: str, *, color: Literal["blue", "red"] = "blue") -> None:
-        """A notification that goes away by itself."""
-        self.client.add_notification(title, body, auto_close_seconds=_SHOWN_S, color=color)
+    def notify(self, title: str, body: str, *, color: Literal["blue", "red"] = "blue") -> None:
+        """Show a notification that closes by itself."""
+        self._client.add_notification(title, body, auto_close_seconds=_NOTIFICATION_S, color=color)
 
-    def fail(self, error: Exception) -> None:
-        """Tell of a failure; the same one twice in a row is told once."""
+    def show_failure(self, error: Exception) -> None:
+        """Notify of a failure, unless it is the same as the last one."""
         failure = as_failure(error)
-        if str(failure) != self._told:
-            self._told = str(failure)
-            self.tell(failure_summary(failure), failure.advice, color="red")
+        if str(failure) != self._last_failure:
+            self._last_failure = str(failure)
+            self.notify(failure_summary(failure), failure.advice, color="red")
 
-    def check(self) -> None:
-        """Raises Cancelled once the browser has gone: for the steps of what the worker does."""
+    def send_file(self, name: str, content: bytes) -> None:
+        """Have the browser save a file."""
+        self._client.send_file_download(name, content, save_immediately=True)
+
+    @contextmanager
+    def batch_updates(self) -> Iterator[None]:
+        """Send all widget updates of the block to the browser together, at its end."""
+        with self._client.atomic():
+            yield
+        # Otherwise viser waits up to 1/60 s for more.
+        self._client.flush()
+
+    def recording_names(self) -> list[str]:
+        """The recordings that may be opened."""
+        return self._library.names()
+
+    def recording_path(self, name: str) -> Path:
+        """The file of a recording. Raises RecordingError for a name that may not be opened."""
+        return self._library.path(name)
+
+    def raise_if_closed(self) -> None:
+        """Raises Cancelled once the browser has disconnected; called between steps of work."""
         if self._closed.is_set():
             raise Cancelled
 
     def close(self) -> None:
-        """The browser has gone. What is computed for it alone ends at its next step."""
+        """End the session and its panels; running computations end at their next step."""
+        for panel in self.panels:
+            panel.close()
         self._closed.set()
         self._worker.close()
-        # What is at work talks to the client, whose connection ends next.
-        self._worker.join(_PARTING_S)
-        if self._opened is not None:
-            self._opened.forget(self.refresh)
-        self.library.leave(self)
+        self._worker.join(_CLOSE_TIMEOUT_S)
+        if self._open_recording is not None:
+            self._open_recording.remove_listener(self.refresh)
+        self._library.release(self)
 
     def _replace(
         self, change: Callable[[View], View], *, remember: bool, dragged: str = ""
@@ -150,40 +188,38 @@ class ClientSession:
             try:
                 after = change(before)
             except SettingsError as error:
-                self._told = ""
-                self.fail(error)
+                self._last_failure = ""
+                self.show_failure(error)
                 after = before
             if remember and after != before:
                 self._history.add(before, dragged, time.monotonic())
             self._view = after
             self.refresh()
 
-    def _work(self, view: View, is_newest: Callable[[], bool]) -> None:
-        open_recording = self.library.open(view, seen_by=self)
+    def _compute_and_show(self, view: View, is_newest: Callable[[], bool]) -> None:
+        open_recording = self._library.open(view, viewer=self)
         if self._closed.is_set():
-            self.library.leave(self)
+            self._library.release(self)
             return
-        if open_recording is not self._opened:
-            if self._opened is not None:
-                self._opened.forget(self.refresh)
-            self._opened = open_recording
+        if open_recording is not self._open_recording:
+            if self._open_recording is not None:
+                self._open_recording.remove_listener(self.refresh)
+            self._open_recording = open_recording
         if open_recording.chain is None and open_recording.failure is None:
             open_recording.align(self.refresh)
-        frame_view = compute_frame_view(view, open_recording, self.check)
-        is_due = time.monotonic() - self._shown_s > _LEAST_OFTEN_S
-        if self._closed.is_set() or not (is_newest() or is_due):
+        frame_view = compute_frame_view(view, open_recording, self.raise_if_closed)
+        is_overdue = time.monotonic() - self._displayed_s > _MAX_DISPLAY_INTERVAL_S
+        if self._closed.is_set() or not (is_newest() or is_overdue):
             return
         if frame_view.failure is not None:
-            self.fail(frame_view.failure)
+            self.show_failure(frame_view.failure)
         elif frame_view.fused is not None:
-            self._told = ""
+            self._last_failure = ""
         self.frame_view = frame_view
         for panel in self.panels:
             if self._closed.is_set():
                 return
-            with self.client.atomic():
+            with self.batch_updates():
                 panel.show(frame_view)
-            # Else viser waits a sixtieth of a second for more.
-            self.client.flush()
-        self._shown_s = time.monotonic()
-        self.client.local_storage.set_item(STORED_VIEW, view.to_link())
+        self._displayed_s = time.monotonic()
+        self._client.local_storage.set_item(STORED_VIEW, view.to_link())

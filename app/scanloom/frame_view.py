@@ -102,11 +102,11 @@ def compute_frame_view(
     except Cancelled:
         raise
     except Exception as error:  # noqa: BLE001  # what came before the stage that fails is shown
-        failure = as_failure(open_recording.explained(error))
+        failure = as_failure(open_recording.explain_read_error(error))
     try:
         color = open_recording.frames.color(choice.number)
     except Exception as error:  # noqa: BLE001  # the colour image is for looking only
-        failure = failure or as_failure(open_recording.explained(error))
+        failure = failure or as_failure(open_recording.explain_read_error(error))
     return FrameView(
         view=view,
         open_recording=open_recording,

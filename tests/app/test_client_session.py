@@ -17,7 +17,7 @@ from fusion_core.model.errors import AlignmentFailed, RecordingError
 from fusion_core.workflows.fuse.cached_chain import FrameChoice
 from fusion_core.workflows.fuse.frame import FrameMatch
 from fusion_core.workflows.fuse.settings import PRESETS
-from scanloom.client_session import STORED_VIEW, ClientSession
+from scanloom.client_session import STORED_VIEW, ClientSession, Panel
 from scanloom.frame_view import FrameView, compute_frame_view
 from scanloom.resources import sample_path
 from scanloom.state.library import Library
@@ -47,7 +47,7 @@ class Told:
         self.notes.append((title, body))
 
 
-class Recorder:
+class Recorder(Panel):
     """A panel that keeps what it was shown, and fails where it is asked to."""
 
     def __init__(self) -> None:
@@ -83,7 +83,7 @@ def aligned(library: Library, view: View) -> OpenRecording:
     open_recording.align(hear)
     hear()
     assert ended.wait(ENOUGH_S)
-    open_recording.forget(hear)
+    open_recording.remove_listener(hear)
     return open_recording
 
 
@@ -98,7 +98,7 @@ def library(small_scene: Path) -> Iterator[Library]:
 def view(library: Library, small_scene: Path) -> View:
     first = View(recording=small_scene.name)
     # Seen by somebody all the time, it stays open.
-    library.open(first, seen_by="the tests")
+    library.open(first, viewer="the tests")
     aligned(library, first)
     return first
 
@@ -151,7 +151,7 @@ def test_of_many_changes_the_last_is_shown_and_kept(
     session: ClientSession, client: Told, panel: Recorder
 ) -> None:
     for tenths in range(1, 41):
-        session.set("noise", "epsilon", tenths / 10)
+        session.change_setting("noise", "epsilon", tenths / 10)
     frame_view = shown_by(session)
     assert frame_view.view.settings.noise.epsilon == 4.0
     assert panel.frame_view[-1] is frame_view
@@ -164,7 +164,7 @@ def test_of_many_changes_the_last_is_shown_and_kept(
 def test_epsilon_decides_what_is_shown(session: ClientSession) -> None:
     found = []
     for epsilon in (0.5, 10.0):
-        session.set("noise", "epsilon", epsilon)
+        session.change_setting("noise", "epsilon", epsilon)
         fused = shown_by(session).fused
         assert fused is not None
         found.append(np.count_nonzero(fused.classes.lidar_class))
@@ -176,7 +176,7 @@ def test_a_refused_value_is_told_each_time_and_the_view_stays(
 ) -> None:
     for count in (1, 2):
         before = len(panel.frame_view)
-        session.set("noise", "epsilon", -1.0)
+        session.change_setting("noise", "epsilon", -1.0)
         assert session.view == view
         assert len(client.notes) == count
         # The widget that holds the refused value is set back.
@@ -190,8 +190,8 @@ def test_a_refused_value_is_told_each_time_and_the_view_stays(
 
 
 def test_undo_takes_settings_back_and_leaves_the_place(session: ClientSession, view: View) -> None:
-    session.set("noise", "epsilon", 2.0)
-    session.set("noise", "support_sigma", 3.0)
+    session.change_setting("noise", "epsilon", 2.0)
+    session.change_setting("noise", "support_sigma", 3.0)
     session.change(frame_index=7, panel="Repair")
     session.undo()
     assert session.view == view.with_setting("noise", "epsilon", 2.0).changed(
@@ -210,14 +210,14 @@ def test_undo_takes_settings_back_and_leaves_the_place(session: ClientSession, v
 
 def test_one_drag_of_a_slider_is_undone_at_once(session: ClientSession, view: View) -> None:
     for epsilon in (2.0, 2.5, 3.0):
-        session.set("noise", "epsilon", epsilon)
+        session.change_setting("noise", "epsilon", epsilon)
     session.undo()
     assert session.view == view
 
 
 def test_undo_of_a_preset_brings_its_alignment_back_too(session: ClientSession, view: View) -> None:
     own = shown_by(session).open_recording
-    session.set_preset("published")
+    session.apply_preset("published")
     assert session.view.settings == session.view.alignment_settings == PRESETS["published"]
     assert shown_by(session).open_recording is not own
     session.undo()
@@ -230,7 +230,7 @@ def test_undo_of_a_preset_brings_its_alignment_back_too(session: ClientSession, 
 def test_another_alignment_is_undone_before_the_setting_that_asked_for_it(
     session: ClientSession, view: View
 ) -> None:
-    session.set("search", "min_overlap", 0.6)
+    session.change_setting("search", "min_overlap", 0.6)
     session.align_again()
     assert not session.view.needs_alignment()
     session.undo()
@@ -267,7 +267,7 @@ def test_a_failure_is_told_once_until_it_is_over(
     session: ClientSession, client: Told, panel: Recorder
 ) -> None:
     # No scan lies so near that it would not be too far.
-    session.set("time", "max_gap_ms", 0.001)
+    session.change_setting("time", "max_gap_ms", 0.001)
     session.align_again()
     failure = panel.until(lambda frame_view: frame_view.failure is not None).failure
     assert failure is not None
@@ -316,10 +316,10 @@ def test_a_desk_looks_at_what_it_shows_until_it_is_closed(
 ) -> None:
     library = Library([small_scene], [])
     seen: list[object] = []
-    monkeypatch.setattr(library, "leave", seen.append)
+    monkeypatch.setattr(library, "release", seen.append)
     own = library.open
     monkeypatch.setattr(
-        library, "open", lambda v, seen_by=None: (seen.append(seen_by), own(v, seen_by))[1]
+        library, "open", lambda v, viewer=None: (seen.append(viewer), own(v, viewer))[1]
     )
     other = ClientSession(client, library, view)  # type: ignore[arg-type]  # as far as it is needed
     other.refresh()
@@ -334,23 +334,23 @@ def test_a_desk_looks_at_what_it_shows_until_it_is_closed(
 def test_a_desk_that_is_closed_while_its_recording_opens_looks_at_nothing(
     view: View, small_scene: Path, client: Told, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("scanloom.client_session._PARTING_S", 0.0)
+    monkeypatch.setattr("scanloom.client_session._CLOSE_TIMEOUT_S", 0.0)
     library = Library([small_scene], [])
     opening, go_on, left = threading.Event(), threading.Event(), threading.Event()
-    own_open, own_leave = library.open, library.leave
+    own_open, own_leave = library.open, library.release
 
-    def slow(asked: View, seen_by: object = None) -> OpenRecording:
+    def slow(asked: View, viewer: object = None) -> OpenRecording:
         opening.set()
         assert go_on.wait(ENOUGH_S)
-        return own_open(asked, seen_by)
+        return own_open(asked, viewer)
 
-    def leave(seen_by: object) -> None:
-        own_leave(seen_by)
+    def release(viewer: object) -> None:
+        own_leave(viewer)
         if go_on.is_set():
             left.set()
 
     monkeypatch.setattr(library, "open", slow)
-    monkeypatch.setattr(library, "leave", leave)
+    monkeypatch.setattr(library, "release", release)
     session = ClientSession(client, library, view)  # type: ignore[arg-type]  # as far as it is needed
     session.refresh()
     assert opening.wait(ENOUGH_S)
@@ -407,7 +407,7 @@ def test_a_recording_that_is_cut_while_it_is_open_is_told_so(
     library = Library([path], [])
     view = View(recording=path.name)
     # It stays open, and there is nothing to be aligned yet.
-    library.open(view, seen_by="the test")
+    library.open(view, viewer="the test")
     os.truncate(path, path.stat().st_size // 2)
     session = ClientSession(client, library, view)  # type: ignore[arg-type]  # as far as it is needed
     session.panels = [panel]
@@ -494,7 +494,7 @@ def test_a_stage_that_fails_on_one_frame_leaves_what_came_before_it(
         patched.setattr("fusion_core.workflows.fuse.cached_chain.classify_and_repair", fail)
         # No other test has judged it so.
         session.change(frame_index=5)
-        session.set("noise", "epsilon", 3.21)
+        session.change_setting("noise", "epsilon", 3.21)
         frame_view = shown_by(session)
     assert frame_view.view.frame_index == 5
     assert frame_view.paired is not None

@@ -157,7 +157,7 @@ def test_who_reads_nothing_is_cut_off(served: Served, monkeypatch: pytest.Monkey
             served.until(lambda: list(served.server.get_clients()) == served.arrived[1:])
             assert other.closed_with is None
     (line,) = served.lines
-    assert "reads nothing; it is cut off" in line
+    assert "reads nothing; disconnected" in line
 
 
 @pytest.mark.parametrize(("size", "stays"), [(100, False), (99, True), (150, True)])

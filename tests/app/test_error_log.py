@@ -18,7 +18,7 @@ def test_the_first_is_told_at_once_and_the_rest_are_counted() -> None:
     error_log = ErrorLog(lines.append, clock)
     for now_s in (0.0, 1.0, 9.9, 10.0, 10.1, 25.0):
         clock.now_s = now_s
-        error_log.tell("browser", f"at {now_s}")
+        error_log.report("browser", f"at {now_s}")
     assert lines == [
         "browser: at 0.0",
         "browser: at 10.0 (2 more before it)",
@@ -28,7 +28,7 @@ def test_the_first_is_told_at_once_and_the_rest_are_counted() -> None:
 
 def test_a_line_is_one_line_and_steers_no_terminal() -> None:
     lines: list[str] = []
-    ErrorLog(lines.append).tell("a\nb", "\x1b[31m" + "x" * 10_000)
+    ErrorLog(lines.append).report("a\nb", "\x1b[31m" + "x" * 10_000)
     (line,) = lines
     assert line.isprintable()
     assert len(line) < 400

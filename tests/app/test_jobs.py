@@ -49,10 +49,10 @@ def worker(gate: Gate) -> Iterator[LatestOnlyWorker[int]]:
 
 
 def test_what_comes_in_between_is_never_done(gate: Gate, worker: LatestOnlyWorker[int]) -> None:
-    worker.ask(1)
+    worker.submit(1)
     assert gate.at_work.acquire(timeout=LONG_S)
     for request in range(2, 200):
-        worker.ask(request)
+        worker.submit(request)
     gate.may_go_on.release(2)
     assert worker.wait(LONG_S)
     # The first was no longer the newest when it was done.
@@ -64,14 +64,14 @@ def test_requests_one_after_the_other_are_all_done(
 ) -> None:
     for request in (3, 1, 2):
         gate.may_go_on.release()
-        worker.ask(request)
+        worker.submit(request)
         assert worker.wait(LONG_S)
     assert gate.frame_view == [3, 1, 2]
 
 
 def test_wait_says_whether_all_is_done(gate: Gate, worker: LatestOnlyWorker[int]) -> None:
     assert worker.wait(0.0)
-    worker.ask(1)
+    worker.submit(1)
     assert gate.at_work.acquire(timeout=LONG_S)
     assert not worker.wait(0.0)
     gate.may_go_on.release()
@@ -82,9 +82,9 @@ def test_a_failure_is_told_and_the_next_request_is_done(
     gate: Gate, worker: LatestOnlyWorker[int]
 ) -> None:
     gate.may_go_on.release(2)
-    worker.ask(-1)
+    worker.submit(-1)
     assert worker.wait(LONG_S)
-    worker.ask(1)
+    worker.submit(1)
     assert worker.wait(LONG_S)
     assert [str(error) for error in gate.errors] == ["no work for -1"]
     assert gate.frame_view == [1]
@@ -93,9 +93,9 @@ def test_a_failure_is_told_and_the_next_request_is_done(
 @pytest.mark.parametrize("request_at_work", [1, -1])
 def test_a_closed_worker_shows_nothing_and_begins_nothing(gate: Gate, request_at_work: int) -> None:
     worker = LatestOnlyWorker("test", gate.work, gate.errors.append)
-    worker.ask(request_at_work)
+    worker.submit(request_at_work)
     assert gate.at_work.acquire(timeout=LONG_S)
-    worker.ask(2)
+    worker.submit(2)
     worker.close()
     gate.may_go_on.release(2)
     worker._thread.join(LONG_S)
@@ -185,7 +185,7 @@ def test_work_that_is_cancelled_is_told_to_nobody(gate: Gate) -> None:
 
     worker = LatestOnlyWorker("test", work, gate.errors.append)
     for request in (1, 2):
-        worker.ask(request)
+        worker.submit(request)
         assert worker.wait(LONG_S)
     worker.close()
     assert (done, gate.errors) == ([1, 2], [])
@@ -230,7 +230,7 @@ class Queue:
                     self.gave_up.add(number)
                     raise Cancelled
 
-        with suppress(Cancelled), self.turns.taken(waiting), self.changed:
+        with suppress(Cancelled), self.turns.acquired(waiting), self.changed:
             self.at_work.append(number)
             self.began.append(number)
             self.changed.notify_all()

@@ -94,7 +94,7 @@ def test_a_widget_that_holds_a_refused_value_is_set_back(workbench: Workbench, v
         client.set_value("v (row)", -3.0)
         client.set_value("Offset", "Use")
         title, _ = next(notes_of(client))
-        assert title.startswith("picked.1: ")
+        assert title.startswith("picked_offset.1: ")
         client.wait_until(lambda: row.value == peak_row, ENOUGH_S)
 
 

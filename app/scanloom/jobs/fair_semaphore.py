@@ -18,7 +18,7 @@ class FairSemaphore:
         self._changed = threading.Condition()
 
     @contextmanager
-    def taken(self, waiting: Callable[[], None]) -> Iterator[None]:
+    def acquired(self, waiting: Callable[[], None]) -> Iterator[None]:
         """Wait for a turn, and have it as long as the block lasts.
 
         ``waiting`` is called again and again meanwhile; what it raises gives the place away.

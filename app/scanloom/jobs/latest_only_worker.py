@@ -37,7 +37,7 @@ class LatestOnlyWorker(Generic[Request]):
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
-    def ask(self, request: Request) -> None:
+    def submit(self, request: Request) -> None:
         """Leave a request; an earlier one that was not begun is dropped."""
         with self._changed:
             self._request = request

@@ -77,7 +77,7 @@ class DepthCameras:
         others = set(self._chosen(self._session.view)) - {topic}
         chosen = others | {topic} if checked else others
         if not chosen:
-            self._session.tell("One depth camera is needed", "Check another one first.")
+            self._session.notify("One depth camera is needed", "Check another one first.")
             self._session.refresh()
             return
         # In the recording's order: the same cameras are the same choice.

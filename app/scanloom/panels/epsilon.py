@@ -62,7 +62,7 @@ class EpsilonSliders:
         def change(value: float) -> None:
             # A value that was on its way when the unit changed means the unit before.
             if unit == self._session.view.settings.noise.epsilon_unit:
-                self._session.set("noise", "epsilon", float(value))
+                self._session.change_setting("noise", "epsilon", float(value))
 
         controls.bind(slider, value_of, change)
         return slider

@@ -6,7 +6,7 @@ from typing import get_args
 import viser
 
 from fusion_core.workflows.fuse.settings import PresetName
-from scanloom.client_session import ClientSession
+from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView
 from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.panels.widgets.help import keys_text
@@ -15,11 +15,11 @@ from scanloom.state.view import View
 _MOST_DIFFERENCES = 6
 
 
-class HeaderPanel:
+class HeaderPanel(Panel):
     """Preset, reset, undo, redo and link."""
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
-        self._session = session
+        self._gui, self._session = gui, session
         self._title = gui.add_html("")
         presets = get_args(PresetName)
         preset = gui.add_dropdown(
@@ -32,7 +32,7 @@ class HeaderPanel:
         buttons = gui.add_button_group("Settings", ("Undo", "Redo", "Reset", "Link", "Keys"))
 
         self._controls = Controls(gui, session)
-        self._controls.bind(preset, lambda view: view.preset, session.set_preset)
+        self._controls.bind(preset, lambda view: view.preset, session.apply_preset)
 
         @buttons.on_click
         def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
@@ -42,7 +42,7 @@ class HeaderPanel:
                 case "Redo":
                     session.redo()
                 case "Reset":
-                    session.set_preset(session.view.preset)
+                    session.apply_preset(session.view.preset)
                 case "Link":
                     self._tell_link()
                 case "Keys":
@@ -62,7 +62,7 @@ class HeaderPanel:
 
     def _tell(self, title: str, words: str, *, link: str | None = None) -> None:
         """Words over the page, and a text to copy, until they are closed."""
-        gui = self._session.client.gui
+        gui = self._gui
         with gui.add_modal(title) as modal:
             gui.add_markdown(words)
             if link is not None:

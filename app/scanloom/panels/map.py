@@ -17,7 +17,7 @@ from fusion_core.workflows.fuse.export_clouds import CloudExport
 from fusion_core.workflows.fuse.sensor_maps import difference_of
 from fusion_core.workflows.map.result_folder import TrajectoryPoses
 from fusion_core.workflows.recorded_poses import PoseLookup
-from scanloom.client_session import ClientSession
+from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView
 from scanloom.jobs.build import (
     Build,
@@ -54,7 +54,7 @@ class TakeMap(Protocol):
     def __call__(self, grid: OccupancyGrid | None, poses: PoseLookup | None = None, /) -> None: ...
 
 
-class MapPanel:
+class MapPanel(Panel):
     """Builds, shows and exports the results of a whole recording, or runs SLAM over it.
 
     ``output_root``: results go into new folders below it. ``on_map`` gets the map of the recording
@@ -181,7 +181,7 @@ class MapPanel:
         view, figures = self._session.view, bool(self._figures.value)
 
         def work(progress: Progress) -> Build:
-            recording = self._session.library.path(view.recording)
+            recording = self._session.recording_path(view.recording)
             return build(view, recording, self._root, progress, figures=figures)
 
         def done(built: Build) -> None:
@@ -214,7 +214,7 @@ class MapPanel:
         if key == self._commanded:
             return
         self._commanded = key
-        recording = self._session.library.path(view.recording)
+        recording = self._session.recording_path(view.recording)
         if built is not None and _asked(view) == _asked(built.view):
             folder, options = built.folder, built.options
         else:
@@ -260,11 +260,9 @@ class MapPanel:
         try:
             content = zipped(built)
         except ScanLoomError as error:
-            self._session.fail(error)
+            self._session.show_failure(error)
             return
-        self._session.client.send_file_download(
-            f"{built.folder.name}.zip", content, save_immediately=True
-        )
+        self._session.send_file(f"{built.folder.name}.zip", content)
 
 
 def _asked(view: View) -> tuple[object, ...]:

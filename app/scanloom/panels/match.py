@@ -9,7 +9,7 @@ import viser
 
 from fusion_core.workflows.fuse.cached_chain import mean_field_around
 from fusion_core.workflows.fuse.frame import FrameMatch, curves_at
-from scanloom.client_session import ClientSession
+from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView, missing_result_text
 from scanloom.panels.mount_text import mount_text
 from scanloom.panels.widgets.controls import Controls, update_widget
@@ -27,7 +27,7 @@ _METRICS = ("euclidean", "pearson", "cosine", "inverse_cosine")
 _WINDOW_FRAMES = 2
 
 
-class MatchPanel:
+class MatchPanel(Panel):
     """Heatmap, curves and mount. ``on_heatmap`` gets what draws each heatmap, for the scene's
     board, and None where there is none."""
 

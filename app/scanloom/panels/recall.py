@@ -154,7 +154,9 @@ class RecallPanel:
         update_widget(self._progress_text, content=_paragraph(f"{what.capitalize()}, {percent} %"))
 
     def _fail(self, error: Exception) -> None:
-        failure = as_failure(error if self._opened is None else self._opened.explained(error))
+        failure = as_failure(
+            error if self._opened is None else self._opened.explain_read_error(error)
+        )
         self._end(f"There is no curve. {failure_summary(failure)} {failure.advice}")
 
     def _end(self, said: str) -> None:

@@ -7,7 +7,7 @@ import viser
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
 from fusion_core.workflows.info import describe_recording
 from fusion_core.workflows.stream_gaps import stream_gaps
-from scanloom.client_session import ClientSession
+from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView, alignment_progress_text
 from scanloom.panels.depth_cameras import DepthCameras
 from scanloom.panels.pairing_plot import PairingPlot
@@ -19,14 +19,14 @@ _NO_ROW = -1
 _CLOCK = MOUNT_PARAMETERS.index("clock_offset_ms")
 
 
-class RecordingPanel:
+class RecordingPanel(Panel):
     """Chooses the recording and its streams, and shows what they are."""
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
         self._session = session
         # The recording and how many of its warnings are listed: reading on may find more.
         self._listed: tuple[object, int] = None, 0
-        self._names = tuple(session.library.names())
+        self._names = tuple(session.recording_names())
         self._name = gui.add_dropdown("Recording", self._names, initial_value=self._names[0])
         self._progress_text = gui.add_html("", visible=False)
         self._progress = gui.add_progress_bar(0.0, visible=False)

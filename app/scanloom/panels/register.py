@@ -13,7 +13,7 @@ from fusion_core.workflows.fuse.registration_details import (
     meaning_of_registration,
     planar_pairs,
 )
-from scanloom.client_session import ClientSession
+from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView, missing_result_text
 from scanloom.panels import registration_text
 from scanloom.panels.epsilon import EpsilonControls
@@ -32,7 +32,7 @@ _AXES_BY_SAMPLE = ("x: sample times its width (m)", "z: value (m)")
 _AXES = ("x to the right (m)", "z ahead (m)")
 
 
-class RegisterPanel:
+class RegisterPanel(Panel):
     """Settings of RANSAC, its draws, A before and after, residuals and epsilon."""
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:

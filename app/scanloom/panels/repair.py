@@ -8,7 +8,7 @@ import viser
 
 from fusion_core.model.classes import NoiseClass
 from fusion_core.workflows.fuse.frame import FusedFrame
-from scanloom.client_session import ClientSession
+from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView, missing_result_text
 from scanloom.panels.epsilon import EpsilonSliders
 from scanloom.panels.repair_tables import beam_table, class_table
@@ -28,7 +28,7 @@ _NO_BEAM = -1
 _NO_CONFLICTS = "none in this frame"
 
 
-class RepairPanel:
+class RepairPanel(Panel):
     """Depth image and curve before and after, a filter of classes, conflicts, one beam's story."""
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:

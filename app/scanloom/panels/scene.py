@@ -1,4 +1,4 @@
-"""The scene: the frame in 3D, the boards with heatmap and depth, what a click means, the views."""
+"""The 3D scene: the frame, the image planes of heatmap and depth, clicks, and camera presets."""
 
 import threading
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from fusion_core.model.conventions import FloatArray
 from fusion_core.model.geometry import invert_transform, transform_from_planar
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.workflows.recorded_poses import PoseLookup
-from scanloom.client_session import ClientSession
+from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView
 from scanloom.panels.widgets.controls import Controls
 from scanloom.plots.depth_image import DepthPicture, PairOverlay, depth_picture
@@ -28,12 +28,14 @@ _VIEWS = ("3D", "Curve", "From above", "Heatmap", "Depth")
 _BOARD_PX = (560, 470)
 
 
-class ScenePanel:
+class ScenePanel(Panel):
     """Draws each view in the browser's scene and reads its clicks."""
 
-    def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
+    def __init__(self, client: viser.ClientHandle, session: ClientSession) -> None:
+        gui = client.gui
         self._session = session
-        self._nodes = SceneNodes(session.client.scene)
+        self._camera = client.camera
+        self._nodes = SceneNodes(client.scene)
         self._layout: Layout | None = None
         self._opened: object = None
         self._boards: dict[str, ImagePlane] = {}
@@ -63,7 +65,7 @@ class ScenePanel:
         for box in switches.values():
             box.on_update(lambda _: self._show_layers())
         self._views.on_click(lambda _: self._look(self._views.value))
-        session.client.scene.on_click()(self._clicked)
+        client.scene.on_click()(self._clicked)
 
     def set_heatmap_source(self, draw: Callable[[], Heatmap] | None) -> None:
         """What draws the picture of the heatmap's board where that is seen, until the next one;
@@ -156,19 +158,18 @@ class ScenePanel:
                 plane = _plane_of(self._grid)
                 view = camera_views.map_from_above(self._T_lidar_map, plane.origin_m, plane.size_m)
             case "From above":
-                self._session.tell("There is no map yet", "Build it in the Map panel.")
+                self._session.notify("There is no map yet", "Build it in the Map panel.")
                 return
             case "Heatmap" | "Depth" if name.lower() in self._boards:
                 view = camera_views.board(self._boards[name.lower()])
             case _:
-                camera = self._session.client.camera
-                # A window may be as small as nothing.
-                aspect = max(camera.image_width, 1) / max(camera.image_height, 1)
+                # The size is zero in a minimised window.
+                aspect = max(self._camera.image_width, 1) / max(self._camera.image_height, 1)
                 view = camera_views.perspective(self._layout, aspect)
         self._hidden = view.hides
-        with self._session.client.atomic():
+        with self._session.batch_updates():
             self._show_layers()
-            camera_views.apply(self._session.client.camera, view)
+            camera_views.apply(self._camera, view)
 
     def _show_layers(self) -> None:
         """Those switched on, less those of which the view shows nothing."""

@@ -23,7 +23,7 @@ from scanloom.panels.command_line import map_command
 from scanloom.panels.slam_results import SlamResults, effective_picture
 from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.panels.widgets.markup import paragraph, text_box
-from scanloom.panels.widgets.panel_job import BETWEEN_S, PanelJob
+from scanloom.panels.widgets.panel_job import UPDATE_INTERVAL_S, PanelJob
 from scanloom.plots.png import show_picture
 from scanloom.plots.slam_progress import Window, live_picture, window_around
 from scanloom.state.slam_choices import (
@@ -136,7 +136,7 @@ class SlamPanel:
             update_widget(self._why, content=paragraph(self._why_not or ""))
             update_widget(self._why, visible=self._why_not is not None)
             update_widget(
-                self._run_button, disabled=self._job.is_at_work or self._why_not is not None
+                self._run_button, disabled=self._job.is_running or self._why_not is not None
             )
             self._results.show(view.recording)
             self._show_command(view)
@@ -157,7 +157,7 @@ class SlamPanel:
         """Start a run unless one is at work, it cannot be done, or the browser has gone."""
         view = self._session.view
         with self._lock:
-            if self._job.is_at_work or self._job.is_closed or self._why_not is not None:
+            if self._job.is_running or self._job.is_closed or self._why_not is not None:
                 return
             try:
                 self._folder = self._folder or Path(tempfile.mkdtemp(prefix="scanloom-"))
@@ -168,20 +168,20 @@ class SlamPanel:
             offset_ms = self._clock_offset_ms
             self._of_run, self._window = view, None
             self._asked_s = 0.0
-            live = LatestOnlyWorker(f"run {number}", self._draw, self._session.fail)
+            live = LatestOnlyWorker(f"run {number}", self._draw, self._session.show_failure)
             self._live = live
 
             def work(progress: Progress) -> SlamRun:
-                recording = self._session.library.path(view.recording)
+                recording = self._session.recording_path(view.recording)
                 return run_slam(number, view, recording, root, progress, self._watch, offset_ms)
 
             self._job.begin("slam", work, self._take)
 
     def _watch(self, seen: SlamView) -> None:
         now_s = time.monotonic()
-        if now_s - self._asked_s >= BETWEEN_S and self._live is not None:
+        if now_s - self._asked_s >= UPDATE_INTERVAL_S and self._live is not None:
             self._asked_s = now_s
-            self._live.ask(seen)
+            self._live.submit(seen)
 
     def _draw(self, seen: SlamView, is_newest: Callable[[], bool]) -> None:
         """A picture of the run as it is now, unless nobody looks."""
@@ -203,15 +203,14 @@ class SlamPanel:
             )
         with self._lock:
             # The run may have ended meanwhile.
-            if not self._job.is_at_work or self._job.is_closed:
+            if not self._job.is_running or self._job.is_closed:
                 return
-            with self._session.client.atomic():
+            with self._session.batch_updates():
                 show_picture(self._picture, drawn)
                 update_widget(self._picture, visible=True)
                 if plot is not None:
                     show_picture(self._effective, plot)
                     update_widget(self._effective, visible=True)
-        self._session.client.flush()
 
     def _take(self, run: SlamRun) -> None:
         oldest = self._runs.add(run)
@@ -222,7 +221,7 @@ class SlamPanel:
             said = f"Run {oldest.number} was cleared away: the last {MOST_RUNS} are kept."
         self._job.end(said)
         if run.problem is not None and not self._job.is_closed:
-            self._session.fail(run.problem)
+            self._session.show_failure(run.problem)
 
     def _show_working(self, is_at_work: bool) -> None:
         self._commanded = None
@@ -235,7 +234,7 @@ class SlamPanel:
             self._clear_away()
 
     def _show_command(self, view: View) -> None:
-        recording = self._session.library.path(view.recording)
+        recording = self._session.recording_path(view.recording)
         run = self._results.chosen(view.recording)
         is_same = run is not None and asked(run.view) == asked(view)
         saved = self._results.saved(run) if run is not None and is_same else None

@@ -216,9 +216,9 @@ class SlamResults:
             name = f"{run.folder.name}-{run.choices.estimator}"
             content = zip_of(results_in(run.folder), name)
         except ScanLoomError as error:
-            self._session.fail(error)
+            self._session.show_failure(error)
             return
-        self._session.client.send_file_download(f"{name}.zip", content, save_immediately=True)
+        self._session.send_file(f"{name}.zip", content)
 
     def _keep(self) -> None:
         with self._lock:
@@ -227,10 +227,10 @@ class SlamResults:
                 return
             try:
                 if run not in self._saved:
-                    recording = self._session.library.path(run.recording)
+                    recording = self._session.recording_path(run.recording)
                     self._saved[run] = keep(run, recording, self._root)
             except ScanLoomError as error:
-                self._session.fail(error)
+                self._session.show_failure(error)
                 return
         self._session.refresh()
 

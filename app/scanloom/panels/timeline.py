@@ -8,7 +8,7 @@ from functools import partial
 
 import viser
 
-from scanloom.client_session import ClientSession
+from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView
 from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.state.view import PANELS
@@ -20,7 +20,7 @@ _SPEEDS = ("0.25", "0.5", "1", "2", "4")
 _CHOICE_OF_SPEED = {float(speed): speed for speed in _SPEEDS}
 
 
-class TimelinePanel:
+class TimelinePanel(Panel):
     """Moves through the frames."""
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:

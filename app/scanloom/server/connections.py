@@ -102,7 +102,7 @@ class ClientConnection(ServerConnection):
             data = await super().recv(decode)
             judged = check_message(data)
             if judged.problem:
-                self._connections.error_log.tell(
+                self._connections.error_log.report(
                     client_address(self), f"sent {judged.problem}; it is left out."
                 )
             elif judged.is_wanted:
@@ -120,7 +120,7 @@ class ClientConnection(ServerConnection):
             self._watch()
             return
         if self.protocol.state is State.OPEN:
-            self._connections.error_log.tell(client_address(self), "reads nothing; it is cut off.")
+            self._connections.error_log.report(client_address(self), "reads nothing; disconnected.")
         self.transport.abort()
 
     def _stop_watching(self) -> None:

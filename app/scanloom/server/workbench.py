@@ -1,4 +1,4 @@
-"""The workbench's server: a guarded viser server that gives every browser a desk of its own."""
+"""The workbench's server: a guarded viser server with a session for each browser."""
 
 import io
 import threading
@@ -6,21 +6,13 @@ from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import viser
 
 from fusion_core.model.errors import ExportError, ScanLoomError
 from scanloom.client_session import STORED_VIEW, ClientSession
-from scanloom.panels.header import HeaderPanel
-from scanloom.panels.map import MapPanel
-from scanloom.panels.match import MatchPanel
-from scanloom.panels.recording import RecordingPanel
-from scanloom.panels.register import RegisterPanel
-from scanloom.panels.repair import RepairPanel
-from scanloom.panels.scene import ScenePanel
-from scanloom.panels.timeline import TimelinePanel
-from scanloom.panels.widgets.panel_switch import PanelSwitch
+from scanloom.panels.registry import add_panels
 from scanloom.resources import sample_path
 from scanloom.server import browser_storage as storage
 from scanloom.server.connections import Connections
@@ -31,7 +23,7 @@ from scanloom.server.security import LINK_KEY, Guard, guard_for, guarded
 from scanloom.state.library import Library
 from scanloom.state.view import View, view_of_link
 
-# The panels' pictures are then shown at nearly their own size, so that their letters can be read.
+# At this width the panels' pictures are displayed at nearly their own size.
 _PANEL_PX = 460.0
 
 
@@ -47,24 +39,18 @@ class ServeOptions:
     virtual_row: int | None = None
 
 
-class Closable(Protocol):
-    """A panel with work of its own."""
-
-    def close(self) -> None: ...
-
-
 class Workbench:
-    """A server that listens from ``start`` to ``close``, or as long as a ``with`` block lasts.
+    """A server that listens from ``start`` to ``close``, or within a ``with`` block.
 
-    Raises RecordingError, MissingStream, SettingsError and ExportError for what cannot be opened,
-    listened on or written to.
+    Raises RecordingError, MissingStream, SettingsError and ExportError for a recording, an address
+    or an output folder that cannot be used.
 
-    viser's threads and its event loop are everybody's: nothing waits in them. What a browser takes
-    to come and to go runs in threads of its own.
+    viser's threads and event loop are shared by all browsers, so nothing may block them: sessions
+    are opened and closed in threads of their own.
     """
 
     def __init__(self, options: ServeOptions) -> None:
-        # What cannot be had is told before anything is opened, and that before anything listens.
+        # Problems are reported before the server listens.
         _require_folder(options.output_root)
         self._port = free_port(options.host, options.port)
         recordings = list(options.recordings) or [sample_path()]
@@ -73,16 +59,16 @@ class Workbench:
         self._library.open(self._first_view)
         self.guard: Guard = guard_for(options.host)
         self._options = options
-        self._sessions: dict[int, tuple[ClientSession, list[Closable]]] = {}
+        self._sessions: dict[int, ClientSession] = {}
         self._lock = threading.Lock()
         self._is_closed = False
         self._error_log = ErrorLog()
         self._connections = Connections(self._error_log)
 
     def start(self) -> None:
-        """Listen."""
+        """Start to listen."""
         options = self._options
-        # viser greets on stdout, which belongs to the command.
+        # viser prints a greeting, but stdout belongs to the command.
         serving = guarded(
             self.guard,
             create_connection=self._connections.make,
@@ -93,22 +79,22 @@ class Workbench:
             self._server = viser.ViserServer(
                 host=options.host, port=self._port, label="ScanLoom", verbose=False
             )
-        _tell_in_one_line(self._server, self._error_log)
+        _log_server_errors(self._server, self._error_log)
         disable_share_tunnel(self._server)
-        restrict_gui_updates(self._server.gui, _leave)
+        restrict_gui_updates(self._server.gui, _ignore_refusal)
         self._server.gui.configure_theme(
             control_width="large", show_logo=False, show_share_button=False, dark_mode=False
         )
-        # Floating, the panel would cover what the scene shows at its right.
+        # A floating panel would cover the right part of the scene.
         self._server.gui.main_panel.dock_right()
         self._server.gui.main_panel.set_width(_PANEL_PX)
         self._server.scene.set_up_direction("+z")
-        self._server.on_client_connect(self._welcome)
-        self._server.on_client_disconnect(self._part)
+        self._server.on_client_connect(self._on_connect)
+        self._server.on_client_disconnect(self._on_disconnect)
 
     @property
     def address(self) -> str:
-        """What to open in a browser, with the token where one is asked for."""
+        """The URL to open in a browser, with the token where one is required."""
         host = self._server.get_host()
         name = f"[{host}]" if ":" in host else host
         token = "" if self.guard.token is None else f"/?token={self.guard.token}"
@@ -116,16 +102,16 @@ class Workbench:
 
     @property
     def sessions(self) -> list[ClientSession]:
-        """The desks of the browsers that are connected."""
+        """The sessions of the connected browsers."""
         with self._lock:
-            return [session for session, _ in self._sessions.values()]
+            return list(self._sessions.values())
 
     def close(self) -> None:
-        """Stop serving and free the files."""
+        """Stop the server and close the recordings."""
         with self._lock:
             self._is_closed = True
-            parting = list(self._sessions)
-        for client_id in parting:
+            client_ids = list(self._sessions)
+        for client_id in client_ids:
             self._close_session(client_id)
         with redirect_stdout(io.StringIO()):
             self._server.stop()
@@ -138,43 +124,42 @@ class Workbench:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    async def _welcome(self, client: viser.ClientHandle) -> None:
-        """Give a browser its desk, once it has told what it keeps."""
-        restrict_gui_updates(client.gui, _leave)
+    async def _on_connect(self, client: viser.ClientHandle) -> None:
+        """Open a session once the browser has sent its stored view."""
+        restrict_gui_updates(client.gui, _ignore_refusal)
 
         def on_answer(answers: storage.Answers) -> None:
             if answers[LINK_KEY] is not None:
                 client.local_storage.remove_item(LINK_KEY)
             links = [link for key in (LINK_KEY, STORED_VIEW) if (link := answers[key]) is not None]
-            _in_own_thread("welcome", self._open_session, client, links)
+            _run_in_thread("connect", self._open_session, client, links)
 
-        storage.ask(client, (LINK_KEY, STORED_VIEW), on_answer)
+        storage.request_items(client, (LINK_KEY, STORED_VIEW), on_answer)
 
     def _open_session(self, client: viser.ClientHandle, links: list[str]) -> None:
         try:
-            self._furnish(client, links)
-        except Exception as error:  # noqa: BLE001  # it may have left meanwhile
+            self._start_session(client, links)
+        except Exception as error:  # noqa: BLE001  # the browser may have disconnected meanwhile
             if client.client_id in self._server.get_clients():
-                self._error_log.tell(f"browser {client.client_id}", error_summary(error))
+                self._error_log.report(f"browser {client.client_id}", error_summary(error))
 
-    def _furnish(self, client: viser.ClientHandle, links: list[str]) -> None:
+    def _start_session(self, client: viser.ClientHandle, links: list[str]) -> None:
         view, problem = self._view_for(links)
         session = ClientSession(client, self._library, view)
-        closables = _furnish(session, self._options.output_root)
+        add_panels(client, session, self._options.output_root)
         with self._lock:
-            self._sessions[client.client_id] = (session, closables)
+            self._sessions[client.client_id] = session
             is_closed = self._is_closed
         if is_closed or client.client_id not in self._server.get_clients():
-            # It left while its desk was made.
+            # It disconnected while its session was made.
             self._close_session(client.client_id)
             return
         if problem is not None:
-            session.fail(problem)
+            session.show_failure(problem)
         session.refresh()
 
     def _view_for(self, links: list[str]) -> tuple[View, ScanLoomError | None]:
-        """The first of the links that can be followed, else the first view; and why not an earlier
-        one."""
+        """The view of the first valid link, else the default; and the first link's problem."""
         problem: ScanLoomError | None = None
         for link in links:
             try:
@@ -186,76 +171,50 @@ class Workbench:
                 return view, problem
         return self._first_view, problem
 
-    async def _part(self, client: viser.ClientHandle) -> None:
-        _in_own_thread("parting", self._close_session, client.client_id)
+    async def _on_disconnect(self, client: viser.ClientHandle) -> None:
+        _run_in_thread("disconnect", self._close_session, client.client_id)
 
     def _close_session(self, client_id: int) -> None:
         with self._lock:
-            parting = self._sessions.pop(client_id, None)
-        if parting is not None:
-            session, closables = parting
-            for panel in closables:
-                panel.close()
+            session = self._sessions.pop(client_id, None)
+        if session is not None:
             session.close()
 
 
-def _leave(client_id: int, reason: str) -> None:
-    """A refused value changes nothing; typing passes through such values, so nothing is said."""
+def _ignore_refusal(client_id: int, reason: str) -> None:
+    """A refused value changes nothing. Typing passes through such values: no message."""
 
 
-def _in_own_thread(name: str, work: Callable[..., None], *args: Any) -> None:
+def _run_in_thread(name: str, work: Callable[..., None], *args: Any) -> None:
     threading.Thread(target=work, args=args, name=name, daemon=True).start()
 
 
 def _require_folder(output_root: Path) -> None:
-    """Exports make the folder when they need it; what is no folder is told before anything is
-    computed for it."""
+    """Raises ExportError if the path exists and is no folder. (Exports create a missing one.)"""
     if (output_root.exists() or output_root.is_symlink()) and not output_root.is_dir():
         raise ExportError("is not a folder.", file=output_root, advice="Name another with -o.")
 
 
-def _tell_in_one_line(server: viser.ViserServer, error_log: ErrorLog) -> None:
-    """What fails in the server's own loop and threads is told without a traceback."""
+def _log_server_errors(server: viser.ViserServer, error_log: ErrorLog) -> None:
+    """Log errors of the server's event loop and threads in one line, without a traceback."""
     loop = server.get_event_loop()
 
     def on_error(_: object, context: dict[str, Any]) -> None:
         error = context.get("exception")
         what = str(context.get("message", "failed"))
-        error_log.tell("server", f"{what}: {error_summary(error)}" if error else what)
+        error_log.report("server", f"{what}: {error_summary(error)}" if error else what)
 
     loop.call_soon_threadsafe(loop.set_exception_handler, on_error)
     pool: Any = server._thread_executor
     submit = pool.submit
 
-    def submit_told(work: Callable[..., Any], *args: Any) -> Any:
-        def told() -> None:
+    def submit_logged(work: Callable[..., Any], *args: Any) -> Any:
+        def run() -> None:
             try:
                 work(*args)
             except Exception as error:  # noqa: BLE001  # viser prints a traceback of it
-                error_log.tell("a widget's callback", error_summary(error))
+                error_log.report("a widget's callback", error_summary(error))
 
-        return submit(told)
+        return submit(run)
 
-    pool.submit = submit_told
-
-
-def _furnish(session: ClientSession, output_root: Path) -> list[Closable]:
-    """Put the panels on a desk, in the order from top to bottom; those that run end with it."""
-    gui = session.client.gui
-    header = HeaderPanel(gui, session)
-    timeline = TimelinePanel(gui, session)
-    scene = ScenePanel(gui, session)
-    switch = PanelSwitch(gui, session)
-    with switch.folder("Recording"):
-        recording = RecordingPanel(gui, session)
-    with switch.folder("Match"):
-        match = MatchPanel(gui, session, scene.set_heatmap_source)
-    with switch.folder("Register"):
-        register = RegisterPanel(gui, session)
-    with switch.folder("Repair"):
-        repair = RepairPanel(gui, session)
-    with switch.folder("Map"):
-        maps = MapPanel(gui, session, output_root, scene.set_map)
-    # The scene last: it shows what the other panels have just drawn.
-    session.panels = [header, timeline, switch, recording, match, register, repair, maps, scene]
-    return [timeline, register, maps]
+    pool.submit = submit_logged

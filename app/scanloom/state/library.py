@@ -53,7 +53,7 @@ class Library:
         self._closed = False
         # What was asked for last comes last.
         self._opened: OrderedDict[_Key, OpenRecording] = OrderedDict()
-        self._seen_by: dict[Hashable, _Key] = {}
+        self._viewer: dict[Hashable, _Key] = {}
         self._files: dict[Path, _File] = {}
         # Not the files at their paths any more, and still in use.
         self._outdated: list[_File] = []
@@ -65,10 +65,10 @@ class Library:
             found.update(dict.fromkeys(_listed(root)))
         return list(found)
 
-    def open(self, view: View, seen_by: Hashable = None) -> OpenRecording:
+    def open(self, view: View, viewer: Hashable = None) -> OpenRecording:
         """The recording of a view with its streams and settings.
 
-        ``seen_by``: who looks at it, until they open another or ``leave``; what is opened for
+        ``viewer``: who looks at it, until they open another or ``leave``; what is opened for
         nobody may be closed as soon as something else is opened.
 
         Raises RecordingError and MissingStream as opening a recording does.
@@ -78,7 +78,7 @@ class Library:
         file: _File | None = None
         try:
             with self._lock:
-                if (opened := self._look_at(key, seen_by)) is not None:
+                if (opened := self._look_at(key, viewer)) is not None:
                     return opened
                 file = self._files.setdefault(path, _File(path))
                 # A file with users stays open.
@@ -86,14 +86,14 @@ class Library:
             with file.opening:
                 with self._lock:
                     # Somebody may have opened it meanwhile.
-                    if (opened := self._look_at(key, seen_by)) is not None:
+                    if (opened := self._look_at(key, viewer)) is not None:
                         return opened
                 made = OpenRecording(_session_of(file.recording(), view), file.stamp, self._turns)
                 with self._lock:
                     if self._closed:
                         raise RecordingError("The server is closing.", advice="Start it again.")
                     self._opened[key] = made
-                    self._look_at(key, seen_by)
+                    self._look_at(key, viewer)
             return made
         finally:
             with self._lock:
@@ -102,10 +102,10 @@ class Library:
                 unused = self._take_unused()
             _close(*unused)
 
-    def leave(self, seen_by: Hashable) -> None:
+    def release(self, viewer: Hashable) -> None:
         """Somebody looks at nothing any more."""
         with self._lock:
-            self._seen_by.pop(seen_by, None)
+            self._viewer.pop(viewer, None)
             unused = self._take_unused()
         _close(*unused)
 
@@ -136,17 +136,17 @@ class Library:
             advice="Choose one of the list, or start scanloom view with its folder as --root.",
         )
 
-    def _look_at(self, key: "_Key", seen_by: Hashable) -> OpenRecording | None:
+    def _look_at(self, key: "_Key", viewer: Hashable) -> OpenRecording | None:
         """What is open under a key, then the last that was asked for."""
         if key not in self._opened:
             return None
         # Who looks at it is told, and keeps what can still be read.
-        if self._opened[key].is_outdated and self._seen_by.get(seen_by) != key:
+        if self._opened[key].is_outdated and self._viewer.get(viewer) != key:
             self._forget(key.path)
             return None
         self._opened.move_to_end(key)
-        if seen_by is not None:
-            self._seen_by[seen_by] = key
+        if viewer is not None:
+            self._viewer[viewer] = key
         return self._opened[key]
 
     def _forget(self, path: Path) -> None:
@@ -158,10 +158,10 @@ class Library:
 
     def _take_unused(self) -> tuple[list[OpenRecording], list["_File"]]:
         """Take out what is to be closed, which may last."""
-        seen = set(self._seen_by.values())
+        seen = set(self._viewer.values())
         unseen = [key for key in self._opened if key not in seen]
         # Nobody waits for their alignment any more.
-        going = [key for key in unseen if self._opened[key].is_at_work]
+        going = [key for key in unseen if self._opened[key].is_aligning]
         kept = [key for key in unseen if key not in going]
         going += kept[: max(len(kept) - _MOST_UNSEEN, 0)]
         opened = [self._opened.pop(key) for key in going]

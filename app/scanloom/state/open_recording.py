@@ -80,18 +80,18 @@ class OpenRecording:
                     on_cancelled=self._tell,
                 )
 
-    def forget(self, on_change: Callable[[], None]) -> None:
+    def remove_listener(self, on_change: Callable[[], None]) -> None:
         """The listener has gone."""
         with self._lock:
             if on_change in self._listeners:
                 self._listeners.remove(on_change)
 
     @property
-    def is_at_work(self) -> bool:
+    def is_aligning(self) -> bool:
         """Whether it is being aligned, or waits for its turn."""
         return self._job is not None and self.chain is None and self.failure is None
 
-    def explained(self, error: Exception) -> Exception:
+    def explain_read_error(self, error: Exception) -> Exception:
         """Why reading failed: ``error``, unless the file has changed since it was opened."""
         is_reading = isinstance(error, RecordingError) or not isinstance(error, ScanLoomError)
         change = self._stamp.change() if is_reading else None
@@ -116,7 +116,7 @@ class OpenRecording:
     def _work(self, progress: Progress) -> RecordingAlignment:
         stamps = PairingStamps()
         try:
-            with self._turns.taken(lambda: progress(0, None, "waiting for other alignments")):
+            with self._turns.acquired(lambda: progress(0, None, "waiting for other alignments")):
                 return align_recording(self.fuse_session, progress, stamps)
         finally:
             # Where nothing can be aligned, the stamps may show why.
@@ -134,7 +134,7 @@ class OpenRecording:
         self._tell()
 
     def _fail(self, error: Exception) -> None:
-        self.failure = self.explained(error)
+        self.failure = self.explain_read_error(error)
         self._tell()
 
     def _tell(self) -> None:

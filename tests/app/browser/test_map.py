@@ -117,7 +117,7 @@ def test_a_cancelled_build_leaves_nothing_and_a_reload_finds_the_same_state(
     person.press("Cancel")
     expect(person.text("Stopping at the next step")).to_be_visible()
     cancelled.set()
-    expect(person.text("Cancelled; nothing was kept.")).to_be_visible()
+    expect(person.text("Cancelled; nothing was saved.")).to_be_visible()
     expect(person.button("Build")).to_be_enabled()
     assert sorted(output_root.rglob("*")) == before
 

@@ -58,7 +58,7 @@ def test_the_keys_go_through_the_frames(person: Person) -> None:
 
 
 def test_a_preset_changes_the_line_of_differences_and_undo_brings_it_back(person: Person) -> None:
-    person.session.set("noise", "epsilon", 2.5)
+    person.session.change_setting("noise", "epsilon", 2.5)
     expect(person.text("differs: noise.epsilon = 2.5")).to_be_visible()
     person.choose("Preset", "published")
     expect(person.text("as the preset published has it")).to_be_visible()

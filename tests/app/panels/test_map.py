@@ -133,7 +133,7 @@ def test_build_show_and_export(bench: Bench) -> None:
     assert (results / "map_fused.pgm").exists()
 
     # Other settings: the maps stay, and it is said that they are of others.
-    bench.session.set("noise", "epsilon", 2.25)
+    bench.session.change_setting("noise", "epsilon", 2.25)
     bench.html("changed since this build")
     bench.until(lambda: bench.command()[4].startswith(str(bench.root / "small_room-2")))
     settings = f"--settings={bench.root / 'small_room-2' / 'settings.toml'}"
@@ -159,7 +159,7 @@ def test_cancel_and_build_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -
     bench.client.click("Cancel")
     bench.html("Stopping at the next step")
     held.go_on.set()
-    bench.html("Cancelled; nothing was kept.")
+    bench.html("Cancelled; nothing was saved.")
     bench.until(lambda: not bench.button("Build").props["disabled"])
     assert not bench.button("Cancel").props["visible"]
 
@@ -189,7 +189,7 @@ def test_closing_cancels(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     closing.join(LONG_S)
     assert (held.calls, held.cancelled) == (1, 1)
     bench.panel._begin_build()
-    assert not bench.panel._job.is_at_work, "who has gone begins nothing"
+    assert not bench.panel._job.is_running, "who has gone begins nothing"
 
 
 def test_without_poses_it_says_why_there_are_no_maps(bench: Bench) -> None:

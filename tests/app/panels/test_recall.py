@@ -67,8 +67,8 @@ class Bench:
         assert self.session.wait(LONG_S)
 
     def epsilon(self, value: float, unit: str = "E") -> None:
-        self.session.set("noise", "epsilon_unit", unit)
-        self.session.set("noise", "epsilon", value)
+        self.session.change_setting("noise", "epsilon_unit", unit)
+        self.session.change_setting("noise", "epsilon", value)
         assert self.session.wait(LONG_S)
 
     def within(self, kind: str) -> Widget:
@@ -223,13 +223,13 @@ def test_the_curve_is_kept_for_its_settings(bench: Bench, computed: Computed) ->
     computed.go_on.set()
     bench.press()
     bench.until(lambda: bench.sees("GuiUplotMessage"))
-    bench.session.set("registration", "model", "affine")
+    bench.session.change_setting("registration", "model", "affine")
     bench.until(lambda: bench.sees("GuiButtonMessage") and not bench.sees("GuiUplotMessage"))
     bench.press()
     bench.until(lambda: bench.sees("GuiUplotMessage"))
     assert [args[1].registration.model for args in computed.calls] == ["rigid", "affine"]
     for model in ("rigid", "affine"):
-        bench.session.set("registration", "model", model)
+        bench.session.change_setting("registration", "model", model)
         assert bench.session.wait(LONG_S)
         bench.until(lambda: bench.sees("GuiUplotMessage") and not bench.sees("GuiButtonMessage"))
     assert len(computed.calls) == 2

@@ -150,7 +150,7 @@ def test_epsilon_without_an_E_in_words():
     assert "ε is not known" in epsilon_said(float("nan"), float("nan"), "E", 1.2)
 
 
-class RecordingDesk:
+class RecordingSession:
     """A desk that shows nothing and remembers its view."""
 
     def __init__(self) -> None:
@@ -161,7 +161,7 @@ class RecordingDesk:
 
     change_settings = change
 
-    def set(self, stage, name, value) -> None:
+    def change_setting(self, stage, name, value) -> None:
         self.view = self.view.with_setting(stage, name, value)
 
 
@@ -173,8 +173,8 @@ def server() -> Iterator[viser.ViserServer]:
 
 
 @pytest.fixture
-def session() -> RecordingDesk:
-    return RecordingDesk()
+def session() -> RecordingSession:
+    return RecordingSession()
 
 
 def frame_of(found, *, residual_m=None, epsilon_m=0.1, refusal=""):
@@ -309,8 +309,8 @@ def test_another_unit_has_about_the_same_length(server, session):
 
 def test_only_the_units_slider_is_seen(server, session):
     controls = EpsilonControls(server.gui, session)
-    session.set("noise", "epsilon_unit", "E")
-    session.set("noise", "epsilon", 1.3)
+    session.change_setting("noise", "epsilon_unit", "E")
+    session.change_setting("noise", "epsilon", 1.3)
     controls.show(frame_view(session, frame_of(registered(LIDAR_M))))
     seen = [unit for unit, slider in controls._sliders._sliders.items() if slider.visible]
     assert seen == ["E"]
@@ -320,8 +320,8 @@ def test_only_the_units_slider_is_seen(server, session):
 def test_a_value_of_the_unit_before_is_not_taken_for_one_of_the_next(server, session):
     controls = EpsilonControls(server.gui, session)
     late = controls._sliders._sliders["sigma"]
-    session.set("noise", "epsilon_unit", "m")
-    session.set("noise", "epsilon", 0.1)
+    session.change_setting("noise", "epsilon_unit", "m")
+    session.change_setting("noise", "epsilon", 0.1)
     late._impl.value = 4.0
     moved = SimpleNamespace(client="a browser", target=late)
     for callback in late._impl.update_cb:
@@ -330,7 +330,7 @@ def test_a_value_of_the_unit_before_is_not_taken_for_one_of_the_next(server, ses
         0.1,
         "m",
     )
-    session.set("noise", "epsilon_unit", "sigma")
+    session.change_setting("noise", "epsilon_unit", "sigma")
     for callback in late._impl.update_cb:
         callback(moved)
     assert session.view.settings.noise.epsilon == 4.0
@@ -338,7 +338,7 @@ def test_a_value_of_the_unit_before_is_not_taken_for_one_of_the_next(server, ses
 
 def test_what_another_unit_cannot_hold_ends_at_its_slider(server, session):
     controls = EpsilonControls(server.gui, session)
-    session.set("noise", "epsilon", 90.0)
+    session.change_setting("noise", "epsilon", 90.0)
     controls.show(
         frame_view(session, frame_of(registered(LIDAR_M + np.sin(LIDAR_M * 50.0) * 0.002)))
     )

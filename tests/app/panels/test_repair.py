@@ -37,7 +37,7 @@ class Bench:
 
     @property
     def frame_view(self) -> FrameView:
-        open_recording = self.session.library.open(self.session.view)
+        open_recording = self.session._library.open(self.session.view)
         return compute_frame_view(self.session.view, open_recording)
 
     @property
@@ -258,7 +258,7 @@ def test_epsilon_has_one_slider_in_the_unit_of_the_settings(bench: Bench) -> Non
     fewer = int((bench.frame.classes.lidar_class == NoiseClass.GOOD).sum())
     assert fewer < agreeing
     bench.html("burrs", f">{fewer}<")
-    bench.session.set("noise", "epsilon_unit", "m")
+    bench.session.change_setting("noise", "epsilon_unit", "m")
     bench.until(lambda: sliders["m"].visible)
     assert [unit for unit, slider in sliders.items() if slider.visible] == ["m"]
 

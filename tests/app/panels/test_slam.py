@@ -214,7 +214,7 @@ def test_cancel_and_run_again(seat: Seat, fake: FakeMap) -> None:
     seat.client.click("Cancel run")
     seat.until_says("Stopping at the next step")
     gate.go_on.set()
-    seat.until_says("Cancelled; nothing was kept.")
+    seat.until_says("Cancelled; nothing was saved.")
     seat.until(lambda: not seat.widget("Run").props["disabled"])
     assert not seat.widget("Cancel run").props["visible"]
     assert len(fake.calls) == 1
@@ -254,7 +254,7 @@ def test_what_cannot_be_done_is_said_and_not_begun(seat: Seat, fake: FakeMap) ->
     seat.until_says("Without SLAM and without motion there are no poses")
     seat.until(lambda: bool(seat.widget("Run").props["disabled"]))
     seat.panel._slam._begin()
-    assert not seat.panel._slam._job.is_at_work
+    assert not seat.panel._slam._job.is_running
     seat.client.set_value("SLAM", "pose-graph")
     seat.until(lambda: not seat.says("there are no poses"))
     seat.until(lambda: not seat.widget("Run").props["disabled"])
@@ -341,7 +341,7 @@ def test_closing_cancels_and_clears_away(seat: Seat, fake: FakeMap) -> None:
     closing.join(LONG_S)
     assert not folder.exists()
     seat.panel._slam._begin()
-    assert not seat.panel._slam._job.is_at_work, "who has gone begins nothing"
+    assert not seat.panel._slam._job.is_running, "who has gone begins nothing"
 
 
 def test_pictures_come_a_few_times_a_second(

@@ -114,7 +114,7 @@ def test_all_who_wait_for_an_alignment_hear_of_it_until_they_leave(small_scene: 
 
     def leave() -> None:
         gone.append(1)
-        opened.forget(leave)
+        opened.remove_listener(leave)
 
     opened.align(leave)
     for place in range(2):
@@ -234,30 +234,30 @@ def test_what_is_asked_for_again_is_kept_longer(library: Library, views: list[Vi
 
 
 def test_what_somebody_looks_at_stays_until_they_leave(library: Library, views: list[View]) -> None:
-    seen = library.open(views[0], seen_by="ann")
-    assert library.open(views[0], seen_by="ben") is seen
+    seen = library.open(views[0], viewer="ann")
+    assert library.open(views[0], viewer="ben") is seen
     for view in views[1:]:
         library.open(view)
-    library.leave("ben")
+    library.release("ben")
     assert open_of([seen]) == [True]
     assert library.open(views[0]) is seen
     for view in views[1:]:
         library.open(view)
-    library.leave("ann")
+    library.release("ann")
     assert open_of([seen]) == [False]
-    library.leave("nobody")
+    library.release("nobody")
 
 
 def test_who_opens_another_looks_at_that_one(library: Library, views: list[View]) -> None:
-    every = [library.open(view, seen_by="ann") for view in views]
+    every = [library.open(view, viewer="ann") for view in views]
     older = len(views) - 1 - UNSEEN
     assert open_of(every) == [False] * older + [True] * (UNSEEN + 1)
 
 
 def test_who_cannot_open_another_stays_where_they_are(library: Library, views: list[View]) -> None:
-    seen = library.open(views[0], seen_by="ann")
+    seen = library.open(views[0], viewer="ann")
     with pytest.raises(MissingStream):
-        library.open(views[0].changed(lidar_topic="/none"), seen_by="ann")
+        library.open(views[0].changed(lidar_topic="/none"), viewer="ann")
     for view in views[1:]:
         library.open(view)
     assert open_of([seen]) == [True]
@@ -267,13 +267,13 @@ def test_a_file_stays_open_as_long_as_one_of_its_choices(
     library: Library, views: list[View]
 ) -> None:
     first = library.open(views[0])
-    second = library.open(views[0].changed(virtual_row=60), seen_by="ann")
+    second = library.open(views[0].changed(virtual_row=60), viewer="ann")
     for view in views[1:]:
         library.open(view)
     assert first.fuse_session.recording is second.fuse_session.recording
     assert open_of([second]) == [True]
     assert library.open(views[0]) is not first
-    library.leave("ann")
+    library.release("ann")
     for view in views[1:]:
         library.open(view)
     assert open_of([second]) == [False]
@@ -417,16 +417,16 @@ def test_many_who_come_and_go_find_open_what_they_look_at(
         for _ in range(60):
             view = chosen.choice(every)
             try:
-                opened = library.open(view, seen_by=seed)
+                opened = library.open(view, viewer=seed)
                 if not is_open(opened.fuse_session.recording):
                     problems.append(f"{view.recording} is closed")
                 if opened.fuse_session.virtual_row != view.virtual_row:
                     problems.append(f"{view.recording} is another")
                 if chosen.random() < 0.2:
-                    library.leave(seed)
+                    library.release(seed)
             except Exception as error:  # noqa: BLE001  # told by the test
                 problems.append(repr(error))
-        library.leave(seed)
+        library.release(seed)
 
     threads = [threading.Thread(target=come_and_go, args=(seed,)) for seed in range(6)]
     for thread in threads:
@@ -476,16 +476,16 @@ def test_an_alignment_ends_with_the_last_who_waits_for_it(
 ) -> None:
     endless = Endless(monkeypatch)
     for person in ("ann", "ben"):
-        library.open(view, seen_by=person).align(lambda: None)
+        library.open(view, viewer=person).align(lambda: None)
     opened = library.open(view)
     endless.until(lambda: len(endless.at_work) == 1)
-    library.leave("ann")
+    library.release("ann")
     assert library.open(view) is opened
     assert endless.ended == []
-    library.leave("ben")
+    library.release("ben")
     endless.until(lambda: endless.ended == [opened.fuse_session])
     # Who comes now has it aligned again.
-    again = library.open(view, seen_by="ann")
+    again = library.open(view, viewer="ann")
     assert again is not opened
     again.align(lambda: None)
     endless.until(lambda: len(endless.at_work) == 1)
@@ -495,10 +495,10 @@ def test_who_goes_on_to_another_view_ends_the_alignment_of_the_one_before(
     library: Library, view: View, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     endless = Endless(monkeypatch)
-    first = library.open(view, seen_by="ann")
+    first = library.open(view, viewer="ann")
     first.align(lambda: None)
     endless.until(lambda: len(endless.at_work) == 1)
-    library.open(view.changed(virtual_row=60), seen_by="ann")
+    library.open(view.changed(virtual_row=60), viewer="ann")
     endless.until(lambda: endless.ended == [first.fuse_session])
 
 
@@ -509,7 +509,7 @@ def test_of_many_alignments_two_are_at_work_and_the_rest_wait(
     waits = threading.Semaphore(0)
     every = []
     for row in range(50, 56):
-        opened = library.open(view.changed(virtual_row=row), seen_by=row)
+        opened = library.open(view.changed(virtual_row=row), viewer=row)
         every.append(opened)
         opened.align(
             lambda one=opened: (  # type: ignore[misc]  # this one, not the last
@@ -519,12 +519,12 @@ def test_of_many_alignments_two_are_at_work_and_the_rest_wait(
     for _ in range(4):
         assert waits.acquire(timeout=ENOUGH_S)
     assert set(map(id, endless.at_work)) == {id(one.fuse_session) for one in every[:2]}
-    library.leave(50)
+    library.release(50)
     endless.until(lambda: any(session is every[2].fuse_session for session in endless.at_work))
     assert len(endless.at_work) == 2
     # One that waits goes without ever having begun.
-    library.leave(53)
-    library.leave(51)
+    library.release(53)
+    library.release(51)
     endless.until(lambda: any(session is every[4].fuse_session for session in endless.at_work))
     assert all(session is not every[3].fuse_session for session in endless.ended)
 
@@ -614,22 +614,22 @@ def test_a_recording_that_is_cut_while_it_is_open_says_so_and_is_opened_again(
     shutil.copyfile(sample_path(), path)
     library = Library([path], [])
     view = View(recording=path.name)
-    opened = library.open(view, seen_by="ann")
+    opened = library.open(view, viewer="ann")
     whole = path.read_bytes()
     os.truncate(path, len(whole) // 2)
     with pytest.raises(Exception) as failed:  # noqa: PT011, PT012  # as the reader has it
         for number in range(len(opened.frames)):
             opened.frames.pair(number)
-    failure = opened.explained(failed.value)
+    failure = opened.explain_read_error(failed.value)
     assert isinstance(failure, RecordingError)
     assert failure.problem == "has become shorter since it was opened."
     assert failure.file == str(path)
     assert "Reload the page" in failure.advice
     # Who looks at it keeps what can still be read; who comes next has it as it is then.
     path.write_bytes(whole)
-    assert library.open(view, seen_by="ann") is opened
-    library.leave("ann")
-    again = library.open(view, seen_by="ann")
+    assert library.open(view, viewer="ann") is opened
+    library.release("ann")
+    again = library.open(view, viewer="ann")
     assert again is not opened
     assert len(again.frames) == len(opened.frames)
     assert again.frames.pair(len(again.frames) - 1)
@@ -642,7 +642,7 @@ def test_an_error_of_a_recording_that_did_not_change_stays_as_it_is(
 ) -> None:
     opened = library.open(view)
     for error in (IndexError("5"), RecordingError("message 7 is damaged.")):
-        assert opened.explained(error) is error
+        assert opened.explain_read_error(error) is error
     assert library.open(view) is opened
 
 

@@ -1,6 +1,6 @@
-"""Widgets bound to a setting or to a value of the view, with the range and the help that it has.
+"""Widgets bound to a setting or to a field of the view.
 
-A widget changes the view and nothing else; ``show`` sets it to what the view says.
+A user's input changes the view and nothing else; ``show`` sets the widgets from the view.
 """
 
 import threading
@@ -17,11 +17,11 @@ from scanloom.state.view import View
 
 @dataclass(slots=True)
 class _Bound:
-    """A widget, what a view says of it, and the value that widget and view last agreed on."""
+    """A widget, its value in a view, and the last value that widget and view agreed on."""
 
     handle: Any
     value_of: Callable[[View], Any]
-    known: Any
+    agreed: Any
 
 
 class Controls:
@@ -36,9 +36,12 @@ class Controls:
     def slider(
         self, stage: str, name: str, label: str, low: float, high: float, step: float
     ) -> viser.GuiSliderHandle[Any]:
-        """A number of a stage's settings. The ends are the widget's; the setting's are checked."""
+        """A slider for a numeric setting of a stage, with the setting's help as hint.
+
+        ``low``, ``high``: ends of the slider; the setting itself may allow more.
+        """
         value = _setting(self._session.view, stage, name)
-        whole = isinstance(value, int) and isinstance(step, int)
+        as_number = int if isinstance(value, int) and isinstance(step, int) else float
         handle = self._gui.add_slider(
             label,
             min=low,
@@ -50,26 +53,26 @@ class Controls:
         self.bind(
             handle,
             lambda view: _clamped(_setting(view, stage, name), low, high),
-            lambda new: self._session.set(stage, name, int(new) if whole else float(new)),
+            lambda new: self._session.change_setting(stage, name, as_number(new)),
         )
         return handle
 
     def checkbox(self, stage: str, name: str, label: str) -> viser.GuiCheckboxHandle:
-        """A switch of a stage's settings."""
+        """A checkbox for a setting of a stage."""
         handle = self._gui.add_checkbox(
             label, _setting(self._session.view, stage, name), hint=self._help(stage, name)
         )
         self.bind(
             handle,
             lambda view: _setting(view, stage, name),
-            lambda new: self._session.set(stage, name, bool(new)),
+            lambda new: self._session.change_setting(stage, name, bool(new)),
         )
         return handle
 
     def dropdown(
         self, stage: str, name: str, label: str, options: Sequence[str]
     ) -> viser.GuiDropdownHandle[Any]:
-        """A choice of a stage's settings."""
+        """A dropdown for a setting of a stage with named options."""
         handle = self._gui.add_dropdown(
             label,
             tuple(options),
@@ -79,7 +82,7 @@ class Controls:
         self.bind(
             handle,
             lambda view: _setting(view, stage, name),
-            lambda new: self._session.set(stage, name, str(new)),
+            lambda new: self._session.change_setting(stage, name, str(new)),
         )
         return handle
 
@@ -87,45 +90,45 @@ class Controls:
         self,
         handle: Any,
         name: str,
-        convert: Callable[[Any], Any] = lambda value: value,
-        frame_view: Callable[[Any], Any] = lambda value: value,
+        to_view: Callable[[Any], Any] = lambda value: value,
+        to_widget: Callable[[Any], Any] = lambda value: value,
     ) -> None:
-        """Tie a widget to a value of the view itself. ``shown``: how the widget has that value."""
+        """Bind a widget to the view's field ``name``, with conversions between their values."""
         self.bind(
             handle,
-            lambda view: frame_view(getattr(view, name)),
-            lambda new: self._session.change(**{name: convert(new)}),
+            lambda view: to_widget(getattr(view, name)),
+            lambda new: self._session.change(**{name: to_view(new)}),
         )
 
     def bind(
         self, handle: Any, value_of: Callable[[View], Any], change: Callable[[Any], None]
     ) -> None:
-        """Tie a widget to what a view says of it, None for nothing, by what a new value changes."""
+        """Bind a widget: ``value_of`` a view (None: leave the widget), ``change`` on user input."""
         bound = _Bound(handle, value_of, handle.value)
         self._bound.append(bound)
 
         @handle.on_update
         def _(event: viser.GuiEvent[Any]) -> None:
-            # Without a client it was ``show`` that set the value.
+            # No client: the value was set by ``show``.
             if event.client is None:
                 return
-            # Callbacks run in any order: each takes the widget's latest value, one at a time.
+            # Callbacks run in parallel and in any order: each takes the widget's latest value.
             with self._lock:
-                bound.known = handle.value
-                change(bound.known)
+                bound.agreed = handle.value
+                change(bound.agreed)
 
     def show(self, view: View) -> None:
-        """Set every widget to what the view says, where that is not what the widget said itself.
+        """Set each widget to its value in the view, unless the value came from the widget.
 
-        A person may be moving it: a value that is no longer asked for would pull it back.
+        A user may be dragging it: an outdated value would pull it back.
         """
         with self._lock:
-            asked = self._session.view
+            requested = self._session.view
             for bound in self._bound:
                 value = bound.value_of(view)
-                if value is None or value == bound.known or value != bound.value_of(asked):
+                if value is None or value == bound.agreed or value != bound.value_of(requested):
                     continue
-                bound.known = value
+                bound.agreed = value
                 update_widget(bound.handle, value=value)
 
     def _help(self, stage: str, name: str) -> str | None:
@@ -134,7 +137,7 @@ class Controls:
 
 
 def update_widget(handle: Any, **values: Any) -> None:
-    """Set properties of a widget that differ: what is set goes over the wire."""
+    """Set those properties of a widget that differ; each set property is sent to the browser."""
     for name, value in values.items():
         if getattr(handle, name) != value:
             setattr(handle, name, value)

@@ -1,18 +1,19 @@
-"""The help of the panels and the keys, in plain words, each panel's with its formula."""
+"""The help texts of the panels, each with its formula, and of the keys."""
 
 from scanloom.resources import static_path
 from scanloom.state.view import PanelName
 
 
 def help_text(panel: PanelName) -> str:
-    """Markdown for ``gui.add_markdown``. The formula in it is an SVG in the colour of the text."""
+    """Markdown for ``gui.add_markdown``. Its formula, if any, is an SVG in the text's colour."""
     name = panel.lower()
-    formula = _read(f"help/{name}.svg").strip()
-    return _read(f"help/{name}.md").replace(f"![Formula]({name}.svg)", formula)
+    text = _read(f"help/{name}.md")
+    link = f"![Formula]({name}.svg)"
+    return text.replace(link, _read(f"help/{name}.svg").strip()) if link in text else text
 
 
 def keys_text() -> str:
-    """The table of the keys, as markdown."""
+    """The table of the keys, as Markdown."""
     return _read("help/keys.md")
 
 

@@ -13,13 +13,13 @@ _PUNCTUATION = re.compile(r"([!-/:-@\[-`{-~])")
 _BOX = (
     "width:100%;box-sizing:border-box;border:1px solid #c4ccd6;border-radius:4px;padding:0.4em;"
     "font-family:ui-monospace,monospace;font-size:0.8em;resize:vertical;"
-    # As a terminal breaks lines, not at a hyphen.
+    # Break lines anywhere, like a terminal.
     "word-break:break-all"
 )
 
 
 def paragraph(text: str) -> str:
-    """A paragraph of small text."""
+    """A paragraph in small type."""
     return (
         "<div style='padding:0.2em 0.5em;font-size:0.85em;overflow-wrap:anywhere'>"
         f"{html.escape(escape_undecodable(text))}</div>"
@@ -27,7 +27,7 @@ def paragraph(text: str) -> str:
 
 
 def text_box(text: str) -> str:
-    """A field to copy from; viser's own text fields can be written in."""
+    """A read-only field to copy from; viser's own text fields are editable."""
     rows = min(2 + len(text) // 60, 8)
     return (
         f"<div style='padding:0.2em 0.5em'><textarea readonly spellcheck='false' rows='{rows}' "

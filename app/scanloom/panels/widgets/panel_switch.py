@@ -1,18 +1,18 @@
-"""Which panel is open: buttons, keys and links change it, and so does a reload."""
+"""Buttons that switch between the panels."""
 
 import viser
 
-from scanloom.client_session import ClientSession
+from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView
 from scanloom.panels.widgets.controls import update_widget
 from scanloom.panels.widgets.help import help_text
 from scanloom.state.view import PANELS, PanelName
 
 
-class PanelSwitch:
-    """Shows one of the panels' folders at a time.
+class PanelSwitch(Panel):
+    """Shows one panel's folder at a time.
 
-    viser's own tabs cannot be opened or read by the server; folders can.
+    Not viser's tabs: the server can neither open them nor read which is open.
     """
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
@@ -26,7 +26,7 @@ class PanelSwitch:
             session.change(panel=buttons.value)
 
     def folder(self, name: PanelName) -> viser.GuiFolderHandle:
-        """The folder that a panel is built in."""
+        """Add a panel's folder, with its help at the top."""
         folder = self._gui.add_folder(name, visible=name == self._open)
         self._folders[name] = folder
         with folder, self._gui.add_folder("About this panel", expand_by_default=False):
@@ -34,6 +34,6 @@ class PanelSwitch:
         return folder
 
     def show(self, frame_view: FrameView) -> None:
-        """Open the view's panel and close the others."""
+        """Show the view's panel and hide the others."""
         for name, folder in self._folders.items():
             update_widget(folder, visible=name == frame_view.view.panel)
