@@ -354,7 +354,7 @@ def test_pictures_come_a_few_times_a_second(
     panel = seat.panel._slam
 
     class Noted:
-        def ask(self, seen: Any) -> None:
+        def submit(self, seen: Any) -> None:
             asked.append(len(seen.stamps_ns))
 
     monkeypatch.setattr(panel, "_live", Noted())
