@@ -29,7 +29,7 @@ from scanloom.api import (
 
 if TYPE_CHECKING:
     from fusion_core.workflows.fuse.session import FuseOptions
-    from fusion_core.workflows.map.build_map import MapOptions
+    from fusion_core.workflows.map.options import MapOptions
     from fusion_core.workflows.source import RoomChoice
 
 __all__ = [
@@ -56,7 +56,7 @@ def __getattr__(name: str) -> Any:
 
         return FuseOptions
     if name == "MapOptions":
-        from fusion_core.workflows.map.build_map import MapOptions
+        from fusion_core.workflows.map.options import MapOptions
 
         return MapOptions
     if name == "RoomChoice":

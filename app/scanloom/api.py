@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from fusion_core.workflows.fuse.session import FuseOptions
-    from fusion_core.workflows.map.build_map import MapOptions
+    from fusion_core.workflows.map.options import MapOptions
     from fusion_core.workflows.scan_matching import ScanMatch
     from fusion_core.workflows.source import RoomChoice
 
@@ -169,8 +169,8 @@ def build_map(
     the estimator and what else ``scanloom map`` takes. Raises ScanLoomError, MappingFailed where
     most scans cannot be trusted: then the results are in ``output`` all the same.
     """
-    from fusion_core.workflows.map.build_map import MapOptions
     from fusion_core.workflows.map.build_map import build_map as build_into
+    from fusion_core.workflows.map.options import MapOptions
 
     with _results_folder(output) as folder:
         build_into(Path(recording), folder, options or MapOptions(), progress)

@@ -36,14 +36,25 @@ class OutputPlan:
     earlier_manifest: Manifest
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunRequest:
+    """What a run is to compute, and from what.
+
+    ``also_read``: files that are read but are no inputs of their own: settings, whose content is
+    ``settings_text``, or the data set around the inputs; None for what was not given.
+    """
+
+    command: str
+    inputs: Sequence[Path]
+    settings_text: str
+    seed: int
+    also_read: Collection[Path | None] = ()
+
+
 def plan_output(
     folder: Path,
+    request: RunRequest,
     *,
-    command: str,
-    inputs: Sequence[Path],
-    settings_text: str,
-    seed: int,
-    also_read: Collection[Path | None] = (),
     force: bool = False,
     overwrite: bool = False,
     progress: Progress = silent,
@@ -51,9 +62,7 @@ def plan_output(
     """Decide about an output folder, without changing its files.
 
     A folder whose manifest has the same version, command, settings, seed and inputs, and whose
-    files are still as written, is skipped unless ``force``. ``also_read``: what is read besides,
-    such as settings, whose content is in ``settings_text``, or the data set around the inputs; None
-    for what was not given.
+    files are still as written, is skipped unless ``force``.
 
     Raises ExportError for a folder that is an input, lies inside one or holds one; unless
     ``overwrite``, for one with the results of another command, or with files of which its manifest
@@ -61,21 +70,21 @@ def plan_output(
     """
     if (folder.exists() or folder.is_symlink()) and not folder.is_dir():
         raise ExportError("is not a folder.", file=folder, advice="Name another output folder.")
-    require_apart(folder, inputs)
+    require_apart(folder, request.inputs)
     work = RunIdentity(
-        command=command,
-        inputs=tuple(digest_input(path, progress) for path in inputs),
-        settings_sha256=hashlib.sha256(settings_text.encode("utf-8")).hexdigest(),
-        seed=seed,
+        command=request.command,
+        inputs=tuple(digest_input(path, progress) for path in request.inputs),
+        settings_sha256=hashlib.sha256(request.settings_text.encode("utf-8")).hexdigest(),
+        seed=request.seed,
     )
     manifest = Manifest.read(folder)
     skip = not force and manifest.matches(work)
     if skip:
         clear_abandoned(folder)
     else:
-        require_apart(folder, [path for path in also_read if path is not None])
+        require_apart(folder, [path for path in request.also_read if path is not None])
         if not overwrite:
-            _require_replaceable(manifest, command)
+            _require_replaceable(manifest, request.command)
     return OutputPlan(folder=folder, run=work, is_done=skip, earlier_manifest=manifest)
 
 

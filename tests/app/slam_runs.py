@@ -16,7 +16,7 @@ from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import SlamObserver, SlamView, no_observer
 from fusion_core.model.trajectory import Trajectory
-from fusion_core.workflows.map.build_map import MapOptions
+from fusion_core.workflows.map.options import MapOptions
 from fusion_core.workflows.map.report import MapSummary
 
 SCANS = 60

@@ -22,7 +22,8 @@ from fusion_core.simulation.scenes import find_scene, write_scene
 from fusion_core.simulation.truth import truth_path
 from fusion_core.workflows.evaluate import evaluate
 from fusion_core.workflows.evaluate.odometry import odometry
-from fusion_core.workflows.map.build_map import MapOptions, build_map
+from fusion_core.workflows.map.build_map import build_map
+from fusion_core.workflows.map.options import MapOptions
 from fusion_core.workflows.map.scan_source import ScanKind
 
 KINDS: tuple[ScanKind, ...] = ("lidar", "camera", "merged")

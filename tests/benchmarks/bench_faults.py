@@ -22,7 +22,8 @@ from fusion_core.recordings.tum_trajectory import read_tum_trajectory
 from fusion_core.simulation.faults import FaultSettings
 from fusion_core.simulation.scenes import find_scene, write_scene
 from fusion_core.simulation.truth import truth_path
-from fusion_core.workflows.map.build_map import MapOptions, build_map
+from fusion_core.workflows.map.build_map import build_map
+from fusion_core.workflows.map.options import MapOptions
 
 OFF_M = 0.3
 FAULTS = {

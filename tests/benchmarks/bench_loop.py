@@ -16,7 +16,8 @@ from fusion_core.model.planar_poses import compose_poses, relative_pose
 from fusion_core.recordings.tum_trajectory import read_tum_trajectory
 from fusion_core.simulation.scenes import find_scene, write_scene
 from fusion_core.simulation.truth import truth_path
-from fusion_core.workflows.map.build_map import MapOptions, build_map
+from fusion_core.workflows.map.build_map import build_map
+from fusion_core.workflows.map.options import MapOptions
 
 NO_LOOPS = "[loops]\nscore_min = 1.0\n"
 

@@ -9,7 +9,7 @@ import pytest
 from fusion_core.exporting import manifest as manifest_module
 from fusion_core.exporting import output_folder
 from fusion_core.exporting.manifest import digest_input, require_intact, sha256_of_file
-from fusion_core.exporting.output_folder import OutputPlan, plan_output, results_folder
+from fusion_core.exporting.output_folder import OutputPlan, RunRequest, plan_output, results_folder
 from fusion_core.model.errors import ExportError, RecordingError, ScanLoomError
 
 FRAMES, FIGURE = "frames.csv", "figures/3.png"
@@ -40,16 +40,14 @@ def plan(
     force: bool = False,
     overwrite: bool = False,
 ) -> OutputPlan:
-    return plan_output(
-        out,
+    request = RunRequest(
         command=command,
         inputs=[recording],
         also_read=also_read,
         settings_text=settings,
         seed=seed,
-        force=force,
-        overwrite=overwrite,
     )
+    return plan_output(out, request, force=force, overwrite=overwrite)
 
 
 def run(plan: OutputPlan, results: dict[str, str] = RESULTS) -> None:

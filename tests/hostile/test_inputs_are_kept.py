@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fusion_core.exporting.output_folder import plan_output, results_folder
+from fusion_core.exporting.output_folder import RunRequest, plan_output, results_folder
 from fusion_core.model.errors import ExportError
 from scanloom import cli
 from tests.hostile.places import PLACES, snapshot
@@ -144,15 +144,8 @@ def test_whatever_is_in_the_folder_inputs_and_foreign_files_are_kept(
     elsewhere.write_bytes(b"input")
 
     def run(given_path: Path) -> None:
-        plan = plan_output(
-            out,
-            command="fuse",
-            inputs=[given_path],
-            settings_text="",
-            seed=0,
-            force=True,
-            overwrite=overwrite,
-        )
+        request = RunRequest(command="fuse", inputs=[given_path], settings_text="", seed=0)
+        plan = plan_output(out, request, force=True, overwrite=overwrite)
         with results_folder(plan) as work:
             for name in results - {"manifest.json"}:
                 (work / name).parent.mkdir(parents=True, exist_ok=True)

@@ -11,7 +11,8 @@ from pathlib import Path
 
 from fusion_core.exporting.figures_maps import write_maps
 from fusion_core.simulation.scenes import find_scene, write_scene
-from fusion_core.workflows.map.build_map import MapOptions, build_map
+from fusion_core.workflows.map.build_map import build_map
+from fusion_core.workflows.map.options import MapOptions
 from fusion_core.workflows.map.result_folder import read_grid
 from fusion_core.workflows.map.scan_source import ScanKind
 

@@ -16,7 +16,8 @@ from fusion_core.recordings.decode import decode_message
 from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.fuse.fuse import fuse
 from fusion_core.workflows.fuse.session import FuseOptions
-from fusion_core.workflows.map.build_map import MapOptions, build_map
+from fusion_core.workflows.map.build_map import build_map
+from fusion_core.workflows.map.options import MapOptions
 from scanloom.jobs.slam_run import run_slam
 from scanloom.state.slam_choices import SlamChoices
 from scanloom.state.view import View

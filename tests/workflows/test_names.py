@@ -10,7 +10,8 @@ from fusion_core.evaluation.fuse_folder import open_fuse_folder, read_frames, re
 from fusion_core.model.progress import silent
 from fusion_core.workflows.fuse.fuse import fuse
 from fusion_core.workflows.fuse.session import FuseOptions
-from fusion_core.workflows.map.build_map import MapOptions, build_map
+from fusion_core.workflows.map.build_map import build_map
+from fusion_core.workflows.map.options import MapOptions
 from tests.hostile.names import NO_UTF8, SHOWN, moved_to_no_utf8
 from tests.workflows.box_recording import write_boxes
 

@@ -8,7 +8,8 @@ from fusion_core.mapping.grid import GridSettings
 from fusion_core.recordings.tum_trajectory import read_tum_trajectory
 from fusion_core.workflows.fuse.fuse import fuse
 from fusion_core.workflows.fuse.session import FuseOptions
-from fusion_core.workflows.map.build_map import MapOptions, build_map
+from fusion_core.workflows.map.build_map import build_map
+from fusion_core.workflows.map.options import MapOptions
 from tests.hostile.drive import ODOMETRY, SCANS, TF, write_drive
 from tests.hostile.outliers import far_poses, far_ranges
 

@@ -12,7 +12,8 @@ from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.topics import choose_streams
 from fusion_core.workflows.fuse.fuse import fuse
 from fusion_core.workflows.fuse.session import FuseOptions
-from fusion_core.workflows.map.build_map import MapOptions, build_map
+from fusion_core.workflows.map.build_map import build_map
+from fusion_core.workflows.map.options import MapOptions
 from fusion_core.workflows.map.rgbd_frames import RgbdFrames
 from fusion_core.workflows.recorded_poses import recorded_poses
 from fusion_core.workflows.stamp_filter import StampFilter

@@ -76,7 +76,8 @@ class Map:
             raise WrongUsage("--home needs --room, the one to map")
         require_integer("--seed", self.seed, SEED_MAX)
         require_in_range("--clock-offset-ms", -OFFSET_MAX_MS, OFFSET_MAX_MS, self.clock_offset_ms)
-        from fusion_core.workflows.map.build_map import MapOptions, build_map
+        from fusion_core.workflows.map.build_map import build_map
+        from fusion_core.workflows.map.options import MapOptions
 
         options = MapOptions(
             scan=self.scan,

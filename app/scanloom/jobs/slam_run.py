@@ -7,7 +7,8 @@ from pathlib import Path
 from fusion_core.model.errors import ExportError, MappingFailed, ScanLoomError
 from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import SlamObserver, SlamView
-from fusion_core.workflows.map.build_map import MapOptions, build_map
+from fusion_core.workflows.map.build_map import build_map
+from fusion_core.workflows.map.options import MapOptions
 from fusion_core.workflows.map.report import MapSummary
 from fusion_core.workflows.map.result_folder import MapResults, read_map_results
 from fusion_core.workflows.map.settings import MAP_PRESETS, MapSettings, map_settings_toml

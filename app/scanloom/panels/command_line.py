@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fusion_core.model.names import escape_undecodable
 from fusion_core.workflows.fuse.session import FuseOptions
-from fusion_core.workflows.map.build_map import MapOptions
+from fusion_core.workflows.map.options import MapOptions
 
 
 def fuse_command(recording: Path, output: Path, options: FuseOptions) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from fusion_core.evaluation.fuse_folder import open_fuse_folder
 from fusion_core.exporting.clouds import write_cloud
 from fusion_core.exporting.manifest import require_intact
-from fusion_core.exporting.output_folder import plan_output, results_folder
+from fusion_core.exporting.output_folder import RunRequest, plan_output, results_folder
 from fusion_core.mapping.voxel_cloud import VoxelCloud
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import NS_PER_MS, FloatArray
@@ -72,15 +72,13 @@ def export_clouds(
                 file=recording,
                 advice="Use a recording with TF, odometry or a pose topic.",
             )
-        plan = plan_output(
-            output,
+        request = RunRequest(
             command="export",
             inputs=[*input_files(opened), fused_file],
             settings_text=json.dumps({"preset": preset, "voxel_m": voxel_m}),
             seed=settings.registration.seed,
-            force=True,
-            progress=progress,
         )
+        plan = plan_output(output, request, force=True, progress=progress)
         clouds = {"lidar": VoxelCloud(voxel_m), "depth": VoxelCloud(voxel_m)}
         applied_ms = mount.clock_offset_ms if options.apply_clock_offset else 0.0
         topics = {camera.topic: i for i, camera in enumerate(session.rig.cameras)}

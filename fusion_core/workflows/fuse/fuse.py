@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion_core.exporting.output_folder import plan_output, results_folder
+from fusion_core.exporting.output_folder import RunRequest, plan_output, results_folder
 from fusion_core.exporting.tables import CsvTable, ParquetTable
 from fusion_core.files.atomic import write_text
 from fusion_core.model.errors import AlignmentFailed
@@ -122,16 +122,15 @@ def fuse(
     settings_text = settings_toml(preset, settings)
     with open_source(recording, options.room) as opened:
         inputs = input_files(opened) + ([] if options.truth is None else [options.truth])
-        plan = plan_output(
-            output,
+        request = RunRequest(
             command="fuse",
             inputs=inputs,
             also_read=[recording, options.settings_file],
             settings_text=settings_text + _options_text(options),
             seed=settings.registration.seed,
-            force=options.force,
-            overwrite=options.overwrite,
-            progress=progress,
+        )
+        plan = plan_output(
+            output, request, force=options.force, overwrite=options.overwrite, progress=progress
         )
         if plan.is_done:
             return _read_summary(output)

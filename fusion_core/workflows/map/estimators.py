@@ -6,8 +6,9 @@ from typing import Literal
 
 import numpy as np
 
-from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
+from fusion_core.model.conventions import NS_PER_S, BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.errors import MappingFailed
+from fusion_core.model.geometry import interpolate_pose
 from fusion_core.model.planar_poses import PosePrior
 from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import SlamObserver
@@ -17,6 +18,9 @@ from fusion_core.workflows.map.scan_source import ScanSource
 from fusion_core.workflows.map.settings import MapSettings
 
 SlamKind = Literal["none", "particle-filter", "pose-graph"]
+
+# A robot's speed changes within a second: across a longer gap interpolation says nothing.
+_POSE_GAP_MAX_NS = NS_PER_S
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,6 +43,21 @@ class PlacedScans:
     def __post_init__(self) -> None:
         for array in (self.stamps_ns, self.poses_map_scan, self.trusted):
             read_only(array)
+
+    def pose_at(self, stamp_ns: int) -> FloatArray | None:
+        """(3,) the pose at an instant, interpolated; None outside and in gaps."""
+        stamps_ns, poses = self.stamps_ns, self.poses_map_scan
+        after = int(np.searchsorted(stamps_ns, stamp_ns))
+        if after < stamps_ns.size and stamps_ns[after] == stamp_ns:
+            exact: FloatArray = poses[after]
+            return exact
+        if after in (0, stamps_ns.size):
+            return None
+        gap_ns = int(stamps_ns[after] - stamps_ns[after - 1])
+        if gap_ns > _POSE_GAP_MAX_NS:
+            return None
+        fraction = (stamp_ns - int(stamps_ns[after - 1])) / gap_ns
+        return interpolate_pose(poses[after - 1], poses[after], fraction)
 
 
 def place_scans(

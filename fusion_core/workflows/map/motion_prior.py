@@ -1,14 +1,14 @@
 """What is known of the LiDAR's motion before SLAM (Li 2022 §3)."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from fusion_core.model.conventions import NS_PER_MS, R_BODY_OPTICAL, FloatArray, IntArray
+from fusion_core.model.conventions import R_BODY_OPTICAL, IntArray
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.geometry import make_transform
+from fusion_core.model.planar_poses import PosePrior
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import PoseSample
@@ -21,7 +21,7 @@ from fusion_core.motion.visual import VisualOdometrySettings, visual_odometry
 from fusion_core.motion.wheel import WheelSettings, wheel_odometry
 from fusion_core.recordings.topics import Streams, choose_streams
 from fusion_core.settings import SettingsGroup
-from fusion_core.workflows.map.extrinsics import CameraExtrinsics
+from fusion_core.workflows.map.recorded_sensors import RecordedSensors
 from fusion_core.workflows.map.rgbd_frames import RgbdFrames, first_camera_extrinsics
 from fusion_core.workflows.map.scan_source import ScanSource
 from fusion_core.workflows.recorded_poses import PoseLookup, recorded_poses
@@ -43,60 +43,55 @@ class MotionSettings(SettingsGroup):
 class MotionPrior:
     """The LiDAR's motion by one source, or by several.
 
-    ``at``: stamp in ns to (3,) x, y, yaw of the LiDAR, interpolated; None where it is not known.
-    ``tracks``: all that took part, at the scans' stamps, and the fused one last; none for recorded
-    poses, which are used as they are. ``weights``: of the fused one. ``notes``: for people.
+    ``at``: interpolated poses of the LiDAR. ``tracks``: the odometry of each source at the scans'
+    stamps, the fused one last; empty for recorded poses, which are used as they are. ``weights``:
+    of the fusion. ``notes``: for people.
     """
 
     source: str
-    at: Callable[[int], FloatArray | None]
+    at: PosePrior
     tracks: tuple[OdometryTrajectory, ...] = ()
     weights: FusionWeights | None = None
     notes: tuple[str, ...] = ()
 
 
 def open_motion_prior(
-    recording: Recording,
-    streams: Streams,
+    sensors: RecordedSensors,
     scans: ScanSource,
     kind: MotionKind,
     settings: MotionSettings | None = None,
     progress: Progress = silent,
-    *,
-    extrinsics: CameraExtrinsics | None = None,
-    clock_offset_ms: float = 0.0,
 ) -> MotionPrior | None:
     """The motion of the frame in which ``scans`` lie, None for "none".
 
-    ``extrinsics``: where the camera is; without it what the recording's own transforms say.
-    ``clock_offset_ms``: camera stamp - LiDAR stamp of the same instant. "fused" takes the wheels
-    and the camera where they are there, and notes what is not.
+    Without extrinsics in ``sensors`` the recording's own transforms place the camera. "fused" takes
+    wheels and camera where the recording has them, and notes what it lacks.
 
-    Raises MissingStream where the recording lacks what a source alone needs.
+    Raises MissingStream where the recording lacks what a single source needs.
     """
     settings = settings or MotionSettings()
     if kind == "none":
         return None
     if kind == "recorded":
-        poses = require_recorded_poses(recording, streams, scans.frame_id, wheel_only=False)
+        poses = require_recorded_poses(
+            sensors.recording, sensors.streams, scans.frame_id, wheel_only=False
+        )
         return MotionPrior(source=poses.source, at=poses.at)
-    sources = _OdometrySources(
-        recording, streams, scans, settings, progress, extrinsics, clock_offset_ms
-    )
+    sources = _OdometrySources(sensors, scans, settings, progress)
     if kind == "wheel":
         return _single_odometry(sources.wheel(), sources.notes)
     if kind == "laser":
         return _single_odometry(sources.laser(None), sources.notes)
     if kind == "visual":
-        return _single_odometry(sources.visual(needs_place=False), sources.notes)
+        return _single_odometry(sources.visual(needs_extrinsics=False), sources.notes)
     return _fused_odometry(sources, settings.fusion)
 
 
 def choose_map_streams(
     recording: Recording, lidar_topic: str | None, pose_topic: str | None
 ) -> Streams:
-    """As always, but with the LiDAR's own odometry where there is one: written with each scan, it
-    has the scan's very stamp, while another topic's must be interpolated."""
+    """The recording's streams; its odometry is the one published with the LiDAR's scans where there
+    is one, since that has the scans' stamps and need not be interpolated."""
     streams = choose_streams(recording, lidar=lidar_topic, pose=pose_topic)
     own = f"{streams.lidar}/odom"
     if not any(topic.name == own and topic.role == "odometry" for topic in recording.topics):
@@ -134,10 +129,10 @@ def _fused_odometry(sources: "_OdometrySources", settings: FusionSettings) -> Mo
         tracks.append(sources.wheel())
     except MissingStream as error:
         sources.notes.append(f"Fused without wheels: {error.problem}")
-    # The wheels' steps tell where a match begins; what it then measures is its own.
+    # The wheels' steps are the initial guess of each scan match, not a part of its measurement.
     tracks.append(sources.laser(tracks[0].pose_at if tracks else None))
     try:
-        tracks.append(sources.visual(needs_place=True))
+        tracks.append(sources.visual(needs_extrinsics=True))
     except MissingStream as error:
         sources.notes.append(f"Fused without the camera: {error.problem}")
     notes = sources.notes + [note for track in tracks for note in _track_notes(track)]
@@ -162,20 +157,18 @@ def _track_notes(track: OdometryTrajectory) -> tuple[str, ...]:
 
 
 class _OdometrySources:
+    """The odometries of a recording, each estimated when it is called for."""
+
     def __init__(
         self,
-        recording: Recording,
-        streams: Streams,
+        sensors: RecordedSensors,
         scans: ScanSource,
         settings: MotionSettings,
         progress: Progress,
-        extrinsics: CameraExtrinsics | None,
-        clock_offset_ms: float,
     ) -> None:
-        self._recording, self._streams, self._scans = recording, streams, scans
+        self._recording, self._streams = sensors.recording, sensors.streams
+        self._sensors, self._scans = sensors, scans
         self._settings, self._progress = settings, progress
-        self._extrinsics = extrinsics
-        self._clock_offset_ns = round(clock_offset_ms * NS_PER_MS)
         self._stamps_ns: IntArray | None = None
         self.notes: list[str] = []
 
@@ -205,19 +198,21 @@ class _OdometrySources:
             self.stamps_ns(), poses.at, np.array(sampled_ns, dtype=np.int64), self._settings.wheel
         )
 
-    def laser(self, predicted: Callable[[int], FloatArray | None] | None) -> OdometryTrajectory:
+    def laser(self, predicted: PosePrior | None) -> OdometryTrajectory:
         track = laser_odometry(self._scans, self._settings.laser, predicted, self._progress)
         self._stamps_ns = track.stamps_ns
         return track
 
-    def visual(self, *, needs_place: bool) -> OdometryTrajectory:
-        frames = RgbdFrames(self._recording, self._streams, clock_offset_ns=self._clock_offset_ns)
+    def visual(self, *, needs_extrinsics: bool) -> OdometryTrajectory:
+        frames = RgbdFrames(
+            self._recording, self._streams, clock_offset_ns=self._sensors.clock_offset_ns
+        )
         T_lidar_camera, notes = first_camera_extrinsics(
-            self._recording, self._streams, self._extrinsics
+            self._recording, self._streams, self._sensors.extrinsics
         )
         self.notes.extend(notes)
         if T_lidar_camera is None:
-            if needs_place:
+            if needs_extrinsics:
                 raise MissingStream(
                     "does not tell where the camera stands on the LiDAR.",
                     file=self._recording.path,

@@ -2,26 +2,18 @@
 LiDAR's own beside them, so that both can be compared on one raster (Xu Fig. 9, Li Fig. 8)."""
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 
 import numpy as np
 
-from fusion_core.exporting import figures_maps
-from fusion_core.exporting.map_picture import write_difference_picture
 from fusion_core.mapping.canvas import merge_keeping_obstacles
 from fusion_core.mapping.grid import GridBuilder, GridSettings
-from fusion_core.model.conventions import NS_PER_S, FloatArray
+from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import MappingFailed
-from fusion_core.model.geometry import interpolate_pose
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress
 from fusion_core.model.sensors import LaserScan
-from fusion_core.workflows.fuse.sensor_maps import difference_of, write_map
 from fusion_core.workflows.map.estimators import PlacedScans
 from fusion_core.workflows.map.scan_source import ScanSource
-
-# Between poses farther apart than this nobody knows where a scan was.
-_POSE_GAP_MAX_NS = NS_PER_S
 
 
 def build_maps(
@@ -90,17 +82,6 @@ def overlay_camera_map(grids: dict[str, OccupancyGrid]) -> dict[str, OccupancyGr
     return {**grids, "merged": merge_keeping_obstacles(grids["lidar"], grids["merged"])}
 
 
-def write_maps(folder: Path, grids: Mapping[str, OccupancyGrid], heading: str) -> None:
-    """Each map for robots and for people; where there are two, both side by side and their
-    difference."""
-    for name, grid in grids.items():
-        write_map(folder, f"map_{name}", grid)
-    difference = difference_of(grids)
-    if difference is not None:
-        write_difference_picture(folder / "map_difference.png", difference)
-        figures_maps.write_maps(folder / "maps.png", heading, grids, difference)
-
-
 def _build_map(
     scans: ScanSource,
     placed: PlacedScans,
@@ -111,25 +92,9 @@ def _build_map(
     builder = GridBuilder(settings)
     for done, scan in enumerate(scans):
         progress(done, None, "drawing the map")
-        pose = pose_of_placed(placed, scan.stamp_ns)
+        pose = placed.pose_at(scan.stamp_ns)
         if pose is not None:
             builder.add_scan(
                 pose, scan.angles_rad, scan.ranges_m, min(scan.range_max_m, range_max_m)
             )
     return builder.build()
-
-
-def pose_of_placed(placed: PlacedScans, stamp_ns: int) -> FloatArray | None:
-    """(3,) the pose at an instant, between its two neighbours; None outside and in gaps."""
-    stamps_ns, poses = placed.stamps_ns, placed.poses_map_scan
-    after = int(np.searchsorted(stamps_ns, stamp_ns))
-    if after < stamps_ns.size and stamps_ns[after] == stamp_ns:
-        exact: FloatArray = poses[after]
-        return exact
-    if after in (0, stamps_ns.size):
-        return None
-    gap_ns = int(stamps_ns[after] - stamps_ns[after - 1])
-    if gap_ns > _POSE_GAP_MAX_NS:
-        return None
-    share = (stamp_ns - int(stamps_ns[after - 1])) / gap_ns
-    return interpolate_pose(poses[after - 1], poses[after], share)

@@ -7,14 +7,13 @@ import numpy as np
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.progress import Progress, silent
-from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import LaserScan
-from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.fuse.camera_rig import build_camera_rig
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.scan_queue import RepairedScanQueue
 from fusion_core.workflows.fuse.session import align_recording, fuse_frames, session_of
 from fusion_core.workflows.fuse.settings import ChainSettings
+from fusion_core.workflows.map.recorded_sensors import RecordedSensors
 
 
 class RepairedScans:
@@ -26,13 +25,12 @@ class RepairedScans:
 
     def __init__(
         self,
-        recording: Recording,
-        streams: Streams,
+        sensors: RecordedSensors,
         settings: ChainSettings,
         *,
-        clock_offset_ms: float = 0.0,
         progress: Progress = silent,
     ) -> None:
+        recording, streams = sensors.recording, sensors.streams
         if streams.lidar is None:
             raise MissingStream(
                 "has no 2D LiDAR to repair.", file=recording.path, advice="Use --scan camera."
@@ -40,16 +38,15 @@ class RepairedScans:
         rig = build_camera_rig(recording, streams, settings.sampling)
         self._session = session_of(recording, streams, rig, settings)
         self._alignment = align_recording(self._session, progress)
-        self._clock_offset_ms = clock_offset_ms
+        self._sensors = sensors
         self.frame_id = rig.lidar_frame
         self.recorded_count = recording.received_ns(streams.lidar).size
         self._scans = self._with_image = 0
 
     @property
     def notes(self) -> tuple[str, ...]:
-        notes = [*self._session.rig.notes, *self._alignment.notes]
-        if self._clock_offset_ms:
-            notes.append(f"Camera stamps taken {self._clock_offset_ms:g} ms earlier.")
+        rig_notes = self._session.rig.notes
+        notes = [*rig_notes, *self._alignment.notes, *self._sensors.clock_note]
         if self._with_image < self._scans:
             left = self._scans - self._with_image
             notes.append(f"{left} of {self._scans} scans have no image and stay as they were.")
@@ -65,7 +62,7 @@ class RepairedScans:
 
     def _repaired_pairs(self, merge: RepairedScanQueue) -> Iterator[tuple[LaserScan, LaserScan]]:
         judged: set[int] = set()
-        for entry in fuse_frames(self._session, self._alignment, self._clock_offset_ms):
+        for entry in fuse_frames(self._session, self._alignment, self._sensors.clock_offset_ms):
             if isinstance(entry, LaserScan):
                 merge.push(entry)
                 for raw, repaired in merge.pop_settled():

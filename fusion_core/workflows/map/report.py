@@ -1,6 +1,6 @@
 """What ``scanloom map`` reports: report.json's content, and the same for people."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -76,7 +76,6 @@ def build_report(
     recorded_count: int,
     choices: Mapping[str, str],
     notes: Sequence[str],
-    warnings: Iterable[str],
 ) -> dict[str, Any]:
     """report.json's content. ``recorded``: scans in the recording, of which those that are not
     placed cannot be trusted; ``asked``: what a person chose, by name."""
@@ -89,7 +88,7 @@ def build_report(
         "path_m": float(steps_m.sum()),
         "trusted_share": float(placed.trusted.sum() / recorded_count),
         "untrusted": untrusted_intervals(placed.stamps_ns, placed.trusted),
-        "notes": [*notes, *warnings],
+        "notes": [*notes],
     }
     if placed.graph is not None:
         report |= _graph_report(placed.stamps_ns, placed.graph)

@@ -5,14 +5,16 @@ from typing import Literal, Protocol
 
 from fusion_core.mapping.virtual_scan import VirtualScanSettings
 from fusion_core.model.errors import MissingStream
+from fusion_core.model.planar_poses import PosePrior
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.fuse.settings import ChainSettings
-from fusion_core.workflows.map.extrinsics import CameraExtrinsics, find_extrinsics
+from fusion_core.workflows.map.extrinsics import find_extrinsics
+from fusion_core.workflows.map.recorded_sensors import RecordedSensors
 from fusion_core.workflows.map.repaired_scans import RepairedScans
-from fusion_core.workflows.map.virtual_scans import CameraScans, MergedScans, Motion
+from fusion_core.workflows.map.virtual_scans import CameraScans, MergedScans
 from fusion_core.workflows.sensor_geometry import first_scan
 from fusion_core.workflows.stamp_filter import StampFilter
 
@@ -61,50 +63,40 @@ class LidarScans:
 
 
 def open_scans(
-    recording: Recording,
-    streams: Streams,
+    sensors: RecordedSensors,
     kind: ScanKind,
     settings: VirtualScanSettings | None = None,
     *,
     chain: ChainSettings | None = None,
-    cameras: CameraExtrinsics | None = None,
-    motion: Motion | None = None,
-    clock_offset_ms: float = 0.0,
+    prior: PosePrior | None = None,
     progress: Progress = silent,
 ) -> ScanSource:
     """The scans of a kind.
 
-    "lidar": as recorded. "camera": the depth cameras' own, one an image, in the LiDAR's frame, or
-    level under the camera where the recording has no LiDAR. "merged": the LiDAR's with what the
-    cameras saw at their times. "repaired": the LiDAR's as Xu's chain repairs them.
+    "lidar": as recorded. "camera": virtual scans of the depth cameras, one for each image, in the
+    LiDAR's frame, or level below the camera where the recording has no LiDAR. "merged": the LiDAR's
+    with what the cameras saw at their times. "repaired": the LiDAR's as Xu's chain repairs them.
 
-    ``settings`` are of virtual scans, ``chain`` of the alignment that finds the mount where nobody
-    tells it, and of the repair. ``cameras``: where they stand, if that is known. ``motion``: where
-    the scans' frame was by odometry, to carry what a camera saw to the scan's stamp; without it
-    the scans themselves tell the turn. ``clock_offset_ms``: camera stamp - LiDAR stamp of the same
-    instant, taken out.
+    ``settings``: of virtual scans. ``chain``: of the repair, and of the alignment that finds the
+    extrinsics where ``sensors`` have none. ``prior``: odometry of the scans' frame, which moves a
+    camera's cloud to the stamp of its scan; without it only the turn between scans is taken out.
 
     Raises MissingStream for what the recording lacks, AlignmentFailed where mount or floor cannot
-    be told.
+    be found.
     """
     settings, chain = settings or VirtualScanSettings(), chain or ChainSettings()
+    recording, streams = sensors.recording, sensors.streams
     if kind == "lidar":
         return LidarScans(recording, streams)
     if kind == "repaired":
-        return RepairedScans(
-            recording, streams, chain, clock_offset_ms=clock_offset_ms, progress=progress
-        )
+        return RepairedScans(sensors, chain, progress=progress)
     if kind == "merged" and streams.lidar is None:
         raise MissingStream(
             "has no 2D LiDAR to merge the camera with.",
             file=recording.path,
             advice="Use --scan camera.",
         )
-    placed = cameras or find_extrinsics(recording, streams, chain, progress=progress)
+    extrinsics = sensors.extrinsics or find_extrinsics(recording, streams, chain, progress=progress)
     if kind == "camera":
-        return CameraScans(
-            recording, placed, settings, motion=motion, clock_offset_ms=clock_offset_ms
-        )
-    return MergedScans(
-        recording, streams, placed, settings, motion=motion, clock_offset_ms=clock_offset_ms
-    )
+        return CameraScans(sensors, extrinsics, settings, prior=prior)
+    return MergedScans(sensors, extrinsics, settings, prior=prior)

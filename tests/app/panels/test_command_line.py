@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion_core.workflows.fuse.session import FuseOptions
-from fusion_core.workflows.map.build_map import MapOptions
+from fusion_core.workflows.map.options import MapOptions
 from fusion_core.workflows.source import RoomChoice
 from scanloom import cli
 from scanloom.panels.command_line import fuse_command, map_command

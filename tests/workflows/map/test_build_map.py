@@ -7,7 +7,8 @@ import pytest
 
 from fusion_core.model.errors import MappingFailed, MissingStream
 from fusion_core.recordings.tum_trajectory import read_tum_trajectory
-from fusion_core.workflows.map.build_map import MapOptions, build_map
+from fusion_core.workflows.map.build_map import build_map
+from fusion_core.workflows.map.options import MapOptions
 from fusion_core.workflows.map.report import untrusted_intervals
 from scanloom.cli import main
 from tests.slam.ring import drive, error_m

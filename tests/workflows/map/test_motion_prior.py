@@ -27,6 +27,7 @@ from fusion_core.workflows.map.motion_prior import (
     choose_map_streams,
     open_motion_prior,
 )
+from fusion_core.workflows.map.recorded_sensors import RecordedSensors
 from fusion_core.workflows.map.rgbd_frames import RgbdFrames, first_camera_extrinsics
 from fusion_core.workflows.map.scan_source import LidarScans
 from fusion_core.workflows.map.write_odometry import write_odometry
@@ -41,9 +42,12 @@ def recording() -> Iterator[Recording]:
         yield opened
 
 
-def motion_of(recording: Recording, kind: MotionKind, **more) -> MotionPrior | None:
+def motion_of(
+    recording: Recording, kind: MotionKind, settings: MotionSettings | None = None, **sensor_values
+) -> MotionPrior | None:
     streams = choose_map_streams(recording, None, None)
-    return open_motion_prior(recording, streams, LidarScans(recording, streams), kind, **more)
+    sensors = RecordedSensors(recording=recording, streams=streams, **sensor_values)
+    return open_motion_prior(sensors, LidarScans(recording, streams), kind, settings)
 
 
 def placed(recording: Recording) -> CameraExtrinsics:
@@ -134,14 +138,18 @@ def test_one_source_alone_is_said_to_be_alone(recording: Recording) -> None:
             "odometry": None,
         }
     )
-    motion = open_motion_prior(recording, bare, LidarScans(recording, bare), "fused")
+    motion = open_motion_prior(
+        RecordedSensors(recording=recording, streams=bare), LidarScans(recording, bare), "fused"
+    )
     assert motion is not None
     assert motion.source == "laser"
     assert motion.weights is None
     assert any("Nothing to fuse" in note for note in motion.notes)
     assert any("without wheels" in note for note in motion.notes)
     with pytest.raises(MissingStream, match="holds no odometry"):
-        open_motion_prior(recording, bare, LidarScans(recording, bare), "wheel")
+        open_motion_prior(
+            RecordedSensors(recording=recording, streams=bare), LidarScans(recording, bare), "wheel"
+        )
 
 
 @pytest.mark.parametrize("kind", ["wheel", "laser"])

@@ -7,7 +7,8 @@ from fusion_core.mapping.grid import GridSettings
 from fusion_core.model.progress import silent
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.map.estimators import PlacedScans
-from fusion_core.workflows.map.occupancy_maps import build_maps, pose_of_placed, write_maps
+from fusion_core.workflows.map.occupancy_maps import build_maps
+from fusion_core.workflows.map.write_results import write_maps
 
 SECOND = 1_000_000_000
 
@@ -45,15 +46,15 @@ class Walls:
 
 
 def test_a_pose_between_two_stamps_takes_the_shorter_turn():
-    np.testing.assert_allclose(pose_of_placed(placed(), SECOND), [1.0, 2.0, -3.0])
-    half = pose_of_placed(placed(), SECOND // 2)
+    np.testing.assert_allclose(placed().pose_at(SECOND), [1.0, 2.0, -3.0])
+    half = placed().pose_at(SECOND // 2)
     np.testing.assert_allclose(half[:2], [0.5, 1.0])
     assert abs(half[2]) == pytest.approx(np.pi)
 
 
 @pytest.mark.parametrize("stamp_ns", [-1, 2 * SECOND, 9 * SECOND + 1])
 def test_outside_and_in_gaps_there_is_none(stamp_ns):
-    assert pose_of_placed(placed(), stamp_ns) is None
+    assert placed().pose_at(stamp_ns) is None
 
 
 def test_each_source_gives_a_map_on_one_raster(tmp_path):

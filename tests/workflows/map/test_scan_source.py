@@ -10,6 +10,7 @@ from fusion_core.model.errors import MissingStream
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.topics import choose_streams
+from fusion_core.workflows.map.recorded_sensors import RecordedSensors
 from fusion_core.workflows.map.scan_source import LidarScans, ScanKind, open_scans
 from tests.workflows.box_recording import write_boxes
 
@@ -22,7 +23,9 @@ def scans_of(path, topic):
 @pytest.mark.parametrize("kind", sorted({*get_args(ScanKind)} - {"repaired"}))
 def test_stamps_increase_and_every_pass_is_the_same(bedroom, kind):
     with open_recording(bedroom.recording) as recording:
-        scans = open_scans(recording, choose_streams(recording), kind)
+        scans = open_scans(
+            RecordedSensors(recording=recording, streams=choose_streams(recording)), kind
+        )
         first = [(scan.stamp_ns, scan.ranges_m.tobytes()) for scan in scans]
         stamps = [stamp for stamp, _ in first]
         assert (np.diff(stamps) > 0).all()
@@ -36,7 +39,9 @@ def test_repaired_scans_are_those_that_fuse_writes(bedroom):
     fused = scans_of(bedroom.folder / "fused.mcap", "/scan")
     raw = scans_of(bedroom.recording, "/scan")
     with open_recording(bedroom.recording) as recording:
-        scans = open_scans(recording, choose_streams(recording), "repaired")
+        scans = open_scans(
+            RecordedSensors(recording=recording, streams=choose_streams(recording)), "repaired"
+        )
         assert scans.frame_id == "laser"
         repaired = list(scans)
         again = [scan.ranges_m.tobytes() for scan in scans]
@@ -56,7 +61,9 @@ def test_repaired_scans_are_those_that_fuse_writes(bedroom):
 def test_scans_without_an_image_are_repaired_by_nothing(tmp_path):
     path = write_boxes(tmp_path / "late.mcap", first_image_ms=500)
     with open_recording(path) as recording:
-        scans = open_scans(recording, choose_streams(recording), "repaired")
+        scans = open_scans(
+            RecordedSensors(recording=recording, streams=choose_streams(recording)), "repaired"
+        )
         found = list(scans)
         assert "5 of 10 scans have no image and stay as they were." in scans.notes
     for scan, before in zip(found[:4], scans_of(path, "/scan"), strict=False):
@@ -85,4 +92,4 @@ def test_what_needs_a_lidar_says_so(tmp_path, kind):
         open_recording(path) as recording,
         pytest.raises(MissingStream, match=r"LiDAR|LaserScan"),
     ):
-        open_scans(recording, choose_streams(recording), kind)
+        open_scans(RecordedSensors(recording=recording, streams=choose_streams(recording)), kind)

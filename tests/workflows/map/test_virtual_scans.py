@@ -13,6 +13,7 @@ from fusion_core.recordings.topics import choose_streams
 from fusion_core.workflows.fuse.settings import ChainSettings
 from fusion_core.workflows.map.extrinsics import find_extrinsics
 from fusion_core.workflows.map.floor_alignment import align_to_floor
+from fusion_core.workflows.map.recorded_sensors import RecordedSensors
 from fusion_core.workflows.map.scan_source import open_scans
 from tests.mapping.box_room import LIDAR_HEIGHT_M, BoxRoom, camera_pose
 from tests.workflows.box_recording import (
@@ -28,13 +29,21 @@ from tests.workflows.box_recording import (
 MOUNT_YAW_RAD = 0.1
 
 
-def read(path, kind, settings=None, *, file=None, **options):
+def read(path, kind, settings=None, *, file=None, clock_offset_ms=0.0, **options):
     """All scans, and the notes after them. ``file``: of extrinsics."""
     with open_recording(path) as recording:
         streams = choose_streams(recording)
         if file is not None:
-            options["cameras"] = find_extrinsics(recording, streams, ChainSettings(), file=file)
-        scans = open_scans(recording, streams, kind, settings, **options)
+            extrinsics = find_extrinsics(recording, streams, ChainSettings(), file=file)
+        else:
+            extrinsics = None
+        sensors = RecordedSensors(
+            recording=recording,
+            streams=streams,
+            extrinsics=extrinsics,
+            clock_offset_ms=clock_offset_ms,
+        )
+        scans = open_scans(sensors, kind, settings, **options)
         return list(scans), scans.notes
 
 
@@ -144,10 +153,10 @@ def test_what_was_seen_before_is_carried_to_the_scan(tmp_path):
             errors.append(np.nanmax(np.abs(scan.ranges_m - true_ranges(scan, pose))[shown]))
         return max(errors)
 
-    assert worst(motion=pose_at) < 0.05
+    assert worst(prior=pose_at) < 0.05
     # From the scans themselves, whose turn is known to a share of a beam.
     assert worst() < 0.05
-    assert worst(motion=lambda stamp_ns: np.zeros(3)) > 1.0
+    assert worst(prior=lambda stamp_ns: np.zeros(3)) > 1.0
 
 
 def test_a_late_camera_clock_is_taken_out(tmp_path):
@@ -176,7 +185,9 @@ def test_each_scan_takes_the_nearest_image(tmp_path):
 def test_every_pass_gives_the_same(still):
     for kind in ("camera", "merged"):
         with open_recording(still) as recording:
-            scans = open_scans(recording, choose_streams(recording), kind)
+            scans = open_scans(
+                RecordedSensors(recording=recording, streams=choose_streams(recording)), kind
+            )
             first, notes = [scan.ranges_m.tobytes() for scan in scans], scans.notes
             # A pass that is given up half way leaves nothing behind.
             next(iter(scans))
@@ -324,4 +335,6 @@ def test_a_recording_without_depth_is_refused(log):
     with log.open() as recording:
         for kind in ("camera", "merged", "repaired"):
             with pytest.raises(MissingStream, match="no depth"):
-                open_scans(recording, choose_streams(recording), kind)
+                open_scans(
+                    RecordedSensors(recording=recording, streams=choose_streams(recording)), kind
+                )

@@ -1,0 +1,80 @@
+"""The options of ``scanloom map``."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from fusion_core.model.errors import MissingStream, SettingsError
+from fusion_core.workflows.fuse.settings import PresetName
+from fusion_core.workflows.map.estimators import SlamKind
+from fusion_core.workflows.map.motion_prior import MotionKind
+from fusion_core.workflows.map.scan_source import ScanKind
+from fusion_core.workflows.source import RoomChoice
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapOptions:
+    """The choices of a run.
+
+    ``scan``: which scans are mapped. ``motion``: the odometry that predicts them, or that places
+    them where there is no SLAM. ``slam``: the estimator. ``seed``: of the particle filter; it goes
+    before the settings'. ``clock_offset_ms``: camera stamp - LiDAR stamp of one instant, which is
+    subtracted from the camera's stamps.
+    """
+
+    scan: ScanKind = "lidar"
+    motion: MotionKind = "recorded"
+    slam: SlamKind = "pose-graph"
+    preset: PresetName = "default"
+    settings_file: Path | None = None
+    seed: int | None = None
+    extrinsics_file: Path | None = None
+    clock_offset_ms: float = 0.0
+    room: RoomChoice | None = None
+    lidar_topic: str | None = None
+    pose_topic: str | None = None
+    force: bool = False
+    overwrite: bool = False
+
+    @property
+    def choices(self) -> dict[str, str]:
+        """The choices that report.json states, by name."""
+        return {"scan": self.scan, "motion": self.motion, "slam": self.slam}
+
+    @property
+    def has_virtual_scans(self) -> bool:
+        """Whether the scans are cut from depth images."""
+        return self.scan in ("camera", "merged")
+
+    @property
+    def needs_extrinsics(self) -> bool:
+        """Whether it matters where the cameras stand."""
+        return self.has_virtual_scans or self.motion in ("visual", "fused")
+
+    def identity(self) -> str:
+        """The options that decide the results beside settings and input files, as JSON."""
+        identity: dict[str, str | None] = {
+            **self.choices,
+            "lidar": self.lidar_topic,
+            "pose": self.pose_topic,
+            "clock_offset_ms": repr(self.clock_offset_ms),
+        }
+        if self.room is not None:
+            identity["room"] = str(self.room)
+        return json.dumps(identity)
+
+    def require_consistent(self, recording: Path) -> None:
+        """Raise MissingStream without any source of poses, SettingsError for unused extrinsics."""
+        if self.slam == "none" and self.motion == "none":
+            raise MissingStream(
+                "without SLAM and without motion there are no poses.",
+                file=recording,
+                advice="Choose a --slam, or a --motion.",
+            )
+        if self.extrinsics_file is not None and not self.needs_extrinsics:
+            raise SettingsError(
+                f"--scan {self.scan} with --motion {self.motion} takes no extrinsics.",
+                file=self.extrinsics_file,
+                advice="Leave --extrinsics out, or use --scan merged or camera, or "
+                "--motion visual.",
+            )
