@@ -15,7 +15,7 @@ import fusion_core
 import scanloom
 from fusion_core.registration.pl_icp import PlIcpSettings
 from fusion_core.settings import StageSettings, ends
-from fusion_core.slam.particle_set import ParticleSettings
+from fusion_core.slam.particle_filter import ParticleSettings
 from fusion_core.slam.submaps import SubmapSettings
 
 for package in (fusion_core, scanloom):

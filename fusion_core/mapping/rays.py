@@ -18,8 +18,8 @@ def trace_ray(x0: float, y0: float, x1: float, y1: float, cells: IntArray) -> in
 
     All in cell units. ``cells``: (at least the count, 2) int64 rows and columns; the first holds
     the start, the last the end. A segment through a corner goes straight to the cell across it.
-    Each crossing is computed from the segment itself and not by adding steps, so that nothing
-    drifts along a long ray.
+    Each crossing is computed from the segment itself and not by adding steps, so that rounding
+    errors do not add up along a long ray.
     """
     column, row = math.floor(x0), math.floor(y0)
     column_end, row_end = math.floor(x1), math.floor(y1)
@@ -48,27 +48,26 @@ def trace_ray(x0: float, y0: float, x1: float, y1: float, cells: IntArray) -> in
 def update_cells(
     log_odds: FloatArray,
     updated_in_scan: npt.NDArray[np.int32],
-    first_row: int,
-    first_column: int,
+    first: tuple[int, int],
     scan: int,
     origin: FloatArray,
     ends: FloatArray,
     is_hit: BoolArray,
-    hit: float,
-    miss: float,
-    lowest: float,
-    highest: float,
+    update: tuple[float, float, float, float],
 ) -> None:
     """Update a map in place by the rays of one scan, each cell at most once.
 
     A cell in which a beam hit is occupied even where another beam of the scan passes it
     (the discretised insertion of OctoMap; Hornung 2013).
 
-    ``log_odds``: (rows, columns), NaN unknown; its element (0, 0) is cell (first_row,
-    first_column). ``updated_in_scan``: the same shape, the number of the scan that last changed a
+    ``log_odds``: (rows, columns), NaN unknown; its element (0, 0) is the cell ``first`` (row,
+    column). ``updated_in_scan``: the same shape, the number of the scan that last changed a
     cell. ``origin``: (2,) and ``ends``: (N, 2) x, y in cell units, inside the map. ``is_hit``:
     (N,), False where the ray was cut short. The cell in which a ray ends is never freed by it.
+    ``update``: what a hit and a pass add, and the lowest and highest log odds.
     """
+    hit, miss, lowest, highest = update
+    first_row, first_column = first
     for i in range(ends.shape[0]):
         column = math.floor(ends[i, 0]) - first_column
         row = math.floor(ends[i, 1]) - first_row

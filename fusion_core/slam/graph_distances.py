@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from fusion_core.model.conventions import FloatArray, IntArray
-from fusion_core.slam.local_slam import LocalTrajectory
+from fusion_core.slam.local_trajectory import LocalTrajectory
 from fusion_core.slam.tracking_losses import TrackingLosses
 
 # A way of so many metres stands for one of which nothing is known.

@@ -15,6 +15,7 @@ import numpy as np
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
 from fusion_core.model.progress import Progress, silent
 from fusion_core.settings import StageSettings, setting
+from fusion_core.slam.identifiers import NodeId
 from fusion_core.slam.scan_points import densified_points
 from fusion_core.slam.scan_to_grid import POINTS_MIN, match_scan
 from fusion_core.slam.submaps import GrowingSubmap, SubmapSettings
@@ -75,9 +76,7 @@ def refine(
                 progress(done, total, "refining")
                 done += 1
                 poses[node] = match_scan(
-                    cells.occupancy,
-                    cells.corner_m,
-                    submaps.resolution_m,
+                    cells.grid,
                     key_points_m[node],
                     before[node],
                     predicted=poses_map_node[node],
@@ -111,7 +110,7 @@ def _map_of(
     """The cells that key scans have met, all of them in one grid."""
     middle_m = (poses[nodes, :2].min(axis=0) + poses[nodes, :2].max(axis=0)) / 2.0
     farthest_m = float(np.abs(poses[nodes, :2] - middle_m).max())
-    cells = GrowingSubmap(middle_m, int(nodes[0]), farthest_m, settings)
+    cells = GrowingSubmap(middle_m, NodeId(int(nodes[0])), farthest_m, settings)
     for node in nodes.tolist():
         cells.add_scan(poses[node], densified_points(key_points_m[node], settings.resolution_m))
     return cells

@@ -15,7 +15,7 @@ from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.model.planar_poses import compose_poses, invert_pose, relative_pose
 from fusion_core.model.progress import Progress
 from fusion_core.slam.graph_distances import GraphDistances
-from fusion_core.slam.local_slam import LocalTrajectory
+from fusion_core.slam.local_trajectory import LocalTrajectory
 from fusion_core.slam.loop_search import LoopSearch, LoopSettings, LoopWindow
 from fusion_core.slam.pose_graph import (
     Edge,

@@ -19,7 +19,7 @@ from fusion_core.registration.correlative import SearchWindow, match_correlative
 from fusion_core.registration.likelihood_grid import LikelihoodPyramid, make_likelihood_pyramid
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.graph_distances import LOSS_DISTANCE_M
-from fusion_core.slam.local_slam import LocalTrajectory
+from fusion_core.slam.local_trajectory import LocalTrajectory
 from fusion_core.slam.pose_graph import Edge
 from fusion_core.slam.scan_to_grid import match_scan
 
@@ -259,9 +259,7 @@ class LoopSearch:
             return None
         if np.sqrt(np.linalg.eigvalsh(coarse.covariance[:2, :2])[-1]) > settings.sigma_max_m:
             return None
-        match = match_scan(
-            submap.occupancy, submap.corner_m, submap.resolution_m, points_m, coarse.pose_map_points
-        )
+        match = match_scan(submap.grid, points_m, coarse.pose_map_points)
         if self._is_contradicted(node, number, match.pose_grid_scan, points_m):
             return None
         return Edge(
@@ -297,17 +295,17 @@ class LoopSearch:
         """
         submap, pyramid = self._local.submaps[number], self._pyramid(number)
         assert pyramid is not None
-        corner = np.array(submap.corner_m)
+        corner = np.array(submap.grid.corner_m)
         cells = np.floor(
-            (transform_planar_points(pose, points_m) - corner) / submap.resolution_m
+            (transform_planar_points(pose, points_m) - corner) / submap.grid.resolution_m
         ).astype(np.int64)
-        rows, columns = submap.occupancy.shape
+        rows, columns = submap.grid.cells.shape
         inside = (cells >= 0).all(axis=1) & (cells < [columns, rows]).all(axis=1)
         cells = cells[inside]
         # Unknown is 0, and the least probability is more than that.
-        is_known = submap.occupancy[cells[:, 1], cells[:, 0]] > 0
+        is_known = submap.grid.cells[cells[:, 1], cells[:, 0]] > 0
         cells = cells[is_known] + np.rint(
-            (corner - np.array(pyramid.corner_m)) / submap.resolution_m
+            (corner - np.array(pyramid.corner_m)) / submap.grid.resolution_m
         ).astype(np.int64)
         rows, columns = pyramid.levels.shape[1:]
         inside = (cells >= 0).all(axis=1) & (cells < [columns, rows]).all(axis=1)
@@ -348,7 +346,7 @@ class LoopSearch:
         self._pyramids[number] = (
             make_likelihood_pyramid(
                 obstacles_m,
-                resolution_m=submap.resolution_m,
+                resolution_m=submap.grid.resolution_m,
                 truncation_m=_REACH_M,
                 levels=_LEVELS,
             )

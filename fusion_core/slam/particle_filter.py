@@ -1,261 +1,302 @@
-"""GMapping: SLAM with a Rao-Blackwellised particle filter (Grisetti, Stachniss, Burgard 2007).
+"""The Rao-Blackwellised particle filter (Grisetti, Stachniss, Burgard 2007, algorithm 1).
 
     p(x_1:t, m | z_1:t, u_1:t-1) = p(m | x_1:t, z_1:t) p(x_1:t | z_1:t, u_1:t-1)          (eq. 1)
 
-A particle is a way x_1:t with the map m that follows from it. Odometry is matched scan by scan
-first, alike for all (particle_odometry.py); then, a step apart, a scan is weighed: each particle's
-pose is drawn from a Gaussian about its match with the particle's own map (particle_proposal.py),
-and its weight grows by how well that fits. Where a loop closes, the particles whose map agrees
-with itself outweigh the others.
-
-    result = particle_filter_slam(scans, odometry.at, ParticleSettings())
-    result.poses_map_scan, result.effective, result.trusted
+A particle is a trajectory x_1:t with the map m that follows from it. ``ParticleFilter.update`` is
+the algorithm; the improved proposal is in particle_proposal.py, the maps that particles share are
+in particle_maps.py, their trajectories in trajectory_tree.py.
 """
 
-import time
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
+from pydantic import model_validator
 
-from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
-from fusion_core.model.errors import MappingFailed
-from fusion_core.model.planar_poses import PosePrior, relative_pose
-from fusion_core.model.progress import Progress, silent
-from fusion_core.model.sensors import LaserScan
-from fusion_core.model.slam_view import SlamObserver, SlamView, no_observer
-from fusion_core.slam.interpolate_poses import interpolate_poses
-from fusion_core.slam.local_slam import LocalSlamSettings
-from fusion_core.slam.particle_odometry import LocalPose, ScanMatchedOdometry
-from fusion_core.slam.particle_proposal import MotionModel
-from fusion_core.slam.particle_set import ParticleSet, ParticleSettings, effective_number
-from fusion_core.slam.scan_to_grid import POINTS_MIN
-from fusion_core.slam.submaps import SubmapSettings
+from fusion_core.model.conventions import FloatArray, IntArray, wrap_angle
+from fusion_core.model.planar_poses import compose_poses, transform_planar_points
+from fusion_core.model.seeds import SEED_MAX
+from fusion_core.settings import StageSettings, setting
+from fusion_core.slam.particle_maps import MapWindow, ParticleMaps, add_scan
+from fusion_core.slam.particle_proposal import MotionModel, log_likelihoods, propose
+from fusion_core.slam.scan_to_grid import LatticeSearch, ProbabilityGrid
+from fusion_core.slam.submaps import check_grid_size
+from fusion_core.slam.trajectory_tree import TrajectoryTree
 
-# Weighed scans between two calls of a watch.
-_WATCHED = 20
+# Cells about a scan: bicubic interpolation reads two to either side, and a match moves by a few.
+_MARGIN_CELLS = 4
+# Where scan matching was lost the motion model is wide, and so is the search: 95 % of it.
+_SEARCH_SIGMAS = 2.0
+# In the lattice search, per metre and radian. Little: the motion model decides afterwards.
+_PRIOR_WEIGHT = (1.0, 1.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ParticleResult:
-    """Where each of N scans was, by the particle with the greatest weight at the end.
+class ParticleSettings(StageSettings):
+    """The particle filter. The motion noise is that of scan-matched odometry, not of wheels."""
 
-    ``stamps_ns``: (N,). ``poses_map_scan``: (N, 3) x, y, yaw of the LiDAR. ``trusted``: (N,) False
-    where the scan did not fit what was seen before it or has no points to fit, where nothing tells
-    how far it went, and after a break of the way if the map did not know the place where it went
-    on. ``key``: (K,) which scans were weighed. Of each of them: ``effective`` (K,) the effective
-    number of particles and ``resampled`` (K,) whether they were drawn anew; ``unmatched`` (K,) how
-    many particles found no match and moved by odometry alone. ``particles``: (P, 3) and
-    ``weights``: (P,) at the last of them. ``tiles``: the most map tiles that were in use at a time.
-    ``seconds``: of each stage, on the wall clock.
+    particles: int = setting(30, "Number of particles", ge=1, le=1000)
+    seed: int = setting(0, "Seed of all that is drawn", ge=0, le=SEED_MAX)
+    resolution_m: float = setting(0.05, "Side of a map's cell", unit="m", ge=0.01, le=1.0)
+    max_range_m: float = setting(
+        30.0, "Points farther away are not used", unit="m", ge=1.0, le=200.0, formerly="reach_m"
+    )
+    step_m: float = setting(0.3, "Distance between two filter updates", unit="m", ge=1e-6, le=10)
+    step_rad: float = setting(
+        0.3, "Rotation between two filter updates", unit="rad", ge=1e-6, le=3.1416
+    )
+    search_m: float = setting(0.15, "Least search about the prediction", unit="m", ge=0.0, le=2.0)
+    search_rad: float = setting(
+        0.06, "Least search about the prediction", unit="rad", ge=0.0, le=1.6
+    )
+    sigma_m_per_m: float = setting(
+        0.05,
+        "Translation noise after a metre, growing with the distance's root",
+        unit="m",
+        ge=1e-6,
+        le=10.0,
+        formerly="drift_m",
+    )
+    sigma_rad_per_m: float = setting(
+        0.02,
+        "Rotation noise after a metre, growing with the distance's root",
+        unit="rad",
+        ge=1e-6,
+        le=3.0,
+        formerly="drift_rad",
+    )
+    sigma_m_per_rad: float = setting(
+        0.01,
+        "Translation noise after a radian, growing with the rotation's root",
+        unit="m",
+        ge=1e-6,
+        le=10.0,
+        formerly="turn_m",
+    )
+    sigma_rad_per_rad: float = setting(
+        0.01,
+        "Rotation noise after a radian, growing with the rotation's root",
+        unit="rad",
+        ge=1e-6,
+        le=3.0,
+        formerly="turn_rad",
+    )
+    unmatched_sigma_m: float = setting(
+        0.2,
+        "Translation noise added where scan matching failed",
+        unit="m",
+        ge=0.0,
+        le=10.0,
+        formerly="lost_m",
+    )
+    unmatched_sigma_rad: float = setting(
+        0.15,
+        "Rotation noise added where scan matching failed",
+        unit="rad",
+        ge=0.0,
+        le=3.0,
+        formerly="lost_rad",
+    )
+    likelihood_gain: float = setting(
+        0.15,
+        "Factor of a scan's log likelihood: errors of scans from one place are correlated",
+        ge=1e-6,
+        le=1,
+        formerly="weight_share",
+    )
+    resample_fraction: float = setting(
+        0.5,
+        "Resample when fewer than this fraction of the particles are effective",
+        ge=0.0,
+        le=1.0,
+        formerly="resample_share",
+    )
+    occupancy_min: float = setting(
+        0.3, "Least mean occupancy at a scan's points for a match", ge=0.0, le=1.0
+    )
+
+    @model_validator(mode="after")
+    def _bounded_cells(self) -> Self:
+        check_grid_size(self.max_range_m, self.resolution_m)
+        return self
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilterUpdate:
+    """How an update went: N_eff, whether it resampled, and the particles that found no match."""
+
+    effective: float
+    is_resampled: bool
+    unmatched: int
+
+
+def effective_number(weights: FloatArray) -> float:
+    """N_eff = 1 / Σ w², of weights (P,) whose sum is 1 (eq. 20)."""
+    return float(1.0 / (weights @ weights))
+
+
+def systematic_resample(weights: FloatArray, offset: float) -> IntArray:
+    """(P,) the parent of each new particle, in rising order.
+
+    ``offset``: in [0, 1), the one random number. A particle has floor(P w) or ceil(P w) children.
     """
-
-    stamps_ns: IntArray
-    poses_map_scan: FloatArray
-    trusted: BoolArray
-    key: IntArray
-    effective: FloatArray
-    resampled: BoolArray
-    unmatched: IntArray
-    particles: FloatArray
-    weights: FloatArray
-    tiles: int
-    seconds: Mapping[str, float]
-
-    def __post_init__(self) -> None:
-        for array in (
-            self.stamps_ns,
-            self.poses_map_scan,
-            self.trusted,
-            self.key,
-            self.effective,
-            self.resampled,
-            self.unmatched,
-            self.particles,
-            self.weights,
-        ):
-            read_only(array)
+    count = weights.size
+    marks = np.cumsum(weights)
+    # By rounding, the sum may be below 1: the last particle with a weight takes the rest.
+    marks[np.flatnonzero(weights)[-1] :] = np.inf
+    parents: IntArray = np.searchsorted(marks, (np.arange(count) + offset) / count, side="right")
+    return parents
 
 
-def particle_filter_slam(
-    scans: Iterable[LaserScan],
-    prior: PosePrior | None = None,
-    settings: ParticleSettings | None = None,
-    progress: Progress = silent,
-    observer: SlamObserver = no_observer,
-) -> ParticleResult:
-    """Place every scan.
+class ParticleFilter:
+    """P particles and their update by one scan after the other.
 
-    ``scans``: stamps strictly increasing; read once, and not kept. ``prior``: odometry; without
-    it, and where it knows nothing, velocity is taken to be constant. The first scan lies where the
-    prior has it, else at the origin.
-
-    Raises MappingFailed where there is no scan, or none has a point within reach.
+    ``poses``: (P, 3) x_t. ``weights``: (P,), their sum 1.
     """
-    run = _Run(settings or ParticleSettings())
-    for scan in scans:
-        run.add_scan(scan, None if prior is None else prior(scan.stamp_ns))
-        progress(len(run.stamps_ns), None, "weighing particles")
-        # A view is as long as the way so far: none is made for nobody.
-        if run.is_worth_a_look and observer is not no_observer:
-            observer(run.view())
-    result = run.finish()
-    observer(run.view())
-    return result
-
-
-class _Run:
-    """A whole run: odometry, which scans are weighed, and the ways between them."""
 
     def __init__(self, settings: ParticleSettings) -> None:
         self._settings = settings
-        self._odometry = ScanMatchedOdometry(
-            LocalSlamSettings(),
-            SubmapSettings(resolution_m=settings.resolution_m, max_range_m=settings.max_range_m),
-        )
-        self._particles = ParticleSet(settings)
-        self.stamps_ns: list[int] = []
-        self._local_poses: list[FloatArray] = []
-        self._is_sure: list[bool] = []
-        self._key: list[int] = []
-        self._effective: list[float] = []
-        self._resampled: list[bool] = []
-        self._unmatched: list[int] = []
-        self._variance = np.zeros(2)
-        self._tiles = 0
-        self._seconds = {"scan_matching": 0.0, "particles": 0.0}
-        self.is_worth_a_look = False
+        self._rng = np.random.default_rng(settings.seed)
+        count = settings.particles
+        self.poses: FloatArray = np.zeros((count, 3))
+        self.weights: FloatArray = np.full(count, 1.0 / count)
+        self._log_weights: FloatArray = np.zeros(count)
+        self.maps = ParticleMaps(count)
+        # x, y, yaw and the occupancy at the points.
+        self._trajectories = TrajectoryTree(count, 4)
 
-    def add_scan(self, scan: LaserScan, prior: FloatArray | None) -> None:
-        """Raises ValueError for a stamp that is not later than the last one's."""
-        start_s = time.perf_counter()
-        placed = self._odometry.place(scan, prior)
-        matched_s = time.perf_counter()
-        self._seconds["scan_matching"] += matched_s - start_s
-        if self._local_poses:
-            self._variance += self._noise(
-                relative_pose(self._local_poses[-1], placed.pose_local_scan)
-            )
-            if not placed.is_sure:
-                lost = np.array(
-                    [self._settings.unmatched_sigma_m, self._settings.unmatched_sigma_rad]
-                )
-                self._variance += lost**2
-        self.stamps_ns.append(scan.stamp_ns)
-        self._local_poses.append(placed.pose_local_scan)
-        self._is_sure.append(placed.is_sure)
-        self.is_worth_a_look = False
-        if self._is_due(placed):
-            self._weigh(placed)
-            self.is_worth_a_look = len(self._key) % _WATCHED == 0
-            self._tiles = max(self._tiles, self._particles.maps.tiles)
-        self._seconds["particles"] += time.perf_counter() - matched_s
+    @property
+    def best(self) -> int:
+        """The particle of the greatest weight, the first of equals."""
+        return int(np.argmax(self.weights))
 
-    def _noise(self, step: FloatArray) -> FloatArray:
-        """(2,) variances of place and heading that a step of local SLAM adds."""
-        settings = self._settings
-        way_m, turn = float(np.hypot(step[0], step[1])), abs(float(step[2]))
-        return np.array(
-            [
-                way_m * settings.sigma_m_per_m**2 + turn * settings.sigma_m_per_rad**2,
-                way_m * settings.sigma_rad_per_m**2 + turn * settings.sigma_rad_per_rad**2,
-            ]
-        )
+    def best_trajectory(self) -> FloatArray:
+        """(K, 4) x, y, yaw of the best particle at each update, and the occupancy at the points."""
+        return self._trajectories.path(self.best)
 
-    def _is_due(self, placed: LocalPose) -> bool:
-        # A blind scan is no evidence: the next one that sees is weighed.
-        if placed.points_m.shape[0] < (POINTS_MIN if self._key else 1):
-            return False
-        if not self._key:
-            return True
-        step = relative_pose(self._local_poses[self._key[-1]], placed.pose_local_scan)
-        return bool(
-            np.hypot(step[0], step[1]) > self._settings.step_m
-            or abs(step[2]) > self._settings.step_rad
-        )
+    def initialise(
+        self, pose_map_scan: FloatArray, points_m: FloatArray, densified_m: FloatArray
+    ) -> FilterUpdate:
+        """Begin with the first scan; arguments as in ``update``."""
+        self.poses[:] = pose_map_scan
+        for particle in range(len(self.poses)):
+            self._insert(particle, points_m, densified_m)
+        self._trajectories.add(np.column_stack([self.poses, np.full(len(self.poses), np.nan)]))
+        effective = effective_number(self.weights)
+        return FilterUpdate(effective=effective, is_resampled=False, unmatched=0)
 
-    def _weigh(self, placed: LocalPose) -> None:
-        if not self._key:
-            self._particles.begin(placed.pose_local_scan, placed.points_m, placed.wall_points_m)
-            found = (effective_number(self._particles.weights), False, 0)
-        else:
-            found = self._particles.weigh(
-                relative_pose(self._local_poses[self._key[-1]], placed.pose_local_scan),
-                MotionModel(
-                    sigma_m=float(np.sqrt(self._variance[0])),
-                    sigma_rad=float(np.sqrt(self._variance[1])),
-                ),
-                placed.points_m,
-                placed.wall_points_m,
-            )
-        self._variance[:] = 0.0
-        self._key.append(len(self.stamps_ns) - 1)
-        effective, is_resampled, unmatched = found
-        self._effective.append(effective)
-        self._resampled.append(is_resampled)
-        self._unmatched.append(unmatched)
+    def update(
+        self, step: FloatArray, motion: MotionModel, points_m: FloatArray, densified_m: FloatArray
+    ) -> FilterUpdate:
+        """Algorithm 1. ``step``: (3,) u_{t-1}, since the last update; ``motion``: its noise.
 
-    def finish(self) -> ParticleResult:
-        """Raises MappingFailed where there was no scan, or none with a point within reach."""
-        count = len(self.stamps_ns)
-        if count == 0:
-            raise MappingFailed("there is no scan to place.")
-        if not self._key:
-            raise MappingFailed(
-                f"none of {count} scans has a point within {self._settings.max_range_m:g} m.",
-                advice="Check the ranges' limits, or set a larger max_range_m.",
-            )
-        way = self._particles.best_path()
-        key = np.array(self._key, dtype=np.int64)
-        return ParticleResult(
-            stamps_ns=np.array(self.stamps_ns, dtype=np.int64),
-            poses_map_scan=interpolate_poses(np.array(self._local_poses), key, way[:, :3]),
-            trusted=self._trusted(key, way[:, 3]),
-            key=key,
-            effective=np.array(self._effective),
-            resampled=np.array(self._resampled, dtype=np.bool_),
-            unmatched=np.array(self._unmatched, dtype=np.int64),
-            particles=self._particles.poses.copy(),
-            weights=self._particles.weights.copy(),
-            tiles=self._tiles,
-            seconds=dict(self._seconds),
-        )
-
-    def _trusted(self, key: IntArray, occupancy: FloatArray) -> BoolArray:
-        """(N,) by local SLAM, and where weighed (K,) by the particle's own map, too.
-
-        Where local SLAM lost its way, the map must know the place to which it came: else nothing
-        tells how the robot got there, however well the scans after that fit each other.
+        ``points_m``: (n, 2) the scan z_t; ``densified_m``: (n', 2) the same with points between
+        neighbours on a wall.
         """
-        local = self._odometry.finish()
-        # NaN compares false.
-        matches = occupancy >= self._settings.occupancy_min
-        matches[0] = True
-        trusted = np.array(self._is_sure) & ~local.adrift
-        trusted[key] &= matches
-        number = np.arange(trusted.size)
-        part = local.segment[
-            np.maximum(np.searchsorted(local.key_scans, number, side="right") - 1, 0)
-        ]
-        for of in np.unique(part[part > 0]):
-            weighed = np.flatnonzero(part[key] == of)
-            if weighed.size == 0 or not matches[weighed[0]]:
-                trusted &= part != of
-        return trusted
-
-    def view(self) -> SlamView:
-        """What is believed now."""
-        key = np.array(self._key, dtype=np.int64)
-        effective = np.full(len(self.stamps_ns), np.nan)
-        effective[key] = self._effective
-        return SlamView(
-            stage="weighing particles",
-            stamps_ns=np.array(self.stamps_ns, dtype=np.int64),
-            poses_map_scan=interpolate_poses(
-                np.array(self._local_poses), key, self._particles.best_path()[:, :3]
-            ),
-            particles=self._particles.poses.copy(),
-            weights=self._particles.weights.copy(),
+        settings = self._settings
+        occupancy = np.full(len(self.poses), np.nan)
+        search = self._search(motion)
+        # x'_t = x_{t-1} ⊕ u_{t-1}
+        predicted = compose_poses(self.poses, step)
+        for particle in range(len(self.poses)):
+            noise = self._rng.standard_normal(3)
+            grid = self._map_about(particle, predicted[particle], points_m, search)
+            # Scan matching and the Gaussian about the match (eqs. 15 to 18).
+            proposal = propose(
+                grid,
+                points_m,
+                predicted[particle],
+                motion,
+                search=search,
+                occupancy_min=settings.occupancy_min,
+            )
+            if proposal is None:
+                # Failure: x_t ~ p(x_t | x_{t-1}, u_{t-1}),  w_t = w_{t-1} p(z_t | m_{t-1}, x_t)
+                pose = predicted[particle] + motion.sigmas * noise
+                gain = float(log_likelihoods(grid, points_m, _wrapped(pose)[np.newaxis])[0])
+            else:
+                # x_t ~ N(μ, Σ),  w_t = w_{t-1} η   (eq. 19)
+                pose = proposal.mean + np.linalg.cholesky(proposal.covariance) @ noise
+                gain = proposal.log_evidence
+                occupancy[particle] = proposal.occupancy
+            self.poses[particle] = _wrapped(pose)
+            self._log_weights[particle] += settings.likelihood_gain * gain
+            # m_t = integrateScan(m_{t-1}, x_t, z_t)
+            self._insert(particle, points_m, densified_m)
+        self._normalise_weights()
+        self._trajectories.add(np.column_stack([self.poses, occupancy]))
+        # N_eff (eq. 20), and resampling where it is below the threshold.
+        effective = effective_number(self.weights)
+        is_due = effective < settings.resample_fraction * len(self.poses)
+        if is_due:
+            self._resample()
+        return FilterUpdate(
             effective=effective,
-            loops_m=np.empty((0, 4)),
+            is_resampled=is_due,
+            unmatched=int(np.count_nonzero(np.isnan(occupancy))),
         )
+
+    def _normalise_weights(self) -> None:
+        self._log_weights -= self._log_weights.max()
+        weights = np.exp(self._log_weights)
+        self.weights = weights / weights.sum()
+
+    def _resample(self) -> None:
+        parents = systematic_resample(self.weights, float(self._rng.random()))
+        self.poses = self.poses[parents]
+        self.maps.resample(parents)
+        self._trajectories.resample(parents)
+        self._log_weights[:] = 0.0
+        self.weights = np.full(len(self.poses), 1.0 / len(self.poses))
+
+    def _search(self, motion: MotionModel) -> LatticeSearch:
+        settings = self._settings
+        return LatticeSearch(
+            translation_m=max(settings.search_m, _SEARCH_SIGMAS * motion.sigma_m),
+            rotation_rad=max(settings.search_rad, _SEARCH_SIGMAS * motion.sigma_rad),
+            prior_weight=_PRIOR_WEIGHT,
+        )
+
+    def _map_about(
+        self, particle: int, pose: FloatArray, points_m: FloatArray, search: LatticeSearch
+    ) -> ProbabilityGrid:
+        """The particle's map where a scan near ``pose`` may lie."""
+        farthest_m = float(np.hypot(points_m[:, 0], points_m[:, 1]).max())
+        margin_m = 2.0 * (search.translation_m + search.rotation_rad * farthest_m)
+        points_in_map_m = transform_planar_points(pose, points_m)
+        window = self._window(particle, points_in_map_m, pose, margin_m)
+        resolution_m = self._settings.resolution_m
+        corner_m = (window.first_column * resolution_m, window.first_row * resolution_m)
+        return ProbabilityGrid(window.occupancy, corner_m, resolution_m)
+
+    def _window(
+        self, particle: int, points_in_map_m: FloatArray, pose: FloatArray, margin_m: float
+    ) -> MapWindow:
+        """The particle's map about a scan, and a margin about that."""
+        resolution_m = self._settings.resolution_m
+        low = np.minimum(points_in_map_m.min(axis=0), pose[:2]) - margin_m
+        high = np.maximum(points_in_map_m.max(axis=0), pose[:2]) + margin_m
+        first = np.floor(low / resolution_m).astype(np.int64) - _MARGIN_CELLS
+        last = np.floor(high / resolution_m).astype(np.int64) + _MARGIN_CELLS
+        return self.maps.window(
+            particle, (int(first[1]), int(first[0])), (int(last[1]), int(last[0]))
+        )
+
+    def _insert(self, particle: int, points_m: FloatArray, densified_m: FloatArray) -> None:
+        """Add the scan to the particle's map, at the particle's pose."""
+        pose = self.poses[particle]
+        points_in_map_m = transform_planar_points(pose, points_m)
+        window = self._window(particle, points_in_map_m, pose, 0.0)
+        corner = np.array([window.first_column, window.first_row], dtype=np.float64)
+        resolution_m = self._settings.resolution_m
+        add_scan(
+            window.cells,
+            pose[:2] / resolution_m - corner,
+            transform_planar_points(pose, densified_m) / resolution_m - corner,
+            points_in_map_m / resolution_m - corner,
+        )
+        self.maps.write(particle, window)
+
+
+def _wrapped(pose: FloatArray) -> FloatArray:
+    """(3,) with the yaw in [-pi, pi)."""
+    return np.array([pose[0], pose[1], wrap_angle(pose[2])])

@@ -1,11 +1,12 @@
-"""The maps of all particles: tiles of cells that are shared until someone writes (copy on write).
+"""The maps of all particles: tiles of cells that are shared until one is changed (copy on write).
 
 A particle's map is a table of tile numbers; the tiles lie in one pool. Particles that resampling
-has made of one parent point to the same tiles, and a tile is copied when one of them changes it.
-So memory follows the mapped area times how much the particles disagree, not time.
+has made of one parent refer to the same tiles, and a tile is copied when one of them changes it.
+So memory follows the mapped area times how much the particles differ, not time.
 
-A cell is one byte: 0 unknown, else its log odds in whole steps, 128 being even odds. ``OCCUPANCY``
-gives the probability as ``scan_to_grid`` takes it.
+A cell is one byte: 0 unknown, else its log odds in integer steps, 128 being even odds.
+``OCCUPANCY`` gives the probability as ``scan_to_grid`` takes it. (``mapping.growing_grid`` has the
+same rule in floats and without sharing, at thirteen times the memory.)
 """
 
 from dataclasses import dataclass
@@ -14,20 +15,23 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion_core.compiled import compiled
+from fusion_core.mapping.growing_grid import log_odds
 from fusion_core.mapping.rays import trace_ray
 from fusion_core.model.conventions import ByteArray, FloatArray, IntArray, read_only
 from fusion_core.model.errors import MappingFailed
+from fusion_core.slam.submaps import SubmapSettings
 
+# Cells on a side: 4 kB, a page of memory.
 TILE = 64
-# What a program may take that others share a machine with: 1 GB.
+# 1 GB, a share of the memory of a small computer.
 _TILES_MAX = 2**30 // TILE**2
-UNKNOWN = 0
-_EVEN_ODDS = 128
-# 127 steps are the odds of a probability of 0.98: no cell becomes so sure that it cannot change.
-_STEP = np.log(0.98 / 0.02) / 127.0
-# Probabilities of about 0.6 and 0.48, so that one scan decides nothing.
-_HIT, _MISS = 13, 3
-_LOWEST, _HIGHEST = 1, 255
+# The encoding of a cell in a byte.
+UNKNOWN, _LOWEST, _EVEN_ODDS, _HIGHEST = 0, 1, 128, 255
+# A step is such that the highest byte is the highest probability of a submap; a hit and a pass are
+# those of a submap in whole steps.
+_DEFAULTS = SubmapSettings()
+_STEP = log_odds(_DEFAULTS.p_limit) / (_HIGHEST - _EVEN_ODDS)
+_HIT, _MISS = (round(log_odds(p) / _STEP) for p in (_DEFAULTS.p_hit, _DEFAULTS.p_miss))
 
 Int32Array = npt.NDArray[np.int32]
 
@@ -66,7 +70,7 @@ class ParticleMaps:
         self._tables: Int32Array = np.full((particles, 1, 1), -1, dtype=np.int32)
         self._first_row, self._first_column = 0, 0  # in tiles
         self._pool: ByteArray = np.zeros((16, TILE, TILE), dtype=np.uint8)
-        self._sharers: IntArray = np.zeros(16, dtype=np.int64)
+        self._reference_counts: IntArray = np.zeros(16, dtype=np.int64)
         self._free: list[int] = list(range(15, -1, -1))
 
     @property
@@ -108,11 +112,11 @@ class ParticleMaps:
         for r, c in changed[:count]:
             place = (at[0] + r, at[1] + c)
             number = table[place]
-            if number < 0 or self._sharers[number] > 1:
-                own = self._take_tile()
+            if number < 0 or self._reference_counts[number] > 1:
+                own = self._allocate_tile()
                 if number >= 0:
-                    self._sharers[number] -= 1
-                self._sharers[own] = 1
+                    self._reference_counts[number] -= 1
+                self._reference_counts[own] = 1
                 table[place] = number = own
             self._pool[number] = window.cells[r * TILE : (r + 1) * TILE, c * TILE : (c + 1) * TILE]
 
@@ -120,10 +124,10 @@ class ParticleMaps:
         """Particle i becomes a copy of particle ``parents[i]``; no tile is copied."""
         self._tables = self._tables[parents]
         used = self._tables[self._tables >= 0]
-        self._sharers = np.bincount(used, minlength=len(self._pool))
-        self._free = [int(number) for number in np.flatnonzero(self._sharers == 0)[::-1]]
+        self._reference_counts = np.bincount(used, minlength=len(self._pool))
+        self._free = [int(number) for number in np.flatnonzero(self._reference_counts == 0)[::-1]]
 
-    def _take_tile(self) -> int:
+    def _allocate_tile(self) -> int:
         if not self._free:
             size = len(self._pool)
             if size >= _TILES_MAX:
@@ -134,7 +138,9 @@ class ParticleMaps:
             # By a half, so that copying the pool stays a small part of the work.
             more = min(max(size // 2, 16), _TILES_MAX - size)
             self._pool = np.concatenate([self._pool, np.zeros((more, TILE, TILE), dtype=np.uint8)])
-            self._sharers = np.concatenate([self._sharers, np.zeros(more, dtype=np.int64)])
+            self._reference_counts = np.concatenate(
+                [self._reference_counts, np.zeros(more, dtype=np.int64)]
+            )
             self._free = list(range(size + more - 1, size - 1, -1))
         return self._free.pop()
 
@@ -213,31 +219,43 @@ def _changed_tiles(
     return count
 
 
-@compiled()
 def add_scan(cells: ByteArray, origin: FloatArray, hits: FloatArray, ends: FloatArray) -> None:
-    """Add a scan to a window: obstacle at ``hits``, free on the ways to ``ends``.
+    """Add a scan to a window: occupied at ``hits``, free on the rays to ``ends``.
 
-    Each cell changes at most once, and a hit goes before a pass. ``origin``: (2,), ``hits``:
-    (h, 2), ``ends``: (n, 2) x, y in cells from the window's corner, all inside of it. The cell in
-    which a way ends is not freed by it.
+    Each cell changes at most once, and a hit has precedence. ``origin``: (2,), ``hits``: (h, 2),
+    ``ends``: (n, 2) x, y in cells from the window's corner, all inside of it. A ray does not free
+    the cell in which it ends.
     """
+    _add_scan(cells, origin, hits, ends, _HIT, _MISS)
+
+
+@compiled()
+def _add_scan(
+    cells: ByteArray,
+    origin: FloatArray,
+    hits: FloatArray,
+    ends: FloatArray,
+    hit: int,
+    miss: int,
+) -> None:
+    """``add_scan`` with the steps of a hit and of a pass."""
     is_done = np.zeros(cells.shape, dtype=np.bool_)
     for i in range(hits.shape[0]):
         row, column = int(np.floor(hits[i, 1])), int(np.floor(hits[i, 0]))
         if not is_done[row, column]:
             is_done[row, column] = True
-            cells[row, column] = update_cell(cells[row, column], _HIT)
-    way = np.empty((cells.shape[0] + cells.shape[1], 2), dtype=np.int64)
+            cells[row, column] = _updated_cell(cells[row, column], hit)
+    ray = np.empty((cells.shape[0] + cells.shape[1], 2), dtype=np.int64)
     for i in range(ends.shape[0]):
-        count = trace_ray(origin[0], origin[1], ends[i, 0], ends[i, 1], way)
+        count = trace_ray(origin[0], origin[1], ends[i, 0], ends[i, 1], ray)
         for k in range(count - 1):
-            row, column = way[k, 0], way[k, 1]
+            row, column = ray[k, 0], ray[k, 1]
             if not is_done[row, column]:
                 is_done[row, column] = True
-                cells[row, column] = update_cell(cells[row, column], -_MISS)
+                cells[row, column] = _updated_cell(cells[row, column], miss)
 
 
 @compiled()
-def update_cell(cell: int, steps: int) -> int:
+def _updated_cell(cell: int, steps: int) -> int:
     before = _EVEN_ODDS if cell == UNKNOWN else int(cell)
     return min(max(before + steps, _LOWEST), _HIGHEST)

@@ -26,7 +26,8 @@ from fusion_core.registration.correlative import POSES_MAX, count_poses
 from fusion_core.settings import SettingsGroup
 from fusion_core.slam.interpolate_poses import interpolate_poses
 from fusion_core.slam.joint_refinement import RefinementSettings, refine
-from fusion_core.slam.local_slam import LocalSlam, LocalSlamSettings, LocalTrajectory
+from fusion_core.slam.local_slam import LocalSlam, LocalSlamSettings
+from fusion_core.slam.local_trajectory import LocalTrajectory
 from fusion_core.slam.loop_closing import close_loops
 from fusion_core.slam.loop_search import LoopSettings
 from fusion_core.slam.pose_graph import UNKNOWN_STEP_SIGMAS, Edge, GraphSettings, residuals
@@ -117,7 +118,7 @@ def pose_graph_slam(
         count += 1
         progress(count, None, "matching scans")
         if count % _WATCHED_EVERY == 0 and observer is not no_observer:
-            observer(_view("matching scans", *slam.trajectory_so_far, []))
+            observer(_view("matching scans", *slam.trajectory_so_far(), []))
     if count == 0:
         raise MappingFailed("there is no scan to place.")
     local = slam.finish()
@@ -127,7 +128,6 @@ def pose_graph_slam(
             advice="Check the ranges' limits, or set a larger max_range_m.",
         )
     local_s = time.perf_counter()
-    fits = _fits(local, settings.local.occupancy_min)
 
     def solved(stage: str, poses_map_node: FloatArray, loops: list[Edge]) -> None:
         if observer is not no_observer:
@@ -135,7 +135,7 @@ def pose_graph_slam(
             observer(_view(stage, stamps_ns, poses_map_node, loops))
 
     closed = close_loops(
-        local, _steps(local, fits, settings.graph), settings.loops, settings.graph, progress, solved
+        local, _steps(local, settings.graph), settings.loops, settings.graph, progress, solved
     )
     closed_s = time.perf_counter()
     poses_map_node = refine(
@@ -154,7 +154,7 @@ def pose_graph_slam(
     return SlamResult(
         stamps_ns=local.stamps_ns,
         poses_map_scan=poses_map_scan,
-        trusted=fits & _is_joined(local, closed.is_connected),
+        trusted=local.is_trusted & _is_joined(local, closed.is_connected),
         key=local.key_scans,
         graph=_graph(poses_map_node, closed.edges),
         residuals=residuals(poses_map_node, closed.edges),
@@ -191,14 +191,6 @@ def _view(
     )
 
 
-def _fits(local: LocalTrajectory, occupancy_min: float) -> BoolArray:
-    """(N,) the first scan with points defines the map; each other must fit it in one place."""
-    # NaN compares false.
-    fits: BoolArray = (local.occupancy >= occupancy_min) & ~local.adrift
-    fits[0] = local.node_points_m[0].size > 0
-    return fits
-
-
 def _is_joined(local: LocalTrajectory, is_joined: BoolArray) -> BoolArray:
     """(N,) whether it is known where a scan is in the first one's map: not after a break, unless
     loops join what follows to what was before, or confirm what odometry told."""
@@ -207,11 +199,11 @@ def _is_joined(local: LocalTrajectory, is_joined: BoolArray) -> BoolArray:
     return joined
 
 
-def _steps(local: LocalTrajectory, fits: BoolArray, settings: GraphSettings) -> list[Edge]:
+def _steps(local: LocalTrajectory, settings: GraphSettings) -> list[Edge]:
     """The way from each key scan to the next, less sure where a scan between them is lost."""
     sigmas = np.array([settings.local_sigma_m, settings.local_sigma_m, settings.local_sigma_rad])
     poses = local.poses_local_node
-    lost_before = np.concatenate([[0], np.cumsum(~fits)])
+    lost_before = np.concatenate([[0], np.cumsum(~local.is_trusted)])
     edges = []
     for node in range(len(poses) - 1):
         begin, end = local.key_scans[node] + 1, local.key_scans[node + 1] + 1

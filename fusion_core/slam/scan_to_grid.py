@@ -1,12 +1,9 @@
-"""A scan laid on an occupancy grid: a search over a small window, then Gauss-Newton.
+"""Scan-to-grid matching: a correlative search on a lattice, then Gauss-Newton.
 
 The grid is a smooth field M(p): the probability of a cell, interpolated by bicubic convolution
-(Keys 1981, a = -1/2) between the cells' middles. The best pose minimises (Hess et al. 2016, eq. CS)
+(Keys 1981, a = -1/2) between the cells' centres. The best pose minimises (Hess et al. 2016, eq. CS)
 
     J(pose) = k/n Σ (1 - M(pose · p_i))² + Σ ((pose - predicted) / sigma)²
-
-A grid is (rows, columns) uint8, 255 for a sure obstacle and 0 for free and unknown alike, with
-row 0 at the smallest y; its corner is the outer corner of cell (0, 0).
 """
 
 from dataclasses import dataclass
@@ -16,17 +13,49 @@ import numpy as np
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import ByteArray, FloatArray, read_only, wrap_angle
 
+# The value of a cell that is certainly occupied: the largest of a byte.
 FULL = 255.0
 
-# k of J: residuals of a scan that lies right scatter by about a quarter, and beams that meet one
-# wall err together, so that a scan tells as much as nine independent points: 9 / 0.25².
+# k of J. Residuals of a well-placed scan have a standard deviation of about a quarter, and beams
+# on one wall have correlated errors, so that a scan counts as nine independent points: 9 / 0.25².
 INFORMATION_OF_A_SCAN = 144.0
 
-# Fewer points than this fix no pose.
+# Fewer points do not constrain a pose; empirical.
 POINTS_MIN = 10
 
-_ITERATIONS_MAX = 30
-_STEP_MIN = 1e-6
+# Numerics of Gauss-Newton: metres and radians below which a step has converged, and a safeguard.
+_STEP_MIN, _ITERATIONS_MAX = 1e-6, 30
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProbabilityGrid:
+    """An occupancy grid to match scans with.
+
+    ``cells``: (rows, columns) uint8, ``FULL`` for certainly occupied and 0 for free and unknown
+    alike, with row 0 at the smallest y. ``corner_m``: (x, y) of the outer corner of cell (0, 0).
+    """
+
+    cells: ByteArray
+    corner_m: tuple[float, float]
+    resolution_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LatticeSearch:
+    """Which poses about the prediction the correlative search tries.
+
+    ``translation_m``, ``rotation_rad``: how far to either side. ``prior_weight``: (w₀ per metre,
+    w₁ per radian): a pose d metres and a radians from the prediction has its score multiplied by
+    exp(-(w₀ d + w₁ a)²), so that along a corridor, where all poses score alike, the prediction
+    decides. ``step_rad``: between two headings; a degree is half a cell at 1.5 m. ``point_stride``:
+    every second point is enough to find the cell from which Gauss-Newton starts.
+    """
+
+    translation_m: float
+    rotation_rad: float
+    prior_weight: tuple[float, float]
+    step_rad: float = float(np.radians(1.0))
+    point_stride: int = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,9 +77,7 @@ class GridMatch:
 
 
 def match_scan(
-    grid: ByteArray,
-    corner_m: tuple[float, float],
-    resolution_m: float,
+    grid: ProbabilityGrid,
     points_m: FloatArray,
     start: FloatArray,
     *,
@@ -70,10 +97,10 @@ def match_scan(
         prior[:2] = prior_sigma[0] ** -2.0
         prior[2] = prior_sigma[1] ** -2.0
     pose, occupancy, information = _gauss_newton(
-        grid,
-        corner_m[0],
-        corner_m[1],
-        resolution_m,
+        grid.cells,
+        grid.corner_m[0],
+        grid.corner_m[1],
+        grid.resolution_m,
         points_m,
         np.asarray(start, dtype=np.float64),
         np.asarray(start if predicted is None else predicted, dtype=np.float64),
@@ -90,8 +117,29 @@ def match_scan(
     )
 
 
-@compiled(error_model="numpy")
 def correlative_match(
+    grid: ProbabilityGrid, points_m: FloatArray, predicted: FloatArray, search: LatticeSearch
+) -> FloatArray:
+    """(3,) the pose about ``predicted`` with the highest score (Olson 2009), to a cell.
+
+    The score is the sum of the cells at the points, times the prior's weight. ``points_m``: (n, 2).
+    """
+    pose: FloatArray = _best_of_lattice(
+        grid.cells,
+        grid.corner_m[0],
+        grid.corner_m[1],
+        grid.resolution_m,
+        points_m[:: search.point_stride],
+        predicted,
+        (search.translation_m, search.rotation_rad),
+        search.step_rad,
+        search.prior_weight,
+    )
+    return pose
+
+
+@compiled(error_model="numpy")
+def _best_of_lattice(  # compiled functions take no dataclasses
     grid: ByteArray,
     left_m: float,
     bottom_m: float,
@@ -102,12 +150,7 @@ def correlative_match(
     step_rad: float,
     prior_weight: tuple[float, float],
 ) -> FloatArray:
-    """(3,) the pose about ``predicted`` on whose points most obstacle lies, on a lattice of cells.
-
-    ``window``: how far to search either way in metres and radians. ``caution``: a pose weighs
-    exp(-(c₀ metres + c₁ radians)²) of its way from the prediction, so that a corridor, where all
-    poses along it are alike, does not choose by chance.
-    """
+    """``correlative_match`` with the fields of its arguments one by one."""
     rows, columns = grid.shape
     cells = round(window[0] / resolution_m)
     turns = round(window[1] / step_rad)
@@ -124,7 +167,7 @@ def correlative_match(
             y = int(np.floor((predicted[1] + s * px + c * py - bottom_m) / resolution_m)) - cells
             for row in range(max(-y, 0), min(side, rows - y)):
                 for column in range(max(-x, 0), min(side, columns - x)):
-                    # Unsigned: a compiled loop would ask each index whether it counts from the end.
+                    # Unsigned: signed indices would be checked for wrap-around in the inner loop.
                     total[row, column] += grid[np.uint64(y + row), np.uint64(x + column)]
         for row in range(side):
             for column in range(side):
@@ -142,12 +185,12 @@ def correlative_match(
 
 @compiled(error_model="numpy")
 def interpolate(grid: ByteArray, x: float, y: float, out: FloatArray) -> None:
-    """M and its slope in x and in y, per cell, into ``out`` (3,); x, y in cells from the corner.
+    """Write M and its derivatives in x and y, per cell, to ``out`` (3,); x, y in cells.
 
-    Zero, and flat, where one of the sixteen cells about the point is outside.
+    All are zero where one of the sixteen cells about the point is outside of the grid.
     """
     rows, columns = grid.shape
-    # The middle of cell (0, 0) lies at (0.5, 0.5).
+    # The centre of cell (0, 0) lies at (0.5, 0.5).
     u, v = x - 0.5, y - 0.5
     column, row = int(np.floor(u)), int(np.floor(v))
     out[0] = out[1] = out[2] = 0.0
@@ -198,9 +241,9 @@ def _gauss_newton(
     predicted: FloatArray,
     prior: FloatArray,
 ) -> tuple[FloatArray, float, FloatArray]:
-    """Pose, mean of M, and the points' information in the grid's axes, at the least J.
+    """Pose, mean of M, and the points' information in the grid's axes, at the minimum of J.
 
-    Levenberg's damping: a step that makes J larger is taken back and tried shorter.
+    With Levenberg's damping: a step that increases J is undone and repeated shorter.
     """
     count = points_m.shape[0]
     scale = INFORMATION_OF_A_SCAN / count

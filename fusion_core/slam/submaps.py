@@ -1,8 +1,8 @@
-"""Submaps: small occupancy grids, each from a run of consecutive key scans (Hess et al. 2016, IV).
+"""Submaps: small occupancy grids, each from consecutive key scans (Hess et al. 2016, IV.B).
 
 Two grow at a time, the younger begun when the older is half full, so that neighbours overlap and
-no scan is matched against an empty map. All lie in the local frame, in which scans are placed as
-they arrive; a finished one is cut to what it knows and never changes.
+no scan is matched with an empty map. All lie in the local frame; a finished one is cut to the
+cells that its scans reached, and never changes.
 """
 
 from dataclasses import dataclass
@@ -13,23 +13,22 @@ import numpy.typing as npt
 from pydantic import model_validator
 
 from fusion_core.compiled import compiled
-from fusion_core.mapping.rays import update_cells
-from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray, IntArray, read_only
+from fusion_core.mapping.growing_grid import CellBounds, GrowingGrid, LogOddsUpdate, log_odds
+from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray, read_only
 from fusion_core.model.planar_poses import transform_planar_points
 from fusion_core.settings import StageSettings, setting
-from fusion_core.slam.scan_to_grid import FULL
+from fusion_core.slam.identifiers import NodeId
+from fusion_core.slam.scan_to_grid import FULL, ProbabilityGrid
 
-# As far as an interpolation feels a cell, so that the grid's end shows in none.
+# Cells about the known ones, so that no interpolation there meets the grid's end: bicubic
+# convolution reads two cells to either side, and one more is for rounding.
 _BORDER = 3
-# Cells that a grid is larger than what it holds, so that it need not grow with each scan; a large
-# one, where growing takes long, by a share.
-_ROOM, _ROOM_SHARE = 60, 0.25
-# Of a scan's reach: a grid of twice that on a side, at 13 bytes a cell, takes 0.8 GB.
+# Memory: a grid of twice the range on a side, at 13 bytes a cell, takes 0.8 GB.
 _RANGE_CELLS_MAX = 4_000
 
 
 class SubmapSettings(StageSettings):
-    """Submaps. Hits and misses are weaker than a final map's, so that one scan decides nothing."""
+    """Submaps. Hits and passes weigh less than in a final map, so that it takes several scans."""
 
     resolution_m: float = setting(0.05, "Side of a cell", unit="m", ge=0.01, le=1.0)
     key_scans: int = setting(60, "Key scans in a submap", ge=4, le=1000)
@@ -58,147 +57,154 @@ def check_grid_size(max_range_m: float, resolution_m: float) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Submap:
-    """A finished submap: of key scans ``first`` to ``end``, the latter not included.
+    """A finished submap of the key scans from ``first`` to ``end``, the latter not included.
 
-    ``occupancy``: (rows, columns) uint8 as ``scan_to_grid`` takes it, in the local frame.
-    ``corner_m``: (x, y) of the outer corner of its cell (0, 0).
+    ``grid``: in the local frame, its cells read-only.
     """
 
-    first: int
-    end: int
-    occupancy: ByteArray
-    corner_m: tuple[float, float]
-    resolution_m: float
+    first: NodeId
+    end: NodeId
+    grid: ProbabilityGrid
 
     def __post_init__(self) -> None:
-        read_only(self.occupancy)
+        read_only(self.grid.cells)
 
     def obstacles_m(self) -> FloatArray:
-        """(n, 2) middles, in the local frame, of the cells that are rather occupied than free."""
-        rows, columns = np.nonzero(self.occupancy > FULL / 2.0)
+        """(n, 2) centres, in the local frame, of the cells with a probability above one half."""
+        rows, columns = np.nonzero(self.grid.cells > FULL / 2.0)
         cells = np.stack([columns, rows], axis=1) + 0.5
-        middles_m: FloatArray = np.array(self.corner_m) + self.resolution_m * cells
-        return middles_m
+        centres_m: FloatArray = np.array(self.grid.corner_m) + self.grid.resolution_m * cells
+        return centres_m
 
 
 class GrowingSubmap:
-    """A submap that takes scans; its grid grows with what they meet."""
+    """A submap to which scans are added; its grid grows with what they reach."""
 
-    def __init__(self, centre_m: FloatArray, first: int, travel_m: float, settings: SubmapSettings):
-        """``centre_m``: (2,); points are taken up to ``travel_m`` and their reach from there."""
-        self._settings = settings
-        self._hit, self._miss = _log_odds(settings.p_hit), _log_odds(settings.p_miss)
-        self._limit = _log_odds(settings.p_limit)
+    def __init__(
+        self, centre_m: FloatArray, first: NodeId, travel_m: float, settings: SubmapSettings
+    ):
+        """``centre_m``: (2,); points farther than ``travel_m`` and a range from it are left out."""
         self.first = first
         self.scans = 0
-        # All (column, row). Beyond these limits nothing is taken.
+        self._resolution_m = settings.resolution_m
+        limit = log_odds(settings.p_limit)
+        self._log_odds = GrowingGrid(
+            LogOddsUpdate(
+                hit=log_odds(settings.p_hit),
+                miss=log_odds(settings.p_miss),
+                lowest=-limit,
+                highest=limit,
+            ),
+            border=_BORDER,
+        )
         half = int(np.ceil((settings.max_range_m + travel_m) / settings.resolution_m))
         self._limits = np.floor(centre_m / settings.resolution_m) + np.array([[-half], [half]])
-        # The cells met so far, the last not included; and the first one of the grid.
-        self._met: tuple[IntArray, IntArray] | None = None
-        self._corner: IntArray = np.zeros(2, dtype=np.int64)
-        self._log_odds = np.empty((0, 0))
-        self._updated_in_scan = np.empty((0, 0), dtype=np.int32)
-        self.occupancy: ByteArray = np.empty((0, 0), dtype=np.uint8)
+        self._cells: ByteArray = np.empty((0, 0), dtype=np.uint8)
 
     @property
-    def corner_m(self) -> tuple[float, float]:
-        """(x, y) of the outer corner of cell (0, 0) in the local frame."""
-        column, row = self._corner.tolist()
-        return column * self._settings.resolution_m, row * self._settings.resolution_m
+    def grid(self) -> ProbabilityGrid:
+        """As it is now, in the local frame, with cells that the next scan changes."""
+        return ProbabilityGrid(
+            self._cells, self._corner_m(self._log_odds.bounds), self._resolution_m
+        )
 
     def add_scan(self, pose_local_scan: FloatArray, points_m: FloatArray) -> None:
-        """Add the points (n, 2) of a scan and the ways to them; what lies too far is left out."""
+        """Add the points (n, 2) of a scan and the rays to them, eq. 3; without those too far."""
         self.scans += 1
-        ends = transform_planar_points(pose_local_scan, points_m) / self._settings.resolution_m
-        origin = pose_local_scan[:2] / self._settings.resolution_m
-        ends = np.ascontiguousarray(ends[self._is_near(ends)])
-        if ends.size == 0 or not self._is_near(origin):
+        ends = transform_planar_points(pose_local_scan, points_m) / self._resolution_m
+        origin = pose_local_scan[:2] / self._resolution_m
+        ends = np.ascontiguousarray(ends[self._is_within_limits(ends)])
+        if ends.size == 0 or not self._is_within_limits(origin):
             return
-        low = np.floor(np.minimum(ends.min(axis=0), origin)).astype(np.int64)
-        high = np.floor(np.maximum(ends.max(axis=0), origin)).astype(np.int64) + 1
-        self._make_room(low, high)
-        update_cells(
-            self._log_odds,
-            self._updated_in_scan,
-            int(self._corner[1]),
-            int(self._corner[0]),
-            self.scans,
-            origin,
-            ends,
-            np.ones(ends.shape[0], dtype=np.bool_),
-            self._hit,
-            self._miss,
-            -self._limit,
-            self._limit,
+        scan = CellBounds(
+            np.floor(np.minimum(ends.min(axis=0), origin)).astype(np.int64),
+            np.floor(np.maximum(ends.max(axis=0), origin)).astype(np.int64) + 1,
         )
-        part = _part(low - self._corner, high - self._corner)
-        _refresh(
-            self.occupancy[part], self._log_odds[part], self._updated_in_scan[part], self.scans
+        self._reserve(scan)
+        self._log_odds.add_scan(origin, ends, np.ones(ends.shape[0], dtype=np.bool_))
+        part = scan.slices_in(self._log_odds.bounds)
+        _refresh_probabilities(
+            self._cells[part],
+            self._log_odds.log_odds[part],
+            self._log_odds.updated_in_scan[part],
+            self._log_odds.scans,
         )
 
-    def finish(self, end: int) -> Submap:
-        """Cut to the cells that some scan met."""
-        # No scan had a point: a submap of one free cell matches nothing, as it should.
-        low, occupancy = self._corner, np.zeros((1, 1), dtype=np.uint8)
-        if self._met is not None:
-            low, high = self._met
-            occupancy = self.occupancy[_part(low - self._corner, high - self._corner)].copy()
-        column, row = low.tolist()
-        resolution_m = self._settings.resolution_m
-        return Submap(
-            first=self.first,
-            end=end,
-            occupancy=occupancy,
-            corner_m=(column * resolution_m, row * resolution_m),
-            resolution_m=resolution_m,
-        )
+    def finish(self, end: NodeId) -> Submap:
+        """Cut to the cells that some scan reached."""
+        reached = self._log_odds.reached
+        if reached is None:
+            # No scan had a point: a submap of one free cell, which matches nothing.
+            cells, corner_m = np.zeros((1, 1), dtype=np.uint8), (0.0, 0.0)
+        else:
+            cells = self._cells[reached.slices_in(self._log_odds.bounds)].copy()
+            corner_m = self._corner_m(reached)
+        grid = ProbabilityGrid(cells, corner_m, self._resolution_m)
+        return Submap(first=self.first, end=end, grid=grid)
 
-    def _is_near(self, places: FloatArray) -> BoolArray:
-        near: BoolArray = ((places >= self._limits[0]) & (places < self._limits[1])).all(axis=-1)
-        return near
+    def _corner_m(self, bounds: CellBounds) -> tuple[float, float]:
+        column, row = bounds.low.tolist()
+        return column * self._resolution_m, row * self._resolution_m
 
-    def _make_room(self, low: IntArray, high: IntArray) -> None:
-        """Have the cells from ``low`` to ``high``, the latter not included, and some about them."""
-        before = self._met
-        if before is not None:
-            low, high = np.minimum(low, before[0]), np.maximum(high, before[1])
-        self._met = low, high
-        end = self._corner + np.array(self.occupancy.shape[::-1])
-        if ((low >= self._corner + _BORDER) & (high <= end - _BORDER)).all():
+    def _is_within_limits(self, places: FloatArray) -> BoolArray:
+        within: BoolArray = ((places >= self._limits[0]) & (places < self._limits[1])).all(axis=-1)
+        return within
+
+    def _reserve(self, scan: CellBounds) -> None:
+        """Have room for a scan's cells, in the log odds and in the probabilities."""
+        reached, bounds = self._log_odds.reached, self._log_odds.bounds
+        if not self._log_odds.reserve(scan):
             return
-        room = np.maximum(_ROOM, (_ROOM_SHARE * (high - low)).astype(np.int64))
-        corner = low - room
-        columns, rows = (high + room - corner).tolist()
-        occupancy = np.zeros((rows, columns), dtype=np.uint8)
-        log_odds = np.full((rows, columns), np.nan)
-        updated_in_scan = np.zeros((rows, columns), dtype=np.int32)
-        if before is not None:
-            old = _part(before[0] - self._corner, before[1] - self._corner)
-            new = _part(before[0] - corner, before[1] - corner)
-            occupancy[new] = self.occupancy[old]
-            log_odds[new] = self._log_odds[old]
-            updated_in_scan[new] = self._updated_in_scan[old]
-        self._corner, self.occupancy = corner, occupancy
-        self._log_odds, self._updated_in_scan = log_odds, updated_in_scan
+        cells = np.zeros(self._log_odds.log_odds.shape, dtype=np.uint8)
+        if reached is not None:
+            cells[reached.slices_in(self._log_odds.bounds)] = self._cells[reached.slices_in(bounds)]
+        self._cells = cells
 
 
-def _part(begin: IntArray, end: IntArray) -> tuple[slice, slice]:
-    """Rows and columns of a grid from a (column, row) to another, the latter not included."""
-    return slice(int(begin[1]), int(end[1])), slice(int(begin[0]), int(end[0]))
+class ActiveSubmaps:
+    """The growing submaps, the older one of which scans are matched with, and the finished ones."""
 
+    def __init__(self, settings: SubmapSettings, key_distance_m: float) -> None:
+        self._settings = settings
+        # Half as much again as key scans can be apart by distance: others are made by rotation.
+        self._travel_m = 1.5 * settings.key_scans * key_distance_m
+        self._growing: list[GrowingSubmap] = []
+        self.finished: list[Submap] = []
 
-def _log_odds(probability: float) -> float:
-    return float(np.log(probability / (1.0 - probability)))
+    @property
+    def matched(self) -> ProbabilityGrid | None:
+        """The older submap's grid, None where there is no submap yet."""
+        return self._growing[0].grid if self._growing else None
+
+    def insert(self, node: NodeId, pose_local_scan: FloatArray, points_m: FloatArray) -> None:
+        """Add a key scan to the growing submaps, finish the older and begin a younger in time."""
+        full = self._settings.key_scans
+        if self._growing and self._growing[0].scans >= full:
+            self.finished.append(self._growing.pop(0).finish(node))
+        if not self._growing or (len(self._growing) == 1 and self._growing[0].scans >= full // 2):
+            self._growing.append(
+                GrowingSubmap(pose_local_scan[:2], node, self._travel_m, self._settings)
+            )
+        for submap in self._growing:
+            submap.add_scan(pose_local_scan, points_m)
+
+    def end_segment(self, node: NodeId) -> None:
+        """Finish the growing submaps: key scan ``node`` and those after it have others."""
+        self.finished += [submap.finish(node) for submap in self._growing]
+        self._growing = []
+
+    def all_until(self, node: NodeId) -> tuple[Submap, ...]:
+        """All submaps, of the key scans before ``node``."""
+        return (*self.finished, *(submap.finish(node) for submap in self._growing))
 
 
 @compiled()
-def _refresh(
-    occupancy: ByteArray, log_odds: FloatArray, updated_in_scan: npt.NDArray[np.int32], scan: int
+def _refresh_probabilities(
+    cells: ByteArray, log_odds: FloatArray, updated_in_scan: npt.NDArray[np.int32], scan: int
 ) -> None:
     """The probability of each cell that the scan has changed."""
-    rows, columns = occupancy.shape
+    rows, columns = cells.shape
     for r in range(rows):
         for c in range(columns):
             if updated_in_scan[r, c] == scan:
-                occupancy[r, c] = int(FULL / (1.0 + np.exp(-log_odds[r, c])) + 0.5)
+                cells[r, c] = int(FULL / (1.0 + np.exp(-log_odds[r, c])) + 0.5)

@@ -1,98 +1,131 @@
-"""What holds a scan in its place: the map, or odometry for a while, or nothing.
+"""The tracking state: what determines each scan's pose in local SLAM.
 
-A scan that fits its submap in one place alone is held. One that fits along a whole corridor is
-held by odometry; without any, the length of the corridor is a guess. One that does not fit, or sees
-nothing, is carried on by odometry for as long as that is good. When the doubt has grown too far, or
-scan after scan contradicts the map, the way is broken: what follows is a map of its own, until a
-loop says where it belongs.
+A scan that fits its submap in one place alone is tracked. One that fits anywhere along a corridor
+needs odometry to be placed along it. One that does not fit, or has no points, is dead-reckoned,
+and its uncertainty grows. When the uncertainty is too large, or scan after scan contradicts the
+map, tracking is lost: a new segment of the trajectory begins, with submaps of its own, until a loop
+closure connects it with the others.
 """
+
+from enum import Enum, auto
 
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray
 
-# After fewer lost scans the next may well fit again.
-_LOST_MIN = 3
-# Blind, a robot may be so much farther off before it needs a new map.
-_BLIND = 3.0
+# Fewer scans in a row without a match do not end a segment: the next may fit again. Empirical.
+_MISMATCHES_MIN = 3
+# Without any points, the next scan with points may find its place again within a wider search, so
+# that so many times the uncertainty is allowed. Empirical.
+_BLIND_FACTOR = 3.0
 
 
-class Hold:
-    """Follows scan after scan; ``part`` counts the breaks.
+class TrackingState(Enum):
+    """What determines a scan's pose.
 
-    ``is_told``: odometry told each step since a scan was held by the map.
+    ``INITIALISING``: there is no submap yet, the scan begins one. ``TRACKING``: it fits its submap
+    in one place alone. ``UNCONSTRAINED``: it fits, but not in one place alone. ``DEAD_RECKONING``:
+    it fits badly or has no points; odometry or constant velocity has brought it here.
+    ``CONTRADICTED``: unlike the scans just before, it does not fit, so that it is not inserted.
+    ``LOST``: the uncertainty was too large, and no scan has been tracked since.
     """
 
-    def __init__(self, lost_m: float, lost_scans: int) -> None:
-        self._lost_m, self._lost_scans = lost_m, lost_scans
-        self._doubt = np.zeros(2)
-        self._contradicting = 0
-        self._lost = 0
-        self.part = 0
-        self.breaks = False
-        self.contradicts = False
-        self.is_adrift = False
-        self.is_told = True
+    INITIALISING = auto()
+    TRACKING = auto()
+    UNCONSTRAINED = auto()
+    DEAD_RECKONING = auto()
+    CONTRADICTED = auto()
+    LOST = auto()
 
     @property
-    def misses(self) -> int:
-        """Scans in a row, up to now, that did not fit."""
-        return self._lost
+    def is_located(self) -> bool:
+        """Whether the pose is known, as far as the segment's first one is."""
+        return self not in (TrackingState.CONTRADICTED, TrackingState.LOST)
+
+
+class TrackingMonitor:
+    """Gives each scan its tracking state, one after the other.
+
+    In all methods ``uncertainty`` is (2,): what the scan's motion adds to the error of its pose
+    without a match, in metres and radians.
+
+    ``segment``: number of the trajectory's segment, one more after each tracking loss.
+    ``is_bridged``: whether odometry has measured all motion since the last scan that was tracked.
+    """
+
+    def __init__(self, uncertainty_max_m: float, contradictions_max: int) -> None:
+        self._uncertainty_max = uncertainty_max_m
+        self._contradictions_max = contradictions_max
+        self._uncertainty = np.zeros(2)
+        self._contradictions = 0
+        self._is_lost = False
+        self.mismatches = 0
+        """Scans with points in a row that did not fit."""
+        self.segment = 0
+        self.is_bridged = True
 
     @property
-    def is_doubtful(self) -> bool:
-        """Whether something was guessed or missed since a scan was held by the map."""
-        return self.is_adrift or bool(self._doubt.any())
+    def is_uncertain(self) -> bool:
+        """Whether some motion was dead-reckoned since the last scan that was tracked."""
+        return self._is_lost or bool(self._uncertainty.any())
 
-    def matched(self, doubt: FloatArray, *, is_held: bool, is_measured: bool) -> None:
-        """The scan fits. ``doubt``: (2,) of the step without it, in metres and radians.
+    def on_match(
+        self, uncertainty: FloatArray, *, is_well_constrained: bool, has_odometry: bool
+    ) -> TrackingState:
+        """The scan fits its submap; ``is_well_constrained``: in one place alone."""
+        self._contradictions = self.mismatches = 0
+        if is_well_constrained:
+            self._uncertainty[:] = 0.0
+            self._is_lost = False
+            self.is_bridged = True
+            return TrackingState.TRACKING
+        self.is_bridged &= has_odometry
+        if not has_odometry:
+            self._uncertainty[0] += uncertainty[0]
+        # A corridor's walls determine the heading.
+        self._uncertainty[1] = 0.0
+        self._lose_beyond(self._uncertainty_max)
+        return TrackingState.LOST if self._is_lost else TrackingState.UNCONSTRAINED
 
-        ``is_held``: it fits in one place alone; ``is_measured``: odometry told the step.
-        """
-        self.breaks = self.contradicts = False
-        self._contradicting = self._lost = 0
-        if is_held:
-            self._doubt[:] = 0.0
-            self.is_adrift = False
-            self.is_told = True
-            return
-        self.is_told &= is_measured
-        if not is_measured:
-            self._doubt[0] += doubt[0]
-        self._doubt[1] = 0.0
-        self._break_beyond(self._lost_m)
+    def on_mismatch(
+        self, uncertainty: FloatArray, *, is_contradiction: bool, has_odometry: bool
+    ) -> TrackingState:
+        """The scan has points and does not fit; ``is_contradiction``: those before it did."""
+        self.is_bridged &= has_odometry
+        self._uncertainty += uncertainty
+        self.mismatches += 1
+        if is_contradiction:
+            self._contradictions += 1
+        if self._contradictions >= self._contradictions_max:
+            self._begin_segment()
+            self._uncertainty[:] = 0.0
+            return TrackingState.LOST if self._is_lost else TrackingState.INITIALISING
+        if self.mismatches >= _MISMATCHES_MIN and self._lose_beyond(self._uncertainty_max):
+            return TrackingState.LOST
+        if is_contradiction:
+            return TrackingState.CONTRADICTED
+        return TrackingState.LOST if self._is_lost else TrackingState.DEAD_RECKONING
 
-    def missed(self, doubt: FloatArray, *, contradicts: bool, is_measured: bool) -> None:
-        """The scan has points and does not fit; ``contradicts``: all of a sudden."""
-        self.breaks = False
-        self.contradicts = contradicts
-        self.is_told &= is_measured
-        self._doubt += doubt
-        self._lost += 1
-        if contradicts:
-            self._contradicting += 1
-        if self._contradicting >= self._lost_scans:
-            self._begin_part()
-            self._doubt[:] = 0.0
-        elif self._lost >= _LOST_MIN:
-            self._break_beyond(self._lost_m)
+    def on_no_match(
+        self, uncertainty: FloatArray, *, has_submap: bool, has_odometry: bool
+    ) -> TrackingState:
+        """The scan has too few points, or there is no submap to match it with."""
+        self.is_bridged &= has_odometry
+        if has_submap:
+            self._uncertainty += uncertainty
+            self._lose_beyond(_BLIND_FACTOR * self._uncertainty_max)
+        if self._is_lost:
+            return TrackingState.LOST
+        return TrackingState.DEAD_RECKONING if has_submap else TrackingState.INITIALISING
 
-    def carried(self, doubt: FloatArray, *, is_lost: bool, is_measured: bool) -> None:
-        """The scan has no points, or there is no map yet; ``is_lost`` if there was one."""
-        self.breaks = self.contradicts = False
-        self.is_told &= is_measured
-        if is_lost:
-            self._doubt += doubt
-            # The next that has some finds its place again, unless it is too far from there.
-            self._break_beyond(_BLIND * self._lost_m)
+    def _lose_beyond(self, uncertainty_max: float) -> bool:
+        """Whether tracking is lost with this scan; while it is lost, no further segment begins."""
+        if self._is_lost or not (self._uncertainty > uncertainty_max).any():
+            return False
+        self._begin_segment()
+        self._is_lost = True
+        return True
 
-    def _break_beyond(self, doubt_max: float) -> None:
-        if not self.is_adrift and (self._doubt > doubt_max).any():
-            self._begin_part()
-            self.is_adrift = True
-
-    def _begin_part(self) -> None:
-        self.part += 1
-        self.breaks = True
-        self.contradicts = False
-        self._contradicting = self._lost = 0
+    def _begin_segment(self) -> None:
+        self.segment += 1
+        self._contradictions = self.mismatches = 0

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fusion_core.model.conventions import BoolArray, IntArray
-from fusion_core.slam.local_slam import LocalTrajectory
+from fusion_core.slam.local_trajectory import LocalTrajectory
 from fusion_core.slam.pose_graph import Edge
 
 # Key scans. Who sees the floor for a while begins a map of it.

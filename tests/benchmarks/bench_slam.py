@@ -26,7 +26,7 @@ from fusion_core.model.trajectory import Trajectory
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.relation_file import read_relations
 from fusion_core.recordings.topics import choose_streams
-from fusion_core.slam.particle_filter import ParticleResult, particle_filter_slam
+from fusion_core.slam.particle_filter_slam import ParticleResult, particle_filter_slam
 from fusion_core.slam.pose_graph_slam import SlamResult, pose_graph_slam
 from fusion_core.workflows.recorded_poses import recorded_poses
 

@@ -157,10 +157,10 @@ def test_memory_follows_the_area_and_not_the_number_of_scans() -> None:
     scans = random_scans(0, 20)
     for scan in scans:
         builder.add_scan(*scan)
-    size = builder._log_odds.size
+    size = builder._grid.log_odds.size
     for scan in scans * 20:
         builder.add_scan(*scan)
-    assert builder._log_odds.size == size
+    assert builder._grid.log_odds.size == size
 
 
 @pytest.mark.parametrize("x_m", [2e4, 1e30, -1e300])
@@ -182,7 +182,8 @@ def test_room_to_grow_does_not_count_as_map() -> None:
     for scan in scans:
         free.add_scan(*scan)
     drawn = free.build()
-    reached = free._reached.size
+    assert free._grid.reached is not None
+    reached = free._grid.reached.size
     tight = GridBuilder(SETTINGS.model_copy(update={"cells_max": reached}))
     for scan in scans:
         tight.add_scan(*scan)

@@ -6,15 +6,19 @@ import pytest
 from fusion_core.model.planar_poses import compose_poses, transform_planar_points
 from fusion_core.slam.particle_maps import OCCUPANCY, add_scan
 from fusion_core.slam.particle_proposal import MotionModel, log_likelihoods, propose
-from fusion_core.slam.scan_to_grid import INFORMATION_OF_A_SCAN
+from fusion_core.slam.scan_to_grid import INFORMATION_OF_A_SCAN, LatticeSearch, ProbabilityGrid
 from tests.benchmarks.scan_matching_room import WALLS, cast, rectangle
 
 RESOLUTION_M = 0.05
 CORNER_M = (-1.0, -1.0)
 MOTION = MotionModel(sigma_m=0.04, sigma_rad=0.02)
 TRUTH = np.array([5.6, 4.1, 0.3])
-SEARCH = (0.15, 0.06)
+SEARCH = LatticeSearch(translation_m=0.15, rotation_rad=0.06, prior_weight=(1.0, 1.0))
 CORRIDOR = rectangle((5.5, 4.0), (400.0, 2.0), 0.0)
+
+
+def in_place(cells):
+    return ProbabilityGrid(cells, CORNER_M, RESOLUTION_M)
 
 
 def points_of(walls, pose, rng, beams=180, reach_m=20.0):
@@ -45,9 +49,7 @@ def room():
 
 def proposed(occupancy, points_m, predicted, motion=MOTION, occupancy_min=0.3):
     return propose(
-        occupancy,
-        CORNER_M,
-        RESOLUTION_M,
+        in_place(occupancy),
         points_m,
         predicted,
         motion,
@@ -61,7 +63,7 @@ def brute_force(occupancy, points_m, predicted, motion, centre, reach, count=31)
     axes = [c + np.linspace(-r, r, count) for c, r in zip(centre, reach, strict=True)]
     poses = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     sigmas = np.array([motion.sigma_m, motion.sigma_m, motion.sigma_rad])
-    log = log_likelihoods(occupancy, *CORNER_M, RESOLUTION_M, points_m, poses)
+    log = log_likelihoods(in_place(occupancy), points_m, poses)
     log -= 0.5 * (((poses - predicted) / sigmas) ** 2).sum(axis=1)
     log -= np.log((2.0 * np.pi) ** 1.5 * sigmas.prod())
     weights = np.exp(log - log.max())
@@ -105,7 +107,7 @@ def test_the_likelihood_is_as_defined(room):
     rng = np.random.default_rng(3)
     points_m = points_of(WALLS, TRUTH, rng)
     poses = TRUTH + rng.normal(0.0, [0.05, 0.05, 0.02], (20, 3))
-    found = log_likelihoods(room, *CORNER_M, RESOLUTION_M, points_m, poses)
+    found = log_likelihoods(in_place(room), points_m, poses)
     for pose, value in zip(poses, found, strict=True):
         at = (transform_planar_points(pose, points_m) - CORNER_M) / RESOLUTION_M - 0.5
         along_y = keys(at[:, 1:] - np.arange(room.shape[0]))

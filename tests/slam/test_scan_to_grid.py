@@ -7,12 +7,28 @@ from fusion_core.model.planar_poses import compose_poses, transform_planar_point
 from fusion_core.slam.scan_to_grid import (
     FULL,
     INFORMATION_OF_A_SCAN,
+    LatticeSearch,
+    ProbabilityGrid,
     correlative_match,
     interpolate,
     match_scan,
 )
 
 RESOLUTION_M = 0.05
+
+
+def at_origin(cells):
+    return ProbabilityGrid(cells, (0.0, 0.0), RESOLUTION_M)
+
+
+def search(prior_weight):
+    return LatticeSearch(
+        translation_m=0.2,
+        rotation_rad=0.1,
+        step_rad=0.02,
+        prior_weight=prior_weight,
+        point_stride=1,
+    )
 
 
 def field(grid, x, y):
@@ -84,7 +100,7 @@ def test_a_scan_is_found_where_it_is(seed):
     points_m = box_points(truth)
     truth = truth + np.array([*corner_m, 0.0])
     start = truth + rng.uniform(-1.0, 1.0, 3) * [0.05, 0.05, 0.02]
-    match = match_scan(box_grid(), corner_m, RESOLUTION_M, points_m, start)
+    match = match_scan(ProbabilityGrid(box_grid(), corner_m, RESOLUTION_M), points_m, start)
     np.testing.assert_allclose(match.pose_grid_scan, truth, atol=5e-4)
     assert match.occupancy == pytest.approx(230 / 255, abs=0.02)
 
@@ -95,9 +111,7 @@ def test_no_pose_nearby_costs_less():
     points_m = box_points(truth) + rng.normal(0.0, 0.02, (box_points(truth).shape[0], 2))
     predicted, sigma = truth + np.array([0.04, -0.02, 0.01]), (0.1, 0.05)
     grid = box_grid()
-    match = match_scan(
-        grid, (0.0, 0.0), RESOLUTION_M, points_m, predicted, predicted=predicted, prior_sigma=sigma
-    )
+    match = match_scan(at_origin(grid), points_m, predicted, predicted=predicted, prior_sigma=sigma)
 
     def cost(pose):
         cells = transform_planar_points(pose, points_m) / RESOLUTION_M
@@ -127,9 +141,7 @@ def test_a_corridor_leaves_its_length_open():
     points_m = (walls - [0.0, middle_m]) @ np.array([[c, -s], [s, c]])
     predicted = pose + np.array([0.03, 0.02, 0.0])
     match = match_scan(
-        grid,
-        (0.0, 0.0),
-        RESOLUTION_M,
+        at_origin(grid),
         points_m,
         predicted,
         predicted=predicted,
@@ -148,18 +160,14 @@ def test_the_window_finds_the_best_of_all_its_poses():
     truth = np.array([3.0, 2.0, 0.0])
     points_m = box_points(truth)
     predicted = compose_poses(truth, np.array([0.1, -0.15, 0.06]))
-    found = correlative_match(
-        grid, 0.0, 0.0, RESOLUTION_M, points_m, predicted, (0.2, 0.1), 0.02, (0.0, 0.0)
-    )
+    found = correlative_match(at_origin(grid), points_m, predicted, search((0.0, 0.0)))
     np.testing.assert_allclose(found[:2], truth[:2], atol=RESOLUTION_M)
     assert found[2] == pytest.approx(0.0, abs=0.021)
-    cautious = correlative_match(
-        grid, 0.0, 0.0, RESOLUTION_M, points_m, predicted, (0.2, 0.1), 0.02, (1e3, 1e3)
-    )
+    cautious = correlative_match(at_origin(grid), points_m, predicted, search((1e3, 1e3)))
     assert (cautious == predicted).all()
 
 
 @pytest.mark.parametrize("shape", [(0, 2), (5, 3), (5,)])
 def test_points_that_are_none_are_refused(shape):
     with pytest.raises(ValueError, match="points_m must be"):
-        match_scan(box_grid(), (0.0, 0.0), RESOLUTION_M, np.zeros(shape), np.zeros(3))
+        match_scan(at_origin(box_grid()), np.zeros(shape), np.zeros(3))

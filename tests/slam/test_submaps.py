@@ -33,11 +33,11 @@ def test_it_is_the_grid_of_its_scans(step_m):
         )
     finished, expected = submap.finish(13), builder.build()
     assert (finished.first, finished.end) == (7, 13)
-    assert finished.corner_m == pytest.approx(expected.origin_m)
+    assert finished.grid.corner_m == pytest.approx(expected.origin_m)
     probability = np.where(expected.known, expected.probability, 0.0)
-    assert finished.occupancy.shape == probability.shape
+    assert finished.grid.cells.shape == probability.shape
     # An end point that lies on a cell's border by rounding may fall to either side.
-    apart = np.abs(finished.occupancy / 255.0 - probability) > 0.003
+    apart = np.abs(finished.grid.cells / 255.0 - probability) > 0.003
     assert apart.mean() < 1e-3
 
 
@@ -55,15 +55,15 @@ def test_a_match_does_not_feel_where_the_grid_ends():
     """Cells at the very edge of what was met have the same neighbourhood as any other."""
     submap = GrowingSubmap(np.zeros(2), 0, 1.0, SETTINGS)
     submap.add_scan(np.zeros(3), np.array([[2.0, 0.0], [0.0, 3.0], [-2.5, 0.0], [0.0, -1.5]]))
-    rows, columns = np.nonzero(submap.occupancy)
-    shape = submap.occupancy.shape
+    rows, columns = np.nonzero(submap.grid.cells)
+    shape = submap.grid.cells.shape
     assert min(rows.min(), columns.min()) >= 3
     assert shape[0] - 1 - rows.max() >= 3
     assert shape[1] - 1 - columns.max() >= 3
     # Scans that come to the very end of the room that was left: it grows by as much again.
     submap.add_scan(np.zeros(3), np.array([[4.9, 0.0]]))
-    rows, columns = np.nonzero(submap.occupancy)
-    assert submap.occupancy.shape[1] - 1 - columns.max() >= 3
+    rows, columns = np.nonzero(submap.grid.cells)
+    assert submap.grid.cells.shape[1] - 1 - columns.max() >= 3
 
 
 def test_what_it_cannot_hold_is_left_out():
@@ -78,5 +78,5 @@ def test_without_a_point_it_is_one_free_cell():
     submap = GrowingSubmap(np.zeros(2), 0, 1.0, SETTINGS)
     submap.add_scan(np.zeros(3), np.zeros((0, 2)))
     finished = submap.finish(1)
-    assert finished.occupancy.shape == (1, 1)
+    assert finished.grid.cells.shape == (1, 1)
     assert finished.obstacles_m().size == 0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fusion_core.slam.local_slam import LocalTrajectory
+from fusion_core.slam.local_trajectory import LocalTrajectory
 from fusion_core.slam.pose_graph import Edge
 from fusion_core.slam.tracking_losses import TrackingLosses
 
@@ -16,12 +16,11 @@ def trajectory(part, told=()):
     return LocalTrajectory(
         stamps_ns=np.arange(40),
         poses_local_scan=np.zeros((40, 3)),
-        occupancy=np.ones(40),
+        is_trusted=np.ones(40, dtype=np.bool_),
         key_scans=np.arange(40),
         node_points_m=[np.zeros((1, 2))] * 40,
         segment=part,
         is_bridged=is_told,
-        adrift=np.zeros(40, dtype=np.bool_),
         submaps=[],
     )
 

@@ -12,7 +12,7 @@ from fusion_core.model.geometry import interpolate_pose
 from fusion_core.model.planar_poses import PosePrior
 from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import SlamObserver
-from fusion_core.slam.particle_filter import ParticleResult, particle_filter_slam
+from fusion_core.slam.particle_filter_slam import ParticleResult, particle_filter_slam
 from fusion_core.slam.pose_graph_slam import SlamResult, pose_graph_slam
 from fusion_core.workflows.map.scan_source import ScanSource
 from fusion_core.workflows.map.settings import MapSettings

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S, BoolArray, FloatArray, IntArray
-from fusion_core.slam.particle_filter import ParticleResult
+from fusion_core.slam.particle_filter_slam import ParticleResult
 from fusion_core.slam.pose_graph_slam import SlamResult
 from fusion_core.workflows.map.estimators import PlacedScans
 

@@ -13,7 +13,7 @@ from fusion_core.mapping import virtual_scan
 from fusion_core.mapping.virtual_scan import VirtualScanSettings
 from fusion_core.motion.fusion import FusionSettings
 from fusion_core.slam.joint_refinement import RefinementSettings
-from fusion_core.slam.particle_set import ParticleSettings
+from fusion_core.slam.particle_filter import ParticleSettings
 from fusion_core.slam.pose_graph_slam import SlamSettings
 from fusion_core.workflows.fuse.settings import (
     PRESETS,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion_core.slam.particle_set import effective_number, systematic_resample
+from fusion_core.slam.particle_filter import effective_number, systematic_resample
 
 WEIGHTS = st.lists(st.floats(0.0, 1.0), min_size=1, max_size=40).filter(lambda w: sum(w) > 1e-3)
 

@@ -15,10 +15,12 @@ from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.relation_file import read_relations
 from fusion_core.recordings.topics import choose_streams
 from fusion_core.slam.interpolate_poses import interpolate_poses
-from fusion_core.slam.local_slam import LocalSlamSettings
-from fusion_core.slam.particle_filter import ParticleSettings, particle_filter_slam
-from fusion_core.slam.particle_odometry import ScanMatchedOdometry
-from fusion_core.slam.particle_set import effective_number
+from fusion_core.slam.local_slam import LocalSlam, LocalSlamSettings
+from fusion_core.slam.particle_filter import (
+    ParticleSettings,
+    effective_number,
+    particle_filter_slam,
+)
 from fusion_core.slam.submaps import SubmapSettings
 from fusion_core.workflows.recorded_poses import recorded_poses
 from tests.benchmarks.scan_matching_room import WALLS as ROOM
@@ -48,9 +50,9 @@ def short(ring):
 
 
 def scan_matched(ring):
-    odometry = ScanMatchedOdometry(LocalSlamSettings(), SubmapSettings())
-    placed = [odometry.place(scan, ring.prior(scan.stamp_ns)) for scan in ring.scans]
-    return np.array([local.pose_local_scan for local in placed])
+    slam = LocalSlam(LocalSlamSettings(), SubmapSettings())
+    placed = [slam.add_scan(scan, ring.prior(scan.stamp_ns)) for scan in ring.scans]
+    return np.array([tracked.pose_local_scan for tracked in placed])
 
 
 def test_a_loop_closes(ring, closed):

@@ -1,0 +1,125 @@
+"""Log odds on a grid that grows with what the scans reach: the one that final maps and submaps use.
+
+A cell's log odds l = log(p / (1 - p)) start at 0 and are changed by addition (Moravec & Elfes 1985;
+Hess et al. 2016, eqs. 2 and 3 in odds), so that a scan costs a sum in each cell.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fusion_core.mapping.rays import update_cells
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
+
+# Cells of room on each side when a grid grows, and as fractions of its side: as much as fits.
+_ROOM_MIN, _ROOM_DIVISORS = 60, (4, 16, 64)
+
+
+def log_odds(probability: float) -> float:
+    """log(p / (1 - p)), for p in (0, 1)."""
+    return float(np.log(probability / (1.0 - probability)))
+
+
+class LogOddsUpdate(NamedTuple):
+    """What a hit and a pass add to a cell, and the limits of its log odds."""
+
+    hit: float
+    miss: float
+    lowest: float
+    highest: float
+
+
+class CellBounds(NamedTuple):
+    """Whole cells, (column, row) from ``low`` (included) to ``high`` (not included), (2,) each."""
+
+    low: IntArray
+    high: IntArray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        columns, rows = (self.high - self.low).tolist()
+        return rows, columns
+
+    @property
+    def size(self) -> int:
+        """Number of cells."""
+        rows, columns = self.shape
+        return rows * columns
+
+    def union(self, other: "CellBounds") -> "CellBounds":
+        """The smallest bounds that hold both."""
+        return CellBounds(np.minimum(self.low, other.low), np.maximum(self.high, other.high))
+
+    def padded(self, cells: "int | IntArray") -> "CellBounds":
+        """Wider by so many cells on each side."""
+        return CellBounds(self.low - cells, self.high + cells)
+
+    def holds(self, other: "CellBounds") -> bool:
+        """Whether all of the other cells are among these."""
+        return bool((other.low >= self.low).all() and (other.high <= self.high).all())
+
+    def slices_in(self, other: "CellBounds") -> tuple[slice, slice]:
+        """Rows and columns of these cells in an array that covers ``other``."""
+        column, row = (self.low - other.low).tolist()
+        rows, columns = self.shape
+        return slice(row, row + rows), slice(column, column + columns)
+
+
+class GrowingGrid:
+    """A grid of log odds, NaN where unknown. Memory follows the area, not the number of scans.
+
+    ``bounds``: of the arrays. ``reached``: of the cells that were reserved, None before the first.
+    ``log_odds``: (rows, columns). ``border``: cells that are kept about those that were reserved.
+    ``cells_max``: the room to grow ends where the arrays would have more cells.
+    """
+
+    def __init__(
+        self, update: LogOddsUpdate, *, border: int = 0, cells_max: float = np.inf
+    ) -> None:
+        self._update, self._border, self._cells_max = update, border, cells_max
+        self.bounds = CellBounds(np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64))
+        self.reached: CellBounds | None = None
+        self.log_odds: FloatArray = np.empty((0, 0))
+        self.updated_in_scan: npt.NDArray[np.int32] = np.empty((0, 0), dtype=np.int32)
+        self.scans = 0
+
+    def reserve(self, needed: CellBounds) -> bool:
+        """Have room for more cells; whether the arrays had to be replaced by larger ones."""
+        before = self.reached
+        if before is not None:
+            needed = needed.union(before)
+        self.reached = needed
+        if before is not None and self.bounds.holds(needed.padded(self._border)):
+            return False
+        side = needed.high - needed.low
+        wider = (needed.padded(np.maximum(_ROOM_MIN, side // d)) for d in _ROOM_DIVISORS)
+        bounds = next((b for b in wider if b.size <= self._cells_max), needed)
+        cells = np.full(bounds.shape, np.nan)
+        updated_in_scan = np.zeros(bounds.shape, dtype=np.int32)
+        if before is not None:
+            new, old = before.slices_in(bounds), before.slices_in(self.bounds)
+            cells[new] = self.log_odds[old]
+            updated_in_scan[new] = self.updated_in_scan[old]
+        self.bounds, self.log_odds, self.updated_in_scan = bounds, cells, updated_in_scan
+        return True
+
+    def add_scan(self, origin: FloatArray, ends: FloatArray, is_hit: BoolArray) -> None:
+        """Update the cells along a scan's rays; all of them lie in what was reserved.
+
+        ``origin``: (2,) and ``ends``: (n, 2) x, y in cell units. ``is_hit``: (n,), False where a
+        ray ends without an obstacle.
+        """
+        self.scans += 1
+        column, row = self.bounds.low.tolist()
+        update_cells(
+            self.log_odds,
+            self.updated_in_scan,
+            (row, column),
+            self.scans,
+            origin,
+            ends,
+            is_hit,
+            self._update,
+        )
