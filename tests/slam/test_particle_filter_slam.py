@@ -16,11 +16,8 @@ from fusion_core.recordings.relation_file import read_relations
 from fusion_core.recordings.topics import choose_streams
 from fusion_core.slam.interpolate_poses import interpolate_poses
 from fusion_core.slam.local_slam import LocalSlam, LocalSlamSettings
-from fusion_core.slam.particle_filter import (
-    ParticleSettings,
-    effective_number,
-    particle_filter_slam,
-)
+from fusion_core.slam.particle_filter import ParticleSettings, effective_number
+from fusion_core.slam.particle_filter_slam import particle_filter_slam
 from fusion_core.slam.submaps import SubmapSettings
 from fusion_core.workflows.recorded_poses import recorded_poses
 from tests.benchmarks.scan_matching_room import WALLS as ROOM
