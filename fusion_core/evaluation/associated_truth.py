@@ -69,7 +69,7 @@ class TrueCamera:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssociatedTruth:
-    """What both files together say. ``cameras`` are in the folder's order.
+    """The truth of what a folder's results were made of. ``cameras`` are in the folder's order.
 
     ``beam_angle_rad``: (N,) azimuth of each beam.
     """
@@ -94,7 +94,7 @@ class AssociatedTruth:
 
 
 def associate_truth(truth: Truth, folder: FuseFolder) -> AssociatedTruth:
-    """Join the two. What the truth does not know of angles and intrinsics, the recording says.
+    """Join the two. Angles and intrinsics that the truth lacks are those of the recording.
 
     Raises ScanLoomError where they do not belong together, or where the truth knows no mount.
     """
@@ -166,7 +166,7 @@ def _beam_angles_rad(truth: Truth, folder: FuseFolder) -> FloatArray:
 
 
 def indices_of_stamps(known_ns: IntArray, stamp_ns: IntArray, what: str, file: Path) -> IntArray:
-    """Where each stamp stands in ``known_ns``, which may be in any order."""
+    """Index of each stamp in ``known_ns``, which may be in any order; exact matches alone."""
     order = np.argsort(known_ns, kind="stable")
     place = np.searchsorted(known_ns, stamp_ns, sorter=order)
     found = place < known_ns.size

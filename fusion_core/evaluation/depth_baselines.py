@@ -1,4 +1,4 @@
-"""What common hole filling would have put into a depth image: the rivals of a repair."""
+"""Baselines of a depth repair: common ways to fill holes."""
 
 import cv2
 import numpy as np
@@ -7,9 +7,10 @@ from scipy.ndimage import distance_transform_edt
 from fusion_core.model.conventions import BoolArray, Float32Array, FloatArray, IntArray
 
 _MM_PER_M = 1000.0
+# The radius in OpenCV's own example of Telea 2004.
 _TELEA_RADIUS_PX = 3.0
 _MARGIN_ROWS = 32
-"""Rows above and below the asked ones that inpainting reads: it works inwards from the rim."""
+"""Rows above and below the wanted ones that inpainting reads: it works inwards from the rim."""
 
 BASELINES = ("inpaint", "nearest")
 
@@ -17,9 +18,9 @@ BASELINES = ("inpaint", "nearest")
 def fill_by_baselines(
     depth_m: Float32Array, row: IntArray, column: IntArray
 ) -> dict[str, FloatArray]:
-    """Depth that each of RIVALS gives at pixels (row, column) of a raw image, NaN for missing.
+    """Depth that each of BASELINES gives at pixels (row, column) of a raw image, NaN for missing.
 
-    A pixel with a raw value keeps it: the rivals have no labels. NaN where nothing is valid.
+    A pixel with a raw value keeps it: the baselines know no labels. NaN where nothing is valid.
     """
     missing = ~np.isfinite(depth_m)
     if missing.all():

@@ -54,7 +54,7 @@ class RecordedCamera:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FuseFolder:
-    """An opened result folder. ``alignment`` is alignment.json as it stands."""
+    """An opened result folder. ``alignment`` is the content of alignment.json."""
 
     path: Path
     alignment: dict[str, Any]

@@ -24,7 +24,7 @@ BAND_M = 0.15
 _END_M = 0.1
 _END_FRACTION = 0.2
 _CELLS_MIN = 4
-# Cells on less than this share of a face tell little of its direction.
+# Cells along less than this fraction of a face do not determine its direction.
 _SPAN_FRACTION_MIN = 0.3
 _ITERATIONS = 30
 # A face's free side is the one with more free cells within this distance.
@@ -139,8 +139,8 @@ def fit_face(face_m: FloatArray, cells: MapCells) -> tuple[FloatArray, FloatArra
 
     def beside(points_m: FloatArray, band_m: float) -> tuple[FloatArray, FloatArray]:
         """Those of the points (N, 2) near the face, and how far they are to its left."""
-        reach, off = (points_m - face_m[0]) @ along, (points_m - face_m[0]) @ normal
-        near = (np.abs(off) <= band_m) & (reach >= end_m) & (reach <= length_m - end_m)
+        along_m, off = (points_m - face_m[0]) @ along, (points_m - face_m[0]) @ normal
+        near = (np.abs(off) <= band_m) & (along_m >= end_m) & (along_m <= length_m - end_m)
         return points_m[near], off[near]
 
     occupied_m, off_m = beside(cells.occupied_m, BAND_M)
@@ -151,8 +151,8 @@ def fit_face(face_m: FloatArray, cells: MapCells) -> tuple[FloatArray, FloatArra
         gap_m, _ = cKDTree(free_m).query(next_m)
         is_front = np.asarray(gap_m) <= _NEXT_CELLS * cells.resolution_m
         occupied_m, off_m = occupied_m[is_front], off_m[is_front]
-    reach_m = (occupied_m - face_m[0]) @ along
-    if len(occupied_m) < _CELLS_MIN or np.ptp(reach_m) < _SPAN_FRACTION_MIN * length_m:
+    along_m = (occupied_m - face_m[0]) @ along
+    if len(occupied_m) < _CELLS_MIN or np.ptp(along_m) < _SPAN_FRACTION_MIN * length_m:
         return None
     point = face_m[0] + _mode_m(off_m, cells.resolution_m) * normal
     direction: FloatArray = along

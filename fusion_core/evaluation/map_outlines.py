@@ -2,7 +2,7 @@
 
 S2 is the length of the obstacles' outlines, sampled every centimetre; S1 is that of the samples
 which are found: an occupied cell's middle lies within one cell and 2 cm of them. The paper counts
-by hand in a picture; beside its rate stand those over what the sensors could see at all.
+by hand in a picture; its rate is given over all outlines, and over what the sensors could see.
 """
 
 from collections.abc import Sequence
@@ -37,7 +37,7 @@ class ObstacleDetection:
         read_only(self.visible)
 
     def to_json(self) -> dict[str, Any]:
-        """Lengths and shares; a share of nothing is null."""
+        """Lengths and rates; the rate of no length is null."""
         return {"name": self.name, **_detection_rates([self])}
 
 
@@ -51,7 +51,7 @@ class OutlineReport:
     false_cells: int
 
     def to_json(self) -> dict[str, Any]:
-        """The rates over all obstacles, the share of false obstacles, then each obstacle."""
+        """The rates over all obstacles, the fraction of false obstacles, then each obstacle."""
         return {
             **_detection_rates(self.obstacles),
             "reach_m": self.tolerance_m,
@@ -101,7 +101,7 @@ def _detect_obstacle(obstacle: ObstacleOutline, found: BoolArray) -> ObstacleDet
 
 
 def _is_near(points_m: FloatArray, others_m: FloatArray, tolerance_m: float) -> BoolArray:
-    """(N,): whether any of the others (M, 2) lies within reach of each point (N, 2)."""
+    """(N,): whether any of the others (M, 2) lies within the tolerance of each point (N, 2)."""
     if len(others_m) == 0 or len(points_m) == 0:
         return np.zeros(len(points_m), dtype=np.bool_)
     # The tree leaves out what lies at the bound itself.
@@ -113,7 +113,7 @@ def _is_near(points_m: FloatArray, others_m: FloatArray, tolerance_m: float) -> 
 
 def _detection_rates(obstacles: Sequence[ObstacleDetection]) -> dict[str, Any]:
     """Lengths of all, seen and found outline, and (10) over each of them."""
-    # A sample stands for its share of its own outline's length.
+    # The weight of a sample is its part of its outline's length.
     weights = np.concatenate([np.full(o.found.size, o.length_m / o.found.size) for o in obstacles])
     found = np.concatenate([o.found for o in obstacles])
     seen = np.concatenate([o.visible for o in obstacles], axis=1)

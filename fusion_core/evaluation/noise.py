@@ -1,6 +1,6 @@
-"""How well noise was told from good samples: recalls over pairs of a beam and a pixel.
+"""Classification of noise: recalls over pairs of a beam and a pixel (ξ and η of Xu 2024).
 
-Holes tell themselves by their value and are reported apart.
+Holes are classified by their value and reported apart.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """How far odometry drifts, relative to the path: what a person expects of a metre travelled.
 
-Over straight stretches as Li 2022 has it (Table 5: the sum of |estimated - true distance| over the
-sum of true distances), over the whole path, and over all its stretches of one length (Geiger et al.
+Over straight segments as Li 2022 has it (Table 5: the sum of |estimated - true distance| over the
+sum of true distances), over the whole path, and over all its segments of one length (Geiger et al.
 2012, "Are we ready for autonomous driving?"), which one early error of heading does not spoil.
 """
 
@@ -26,7 +26,7 @@ from fusion_core.model.trajectory import Trajectory
 
 SEGMENT_M = 1.0
 STRAIGHT_MIN_M = 1.0
-"""Of a shorter way millimetres of noise are a large share, and every curve is straight."""
+"""On a shorter segment millimetres of noise weigh much, and every curve looks straight."""
 # A robot steered by hand goes no straighter.
 _LATERAL_MAX_M = 0.1
 _LATERAL_RATIO_MAX = 0.06
@@ -36,7 +36,7 @@ _DETOUR_FLOOR_M = 0.005
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StraightSegments:
-    """Distances between the ends of straight stretches, one after another: Li 2022, Table 5.
+    """Distances between the ends of straight segments, one after another: Li 2022, Table 5.
 
     ``true_m``, ``estimated_m``: (K,), K >= 0. ``begin_ns``: (K,) where each begins.
     """
@@ -51,7 +51,7 @@ class StraightSegments:
 
     @property
     def error(self) -> float | None:
-        """Σ |estimated - true| / Σ true, None where no stretch is straight."""
+        """Σ |estimated - true| / Σ true, None where no segment is straight."""
         if not self.true_m.size:
             return None
         return float(np.abs(self.estimated_m - self.true_m).sum() / self.true_m.sum())
@@ -70,9 +70,9 @@ class StraightSegments:
 class OdometryReport:
     """Drift of planar odometry over ``path_m`` metres of the reference.
 
-    ``estimated_path_m`` is what the odometry says of the same time. ``straight``: Li's distances.
-    ``end``: error of the last pose when the first ones coincide. ``stretches``: errors over all
-    stretches of ``stretch_m``.
+    ``estimated_path_m``: the length by the odometry over the same time. ``straight``: Li's
+    distances. ``end``: error of the last pose when the first ones coincide. ``segments``: errors
+    over all segments of ``segment_m``.
     """
 
     path_m: float
@@ -113,8 +113,8 @@ def evaluate_odometry(
     Distances are summed from pose to pose of the estimate: a reference with noise should not be
     much finer than its noise.
 
-    Raises SettingsError for a stretch or gap that is not positive, ScanLoomError where no poses can
-    be compared, or the reference is shorter than a stretch.
+    Raises SettingsError for a segment or gap that is not positive, ScanLoomError where no poses can
+    be compared, or the reference is shorter than a segment.
     """
     step = Step(delta=segment_m, unit="m")
     pairs = associate(estimate, reference, max_gap_s)
@@ -141,9 +141,9 @@ def evaluate_odometry(
 def find_straight_segments(
     pairs: PosePairs, *, least_m: float = STRAIGHT_MIN_M
 ) -> StraightSegments:
-    """The reference's straight stretches, from one turn to the next, measured end to end.
+    """The reference's straight segments, from one turn to the next, measured end to end.
 
-    A stretch goes on as long as it stays within 10 cm of the line between its ends and is at most
+    A segment grows as long as it stays within 10 cm of the line between its ends and is at most
     5 % longer. It counts if that line has ``least_m`` and what it strays is at most 6 % of it, so
     that a piece of a circle does not. ``pairs`` hold planar poses.
     """

@@ -68,9 +68,9 @@ def interpolate_poses(
         near = gap_ns <= max_gap_ns
         known[known] = near
         asked_ns, before, after, gap_ns = (a[near] for a in (asked_ns, before, after, gap_ns))
-    share = (asked_ns - own_ns[before]) / np.maximum(gap_ns, 1)
+    fraction = (asked_ns - own_ns[before]) / np.maximum(gap_ns, 1)
     return _interpolate_between(
-        trajectory.T_map_body[before], trajectory.T_map_body[after], share
+        trajectory.T_map_body[before], trajectory.T_map_body[after], fraction
     ), known
 
 

@@ -11,7 +11,7 @@ from fusion_core.model.errors import ScanLoomError, SettingsError
 StepUnit = Literal["s", "m", "frames"]
 
 STEP_TOLERANCE = 0.1
-"""How far a pair may be from the step, as a share of it. A gap in an estimate is no step."""
+"""How far a pair may be from the step, as a fraction of it. A gap in an estimate is no step."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +61,7 @@ def pairs_of_step(stamps_ns: IntArray, path_m: FloatArray, step: Step) -> tuple[
 
 def _nearest_pairs(place: FloatArray, delta: float) -> tuple[IntArray, IntArray]:
     target = place + delta
-    # The first of equal places on either side of the target: a robot that stands stays there.
+    # The first of equal places on either side of the target, as of a robot that does not move.
     after = np.minimum(np.searchsorted(place, target), place.size - 1)
     before = np.searchsorted(place, place[np.maximum(after - 1, 0)])
     is_before = np.abs(place[before] - target) <= np.abs(place[after] - target)

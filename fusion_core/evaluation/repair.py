@@ -1,17 +1,17 @@
 """How well holes and burrs were repaired, against the truth and against plain interpolation.
 
 *LiDAR*: beams inside the camera's view (the rows of samples.parquet) with a true range within
-``range_max_m`` that are holes or burrs in truth. The rival is linear interpolation over the scan's
-own raw valid beams; it has no labels, so a burr is valid to it. The folder has raw ranges inside
-the view alone; outside of it the rival reads the true ranges of the good beams, which can only
-serve it.
+``range_max_m`` that are holes or burrs in truth. The baseline is linear interpolation over the
+scan's own raw valid beams; it has no labels, so a burr is valid to it. The folder has raw ranges
+inside the view alone; outside of it the baseline reads the true ranges of the good beams, which can
+only improve it.
 
-*Depth*: paired pixels that are holes or burrs in truth, along the optical axis. The rivals are
+*Depth*: paired pixels that are holes or burrs in truth, along the optical axis. The baselines are
 ``cv2.inpaint`` (Telea) and the nearest valid pixel, on the raw image that the caller hands in.
 
 Errors are taken over the samples that were repaired, a sample once for each frame that shows it,
 apart for gaps (runs of samples that are not good in truth) of 3 degrees and more, and for narrower
-ones. The rivals' errors are over the same samples.
+ones. The baselines' errors are over the same samples.
 """
 
 from collections.abc import Iterable, Sequence
@@ -30,6 +30,7 @@ from fusion_core.evaluation.fuse_folder import (
     read_samples,
 )
 from fusion_core.evaluation.repair_errors import (
+    JudgedSamples,
     RepairErrors,
     pool_errors,
     repair_errors,
@@ -65,10 +66,10 @@ def evaluate_repair(
     """Compare the repaired values in ``fuse_dir`` with ``truth``.
 
     ``depth_images`` are the recording's raw images, in any order; without them the depth repairs
-    have no rivals.
+    have no baselines.
 
     Raises ScanLoomError where a file is unfit, the two do not belong together, or a raw image
-    that a repair stands in was not handed in.
+    that holds a repair is missing.
     """
     folder = open_fuse_folder(fuse_dir)
     scene = associate_truth(truth, folder)
@@ -82,17 +83,17 @@ def evaluate_repair(
     report = RepairReport(lidar=pool_errors(lidar, ("linear",)), depth=pool_errors(depth, ()))
     if depth_images is None or not pixels:
         return report
-    rivals = _depth_baseline_errors(_concatenate_pixels(pixels), scene, depth_images)
-    return replace(report, depth=replace(report.depth, baseline_error_m=rivals))
+    baselines = _depth_baseline_errors(_concatenate_pixels(pixels), scene, depth_images)
+    return replace(report, depth=replace(report.depth, baseline_error_m=baselines))
 
 
 def pool_repair(reports: Sequence[RepairReport]) -> RepairReport:
     """One report over the repaired samples of several recordings.
 
-    A rival that is missing in one of them is missing in the pool.
+    A baseline that is missing in one of them is missing in the pool.
     """
-    rivals = [set(report.depth.baseline_error_m) for report in reports]
-    common = [name for name in BASELINES if all(name in own for own in rivals)]
+    baselines = [set(report.depth.baseline_error_m) for report in reports]
+    common = [name for name in BASELINES if all(name in own for own in baselines)]
     return RepairReport(
         lidar=pool_errors([report.lidar for report in reports], ("linear",)),
         depth=pool_errors([report.depth for report in reports], common),
@@ -131,22 +132,22 @@ def _lidar_errors(
     gap_deg = (last - first + 1)[which, beam] * beam_step_deg
     wanted = (kind != NoiseClass.GOOD) & (true_m <= folder.lidar.range_max_m)
     good = kind == NoiseClass.GOOD
-    return repair_errors(
+    judged = JudgedSamples(
         wanted=wanted,
         repaired=wanted & was_repaired(samples.lidar_source, samples.lidar_repaired_m),
         wide=_is_wide(gap_deg),
         source=samples.lidar_source,
         true_m=true_m,
         repaired_m=samples.lidar_repaired_m,
-        baseline_m={"linear": linear_m[scan, beam]},
         returns=good & np.isfinite(samples.lidar_raw_m),
         raw_m=samples.lidar_raw_m,
     )
+    return repair_errors(judged, {"linear": linear_m[scan, beam]})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _RepairedPixels:
-    """Depth pixels whose repair is judged: camera, position of the image in the truth, place."""
+    """Repaired depth pixels: camera, index of the image in the truth, row and column."""
 
     camera: IntArray
     image: IntArray
@@ -184,14 +185,13 @@ def _depth_errors(samples: Samples, scene: AssociatedTruth) -> tuple[RepairError
     source, repaired_m = samples.depth_source[paired], samples.depth_repaired_m[paired]
     raw_m = samples.depth_raw_m[paired]
     repaired = wanted & was_repaired(source, repaired_m)
-    errors = repair_errors(
+    judged = JudgedSamples(
         wanted=wanted,
         repaired=repaired,
         wide=_is_wide(gap_deg),
         source=source,
         true_m=true_m,
         repaired_m=repaired_m,
-        baseline_m={},
         returns=(kind == NoiseClass.GOOD) & np.isfinite(raw_m),
         raw_m=raw_m,
     )
@@ -202,7 +202,7 @@ def _depth_errors(samples: Samples, scene: AssociatedTruth) -> tuple[RepairError
         column=column[repaired],
         true_m=true_m[repaired],
     )
-    return errors, pixels
+    return repair_errors(judged, {}), pixels
 
 
 def _is_wide(gap_deg: FloatArray) -> BoolArray:
@@ -234,7 +234,7 @@ def _depth_gap_deg(
 def _depth_baseline_errors(
     pixels: _RepairedPixels, scene: AssociatedTruth, depth_images: DepthImages
 ) -> dict[str, FloatArray]:
-    """Errors of the rivals at the repaired pixels, one image in memory at a time."""
+    """Errors of the baselines at the repaired pixels, one image in memory at a time."""
     errors = {name: np.full(pixels.image.shape, np.nan) for name in BASELINES}
     missing = np.ones(pixels.image.shape, dtype=np.bool_)
     codes = {camera.topic: code for code, camera in enumerate(scene.cameras)}

@@ -1,4 +1,4 @@
-"""Errors of the repaired samples of one sensor, beside those of its rivals."""
+"""Errors of the repaired samples of one sensor, beside those of its baselines."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,8 +18,8 @@ class RepairErrors:
     """Absolute errors over the repaired samples of one sensor, and what there was to repair.
 
     ``wide``: (n,) whether the sample lies in a gap of 3 degrees and more. ``source``: (n,) codes
-    of RepairSource. ``error_m``: (n,). ``rival_error_m``: (n,) for each rival, NaN where it has no
-    value; empty where no rival could be computed.
+    of RepairSource. ``error_m``: (n,). ``baseline_error_m``: (n,) for each baseline, NaN where it
+    has no value; empty where no baseline could be computed.
     ``wanted_wide``, ``wanted_narrow``: holes and burrs, repaired or not.
     ``returns``, ``moved_farther``: true returns, and those whose repaired value is not the raw
     one and lies farther than both raw and true value by more than 5 cm + 2 %.
@@ -47,7 +47,7 @@ class RepairErrors:
         return self.moved_farther / self.returns if self.returns else None
 
     def to_json(self) -> dict[str, Any]:
-        """Median, 90th percentile and RMS by width of the gap, beside those of the rivals."""
+        """Median, 90th percentile and RMS by width of the gap, beside those of the baselines."""
         return {
             "wide": self._gap_json(self.wide, self.wanted_wide),
             "narrow": self._gap_json(~self.wide, self.wanted_narrow),
@@ -66,9 +66,9 @@ class RepairErrors:
             "repaired": int(chosen.sum()) / wanted if wanted else None,
             "own": own,
         }
-        for rival, error_m in self.baseline_error_m.items():
+        for baseline, error_m in self.baseline_error_m.items():
             spread = _summarise_errors(error_m[chosen])
-            entry[rival] = spread | {
+            entry[baseline] = spread | {
                 f"own_to_{name}": _ratio(own[f"{name}_m"], spread[f"{name}_m"])
                 for name in ("median", "p90", "rms")
             }
@@ -82,43 +82,47 @@ def was_repaired(source: IntArray, repaired_m: FloatArray) -> BoolArray:
     return repaired
 
 
-def repair_errors(
-    *,
-    wanted: BoolArray,
-    repaired: BoolArray,
-    wide: BoolArray,
-    source: IntArray,
-    true_m: FloatArray,
-    repaired_m: FloatArray,
-    baseline_m: dict[str, FloatArray],
-    returns: BoolArray,
-    raw_m: FloatArray,
-) -> RepairErrors:
-    """Errors over the samples that were repaired; all arrays are (n,).
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JudgedSamples:
+    """Samples of one sensor with what is true of them; all arrays are (n,).
 
-    ``wanted``: holes and burrs in truth. ``repaired``: those of them with a repair.
-    ``wide``: in a wide gap. ``source``: codes of RepairSource. ``true_m``, ``repaired_m``,
-    ``raw_m``: values of the sensor. ``rival_m``: what each rival gives.
-    ``returns``: good in truth with a raw value.
+    ``wanted``: holes and burrs in truth. ``repaired``: those of them with a repair. ``wide``: in a
+    wide gap. ``source``: codes of RepairSource. ``true_m``, ``raw_m``, ``repaired_m``: values of
+    the sensor. ``returns``: good in truth with a raw value.
     """
-    farthest_m = np.fmax(true_m, raw_m)
+
+    wanted: BoolArray
+    repaired: BoolArray
+    wide: BoolArray
+    source: IntArray
+    true_m: FloatArray
+    raw_m: FloatArray
+    repaired_m: FloatArray
+    returns: BoolArray
+
+
+def repair_errors(samples: JudgedSamples, baseline_m: dict[str, FloatArray]) -> RepairErrors:
+    """Errors over the samples that were repaired. ``baseline_m``: (n,) values of each baseline."""
+    true_m, repaired = samples.true_m, samples.repaired
+    farthest_m = np.fmax(true_m, samples.raw_m)
     limit_m = farthest_m + MOVED_FARTHER_M + MOVED_FARTHER_RATIO * farthest_m
+    is_moved_farther = samples.returns & (samples.repaired_m > limit_m)
     return RepairErrors(
-        wide=wide[repaired],
-        source=source[repaired],
-        error_m=np.abs(repaired_m - true_m)[repaired],
+        wide=samples.wide[repaired],
+        source=samples.source[repaired],
+        error_m=np.abs(samples.repaired_m - true_m)[repaired],
         baseline_error_m={
             name: np.abs(value_m - true_m)[repaired] for name, value_m in baseline_m.items()
         },
-        wanted_wide=int((wanted & wide).sum()),
-        wanted_narrow=int((wanted & ~wide).sum()),
-        returns=int(returns.sum()),
-        moved_farther=int((returns & (repaired_m > limit_m)).sum()),
+        wanted_wide=int((samples.wanted & samples.wide).sum()),
+        wanted_narrow=int((samples.wanted & ~samples.wide).sum()),
+        returns=int(samples.returns.sum()),
+        moved_farther=int(is_moved_farther.sum()),
     )
 
 
 def pool_errors(parts: Sequence[RepairErrors], baselines: Sequence[str]) -> RepairErrors:
-    """All parts as one, with the named rivals, which each part must have."""
+    """All parts as one, with the named baselines, which each part must have."""
     return RepairErrors(
         wide=_concatenate([part.wide for part in parts], np.bool_),
         source=_concatenate([part.source for part in parts], np.int64),
@@ -151,5 +155,5 @@ def _summarise_errors(error_m: FloatArray) -> dict[str, Any]:
     }
 
 
-def _ratio(own: float | None, rival: float | None) -> float | None:
-    return own / rival if own is not None and rival else None
+def _ratio(own: float | None, baseline: float | None) -> float | None:
+    return own / baseline if own is not None and baseline else None

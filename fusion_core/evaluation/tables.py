@@ -15,7 +15,7 @@ POOLED = "all"
 
 
 def alignment_table(reports: Mapping[str, AlignmentReport]) -> list[Row]:
-    """Per recording and score, the share of frames within 2 samples, with prior and alone."""
+    """Per recording and score, the fraction of frames within 2 samples, with prior and alone."""
     rows: list[Row] = [("recording", "score", "with prior", "alone", "yaw error", "clock")]
     for name, report in reports.items():
         yaw, clock = _format_degrees(report.yaw_error_deg), _format_clock(report)
@@ -27,7 +27,7 @@ def alignment_table(reports: Mapping[str, AlignmentReport]) -> list[Row]:
 
 
 def noise_table(reports: Mapping[str, NoiseReport]) -> list[Row]:
-    """Per recording, every recall and how many pairs it stands on."""
+    """Per recording, every recall and the number of its pairs."""
     rows: list[Row] = [
         (
             "recording",
@@ -65,7 +65,7 @@ def noise_table(reports: Mapping[str, NoiseReport]) -> list[Row]:
 def repair_table(reports: Mapping[str, RepairReport]) -> list[Row]:
     """Per recording, sensor and width of gap: median / 90th percentile / RMS in millimetres."""
     rows: list[Row] = [
-        ("recording", "sensor", "gap", "repaired", "own mm", "rivals mm", "moved farther")
+        ("recording", "sensor", "gap", "repaired", "own mm", "baselines mm", "moved farther")
     ]
     named = dict(reports)
     if len(reports) > 1:
@@ -94,13 +94,15 @@ def _gap_rows(errors: RepairErrors) -> list[Row]:
     rows: list[Row] = []
     for gap, width in (("wide", "≥ 3°"), ("narrow", "< 3°")):
         entry = entries[gap]
-        rivals = [f"{rival} {_format_errors(entry[rival])}" for rival in errors.baseline_error_m]
+        baselines = [
+            f"{baseline} {_format_errors(entry[baseline])}" for baseline in errors.baseline_error_m
+        ]
         rows.append(
             (
                 width,
                 f"{_format_fraction(entry['repaired'])} of {entry['wanted']}",
                 _format_errors(entry["own"]),
-                ", ".join(rivals) or "–",
+                ", ".join(baselines) or "–",
                 _format_fraction(entries["moved_farther"], digits=4),
             )
         )

@@ -73,9 +73,9 @@ class PoseErrors:
 class TrajectoryReport:
     """Errors of one estimate.
 
-    ``as_given`` are absolute errors without any alignment, ``aligned`` those after it (None for
-    the alignment "none"). ``relative`` are errors of the motion over ``step``, in the reference's
-    scale where the scale was estimated.
+    ``ape``: absolute pose errors (eq. 4) without any alignment, ``ape_aligned`` those after it,
+    None for the alignment "none". ``rpe``: relative pose errors (eq. 1) over ``step``, in the
+    reference's scale where the scale was estimated.
     """
 
     estimate_poses: int
@@ -126,8 +126,8 @@ def evaluate_trajectory(
 
     ``alignment`` lays the estimate's positions on the reference's: ``se3`` in space, ``sim3`` with
     a scale (for a monocular estimate), ``se2`` in the plane, where height, pitch and roll of both
-    are dropped from every error. ``coverage`` is the share of the reference's time between the
-    first and the last pose compared, ``longest_gap_s`` the longest time without one in between.
+    are dropped from every error. ``time_coverage`` is the fraction of the reference's time between
+    the first and the last pose compared, ``longest_gap_s`` the longest time between two of them.
 
     Raises SettingsError for a gap that is not positive, ScanLoomError where no poses can be
     compared, the alignment is not determined, or no two poses are a step apart.
@@ -171,7 +171,7 @@ def evaluate_trajectory(
 def associate(estimate: Trajectory, reference: Trajectory, max_gap_s: float) -> PosePairs:
     """The estimate's poses with the reference interpolated at their stamps.
 
-    Poses outside the reference, or where it has a gap longer than ``greatest_gap_s``, are left
+    Poses outside the reference, or where it has a gap longer than ``max_gap_s``, are left
     out. Raises SettingsError for a gap that is not positive, ScanLoomError where none is left.
     """
     if not 0.0 < max_gap_s < np.inf:

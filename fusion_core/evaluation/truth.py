@@ -158,17 +158,17 @@ def _read_cameras(
         shared = "depth_stamp" if f"depth_stamp{suffix}" not in arrays else f"depth_stamp{suffix}"
         stamp_ns = _read_stamps(arrays, shared, path)
         _require_shape(depth_mm.shape[:1], stamp_ns.shape, f"depth_true{suffix}", path)
-        lens = None
+        own_intrinsics = None
         if intrinsics is not None:
             fx, fy, cx, cy = map(float, intrinsics[camera])
-            lens = fx, fy, cx, cy
+            own_intrinsics = fx, fy, cx, cy
         cameras.append(
             CameraTruth(
                 topic=None if topics is None else str(topics[camera]),
                 stamp_ns=stamp_ns,
                 depth_mm=depth_mm,
                 kind=_read_classes(arrays, f"depth_kind{suffix}", depth_mm.shape, path),
-                intrinsics=lens,
+                intrinsics=own_intrinsics,
                 T_lidar_camera=None if mounts is None else mounts[camera].astype(np.float64),
             )
         )

@@ -13,7 +13,7 @@ from fusion_core.files.regular_file import open_regular
 # Ten minutes of 640 x 480 pixels at 15 images a second, their depth and their kind, unpack to 8 GB.
 _MAX_PACKED_BYTES = 4 << 30
 _MAX_UNPACKED_BYTES = 8 << 30
-# What numpy, zipfile and zlib say of a file that is damaged, or no archive of arrays.
+# What numpy, zipfile and zlib raise for a file that is damaged, or no archive of arrays.
 UNREADABLE_ARRAYS = (
     ValueError,
     EOFError,

@@ -124,7 +124,7 @@ def add_color_bar(
 def add_legend_below(
     figure: "Figure | SubFigure", panels: "Iterable[Axes]", *, columns: int, caption: str = ""
 ) -> None:
-    """One legend for all panels, below them, each entry once, under a line or two of ``words``."""
+    """One legend for all panels, below them, each entry once, under the lines of ``caption``."""
     entries: dict[str, Artist] = {}
     for axes in panels:
         handles, labels = axes.get_legend_handles_labels()

@@ -38,43 +38,46 @@ if TYPE_CHECKING:
 _SCORE_SHADES = 16
 
 
-def write_aligned(
-    path: Path,
-    heading: str,
-    *,
-    color: ByteArray | None,
-    color_after_ms: float | None,
-    depth_m: Float32Array,
-    depth_stamp_ns: int,
-    scan: LaserScan,
-    gap_ns: int,
-    beams_in_view: IntArray,
-    nominal: bool,
-) -> None:
-    """Fig. 3: colour image, depth image and LiDAR curve nearest in time.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SynchronizedFrame:
+    """A depth image with the scan and the colour image nearest in time.
 
-    ``color``: (H, W, 3) or None, its stamp ``color_after_ms`` after the depth image's. ``gap_ns``:
-    depth - scan. ``nominal``: stamps are made from frame numbers.
+    ``color``: (H, W, 3) or None, its stamp ``color_after_ms`` after the depth image's.
+    ``depth_m``: (H, W). ``gap_ns``: depth stamp - scan stamp. ``beams_in_view``: indices of the
+    beams that meet the image. ``has_nominal_stamps``: whether stamps are made from frame numbers.
     """
-    clock = " (from the frame number)" if nominal else ""
-    panels = 2 if color is None else 3
+
+    color: ByteArray | None
+    color_after_ms: float | None
+    depth_m: Float32Array
+    depth_stamp_ns: int
+    scan: LaserScan
+    gap_ns: int
+    beams_in_view: IntArray
+    has_nominal_stamps: bool
+
+
+def write_aligned(path: Path, heading: str, frame: SynchronizedFrame) -> None:
+    """Fig. 3: colour image, depth image and LiDAR curve nearest in time."""
+    clock = " (from the frame number)" if frame.has_nominal_stamps else ""
+    panels = 2 if frame.color is None else 3
     with png_figure(path, heading, width_px=530 * panels, height_px=490) as figure:
         axes = figure.subplots(1, panels, squeeze=False)[0]
         letters = iter("abc")
-        if color is not None:
-            assert color_after_ms is not None, "a colour image has a stamp"
-            show_color(axes[0], color)
-            delay = describe_delay(color_after_ms, "the depth image")
+        if frame.color is not None:
+            assert frame.color_after_ms is not None, "a colour image has a stamp"
+            show_color(axes[0], frame.color)
+            delay = describe_delay(frame.color_after_ms, "the depth image")
             axes[0].set_title(f"({next(letters)}) colour image\n{delay}")
-        show_depth(axes[-2], depth_m, far_m=far_limit_m(depth_m))
+        show_depth(axes[-2], frame.depth_m, far_m=far_limit_m(frame.depth_m))
         axes[-2].set_title(
             f"({next(letters)}) depth image, holes in blue\n"
-            f"stamp {format_stamp(depth_stamp_ns)}{clock}"
+            f"stamp {format_stamp(frame.depth_stamp_ns)}{clock}"
         )
-        _show_scan(axes[-1], scan, beams_in_view)
+        _show_scan(axes[-1], frame.scan, frame.beams_in_view)
         axes[-1].set_title(
-            f"({next(letters)}) LiDAR curve, stamp {format_stamp(scan.stamp_ns)}{clock}\n"
-            f"depth image {describe_delay(gap_ns / NS_PER_MS, 'the scan')}"
+            f"({next(letters)}) LiDAR curve, stamp {format_stamp(frame.scan.stamp_ns)}{clock}\n"
+            f"depth image {describe_delay(frame.gap_ns / NS_PER_MS, 'the scan')}"
         )
 
 
@@ -240,6 +243,6 @@ def _show_curves(axes: "Axes", column: MetricColumn) -> None:
     start_at_zero(axes)
 
 
-def _show_message(axes: "Axes", words: str) -> None:
+def _show_message(axes: "Axes", message: str) -> None:
     axes.set_axis_off()
-    axes.text(0.5, 0.5, words, ha="center", va="center", transform=axes.transAxes)
+    axes.text(0.5, 0.5, message, ha="center", va="center", transform=axes.transAxes)

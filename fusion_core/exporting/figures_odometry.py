@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -18,38 +18,50 @@ SOURCE_COLORS: Mapping[str, str] = {"wheel": GOOD, "laser": LIDAR, "visual": DEP
 _COLUMNS_MAX = 1200
 
 
-def write_odometry_weights(
-    path: Path,
-    heading: str,
-    *,
-    sources: Sequence[str],
-    stamps_ns: IntArray,
-    translation: FloatArray,
-    rotation: FloatArray,
-    rejected: BoolArray,
-    residual_m: FloatArray,
-    residual_rad: FloatArray,
-) -> None:
-    """Shares of each source in each step, and its difference from the fused step.
+class OdometryWeights(Protocol):
+    """What each of S sources has to do with N - 1 fused steps.
 
-    ``stamps_ns``: (N,). ``translation``, ``rotation``, ``residual_m``, ``residual_rad``: (N - 1, S)
-    of S sources, NaN where there is none. ``rejected``: (N - 1, S) steps that were not believed,
-    crosses on the source's difference.
+    ``stamps_ns``: (N,). ``translation``, ``rotation``: (N - 1, S) weights, ``residual_m``,
+    ``residual_rad``: (N - 1, S) difference from the fused step, NaN where there is none.
+    ``rejected``: (N - 1, S) steps that are outliers.
     """
+
+    @property
+    def sources(self) -> Sequence[str]: ...
+    @property
+    def stamps_ns(self) -> IntArray: ...
+    @property
+    def translation(self) -> FloatArray: ...
+    @property
+    def rotation(self) -> FloatArray: ...
+    @property
+    def rejected(self) -> BoolArray: ...
+    @property
+    def residual_m(self) -> FloatArray: ...
+    @property
+    def residual_rad(self) -> FloatArray: ...
+
+
+def write_odometry_weights(path: Path, heading: str, weights: OdometryWeights) -> None:
+    """Weight of each source in each step, and its difference from the fused step.
+
+    Crosses mark rejected steps. Raises ExportError where the file cannot be written.
+    """
+    stamps_ns, sources = weights.stamps_ns, weights.sources
     seconds = (stamps_ns - stamps_ns[0]) / 1e9
     with png_figure(path, heading, width_px=1200, height_px=900) as figure:
         panels = figure.subplots(4, 1, sharex=True)
         for axes, shares, title in (
-            (panels[0], translation, "share in the translation"),
-            (panels[1], rotation, "share in the turn"),
+            (panels[0], weights.translation, "share in the translation"),
+            (panels[1], weights.rotation, "share in the turn"),
         ):
             _plot_stacked(axes, seconds, shares, sources)
             axes.set_title(title)
             axes.set_ylabel("share")
             axes.set_ylim(0.0, 1.0)
         for axes, residual, unit in (
-            (panels[2], 1e3 * residual_m, "mm"),
-            (panels[3], np.rad2deg(residual_rad), "°"),
+            (panels[2], 1e3 * weights.residual_m, "mm"),
+            (panels[3], np.rad2deg(weights.residual_rad), "°"),
         ):
             for source, name in enumerate(sources):
                 axes.plot(
@@ -66,10 +78,10 @@ def write_odometry_weights(
             axes.grid(lw=0.3, color="0.85")
         panels[2].set_title("difference of each source's step from the fused one; x: not believed")
         for source, _ in enumerate(sources):
-            out = rejected[:, source]
+            out = weights.rejected[:, source]
             panels[2].plot(
                 seconds[1:][out],
-                1e3 * residual_m[out, source],
+                1e3 * weights.residual_m[out, source],
                 "x",
                 color=BURR,
                 ms=4,

@@ -1,6 +1,7 @@
 """Figs. 5 and 6 of Xu 2024: pairs before and after RANSAC, and the recalls over epsilon."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,32 +15,36 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def write_pairs(
-    path: Path,
-    heading: str,
-    *,
-    lidar_points_m: FloatArray,
-    depth_points_m: FloatArray,
-    inliers: BoolArray,
-    model: str,
-    mean_error_m: float,
-    threshold_m: float,
-    draws: int,
-    axis_names: tuple[str, str],
-) -> None:
-    """Fig. 5: points of both curves, lines between all pairs, and between RANSAC's inliers.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RansacPairs:
+    """The pairs of a frame as RANSAC has them, and what it finds.
 
-    The points are (m, 2), NaN where missing, as RANSAC had them; ``inliers``: (m,).
-    ``axis_names`` say what x and z are.
+    ``lidar_points_m``, ``depth_points_m``: (m, 2), NaN where missing. ``inliers``: (m,), within
+    ``threshold_m`` under the model of the best of ``draws``. ``axis_names`` say what x and z are.
     """
+
+    lidar_points_m: FloatArray
+    depth_points_m: FloatArray
+    inliers: BoolArray
+    model: str
+    mean_error_m: float
+    threshold_m: float
+    draws: int
+    axis_names: tuple[str, str]
+
+
+def write_pairs(path: Path, heading: str, pairs: RansacPairs) -> None:
+    """Fig. 5: points of both curves, lines between all pairs, and between RANSAC's inliers."""
+    lidar_points_m, depth_points_m = pairs.lidar_points_m, pairs.depth_points_m
     paired = np.isfinite(lidar_points_m).all(axis=1) & np.isfinite(depth_points_m).all(axis=1)
-    kept = paired & inliers
+    kept = paired & pairs.inliers
     with png_figure(path, heading, width_px=1560, height_px=660) as figure:
         panels = figure.subplots(1, 3)
         titles = (
             f"(a) {_count(lidar_points_m)} LiDAR points, {_count(depth_points_m)} depth points",
-            f"(b) all {paired.sum()} pairs, mean error under A: E = {mean_error_m:.3f} m",
-            f"(c) {kept.sum()} inliers: within {threshold_m:g} m under A ({model}), {draws} draws",
+            f"(b) all {paired.sum()} pairs, mean error under A: E = {pairs.mean_error_m:.3f} m",
+            f"(c) {kept.sum()} inliers: within {pairs.threshold_m:g} m under A ({pairs.model}), "
+            f"{pairs.draws} draws",
         )
         x_limits, z_limits = _square_limits(np.vstack([lidar_points_m, depth_points_m]))
         for axes, title in zip(panels, titles, strict=True):
@@ -47,13 +52,13 @@ def write_pairs(
             axes.set_aspect("equal")
             axes.set_xlim(*x_limits)
             axes.set_ylim(*z_limits)
-            axes.set_xlabel(axis_names[0])
-            axes.set_ylabel(axis_names[1])
+            axes.set_xlabel(pairs.axis_names[0])
+            axes.set_ylabel(pairs.axis_names[1])
             axes.grid(lw=0.3, color="0.85")
         _show_points(panels[0], lidar_points_m, depth_points_m)
         _show_points(panels[1], lidar_points_m[paired], depth_points_m[paired])
         _show_points(panels[2], lidar_points_m[kept], depth_points_m[kept])
-        outlier = paired & ~inliers
+        outlier = paired & ~pairs.inliers
         _connect_pairs(panels[1], lidar_points_m[kept], depth_points_m[kept], GOOD, "inlier")
         _connect_pairs(panels[1], lidar_points_m[outlier], depth_points_m[outlier], BURR, "outlier")
         _connect_pairs(panels[2], lidar_points_m[kept], depth_points_m[kept], GOOD, "inlier")
@@ -92,26 +97,30 @@ def _connect_pairs(
         )
 
 
-def write_recall(
-    path: Path,
-    heading: str,
-    *,
-    epsilon_over_E: FloatArray,
-    xi: Sequence[float] | None,
-    eta: Sequence[float] | None,
-    band: tuple[float, float],
-    own_epsilon_over_E: float,
-    own_xi: float | None,
-    own_eta: float | None,
-) -> None:
-    """Fig. 6: share of good pairs kept (xi) and of noise pairs found (eta) over epsilon / E.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecallCurves:
+    """Recalls of good pairs (xi) and noise pairs (eta), None where there are no such pairs.
 
-    ``own_...``: the run's own threshold (median over its frames, NaN where there is none) and what
-    its classes reach, which see neighbours too.
+    ``epsilon_over_E``: (K,) thresholds of the curves. ``band``: the paper's. ``own_...``: the run's
+    own threshold (median over its frames, NaN where there is none) and the recalls of its classes,
+    which use neighbours too.
     """
+
+    epsilon_over_E: FloatArray
+    xi: Sequence[float] | None
+    eta: Sequence[float] | None
+    band: tuple[float, float]
+    own_epsilon_over_E: float
+    own_xi: float | None
+    own_eta: float | None
+
+
+def write_recall(path: Path, heading: str, curves: RecallCurves) -> None:
+    """Fig. 6: fraction of good pairs kept (xi) and of noise pairs found (eta) over epsilon / E."""
+    epsilon_over_E, own_epsilon_over_E = curves.epsilon_over_E, curves.own_epsilon_over_E
     with png_figure(path, heading, width_px=1000, height_px=700) as figure:
         axes = figure.subplots()
-        axes.axvspan(*band, color="0.88", label="band of Xu 2024: E to √2 E")
+        axes.axvspan(*curves.band, color="0.88", label="band of Xu 2024: E to √2 E")
         if np.isfinite(own_epsilon_over_E):
             axes.axvline(
                 own_epsilon_over_E,
@@ -121,8 +130,8 @@ def write_recall(
                 label=f"this run's median ε = {own_epsilon_over_E:.2f} E",
             )
         for recall, own, color, label in (
-            (xi, own_xi, GOOD, "ξ: good pairs kept"),
-            (eta, own_eta, BURR, "η: noise pairs found"),
+            (curves.xi, curves.own_xi, GOOD, "ξ: good pairs kept"),
+            (curves.eta, curves.own_eta, BURR, "η: noise pairs found"),
         ):
             if recall is not None:
                 axes.plot(epsilon_over_E, recall, ".-", color=color, label=f"{label}, by ε alone")

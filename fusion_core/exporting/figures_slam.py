@@ -1,4 +1,4 @@
-"""The way over the map with its loops, and the particle filter's effective number over time."""
+"""The trajectory on the map with its loop closures, and the effective number of particles."""
 
 from pathlib import Path
 
@@ -31,7 +31,7 @@ def write_trajectory_figure(
     low, high = _bounds_m(grid, poses_map_scan)
     size_m = np.maximum(high - low, 1.0)
     shape = size_m / size_m.max()
-    width_px, height_px = (max(_SMALLEST_PX, round(_SIDE_PX * share)) for share in shape)
+    width_px, height_px = (max(_SMALLEST_PX, round(_SIDE_PX * fraction)) for fraction in shape)
     with png_figure(path, heading, width_px=width_px, height_px=height_px + _LEGEND_PX) as figure:
         axes = figure.subplots()
         axes.set_facecolor(_UNKNOWN)
@@ -114,7 +114,7 @@ def _downsampled_probability(grid: OccupancyGrid) -> FloatArray:
 def _bounds_m(
     grid: OccupancyGrid | None, poses_map_scan: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(2,) and (2,): the map's corners, or those of the way where there is no map."""
+    """(2,) and (2,): the map's corners, or those of the trajectory where there is no map."""
     if grid is None:
         places_m = poses_map_scan[:, :2]
         return places_m.min(axis=0) - 1.0, places_m.max(axis=0) + 1.0

@@ -26,7 +26,7 @@ from fusion_core.model.progress import Progress, silent
 class OutputPlan:
     """What a run into ``folder`` is to do.
 
-    ``skip``: the folder already holds these results. ``earlier``: what is said there of the last
+    ``is_done``: the folder already holds these results. ``earlier_manifest``: that of the last
     run, whose results the new ones replace.
     """
 

@@ -40,5 +40,5 @@ def _real_paths(given: Path) -> Iterator[Path]:
 
 
 def real_path(path: Path) -> Path:
-    """The path without links; of a loop, or an end that is missing, what can be told."""
+    """The path without links; of a loop of links, or a missing end, as far as it goes."""
     return Path(os.path.realpath(path))

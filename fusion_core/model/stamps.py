@@ -17,7 +17,7 @@ def plausible_stamps(
     """(N,) which messages to keep: those that are in order, and stamped within the recording.
 
     ``stamps_ns``, ``received_ns``: (N,) in the order of the log. ``strictly``: of equal stamps only
-    the first is kept. What has NO_STAMP is neither judged nor left out.
+    the first is kept. A message with NO_STAMP is always kept.
     """
     kept = np.ones(stamps_ns.size, dtype=np.bool_)
     known = np.flatnonzero(stamps_ns != NO_STAMP)
@@ -62,7 +62,7 @@ def within_recording(stamps_ns: IntArray, received_ns: IntArray) -> BoolArray:
 
     A step from one stamp to the next parts the two where it is longer than the whole recording, of
     which the middle half lasts one half, beyond what passed between them in the log
-    (``received_ns``: a recording may pause). Where the log has one time for all, it tells nothing.
+    (``received_ns``: a recording may pause). A log with one time for all messages is not used.
     """
     kept = np.ones(stamps_ns.size, dtype=np.bool_)
     if stamps_ns.size == 0 or np.ptp(received_ns) == 0:

@@ -52,7 +52,7 @@ class ConvertOptions:
 def convert(
     path: Path, output: Path, options: ConvertOptions, progress: Progress
 ) -> dict[str, Any]:
-    """Write the recording ``path`` to ``output`` (.mcap) and say what was written, ready for JSON.
+    """Write the recording ``path`` to ``output`` (.mcap) and report what was written, as JSON.
 
     Messages in CDR keep their bytes, those of ROS 1 are rewritten in CDR, both whatever their
     type; the values of formats without messages become messages of their kind. Static transforms
@@ -190,11 +190,11 @@ class _Account:
         """Raise RecordingError where there was something to write and nothing was."""
         if self._span_ns is not None or not any(topic.count for topic in self._selection.topics):
             return
-        said = [f"{topic}: {reason}." for topic, reason in self._reasons.items()] + self.notes
+        reasons = [f"{topic}: {reason}." for topic, reason in self._reasons.items()] + self.notes
         if not any(self._selection.counts.values()):
-            said = ["no message of the chosen topics was logged in that time."]
+            reasons = ["no message of the chosen topics was logged in that time."]
         raise RecordingError(
-            f"gives nothing to write: {said[0] if said else 'no message can be read.'}",
+            f"gives nothing to write: {reasons[0] if reasons else 'no message can be read.'}",
             file=path,
             advice="Choose other topics or another time.",
         )

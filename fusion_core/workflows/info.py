@@ -39,8 +39,8 @@ def info(
             checked = check_all(recording, progress) if check else None
             described = describe_recording(recording)
         if checked is not None:
-            told = described["warnings"]
-            told += [line for line in checked.damage if line not in told]
+            warnings = described["warnings"]
+            warnings += [line for line in checked.damage if line not in warnings]
         return {**described, "check": None if checked is None else _check_values(checked)}
     if check:
         raise RecordingError(
@@ -74,7 +74,7 @@ def _check_values(checked: IntegrityReport) -> dict[str, Any]:
 
 
 def _may_hold_rooms(path: Path, session: str | None) -> bool:
-    """A session is asked of a data set alone; what cannot be looked into is no data set."""
+    """Only a data set has sessions; a path that cannot be read is none."""
     try:
         return session is not None or is_robot_at_home(path)
     except OSError:

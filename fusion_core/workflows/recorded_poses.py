@@ -17,18 +17,18 @@ from fusion_core.workflows.recorded_transforms import RecordedTransforms, frame_
 from fusion_core.workflows.stamp_filter import StampFilter
 from fusion_core.workflows.timed_transforms import TimedTransforms
 
-# The frame that a map hangs on, best first.
+# The fixed frame (REP 105), best first.
 _MAP_FRAMES = ("map", "odom", "world")
 _POSE_FRAME = "scanloom_pose_parent"
 
 
 class PoseLookup(Protocol):
-    """``source`` says in words where the poses come from."""
+    """Poses of the LiDAR at any instant. ``source``: where they come from, for people."""
 
     source: str
 
     def at(self, stamp_ns: int) -> FloatArray | None:
-        """(x, y, yaw) of T_map_lidar, None where the recording does not say."""
+        """(x, y, yaw) of T_map_lidar, None where it is not known."""
         ...
 
 
@@ -94,7 +94,7 @@ def _poses_of_topic(
     body = ""
     found = False
     timed = TimedTransforms()
-    # An odometry may be asked twice at one instant.
+    # Equal stamps are kept: an odometry may publish twice at one instant.
     for message in StampFilter(recording, strictly=False).accepted(recording.messages([topic])):
         sample = message.value
         if not isinstance(sample, PoseSample):

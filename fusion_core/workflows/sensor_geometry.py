@@ -1,7 +1,7 @@
-"""Which scans and images fit the rig.
+"""The geometry of scans and images, and a filter for messages that do not have it.
 
-A driver that is set anew in mid recording changes the size of its images or the beams of its
-scans: what comes then belongs to another rig, and is left out with a warning.
+A driver that is reconfigured in mid recording changes the size of its images or the beams of its
+scans. What follows is of another geometry, and is left out with a warning.
 """
 
 from collections import Counter
@@ -15,9 +15,9 @@ from fusion_core.model.sensors import DepthImage, LaserScan, SensorValue
 from fusion_core.recordings.skipped import SkippedMessages
 from fusion_core.workflows.stamp_filter import StampFilter
 
-# The geometry that most of the first scans have is the scanner's.
+# Five seconds of a 10 Hz LiDAR: the majority of the first scans has the geometry of the rest.
 _SCANS_SAMPLED = 50
-# Drivers round their angles; what moves no beam by more than this share of a step is the same.
+# Drivers round their angles: no beam may be off by more than this fraction of a step.
 _STEP_TOLERANCE = 0.1
 
 
@@ -39,7 +39,7 @@ class ScanGeometry:
         )
 
     def matches(self, scan: LaserScan) -> bool:
-        """Whether every beam of a sweep lies where this geometry has it."""
+        """Whether the beams of a scan have these angles."""
         limit_rad = _STEP_TOLERANCE * abs(self.angle_increment_rad)
         first_rad = abs(scan.angle_min_rad - self.angle_min_rad)
         last_rad = abs(scan.angle_increment_rad - self.angle_increment_rad) * self.beams
@@ -55,7 +55,7 @@ def first_value(recording: Recording, topic: str) -> SensorValue | None:
 def first_scan(recording: Recording, topic: str) -> LaserScan:
     """The first scan of a LiDAR's topic that can be read.
 
-    Raises MissingStream where there is none, and says what is wrong with the first message.
+    Raises MissingStream where there is none, with what is wrong with the first message.
     """
     found = first_value(recording, topic)
     if isinstance(found, LaserScan):
@@ -85,8 +85,8 @@ def most_common_geometry(recording: Recording, topic: str) -> ScanGeometry | Non
 
 
 class GeometryFilter:
-    """Passes on the messages that fit and are stamped in order, and keeps the recording's warnings
-    about the others."""
+    """Passes on the messages of the rig's geometry that are stamped in order, and adds warnings of
+    the others to the recording."""
 
     def __init__(
         self,
@@ -101,7 +101,7 @@ class GeometryFilter:
         self._skipped = SkippedMessages(recording.warnings)
 
     def accepted(self, messages: Iterator[Message]) -> Iterator[Message]:
-        """The messages that fit the rig, in order."""
+        """The messages of the rig's geometry, in order."""
         for message in self._order.accepted(messages):
             problem = self._problem(message.topic, message.value)
             if problem:

@@ -1,6 +1,7 @@
-"""Which messages of a recording are stamped as the order and the times of its log say.
+"""A filter for messages stamped out of order, by one rule for every stage.
 
-A clock that jumps stamps a message far from the others: it costs itself alone, in every stage.
+A message whose stamp contradicts the order or the times of the log, as after a jump of the clock,
+is left out; the others stay (``fusion_core.model.stamps``).
 """
 
 from collections.abc import Iterator

@@ -8,9 +8,9 @@ from fusion_core.model.conventions import NS_PER_S
 from fusion_core.model.recording import Recording, Role
 
 LEAST_TIMES = 3.0
-"""A gap is longer than so many times the stream's median interval."""
+"""A gap is longer than this many median intervals: two lost messages in a row."""
 
-# Fewer intervals than this tell no usual one.
+# The median of fewer intervals is no estimate of the rate.
 _LEAST_INTERVALS = 3
 # Several senders at rates of their own, or sent once: no interval is usual.
 _WITHOUT_RATE: frozenset[Role] = frozenset({"tf", "tf_static", "other"})

@@ -1,4 +1,4 @@
-"""Timed poses between frames on their way into a transform tree, less those that cannot be."""
+"""Timed transforms of a topic, whose outliers are dropped before they enter a transform tree."""
 
 from array import array
 from dataclasses import dataclass, field
@@ -61,11 +61,13 @@ class TimedTransforms:
                 tree.add(sample, static=False)
 
 
-def _find_lone_jumps(stamps_ns: IntArray, positions_m: FloatArray, judged: BoolArray) -> BoolArray:
-    """(N,) the lone jumps among the ``judged`` of (N,) samples in any order; of equal stamps, as in
-    a tree, the last counts."""
+def _find_lone_jumps(
+    stamps_ns: IntArray, positions_m: FloatArray, candidates: BoolArray
+) -> BoolArray:
+    """(N,) the lone jumps among the ``candidates`` of (N,) samples in any order; of equal stamps
+    the last counts, as in a tree."""
     lone = np.zeros(stamps_ns.size, dtype=np.bool_)
-    chosen = np.flatnonzero(judged)
+    chosen = np.flatnonzero(candidates)
     chosen = chosen[np.argsort(stamps_ns[chosen], kind="stable")]
     chosen = chosen[np.append(np.diff(stamps_ns[chosen]) > 0, True)[: chosen.size]]
     lone[chosen] = find_isolated_poses(stamps_ns[chosen], positions_m[chosen])

@@ -24,11 +24,17 @@ from fusion_core.exporting.figures_alignment import (
     CurvePair,
     FieldPanel,
     MetricColumn,
+    SynchronizedFrame,
     write_aligned,
     write_similarity,
 )
 from fusion_core.exporting.figures_maps import write_maps
-from fusion_core.exporting.figures_registration import write_pairs, write_recall
+from fusion_core.exporting.figures_registration import (
+    RansacPairs,
+    RecallCurves,
+    write_pairs,
+    write_recall,
+)
 from fusion_core.exporting.figures_repair import (
     RepairedCurve,
     fused_depth_m,
@@ -141,14 +147,16 @@ def draw_all(folder: Path) -> None:
     write_aligned(
         folder / "fig3.png",
         "heading",
-        color=color,
-        color_after_ms=-3.0,
-        depth_m=depth_m,
-        depth_stamp_ns=2_010_000_000,
-        scan=scan(),
-        gap_ns=10_000_000,
-        beams_in_view=np.arange(20, 40),
-        nominal=False,
+        SynchronizedFrame(
+            color=color,
+            color_after_ms=-3.0,
+            depth_m=depth_m,
+            depth_stamp_ns=2_010_000_000,
+            scan=scan(),
+            gap_ns=10_000_000,
+            beams_in_view=np.arange(20, 40),
+            has_nominal_stamps=False,
+        ),
     )
     scores = np.random.default_rng(2).random((HEIGHT, 12))
     curves = CurvePair(lidar_m=np.linspace(1, 2, 9), depth_m=np.linspace(1.1, 2.2, 9))
@@ -168,26 +176,30 @@ def draw_all(folder: Path) -> None:
     write_pairs(
         folder / "fig5.png",
         "heading",
-        lidar_points_m=lidar,
-        depth_points_m=lidar + np.where(far, 0.6, 0.2)[:, np.newaxis] * [0.0, 1.0],
-        inliers=~far,
-        model="rigid",
-        mean_error_m=0.1,
-        threshold_m=0.25,
-        draws=84,
-        axis_names=("x (m)", "z (m)"),
+        RansacPairs(
+            lidar_points_m=lidar,
+            depth_points_m=lidar + np.where(far, 0.6, 0.2)[:, np.newaxis] * [0.0, 1.0],
+            inliers=~far,
+            model="rigid",
+            mean_error_m=0.1,
+            threshold_m=0.25,
+            draws=84,
+            axis_names=("x (m)", "z (m)"),
+        ),
     )
     factors = np.linspace(0.2, 6.0, 30)
     write_recall(
         folder / "fig6.png",
         "heading",
-        epsilon_over_E=factors,
-        xi=list(1.0 - np.exp(-factors)),
-        eta=list(np.exp(-0.1 * factors)),
-        band=(1.0, 2.0**0.5),
-        own_epsilon_over_E=2.0,
-        own_xi=0.9,
-        own_eta=0.8,
+        RecallCurves(
+            epsilon_over_E=factors,
+            xi=list(1.0 - np.exp(-factors)),
+            eta=list(np.exp(-0.1 * factors)),
+            band=(1.0, 2.0**0.5),
+            own_epsilon_over_E=2.0,
+            own_xi=0.9,
+            own_eta=0.8,
+        ),
     )
     write_repair(folder / "fig7.png", "heading", depth_m, curve)
     write_fused_depth(folder / "fig8.png", "heading", color=color, depth_m=depth_m, curve=curve)
@@ -472,14 +484,16 @@ def test_poor_frames_are_drawn_too(beams: int, tmp_path: Path) -> None:
     write_aligned(
         tmp_path / "fig3.png",
         "heading",
-        color=None,
-        color_after_ms=None,
-        depth_m=depth_m,
-        depth_stamp_ns=0,
-        scan=scan().with_ranges(np.full(60, np.nan), None),
-        gap_ns=0,
-        beams_in_view=np.arange(beams),
-        nominal=True,
+        SynchronizedFrame(
+            color=None,
+            color_after_ms=None,
+            depth_m=depth_m,
+            depth_stamp_ns=0,
+            scan=scan().with_ranges(np.full(60, np.nan), None),
+            gap_ns=0,
+            beams_in_view=np.arange(beams),
+            has_nominal_stamps=True,
+        ),
     )
     assert len(list(tmp_path.iterdir())) == 3
 
@@ -500,25 +514,29 @@ def test_missing_fields_pairs_and_recalls_are_drawn_as_missing(tmp_path: Path) -
     write_pairs(
         tmp_path / "fig5.png",
         "heading",
-        lidar_points_m=np.full((4, 2), np.nan),
-        depth_points_m=np.full((4, 2), np.nan),
-        inliers=np.zeros(4, dtype=np.bool_),
-        model="rigid",
-        mean_error_m=float("inf"),
-        threshold_m=0.1,
-        draws=1,
-        axis_names=("x (m)", "z (m)"),
+        RansacPairs(
+            lidar_points_m=np.full((4, 2), np.nan),
+            depth_points_m=np.full((4, 2), np.nan),
+            inliers=np.zeros(4, dtype=np.bool_),
+            model="rigid",
+            mean_error_m=float("inf"),
+            threshold_m=0.1,
+            draws=1,
+            axis_names=("x (m)", "z (m)"),
+        ),
     )
     write_recall(
         tmp_path / "fig6.png",
         "heading",
-        epsilon_over_E=np.array([1.0, 2.0]),
-        xi=None,
-        eta=None,
-        band=(1.0, 1.4),
-        own_epsilon_over_E=float("nan"),
-        own_xi=None,
-        own_eta=None,
+        RecallCurves(
+            epsilon_over_E=np.array([1.0, 2.0]),
+            xi=None,
+            eta=None,
+            band=(1.0, 1.4),
+            own_epsilon_over_E=float("nan"),
+            own_xi=None,
+            own_eta=None,
+        ),
     )
     write_maps(tmp_path / "fig9.png", "heading", {"camera": grid_with(5, 5)}, None)
     assert len(list(tmp_path.iterdir())) == 4

@@ -83,7 +83,7 @@ def repair(
 ) -> dict[str, Any]:
     """Errors of repaired values against the truth and against plain interpolation.
 
-    ``recording``, what was fused, adds the rivals that fill whole depth images.
+    ``recording``, what was fused, adds the baselines that fill whole depth images.
     """
     require_intact(fuse_dir, _FUSE_RESULTS, "fuse")
     known = _load_truth(truth, lever_arm_m, pitch_rad, clock_offset_ms)

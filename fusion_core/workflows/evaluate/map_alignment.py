@@ -17,14 +17,16 @@ from fusion_core.model.world_outline import WorldOutline
 from fusion_core.registration.correlative import SearchWindow, find_best_pose
 from fusion_core.registration.likelihood_grid import make_likelihood_pyramid
 
+# The coarse search: cells of 10 cm with a kernel of three, and as many points as show a room.
 _SEARCH_CELL_M = 0.1
 _SEARCH_KERNEL_M = 0.3
 _SEARCH_LEVELS = 6
 _SEARCH_POINTS = 600
 _FINE_POINTS = 6000
-# About a given pose, or about none at all.
+# How far a guess may be off (20 degrees), as ``align_map`` documents.
 _NEAR_M, _NEAR_RAD = 1.0, 0.35
-# Pairs farther apart than this are left out, in turn; a residual of 3 cm weighs half.
+# Inlier limits of the rounds of refinement, coarse to fine; a residual of 3 cm, the noise of a
+# LiDAR, weighs half.
 _INLIER_LIMITS_M = (0.5, 0.3, 0.15)
 _HALF_WEIGHT_M = 0.03
 _ITERATIONS = 30
@@ -35,7 +37,8 @@ _PAIRS_MIN = 10
 class MapAlignment:
     """``pose_world_map``: (3,) x, y, yaw that maps the map's frame to the world's.
 
-    ``near``: share of the occupied cells within 15 cm of an outline, once they are laid over it.
+    ``inlier_fraction``: of the occupied cells, those within 15 cm of an outline after the
+    alignment.
     """
 
     pose_world_map: FloatArray
@@ -139,7 +142,7 @@ class _OutlineSamples:
         try:
             pose = find_best_pose(pyramid, points_m - middle_m, window)
         except RegistrationFailed:
-            # Nothing within reach of any outline: the refinement says so.
+            # No point is near any outline: the refinement then finds no inlier.
             pose = centre
         back = transform_planar_points(np.array([0.0, 0.0, pose[2]]), -middle_m[None])[0]
         return np.array([*(pose[:2] + back), pose[2]])
@@ -170,7 +173,7 @@ class _OutlineSamples:
         )
 
     def _gauss_newton_step(self, points_m: FloatArray, cut_m: float) -> FloatArray:
-        """(3,) shift and turn about the middle of the world; zero where nothing is in reach."""
+        """(3,) shift and turn about the middle of the world; zero without inliers."""
         distance_m, index = map(np.asarray, self._tree.query(points_m))
         near = distance_m < cut_m
         points_m, target_m = points_m[near], self._points_m[index[near]]
@@ -181,7 +184,7 @@ class _OutlineSamples:
         residual = ((points_m - target_m) * normals).sum(axis=1)
         weights = 1.0 / (1.0 + (residual / _HALF_WEIGHT_M) ** 2)
         system = (weights[:, None] * slope).T @ slope
-        # Where the outlines do not tell, as along a corridor, the pose stays.
+        # Along unobservable directions, as that of a corridor, the pose stays.
         step: FloatArray = -np.linalg.lstsq(
             system, (weights[:, None] * slope).T @ residual, rcond=1e-9
         )[0]

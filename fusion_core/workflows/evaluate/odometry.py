@@ -30,7 +30,7 @@ def odometry(
 
     ``reference``: a TUM file, or a truth (.npz) with ``scan_stamp`` in ns and ``pose``, x, y, yaw
     of the LiDAR. Only what was measured is in a file: a track of few ``poses`` was lost for long.
-    Of a track under ``failed`` no errors can be told.
+    Tracks under ``failed`` have no errors, for the reason given there.
 
     Raises ScanLoomError where the folder holds no trajectory, the reference cannot be read, or no
     trajectory can be compared with it.

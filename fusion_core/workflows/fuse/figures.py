@@ -23,11 +23,17 @@ from fusion_core.exporting.figures_alignment import (
     CurvePair,
     FieldPanel,
     MetricColumn,
+    SynchronizedFrame,
     write_aligned,
     write_similarity,
 )
 from fusion_core.exporting.figures_maps import write_maps
-from fusion_core.exporting.figures_registration import write_pairs, write_recall
+from fusion_core.exporting.figures_registration import (
+    RansacPairs,
+    RecallCurves,
+    write_pairs,
+    write_recall,
+)
 from fusion_core.exporting.figures_repair import RepairedCurve, write_fused_depth, write_repair
 from fusion_core.exporting.tables import CsvTable
 from fusion_core.mapping.difference import compare_maps
@@ -241,31 +247,38 @@ def _write_showcase(folder: Path, heading: str, session: "Session", frame: Fused
     write_aligned(
         folder / "fig3_aligned.png",
         f"Fig. 3, aligned in time: {about}",
-        color=color,
-        color_after_ms=after_ms,
-        depth_m=frame.depth_m,
-        depth_stamp_ns=frame.stamp_ns,
-        scan=frame.scan,
-        gap_ns=frame.gap_ns,
-        beams_in_view=frame.correspondence.beam,
-        nominal=session.recording.stamps_are_nominal,
+        SynchronizedFrame(
+            color=color,
+            color_after_ms=after_ms,
+            depth_m=frame.depth_m,
+            depth_stamp_ns=frame.stamp_ns,
+            scan=frame.scan,
+            gap_ns=frame.gap_ns,
+            beams_in_view=frame.correspondence.beam,
+            has_nominal_stamps=session.recording.stamps_are_nominal,
+        ),
     )
     by_sample = session.settings.pairing == "frame"
     if frame.registration is not None:
         write_pairs(
             folder / "fig5_pairs.png",
             f"Fig. 5, pairs before and after RANSAC: {about}",
-            lidar_points_m=frame.registration.draws.lidar_points_m,
-            depth_points_m=frame.registration.draws.depth_points_m,
-            inliers=frame.registration.inliers,
-            model=frame.registration.model,
-            mean_error_m=frame.registration.mean_error_m,
-            threshold_m=frame.registration.draws.inlier_threshold_m,
-            draws=frame.registration.draws.count,
-            axis_names=(
-                ("x: sample number × median arc of a sample (m)", "range or depth, holes as 0 (m)")
-                if by_sample
-                else ("x: to the right (m)", "z: ahead, in the middle of the view (m)")
+            RansacPairs(
+                lidar_points_m=frame.registration.draws.lidar_points_m,
+                depth_points_m=frame.registration.draws.depth_points_m,
+                inliers=frame.registration.inliers,
+                model=frame.registration.model,
+                mean_error_m=frame.registration.mean_error_m,
+                threshold_m=frame.registration.draws.inlier_threshold_m,
+                draws=frame.registration.draws.count,
+                axis_names=(
+                    (
+                        "x: sample number × median arc of a sample (m)",
+                        "range or depth, holes as 0 (m)",
+                    )
+                    if by_sample
+                    else ("x: to the right (m)", "z: ahead, in the middle of the view (m)")
+                ),
             ),
         )
     curve = RepairedCurve(
@@ -351,13 +364,15 @@ def _write_recall(folder: Path, heading: str, fuse_dir: Path, truth: Path) -> No
         folder / "fig6_recall.png",
         f"Fig. 6, recall over the threshold: {heading}\n"
         f"{over['good_pairs']} good pairs, {over['noise_pairs']} noise pairs",
-        epsilon_over_E=factors,
-        xi=over["xi"],
-        eta=over["eta"],
-        band=(over["band"][0], over["band"][1]),
-        own_epsilon_over_E=float(np.median(own)) if own.size else float("nan"),
-        own_xi=measured["xi"],
-        own_eta=measured["eta"],
+        RecallCurves(
+            epsilon_over_E=factors,
+            xi=over["xi"],
+            eta=over["eta"],
+            band=(over["band"][0], over["band"][1]),
+            own_epsilon_over_E=float(np.median(own)) if own.size else float("nan"),
+            own_xi=measured["xi"],
+            own_eta=measured["eta"],
+        ),
     )
     missing = [None] * factors.size
     with CsvTable(folder / "fig6_recall.csv", ("epsilon_over_E", "xi", "eta")) as table:

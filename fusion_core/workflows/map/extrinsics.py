@@ -1,4 +1,4 @@
-"""Where the depth cameras stand against the LiDAR: from a file, from TF, or from the alignment."""
+"""Extrinsics of the depth cameras in the LiDAR's frame: from a file, TF, or the alignment."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class MountedCamera:
     """A depth camera in the LiDAR's frame.
 
     ``T_lidar_camera``: (4, 4), the optical frame of the upright ``view`` to the LiDAR's.
-    ``upside_down``: the LiDAR's z points down.
+    ``is_upside_down``: the LiDAR's z points down.
     """
 
     topic: str
@@ -65,9 +65,9 @@ class CameraExtrinsics:
     """The cameras around a LiDAR.
 
     ``frame_id``: the LiDAR's frame, or LEVEL_FRAME under the first camera where the recording has
-    no LiDAR ("level"); only the directions of that one mean anything before the floor is known.
-    ``height_known``: whether heights and tilts against the LiDAR are; an alignment need not see
-    them. ``lidar_height_m``: above the floor, where the recording's transforms say so.
+    no LiDAR ("level"); only its orientation has a meaning before the floor is known.
+    ``is_height_known``: whether heights and tilts against the LiDAR are known; an alignment may
+    not observe them. ``lidar_height_m``: above the floor, where the recording's transforms say so.
     """
 
     source: ExtrinsicsSource
@@ -80,8 +80,8 @@ class CameraExtrinsics:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _LidarMounting:
-    """How the LiDAR stands by the static transforms. ``height_m``: above the floor's frame, None
-    where they do not say; ``upside_down``: against the root of its frames."""
+    """The LiDAR's mounting by the static transforms. ``height_above_floor_m``: None where they have
+    no frame on the floor. ``is_upside_down``: against the root of its frames."""
 
     height_above_floor_m: float | None
     is_upside_down: bool
@@ -95,11 +95,12 @@ def find_extrinsics(
     file: Path | None = None,
     progress: Progress = silent,
 ) -> CameraExtrinsics:
-    """The best that is known: ``file``, else the recording's transforms, else the alignment of
-    scans and images (a pass over the recording), else, without a LiDAR, a camera that is level.
+    """The most reliable extrinsics: those of ``file``, else the recording's transforms, else the
+    alignment of scans and images (a pass over the recording), else, without a LiDAR, a level
+    camera.
 
     Raises MissingStream without depth images, SettingsError for the file, AlignmentFailed where
-    the alignment does not show where the camera stands in the LiDAR's plane.
+    the camera's position in the LiDAR's plane is not observable.
     """
     if streams.lidar is None:
         if file is not None:
@@ -110,22 +111,22 @@ def find_extrinsics(
             )
         return _level_extrinsics(recording, streams, settings)
     rig = build_camera_rig(recording, streams, settings.sampling)
-    stand = _read_lidar_mounting(recording, streams, rig.lidar_frame)
+    mounting = _read_lidar_mounting(recording, streams, rig.lidar_frame)
     if file is not None:
-        return _extrinsics_from_file(file, rig, streams, stand)
+        return _extrinsics_from_file(file, rig, streams, mounting)
     session = session_of(recording, streams, rig, settings)
     refusal = recorded_mount_problem(session)
     if rig.recorded_mount is not None and not refusal:
         return CameraExtrinsics(
             source="tf",
             frame_id=rig.lidar_frame,
-            cameras=_mounted_cameras(rig, rig.recorded_mount, stand),
+            cameras=_mounted_cameras(rig, rig.recorded_mount, mounting),
             is_height_known=True,
-            lidar_height_m=stand.height_above_floor_m,
+            lidar_height_m=mounting.height_above_floor_m,
             notes=(*rig.notes, f"Extrinsics from {streams.tf_static}."),
         )
     try:
-        return _extrinsics_from_alignment(session, stand, progress)
+        return _extrinsics_from_alignment(session, mounting, progress)
     except AlignmentFailed as error:
         if not refusal:
             raise
@@ -135,14 +136,14 @@ def find_extrinsics(
 
 
 def _mounted_cameras(
-    rig: CameraRig, mount: Mount, stand: _LidarMounting
+    rig: CameraRig, mount: Mount, mounting: _LidarMounting
 ) -> tuple[MountedCamera, ...]:
     return tuple(
         MountedCamera(
             topic=camera.topic,
             view=view,
             T_lidar_camera=mount.T_lidar_rig @ camera.T_rig_camera,
-            is_upside_down=stand.is_upside_down,
+            is_upside_down=mounting.is_upside_down,
         )
         for camera, view in zip(rig.cameras, rig.views, strict=True)
     )
@@ -172,7 +173,7 @@ def _level_extrinsics(
 
 
 def _extrinsics_from_file(
-    file: Path, rig: CameraRig, streams: Streams, stand: _LidarMounting
+    file: Path, rig: CameraRig, streams: Streams, mounting: _LidarMounting
 ) -> CameraExtrinsics:
     given = read_extrinsics(file)
     lenses = {
@@ -194,7 +195,7 @@ def _extrinsics_from_file(
         )
     cameras = []
     for topic, T_camera_lidar in known.items():
-        up = -T_camera_lidar[:3, 2] if stand.is_upside_down else T_camera_lidar[:3, 2]
+        up = -T_camera_lidar[:3, 2] if mounting.is_upside_down else T_camera_lidar[:3, 2]
         view = upright_view(lenses[topic], up)
         cameras.append(
             MountedCamera(
@@ -202,7 +203,7 @@ def _extrinsics_from_file(
                 view=view,
                 T_lidar_camera=invert_transform(T_camera_lidar)
                 @ make_transform(view.R_stored_view, np.zeros(3)),
-                is_upside_down=stand.is_upside_down,
+                is_upside_down=mounting.is_upside_down,
             )
         )
     notes = [*rig.notes, f"Extrinsics from {file.name}."]
@@ -214,13 +215,13 @@ def _extrinsics_from_file(
         frame_id=rig.lidar_frame,
         cameras=tuple(cameras),
         is_height_known=True,
-        lidar_height_m=stand.height_above_floor_m,
+        lidar_height_m=mounting.height_above_floor_m,
         notes=tuple(notes),
     )
 
 
 def _extrinsics_from_alignment(
-    session: Session, stand: _LidarMounting, progress: Progress
+    session: Session, mounting: _LidarMounting, progress: Progress
 ) -> CameraExtrinsics:
     recording, rig = session.recording, session.rig
     alignment = align_recording(session, progress)
@@ -254,9 +255,9 @@ def _extrinsics_from_alignment(
     return CameraExtrinsics(
         source="alignment",
         frame_id=rig.lidar_frame,
-        cameras=_mounted_cameras(rig, mount, stand),
+        cameras=_mounted_cameras(rig, mount, mounting),
         is_height_known=not unseen,
-        lidar_height_m=stand.height_above_floor_m,
+        lidar_height_m=mounting.height_above_floor_m,
         notes=tuple(notes),
     )
 

@@ -1,4 +1,4 @@
-"""Extrinsics from a file: where a LiDAR stands before a depth camera.
+"""Extrinsics from a file: the pose of the LiDAR in a depth camera's frame.
 
 TOML or JSON, with one key or two, in metres::
 
@@ -32,15 +32,16 @@ _ADVICE = (
     "Write T_camera_lidar (4 x 4), or R (3 x 3) and t (3, in metres), which map the LiDAR's points "
     "to the camera's optical frame."
 )
+# Rotations written with four decimals are off by less.
 _ROTATION_TOLERANCE = 1e-3
-# No robot is this large: such a length is in millimetres.
+# No robot carries sensors this far apart: such a length is in millimetres.
 _TRANSLATION_MAX_M = 10.0
 # A hundred cameras take some 20 kB.
 _MAX_BYTES = 1 << 20
 
 
 def read_extrinsics(path: Path) -> dict[str | None, FloatArray]:
-    """T_camera_lidar (4, 4) by depth topic; None stands for the only camera.
+    """T_camera_lidar (4, 4) by depth topic; None is the key of the only camera.
 
     Raises SettingsError where the file cannot be read or holds no rigid transform.
     """

@@ -1,4 +1,4 @@
-"""The floor below the cameras, and with it each camera's way into a virtual scan."""
+"""The floor below the cameras, and the transform of each camera to coordinates above it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,22 +14,24 @@ from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import DepthImage
 from fusion_core.workflows.map.extrinsics import CameraExtrinsics, ExtrinsicsSource, MountedCamera
 
-# As many images, spread evenly over the recording, show the floor.
+# Spread evenly over the recording: some of them show the floor wherever the robot drives.
 _IMAGES_SAMPLED = 24
+# The largest tilt between the floor and the extrinsics by how far these can be off: calibrated
+# mounts, estimated ones, and a camera that is only assumed to look level.
 _TILT_MAX_DEG: dict[ExtrinsicsSource, float] = {
     "file": 10.0,
     "tf": 10.0,
     "alignment": 15.0,
     "level": 45.0,
 }
-# What is worth saying of a floor that lies elsewhere than the extrinsics have it.
+# Smaller contradictions between floor and extrinsics are noise of the depth, and not reported.
 _TILT_REPORTED_DEG = 1.0
 _HEIGHT_REPORTED_M = 0.03
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FloorAlignedCamera:
-    """``floor_from_camera``: (3, 4), points in the optical frame of ``view`` to x and y in the
+    """``T_floor_camera``: (3, 4), maps points in the optical frame of ``view`` to x and y in the
     scan's frame and the height above the floor."""
 
     topic: str
@@ -42,7 +44,7 @@ class FloorAlignedCamera:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FloorAlignment:
-    """``lidar_height_m``: the LiDAR's plane above the floor, None where nothing tells."""
+    """``lidar_height_m``: the LiDAR's plane above the floor, None where it is not known."""
 
     cameras: tuple[FloorAlignedCamera, ...]
     lidar_height_m: float | None
@@ -57,7 +59,7 @@ def align_to_floor(
     The floor comes from ``settings.lidar_height_m`` where that is given, else from the depth
     images, else from the recording's transforms.
 
-    Raises AlignmentFailed where none of them tells.
+    Raises AlignmentFailed where none of them gives it.
     """
     given_m = settings.lidar_height_m
     if given_m is not None:
@@ -137,28 +139,24 @@ def _sample_images(recording: Recording, camera: MountedCamera) -> list[Float32A
 def _align_to_seen_floor(camera: MountedCamera, floor: FloorPlane) -> FloorAlignedCamera:
     """The camera with the floor's tilt and height, and with the place and yaw of the extrinsics."""
     R = camera.T_up_camera[:3, :3]
-    floor_from_camera = np.empty((3, 4))
-    floor_from_camera[:, :3] = _rotation_to_vertical(R @ floor.up) @ R
-    floor_from_camera[:2, 3] = camera.T_up_camera[:2, 3]
-    floor_from_camera[2, 3] = floor.camera_height_m
-    return _floor_aligned_camera(camera, floor_from_camera)
+    T_floor_camera = np.empty((3, 4))
+    T_floor_camera[:, :3] = _rotation_to_vertical(R @ floor.up) @ R
+    T_floor_camera[:2, 3] = camera.T_up_camera[:2, 3]
+    T_floor_camera[2, 3] = floor.camera_height_m
+    return _floor_aligned_camera(camera, T_floor_camera)
 
 
 def _align_to_known_height(camera: MountedCamera, lidar_height_m: float) -> FloorAlignedCamera:
-    floor_from_camera = camera.T_up_camera[:3].copy()
-    floor_from_camera[2, 3] += lidar_height_m
-    return _floor_aligned_camera(camera, floor_from_camera)
+    T_floor_camera = camera.T_up_camera[:3].copy()
+    T_floor_camera[2, 3] += lidar_height_m
+    return _floor_aligned_camera(camera, T_floor_camera)
 
 
-def _floor_aligned_camera(
-    camera: MountedCamera, floor_from_camera: FloatArray
-) -> FloorAlignedCamera:
+def _floor_aligned_camera(camera: MountedCamera, T_floor_camera: FloatArray) -> FloorAlignedCamera:
     if camera.is_upside_down:
         # Back to the LiDAR's own x and y; heights stay heights.
-        floor_from_camera[1] *= -1.0
-    return FloorAlignedCamera(
-        topic=camera.topic, view=camera.view, T_floor_camera=floor_from_camera
-    )
+        T_floor_camera[1] *= -1.0
+    return FloorAlignedCamera(topic=camera.topic, view=camera.view, T_floor_camera=T_floor_camera)
 
 
 def _rotation_to_vertical(direction: FloatArray) -> FloatArray:
@@ -180,7 +178,7 @@ def _describe_floor(topic: str, floor: FloorPlane) -> str:
 def _describe_contradictions(
     placed: CameraExtrinsics, floors: dict[str, FloorPlane], height_m: float
 ) -> Sequence[str]:
-    """Where the floor contradicts what was told of the mount."""
+    """Notes on where the floor in the depth contradicts the extrinsics."""
     notes = []
     for topic, floor in floors.items():
         tilt_deg = float(np.rad2deg(floor.tilt_rad))
@@ -189,14 +187,14 @@ def _describe_contradictions(
                 f"{topic}: the floor tilts by {tilt_deg:.1f} degrees against the extrinsics "
                 "and is believed."
             )
-    told_m = placed.lidar_height_m
+    recorded_m = placed.lidar_height_m
     if (
         placed.is_height_known
-        and told_m is not None
-        and abs(told_m - height_m) > _HEIGHT_REPORTED_M
+        and recorded_m is not None
+        and abs(recorded_m - height_m) > _HEIGHT_REPORTED_M
     ):
         notes.append(
-            f"TF has the LiDAR at {told_m:.3f} m above the floor, the depth at {height_m:.3f} m, "
-            "which is believed."
+            f"TF has the LiDAR at {recorded_m:.3f} m above the floor, the depth at "
+            f"{height_m:.3f} m, which is believed."
         )
     return notes

@@ -1,5 +1,5 @@
-"""Occupancy grids of a recording from scans that were placed: the scans that SLAM took, and the
-LiDAR's own beside them, so that both can be compared on one raster (Xu Fig. 9, Li Fig. 8)."""
+"""Occupancy grids from placed scans: of the scans that SLAM used, and of the LiDAR's own beside
+them, so that both can be compared on one raster (Xu Fig. 9, Li Fig. 8)."""
 
 from collections.abc import Iterator, Mapping
 
@@ -23,7 +23,7 @@ def build_maps(
     range_max_m: float,
     progress: Progress,
 ) -> tuple[dict[str, OccupancyGrid], list[str]]:
-    """A grid of each source of scans, by name, and why any is missing or coarser than was asked.
+    """A grid of each source of scans, by name, and notes on missing or coarser maps.
 
     ``reach_m``: a far beam that strays would make a map of the whole range, so that points beyond
     only free the cells up to there.
@@ -70,7 +70,7 @@ class CameraBeams:
 
     def __iter__(self) -> Iterator[LaserScan]:
         for scan in self._merged:
-            assert scan.intensities is not None, "merged scans say what the camera met"
+            assert scan.intensities is not None, "merged scans mark the beams that the camera met"
             seen = np.where(scan.intensities > 0.0, scan.ranges_m, np.nan)
             yield scan.with_ranges(seen, scan.intensities)
 

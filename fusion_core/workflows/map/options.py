@@ -48,7 +48,7 @@ class MapOptions:
 
     @property
     def needs_extrinsics(self) -> bool:
-        """Whether it matters where the cameras stand."""
+        """Whether the cameras' extrinsics are used."""
         return self.has_virtual_scans or self.motion in ("visual", "fused")
 
     def identity(self) -> str:

@@ -61,16 +61,16 @@ class RepairedScans:
             yield raw.with_ranges(np.where(left, np.nan, repaired.ranges_m), None)
 
     def _repaired_pairs(self, merge: RepairedScanQueue) -> Iterator[tuple[LaserScan, LaserScan]]:
-        judged: set[int] = set()
+        paired: set[int] = set()
         for entry in fuse_frames(self._session, self._alignment, self._sensors.clock_offset_ms):
             if isinstance(entry, LaserScan):
                 merge.push(entry)
                 for raw, repaired in merge.pop_settled():
-                    judged.discard(id(raw))
+                    paired.discard(id(raw))
                     yield raw, repaired
             elif isinstance(entry, FusedFrame):
                 # Two images of one scan count once.
-                self._with_image += id(entry.scan) not in judged
-                judged.add(id(entry.scan))
+                self._with_image += id(entry.scan) not in paired
+                paired.add(id(entry.scan))
                 merge.apply_repairs(entry)
         yield from merge.flush()

@@ -12,7 +12,7 @@ from fusion_core.slam.particle_filter_slam import ParticleResult
 from fusion_core.slam.pose_graph_slam import SlamResult
 from fusion_core.workflows.map.estimators import PlacedScans
 
-# Of more stretches than this people are told the longest.
+# Of more intervals than fit on a screen only the longest are printed.
 _INTERVALS_PRINTED = 8
 
 
@@ -20,7 +20,7 @@ _INTERVALS_PRINTED = 8
 class MapSummary:
     """What a run has to report: report.json's content, and the seconds of its stages.
 
-    The seconds stand in no file, since they alone differ from run to run; a skipped run has none.
+    The seconds are in no file, since they differ from run to run; a skipped run has none.
     """
 
     output: Path
@@ -54,11 +54,11 @@ class MapSummary:
                 f"particles  {report['particles']}, {report['key_scans']} scans weighed, "
                 f"{report['resamplings']} times resampled"
             )
-        longest = sorted(report["untrusted"], key=lambda stretch: -int(stretch["scans"]))
-        for stretch in sorted(longest[:_INTERVALS_PRINTED], key=lambda stretch: stretch["from_s"]):
+        longest = sorted(report["untrusted"], key=lambda interval: -int(interval["scans"]))
+        for interval in sorted(longest[:_INTERVALS_PRINTED], key=lambda entry: entry["from_s"]):
             lines.append(
-                f"untrusted  {stretch['from_s']:.3f} s to {stretch['to_s']:.3f} s: "
-                f"{stretch['scans']} scans"
+                f"untrusted  {interval['from_s']:.3f} s to {interval['to_s']:.3f} s: "
+                f"{interval['scans']} scans"
             )
         if len(longest) > _INTERVALS_PRINTED:
             lines.append(
@@ -77,8 +77,8 @@ def build_report(
     choices: Mapping[str, str],
     notes: Sequence[str],
 ) -> dict[str, Any]:
-    """report.json's content. ``recorded``: scans in the recording, of which those that are not
-    placed cannot be trusted; ``asked``: what a person chose, by name."""
+    """report.json's content. ``recorded_count``: scans in the recording; those that are not
+    placed are not trusted. ``choices``: the run's options, by name."""
     steps_m = np.hypot(*np.diff(placed.poses_map_scan[:, :2], axis=0).T)
     report: dict[str, Any] = {
         **choices,

@@ -25,7 +25,7 @@ from fusion_core.model.trajectory import Trajectory
 from fusion_core.recordings.ros_map import read_ros_map
 from fusion_core.recordings.tum_trajectory import read_tum_trajectory
 
-# Sure either way: the picture tells no shades.
+# Log odds of a cell that the trinary picture has as occupied: far above any threshold.
 _SURE_LOG_ODDS = 5.0
 _TRANSLATION, _ROTATION = "_translation", "_rotation"
 
@@ -106,8 +106,8 @@ def read_map_results(folder: Path) -> MapResults:
 
 def _read_trusted(stamps_ns: IntArray, untrusted: list[dict[str, Any]]) -> BoolArray:
     trusted = np.ones(stamps_ns.size, dtype=np.bool_)
-    for stretch in untrusted:
-        first, last = _indices_of_seconds(stamps_ns, [stretch["from_s"], stretch["to_s"]])
+    for interval in untrusted:
+        first, last = _indices_of_seconds(stamps_ns, [interval["from_s"], interval["to_s"]])
         trusted[first : last + 1] = False
     return trusted
 

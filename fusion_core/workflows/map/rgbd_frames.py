@@ -25,12 +25,14 @@ from fusion_core.workflows.recorded_transforms import frame_name
 from fusion_core.workflows.sensor_geometry import first_value
 from fusion_core.workflows.stamp_filter import StampFilter
 
-# Colour and depth of one instant are not farther apart, whatever triggers them.
+# A little over one period of a 30 Hz camera: unsynchronised colour and depth are no farther apart.
 _COLOR_GAP_MAX_NS = 40 * NS_PER_MS
 # A depth image waits for a colour image that is logged after it, so many images at most.
 _DEPTH_WAITING = 8
-# More pixels than these cost time, and features are no better placed.
+# VGA, at which ORB-SLAM2 and the TUM benchmark work: more pixels cost time without better features.
 _WIDTH_MAX_PX = 640
+# Images of one camera in two sizes may differ by rounded or cropped rows.
+_ASPECT_TOLERANCE = 0.02
 
 
 class RgbdFrames:
@@ -74,18 +76,19 @@ class RgbdFrames:
                 f"{self._depth} or {self._color} holds no image that can be read.",
                 file=self._recording.path,
             )
-        lens = info.intrinsics if isinstance(info, CameraInfo) else None
-        if lens is None or (lens.height, lens.width) != depth.depth_m.shape:
+        intrinsics = info.intrinsics if isinstance(info, CameraInfo) else None
+        if intrinsics is None or (intrinsics.height, intrinsics.width) != depth.depth_m.shape:
             raise MissingStream(
                 f"{self._depth} has no usable intrinsics.",
                 file=self._recording.path,
                 advice="Visual odometry needs them: choose another --motion.",
             )
         height, width = color.rgb.shape[:2]
-        if abs(height * lens.width - width * lens.height) > 0.02 * height * lens.width:
+        of_depth, of_color = height * intrinsics.width, width * intrinsics.height
+        if abs(of_depth - of_color) > _ASPECT_TOLERANCE * of_depth:
             raise MissingStream(
                 f"{self._color} of {width} x {height} pixels does not show what {self._depth} of "
-                f"{lens.width} x {lens.height} does.",
+                f"{intrinsics.width} x {intrinsics.height} does.",
                 file=self._recording.path,
                 advice="Record depth registered to colour.",
             )
@@ -94,7 +97,7 @@ class RgbdFrames:
                 f"{self._color} is taken to show what {self._depth} does, though their frames "
                 f"{color.frame_id} and {depth.frame_id} differ.",
             )
-        return _scaled_intrinsics(lens, _scaled_shape(height, width))
+        return _scaled_intrinsics(intrinsics, _scaled_shape(height, width))
 
     def __iter__(self) -> Iterator[GrayDepth]:
         """Depth images, each with the colour image nearest in time; those without one are left
@@ -107,7 +110,7 @@ class RgbdFrames:
                 waiting.append(value)
             elif isinstance(value, ColorImage):
                 colors.append(value)
-            # A later colour image tells that none nearer will come.
+            # Once a later colour image is read, none nearer can follow.
             while waiting and (
                 (colors and colors[-1].stamp_ns >= waiting[0].stamp_ns)
                 or len(waiting) > _DEPTH_WAITING
@@ -165,7 +168,7 @@ def first_camera_extrinsics(
     recording: Recording, streams: Streams, extrinsics: CameraExtrinsics | None
 ) -> tuple[FloatArray | None, tuple[str, ...]]:
     """(4, 4) T_lidar_camera of the first depth camera's stored images, by ``extrinsics`` or by the
-    recording's own transforms; None where neither says. And notes for people."""
+    recording's own transforms; None where neither gives it. And notes for people."""
     if not streams.depth:
         return None, ()
     if extrinsics is not None:

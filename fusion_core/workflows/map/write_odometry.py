@@ -32,7 +32,8 @@ def write_odometry(folder: Path, motion: MotionPrior) -> tuple[str, ...]:
             written.append(name)
     if motion.weights is not None and motion.weights.stamps_ns.size > 1:
         _write_table(folder / WEIGHTS_TABLE, motion.weights)
-        _write_figure(folder / WEIGHTS_FIGURE, motion.weights)
+        heading = f"Odometry fused from {', '.join(motion.weights.sources)}"
+        write_odometry_weights(folder / WEIGHTS_FIGURE, heading, motion.weights)
         written += [WEIGHTS_TABLE, WEIGHTS_FIGURE]
     return tuple(written)
 
@@ -68,17 +69,3 @@ def _write_table(path: Path, weights: FusionWeights) -> None:
             if weights.gain is not None:
                 row |= dict(zip(gains, weights.gain[k], strict=True))
             table.append(row)
-
-
-def _write_figure(path: Path, weights: FusionWeights) -> None:
-    write_odometry_weights(
-        path,
-        f"Odometry fused from {', '.join(weights.sources)}",
-        sources=weights.sources,
-        stamps_ns=weights.stamps_ns,
-        translation=weights.translation,
-        rotation=weights.rotation,
-        rejected=weights.rejected,
-        residual_m=weights.residual_m,
-        residual_rad=weights.residual_rad,
-    )
