@@ -1,4 +1,4 @@
-"""All that the panels and the scene need to show one view: computed once, read by each of them."""
+"""The results that the panels and the scene display for one view, computed once for all."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from scanloom.state.view import View
 
 @dataclass(frozen=True, kw_only=True)
 class FrameView:
-    """One view and what came of it. What could not be had is None, and ``failure`` says why.
+    """A view and its results. A result that could not be computed is None; ``failure`` says why.
 
     ``chain`` is None while the recording is being aligned.
     """
@@ -32,51 +32,50 @@ class FrameView:
 
 
 def clock_offset_ms(view: View, chain: CachedChain) -> float:
-    """The offset that is taken out of the camera's stamps: the mount's, where asked for."""
+    """The offset subtracted from the camera's stamps: the mount's if applied, else 0."""
     return chain.alignment.mount.clock_offset_ms if view.apply_clock_offset else 0.0
 
 
 def as_failure(error: Exception) -> ScanLoomError:
-    """A failure in words for a person, whatever failed."""
+    """Any exception as an error with a message for the user."""
     if isinstance(error, ScanLoomError):
         return error
     return ScanLoomError(
         f"Something failed: {type(error).__name__}: {error}.",
-        advice="Go to another frame, or take back the last change with Undo.",
+        advice="Go to another frame, or undo the last change.",
     )
 
 
 def failure_summary(failure: ScanLoomError) -> str:
-    """What is wrong, with the name of the file where it is one: often that is the subject."""
+    """The problem, after the name of the file if there is one."""
     return f"{Path(failure.file).name}: {failure.problem}" if failure.file else failure.problem
 
 
 def alignment_progress_text(open_recording: OpenRecording) -> str:
-    """How far the alignment is."""
+    """The progress of the alignment, as text."""
     step = open_recording.progress
     count = f", {step.done} of {step.total}" if step.total else ""
-    # The loops are compiled when they are met first, and kept for later runs.
-    patience = "" if step.done else " The very first time takes up to a minute."
+    # numba compiles the loops on first use and caches them on disk.
+    patience = "" if step.done else " The first time takes up to a minute."
     return f"Aligning the recording: {step.what}{count}.{patience}"
 
 
 def missing_result_text(frame_view: FrameView) -> str:
-    """Why a stage has nothing to show, and what to do about it."""
+    """Why a stage has no result, and what to do about it."""
     if frame_view.failure is not None:
         return f"{failure_summary(frame_view.failure)} {frame_view.failure.advice}"
     if frame_view.chain is None:
         return alignment_progress_text(frame_view.open_recording)
-    return "This frame could not be judged."
+    return "This frame could not be classified."
 
 
 def compute_frame_view(
     view: View, open_recording: OpenRecording, check: Callable[[], None] = lambda: None
 ) -> FrameView:
-    """Compute a view; a stage that fails leaves what came before it.
+    """Compute the results of a view; if a stage fails, those of earlier stages are kept.
 
-    ``check`` is called between the stages, and raises Cancelled where nobody looks any more.
-
-    A frame beyond the recording's last, as an old link may ask for, is its last.
+    ``check`` is called between stages and may raise Cancelled. A frame index beyond the recording's
+    end, as in an old link, means the last frame.
     """
     view = view.model_copy(
         update={"frame_index": min(view.frame_index, len(open_recording.frames) - 1)}
@@ -101,11 +100,11 @@ def compute_frame_view(
         check()
     except Cancelled:
         raise
-    except Exception as error:  # noqa: BLE001  # what came before the stage that fails is shown
+    except Exception as error:  # noqa: BLE001  # results of earlier stages are displayed
         failure = as_failure(open_recording.explain_read_error(error))
     try:
         color = open_recording.frames.color(choice.number)
-    except Exception as error:  # noqa: BLE001  # the colour image is for looking only
+    except Exception as error:  # noqa: BLE001  # the colour image is only displayed
         failure = failure or as_failure(open_recording.explain_read_error(error))
     return FrameView(
         view=view,

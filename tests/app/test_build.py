@@ -59,7 +59,7 @@ def test_the_settings_file_says_all_that_the_view_says(
     view = view.with_setting("", "pairing", pairing).with_setting("noise", "epsilon", 2.25)
     file = tmp_path / "settings.toml"
     options = building.fuse_options(view, file)
-    file.write_text(settings_toml(building.preset_below(view), view.settings), encoding="utf-8")
+    file.write_text(settings_toml(building.base_preset(view), view.settings), encoding="utf-8")
     _, settings = chain_settings(options.preset, options.settings_file, options.seed)
     assert settings == view.settings
 

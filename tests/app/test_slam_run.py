@@ -27,7 +27,7 @@ from scanloom.jobs.slam_run import (
 )
 from scanloom.panels.command_line import map_command
 from scanloom.state.slam_choices import SlamChoices
-from scanloom.state.slam_runs import MOST_RUNS, SlamRuns
+from scanloom.state.slam_runs import MAX_RUNS, SlamRuns
 from scanloom.state.view import View
 from tests.app import slam_runs
 from tests.app.slam_runs import LOOPS, LOST, SCANS, FakeMap
@@ -264,9 +264,9 @@ def test_a_saved_run_is_a_copy_in_a_folder_of_its_own(tmp_path: Path) -> None:
 def test_the_last_runs_are_kept(tmp_path: Path) -> None:
     runs = SlamRuns()
     gone = []
-    for _ in range(MOST_RUNS + 2):
+    for _ in range(MAX_RUNS + 2):
         oldest = runs.add(run(tmp_path, runs.next_number()))
         gone += [] if oldest is None else [oldest.number]
     assert gone == [1, 2]
-    assert [one.number for one in runs.of(RECORDING.name)] == list(range(3, MOST_RUNS + 3))
+    assert [one.number for one in runs.of(RECORDING.name)] == list(range(3, MAX_RUNS + 3))
     assert runs.of("another") == []

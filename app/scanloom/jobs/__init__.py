@@ -1,1 +1,1 @@
-"""Work beside the server's own threads: only the latest request, or one long job at a time."""
+"""Background work: a latest-only worker, long jobs, and the batch runs of the Map panel."""

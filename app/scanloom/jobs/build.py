@@ -17,20 +17,24 @@ from fusion_core.workflows.fuse.session import FuseOptions
 from fusion_core.workflows.fuse.settings import PRESETS, PresetName, settings_toml
 from scanloom.state.view import View
 
+# viser sends a file from memory, in one go.
 MAX_DOWNLOAD_BYTES = 50_000_000
 
 _RESULTS, _CLOUDS, _SETTINGS = "results", "clouds", "settings.toml"
-_MOST_NAME_CHARACTERS = 60
-_MOST_FOLDERS = 10_000
-# Frame by frame, and so as large as the recording.
+# Well below the 255 bytes that file systems allow, with a suffix and multi-byte letters.
+_MAX_NAME_CHARACTERS = 60
+# Rather an error than an endless search.
+_MAX_FOLDERS = 10_000
+# Per-frame results, about as large as the recording.
 _NOT_IN_DOWNLOAD = {"fused.mcap", "samples.parquet"}
+# The earliest time that a .zip can hold.
 _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Build:
-    """What was built: ``folder`` holds ``results``, ``clouds`` once they are asked for, and the
-    settings file where no preset says it all."""
+    """A finished build. ``folder`` holds ``results``, ``clouds`` once exported, and a settings file
+    if the settings are not those of a preset."""
 
     view: View
     recording: Path
@@ -40,23 +44,23 @@ class Build:
 
     @property
     def results(self) -> Path:
-        """What ``fuse`` wrote."""
+        """The output folder of ``fuse``."""
         return results_in(self.folder)
 
 
 def results_in(folder: Path) -> Path:
-    """Where in a build's folder the results of ``fuse`` are."""
+    """The folder of results in a build's folder."""
     return folder / _RESULTS
 
 
 def settings_in(folder: Path) -> Path:
-    """Where in a build's folder the settings file is."""
+    """The settings file in a build's folder."""
     return folder / _SETTINGS
 
 
 def fuse_options(view: View, settings_file: Path, *, figures: bool = True) -> FuseOptions:
-    """What a view asks of ``fuse``. ``settings_file`` is named where no preset says it all."""
-    preset = preset_below(view)
+    """The options of ``fuse`` for a view; ``settings_file`` is used unless a preset suffices."""
+    preset = base_preset(view)
     is_preset = view.settings == PRESETS[preset]
     return FuseOptions(
         preset=preset,
@@ -69,11 +73,10 @@ def fuse_options(view: View, settings_file: Path, *, figures: bool = True) -> Fu
     )
 
 
-def preset_below(view: View) -> PresetName:
-    """The preset that a view's settings file starts from.
+def base_preset(view: View) -> PresetName:
+    """The preset that a view's settings file overrides.
 
-    A file says every setting but how frames are paired: where that was changed, it starts from the
-    preset that pairs so.
+    A settings file cannot change the pairing: if the view did, it is the preset of that pairing.
     """
     if PRESETS[view.preset].pairing == view.settings.pairing:
         return view.preset
@@ -81,24 +84,24 @@ def preset_below(view: View) -> PresetName:
 
 
 def folder_name(recording: str) -> str:
-    """A plain name for the results of a recording: letters, digits and, within, ``-_.``.
+    """A safe folder name for the results of a recording: letters, digits, and ``-_.`` within.
 
-    Whatever the name of a recording is, that of its folder names a child of the output root.
+    Whatever the recording is called, the result names a direct child of the output root.
     """
     letters = unicodedata.normalize("NFC", recording)
     plain = "".join(c if c.isalnum() or c in "-_." else "_" for c in letters)
-    return plain[:_MOST_NAME_CHARACTERS].strip("._-") or "recording"
+    return plain[:_MAX_NAME_CHARACTERS].strip("._-") or "recording"
 
 
 def free_folder(root: Path, recording: Path) -> Path:
-    """The folder below ``root`` that the next build of a recording goes to; not made yet.
+    """The folder below ``root`` for the next build of a recording, not yet created.
 
-    Raises ExportError where every number is taken.
+    Raises ExportError if all numbers are taken.
     """
     name = folder_name(recording.stem if recording.is_file() else recording.name)
-    for number in range(1, _MOST_FOLDERS):
+    for number in range(1, _MAX_FOLDERS):
         folder = root / (name if number == 1 else f"{name}-{number}")
-        # A link that leads nowhere is taken, too.
+        # A dangling symbolic link counts as taken.
         if not (folder.exists() or folder.is_symlink()):
             return folder
     raise ExportError("every number is taken.", file=root / name, advice="Remove old results.")
@@ -107,24 +110,23 @@ def free_folder(root: Path, recording: Path) -> Path:
 def build(
     view: View, recording: Path, root: Path, progress: Progress, *, figures: bool = True
 ) -> Build:
-    """Fuse a recording with the settings of a view. A build that fails or is cancelled leaves
-    nothing behind.
+    """Fuse a recording with the settings of a view. A failed or cancelled build leaves no files.
 
     Raises ExportError for the folder, and what ``fuse`` raises.
     """
     with new_folder(root, recording) as folder:
         options = fuse_options(view, settings_in(folder), figures=figures)
         if options.settings_file is not None:
-            text = settings_toml(preset_below(view), view.settings)
+            text = settings_toml(base_preset(view), view.settings)
             options.settings_file.write_text(text, encoding="utf-8")
         summary = fuse(recording, results_in(folder), options, progress)
-        # The last chance to be cancelled: while figures are drawn, nobody asks.
+        # Figures are drawn without progress reports: check for cancellation once more.
         progress(1, 1, "done")
     return Build(view=view, recording=recording, folder=folder, options=options, summary=summary)
 
 
 def export(built: Build, voxel_m: float, progress: Progress) -> CloudExport:
-    """Write the clouds of a build beside its results. Raises as ``export_clouds``."""
+    """Export the point clouds of a build beside its results. Raises as ``export_clouds``."""
     return export_clouds(
         built.recording,
         built.results,
@@ -136,15 +138,15 @@ def export(built: Build, voxel_m: float, progress: Progress) -> CloudExport:
 
 
 def zipped(built: Build) -> bytes:
-    """The results of a build but for those of each frame. Raises as ``zip_of``."""
-    return zip_of(built.results, built.folder.name)
+    """A .zip of a build's results. Raises as ``zip_folder``."""
+    return zip_folder(built.results, built.folder.name)
 
 
-def zip_of(results: Path, name: str) -> bytes:
-    """A folder of results but for those of each frame, as a .zip of the same bytes each time; its
-    files lie in a folder ``name``.
+def zip_folder(results: Path, name: str) -> bytes:
+    """A folder of results, without the per-frame files, as a reproducible .zip.
 
-    Raises ExportError where they exceed MAX_DOWNLOAD_BYTES, or are not there any more.
+    ``name``: the folder within the .zip. Raises ExportError if the files exceed MAX_DOWNLOAD_BYTES
+    or are missing.
     """
     packed = io.BytesIO()
     try:
@@ -173,7 +175,7 @@ def zip_of(results: Path, name: str) -> bytes:
 
 @contextmanager
 def new_folder(root: Path, recording: Path) -> Iterator[Path]:
-    """A folder of one's own below ``root``, removed when the block raises."""
+    """Create a new folder below ``root``; it is removed if the block raises."""
     while True:
         folder = free_folder(root, recording)
         try:
@@ -181,7 +183,7 @@ def new_folder(root: Path, recording: Path) -> Iterator[Path]:
             folder.mkdir()
             break
         except FileExistsError:
-            # Another browser was quicker, and has this number now.
+            # Another session took this number meanwhile.
             if not folder.is_dir():
                 raise ExportError("is not a folder.", file=root) from None
         except OSError as error:

@@ -1,43 +1,43 @@
-"""Turns at heavy work: so many at once, and the others in the order of their coming."""
+"""A semaphore that admits waiting threads in the order of their arrival."""
 
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-# Who waits asks so often whether they still want their turn.
-_ASK_S = 0.1
+# A waiting thread can give up after at most this time.
+_POLL_S = 0.1
 
 
 class FairSemaphore:
-    """Lets ``at_once`` threads work at a time. Safe for threads."""
+    """Admits ``limit`` threads at a time, first come, first served. Thread-safe."""
 
-    def __init__(self, at_once: int) -> None:
-        self._at_once = at_once
-        # Those at work are the first of it.
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        # The first ``limit`` of it are admitted.
         self._queue: list[object] = []
         self._changed = threading.Condition()
 
     @contextmanager
-    def acquired(self, waiting: Callable[[], None]) -> Iterator[None]:
-        """Wait for a turn, and have it as long as the block lasts.
+    def acquired(self, on_wait: Callable[[], None]) -> Iterator[None]:
+        """Wait to be admitted, and hold the semaphore within the block.
 
-        ``waiting`` is called again and again meanwhile; what it raises gives the place away.
+        ``on_wait`` is called repeatedly while waiting; an exception that it raises ends the wait.
         """
-        place = object()
+        ticket = object()
         with self._changed:
-            self._queue.append(place)
+            self._queue.append(ticket)
         try:
-            while not self._has_turn(place):
-                waiting()
+            while not self._is_admitted(ticket):
+                on_wait()
             yield
         finally:
             with self._changed:
-                self._queue.remove(place)
+                self._queue.remove(ticket)
                 self._changed.notify_all()
 
-    def _has_turn(self, place: object) -> bool:
-        """Whether the turn has come within ``_ASK_S``."""
+    def _is_admitted(self, ticket: object) -> bool:
+        """Whether the thread is admitted within ``_POLL_S``."""
         with self._changed:
             return self._changed.wait_for(
-                lambda: self._queue.index(place) < self._at_once, timeout=_ASK_S
+                lambda: self._queue.index(ticket) < self._limit, timeout=_POLL_S
             )

@@ -1,7 +1,7 @@
-"""A worker that does the latest request only.
+"""A worker thread that processes only the latest request.
 
-A slider sends twenty values a second, and callbacks run in parallel and in no order. So a callback
-only leaves its request here; one thread takes the newest, and what came between is never done.
+A slider sends twenty values a second, and its callbacks run in parallel and in any order. So a
+callback only submits a request; one thread takes the newest, and those in between are dropped.
 """
 
 import threading
@@ -16,9 +16,9 @@ Request = TypeVar("Request")
 class LatestOnlyWorker(Generic[Request]):
     """Calls ``work`` with the newest request, one at a time, in a thread of its own.
 
-    ``work`` gets the request and a function that tells whether it is still the newest: it asks
-    before it shows anything. What ``work`` raises goes to ``on_error``, and the worker lives on;
-    Cancelled is told to nobody.
+    ``work`` gets the request and a function that says whether it is still the newest, to be called
+    before results are displayed. Exceptions of ``work`` go to ``on_error`` (Cancelled is ignored),
+    and the worker continues.
     """
 
     def __init__(
@@ -38,27 +38,27 @@ class LatestOnlyWorker(Generic[Request]):
         self._thread.start()
 
     def submit(self, request: Request) -> None:
-        """Leave a request; an earlier one that was not begun is dropped."""
+        """Submit a request; an earlier one that has not started is dropped."""
         with self._changed:
             self._request = request
             self._generation += 1
             self._changed.notify_all()
 
     def wait(self, timeout_s: float) -> bool:
-        """Whether everything asked so far was done or dropped within the time."""
+        """Whether all requests so far were processed or dropped within the time."""
         with self._changed:
             return self._changed.wait_for(
                 lambda: self._done == self._generation or self._closed, timeout_s
             )
 
     def close(self) -> None:
-        """End after the request at work; nothing is shown any more, and no failure told."""
+        """End after the current request; its result counts as outdated, its errors are ignored."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
     def join(self, timeout_s: float) -> bool:
-        """Whether a closed worker's request at work ended within the time."""
+        """Whether the thread of a closed worker ended within the time."""
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
@@ -74,8 +74,8 @@ class LatestOnlyWorker(Generic[Request]):
                 self._work(request, lambda: self._is_newest(generation))  # noqa: B023  # called before the loop goes on
             except Cancelled:
                 pass
-            except Exception as error:  # noqa: BLE001  # a worker that ends shows nothing any more
-                # What work is cut off by the closing itself fails, too.
+            except Exception as error:  # noqa: BLE001  # the worker must survive any failure
+                # Closing may itself cause a failure.
                 if not self._closed:
                     self._on_error(error)
             with self._changed:

@@ -1,4 +1,4 @@
-"""One long job at a time: progress, cancel, and its end in the words of its result or failure."""
+"""A long job in a thread of its own, with progress and cancellation."""
 
 import threading
 from collections.abc import Callable
@@ -8,14 +8,14 @@ from fusion_core.model.progress import Progress
 
 
 class Cancelled(Exception):
-    """The job was asked to stop."""
+    """The job was cancelled."""
 
 
 class LongJob:
-    """A function in a thread of its own that reports progress and can be stopped there.
+    """Runs ``work`` in a thread of its own.
 
-    ``work`` gets a progress function, which raises Cancelled once ``cancel`` was called.
-    Exactly one of the callbacks is called at the end, in the job's thread.
+    ``work`` gets a progress function, which raises Cancelled once ``cancel`` was called. At the end
+    exactly one of ``on_done``, ``on_failed`` and ``on_cancelled`` is called, in the job's thread.
     """
 
     def __init__(
@@ -36,7 +36,7 @@ class LongJob:
         self._thread.start()
 
     def cancel(self) -> None:
-        """Stop at the next report of progress."""
+        """Have the job stop at its next report of progress."""
         self._stop.set()
 
     def wait(self, timeout_s: float | None = None) -> bool:
@@ -54,7 +54,7 @@ class LongJob:
             result = self._work(self._progress)
         except Cancelled:
             self._on_cancelled()
-        except Exception as error:  # noqa: BLE001  # any failure must reach the person who waits
+        except Exception as error:  # noqa: BLE001  # every failure must reach the user
             self._on_failed(error)
         else:
             self._on_done(result)

@@ -1,4 +1,4 @@
-"""A run of motion and SLAM: ``build_map`` into a folder of its own, watched while it works."""
+"""A run of odometry and SLAM: ``build_map`` into a new folder, observed while it runs."""
 
 import shutil
 from dataclasses import dataclass
@@ -12,17 +12,17 @@ from fusion_core.workflows.map.options import MapOptions
 from fusion_core.workflows.map.report import MapSummary
 from fusion_core.workflows.map.result_folder import MapResults, read_map_results
 from fusion_core.workflows.map.settings import MAP_PRESETS, MapSettings, map_settings_toml
-from scanloom.jobs.build import new_folder, preset_below, results_in, settings_in
+from scanloom.jobs.build import base_preset, new_folder, results_in, settings_in
 from scanloom.state.slam_choices import SlamChoices
 from scanloom.state.view import View
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SlamRun:
-    """What a run made: ``folder`` holds its results, and the settings file where it has one.
+    """A finished run. ``folder`` holds its results, and its settings file if it has one.
 
-    ``problem``: why the result is not to be relied on, None where it is. ``summary`` is None where
-    the run failed after it had written its results.
+    ``problem``: why the result is unreliable, else None. ``summary`` is None if the run failed
+    after it had written its results.
     """
 
     number: int
@@ -35,24 +35,24 @@ class SlamRun:
 
     @property
     def recording(self) -> str:
-        """Its name in the library."""
+        """The recording's name in the library."""
         return self.view.recording
 
     @property
     def choices(self) -> SlamChoices:
-        """What was asked for."""
+        """The chosen inputs and estimator."""
         return self.view.slam
 
     @property
     def name(self) -> str:
-        """For a list of runs."""
+        """The run's label in lists."""
         preset = "" if self.options.preset == "default" else f", {self.options.preset}"
-        return f"{self.number}: {self.choices.words}{preset}"
+        return f"{self.number}: {self.choices.label}{preset}"
 
 
 def settings_of(view: View) -> MapSettings:
-    """The settings of the view's chain, and its number of particles."""
-    base = MAP_PRESETS[preset_below(view)]
+    """The settings of ``map`` for a view: those of its chain, and the number of particles."""
+    base = MAP_PRESETS[base_preset(view)]
     particles = base.particles
     if view.slam.estimator == "particle-filter":
         particles = particles.model_copy(update={"particles": view.slam.particles})
@@ -60,8 +60,8 @@ def settings_of(view: View) -> MapSettings:
 
 
 def map_options(view: View, settings_file: Path, clock_offset_ms: float = 0.0) -> MapOptions:
-    """What a view asks of ``map``. ``settings_file`` is named where no preset says it all."""
-    choices, preset = view.slam, preset_below(view)
+    """The options of ``map`` for a view; ``settings_file`` is used unless a preset suffices."""
+    choices, preset = view.slam, base_preset(view)
     return MapOptions(
         scan=choices.scan,
         motion=choices.motion,
@@ -74,7 +74,7 @@ def map_options(view: View, settings_file: Path, clock_offset_ms: float = 0.0) -
 
 
 def resampling_at(view: View) -> float:
-    """The effective number below which the particle filter draws its particles anew."""
+    """The effective number of particles below which the particle filter resamples."""
     return settings_of(view).particles.resample_fraction * view.slam.particles
 
 

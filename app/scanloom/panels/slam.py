@@ -33,9 +33,9 @@ from scanloom.state.slam_choices import (
     PARTICLES_MIN,
     SCANS,
     streams_of,
-    why_not,
+    unsupported_reason,
 )
-from scanloom.state.slam_runs import MOST_RUNS, SlamRuns
+from scanloom.state.slam_runs import MAX_RUNS, SlamRuns
 from scanloom.state.view import View
 
 _WIDTH_PX, _HEIGHT_PX = 480, 430
@@ -44,7 +44,7 @@ _CLOSE_UP_PX = 180
 _EMPTY = np.full((2, 2, 3), 255, dtype=np.uint8)
 _ABOUT = (
     "Places every scan, draws the map from where they lie, and keeps the last "
-    f"{MOST_RUNS} runs to compare, until this page is closed or loaded again."
+    f"{MAX_RUNS} runs to compare, until this page is closed or loaded again."
 )
 _NO_OFFSET = "The clock offset that is to be applied is known once the recording is aligned."
 
@@ -127,7 +127,9 @@ class SlamPanel:
         self._controls.show(view)
         update_widget(self._particles, visible=view.slam.estimator == "particle-filter")
         with self._lock:
-            self._why_not = why_not(view.slam, streams_of(frame_view.open_recording.fuse_session))
+            self._why_not = unsupported_reason(
+                view.slam, streams_of(frame_view.open_recording.fuse_session)
+            )
             self._clock_offset_ms = 0.0
             if frame_view.chain is not None:
                 self._clock_offset_ms = clock_offset_ms(view, frame_view.chain)
@@ -218,7 +220,7 @@ class SlamPanel:
         said = ""
         if oldest is not None:
             shutil.rmtree(oldest.folder, ignore_errors=True)
-            said = f"Run {oldest.number} was cleared away: the last {MOST_RUNS} are kept."
+            said = f"Run {oldest.number} was cleared away: the last {MAX_RUNS} are kept."
         self._job.end(said)
         if run.problem is not None and not self._job.is_closed:
             self._session.show_failure(run.problem)

@@ -12,7 +12,7 @@ import viser
 from fusion_core.model.conventions import NS_PER_S, ByteArray, FloatArray
 from fusion_core.model.errors import ScanLoomError
 from scanloom.client_session import ClientSession
-from scanloom.jobs.build import results_in, zip_of
+from scanloom.jobs.build import results_in, zip_folder
 from scanloom.jobs.slam_run import SlamRun, keep, resampling_at
 from scanloom.panels.slam_text import run_distance_text, run_report_html
 from scanloom.panels.widgets.controls import update_widget
@@ -214,7 +214,7 @@ class SlamResults:
             return
         try:
             name = f"{run.folder.name}-{run.choices.estimator}"
-            content = zip_of(results_in(run.folder), name)
+            content = zip_folder(results_in(run.folder), name)
         except ScanLoomError as error:
             self._session.show_failure(error)
             return

@@ -1,1 +1,1 @@
-"""What people share (recordings, their results) and what each browser has for itself (its view)."""
+"""State: open recordings, shared by all browsers, and each browser's view, history and runs."""

@@ -1,4 +1,4 @@
-"""Whether the files of a recording are still those that were opened."""
+"""Detects that the files of a recording have changed since they were opened."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,14 +7,14 @@ from typing import Self
 
 @dataclass(frozen=True, slots=True)
 class FileStamp:
-    """Size and time of change of a file, or of each file of a folder."""
+    """Size and modification time of a file, or of each file of a folder."""
 
     path: Path
     files: dict[Path, tuple[int, int]]
 
     @classmethod
     def of(cls, path: Path) -> Self:
-        """As it is now. What cannot be looked at is left out, as if it were not there."""
+        """The present state. Files that cannot be read are left out."""
         try:
             files = sorted(path.iterdir()) if path.is_dir() else [path]
         except OSError:
@@ -29,7 +29,7 @@ class FileStamp:
         return cls(path, found)
 
     def change(self) -> str | None:
-        """What has become of it since, for a person; None where nothing has."""
+        """What has changed since, as text for a message; None if nothing has."""
         now = FileStamp.of(self.path).files
         if now == self.files:
             return None

@@ -1,14 +1,15 @@
-"""What a person changed in the settings, to undo and to redo."""
+"""Undo and redo of changes of the settings."""
 
 from scanloom.state.view import View
 
-_MOST = 200
-# Values of one setting that follow each other this closely are one drag of its slider.
+# Steps of undo; a view takes a few kilobytes.
+_MAX_STEPS = 200
+# Changes of one setting within this time belong to one drag of its slider.
 _DRAG_S = 1.0
 
 
 class History:
-    """The settings before each change, the latest last."""
+    """The views before each change, the latest last."""
 
     def __init__(self) -> None:
         self._before: list[View] = []
@@ -16,16 +17,19 @@ class History:
         self._dragged, self._dragged_s = "", 0.0
 
     def add(self, view: View, dragged: str = "", at_s: float = 0.0) -> None:
-        """``view`` is about to be changed. ``dragged``: the setting that changes at the time
-        ``at_s``, where it may be one value of many from one drag; the drag is one change."""
+        """Record ``view``, which is about to change.
+
+        ``dragged``: the setting that a slider changes at the time ``at_s``; the changes of one drag
+        are one step.
+        """
         goes_on = dragged == self._dragged != "" and at_s - self._dragged_s < _DRAG_S
         self._dragged, self._dragged_s = dragged, at_s
         self._after = []
         if not goes_on:
-            self._before = [*self._before[-_MOST + 1 :], view]
+            self._before = [*self._before[-_MAX_STEPS + 1 :], view]
 
     def undo(self, view: View) -> View | None:
-        """``view`` with the settings before its last change, None where there was none."""
+        """``view`` with the settings before its last change, None if there was none."""
         if not self._before:
             return None
         self._dragged = ""
@@ -33,7 +37,7 @@ class History:
         return _with_settings_of(view, self._before.pop())
 
     def redo(self, view: View) -> View | None:
-        """``view`` with the settings that the last undo took back."""
+        """``view`` with the settings that were undone last, None if there are none."""
         if not self._after:
             return None
         self._dragged = ""
@@ -42,7 +46,7 @@ class History:
 
 
 def _with_settings_of(view: View, other: View) -> View:
-    """Where a person is stays; what they set goes."""
+    """``view`` with the settings of ``other``; recording, frame and panel are kept."""
     return view.model_copy(
         update={
             "preset": other.preset,

@@ -1,4 +1,4 @@
-"""The recordings that all browsers share: opened once, aligned once for each choice of settings."""
+"""The recordings, shared by all browsers: opened once, and aligned once for equal settings."""
 
 import os
 import stat
@@ -19,57 +19,57 @@ from scanloom.state.file_stamp import FileStamp
 from scanloom.state.open_recording import OpenRecording
 from scanloom.state.view import View
 
-# More files than this in a folder are no list to choose from.
+# A longer dropdown cannot be used.
 _MAX_LISTED = 500
-# Of what nobody looks at, the last few are kept: people go back, and an undo does. The results that
-# each keeps of its frames take some 200 MB.
-_MOST_UNSEEN = 3
-_PARTING_S = 5.0
-# One long recording holds no short one up, and what people look at meanwhile still moves.
-_ALIGNMENTS_AT_ONCE = 2
+# Open recordings without a viewer that are kept, for going back and for undo. The cached frames of
+# each take about 200 MB.
+_MAX_UNVIEWED = 3
+# Time in which cancelled alignments should reach their next step.
+_CANCEL_TIMEOUT_S = 5.0
+# A long recording should not block a short one, and displaying frames needs processor time, too.
+_MAX_PARALLEL_ALIGNMENTS = 2
 
 
 class Library:
-    """The recordings that may be opened: those named at the start, and those below ``roots``.
+    """The recordings that may be opened: those given at the start, and those below ``roots``.
 
-    Nothing else is: a name that is none of them is refused, whatever path it spells. Hidden files
-    and folders are nobody's, and a link is what it leads to. What is opened stays so while somebody
-    looks at it, and for a while after; an alignment ends with the last who waits for it. Safe for
-    threads.
+    Any other name is refused, whatever path it spells. Hidden files and folders are excluded, and
+    symbolic links are resolved. A recording stays open while it has viewers, and for a while
+    after; an alignment is cancelled when its last viewer leaves. Thread-safe.
 
     Raises RecordingError for a root that is no folder.
     """
 
     def __init__(self, recordings: list[Path], roots: list[Path]) -> None:
-        # Unlike resolve, realpath knows what to do with a link that leads to itself.
+        # Unlike Path.resolve, realpath accepts a link to itself.
         self._named = {escape_undecodable(p.name): Path(os.path.realpath(p)) for p in recordings}
         if len(self._named) < len(recordings):
             self._named = {
                 escape_undecodable(str(p)): Path(os.path.realpath(p)) for p in recordings
             }
         self._roots = [_folder(root) for root in roots]
-        self._turns = FairSemaphore(_ALIGNMENTS_AT_ONCE)
+        self._alignment_semaphore = FairSemaphore(_MAX_PARALLEL_ALIGNMENTS)
         self._lock = threading.Lock()
         self._closed = False
-        # What was asked for last comes last.
+        # The most recently used last.
         self._opened: OrderedDict[_Key, OpenRecording] = OrderedDict()
-        self._viewer: dict[Hashable, _Key] = {}
+        self._key_by_viewer: dict[Hashable, _Key] = {}
         self._files: dict[Path, _File] = {}
-        # Not the files at their paths any more, and still in use.
+        # Replaced by other files at the same paths, but still in use.
         self._outdated: list[_File] = []
 
     def names(self) -> list[str]:
-        """What may be opened, by the name that ``open`` takes."""
+        """The names that ``open`` accepts."""
         found = dict.fromkeys(self._named)
         for root in self._roots:
             found.update(dict.fromkeys(_listed(root)))
         return list(found)
 
     def open(self, view: View, viewer: Hashable = None) -> OpenRecording:
-        """The recording of a view with its streams and settings.
+        """Open the recording of a view with its streams and alignment settings.
 
-        ``viewer``: who looks at it, until they open another or ``leave``; what is opened for
-        nobody may be closed as soon as something else is opened.
+        ``viewer``: keeps it open until they open another one or call ``release``. Without a viewer
+        it may be closed as soon as another one is opened.
 
         Raises RecordingError and MissingStream as opening a recording does.
         """
@@ -78,22 +78,23 @@ class Library:
         file: _File | None = None
         try:
             with self._lock:
-                if (opened := self._look_at(key, viewer)) is not None:
+                if (opened := self._find_open(key, viewer)) is not None:
                     return opened
                 file = self._files.setdefault(path, _File(path))
-                # A file with users stays open.
                 file.users += 1
             with file.opening:
                 with self._lock:
-                    # Somebody may have opened it meanwhile.
-                    if (opened := self._look_at(key, viewer)) is not None:
+                    # Another thread may have opened it meanwhile.
+                    if (opened := self._find_open(key, viewer)) is not None:
                         return opened
-                made = OpenRecording(_session_of(file.recording(), view), file.stamp, self._turns)
+                made = OpenRecording(
+                    _session_of(file.recording(), view), file.stamp, self._alignment_semaphore
+                )
                 with self._lock:
                     if self._closed:
                         raise RecordingError("The server is closing.", advice="Start it again.")
                     self._opened[key] = made
-                    self._look_at(key, viewer)
+                    self._find_open(key, viewer)
             return made
         finally:
             with self._lock:
@@ -103,14 +104,14 @@ class Library:
             _close(*unused)
 
     def release(self, viewer: Hashable) -> None:
-        """Somebody looks at nothing any more."""
+        """A viewer no longer needs a recording."""
         with self._lock:
-            self._viewer.pop(viewer, None)
+            self._key_by_viewer.pop(viewer, None)
             unused = self._take_unused()
         _close(*unused)
 
     def close(self) -> None:
-        """Stop what runs and free the files."""
+        """Cancel the alignments and close the files."""
         with self._lock:
             self._closed = True
             opened = list(self._opened.values())
@@ -119,14 +120,14 @@ class Library:
         for one in opened:
             one.cancel()
         for one in opened:
-            one.wait(_PARTING_S)
+            one.wait(_CANCEL_TIMEOUT_S)
         _close([], files)
 
     def path(self, name: str) -> Path:
-        """Where a recording lies. Raises RecordingError for a name that may not be opened."""
+        """The path of a recording. Raises RecordingError for a name that may not be opened."""
         if name in self._named:
             return self._named[name]
-        # A browser could not be sent it.
+        # Only names in valid Unicode can be sent to a browser.
         roots = self._roots if name == escape_undecodable(name) else []
         for root in roots:
             if (path := _path_below(root, name) or _listed(root).get(name)) is not None:
@@ -136,35 +137,35 @@ class Library:
             advice="Choose one of the list, or start scanloom view with its folder as --root.",
         )
 
-    def _look_at(self, key: "_Key", viewer: Hashable) -> OpenRecording | None:
-        """What is open under a key, then the last that was asked for."""
+    def _find_open(self, key: "_Key", viewer: Hashable) -> OpenRecording | None:
+        """The open recording of a key, marked as recently used; None if there is none."""
         if key not in self._opened:
             return None
-        # Who looks at it is told, and keeps what can still be read.
-        if self._opened[key].is_outdated and self._viewer.get(viewer) != key:
-            self._forget(key.path)
+        # Its present viewers get a message, and keep what can still be read.
+        if self._opened[key].is_outdated and self._key_by_viewer.get(viewer) != key:
+            self._discard_outdated(key.path)
             return None
         self._opened.move_to_end(key)
         if viewer is not None:
-            self._viewer[viewer] = key
+            self._key_by_viewer[viewer] = key
         return self._opened[key]
 
-    def _forget(self, path: Path) -> None:
-        """Have a file opened again by who asks for it next."""
+    def _discard_outdated(self, path: Path) -> None:
+        """Have the next request open the file again."""
         for key in [key for key in self._opened if key.path == path]:
             self._opened.pop(key).cancel()
         if path in self._files:
             self._outdated.append(self._files.pop(path))
 
     def _take_unused(self) -> tuple[list[OpenRecording], list["_File"]]:
-        """Take out what is to be closed, which may last."""
-        seen = set(self._viewer.values())
-        unseen = [key for key in self._opened if key not in seen]
-        # Nobody waits for their alignment any more.
-        going = [key for key in unseen if self._opened[key].is_aligning]
-        kept = [key for key in unseen if key not in going]
-        going += kept[: max(len(kept) - _MOST_UNSEEN, 0)]
-        opened = [self._opened.pop(key) for key in going]
+        """Remove and return what the caller must close, outside of the lock."""
+        viewed = set(self._key_by_viewer.values())
+        unviewed = [key for key in self._opened if key not in viewed]
+        # Nobody waits for these alignments.
+        closing = [key for key in unviewed if self._opened[key].is_aligning]
+        kept = [key for key in unviewed if key not in closing]
+        closing += kept[: max(len(kept) - _MAX_UNVIEWED, 0)]
+        opened = [self._opened.pop(key) for key in closing]
         needed = {key.path for key in self._opened}
         unused = [f.path for f in self._files.values() if not f.users and f.path not in needed]
         files = [file for file in self._outdated if not file.users]
@@ -196,8 +197,10 @@ def _key_of(path: Path, view: View) -> _Key:
 
 
 class _File:
-    """A recording that several ``Opened`` share. ``users``: how many are about to be made;
-    ``opening`` is held by the one that is being made."""
+    """A file shared by several ``OpenRecording``.
+
+    ``users``: calls of ``Library.open`` in progress; ``opening``: held while it is opened.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -207,14 +210,14 @@ class _File:
         self._recording: Recording | None = None
 
     def recording(self) -> Recording:
-        """The opened file, for the holder of ``opening``. Raises RecordingError."""
+        """The recording, opened if necessary. Hold ``opening``. Raises RecordingError."""
         if self._recording is None:
             self.stamp = FileStamp.of(self.path)
             self._recording = open_source(self.path, None)
         return self._recording
 
     def close(self) -> None:
-        """Free it."""
+        """Close the file."""
         if self._recording is not None:
             self._recording.close()
 
@@ -228,20 +231,20 @@ def _folder(root: Path) -> Path:
 
 
 def _listed(root: Path) -> dict[str, Path]:
-    """What may be opened in a root, by the name that browsers are sent."""
+    """The recordings directly in a root, by the name that browsers are sent."""
     try:
         children = sorted(child.name for child in root.iterdir())
     except OSError:
-        # It was there at the start.
+        # The folder was removed after the start.
         return {}
     below = ((escape_undecodable(name), _path_below(root, name)) for name in children)
     return dict(islice(((name, path) for name, path in below if path is not None), _MAX_LISTED))
 
 
 def _path_below(root: Path, name: str) -> Path | None:
-    """Where a name below a root leads, None where that is not to be opened.
+    """The resolved path of a name below a root, None if it may not be opened.
 
-    To be opened are files and folders below the root that are not hidden, nor lie in what is.
+    Allowed are files and folders below the root, unless they or a folder above them are hidden.
     """
     if any(part.startswith(".") for part in Path(name).parts):
         return None
@@ -252,7 +255,7 @@ def _path_below(root: Path, name: str) -> Path | None:
             return None
         mode = path.stat().st_mode
     except (OSError, RuntimeError, ValueError):
-        # A name that no file can have, a link that leads out or to itself, or nothing at all.
+        # An impossible name, a link that leads out of the root or to itself, or a missing file.
         return None
     return path if stat.S_ISREG(mode) or stat.S_ISDIR(mode) else None
 

@@ -1,4 +1,4 @@
-"""A recording with the streams of one choice, aligned once for all who look at it."""
+"""A recording with a choice of streams, aligned once for all browsers."""
 
 import threading
 from collections.abc import Callable, Hashable
@@ -21,7 +21,7 @@ from scanloom.state.file_stamp import FileStamp
 
 @dataclass(frozen=True, kw_only=True)
 class AlignmentProgress:
-    """How far the alignment of a recording is."""
+    """Progress of a recording's alignment."""
 
     done: int
     total: int | None
@@ -29,22 +29,25 @@ class AlignmentProgress:
 
 
 class OpenRecording:
-    """A recording with the streams of one choice, and its alignment once that is there.
+    """A recording with a choice of streams, and its alignment once that has been computed.
 
-    ``chain`` is None until then; ``failure`` says why it will not come. ``pairing``: the stamps of
-    the whole recording, None until a pass over it has ended. ``recalls``: the curves of recall that
-    somebody asked for, by the settings that they depend on.
+    ``chain`` is None until then; ``failure`` is the reason if the alignment failed. ``pairing``:
+    the stamps of the whole recording, None until the first pass over it has ended. ``recalls``: the
+    computed recall curves, by the settings that they depend on.
 
-    ``stamp``: the recording's files as they were opened. ``turns``: taken while it is aligned.
+    ``stamp``: the recording's files as they were opened. ``semaphore``: held while it is aligned.
     """
 
     def __init__(
-        self, session: Session, stamp: FileStamp | None = None, turns: FairSemaphore | None = None
+        self,
+        session: Session,
+        stamp: FileStamp | None = None,
+        semaphore: FairSemaphore | None = None,
     ) -> None:
         self.fuse_session = session
         self._stamp = FileStamp.of(session.recording.path) if stamp is None else stamp
-        self._turns = FairSemaphore(1) if turns is None else turns
-        # Whether its files are no longer those that were opened: it must be opened again.
+        self._semaphore = FairSemaphore(1) if semaphore is None else semaphore
+        # Whether its files have changed since: it must be opened again.
         self.is_outdated = False
         self.frames = FrameReader(session)
         self.chain: CachedChain | None = None
@@ -65,7 +68,7 @@ class OpenRecording:
         return recorded_poses(session.recording, session.streams, session.rig.lidar_frame)
 
     def align(self, on_change: Callable[[], None]) -> None:
-        """Begin the alignment unless it runs or is done; ``on_change`` hears of every step."""
+        """Start the alignment unless it runs or is done; ``on_change`` is called at each step."""
         with self._lock:
             if on_change not in self._listeners:
                 self._listeners.append(on_change)
@@ -76,23 +79,23 @@ class OpenRecording:
                     on_progress=self._advance,
                     on_done=self._finish,
                     on_failed=self._fail,
-                    # Who still looks opens it again.
-                    on_cancelled=self._tell,
+                    # Remaining viewers open it again.
+                    on_cancelled=self._notify_listeners,
                 )
 
     def remove_listener(self, on_change: Callable[[], None]) -> None:
-        """The listener has gone."""
+        """Call ``on_change`` no longer."""
         with self._lock:
             if on_change in self._listeners:
                 self._listeners.remove(on_change)
 
     @property
     def is_aligning(self) -> bool:
-        """Whether it is being aligned, or waits for its turn."""
+        """Whether the alignment is running or queued."""
         return self._job is not None and self.chain is None and self.failure is None
 
     def explain_read_error(self, error: Exception) -> Exception:
-        """Why reading failed: ``error``, unless the file has changed since it was opened."""
+        """``error``, or if the file has changed since it was opened, an error that says so."""
         is_reading = isinstance(error, RecordingError) or not isinstance(error, ScanLoomError)
         change = self._stamp.change() if is_reading else None
         if change is None:
@@ -105,39 +108,41 @@ class OpenRecording:
         )
 
     def cancel(self) -> None:
-        """Ask the alignment to stop at its next step."""
+        """Cancel the alignment at its next step."""
         if self._job is not None:
             self._job.cancel()
 
     def wait(self, timeout_s: float) -> bool:
-        """Whether the alignment ended within the time, or had never begun."""
+        """Whether the alignment ended within the time, or was never started."""
         return self._job is None or self._job.wait(timeout_s)
 
     def _work(self, progress: Progress) -> RecordingAlignment:
         stamps = PairingStamps()
         try:
-            with self._turns.acquired(lambda: progress(0, None, "waiting for other alignments")):
+            with self._semaphore.acquired(
+                lambda: progress(0, None, "waiting for other alignments")
+            ):
                 return align_recording(self.fuse_session, progress, stamps)
         finally:
-            # Where nothing can be aligned, the stamps may show why.
+            # If the alignment failed, the stamps may show why.
             if stamps.is_complete:
                 self.pairing = stamps
 
     def _advance(self, done: int, total: int | None, what: str) -> None:
         before, self.progress = self.progress, AlignmentProgress(done=done, total=total, what=what)
-        # A listener redraws a bar: one step in fifty is enough, and without a total there is none.
+        # A listener redraws a progress bar: steps of 2 % are enough.
         if before.what != what or (total and done * 50 // total != before.done * 50 // total):
-            self._tell()
+            self._notify_listeners()
 
     def _finish(self, alignment: object) -> None:
         self.chain = CachedChain(self.fuse_session, self.frames, alignment)  # type: ignore[arg-type]  # a job's result is of any type
-        self._tell()
+        self._notify_listeners()
 
     def _fail(self, error: Exception) -> None:
         self.failure = self.explain_read_error(error)
-        self._tell()
+        self._notify_listeners()
 
-    def _tell(self) -> None:
+    def _notify_listeners(self) -> None:
         with self._lock:
             listeners = list(self._listeners)
         for listener in listeners:

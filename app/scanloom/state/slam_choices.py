@@ -1,4 +1,4 @@
-"""What a person asks of a run of SLAM, and what a recording can do of it."""
+"""The options of a SLAM run, and which of them a recording supports."""
 
 from typing import Literal, get_args
 
@@ -15,14 +15,14 @@ ESTIMATORS: tuple[SlamKind, ...] = get_args(SlamKind)
 PARTICLES_MIN, PARTICLES_MAX = 2, 200
 
 Stream = Literal["lidar", "depth", "color", "odometry", "tf"]
-_WORDS: dict[Stream, str] = {
+_STREAM_LABELS: dict[Stream, str] = {
     "lidar": "a LaserScan",
     "depth": "depth images",
     "color": "colour images",
     "odometry": "odometry",
     "tf": "TF",
 }
-# Each tuple is one way to have it, and all its streams are needed.
+# Alternatives; each needs all of its streams.
 _Needs = tuple[tuple[Stream, ...], ...]
 _SCAN_NEEDS: dict[str, _Needs] = {
     "lidar": (("lidar",),),
@@ -41,10 +41,7 @@ _MOTION_NEEDS: dict[str, _Needs] = {
 
 
 class SlamChoices(BaseModel):
-    """What goes into a run, what is known of the motion beforehand, and what estimates the poses.
-
-    ``particles``: of the particle filter alone.
-    """
+    """Input scans, motion prior and pose estimator. ``particles``: for the particle filter only."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -54,14 +51,14 @@ class SlamChoices(BaseModel):
     particles: int = Field(30, ge=PARTICLES_MIN, le=PARTICLES_MAX)
 
     @property
-    def words(self) -> str:
-        """In short, for a list of runs."""
+    def label(self) -> str:
+        """A short label, for a list of runs."""
         many = f" ({self.particles})" if self.estimator == "particle-filter" else ""
         return f"{self.scan}, {self.motion}, {self.estimator}{many}"
 
 
 def streams_of(session: Session) -> frozenset[Stream]:
-    """What the recording holds of all that a run may need."""
+    """Which of the streams that runs may need are in the recording."""
     streams = session.streams
     held: dict[Stream, bool] = {
         "lidar": streams.lidar is not None,
@@ -73,26 +70,29 @@ def streams_of(session: Session) -> frozenset[Stream]:
     return frozenset(name for name, is_held in held.items() if is_held)
 
 
-def why_not(choices: SlamChoices, held: frozenset[Stream]) -> str | None:
-    """Why a recording with these streams cannot do what is chosen, None where it can."""
-    said = _lack("Scan", choices.scan, _SCAN_NEEDS, held) or _lack(
-        "Motion", choices.motion, _MOTION_NEEDS, held
-    )
-    if said is None and choices.estimator == "none" and choices.motion == "none":
+def unsupported_reason(choices: SlamChoices, held: frozenset[Stream]) -> str | None:
+    """Why the choices are impossible with these streams, None if they are possible."""
+    reason = _missing_streams_reason(
+        "Scan", choices.scan, _SCAN_NEEDS, held
+    ) or _missing_streams_reason("Motion", choices.motion, _MOTION_NEEDS, held)
+    if reason is None and choices.estimator == "none" and choices.motion == "none":
         return "Without SLAM and without motion there are no poses: choose one of the two."
-    return said
+    return reason
 
 
-def _lack(what: str, name: str, needs: dict[str, _Needs], held: frozenset[Stream]) -> str | None:
+def _missing_streams_reason(
+    what: str, name: str, needs: dict[str, _Needs], held: frozenset[Stream]
+) -> str | None:
     if _is_met(needs[name], held):
         return None
-    needed = ", or ".join(" and ".join(_WORDS[one] for one in way) for way in needs[name])
-    can = ", ".join(other for other, ways in needs.items() if _is_met(ways, held))
+    needed = ", or ".join(
+        " and ".join(_STREAM_LABELS[one] for one in option) for option in needs[name]
+    )
+    can = ", ".join(other for other, options in needs.items() if _is_met(options, held))
     return (
-        f"{what} “{name}” needs {needed}, which this recording lacks. "
-        f"It can do: {can or 'nothing'}."
+        f"{what} “{name}” needs {needed}, which this recording lacks. Possible: {can or 'nothing'}."
     )
 
 
-def _is_met(ways: _Needs, held: frozenset[Stream]) -> bool:
-    return any(held.issuperset(way) for way in ways)
+def _is_met(options: _Needs, held: frozenset[Stream]) -> bool:
+    return any(held.issuperset(streams) for streams in options)

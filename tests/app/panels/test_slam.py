@@ -25,7 +25,7 @@ from scanloom.panels import slam as slam_panel
 from scanloom.panels.map import MapPanel
 from scanloom.state.library import Library
 from scanloom.state.slam_choices import SlamChoices
-from scanloom.state.slam_runs import MOST_RUNS
+from scanloom.state.slam_runs import MAX_RUNS
 from scanloom.state.view import View, view_of_link
 from tests.app.slam_runs import SCANS, FakeMap, view_at
 from tests.app.viser_client import ViserClient, Widget, connect
@@ -280,13 +280,13 @@ def test_two_runs_side_by_side(seat: Seat, fake: FakeMap) -> None:
 
 
 def test_the_oldest_goes_with_a_note(seat: Seat, fake: FakeMap) -> None:
-    for number in range(1, MOST_RUNS + 2):
+    for number in range(1, MAX_RUNS + 2):
         seat.run(f"{number}: lidar, recorded, pose-graph")
-    seat.until_says(f"Run 1 was cleared away: the last {MOST_RUNS} are kept.")
+    seat.until_says(f"Run 1 was cleared away: the last {MAX_RUNS} are kept.")
     offered = seat.widget("Run shown").props["options"]
-    assert [int(name.split(":")[0]) for name in offered] == list(range(2, MOST_RUNS + 2))
+    assert [int(name.split(":")[0]) for name in offered] == list(range(2, MAX_RUNS + 2))
     folders = [call[1].parent for call in fake.calls]
-    assert [folder.exists() for folder in folders] == [False, *[True] * MOST_RUNS]
+    assert [folder.exists() for folder in folders] == [False, *[True] * MAX_RUNS]
 
 
 def test_download_save_and_command(seat: Seat, bench: Bench) -> None:

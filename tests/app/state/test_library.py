@@ -23,7 +23,7 @@ from scanloom.state.view import View
 from tests.hostile.names import NO_UTF8, SHOWN
 
 ENOUGH_S = 60.0
-UNSEEN = library_module._MOST_UNSEEN
+UNSEEN = library_module._MAX_UNVIEWED
 LIDAR = "/scan"
 
 

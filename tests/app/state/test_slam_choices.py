@@ -14,7 +14,7 @@ from scanloom.state.slam_choices import (
     SlamChoices,
     Stream,
     streams_of,
-    why_not,
+    unsupported_reason,
 )
 
 ALL: frozenset[Stream] = frozenset(("lidar", "depth", "color", "odometry", "tf"))
@@ -25,9 +25,9 @@ ALL: frozenset[Stream] = frozenset(("lidar", "depth", "color", "odometry", "tf")
 @pytest.mark.parametrize("scan", SCANS)
 def test_who_has_everything_can_do_everything(scan: str, motion: str, estimator: str) -> None:
     choices = SlamChoices.model_validate({"scan": scan, "motion": motion, "estimator": estimator})
-    said = why_not(choices, ALL)
+    said = unsupported_reason(choices, ALL)
     assert (said is None) == (motion != "none" or estimator != "none")
-    assert why_not(choices, frozenset()) is not None
+    assert unsupported_reason(choices, frozenset()) is not None
 
 
 @pytest.mark.parametrize(
@@ -39,21 +39,21 @@ def test_who_has_everything_can_do_everything(scan: str, motion: str, estimator:
         ({"lidar", "tf"}, {"motion": "wheel"}, "“wheel” needs odometry, which"),
         ({"lidar"}, {"motion": "recorded"}, "“recorded” needs TF, or odometry, which"),
         ({"lidar", "depth"}, {"motion": "visual"}, "needs colour images and depth images, which"),
-        ({"lidar"}, {"motion": "recorded"}, "It can do: laser, fused, none."),
-        ({"depth"}, {"scan": "repaired"}, "It can do: camera."),
+        ({"lidar"}, {"motion": "recorded"}, "Possible: laser, fused, none."),
+        ({"depth"}, {"scan": "repaired"}, "Possible: camera."),
     ],
 )
 def test_it_says_what_is_missing_and_what_can_be_done(
     held: set[Stream], choice: dict[str, str], words: str
 ) -> None:
-    said = why_not(SlamChoices.model_validate(choice), frozenset(held))
+    said = unsupported_reason(SlamChoices.model_validate(choice), frozenset(held))
     assert said is not None
     assert words in said
 
 
 def test_odometry_alone_is_a_recorded_motion() -> None:
-    assert why_not(SlamChoices(), frozenset(("lidar", "odometry"))) is None
-    assert why_not(SlamChoices(), frozenset(("lidar", "tf"))) is None
+    assert unsupported_reason(SlamChoices(), frozenset(("lidar", "odometry"))) is None
+    assert unsupported_reason(SlamChoices(), frozenset(("lidar", "tf"))) is None
 
 
 def test_the_streams_of_a_recording_are_found(small_scene: Path) -> None:
