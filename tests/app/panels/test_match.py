@@ -83,7 +83,7 @@ def test_while_it_is_being_aligned_it_says_how_far_that_is(
 ) -> None:
     before = open_recording.progress
     for step, words in (
-        (AlignmentProgress(done=0, total=None, what="waiting"), "waiting. The very first time "),
+        (AlignmentProgress(done=0, total=None, what="waiting"), "waiting. The first time "),
         (AlignmentProgress(done=40, total=90, what="matching"), "matching, 40 of 90."),
     ):
         open_recording.progress = step
