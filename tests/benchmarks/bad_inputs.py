@@ -31,7 +31,7 @@ from fusion_core.model.errors import ScanLoomError
 from fusion_core.recordings.formats import open_recording
 from scanloom.cli import main as scanloom
 from tests.benchmarks.odd_recordings import ODD
-from tests.recordings.conftest import BUILDERS
+from tests.recordings.samples.formats import SAMPLE_BUILDERS
 
 SHARES = (0.01, 0.5, 0.99)
 MOST_SECONDS = 10.0
@@ -242,7 +242,7 @@ def mutate(name: str, count: int) -> dict[str, Any]:
     slowest_s = 0.0
     failures: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
-        sample = BUILDERS[name](Path(folder))
+        sample = SAMPLE_BUILDERS[name](Path(folder))
         baseline = peak_bytes()
         files = [sample.path] if sample.path.is_file() else sorted(sample.path.rglob("*"))
         files = [file for file in files if file.is_file()]
@@ -277,7 +277,7 @@ def mutate(name: str, count: int) -> dict[str, Any]:
 def mutation_rows(table: Table, count: int) -> None:
     """A row for each format: what became of its mutations."""
     print(f"\n{count} mutations of each format: refused, read with a warning, growth, slowest")
-    for name in BUILDERS:
+    for name in SAMPLE_BUILDERS:
         argument = f"{name}\n{count}"
         done = subprocess.run(
             [sys.executable, "-m", "tests.benchmarks.bad_inputs", "--mutate", argument],
@@ -359,7 +359,7 @@ def main() -> None:
         for name, path in places(work):
             table.add(name, path)
         _odd_rows(table, work, ODD)
-        for name, builder in BUILDERS.items():
+        for name, builder in SAMPLE_BUILDERS.items():
             place = work / "built" / name.replace(" ", "_")
             place.mkdir(parents=True)
             cuts(table, name, builder(place).path, work)

@@ -27,7 +27,7 @@ from ruamel.yaml import YAML
 from fusion_core.model.recording import Message, Recording
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.messages.types import find_type_deserializer
-from tests.recordings.conftest import ROS2, ros_message
+from tests.recordings.samples.ros_messages import ROS2, ros_message
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "furnished_room.mcap"
 ROUNDS = 9

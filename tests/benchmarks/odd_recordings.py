@@ -22,7 +22,7 @@ from fusion_core.model.sensors import (
 )
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.ros2_writer import Ros2McapWriter
-from tests.recordings.conftest import ROS2, ros_message
+from tests.recordings.samples.ros_messages import ROS2, ros_message
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "furnished_room.mcap"
 _SECONDS = 2

@@ -1,9 +1,7 @@
 """Every format as MCAP, seen by our own reader, by rosbags and by the mcap package."""
 
-import importlib.util
 import json
 import sqlite3
-import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
@@ -25,22 +23,12 @@ from fusion_core.model.sensors import DepthImage, LaserScan, PoseSample, SensorV
 from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.convert import ConvertOptions, convert
 from fusion_core.workflows.source import RoomChoice, open_source
+from tests.recordings import robot_at_home_trees
+from tests.recordings.samples.formats import SAMPLE_BUILDERS
+from tests.recordings.samples.ros_containers import build_mcap, build_old_sqlite
+from tests.recordings.samples.ros_messages import TYPES
+from tests.recordings.samples.sample import T0, same
 
-
-def load_samples() -> Any:
-    """The builders of the readers' tests, which are on no import path."""
-    file = Path(__file__).parents[1] / "recordings" / "conftest.py"
-    spec = importlib.util.spec_from_file_location("recording_samples", file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    # Dataclasses look their module up.
-    sys.modules["recording_samples"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-samples = load_samples()
 S = NS_PER_S
 
 
@@ -55,17 +43,17 @@ def output(tmp_path: Path) -> Path:
     return folder / "out.mcap"
 
 
-@pytest.fixture(params=list(samples.BUILDERS))
+@pytest.fixture(params=list(SAMPLE_BUILDERS))
 def sample(request: pytest.FixtureRequest, tmp_path: Path) -> Any:
     """One recording in each format."""
     folder = tmp_path / "source"
     folder.mkdir()
-    return samples.BUILDERS[request.param](folder)
+    return SAMPLE_BUILDERS[request.param](folder)
 
 
 def build(name: str, folder: Path) -> Any:
     folder.mkdir(exist_ok=True)
-    return samples.BUILDERS[name](folder)
+    return SAMPLE_BUILDERS[name](folder)
 
 
 def by_rosbags(path: Path, *topics: str) -> Iterator[tuple[str, int, Any]]:
@@ -128,7 +116,7 @@ def test_every_reader_sees_the_same(sample: Any, output: Path) -> None:
         log_time = old.stamp_ns if old.received_ns is None else old.received_ns
         assert (new.topic, new.index, new.stamp_ns) == (old.topic, old.index, old.stamp_ns)
         assert new.received_ns == log_time
-        assert samples.same(new.value, as_written(old.value, roles[old.topic], log_time)), old
+        assert same(new.value, as_written(old.value, roles[old.topic], log_time)), old
     assert (result["start_ns"], result["end_ns"]) == (after[0].received_ns, after[-1].received_ns)
     assert {t["name"]: t["count"] for t in result["topics"]} == Counter(m.topic for m in before)
 
@@ -231,7 +219,7 @@ def test_ros1_keeps_the_value_of_every_field(tmp_path: Path, output: Path) -> No
     assert_same_messages(sample.path, output)
     humble = get_typestore(Stores.ROS2_HUMBLE)
     for topic, (name, encoding, text) in schemas(output).items():
-        assert (name, encoding) == (samples.TYPES[topic], "ros2msg")
+        assert (name, encoding) == (TYPES[topic], "ros2msg")
         assert text.decode() == humble.generate_msgdef(name, ros_version=2)[0]
 
 
@@ -433,9 +421,9 @@ def test_static_transforms_from_before_the_start_are_kept(tmp_path: Path, output
 
 def test_times_before_zero_are_logged_at_zero(tmp_path: Path, output: Path) -> None:
     file = tmp_path / "old.db3"
-    source = samples.build_old_sqlite(tmp_path)
+    source = build_old_sqlite(tmp_path)
     connection = sqlite3.connect(file)
-    connection.execute("UPDATE messages SET timestamp = timestamp - ?", (samples.T0 + 200_000_000,))
+    connection.execute("UPDATE messages SET timestamp = timestamp - ?", (T0 + 200_000_000,))
     connection.commit()
     connection.close()
     result = to_mcap(file, output)
@@ -487,7 +475,7 @@ def test_an_output_inside_the_recording_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_room_of_a_data_set(tmp_path: Path, output: Path) -> None:
-    trees = samples.ROBOT_AT_HOME
+    trees = robot_at_home_trees
     first = trees.small_room()
     other = replace(first, room="kitchen1")
     root = trees.write_plain_text(tmp_path / "homes", [first, other])
@@ -521,11 +509,11 @@ def test_what_cannot_be_converted_at_all_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_recording_without_messages_stays_one(tmp_path: Path, output: Path) -> None:
-    source = samples.build_mcap(tmp_path / "none.mcap", [])
+    source = build_mcap(tmp_path / "none.mcap", [])
     result = to_mcap(source.path, output)
     assert (result["written"], result["start_ns"]) == (0, None)
     with open_recording(output) as recording:
-        assert {topic.name for topic in recording.topics} == set(samples.TYPES)
+        assert {topic.name for topic in recording.topics} == set(TYPES)
 
 
 @pytest.mark.parametrize("name", ["rosbag1", "Redwood"])
