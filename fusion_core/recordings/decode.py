@@ -1,8 +1,7 @@
-"""ROS 1 and ROS 2 messages to model values.
+"""ROS 1 and ROS 2 messages to model values, in SI units and nanoseconds.
 
-This is the only module that changes units: millimetres, seconds, and every way in which a file
-says "missing" (0, inf, out of limits, 65535) end here. What is missing by a layout's own rule is
-NaN before: the inverse 0 of ``compressed_image``, the point 0 0 0 of ``point_cloud``.
+Ranges and depths are converted by ``units``. Values that are missing by the rule of a layout are
+NaN before: the inverse depth 0 of ``compressed_image``, the point 0 0 0 of ``point_cloud``.
 """
 
 import struct
@@ -11,9 +10,8 @@ from math import inf, isfinite
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from fusion_core.model.conventions import NS_PER_S, Float32Array, FloatArray
+from fusion_core.model.conventions import NS_PER_S, FloatArray
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.geometry import POSITION_MAX_M
 from fusion_core.model.sensors import (
@@ -40,12 +38,9 @@ from fusion_core.recordings.messages.image_pixels import (
 )
 from fusion_core.recordings.messages.point_cloud import read_points
 from fusion_core.recordings.messages.rows import PoseNumbers, PoseRow, ScanRow
+from fusion_core.recordings.units import depth_m_from_metres, depth_m_from_millimetres, ranges_m
 
-MILLIMETRES_PER_METRE = 1000.0
-# Kinect drivers and 7-Scenes write the largest value where they saw nothing.
-SATURATED_DEPTH = 65535
 _SHORTEST_QUATERNION = 1e-12
-_SMALLEST_M = float(np.finfo(np.float64).smallest_subnormal)
 _MATRIX = struct.Struct("=16d")
 
 # A sensor's clock counts from 1970, and ROS 2 holds the seconds in 31 bits.
@@ -100,54 +95,6 @@ def image_encoding(raw: RawMessage) -> str:
     """The encoding of a raw Image, or of a raw CompressedImage when it is unpacked."""
     packed = hasattr(raw, "format")
     return str(decompressed_encoding(raw.format, raw.data) if packed else raw.encoding)
-
-
-def ranges_m(
-    ranges: npt.NDArray[np.floating[Any]], range_min_m: float, range_max_m: float
-) -> FloatArray:
-    """(N,) ranges with NaN where the beam gave nothing.
-
-    A range of ``range_max`` or more is a driver's way to say "no return"; REP 117 says it by
-    infinities.
-    """
-    # The copy first: in a message the ranges may stand at any byte, which makes all else slow.
-    found_m = ranges.astype(np.float64)
-    # What is not above zero is below the smallest number there is. NaN, as neither, stays.
-    missing = found_m < max(range_min_m, _SMALLEST_M)
-    missing |= found_m >= range_max_m
-    np.putmask(found_m, missing, np.nan)
-    return found_m
-
-
-def depth_m_from_units(depth: np.ndarray[Any, Any], units_per_metre: float) -> Float32Array:
-    """(H, W) uint16 in parts of a metre to float32 metres, NaN for 0 and 65535."""
-    depth_m = depth.astype(np.float32)
-    depth_m /= np.float32(units_per_metre)
-    # One mask at a time: a camera's image may have tens of millions of pixels. That of the holes
-    # is divided by, 0 / 0 being NaN: to write NaN through it would take up to ten times as long.
-    with np.errstate(invalid="ignore"):
-        depth_m /= depth != 0
-    if depth.max(initial=0) == SATURATED_DEPTH:
-        depth_m[depth == SATURATED_DEPTH] = np.nan
-    return depth_m
-
-
-def depth_m_from_millimetres(depth_mm: np.ndarray[Any, Any]) -> Float32Array:
-    """(H, W) uint16 millimetres to float32 metres, NaN for 0 and 65535."""
-    return depth_m_from_units(depth_mm, MILLIMETRES_PER_METRE)
-
-
-def millimetres_from_depth_m(depth_m: Float32Array) -> np.ndarray[Any, np.dtype[np.uint16]]:
-    """(H, W) metres to uint16 millimetres; 0 for NaN and for what does not fit."""
-    depth_mm = np.rint(depth_m.astype(np.float64) * MILLIMETRES_PER_METRE)
-    fits = (depth_mm > 0) & (depth_mm < SATURATED_DEPTH)
-    return np.where(fits, depth_mm, 0).astype(np.uint16)
-
-
-def depth_m_from_metres(depth: np.ndarray[Any, Any]) -> Float32Array:
-    """(H, W) floating metres to float32, NaN for what is not positive and finite."""
-    valid = np.isfinite(depth) & (depth > 0.0)
-    return np.where(valid, depth, np.nan).astype(np.float32, copy=False)
 
 
 def _header_stamp_ns(header: RawMessage) -> int:
@@ -288,12 +235,13 @@ def _camera_info(raw: RawMessage, received_ns: int | None) -> CameraInfo:
     )
 
 
-def _pose_matrix(
-    px: float, py: float, pz: float, x: float, y: float, z: float, w: float
-) -> FloatArray:
-    """(4, 4) in plain floats: recordings hold transforms by the ten thousand, and arrays of four
-    numbers would take several times as long (as ``geometry.rotation_from_quaternion`` does).
+def _pose_matrix(numbers: PoseNumbers) -> FloatArray:
+    """(4, 4) from position and quaternion, as ``geometry.rotation_from_quaternion`` makes it.
+
+    In plain floats: recordings hold ten thousands of transforms, and numpy would take several
+    times as long for arrays of four numbers.
     """
+    px, py, pz, x, y, z, w = numbers
     if not (abs(px) <= POSITION_MAX_M and abs(py) <= POSITION_MAX_M and abs(pz) <= POSITION_MAX_M):
         is_far = isfinite(px) and isfinite(py) and isfinite(pz)
         what = f"lies farther than {POSITION_MAX_M:g} m" if is_far else "is not finite"
@@ -350,7 +298,7 @@ def _pose_sample(row: PoseRow, received_ns: int | None) -> PoseSample:
         received_ns=received_ns,
         parent=_clean_frame_name(parent),
         child=_clean_frame_name(child),
-        T_parent_child=_pose_matrix(*numbers),
+        T_parent_child=_pose_matrix(numbers),
     )
 
 
@@ -361,7 +309,7 @@ def _transforms(raw: RawMessage, received_ns: int | None) -> TransformBatch:
             stamp_ns=_time_ns(seconds, nanoseconds),
             parent=_clean_frame_name(parent),
             child=_clean_frame_name(child),
-            T_parent_child=_pose_matrix(*numbers),
+            T_parent_child=_pose_matrix(numbers),
         )
         for seconds, nanoseconds, parent, child, numbers in rows
     ]

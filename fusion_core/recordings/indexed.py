@@ -44,6 +44,8 @@ _PEEKED_MESSAGES = 5
 _UNKNOWN_TYPE = "messages of its type are not read"
 
 _Read = TypeVar("_Read")
+# An entry of the index as plain numbers: log time, channel, block and offset.
+_Entry = tuple[int, int, int, int]
 
 
 @dataclass(slots=True)
@@ -123,11 +125,10 @@ class IndexedRecording:
         if stream.stamps_ns is None:
             stamps_ns = np.full(len(stream.positions), NO_STAMP, dtype=np.int64)
             for index, position in enumerate(stream.positions):
-                _, channel, block, offset = self._entries[position].item()
                 # Iteration warns of what is broken.
                 with suppress(RecordingError):
                     stamps_ns[index] = header_stamp_ns(
-                        self._deserialize(stream, channel, block, offset)
+                        self._deserialize(stream, self._entries[position].item())
                     )
             self._require_open()
             read_only(stamps_ns)
@@ -163,8 +164,7 @@ class IndexedRecording:
         stream = self._require_readable(topic)
         if not 0 <= index < len(stream.positions):
             raise IndexError(f"{topic} has {len(stream.positions)} messages, there is no {index}")
-        received, channel, block, offset = self._entries[stream.positions[index]].item()
-        return self._decode(stream, index, received, channel, block, offset)
+        return self._decode(stream, index, self._entries[stream.positions[index]].item())
 
     def verify(self) -> ChecksumReport:
         """Read the files whole, and compare them with their checksums and their indexes."""
@@ -201,7 +201,7 @@ class IndexedRecording:
         streams: list[_IndexedTopic],
         start_ns: int | None,
         end_ns: int | None,
-        read: Callable[[_IndexedTopic, int, int, int, int, int], _Read],
+        read: Callable[[_IndexedTopic, int, _Entry], _Read],
     ) -> Iterator[_Read]:
         first = 0 if start_ns is None else self._first_position_at(start_ns)
         last = len(self._entries) if end_ns is None else self._first_position_at(end_ns)
@@ -211,19 +211,20 @@ class IndexedRecording:
         stream_of = [self._streams[channel.topic] for channel in self.channels]
         for start in range(0, len(positions), _BATCH):
             batch = self._entries[positions[start : start + _BATCH]]
-            for received, channel, block, offset in batch.tolist():
-                stream = stream_of[channel]
+            for entry in batch.tolist():
+                stream = stream_of[entry[1]]
                 index = next_index[stream.name]
                 next_index[stream.name] = index + 1
                 try:
-                    message = read(stream, index, received, channel, block, offset)
+                    message = read(stream, index, entry)
                 except RecordingError as error:
                     self._require_open()
                     self._skipped.add(stream.name, index, len(stream.positions), error)
                 else:
                     yield message
 
-    def _payload(self, stream: _IndexedTopic, channel: int, block: int, offset: int) -> Payload:
+    def _payload(self, stream: _IndexedTopic, entry: _Entry) -> Payload:
+        _, channel, block, offset = entry
         with self._lock:
             self._require_open()
             try:
@@ -239,23 +240,21 @@ class IndexedRecording:
         self,
         stream: _IndexedTopic,
         index: int,
-        received: int,
-        channel: int,
-        block: int,
-        offset: int,
+        entry: _Entry,
     ) -> SerializedMessage:
-        payload = self._payload(stream, channel, block, offset)
+        payload = self._payload(stream, entry)
+        received_ns, channel, block, offset = entry
         with self._lock:
             self._require_open()
             published_ns = self._files[channel].published_ns(block, offset)
         return SerializedMessage(
-            channel=channel, received_ns=received, published_ns=published_ns, payload=payload
+            channel=channel, received_ns=received_ns, published_ns=published_ns, payload=payload
         )
 
-    def _deserialize(self, stream: _IndexedTopic, channel: int, block: int, offset: int) -> Any:
-        payload = self._payload(stream, channel, block, offset)
+    def _deserialize(self, stream: _IndexedTopic, entry: _Entry) -> Any:
+        payload = self._payload(stream, entry)
         try:
-            return stream.deserializers[channel](payload)
+            return stream.deserializers[entry[1]](payload)
         except ValueError as error:
             raise RecordingError(
                 f"{stream.name}: a message cannot be read, {error}.",
@@ -267,19 +266,17 @@ class IndexedRecording:
         self,
         stream: _IndexedTopic,
         index: int,
-        received: int,
-        channel: int,
-        block: int,
-        offset: int,
+        entry: _Entry,
     ) -> Message:
-        raw = self._deserialize(stream, channel, block, offset)
-        value = decode_message(raw, stream.message_type, topic=stream.name, received_ns=received)
+        received_ns = entry[0]
+        raw = self._deserialize(stream, entry)
+        value = decode_message(raw, stream.message_type, topic=stream.name, received_ns=received_ns)
         stamp = stamp_of_value_ns(value)
         return Message(
             topic=stream.name,
             index=index,
-            received_ns=received,
-            stamp_ns=received if stamp is None else stamp,
+            received_ns=received_ns,
+            stamp_ns=received_ns if stamp is None else stamp,
             value=value,
         )
 
@@ -345,9 +342,8 @@ class IndexedRecording:
 
     def _role_of_images(self, stream: _IndexedTopic) -> Role:
         for position in stream.positions[:_PEEKED_MESSAGES]:
-            _, channel, block, offset = self._entries[position].item()
             try:
-                raw = self._deserialize(stream, channel, block, offset)
+                raw = self._deserialize(stream, self._entries[position].item())
                 role = role_from_encoding(image_encoding(raw), stream.name)
             except (RecordingError, AttributeError, TypeError):
                 # Broken, or the file's own definition has other fields: reading it will say so.

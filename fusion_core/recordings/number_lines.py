@@ -12,13 +12,13 @@ from pathlib import Path
 from fusion_core.files.regular_file import open_regular
 from fusion_core.model.errors import RecordingError
 from fusion_core.recordings.decimal_time import ns_from_decimal_seconds
+from fusion_core.recordings.quoting import quote_clipped
 
 # Far beyond any trajectory of a robot; what is larger is another kind of file.
 _MAX_BYTES = 1 << 30
 _MAX_LINE_BYTES = 4096
 # No place on Earth is farther away, and its square is far from overflow.
 _LARGEST = 1e9
-_LONGEST_SHOWN = 40
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class NumericLine:
         """A time in seconds, read without a float in between. Raises RecordingError."""
         time_ns = ns_from_decimal_seconds(self.fields[column])
         if time_ns is None:
-            raise self.error(f"{_shown(self.fields[column])} is no time in seconds")
+            raise self.error(f"{quote_clipped(self.fields[column])} is no time in seconds")
         return time_ns
 
     def numbers(self, first: int) -> list[float]:
@@ -45,10 +45,10 @@ class NumericLine:
         try:
             number = float(word)
         except ValueError:
-            raise self.error(f"{_shown(word)} is no number") from None
+            raise self.error(f"{quote_clipped(word)} is no number") from None
         # NaN compares false.
         if not abs(number) <= _LARGEST:
-            raise self.error(f"{_shown(word)} is not between -1e9 and 1e9")
+            raise self.error(f"{quote_clipped(word)} is not between -1e9 and 1e9")
         return number
 
     def error(self, problem: str) -> RecordingError:
@@ -86,7 +86,3 @@ def read_numeric_lines(file: Path, columns: str) -> Iterator[NumericLine]:
 def _split_fields(text: bytes) -> list[str]:
     # What is no text becomes a word that is no number, and is refused as such.
     return text.decode(errors="replace").split()
-
-
-def _shown(word: str) -> str:
-    return repr(word if len(word) <= _LONGEST_SHOWN else f"{word[:_LONGEST_SHOWN]}…")

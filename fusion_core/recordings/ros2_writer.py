@@ -21,9 +21,9 @@ from fusion_core.model.sensors import (
     SensorValue,
     TransformBatch,
 )
-from fusion_core.recordings.decode import millimetres_from_depth_m
 from fusion_core.recordings.mcap.output import McapOutput
 from fusion_core.recordings.messages.bad_message import BadMessage
+from fusion_core.recordings.units import millimetres_from_depth_m
 
 _TYPESTORE = get_typestore(Stores.ROS2_HUMBLE)
 _POINT_FIELD_FLOAT32 = 7

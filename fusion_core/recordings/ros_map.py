@@ -5,22 +5,18 @@ cell is occupied where p > occupied_thresh, free where p < free_thresh.
 """
 
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
 
 from fusion_core.model.conventions import BoolArray, FloatArray, read_only
 from fusion_core.model.errors import RecordingError
 from fusion_core.recordings.images.frame_files import read_image, read_text
+from fusion_core.recordings.safe_yaml import load_yaml, require_number
 
 _MAX_TEXT_BYTES = 64 << 10
-_MAX_NESTING = 16
 _ADVICE = (
     "It must be a map as map_server and nav2 read it: image, resolution, origin, occupied_thresh."
 )
@@ -65,23 +61,23 @@ def read_ros_map(file: Path) -> RosMap:
 
     Raises RecordingError for what is no such map, and where one of the two cannot be read.
     """
-    stated = _mapping(file)
+    mapping = _load_mapping(file)
     try:
-        image = stated.get("image")
+        image = mapping.get("image")
         if not isinstance(image, str) or not image:
             raise ValueError("image is missing or no name of a file")
-        resolution_m = _number(stated, "resolution")
+        resolution_m = require_number(mapping, "resolution")
         if not 1e-6 <= resolution_m <= 1e3:
             raise ValueError(f"resolution {resolution_m:g} is no size of a cell in metres")
-        origin = stated.get("origin")
+        origin = mapping.get("origin")
         if not isinstance(origin, list) or len(origin) != 3:
             raise ValueError("origin is missing or no list of x, y, yaw")
-        x, y, yaw = (_number({"origin": value}, "origin") for value in origin)
+        x, y, yaw = (require_number({"origin": value}, "origin") for value in origin)
         if max(abs(x), abs(y)) > 1e6:
             raise ValueError(f"origin {x:g}, {y:g} is no place within 1000 km")
-        negated = _number(stated, "negate", 0.0) != 0.0
-        occupied_above = _number(stated, "occupied_thresh", 0.65)
-        free_below = _number(stated, "free_thresh", 0.196)
+        negated = _is_negated(mapping)
+        occupied_above = require_number(mapping, "occupied_thresh", 0.65)
+        free_below = require_number(mapping, "free_thresh", 0.196)
         if not 0.0 <= free_below <= occupied_above <= 1.0:
             raise ValueError(f"the thresholds {free_below:g}, {occupied_above:g} do not ascend")
     except (ValueError, OverflowError) as error:
@@ -98,31 +94,17 @@ def read_ros_map(file: Path) -> RosMap:
     )
 
 
-def _mapping(file: Path) -> dict[Any, Any]:
-    text = read_text(file, _MAX_TEXT_BYTES)
-    yaml = YAML(typ="safe", pure=True)
+def _load_mapping(file: Path) -> dict[Any, Any]:
     try:
-        # Events come without recursion and without following aliases, which could multiply.
-        depth = 0
-        for event in yaml.parse(text):
-            depth += isinstance(event, CollectionStartEvent)
-            depth -= isinstance(event, CollectionEndEvent)
-            if isinstance(event, AliasEvent) or depth > _MAX_NESTING:
-                raise RecordingError("uses aliases or deep nesting.", file=file, advice=_ADVICE)
-        loaded = yaml.load(text)
-    except (YAMLError, ValueError, OverflowError) as error:
-        problem = " ".join(str(error).split())
-        raise RecordingError(f"is no YAML: {problem}.", file=file, advice=_ADVICE) from error
+        loaded = load_yaml(read_text(file, _MAX_TEXT_BYTES))
+    except (ValueError, OverflowError) as error:
+        raise RecordingError(f"cannot be read: {error}.", file=file, advice=_ADVICE) from error
     if not isinstance(loaded, dict):
         raise RecordingError("holds no keys.", file=file, advice=_ADVICE)
     return loaded
 
 
-def _number(stated: dict[Any, Any], key: str, default: float | None = None) -> float:
-    value = stated.get(key, default)
-    # Written by hand, negate may be true or false.
-    if key == "negate" and isinstance(value, bool):
-        return float(value)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-        raise ValueError(f"{key} is missing or no finite number")
-    return float(value)
+def _is_negated(mapping: dict[Any, Any]) -> bool:
+    # Written by hand, it may be true or false.
+    value = mapping.get("negate")
+    return value if isinstance(value, bool) else require_number(mapping, "negate", 0.0) != 0.0

@@ -11,12 +11,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fusion_core.model.errors import RecordingError
-from fusion_core.recordings.decode import (
-    decode_message,
-    depth_m_from_millimetres,
-    millimetres_from_depth_m,
-    stamp_of_value_ns,
-)
+from fusion_core.recordings.decode import decode_message, stamp_of_value_ns
+from fusion_core.recordings.units import depth_m_from_millimetres, millimetres_from_depth_m
 
 HEADER = SimpleNamespace(
     stamp=SimpleNamespace(sec=1_700_000_000, nanosec=123_456_789), frame_id="/laser"

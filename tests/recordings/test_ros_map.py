@@ -87,7 +87,7 @@ def test_unknown_is_neither_occupied_nor_free(tmp_path: Path) -> None:
         ({"negate": "[]"}, "negate is missing"),
         ({"origin": "[[[["}, "is no YAML"),
         ({"origin": "&a [1, 2, *a]"}, "aliases"),
-        ({"origin": "[" * 50 + "]" * 50}, "nesting"),
+        ({"origin": "[" * 50 + "]" * 50}, "nested"),
     ],
 )
 def test_what_is_no_map_is_named(tmp_path: Path, changes: dict[str, str], words: str) -> None:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.recordings.formats import open_recording
-from fusion_core.recordings.rosbag2 import sqlite_file
+from fusion_core.recordings.rosbag2 import sqlite_database, sqlite_file
 from fusion_core.recordings.rosbag2.sqlite_file import SqliteFile
 from fusion_core.recordings.rosbag2.sqlite_pages import DatabasePages
 
@@ -387,7 +387,7 @@ def test_data_beyond_measure_is_refused(
     written = [*rows_of(3, 10), (4, 1, T0, bytes(50_000)), (5, 1, T0, b"end")]
     path = write(tmp_path / "a.db3", written)
     path.write_bytes(path.read_bytes()[: -cut or None])
-    monkeypatch.setattr(sqlite_file, "MAX_CHUNK_BYTES", 40_000)
+    monkeypatch.setattr(sqlite_database, "MAX_CHUNK_BYTES", 40_000)
     monkeypatch.setattr("fusion_core.recordings.rosbag2.sqlite_pages.MAX_CHUNK_BYTES", 40_000)
     with closing(SqliteFile(path)) as file:
         entries = file.index()
@@ -403,9 +403,9 @@ def test_data_beyond_measure_is_refused(
 def test_queries_that_take_for_ever_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written = rows_of(3000, 20)
     path = write(tmp_path / "a.db3", written)
-    monkeypatch.setattr(sqlite_file, "_STEPS_AT_A_TIME", 100)
-    monkeypatch.setattr(sqlite_file, "_LEAST_STEPS", 1000)
-    monkeypatch.setattr(sqlite_file, "_STEPS_PER_BYTE", 0)
+    monkeypatch.setattr(sqlite_database, "_STEPS_AT_A_TIME", 100)
+    monkeypatch.setattr(sqlite_database, "_LEAST_STEPS", 1000)
+    monkeypatch.setattr(sqlite_database, "_STEPS_PER_BYTE", 0)
     # What SQLite does not get done, the pages tell.
     found, warnings = read(path)
     assert found == written

@@ -23,7 +23,8 @@ from fusion_core.model.geometry import POSITION_MAX_M
 from fusion_core.model.sensors import LaserScan
 from fusion_core.model.sweep import ImplausibleSweep, require_plausible_sweep
 from fusion_core.recordings.decimal_time import ns_from_decimal_seconds
-from fusion_core.recordings.decode import ranges_m
+from fusion_core.recordings.quoting import quote_clipped
+from fusion_core.recordings.units import ranges_m
 
 # SICK LMS and PLS measure in centimetres of 13 bits; 8183 and above are codes (out of range,
 # dazzled, no signal), also where a log names 81.9 m as the maximum range.
@@ -189,7 +190,7 @@ def _take_counted_list(fields: list[bytes], position: int, what: str) -> tuple[l
     text = fields[position]
     # int() would take signs, underscores, and digits by the million.
     if not text.isdigit() or len(text) > _MAX_NUMBER_CHARS:
-        raise BadLine(f"has {_shown(text)} for its number of {what}")
+        raise BadLine(f"has {_quote(text)} for its number of {what}")
     count = int(text)
     start = position + 1
     if count > len(fields) - start:
@@ -219,7 +220,7 @@ def _split_stamps(tail: list[bytes], body_fields: int) -> tuple[bytes, bytes | N
 def _time_ns(text: bytes, what: str) -> int:
     time_ns = ns_from_decimal_seconds(text.decode("ascii", "replace"))
     if time_ns is None:
-        raise BadLine(f"has {_shown(text)} for its {what}")
+        raise BadLine(f"has {_quote(text)} for its {what}")
     return time_ns
 
 
@@ -235,7 +236,7 @@ def _numbers(fields: list[bytes], what: str) -> FloatArray:
         return np.array([float(field) for field in fields], dtype=np.float64)
     except ValueError:
         first = next(field for field in fields if not _is_number(field))
-        raise BadLine(f"has {_shown(first)} among its {what}") from None
+        raise BadLine(f"has {_quote(first)} among its {what}") from None
 
 
 def _number(text: bytes, what: str) -> float:
@@ -244,7 +245,7 @@ def _number(text: bytes, what: str) -> float:
     except ValueError:
         number = float("nan")
     if not isfinite(number):
-        raise BadLine(f"has {_shown(text)} in its {what}")
+        raise BadLine(f"has {_quote(text)} in its {what}")
     return number
 
 
@@ -256,5 +257,5 @@ def _is_number(text: bytes) -> bool:
     return True
 
 
-def _shown(text: bytes) -> str:
-    return repr(text[:_MAX_NUMBER_CHARS].decode("ascii", "backslashreplace"))
+def _quote(text: bytes) -> str:
+    return quote_clipped(text.decode("ascii", "backslashreplace"), _MAX_NUMBER_CHARS)

@@ -9,7 +9,7 @@ odometry and a fixed mount: logs that were corrected by SLAM keep the corrected 
 
 import threading
 from collections.abc import Callable, Iterator
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -170,21 +170,21 @@ def _streams(
     for keyword, rows in index.by_keyword.items():
         frame = keyword.lower()
         topic = f"/{frame}"
-        stream = partial(_stream, index, lines, keyword, rows)
+        make_stream = _KeywordStreams(lines, keyword, rows, index.has_log).make_stream
         every = np.arange(len(rows.byte_offsets))
         if keyword == "ODOM":
-            yield stream(topic, "odometry", every, _pose_decoder(0, ODOM_FRAME, BASE_FRAME))
+            yield make_stream(topic, "odometry", every, _pose_decoder(0, ODOM_FRAME, BASE_FRAME))
             continue
         if keyword == "TRUEPOS":
             truth = f"{topic}/ground_truth"
-            yield stream(truth, "pose", every, _pose_decoder(0, MAP_FRAME, BASE_FRAME))
+            yield make_stream(truth, "pose", every, _pose_decoder(0, MAP_FRAME, BASE_FRAME))
             continue
         defaults = _laser_defaults(index, keyword, warnings)
-        yield stream(topic, "lidar", every, _scan_decoder(frame, defaults))
+        yield make_stream(topic, "lidar", every, _scan_decoder(frame, defaults))
         if rows.laser_on_robot is None:
             continue
         odometry = _pose_decoder(3, ODOM_FRAME, BASE_FRAME)
-        yield stream(f"{topic}/odom", "odometry", rows.with_poses, odometry)
+        yield make_stream(f"{topic}/odom", "odometry", rows.with_poses, odometry)
         mount = _laser_mount(index, keyword, rows)
         if mount is not None:
             mounts[frame] = mount
@@ -192,7 +192,7 @@ def _streams(
         fixed = np.zeros(3) if mount is None else mount
         if not rows.is_rigid or not is_same_pose(rows.laser_on_robot, fixed):
             corrected = _pose_decoder(0, MAP_FRAME, frame)
-            yield stream(f"{topic}/pose", "pose", rows.with_poses, corrected)
+            yield make_stream(f"{topic}/pose", "pose", rows.with_poses, corrected)
     if mounts:
         yield _static_transforms(index, mounts)
 
@@ -200,35 +200,38 @@ def _streams(
 _Decoder = Callable[[CarmenLine, int | None], SensorValue]
 
 
-def _stream(
-    index: CarmenIndex,
-    lines: _LineReader,
-    keyword: str,
-    rows: KeywordIndex,
-    name: str,
-    role: Role,
-    messages: IntArray,
-    decode: _Decoder,
-) -> StampedStream:
-    places = rows.byte_offsets[messages]
-    received_ns = rows.received_ns[messages] if index.has_log else None
+@dataclass(frozen=True, slots=True)
+class _KeywordStreams:
+    """Makes the streams that the lines of one keyword give."""
 
-    def value(message: int) -> SensorValue:
-        place = int(places[message])
-        logged_ns = None if received_ns is None else int(received_ns[message])
-        try:
-            return decode(lines.read_line_at(place), logged_ns)
-        except BadLine as error:
-            raise lines.bad_line_error(place, error) from error
+    lines: _LineReader
+    keyword: str
+    rows: KeywordIndex
+    has_log: bool
 
-    return StampedStream(
-        name=name,
-        type=keyword,
-        role=role,
-        stamps_ns=rows.stamp_ns[messages],
-        received_ns=received_ns,
-        read_value=value,
-    )
+    def make_stream(
+        self, name: str, role: Role, messages: IntArray, decode: _Decoder
+    ) -> StampedStream:
+        """The stream of ``messages``, places in ``rows``, whose lines ``decode`` reads."""
+        offsets = self.rows.byte_offsets[messages]
+        received_ns = self.rows.received_ns[messages] if self.has_log else None
+
+        def read_value(message: int) -> SensorValue:
+            offset = int(offsets[message])
+            logged_ns = None if received_ns is None else int(received_ns[message])
+            try:
+                return decode(self.lines.read_line_at(offset), logged_ns)
+            except BadLine as error:
+                raise self.lines.bad_line_error(offset, error) from error
+
+        return StampedStream(
+            name=name,
+            type=self.keyword,
+            role=role,
+            stamps_ns=self.rows.stamp_ns[messages],
+            received_ns=received_ns,
+            read_value=read_value,
+        )
 
 
 def _scan_decoder(frame: str, defaults: LaserDefaults) -> _Decoder:

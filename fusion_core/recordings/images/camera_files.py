@@ -6,17 +6,13 @@ Every function raises RecordingError naming its file.
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 from typing import Any
-
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.recordings.images.frame_files import read_text
+from fusion_core.recordings.safe_yaml import load_yaml, require_number
 
 _STEMS = (
     "calibration",
@@ -28,7 +24,6 @@ _STEMS = (
     "intrinsics",
 )
 _MAX_TEXT_BYTES = 64 << 10
-_MAX_NESTING = 16
 _MAX_SIDE = 1 << 16
 _SCALE_KEYS = ("depth_scale", "depth_factor")
 _DISTORTION_KEYS = ("distortion_coefficients", "distortion")
@@ -143,28 +138,14 @@ def _camera_from_json(text: str) -> CameraFile:
 
 
 def _camera_from_yaml(text: str) -> CameraFile:
-    yaml = YAML(typ="safe", pure=True)
-    try:
-        # Events come without recursion and without following aliases, which could multiply.
-        depth = 0
-        for event in yaml.parse(text):
-            if isinstance(event, AliasEvent):
-                raise ValueError("it uses aliases")
-            depth += isinstance(event, CollectionStartEvent)
-            depth -= isinstance(event, CollectionEndEvent)
-            if depth > _MAX_NESTING:
-                raise ValueError("it is nested too deeply")
-        return _camera_from_mapping(yaml.load(text))
-    except YAMLError as error:
-        problem = " ".join(str(error).split())
-        raise ValueError(f"it is no YAML: {problem}") from error
+    return _camera_from_mapping(load_yaml(text))
 
 
 def _camera_from_mapping(camera: object) -> CameraFile:
     if not isinstance(camera, dict):
         raise ValueError("it holds no keys")
     scale_key = next((key for key in _SCALE_KEYS if key in camera), None)
-    units_per_metre = _units_from_scale(_number(camera, scale_key)) if scale_key else None
+    units_per_metre = _units_from_scale(require_number(camera, scale_key)) if scale_key else None
     if scale_key is not None and len(camera) == 1:
         return CameraFile(units_per_metre=units_per_metre)
     if "intrinsic_matrix" in camera:
@@ -173,7 +154,7 @@ def _camera_from_mapping(camera: object) -> CameraFile:
     elif "camera_matrix" in camera:
         pinhole = _pinhole_from_matrix(_numbers(camera, "camera_matrix"))
     else:
-        fx, fy, cx, cy = (_number(camera, key) for key in ("fx", "fy", "cx", "cy"))
+        fx, fy, cx, cy = (require_number(camera, key) for key in ("fx", "fy", "cx", "cy"))
         pinhole = (fx, fy, cx, cy)
     width, height = (
         _pixels(camera, key if key in camera else f"image_{key}") for key in ("width", "height")
@@ -191,15 +172,8 @@ def _camera_from_mapping(camera: object) -> CameraFile:
     )
 
 
-def _number(camera: dict[Any, Any], key: str) -> float:
-    value = camera.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-        raise ValueError(f"{key} is missing or no finite number")
-    return float(value)
-
-
 def _pixels(camera: dict[Any, Any], key: str) -> int:
-    value = _number(camera, key)
+    value = require_number(camera, key)
     if not value.is_integer() or not 0 < value <= _MAX_SIDE:
         raise ValueError(f"{key} {value:g} is no number of pixels")
     return int(value)
@@ -214,7 +188,7 @@ def _numbers(camera: dict[Any, Any], key: str) -> list[float]:
     flat = [v for row in rows for v in (row if isinstance(row, list) else [row])]
     if not isinstance(value, list):
         raise ValueError(f"{key} holds no list of numbers")
-    return [_number({key: number}, key) for number in flat]
+    return [require_number({key: number}, key) for number in flat]
 
 
 _PARSERS: dict[str, Callable[[str], CameraFile]] = {

@@ -14,17 +14,17 @@ import numpy as np
 
 from fusion_core.model.conventions import Float32Array
 from fusion_core.model.errors import RecordingError
-from fusion_core.recordings.decode import (
-    MILLIMETRES_PER_METRE,
-    SATURATED_DEPTH,
-    depth_m_from_metres,
-    depth_m_from_units,
-)
 from fusion_core.recordings.images.frame_files import decode_image, read_image_bytes
 from fusion_core.recordings.messages.image_headers import (
     MAX_DECODED_BYTES,
     BadImage,
     read_image_size,
+)
+from fusion_core.recordings.units import (
+    MILLIMETRES_PER_METRE,
+    SATURATED_DEPTH,
+    depth_m_from_metres,
+    depth_m_from_units,
 )
 
 _NPY_MAGIC = b"\x93NUMPY"

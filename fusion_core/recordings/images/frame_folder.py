@@ -26,7 +26,6 @@ from fusion_core.model.sensors import (
     PoseSample,
     SensorValue,
 )
-from fusion_core.recordings.decode import depth_m_from_millimetres
 from fusion_core.recordings.images.camera_files import read_intrinsics
 from fusion_core.recordings.images.frame_files import (
     read_image,
@@ -36,6 +35,7 @@ from fusion_core.recordings.images.frame_files import (
     read_trajectory_log,
 )
 from fusion_core.recordings.stamped import StampedRecording, StampedStream
+from fusion_core.recordings.units import depth_m_from_millimetres
 
 DEPTH_TOPIC = "/camera/depth/image_raw"
 COLOR_TOPIC = "/camera/color/image_raw"

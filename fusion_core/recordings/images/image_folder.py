@@ -24,7 +24,6 @@ from fusion_core.model.sensors import (
     SensorValue,
 )
 from fusion_core.recordings.decimal_time import ns_from_decimal_seconds
-from fusion_core.recordings.decode import MILLIMETRES_PER_METRE
 from fusion_core.recordings.images.camera_files import (
     CameraFile,
     find_camera_files,
@@ -44,6 +43,7 @@ from fusion_core.recordings.images.frame_folder import (
     FRAMES_PER_S,
 )
 from fusion_core.recordings.stamped import StampedRecording, StampedStream
+from fusion_core.recordings.units import MILLIMETRES_PER_METRE
 
 MAX_FILES = 1 << 20
 _DEPTH_FOLDER = "depth"

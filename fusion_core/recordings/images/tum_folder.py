@@ -36,6 +36,7 @@ from fusion_core.recordings.images.image_folder import (
     frame_stamps_ns,
     read_first_shape,
 )
+from fusion_core.recordings.quoting import quote_clipped
 from fusion_core.recordings.stamped import StampedRecording, StampedStream
 
 UNITS_PER_METRE = 5000.0
@@ -47,7 +48,6 @@ _GROUND_TRUTH_LIST = "groundtruth.txt"
 _MAX_LIST_BYTES = 64 << 20
 _MAX_LINE_BYTES = 4096
 _QUATERNION_LENGTHS = (1e-6, 1e6)
-_LONGEST_SHOWN = 80
 _CAMERA_NAME = re.compile(r"(?:^|_)(?:freiburg|fr)([123])(?![0-9A-Za-z])", re.IGNORECASE)
 # fx, fy, cx, cy and k1, k2, p1, p2, k3 of the colour cameras, for 640 x 480 pixels, as the
 # benchmark publishes them.
@@ -108,12 +108,12 @@ class _ImageList:
         """Take an image, or say why not."""
         stamp_ns = ns_from_decimal_seconds(stamp)
         if stamp_ns is None:
-            return f"{_clipped(stamp)} is no stamp in seconds"
+            return f"{quote_clipped(stamp)} is no stamp in seconds"
         parts = name.replace("\\", "/").split("/")
         if parts[0] == "" or ":" in parts[0] or ".." in parts:
-            return f"{_clipped(name)} is outside of the folder"
+            return f"{quote_clipped(name)} is outside of the folder"
         if not os.path.isfile(f"{self.folder}/{name}"):  # noqa: PTH113  # Lists have 10^6 lines.
-            return f"{_clipped(name)} is not there"
+            return f"{quote_clipped(name)} is not there"
         stem = parts[-1].rpartition(".")[0]
         self.is_numbered &= stamp.isdecimal() and stem.isdecimal() and int(stamp) == int(stem)
         self.stamps_ns.append(stamp_ns)
@@ -276,7 +276,3 @@ def _sorting_order(stamps_ns: IntArray, list_name: str, warnings: list[str]) -> 
     if (np.diff(stamps_ns) < 0).any():
         warnings.append(f"{list_name}: its stamps do not ascend; its lines are sorted.")
     return np.argsort(stamps_ns, kind="stable")
-
-
-def _clipped(text: str) -> str:
-    return repr(text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}…")

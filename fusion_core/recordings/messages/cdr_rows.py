@@ -1,7 +1,7 @@
-"""Rows straight from the bytes of ROS 2 in CDR, where a number begins at a multiple of its size.
+"""Rows from the CDR bytes of ROS 2 messages. ``rows`` says what they gain.
 
-The size counts from behind the encapsulation. Every reader raises ValueError for bytes that do not
-fit.
+CDR aligns a number to a multiple of its size, counted from the end of the encapsulation header.
+Every reader raises ValueError for bytes that do not fit.
 """
 
 import struct
@@ -17,9 +17,9 @@ from fusion_core.recordings.messages.rows import PoseRow, ScanRow
 _ENCAPSULATION_BYTES = 4
 _COUNT_BYTES = 4
 _NUMBER_BYTES = 8
-# Of an Odometry: the pose's covariance, the twist, and the twist's covariance.
+# In an Odometry: covariance of the pose, twist, and covariance of the twist.
 _AFTER_POSE_BYTES = 8 * (36 + 6 + 36)
-# Middleware fills a message up to a multiple of four.
+# DDS pads a message to a multiple of four bytes.
 _MAX_PADDING = 3
 
 
@@ -53,7 +53,7 @@ _Row = TypeVar("_Row")
 def _require_whole_payload(
     read: Callable[[Payload, _ByteOrder], tuple[_Row, int]],
 ) -> Callable[[Payload], _Row]:
-    """Of a reader that gives a row and its end, one whose row fills the message."""
+    """Wrap a reader of a row and its end, so that the row must fill the message."""
 
     @wraps(read)
     def read_whole(payload: Payload) -> _Row:
@@ -77,34 +77,34 @@ def _require_whole_payload(
 @_require_whole_payload
 def read_scan(payload: Payload, order: _ByteOrder) -> tuple[ScanRow, int]:
     """sensor_msgs/msg/LaserScan."""
-    seconds, nanoseconds, frame, at = _header(payload, _ENCAPSULATION_BYTES, order)
-    at += -at % _COUNT_BYTES
-    angle_min, _, *numbers, count = order.scan.unpack_from(payload, at)
-    at += order.scan.size
-    ranges = np.frombuffer(payload, order.range, count, at)
-    at += ranges.nbytes
-    (count,) = order.length.unpack_from(payload, at)
-    at += order.length.size
-    intensities = np.frombuffer(payload, order.range, count, at)
+    seconds, nanoseconds, frame, offset = _header(payload, _ENCAPSULATION_BYTES, order)
+    offset += -offset % _COUNT_BYTES
+    angle_min, _, *numbers, count = order.scan.unpack_from(payload, offset)
+    offset += order.scan.size
+    ranges = np.frombuffer(payload, order.range, count, offset)
+    offset += ranges.nbytes
+    (count,) = order.length.unpack_from(payload, offset)
+    offset += order.length.size
+    intensities = np.frombuffer(payload, order.range, count, offset)
     row = ScanRow._make((seconds, nanoseconds, frame, angle_min, *numbers, ranges, intensities))
-    return row, at + intensities.nbytes
+    return row, offset + intensities.nbytes
 
 
 @_require_whole_payload
 def read_odometry(payload: Payload, order: _ByteOrder) -> tuple[PoseRow, int]:
     """nav_msgs/msg/Odometry."""
-    seconds, nanoseconds, parent, at = _header(payload, _ENCAPSULATION_BYTES, order)
-    child, at = _name(payload, at, order)
-    numbers, at = _pose(payload, at, order)
-    return (seconds, nanoseconds, parent, child, numbers), at + _AFTER_POSE_BYTES
+    seconds, nanoseconds, parent, offset = _header(payload, _ENCAPSULATION_BYTES, order)
+    child, offset = _name(payload, offset, order)
+    numbers, offset = _pose(payload, offset, order)
+    return (seconds, nanoseconds, parent, child, numbers), offset + _AFTER_POSE_BYTES
 
 
 @_require_whole_payload
 def read_pose(payload: Payload, order: _ByteOrder) -> tuple[PoseRow, int]:
     """geometry_msgs/msg/PoseStamped."""
-    seconds, nanoseconds, parent, at = _header(payload, _ENCAPSULATION_BYTES, order)
-    numbers, at = _pose(payload, at, order)
-    return (seconds, nanoseconds, parent, "", numbers), at
+    seconds, nanoseconds, parent, offset = _header(payload, _ENCAPSULATION_BYTES, order)
+    numbers, offset = _pose(payload, offset, order)
+    return (seconds, nanoseconds, parent, "", numbers), offset
 
 
 @_require_whole_payload
@@ -112,32 +112,34 @@ def read_transforms(payload: Payload, order: _ByteOrder) -> tuple[list[PoseRow],
     """tf2_msgs/msg/TFMessage."""
     rows = []
     (count,) = order.length.unpack_from(payload, _ENCAPSULATION_BYTES)
-    at = _ENCAPSULATION_BYTES + order.length.size
+    offset = _ENCAPSULATION_BYTES + order.length.size
     for _ in range(count):
-        seconds, nanoseconds, parent, at = _header(payload, at + -at % _COUNT_BYTES, order)
-        child, at = _name(payload, at, order)
-        numbers, at = _pose(payload, at, order)
+        seconds, nanoseconds, parent, offset = _header(
+            payload, offset + -offset % _COUNT_BYTES, order
+        )
+        child, offset = _name(payload, offset, order)
+        numbers, offset = _pose(payload, offset, order)
         rows.append((seconds, nanoseconds, parent, child, numbers))
-    return rows, at
+    return rows, offset
 
 
-def _header(payload: Payload, at: int, order: _ByteOrder) -> tuple[int, int, str, int]:
-    """Seconds, nanoseconds and frame of the header at a place, and the place behind it."""
-    seconds, nanoseconds, size = order.header.unpack_from(payload, at)
-    at += order.header.size + size
-    return seconds, nanoseconds, _text(payload, at, size), at
+def _header(payload: Payload, offset: int, order: _ByteOrder) -> tuple[int, int, str, int]:
+    """Seconds, nanoseconds and frame of the header at an offset, and the offset after it."""
+    seconds, nanoseconds, size = order.header.unpack_from(payload, offset)
+    offset += order.header.size + size
+    return seconds, nanoseconds, _text(payload, offset, size), offset
 
 
-def _name(payload: Payload, at: int, order: _ByteOrder) -> tuple[str, int]:
-    at += -at % _COUNT_BYTES
-    (size,) = order.length.unpack_from(payload, at)
-    at += order.length.size + size
-    return _text(payload, at, size), at
+def _name(payload: Payload, offset: int, order: _ByteOrder) -> tuple[str, int]:
+    offset += -offset % _COUNT_BYTES
+    (size,) = order.length.unpack_from(payload, offset)
+    offset += order.length.size + size
+    return _text(payload, offset, size), offset
 
 
-def _pose(payload: Payload, at: int, order: _ByteOrder) -> tuple[tuple[float, ...], int]:
-    at += -(at - _ENCAPSULATION_BYTES) % _NUMBER_BYTES
-    return order.pose.unpack_from(payload, at), at + order.pose.size
+def _pose(payload: Payload, offset: int, order: _ByteOrder) -> tuple[tuple[float, ...], int]:
+    offset += -(offset - _ENCAPSULATION_BYTES) % _NUMBER_BYTES
+    return order.pose.unpack_from(payload, offset), offset + order.pose.size
 
 
 def _text(payload: Payload, end: int, size: int) -> str:
@@ -147,7 +149,7 @@ def _text(payload: Payload, end: int, size: int) -> str:
     return str(payload[end - size : end - 1], "utf-8")
 
 
-# By type and the RIHS01 hash of its definition, which only this layout has.
+# By type and the RIHS01 hash of its definition, which identifies the layout.
 READERS = {
     (name, f"RIHS01_{sha256}"): reader
     for name, sha256, reader in (

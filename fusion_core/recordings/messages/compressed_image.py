@@ -15,7 +15,8 @@ import numpy as np
 from fusion_core.model.conventions import ByteArray, Float32Array
 from fusion_core.recordings.messages.bad_message import BadMessage
 from fusion_core.recordings.messages.image_headers import BadImage, read_image_size
-from fusion_core.recordings.messages.image_pixels import is_depth_encoding, shown
+from fusion_core.recordings.messages.image_pixels import is_depth_encoding
+from fusion_core.recordings.quoting import quote_clipped
 
 # No depth camera has more; the unpacked values and their masks stay well below 256 MiB.
 MAX_DEPTH_PIXELS = 1 << 24
@@ -62,7 +63,7 @@ def decompress_image(format: str, data: ByteArray) -> np.ndarray[Any, Any]:
         return _decompress_rgb(packed)
     if not is_depth_encoding(encoding):
         raise BadMessage(
-            f"a compressed image of format {shown(format)} is not read",
+            f"a compressed image of format {quote_clipped(format)} is not read",
             "Read are JPEG and PNG, and compressedDepth as PNG or RVL; or its data is damaged.",
         )
     if packing == "file":

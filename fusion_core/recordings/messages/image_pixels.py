@@ -7,10 +7,9 @@ import numpy as np
 
 from fusion_core.model.conventions import ByteArray
 from fusion_core.recordings.messages.bad_message import BadMessage
+from fusion_core.recordings.quoting import quote_clipped
 
 MAX_PIXELS = 1 << 26
-# Encodings come from the file: an error shows no more of one than this.
-_SHOWN_CHARACTERS = 40
 
 # Bytes a pixel, and OpenCV's conversion to red, green, blue.
 _COLOR_ENCODINGS: dict[str, tuple[int, int | None]] = {
@@ -45,19 +44,15 @@ def read_rgb_pixels(raw: Any) -> ByteArray:
     """(H, W, 3) uint8 of a colour or grey encoding, a copy that lets go of the message."""
     if raw.encoding not in _COLOR_ENCODINGS:
         known = ", ".join([*_DEPTH_DTYPES, *_COLOR_ENCODINGS])
-        raise BadMessage(f"image encoding {shown(raw.encoding)} is not read", f"Read are {known}.")
+        raise BadMessage(
+            f"image encoding {quote_clipped(raw.encoding)} is not read", f"Read are {known}."
+        )
     pixel_bytes, conversion = _COLOR_ENCODINGS[raw.encoding]
     pixels = _rows(raw, pixel_bytes).reshape(raw.height, raw.width, pixel_bytes)
     if conversion is None:
         return pixels.copy()
     rgb: ByteArray = np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
     return rgb
-
-
-def shown(text: str) -> str:
-    """A text of the file as one short quoted word."""
-    cut = text[:_SHOWN_CHARACTERS]
-    return repr(cut if cut == text else f"{cut}...")
 
 
 def _rows(raw: Any, pixel_bytes: int) -> ByteArray:

@@ -1,4 +1,4 @@
-"""Rows straight from the bytes of ROS 1, whose fields stand side by side without padding.
+"""Rows from the bytes of ROS 1 messages, which have no padding. ``rows`` says what they gain.
 
 Every reader raises ValueError for bytes that do not fit.
 """
@@ -20,7 +20,7 @@ _POSE = struct.Struct("<7d")
 # Angles, times and limits, and the number of ranges.
 _SCAN = struct.Struct("<7fI")
 _RANGE = np.dtype("<f4")
-# Of an Odometry: the pose's covariance, the twist, and the twist's covariance.
+# In an Odometry: covariance of the pose, twist, and covariance of the twist.
 _AFTER_POSE_BYTES = 8 * (36 + 6 + 36)
 
 _Row = TypeVar("_Row")
@@ -29,7 +29,7 @@ _Row = TypeVar("_Row")
 def _require_whole_payload(
     read: Callable[[Payload], tuple[_Row, int]],
 ) -> Callable[[Payload], _Row]:
-    """Of a reader that gives a row and its end, one whose row fills the message."""
+    """Wrap a reader of a row and its end, so that the row must fill the message."""
 
     @wraps(read)
     def read_whole(payload: Payload) -> _Row:
@@ -47,34 +47,34 @@ def _require_whole_payload(
 @_require_whole_payload
 def read_scan(payload: Payload) -> tuple[ScanRow, int]:
     """sensor_msgs/LaserScan."""
-    seconds, nanoseconds, frame, at = _header(payload, 0)
-    angle_min, _, *numbers, count = _SCAN.unpack_from(payload, at)
-    at += _SCAN.size
-    ranges = np.frombuffer(payload, _RANGE, count, at)
-    at += ranges.nbytes
-    (count,) = _LENGTH.unpack_from(payload, at)
-    at += _LENGTH.size
-    intensities = np.frombuffer(payload, _RANGE, count, at)
+    seconds, nanoseconds, frame, offset = _header(payload, 0)
+    angle_min, _, *numbers, count = _SCAN.unpack_from(payload, offset)
+    offset += _SCAN.size
+    ranges = np.frombuffer(payload, _RANGE, count, offset)
+    offset += ranges.nbytes
+    (count,) = _LENGTH.unpack_from(payload, offset)
+    offset += _LENGTH.size
+    intensities = np.frombuffer(payload, _RANGE, count, offset)
     row = ScanRow._make((seconds, nanoseconds, frame, angle_min, *numbers, ranges, intensities))
-    return row, at + intensities.nbytes
+    return row, offset + intensities.nbytes
 
 
 @_require_whole_payload
 def read_odometry(payload: Payload) -> tuple[PoseRow, int]:
     """nav_msgs/Odometry."""
-    seconds, nanoseconds, parent, at = _header(payload, 0)
-    child, at = _name(payload, at)
-    numbers = _POSE.unpack_from(payload, at)
-    at += _POSE.size + _AFTER_POSE_BYTES
-    return (seconds, nanoseconds, parent, child, numbers), at
+    seconds, nanoseconds, parent, offset = _header(payload, 0)
+    child, offset = _name(payload, offset)
+    numbers = _POSE.unpack_from(payload, offset)
+    offset += _POSE.size + _AFTER_POSE_BYTES
+    return (seconds, nanoseconds, parent, child, numbers), offset
 
 
 @_require_whole_payload
 def read_pose(payload: Payload) -> tuple[PoseRow, int]:
     """geometry_msgs/PoseStamped."""
-    seconds, nanoseconds, parent, at = _header(payload, 0)
-    numbers = _POSE.unpack_from(payload, at)
-    return (seconds, nanoseconds, parent, "", numbers), at + _POSE.size
+    seconds, nanoseconds, parent, offset = _header(payload, 0)
+    numbers = _POSE.unpack_from(payload, offset)
+    return (seconds, nanoseconds, parent, "", numbers), offset + _POSE.size
 
 
 @_require_whole_payload
@@ -82,29 +82,29 @@ def read_transforms(payload: Payload) -> tuple[list[PoseRow], int]:
     """tf2_msgs/TFMessage, and tf/tfMessage."""
     rows = []
     (count,) = _LENGTH.unpack_from(payload, 0)
-    at = _LENGTH.size
+    offset = _LENGTH.size
     for _ in range(count):
-        seconds, nanoseconds, parent, at = _header(payload, at)
-        child, at = _name(payload, at)
-        rows.append((seconds, nanoseconds, parent, child, _POSE.unpack_from(payload, at)))
-        at += _POSE.size
-    return rows, at
+        seconds, nanoseconds, parent, offset = _header(payload, offset)
+        child, offset = _name(payload, offset)
+        rows.append((seconds, nanoseconds, parent, child, _POSE.unpack_from(payload, offset)))
+        offset += _POSE.size
+    return rows, offset
 
 
-def _header(payload: Payload, at: int) -> tuple[int, int, str, int]:
-    """Seconds, nanoseconds and frame of the header at a place, and the place behind it."""
-    _, seconds, nanoseconds, size = _HEADER.unpack_from(payload, at)
-    at += _HEADER.size + size
-    return seconds, nanoseconds, str(payload[at - size : at], "utf-8"), at
+def _header(payload: Payload, offset: int) -> tuple[int, int, str, int]:
+    """Seconds, nanoseconds and frame of the header at an offset, and the offset after it."""
+    _, seconds, nanoseconds, size = _HEADER.unpack_from(payload, offset)
+    offset += _HEADER.size + size
+    return seconds, nanoseconds, str(payload[offset - size : offset], "utf-8"), offset
 
 
-def _name(payload: Payload, at: int) -> tuple[str, int]:
-    (size,) = _LENGTH.unpack_from(payload, at)
-    at += _LENGTH.size + size
-    return str(payload[at - size : at], "utf-8"), at
+def _name(payload: Payload, offset: int) -> tuple[str, int]:
+    (size,) = _LENGTH.unpack_from(payload, offset)
+    offset += _LENGTH.size + size
+    return str(payload[offset - size : offset], "utf-8"), offset
 
 
-# By type and the MD5 sum of its definition, which only this layout has.
+# By type and the MD5 sum of its definition, which identifies the layout.
 READERS = {
     ("sensor_msgs/msg/LaserScan", "90c7ef2dc6895d81024acba2ac42f369"): read_scan,
     ("nav_msgs/msg/Odometry", "cd5e73d190d741a2f92e81eda573aca7"): read_odometry,

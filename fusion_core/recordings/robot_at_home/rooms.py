@@ -14,13 +14,8 @@ from fusion_core.recordings.robot_at_home.database import (
 )
 from fusion_core.recordings.robot_at_home.plain_text import find_plain_text
 from fusion_core.recordings.robot_at_home.rig import BeamSpacing
-from fusion_core.recordings.robot_at_home.room import (
-    Room,
-    RoomKey,
-    RoomSummary,
-    make_recording,
-    summarize_room,
-)
+from fusion_core.recordings.robot_at_home.room import Room, RoomKey, RoomSummary
+from fusion_core.recordings.robot_at_home.room_recording import make_recording, summarize_room
 
 _MAX_LISTED = 8
 

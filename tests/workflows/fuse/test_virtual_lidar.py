@@ -9,8 +9,8 @@ import pytest
 from mcap.reader import make_reader
 
 from fusion_core.model.errors import MissingStream, SettingsError
-from fusion_core.recordings.decode import millimetres_from_depth_m
 from fusion_core.recordings.formats import open_recording
+from fusion_core.recordings.units import millimetres_from_depth_m
 from fusion_core.workflows.fuse.fuse import fuse
 from fusion_core.workflows.fuse.session import FuseOptions
 
