@@ -1,4 +1,4 @@
-"""Text packed by gzip or bzip2: unpacked once, since neither can be read from the middle."""
+"""Text files compressed by gzip or bzip2, decompressed once: neither has random access."""
 
 import bz2
 import gzip
@@ -13,21 +13,21 @@ from typing import BinaryIO
 from fusion_core.files.regular_file import read_head
 from fusion_core.model.errors import RecordingError
 
-# Where an archive is damaged, the piece that is being unpacked is lost.
+# Where an archive is damaged, at most one step is lost.
 _STEP_BYTES = 4 << 10
-# A log is some ten times its packed size; what unpacks to more than this is no log.
+# A log is about ten times its compressed size; more than this is no log.
 _MAX_DECOMPRESSED_BYTES = 8 << 30
 _MAX_RATIO = 100
 _SMALLEST_LIMIT_BYTES = 256 << 20
-# What a full disk would take from everybody else.
+# Left free for other programs.
 _DISK_RESERVE_BYTES = 256 << 20
-# gzip and bz2 tell damage by OSError, a cut by EOFError; zlib has its own error.
+# gzip and bz2 raise OSError for damage, EOFError for truncation; zlib has its own error.
 _DAMAGE = (OSError, EOFError, zlib.error)
 
 
 @dataclass(frozen=True, slots=True)
 class Compression:
-    """A way to pack one file. ``open`` gives a stream that has ``read1``."""
+    """A compression of single files. ``open`` gives a stream that has ``read1``."""
 
     name: str
     magic: bytes
@@ -36,8 +36,7 @@ class Compression:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecompressedFile:
-    """``file`` is nameless and goes with its closing. ``lost`` says why it is not the whole text,
-    and is empty where it is."""
+    """``file`` is deleted when closed. ``lost`` says why its text is incomplete; empty if it is not."""
 
     file: BinaryIO
     lost: str
@@ -50,21 +49,23 @@ _COMPRESSIONS = (
 
 
 def detect_compression(path: Path) -> Compression | None:
-    """How a file is packed, told by its first bytes; None if it is neither gzip nor bzip2."""
-    head = read_head(path, max(len(packing.magic) for packing in _COMPRESSIONS))
-    return next((packing for packing in _COMPRESSIONS if head.startswith(packing.magic)), None)
+    """The compression of a file by its first bytes; None if it is neither gzip nor bzip2."""
+    head = read_head(path, max(len(compression.magic) for compression in _COMPRESSIONS))
+    return next(
+        (compression for compression in _COMPRESSIONS if head.startswith(compression.magic)), None
+    )
 
 
 def read_decompressed_head(path: Path, count: int) -> bytes:
-    """Up to ``count`` bytes from the beginning of a file, unpacked if it is packed.
+    """Up to ``count`` bytes from the beginning of a file, decompressed if it is compressed.
 
-    What of an archive cannot be unpacked is left out.
+    The part of an archive that cannot be decompressed is left out.
     """
-    packing = detect_compression(path)
-    if packing is None:
+    compression = detect_compression(path)
+    if compression is None:
         return read_head(path, count)
     head = b""
-    with packing.open(path) as packed:
+    with compression.open(path) as packed:
         while len(head) < count:
             try:
                 piece = packed.read1(min(_STEP_BYTES, count - len(head)))
@@ -76,16 +77,16 @@ def read_decompressed_head(path: Path, count: int) -> bytes:
     return head
 
 
-def decompress_to_temporary_file(path: Path, packing: Compression) -> DecompressedFile:
-    """Unpack to a temporary file, as far as the archive can be read and the limits allow.
+def decompress_to_temporary_file(path: Path, compression: Compression) -> DecompressedFile:
+    """Decompress to a temporary file, as far as the archive can be read and the limits allow.
 
-    The limits are 8 GiB, 100 times the packed size and the free space of the disk.
+    The limits are 8 GiB, 100 times the compressed size and the free space of the disk.
     Raises RecordingError where the temporary file cannot be written.
     """
     limit, reason = _size_limit(path)
     file = tempfile.TemporaryFile()  # noqa: SIM115  # The caller closes it.
     try:
-        lost = _decompress(path, packing, file, limit, reason)
+        lost = _decompress(path, compression, file, limit, reason)
         file.seek(0)
     except BaseException:
         file.close()
@@ -94,7 +95,7 @@ def decompress_to_temporary_file(path: Path, packing: Compression) -> Decompress
 
 
 def _size_limit(path: Path) -> tuple[int, str]:
-    """The most bytes to unpack, and what to say where the archive holds more."""
+    """The limit of the decompressed size, and the warning where the archive holds more."""
     most = min(
         _MAX_DECOMPRESSED_BYTES, max(_SMALLEST_LIMIT_BYTES, _MAX_RATIO * path.stat().st_size)
     )
@@ -104,16 +105,21 @@ def _size_limit(path: Path) -> tuple[int, str]:
     return most, f"the archive unpacks to more than {most} bytes"
 
 
-def _decompress(path: Path, packing: Compression, file: BinaryIO, limit: int, reason: str) -> str:
-    """Unpack into ``file``; why it is not the whole archive, or nothing if it is."""
+def _decompress(
+    path: Path, compression: Compression, file: BinaryIO, limit: int, reason: str
+) -> str:
+    """Decompress into ``file``; returns why that is incomplete, or an empty text."""
     size = 0
-    with packing.open(path) as packed:
+    with compression.open(path) as packed:
         while True:
             try:
                 piece = packed.read1(_STEP_BYTES)
             except _DAMAGE as error:
-                said = " ".join(str(error).split()).rstrip(".")
-                return f"the {packing.name} archive breaks off after {size} unpacked bytes ({said})"
+                cause = " ".join(str(error).split()).rstrip(".")
+                return (
+                    f"the {compression.name} archive breaks off after {size} unpacked bytes "
+                    f"({cause})"
+                )
             if not piece:
                 return ""
             if size + len(piece) > limit:

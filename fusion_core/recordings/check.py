@@ -1,4 +1,4 @@
-"""What becomes of a recording when all of it is read: which messages fail, what is damaged."""
+"""Integrity check: reads a whole recording, and reports unreadable messages and damage."""
 
 from collections import Counter
 from collections.abc import Collection, Iterator
@@ -16,9 +16,9 @@ _READING = "reading every message"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicIntegrity:
-    """How many messages of a topic could be read, and how many could not.
+    """The numbers of readable and unreadable messages of a topic.
 
-    Those of a type that is not decoded are read as bytes.
+    Messages of types that are not decoded are read as bytes.
     """
 
     name: str
@@ -28,9 +28,9 @@ class TopicIntegrity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IntegrityReport:
-    """The outcome: ``checksums`` were right, ``unguarded`` parts of it have none.
+    """``checksums``: how many were right. ``unguarded``: how many parts have no checksum.
 
-    ``damage`` has a line for each thing that is wrong besides unreadable messages.
+    ``damage`` has a line for each defect other than unreadable messages.
     """
 
     topics: tuple[TopicIntegrity, ...]
@@ -44,9 +44,9 @@ class IntegrityReport:
 
 
 def check_integrity(recording: Recording, progress: Progress) -> IntegrityReport:
-    """Read and decode every message once, and verify the checksums that there are.
+    """Read and decode every message once, and verify all checksums.
 
-    The recording's ``warnings`` name the messages that fail, one line for each topic.
+    Messages that fail are named in the recording's ``warnings``, one line for each topic.
     """
     verified = ChecksumReport()
     damage = []

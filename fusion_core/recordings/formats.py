@@ -1,4 +1,4 @@
-"""The table of formats, told by content, and the one function that opens a recording."""
+"""The table of formats, recognised by content, and the function that opens any recording."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,13 +30,15 @@ READABLE_FORMATS = (
     "depth and colour images: TUM RGB-D, 7-Scenes, Redwood, slambook, or plain rgb/ and depth/."
 )
 _HEAD_BYTES = 512
-# Of a folder around recordings so many are looked into: it may be a whole disk.
+# At most so many children of a folder are examined: it may be a whole disk.
 _MAX_CHILDREN = 500
 
 
 @dataclass(frozen=True, slots=True)
 class _FileFormat:
-    magic: bytes
+    """``matches`` is given a file and its first bytes."""
+
+    matches: Callable[[Path, bytes], bool]
     open: Callable[[Path], Recording]
 
 
@@ -46,22 +48,30 @@ class _FolderFormat:
     open: Callable[[Path], Recording]
 
 
+def _begins_with(magic: bytes) -> Callable[[Path, bytes], bool]:
+    return lambda path, head: head.startswith(magic)
+
+
+# The first that matches is taken.
 _FILE_FORMATS = (
-    _FileFormat(bag.MAGIC, open_rosbag1),
-    _FileFormat(mcap_file.MAGIC, open_storage_file),
-    _FileFormat(sqlite_file.MAGIC, open_storage_file),
-    _FileFormat(compressed_storage.ZSTD_MAGIC, open_storage_file),
-    _FileFormat(compressed_storage.LZ4_MAGIC, open_storage_file),
+    # rh.db is a database too: its tables distinguish it from a ROS 2 recording.
+    _FileFormat(lambda path, head: is_robot_at_home(path), open_only_room),
+    _FileFormat(_begins_with(bag.MAGIC), open_rosbag1),
+    _FileFormat(_begins_with(mcap_file.MAGIC), open_storage_file),
+    _FileFormat(_begins_with(sqlite_file.MAGIC), open_storage_file),
+    _FileFormat(_begins_with(compressed_storage.ZSTD_MAGIC), open_storage_file),
+    _FileFormat(_begins_with(compressed_storage.LZ4_MAGIC), open_storage_file),
+    _FileFormat(lambda path, head: is_carmen_log(path), open_carmen_log),
 )
 _FOLDER_FORMATS = (
     _FolderFormat(is_rosbag2_folder, open_rosbag2_folder),
     _FolderFormat(is_tum_folder, open_tum_folder),
     _FolderFormat(lambda path: frame_layout(path) is not None, open_frame_folder),
     _FolderFormat(is_robot_at_home, open_only_room),
-    # Last: their marks are the weakest, and they do not vouch for the unit of depth.
+    # Last: the weakest evidence, and the unit of depth may be unknown.
     _FolderFormat(is_image_folder, open_image_folder),
 )
-# What people try by mistake, told by the first bytes.
+# What people open by mistake, recognised by its first bytes.
 _KNOWN_NON_RECORDINGS = (
     (b"#ROSBAG V1", "a ROS 1 bag of version 1; convert a copy with `rosbag fix`"),
     (b"\x89PNG", "a single PNG image"),
@@ -76,9 +86,9 @@ _KNOWN_NON_RECORDINGS = (
 
 
 def open_recording(path: Path) -> Recording:
-    """Open a recording of any known format, told by its content and not by its name.
+    """Open a recording of any known format, recognised by its content, not by its name.
 
-    Raises RecordingError, in one line, for what is no recording, is damaged, or is not there.
+    Raises RecordingError for what is no recording, is too damaged, or does not exist.
     """
     try:
         if path.is_dir():
@@ -103,14 +113,9 @@ def _open_file(path: Path) -> Recording:
         raise RecordingError(
             "is empty.", file=path, advice="Copy it again from its source, or record again."
         )
-    # rh.db is a database too, so that its tables must tell it.
-    if is_robot_at_home(path):
-        return open_only_room(path)
     for format in _FILE_FORMATS:
-        if head.startswith(format.magic):
+        if format.matches(path, head):
             return format.open(path)
-    if is_carmen_log(path):
-        return open_carmen_log(path)
     raise RecordingError(
         f"is no recording: {_describe_head(head)}.", file=path, advice=READABLE_FORMATS
     )
@@ -142,9 +147,7 @@ def _could_be_recording(path: Path) -> bool:
         if path.is_dir():
             return any(format.matches(path) for format in _FOLDER_FORMATS)
         head = read_head(path, _HEAD_BYTES)
-        return any(head.startswith(format.magic) for format in _FILE_FORMATS) or (
-            bool(head) and is_carmen_log(path)
-        )
+        return bool(head) and any(format.matches(path, head) for format in _FILE_FORMATS)
     except OSError:
-        # What cannot be looked into is nothing to offer.
+        # What cannot be read is not offered.
         return False

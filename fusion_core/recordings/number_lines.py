@@ -1,7 +1,7 @@
 """Text files with the same columns of numbers on every line; lines that begin with # are comments.
 
-A line that cannot be read is an error, not a warning: what such a file is compared with would
-otherwise be judged by a part of it.
+A line that cannot be read is an error, not a warning: an evaluation against such a file would
+otherwise silently use a part of it.
 """
 
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ _LARGEST = 1e9
 
 @dataclass(frozen=True, slots=True)
 class NumericLine:
-    """The words of one line, as many as ``columns`` names."""
+    """The fields of one line, one for each name in ``columns``."""
 
     file: Path
     number: int
@@ -39,16 +39,16 @@ class NumericLine:
 
     def numbers(self, first: int) -> list[float]:
         """The columns from ``first`` on. Raises RecordingError for what is no finite number."""
-        return [self._number(word) for word in self.fields[first:]]
+        return [self._number(field) for field in self.fields[first:]]
 
-    def _number(self, word: str) -> float:
+    def _number(self, field: str) -> float:
         try:
-            number = float(word)
+            number = float(field)
         except ValueError:
-            raise self.error(f"{quote_clipped(word)} is no number") from None
+            raise self.error(f"{quote_clipped(field)} is no number") from None
         # NaN compares false.
         if not abs(number) <= _LARGEST:
-            raise self.error(f"{quote_clipped(word)} is not between -1e9 and 1e9")
+            raise self.error(f"{quote_clipped(field)} is not between -1e9 and 1e9")
         return number
 
     def error(self, problem: str) -> RecordingError:
@@ -63,7 +63,7 @@ class NumericLine:
 def read_numeric_lines(file: Path, columns: str) -> Iterator[NumericLine]:
     """The lines of a file that are neither empty nor comments.
 
-    Raises RecordingError for a line without a word for each of ``columns``, for what is no text,
+    Raises RecordingError for a line without a field for each of ``columns``, for what is no text,
     and for a file without lines; OSError where the file cannot be read, is no regular file or is
     larger than 1 GiB.
     """
@@ -84,5 +84,5 @@ def read_numeric_lines(file: Path, columns: str) -> Iterator[NumericLine]:
 
 
 def _split_fields(text: bytes) -> list[str]:
-    # What is no text becomes a word that is no number, and is refused as such.
+    # Undecodable bytes become a field that is no number, and are refused as such.
     return text.decode(errors="replace").split()

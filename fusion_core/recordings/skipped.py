@@ -1,4 +1,4 @@
-"""Messages that iteration passes over: counted, and told in one warning for each topic."""
+"""Messages that iteration skips: counted, and reported in one warning for each topic."""
 
 import threading
 from dataclasses import dataclass, field

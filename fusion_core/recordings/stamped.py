@@ -1,4 +1,4 @@
-"""A recording made of files or lines with a stamp each: topics, their clocks, and loaders."""
+"""A recording made of files or lines with one stamp each, read on demand."""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -16,12 +16,11 @@ from fusion_core.recordings.topics import unknown_topic_error
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StampedStream:
-    """One topic: its clocks and how the ``index``-th value is read.
+    """One topic: its clocks, and how the ``index``-th value is read.
 
-    ``stamp_ns``: (count,) the sensor's clock. ``received_ns``: (count,) the log's; None where the
-    format has no log, and the sensor's clock then stands in for it in ranges and in the order of
-    iteration. The clock that orders must ascend. ``value`` raises RecordingError for what is
-    broken.
+    ``stamps_ns``: (count,) the sensor's clock. ``received_ns``: (count,) log times, None where the
+    format has no log. Messages are ordered and selected by log time, else by stamp; that clock
+    must ascend. ``read_value`` raises RecordingError for a message that cannot be read.
     """
 
     name: str
@@ -38,10 +37,10 @@ class StampedStream:
 
 
 class StampedRecording:
-    """Recording over streams whose stamps are known beforehand, in the order of their times.
+    """Recording over streams whose stamps are known in advance, in the order of their times.
 
-    At equal times the order is that of the topics' names. ``on_close`` frees what the streams
-    hold open.
+    At equal times messages are in the order of their topics' names. ``on_close`` frees the files
+    of the streams.
     """
 
     def __init__(

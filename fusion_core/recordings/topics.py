@@ -1,4 +1,4 @@
-"""What each topic is for, and which topics the work takes when nobody names them."""
+"""The role of each topic, and which topics are used where none are named."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -22,19 +22,19 @@ _ROLES: Final[dict[str, Role]] = {
 }
 _IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _MAX_ATTEMPTS = 5
-# image_transport publishes the same images again under the topic's name and one of these.
+# image_transport publishes the same images again under the topic's name with one of these.
 _TRANSPORTS = ("compressed", "compressedDepth")
-# A truth is for evaluation: a map built from it would prove nothing.
+# Ground truth is for evaluation: a map built from it would prove nothing.
 _GROUND_TRUTH_NAMES = ("ground_truth", "groundtruth", "ground-truth", "truth")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Streams:
-    """The topics that the work reads.
+    """The topics to read.
 
-    ``color`` and ``camera_info`` belong to the depth topic at the same place; None where a depth
-    camera has none. ``pose`` is only ever a topic named by hand. ``notes`` say what was chosen
-    among several.
+    ``color`` and ``camera_info`` belong to the depth topic at the same index; None where a depth
+    camera has none. ``pose`` is set only where the user names a topic. ``notes`` report choices
+    among several topics.
     """
 
     lidar: str | None
@@ -49,7 +49,7 @@ class Streams:
 
 
 def role_from_type(message_type: str, name: str) -> Role | None:
-    """The role by type and name; None for images, which must be looked into."""
+    """The role by type and name; None for images, whose encoding decides."""
     if message_type in _IMAGE_TYPES:
         return None
     role = _ROLES.get(message_type, "other")
@@ -67,7 +67,7 @@ def role_from_encoding(encoding: str, name: str) -> Role:
 
 
 def unknown_topic_error(name: str, topics: Iterable[Topic], path: Path) -> MissingStream:
-    """The error for a topic that is not there, with those that are."""
+    """The error for an unknown topic, naming the known ones."""
     there = ", ".join(topic.name for topic in topics) or "no topics"
     return MissingStream(f"has no topic {name!r}.", file=path, advice=f"It holds {there}.")
 

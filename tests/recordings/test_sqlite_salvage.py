@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.recordings.formats import open_recording
-from fusion_core.recordings.rosbag2 import sqlite_database, sqlite_file
+from fusion_core.recordings.rosbag2 import sqlite_database
 from fusion_core.recordings.rosbag2.sqlite_file import SqliteFile
 from fusion_core.recordings.rosbag2.sqlite_pages import DatabasePages
 

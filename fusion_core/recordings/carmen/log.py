@@ -83,12 +83,12 @@ def _is_message(fields: list[bytes]) -> bool:
 
 def open_carmen_log(path: Path) -> Recording:
     """A CARMEN log. A packed one is unpacked to a temporary file. Raises RecordingError."""
-    packing = detect_compression(path)
+    compression = detect_compression(path)
     lost = ""
-    if packing is None:
+    if compression is None:
         file: BinaryIO = path.open("rb")
     else:
-        unpacked = decompress_to_temporary_file(path, packing)
+        unpacked = decompress_to_temporary_file(path, compression)
         file, lost = unpacked.file, unpacked.lost
     try:
         return _recording(path, file, lost)

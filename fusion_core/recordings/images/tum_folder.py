@@ -136,17 +136,17 @@ def _read_image_lists(path: Path, warnings: list[str]) -> tuple[_ImageList, _Ima
     """Depth and colour as rgb.txt and depth.txt say; as associations.txt where both are missing."""
     depth, color = _ImageList(path, _DEPTH_LIST), _ImageList(path, _COLOR_LIST)
 
-    def take_pair(words: list[str]) -> str | None:
-        if len(words) != 4:
+    def take_pair(fields: list[str]) -> str | None:
+        if len(fields) != 4:
             return "it is no stamp file stamp file"
-        pair = [(words[0], words[1]), (words[2], words[3])]
+        pair = [(fields[0], fields[1]), (fields[2], fields[3])]
         by_depth = {"depth" in name.lower(): (stamp, name) for stamp, name in pair}
         if len(by_depth) != 2:
             return "not one of its two files is named depth"
         return depth.add(*by_depth[True]) or color.add(*by_depth[False])
 
-    def take_image(listed: _ImageList, words: list[str]) -> str | None:
-        return listed.add(*words) if len(words) == 2 else "it is no stamp and file"
+    def take_image(listed: _ImageList, fields: list[str]) -> str | None:
+        return listed.add(*fields) if len(fields) == 2 else "it is no stamp and file"
 
     singles = [listed for listed in (depth, color) if (path / listed.list_name).is_file()]
     for listed in singles:
@@ -158,7 +158,7 @@ def _read_image_lists(path: Path, warnings: list[str]) -> tuple[_ImageList, _Ima
 
 
 def _parse_lines(file: Path, take: Callable[[list[str]], str | None], warnings: list[str]) -> None:
-    """Hand the words of each line to ``take``, which says why it cannot use them.
+    """Hand the fields of each line to ``take``, which returns why it refuses them.
 
     A list that cannot be read costs its topic, a line itself; both give a warning.
     """
@@ -175,11 +175,11 @@ def _parse_lines(file: Path, take: Callable[[list[str]], str | None], warnings: 
                     warnings.append(f"{file.name}: what follows line {MAX_FILES} is left out.")
                     break
                 try:
-                    words = line.decode().split()
+                    fields = line.decode().split()
                 except UnicodeDecodeError:
                     reason: str | None = "it is no text"
                 else:
-                    reason = take(words) if words and not words[0].startswith("#") else None
+                    reason = take(fields) if fields and not fields[0].startswith("#") else None
                 if reason is not None:
                     refused += 1
                     first_reason = first_reason or f"line {number}: {reason}"
@@ -200,10 +200,10 @@ def _ground_truth_streams(file: Path, nominal: bool, warnings: list[str]) -> lis
     stamps_ns: array[int] = array("q")
     poses = array("d")
 
-    def take(words: list[str]) -> str | None:
-        stamp_ns = ns_from_decimal_seconds(words[0])
+    def take(fields: list[str]) -> str | None:
+        stamp_ns = ns_from_decimal_seconds(fields[0])
         try:
-            values = [float(word) for word in words[1:]]
+            values = [float(text) for text in fields[1:]]
         except ValueError:
             values = []
         if stamp_ns is None or len(values) != 7:

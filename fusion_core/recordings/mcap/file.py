@@ -297,20 +297,22 @@ class McapFile:
         if not summary.problem:
             self._channels.add_fallbacks()
         problem = summary.problem or ("" if begins else "its beginning is missing")
-        told = walk.losses.warnings(entries, self._records.size)
-        if (problem or told) and not len(entries):
+        losses = walk.losses.warnings(entries, self._records.size)
+        if (problem or losses) and not len(entries):
             raise damaged_file_error(
-                self.path, f"no message of it can be read ({problem or told[0]})"
+                self.path, f"no message of it can be read ({problem or losses[0]})"
             )
         if problem:
-            nothing = "" if told else ", and none is lost"
-            told.insert(0, f"Damaged or cut short ({problem}): messages were looked for{nothing}.")
+            nothing = "" if losses else ", and none is lost"
+            losses.insert(
+                0, f"Damaged or cut short ({problem}): messages were looked for{nothing}."
+            )
         if summary.message_count not in (None, len(entries)):
-            told.append(
+            losses.append(
                 f"Its statistics count {summary.message_count} messages, {len(entries)} were found."
             )
         # A recording may be of several files.
-        self.warnings += [f"{self.path.name}: {line}" for line in told]
+        self.warnings += [f"{self.path.name}: {line}" for line in losses]
         return entries
 
 

@@ -1,4 +1,4 @@
-"""What a damaged MCAP file does not give any more, and how that is told."""
+"""What is lost of a damaged MCAP file, and the warnings that report it."""
 
 from dataclasses import dataclass
 
@@ -68,7 +68,7 @@ class Losses:
     def warnings(self, found: Entries, file_bytes: int) -> list[str]:
         """One line for each loss; log times count from the first message ``found``."""
         clock = _Clock(found)
-        told = [
+        lines = [
             f"Lost are {lost.end - lost.start} bytes, from byte {lost.start} to {lost.end}"
             f"{clock.span(lost)}: {lost.what}."
             for lost in self._lost[:_MAX_LISTED]
@@ -76,32 +76,32 @@ class Losses:
         rest = self._lost[_MAX_LISTED:]
         if rest:
             size = sum(lost.end - lost.start for lost in rest)
-            told.append(
+            lines.append(
                 f"Lost are {size} bytes more in {len(rest)} places, from byte {rest[0].start} to "
                 f"{rest[-1].end}."
             )
         if self.breaks_off:
             last = f" {clock.text(clock.last_ns)} after its start" if len(found) else ""
-            told.append(f"The file breaks off{last}, at byte {file_bytes}.")
+            lines.append(f"The file breaks off{last}, at byte {file_bytes}.")
         orphans = sorted(self._orphans.items())
-        told += [
+        lines += [
             f"{lost.count} messages from {clock.text(lost.start_ns)} to {clock.text(lost.end_ns)} "
             f"are left out: the record of their channel {channel} cannot be read."
             for channel, lost in orphans[:_MAX_LISTED]
         ]
         if orphans[_MAX_LISTED:]:
             count = sum(lost.count for _, lost in orphans[_MAX_LISTED:])
-            told.append(
+            lines.append(
                 f"{count} messages of {len(orphans) - _MAX_LISTED} more channels are left out."
             )
         if self._undefined:
-            told.append(
+            lines.append(
                 f"{self._undefined} schemas or channels cannot be read; "
                 f"the first, {self._first_undefined}."
             )
         if self._untimed:
-            told.append(f"{self._untimed} messages are left out: their log times are none.")
-        return told
+            lines.append(f"{self._untimed} messages are left out: their log times are none.")
+        return lines
 
 
 class _Clock:

@@ -1,4 +1,4 @@
-"""Records of an MCAP file (layout: mcap.dev/spec), of which nothing is believed before it fits.
+"""Records of an MCAP file (layout: mcap.dev/spec). Every length is checked before it is used.
 
 A record is one byte of opcode, eight of length, then the content. Numbers are little-endian.
 """
@@ -319,7 +319,7 @@ def _decompress_zstd(packed: bytes, size: int) -> tuple[bytes, str]:
         while content.tell() < size and (piece := reader.read(_STEP_BYTES)):
             content.write(piece)
     except zstandard.ZstdError:
-        # The first try has told.
+        # Reported by the first attempt.
         pass
     return content.getvalue(), problem
 

@@ -65,8 +65,8 @@ class BagFile:
                 advice="Decrypt a copy with the tools of ROS.",
             )
         if contents.warnings and not len(contents.entries):
-            told = " ".join(dict.fromkeys([contents.warnings[0], contents.warnings[-1]]))
-            raise damaged_file_error(self.path, f"no message can be read. {told}".rstrip("."))
+            problems = " ".join(dict.fromkeys([contents.warnings[0], contents.warnings[-1]]))
+            raise damaged_file_error(self.path, f"no message can be read. {problems}".rstrip("."))
         self.channels = contents.channels
         self._channel_of = contents.channel_of
         self.warnings += contents.warnings

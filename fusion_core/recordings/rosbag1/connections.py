@@ -38,7 +38,7 @@ class _ConnectionRecord:
     end: int
 
     def count_plausible_names(self) -> int:
-        """How much of its names is true of itself: what ROS allows, and what is told twice."""
+        """How many of its names are plausible: valid in ROS, or repeated consistently."""
         return sum(
             (
                 _TOPIC_NAME.fullmatch(self.channel.topic) is not None,
@@ -162,13 +162,15 @@ def _describe_contradiction(
     number: int, best: _ConnectionRecord, known: list[_ConnectionRecord]
 ) -> str:
     names = {(one.channel.topic, one.channel.message_type) for one in known}
-    told = " and ".join(
+    described = " and ".join(
         f"{one.channel.topic} ({one.channel.message_type}) in {_describe_place(one)}"
         for one in known
     )
     if len(names) == 1:
-        told = f"{best.channel.topic}, of which {' and '.join(map(_describe_place, known))} differ"
-    return f"Damaged: connection {number} is {told}; that in {_describe_place(best)} is taken."
+        described = (
+            f"{best.channel.topic}, of which {' and '.join(map(_describe_place, known))} differ"
+        )
+    return f"Damaged: connection {number} is {described}; that in {_describe_place(best)} is taken."
 
 
 def _describe_place(one: _ConnectionRecord) -> str:

@@ -1,7 +1,7 @@
 """Storage files of rosbag2 as they stand on disk: plain, packed whole, or with packed messages.
 
 rosbag2 compresses by file (each storage file is one zstd frame) or by message (the data of each
-message is). Both are told by the magic number of a frame, which no storage file and no CDR or
+message is). Both are recognised by the magic number of a frame, which no storage file and no CDR or
 ROS 1 message begins with. A packed file is unpacked to a temporary one that has no name.
 """
 
@@ -77,7 +77,7 @@ _DAMAGE = (zstd.ZstdError, RuntimeError, EOFError, ValueError)
 class StorageFile:
     """One storage file with its index, unpacked where it is packed.
 
-    ``kind`` is MCAP or SQLite, told by content. Raises RecordingError where nothing can be read.
+    ``kind`` is MCAP or SQLite, by content. Raises RecordingError where nothing can be read.
     """
 
     def __init__(self, path: Path) -> None:

@@ -6,7 +6,7 @@ But rows stand in leaf pages of tables, which begin with the byte 13. No other p
 pages that continue a long row begin with the number of the next one, which is that large only
 in files beyond 100 GB.
 
-What a row is, is told by the shape of its record: a message is (id, topic_id, timestamp, data)
+The shape of a record tells what its row is: a message is (id, topic_id, timestamp, data)
 with two integers and a blob, and a row of ``topics`` or ``message_definitions`` is an id and
 three texts or more.
 """
