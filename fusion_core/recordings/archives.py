@@ -36,7 +36,7 @@ class Compression:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecompressedFile:
-    """``file`` is deleted when closed. ``lost`` says why its text is incomplete; empty if it is not."""
+    """``file`` is deleted when closed. ``lost`` says why its text is incomplete, or is empty."""
 
     file: BinaryIO
     lost: str
