@@ -27,15 +27,13 @@ import numpy as np
 
 from fusion_core.model.progress import silent
 from fusion_core.recordings.formats import open_recording
-from fusion_core.workflows.fuse import frame, fuse, tables
+from fusion_core.workflows.fuse import frame, result_writer, tables
 from fusion_core.workflows.fuse import session as session_module
-from fusion_core.workflows.fuse.align import RecordingAlignment
-from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.align import RecordingAlignment, align_recording
+from fusion_core.workflows.fuse.frame import FusedFrame, fuse_frames
 from fusion_core.workflows.fuse.session import (
     FuseOptions,
     Session,
-    align_recording,
-    fuse_frames,
     open_session,
 )
 from fusion_core.workflows.fuse.settings import PRESETS
@@ -45,15 +43,23 @@ ROUNDS = 7
 BAR, AIM = 100, 150
 # Where pass 2 looks each of its stages up.
 STAGES = {
-    "search": ((frame, "search_frame"),),
-    "turn rate": ((frame, "turn_rate_rad_s"),),
-    "mount frame": ((frame, "mount_frame"),),
+    "search": ((frame, "search_offset"),),
+    "turn rate": ((frame, "estimate_turn_rate_rad_s"),),
+    "mount frame": ((frame, "mount_observation"),),
     "frame yaw check": ((frame, "turned_rad"),),
-    "correspondence": ((frame, "along_curve"), (frame, "in_row"), (frame, "mapped")),
+    "correspondence": (
+        (frame, "match_along_curve"),
+        (frame, "match_in_row"),
+        (frame, "map_through_A"),
+    ),
     "registration": ((frame, "register"),),
     "classify": ((frame, "classify"),),
     "repair": ((frame, "repair"),),
-    "tables": ((tables, "frame_row"), (tables, "sample_columns"), (fuse, "repaired_image")),
+    "tables": (
+        (tables, "frame_row"),
+        (tables, "sample_columns"),
+        (result_writer, "repaired_image"),
+    ),
 }
 
 
@@ -63,10 +69,10 @@ def chain(session: Session, alignment: RecordingAlignment) -> int:
     for entry in fuse_frames(session, alignment):
         if isinstance(entry, FusedFrame):
             pairs += 1
-            topic = session.rig.cameras[entry.camera].topic
+            topic = session.rig.cameras[entry.pair.camera_index].topic
             tables.frame_row(topic, entry, alignment, session.rig)
             tables.sample_columns(topic, entry, session.rig)
-            fuse.repaired_image(entry, session.rig)
+            result_writer.repaired_image(entry, session.rig)
     return pairs
 
 

@@ -10,7 +10,6 @@ import viser
 
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.progress import Progress
-from fusion_core.workflows.fuse.cached_chain import settings_of_match
 from fusion_core.workflows.fuse.epsilon import measure_epsilon
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.recall import PAPER_BAND, RecallCurve, recall_of, truth_beside
@@ -77,7 +76,7 @@ class RecallPanel:
         if chain is None or truth is None:
             return
         settings, offset_ms = frame_view.view.settings, clock_offset_ms(frame_view.view, chain)
-        key = settings_of_match(settings), offset_ms
+        key = settings.read_by("match"), offset_ms
         curve = frame_view.open_recording.recalls.get(key)
 
         def work(progress: Progress) -> RecallCurve:

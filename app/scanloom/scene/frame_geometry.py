@@ -90,7 +90,7 @@ def frame_geometry(
 ) -> FrameGeometry:
     """What is drawn of a matched frame. Pairs and repairs are those of ``classes``; a frame that
     was not judged has neither. ``repaired``: whether the curve shows repaired ranges."""
-    camera = rig.cameras[frame.camera]
+    camera = rig.cameras[frame.pair.camera_index]
     T_lidar_camera = camera_pose(frame, rig, alignment)
     rows_m, rows_depth_m = ridge_lines(frame.depth_m, camera, T_lidar_camera, row_step)
     pixels_m = pixel_points(frame, camera, T_lidar_camera, frame.correspondence.depth_m)
@@ -103,7 +103,7 @@ def frame_geometry(
         )
     beams_m = curve_points(frame.scan, _ranges_m(frame, repaired))
     return FrameGeometry(
-        camera=frame.camera,
+        camera=frame.pair.camera_index,
         stamp_ns=frame.stamp_ns,
         frustum=frustum(camera, T_lidar_camera),
         rows_m=rows_m,
@@ -162,7 +162,7 @@ def camera_pose(frame: FrameMatch, rig: CameraRig, alignment: RecordingAlignment
     level in the LiDAR's axis; it is drawn so, raised until the row lies about in the LiDAR's plane
     (its median does).
     """
-    camera = rig.cameras[frame.camera]
+    camera = rig.cameras[frame.pair.camera_index]
     pairs = frame.correspondence
     if frame.row_model == "curve" or not pairs.beam.size:
         return T_lidar_camera_at(camera, alignment.mount, frame.turned_rad)

@@ -182,16 +182,11 @@ class _Key:
 
 
 def _key_of(path: Path, view: View) -> _Key:
-    settings = view.alignment_settings
     asked = (
         view.lidar_topic,
         view.depth_topics,
         view.virtual_row,
-        settings.time,
-        settings.sampling,
-        settings.search,
-        settings.mount,
-        settings.pairing,
+        view.alignment_settings.read_by("alignment"),
     )
     return _Key(path, asked)
 

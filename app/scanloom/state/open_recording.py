@@ -7,12 +7,14 @@ from functools import cached_property
 
 from fusion_core.model.errors import RecordingError, ScanLoomError
 from fusion_core.model.progress import Progress
-from fusion_core.workflows.fuse.align import RecordingAlignment
+from fusion_core.workflows.fuse.align import RecordingAlignment, align_recording
 from fusion_core.workflows.fuse.cached_chain import CachedChain
 from fusion_core.workflows.fuse.frame_reader import FrameReader
 from fusion_core.workflows.fuse.pairing_gaps import PairingStamps
 from fusion_core.workflows.fuse.recall import RecallCurve
-from fusion_core.workflows.fuse.session import Session, align_recording
+from fusion_core.workflows.fuse.session import (
+    Session,
+)
 from fusion_core.workflows.recorded_poses import PoseLookup, recorded_poses
 from scanloom.jobs.fair_semaphore import FairSemaphore
 from scanloom.jobs.long_job import LongJob

@@ -126,8 +126,7 @@ class View(BaseModel):
 
     def needs_alignment(self) -> bool:
         """Whether settings that the alignment depends on have changed since."""
-        stages = ("time", "sampling", "search", "mount", "pairing")
-        return any(getattr(self.settings, s) != getattr(self.alignment_settings, s) for s in stages)
+        return self.settings.read_by("alignment") != self.alignment_settings.read_by("alignment")
 
     def preset_overrides(self, settings: ChainSettings | None = None) -> dict[str, dict[str, Any]]:
         """Settings that differ from the preset, by stage; those of the chain itself under ""."""

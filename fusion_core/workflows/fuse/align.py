@@ -24,14 +24,15 @@ from fusion_core.alignment.similarity import Metric, SimilarityField, similarity
 from fusion_core.alignment.time import estimate_turn_rate_rad_s
 from fusion_core.denoising.correspondence import match_along_curve
 from fusion_core.denoising.noise_scale import DATASHEET_SCALE, NoiseScale, learn_noise_scale
-from fusion_core.model.conventions import NS_PER_MS, Float32Array, FloatArray
+from fusion_core.model.conventions import NS_PER_MS, FloatArray
 from fusion_core.model.errors import AlignmentFailed, SettingsError
 from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
-from fusion_core.model.progress import Progress
+from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import DepthImage, LaserScan
-from fusion_core.workflows.fuse.camera_rig import CameraRig
-from fusion_core.workflows.fuse.pairing import PairedImage
+from fusion_core.workflows.fuse.pairing import FramePair, PairedImage
+from fusion_core.workflows.fuse.pairing_gaps import PairingStamps
+from fusion_core.workflows.fuse.session import Session
 from fusion_core.workflows.fuse.settings import ChainSettings
 
 METRICS: tuple[Metric, ...] = get_args(Metric)
@@ -135,24 +136,23 @@ def _below(field: SimilarityField, first: int) -> SimilarityField:
     )
 
 
-def align(
-    pairs: Callable[[], Iterable[LaserScan | PairedImage]],
-    rig: CameraRig,
-    settings: ChainSettings,
-    image_count: int,
-    progress: Progress,
-    *,
-    depth_of: Callable[[int, Float32Array], Float32Array],
-    refine: bool = True,
+def align_recording(
+    session: Session, progress: Progress = silent, stamps: PairingStamps | None = None
 ) -> RecordingAlignment:
-    """Search the offset over the recording, then refine the mount around it.
+    """Pass 1: search the offset (u, v) over the recording, then refine the mount around it.
 
-    ``pairs`` starts a new pass over the recording; ``depth_of(camera, stored)`` gives the upright
-    view that is searched. ``refine``: False for a virtual LiDAR, whose mount is the camera.
+    ``stamps`` takes note of the stamps that pass by. The mount of a virtual LiDAR is the camera's
+    own and is not refined.
 
-    Raises AlignmentFailed where nothing pairs in time or no offset has a score.
+    Raises AlignmentFailed where nothing pairs in time or no offset has a score, and RecordingError
+    where most of a sensor's stamps are out of order.
     """
-    collected = _collect(pairs(), rig, settings, image_count, progress, depth_of)
+    rig, settings = session.rig, session.settings
+    lidar = session.streams.lidar if session.virtual_row is None else None
+    cameras = [camera.topic for camera in rig.cameras]
+    session.fitting.require_most_in_order(cameras if lidar is None else [lidar, *cameras])
+    pairs = session.pairs() if stamps is None else stamps.observe(session.pairs())
+    collected = _collect(pairs, session, progress)
     if collected.scan is not None and not collected.with_returns:
         raise AlignmentFailed(
             "no scan that is paired with a depth image has a range.",
@@ -173,7 +173,7 @@ def align(
     estimate = None
     scale = DATASHEET_SCALE
     calibrated = all(camera.calibrated for camera in rig.cameras)
-    if refine and calibrated and settings.pairing == "mount":
+    if session.virtual_row is None and calibrated and settings.pairing == "mount":
 
         def on_step() -> None:
             progress(0, None, "refining the mount")
@@ -231,13 +231,9 @@ class _Collected:
 
 
 def _collect(
-    pairs: Iterable[LaserScan | PairedImage],
-    rig: CameraRig,
-    settings: ChainSettings,
-    image_count: int,
-    progress: Progress,
-    depth_of: Callable[[int, Float32Array], Float32Array],
+    pairs: Iterable[LaserScan | PairedImage], session: Session, progress: Progress
 ) -> _Collected:
+    rig, settings, image_count = session.rig, session.settings, session.image_count
     several = len(rig.cameras) > 1
     panorama = Panorama(rig.cameras, settings.sampling) if several else None
     row = panorama.sampling if panorama else sample_row(rig.cameras[0], settings.sampling)
@@ -263,25 +259,30 @@ def _collect(
             collected.curve, collected.scan = sample_curve(scan, settings.sampling), scan
         collected.with_returns |= bool(np.isfinite(scan.ranges_m).any())
         if seen[entry.camera] % keep_every == 0:
-            collected.kept.append(
-                mount_observation(
-                    rig.cameras[entry.camera],
-                    scan,
-                    depth_of(entry.camera, entry.image.depth_m),
-                    scan.stamp_ns + entry.gap_ns,
-                    estimate_turn_rate_rad_s(entry.window, settings.time),
-                )
-            )
+            pair = session.frame_pair(entry)
+            assert pair is not None, "the image has a scan"
+            collected.kept.append(observe_mount(pair, settings))
         latest[entry.camera] = entry.image
         if not _together(latest, len(rig.cameras), settings.time.max_gap_ms):
             continue
         views += 1
         if views % field_every == 0 and scan.ranges_m.size == collected.scan_size:
-            depths_m = [depth_of(i, latest[i].depth_m) for i in range(len(rig.cameras))]
+            depths_m = [session.depth_of(i, latest[i].depth_m) for i in range(len(rig.cameras))]
             rows_m = panorama.samples_m(depths_m) if panorama else row_samples_m(depths_m[0], row)
             collected.mean.add(search_rows(scan, collected.curve, rows_m, settings))
         latest.clear()
     return collected
+
+
+def observe_mount(pair: FramePair, settings: ChainSettings) -> MountObservation:
+    """What a pair shows of the mount."""
+    return mount_observation(
+        pair.camera,
+        pair.scan,
+        pair.depth_m,
+        pair.scan.stamp_ns + pair.gap_ns,
+        estimate_turn_rate_rad_s(pair.window, settings.time),
+    )
 
 
 def _together(latest: dict[int, DepthImage], cameras: int, max_gap_ms: float) -> bool:

@@ -4,14 +4,12 @@ A result is kept under what its stage read and the settings of that stage and th
 new epsilon classifies and repairs again and searches nothing.
 """
 
-import threading
-from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 from fusion_core.alignment.search import MeanField
 from fusion_core.alignment.similarity import SimilarityField
+from fusion_core.model.bounded_cache import BoundedCache
 from fusion_core.model.errors import AlignmentFailed, RecordingError, ScanLoomError
 from fusion_core.workflows.fuse.align import RecordingAlignment
 from fusion_core.workflows.fuse.frame import (
@@ -47,37 +45,34 @@ class CachedChain:
         self.session = session
         self.frames = frames
         self.alignment = alignment
-        self._pairs = _Kept(_FRAMES_KEPT)
-        self._matches = _Kept(_FRAMES_KEPT)
-        self._judged = _Kept(_FRAMES_KEPT)
+        self._pairs: BoundedCache[Hashable, PairedImage] = BoundedCache(_FRAMES_KEPT)
+        self._matches: BoundedCache[Hashable, FrameMatch] = BoundedCache(_FRAMES_KEPT)
+        self._fused: BoundedCache[Hashable, FusedFrame] = BoundedCache(_FRAMES_KEPT)
 
     def pair(self, choice: FrameChoice) -> PairedImage:
         """The frame and its scan. Raises RecordingError for a frame that cannot be read."""
         key = (choice.number, choice.clock_offset_ms)
-        found: PairedImage = self._pairs.get(
+        return self._pairs.get_or_compute(
             key, lambda: self.frames.pair(choice.number, choice.clock_offset_ms)
         )
-        return found
 
     def match(self, choice: FrameChoice, settings: ChainSettings) -> FrameMatch:
         """Fields, pairs and A of a frame.
 
         Raises AlignmentFailed where no scan is near enough in time, or the frame has no peak.
         """
-        key = (choice, settings_of_match(settings))
-        found: FrameMatch = self._matches.get(
-            key, lambda: self._match(self.pair(choice), choice, settings)
+        return self._matches.get_or_compute(
+            (choice, settings.read_by("match")),
+            lambda: self._match(self.pair(choice), choice, settings),
         )
-        return found
 
     def fused(self, choice: FrameChoice, settings: ChainSettings) -> FusedFrame:
         """Classes and repairs of a frame. Raises as ``matched``."""
         match = self.match(choice, settings)
-        key = (choice, settings_of_match(settings), settings.noise, settings.repair)
-        found: FusedFrame = self._judged.get(
-            key, lambda: classify_and_repair(match, self.session.rig, self.alignment, settings)
+        return self._fused.get_or_compute(
+            (choice, settings.read_by("repair")),
+            lambda: classify_and_repair(match, self.alignment, settings),
         )
-        return found
 
     def fuse_all(
         self, settings: ChainSettings, clock_offset_ms: float = 0.0
@@ -94,63 +89,20 @@ class CachedChain:
                 continue
             try:
                 match = self._match(paired, choice, settings)
-                yield classify_and_repair(match, self.session.rig, self.alignment, settings)
+                yield classify_and_repair(match, self.alignment, settings)
             except AlignmentFailed:
                 yield paired
 
     def _match(
         self, paired: PairedImage, choice: FrameChoice, settings: ChainSettings
     ) -> FrameMatch:
-        if paired.window is None:
+        pair = self.session.frame_pair(paired, self.frames.previous(choice.number))
+        if pair is None:
             raise AlignmentFailed(
                 f"no scan lies within {settings.time.max_gap_ms:g} ms of this depth image.",
                 advice="Widen time.max_gap_ms, or go to another frame.",
             )
-        return match_frame(
-            self.session.rig,
-            paired.camera,
-            self.session.depth_of(paired.camera, paired.image.depth_m),
-            paired.window,
-            paired.gap_ns,
-            self.alignment,
-            settings,
-            image=paired.image,
-            before=self.frames.before(choice.number),
-            picked=choice.picked_offset,
-        )
-
-
-def settings_of_match(settings: ChainSettings) -> Hashable:
-    """The settings that a match depends on: all but those of classes and repairs."""
-    return (
-        settings.time,
-        settings.sampling,
-        settings.search,
-        settings.mount,
-        settings.registration,
-        settings.pairing,
-    )
-
-
-class _Kept:
-    """The last results, by key. Two threads that ask for the same new key may both compute it."""
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._values: OrderedDict[Hashable, Any] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def get(self, key: Hashable, compute: Callable[[], Any]) -> Any:
-        with self._lock:
-            if key in self._values:
-                self._values.move_to_end(key)
-                return self._values[key]
-        value = compute()
-        with self._lock:
-            self._values[key] = value
-            while len(self._values) > self._most:
-                self._values.popitem(last=False)
-        return value
+        return match_frame(pair, self.alignment, settings, picked=choice.picked_offset)
 
 
 def mean_field_around(

@@ -196,7 +196,7 @@ def _write_similarity(
         )
         panel = curves = None
         if frame is not None:
-            camera = cameras[frame.camera]
+            camera = cameras[frame.pair.camera_index]
             peak = frame.search.peaks_without_prior.get(metric)
             panel = _field_panel(frame.search.fields[metric], peak, frame.curve, frame.row, camera)
             if peak is not None:
@@ -235,14 +235,18 @@ def _field_panel(
 
 
 def _frame_name(session: "Session", frame: FusedFrame) -> str:
-    topic = printable(session.rig.cameras[frame.camera].topic)
+    topic = printable(session.rig.cameras[frame.pair.camera_index].topic)
     return f"{topic} at {format_stamp(frame.stamp_ns)}"
 
 
 def _write_showcase(folder: Path, heading: str, session: "Session", frame: FusedFrame) -> None:
     about = f"{heading}\n{_frame_name(session, frame)}"
     found = _color_near(session, frame)
-    color = None if found is None else remap_color(found.rgb, session.rig.views[frame.camera])
+    color = (
+        None
+        if found is None
+        else remap_color(found.rgb, session.rig.views[frame.pair.camera_index])
+    )
     after_ms = None if found is None else (found.stamp_ns - frame.stamp_ns) / NS_PER_MS
     write_aligned(
         folder / "fig3_aligned.png",
@@ -253,7 +257,7 @@ def _write_showcase(folder: Path, heading: str, session: "Session", frame: Fused
             depth_m=frame.depth_m,
             depth_stamp_ns=frame.stamp_ns,
             scan=frame.scan,
-            gap_ns=frame.gap_ns,
+            gap_ns=frame.pair.gap_ns,
             beams_in_view=frame.correspondence.beam,
             has_nominal_stamps=session.recording.stamps_are_nominal,
         ),
@@ -314,12 +318,12 @@ def _write_showcase(folder: Path, heading: str, session: "Session", frame: Fused
 def _color_near(session: "Session", frame: FusedFrame) -> ColorImage | None:
     """The colour image nearest in stamp among the few that were logged around the depth image."""
     topic = session.streams.color[
-        session.streams.depth.index(session.rig.cameras[frame.camera].topic)
+        session.streams.depth.index(session.rig.cameras[frame.pair.camera_index].topic)
     ]
     if topic is None:
         return None
     logged_ns = session.recording.received_ns(topic)
-    depth_ns = frame.image.received_ns
+    depth_ns = frame.pair.image.received_ns
     place = int(np.searchsorted(logged_ns, frame.stamp_ns if depth_ns is None else depth_ns))
     nearest: ColorImage | None = None
     for index in range(

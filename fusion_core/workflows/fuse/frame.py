@@ -1,5 +1,6 @@
 """Pass 2: one scan against one depth image, from correspondence to repair."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -16,7 +17,7 @@ from fusion_core.alignment.curves import (
 )
 from fusion_core.alignment.mount_cost import mount_observation
 from fusion_core.alignment.search import Peak
-from fusion_core.alignment.time import ScanWindow, estimate_turn_rate_rad_s
+from fusion_core.alignment.time import estimate_turn_rate_rad_s
 from fusion_core.denoising.correspondence import (
     Correspondence,
     RowModel,
@@ -33,11 +34,12 @@ from fusion_core.model.conventions import NS_PER_S, BoolArray, Float32Array, Flo
 from fusion_core.model.errors import AlignmentFailed, RegistrationFailed
 from fusion_core.model.geometry import transform_points
 from fusion_core.model.rig import Camera, Mount
-from fusion_core.model.sensors import DepthImage, LaserScan
+from fusion_core.model.sensors import LaserScan
 from fusion_core.registration.ransac import Registration, register
 from fusion_core.workflows.fuse.align import RecordingAlignment, T_lidar_camera_at, turned_rad
-from fusion_core.workflows.fuse.camera_rig import CameraRig
 from fusion_core.workflows.fuse.offset_search import OffsetSearch, search_offset
+from fusion_core.workflows.fuse.pairing import FramePair, PairedImage, UprightDepth
+from fusion_core.workflows.fuse.session import Session
 from fusion_core.workflows.fuse.settings import ChainSettings
 
 
@@ -45,8 +47,7 @@ from fusion_core.workflows.fuse.settings import ChainSettings
 class FrameMatch:
     """What pairs a depth image with its scan: everything before the classes.
 
-    ``image`` is the stored one, ``depth_m`` its upright view; ``before``: stamp and view of the
-    camera's image before, where there is one. ``curve`` and ``row`` sample the fields of
+    ``curve`` and ``row`` sample the fields of
     ``search``. ``registration`` is None where it failed, and ``refusal`` says why.
     ``u_of_rig``: what to add to a peak's u, which is the camera's own, to get that of the
     recording's field; not 0 where several cameras make a panorama.
@@ -54,12 +55,7 @@ class FrameMatch:
     ``turn_rate_rad_s``: how fast the LiDAR turns, NaN where its scans do not tell.
     """
 
-    camera: int
-    image: DepthImage
-    depth_m: Float32Array
-    before: tuple[int, Float32Array] | None
-    window: ScanWindow
-    gap_ns: int
+    pair: FramePair
     turned_rad: float
     turn_rate_rad_s: float
     curve: CurveSampling
@@ -74,12 +70,17 @@ class FrameMatch:
     @property
     def scan(self) -> LaserScan:
         """The scan that the image is paired with."""
-        return self.window.scan
+        return self.pair.scan
 
     @property
     def stamp_ns(self) -> int:
         """The image's stamp."""
-        return self.image.stamp_ns
+        return self.pair.image.stamp_ns
+
+    @property
+    def depth_m(self) -> Float32Array:
+        """(H', W') upright view of the image."""
+        return self.pair.depth_m
 
     @property
     def sigma_m(self) -> float:
@@ -111,43 +112,44 @@ class FusedFrame(FrameMatch):
         return changed
 
 
+def fuse_frames(
+    session: Session, alignment: RecordingAlignment, clock_offset_ms: float = 0.0
+) -> Iterator[LaserScan | PairedImage | FusedFrame]:
+    """Pass 2: scans as they arrive, fused frames, and the images that could not be fused."""
+    previous: dict[int, UprightDepth] = {}
+    for entry in session.pairs(clock_offset_ms):
+        pair = None
+        if not isinstance(entry, LaserScan):
+            pair = session.frame_pair(entry, previous.get(entry.camera))
+        if pair is None:
+            yield entry
+            continue
+        try:
+            yield fuse_frame(pair, alignment, session.settings)
+        except AlignmentFailed:
+            yield entry
+        previous[pair.camera_index] = pair.upright
+
+
 def fuse_frame(
-    rig: CameraRig,
-    camera: int,
-    depth_m: Float32Array,
-    window: ScanWindow,
-    gap_ns: int,
-    alignment: RecordingAlignment,
-    settings: ChainSettings,
-    *,
-    image: DepthImage,
-    before: tuple[int, Float32Array] | None = None,
+    pair: FramePair, alignment: RecordingAlignment, settings: ChainSettings
 ) -> FusedFrame:
-    """Run the chain on one pair. ``depth_m``: (H', W') upright view; ``before``: stamp and view of
-    the camera's image before, where there is one.
+    """Match, classify and repair one pair.
 
     Raises AlignmentFailed where the frame is paired by its own (u, v) and has none.
     """
-    match = match_frame(
-        rig, camera, depth_m, window, gap_ns, alignment, settings, image=image, before=before
-    )
-    return classify_and_repair(match, rig, alignment, settings)
+    match = match_frame(pair, alignment, settings)
+    return classify_and_repair(match, alignment, settings)
 
 
 def match_frame(
-    rig: CameraRig,
-    camera: int,
-    depth_m: Float32Array,
-    window: ScanWindow,
-    gap_ns: int,
+    pair: FramePair,
     alignment: RecordingAlignment,
     settings: ChainSettings,
     *,
-    image: DepthImage,
-    before: tuple[int, Float32Array] | None = None,
     picked: tuple[float, float] | None = None,
 ) -> FrameMatch:
-    """Search, pair and register one frame, as in ``fuse_frame``.
+    """Search, pair and register one frame.
 
     ``picked``: an offset (u, v) of the camera's own row, chosen by hand; the pairs are then those
     of row v.
@@ -155,17 +157,16 @@ def match_frame(
     Raises AlignmentFailed where the frame is paired by its own (u, v) and has none, and for a
     picked row that the image does not have.
     """
+    scan, depth_m, model = pair.scan, pair.depth_m, pair.camera
     height = depth_m.shape[0]
     if picked is not None and not -0.5 <= picked[1] < height - 0.5:
         raise AlignmentFailed(
             f"row v = {picked[1]:g} is not in the image.",
             advice=f"Pick one from 0 to {height - 1}.",
         )
-    scan = window.scan
-    model = rig.cameras[camera]
     curve, row = sample_curve(scan, settings.sampling), sample_row(model, settings.sampling)
-    rate = estimate_turn_rate_rad_s(window, settings.time)
-    kept = mount_observation(model, scan, depth_m, scan.stamp_ns + gap_ns, rate)
+    rate = estimate_turn_rate_rad_s(pair.window, settings.time)
+    kept = mount_observation(model, scan, depth_m, scan.stamp_ns + pair.gap_ns, rate)
 
     turned = 0.0
     prior_u = offset_of_yaw(alignment.mount.yaw_rad, curve, row.left_rad)
@@ -197,12 +198,7 @@ def match_frame(
         if registration is not None:
             pairs = map_through_A(pairs, registration.A, registration.A_inverse)
     return FrameMatch(
-        camera=camera,
-        image=image,
-        depth_m=depth_m,
-        before=before,
-        window=window,
-        gap_ns=gap_ns,
+        pair=pair,
         turned_rad=turned,
         turn_rate_rad_s=rate,
         curve=curve,
@@ -217,23 +213,23 @@ def match_frame(
 
 
 def classify_and_repair(
-    match: FrameMatch, rig: CameraRig, alignment: RecordingAlignment, settings: ChainSettings
+    match: FrameMatch, alignment: RecordingAlignment, settings: ChainSettings
 ) -> FusedFrame:
     """Classify and repair a frame that is matched already."""
-    window, rate, scan = match.window, match.turn_rate_rad_s, match.scan
-    model = rig.cameras[match.camera]
+    pair, rate = match.pair, match.turn_rate_rad_s
+    window, scan, previous = pair.window, pair.scan, pair.previous
     registration = match.registration
     classes = classify(
         FrameWindow(
             pairs=match.correspondence,
             scan=scan,
-            depth_m=match.depth_m,
+            depth_m=pair.depth_m,
             scan_before=window.before,
             scan_after=window.after,
             shift_before=_beams_turned(window.before, scan, rate),
             shift_after=_beams_turned(window.after, scan, rate),
-            depth_before_m=None if match.before is None else match.before[1],
-            columns_before=_columns_turned(match.before, match.stamp_ns, rate, model),
+            depth_before_m=None if previous is None else previous.depth_m,
+            columns_before=_columns_turned(previous, match.stamp_ns, rate, pair.camera),
         ),
         settings.noise,
         alignment.scale,
@@ -243,7 +239,7 @@ def classify_and_repair(
         **{field.name: getattr(match, field.name) for field in fields(FrameMatch)},
         classes=classes,
         repair=repair(
-            match.correspondence, classes, match.depth_m, alignment.scale, settings.repair
+            match.correspondence, classes, pair.depth_m, alignment.scale, settings.repair
         ),
     )
 
@@ -336,12 +332,12 @@ def _by_own_peak(
 
 
 def _columns_turned(
-    before: tuple[int, Float32Array] | None, stamp_ns: int, rate_rad_s: float, camera: Camera
+    previous: UprightDepth | None, stamp_ns: int, rate_rad_s: float, camera: Camera
 ) -> float:
     """Columns to the right by which a surface lay in the image before."""
-    if before is None or not np.isfinite(rate_rad_s):
+    if previous is None or not np.isfinite(rate_rad_s):
         return 0.0
-    turned = rate_rad_s * (stamp_ns - before[0]) / NS_PER_S
+    turned = rate_rad_s * (stamp_ns - previous.stamp_ns) / NS_PER_S
     # A camera that turns left moves what it sees to the right.
     return -turned * camera.intrinsics.fx
 

@@ -1,14 +1,12 @@
 """Any depth image of a session with the scans around it, without reading what lies before."""
 
-import threading
-from collections import OrderedDict
-
 import numpy as np
 
-from fusion_core.model.conventions import NS_PER_MS, Float32Array
+from fusion_core.model.bounded_cache import BoundedCache
+from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.model.sensors import ColorImage, DepthImage, LaserScan
-from fusion_core.workflows.fuse.pairing import PairedImage, pair_with, virtual_pair
+from fusion_core.workflows.fuse.pairing import PairedImage, UprightDepth, pair_with, virtual_pair
 from fusion_core.workflows.fuse.session import Session
 
 # Scans are looked for among those logged next to the image, so many to either side.
@@ -38,8 +36,7 @@ class FrameReader:
         self._scan_times_ns = (
             np.empty(0, np.int64) if lidar is None else recording.received_ns(lidar)
         )
-        self._scans: OrderedDict[int, LaserScan | None] = OrderedDict()
-        self._lock = threading.Lock()
+        self._scans: BoundedCache[int, LaserScan | None] = BoundedCache(_SCANS_KEPT)
 
     def __len__(self) -> int:
         return int(self.times_ns.size)
@@ -81,9 +78,8 @@ class FrameReader:
             round(settings.max_gap_ms * NS_PER_MS),
         )
 
-    def before(self, number: int) -> tuple[int, Float32Array] | None:
-        """Stamp and upright view of the same camera's image before, None for its first, and where
-        that one cannot be read."""
+    def previous(self, number: int) -> UprightDepth | None:
+        """The same camera's image before, None for its first, and where that one cannot be read."""
         index = int(self._index[number])
         if index == 0:
             return None
@@ -95,7 +91,9 @@ class FrameReader:
         shape = self._session.rig.views[camera].stored_shape
         if not isinstance(value, DepthImage) or value.depth_m.shape != shape:
             return None
-        return value.stamp_ns, self._session.depth_of(camera, value.depth_m)
+        return UprightDepth(
+            stamp_ns=value.stamp_ns, depth_m=self._session.depth_of(camera, value.depth_m)
+        )
 
     def color(self, number: int) -> ColorImage | None:
         """The colour image of the frame's camera that was logged nearest in time."""
@@ -118,17 +116,9 @@ class FrameReader:
     def _scan(self, index: int) -> LaserScan | None:
         """A scan, None where it cannot be read, is stamped out of order or is of another geometry
         than the rig's."""
-        with self._lock:
-            if index in self._scans:
-                self._scans.move_to_end(index)
-                return self._scans[index]
-        assert self._lidar is not None, "a session without a LiDAR has a virtual one"
-        scan = self._read_scan(self._lidar, index)
-        with self._lock:
-            self._scans[index] = scan
-            while len(self._scans) > _SCANS_KEPT:
-                self._scans.popitem(last=False)
-        return scan
+        lidar = self._lidar
+        assert lidar is not None, "a session without a LiDAR has a virtual one"
+        return self._scans.get_or_compute(index, lambda: self._read_scan(lidar, index))
 
     def _read_scan(self, topic: str, index: int) -> LaserScan | None:
         # As in a pass over the recording, the next one nearest takes the place of what is left out.

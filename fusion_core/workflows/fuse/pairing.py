@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 from fusion_core.alignment.time import ScanWindow, TimeSettings
 from fusion_core.alignment.virtual_lidar import cut_scan
-from fusion_core.model.conventions import NS_PER_MS
+from fusion_core.model.conventions import NS_PER_MS, Float32Array
 from fusion_core.model.recording import Recording
+from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.model.stamps import nearest_stamp
 from fusion_core.recordings.topics import Streams
@@ -32,20 +33,52 @@ class PairedImage:
     gap_ns: int
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UprightDepth:
+    """The upright view of a depth image: (H', W') metres along the optical axis."""
+
+    stamp_ns: int
+    depth_m: Float32Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FramePair:
+    """A depth image and its scan as they travel through the chain.
+
+    ``camera`` is the rig's camera number ``camera_index``. ``image`` is as stored, ``depth_m`` its
+    upright view (H', W'), without the rows that a virtual LiDAR is cut from. ``window``: the scan
+    with its neighbours in time. ``gap_ns``: image stamp - scan stamp, with the applied clock offset
+    taken out. ``previous``: the camera's image before, None for its first.
+    """
+
+    camera_index: int
+    camera: Camera
+    image: DepthImage
+    depth_m: Float32Array
+    window: ScanWindow
+    gap_ns: int
+    previous: UprightDepth | None = None
+
+    @property
+    def scan(self) -> LaserScan:
+        """The scan that the image is paired with."""
+        return self.window.scan
+
+    @property
+    def upright(self) -> UprightDepth:
+        """The image as the next one's ``previous``."""
+        return UprightDepth(stamp_ns=self.image.stamp_ns, depth_m=self.depth_m)
+
+
 def paired_images(
     recording: Recording,
     streams: Streams,
     rig: CameraRig,
     fitting: GeometryFilter,
     settings: TimeSettings,
-    *,
     clock_offset_ms: float = 0.0,
-    virtual_row: int | None = None,
 ) -> Iterator[LaserScan | PairedImage]:
     """Every scan as it arrives, and every depth image once the scans around it are known."""
-    if virtual_row is not None:
-        yield from _with_virtual_scans(recording, rig, fitting, virtual_row)
-        return
     assert streams.lidar is not None, "build_camera_rig refuses a recording without LiDAR"
     offset_ns = round(clock_offset_ms * NS_PER_MS)
     max_gap_ns = round(settings.max_gap_ms * NS_PER_MS)
@@ -104,9 +137,10 @@ def pair_with(
     )
 
 
-def _with_virtual_scans(
+def virtual_pairs(
     recording: Recording, rig: CameraRig, fitting: GeometryFilter, row: int
 ) -> Iterator[LaserScan | PairedImage]:
+    """Every depth image of the first camera, after the scan that is cut from its ``row``."""
     camera = rig.cameras[0]
     for message in fitting.accepted(recording.messages([camera.topic])):
         image = message.value

@@ -77,9 +77,9 @@ def _write_frames(
     ):
         for done, entry in enumerate(chain.fuse_all(settings, clock_offset_ms)):
             progress(done, len(chain.frames), "comparing with the truth")
-            topic = rig.cameras[entry.camera].topic
             if isinstance(entry, PairedImage):
-                frames.append(unpaired_row(topic, entry))
+                frames.append(unpaired_row(rig.cameras[entry.camera].topic, entry))
             else:
+                topic = entry.pair.camera.topic
                 frames.append(frame_row(topic, entry, chain.alignment, rig))
                 samples.append(sample_columns(topic, entry, rig))

@@ -39,9 +39,9 @@ class RepairedScanQueue:
         """The repairs of one image, whose scan must still wait."""
         pending = self._pending[id(frame.scan)]
         beam = frame.correspondence.beam
-        nearer = abs(frame.gap_ns) < pending.gap_ns[beam]
+        nearer = abs(frame.pair.gap_ns) < pending.gap_ns[beam]
         beam = beam[nearer]
-        pending.gap_ns[beam] = abs(frame.gap_ns)
+        pending.gap_ns[beam] = abs(frame.pair.gap_ns)
         pending.ranges_m[beam] = frame.repair.lidar_range_m[nearer]
         pending.codes[beam] = frame.classes.lidar_class[nearer]
 

@@ -1,4 +1,4 @@
-"""A recording opened for the chain: its streams, its rig, and the two passes over its frames."""
+"""A recording opened for the chain: its streams, its rig, and passes over its pairs."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -6,16 +6,17 @@ from pathlib import Path
 
 from fusion_core.alignment.virtual_lidar import mask_cut_rows
 from fusion_core.model.conventions import Float32Array
-from fusion_core.model.errors import AlignmentFailed
-from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import Streams, choose_streams
-from fusion_core.workflows.fuse.align import RecordingAlignment, align
 from fusion_core.workflows.fuse.camera_rig import CameraRig, build_camera_rig
-from fusion_core.workflows.fuse.frame import FusedFrame, fuse_frame
-from fusion_core.workflows.fuse.pairing import PairedImage, paired_images
-from fusion_core.workflows.fuse.pairing_gaps import PairingStamps
+from fusion_core.workflows.fuse.pairing import (
+    FramePair,
+    PairedImage,
+    UprightDepth,
+    paired_images,
+    virtual_pairs,
+)
 from fusion_core.workflows.fuse.settings import ChainSettings, PresetName
 from fusion_core.workflows.sensor_geometry import GeometryFilter
 from fusion_core.workflows.source import RoomChoice
@@ -57,14 +58,31 @@ class Session:
 
     def pairs(self, clock_offset_ms: float = 0.0) -> Iterator[LaserScan | PairedImage]:
         """A new pass over scans and images."""
+        if self.virtual_row is not None:
+            return virtual_pairs(self.recording, self.rig, self.fitting, self.virtual_row)
         return paired_images(
             self.recording,
             self.streams,
             self.rig,
             self.fitting,
             self.settings.time,
-            clock_offset_ms=clock_offset_ms,
-            virtual_row=self.virtual_row,
+            clock_offset_ms,
+        )
+
+    def frame_pair(
+        self, paired: PairedImage, previous: UprightDepth | None = None
+    ) -> FramePair | None:
+        """An image and its scan, ready for the chain; None where no scan is near enough."""
+        if paired.window is None:
+            return None
+        return FramePair(
+            camera_index=paired.camera,
+            camera=self.rig.cameras[paired.camera],
+            image=paired.image,
+            depth_m=self.depth_of(paired.camera, paired.image.depth_m),
+            window=paired.window,
+            gap_ns=paired.gap_ns,
+            previous=previous,
         )
 
     def depth_of(self, camera: int, stored_m: Float32Array) -> Float32Array:
@@ -116,56 +134,3 @@ def fitting_for(recording: Recording, rig: CameraRig) -> GeometryFilter:
         camera.topic: view.stored_shape for camera, view in zip(rig.cameras, rig.views, strict=True)
     }
     return GeometryFilter(recording, rig.scan_geometry, shapes)
-
-
-def align_recording(
-    session: Session, progress: Progress = silent, stamps: PairingStamps | None = None
-) -> RecordingAlignment:
-    """Pass 1 over a session. ``stamps`` takes note of what passes.
-
-    Raises AlignmentFailed, and RecordingError where the clock of a sensor tells no order.
-    """
-    lidar = session.streams.lidar if session.virtual_row is None else None
-    cameras = [camera.topic for camera in session.rig.cameras]
-    session.fitting.require_most_in_order(cameras if lidar is None else [lidar, *cameras])
-
-    def pairs() -> Iterator[LaserScan | PairedImage]:
-        entries = session.pairs()
-        return entries if stamps is None else stamps.observe(entries)
-
-    return align(
-        pairs,
-        session.rig,
-        session.settings,
-        session.image_count,
-        progress,
-        depth_of=session.depth_of,
-        refine=session.virtual_row is None,
-    )
-
-
-def fuse_frames(
-    session: Session, alignment: RecordingAlignment, clock_offset_ms: float = 0.0
-) -> Iterator[LaserScan | PairedImage | FusedFrame]:
-    """Pass 2: scans as they arrive, fused frames, and the images that could not be fused."""
-    before: dict[int, tuple[int, Float32Array]] = {}
-    for entry in session.pairs(clock_offset_ms):
-        if isinstance(entry, LaserScan) or entry.window is None:
-            yield entry
-            continue
-        depth_m = session.depth_of(entry.camera, entry.image.depth_m)
-        try:
-            yield fuse_frame(
-                session.rig,
-                entry.camera,
-                depth_m,
-                entry.window,
-                entry.gap_ns,
-                alignment,
-                session.settings,
-                image=entry.image,
-                before=before.get(entry.camera),
-            )
-        except AlignmentFailed:
-            yield entry
-        before[entry.camera] = (entry.image.stamp_ns, depth_m)

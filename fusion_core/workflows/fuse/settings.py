@@ -26,8 +26,22 @@ from fusion_core.registration.ransac import PUBLISHED, RegistrationSettings
 from fusion_core.settings import SettingsGroup, StageSettings, setting
 
 PresetName = Literal["default", "published"]
+ChainStage = Literal["alignment", "match", "repair", "maps"]
 _Settings = TypeVar("_Settings", bound=SettingsGroup)
 _Stage = TypeVar("_Stage", bound=StageSettings)
+
+
+_ALIGNMENT = ("time", "sampling", "search", "mount", "pairing")
+_MATCH = (*_ALIGNMENT, "registration")
+_REPAIR = (*_MATCH, "noise", "repair")
+_READ_BY: dict[ChainStage, tuple[str, ...]] = {
+    "alignment": _ALIGNMENT,
+    "match": _MATCH,
+    "repair": _REPAIR,
+    "maps": (*_REPAIR, "grid"),
+}
+"""The fields of ChainSettings that the result of a stage depends on, with those of the stages
+before it. Caches and "align again" go by it."""
 
 
 class ChainSettings(SettingsGroup):
@@ -46,6 +60,10 @@ class ChainSettings(SettingsGroup):
     pairing: Literal["mount", "frame"] = setting(
         "mount", "Pair beams and pixels by the recording's mount, or each frame by its own (u, v)"
     )
+
+    def read_by(self, stage: ChainStage) -> tuple[object, ...]:
+        """The settings on which the result of a stage depends: a key for caches."""
+        return tuple(getattr(self, name) for name in _READ_BY[stage])
 
 
 PRESETS: dict[PresetName, ChainSettings] = {

@@ -79,7 +79,7 @@ def frame_row(
     peak = frame.search.peaks.get(alignment.metric)
     alone = frame.search.peaks_without_prior.get(alignment.metric)
     registration = frame.registration
-    stored_row, _ = rig.views[frame.camera].stored_pixels(
+    stored_row, _ = rig.views[frame.pair.camera_index].stored_pixels(
         frame.correspondence.row, frame.correspondence.column
     )
     stored = stored_row >= 0
@@ -88,7 +88,7 @@ def frame_row(
         camera=topic,
         stamp_ns=frame.stamp_ns,
         scan_stamp_ns=frame.scan.stamp_ns,
-        gap_ms=frame.gap_ns / NS_PER_MS,
+        gap_ms=frame.pair.gap_ns / NS_PER_MS,
         u_alone=None if alone is None else alone.u + frame.u_of_rig,
         row_model=frame.row_model,
         inliers=None if registration is None else int(registration.inliers.sum()),
@@ -129,7 +129,7 @@ def sample_columns(topic: str, frame: FusedFrame, rig: CameraRig) -> dict[str, n
     """The rows of a fused image's beams, pixels named in the stored image."""
     pairs, classes, mended = frame.correspondence, frame.classes, frame.repair
     count = pairs.beam.size
-    row, column = rig.views[frame.camera].stored_pixels(pairs.row, pairs.column)
+    row, column = rig.views[frame.pair.camera_index].stored_pixels(pairs.row, pairs.column)
     outside = row < 0
 
     def nullable(values: npt.NDArray[np.int64]) -> FloatArray:

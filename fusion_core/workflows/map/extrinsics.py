@@ -15,9 +15,12 @@ from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
 from fusion_core.recordings.topics import Streams
-from fusion_core.workflows.fuse.align import mount_not_used
+from fusion_core.workflows.fuse.align import align_recording, mount_not_used
 from fusion_core.workflows.fuse.camera_rig import CameraRig, build_camera_rig
-from fusion_core.workflows.fuse.session import Session, align_recording, session_of
+from fusion_core.workflows.fuse.session import (
+    Session,
+    session_of,
+)
 from fusion_core.workflows.fuse.settings import ChainSettings
 from fusion_core.workflows.map.extrinsics_file import read_extrinsics
 from fusion_core.workflows.map.recorded_mount_check import recorded_mount_problem

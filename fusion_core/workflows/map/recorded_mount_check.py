@@ -2,10 +2,10 @@
 
 from itertools import islice
 
-from fusion_core.alignment.mount_cost import MountCost, mount_observation
+from fusion_core.alignment.mount_cost import MountCost
 from fusion_core.alignment.recorded_mount import find_refusal
-from fusion_core.alignment.time import estimate_turn_rate_rad_s
 from fusion_core.model.sensors import LaserScan
+from fusion_core.workflows.fuse.align import observe_mount
 from fusion_core.workflows.fuse.session import Session
 
 
@@ -21,18 +21,9 @@ def recorded_mount_problem(session: Session) -> str:
     frames = []
     images = (entry for entry in session.pairs() if not isinstance(entry, LaserScan))
     for entry in islice(images, settings.mount.frames):
-        if entry.window is None:
-            continue
-        scan = entry.window.scan
-        frames.append(
-            mount_observation(
-                session.rig.cameras[entry.camera],
-                scan,
-                session.depth_of(entry.camera, entry.image.depth_m),
-                scan.stamp_ns + entry.gap_ns,
-                estimate_turn_rate_rad_s(entry.window, settings.time),
-            )
-        )
+        pair = session.frame_pair(entry)
+        if pair is not None:
+            frames.append(observe_mount(pair, settings))
     if not any(frame.points_m.size for frame in frames):
         return ""
     return find_refusal(MountCost(frames, settings.mount), recorded, settings.mount, None)

@@ -8,10 +8,13 @@ from fusion_core.model.classes import NoiseClass
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import LaserScan
+from fusion_core.workflows.fuse.align import align_recording
 from fusion_core.workflows.fuse.camera_rig import build_camera_rig
-from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.frame import FusedFrame, fuse_frames
 from fusion_core.workflows.fuse.scan_queue import RepairedScanQueue
-from fusion_core.workflows.fuse.session import align_recording, fuse_frames, session_of
+from fusion_core.workflows.fuse.session import (
+    session_of,
+)
 from fusion_core.workflows.fuse.settings import ChainSettings
 from fusion_core.workflows.map.recorded_sensors import RecordedSensors
 

@@ -18,9 +18,8 @@ _ROOM_PX = 1000
 def judged(frame_view: FrameView, view: View) -> FusedFrame:
     """The frame of a view, whatever the server has kept of it."""
     assert frame_view.chain is not None
-    rig = frame_view.open_recording.fuse_session.rig
     return classify_and_repair(
-        match_of(frame_view, view), rig, frame_view.chain.alignment, view.settings
+        match_of(frame_view, view), frame_view.chain.alignment, view.settings
     )
 
 

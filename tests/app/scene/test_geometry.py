@@ -18,6 +18,7 @@ from fusion_core.model.geometry import (
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import CameraIntrinsics, LaserScan
 from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.pairing import FramePair
 from scanloom.scene.frame_geometry import (
     camera_pose,
     frame_geometry,
@@ -81,12 +82,14 @@ def frame_of(pairs, scan, depth_m, lidar_class=None, depth_class=None, lidar_m=N
         depth_m=pairs.depth_m if pixel_m is None else pixel_m,
     )
     return FusedFrame(
-        camera=0,
-        image=SimpleNamespace(stamp_ns=7),
-        depth_m=depth_m,
-        before=None,
-        window=SimpleNamespace(scan=scan),
-        gap_ns=2,
+        pair=FramePair(
+            camera_index=0,
+            camera=CAMERA,
+            image=SimpleNamespace(stamp_ns=7),
+            depth_m=depth_m,
+            window=SimpleNamespace(scan=scan),
+            gap_ns=2,
+        ),
         turned_rad=0.0,
         turn_rate_rad_s=0.0,
         search=None,

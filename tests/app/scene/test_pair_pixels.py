@@ -52,7 +52,7 @@ def stages() -> dict[str, Any]:
     depth_m = np.full((4, 6), 2.0, dtype=np.float32)
     depth_m[1, 1:3] = nan
     return {
-        "depth_m": depth_m,
+        "pair": SimpleNamespace(depth_m=depth_m),
         "correspondence": SimpleNamespace(
             beam=np.array([7, 8, 9, 10]),
             row=np.array([1, 1, 1, -1]),

@@ -79,7 +79,7 @@ def frame(
     return SimpleNamespace(
         search=SimpleNamespace(
             peaks={} if overlap is None else {"euclidean": peak(0.8, overlap)},
-            peaks_alone={"pearson": peak(alone)},
+            peaks_without_prior={"pearson": peak(alone)},
         ),
         registration=object() if registered else None,
         repair=SimpleNamespace(lidar_source=source, depth_source=other),
@@ -180,7 +180,8 @@ def color_near(log: ColorLog, stamp_ns: int, received_ns: int | None, topic: str
         recording=log,
     )
     shown: Any = SimpleNamespace(
-        camera=0, stamp_ns=stamp_ns, image=SimpleNamespace(received_ns=received_ns)
+        stamp_ns=stamp_ns,
+        pair=SimpleNamespace(camera_index=0, image=SimpleNamespace(received_ns=received_ns)),
     )
     return figures._color_near(session, shown)
 

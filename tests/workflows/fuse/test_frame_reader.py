@@ -59,8 +59,8 @@ def test_an_image_of_another_size_says_so_and_the_next_has_none_before_it(filled
     with pytest.raises(RecordingError, match="image 4 has 8 x 6 pixels, not 16 x 12") as refused:
         frames.pair(4)
     assert "another frame" in refused.value.advice
-    assert frames.before(5) is None
-    assert frames.before(4) is not None
+    assert frames.previous(5) is None
+    assert frames.previous(4) is not None
     assert frames.pair(5).window is not None
 
 
@@ -69,7 +69,7 @@ def test_a_damaged_image_leaves_the_next_one_whole(filled, monkeypatch):
     unreadable(monkeypatch, session, "/camera/depth/image_raw", 7)
     with pytest.raises(RecordingError, match="message 7 is damaged"):
         frames.pair(7)
-    assert frames.before(8) is None
+    assert frames.previous(8) is None
     assert frames.pair(8).window is not None
 
 

@@ -9,10 +9,14 @@ from fusion_core.alignment.time import TimeSettings
 from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.recordings.formats import open_recording
+from fusion_core.workflows.fuse.align import align_recording
 from fusion_core.workflows.fuse.frame_reader import FrameReader
 from fusion_core.workflows.fuse.pairing import PairedImage
 from fusion_core.workflows.fuse.pairing_gaps import PairingStamps
-from fusion_core.workflows.fuse.session import FuseOptions, align_recording, open_session
+from fusion_core.workflows.fuse.session import (
+    FuseOptions,
+    open_session,
+)
 from fusion_core.workflows.fuse.settings import PRESETS
 
 START_NS = 1_700_000_000_000_000_000

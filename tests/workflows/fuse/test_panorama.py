@@ -12,11 +12,11 @@ from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.evaluate import evaluate
 from fusion_core.workflows.fuse import align as align_module
+from fusion_core.workflows.fuse.align import align_recording
+from fusion_core.workflows.fuse.frame import fuse_frames
 from fusion_core.workflows.fuse.pairing import PairedImage
 from fusion_core.workflows.fuse.session import (
     FuseOptions,
-    align_recording,
-    fuse_frames,
     open_session,
 )
 from fusion_core.workflows.fuse.settings import PRESETS
@@ -113,8 +113,8 @@ def test_a_session_gives_scans_and_every_image_once(session, images):
     assert scans
     assert frames
     for frame in frames:
-        assert isinstance(frame.image, DepthImage)
-        stored = images[TOPICS[frame.camera], frame.stamp_ns]
-        np.testing.assert_array_equal(frame.image.depth_m, stored.depth_m)
+        assert isinstance(frame.pair.image, DepthImage)
+        stored = images[TOPICS[frame.pair.camera_index], frame.stamp_ns]
+        np.testing.assert_array_equal(frame.pair.image.depth_m, stored.depth_m)
         # The upright view of a rolled landscape image is in portrait.
         assert frame.depth_m.shape == stored.depth_m.shape[::-1]

@@ -8,10 +8,14 @@ import pytest
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.evaluate import evaluate
+from fusion_core.workflows.fuse.align import align_recording
 from fusion_core.workflows.fuse.cached_chain import CachedChain
 from fusion_core.workflows.fuse.frame_reader import FrameReader
 from fusion_core.workflows.fuse.recall import recall_of, truth_beside
-from fusion_core.workflows.fuse.session import FuseOptions, align_recording, open_session
+from fusion_core.workflows.fuse.session import (
+    FuseOptions,
+    open_session,
+)
 from fusion_core.workflows.fuse.settings import PRESETS
 
 

@@ -32,7 +32,7 @@ def frame(of, gap_ns, beams, range_m, noise):
     count = len(beams)
     return SimpleNamespace(
         scan=of,
-        gap_ns=gap_ns,
+        pair=SimpleNamespace(gap_ns=gap_ns),
         correspondence=SimpleNamespace(beam=np.array(beams)),
         repair=SimpleNamespace(lidar_range_m=np.full(count, range_m)),
         classes=SimpleNamespace(lidar_class=np.full(count, noise)),

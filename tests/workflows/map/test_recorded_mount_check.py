@@ -6,9 +6,13 @@ import pytest
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.topics import choose_streams
+from fusion_core.workflows.fuse.align import align_recording
 from fusion_core.workflows.fuse.camera_rig import build_camera_rig
 from fusion_core.workflows.fuse.fuse import fuse
-from fusion_core.workflows.fuse.session import FuseOptions, align_recording, session_of
+from fusion_core.workflows.fuse.session import (
+    FuseOptions,
+    session_of,
+)
 from fusion_core.workflows.fuse.settings import ChainSettings
 from fusion_core.workflows.map.extrinsics import find_extrinsics
 from fusion_core.workflows.map.recorded_mount_check import recorded_mount_problem

@@ -1,0 +1,142 @@
+"""The tables, the repaired recording and the maps of a run, written as its frames come."""
+
+from collections import Counter
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from fusion_core.exporting.tables import CsvTable, ParquetTable
+from fusion_core.model.classes import NoiseClass
+from fusion_core.model.grids import OccupancyGrid
+from fusion_core.model.sensors import DepthImage, LaserScan
+from fusion_core.recordings.ros2_writer import Ros2McapWriter
+from fusion_core.workflows.fuse.align import RecordingAlignment
+from fusion_core.workflows.fuse.camera_rig import CameraRig
+from fusion_core.workflows.fuse.figures import FigureCollector
+from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.pairing import PairedImage
+from fusion_core.workflows.fuse.scan_queue import RepairedScanQueue
+from fusion_core.workflows.fuse.sensor_maps import SensorMaps
+from fusion_core.workflows.fuse.session import Session
+from fusion_core.workflows.fuse.tables import (
+    FRAME_COLUMNS,
+    SAMPLE_SCHEMA,
+    frame_row,
+    sample_columns,
+    unpaired_row,
+)
+from fusion_core.workflows.recorded_poses import PoseLookup
+
+# Small row groups: what waits for one counts in the memory of every run.
+_SAMPLES_PER_GROUP = 8192
+
+
+class ResultWriter:
+    """Writes frames.csv, samples.parquet, fused.mcap and, where there are ``poses``, the maps.
+
+    ``frames`` counts the depth images, ``paired`` those that were fused, ``lidar_counts`` the beams
+    of each class. ``figures`` collects what the figures show.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        session: Session,
+        alignment: RecordingAlignment,
+        poses: PoseLookup | None,
+    ) -> None:
+        self._folder = folder
+        self._session = session
+        self._alignment = alignment
+        self._topics = [camera.topic for camera in session.rig.cameras]
+        lidar_topic = session.streams.lidar if session.virtual_row is None else None
+        self._lidar_topic = lidar_topic or "/virtual_lidar/scan"
+        self._maps = None if poses is None else SensorMaps(poses, session.settings.grid)
+        self._queue = RepairedScanQueue()
+        self._last_stamp_ns = 0
+        self.frames = self.paired = 0
+        self.lidar_counts: Counter[str] = Counter()
+        self.figures = FigureCollector(alignment)
+
+    def __enter__(self) -> "ResultWriter":
+        with ExitStack() as stack:
+            self._frame_table = stack.enter_context(
+                CsvTable(self._folder / "frames.csv", FRAME_COLUMNS)
+            )
+            self._sample_table = stack.enter_context(
+                ParquetTable(
+                    self._folder / "samples.parquet",
+                    SAMPLE_SCHEMA,
+                    rows_per_group=_SAMPLES_PER_GROUP,
+                )
+            )
+            self._mcap = stack.enter_context(Ros2McapWriter(self._folder / "fused.mcap"))
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    def add(self, entry: LaserScan | PairedImage | FusedFrame) -> None:
+        """Write what pass 2 yields: a scan, an image that could not be fused, or a fused frame."""
+        if isinstance(entry, LaserScan):
+            self._queue.push(entry)
+            for raw, repaired in self._queue.pop_settled():
+                self._write_scan(raw, repaired)
+            return
+        self.frames += 1
+        if isinstance(entry, PairedImage):
+            topic = self._topics[entry.camera]
+            self._frame_table.append(unpaired_row(topic, entry))
+            self._mcap.write_depth(topic, entry.image)
+            return
+        self.paired += 1
+        rig, topic = self._session.rig, self._topics[entry.pair.camera_index]
+        self._frame_table.append(frame_row(topic, entry, self._alignment, rig))
+        self._sample_table.append(sample_columns(topic, entry, rig))
+        self._mcap.write_depth(topic, repaired_image(entry, rig))
+        self._queue.apply_repairs(entry)
+        self.figures.add(entry)
+        if self._maps is not None:
+            self._maps.add_camera(entry)
+        per_class = np.bincount(entry.classes.lidar_class, minlength=len(NoiseClass))
+        for noise_class, count in zip(NoiseClass, per_class, strict=True):
+            self.lidar_counts[noise_class.name.lower()] += int(count)
+        self._last_stamp_ns = max(self._last_stamp_ns, entry.stamp_ns)
+
+    def finish(self) -> tuple[dict[str, OccupancyGrid], list[str]]:
+        """Write the scans that still wait and the maps; the maps, and notes for people."""
+        for raw, repaired in self._queue.flush():
+            self._write_scan(raw, repaired)
+        if self._maps is None:
+            return {}, []
+        grids, notes = self._maps.write(self._folder)
+        if self._maps.scans_without_pose:
+            notes.append(f"{self._maps.scans_without_pose} scans have no pose and are in no map.")
+        if "fused" in grids:
+            self._mcap.write_occupancy_grid("/map_fused", grids["fused"], self._last_stamp_ns)
+        return grids, notes
+
+    def _write_scan(self, raw: LaserScan, repaired: LaserScan) -> None:
+        self._mcap.write_laser_scan(self._lidar_topic, repaired)
+        if self._maps is not None:
+            self._maps.add_scan(raw, repaired)
+
+
+def repaired_image(frame: FusedFrame, rig: CameraRig) -> DepthImage:
+    """The stored depth image with the repaired pixels of the curve."""
+    depth_m = frame.pair.image.depth_m.copy()
+    row, column = rig.views[frame.pair.camera_index].stored_pixels(
+        frame.correspondence.row, frame.correspondence.column
+    )
+    changed = frame.pixel_changed & (row >= 0)
+    depth_m[row[changed], column[changed]] = frame.repair.depth_m[changed]
+    return replace(frame.pair.image, depth_m=depth_m)
