@@ -242,6 +242,26 @@ def test_a_recorded_yaw_is_compared_across_the_seam(furnished_room) -> None:
     assert "past where scans and images fit best" in find_refusal(problem, recorded, SETTINGS, 0.5)
 
 
+@dataclass(frozen=True)
+class ShortDrive:
+    """Eight frames of the furnished room, and their mount where none was recorded."""
+
+    truth: Mount
+    frames: list[MountObservation]
+    without: MountEstimate
+
+    def estimate(self, recorded: Mount) -> MountEstimate:
+        yaw_rad = self.truth.yaw_rad
+        return estimate_mount(self.frames, SETTINGS, yaw_rad=yaw_rad, recorded=recorded)
+
+
+@pytest.fixture(scope="module")
+def short_drive(furnished_room) -> ShortDrive:
+    truth = random_mount(2)
+    frames = drive(furnished_room, truth, 2, count=8)
+    return ShortDrive(truth, frames, estimate_mount(frames, SETTINGS, yaw_rad=truth.yaw_rad))
+
+
 @pytest.mark.parametrize(
     ("moved", "why"),
     [
@@ -253,16 +273,13 @@ def test_a_recorded_yaw_is_compared_across_the_seam(furnished_room) -> None:
         ({"delta_z_m": -0.5}, "47% of the visible points agree under it, and 98% under the mount"),
     ],
 )
-def test_a_recorded_mount_that_explains_nothing_is_not_used(furnished_room, moved, why) -> None:
-    truth = random_mount(2)
-    frames = drive(furnished_room, truth, 2, count=8)
-    estimate = estimate_mount(
-        frames, SETTINGS, yaw_rad=truth.yaw_rad, recorded=replace(truth, **moved)
-    )
+def test_a_recorded_mount_that_explains_nothing_is_not_used(
+    short_drive: ShortDrive, moved, why
+) -> None:
+    estimate = short_drive.estimate(replace(short_drive.truth, **moved))
     assert not estimate.is_from_recorded
     assert re.search(why, estimate.refusal)
-    without = estimate_mount(frames, SETTINGS, yaw_rad=truth.yaw_rad)
-    assert estimate.mount == without.mount
+    assert estimate.mount == short_drive.without.mount
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -276,14 +293,11 @@ def test_a_right_mount_is_better_than_chance(furnished_room, seed: int) -> None:
         assert find_refusal(problem, recorded, strict, None) == ""
 
 
-def test_a_recorded_mount_that_contradicts_the_data_is_left_out(furnished_room) -> None:
-    truth = random_mount(2)
-    frames = drive(furnished_room, truth, 2, count=8)
-    wrong = Mount(yaw_rad=truth.yaw_rad + np.deg2rad(40.0), delta_z_m=0.2)
-    with_wrong = estimate_mount(frames, SETTINGS, yaw_rad=truth.yaw_rad, recorded=wrong)
-    without = estimate_mount(frames, SETTINGS, yaw_rad=truth.yaw_rad)
+def test_a_recorded_mount_that_contradicts_the_data_is_left_out(short_drive: ShortDrive) -> None:
+    wrong = Mount(yaw_rad=short_drive.truth.yaw_rad + np.deg2rad(40.0), delta_z_m=0.2)
+    with_wrong = short_drive.estimate(wrong)
     assert not with_wrong.is_from_recorded
-    assert with_wrong.mount == without.mount
+    assert with_wrong.mount == short_drive.without.mount
 
 
 def test_the_same_frames_give_the_same_mount(furnished_room) -> None:

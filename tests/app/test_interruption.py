@@ -129,7 +129,9 @@ def ended(server: subprocess.Popen[str]) -> tuple[int, str, str]:
     return server.returncode, rest, errors
 
 
-@pytest.mark.parametrize("delay_s", [0.0, 0.002, 0.02, 0.2])
+@pytest.mark.parametrize(
+    "delay_s", [0.0, *(pytest.param(s, marks=pytest.mark.slow) for s in (0.002, 0.02, 0.2))]
+)
 def test_pressed_as_soon_as_the_address_is_printed(small_scene: Path, delay_s: float) -> None:
     with serving(small_scene) as server:
         assert server.stdout is not None

@@ -32,6 +32,7 @@ INSERT INTO topics VALUES (1, '/a', 'std_msgs/msg/String', 'cdr', ''),
 INSERT INTO message_definitions VALUES (1, 'std_msgs/msg/String', 'ros2msg', 'string data', '');
 """
 Row = tuple[int, int, int, bytes]
+SHARES = (0.01, 0.1, 0.5, 0.9, 0.99)
 
 
 def rows_of(count: int, size: int, seed: int = 1) -> list[Row]:
@@ -83,8 +84,19 @@ def seconds(row: Row) -> str:
     return f"{row[2] / 1e9:.3f} s"
 
 
-@pytest.mark.parametrize("size", [60, 1000, 9000])
-@pytest.mark.parametrize("share", [0.01, 0.1, 0.5, 0.9, 0.99])
+@pytest.mark.parametrize(
+    ("share", "size"),
+    [
+        *((share, 1000) for share in SHARES),
+        *((0.5, size) for size in (60, 9000)),
+        *(
+            pytest.param(share, size, marks=pytest.mark.slow)
+            for share in SHARES
+            for size in (60, 9000)
+            if share != 0.5
+        ),
+    ],
+)
 def test_a_cut_file_gives_its_share_of_the_rows(tmp_path: Path, size: int, share: float) -> None:
     # Large enough for inner pages, which stand behind the first of their leaves.
     written = rows_of(min(3_000_000 // size, 25_000), size)

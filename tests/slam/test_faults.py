@@ -16,6 +16,10 @@ WRONG_M = 0.3
 BARE = rectangle((40.0, 0.0), (80.0, 2.2), 0.0)
 
 
+def slow(value):
+    return pytest.param(value, marks=pytest.mark.slow)
+
+
 def untold(result, truth):
     """Scans that are wrong by more than 30 cm and trusted all the same."""
     found, expected = (relative_pose(of[0], of) for of in (result.poses_map_scan, truth))
@@ -66,7 +70,7 @@ def test_a_tenth_of_the_scans_lost(prior):
 
 
 @pytest.mark.parametrize("prior", [True, False])
-@pytest.mark.parametrize("begin", [30, 80, 131])
+@pytest.mark.parametrize("begin", [30, slow(80), slow(131)])
 def test_a_second_of_no_data(begin, prior):
     kept = np.concatenate([np.arange(begin), np.arange(begin + 5, 200)])
     result, truth = run(room(), kept, prior=prior)
@@ -75,7 +79,7 @@ def test_a_second_of_no_data(begin, prior):
 
 
 @pytest.mark.parametrize("slip", [0.0, 2.0, -1.0])
-@pytest.mark.parametrize("seed", [4, 5])
+@pytest.mark.parametrize("seed", [4, slow(5)])
 def test_wheels_that_slip_for_three_seconds(slip, seed):
     def change(steps):
         steps[60:75] *= slip
@@ -109,7 +113,7 @@ def kidnapped(ring, begin, shift):
     return numbers, np.array(odometry)
 
 
-@pytest.mark.parametrize("shift", [60, 100, 170])
+@pytest.mark.parametrize("shift", [slow(60), 100, slow(170)])
 def test_a_robot_that_is_carried_away(shift):
     ring = drive(300)
     numbers, odometry = kidnapped(ring, 100, shift)
@@ -122,7 +126,7 @@ def test_a_robot_that_is_carried_away(shift):
 
 
 @pytest.mark.parametrize("prior", [True, False])
-@pytest.mark.parametrize("shift", [30, 50, 90])
+@pytest.mark.parametrize("shift", [30, slow(50), slow(90)])
 def test_a_robot_that_is_carried_away_within_a_room(shift, prior):
     whole = room(200)
     numbers, odometry = kidnapped(whole, 60, shift)
@@ -151,7 +155,7 @@ def test_a_robot_that_is_carried_away_and_comes_back_to_where_it_was():
     assert untold(result, ring.truth[numbers]) == 0
 
 
-@pytest.mark.parametrize("reach_m", [4.0, 10.0])
+@pytest.mark.parametrize("reach_m", [4.0, slow(10.0)])
 def test_a_bare_corridor_without_odometry_has_no_length(reach_m):
     rng = np.random.default_rng(3)
     number = np.arange(250)

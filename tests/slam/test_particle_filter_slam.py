@@ -258,6 +258,7 @@ def test_stamps_must_increase(ring):
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_a_stretch_of_the_intel_log_meets_its_relations(data_folder: Path):
     folder = data_folder / "real" / "carmen"
     with open_recording(folder / "intel.clf.bz2") as recording:

@@ -557,7 +557,10 @@ REAL = {
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("name", REAL)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] if REAL[n] > 10_000 else []) for n in REAL],
+)
 def test_recordings_of_other_people(name: str, data_folder: Path, output: Path) -> None:
     path = data_folder / "real" / "bags" / name
     result = to_mcap(path, output)

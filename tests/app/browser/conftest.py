@@ -12,6 +12,18 @@ from scanloom.server.workbench import ServeOptions, Workbench
 from scanloom.state.view import View
 from tests.app.browser.person import ENOUGH_S, Person, at_session
 
+# The processor draws the scene, which asks for each next frame with the same function: five frames
+# a second are enough of it. What the page asks for once, as for a drag, comes at once.
+FEW_FRAMES = """
+const [draw, cancel] = [requestAnimationFrame.bind(window), cancelAnimationFrame.bind(window)];
+const known = new WeakSet();
+window.requestAnimationFrame = step => {
+    if (known.has(step)) return -setTimeout(() => draw(step), 200);
+    known.add(step);
+    return draw(step);
+};
+window.cancelAnimationFrame = id => id < 0 ? clearTimeout(-id) : cancel(id);
+"""
 SCREEN: ViewportSize = {"width": 900, "height": 600}
 # What would be seen if a name were taken for HTML or Markdown.
 HOSTILE = '<img src=x onerror="window.taken = 1"> **bold** ![a](b) <script>window.taken = 2.mcap'
@@ -80,6 +92,7 @@ def arrive(browser: Browser, workbench: Workbench) -> Iterator[Callable[..., Per
     def open_in_own_browser(path: str = "/") -> Person:
         context = browser.new_context(viewport=SCREEN, device_scale_factor=0.5)
         context.set_default_timeout(ENOUGH_S * 1000)
+        context.add_init_script(FEW_FRAMES)
         contexts.append(context)
         page = context.new_page()
         known = workbench.sessions

@@ -1,6 +1,6 @@
 """A view outlives its page: by a reload, by a link, and beside what others do."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -37,9 +37,11 @@ def test_a_reload_brings_everything_back(person: Person, workbench: Workbench) -
 
 
 @pytest.fixture(scope="module")
-def friend(arrive: Callable[..., Person], small_scene: Path) -> Person:
+def friend(arrive: Callable[..., Person], small_scene: Path) -> Iterator[Person]:
     """Somebody who followed a link, in a browser that had never seen the workbench."""
-    return arrive(f"/go?view={changed(View(recording=small_scene.name)).to_link()}")
+    friend = arrive(f"/go?view={changed(View(recording=small_scene.name)).to_link()}")
+    yield friend
+    friend.page.context.close()
 
 
 def test_a_link_brings_everything_into_another_browser(person: Person, friend: Person) -> None:

@@ -367,7 +367,7 @@ def test_measures_on_the_scene_stand_above_their_floors(bedroom):
 
 
 def test_the_same_work_is_skipped_and_forced_and_foreign_files_are_refused(scenes, tmp_path):
-    recording, folder = scenes("bedroom"), tmp_path / "out"
+    recording, folder = scenes("bedroom", duration_s=1.0), tmp_path / "out"
     options = {"maps": False, "figures": False}
     first = fuse(recording, folder, FuseOptions(**options))
     assert not first.skipped
@@ -392,7 +392,7 @@ def test_the_same_work_is_skipped_and_forced_and_foreign_files_are_refused(scene
 
 
 def test_the_settings_of_a_result_repeat_it(scenes, tmp_path):
-    recording = scenes("bedroom")
+    recording = scenes("bedroom", duration_s=1.0)
     own = tmp_path / "own.toml"
     own.write_text("[noise]\nepsilon = 2.0\n[registration]\nseed = 3\n")
     fuse(recording, tmp_path / "a", FuseOptions(settings_file=own, maps=False, figures=False))

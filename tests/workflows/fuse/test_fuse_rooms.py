@@ -46,6 +46,7 @@ def test_repairs(room_3):
     assert measured["lidar"]["moved_farther"] <= 0.001
 
 
+@pytest.mark.slow
 def test_a_late_clock_lies_in_its_interval(data_folder, tmp_path):
     rooms = data_folder / "rooms"
     fuse(rooms / "room_2.bag", tmp_path / "out", FuseOptions(maps=False, figures=False))

@@ -24,6 +24,8 @@ from tests.recordings import robot_at_home_trees as trees
 # Left to right, as the simulated rig numbers them.
 LABELS = ("RGBD_3", "RGBD_4", "RGBD_1", "RGBD_2")
 QUICK = FuseOptions(maps=False, figures=False)
+# A session whose rooms are short.
+SHORT = "alma-s2"
 KITCHEN = RoomChoice(session="alma-s1", room="kitchen1")
 
 
@@ -71,8 +73,10 @@ def versions(scenes, tmp_path_factory) -> dict[str, Path]:
                 ),
             )
             writer.write_transforms("/tf_static", batch)
-    other = replace(room, room="bedroom1")
-    trees.write_plain_text(folder / "v1", [room, other])
+    short = room.sights[: len(room.sights) // 3]
+    other = replace(room, room="bedroom1", sights=short)
+    passages = [replace(each, session=SHORT, sights=short) for each in (room, other)]
+    trees.write_plain_text(folder / "v1", [room, other, *passages])
     trees.write_robot_at_home2(folder / "v2", [room, other])
     return {"mcap": folder / "kitchen1.mcap", "v1": folder / "v1", "v2": folder / "v2"}
 
@@ -111,9 +115,9 @@ def test_both_versions_fuse_as_the_mcap_does(results, version):
 def test_a_root_lists_its_rooms_and_a_room_is_a_recording(versions):
     for version, bits in (("v1", 16), ("v2", 8)):
         listed = info(versions[version])
+        sessions = ("alma-s1", SHORT) if version == "v1" else ("alma-s1",)
         assert [(r["session"], r["room"], r["depth_bits"]) for r in listed["rooms"]] == [
-            ("alma-s1", "bedroom1", bits),
-            ("alma-s1", "kitchen1", bits),
+            (session, room, bits) for session in sessions for room in ("bedroom1", "kitchen1")
         ]
         inside = info(versions[version], KITCHEN)
         roles = [topic["role"] for topic in inside["topics"]]
@@ -133,16 +137,16 @@ def test_coarse_depth_is_carried_into_epsilon(results):
 
 
 def test_table_1_over_the_rooms_of_a_session(versions, tmp_path):
-    summary = fuse_rooms(versions["v1"], "alma-s1", tmp_path / "all", QUICK)
+    summary = fuse_rooms(versions["v1"], SHORT, tmp_path / "all", QUICK)
     table = rows_of(tmp_path / "all" / "table1.csv")
-    assert [row["room"] for row in table] == ["alma-s1_bedroom1", "alma-s1_kitchen1"]
-    frames = rows_of(tmp_path / "all" / "alma-s1_kitchen1" / "frames.csv")
+    assert [row["room"] for row in table] == [f"{SHORT}_bedroom1", f"{SHORT}_kitchen1"]
+    frames = rows_of(tmp_path / "all" / f"{SHORT}_kitchen1" / "frames.csv")
     scored = sum(
         int(table[1][name]) for name in ("low", "middle", "high", "not_positive", "missing")
     )
     assert scored == sum(1 for row in frames if row["scan_stamp_ns"])
     assert summary.failed == {}
-    assert any("alma-s1_bedroom1" in line for line in summary.lines())
+    assert any(f"{SHORT}_bedroom1" in line for line in summary.lines())
 
 
 def test_nothing_is_written_into_the_data_set_or_over_a_foreign_table(versions, tmp_path):
