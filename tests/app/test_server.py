@@ -101,7 +101,7 @@ def test_a_widget_that_holds_a_refused_value_is_set_back(workbench: Workbench, v
 def test_a_frame_that_cannot_be_read_takes_the_one_before_out_of_sight(
     workbench: Workbench, view: View, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    boards = {"/boards/depth", "/boards/heatmap"}
+    boards = {"/images/depth", "/images/heatmap"}
     storage = {STORED_VIEW: view.changed(frame_index=2).to_link()}
     with connect(workbench.address, storage=storage) as client:
         for _ in boards:

@@ -1,4 +1,4 @@
-"""Which depth cameras are used: those found by type, or any that are chosen by hand."""
+"""Choice of the depth cameras: those found by type, or chosen by hand."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""The threshold epsilon: its unit, a slider whose range fits it, and what it is in metres."""
+"""The threshold epsilon: its unit, a slider for that unit, and its value in metres."""
 
 from typing import Any
 
@@ -28,7 +28,7 @@ _BAND_MARKS = ((1.0, "E"), (2.0**0.5, "√2 E"))
 
 
 class EpsilonSliders:
-    """A slider for each unit, of which one is seen; set by ``controls``."""
+    """A slider for each unit, of which one is visible."""
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession, controls: Controls) -> None:
         self._session = session

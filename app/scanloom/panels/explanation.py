@@ -1,6 +1,6 @@
-"""Why a beam or a pixel has its class, and why its repair comes from where it does, in plain words.
+"""Explains the class and the repair of a beam or a pixel.
 
-Nothing is guessed: each sentence follows from the numbers that the class or the repair was made of.
+Each sentence is derived from the values that decided the class or the repair.
 """
 
 import math
@@ -22,7 +22,7 @@ def explain_beam_class(facts: BeamFacts, settings: ChainSettings) -> str:
     support = _beam_support(facts)
     match facts.lidar.noise_class:
         case NoiseClass.HOLE:
-            return "Hole: the scanner gave nothing."
+            return "Hole: the LiDAR returned no range."
         case NoiseClass.CONFLICT:
             return f"Conflict: {_disagrees(facts, 'the camera')}, but {support}. {_two_surfaces()}"
         case NoiseClass.BURR if _no_pair(facts):
@@ -30,14 +30,14 @@ def explain_beam_class(facts: BeamFacts, settings: ChainSettings) -> str:
         case NoiseClass.BURR if not _disagree(facts):
             return f"Burr: {_mixed_alike('pixel')} {_capital(support)}."
         case NoiseClass.BURR if published:
-            rough = "it strays from its neighbours no less than its pixel does"
+            rough = "it deviates from its neighbours no less than its pixel does"
             return f"Burr: {_disagrees(facts, 'the camera')}, and {rough}."
         case NoiseClass.BURR:
             return f"Burr: {_disagrees(facts, 'the camera')}, and {support}."
     if _no_pair(facts):
         return f"Good: {_nothing_to_compare(facts)}" + ("." if published else f", and {support}.")
     if _disagree(facts):
-        own = "its pixel strays more from its neighbours" if published else support
+        own = "its pixel deviates more from its neighbours" if published else support
         return f"Good: {_disagrees(facts, 'the camera')}, but {own}. Its pixel is the burr."
     return f"Good: {_agrees(facts, 'the camera')}."
 
@@ -56,7 +56,7 @@ def explain_pixel_class(facts: BeamFacts, settings: ChainSettings) -> str:
         case NoiseClass.BURR if not _disagree(facts):
             return f"Burr: {_mixed_alike('beam')} {_capital(support)}."
         case NoiseClass.BURR if published:
-            rough = "it strays more from its neighbours than its beam does"
+            rough = "it deviates more from its neighbours than its beam does"
             return f"Burr: {_disagrees(facts, 'the LiDAR')}, and {rough}."
         case NoiseClass.BURR if facts.pixel_gone:
             gone = "the image before shows nothing like it at its place"
@@ -66,7 +66,7 @@ def explain_pixel_class(facts: BeamFacts, settings: ChainSettings) -> str:
     if _no_pair(facts):
         return "Good: the LiDAR has no range here to compare it with."
     if _disagree(facts):
-        own = "its beam strays no less from its neighbours" if published else support
+        own = "its beam deviates no less from its neighbours" if published else support
         return f"Good: {_disagrees(facts, 'the LiDAR')}, but {own}. Its beam is the burr."
     return f"Good: {_agrees(facts, 'the LiDAR')}."
 
@@ -191,7 +191,7 @@ def _mixed_alike(other: str) -> str:
 
 
 def _two_surfaces() -> str:
-    return "Both stand on surfaces of their own."
+    return "Each measures a surface of its own."
 
 
 def _beam_support(facts: BeamFacts) -> str:

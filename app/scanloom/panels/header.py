@@ -1,4 +1,4 @@
-"""What is always in sight: the recording, the preset and what differs from it, undo, the link."""
+"""The top of the page: recording, preset and differences from it, undo, link."""
 
 import html
 from typing import get_args
@@ -61,7 +61,7 @@ class HeaderPanel(Panel):
         self._tell("A link to this view", words, link=link)
 
     def _tell(self, title: str, words: str, *, link: str | None = None) -> None:
-        """Words over the page, and a text to copy, until they are closed."""
+        """A modal dialogue with a text, and a link to copy."""
         gui = self._gui
         with gui.add_modal(title) as modal:
             gui.add_markdown(words)
@@ -87,7 +87,7 @@ def _differences(view: View) -> str:
         for stage, values in view.preset_overrides().items()
         for name, value in values.items()
     ]
-    said = f"as the preset {view.preset} has it"
+    said = f"settings of the preset {view.preset}"
     if changed:
         more = len(changed) - _MOST_DIFFERENCES
         tail = f" and {more} more" if more > 0 else ""

@@ -29,7 +29,7 @@ _WINDOW_FRAMES = 2
 
 class MatchPanel(Panel):
     """Heatmap, curves and mount. ``on_heatmap`` gets what draws each heatmap, for the scene's
-    board, and None where there is none."""
+    image_plane, and None where there is none."""
 
     def __init__(
         self,

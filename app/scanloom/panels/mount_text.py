@@ -1,4 +1,4 @@
-"""The mount in words: where the camera sits on the LiDAR, and what the recording does not show."""
+"""The mount as text: the camera's pose on the LiDAR, and what is not observable."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""The Recording panel: which recording, its streams, its pairs in time, and the clock offset."""
+"""The Recording panel: recording, streams, pairing in time, and clock offset."""
 
 import html
 
@@ -20,7 +20,7 @@ _CLOCK = MOUNT_PARAMETERS.index("clock_offset_ms")
 
 
 class RecordingPanel(Panel):
-    """Chooses the recording and its streams, and shows what they are."""
+    """Choice of the recording and its streams, and their properties."""
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
         self._session = session
@@ -87,7 +87,9 @@ class RecordingPanel(Panel):
         aligned = ""
         if chain is not None:
             changed = " Settings changed since." if view.needs_alignment() else ""
-            aligned = f"{chain.alignment.frames} frames made the recording's field.{changed}"
+            aligned = (
+                f"{chain.alignment.frames} frames are averaged in the recording's field.{changed}"
+            )
         update_widget(self._aligned, content=aligned)
 
     def _open(self, name: str) -> None:

@@ -1,4 +1,4 @@
-"""A registration in words: what A does, what a draw found, why a map was refused. As Markdown."""
+"""A registration as Markdown: what A does, one RANSAC draw, why a model was refused."""
 
 from collections.abc import Iterable
 
@@ -19,11 +19,11 @@ _UNIT_SIGNS: dict[EpsilonUnit, str] = {"sigma": " σ", "E": " E", "m": " m"}
 
 
 def transform_text(found: Registration, meaning: TransformDecomposition) -> str:
-    """What A does, one line for each of the model's freedoms, then how good it is."""
+    """What A does, by the model's parameters, and its quality."""
     lines = [
-        f"turns the LiDAR's points by **{_turn(meaning.rotation_rad)}**",
-        f"shifts the origin by **{_shift(meaning.translation_m)}**",
-        f"moves the middle of the inliers by {_shift(meaning.displacement_m)}",
+        f"rotates the LiDAR's points by **{_turn(meaning.rotation_rad)}**",
+        f"translates the origin by **{_shift(meaning.translation_m)}**",
+        f"moves the centroid of the inliers by {_shift(meaning.displacement_m)}",
     ]
     if found.model == "similarity":
         lines.append(f"scales by **{meaning.scale:.3f}**: {_longer(meaning.scale)}")
@@ -49,7 +49,7 @@ def transform_text(found: Registration, meaning: TransformDecomposition) -> str:
             f"**flattens**: one direction keeps {_percent(meaning.scale_min, 1)} of its length, "
             f"so that A⁻¹ makes errors up to {1.0 / meaning.scale_min:.3g} times as long"
         )
-    near = " near the middle of the inliers" if found.model == "homography" else ""
+    near = " near the centroid of the inliers" if found.model == "homography" else ""
     settled = "" if found.has_converged else ", not settled"
     quality = (
         f"Mean error **E = {_length(found.mean_error_m)}** over {found.valid} pairs; σ = "
@@ -84,7 +84,7 @@ def draw_text(draw: RansacDraw, found: Registration) -> str:
             f"{_length(found.draws.inlier_threshold_m)}"
         )
     else:
-        said = "its pairs do not determine a map"
+        said = "its pairs do not determine a transform"
     numbers = ", ".join(str(pair) for pair in draw.pairs)
     after = ""
     if draw.index == best:

@@ -1,4 +1,4 @@
-"""The Repair panel: depth and curve before and after, classes, conflicts, and why of each beam."""
+"""The Repair panel: depth and curve before and after, classes, conflicts, one beam in detail."""
 
 import html
 from dataclasses import replace
@@ -29,7 +29,7 @@ _NO_CONFLICTS = "none in this frame"
 
 
 class RepairPanel(Panel):
-    """Depth image and curve before and after, a filter of classes, conflicts, one beam's story."""
+    """Depth image and curve before and after, class filter, conflicts, details of one beam."""
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
         self._session = session
@@ -67,7 +67,7 @@ class RepairPanel(Panel):
                 step=1,
                 hint="Of the scan, from 0; -1: none. A click in the scene chooses one too",
             )
-            self._story = gui.add_html("")
+            self._beam_details = gui.add_html("")
         with gui.add_folder("Settings", expand_by_default=False):
             controls = self._controls
             self._epsilon = EpsilonSliders(gui, session, controls)
@@ -117,7 +117,8 @@ class RepairPanel(Panel):
         update_widget(self._classes, content=class_table(frame_view.fused))
         self._show_conflicts(frame_view.fused, view)
         update_widget(
-            self._story, content=beam_table(frame_view.fused, view.selected_beam, view.settings)
+            self._beam_details,
+            content=beam_table(frame_view.fused, view.selected_beam, view.settings),
         )
 
     def _show_pictures(self, frame: FusedFrame, view: View) -> None:
@@ -174,7 +175,7 @@ class RepairPanel(Panel):
             update_widget(handle, visible=False)
         self._runs = {}
         update_widget(self._conflicts, options=(_NO_CONFLICTS,))
-        for table in (self._classes, self._story):
+        for table in (self._classes, self._beam_details):
             update_widget(table, content="")
 
     def _add_filter(self, gui: viser.GuiApi, noise: NoiseClass) -> None:

@@ -38,7 +38,7 @@ class ScenePanel(Panel):
         self._nodes = SceneNodes(client.scene)
         self._layout: Layout | None = None
         self._opened: object = None
-        self._boards: dict[str, ImagePlane] = {}
+        self._planes: dict[str, ImagePlane] = {}
         self._hidden: frozenset[Layer] = frozenset()
         # Nodes are drawn in the desk's worker, and switched and clicked in viser's threads.
         self._drawing = threading.RLock()
@@ -51,7 +51,7 @@ class ScenePanel(Panel):
         self._depth: DepthPicture | None = None
         # Frame and choices that it was drawn of.
         self._depth_of: tuple[object, object] = None, None
-        self._boards_seen = True
+        self._are_planes_visible = True
         self._views = gui.add_button_group("View", _VIEWS, hint="From where the scene is looked at")
         with gui.add_folder("Shown in 3D", expand_by_default=False):
             rows = gui.add_slider(
@@ -68,8 +68,7 @@ class ScenePanel(Panel):
         client.scene.on_click()(self._clicked)
 
     def set_heatmap_source(self, draw: Callable[[], Heatmap] | None) -> None:
-        """What draws the picture of the heatmap's board where that is seen, until the next one;
-        None for none."""
+        """Set the function that draws the heatmap's image plane when visible; None for none."""
         self._draw_heatmap = draw
 
     def set_map(self, grid: OccupancyGrid | None, poses: PoseLookup | None = None) -> None:
@@ -90,13 +89,13 @@ class ScenePanel(Panel):
             else:
                 # What is still there is of another frame.
                 self._nodes.hide_frame()
-                self._show_boards(frame_view)
+                self._show_planes(frame_view)
 
     def _draw(self, frame_view: FrameView, geometry: FrameGeometry, yaw_rad: float) -> None:
         if self._opened is not frame_view.open_recording:
             self._opened = frame_view.open_recording
             self._nodes.clear()
-            self._boards = {}
+            self._planes = {}
             self.set_map(self._grid, self._map_poses)
             self._layout = layout_of(geometry, yaw_rad)
             self._look("3D")
@@ -107,11 +106,11 @@ class ScenePanel(Panel):
             )
             self._nodes.show_color(geometry.camera, rgb)
         self._nodes.mark_beam(frame_view.view.selected_beam)
-        self._stand(frame_view)
-        self._show_boards(frame_view)
+        self._update_map(frame_view)
+        self._show_planes(frame_view)
 
-    def _stand(self, frame_view: FrameView) -> None:
-        """Lay map and trajectory around the LiDAR, where the recording has poses."""
+    def _update_map(self, frame_view: FrameView) -> None:
+        """Place map and trajectory around the LiDAR, if the recording has poses."""
         poses = None
         if self._grid is not None:
             poses = frame_view.open_recording.poses if self._map_poses is None else self._map_poses
@@ -128,8 +127,8 @@ class ScenePanel(Panel):
         self._T_lidar_map = None if T_map_lidar is None else invert_transform(T_map_lidar)
         self._nodes.place_map(T_map_lidar)
 
-    def _show_boards(self, frame_view: FrameView) -> None:
-        if self._layout is None or not self._boards_seen:
+    def _show_planes(self, frame_view: FrameView) -> None:
+        if self._layout is None or not self._are_planes_visible:
             return
         view, frame = frame_view.view, frame_view.fused or frame_view.match or frame_view.paired
         looked_at = (view.frame_index, view.show_repaired, view.visible_classes, view.selected_beam)
@@ -137,16 +136,16 @@ class ScenePanel(Panel):
             self._depth_of = frame, looked_at
             self._depth = _depth(frame_view)
         self._heatmap = None if self._draw_heatmap is None else self._draw_heatmap()
-        boards = {}
+        image_planes = {}
         if self._depth is not None:
-            boards["depth"] = self._layout.depth_board(self._depth.rgb)
+            image_planes["depth"] = self._layout.depth_plane(self._depth.rgb)
         if self._heatmap is not None:
-            boards["heatmap"] = self._layout.heatmap_board(self._heatmap.rgb)
-        for name in self._boards.keys() - boards.keys():
+            image_planes["heatmap"] = self._layout.heatmap_plane(self._heatmap.rgb)
+        for name in self._planes.keys() - image_planes.keys():
             self._nodes.hide_image_plane(name)
-        for board in boards.values():
-            self._nodes.show_image_plane(board)
-        self._boards = boards
+        for image_plane in image_planes.values():
+            self._nodes.show_image_plane(image_plane)
+        self._planes = image_planes
 
     def _look(self, name: str) -> None:
         if self._layout is None:
@@ -160,8 +159,8 @@ class ScenePanel(Panel):
             case "From above":
                 self._session.notify("There is no map yet", "Build it in the Map panel.")
                 return
-            case "Heatmap" | "Depth" if name.lower() in self._boards:
-                view = camera_views.board(self._boards[name.lower()])
+            case "Heatmap" | "Depth" if name.lower() in self._planes:
+                view = camera_views.face_plane(self._planes[name.lower()])
             case _:
                 # The size is zero in a minimised window.
                 aspect = max(self._camera.image_width, 1) / max(self._camera.image_height, 1)
@@ -174,11 +173,11 @@ class ScenePanel(Panel):
     def _show_layers(self) -> None:
         """Those switched on, less those of which the view shows nothing."""
         chosen = frozenset(name for name, box in self._switches.items() if box.value)
-        are_seen = "boards" in chosen - self._hidden
+        are_visible = "images" in chosen - self._hidden
         with self._drawing:
             self._nodes.show_layers(chosen - self._hidden)
-            were_seen, self._boards_seen = self._boards_seen, are_seen
-        if are_seen and not were_seen:
+            were_visible, self._are_planes_visible = self._are_planes_visible, are_visible
+        if are_visible and not were_visible:
             # Their pictures were not drawn meanwhile.
             self._session.refresh()
 
@@ -195,11 +194,11 @@ class ScenePanel(Panel):
     def _take(self, picked: PickResult) -> None:
         if picked.beam is not None:
             self._session.change(selected_beam=picked.beam)
-        elif picked.board == "heatmap" and self._heatmap is not None and picked.pixel is not None:
+        elif picked.plane == "heatmap" and self._heatmap is not None and picked.pixel is not None:
             place = self._heatmap.offset_at(*picked.pixel)
             if place is not None:
                 self._session.change_settings(picked_offset=place)
-        elif picked.board == "depth" and self._depth is not None and picked.pixel is not None:
+        elif picked.plane == "depth" and self._depth is not None and picked.pixel is not None:
             pixel = self._depth.pixel_at(*picked.pixel)
             if pixel is not None:
                 self._session.change(selected_beam=self._beam_near(*pixel))

@@ -1,4 +1,4 @@
-"""What a run of SLAM has to report, in words; times count from the first scan."""
+"""The report of a SLAM run as HTML; times count from the first scan."""
 
 import html
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ _LINE = (
 
 
 def run_report_html(run: SlamRun) -> str:
-    """Way, loops, trust, stretches that cannot be trusted, and the time of each stage, as HTML."""
+    """Path length, loop closures, unreliable segments, and computing time by stage, as HTML."""
     problem = ""
     if run.problem is not None:
         said = html.escape(f"{run.problem.problem} {run.problem.advice}")
@@ -33,7 +33,7 @@ def run_report_html(run: SlamRun) -> str:
 def report_lines(run: SlamRun) -> Iterator[tuple[str, str]]:
     """Each line's name and words."""
     report = run.files.report
-    yield "way", f"{report['path_m']:.1f} m in {report['duration_s']:.1f} s"
+    yield "path", f"{report['path_m']:.1f} m in {report['duration_s']:.1f} s"
     yield "scans", f"{report['scans']} placed"
     if "loops" in report:
         dropped = report.get("loops_dropped", 0)
@@ -46,7 +46,7 @@ def report_lines(run: SlamRun) -> Iterator[tuple[str, str]]:
         zero_s = run.files.trajectory.stamps_ns[0] / NS_PER_S
         yield (
             "particles",
-            f"{run.choices.particles}, drawn anew {report['resamplings']} times; "
+            f"{run.choices.particles}, resampled {report['resamplings']} times; "
             f"least effective number {least[1]:.1f} at {least[0] - zero_s:.1f} s",
         )
     yield "trusted", f"{100.0 * report['trusted_share']:.1f} % of the scans"

@@ -1,4 +1,4 @@
-"""The streams of a recording as HTML: counts, rates, gaps, what can be done, and what is lost."""
+"""The streams of a recording as HTML: counts, rates, gaps, possible commands, warnings."""
 
 import html
 from collections.abc import Mapping
@@ -47,5 +47,5 @@ def _about_gaps(gaps: Mapping[str, StreamGaps]) -> list[str]:
         return []
     what = f"more than {LEAST_TIMES:g} times the stream's usual interval"
     if any(found.count for found in gaps.values()):
-        return [f"A gap is {what}, by the time of the log."]
+        return [f"A gap is {what}, by log time."]
     return [f"No stream has a gap, which would be {what}."]

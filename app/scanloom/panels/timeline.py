@@ -1,4 +1,4 @@
-"""The time line: play, pause, step, speed, loop, and the keys for them."""
+"""The timeline: play, pause, step, speed, loop, and their keys."""
 
 import html
 import threading
@@ -14,8 +14,8 @@ from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.state.view import PANELS
 
 # Frames a second at speed 1 where the recording has no rate of its own.
-_USUAL_HZ = 10.0
-_MOST_HZ = 30.0
+_DEFAULT_HZ = 10.0
+_MAX_HZ = 30.0
 _SPEEDS = ("0.25", "0.5", "1", "2", "4")
 _CHOICE_OF_SPEED = {float(speed): speed for speed in _SPEEDS}
 
@@ -25,7 +25,7 @@ class TimelinePanel(Panel):
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
         self._session = session
-        self._rate_hz = _USUAL_HZ
+        self._rate_hz = _DEFAULT_HZ
         self._last = 0
         self._playing = threading.Event()
         self._closed = threading.Event()
@@ -88,7 +88,7 @@ class TimelinePanel(Panel):
         if self._frame.max != max(self._last, 1):
             update_widget(self._frame, max=max(self._last, 1))
             span_s = float(times_ns[-1] - times_ns[0]) / 1e9 if len(times_ns) > 1 else 0.0
-            self._rate_hz = self._last / span_s if span_s > 0.0 else _USUAL_HZ
+            self._rate_hz = self._last / span_s if span_s > 0.0 else _DEFAULT_HZ
         number = min(frame_view.view.frame_index, self._last)
         self._controls.show(frame_view.view)
         self._time.content = (
@@ -108,13 +108,13 @@ class TimelinePanel(Panel):
             self._playing.wait()
             if self._closed.is_set():
                 return
-            rate_hz = min(self._rate_hz * self._session.view.playback_speed, _MOST_HZ)
+            rate_hz = min(self._rate_hz * self._session.view.playback_speed, _MAX_HZ)
             view = self._session.view
             if not view.loop_playback and view.frame_index >= self._last:
                 self._playing.clear()
                 continue
             self._session.step(1)
-            # A frame that takes longer than its time is waited for: playing drops none.
+            # Playback waits for slow frames instead of dropping them.
             self._session.wait(2.0)
             due_s = max(due_s + 1.0 / rate_hz, time.monotonic())
             self._closed.wait(due_s - time.monotonic())

@@ -46,7 +46,7 @@ def perspective(layout: Layout, aspect: float = _USUAL_ASPECT) -> CameraView:
     """From behind and above the LiDAR, looking where the rig looks.
 
     ``aspect``: width over height of the screen; before a narrow one, from farther away, so that
-    the boards at both sides are in sight.
+    the image planes at both sides are in sight.
     """
     position_m = layout.ahead(-0.95 * layout.reach_m, 0.0, 0.95 * layout.reach_m)
     look_at_m = layout.ahead(0.6 * layout.reach_m, 0.0, 0.05 * layout.reach_m)
@@ -60,12 +60,12 @@ def perspective(layout: Layout, aspect: float = _USUAL_ASPECT) -> CameraView:
 
 def curve(layout: Layout) -> CameraView:
     """Straight down, to scale: x to the right and z ahead, as in Xu 2024's figures."""
-    # Rows of a wall stand one above the other, and a board is seen edge-on.
+    # Rows of a wall stand one above the other, and an image plane is seen edge-on.
     return _above(
         layout.ahead(0.5 * layout.reach_m, 0.0, 0.0),
         1.3 * layout.reach_m,
         up=layout.ahead(1.0, 0.0, 0.0),
-        hides=frozenset({"rows", "boards", "map"}),
+        hides=frozenset({"rows", "images", "map"}),
     )
 
 
@@ -79,12 +79,12 @@ def map_from_above(
         apply_transform(T_lidar_map, middle_m),
         1.1 * float(np.max(size_m)),
         up=T_lidar_map[:3, 1],
-        hides=frozenset({"rows", "boards"}),
+        hides=frozenset({"rows", "images"}),
     )
 
 
-def board(shown: ImagePlane) -> CameraView:
-    """Straight onto a board."""
+def face_plane(shown: ImagePlane) -> CameraView:
+    """Straight onto an image plane."""
     plane = shown.plane
     _, down, away = plane.R_lidar_plane.T
     middle_m = np.array(plane.position_m)

@@ -166,12 +166,16 @@ def camera_pose(frame: FrameMatch, rig: CameraRig, alignment: RecordingAlignment
     pairs = frame.correspondence
     if frame.row_model == "curve" or not pairs.beam.size:
         return T_lidar_camera_at(camera, alignment.mount, frame.turned_rad)
-    lens = camera.intrinsics
+    intrinsics = camera.intrinsics
     # The yaw of the pairs themselves: they may be those of an offset chosen by hand.
     yaws_rad = pairs.azimuth_rad - camera.column_azimuths_rad(pairs.column.astype(np.float64))
     yaw_rad = float(np.angle(np.exp(1j * yaws_rad).mean()))
     depth_m = pairs.depth_m[np.isfinite(pairs.depth_m)]
-    below_m = float(np.median(depth_m)) * (pairs.row[0] - lens.cy) / lens.fy if depth_m.size else 0
+    below_m = (
+        float(np.median(depth_m)) * (pairs.row[0] - intrinsics.cy) / intrinsics.fy
+        if depth_m.size
+        else 0
+    )
     return make_transform(
         rotation_from_yaw_pitch_roll(yaw_rad, 0.0, 0.0) @ R_BODY_OPTICAL,
         np.array([0.0, 0.0, below_m]),
@@ -193,8 +197,8 @@ def pixel_points(
         return transform_points(T_lidar_camera, inside[:, np.newaxis] * rays)
     with np.errstate(invalid="ignore", divide="ignore"):
         range_per_depth = pairs.depth_as_range_m / pairs.depth_m
-    lens = camera.intrinsics
-    level = np.hypot(1.0, (pairs.column - lens.cx) / lens.fx)
+    intrinsics = camera.intrinsics
+    level = np.hypot(1.0, (pairs.column - intrinsics.cx) / intrinsics.fx)
     range_per_depth = np.where(np.isfinite(range_per_depth), range_per_depth, level)
     return points_in_plane(pairs.azimuth_rad, depth_m * range_per_depth)
 

@@ -1,6 +1,4 @@
-"""What was found of a frame, as numbers: how many of each class and source, where the conflicts
-are, and all that is known of one beam and its pixel.
-"""
+"""Summary of a frame: counts by class and repair source, conflicts, and the values of one beam."""
 
 from dataclasses import dataclass
 

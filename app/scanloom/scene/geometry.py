@@ -61,10 +61,10 @@ def ridge_lines(
     depth = depth[:, : whole + 1 : step].astype(np.float32)
     columns = np.arange(0, whole + 1, step)
     # The three coordinates of a ray are linear in row and column: no (H, W, 3) product is needed.
-    lens = camera.intrinsics
+    intrinsics = camera.intrinsics
     T = T_lidar_camera.astype(np.float32)
-    x = ((columns - lens.cx) / lens.fx).astype(np.float32)
-    y = ((rows - lens.cy) / lens.fy).astype(np.float32)[:, np.newaxis]
+    x = ((columns - intrinsics.cx) / intrinsics.fx).astype(np.float32)
+    y = ((rows - intrinsics.cy) / intrinsics.fy).astype(np.float32)[:, np.newaxis]
     points = np.empty((*depth.shape, 3), dtype=np.float32)
     for axis in range(3):
         points[..., axis] = depth * (T[axis, 0] * x + T[axis, 1] * y + T[axis, 2]) + T[axis, 3]
@@ -112,11 +112,11 @@ def path_segments(positions_in_map: FloatArray) -> Segments:
 
 def frustum(camera: Camera, T_lidar_camera: FloatArray) -> Frustum:
     """How a camera is drawn."""
-    lens = camera.intrinsics
-    half_height = 0.5 * lens.height / lens.fy
+    intrinsics = camera.intrinsics
+    half_height = 0.5 * intrinsics.height / intrinsics.fy
     return Frustum(
         fov_rad=2.0 * float(np.arctan(half_height)),
-        aspect=0.5 * lens.width / lens.fx / half_height,
+        aspect=0.5 * intrinsics.width / intrinsics.fx / half_height,
         wxyz=quaternion(T_lidar_camera[:3, :3]),
         position_m=T_lidar_camera[:3, 3].copy(),
     )

@@ -48,12 +48,12 @@ class Layout:
     yaw_rad: float
     reach_m: float
 
-    def depth_board(self, rgb: ByteArray) -> ImagePlane:
-        """The depth image's board, to the left."""
+    def depth_plane(self, rgb: ByteArray) -> ImagePlane:
+        """The depth image's image plane, to the left."""
         return self._board("depth", rgb, side=1.0)
 
-    def heatmap_board(self, rgb: ByteArray) -> ImagePlane:
-        """The heatmap's board, to the right."""
+    def heatmap_plane(self, rgb: ByteArray) -> ImagePlane:
+        """The heatmap's image plane, to the right."""
         return self._board("heatmap", rgb, side=-1.0)
 
     def ahead(self, forward_m: float, left_m: float, up_m: float) -> FloatArray:

@@ -1,6 +1,6 @@
-"""What of the scene can be shown and hidden."""
+"""The layers of the scene that can be hidden."""
 
 from typing import Literal, get_args
 
-Layer = Literal["rows", "matched", "curve", "pairs", "repairs", "camera", "floor", "map", "boards"]
+Layer = Literal["rows", "matched", "curve", "pairs", "repairs", "camera", "floor", "map", "images"]
 LAYERS: tuple[Layer, ...] = get_args(Layer)

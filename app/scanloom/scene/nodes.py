@@ -49,9 +49,9 @@ class MapPlane:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PickResult:
-    """What a click meant: a pixel (x_px, y_px) of the board ``board``, or a beam of the scan."""
+    """What a click hit: a pixel (x_px, y_px) of the image plane ``plane``, or a beam."""
 
-    board: str | None = None
+    plane: str | None = None
     pixel: tuple[float, float] | None = None
     beam: int | None = None
 
@@ -113,7 +113,7 @@ class SceneNodes:
         self._in_map = scene.add_frame("/in_map", show_axes=False, visible=False)
         self._path = lines(scene, "/in_map/path", color_of("fused"), thickness_px=2.0)
         self._map: viser.ImageHandle | None = None
-        self._boards: dict[str, tuple[ImagePlane, viser.ImageHandle]] = {}
+        self._planes: dict[str, tuple[ImagePlane, viser.ImageHandle]] = {}
 
     def show(self, frame: FrameGeometry) -> None:
         """Draw a frame instead of the one before.
@@ -196,14 +196,14 @@ class SceneNodes:
         self._in_a_map = T_map_lidar is not None
         self._in_map.visible = self._in_a_map and "map" in self._layers
 
-    def show_image_plane(self, board: ImagePlane) -> None:
+    def show_image_plane(self, image_plane: ImagePlane) -> None:
         """A picture that stands in the scene; one of the same name is replaced."""
-        shown = self._boards.get(board.name)
-        plane = board.plane
+        shown = self._planes.get(image_plane.name)
+        plane = image_plane.plane
         if shown is None:
             handle = self._scene.add_image(
-                f"/boards/{board.name}",
-                board.rgb,
+                f"/images/{image_plane.name}",
+                image_plane.rgb,
                 plane.width_m,
                 plane.height_m,
                 format="png",
@@ -214,12 +214,12 @@ class SceneNodes:
             )
         else:
             handle = shown[1]
-            if not np.array_equal(shown[0].rgb, board.rgb):
-                show_picture(handle, board.rgb)
+            if not np.array_equal(shown[0].rgb, image_plane.rgb):
+                show_picture(handle, image_plane.rgb)
             handle.render_width, handle.render_height = plane.width_m, plane.height_m
             handle.wxyz, handle.position = np.array(plane.wxyz), np.array(plane.position_m)
-        handle.visible = "boards" in self._layers
-        self._boards[board.name] = (board, handle)
+        handle.visible = "images" in self._layers
+        self._planes[image_plane.name] = (image_plane, handle)
 
     def show_layers(self, layers: frozenset[Layer]) -> None:
         """Show these layers and hide the others."""
@@ -228,15 +228,15 @@ class SceneNodes:
 
     def pick(self, ray_origin_m: FloatArray, ray_direction: FloatArray) -> PickResult | None:
         """What the ray of a click on the scene means, None where it means nothing shown."""
-        if "boards" in self._layers:
+        if "images" in self._layers:
             hits = [
-                (*board.plane.hit(ray_origin_m, ray_direction), name)
-                for name, (board, _) in self._boards.items()
+                (*image_plane.plane.hit(ray_origin_m, ray_direction), name)
+                for name, (image_plane, _) in self._planes.items()
             ]
             hits = [hit for hit in hits if np.isfinite(hit[2])]
             if hits:
                 x_px, y_px, _, name = min(hits, key=lambda hit: hit[2])
-                return PickResult(board=name, pixel=(x_px, y_px))
+                return PickResult(plane=name, pixel=(x_px, y_px))
         if self._frame is None or "curve" not in self._layers:
             return None
         beam = nearest_beam(self._frame.beams_m, ray_origin_m, ray_direction)
@@ -244,7 +244,7 @@ class SceneNodes:
 
     def hide_image_plane(self, name: str) -> None:
         """Take a picture out of the scene until the next of its name."""
-        shown = self._boards.pop(name, None)
+        shown = self._planes.pop(name, None)
         if shown is not None:
             shown[1].remove()
 
@@ -260,9 +260,9 @@ class SceneNodes:
         self._frame, self._marked, self._floor_m = None, None, float("nan")
         for camera in self._cameras.values():
             camera.remove()
-        for _, handle in self._boards.values():
+        for _, handle in self._planes.values():
             handle.remove()
-        self._cameras, self._boards = {}, {}
+        self._cameras, self._planes = {}, {}
         for drawn in (*self._of_frame, self._path):
             drawn.empty()
         self.show_map(None)
@@ -292,8 +292,8 @@ class SceneNodes:
             near = frame is not None and abs(camera.stamp_ns - frame.stamp_ns) <= _TOGETHER_NS
             camera.rows.allow(near and "rows" in layers)
             camera.frustum.visible = near and "camera" in layers
-        for _, handle in self._boards.values():
-            handle.visible = "boards" in layers
+        for _, handle in self._planes.values():
+            handle.visible = "images" in layers
         self._in_map.visible = self._in_a_map and "map" in layers
         self._lidar.visible = frame is not None
         self._floor.visible = "floor" in layers and not np.isnan(self._floor_m)

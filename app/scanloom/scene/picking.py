@@ -1,4 +1,4 @@
-"""What a click means: the pixel of a board, or the beam, that its ray hits."""
+"""Ray casting of clicks: the pixel of an image plane, or the beam, that a ray hits."""
 
 from dataclasses import dataclass
 

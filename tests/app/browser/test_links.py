@@ -65,7 +65,7 @@ def test_what_one_does_changes_nothing_for_another(person: Person, friend: Perso
     person.choose("Score", "cosine")
     friend.key("End")
     last = len(friend.frame_view.open_recording.frames) - 1
-    expect(friend.text("as the preset published has it")).to_be_visible()
+    expect(friend.text("settings of the preset published")).to_be_visible()
     expect(friend.text(f"frame {last} of {last + 1}")).to_be_visible()
     expect(person.text("search.metric = cosine")).to_be_visible()
     expect(person.text(f"frame 0 of {last + 1}")).to_be_visible()

@@ -10,7 +10,7 @@ from tests.app.browser.person import Person, colourful
 
 def test_the_page_shows_the_scene_and_the_panel(person: Person, small_scene: Path) -> None:
     expect(person.text(small_scene.name)).to_be_visible()
-    expect(person.text("as the preset default has it")).to_be_visible()
+    expect(person.text("settings of the preset default")).to_be_visible()
     canvas = person.page.locator("canvas[data-engine]").bounding_box()
     assert canvas is not None
     assert canvas["width"] > 400
@@ -61,10 +61,10 @@ def test_a_preset_changes_the_line_of_differences_and_undo_brings_it_back(person
     person.session.change_setting("noise", "epsilon", 2.5)
     expect(person.text("differs: noise.epsilon = 2.5")).to_be_visible()
     person.choose("Preset", "published")
-    expect(person.text("as the preset published has it")).to_be_visible()
+    expect(person.text("settings of the preset published")).to_be_visible()
     person.wait_until(lambda: person.frame_view.view.preset == "published")
     person.press("Undo")
     expect(person.text("differs: noise.epsilon = 2.5")).to_be_visible()
     assert person.page.get_by_label("Preset", exact=True).input_value() == "default"
     person.press("Reset")
-    expect(person.text("as the preset default has it")).to_be_visible()
+    expect(person.text("settings of the preset default")).to_be_visible()

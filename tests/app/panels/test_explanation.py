@@ -140,7 +140,7 @@ def test_a_lone_beam_is_a_burr_and_its_pixel_good() -> None:
 
 def test_the_smaller_expected_error_is_told_with_the_greater() -> None:
     said = facts(with_values(wall(), np.nan, slice(15, 26)), wall_image())
-    assert explain_beam_class(said, SETTINGS) == "Hole: the scanner gave nothing."
+    assert explain_beam_class(said, SETTINGS) == "Hole: the LiDAR returned no range."
     # Half the noise of 2 cm; over a gap of 12 beams 0.6 of it and a tenth of its width.
     assert explain_beam_repair(said, SETTINGS) == (
         "Filled from the camera: expected error 1.0 cm against 3.1 cm from its neighbours."
@@ -175,7 +175,7 @@ def test_a_conflict_keeps_both() -> None:
     assert explain_beam_class(said, SETTINGS) == (
         "Conflict: it disagrees with the camera by 80.0 cm, more than epsilon (6.0 cm), but both "
         "adjacent beams support it (of those two or three away 4, of the scans before and after "
-        "0). Both stand on surfaces of their own."
+        "0). Each measures a surface of its own."
     )
     assert explain_pixel_class(said, SETTINGS).startswith(
         "Conflict: it disagrees with the LiDAR by 80"
@@ -320,10 +320,10 @@ def test_at_an_edge_both_may_mix_alike() -> None:
 def test_in_the_paper_the_rougher_side_is_the_burr_and_the_other_sensor_is_preferred() -> None:
     said = facts(with_values(wall(), 1.2, 20), wall_image(), settings=PUBLISHED)
     assert explain_beam_class(said, PUBLISHED).endswith(
-        "and it strays from its neighbours no less than its pixel does."
+        "and it deviates from its neighbours no less than its pixel does."
     )
     assert explain_pixel_class(said, PUBLISHED).endswith(
-        "but its beam strays no less from its neighbours. Its beam is the burr."
+        "but its beam deviates no less from its neighbours. Its beam is the burr."
     )
     assert explain_beam_repair(said, PUBLISHED) == (
         "Replaced from the camera: expected error 1.0 cm. The other sensor is preferred, whatever "
@@ -333,10 +333,10 @@ def test_in_the_paper_the_rougher_side_is_the_burr_and_the_other_sensor_is_prefe
     image[ROW, 20] = 1.2
     said = facts(wall(), image, settings=PUBLISHED)
     assert explain_pixel_class(said, PUBLISHED).endswith(
-        "and it strays more from its neighbours than its beam does."
+        "and it deviates more from its neighbours than its beam does."
     )
     assert explain_beam_class(said, PUBLISHED).endswith(
-        "but its pixel strays more from its neighbours. Its pixel is the burr."
+        "but its pixel deviates more from its neighbours. Its pixel is the burr."
     )
 
 

@@ -275,7 +275,7 @@ def test_a_virtual_lidar_has_no_gaps(bench: Bench, small_scene: Path) -> None:
 def test_nothing_of_the_recording_before_is_said_while_another_is_aligned(
     bench: Bench, small_scene: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench.words("made the recording's field")
+    bench.words("averaged in the recording's field")
     go_on = threading.Event()
 
     def wait(*_: object) -> None:
@@ -289,7 +289,7 @@ def test_nothing_of_the_recording_before_is_said_while_another_is_aligned(
     )
     bench.words("Aligning the recording")
     texts = bench.texts()
-    assert not any("made the recording's field" in text for text in texts)
+    assert not any("averaged in the recording's field" in text for text in texts)
     assert not any("of one instant" in text for text in texts)
     go_on.set()
     bench.until(

@@ -55,8 +55,8 @@ def words_of(found):
 
 def test_a_turn_and_a_shift_in_words():
     said = words_of(registered(moved(LIDAR_M, turn_deg=3.0, shift_m=(0.10, -0.05))))
-    assert "turns the LiDAR's points by **3.00° to the left**" in said
-    assert "shifts the origin by **10.0 cm to the right and 5.0 cm back**" in said
+    assert "rotates the LiDAR's points by **3.00° to the left**" in said
+    assert "translates the origin by **10.0 cm to the right and 5.0 cm back**" in said
     assert "scales" not in said
     other = words_of(registered(moved(LIDAR_M, turn_deg=-3.0, shift_m=(-0.10, 0.05))))
     assert "**3.00° to the right**" in other
@@ -66,7 +66,7 @@ def test_a_turn_and_a_shift_in_words():
 def test_a_scale_in_words():
     said = words_of(registered(moved(LIDAR_M, scale=1.02), model="similarity"))
     assert "scales by **1.020**: distances become 2.0 % longer" in said
-    assert "turns the LiDAR's points by **0.00°**" in said
+    assert "rotates the LiDAR's points by **0.00°**" in said
 
 
 def test_stretch_and_shear_in_words():
@@ -117,7 +117,7 @@ def test_a_draw_that_determines_nothing_says_so():
     draw = SimpleNamespace(
         index=3, pairs=np.array([1, 2]), A=np.full((3, 3), np.nan), inliers=0, agree=None
     )
-    assert "its pairs do not determine a map" in registration_text.draw_text(draw, found)
+    assert "its pairs do not determine a transform" in registration_text.draw_text(draw, found)
 
 
 def test_the_number_of_draws_is_explained():

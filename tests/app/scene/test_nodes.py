@@ -155,7 +155,7 @@ def test_what_a_frame_has_none_of_is_hidden_until_it_comes_back(scene):
 
 def test_layers_hide_and_show(scene):
     nodes = SceneNodes(scene)
-    nodes.show_image_plane(LAYOUT.depth_board(np.zeros((3, 4, 3), dtype=np.uint8)))
+    nodes.show_image_plane(LAYOUT.depth_plane(np.zeros((3, 4, 3), dtype=np.uint8)))
     nodes.show_layers(frozenset({"curve"}))
     nodes.show(frame())
     shown = {
@@ -164,9 +164,9 @@ def test_layers_hide_and_show(scene):
         if node(scene, name).visible
     }
     assert shown == {"/frame/curve", "/frame/beams"}
-    assert not node(scene, "/boards/depth").visible
+    assert not node(scene, "/images/depth").visible
     nodes.show_layers(frozenset(LAYERS))
-    assert all(node(scene, name).visible for name in ("/cameras/0/rows", "/floor", "/boards/depth"))
+    assert all(node(scene, name).visible for name in ("/cameras/0/rows", "/floor", "/images/depth"))
 
 
 def test_pairs_have_their_class_colours(scene):
@@ -240,29 +240,29 @@ def test_the_map_lies_on_the_floor_around_the_lidar(scene):
 
 def test_a_board_takes_a_new_picture_in_place(scene, sent):
     nodes = SceneNodes(scene)
-    nodes.show_image_plane(LAYOUT.depth_board(np.zeros((30, 40, 3), dtype=np.uint8)))
-    shown = node(scene, "/boards/depth")
+    nodes.show_image_plane(LAYOUT.depth_plane(np.zeros((30, 40, 3), dtype=np.uint8)))
+    shown = node(scene, "/images/depth")
     sent.clear()
-    nodes.show_image_plane(LAYOUT.depth_board(np.full((40, 40, 3), 9, dtype=np.uint8)))
-    assert node(scene, "/boards/depth") is shown
+    nodes.show_image_plane(LAYOUT.depth_plane(np.full((40, 40, 3), 9, dtype=np.uint8)))
+    assert node(scene, "/images/depth") is shown
     assert "ImageMessage" not in sent.kinds()
-    assert ("/boards/depth", "_data") in sent.updated()
+    assert ("/images/depth", "_data") in sent.updated()
     assert shown.render_width == pytest.approx(shown.render_height)
 
 
 def test_a_click_means_the_board_before_the_beam_behind_it(scene):
     nodes = SceneNodes(scene)
-    board = LAYOUT.heatmap_board(np.zeros((30, 40, 3), dtype=np.uint8))
-    nodes.show_image_plane(board)
-    target = board.plane.at_pixel(7.0, 5.0)
-    eye = target - board.plane.R_lidar_plane[:, 2]
-    behind = target + board.plane.R_lidar_plane[:, 2]
+    image_plane = LAYOUT.heatmap_plane(np.zeros((30, 40, 3), dtype=np.uint8))
+    nodes.show_image_plane(image_plane)
+    target = image_plane.plane.at_pixel(7.0, 5.0)
+    eye = target - image_plane.plane.R_lidar_plane[:, 2]
+    behind = target + image_plane.plane.R_lidar_plane[:, 2]
     nodes.show(frame(beams_m=behind[np.newaxis].astype(np.float32)))
     picked = nodes.pick(eye, behind - eye)
     assert picked is not None
-    assert (picked.board, picked.beam) == ("heatmap", None)
+    assert (picked.plane, picked.beam) == ("heatmap", None)
     assert picked.pixel == pytest.approx((7.0, 5.0))
-    nodes.show_layers(frozenset(LAYERS) - {"boards"})
+    nodes.show_layers(frozenset(LAYERS) - {"images"})
     picked = nodes.pick(eye, behind - eye)
     assert picked is not None
     assert picked.beam == 0
@@ -306,27 +306,27 @@ def test_a_hidden_frame_leaves_floor_and_map_until_the_next(scene):
 
 def test_a_hidden_board_is_neither_seen_nor_picked_until_the_next(scene):
     nodes = SceneNodes(scene)
-    board = LAYOUT.depth_board(np.zeros((30, 40, 3), dtype=np.uint8))
-    nodes.show_image_plane(board)
-    middle = np.array(board.plane.position_m)
-    eye = middle - board.plane.R_lidar_plane[:, 2]
+    image_plane = LAYOUT.depth_plane(np.zeros((30, 40, 3), dtype=np.uint8))
+    nodes.show_image_plane(image_plane)
+    middle = np.array(image_plane.plane.position_m)
+    eye = middle - image_plane.plane.R_lidar_plane[:, 2]
     assert nodes.pick(eye, middle - eye) is not None
     nodes.hide_image_plane("depth")
     nodes.hide_image_plane("depth")
     assert nodes.pick(eye, middle - eye) is None
-    assert node(scene, "/boards/depth") is None
-    nodes.show_image_plane(board)
+    assert node(scene, "/images/depth") is None
+    nodes.show_image_plane(image_plane)
     assert nodes.pick(eye, middle - eye) is not None
 
 
 def test_clearing_leaves_nothing_to_be_seen_or_picked(scene):
     nodes = SceneNodes(scene)
     nodes.show(frame())
-    nodes.show_image_plane(LAYOUT.depth_board(np.zeros((3, 4, 3), dtype=np.uint8)))
+    nodes.show_image_plane(LAYOUT.depth_plane(np.zeros((3, 4, 3), dtype=np.uint8)))
     nodes.place_map(np.eye(4))
     nodes.clear()
     assert node(scene, "/cameras/0/rows") is None
-    assert node(scene, "/boards/depth") is None
+    assert node(scene, "/images/depth") is None
     for name in ("/frame/curve", "/frame/beams", "/frame/pairs", "/lidar", "/floor", "/in_map"):
         assert not node(scene, name).visible
     assert nodes.pick(np.array([2.0, 0.0, 3.0]), DOWN) is None

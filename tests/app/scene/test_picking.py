@@ -16,8 +16,8 @@ from fusion_core.model.geometry import (
 from scanloom.scene.camera_views import (
     ViewerCamera,
     apply,
-    board,
     curve,
+    face_plane,
     map_from_above,
     perspective,
 )
@@ -66,10 +66,10 @@ def test_a_ray_beside_or_along_a_plane_misses():
     assert plane.pixel_at(eye, np.array([1.0, 0.0, 0.0])) is None
 
 
-def test_boards_face_the_viewer_unmirrored():
+def test_planes_face_the_viewer_unmirrored():
     eye = perspective(LAYOUT).position_m
     left_of_view = LAYOUT.ahead(0.0, 1.0, 0.0)
-    depth, heatmap = LAYOUT.depth_board(PICTURE), LAYOUT.heatmap_board(PICTURE)
+    depth, heatmap = LAYOUT.depth_plane(PICTURE), LAYOUT.heatmap_plane(PICTURE)
     for shown in (depth, heatmap):
         plane = shown.plane
         top_left, top_right = plane.at_pixel(0, 0), plane.at_pixel(39, 0)
@@ -83,10 +83,10 @@ def test_boards_face_the_viewer_unmirrored():
 
 
 @pytest.mark.parametrize("shape", [(30, 40), (240, 60), (60, 240)])
-def test_boards_hide_nothing_that_the_camera_sees(shape):
+def test_planes_hide_nothing_that_the_camera_sees(shape):
     eye = perspective(LAYOUT).position_m
     picture = np.zeros((*shape, 3), dtype=np.uint8)
-    for shown in (LAYOUT.depth_board(picture), LAYOUT.heatmap_board(picture)):
+    for shown in (LAYOUT.depth_plane(picture), LAYOUT.heatmap_plane(picture)):
         for angle, height_m in product(np.linspace(-0.45, 0.45, 19), np.linspace(-1.0, 1.5, 11)):
             point = LAYOUT.ahead(4.0 * np.cos(angle), 4.0 * np.sin(angle), height_m)
             assert shown.pixel_at(eye, point - eye) is None
@@ -95,7 +95,7 @@ def test_boards_hide_nothing_that_the_camera_sees(shape):
 def test_a_board_is_of_its_pictures_shape():
     with pytest.raises(ValueError, match="none of"):
         ImagePlane(
-            name="x", rgb=np.zeros((3, 3, 3), np.uint8), plane=LAYOUT.depth_board(PICTURE).plane
+            name="x", rgb=np.zeros((3, 3, 3), np.uint8), plane=LAYOUT.depth_plane(PICTURE).plane
         )
 
 
@@ -171,10 +171,10 @@ def test_map_view_shows_the_whole_map_upright():
 
 @pytest.mark.parametrize("aspect", [0.6, 0.75, 1.0, 1.13, 1.4, 1.9])
 @pytest.mark.parametrize("shape", [(290, 560), (420, 500)])
-def test_both_boards_are_in_sight_on_any_screen(aspect, shape):
+def test_both_planes_are_in_sight_on_any_screen(aspect, shape):
     view = perspective(LAYOUT, aspect)
     picture = np.zeros((*shape, 3), dtype=np.uint8)
-    for shown in (LAYOUT.depth_board(picture), LAYOUT.heatmap_board(picture)):
+    for shown in (LAYOUT.depth_plane(picture), LAYOUT.heatmap_plane(picture)):
         for corner in product((0, shape[1] - 1), (0, shape[0] - 1)):
             x, y = on_screen(view, shown.plane.at_pixel(*corner))
             assert abs(x) < aspect
@@ -188,8 +188,8 @@ def test_a_wide_screen_is_seen_from_the_usual_place():
 
 
 def test_board_view_shows_a_board_upright():
-    shown = LAYOUT.heatmap_board(PICTURE)
-    view = board(shown)
+    shown = LAYOUT.heatmap_plane(PICTURE)
+    view = face_plane(shown)
     x, y = on_screen(view, shown.plane.at_pixel(0, 0))
     assert -1.0 < x < -0.5
     assert 0.5 < y < 1.0
