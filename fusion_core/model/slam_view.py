@@ -1,4 +1,4 @@
-"""What a run of SLAM knows so far, for people who look on."""
+"""The estimate of SLAM while it runs, for display."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ from fusion_core.model.conventions import FloatArray, IntArray, read_only
 class SlamView:
     """A moment of a run.
 
-    ``stage``: in words. ``stamps_ns``: (N,) of the scans placed so far; ``poses_map_scan``: (N, 3)
-    x, y, yaw of the LiDAR there, as it is believed now. ``particles``: (P, 3) the poses that the
+    ``stage``: its label. ``stamps_ns``: (N,) of the scans placed so far; ``poses_map_scan``: (N, 3)
+    x, y, yaw of the LiDAR, as estimated so far. ``particles``: (P, 3) the poses that the
     last scan may have, (0, 3) for an estimator without; ``weights``: (P,) of them, their sum 1.
     ``effective``: (N,) effective number of particles at each scan, NaN where none was weighed,
     (0,) without particles. ``loops_m``: (L, 4) x, y of the two ends of each loop closure.
@@ -38,8 +38,8 @@ class SlamView:
 
 
 SlamObserver = Callable[[SlamView], None]
-"""Called now and then in a run, on its own thread; what it raises ends the run."""
+"""Called every few scans, on the thread of the run; what it raises ends the run."""
 
 
 def no_observer(view: SlamView) -> None:
-    """Nobody looks on."""
+    """Observes nothing."""

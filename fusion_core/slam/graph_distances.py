@@ -1,7 +1,7 @@
-"""How far it is from a key scan to each submap along the graph: what drift grows with.
+"""Path lengths along the pose graph from a key scan to each submap: what drift grows with.
 
-The graph's nodes here are submaps, in the order of their first key scan. One follows the other
-along the way that the robot went, and a loop joins two by hardly any way.
+The graph's nodes here are submaps, in the order of their first key scan. One is connected with the
+next by the trajectory between them, and two that a loop joins by hardly any length.
 """
 
 import numpy as np
@@ -9,68 +9,72 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from fusion_core.model.conventions import FloatArray, IntArray
+from fusion_core.slam.identifiers import NodeId, SubmapId
 from fusion_core.slam.local_trajectory import LocalTrajectory
 from fusion_core.slam.tracking_losses import TrackingLosses
 
-# A way of so many metres stands for one of which nothing is known.
+# Stands for a motion of which nothing is known: longer than any trajectory.
 LOSS_DISTANCE_M = 1e5
-# One that odometry told has a doubt, and a wide window, as a way of so many.
+# A tracking loss that odometry bridges counts as so much path: its search is wide. Empirical.
 BRIDGED_LOSS_DISTANCE_M = 80.0
-# Ways that two places have between them when a loop joins them: it is not exact.
+# A loop is not exact: it counts as so much path. Empirical.
 _LOOP_DISTANCE_M = 1.0
+# A zero would be no edge to the sparse graph.
 _DISTANCE_MIN_M = 1e-3
 
 
 class GraphDistances:
-    """The ways of a local trajectory of K key scans and S submaps, shorter with each loop."""
+    """Path lengths of a trajectory of K key scans and S submaps; loops make them shorter."""
 
-    def __init__(self, local: LocalTrajectory, breaks: TrackingLosses) -> None:
+    def __init__(self, local: LocalTrajectory, losses: TrackingLosses) -> None:
         self._steps_m = np.hypot(*np.diff(local.poses_local_node[:, :2], axis=0).T)
         self._first: IntArray = np.array([submap.first for submap in local.submaps])
-        self._ties_m: dict[tuple[int, int], float] = {}
-        self._joined: csr_array | None = None
-        # (S,) ways from each submap that was asked for since the last change.
+        self._loops_m: dict[tuple[int, int], float] = {}
+        self._graph_m: csr_array | None = None
+        # (S,) distances from each submap that was queried since the last change.
         self._from_m: dict[int, FloatArray] = {}
-        self.set_losses(breaks)
+        self.set_losses(losses)
 
-    def set_losses(self, breaks: TrackingLosses) -> None:
-        """What is known of the breaks has changed, and the ways over them with it."""
+    def set_losses(self, losses: TrackingLosses) -> None:
+        """Recompute the lengths after tracking losses were confirmed or refuted."""
         steps_m = self._steps_m.copy()
-        steps_m[breaks.node_after - 1] += np.where(
-            breaks.is_bridged, BRIDGED_LOSS_DISTANCE_M, LOSS_DISTANCE_M
+        steps_m[losses.node_after - 1] += np.where(
+            losses.is_bridged, BRIDGED_LOSS_DISTANCE_M, LOSS_DISTANCE_M
         )
-        self._way_m: FloatArray = np.concatenate([[0.0], np.cumsum(steps_m)])
-        self._joined = None
+        self._path_m: FloatArray = np.concatenate([[0.0], np.cumsum(steps_m)])
+        self._graph_m = None
 
-    def add_loop(self, number: int, node: int) -> None:
-        """A loop joins submap ``number`` and key scan ``node``."""
+    def add_loop(self, submap: SubmapId, node: NodeId) -> None:
+        """Connect a submap and a key scan by a loop."""
         other = self._submap_of(node)
-        pair = (min(number, other), max(number, other))
-        way_m = _LOOP_DISTANCE_M + abs(float(self._way_m[node] - self._way_m[self._first[other]]))
-        if number != other and way_m < self._ties_m.get(pair, np.inf):
-            self._ties_m[pair] = way_m
-            self._joined = None
+        pair = (min(submap, other), max(submap, other))
+        length_m = _LOOP_DISTANCE_M + abs(
+            float(self._path_m[node] - self._path_m[self._first[other]])
+        )
+        if submap != other and length_m < self._loops_m.get(pair, np.inf):
+            self._loops_m[pair] = length_m
+            self._graph_m = None
 
-    def to_submaps(self, node: int) -> FloatArray:
-        """(S,) the shortest way from a key scan to each submap's first one, in metres."""
-        if self._joined is None:
-            self._joined = self._graph()
+    def to_submaps(self, node: NodeId) -> FloatArray:
+        """(S,) the shortest path from a key scan to each submap's first one, in metres."""
+        if self._graph_m is None:
+            self._graph_m = self._adjacency()
             self._from_m.clear()
         own = self._submap_of(node)
         if own not in self._from_m:
-            self._from_m[own] = dijkstra(self._joined, directed=False, indices=np.array([own]))[0]
-        return self._from_m[own] + float(self._way_m[node] - self._way_m[self._first[own]])
+            self._from_m[own] = dijkstra(self._graph_m, directed=False, indices=np.array([own]))[0]
+        return self._from_m[own] + float(self._path_m[node] - self._path_m[self._first[own]])
 
-    def _submap_of(self, node: int) -> int:
-        return int(np.searchsorted(self._first, node, side="right")) - 1
+    def _submap_of(self, node: NodeId) -> SubmapId:
+        return SubmapId(int(np.searchsorted(self._first, node, side="right")) - 1)
 
-    def _graph(self) -> csr_array:
-        """(S, S) the shortest way of each pair that is joined, the upper triangle alone."""
-        chain_m = np.maximum(np.diff(self._way_m[self._first]), _DISTANCE_MIN_M)
-        shortest = dict(self._ties_m)
-        for number, way_m in enumerate(chain_m.tolist()):
+    def _adjacency(self) -> csr_array:
+        """(S, S) the length between each two that are connected, the upper triangle alone."""
+        chain_m = np.maximum(np.diff(self._path_m[self._first]), _DISTANCE_MIN_M)
+        shortest = dict(self._loops_m)
+        for number, length_m in enumerate(chain_m.tolist()):
             pair = (number, number + 1)
-            shortest[pair] = min(way_m, shortest.get(pair, np.inf))
+            shortest[pair] = min(length_m, shortest.get(pair, np.inf))
         pairs = np.array(list(shortest), dtype=np.int32).reshape(-1, 2)
         size = self._first.size
         return csr_array(

@@ -1,4 +1,4 @@
-"""All scans placed by the key scans among them."""
+"""Poses of all scans from the poses of the key scans among them."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from fusion_core.model.planar_poses import compose_poses, relative_pose
 def interpolate_poses(
     poses_local_scan: FloatArray, key: IntArray, poses_map_key: FloatArray
 ) -> FloatArray:
-    """(N, 3) every scan by the key scans before and after it, the nearer one counting more.
+    """(N, 3) every scan by the key scans before and after it, the nearer one weighing more.
 
     ``poses_local_scan``: (N, 3). ``key``: (K,) rising, K >= 1. ``poses_map_key``: (K, 3).
     """

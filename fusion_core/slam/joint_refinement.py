@@ -1,11 +1,11 @@
 """Poses and map refined together, the last step after the pose graph.
 
-A pose graph sums up each match in one relation, made with a submap of its time. Here the map of
-all key scans and their poses fit each other (Wang et al. 2025, Occupancy-SLAM, arXiv 2502.06292).
-Their sum of squares over poses and cells falls by turns: the cells are the log odds of all key
-scans where they lie, then each key scan is matched to the cells and held by where the graph has it.
+A pose graph has one constraint for each match, made with a submap of its time. Here the poses and
+the map of all key scans fit each other (Wang et al. 2025, Occupancy-SLAM, arXiv 2502.06292). The
+cost is minimised by alternation: the cells are the log odds of all key scans at their poses, then
+each key scan is matched with the cells, with its pose in the graph as prior.
 
-    poses_map_node = refine(poses_map_node, key_points_m, is_joined, submaps, RefinementSettings())
+    poses_map_node = refine(poses_map_node, key_points_m, is_connected, submaps, RefinementSettings())
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,7 +20,7 @@ from fusion_core.slam.scan_points import densified_points
 from fusion_core.slam.scan_to_grid import POINTS_MIN, match_scan
 from fusion_core.slam.submaps import GrowingSubmap, SubmapSettings
 
-# Key scans are refined square by square, so that memory does not follow the size of the place.
+# Side of the squares in which key scans are refined, so that memory is bounded: 4 million cells.
 _SQUARE_M = 100.0
 
 
@@ -58,8 +58,8 @@ def refine(
 ) -> FloatArray:
     """(K, 3) poses that fit the map of all, from the (K, 3) of the graph; the first one stays.
 
-    ``key_points_m``: K arrays (n, 2) in the frame of each. ``is_joined``: (K,) False stays where
-    it is, and out of the map: where it lies is not known well enough.
+    ``key_points_m``: K arrays (n, 2) in the frame of each. ``is_connected``: (K,) False keeps its
+    pose and is no part of the map.
     """
     poses = poses_map_node.copy()
     taken = np.flatnonzero(
@@ -82,13 +82,13 @@ def refine(
                     predicted=poses_map_node[node],
                     prior_sigma=(settings.prior_sigma_m, settings.prior_sigma_rad),
                 ).pose_grid_scan
-    # The first one is the map's origin. Turning all with it would swing what lies far away.
+    # The first one is the map's origin: rotating all by it would move what is far away.
     poses[0] = poses_map_node[0]
     return poses
 
 
-def _squares(places_m: FloatArray, reach_m: float) -> Iterator[tuple[IntArray, IntArray]]:
-    """For each square of the plane that holds places: those inside, and those within reach of it.
+def _squares(places_m: FloatArray, max_range_m: float) -> Iterator[tuple[IntArray, IntArray]]:
+    """For each square of the plane that holds places: those inside, and those within range of it.
 
     ``places_m``: (n, 2). Both as indices, rising.
     """
@@ -99,7 +99,7 @@ def _squares(places_m: FloatArray, reach_m: float) -> Iterator[tuple[IntArray, I
     for square in np.unique(squares, axis=0):
         is_inside = (squares == square).all(axis=1)
         offset_m = places_m - (low_m + square * _SQUARE_M)
-        is_about = ((offset_m >= -reach_m) & (offset_m < _SQUARE_M + reach_m)).all(axis=1)
+        is_about = ((offset_m >= -max_range_m) & (offset_m < _SQUARE_M + max_range_m)).all(axis=1)
         # By rounding, a place may seem to lie a little outside of its own square.
         yield np.flatnonzero(is_inside), np.flatnonzero(is_about | is_inside)
 

@@ -1,8 +1,9 @@
-"""Loops found along the way, believed when others agree, and the poses that fit them all.
+"""Loop closure: search along the trajectory, confirmation of what is found, and optimisation.
 
-What is found near the estimate is believed as it is. After a long way the estimate may be off by
-metres, and in a building of like corridors a wide search finds a wrong one sooner or later: what
-it finds counts when stretches before and after fit at the places that it predicts for them.
+Hess et al. 2016, section V. A loop near the estimate is accepted as it is. After a long path the
+estimate may be off by metres, and in a building with similar corridors a wide search finds a wrong
+loop sooner or later: a loop found in a wide window is accepted when local windows before and after
+it match at the places that it predicts for them.
 """
 
 import time
@@ -15,6 +16,7 @@ from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.model.planar_poses import compose_poses, invert_pose, relative_pose
 from fusion_core.model.progress import Progress
 from fusion_core.slam.graph_distances import GraphDistances
+from fusion_core.slam.identifiers import NodeId, SubmapId
 from fusion_core.slam.local_trajectory import LocalTrajectory
 from fusion_core.slam.loop_search import LoopSearch, LoopSettings, LoopWindow
 from fusion_core.slam.pose_graph import (
@@ -26,25 +28,28 @@ from fusion_core.slam.pose_graph import (
 )
 from fusion_core.slam.tracking_losses import TrackingLosses
 
-# The graph is solved anew when it has grown by so much, so that the work stays linear in its size.
-_GROWTH = 0.3
+# The graph is optimised again when it has grown by this fraction and so many key scans, so that
+# the work stays linear in its size.
+_GROWTH_MIN = 0.3
 _KEY_SCANS_MIN = 100
-# Of the last step. A robust sum falls slowly near its end, and along the way that is lost time.
-_ROUGHLY, _EXACTLY = 1e-2, 1e-4
-# Where another stretch is looked for, once one was found; it must fit so well.
-_SECOND_WINDOW = LoopWindow(1.5, 0.15)
-_AGREES_M = 0.4
-_SECONDS_MIN, _SECONDS_MIN_BREAK = 2, 3
+# Relative error tolerance of the optimiser, during the search and at the end.
+_TOLERANCE_SEARCH, _TOLERANCE_FINAL = 1e-2, 1e-4
+# The search for a confirming match, and how near to the predicted place it must lie; empirical.
+_CONFIRMING_WINDOW = LoopWindow(1.5, 0.15)
+_CONFIRMS_WITHIN_M = 0.4
+# So many matches confirm a loop, the second across a tracking loss.
+_CONFIRMING_MIN, _CONFIRMING_MIN_LOSS = 2, 3
 
 OptimisationObserver = Callable[[str, FloatArray, list[Edge]], None]
-"""Called with the stage, the (n, 3) poses of the first n key scans, and the loops so far."""
+"""Called with the stage, the (n, 3) poses of the first n nodes, and the loops so far."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LoopClosureResult:
-    """The outcome: (K, 3) poses, all edges, and what the search cost.
+    """The nodes' poses (K, 3), all edges, and what the search took.
 
-    ``is_joined``: (K,) whether a key scan hangs together with the first one.
+    ``is_connected``: (K,) whether loops, or odometry that they confirm, connect a node with the
+    first one.
     """
 
     poses_map_node: FloatArray
@@ -63,24 +68,24 @@ def close_loops(
     progress: Progress,
     observer: OptimisationObserver,
 ) -> LoopClosureResult:
-    """Search along the way, solve as the graph grows, then drop what the whole contradicts.
+    """Search along the trajectory, optimise as the graph grows, then drop inconsistent loops.
 
     ``steps``: the K - 1 edges from each key scan to the next.
     """
-    closing = _Closing(local, steps, loop_settings, graph_settings, observer)
-    closing.run(progress)
+    closure = _LoopClosure(local, steps, loop_settings, graph_settings, observer)
+    closure.run(progress)
     return LoopClosureResult(
-        poses_map_node=closing.poses,
-        edges=[*closing.steps, *closing.loops],
-        candidates_tried=closing.search.tried,
-        loops_dropped=closing.dropped,
-        optimisation_s=closing.optimisation_s,
-        is_connected=closing.is_joined(),
+        poses_map_node=closure.poses,
+        edges=[*closure.steps, *closure.loops],
+        candidates_tried=closure.search.tried,
+        loops_dropped=closure.dropped,
+        optimisation_s=closure.optimisation_s,
+        is_connected=closure.is_connected(),
     )
 
 
-class _Closing:
-    """The graph of a local trajectory while loops are being found."""
+class _LoopClosure:
+    """The graph of a local trajectory while loops are searched."""
 
     def __init__(
         self,
@@ -96,93 +101,93 @@ class _Closing:
         self.search = LoopSearch(local, loop_settings)
         self.loops: list[Edge] = []
         self.poses = local.poses_local_node.copy()
-        # Beyond this node poses are the local ones, moved as the last node before was.
-        self._placed = 0
+        # Nodes after this one have no pose in the map yet.
+        self._last_posed = 0
         self.dropped = 0
         self.optimisation_s = 0.0
-        self.breaks = TrackingLosses(local)
-        self._ways = GraphDistances(local, self.breaks)
+        self.losses = TrackingLosses(local)
+        self._distances = GraphDistances(local, self.losses)
         self._first = np.array([submap.first for submap in local.submaps])
 
     def run(self, progress: Progress) -> None:
         count = len(self.poses)
         solved, loops_solved = 0, 0
-        for node in range(0, count, self._loop_settings.every):
+        for node in map(NodeId, range(0, count, self._loop_settings.every)):
             progress(node, count, "closing loops")
-            self._place_to(node)
-            is_far = self._close(node)
-            is_due = node - solved >= max(_KEY_SCANS_MIN, _GROWTH * node)
+            self._extend_poses(node)
+            is_far = self._search_loops(node)
+            is_due = node - solved >= max(_KEY_SCANS_MIN, _GROWTH_MIN * node)
             if (is_due and len(self.loops) > loops_solved) or is_far:
-                self._solve(node + 1, "closing loops", _ROUGHLY)
+                self._optimise(node + 1, "closing loops", _TOLERANCE_SEARCH)
                 solved, loops_solved = node, len(self.loops)
-        self._place_to(count - 1)
+        self._extend_poses(count - 1)
         if not self.loops:
             return
         progress(count, count, "optimising")
-        self._solve(count, "optimising", _EXACTLY)
+        self._optimise(count, "optimising", _TOLERANCE_FINAL)
         away_m = np.hypot(*residuals(self.poses, self.loops)[:, :2].T)
         is_kept = away_m <= self._graph_settings.residual_max_m
         self.dropped += int(np.count_nonzero(~is_kept))
         if not is_kept.all():
             self.loops = [edge for edge, kept in zip(self.loops, is_kept, strict=True) if kept]
-            self._solve(count, "optimising", _EXACTLY)
+            self._optimise(count, "optimising", _TOLERANCE_FINAL)
 
-    def _close(self, node: int) -> bool:
-        """Search from a node; whether it was found far from where it was thought to be."""
+    def _search_loops(self, node: NodeId) -> bool:
+        """Search loops to a node; whether one was found in a wide window."""
         is_far = False
         candidates = self.search.candidates(
             node,
             self.poses[self.search.centre, :2],
             self.poses[node, :2],
-            self._ways.to_submaps(node),
-            self.breaks.are_connected(self.search.centre, node),
+            self._distances.to_submaps(node),
+            self.losses.are_connected(self.search.centre, node),
         )
-        for number, window in candidates:
-            first = int(self._first[number])
+        for submap, window in candidates:
+            first = int(self._first[submap])
             edge = self.search.match(
-                node, number, relative_pose(self.poses[first], self.poses[node]), window
+                node, submap, relative_pose(self.poses[first], self.poses[node]), window
             )
             if edge is None:
                 continue
             if not window.is_wide:
-                self._take(edge, number)
+                self._add_loop(edge, submap)
                 continue
-            agreeing = self._seconds(edge, self.search.score_min(window))
+            confirming = self._confirming_matches(edge, self.search.score_min(window))
             is_broken = window.is_across_loss or window.is_across_bridged_loss
-            enough = _SECONDS_MIN_BREAK if is_broken else _SECONDS_MIN
-            if len(agreeing) < enough:
+            enough = _CONFIRMING_MIN_LOSS if is_broken else _CONFIRMING_MIN
+            if len(confirming) < enough:
                 self.dropped += 1
                 continue
-            self._judge(edge, number)
-            self._take(edge, number)
-            for other, other_number in agreeing:
-                # Those of stretches still ahead are found again when they are reached.
+            self._compare_with_odometry(edge, submap)
+            self._add_loop(edge, submap)
+            for other, other_submap in confirming:
+                # Loops to nodes that are not reached yet are found again there.
                 if other.second <= node:
-                    self._take(other, other_number)
+                    self._add_loop(other, other_submap)
             is_far = True
             break
         return is_far
 
-    def _judge(self, edge: Edge, number: int) -> None:
-        """Whether the loop is where odometry has it, over the breaks between its ends."""
-        window = self.search.window(float(self._ways.to_submaps(edge.second)[number]))
+    def _compare_with_odometry(self, edge: Edge, submap: SubmapId) -> None:
+        """Confirm or refute the odometry over the tracking losses between a loop's ends."""
+        window = self.search.window(float(self._distances.to_submaps(edge.second)[submap]))
         if window.is_across_loss:
             return
         off = residuals(self.poses, [edge])[0]
-        is_as_told = np.hypot(off[0], off[1]) <= window.translation_m
-        is_as_told &= abs(off[2]) <= window.rotation_rad
-        self.breaks.add_loop(edge, agrees_with_odometry=bool(is_as_told))
-        for node in self.breaks.node_after[~self.breaks.is_bridged].tolist():
+        agrees = np.hypot(off[0], off[1]) <= window.translation_m
+        agrees &= abs(off[2]) <= window.rotation_rad
+        self.losses.add_loop(edge, agrees_with_odometry=bool(agrees))
+        for node in self.losses.node_after[~self.losses.is_bridged].tolist():
             self.steps[node - 1] = without_information(self.steps[node - 1])
-        self._ways.set_losses(self.breaks)
+        self._distances.set_losses(self.losses)
 
-    def _seconds(self, found: Edge, score_min: float) -> list[tuple[Edge, int]]:
-        """Edges of stretches before and after that agree with ``found``."""
+    def _confirming_matches(self, found: Edge, score_min: float) -> list[tuple[Edge, SubmapId]]:
+        """Matches of local windows before and after that confirm ``found``."""
         local, node = self._local, found.second
         pose = compose_poses(self.poses[found.first], found.pose_first_second)
-        agreeing = []
+        confirming = []
         for away in (2, -2, 4, -4, 6, -6):
-            other = node + away * self._loop_settings.window_key_scans
+            other = NodeId(node + away * self._loop_settings.window_key_scans)
             if not 0 <= other < len(self.poses) or local.segment[other] != local.segment[node]:
                 continue
             before = self.search.submaps_before(min(node, other))
@@ -192,68 +197,70 @@ class _Closing:
                 pose, relative_pose(local.poses_local_node[node], local.poses_local_node[other])
             )
             centres_m = self.poses[self.search.centre[:before], :2]
-            number = int(np.argmin(np.hypot(*(centres_m - expected[:2]).T)))
-            first = int(self._first[number])
+            submap = SubmapId(int(np.argmin(np.hypot(*(centres_m - expected[:2]).T))))
+            first = int(self._first[submap])
+            expected_in_submap = relative_pose(self.poses[first], expected)
             edge = self.search.match(
-                other, number, relative_pose(self.poses[first], expected), _SECOND_WINDOW, score_min
+                other, submap, expected_in_submap, _CONFIRMING_WINDOW, score_min
             )
             if edge is None:
                 continue
             off = relative_pose(expected, compose_poses(self.poses[first], edge.pose_first_second))
-            if np.hypot(off[0], off[1]) < _AGREES_M:
-                agreeing.append((edge, number))
-        return agreeing
+            if np.hypot(off[0], off[1]) < _CONFIRMS_WITHIN_M:
+                confirming.append((edge, submap))
+        return confirming
 
-    def _take(self, edge: Edge, number: int) -> None:
+    def _add_loop(self, edge: Edge, submap: SubmapId) -> None:
         self.loops.append(edge)
-        self.breaks.add_loop(edge, agrees_with_odometry=None)
-        self._ways.add_loop(number, edge.second)
+        self.losses.add_loop(edge, agrees_with_odometry=None)
+        self._distances.add_loop(submap, edge.second)
 
-    def is_joined(self) -> BoolArray:
-        """(K,) by the loops that were kept, and the breaks that they confirm."""
-        return self.breaks.connected_by(self.loops)
+    def is_connected(self) -> BoolArray:
+        """(K,) whether the loops that were kept connect a node with the first one."""
+        return self.losses.connected_by(self.loops)
 
-    def _place_to(self, node: int) -> None:
-        """Carry the poses on to a node by the local ones."""
-        if node <= self._placed:
+    def _extend_poses(self, node: int) -> None:
+        """Give the nodes up to this one a pose, by local SLAM from the last one that has."""
+        if node <= self._last_posed:
             return
         local = self._local.poses_local_node
-        begin, end = self._placed, node + 1
+        begin, end = self._last_posed, node + 1
         self.poses[begin + 1 : end] = compose_poses(
             self.poses[begin], relative_pose(local[begin], local[begin + 1 : end])
         )
-        self._placed = node
+        self._last_posed = node
 
-    def _solve(self, end: int, stage: str, tolerance: float) -> None:
-        """Optimise the nodes before ``end``; those after follow as they are reached."""
+    def _optimise(self, end: int, stage: str, tolerance: float) -> None:
+        """Eq. SPA over the nodes before ``end``; those after follow as they are reached."""
         start_s = time.perf_counter()
         reached = [edge for edge in self.loops if edge.second < end]
         self.poses[:end] = optimise(
-            self._started(end, reached),
+            self._initial_poses(end, reached),
             [*self.steps[: end - 1], *reached],
             self._graph_settings.robust_scale,
             tolerance,
         )
-        self._placed = end - 1
+        self._last_posed = end - 1
         self.optimisation_s += time.perf_counter() - start_s
         self._report(stage, self.poses[:end], reached)
 
-    def _started(self, end: int, reached: list[Edge]) -> FloatArray:
-        """(end, 3) poses to start from: where a part hangs on a loop alone, it begins there."""
+    def _initial_poses(self, end: int, reached: list[Edge]) -> FloatArray:
+        """(end, 3) to start from: a segment that only a loop connects begins where that has it."""
         poses = self.poses[:end].copy()
-        part = self.breaks.unbridged_segments()[:end]
-        known = {int(part[0])} | {int(part[edge.second]) for edge in self._solved_loops(reached)}
+        segment = self.losses.unbridged_segments()[:end]
+        consistent = self._consistent_loops(reached)
+        known = {int(segment[0])} | {int(segment[edge.second]) for edge in consistent}
         for edge in reached:
-            here = int(part[edge.second])
-            if here in known or int(part[edge.first]) not in known:
+            here = int(segment[edge.second])
+            if here in known or int(segment[edge.first]) not in known:
                 continue
             found = compose_poses(poses[edge.first], edge.pose_first_second)
             moved = compose_poses(found, invert_pose(poses[edge.second]))
-            poses[part == here] = compose_poses(moved, poses[part == here])
+            poses[segment == here] = compose_poses(moved, poses[segment == here])
             known.add(here)
         return poses
 
-    def _solved_loops(self, reached: list[Edge]) -> list[Edge]:
+    def _consistent_loops(self, reached: list[Edge]) -> list[Edge]:
         away_m = np.hypot(*residuals(self.poses, reached)[:, :2].T)
         return [
             edge

@@ -1,10 +1,9 @@
-"""Loop closing: a stretch of key scans, laid on submaps of other visits.
+"""Loop search: a local window of key scans, matched with submaps of other visits.
 
-A single scan of a corridor fits at many places. The points of a stretch of key scans, joined by
-their local poses, are a small map with corners and doors: branch and bound (Hess et al. 2016, V)
-finds where it fits a finished submap best, and Gauss-Newton makes that exact. Where to look is
-told by the way between the two along the graph: what drifts by a share of its way is searched
-within that share.
+A single scan of a corridor fits at many places. The points of a local window of key scans, joined
+by their local poses, are a small map with corners and doors: branch and bound finds where it fits
+a finished submap best (Hess et al. 2016, V.B, eq. BBS), and Gauss-Newton refines that. The search
+is as wide as the drift over the path between the two along the graph.
 """
 
 from collections import OrderedDict
@@ -19,26 +18,29 @@ from fusion_core.registration.correlative import SearchWindow, match_correlative
 from fusion_core.registration.likelihood_grid import LikelihoodPyramid, make_likelihood_pyramid
 from fusion_core.settings import StageSettings, setting
 from fusion_core.slam.graph_distances import LOSS_DISTANCE_M
+from fusion_core.slam.identifiers import NodeId, SubmapId
 from fusion_core.slam.local_trajectory import LocalTrajectory
 from fusion_core.slam.pose_graph import Edge
 from fusion_core.slam.scan_to_grid import match_scan
 
-# Half a cell at five metres: what Gauss-Newton makes good. Twice that over a wide window.
-_STEP_RAD = 0.01
+# Between two headings: half a cell at five metres, which Gauss-Newton corrects.
+_HEADING_STEP_RAD = 0.01
+# Levels of branch and bound: blocks of 32 cells at the top, as in a submap's rooms.
 _LEVELS = 6
-_PYRAMIDS_KEPT = 48
-# Where the likelihood of an obstacle's cell ends: local poses bend by about that much.
-_REACH_M = 0.15
-# Without any, an edge along a bare wall would be singular.
-_LEAST_INFORMATION = np.diag([1.0, 1.0, 4.0])
-# So many points tell a score to a few hundredths.
-_POINTS_OF_A_SEARCH = 300
-# A window beyond this is wide: what is found in it needs others that agree.
+# Memory: a pyramid takes some megabytes.
+_PYRAMIDS_MAX = 48
+# The likelihood about an obstacle ends here: the error of local poses within a window.
+_TRUNCATION_M = 0.15
+# A minimum of an edge's information, which along a bare wall would be singular: 1 m and 0.5 rad.
+_INFORMATION_MIN = np.diag([1.0, 1.0, 4.0])
+# Points of a search: the score's sampling error is then a few hundredths.
+_SEARCH_POINTS = 300
+# A window beyond this is wide, and what is found in it must be confirmed. A room's size.
 WIDE_M = 5.0
-# Of so many wide searches over such a break, one looks for where the robot may have been carried.
-_CARRIED_EVERY = 8
-# The others try so many submaps, since no loop before has narrowed the choice.
-_TRIES_OVER_BREAK = 3
+# One of so many wide searches distrusts odometry over losses: the robot may be kidnapped.
+_KIDNAPPED_EVERY = 8
+# The others try so many submaps, since no loop has narrowed the choice.
+_TRIES_OVER_LOSS = 3
 
 
 class LoopSettings(StageSettings):
@@ -115,8 +117,8 @@ class LoopSettings(StageSettings):
 class LoopWindow:
     """How far the estimate of a pose between two places may be off, in metres and radians.
 
-    ``is_across_break``: over a way of which nothing is known. ``is_across_told``: over one that
-    odometry alone tells, while the scans contradicted the map.
+    ``is_across_loss``: over a tracking loss, so that nothing is known of the motion.
+    ``is_across_bridged_loss``: over a loss that only odometry bridges.
     """
 
     translation_m: float
@@ -131,7 +133,7 @@ class LoopWindow:
     @property
     def step_rad(self) -> float:
         """Between two yaws that are tried."""
-        return 2.0 * _STEP_RAD if self.is_wide else _STEP_RAD
+        return 2.0 * _HEADING_STEP_RAD if self.is_wide else _HEADING_STEP_RAD
 
 
 class LoopSearch:
@@ -142,72 +144,72 @@ class LoopSearch:
         self._end = np.array([submap.end for submap in local.submaps])
         self.centre = np.array([(s.first + s.end - 1) // 2 for s in local.submaps])
         self._pyramids: OrderedDict[int, LikelihoodPyramid | None] = OrderedDict()
-        # Several submaps are tried with one stretch.
-        self._stretch: tuple[int, FloatArray] | None = None
+        # Several submaps are tried with one local window.
+        self._window_points: tuple[NodeId, FloatArray] | None = None
         # The node from which each submap was last searched near the estimate.
-        self._tried_at = np.full(self.centre.size, np.iinfo(np.int64).min)
+        self._searched_from = np.full(self.centre.size, np.iinfo(np.int64).min)
         self.tried = 0
 
-    def window(self, way_m: float, *, is_across_told: bool = False) -> LoopWindow:
-        """What to search over a way along the graph; infinite where the two are not joined."""
+    def window(self, distance_m: float, *, is_across_bridged_loss: bool = False) -> LoopWindow:
+        """What to search over a path along the graph; infinite where the two are not connected."""
         settings = self._settings
-        # Any share of an endless way is endless, but none of it would be no number.
-        grown_m = min(way_m, 1e6)
+        # Zero times an infinite length would be NaN.
+        grown_m = min(distance_m, 1e6)
         return LoopWindow(
             min(settings.window_m + settings.drift_m_per_m * grown_m, settings.window_max_m),
             min(settings.window_rad + settings.drift_rad_per_m * grown_m, float(np.pi)),
-            is_across_loss=way_m >= LOSS_DISTANCE_M,
-            is_across_bridged_loss=is_across_told,
+            is_across_loss=distance_m >= LOSS_DISTANCE_M,
+            is_across_bridged_loss=is_across_bridged_loss,
         )
 
     def score_min(self, window: LoopWindow) -> float:
-        """What a match must reach in a window; at the least what is asked of all."""
+        """The least score of a match in a window."""
         settings = self._settings
         if window.is_across_loss:
             return max(settings.score_min, settings.score_min_loss)
         return settings.score_min_wide if window.is_wide else settings.score_min
 
     def submaps_before(self, node: int) -> int:
-        """How many submaps, which end in the order of their numbers, ended before a stretch."""
+        """How many submaps ended before a local window; they end in the order of their numbers."""
         return int(np.searchsorted(self._end, node - 3 * self._settings.window_key_scans))
 
     def candidates(
         self,
-        node: int,
+        node: NodeId,
         centres_m: FloatArray,
         place_m: FloatArray,
-        ways_m: FloatArray,
-        is_joined: BoolArray,
-    ) -> list[tuple[int, LoopWindow]]:
+        distances_m: FloatArray,
+        is_connected: BoolArray,
+    ) -> list[tuple[SubmapId, LoopWindow]]:
         """Submaps that key scan ``node`` may overlap, with the window of each, the nearest first.
 
         ``centres_m``: (S, 2) of the submaps in the map; ``place_m``: (2,) of the node;
-        ``ways_m``: (S,) from it to each along the graph; ``is_joined``: (S,) whether these ways
-        are more than a hypothesis. A submap near the estimate is tried with stretches that share
-        no key scan, since two that do would tell the same twice. Of the wide windows, only every
-        other time one is taken, each in turn.
+        ``distances_m``: (S,) from it to each along the graph; ``is_connected``: (S,) whether loops
+        or confirmed odometry connect them. A submap near the estimate is tried with local windows
+        that share no key scan, since their matches would not be independent. Wide windows are
+        searched every other time, one submap after the other.
         """
         settings = self._settings
         before = self.submaps_before(node)
         away_m = np.hypot(*(centres_m[:before] - place_m).T)
-        turn = node // settings.every
-        is_carried = turn % (2 * _CARRIED_EVERY) == 0
-        if is_carried:
-            ways_m = np.where(is_joined, ways_m, LOSS_DISTANCE_M)
+        search_round = node // settings.every
+        is_kidnapped = search_round % (2 * _KIDNAPPED_EVERY) == 0
+        if is_kidnapped:
+            distances_m = np.where(is_connected, distances_m, LOSS_DISTANCE_M)
         window_m = np.minimum(
-            settings.window_m + settings.drift_m_per_m * ways_m[:before], settings.window_max_m
+            settings.window_m + settings.drift_m_per_m * distances_m[:before], settings.window_max_m
         )
         is_wide = window_m > WIDE_M
         near = np.flatnonzero(~is_wide & (away_m < settings.distance_m))
         near = near[np.argsort(away_m[near], kind="stable")[: settings.submaps]]
-        chosen = near[self._tried_at[near] < node - 2 * settings.window_key_scans].tolist()
-        self._tried_at[chosen] = node
+        chosen = near[self._searched_from[near] < node - 2 * settings.window_key_scans].tolist()
+        self._searched_from[chosen] = node
         far = np.flatnonzero(is_wide & (away_m < settings.distance_m + window_m))
-        if far.size and turn % 2 == 0:
+        if far.size and search_round % 2 == 0:
             # Two neighbours overlap by half.
             far = far[:: 2 if far.size > 8 else 1]
-            count = turn // (2 * _CARRIED_EVERY) if is_carried else turn // 2
-            tries = 1 if is_carried or is_joined[far].all() else _TRIES_OVER_BREAK
+            count = search_round // (2 * _KIDNAPPED_EVERY) if is_kidnapped else search_round // 2
+            tries = 1 if is_kidnapped or is_connected[far].all() else _TRIES_OVER_LOSS
             for number in far[(count * tries + np.arange(tries)) % far.size].tolist():
                 if number not in chosen:
                     chosen.append(number)
@@ -215,14 +217,19 @@ class LoopSearch:
             if nearest not in chosen:
                 chosen.append(nearest)
         return [
-            (number, self.window(float(ways_m[number]), is_across_told=not is_joined[number]))
+            (
+                SubmapId(number),
+                self.window(
+                    float(distances_m[number]), is_across_bridged_loss=not is_connected[number]
+                ),
+            )
             for number in chosen
         ]
 
     def match(
         self,
-        node: int,
-        number: int,
+        node: NodeId,
+        number: SubmapId,
         pose_first_node: FloatArray,
         window: LoopWindow,
         score_min: float | None = None,
@@ -230,19 +237,19 @@ class LoopSearch:
         """The edge from submap ``number`` to key scan ``node``, None where it does not fit well.
 
         ``pose_first_node``: (3,) the estimate, in the frame of the submap's first key scan.
-        ``score_min``: in place of the window's own.
+        ``score_min``: instead of the window's.
         """
         settings = self._settings
         if score_min is None:
             score_min = self.score_min(window)
         self.tried += 1
-        points_m, pyramid = self._stretch_points(node), self._pyramid(number)
+        points_m, pyramid = self._local_window_points(node), self._pyramid(number)
         if points_m.shape[0] == 0 or pyramid is None:
             return None
         submap = self._local.submaps[number]
         anchor = self._local.poses_local_node[submap.first]
         predicted = compose_poses(anchor, pose_first_node)
-        stride = -(-points_m.shape[0] // _POINTS_OF_A_SEARCH)
+        stride = -(-points_m.shape[0] // _SEARCH_POINTS)
         try:
             coarse = match_correlative(
                 pyramid,
@@ -266,21 +273,21 @@ class LoopSearch:
             first=submap.first,
             second=node,
             pose_first_second=relative_pose(anchor, match.pose_grid_scan),
-            information=match.information + _LEAST_INFORMATION,
+            information=match.information + _INFORMATION_MIN,
             is_loop=True,
         )
 
     def _is_contradicted(
-        self, node: int, number: int, pose: FloatArray, points_m: FloatArray
+        self, node: NodeId, number: SubmapId, pose: FloatArray, points_m: FloatArray
     ) -> bool:
-        """Whether a submap contradicts a stretch by much more than the one does that it is part of:
-        what a coarse sensor scatters about its walls contradicts every map.
+        """Whether a submap contradicts a local window by much more than its own submap:
+        the noise of a coarse sensor contradicts every map.
         """
         beyond = self._contradiction(number, pose, points_m) - self._settings.contradiction_max
         if beyond <= 0.0:
             return False
         own = next(
-            other
+            SubmapId(other)
             for other, submap in enumerate(self._local.submaps)
             if submap.first <= node < submap.end
         )
@@ -288,10 +295,10 @@ class LoopSearch:
             return True
         return beyond > self._contradiction(own, self._local.poses_local_node[node], points_m)
 
-    def _contradiction(self, number: int, pose: FloatArray, points_m: FloatArray) -> float:
-        """Share of the points in cells that the submap knows to be free, with no obstacle near.
+    def _contradiction(self, number: SubmapId, pose: FloatArray, points_m: FloatArray) -> float:
+        """Fraction of the points in free cells of the submap without an obstacle near.
 
-        A wall that bends a little lies beside the submap's, and is no contradiction.
+        A wall with a small error lies beside the submap's, and is no contradiction.
         """
         submap, pyramid = self._local.submaps[number], self._pyramid(number)
         assert pyramid is not None
@@ -302,7 +309,7 @@ class LoopSearch:
         rows, columns = submap.grid.cells.shape
         inside = (cells >= 0).all(axis=1) & (cells < [columns, rows]).all(axis=1)
         cells = cells[inside]
-        # Unknown is 0, and the least probability is more than that.
+        # Unknown is 0, and the lowest probability is above that.
         is_known = submap.grid.cells[cells[:, 1], cells[:, 0]] > 0
         cells = cells[is_known] + np.rint(
             (corner - np.array(pyramid.corner_m)) / submap.grid.resolution_m
@@ -312,14 +319,14 @@ class LoopSearch:
         near = pyramid.levels[0, cells[inside, 1], cells[inside, 0]] > 0
         return float(len(cells) - np.count_nonzero(near)) / len(points_m)
 
-    def _stretch_points(self, node: int) -> FloatArray:
-        """(n, 2) points of the stretch in the node's frame, one in each cell of the thinning."""
-        if self._stretch is None or self._stretch[0] != node:
-            reach, part = self._settings.window_key_scans, self._local.segment
+    def _local_window_points(self, node: NodeId) -> FloatArray:
+        """(n, 2) points of the local window in the node's frame, subsampled to one in a cell."""
+        if self._window_points is None or self._window_points[0] != node:
+            half, segment = self._settings.window_key_scans, self._local.segment
             nodes = np.arange(
-                max(node - reach, 0), min(node + reach + 1, len(self._local.poses_local_node))
+                max(node - half, 0), min(node + half + 1, len(self._local.poses_local_node))
             )
-            nodes = nodes[part[nodes] == part[node]]
+            nodes = nodes[segment[nodes] == segment[node]]
             joined = np.concatenate(
                 [
                     transform_planar_points(pose, self._local.node_points_m[other])
@@ -334,10 +341,10 @@ class LoopSearch:
             )
             cells = np.floor(joined / self._settings.subsampling_m).astype(np.int64)
             _, first = np.unique(cells[:, 0] * (1 << 32) + cells[:, 1], return_index=True)
-            self._stretch = node, joined[np.sort(first)]
-        return self._stretch[1]
+            self._window_points = node, joined[np.sort(first)]
+        return self._window_points[1]
 
-    def _pyramid(self, number: int) -> LikelihoodPyramid | None:
+    def _pyramid(self, number: SubmapId) -> LikelihoodPyramid | None:
         if number in self._pyramids:
             self._pyramids.move_to_end(number)
             return self._pyramids[number]
@@ -347,12 +354,12 @@ class LoopSearch:
             make_likelihood_pyramid(
                 obstacles_m,
                 resolution_m=submap.grid.resolution_m,
-                truncation_m=_REACH_M,
+                truncation_m=_TRUNCATION_M,
                 levels=_LEVELS,
             )
             if obstacles_m.size
             else None
         )
-        if len(self._pyramids) > _PYRAMIDS_KEPT:
+        if len(self._pyramids) > _PYRAMIDS_MAX:
             self._pyramids.popitem(last=False)
         return self._pyramids[number]

@@ -1,4 +1,7 @@
-"""The pose graph: relations between key scans, and the poses that fit them best."""
+"""The pose graph: constraints between key scans, and the poses that satisfy them best.
+
+Sparse pose adjustment (Hess et al. 2016, V.A, eq. SPA) with gtsam.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,10 +12,11 @@ import numpy as np
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.planar_poses import relative_pose
 from fusion_core.settings import StageSettings, setting
+from fusion_core.slam.identifiers import NodeId
 
-# The first pose is the map's origin: as good as fixed.
+# Fixes the first pose, the map's origin, but for rounding.
 _ANCHOR_SIGMA = 1e-6
-# Over a step that says nothing: a loop may move what follows anywhere, the optimum stays one.
+# Of a step of which nothing is known: wider than any place, yet the optimum stays unique.
 UNKNOWN_STEP_SIGMAS = (100.0, 100.0, 10.0)
 
 
@@ -44,15 +48,15 @@ class Edge:
     ``is_loop``: the two were matched across time, so that the relation may be wrong altogether.
     """
 
-    first: int
-    second: int
+    first: NodeId
+    second: NodeId
     pose_first_second: FloatArray
     information: FloatArray
     is_loop: bool
 
 
 def without_information(edge: Edge) -> Edge:
-    """The edge of a step of which nothing is known."""
+    """The edge with the information of an unknown step."""
     return replace(edge, information=np.diag(np.array(UNKNOWN_STEP_SIGMAS) ** -2.0))
 
 
@@ -65,9 +69,9 @@ def optimise(
     """(K, 3) the poses with the least sum of squared residuals, started at (K, 3) poses.
 
     The residual is Log(measured⁻¹ · first⁻¹ · second), whitened by the edge's information.
-    The first node stays. ``robust_scale``: loop edges cost log(1 + (r/scale)²) scale²/2 for a
-    whitened residual r instead of r²/2 (Cauchy), so that a wrong one is overruled; None gives
-    all edges their square. ``tolerance``: the last step lowers the sum by no more than this share.
+    The first node stays. ``robust_scale``: of the Cauchy kernel for loop edges, in whitened
+    residuals, so that the others outweigh a wrong loop; None for a squared cost. ``tolerance``: the
+    relative decrease of the cost at which the optimisation ends.
     """
     graph = gtsam.NonlinearFactorGraph()
     values = gtsam.Values()

@@ -1,7 +1,8 @@
-"""Pose graph SLAM: local SLAM, then loops, then the poses that fit all relations and the map best.
+"""Pose graph SLAM: local SLAM, then loop closure, then poses and map refined together.
 
 After Hess et al. 2016, "Real-time loop closure in 2D LIDAR SLAM", for whole recordings: loops are
-searched along the way, with the poses that the loops before have given.
+searched along the trajectory, with the poses that the loops before have given. ``pose_graph_slam``
+is the whole; each of its steps has a file of its own.
 
     result = pose_graph_slam(scans, odometry.at, SlamSettings())
     result.poses_map_scan, result.graph, result.trusted
@@ -24,6 +25,7 @@ from fusion_core.model.sensors import LaserScan
 from fusion_core.model.slam_view import SlamObserver, SlamView, no_observer
 from fusion_core.registration.correlative import POSES_MAX, count_poses
 from fusion_core.settings import SettingsGroup
+from fusion_core.slam.identifiers import NodeId
 from fusion_core.slam.interpolate_poses import interpolate_poses
 from fusion_core.slam.joint_refinement import RefinementSettings, refine
 from fusion_core.slam.local_slam import LocalSlam, LocalSlamSettings
@@ -33,9 +35,10 @@ from fusion_core.slam.loop_search import LoopSettings
 from fusion_core.slam.pose_graph import UNKNOWN_STEP_SIGMAS, Edge, GraphSettings, residuals
 from fusion_core.slam.submaps import SubmapSettings
 
-# Over a break, odometry's.
-_TOLD_SIGMAS = (0.3, 0.3, 0.1)
-_WATCHED_EVERY = 20
+# Of odometry over a tracking loss: a slip in x, y [m] and yaw [rad]. Empirical.
+_BRIDGED_SIGMAS = (0.3, 0.3, 0.1)
+# Scans between two calls of an observer: a picture every few seconds.
+_OBSERVED_EVERY = 20
 
 
 class SlamSettings(SettingsGroup):
@@ -66,11 +69,11 @@ class SlamResult:
     """Where each of N scans was.
 
     ``stamps_ns``: (N,). ``poses_map_scan``: (N, 3) x, y, yaw of the LiDAR. ``trusted``: (N,) False
-    where the scan did not fit what was seen before it or has no points to fit, where nothing tells
-    how far it went, and after a break of the way that no loop bridges or confirms. ``key``: (K,)
-    which scans are the nodes of ``graph``. ``residuals``: (M, 3) x, y in metres, yaw in radians of
-    its edges. ``loops_tried``, ``loops_dropped``: matches tried, and edges found but left out of
-    the graph since the others contradict them. ``seconds``: of each stage, on the wall clock.
+    where the scan did not fit the map or has no points, where nothing determines its place, and
+    after a tracking loss over which no loop connects. ``key``: (K,) the key scans, which are the
+    nodes of ``graph``. ``residuals``: (M, 3) x, y in metres, yaw in radians of its edges.
+    ``loops_tried``, ``loops_dropped``: matches tried, and loops found but left out of the graph as
+    inconsistent with the others. ``seconds``: of each stage, on the wall clock.
     """
 
     stamps_ns: IntArray
@@ -103,21 +106,22 @@ def pose_graph_slam(
     """Place every scan.
 
     ``scans``: stamps strictly increasing; read once, and not kept. ``prior``: odometry; without
-    it, and where it knows nothing, velocity is taken to be constant. The first scan lies where the
+    it, and where it has no pose, velocity is taken to be constant. The first scan lies where the
     prior has it, else at the origin. ``observer``: called about every twenty scans, when the graph
     is solved (with the key scans alone), and at the end.
 
-    Raises MappingFailed where there is no scan, or none has a point within reach.
+    Raises MappingFailed where there is no scan, or none has a point within range.
     """
     settings = settings or SlamSettings()
     start_s = time.perf_counter()
     slam = LocalSlam(settings.local, settings.submaps)
     count = 0
     for scan in scans:
+        # Local SLAM (section IV).
         slam.add_scan(scan, None if prior is None else prior(scan.stamp_ns))
         count += 1
         progress(count, None, "matching scans")
-        if count % _WATCHED_EVERY == 0 and observer is not no_observer:
+        if count % _OBSERVED_EVERY == 0 and observer is not no_observer:
             observer(_view("matching scans", *slam.trajectory_so_far(), []))
     if count == 0:
         raise MappingFailed("there is no scan to place.")
@@ -129,15 +133,22 @@ def pose_graph_slam(
         )
     local_s = time.perf_counter()
 
-    def solved(stage: str, poses_map_node: FloatArray, loops: list[Edge]) -> None:
+    def show(stage: str, poses_map_node: FloatArray, loops: list[Edge]) -> None:
         if observer is not no_observer:
             stamps_ns = local.stamps_ns[local.key_scans[: len(poses_map_node)]]
             observer(_view(stage, stamps_ns, poses_map_node, loops))
 
+    # Global SLAM: constraints (V.A), loops by branch and bound (V.B), eq. SPA (V.A).
     closed = close_loops(
-        local, _steps(local, settings.graph), settings.loops, settings.graph, progress, solved
+        local,
+        _odometry_edges(local, settings.graph),
+        settings.loops,
+        settings.graph,
+        progress,
+        show,
     )
     closed_s = time.perf_counter()
+    # Poses and map together (Wang et al. 2025), then all scans between the key scans.
     poses_map_node = refine(
         closed.poses_map_node,
         local.node_points_m,
@@ -154,7 +165,7 @@ def pose_graph_slam(
     return SlamResult(
         stamps_ns=local.stamps_ns,
         poses_map_scan=poses_map_scan,
-        trusted=local.is_trusted & _is_joined(local, closed.is_connected),
+        trusted=local.is_trusted & _scans_connected(local, closed.is_connected),
         key=local.key_scans,
         graph=_graph(poses_map_node, closed.edges),
         residuals=residuals(poses_map_node, closed.edges),
@@ -191,32 +202,30 @@ def _view(
     )
 
 
-def _is_joined(local: LocalTrajectory, is_joined: BoolArray) -> BoolArray:
-    """(N,) whether it is known where a scan is in the first one's map: not after a break, unless
-    loops join what follows to what was before, or confirm what odometry told."""
-    node = np.searchsorted(local.key_scans, np.arange(len(local.stamps_ns)), side="right") - 1
-    joined: BoolArray = is_joined[node]
-    return joined
+def _scans_connected(local: LocalTrajectory, is_connected: BoolArray) -> BoolArray:
+    """(N,) whether the last key scan before each scan is connected with the first one."""
+    connected: BoolArray = is_connected[local.nodes_before(np.arange(len(local.stamps_ns)))]
+    return connected
 
 
-def _steps(local: LocalTrajectory, settings: GraphSettings) -> list[Edge]:
-    """The way from each key scan to the next, less sure where a scan between them is lost."""
+def _odometry_edges(local: LocalTrajectory, settings: GraphSettings) -> list[Edge]:
+    """The edge from each key scan to the next, weaker where a scan between them is untrusted."""
     sigmas = np.array([settings.local_sigma_m, settings.local_sigma_m, settings.local_sigma_rad])
     poses = local.poses_local_node
-    lost_before = np.concatenate([[0], np.cumsum(~local.is_trusted)])
+    untrusted_before = np.concatenate([[0], np.cumsum(~local.is_trusted)])
     edges = []
     for node in range(len(poses) - 1):
         begin, end = local.key_scans[node] + 1, local.key_scans[node + 1] + 1
-        is_lost = lost_before[end] > lost_before[begin]
-        sigma = sigmas * (settings.untrusted_factor if is_lost else 1.0)
+        is_untrusted = untrusted_before[end] > untrusted_before[begin]
+        sigma = sigmas * (settings.untrusted_factor if is_untrusted else 1.0)
         if local.segment[node + 1] != local.segment[node]:
-            sigma = np.array(_TOLD_SIGMAS)
+            sigma = np.array(_BRIDGED_SIGMAS)
             if not local.is_bridged[node + 1]:
                 sigma = np.array(UNKNOWN_STEP_SIGMAS)
         edges.append(
             Edge(
-                first=node,
-                second=node + 1,
+                first=NodeId(node),
+                second=NodeId(node + 1),
                 pose_first_second=relative_pose(poses[node], poses[node + 1]),
                 information=np.diag(sigma**-2.0),
                 is_loop=False,

@@ -1,17 +1,18 @@
-"""A scan's end points, and the walls between them."""
+"""A scan's points, and points between neighbours on a wall."""
 
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, wrap_angle
 from fusion_core.model.sensors import LaserScan
 
-# Two neighbours are of one wall unless it would be seen under less than 20 degrees.
+# Two neighbours are on one wall unless the beams would meet it at less than 20 degrees (1 / tan),
+# or a beam or more is missing between them: the widest increment of common LiDARs is 1 degree.
 _SLANT_MAX = 3.0
 _BEAM_GAP_MAX_RAD = np.radians(2.5)
 
 
 def scan_points(scan: LaserScan, max_range_m: float, beams_max: int) -> FloatArray:
-    """(n, 2) end points nearer than ``reach_m``, of at most ``beams_max`` beams, evenly spread."""
+    """(n, 2) points nearer than ``max_range_m``, of at most ``beams_max`` beams, evenly spread."""
     stride = -(-scan.ranges_m.size // beams_max)
     ranges_m, angles_rad = scan.ranges_m[::stride], scan.angles_rad[::stride]
     # NaN compares false.
@@ -21,9 +22,9 @@ def scan_points(scan: LaserScan, max_range_m: float, beams_max: int) -> FloatArr
 
 
 def densified_points(points_m: FloatArray, resolution_m: float) -> FloatArray:
-    """(n', 2) the points and, a cell of ``resolution_m`` apart, the wall between neighbours.
+    """(n', 2) the points and, at most ``resolution_m`` apart, others between neighbours on a wall.
 
-    A wall of dots would hold the next scan's dots, and with them every scan back.
+    Without them a wall is a row of dots, to which the next scan's points would be attracted.
     """
     if points_m.shape[0] < 2:
         return points_m

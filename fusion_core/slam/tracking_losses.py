@@ -1,8 +1,8 @@
-"""Breaks of the way: which parts of a trajectory hang together, by loops or by odometry.
+"""Tracking losses: which segments of a trajectory are connected, by loops or by odometry.
 
-Where odometry told the way over a break, that it told true is a hypothesis: scans that contradict
-the map may be of a ramp, or of another room to which the robot was carried. A loop that is found
-where odometry has the place confirms all breaks between its ends; one found elsewhere refutes them.
+Where odometry bridges a tracking loss, that it is right is a hypothesis: scans that contradict the
+map may be of a ramp, or of another room to which the robot was carried. A loop that is found where
+odometry predicts the place confirms all losses between its ends; one found elsewhere refutes them.
 """
 
 from collections.abc import Sequence
@@ -13,67 +13,73 @@ from fusion_core.model.conventions import BoolArray, IntArray
 from fusion_core.slam.local_trajectory import LocalTrajectory
 from fusion_core.slam.pose_graph import Edge
 
-# Key scans. Who sees the floor for a while begins a map of it.
+# A shorter segment may be of false scans, as of the floor on a ramp. Empirical.
 _SEGMENT_KEY_SCANS_MIN = 10
 
 
 class TrackingLosses:
-    """The B breaks of a trajectory of P parts, and what is known of each.
+    """The L tracking losses of a trajectory of L + 1 segments, and what is known of each.
 
-    ``node``: (B,) the key scan after each break. ``is_told``: (B,) odometry told the way over it,
-    and no loop has refuted that. ``is_confirmed``: (B,) one has confirmed it. Over a break that was
-    not told, a loop says nothing of the others.
+    ``node_after``: (L,) the first key scan after each loss. ``is_bridged``: (L,) odometry has
+    measured the motion over it, and no loop has refuted that. ``is_confirmed``: (L,) a loop has
+    confirmed it. A loop over a loss that is not bridged says nothing of the others.
     """
 
     def __init__(self, local: LocalTrajectory) -> None:
-        self._local, self._part = local, local.segment
-        self._taken: list[tuple[Edge, bool | None]] = []
+        self._local, self._segment = local, local.segment
+        self._loops: list[tuple[Edge, bool | None]] = []
         self.node_after: IntArray = np.flatnonzero(np.diff(local.segment)) + 1
         self.is_bridged: BoolArray = local.is_bridged[self.node_after].copy()
         self.is_confirmed: BoolArray = np.zeros(self.node_after.size, dtype=np.bool_)
-        self._joined: IntArray = np.arange(int(local.segment[-1]) + 1)
+        self._component: IntArray = np.arange(int(local.segment[-1]) + 1)
 
     def add_loop(self, edge: Edge, *, agrees_with_odometry: bool | None) -> None:
-        """A loop joins the parts of its ends; ``is_as_told``: whether where odometry has them,
-        None where it was not asked."""
-        self._taken.append((edge, agrees_with_odometry))
-        self._join(edge.first, edge.second)
+        """Connect the segments of a loop's ends.
+
+        ``agrees_with_odometry``: whether odometry predicted the loop, None where that is not known.
+        """
+        self._loops.append((edge, agrees_with_odometry))
+        self._connect(edge.first, edge.second)
         between = (self.node_after > edge.first) & (self.node_after <= edge.second)
         if agrees_with_odometry is None or not self.is_bridged[between].all():
             return
         if agrees_with_odometry:
             self.is_confirmed |= between
             for node in self.node_after[between].tolist():
-                self._join(node - 1, node)
+                self._connect(node - 1, node)
         else:
             self.is_bridged &= ~between | self.is_confirmed
 
-    def _join(self, first: int, second: int) -> None:
-        low, high = sorted(int(self._joined[self._part[node]]) for node in (first, second))
-        self._joined[self._joined == high] = low
+    def _connect(self, first: int, second: int) -> None:
+        low, high = sorted(int(self._component[self._segment[node]]) for node in (first, second))
+        self._component[self._component == high] = low
 
     def are_connected(self, nodes: IntArray, node: int) -> BoolArray:
-        """(n,) whether key scans hang together with another by more than a hypothesis."""
-        joined: BoolArray = self._joined[self._part[nodes]] == self._joined[self._part[node]]
-        return joined
+        """(n,) whether loops or confirmed odometry connect key scans with another one."""
+        connected: BoolArray = (
+            self._component[self._segment[nodes]] == self._component[self._segment[node]]
+        )
+        return connected
 
     def connected_by(self, loops: Sequence[Edge]) -> BoolArray:
-        """(K,) whether key scans hang together with the first by those of the loops alone.
+        """(K,) whether these loops, and odometry they confirm, connect key scans with the first.
 
-        A short part does not on odometry's word alone: its scans may be the false ones.
+        Odometry alone does not connect a short segment: its scans may be the false ones.
         """
-        again = TrackingLosses(self._local)
+        kept_alone = TrackingLosses(self._local)
         kept = {id(edge) for edge in loops}
-        for edge, is_as_told in self._taken:
+        for edge, agrees in self._loops:
             if id(edge) in kept:
-                again.add_loop(edge, agrees_with_odometry=is_as_told)
-        is_short = np.bincount(self._part) < _SEGMENT_KEY_SCANS_MIN
-        is_short[[self._part[node] for edge in loops for node in (edge.first, edge.second)]] = False
+                kept_alone.add_loop(edge, agrees_with_odometry=agrees)
+        is_short = np.bincount(self._segment) < _SEGMENT_KEY_SCANS_MIN
+        is_short[[self._segment[node] for edge in loops for node in (edge.first, edge.second)]] = (
+            False
+        )
         is_short[0] = False
-        return again.are_connected(np.arange(len(self._part)), 0) & ~is_short[self._part]
+        return kept_alone.are_connected(np.arange(len(self._segment)), 0) & ~is_short[self._segment]
 
     def unbridged_segments(self) -> IntArray:
-        """(K,) a number that grows by one at each break over which odometry told nothing."""
-        blocks = np.zeros(len(self._part), dtype=np.int64)
-        blocks[self.node_after[~self.is_bridged]] = 1
-        return np.cumsum(blocks)
+        """(K,) a number that grows by one at each loss that odometry does not bridge."""
+        numbers = np.zeros(len(self._segment), dtype=np.int64)
+        numbers[self.node_after[~self.is_bridged]] = 1
+        return np.cumsum(numbers)

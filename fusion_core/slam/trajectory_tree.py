@@ -1,15 +1,15 @@
-"""The ways of all particles as one tree: what all have in common is kept once.
+"""The trajectories of all particles as a tree: what all have in common is kept once.
 
-Resampling makes the particles of today descendants of few of yesterday. Their ways run together
-soon, and what lies before that instant is one way and no longer one for each particle.
+Resampling makes the particles of today descendants of few of yesterday. Their trajectories soon
+merge, backwards in time, and what lies before that is kept once and not for each particle.
 """
 
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, IntArray
 
-# How often the tree is looked through for what has become common, in steps.
-_EVERY = 64
+# Steps between two searches for what has become common: a small part of the work.
+_MERGE_EVERY = 64
 
 
 class TrajectoryTree:
@@ -33,7 +33,7 @@ class TrajectoryTree:
         self._values.append(values.copy())
         self._parents.append(self._last_parents)
         self._last_parents = np.arange(self._particles)
-        if len(self._values) % _EVERY == 0:
+        if len(self._values) % _MERGE_EVERY == 0:
             self._merge()
 
     def resample(self, parents: IntArray) -> None:
@@ -41,13 +41,13 @@ class TrajectoryTree:
         self._last_parents = self._last_parents[parents]
 
     def path(self, particle: int) -> FloatArray:
-        """(steps, V) the values on the way to where a particle is now."""
+        """(steps, V) the values along a particle's trajectory."""
         number = int(self._last_parents[particle])
-        way = []
+        path = []
         for values, parents in zip(reversed(self._values), reversed(self._parents), strict=True):
-            way.append(values[number])
+            path.append(values[number])
             number = int(parents[number])
-        steps = [*self._common, *reversed(way)]
+        steps = [*self._common, *reversed(path)]
         return np.array(steps).reshape(-1, self._width)
 
     def _merge(self) -> None:
