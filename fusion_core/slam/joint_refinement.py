@@ -5,7 +5,7 @@ the map of all key scans fit each other (Wang et al. 2025, Occupancy-SLAM, arXiv
 cost is minimised by alternation: the cells are the log odds of all key scans at their poses, then
 each key scan is matched with the cells, with its pose in the graph as prior.
 
-    poses_map_node = refine(poses_map_node, key_points_m, is_connected, submaps, RefinementSettings())
+    poses = refine(poses, key_points_m, is_connected, submaps, RefinementSettings())
 """
 
 from collections.abc import Iterator, Sequence
