@@ -12,9 +12,8 @@ from itertools import pairwise
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray
+from fusion_core.model.robust import robust_sigma
 
-# A normal deviate's standard deviation over its median absolute deviation.
-_SD_PER_MAD = 1.4826
 # No pair of sensors agrees better; a scale of zero would make each rounding a disagreement.
 _MIN_FLOOR_M = 1e-3
 
@@ -60,7 +59,7 @@ def learn_noise_scale(range_m: FloatArray, residual_m: FloatArray) -> NoiseScale
     squares = []
     for low, high in pairwise(edges):
         inside = (ranges >= low) & (ranges <= high)
-        sd = _SD_PER_MAD * float(np.median(np.abs(residuals[inside])))
+        sd = robust_sigma(residuals[inside])
         squares.append([float(np.median(ranges[inside])) ** 2, sd**2])
     return _fit_line(squares)
 

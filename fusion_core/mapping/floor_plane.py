@@ -11,6 +11,7 @@ import numpy as np
 
 from fusion_core.model.conventions import BoolArray, Float32Array, FloatArray, IntArray, read_only
 from fusion_core.model.errors import AlignmentFailed
+from fusion_core.model.robust import robust_sigma
 from fusion_core.model.sensors import CameraIntrinsics
 
 # Patches are looked at every so many pixels of a 320 x 240 image, each this wide to either side.
@@ -112,7 +113,7 @@ def find_floor(
         tilt_rad=tilt_rad,
         patches=int(near.sum()),
         images=images,
-        sigma_m=1.4826 * float(np.median(np.abs(heights_m[near]))),
+        sigma_m=robust_sigma(heights_m[near]),
     )
 
 

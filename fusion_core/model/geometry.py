@@ -2,10 +2,14 @@
 
 import numpy as np
 
-from fusion_core.model.conventions import FloatArray, wrap_angle
+from fusion_core.model.conventions import FloatArray
 
 POSITION_MAX_M = 1e8
-"""No recorded position lies farther from its origin: round the Earth it is 4e7 m."""
+"""Greatest plausible distance of a recorded position from its origin: twice round the Earth."""
+
+
+# Rounding of a float32 quaternion's entries is 1e-7; below this a direction is meaningless.
+_QUATERNION_NORM_MIN = 1e-12
 
 
 def make_transform(rotation: FloatArray, translation_m: FloatArray) -> FloatArray:
@@ -49,7 +53,7 @@ def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> FloatArr
     """
     q = np.array([x, y, z, w], dtype=np.float64)
     length = float(np.linalg.norm(q))
-    if not np.isfinite(length) or length < 1e-12:
+    if not np.isfinite(length) or length < _QUATERNION_NORM_MIN:
         raise ValueError(f"a quaternion must be finite and not zero, got {q}")
     x, y, z, w = q / length
     return np.array(
@@ -71,12 +75,3 @@ def transform_from_planar(pose: FloatArray) -> FloatArray:
     return make_transform(
         rotation_from_yaw_pitch_roll(float(pose[2]), 0.0, 0.0), np.array([pose[0], pose[1], 0.0])
     )
-
-
-def interpolate_pose(before: FloatArray, after: FloatArray, fraction: float) -> FloatArray:
-    """(x, y, yaw) at ``share`` in [0, 1] of the way, the yaw along the shorter arc."""
-    step = after - before
-    step[2] = wrap_angle(step[2])
-    result: FloatArray = before + fraction * step
-    result[2] = wrap_angle(result[2])
-    return result

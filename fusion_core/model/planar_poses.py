@@ -10,7 +10,7 @@ import numpy as np
 from fusion_core.model.conventions import FloatArray, wrap_angle
 
 PosePrior = Callable[[int], FloatArray | None]
-"""Stamp in ns to the (3,) pose of the LiDAR by odometry, None where that is not known."""
+"""Stamp in ns to the (3,) pose of the LiDAR by another source, None where it is unknown."""
 
 
 def compose_poses(pose_a_b: FloatArray, pose_b_c: FloatArray) -> FloatArray:
@@ -34,21 +34,33 @@ def invert_pose(pose_a_b: FloatArray) -> FloatArray:
 def relative_pose(pose_a_b: FloatArray, pose_a_c: FloatArray) -> FloatArray:
     """(..., 3) pose_b_c."""
     c, s = np.cos(pose_a_b[..., 2]), np.sin(pose_a_b[..., 2])
-    # Subtracted first, so that nothing is lost far from the origin.
+    # Subtracted first: products of positions far from the origin would lose their last digits.
     x, y = pose_a_c[..., 0] - pose_a_b[..., 0], pose_a_c[..., 1] - pose_a_b[..., 1]
-    turn = wrap_angle(pose_a_c[..., 2] - pose_a_b[..., 2])
-    return _stack_poses(c * x + s * y, c * y - s * x, turn)
+    yaw = wrap_angle(pose_a_c[..., 2] - pose_a_b[..., 2])
+    return _stack_poses(c * x + s * y, c * y - s * x, yaw)
+
+
+def interpolate_pose(
+    before: FloatArray, after: FloatArray, fraction: FloatArray | float
+) -> FloatArray:
+    """(..., 3) at ``fraction`` (...) in [0, 1] from one pose to another, the yaw along the shorter
+    arc."""
+    step = after - before
+    step[..., 2] = wrap_angle(step[..., 2])
+    poses: FloatArray = before + np.asarray(fraction)[..., np.newaxis] * step
+    poses[..., 2] = wrap_angle(poses[..., 2])
+    return poses
 
 
 def _stack_poses(x: FloatArray, y: FloatArray, yaw: FloatArray) -> FloatArray:
-    """(..., 3); np.stack takes longer than the sums, and a scan needs dozens of poses."""
+    """(..., 3); faster than np.stack for single poses, of which a scan needs dozens."""
     poses = np.empty((*yaw.shape, 3))
     poses[..., 0], poses[..., 1], poses[..., 2] = x, y, yaw
     return poses
 
 
 def transform_planar_points(pose_a_b: FloatArray, points_in_b_m: FloatArray) -> FloatArray:
-    """(n, 2) points in a."""
+    """(n, 2) points in a of (n, 2) points in b."""
     c, s = np.cos(pose_a_b[2]), np.sin(pose_a_b[2])
     moved: FloatArray = points_in_b_m @ np.array([[c, s], [-s, c]]) + pose_a_b[:2]
     return moved

@@ -66,5 +66,5 @@ class Trajectory:
                 end_ns=int(self.stamps_ns[-1]),
             )
         start_ns, end_ns = (int(stamp) for stamp in self.stamps_ns[after - 1 : after + 1])
-        share = (stamp_ns - start_ns) / (end_ns - start_ns)
-        return interpolate_transform(self.T_map_body[after - 1], self.T_map_body[after], share)
+        fraction = (stamp_ns - start_ns) / (end_ns - start_ns)
+        return interpolate_transform(self.T_map_body[after - 1], self.T_map_body[after], fraction)

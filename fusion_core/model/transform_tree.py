@@ -12,7 +12,7 @@ from fusion_core.model.sensors import Transform
 
 _Pair = tuple[str, str]
 
-# How far a matrix may be from a rotation before it is no pose at all.
+# Entries of R Rᵀ - 1: quaternions printed with four digits pass, scaled or sheared matrices do not.
 _ROTATION_TOLERANCE = 1e-3
 
 
@@ -37,7 +37,7 @@ class TransformTree:
         self._timed: dict[_Pair, _Samples] = {}
         self._neighbours: dict[str, dict[str, None]] = {}
         self.rejected_count = 0
-        """Transforms that were left out: not finite, not rigid, or from a frame to itself."""
+        """Transforms that were rejected: not finite, not rigid, or from a frame to itself."""
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -45,7 +45,8 @@ class TransformTree:
         return tuple(sorted(self._neighbours))
 
     def add(self, sample: Transform, *, static: bool) -> None:
-        """Take one transform. One that is no rigid pose is left out and counted in ``refused``."""
+        """Add one transform; one that is not rigid is rejected and counted in
+        ``rejected_count``."""
         if sample.parent == sample.child or not _is_rigid(sample.T_parent_child):
             self.rejected_count += 1
             return
@@ -110,7 +111,7 @@ class TransformTree:
         return min((gap for gap in gaps if gap is not None), default=None)
 
     def _between(self, a: str, b: str, stamp_ns: int) -> FloatArray:
-        """(4, 4) T_a_b of a pair that is known at the instant, in whichever way it was recorded."""
+        """(4, 4) T_a_b of a pair that is known at the instant, recorded in either direction."""
         if (a, b) in self._static:
             return self._static[a, b]
         if (b, a) in self._static:
@@ -234,5 +235,5 @@ class _Samples:
             exact: FloatArray = self._poses[before].copy()
             return exact
         start_ns, end_ns = int(self._stamps_ns[before]), int(self._stamps_ns[after])
-        share = (stamp_ns - start_ns) / (end_ns - start_ns)
-        return interpolate_transform(self._poses[before], self._poses[after], share)
+        fraction = (stamp_ns - start_ns) / (end_ns - start_ns)
+        return interpolate_transform(self._poses[before], self._poses[after], fraction)

@@ -1,13 +1,14 @@
-"""The odometry of several sources as one (Li 2022 §3.2 and §3.3).
+"""Fusion of wheel, laser and visual odometry (Li 2022 §3.2 and §3.3).
 
-    fused = fuse([wheel, laser, visual], FusionSettings())
-    fused.track, fused.weights
+    fused = fuse_odometry([wheel, laser, visual], FusionSettings())
+    fused.trajectory, fused.weights
 
-All sources have the same stamps, the scans', and are fused step by step, never pose by pose: a
-source that was wrong once is not wrong ever after.
+All sources have the stamps of the scans. Their steps are fused, not their poses, so that one wrong
+step of a source does not offset all poses after it.
 
-``published`` follows (6) to (9) as printed (fusion_published.py). The default propagates variances
-(fusion_covariance.py), since (8) lets one source take all within a few steps.
+``published`` follows (6) to (9) as printed (fusion_published.py). The default propagates
+covariances (fusion_covariance.py), since with (8) one source takes all the weight within a few
+steps.
 """
 
 from collections.abc import Sequence
@@ -27,16 +28,17 @@ SOURCES = ("wheel", "laser", "visual")
 
 
 class FusionSettings(CovarianceFusionSettings, PublishedFusionSettings):
-    """Which rule fuses, and the settings of both."""
+    """The fusion rule, and the settings of both rules."""
 
     method: FusionMethod = setting(
-        "covariance", "Weights from propagated variances, or by (6) to (9) of Li 2022 as printed"
+        "covariance", "Weights from propagated covariances, or by (6) to (9) of Li 2022 as printed"
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FusedOdometry:
-    """``track``: named "fused", at the sources' stamps. ``weights``: what each step rests on."""
+    """``trajectory``: named "fused", at the sources' stamps. ``weights``: of each source and
+    step."""
 
     trajectory: OdometryTrajectory
     weights: FusionWeights
@@ -45,10 +47,10 @@ class FusedOdometry:
 def fuse_odometry(
     tracks: Sequence[OdometryTrajectory], settings: FusionSettings | None = None
 ) -> FusedOdometry:
-    """Fuse tracks of the same stamps; their names are those of SOURCES, each at most once.
+    """Fuse trajectories with the same stamps, named after SOURCES, each at most once.
 
-    A step that no source measured is carried on at the last fused velocity, and not measured.
-    Raises MissingStream where there is no track, ValueError for other stamps or names.
+    A step that no source measured repeats the last fused velocity and is marked as not measured.
+    Raises MissingStream without any trajectory, ValueError for other stamps or names.
     """
     settings = settings or FusionSettings()
     if not tracks:

@@ -1,8 +1,8 @@
 """Steps fused by their covariances: Li 2022 (6), (7) and (9) as the Kalman filter has them.
 
-With variances instead of (8)'s deviations, (6) and (7) are the mean of two steps weighted by their
-information, and so is (9): one rule for any number of sources, whose order does not matter. Weights
-are matrices, so that along a corridor the wheels count and across it the laser.
+With covariances instead of (8)'s deviations, (6), (7) and (9) are all the information-weighted
+mean: one rule for any number of sources, in any order. The weights are matrices, so that along a
+corridor the wheels dominate and across it the laser.
 """
 
 from collections.abc import Sequence
@@ -21,40 +21,41 @@ class CovarianceFusionSettings(StageSettings):
 
     gate: float = setting(
         16.27,
-        "A step farther from the others is not believed: chi square of 3 degrees, 1 in 1000",
+        "Greatest squared Mahalanobis distance of a step from the others (χ², 3 dof, 99.9 %)",
         ge=1e-6,
         le=1e9,
     )
     window: int = setting(
         20,
-        "Steps over which disagreement between the sources counts",
+        "Steps over which the disagreement between sources is averaged",
         unit="steps",
         ge=2,
         le=10_000,
     )
     sigma_min_m: float = setting(
-        1e-4, "No step is known better, along x and y", unit="m", ge=1e-9, le=0.1
+        1e-4, "Least standard deviation of a step, x and y", unit="m", ge=1e-9, le=0.1
     )
     sigma_min_rad: float = setting(
-        2e-5, "No step is known better, in its turn", unit="rad", ge=1e-9, le=0.1
+        2e-5, "Least standard deviation of a step, heading", unit="rad", ge=1e-9, le=0.1
     )
 
 
-# One wild step must not make a source worthless for a whole window.
+# Twice the 1-in-10^9 quantile of chi-square with 3 dof: one outlier must not outweigh a window.
 _SQUARE_MAX = 100.0
+# Of a planar step; the mean of a chi-square distributed squared distance.
 _DEGREES_OF_FREEDOM = 3.0
 
 
 def fuse_by_covariance(
     tracks: Sequence[OdometryTrajectory], settings: CovarianceFusionSettings
 ) -> tuple[OdometryTrajectory, FusionWeights]:
-    """The fused track and its weights; ``tracks`` have the same stamps.
+    """The fused trajectory and its weights; ``tracks`` have the same stamps.
 
-    Whether sources agree is told by ``step_covariance``, what each counts by ``drift_covariance``:
-    the errors that stay. The drift of a source that has lately been farther from the others than
-    its covariance allows is multiplied by how much farther, over a window of steps. Where two
-    disagree and no third decides, the one is believed that is surer in the direction in which they
-    do: mostly the laser, since wheels cannot know that they slip.
+    Consistency is tested with ``step_covariance``; the weights come from ``drift_covariance``, the
+    errors that accumulate. Where a source's squared distances from the others exceed what its
+    covariance explains, averaged over a window of steps, its covariance is inflated by the ratio.
+    Where two sources disagree and there is no third, the one with the smaller covariance along the
+    disagreement is kept: mostly the laser, since wheels do not observe their own slip.
     """
     count, sources = tracks[0].measured.size, len(tracks)
     steps = np.stack([track.steps for track in tracks], axis=1)
@@ -70,26 +71,26 @@ def fuse_by_covariance(
     history = [_CovarianceInflation(settings.window) for _ in tracks]
     seconds = np.diff(tracks[0].stamps_ns) / 1e9
     for k in range(count):
-        there = [s for s in range(sources) if measured[k, s]]
-        if not there:
-            # Carried on at the last fused velocity.
+        available = [s for s in range(sources) if measured[k, s]]
+        if not available:
+            # The last fused velocity is repeated.
             fused[k] = fused[k - 1] * (seconds[k] / seconds[k - 1]) if k else 0.0
             continue
-        believed = _select_consistent(there, steps[k], singles[k], drifts[k], settings.gate)
-        rejected[k, [s for s in there if s not in believed]] = True
-        factors = [history[s].factor for s in believed]
+        consistent = _select_consistent(available, steps[k], singles[k], drifts[k], settings.gate)
+        rejected[k, [s for s in available if s not in consistent]] = True
+        factors = [history[s].factor for s in consistent]
         informations = np.stack(
-            [np.linalg.inv(drifts[k, s]) / f for s, f in zip(believed, factors, strict=True)]
+            [np.linalg.inv(drifts[k, s]) / f for s, f in zip(consistent, factors, strict=True)]
         )
         drift[k] = np.linalg.inv(informations.sum(axis=0))
-        fused[k] = _weighted_mean(steps[k, believed], informations, drift[k])
+        fused[k] = _weighted_mean(steps[k, consistent], informations, drift[k])
         gains = drift[k] @ informations
-        spread = np.stack([f * singles[k, s] for s, f in zip(believed, factors, strict=True)])
+        spread = np.stack([f * singles[k, s] for s, f in zip(consistent, factors, strict=True)])
         covariance[k] = (gains @ spread @ np.swapaxes(gains, 1, 2)).sum(axis=0)
-        translation[k, believed], rotation[k, believed] = _information_fractions(informations)
-        if len(there) > 1:
-            for s in there:
-                others = [o for o in believed if o != s]
+        translation[k, consistent], rotation[k, consistent] = _information_fractions(informations)
+        if len(available) > 1:
+            for s in available:
+                others = [o for o in consistent if o != s]
                 if others:
                     history[s].add(_squared_mahalanobis(s, others, steps[k], singles[k]))
     away = subtract_poses(steps, fused[:, np.newaxis])
@@ -116,7 +117,7 @@ def fuse_by_covariance(
 
 
 class _CovarianceInflation:
-    """How much farther from the others a source lately was than its covariance allows."""
+    """Factor on a source's covariance, from its squared distances over the last steps."""
 
     def __init__(self, window: int) -> None:
         self._squares = np.full(window, _DEGREES_OF_FREEDOM)
@@ -128,31 +129,35 @@ class _CovarianceInflation:
 
     @property
     def factor(self) -> float:
-        """Of the covariance, at least 1."""
+        """At least 1."""
         return max(1.0, float(self._squares.mean()) / _DEGREES_OF_FREEDOM)
 
 
 def _select_consistent(
-    there: Sequence[int], steps: FloatArray, singles: FloatArray, drifts: FloatArray, gate: float
+    available: Sequence[int],
+    steps: FloatArray,
+    singles: FloatArray,
+    drifts: FloatArray,
+    gate: float,
 ) -> list[int]:
-    """The sources that agree. One at a time is left out, the one farthest from all others."""
-    believed = list(there)
-    while len(believed) > 1:
+    """The sources that agree; the one farthest from the others is removed until all do."""
+    consistent = list(available)
+    while len(consistent) > 1:
         squares = [
-            _squared_mahalanobis(s, [o for o in believed if o != s], steps, singles)
-            for s in believed
+            _squared_mahalanobis(s, [o for o in consistent if o != s], steps, singles)
+            for s in consistent
         ]
         if max(squares) <= gate:
             break
-        if len(believed) > 2:
-            believed.pop(int(np.argmax(squares)))
+        if len(consistent) > 2:
+            consistent.pop(int(np.argmax(squares)))
             continue
-        away = subtract_poses(steps[believed[0]], steps[believed[1]])
-        # Each is as far from the other as the other from it: the one is believed that would have
-        # to err more, by its own account, if it were wrong by all of that.
-        costs = [float(away @ np.linalg.solve(drifts[s], away)) for s in believed]
-        believed.pop(int(np.argmin(costs)))
-    return believed
+        away = subtract_poses(steps[consistent[0]], steps[consistent[1]])
+        # Their distance is the same for both: the one is kept for which it is the less likely
+        # error, by its own drift covariance.
+        costs = [float(away @ np.linalg.solve(drifts[s], away)) for s in consistent]
+        consistent.pop(int(np.argmin(costs)))
+    return consistent
 
 
 def _squared_mahalanobis(
@@ -170,7 +175,7 @@ def _squared_mahalanobis(
 def _weighted_mean(
     steps: FloatArray, informations: FloatArray, covariance: FloatArray
 ) -> FloatArray:
-    """(3,) mean of (S, 3) steps by their (S, 3, 3) information, the turns wrapped; ``covariance``
+    """(3,) mean of (S, 3) steps by their (S, 3, 3) information, the yaws wrapped; ``covariance``
     is the inverse of its sum."""
     away = subtract_poses(steps, steps[0])
     mean: FloatArray = steps[0] + covariance @ np.einsum("sab,sb->a", informations, away)
@@ -179,7 +184,7 @@ def _weighted_mean(
 
 
 def _information_fractions(informations: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(S,) shares of the information about the translation, mean of its directions, and the turn.
+    """(S,) fractions of the information on translation, averaged over directions, and on yaw.
 
     tr((Σ I)⁻¹ I_s) / 2 over the translation's block: never negative, and they sum to 1.
     """

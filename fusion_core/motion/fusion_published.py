@@ -6,14 +6,14 @@
     L = δ_d / (δ_d + δ_k) X_k + (1 - δ_d / (δ_d + δ_k)) p_d    (9)
 
 With (7) in (8), σ_v = -K (X_s - X_v) and σ_s = (1 - K) (X_s - X_v): the next K is
-K² / (K² + (1 - K)²) whatever the sensors say, so that one of them takes all within a few steps.
-Where both deviations are zero, K keeps its last value.
+K² / (K² + (1 - K)²) whatever the data, so one source takes all the weight within a few steps.
+Where both deviations are zero, K keeps its value.
 
-What the paper leaves open, and our reading: σ at k = 0 is the deviation of the steps while the
-robot stands still, and where it never does, that of the sources' first steps. δ comes from the
-residuals over a window: δ_k is a quarter of the mean square of X_s - X_v (the variance of the mean
-of two alike), or the source's own variance where there is only one; δ_d is what the mean square of
-p_d - X_k leaves beside it. A source that says nothing of a step has no part in it.
+What the paper leaves open is read as follows. σ at k = 0 is the standard deviation of the steps
+during a standstill, or of the sources' first steps where there is none. δ comes from residuals over
+a window: δ_k is a quarter of the mean square of X_s - X_v (the variance of the mean of two equally
+good sources), or a single source's own variance; δ_d is the mean square of p_d - X_k minus δ_k. A
+source that did not measure a step has no weight in it.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ class PublishedFusionSettings(StageSettings):
 
     standstill_min_s: float = setting(
         1.0,
-        "Shortest standstill that tells σ at k = 0",
+        "Shortest standstill from which σ at k = 0 is estimated",
         unit="s",
         ge=1e-6,
         le=3_600.0,
@@ -40,40 +40,46 @@ class PublishedFusionSettings(StageSettings):
     )
     standstill_speed_m_s: float = setting(
         0.03,
-        "A source that reports less stands still",
+        "Greatest speed of a standstill",
         unit="m/s",
         ge=1e-6,
         le=1.0,
         formerly="rest_m_per_s",
     )
     standstill_turn_rad_s: float = setting(
-        0.05, "The same, of the turn", unit="rad/s", ge=1e-6, le=1.0, formerly="rest_rad_per_s"
+        0.05,
+        "Greatest turn rate of a standstill",
+        unit="rad/s",
+        ge=1e-6,
+        le=1.0,
+        formerly="rest_rad_per_s",
     )
     window: int = setting(
         20,
-        "Steps over which disagreement between the sources counts",
+        "Steps over which the disagreement between sources is averaged",
         unit="steps",
         ge=2,
         le=10_000,
     )
 
 
-# No residual is smaller: two sources at rest may agree to the last digit.
+# (1 µm)²: two sources at standstill may agree to the last digit, and weights divide by this.
 _VARIANCE_MIN = 1e-12
+# Over a shorter interval the noise of one pose (about 1 cm) looks like speed.
 _SPEED_INTERVAL_MIN_S = 0.5
 
 
 def fuse_as_published(
     tracks: Sequence[OdometryTrajectory], settings: PublishedFusionSettings
 ) -> tuple[OdometryTrajectory, FusionWeights]:
-    """The fused track and its weights; ``tracks`` have the same stamps."""
+    """The fused trajectory and its weights; ``tracks`` have the same stamps."""
     by_name = {track.name: track for track in tracks}
     wheel, laser, visual = (by_name.get(name) for name in ("wheel", "laser", "visual"))
     stamps_ns = tracks[0].stamps_ns
     count = stamps_ns.size - 1
     K = _first_gain(laser, visual, settings)
     fused, gains = np.zeros((count, 3)), np.zeros((count, 3))
-    parts = {track.name: np.zeros((count, 3)) for track in tracks}
+    weights_of_source = {track.name: np.zeros((count, 3)) for track in tracks}
     pairs, wheels = _MeanSquare(settings.window), _MeanSquare(settings.window)
     seconds = np.diff(stamps_ns) / 1e9
     for k in range(count):
@@ -82,43 +88,43 @@ def fuse_as_published(
         X_k: FloatArray | None
         if X_v is not None and X_s is not None:
             X_k = X_v + K * subtract_poses(X_s, X_v)  # (7)
-            part_of = {"visual": 1.0 - K, "laser": K}
+            weight_of = {"visual": 1.0 - K, "laser": K}
             pairs.add(subtract_poses(X_s, X_v))
             delta_k = 0.25 * pairs.mean
             sigma_v, sigma_s = subtract_poses(X_v, X_k), subtract_poses(X_s, X_k)  # (8)
             total = sigma_v**2 + sigma_s**2
-            is_told = total > 0.0
-            K = np.where(is_told, sigma_v**2 / np.where(is_told, total, 1.0), K)  # (6)
+            is_defined = total > 0.0
+            K = np.where(is_defined, sigma_v**2 / np.where(is_defined, total, 1.0), K)  # (6)
         elif X_s is not None or X_v is not None:
             alone = laser if X_s is not None else visual
             assert alone is not None, "a step has a track"
             X_k = X_s if X_s is not None else X_v
-            part_of = {alone.name: np.ones(3)}
+            weight_of = {alone.name: np.ones(3)}
             delta_k = alone.step_covariance[k].diagonal()
         else:
-            X_k, part_of, delta_k = None, {}, np.zeros(3)
+            X_k, weight_of, delta_k = None, {}, np.zeros(3)
         if X_k is not None and p_d is not None:
             wheels.add(subtract_poses(p_d, X_k))
             delta_d = np.maximum(wheels.mean - delta_k, _VARIANCE_MIN)
             share = delta_d / (delta_d + np.maximum(delta_k, _VARIANCE_MIN))
             fused[k] = p_d + share * subtract_poses(X_k, p_d)  # (9)
-            part_of = {name: share * part for name, part in part_of.items()}
-            part_of["wheel"] = 1.0 - share
+            weight_of = {name: share * part for name, part in weight_of.items()}
+            weight_of["wheel"] = 1.0 - share
         elif X_k is not None or p_d is not None:
             only = X_k if X_k is not None else p_d
             assert only is not None, "one of the two is there"
             fused[k] = only
-            part_of = part_of or {"wheel": np.ones(3)}
+            weight_of = weight_of or {"wheel": np.ones(3)}
         elif k:
             fused[k] = fused[k - 1] * (seconds[k] / seconds[k - 1])
         fused[k, 2] = wrap_angle(fused[k, 2])
-        for name, part in part_of.items():
-            parts[name][k] = part
-    return _make_results(tracks, fused, gains, parts)
+        for name, part in weight_of.items():
+            weights_of_source[name][k] = part
+    return _make_results(tracks, fused, gains, weights_of_source)
 
 
 def next_gain(K: float) -> float:
-    """What (6) to (8) make of K, whatever the data."""
+    """The next K by (6) to (8), which does not depend on the data."""
     return K**2 / (K**2 + (1.0 - K) ** 2)
 
 
@@ -149,20 +155,20 @@ def _first_gain(
     visual: OdometryTrajectory | None,
     settings: PublishedFusionSettings,
 ) -> FloatArray:
-    """(3,) K of (6) with the sensors' noise at rest."""
+    """(3,) K of (6) with the sources' noise at standstill."""
     if laser is None or visual is None:
-        # Nothing to weigh; the one that is there has all.
+        # A single source has all the weight.
         return np.full(3, 0.0 if laser is None else 1.0)
     both = laser.measured & visual.measured
     if not both.any():
         return np.full(3, 0.5)
-    rest = _find_standstill(laser, visual, settings)
-    if rest is None:
+    standstill = _find_standstill(laser, visual, settings)
+    if standstill is None:
         first = int(np.argmax(both))
         variance_v, variance_s = (t.step_covariance[first].diagonal() for t in (visual, laser))
     else:
         variance_v, variance_s = (
-            np.maximum(t.steps[rest].var(axis=0), _VARIANCE_MIN) for t in (visual, laser)
+            np.maximum(t.steps[standstill].var(axis=0), _VARIANCE_MIN) for t in (visual, laser)
         )
     gain: FloatArray = variance_v / (variance_v + variance_s)
     return gain
@@ -171,29 +177,29 @@ def _first_gain(
 def _find_standstill(
     laser: OdometryTrajectory, visual: OdometryTrajectory, settings: PublishedFusionSettings
 ) -> slice | None:
-    """The first ``rest_s`` in which both report no motion beyond the rates of rest."""
+    """The first ``standstill_min_s`` in which both report no motion above the limits of a
+    standstill."""
     both = laser.measured & visual.measured
     elapsed_s = (laser.stamps_ns - laser.stamps_ns[0]) / 1e9
     ends = np.searchsorted(elapsed_s, elapsed_s + settings.standstill_min_s)
-    way = [np.vstack([np.zeros(3), np.cumsum(t.steps, axis=0)]) for t in (laser, visual)]
+    paths = [np.vstack([np.zeros(3), np.cumsum(t.steps, axis=0)]) for t in (laser, visual)]
     for begin, end in enumerate(ends.tolist()):
         if end >= elapsed_s.size:
             return None
         window = slice(begin, end + 1)
-        stood = all(_is_standstill(summed[window], elapsed_s[window], settings) for summed in way)
+        stood = all(_is_standstill(path[window], elapsed_s[window], settings) for path in paths)
         if stood and end - begin > 1 and both[begin:end].all():
             return slice(begin, end)
     return None
 
 
 def _is_standstill(
-    way: FloatArray, elapsed_s: FloatArray, settings: PublishedFusionSettings
+    path: FloatArray, elapsed_s: FloatArray, settings: PublishedFusionSettings
 ) -> bool:
-    """Whether (M, 3) summed steps stay near where they begin and where they end."""
+    """Whether (M, 3) summed steps stay near their first and their last value."""
     for at in (0, -1):
-        # Noise may look like speed for a moment.
         since_s = np.maximum(np.abs(elapsed_s - elapsed_s[at]), _SPEED_INTERVAL_MIN_S)
-        moved = np.abs(way - way[at])
+        moved = np.abs(path - path[at])
         if np.any(np.hypot(moved[:, 0], moved[:, 1]) > settings.standstill_speed_m_s * since_s):
             return False
         if np.any(moved[:, 2] > settings.standstill_turn_rad_s * since_s):
@@ -205,9 +211,9 @@ def _make_results(
     tracks: Sequence[OdometryTrajectory],
     fused: FloatArray,
     gains: FloatArray,
-    parts: dict[str, FloatArray],
+    weights_of_source: dict[str, FloatArray],
 ) -> tuple[OdometryTrajectory, FusionWeights]:
-    stacked = np.stack([parts[track.name] for track in tracks], axis=1)
+    stacked = np.stack([weights_of_source[track.name] for track in tracks], axis=1)
     measured = np.stack([track.measured for track in tracks], axis=1)
     is_measured: BoolArray = np.any(measured, axis=1)
     weights_squared = stacked[..., np.newaxis] * stacked[..., np.newaxis, :]

@@ -1,4 +1,4 @@
-"""What each fused step rests on."""
+"""The weight of each source in each fused step."""
 
 from dataclasses import dataclass
 
@@ -9,13 +9,13 @@ from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FusionWeights:
-    """The share of each of S sources in each of N - 1 fused steps.
+    """Weights of S sources in N - 1 fused steps.
 
-    ``stamps_ns``: (N,) of the track. ``translation``, ``rotation``: (N - 1, S), each row sums to
-    1, or is all 0 where no source measured the step. ``rejected``: (N - 1, S) where a source
-    measured and was not believed. ``residual_m``, ``residual_rad``: (N - 1, S) how far a source's
-    step is from the fused one, NaN where it measured none. ``gain``: (N - 1, 3) K of Li 2022 (6)
-    for x, y and yaw, of ``published`` alone.
+    ``stamps_ns``: (N,) of the trajectory. ``translation``, ``rotation``: (N - 1, S), each row sums
+    to 1, or is all 0 where no source measured the step. ``rejected``: (N - 1, S) where a source
+    measured but was rejected as inconsistent. ``residual_m``, ``residual_rad``: (N - 1, S) distance
+    of a source's step from the fused one, NaN where it measured none. ``gain``: (N - 1, 3) K of Li
+    2022 (6) for x, y and yaw, of ``published`` alone.
     """
 
     sources: tuple[str, ...]
@@ -40,7 +40,7 @@ class FusionWeights:
             if array.shape != shape:
                 raise ValueError(f"{name} must be {shape}, got {array.shape}")
             read_only(array)
-        for shares in (self.translation, self.rotation):
-            total = shares.sum(axis=1)
-            if not ((np.abs(total - 1.0) < 1e-9) | (total == 0.0)).all() or (shares < 0.0).any():
-                raise ValueError("shares must not be negative, and sum to 1 or be all 0")
+        for weights in (self.translation, self.rotation):
+            total = weights.sum(axis=1)
+            if not ((np.abs(total - 1.0) < 1e-9) | (total == 0.0)).all() or (weights < 0.0).any():
+                raise ValueError("weights must not be negative, and sum to 1 or be all 0")

@@ -1,4 +1,4 @@
-"""Poses that were each measured against a keyframe, and what of their errors adds up."""
+"""Poses matched to keyframes, and the drift that accumulates from one keyframe to the next."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from fusion_core.motion.steps import rotate_covariance, steps_between
 
 
 class KeyframeChain:
-    """Grows by a pose at a time. ``keyframe`` counts the keyframes so far."""
+    """A trajectory that grows pose by pose. ``keyframe`` counts the keyframes so far."""
 
     def __init__(self) -> None:
         self.keyframe = 0
@@ -22,21 +22,21 @@ class KeyframeChain:
         self._reasons: Counter[str] = Counter()
 
     def append(self, pose: FloatArray, noise: FloatArray, *, matched: bool) -> None:
-        """A pose and the covariance of its match, in its own axes."""
+        """Append a pose and the covariance of its match, in its own axes."""
         self.poses.append(pose)
         self.matched.append(matched)
         self._noise.append(noise)
         self._keyframes.append(self.keyframe)
 
     def append_unmatched(self, pose: FloatArray, reason: str) -> None:
-        """A pose that nothing measured."""
+        """Append a pose without a match, and count the reason."""
         self._reasons[reason] += 1
         self.append(pose, np.full((3, 3), np.nan), matched=False)
 
     def start_segment(self, pose: FloatArray, reason: str = "") -> None:
-        """The first keyframe, or one that nothing joins to those before, for a reason.
+        """Append the first keyframe, or one that is not connected to those before.
 
-        It is the origin of what follows, and so without error; the step to it is not measured.
+        It is the origin of its segment, so without error; the step to it is not measured.
         """
         if reason:
             self._reasons[reason] += 1
@@ -47,21 +47,21 @@ class KeyframeChain:
     ) -> OdometryTrajectory:
         """The poses at (N,) stamps.
 
-        ``scale_share``: error of all ways alike, in metres per metre, that no match shows.
+        ``scale_sigma``: standard deviation of the scale, in m/m, which no match reveals.
         """
         noise = np.array(self._noise)
         matched = np.array(self.matched, dtype=np.bool_)
-        # A step is measured where its end was matched, to its begin or to what that was matched to.
+        # A step is measured where its end was matched and its start has a covariance.
         measured = matched[1:] & np.isfinite(noise[:-1]).all(axis=(1, 2))
         poses = np.array(self.poses)
         steps = steps_between(poses)
-        at_begin = noise.copy()
-        at_begin[1:] = rotate_covariance(-steps[:, 2], noise[1:])
-        single = noise[:-1] + at_begin[1:]
+        at_start = noise.copy()
+        at_start[1:] = rotate_covariance(-steps[:, 2], noise[1:])
+        single = noise[:-1] + at_start[1:]
         drift = _drift_covariances(single, np.array(self._keyframes, dtype=np.int64))
-        # The error of scale is the same in each step: over a metre its shares add up.
-        way_m = np.hypot(steps[:, 0], steps[:, 1])
-        drift[:, :2, :2] += (scale_sigma**2 * way_m)[:, np.newaxis, np.newaxis] * np.eye(2)
+        # The error of the scale is the same in every step: a random walk over steps of 1 m.
+        distance_m = np.hypot(steps[:, 0], steps[:, 1])
+        drift[:, :2, :2] += (scale_sigma**2 * distance_m)[:, np.newaxis, np.newaxis] * np.eye(2)
         notes = []
         if reasons := [f"{count} {why}" for why, count in sorted(self._reasons.items())]:
             missed = int(np.count_nonzero(~measured))
@@ -78,10 +78,11 @@ class KeyframeChain:
 
 
 def _drift_covariances(single: FloatArray, keyframe: IntArray) -> FloatArray:
-    """(N - 1, 3, 3) what a step's two matches add to a longer way.
+    """(N - 1, 3, 3) the contribution of each step to the drift.
 
-    What adds up is one match for each keyframe, so the steps since it share it; each takes the mean
-    of its two poses' matches, of which ``single`` is the sum. ``keyframe``: (N,), of each pose.
+    One match per keyframe accumulates, so it is divided among the steps since that keyframe. A
+    step's match covariance is the mean of its two poses', whose sum is ``single``. ``keyframe``:
+    (N,) of each pose.
     """
     if not len(single):
         return single.copy()

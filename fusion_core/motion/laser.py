@@ -1,10 +1,10 @@
 """Laser odometry: each scan matched by PL-ICP (Li 2022 §2.3, eq. 4) to a keyframe.
 
-Li 2022 §3.1 matches each scan to the one before and adds up the motions. So every match's error
-adds up, at rest too; against a keyframe only one match for each keyframe does.
+Li 2022 §3.1 matches each scan to the one before, so the error of every match accumulates, even at
+standstill. Against keyframes only one match per keyframe accumulates.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from fusion_core.model.conventions import FloatArray, wrap_angle
 from fusion_core.model.errors import MissingStream, RegistrationFailed
-from fusion_core.model.planar_poses import compose_poses, relative_pose
+from fusion_core.model.planar_poses import PosePrior, compose_poses, relative_pose
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import LaserScan
 from fusion_core.motion.keyframe_chain import KeyframeChain
@@ -26,10 +26,7 @@ from fusion_core.registration.pl_icp import (
 )
 from fusion_core.settings import StageSettings, setting
 
-Predicted = Callable[[int], FloatArray | None]
-"""Stamp in ns to a (3,) pose of the LiDAR by another source, None where that is not known."""
-
-# Velocity is the mean of so many steps.
+# Averaging halves the noise of a step; at 10 Hz it is still a velocity of the last 0.4 s.
 _VELOCITY_STEPS = 4
 
 
@@ -37,11 +34,16 @@ class LaserOdometrySettings(StageSettings):
     """Settings of ``laser_odometry``."""
 
     keyframe_distance_m: float = setting(
-        1.0, "Way to the next keyframe", unit="m", ge=1e-6, le=10.0, formerly="key_step_m"
+        1.0,
+        "Distance at which a new keyframe is taken",
+        unit="m",
+        ge=1e-6,
+        le=10.0,
+        formerly="key_step_m",
     )
     keyframe_rotation_rad: float = setting(
         1.0,
-        "Turn to the next keyframe",
+        "Rotation at which a new keyframe is taken",
         unit="rad",
         ge=1e-6,
         le=float(np.pi),
@@ -49,38 +51,42 @@ class LaserOdometrySettings(StageSettings):
     )
     keyframe_inlier_ratio: float = setting(
         0.7,
-        "A scan of which less fits the keyframe becomes one itself",
+        "Inlier ratio below which a scan becomes the new keyframe",
         ge=0.0,
         le=1.0,
         formerly="key_inlier_share",
     )
     inlier_ratio_sufficient: float = setting(
         0.5,
-        "Share of fitting beams at which the prediction's match is not doubted",
+        "Inlier ratio at which the match from the prediction is accepted without a search",
         ge=1e-6,
         le=1.0,
         formerly="inlier_share_sure",
     )
     prediction_sigma_m: float = setting(
         0.05,
-        "Doubt of the prediction, which counts where the scans tell little",
+        "Standard deviation of the predicted translation, fused with the match",
         unit="m",
         ge=1e-6,
         le=10.0,
     )
     prediction_sigma_rad: float = setting(
-        0.1, "The same, of the turn", unit="rad", ge=1e-6, le=10.0
+        0.1,
+        "Standard deviation of the predicted rotation, fused with the match",
+        unit="rad",
+        ge=1e-6,
+        le=10.0,
     )
     sigma_inflation: float = setting(
         1.75,
-        "Matches err by so much more than the noise of their ranges explains",
+        "Factor on the standard deviation of a match, for errors beyond range noise",
         ge=1.0,
         le=10.0,
         formerly="noise_factor",
     )
     innovation_max_m: float = setting(
         0.5,
-        "A match farther from what was predicted is refused",
+        "Greatest distance of a match from the prediction; above it the match is rejected",
         unit="m",
         ge=1e-6,
         le=10.0,
@@ -88,7 +94,7 @@ class LaserOdometrySettings(StageSettings):
     )
     innovation_max_rad: float = setting(
         0.7,
-        "A match turned farther from what was predicted is refused",
+        "Greatest rotation of a match from the prediction; above it the match is rejected",
         unit="rad",
         ge=1e-6,
         le=float(np.pi),
@@ -96,7 +102,7 @@ class LaserOdometrySettings(StageSettings):
     )
     unmatched_scans_max: int = setting(
         5,
-        "Scans without a match after which the next one begins anew",
+        "Consecutive scans without a match after which a new segment starts",
         unit="scans",
         ge=0,
         le=10_000,
@@ -105,41 +111,41 @@ class LaserOdometrySettings(StageSettings):
     beams_min: int = setting(30, "Fewest valid beams of a scan", unit="beams", ge=6, le=10_000)
     search_translation_m: float = setting(
         0.5,
-        "Search where the prediction leads to no match: along x and y",
+        "Half width of the search along x and y where the prediction leads to no match",
         unit="m",
         ge=0.0,
         le=10.0,
     )
     search_rotation_rad: float = setting(
-        0.5, "The same: to either side", unit="rad", ge=0.0, le=float(np.pi)
+        0.5, "Half width of that search in rotation", unit="rad", ge=0.0, le=float(np.pi)
     )
 
 
 def laser_odometry(
     scans: Iterable[LaserScan],
     settings: LaserOdometrySettings | None = None,
-    predicted: Predicted | None = None,
+    predicted: PosePrior | None = None,
     progress: Progress = silent,
 ) -> OdometryTrajectory:
-    """The LiDAR's motion by its scans, whose stamps increase; one keyframe is kept at a time.
+    """The LiDAR's trajectory from its scans, whose stamps increase; one keyframe is kept at a time.
 
-    ``predicted``: another source, such as the wheels, whose steps tell where a match begins and
-    where it would be a surprise; without it velocity is taken to be constant. A scan without a
-    match is carried on by the prediction. Along a corridor the match keeps the prediction too, and
-    its covariance says so.
+    ``predicted``: poses of another source, such as wheel odometry, whose steps give the initial
+    guess and the gate of each match; without it, constant velocity. A scan without a match takes
+    the predicted pose. Along unobservable directions, as in a corridor, a match keeps the
+    prediction, and its covariance is large.
 
     Raises MissingStream where there is no scan.
     """
-    follower = _LaserOdometry(settings or LaserOdometrySettings(), predicted)
+    odometry = _LaserOdometry(settings or LaserOdometrySettings(), predicted)
     for count, scan in enumerate(scans, start=1):
-        follower.add(scan)
+        odometry.add(scan)
         progress(count, None, "laser odometry")
-    return follower.trajectory()
+    return odometry.trajectory()
 
 
 @dataclass(eq=False)
 class _Keyframe:
-    """A scan, and as what others are matched to."""
+    """A scan at its pose, prepared as a reference on first use."""
 
     scan: LaserScan
     pose: FloatArray
@@ -156,7 +162,7 @@ class _Keyframe:
 
 
 class _LaserOdometry:
-    def __init__(self, settings: LaserOdometrySettings, predicted: Predicted | None) -> None:
+    def __init__(self, settings: LaserOdometrySettings, predicted: PosePrior | None) -> None:
         self._settings = settings
         self._predicted = predicted
         self._icp = PlIcpSettings(
@@ -186,7 +192,7 @@ class _LaserOdometry:
             return
         match = self._match(self._keyframe, scan, pose)
         if isinstance(match, str) and self._last is not None:
-            # What the keyframe no longer shows, the scan just before may.
+            # The scan before may still overlap where the keyframe no longer does.
             key = self._last
             self._set_keyframe(key)
             match = self._match(key, scan, pose)
@@ -207,14 +213,15 @@ class _LaserOdometry:
             return compose_poses(last, relative_pose(self._prior, prior))
         back = self._count_matched_steps()
         if back == 0:
-            # A velocity that led to no match is no better known than none.
+            # After a failed match the velocity is unknown.
             return last.copy()
-        # The way is that of several steps: where the scans tell little of it, one step's error
-        # would go on for ever. A turn they tell, and it changes sooner.
+        # Translation from the mean velocity of several steps: along a corridor, the error of one
+        # step would be repeated for ever. Rotation is always observable and changes faster: it is
+        # that of the last step.
         stamps_ns = self._stamps_ns
         steps = steps_between(np.array(poses[-1 - back :]))
         since_ns = stamp_ns - stamps_ns[-1]
-        # After a pause nobody knows whether it went on.
+        # Over a pause in the scans the motion is not extrapolated beyond one step.
         share = min(since_ns / (stamps_ns[-1] - stamps_ns[-2]), 1.0)
         way_ns = min(since_ns, int(np.diff(stamps_ns[-1 - back :]).max()))
         step = steps.sum(axis=0) * (way_ns / (stamps_ns[-1] - stamps_ns[-1 - back]))
@@ -222,7 +229,7 @@ class _LaserOdometry:
         return compose_poses(last, step)
 
     def _count_matched_steps(self) -> int:
-        """How many steps before the next scan were measured without a break, up to a few."""
+        """Number of matched steps in a row before the next scan, at most _VELOCITY_STEPS."""
         matched = self._chain.matched
         back = 0
         while back < min(_VELOCITY_STEPS, len(matched) - 1) and matched[-1 - back]:
@@ -243,10 +250,10 @@ class _LaserOdometry:
         except RegistrationFailed:
             return "no match"
         away = match.pose_first_second - guess
-        # It may have gone on while scans had no match.
-        wider = 1 + self._misses
-        is_far = np.hypot(away[0], away[1]) > wider * self._settings.innovation_max_m
-        if is_far or abs(wrap_angle(away[2])) > wider * self._settings.innovation_max_rad:
+        # The prediction's error grows with each scan that had no match.
+        gate_factor = 1 + self._misses
+        is_far = np.hypot(away[0], away[1]) > gate_factor * self._settings.innovation_max_m
+        if is_far or abs(wrap_angle(away[2])) > gate_factor * self._settings.innovation_max_rad:
             return "a match far from what was predicted"
         return match
 
@@ -258,7 +265,7 @@ class _LaserOdometry:
             match.pose_first_second, noise, relative_pose(self._keyframe.pose, predicted)
         )
         pose = compose_poses(self._keyframe.pose, step)
-        # The match's own covariance: what the prediction adds is not the laser's to claim.
+        # The covariance of the match alone: the prediction is another source's information.
         self._chain.append(pose, rotate_covariance(float(step[2]), noise), matched=True)
         self._misses = 0
         self._last = _Keyframe(scan, pose, self._icp)
@@ -272,11 +279,14 @@ class _LaserOdometry:
     def _fuse_with_prediction(
         self, step: FloatArray, noise: FloatArray, predicted: FloatArray
     ) -> FloatArray:
-        """A match, drawn to the prediction in directions that the scans hardly tell: there its
-        error would be taken for velocity, and grow from scan to scan."""
+        """The Kalman update of the prediction by a match (Li 2022 (6), (7) with covariances).
+
+        Along poorly observable directions the match's error would otherwise become velocity and
+        grow from scan to scan.
+        """
         sigmas = (self._settings.prediction_sigma_m,) * 2 + (self._settings.prediction_sigma_rad,)
-        doubt = np.diag(np.square(sigmas))
-        gain = doubt @ np.linalg.inv(doubt + noise)
+        prediction_covariance = np.diag(np.square(sigmas))
+        gain = prediction_covariance @ np.linalg.inv(prediction_covariance + noise)
         supported: FloatArray = predicted + gain @ subtract_poses(step, predicted)
         supported[2] = wrap_angle(supported[2])
         return supported
@@ -295,7 +305,7 @@ class _LaserOdometry:
         self._chain.keyframe += 1
 
     def trajectory(self) -> OdometryTrajectory:
-        """All scans so far."""
+        """The trajectory over all scans so far."""
         if not self._stamps_ns:
-            raise MissingStream("there is no scan to follow.")
+            raise MissingStream("laser odometry needs a scan.")
         return self._chain.to_trajectory("laser", self._stamps_ns)

@@ -1,4 +1,4 @@
-"""What one source says of the LiDAR's motion."""
+"""The trajectory of the LiDAR by one odometry source, with the covariance of each step."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -6,23 +6,23 @@ from functools import cached_property
 import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
-from fusion_core.model.geometry import interpolate_pose
+from fusion_core.model.planar_poses import interpolate_pose
 from fusion_core.motion.steps import steps_between
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OdometryTrajectory:
-    """The LiDAR's poses by one source, and how far each step between them can be trusted.
+    """Poses of the LiDAR by one source, and the covariances of the steps between them.
 
     ``stamps_ns``: (N,) int64, N >= 1, strictly increasing. ``poses_odom_lidar``: (N, 3) x, y, yaw.
-    ``measured``: (N - 1,) False where the source said nothing of the step from pose k to k + 1;
-    the pose is carried on there as well as the source can, and no more than that.
+    ``measured``: (N - 1,) False where the source did not measure the step from pose k to k + 1;
+    pose k + 1 is then extrapolated or repeated.
     ``step_covariance``: (N - 1, 3, 3) of that step alone, in the axes of pose k (m, rad).
-    ``drift_covariance``: (N - 1, 3, 3) what the step adds to the covariance of a longer way, in the
-    same axes. The two differ since errors are not independent: a match to a keyframe errs anew in
-    each pose but does not add up, a wheel of the wrong size errs little in each step but always
-    alike. Both are NaN where ``measured`` is False: unknown, not large.
-    ``notes``: for people, such as why steps could not be measured.
+    ``drift_covariance``: (N - 1, 3, 3) what the step adds to the covariance of a longer motion, in
+    the same axes. The two differ since errors are correlated: the error of a match to a keyframe
+    does not accumulate over the steps since, while that of a wrong wheel diameter is small in each
+    step but always of one sign. Both are NaN where ``measured`` is False: unknown, not large.
+    ``notes``: messages to the user, such as why steps were not measured.
     """
 
     name: str
@@ -61,13 +61,13 @@ class OdometryTrajectory:
 
     @property
     def measured_fraction(self) -> float:
-        """Share of the steps that were measured, 0 where there is none."""
+        """Fraction of the steps that were measured, 0 without steps."""
         return float(self.measured.mean()) if self.measured.size else 0.0
 
     def pose_at(self, stamp_ns: int) -> FloatArray | None:
-        """(3,) pose at an instant, interpolated; None outside the track and across dropouts.
+        """(3,) pose at an instant, interpolated; None outside the stamps and in unmeasured steps.
 
-        At a stamp of the track it is the pose there, unless neither of its steps was measured.
+        At one of the stamps it is the pose there, unless neither of its steps was measured.
         """
         after = int(np.searchsorted(self.stamps_ns, stamp_ns))
         if after == self.stamps_ns.size:
@@ -81,9 +81,9 @@ class OdometryTrajectory:
         if after == 0 or not self.measured[after - 1]:
             return None
         begin_ns, end_ns = (int(stamp) for stamp in self.stamps_ns[after - 1 : after + 1])
-        share = (stamp_ns - begin_ns) / (end_ns - begin_ns)
+        fraction = (stamp_ns - begin_ns) / (end_ns - begin_ns)
         before = self.poses_odom_lidar[after - 1]
-        return interpolate_pose(before, self.poses_odom_lidar[after], share)
+        return interpolate_pose(before, self.poses_odom_lidar[after], fraction)
 
 
 def mask_unmeasured(covariance: FloatArray, measured: BoolArray) -> FloatArray:

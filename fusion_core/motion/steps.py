@@ -1,7 +1,7 @@
 """Planar steps (x, y, yaw), one or many at a time: metres, metres, radians in [-pi, pi).
 
-A covariance of a step is in the axes of the pose that it leaves: errors of x and y along these,
-and of the turn.
+A step is the relative pose from one pose of a trajectory to the next; its covariance is in the axes
+of the pose that it starts from.
 """
 
 import numpy as np
@@ -16,11 +16,12 @@ def steps_between(poses: FloatArray) -> FloatArray:
 
 
 def integrate_steps(steps: FloatArray, start: FloatArray | None = None) -> FloatArray:
-    """(N + 1, 3) the poses that (N, 3) steps lead to, from ``start`` or the origin."""
+    """(N + 1, 3) poses of (N, 3) steps composed one after the other, from ``start`` or the
+    origin."""
     poses = np.zeros((len(steps) + 1, 3))
     if start is not None:
         poses[0] = start
-    # A turn is the sum of those before it, and with the turns known the way is a sum too.
+    # Yaw is a cumulative sum; with the yaws known, so is the position.
     poses[1:, 2] = poses[0, 2] + np.cumsum(steps[:, 2])
     c, s = np.cos(poses[:-1, 2]), np.sin(poses[:-1, 2])
     poses[1:, 0] = poses[0, 0] + np.cumsum(c * steps[:, 0] - s * steps[:, 1])
@@ -30,17 +31,17 @@ def integrate_steps(steps: FloatArray, start: FloatArray | None = None) -> Float
 
 
 def subtract_poses(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(..., 3) first - second, the turn wrapped."""
-    away: FloatArray = first - second
-    away[..., 2] = wrap_angle(away[..., 2])
-    return away
+    """(..., 3) first - second entry by entry, the yaw wrapped."""
+    difference: FloatArray = first - second
+    difference[..., 2] = wrap_angle(difference[..., 2])
+    return difference
 
 
 def rotate_covariance(yaw_rad: FloatArray | float, covariance: FloatArray) -> FloatArray:
-    """(..., 3, 3) a covariance of (x, y, yaw) in axes that are turned by ``yaw_rad``."""
+    """(..., 3, 3) covariance of (x, y, yaw) expressed in axes rotated by ``yaw_rad``."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     zero, one = np.zeros_like(c), np.ones_like(c)
     rows = [[c, s, zero], [-s, c, zero], [zero, zero, one]]
-    turned = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-    result: FloatArray = turned @ covariance @ np.swapaxes(turned, -1, -2)
+    rotation = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    result: FloatArray = rotation @ covariance @ np.swapaxes(rotation, -1, -2)
     return result

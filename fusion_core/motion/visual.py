@@ -1,7 +1,7 @@
 """Visual odometry: features with depth, matched to a keyframe (Li 2022 §3.1).
 
-ORB finds what the keyframe and an image share, Lucas-Kanade refines where it is, PnP in RANSAC
-tells what moves with the floor, and a planar fit gives the LiDAR's step with its covariance.
+ORB features of the keyframe are matched by descriptor and refined to subpixels by Lucas-Kanade; PnP
+with RANSAC rejects outliers, and planar Gauss-Newton gives the LiDAR's step with its covariance.
 """
 
 from collections.abc import Iterable
@@ -30,17 +30,24 @@ from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.motion.keyframe_chain import KeyframeChain
 from fusion_core.motion.odometry_trajectory import OdometryTrajectory
-from fusion_core.motion.planar_reprojection import PlanarStepEstimate, estimate_planar_step
+from fusion_core.motion.planar_reprojection import (
+    FeatureNoise,
+    PlanarStepEstimate,
+    estimate_planar_step,
+)
 from fusion_core.motion.steps import rotate_covariance
 from fusion_core.settings import StageSettings, setting
 
-# Refinement by Lucas-Kanade: window and levels.
+# Lucas-Kanade refines a match by a few pixels: OpenCV's window for corners, one coarser level, and
+# its default criteria.
 _LK_WINDOW = (15, 15)
 _LK_LEVELS = 1
 _LK_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01)
+# OpenCV's 0.99 would lose one step in a hundred; the cap on draws bounds the time.
 _RANSAC_CONFIDENCE = 0.999
-# A depth whose neighbours differ by more than this share may be of another surface.
+# Offsets (row, column) of the pixels that must agree with a feature's depth.
 _DEPTH_NEIGHBOURS = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
+# Several times the depth noise at 8 m (0.003 · 8 = 2.4 %), below most steps between surfaces.
 _DEPTH_EDGE_RATIO = 0.05
 
 
@@ -48,48 +55,61 @@ class VisualOdometrySettings(StageSettings):
     """Settings of ``visual_odometry``."""
 
     features_max: int = setting(
-        600, "Features of an image at most", unit="features", ge=50, le=20_000, formerly="features"
+        600, "Most ORB features per image", unit="features", ge=50, le=20_000, formerly="features"
     )
-    fast_threshold: int = setting(8, "Contrast of a corner", unit="grey levels", ge=1, le=100)
+    fast_threshold: int = setting(8, "FAST corner threshold", unit="grey levels", ge=1, le=100)
     match_ratio: float = setting(
-        0.8, "The best match must be nearer than the next by this factor", ge=1e-6, le=1.0
+        0.8,
+        "Ratio test: greatest ratio of the best to the second best descriptor distance",
+        ge=1e-6,
+        le=1.0,
     )
     refinement_max_px: float = setting(
         3.0,
-        "A match that refinement moves farther is left out",
+        "Matches that refinement moves farther are rejected",
         unit="px",
         ge=1e-6,
         le=100.0,
         formerly="refine_px",
     )
     ransac_threshold_px: float = setting(
-        2.0, "Error of an inlier at most", unit="px", ge=1e-6, le=50.0, formerly="ransac_px"
+        2.0,
+        "RANSAC: greatest reprojection error of an inlier",
+        unit="px",
+        ge=1e-6,
+        le=50.0,
+        formerly="ransac_px",
     )
-    ransac_draws: int = setting(200, "Draws of RANSAC at most", unit="draws", ge=10, le=100_000)
+    ransac_draws: int = setting(200, "RANSAC: most iterations", unit="draws", ge=10, le=100_000)
     inliers_min: int = setting(
-        12, "Fewest inliers that make a step", unit="features", ge=6, le=10_000
+        12, "Fewest inliers of a valid step", unit="features", ge=6, le=10_000
     )
     inlier_ratio_min: float = setting(
-        0.4, "Least share of the matches", ge=1e-6, le=1.0, formerly="inlier_share_min"
+        0.4, "Least ratio of inliers to matches", ge=1e-6, le=1.0, formerly="inlier_share_min"
     )
     feature_sigma_px: float = setting(
-        0.4, "Noise of a feature's place", unit="px", ge=1e-6, le=10.0, formerly="sigma_px"
+        0.4,
+        "Standard deviation of a feature's image coordinates",
+        unit="px",
+        ge=1e-6,
+        le=10.0,
+        formerly="sigma_px",
     )
     sigma_inflation: float = setting(
         1.8,
-        "Steps err by so much more than pixel and depth noise explain",
+        "Factor on the standard deviation of a step, for errors beyond pixel and depth noise",
         ge=1.0,
         le=10.0,
         formerly="noise_factor",
     )
     depth_sigma_per_m2: float = setting(
-        0.003, "Noise of a depth over its square", unit="1/m", ge=1e-6, le=1.0
+        0.003, "Standard deviation of a depth over its square", unit="1/m", ge=1e-6, le=1.0
     )
-    depth_min_m: float = setting(0.2, "Nearest depth used", unit="m", ge=1e-6, le=100.0)
-    depth_max_m: float = setting(8.0, "Farthest depth used", unit="m", ge=1e-6, le=100.0)
+    depth_min_m: float = setting(0.2, "Least depth of a feature", unit="m", ge=1e-6, le=100.0)
+    depth_max_m: float = setting(8.0, "Greatest depth of a feature", unit="m", ge=1e-6, le=100.0)
     step_sigma_max_m: float = setting(
         0.2,
-        "A step less certain than this is not measured",
+        "Greatest standard deviation of a step's translation; above it the step is rejected",
         unit="m",
         ge=1e-6,
         le=10.0,
@@ -97,18 +117,23 @@ class VisualOdometrySettings(StageSettings):
     )
     depth_scale_sigma: float = setting(
         0.005,
-        "Error of all depths alike, in metres per metre",
+        "Standard deviation of the depth scale, common to all depths",
         unit="m/m",
         ge=0.0,
         le=1.0,
         formerly="scale_share",
     )
     keyframe_distance_m: float = setting(
-        0.4, "Way to the next keyframe", unit="m", ge=1e-6, le=100.0, formerly="key_step_m"
+        0.4,
+        "Distance at which a new keyframe is taken",
+        unit="m",
+        ge=1e-6,
+        le=100.0,
+        formerly="key_step_m",
     )
     keyframe_rotation_rad: float = setting(
         0.3,
-        "Turn to the next keyframe",
+        "Rotation at which a new keyframe is taken",
         unit="rad",
         ge=1e-6,
         le=float(np.pi),
@@ -116,14 +141,14 @@ class VisualOdometrySettings(StageSettings):
     )
     keyframe_match_ratio: float = setting(
         0.4,
-        "Features of the keyframe still found, below which the image becomes one",
+        "Ratio of the keyframe's matches still found, below which a new keyframe is taken",
         ge=0.0,
         le=1.0,
         formerly="key_match_share",
     )
     unmatched_images_max: int = setting(
         5,
-        "Images without a match after which the next one begins anew",
+        "Consecutive images without a match after which a new segment starts",
         unit="images",
         ge=0,
         le=10_000,
@@ -151,16 +176,16 @@ def visual_odometry(
     """The LiDAR's motion by a camera's images, whose stamps increase, at the images' stamps.
 
     ``intrinsics``: of the grey images. ``T_lidar_camera``: (4, 4), its optical frame to the
-    LiDAR's, whose z is taken to be upright. An image that is dark, without texture or without
-    depth is not measured, and the pose stays.
+    LiDAR's, whose z axis is taken as vertical. An image that is dark or lacks texture or depth
+    gives no step: the pose is kept and the step is marked as not measured.
 
     Raises MissingStream where there is no image.
     """
-    follower = _VisualOdometry(intrinsics, T_lidar_camera, settings or VisualOdometrySettings())
+    odometry = _VisualOdometry(intrinsics, T_lidar_camera, settings or VisualOdometrySettings())
     for count, frame in enumerate(frames, start=1):
-        follower.add(frame)
+        odometry.add(frame)
         progress(count, None, "visual odometry")
-    return follower.trajectory()
+    return odometry.trajectory()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,19 +258,25 @@ class _VisualOdometry:
         return _Features(frame.gray, pixels, np.asarray(descriptors, dtype=np.uint8), points, pose)
 
     def _normalised_coordinates(self, pixels: Float32Array) -> FloatArray:
-        """(M, 2) where the pixels' rays pass 1 m along the optical axis, without distortion."""
-        lens = self._intrinsics
-        K = np.array([[lens.fx, 0.0, lens.cx], [0.0, lens.fy, lens.cy], [0.0, 0.0, 1.0]])
-        coefficients = np.array(lens.distortion or (0.0,) * 4)
+        """(M, 2) normalised image coordinates of the pixels, undistorted."""
+        intrinsics = self._intrinsics
+        K = np.array(
+            [
+                [intrinsics.fx, 0.0, intrinsics.cx],
+                [0.0, intrinsics.fy, intrinsics.cy],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+        coefficients = np.array(intrinsics.distortion or (0.0,) * 4)
         stacked = pixels.astype(np.float64)[:, np.newaxis, :]
-        if lens.distortion_model in ("equidistant", "fisheye"):
+        if intrinsics.distortion_model in ("equidistant", "fisheye"):
             ideal = cv2.fisheye.undistortPoints(stacked, K, coefficients[:4])
         else:
             ideal = cv2.undistortPoints(stacked, K, coefficients)
         return np.asarray(ideal, dtype=np.float64).reshape(-1, 2)
 
     def _match(self, key: _Features, now: _Features) -> tuple[PlanarStepEstimate, int] | str:
-        """The step from a keyframe and how many features of it were found, or why there is none."""
+        """The step from a keyframe and its number of inliers, or why there is none."""
         settings = self._settings
         first, second = self._match_descriptors(key, now)
         has_depth = np.isfinite(key.points_in_lidar_m[first, 2])
@@ -266,18 +297,21 @@ class _VisualOdometry:
             seen[inliers],
             start,
             self._T,
-            focal_px=self._focal_px,
-            sigma_px=settings.feature_sigma_px,
-            depth_sigma_per_m2=settings.depth_sigma_per_m2,
+            FeatureNoise(
+                focal_px=self._focal_px,
+                sigma_px=settings.feature_sigma_px,
+                depth_sigma_per_m2=settings.depth_sigma_per_m2,
+            ),
         )
         if fit is None or np.count_nonzero(fit.is_inlier) < settings.inliers_min:
             return "matches that fit no motion on the floor"
         if np.sqrt(fit.covariance[:2, :2].trace()) > settings.step_sigma_max_m:
-            return "matches that leave the motion open"
+            return "matches that do not determine the motion"
         return fit, int(np.count_nonzero(fit.is_inlier))
 
     def _match_descriptors(self, key: _Features, now: _Features) -> tuple[IntArray, IntArray]:
-        """Indices of features whose descriptors match, each way the best and clearly so."""
+        """Indices of matching features: Lowe's ratio test, and one match per feature of the
+        image."""
         pairs = self._matcher.knnMatch(key.descriptors, now.descriptors, k=2)
         ratio = self._settings.match_ratio
         good = [p[0] for p in pairs if len(p) == 2 and p[0].distance < ratio * p[1].distance]
@@ -294,7 +328,8 @@ class _VisualOdometry:
     def _refine_pixels(
         self, key: _Features, now: _Features, first: IntArray, second: IntArray
     ) -> tuple[Float32Array, BoolArray]:
-        """(M, 2) where the keyframe's features are in the image, and which could be refined."""
+        """(M, 2) refined pixels of the keyframe's features in the image, (M,) which were
+        refined."""
         begin, guess = key.pixels[first], now.pixels[second]
         found, status, _ = cv2.calcOpticalFlowPyrLK(
             key.gray,
@@ -318,7 +353,7 @@ class _VisualOdometry:
     def _estimate_by_pnp(
         self, points: FloatArray, seen: FloatArray
     ) -> tuple[FloatArray | None, BoolArray]:
-        """PnP in RANSAC: the LiDAR's step, of which the planar part is taken, and the inliers."""
+        """PnP with RANSAC: the planar part of the LiDAR's step, and (M,) the inliers."""
         none = np.zeros(len(points), dtype=np.bool_)
         in_camera = transform_points(invert_transform(self._T), points)
         settings = self._settings
@@ -379,15 +414,15 @@ class _VisualOdometry:
         self._found_most = 0
 
     def trajectory(self) -> OdometryTrajectory:
-        """All images so far."""
+        """The trajectory over all images so far."""
         if not self._stamps_ns:
-            raise MissingStream("there is no image with depth to follow.")
+            raise MissingStream("visual odometry needs an image with depth.")
         share = self._settings.depth_scale_sigma
         return self._chain.to_trajectory("visual", self._stamps_ns, scale_sigma=share)
 
 
 def _sample_depths_m(frame: GrayDepth, pixels: Float32Array) -> FloatArray:
-    """(M,) depth at pixels of the grey image, NaN where there is none or an edge."""
+    """(M,) depth at pixels of the grey image, NaN where it is missing or at a depth edge."""
     (height, width), (rows, columns) = frame.gray.shape, frame.depth_m.shape
     column = np.floor((pixels[:, 0].astype(np.float64) + 0.5) * columns / width).astype(np.int64)
     row = np.floor((pixels[:, 1].astype(np.float64) + 0.5) * rows / height).astype(np.int64)
@@ -398,8 +433,8 @@ def _sample_depths_m(frame: GrayDepth, pixels: Float32Array) -> FloatArray:
         ]
     ).astype(np.float64)
     here = beside[0]
-    near = np.abs(beside - here) < _DEPTH_EDGE_RATIO * here
-    # A corner on an edge belongs to the nearer surface, and is told its depth by either.
-    is_flat = near.all(axis=0)
+    is_near = np.abs(beside - here) < _DEPTH_EDGE_RATIO * here
+    # A corner at a depth edge may be given the depth of the surface behind it.
+    is_flat = is_near.all(axis=0)
     mean = beside.mean(axis=0)
     return np.where(is_flat, mean, np.nan)

@@ -1,4 +1,7 @@
-"""Wheel odometry at the scans' stamps, with the doubt that a simple model of motion gives it."""
+"""Wheel odometry at the scans' stamps, with covariances from an odometry noise model.
+
+The standard deviations are proportional to the motion, as in Thrun, Burgard, Fox 2005, §5.4.
+"""
 
 from collections.abc import Callable
 
@@ -11,11 +14,11 @@ from fusion_core.settings import StageSettings, setting
 
 
 class WheelSettings(StageSettings):
-    """How wheel odometry errs; the defaults are those of a small robot on a hard floor."""
+    """Noise model of wheel odometry; the defaults suit a small robot on a hard floor."""
 
     forward_sigma_per_m: float = setting(
         0.03,
-        "Standard deviation of a way, in metres per metre",
+        "Standard deviation along the direction of motion, per distance travelled",
         unit="m/m",
         ge=1e-6,
         le=1.0,
@@ -23,7 +26,7 @@ class WheelSettings(StageSettings):
     )
     lateral_sigma_per_m: float = setting(
         0.01,
-        "The same, across the way: wheels slip aside less",
+        "Standard deviation across the direction of motion, per distance travelled",
         unit="m/m",
         ge=1e-6,
         le=1.0,
@@ -31,7 +34,7 @@ class WheelSettings(StageSettings):
     )
     rotation_sigma_per_rad: float = setting(
         0.05,
-        "Standard deviation of a turn, in radians per radian",
+        "Standard deviation of a rotation, per radian turned",
         unit="rad/rad",
         ge=1e-6,
         le=1.0,
@@ -39,7 +42,7 @@ class WheelSettings(StageSettings):
     )
     heading_sigma_per_m: float = setting(
         0.02,
-        "Standard deviation of the heading, per metre of way",
+        "Standard deviation of the heading, per distance travelled",
         unit="rad/m",
         ge=1e-6,
         le=1.0,
@@ -47,7 +50,7 @@ class WheelSettings(StageSettings):
     )
     standstill_sigma_m: float = setting(
         1e-4,
-        "Standard deviation of a step at rest",
+        "Least standard deviation of a step, x and y",
         unit="m",
         ge=1e-6,
         le=0.1,
@@ -55,7 +58,7 @@ class WheelSettings(StageSettings):
     )
     standstill_sigma_rad: float = setting(
         1e-4,
-        "Standard deviation of a turn at rest",
+        "Least standard deviation of a step, heading",
         unit="rad",
         ge=1e-6,
         le=0.1,
@@ -63,7 +66,7 @@ class WheelSettings(StageSettings):
     )
     gap_max_s: float = setting(
         0.25,
-        "Between two samples farther apart no pose is known",
+        "Longest time between two odometry samples that is interpolated",
         unit="s",
         ge=1e-6,
         le=60.0,
@@ -71,7 +74,8 @@ class WheelSettings(StageSettings):
     )
 
 
-# Over this way and this turn the errors of wheels are alike, so that their shares add up.
+# Errors of wheels are systematic over a metre or a radian (Borenstein and Feng 1996), so drift is
+# a random walk whose steps are this long.
 _CORRELATION_M = 1.0
 _CORRELATION_RAD = 1.0
 
@@ -84,9 +88,9 @@ def wheel_odometry(
 ) -> OdometryTrajectory:
     """Wheel odometry at ``stamps_ns``, (N,) the scans'.
 
-    ``at``: recorded odometry of the LiDAR, x, y, yaw, None where it does not reach. ``sampled_ns``:
-    (K,) the stamps of its samples, by which its gaps are told. Where there is no pose, the last
-    one stays.
+    ``pose_at``: recorded odometry as the LiDAR's (x, y, yaw), None outside the recording.
+    ``sampled_ns``: (K,) stamps of its samples, to find gaps. Where there is no pose, the last one
+    is kept.
     """
     settings = settings or WheelSettings()
     poses = np.zeros((stamps_ns.size, 3))
@@ -101,7 +105,7 @@ def wheel_odometry(
             poses[k] = poses[k - 1]
     known = reached & ~in_gap
     if known.any():
-        # Before the first pose it stood where that one is.
+        # Before the first known pose: that pose.
         first = int(np.argmax(known))
         poses[:first] = poses[first]
     measured: BoolArray = known[:-1] & known[1:]
@@ -127,9 +131,9 @@ def _notes(reached: BoolArray, in_gap: BoolArray, gap_s: float) -> tuple[str, ..
 
 
 def _in_gap(stamps_ns: IntArray, sampled_ns: IntArray, gap_s: float) -> BoolArray:
-    """(N,) whether a stamp lies between two samples that are too far apart, and on neither.
+    """(N,) whether a stamp lies strictly between two samples that are too far apart.
 
-    Wheels count on while nobody asks them, so a gap between two stamps that were sampled is none.
+    Encoders keep counting between samples, so a step from sample to sample is known across a gap.
     """
     sampled_ns = np.unique(sampled_ns)
     after = np.searchsorted(sampled_ns, stamps_ns)
@@ -142,34 +146,27 @@ def _in_gap(stamps_ns: IntArray, sampled_ns: IntArray, gap_s: float) -> BoolArra
 
 
 def _covariances(steps: FloatArray, settings: WheelSettings) -> tuple[FloatArray, FloatArray]:
-    """(N - 1, 3, 3) twice: of each step alone, and what it adds to a longer way."""
-    way_m, turn_rad = np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
+    """(N - 1, 3, 3) twice: covariance of each step alone, and its contribution to drift."""
+    distance_m, rotation_rad = np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
     single, drift = np.zeros((2, len(steps), 3, 3))
-    rest = (
-        np.array(
-            [
-                settings.standstill_sigma_m,
-                settings.standstill_sigma_m,
-                settings.standstill_sigma_rad,
-            ]
-        )
-        ** 2
-    )
-    for covariance, way_2, turn_2 in (
-        (single, way_m**2, turn_rad**2),
-        (drift, _CORRELATION_M * way_m, _CORRELATION_RAD * turn_rad),
+    sigmas = [settings.standstill_sigma_m] * 2 + [settings.standstill_sigma_rad]
+    floor = np.diag(np.square(sigmas))
+    for covariance, squared_m2, squared_rad2 in (
+        (single, distance_m**2, rotation_rad**2),
+        (drift, _CORRELATION_M * distance_m, _CORRELATION_RAD * rotation_rad),
     ):
-        along = settings.forward_sigma_per_m**2 * way_2
+        along = settings.forward_sigma_per_m**2 * squared_m2
         heading = (
-            settings.rotation_sigma_per_rad**2 * turn_2 + settings.heading_sigma_per_m**2 * way_2
+            settings.rotation_sigma_per_rad**2 * squared_rad2
+            + settings.heading_sigma_per_m**2 * squared_m2
         )
-        across = settings.lateral_sigma_per_m**2 * way_2
-        direction = steps[:, :2] / np.maximum(way_m, 1e-12)[:, np.newaxis]
+        across = settings.lateral_sigma_per_m**2 * squared_m2
+        direction = steps[:, :2] / np.maximum(distance_m, 1e-12)[:, np.newaxis]
         normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
         covariance[:, :2, :2] = along[:, None, None] * _outer(direction)
         covariance[:, :2, :2] += across[:, None, None] * _outer(normal)
         covariance[:, 2, 2] = heading
-        covariance += np.diag(rest)
+        covariance += floor
     return single, drift
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import FloatArray, IntArray
+from fusion_core.model.robust import MAD_TO_SIGMA
 from fusion_core.registration.local_lines import (
     INCIDENCE_COS_MIN,
     LocalLines,
@@ -15,9 +16,6 @@ from fusion_core.registration.polar_correspondence import PolarScan, find_neares
 
 # Where one sweep is this much denser than the other, the sparser one alone limits the accuracy.
 _DENSITY_RATIO_MAX = 10.0
-
-# 1 / 0.6745, so that the median size of a Gaussian gives its standard deviation.
-_MEDIAN_TO_SIGMA = 1.4826
 
 
 # By how much the limit of trimming may fall from one iteration to the next.
@@ -134,7 +132,7 @@ def trim_pairs(
             count += 1
     if count == 0:
         return 0, last_limit, np.inf
-    scale = _MEDIAN_TO_SIGMA * np.median(size[:count])
+    scale = MAD_TO_SIGMA * np.median(size[:count])
     limit = max(sigmas * max(scale, 1.0), min(last_limit / _LIMIT_DECREASE_MAX, size[:count].max()))
     left = 0
     for i in range(0, pairs.partner.size, stride):

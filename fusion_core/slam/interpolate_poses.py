@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from fusion_core.model.conventions import FloatArray, IntArray, wrap_angle
-from fusion_core.model.planar_poses import compose_poses, relative_pose
+from fusion_core.model.conventions import FloatArray, IntArray
+from fusion_core.model.planar_poses import compose_poses, interpolate_pose, relative_pose
 
 
 def interpolate_poses(
@@ -24,8 +24,4 @@ def interpolate_poses(
     )
     span = np.maximum(key[after] - key[before], 1)
     share = np.clip((number - key[before]) / span, 0.0, 1.0)
-    step = by_after - by_before
-    step[:, 2] = wrap_angle(step[:, 2])
-    poses: FloatArray = by_before + share[:, np.newaxis] * step
-    poses[:, 2] = wrap_angle(poses[:, 2])
-    return poses
+    return interpolate_pose(by_before, by_after, share)

@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion_core.model.errors import StampOutsideRange
-from fusion_core.model.geometry import interpolate_pose, planar_from_transform
+from fusion_core.model.geometry import planar_from_transform
+from fusion_core.model.planar_poses import interpolate_pose
 from fusion_core.model.trajectory import Trajectory
 
 

@@ -170,7 +170,7 @@ def test_a_prediction_that_is_wrong_does_not_mislead_it(room: list[LaserScan]) -
 
 
 def test_without_a_scan_there_is_no_odometry() -> None:
-    with pytest.raises(MissingStream, match="no scan"):
+    with pytest.raises(MissingStream, match="needs a scan"):
         laser_odometry([])
 
 

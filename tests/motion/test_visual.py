@@ -16,7 +16,7 @@ from fusion_core.model.geometry import (
 )
 from fusion_core.model.planar_poses import relative_pose
 from fusion_core.model.sensors import CameraIntrinsics
-from fusion_core.motion.planar_reprojection import estimate_planar_step
+from fusion_core.motion.planar_reprojection import FeatureNoise, estimate_planar_step
 from fusion_core.motion.steps import integrate_steps
 from fusion_core.motion.visual import GrayDepth, VisualOdometrySettings, visual_odometry
 from tests.motion.simulated_motion import STEP_NS, stamps, step_errors
@@ -112,7 +112,7 @@ def test_without_depth_or_images_there_is_nothing_to_follow() -> None:
     track = visual_odometry(blind, LENS, T_LIDAR_CAMERA)
     assert not track.measured.any()
     assert "too few features with depth" in track.notes[0]
-    with pytest.raises(MissingStream, match="no image"):
+    with pytest.raises(MissingStream, match="needs an image"):
         visual_odometry([], LENS, T_LIDAR_CAMERA)
 
 
@@ -147,9 +147,7 @@ def fit(points: FloatArray, seen: FloatArray, depth_sigma: float = 1e-9):
         seen,
         np.zeros(3),
         T_LIDAR_CAMERA,
-        focal_px=LENS.fx,
-        sigma_px=0.5,
-        depth_sigma_per_m2=depth_sigma,
+        FeatureNoise(focal_px=LENS.fx, sigma_px=0.5, depth_sigma_per_m2=depth_sigma),
     )
 
 

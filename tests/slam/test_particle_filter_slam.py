@@ -8,8 +8,7 @@ import pytest
 
 from fusion_core.evaluation.relations import evaluate_relations
 from fusion_core.model.errors import MappingFailed
-from fusion_core.model.geometry import interpolate_pose
-from fusion_core.model.planar_poses import compose_poses, relative_pose
+from fusion_core.model.planar_poses import compose_poses, interpolate_pose, relative_pose
 from fusion_core.model.trajectory import Trajectory
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.relation_file import read_relations

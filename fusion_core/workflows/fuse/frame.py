@@ -34,6 +34,7 @@ from fusion_core.model.conventions import NS_PER_S, BoolArray, Float32Array, Flo
 from fusion_core.model.errors import AlignmentFailed, RegistrationFailed
 from fusion_core.model.geometry import transform_points
 from fusion_core.model.rig import Camera, Mount
+from fusion_core.model.robust import robust_sigma
 from fusion_core.model.sensors import LaserScan
 from fusion_core.registration.ransac import Registration, register
 from fusion_core.workflows.fuse.align import RecordingAlignment, T_lidar_camera_at, turned_rad
@@ -84,10 +85,10 @@ class FrameMatch:
 
     @property
     def sigma_m(self) -> float:
-        """Robust standard deviation of the residuals (1.4826 median |r|), NaN without pairs."""
-        residual_m = np.abs(self.correspondence.residual_m)
+        """Robust standard deviation of the residuals about zero, NaN without pairs."""
+        residual_m = self.correspondence.residual_m
         residual_m = residual_m[np.isfinite(residual_m)]
-        return 1.4826 * float(np.median(residual_m)) if residual_m.size else float("nan")
+        return robust_sigma(residual_m) if residual_m.size else float("nan")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
