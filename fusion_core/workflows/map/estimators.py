@@ -8,8 +8,7 @@ import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S, BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.errors import MappingFailed
-from fusion_core.model.geometry import interpolate_pose
-from fusion_core.model.planar_poses import PosePrior
+from fusion_core.model.planar_poses import PosePrior, interpolate_pose
 from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import SlamObserver
 from fusion_core.slam.particle_filter_slam import ParticleResult, particle_filter_slam
