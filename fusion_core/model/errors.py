@@ -1,4 +1,4 @@
-"""Typed failures. Each names the file or value at fault and what to do about it."""
+"""Typed errors. Each names the file or value at fault and what to do about it."""
 
 from pathlib import Path
 
@@ -49,9 +49,9 @@ class FramesNotConnected(MissingStream):
 
 
 class StampOutsideRange(ScanLoomError):
-    """A pose is asked for at an instant that its samples do not bracket.
+    """A pose is requested at an instant outside its samples.
 
-    ``start_ns`` and ``end_ns`` are the first and last instant that would have been answered.
+    ``start_ns`` and ``end_ns`` are the first and last instant with a pose.
     """
 
     def __init__(self, problem: str, *, stamp_ns: int, start_ns: int, end_ns: int) -> None:

@@ -69,7 +69,7 @@ class MapDifference:
 
     @property
     def legend(self) -> dict[int, str]:
-        """Each state in words, whether it occurs or not."""
+        """A label for every state, whether it occurs or not."""
         legend = {self.UNKNOWN: "unknown", self.FREE: "free"}
         everywhere = 2 ** len(self.names) - 1
         for mask in range(1, everywhere + 1):

@@ -1,4 +1,4 @@
-"""How long work reports itself: a callable, so that no stage knows a terminal or a browser."""
+"""Progress of long work, reported to a callable: no stage depends on a terminal or a browser."""
 
 from typing import Protocol
 

@@ -1,4 +1,4 @@
-"""The one protocol behind which every format stands."""
+"""The protocol that the reader of every format implements."""
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -54,7 +54,7 @@ class Recording(Protocol):
 
     ``start_ns`` and ``end_ns`` are log times, None where the format has no clock. ``warnings``
     name what could not be read; it may grow while messages are decoded. ``stamps_are_nominal``
-    says that stamps were made from the frame index because the format has none.
+    says that stamps were made from frame numbers because the format has none.
     """
 
     path: Path

@@ -1,4 +1,4 @@
-"""What is known of a motion without a whole reference: how poses at pairs of instants relate."""
+"""Reference relations: relative poses between pairs of instants, without a whole trajectory."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What stands in a world, seen from above: the reference that a map is measured against.
+"""Obstacle outlines of a world, seen from above: the reference for measuring maps.
 
 Li 2022, Fig. 8 (a): the outlines of all obstacles to the robot, three lines and two angles.
 """
@@ -15,7 +15,7 @@ SAMPLE_STEP_M = 0.01
 
 SENSORS = ("lidar", "camera")
 
-# What is called parallel: a millimetre over a metre.
+# Faces are parallel within a millimetre per metre.
 _PARALLEL_RAD = 1e-3
 
 
@@ -130,7 +130,7 @@ class MeasuredAngle:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WorldOutline:
-    """All that stands where a robot of ``robot_height_m`` would run into it."""
+    """All obstacles to a robot of height ``robot_height_m``."""
 
     robot_height_m: float
     obstacles: tuple[ObstacleOutline, ...]

@@ -212,7 +212,7 @@ def _camera_info(raw: RawMessage, received_ns: int | None) -> CameraInfo:
         )
     if len(raw.distortion_model) > _MAX_NAME_CHARACTERS:
         raise _long_name_error("the distortion model", raw.distortion_model)
-    # K[0] == 0 is how an uncalibrated camera says so.
+    # K[0] == 0 marks an uncalibrated camera.
     if k[0] != 0.0:
         try:
             intrinsics = CameraIntrinsics(

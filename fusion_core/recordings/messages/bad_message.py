@@ -1,4 +1,4 @@
-"""The failure of one message, told without knowing its topic or file."""
+"""The error of a single message, raised where its topic and file are not known."""
 
 
 class BadMessage(ValueError):

@@ -18,7 +18,7 @@ def read_points(raw: Any) -> tuple[Float32Array, Float32Array | None]:
     """(N, 3) metres and (N,) intensity of a cloud, in its order; None where it has no intensity.
 
     A point is NaN where a coordinate is not finite, whatever ``is_dense`` says, and where all are
-    0, which is how some drivers say that they saw nothing. Other fields are passed over.
+    0, which is how some drivers mark a missing point. Other fields are ignored.
 
     Raises BadMessage for a cloud whose sizes, fields and data contradict each other.
     """

@@ -2,7 +2,7 @@
 
 The images were turned upright and their depth was cut to 8 bits. Of the labelled images the poses
 are places in a map; the raw data has the mounts. A laser observation's subsession is the number
-of its sequence in the first version, so that sequences are told apart by their times here too.
+of its sequence in the first version, so that sequences are distinguished by their times here too.
 """
 
 import sqlite3

@@ -227,7 +227,7 @@ class DamagedDatabase:
         return self._pages.data(cell)
 
     def problems(self) -> list[str]:
-        """None besides those that are told in ``content``."""
+        """None besides the losses in ``content``."""
         return []
 
     def close(self) -> None:
