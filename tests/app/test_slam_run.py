@@ -18,6 +18,7 @@ from scanloom import cli
 from scanloom.jobs import slam_run as job
 from scanloom.jobs.long_job import Cancelled
 from scanloom.jobs.slam_run import (
+    SlamRequest,
     SlamRun,
     keep,
     map_options,
@@ -47,7 +48,12 @@ def asked(**choices: object) -> View:
 
 
 def run(root: Path, number: int = 1, progress: Progress = silent, **choices: object) -> SlamRun:
-    return run_slam(number, asked(**choices), RECORDING, root, progress, no_observer)
+    return run_slam(
+        SlamRequest(number=number, view=asked(**choices), recording=RECORDING),
+        root,
+        progress,
+        no_observer,
+    )
 
 
 @pytest.mark.usefixtures("fake")
@@ -178,7 +184,12 @@ def test_a_run_stops_where_only_its_picture_moves(
     monkeypatch.setattr(job, "build_map", only_watched)
     progress, _ = stopping(5)
     with pytest.raises(Cancelled):
-        run_slam(1, asked(), RECORDING, tmp_path, progress, seen.append)
+        run_slam(
+            SlamRequest(number=1, view=asked(), recording=RECORDING),
+            tmp_path,
+            progress,
+            seen.append,
+        )
     assert len(seen) == 4
     assert list(tmp_path.iterdir()) == []
 
@@ -231,7 +242,9 @@ def test_a_run_writes_the_bytes_that_its_command_writes(
 ) -> None:
     seen: list[SlamView] = []
     view = asked(motion="wheel", estimator=estimator, particles=5)
-    made = run_slam(1, view, small_scene, tmp_path, silent, seen.append)
+    made = run_slam(
+        SlamRequest(number=1, view=view, recording=small_scene), tmp_path, silent, seen.append
+    )
     command = shlex.split(map_command(small_scene, tmp_path / "again", made.options))
     assert cli.main(command[1:]) == 0
     by_command = files_below(tmp_path / "again")

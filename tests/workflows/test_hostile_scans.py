@@ -18,7 +18,7 @@ from fusion_core.workflows.fuse.fuse import fuse
 from fusion_core.workflows.fuse.session import FuseOptions
 from fusion_core.workflows.map.build_map import build_map
 from fusion_core.workflows.map.options import MapOptions
-from scanloom.jobs.slam_run import run_slam
+from scanloom.jobs.slam_run import SlamRequest, run_slam
 from scanloom.state.slam_choices import SlamChoices
 from scanloom.state.view import View
 from tests.hostile.scans import (
@@ -85,8 +85,9 @@ def test_the_workbench_tells_a_run_without_any_scan_as_failed(tmp_path: Path) ->
     view = View(recording=recording.name, slam=SlamChoices())
     root = tmp_path / "runs"
     root.mkdir()
+    request = SlamRequest(number=1, view=view, recording=recording)
     with pytest.raises(ScanLoomError, match="the scan has no ranges"):
-        run_slam(1, view, recording, root, silent, no_observer)
+        run_slam(request, root, silent, no_observer)
     assert not list(root.iterdir())
 
 

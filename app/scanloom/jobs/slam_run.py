@@ -78,14 +78,18 @@ def resampling_at(view: View) -> float:
     return settings_of(view).particles.resample_fraction * view.slam.particles
 
 
+@dataclass(frozen=True, kw_only=True)
+class SlamRequest:
+    """What to run: the options of ``view`` on ``recording``. ``number``: unique in the session."""
+
+    number: int
+    view: View
+    recording: Path
+    clock_offset_ms: float = 0.0
+
+
 def run_slam(
-    number: int,
-    view: View,
-    recording: Path,
-    root: Path,
-    progress: Progress,
-    observer: SlamObserver,
-    clock_offset_ms: float = 0.0,
+    request: SlamRequest, root: Path, progress: Progress, observer: SlamObserver
 ) -> SlamRun:
     """Run what a view asks for, into a new folder below ``root``.
 
@@ -105,16 +109,16 @@ def run_slam(
             progress(*step)
         observer(seen)
 
-    with new_folder(root, Path(f"run-{number}")) as folder:
+    with new_folder(root, Path(f"run-{request.number}")) as folder:
         settings_file = settings_in(folder)
-        options = map_options(view, settings_file, clock_offset_ms)
+        options = map_options(request.view, settings_file, request.clock_offset_ms)
         if options.settings_file is not None:
-            text = map_settings_toml(settings_of(view), options.preset)
+            text = map_settings_toml(settings_of(request.view), options.preset)
             settings_file.write_text(text, encoding="utf-8")
         summary: MapSummary | None = None
         problem: ScanLoomError | None = None
         try:
-            summary = build_map(recording, results_in(folder), options, advance, look)
+            summary = build_map(request.recording, results_in(folder), options, advance, look)
         except MappingFailed as error:
             # Most of its scans do not fit, yet it was written.
             if not (results_in(folder) / "trajectory.tum").exists():
@@ -123,8 +127,8 @@ def run_slam(
         progress(1, 1, "done")
         files = read_map_results(results_in(folder))
     return SlamRun(
-        number=number,
-        view=view,
+        number=request.number,
+        view=request.view,
         folder=folder,
         options=options,
         summary=summary,

@@ -18,7 +18,12 @@ from scanloom.plots.heatmap import Heatmap
 from scanloom.plots.map_picture import map_texture
 from scanloom.scene import camera_views
 from scanloom.scene.color_picture import upright_color
-from scanloom.scene.frame_geometry import FrameGeometry, frame_geometry, unmatched_geometry
+from scanloom.scene.frame_geometry import (
+    FrameGeometry,
+    UnmatchedFrame,
+    frame_geometry,
+    unmatched_geometry,
+)
 from scanloom.scene.image_planes import ImagePlane, Layout, layout_of
 from scanloom.scene.layers import LAYERS, Layer
 from scanloom.scene.nodes import MapPlane, PickResult, SceneNodes
@@ -229,15 +234,15 @@ def _geometry(frame_view: FrameView) -> FrameGeometry | None:
             repaired=view.show_repaired,
         )
     paired = frame_view.paired
-    return unmatched_geometry(
-        paired.camera,
-        paired.image.stamp_ns,
-        frame_view.open_recording.fuse_session.depth_of(paired.camera, paired.image.depth_m),
-        None if paired.window is None else paired.window.scan,
-        rig,
-        chain.alignment,
-        row_step=view.row_step,
+    unmatched = UnmatchedFrame(
+        camera=paired.camera,
+        stamp_ns=paired.image.stamp_ns,
+        depth_m=frame_view.open_recording.fuse_session.depth_of(
+            paired.camera, paired.image.depth_m
+        ),
+        scan=None if paired.window is None else paired.window.scan,
     )
+    return unmatched_geometry(unmatched, rig, chain.alignment, row_step=view.row_step)
 
 
 def _depth(frame_view: FrameView) -> DepthPicture | None:

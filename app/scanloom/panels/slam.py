@@ -18,7 +18,7 @@ from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView, clock_offset_ms
 from scanloom.jobs.build import free_folder, results_in, settings_in
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
-from scanloom.jobs.slam_run import SlamRun, map_options, resampling_at, run_slam
+from scanloom.jobs.slam_run import SlamRequest, SlamRun, map_options, resampling_at, run_slam
 from scanloom.panels.command_line import map_command
 from scanloom.panels.slam_results import SlamResults, effective_picture
 from scanloom.panels.widgets.controls import Controls, update_widget
@@ -175,7 +175,10 @@ class SlamPanel:
 
             def work(progress: Progress) -> SlamRun:
                 recording = self._session.recording_path(view.recording)
-                return run_slam(number, view, recording, root, progress, self._watch, offset_ms)
+                request = SlamRequest(
+                    number=number, view=view, recording=recording, clock_offset_ms=offset_ms
+                )
+                return run_slam(request, root, progress, self._watch)
 
             self._job.begin("slam", work, self._take)
 

@@ -121,24 +121,27 @@ def frame_geometry(
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnmatchedFrame:
+    """An upright depth image (H, W) and its scan, if any, without pairs."""
+
+    camera: int
+    stamp_ns: int
+    depth_m: Float32Array
+    scan: LaserScan | None
+
+
 def unmatched_geometry(
-    camera: int,
-    stamp_ns: int,
-    depth_m: Float32Array,
-    scan: LaserScan | None,
-    rig: CameraRig,
-    alignment: RecordingAlignment,
-    *,
-    row_step: int,
+    frame: UnmatchedFrame, rig: CameraRig, alignment: RecordingAlignment, *, row_step: int
 ) -> FrameGeometry:
-    """A frame whose pairs could not be had: its depth at the recording's mount, and its scan."""
-    model = rig.cameras[camera]
+    """What is drawn of a frame without pairs: its depth, at the recording's mount, and its scan."""
+    model = rig.cameras[frame.camera]
     T_lidar_camera = T_lidar_camera_at(model, alignment.mount, 0.0)
-    rows_m, rows_depth_m = ridge_lines(depth_m, model, T_lidar_camera, row_step)
-    beams_m = _NO_POINTS if scan is None else curve_points(scan, scan.ranges_m)
+    rows_m, rows_depth_m = ridge_lines(frame.depth_m, model, T_lidar_camera, row_step)
+    beams_m = _NO_POINTS if frame.scan is None else curve_points(frame.scan, frame.scan.ranges_m)
     return FrameGeometry(
-        camera=camera,
-        stamp_ns=stamp_ns,
+        camera=frame.camera,
+        stamp_ns=frame.stamp_ns,
         frustum=frustum(model, T_lidar_camera),
         rows_m=rows_m,
         rows_depth_m=rows_depth_m,

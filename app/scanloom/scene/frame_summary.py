@@ -123,25 +123,25 @@ def facts_of_beam(frame: FusedFrame, beam: int) -> BeamFacts | None:
     if not found.size:
         return None
     at = int(found[0])
-    lidar = _sample(
-        at,
-        classes.lidar_class,
-        classes.lidar_confidence,
-        pairs.lidar_range_m,
-        repair.lidar_range_m,
-        repair.lidar_source,
-        repair.lidar_errors_m,
+    lidar = SampleFacts(
+        noise_class=NoiseClass(classes.lidar_class[at]),
+        confidence=float(classes.lidar_confidence[at]),
+        raw_m=float(pairs.lidar_range_m[at]),
+        repaired_m=float(repair.lidar_range_m[at]),
+        source=RepairSource(repair.lidar_source[at]),
+        from_other_m=float(repair.lidar_errors_m[at, 0]),
+        from_neighbours_m=float(repair.lidar_errors_m[at, 1]),
     )
     pixel = None
     if pairs.row[at] >= 0:
-        pixel = _sample(
-            at,
-            classes.depth_class,
-            classes.depth_confidence,
-            pairs.depth_m,
-            repair.depth_m,
-            repair.depth_source,
-            repair.depth_errors_m,
+        pixel = SampleFacts(
+            noise_class=NoiseClass(classes.depth_class[at]),
+            confidence=float(classes.depth_confidence[at]),
+            raw_m=float(pairs.depth_m[at]),
+            repaired_m=float(repair.depth_m[at]),
+            source=RepairSource(repair.depth_source[at]),
+            from_other_m=float(repair.depth_errors_m[at, 0]),
+            from_neighbours_m=float(repair.depth_errors_m[at, 1]),
         )
     near, beyond, in_time = classes.beam_support[at].tolist()
     around, valid = classes.pixel_support[at].tolist()
@@ -180,24 +180,4 @@ def _counts(noise_class: IntArray, source: IntArray) -> Counts:
         by_class={kind: int((noise_class == kind).sum()) for kind in NoiseClass},
         by_source={kind: int((asked & (source == kind)).sum()) for kind in RepairSource},
         without_pixel=int((~judged).sum()),
-    )
-
-
-def _sample(
-    at: int,
-    noise_class: IntArray,
-    confidence: FloatArray,
-    raw_m: FloatArray,
-    repaired_m: FloatArray,
-    source: IntArray,
-    errors_m: FloatArray,
-) -> SampleFacts:
-    return SampleFacts(
-        noise_class=NoiseClass(noise_class[at]),
-        confidence=float(confidence[at]),
-        raw_m=float(raw_m[at]),
-        repaired_m=float(repaired_m[at]),
-        source=RepairSource(source[at]),
-        from_other_m=float(errors_m[at, 0]),
-        from_neighbours_m=float(errors_m[at, 1]),
     )

@@ -20,6 +20,7 @@ from fusion_core.model.sensors import CameraIntrinsics, LaserScan
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.pairing import FramePair
 from scanloom.scene.frame_geometry import (
+    UnmatchedFrame,
     camera_pose,
     frame_geometry,
     pair_segments,
@@ -276,8 +277,18 @@ def test_a_frame_without_pairs_in_view_is_drawn_at_the_mount():
 
 def test_an_unmatched_frame_shows_its_depth_and_scan():
     depth_m = wall_depth(T_LIDAR_CAMERA)
-    with_scan = unmatched_geometry(0, 7, depth_m, wall_scan(), RIG, ALIGNMENT, row_step=6)
-    alone = unmatched_geometry(0, 7, depth_m, None, RIG, ALIGNMENT, row_step=6)
+    with_scan = unmatched_geometry(
+        UnmatchedFrame(camera=0, stamp_ns=7, depth_m=depth_m, scan=wall_scan()),
+        RIG,
+        ALIGNMENT,
+        row_step=6,
+    )
+    alone = unmatched_geometry(
+        UnmatchedFrame(camera=0, stamp_ns=7, depth_m=depth_m, scan=None),
+        RIG,
+        ALIGNMENT,
+        row_step=6,
+    )
     np.testing.assert_allclose(with_scan.rows_m[..., 0], WALL_M, atol=1e-5)
     np.testing.assert_allclose(with_scan.curve_m[..., 0], WALL_M, rtol=1e-5)
     assert alone.beams_m.shape == (0, 3)
