@@ -31,6 +31,8 @@ from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import FloatArray, IntArray, read_only, wrap_angle
 from fusion_core.model.geometry import invert_transform, make_transform, transform_points
 
+# The measure's own definition: a hit is within two samples (2 degrees at the paper's sampling), of
+# the frames in which at least half of the row overlaps the curve.
 U_TOLERANCE_SAMPLES = 2.0
 LEAST_OVERLAP = 0.5
 CLOCK_INTERVAL_SD = 2.0

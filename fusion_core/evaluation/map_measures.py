@@ -23,9 +23,11 @@ BAND_M = 0.15
 # At a face's ends the cells of what joins it there begin.
 _END_M = 0.1
 _END_FRACTION = 0.2
+# Two more than a line needs, so that there is a residual.
 _CELLS_MIN = 4
 # Cells along less than this fraction of a face do not determine its direction.
 _SPAN_FRACTION_MIN = 0.3
+# A bound: the loop ends once the direction is stationary.
 _ITERATIONS = 30
 # A face's free side is the one with more free cells within this distance.
 _SIDE_M = 0.3

@@ -42,6 +42,7 @@ from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import BoolArray, Float32Array, FloatArray, IntArray
 from fusion_core.model.errors import ScanLoomError
 
+# The measure's own definition: three samples of the paper's sampling, one a degree.
 WIDE_GAP_DEG = 3.0
 
 DepthImages = Iterable[tuple[str, int, Float32Array]]

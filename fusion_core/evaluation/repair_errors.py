@@ -9,6 +9,7 @@ import numpy as np
 from fusion_core.model.classes import RepairSource
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 
+# The measure's own definition: a fixed part, and one that grows with range as depth noise does.
 MOVED_FARTHER_M = 0.05
 MOVED_FARTHER_RATIO = 0.02
 

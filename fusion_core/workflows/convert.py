@@ -28,6 +28,7 @@ from fusion_core.recordings.skipped import SkippedMessages
 from fusion_core.recordings.topics import unknown_topic_error
 from fusion_core.workflows.source import RoomChoice, input_files, open_source
 
+# Messages between two reports of progress.
 _PROGRESS_STEP = 100
 _LAST_NS = (1 << 63) - 1
 

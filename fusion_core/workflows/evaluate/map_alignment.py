@@ -29,7 +29,9 @@ _NEAR_M, _NEAR_RAD = 1.0, 0.35
 # LiDAR, weighs half.
 _INLIER_LIMITS_M = (0.5, 0.3, 0.15)
 _HALF_WEIGHT_M = 0.03
+# A bound: each round ends once its step is below 1e-7.
 _ITERATIONS = 30
+# Some times the three parameters of a pose, so that chance makes no fit.
 _PAIRS_MIN = 10
 
 
