@@ -35,8 +35,13 @@ _PRIOR_BLOCKS = 20.0
 # What systematic causes (occlusion, furniture edges, slanted walls) left as error in simulated
 # rooms; no recording's own scatter shows it.
 _MIN_SD = np.array([np.deg2rad(0.3), 0.05, 0.02, 0.015, np.deg2rad(1.0), 5.0])
+# Minima of the height profile and yaws that are refined: each costs hundreds of evaluations.
 _MAX_STARTS = 3
 _MAX_RIVAL_YAWS = 3
+# Yaws nearer than this count as one; set by hand.
+_SAME_YAW_RAD = np.deg2rad(5.0)
+# Heights nearer than this are one: three steps of the height profile.
+_SAME_HEIGHT_M = 0.15
 # Steps of the search and of the finite differences: large against a pixel, small against a mode.
 _STEP = np.array([np.deg2rad(0.6), 0.04, 0.04, 0.04, np.deg2rad(0.8), 20.0])
 # Noise that only one sensor has moves the cost of two heights apart by this much.
@@ -162,7 +167,7 @@ def _reason_to_prefer_free_fit(
     problem: MountCost, stated: FloatArray, free: FloatArray, settings: MountSettings
 ) -> str:
     """Why the fit of a recorded mount, under which too few points agree, is not to be used: the
-    points agree under a free one, which is better beyond doubt; "" where that is not so.
+    points agree under a free one, which is better with significance; "" where that is not so.
 
     Points that no image shows under it do not contradict it: at another height walls agree as well.
     """
@@ -229,7 +234,7 @@ def _find_rival_yaws(problem: MountCost, yaw_rad: float, heights_m: FloatArray) 
         yaw = float(yaws[index])
         if not np.isfinite(costs[index]) or len(found) == _MAX_RIVAL_YAWS:
             break
-        if min(_angle_between_rad(yaw, other) for other in [yaw_rad, *found]) > np.deg2rad(5.0):
+        if min(_angle_between_rad(yaw, other) for other in [yaw_rad, *found]) > _SAME_YAW_RAD:
             found.append(yaw)
     return found
 
@@ -239,10 +244,10 @@ def _choose_fit(
 ) -> tuple[FloatArray, bool]:
     """The best fit near the rows' yaw, unless another is better beyond doubt; and whether the two
     remain in doubt."""
-    near = [fit for fit in fits if _angle_between_rad(fit[0], yaw_rad) < np.deg2rad(5.0)]
+    near = [fit for fit in fits if _angle_between_rad(fit[0], yaw_rad) < _SAME_YAW_RAD]
     best = min(near or fits, key=problem.mean_cost)
     rival = min(fits, key=problem.mean_cost)
-    if _angle_between_rad(rival[0], best[0]) < np.deg2rad(5.0):
+    if _angle_between_rad(rival[0], best[0]) < _SAME_YAW_RAD:
         return best, False
     return (rival, False) if _is_significantly_better(problem, rival, best) else (best, True)
 
@@ -375,7 +380,7 @@ def _find_rival_heights(
     reference = problem.block_costs(best)
     rivals = []
     for fit in fits:
-        if abs(fit[1] - best[1]) < 0.15:
+        if abs(fit[1] - best[1]) < _SAME_HEIGHT_M:
             continue
         difference = problem.block_costs(fit) - reference
         doubt = 2.0 * np.std(difference) / np.sqrt(difference.size)

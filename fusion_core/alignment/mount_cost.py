@@ -1,4 +1,4 @@
-"""How well a mount lays LiDAR points onto what the cameras see: the cost that the mount minimises.
+"""The cost that the mount minimises: how well it projects LiDAR points onto the depth images.
 
 Three ways to disagree are not the same. A camera that sees *through* a LiDAR point (depth beyond
 it) contradicts the mount; one that sees something *nearer* may just be occluded; a point above or
@@ -84,6 +84,12 @@ MIN_POINTS = 100
 
 # Neighbouring frames see the same walls: they count as one observation.
 _FRAMES_PER_BLOCK = 4
+# The usual depth cameras measure nothing nearer.
+_MIN_DEPTH_M = 0.1
+# Within so many tolerances a point agrees with the depth: where the loss is about a half.
+_AGREE_TOLERANCES = 2.5
+# The loss 1 - exp(-(off / 2)^2 / 2) of Welsch with a scale of two tolerances.
+_WELSCH = 0.125
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -292,7 +298,7 @@ def _tally_points(
         for index in range(first_point[frame], first_point[frame + 1]):
             x, y = points[index]
             depth = T[2, 0] * x + T[2, 1] * y + T[2, 3]
-            if depth < 0.1:
+            if depth < _MIN_DEPTH_M:
                 continue
             u = cx + fx * (T[0, 0] * x + T[0, 1] * y + T[0, 3]) / depth
             if u < -0.5 or u >= width - 0.5:
@@ -310,8 +316,8 @@ def _tally_points(
                 continue
             out[frame, 2] += 1.0
             off = (seen - depth) / (tolerance_m + tolerance_share * depth)
-            loss = 1.0 - np.exp(-0.125 * off * off)
+            loss = 1.0 - np.exp(-_WELSCH * off * off)
             out[frame, 0] += loss if off > 0.0 else nearer_cost * loss
-            if abs(off) < 2.5:
+            if abs(off) < _AGREE_TOLERANCES:
                 out[frame, 3] += 1.0
     return out

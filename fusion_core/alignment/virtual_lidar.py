@@ -17,8 +17,11 @@ from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.model.sweep import MAX_BEAMS
 
 FRAME_ID = "virtual_lidar"
+# The rows keep this fraction of their columns, so that there are offsets to search.
 _KEPT_WIDTH_FRACTION = 0.6
+# Rows beside the cut that show the same surface would match it trivially.
 _ROWS_LEFT_OUT = 3
+# Consumer depth cameras are hardly usable beyond.
 _RANGE_MAX_M = 10.0
 
 

@@ -1,4 +1,4 @@
-"""Which depth pixel belongs to which LiDAR beam, and what each sensor says about the other's value.
+"""Which depth pixel belongs to which LiDAR beam, and what each sensor says of the other.
 
 Every beam inside the camera's view is kept: nothing is decimated. Along the projected curve (the
 default, where the mount is known) a beam with a range meets the pixel onto which its point falls.
@@ -30,8 +30,14 @@ RowModel = Literal["curve", "row"]
 # A seen depth that changes by more than this between two steps of a ray is an edge, not a surface
 # that the ray pierces.
 _EDGE_M = 0.25
+# About the noise of a LiDAR at 2 m; the crossing is interpolated within a step.
 _RAY_STEP_M = 0.03
+# The usual depth cameras measure nothing nearer.
 _MIN_DEPTH_M = 0.15
+# Beams that leave the camera's plane too slowly gain almost no depth per step: 78 degrees off axis.
+_MIN_FORWARD = 0.2
+# The tangent of a pixel's angle grows without bound towards 90 degrees.
+_MAX_OFF_AXIS_RAD = np.deg2rad(85.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,7 +137,7 @@ def match_in_row(
     lens = camera.intrinsics
     yaw_rad = float(np.arctan2(T_lidar_camera[1, 2], T_lidar_camera[0, 2]))
     relative = np.angle(np.exp(1j * (scan.angles_rad - yaw_rad)))
-    ahead = np.abs(relative) < np.deg2rad(85.0)
+    ahead = np.abs(relative) < _MAX_OFF_AXIS_RAD
     u = np.where(ahead, lens.cx - lens.fx * np.tan(np.where(ahead, relative, 0.0)), np.nan)
     beam = np.flatnonzero((u >= -0.5) & (u < lens.width - 0.5))
     column = np.floor(u[beam] + 0.5).astype(np.int64)
@@ -229,24 +235,24 @@ def planar_points(pairs: Correspondence, range_m: FloatArray) -> FloatArray:
 
 
 def map_through_A(pairs: Correspondence, A: FloatArray, A_inverse: FloatArray) -> Correspondence:
-    """The pairs with each sensor's value carried to the other through A, eqs. (7) and (8).
+    """The pairs with each sensor's value mapped to the other through A, eqs. (7) and (8).
 
-    For pairs in the row, whose mount is not known: what a pixel says of a beam is the length of
-    D A^-1, and what a beam says of a pixel scales its depth by the length of L A.
+    For pairs in the row, whose mount is not known: a pixel predicts the beam's range as the length
+    of D A^-1, and a beam predicts the pixel's depth, scaled by the length of L A.
     """
 
-    def carried(range_m: FloatArray, matrix: FloatArray) -> FloatArray:
+    def mapped_range(range_m: FloatArray, matrix: FloatArray) -> FloatArray:
         image = apply_transform(matrix, planar_points(pairs, range_m))
         return np.hypot(image[:, 0], image[:, 1])
 
-    as_range = carried(pairs.depth_as_range_m, A_inverse)
+    as_range = mapped_range(pairs.depth_as_range_m, A_inverse)
     with np.errstate(invalid="ignore", divide="ignore"):
         depth_per_range = pairs.lidar_as_depth_m / pairs.lidar_range_m
     return replace(
         pairs,
         depth_as_range_m=as_range,
-        camera_range_m=carried(pairs.camera_range_m, A_inverse),
-        lidar_as_depth_m=carried(pairs.lidar_range_m, A) * depth_per_range,
+        camera_range_m=mapped_range(pairs.camera_range_m, A_inverse),
+        lidar_as_depth_m=mapped_range(pairs.lidar_range_m, A) * depth_per_range,
         residual_m=as_range - pairs.lidar_range_m,
     )
 
@@ -308,7 +314,7 @@ def _cast_rays(
         dx = T[0, 0] * x + T[0, 1] * y
         dy = T[1, 0] * x + T[1, 1] * y
         dz = T[2, 0] * x + T[2, 1] * y
-        if dz < 0.2:
+        if dz < _MIN_FORWARD:
             continue
         ahead_before = np.nan
         seen_before = np.nan
@@ -329,8 +335,8 @@ def _cast_rays(
             seen = depth_m[int(np.floor(v + 0.5)), int(np.floor(u + 0.5))]
             ahead = seen - depth
             if ahead <= 0.0 and ahead_before > 0.0 and abs(seen - seen_before) < _EDGE_M:
-                share = ahead_before / (ahead_before - ahead)
-                found[index] = distance - _RAY_STEP_M * (2.0 - share)
+                fraction = ahead_before / (ahead_before - ahead)
+                found[index] = distance - _RAY_STEP_M * (2.0 - fraction)
                 break
             ahead_before = ahead
             seen_before = seen

@@ -2,9 +2,10 @@
 
 Eq. (6) finds pairs that disagree by more than epsilon; it does not say which sensor is wrong. Here
 the one that breaks its own neighbourhood is: a LiDAR beam that no adjacent beam supports, a pixel
-that stands alone in the 5 x 5 around it. The paper's types follow from the classes:
+that stands alone in the 5 x 5 around it. A *burr* is a flying or mixed pixel: a value on no
+surface, as at an edge where a beam meets two. The paper's types follow from the classes:
 ① hole on both, ② hole on one, ③ burr. A *conflict*, which the paper lacks, is a pair in which both
-sides stand on surfaces of their own, e.g. a low cabinet that only the LiDAR meets: no noise.
+sides measure a surface of their own, e.g. a low cabinet that only the LiDAR meets: no noise.
 """
 
 from dataclasses import dataclass, fields
@@ -26,9 +27,20 @@ from fusion_core.model.conventions import (
 from fusion_core.model.sensors import LaserScan
 from fusion_core.settings import StageSettings, setting
 
-# A disagreement is as likely anywhere within this span (for the confidences).
+# For the confidences, disagreements are uniform over this span: the depth of a room.
 _OUTLIER_SPAN_M = 4.0
+# Prior probability of a disagreement, set by hand; it enters confidences alone.
 _OUTLIER_FRACTION = 0.05
+# Below this fraction of supporting neighbours a pixel may be of a speckle; set by hand.
+_SPECKLE_SUPPORT = 0.6
+# The image before must show this much of a pixel's surroundings to deny it; set by hand.
+_MIN_SEEN_BEFORE = 0.8
+# A robot at 0.5 m/s comes this much nearer between two images at 10 Hz.
+_APPROACH_M = 0.05
+# Without a value of the other sensor: a little above even odds, set by hand.
+_UNPAIRED_BURR_CONFIDENCE = 0.6
+# Lower support than this lowers a conflict's confidence no further; set by hand.
+_MIN_CONFLICT_SUPPORT = 0.25
 
 
 class NoiseSettings(StageSettings):
@@ -156,7 +168,7 @@ def classify(
     lone_pixel = pixel_support < np.maximum(
         settings.pixel_support, settings.pixel_support_fraction * pixel_neighbours
     )
-    small = pixel_support < 0.6 * pixel_neighbours
+    small = pixel_support < _SPECKLE_SUPPORT * pixel_neighbours
     gone = _find_unconfirmed_pixels(window, disagree & small, settings)
     lone_pixel |= gone
     if settings.burr_criterion == "rougher":
@@ -216,8 +228,8 @@ def _find_unconfirmed_pixels(
         around = before[row - reach : row + reach + 1, column - reach : column + reach + 1]
         own = window.pairs.depth_m[index]
         valid = np.isfinite(around)
-        near = np.abs(around - own) <= 0.05 + settings.pixel_tolerance_fraction * own
-        gone[index] = valid.mean() > 0.8 and not near.any()
+        near = np.abs(around - own) <= _APPROACH_M + settings.pixel_tolerance_fraction * own
+        gone[index] = valid.mean() > _MIN_SEEN_BEFORE and not near.any()
     return gone
 
 
@@ -253,13 +265,13 @@ def _confidence(
     has_other: BoolArray,
 ) -> FloatArray:
     """Evidence for the class given: agreement of the pair times what the neighbours say."""
-    disagreement = np.where(has_other, 1.0 - agreement, 0.6)
+    disagreement = np.where(has_other, 1.0 - agreement, _UNPAIRED_BURR_CONFIDENCE)
     good = np.where(has_other, agreement + (1.0 - agreement) * support, 0.5 + 0.5 * support)
     by_class = {
         NoiseClass.GOOD: good,
         NoiseClass.HOLE: np.ones(classes.size),
         NoiseClass.BURR: disagreement * (1.0 - support),
-        NoiseClass.CONFLICT: disagreement * np.maximum(support, 0.25),
+        NoiseClass.CONFLICT: disagreement * np.maximum(support, _MIN_CONFLICT_SUPPORT),
     }
     confidence = np.zeros(classes.size)
     for noise_class, values in by_class.items():

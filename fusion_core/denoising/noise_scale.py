@@ -16,6 +16,11 @@ from fusion_core.model.robust import robust_sigma
 
 # No pair of sensors agrees better; a scale of zero would make each rounding a disagreement.
 _MIN_FLOOR_M = 1e-3
+# Beyond so many stated standard deviations a pair is an outlier (a normal one in two million).
+_OUTLIER_SIGMA = 5.0
+# 25 pairs in each of eight bins: a median absolute deviation is then good to about a quarter.
+_MIN_PAIRS = 200
+_BINS = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,15 +52,17 @@ DATASHEET_SCALE = NoiseScale(floor_m=0.015, fraction=0.012)
 def learn_noise_scale(range_m: FloatArray, residual_m: FloatArray) -> NoiseScale:
     """Fit the scale to (N,) residuals by the median absolute deviation in bins of range.
 
-    Returns STATED where fewer than 200 pairs are valid.
+    Returns DATASHEET_SCALE where fewer than 200 pairs are valid.
     """
     valid = np.isfinite(residual_m)
     # A first cut at the stated scale keeps conflicts and burrs out of the bins.
-    valid &= np.abs(residual_m) < 5.0 * DATASHEET_SCALE.sigma_at(np.where(valid, range_m, 0.0))
+    valid &= np.abs(residual_m) < _OUTLIER_SIGMA * DATASHEET_SCALE.sigma_at(
+        np.where(valid, range_m, 0.0)
+    )
     ranges, residuals = range_m[valid], residual_m[valid]
-    if ranges.size < 200:
+    if ranges.size < _MIN_PAIRS:
         return DATASHEET_SCALE
-    edges = np.quantile(ranges, np.linspace(0.0, 1.0, 9))
+    edges = np.quantile(ranges, np.linspace(0.0, 1.0, _BINS + 1))
     squares = []
     for low, high in pairwise(edges):
         inside = (ranges >= low) & (ranges <= high)

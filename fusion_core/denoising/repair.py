@@ -28,6 +28,14 @@ from fusion_core.model.conventions import (
 )
 from fusion_core.settings import StageSettings, setting
 
+# The mean of three beams has 1/sqrt(3) of their noise.
+_GAP_SIDE_NOISE = 0.6
+# Expected depth of what a gap hides, per metre of its width; set by hand.
+_STRUCTURE_PER_GAP = 0.1
+# Ranges farther apart than this many standard deviations contradict each other: by chance
+# one in 16,000 does.
+_CONTRADICTION_SIGMA = 4.0
+
 
 class RepairSettings(StageSettings):
     """Where a repair may come from, and what it may change."""
@@ -134,10 +142,12 @@ def _repair_lidar(
     camera = pairs.camera_range_m
     camera_error = settings.camera_noise_fraction * scale.sigma_at(camera)
     # A gap hides structure in proportion to its width; its sides are means of three beams.
-    neighbour_error = 0.6 * scale.sigma_at(neighbours) + 0.1 * gap_rad * neighbours
+    neighbour_error = _GAP_SIDE_NOISE * scale.sigma_at(neighbours) + (
+        _STRUCTURE_PER_GAP * gap_rad * neighbours
+    )
     # Where the two contradict each other over a narrow gap, an edge of the camera lies a beam off.
     narrow = gap_rad <= np.deg2rad(settings.narrow_gap_deg)
-    contradict = np.abs(camera - neighbours) > 4.0 * scale.sigma_at(neighbours)
+    contradict = np.abs(camera - neighbours) > _CONTRADICTION_SIGMA * scale.sigma_at(neighbours)
     doubtful = narrow & contradict & (settings.prefer == "smaller_error")
     camera_error = np.where(doubtful, np.inf, camera_error)
     return _choose_source(

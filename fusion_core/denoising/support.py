@@ -10,6 +10,13 @@ from fusion_core.model.conventions import Float32Array, FloatArray, IntArray
 # less than one that is guessed.
 _EDGE_BEAMS = 2
 _OFF_EDGE_FRACTION = 0.7
+# Seen by the camera, a surface that changes its range faster from beam to beam is an edge: 80
+# degrees off the beam at a quarter of a degree a beam.
+_EDGE_SLOPE = 0.03
+# A robot at 0.5 m/s comes this much nearer between two scans at 10 Hz.
+_APPROACH_M = 0.05
+# Set by hand: a depth camera's noise at close range, with a margin.
+_PIXEL_FLOOR_M = 0.03
 
 
 @compiled()
@@ -52,7 +59,7 @@ def count_beam_support(
             if np.isnan(slant):
                 slant = 0.0
                 allowed += slope * own * abs(step)
-            elif abs(slant) > 0.03 * own * abs(step):
+            elif abs(slant) > _EDGE_SLOPE * own * abs(step):
                 # The camera sees an edge here: the beams are on one side of it or the other.
                 slant = 0.0
             if abs(ranges[other] - own - slant) <= allowed:
@@ -64,14 +71,14 @@ def count_beam_support(
         for neighbour in range(2):
             scan, shift = in_time[neighbour], shifts[neighbour]
             # The robot moves between scans: the surface may have come nearer by a little.
-            reach = tolerance + 0.05
+            allowed = tolerance + _APPROACH_M
             seen = False
             met = False
             for step in (-1, 0, 1):
                 other = beam + shift + step
                 if 0 <= other < count and not np.isnan(scan[other]):
                     seen = True
-                    met = met or abs(scan[other] - own) <= reach
+                    met = met or abs(scan[other] - own) <= allowed
             neighbours[index, 1] += seen
             support[index, 2] += met
     return support, neighbours
@@ -136,6 +143,6 @@ def count_pixel_support(
                 if np.isnan(other):
                     continue
                 neighbours[index] += 1
-                if abs(other - own) <= 0.03 + fraction * own:
+                if abs(other - own) <= _PIXEL_FLOOR_M + fraction * own:
                     support[index] += 1
     return support, neighbours
