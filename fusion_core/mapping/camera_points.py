@@ -1,4 +1,4 @@
-"""From a depth image to the cloud of what a robot can run into (Li 2022 §2.2, steps 1 and 2)."""
+"""From a depth image to a cloud of obstacle points (Li 2022 §2.2, steps 1 and 2)."""
 
 import numpy as np
 
@@ -17,11 +17,11 @@ def project_to_cloud(
 ) -> FloatArray:
     """(N, 3) x and y in the scan's frame and height above the floor.
 
-    ``depth_m``: (H, W) upright view without distortion, of intrinsics ``lens``.
+    ``depth_m``: (H, W) upright view without distortion, with ``intrinsics``.
     ``floor_from_camera``: (3, 4), points in the view's optical frame to (x, y, height).
 
-    The paper thins first and cuts afterwards. With a stride the order is the same; a voxel across
-    the border would mix the floor with what stands on it, so the cut comes first.
+    The paper subsamples first and crops by height afterwards. With a stride the order does not
+    matter; a voxel across the limit would average floor and obstacle, so the crop comes first.
     """
     if floor_from_camera.shape != (3, 4):
         raise ValueError(f"floor_from_camera must be (3, 4), got {floor_from_camera.shape}")

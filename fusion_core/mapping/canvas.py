@@ -1,4 +1,4 @@
-"""Grids of one place on one raster, each cut or padded to the canvas that covers all of them."""
+"""Aligned occupancy grids padded to one common extent, and their cell-wise merge."""
 
 from collections.abc import Mapping
 
@@ -7,13 +7,12 @@ import numpy as np
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.grids import OccupancyGrid
 
-# How far an origin may be from a whole cell before two maps have different rasters.
+# In cells: rounding of an origin in a YAML file is far below, another raster far above.
 _RASTER_TOLERANCE_CELLS = 1e-3
 
 
 def pad_to_common_canvas(grids: Mapping[str, OccupancyGrid]) -> dict[str, OccupancyGrid]:
-    """The grids, of at least one name, with unknown cells around them, so that all have the shape
-    and origin of the smallest canvas.
+    """One or more grids padded with unknown cells to the shape and origin of their union.
 
     Raises ValueError where one has another resolution, frame or raster than the first.
     """
@@ -49,12 +48,11 @@ def pad_to_common_canvas(grids: Mapping[str, OccupancyGrid]) -> dict[str, Occupa
 
 
 def merge_keeping_obstacles(plane: OccupancyGrid, heights: OccupancyGrid) -> OccupancyGrid:
-    """Where either grid has rather an obstacle, the surer of it; elsewhere the surer to be free. A
-    cell that one grid does not know is the other's.
+    """Cell-wise merge: the higher log-odds where either grid is occupied, else the lower.
 
-    A beam that passes over a low box says nothing of it. Where a grid of the LiDAR's plane and one
-    of all heights differ, neither is wrong, and a robot runs into what either of them shows.
-    Raises ValueError as ``on_one_canvas`` does.
+    A cell that is unknown in one grid is taken from the other. A beam that passes over a low box
+    does not show that the cell is free, so obstacles of the LiDAR's plane and of all heights are
+    both kept. Raises ValueError as ``pad_to_common_canvas`` does.
     """
     laid = pad_to_common_canvas({"plane": plane, "heights": heights})
     both = laid["plane"].log_odds, laid["heights"].log_odds

@@ -1,7 +1,7 @@
-"""The floor as depth images see it: the lowest large level plane below a camera.
+"""Floor detection in depth images: the lowest large level plane below the camera, by RANSAC.
 
-Extrinsics that are off by a degree lift the floor 4 m away by 7 cm, and an alignment of scans and
-depth rows does not show the camera's height and pitch at all. The floor itself shows both.
+An error of one degree in the extrinsics lifts the floor 4 m away by 7 cm, and aligning scans with
+depth rows does not determine the camera's height and pitch. The floor determines both.
 """
 
 from collections.abc import Sequence
@@ -14,25 +14,33 @@ from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.robust import robust_sigma
 from fusion_core.model.sensors import CameraIntrinsics
 
-# Patches are looked at every so many pixels of a 320 x 240 image, each this wide to either side.
+# Samples along the longer side: every fourth pixel of a 320 x 240 image.
 _GRID = 80
-# Beyond, depth is too coarse to tell a slope.
+# Beyond, a Kinect's depth steps (4 cm) exceed the slope over neighbouring samples.
 _FAR_M = 4.0
+# Least camera height: lower than any robot's camera.
 _NEAREST_BELOW_M = 0.08
+# Inlier distance: unevenness of floors, and depth noise that grows with range.
 _TOLERANCE_M = 0.02
 _TOLERANCE_PER_M = 0.005
+# 99.9 % confidence of a draw of three floor points where 28 % of the patches are floor.
 _DRAWS = 300
+# Points that score a draw: a ratio of inliers is then known to 1 %.
 _SCORED = 12_000
 _REFITS = 4
-# A slope measured across a few noisy pixels strays by this much.
+# Twice the area of three points that span a plane: noise of 2 cm on sides of 50 cm.
+_TRIANGLE_MIN_M2 = 0.01
+# Standard deviation of a slope across two samples at 4 m.
 _SLOPE_SLACK_RAD = np.deg2rad(12.0)
-# A lower plane with this share of the patches is the floor, and what is above it furniture.
-_LARGE_SHARE = 0.15
+# A lower plane with this fraction of the patches is the floor, and the one above it furniture.
+_LARGE_FRACTION = 0.15
+# Ten images of fifteen patches each, 0.3 % of an image's samples.
 _PATCHES_MIN = 150
 _PATCHES_OF_IMAGE = 15
 _IMAGES_MIN = 3
-_BELOW_SHARE_MAX = 0.1
-# How far the floor of a usual image may lie from that of all, on a robot that nods a little.
+# Reflections and edges lie below a floor, but not one patch for ten on it.
+_BELOW_FRACTION_MAX = 0.1
+# Median deviation of an image's own floor from the common one, for a robot whose camera pitches.
 _TILT_SPREAD_RAD = np.deg2rad(1.5)
 _HEIGHT_SPREAD_M = 0.03
 
@@ -67,9 +75,9 @@ def find_floor(
     tilt_max_rad: float,
     seed: int = 0,
 ) -> FloorPlane:
-    """The floor that all images of a camera fixed to a robot see.
+    """The common floor plane in the images of a camera that is fixed to a robot.
 
-    ``depths_m``: (H, W) each, upright views of intrinsics ``lens``. ``up``: (3,) what is taken as
+    ``depths_m``: (H, W) each, upright views with ``intrinsics``. ``up``: (3,) what is taken as
     up in the optical frame; the floor may tilt against it by ``tilt_max_rad``.
 
     Raises AlignmentFailed where no level plane is seen, or too few images agree on one.
@@ -84,12 +92,12 @@ def find_floor(
     plane = _ransac_plane(points_m, up, tilt_max_rad, rng)
     if plane is None:
         raise _no_floor_error(f"{len(points_m)} level patches in {len(depths_m)} images")
-    # What is largest may be a table top: its floor lies below.
+    # The largest plane may be a table top: look for the floor below it.
     for _ in range(4):
         on_plane = int(_is_near(points_m, plane).sum())
         below = points_m @ plane[:3] + plane[3] < -4.0 * _TOLERANCE_M
         lower = _ransac_plane(points_m[below], up, tilt_max_rad, rng)
-        if lower is None or _is_near(points_m, lower).sum() < _LARGE_SHARE * on_plane:
+        if lower is None or _is_near(points_m, lower).sum() < _LARGE_FRACTION * on_plane:
             break
         plane = lower
     plane = _refit_plane(points_m, plane)
@@ -97,14 +105,14 @@ def find_floor(
     heights_m = points_m @ plane[:3] + plane[3]
     images = int((np.bincount(image_of[near], minlength=1) >= _PATCHES_OF_IMAGE).sum())
     tilt_rad = float(np.arccos(np.clip(plane[:3] @ up, -1.0, 1.0)))
-    below_share = float((heights_m < -4.0 * _TOLERANCE_M).sum()) / max(int(near.sum()), 1)
+    below_fraction = float((heights_m < -4.0 * _TOLERANCE_M).sum()) / max(int(near.sum()), 1)
     if near.sum() < _PATCHES_MIN or images < min(_IMAGES_MIN, len(depths_m)):
         raise _no_floor_error(f"its best plane has {near.sum()} patches in {images} images")
     if tilt_rad > tilt_max_rad:
         raise _no_floor_error(f"its best plane tilts by {np.rad2deg(tilt_rad):.1f} degrees")
-    if below_share > _BELOW_SHARE_MAX:
+    if below_fraction > _BELOW_FRACTION_MAX:
         raise _no_floor_error(
-            f"{below_share:.0%} as many patches lie below its best plane as on it"
+            f"{below_fraction:.0%} as many patches lie below its best plane as on it"
         )
     _require_fixed_camera(points_m, image_of, plane, len(depths_m))
     return FloorPlane(
@@ -117,9 +125,9 @@ def find_floor(
     )
 
 
-def _no_floor_error(seen: str) -> AlignmentFailed:
+def _no_floor_error(found: str) -> AlignmentFailed:
     return AlignmentFailed(
-        f"no floor plane is seen in the depth: {seen}.",
+        f"no floor plane is seen in the depth: {found}.",
         advice="Give virtual_scan.lidar_height_m with extrinsics of the whole mount, or use "
         "--scan lidar.",
     )
@@ -128,14 +136,14 @@ def _no_floor_error(seen: str) -> AlignmentFailed:
 def _require_fixed_camera(
     points_m: FloatArray, image_of: IntArray, plane: FloatArray, images: int
 ) -> None:
-    """Refuse a camera that is carried by hand: its floor lies elsewhere in each image."""
+    """Raise AlignmentFailed for a hand-held camera, whose floor differs from image to image."""
     near = _is_near(points_m, plane)
     seen = np.bincount(image_of, minlength=images)
     agreeing = np.bincount(image_of[near], minlength=images)
     rich = seen >= 10 * _PATCHES_OF_IMAGE
     elsewhere = False
     if rich.any():
-        elsewhere = bool(np.median(agreeing[rich] / seen[rich]) < _LARGE_SHARE)
+        elsewhere = bool(np.median(agreeing[rich] / seen[rich]) < _LARGE_FRACTION)
     tilts_rad, heights_m = [], []
     for image in np.flatnonzero(agreeing >= 4 * _PATCHES_OF_IMAGE):
         own = _refit_plane(points_m[image_of == image], plane)
@@ -152,17 +160,17 @@ def _require_fixed_camera(
 
 
 def _level_patches(
-    depth_m: Float32Array, lens: CameraIntrinsics, up: FloatArray, tilt_max_rad: float
+    depth_m: Float32Array, intrinsics: CameraIntrinsics, up: FloatArray, tilt_max_rad: float
 ) -> FloatArray:
-    """(K, 3) points below the camera where the depth's own slope is level."""
+    """(K, 3) points below the camera whose local surface normal is vertical."""
     step = max(1, max(depth_m.shape) // _GRID)
     rows = np.arange(0, depth_m.shape[0], step)
     columns = np.arange(0, depth_m.shape[1], step)
     z_m = depth_m[np.ix_(rows, columns)].astype(np.float64)
     z_m[~((z_m > 0.0) & (z_m <= _FAR_M))] = np.nan
     rays = np.empty((rows.size, columns.size, 3))
-    rays[..., 0] = (columns - lens.cx) / lens.fx
-    rays[..., 1] = ((rows - lens.cy) / lens.fy)[:, np.newaxis]
+    rays[..., 0] = (columns - intrinsics.cx) / intrinsics.fx
+    rays[..., 1] = ((rows - intrinsics.cy) / intrinsics.fy)[:, np.newaxis]
     rays[..., 2] = 1.0
     points_m = z_m[..., np.newaxis] * rays
     if min(points_m.shape[:2]) < 3:
@@ -191,7 +199,7 @@ def _is_near(points_m: FloatArray, plane: FloatArray) -> BoolArray:
 def _ransac_plane(
     points_m: FloatArray, up: FloatArray, tilt_max_rad: float, rng: np.random.Generator
 ) -> FloatArray | None:
-    """(4,) unit normal towards ``up`` and offset of the plane with most points, None without."""
+    """(4,) unit normal towards ``up`` and offset of the plane with most inliers, None without."""
     if len(points_m) < _PATCHES_MIN:
         return None
     scored_m = points_m
@@ -204,7 +212,7 @@ def _ransac_plane(
         normal = np.cross(b - a, c - a)
         length = float(np.linalg.norm(normal))
         # Three points in a line, or nearly so, have no normal.
-        if length < 0.01:
+        if length < _TRIANGLE_MIN_M2:
             continue
         normal *= np.sign(normal @ up) / length
         plane = np.append(normal, -float(normal @ a))
@@ -217,7 +225,7 @@ def _ransac_plane(
 
 
 def _refit_plane(points_m: FloatArray, plane: FloatArray) -> FloatArray:
-    """The least squares plane of the points near a plane, a few times over."""
+    """The least-squares plane of the inliers of a plane, refitted a few times."""
     for _ in range(_REFITS):
         near_m = points_m[_is_near(points_m, plane)]
         if len(near_m) < 3:

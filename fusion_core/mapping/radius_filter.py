@@ -1,11 +1,11 @@
-"""The radius filter of point clouds: what stands alone is noise."""
+"""Radius outlier filter of point clouds (Li 2022 §2.2, step 5)."""
 
 import numpy as np
 
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
 
-# A cell's number holds three indexes of 21 bits.
+# Three cell indices of 21 bits fit the key, an int64.
 _INDEX_BITS = 21
 _INDEX_MAX = (1 << _INDEX_BITS) - 2
 
@@ -13,10 +13,10 @@ _INDEX_MAX = (1 << _INDEX_BITS) - 2
 def has_neighbours(
     points_m: FloatArray, cloud_m: FloatArray, radius_m: float, neighbours_min: int
 ) -> BoolArray:
-    """(N,) which of (N, 3) points have at least ``least`` others within ``radius_m``.
+    """(N,) which of (N, 3) points have at least ``neighbours_min`` others within ``radius_m``.
 
-    ``cloud_m``: (M, 3) where the neighbours are looked for; it contains the points themselves,
-    which are no neighbours of their own.
+    ``cloud_m``: (M, 3) the cloud of possible neighbours, which contains the points themselves; a
+    point is not its own neighbour.
 
     Raises ValueError for points that are not finite or lie too far apart for the radius.
     """
@@ -30,20 +30,20 @@ def has_neighbours(
     cell = np.floor((cloud_m - lowest_m) / radius_m).astype(np.int64) + 1
     key = (cell[:, 2] << 2 * _INDEX_BITS) | (cell[:, 1] << _INDEX_BITS) | cell[:, 0]
     order = np.argsort(key, kind="stable")
-    found: BoolArray = _count_neighbours(
+    found: BoolArray = _has_neighbours(
         points_m, cloud_m[order], key[order], lowest_m, radius_m, neighbours_min
     )
     return found
 
 
 @compiled(error_model="numpy")
-def _count_neighbours(
+def _has_neighbours(
     points_m: FloatArray,
     cloud_m: FloatArray,
     keys: IntArray,
     lowest_m: FloatArray,
     radius_m: float,
-    least: int,
+    neighbours_min: int,
 ) -> BoolArray:
     found = np.zeros(points_m.shape[0], dtype=np.bool_)
     squared_m2 = radius_m * radius_m
@@ -52,8 +52,8 @@ def _count_neighbours(
         column = int(np.floor((x - lowest_m[0]) / radius_m)) + 1
         row = int(np.floor((y - lowest_m[1]) / radius_m)) + 1
         layer = int(np.floor((z - lowest_m[2]) / radius_m)) + 1
-        # The point is in the cloud itself, and counts once too often.
-        missing = least + 1
+        # One more, since the point itself is in the cloud.
+        missing = neighbours_min + 1
         for beside in range(9):
             base = ((layer + beside // 3 - 1) << 2 * _INDEX_BITS) | (
                 (row + beside % 3 - 1) << _INDEX_BITS

@@ -1,26 +1,26 @@
-"""Li 2022 §2.2: the camera's cloud and the LiDAR's scan joined to one virtual scan.
+"""Virtual scans of Li 2022 §2.2: the camera's cloud merged with the LiDAR's scan.
 
 The paper's six steps, and where they are:
 
-1. thin out the camera's cloud: ``camera_points.camera_cloud``
-2. drop the floor and what is higher than the robot: ``camera_points.camera_cloud``
-3. cut the LiDAR's scan: ``merged_scan``
-4. join the two clouds: ``merged_scan``
+1. subsample the camera's cloud: ``camera_points.project_to_cloud``
+2. drop the floor and what is higher than the robot: ``camera_points.project_to_cloud``
+3. crop the LiDAR's scan: ``merge_camera_cloud``
+4. join the two clouds: ``merge_camera_cloud``
 5. radius filter: ``radius_filter.has_neighbours``
 6. one scan, the nearest point of each angle: ``nearest_per_angle``
 
 A cloud here is (N, 3): x and y in the LiDAR's frame, height above the floor.
 
-The default departs from the paper where its text harms a map. Points are the means of small
-voxels, not every 64th row, so that thin furniture is not stepped over. The lower border rises with
-the distance: one pixel in ten of a Kinect's floor lies 1 cm above its plane at 1 m and 5 cm at
-2.5 m, and a tilt that is off by half a degree lifts the floor 4 m away by 3 cm. The LiDAR keeps
-all its beams: its far points lie too far apart for any radius that suits the camera. And since the
-nearest of many noisy depths would draw each wall too near, an angle takes the mean of the surface
-that its nearest point belongs to; where the LiDAR measured that surface, the LiDAR's range stays.
+The default differs from the paper where the map gains. Points are averages of small voxels, not
+every 64th row, which misses thin furniture. The lower height limit rises with the distance: one
+pixel in ten of a Kinect's floor lies 1 cm above its plane at 1 m and 5 cm at 2.5 m, and a tilt
+error of half a degree lifts the floor 4 m away by 3 cm. The LiDAR keeps all its beams: its far
+points are too sparse for a radius that suits the camera. The nearest of many noisy depths is biased
+towards the sensor, so an angle takes the mean over the surface of its nearest point; where the
+LiDAR measured that surface, its range is kept.
 
-What lies before the nearest point of an angle counts as free, though a camera sees no floor just
-before its robot. An angle in which nothing was met is NaN.
+Space before the nearest point of an angle counts as free, although a camera does not see the floor
+just before its robot. An angle without any point is NaN.
 """
 
 from typing import Literal
@@ -39,42 +39,42 @@ class VirtualScanSettings(StageSettings):
     """From depth images and scans to virtual scans (Li 2022 §2.2)."""
 
     sampling: Literal["voxel", "stride"] = setting(
-        "voxel", "Thin the camera's cloud to voxels, or to every k-th pixel as published"
+        "voxel", "Subsample the camera's cloud by voxels, or by every k-th pixel as published"
     )
     voxel_m: float = setting(0.025, "Side of a voxel", unit="m", ge=0.005, le=0.2)
     row_stride: int = setting(64, "Every k-th row of the image, for stride", ge=1, le=65_535)
     column_stride: int = setting(4, "Every k-th column of the image, for stride", ge=1, le=65_535)
-    depth_min_m: float = setting(0.3, "Least depth that counts", unit="m", ge=0.0, le=100.0)
-    depth_max_m: float = setting(5.0, "Greatest depth that counts", unit="m", ge=1e-6, le=100.0)
+    depth_min_m: float = setting(0.3, "Least depth used", unit="m", ge=0.0, le=100.0)
+    depth_max_m: float = setting(5.0, "Greatest depth used", unit="m", ge=1e-6, le=100.0)
     height_min_m: float = setting(
-        0.03, "Lower border above the floor, beside the robot", unit="m", ge=0.0, le=20.0
+        0.03, "Lower height limit above the floor, at the camera", unit="m", ge=0.0, le=20.0
     )
     height_min_per_m: float = setting(
-        0.01, "Rise of the lower border with the distance from the camera", ge=0.0, le=0.2
+        0.01, "Rise of the lower height limit with the distance from the camera", ge=0.0, le=0.2
     )
     height_max_m: float = setting(
-        0.55, "Upper border: the robot's own height", unit="m", ge=1e-6, le=20.0
+        0.55, "Upper height limit: the robot's own height", unit="m", ge=1e-6, le=20.0
     )
     lidar_half_width_deg: float = setting(
-        180.0, "The LiDAR's beams are kept up to here to either side", unit="deg", ge=1e-6, le=180.0
+        180.0, "Half of the LiDAR's field of view that is kept", unit="deg", ge=1e-6, le=180.0
     )
     radius_m: float = setting(0.1, "Radius of the filter", unit="m", ge=0.001, le=0.5)
     neighbours_min: int = setting(
         10,
-        "Other points within the radius, below which a point is dropped (0: none is)",
+        "Fewest other points within the radius, or a point is dropped (0: keep all)",
         ge=0,
         le=1_000,
     )
-    filter_lidar: bool = setting(False, "Let the filter drop the LiDAR's points too")
+    filter_lidar: bool = setting(False, "Apply the filter to the LiDAR's points too")
     same_surface_m: float = setting(
         0.04,
-        "Points this near are one surface: the LiDAR's range stays, depths are averaged",
+        "Points this close are one surface: the LiDAR's range is kept, depths are averaged",
         unit="m",
         ge=0.0,
         le=10.0,
     )
     same_surface_per_m2: float = setting(
-        0.006, "Growth of that distance with the square of the range", unit="1/m", ge=0.0, le=1.0
+        0.006, "Growth of that distance with the squared range", unit="1/m", ge=0.0, le=1.0
     )
     step_deg: float = setting(
         0.5, "Step between the beams of a scan of the camera alone", unit="deg", ge=0.05, le=5.0
@@ -130,10 +130,10 @@ def merge_camera_cloud(
     """The LiDAR's scan with what the camera alone met, on the LiDAR's own angles.
 
     ``cloud_m``: (N, 3) as above, at the scan's stamp. ``lidar_height_m``: the LiDAR's plane above
-    the floor; where nobody knows it, neither cloud supports the other in the filter.
+    the floor; None where unknown: the filter then treats the two clouds separately.
 
-    A range beyond ``range_max_m`` (a beam that met nothing) stays unless something lies before it.
-    ``intensities`` are 1 where the camera met something in a beam's angle, else 0.
+    A range beyond ``range_max_m`` (a beam without a return) is kept unless the camera saw something
+    nearer. ``intensities`` are 1 where the camera saw something in a beam's angle, else 0.
     """
     angles_rad = scan.angles_rad
     ranges_m = scan.ranges_m.copy()
@@ -189,7 +189,7 @@ def make_camera_scan(
 ) -> LaserScan:
     """The scan of the camera alone, all around with a step of about ``step_deg``.
 
-    ``cloud_m``: (N, 3) as above. Angles in which the camera met nothing are NaN.
+    ``cloud_m``: (N, 3) as above. Angles in which the camera saw nothing are NaN.
     """
     beams = round(360.0 / settings.step_deg)
     increment_rad = 2.0 * np.pi / beams

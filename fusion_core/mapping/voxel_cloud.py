@@ -1,22 +1,22 @@
-"""A point cloud that grows with the surfaces seen, not with the number of points added."""
+"""A voxel-grid average of points: memory grows with the surfaces seen, not the points added."""
 
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.errors import MappingFailed
 
-# A key holds three indexes of 21 bits.
+# Three voxel indices of 21 bits fit the key, an int64.
 _INDEX_BITS = 21
 _INDEX_END = 1 << (_INDEX_BITS - 1)
-# Points wait until sorting them in costs little against what is there.
-_WAITING_MIN = 1 << 20
+# Points are buffered (24 MB) so that sorting is amortised.
+_BUFFERED_MIN = 1 << 20
 
 
 class VoxelCloud:
     """The mean of the points in each voxel.
 
     ``voxel_m``: side of a voxel. ``voxels_max`` bounds the memory, about 150 bytes each while
-    points are sorted in.
+    the buffer is flushed.
     """
 
     def __init__(self, voxel_m: float, voxels_max: int = 4_000_000) -> None:
@@ -27,32 +27,32 @@ class VoxelCloud:
         self._keys: IntArray = np.empty(0, dtype=np.int64)
         self._sums_m: FloatArray = np.empty((0, 3))
         self._counts: IntArray = np.empty(0, dtype=np.int64)
-        self._waiting: list[FloatArray] = []
-        self._waiting_count = 0
+        self._buffered: list[FloatArray] = []
+        self._buffered_count = 0
 
     def add(self, points_m: FloatArray) -> None:
         """Add (N, 3) finite points. Raises MappingFailed where the cloud becomes too large."""
         if points_m.ndim != 2 or points_m.shape[1] != 3 or not np.isfinite(points_m).all():
             raise ValueError(f"points_m must be (N, 3) and finite, got {points_m.shape}")
-        self._waiting.append(np.array(points_m, dtype=np.float64))
-        self._waiting_count += len(points_m)
-        if self._waiting_count >= max(_WAITING_MIN, self._keys.size):
-            self._sort_in()
+        self._buffered.append(np.array(points_m, dtype=np.float64))
+        self._buffered_count += len(points_m)
+        if self._buffered_count >= max(_BUFFERED_MIN, self._keys.size):
+            self._flush()
 
     def points_m(self) -> FloatArray:
-        """(M, 3), one point for each voxel, in an order that depends on the places alone.
+        """(M, 3) one point per voxel, in the order of the voxels.
 
         Raises MappingFailed as ``add``.
         """
-        self._sort_in()
+        self._flush()
         points: FloatArray = self._sums_m / self._counts[:, np.newaxis]
         return points
 
-    def _sort_in(self) -> None:
-        if not self._waiting:
+    def _flush(self) -> None:
+        if not self._buffered:
             return
-        added_m = np.concatenate(self._waiting)
-        self._waiting, self._waiting_count = [], 0
+        added_m = np.concatenate(self._buffered)
+        self._buffered, self._buffered_count = [], 0
         keys = np.concatenate([self._keys, self._keys_of(added_m)])
         order = np.argsort(keys, kind="stable")
         keys = keys[order]
@@ -70,7 +70,7 @@ class VoxelCloud:
             self._sums_m = np.add.reduceat(sums_m[order], first, axis=0)
 
     def _keys_of(self, points_m: FloatArray) -> IntArray:
-        """(N,) one number for each voxel, 0 or more."""
+        """(N,) non-negative key of each point's voxel."""
         cells = np.floor(points_m / self._voxel_m)
         if not (np.abs(cells) < _INDEX_END).all():
             raise MappingFailed(

@@ -11,9 +11,10 @@ from fusion_core.registration.models import TransformModel, residuals, solve_lea
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Draw:
-    """One draw: ``pairs`` (n,) of the m given pairs, their ``A`` (3, 3), and who agrees with it.
+    """One draw: ``pairs`` (n,) of the m given pairs, the transform ``A`` (3, 3) fitted to them.
 
-    ``mask``: (m,), ``inliers`` its sum. A is NaN where the n pairs do not determine it.
+    ``is_inlier``: (m,) pairs that agree with A, ``inliers`` their number. A is NaN where the n
+    pairs do not determine it.
     """
 
     index: int
@@ -84,7 +85,7 @@ class Draws:
 
 
 def find_valid_pairs(lidar_points_m: FloatArray, depth_points_m: FloatArray) -> BoolArray:
-    """(m,): pairs whose two points are both there."""
+    """(m,) pairs whose two points are both finite."""
     given = np.isfinite(np.hstack([lidar_points_m, depth_points_m]))
     valid: BoolArray = np.logical_and.reduce(given, axis=1)
     return valid
@@ -110,18 +111,18 @@ def evaluate_samples(
     samples: IntArray,
     threshold_m: float,
 ) -> tuple[FloatArray, BoolArray]:
-    """A (draws, 3, 3) of each sample of pairs, and (draws, m): the pairs that agree with it."""
+    """A (draws, 3, 3) of each sample, and (draws, m) which pairs are its inliers."""
     A = solve_least_squares(model, lidar_m[samples], depth_m[samples])
     agree: BoolArray = np.less_equal(residuals(A, lidar_m, depth_m), threshold_m)
     return A, agree
 
 
-def count_draws_needed(inlier_share: float, sample_size: int, confidence: float) -> float:
-    """N = ln(1 - p) / ln(1 - cⁿ): draws that hold a clean one with the confidence p.
+def count_draws_needed(inlier_ratio: float, sample_size: int, confidence: float) -> float:
+    """N = ln(1 - p) / ln(1 - cⁿ) (Fischler and Bolles 1981): draws for confidence p in a clean one.
 
-    ``inlier_share`` is c; infinite where it is 0.
+    ``inlier_ratio`` is c; infinite where it is 0.
     """
-    clean = inlier_share**sample_size
+    clean = inlier_ratio**sample_size
     if clean >= 1.0:
         return 1.0
     return float(np.log1p(-confidence) / np.log1p(-clean)) if clean > 0.0 else np.inf

@@ -1,8 +1,8 @@
 """The iterations of PL-ICP (Censi 2008): pair, trim, take the closed-form step, until it is small.
 
-Not every place tells all of a pose: along a corridor, or about the middle of a round room, any
-motion fits alike. Noise in the lines' normals feigns some information there, which would let the
-pose drift. Such a direction is found by comparing the two, and the pose is left as it was on it.
+Some directions of the pose are unobservable: the length of a corridor, the yaw in a round room.
+Noise in the lines' normals adds spurious information there, by which the pose would drift. A
+direction whose information does not clearly exceed the spurious one is left unchanged.
 """
 
 import numpy as np
@@ -20,22 +20,24 @@ from fusion_core.registration.local_lines import LocalLines, incidence_cos
 from fusion_core.registration.point_to_line import add_point_line_pair, solve_point_to_line
 from fusion_core.registration.polar_correspondence import PolarScan
 
-# Far from the optimum a quarter of the points tells the way as well as all of them.
+# Coarse phase: far from the optimum a quarter of the points gives as good a step as all of them.
 _COARSE_STRIDE = 4
 _COARSE_ITERATIONS = 10
 
-# Squared length of a step, in its own standard deviations, at which iterating ends. Single pairs
-# at the edge of trimming may come and go for ever: after a while, a third of a deviation will do.
+# Convergence: squared Mahalanobis length of a step. Single pairs at the trimming limit may
+# alternate for ever, so late iterations stop at a third of a standard deviation.
 _COARSE_STEP = 1.0
 _FINE_STEP = 1e-3
 _LATE_ITERATION = 12
 _LATE_STEP = 0.1
 
-# Two points on each of three lines.
+# Twice the three unknowns: two points on each of three lines.
 PAIRS_MIN = 6
 
-# A direction with less information than this many times what noisy normals feign is open.
+# Ratio of information to spurious information below which a direction is unobservable: the noise
+# of the normals is then a quarter of the estimate or more.
 _SPURIOUS_FACTOR = 16.0
+# Relative error of the smallest eigenvalue that float64 leaves after summing some 1e4 terms.
 _ROUNDING_FRACTION = 1e-10
 
 
@@ -55,8 +57,8 @@ def iterate_pl_icp(
     ``sigmas_m``: of the ranges of the reference and of the moving sweep. Returns the pose, its
     pairs, the iterations, whether they converged, and the robust residual over the expected one.
 
-    Duplicates are dropped while the pose is coarse, when they tell of wrong pairs. Near the
-    optimum they tell of a denser sweep, which the weights account for.
+    Duplicates are dropped in the coarse phase, where they are mostly wrong pairs. Near the optimum
+    they come from a denser sweep, which the weights account for.
     """
     pose = start.copy()
     pairs = make_empty_pairs(moving.range_m.size)
@@ -75,8 +77,8 @@ def iterate_pl_icp(
         step, squared_length = _solve_step(
             pairs, reference, lines, moving, pose, sigmas_m[0], stride
         )
-        settled = squared_length < (_FINE_STEP if iteration < _LATE_ITERATION else _LATE_STEP)
-        if stride == 1 and settled and limit <= trim_sigmas * max(scale, 1.0):
+        has_converged = squared_length < (_FINE_STEP if iteration < _LATE_ITERATION else _LATE_STEP)
+        if stride == 1 and has_converged and limit <= trim_sigmas * max(scale, 1.0):
             return pose, pairs, iteration, True, scale
         pose += step
         if squared_length < _COARSE_STEP or iteration >= _COARSE_ITERATIONS:
@@ -94,7 +96,7 @@ def _solve_step(
     sigma_m: float,
     stride: int,
 ) -> tuple[FloatArray, float]:
-    """The motion (3,) about the moving sensor's place, and its squared length in deviations."""
+    """The step (3,) of the pose, and its squared Mahalanobis length."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     normal_matrix, right_side, spurious = np.zeros((4, 4)), np.zeros(4), np.zeros((3, 3))
     for i in range(0, pairs.partner.size, stride):
@@ -116,10 +118,12 @@ def _solve_step(
     information = np.array(
         [[m[0, 0], m[0, 1], m[0, 3]], [m[0, 1], m[1, 1], m[1, 3]], [m[0, 3], m[1, 3], m[3, 3]]]
     )
-    # Σ w |p|² over Σ w: a turn by one radian moves the points by about this much.
+    # Root mean square distance of the points: what a rotation by one radian moves them by.
     lever_m = max(np.sqrt((m[2, 2] + m[3, 3]) / (m[0, 0] + m[1, 1])), 1e-6)
-    strength, directions, is_open = find_unobservable_directions(information, spurious, lever_m)
-    if is_open.any():
+    strength, directions, is_unobservable = find_unobservable_directions(
+        information, spurious, lever_m
+    )
+    if is_unobservable.any():
         # Half the derivative of the sum of squares at rest, u = (1, 0).
         gradient = np.array(
             [
@@ -130,7 +134,7 @@ def _solve_step(
         )
         step: FloatArray = np.zeros(3)
         for k in range(3):
-            if not is_open[k]:
+            if not is_unobservable[k]:
                 step -= directions[:, k] * ((directions[:, k] * gradient).sum() / strength[k])
         step[2] /= lever_m
     else:
@@ -142,7 +146,8 @@ def _solve_step(
 def add_spurious_information(
     spurious: FloatArray, x_m: float, y_m: float, normal_x: float, normal_y: float, weight: float
 ) -> None:
-    """Add what a turn of one normal adds to the information (3, 3), its variance in ``weight``."""
+    """Add the information (3, 3) due to the noise of one normal, whose variance is in
+    ``weight``."""
     row = (-normal_y, normal_x, normal_x * x_m + normal_y * y_m)
     for i in range(3):
         for j in range(3):
@@ -153,20 +158,20 @@ def add_spurious_information(
 def find_unobservable_directions(
     information: FloatArray, spurious: FloatArray, lever_m: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Which directions of (x, y, yaw · lever) the pairs leave open.
+    """Which directions of (x, y, yaw · lever) the pairs do not determine.
 
     ``information``, ``spurious``: (3, 3) of (x, y, yaw). Returns the eigenvalues (3,) and
     eigenvectors (3, 3; columns) of the information with the yaw in units of 1 / lever, and (3,)
-    which of them are open.
+    which of them are unobservable.
     """
     scale = np.array([1.0, 1.0, 1.0 / lever_m])
     strength, directions = np.linalg.eigh(information * np.outer(scale, scale))
     noise = spurious * np.outer(scale, scale)
-    is_open = np.zeros(3, dtype=np.bool_)
+    is_unobservable = np.zeros(3, dtype=np.bool_)
     for k in range(3):
         direction = np.ascontiguousarray(directions[:, k])
         limit = (
             _SPURIOUS_FACTOR * (direction @ (noise @ direction)) + _ROUNDING_FRACTION * strength[2]
         )
-        is_open[k] = strength[k] <= limit
-    return strength, directions, is_open
+        is_unobservable[k] = strength[k] <= limit
+    return strength, directions, is_unobservable

@@ -1,4 +1,4 @@
-"""Which point of a moving sweep belongs to which line of the reference, and how far off it is."""
+"""Point-to-line correspondences between a moving sweep and the local lines of a reference."""
 
 from typing import NamedTuple
 
@@ -14,11 +14,11 @@ from fusion_core.registration.local_lines import (
 )
 from fusion_core.registration.polar_correspondence import PolarScan, find_nearest
 
-# Where one sweep is this much denser than the other, the sparser one alone limits the accuracy.
+# At this ratio of densities the sparser sweep causes over 90 % of the variance.
 _DENSITY_RATIO_MAX = 10.0
 
 
-# By how much the limit of trimming may fall from one iteration to the next.
+# Largest decrease of the trimming limit in one iteration: four iterations from 300 to 1 σ.
 _LIMIT_DECREASE_MAX = 4.0
 
 
@@ -28,7 +28,7 @@ class LinePairs(NamedTuple):
     ``partner``: (M,) index of the reference's valid beam whose line it is paired with, or -1.
     ``residual_m``: (M,) signed distance from that line. ``variance_m2``: (M,) of this distance,
     from the range noise of the point and of the line. ``weight_per_m2``: (M,) its weight in the
-    sum of squares. The last three mean nothing where there is no partner.
+    sum of squares. The last three are undefined without a partner.
     """
 
     partner: IntArray
@@ -39,7 +39,7 @@ class LinePairs(NamedTuple):
 
 @compiled()
 def make_empty_pairs(count: int) -> LinePairs:
-    """Room for the pairs of ``count`` beams."""
+    """Pairs of ``count`` beams, all without a partner."""
     return LinePairs(np.full(count, -1), np.zeros(count), np.ones(count), np.ones(count))
 
 
@@ -56,9 +56,10 @@ def find_pairs(
 ) -> None:
     """Pair every ``stride``-th beam of the moving sweep, seen from ``pose`` in the reference.
 
-    The partner is the line at the nearest point of the reference (Censi 2008, step 3). A point is
-    left alone where that point has no line, is too far, or where its foot lies beyond the line's
-    own points: it is then seen past an edge. ``sigmas_m``: of the reference and the moving ranges.
+    The partner is the line at the nearest point of the reference (Censi 2008, step 3). A point
+    stays unpaired where that point has no line or is too far, or where its projection lies beyond
+    the ends of the line: it is then seen past an edge. ``sigmas_m``: of the reference and the
+    moving ranges.
     """
     c, s = np.cos(pose[2]), np.sin(pose[2])
     step_ratio = reference.step_rad / moving.step_rad
@@ -77,7 +78,7 @@ def find_pairs(
         spare = 0.5 * (high - low) / (lines.beams[j] - 1)
         if along < low - spare or along > high + spare:
             continue
-        # Noise lies along the beam: what crosses the line is its share along the normal.
+        # Range noise acts along the beam; its component across the line is cos(incidence) of it.
         here = abs(normal_x * direction_x + normal_y * direction_y)
         here = max(here, INCIDENCE_COS_MIN)
         there = incidence_cos(reference, lines, j, j)
@@ -117,12 +118,12 @@ def drop_duplicates(pairs: LinePairs, reference_count: int, stride: int) -> None
 def trim_pairs(
     pairs: LinePairs, sigmas: float, last_limit: float, stride: int
 ) -> tuple[int, float, float]:
-    """Drop pairs that are off by more than a limit, in their own standard deviations.
+    """Drop pairs whose residual exceeds a limit, in units of their standard deviation.
 
     The limit is ``sigmas``, times the robust deviation of the pairs themselves where that exceeds
-    what range noise explains. It falls slowly from ``last_limit``: where two walls already fit,
-    the median is small, and a third one would be lost before it could be brought near. Returns
-    the pairs left, the limit, and the robust deviation over the explained one.
+    what range noise explains. It falls slowly from ``last_limit``: once two walls fit, the median
+    is small, and a third wall would be trimmed before it could converge. Returns the number of
+    pairs left, the limit, and the ratio of the robust deviation to that of range noise.
     """
     size = np.empty(pairs.partner.size)
     count = 0

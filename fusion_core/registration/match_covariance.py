@@ -1,6 +1,6 @@
-"""How uncertain a PL-ICP match is, from the noise of every range that it rests on.
+"""Covariance of a PL-ICP match, propagated from the noise of every range.
 
-After Censi 2007 ("An accurate closed-form estimate of ICP's covariance"): at the optimum the
+After Censi 2007 ("An accurate observable-form estimate of ICP's covariance"): at the optimum the
 gradient g(x, z) of the cost vanishes, so an error dz of the ranges moves the pose by
 -(dg/dx)⁻¹ (dg/dz) dz, and
 
@@ -21,11 +21,11 @@ from fusion_core.registration.line_pairs import LinePairs
 from fusion_core.registration.local_lines import LocalLines, incidence_cos
 from fusion_core.registration.polar_correspondence import PolarScan
 
-# The standard deviation that an open direction is given: finite, and larger than any room.
+# Standard deviation along an unobservable direction: finite, and larger than any room.
 UNOBSERVABLE_SIGMA_M = 100.0
 
-# Residuals smaller than the ranges' noise allows mean that the two sweeps err alike (quantised
-# or filtered ranges at rest), not that the match is the better for it.
+# Least factor on the covariance. Residuals far below range noise mean correlated errors (quantised
+# or filtered ranges at standstill), not a better match.
 _NOISE_FACTOR_MIN = 0.5
 
 
@@ -45,11 +45,12 @@ def match_covariance(
     sigmas_m: tuple[float, float],
     kept_variance: float,
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Covariance (3, 3) of the pose (x, y, yaw) in the reference's frame; open directions; lever.
+    """Covariance (3, 3) of the pose (x, y, yaw) in the reference's frame; unobservable directions;
+    lever.
 
-    ``sigmas_m``: of the ranges of the reference and of the moving sweep. The pairs' residuals
-    scale the result where they disagree with these; ``kept_variance`` is the variance of a unit
-    Gaussian that trimming leaves. The open directions are (k, 3) in (x, y, yaw); with the yaw
+    ``sigmas_m``: of the ranges of the reference and of the moving sweep. The pairs' residuals scale
+    the result where they disagree with these; ``kept_variance`` is the variance of a unit Gaussian
+    that trimming leaves. The unobservable directions are (k, 3) in (x, y, yaw); with the yaw
     multiplied by the lever, in metres, they are orthonormal.
     """
     c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -89,12 +90,12 @@ def match_covariance(
             along = reference.range_m[beam] * (
                 normal_x * reference.sin[beam] - normal_y * reference.cos[beam]
             )
-            share = 1.0 / lines.beams[j]
-            share += foot * (along - lines.centre_m[j]) / lines.spread_m2[j]
+            influence = 1.0 / lines.beams[j]
+            influence += foot * (along - lines.centre_m[j]) / lines.spread_m2[j]
             # Signs as in the residual do not matter: all beams of a run cross it the same way.
-            share *= weight * sigmas_m[0] * incidence_cos(reference, lines, j, beam)
+            influence *= weight * sigmas_m[0] * incidence_cos(reference, lines, j, beam)
             for a in range(3):
-                by_reference_range[beam, a] += share * row[a]
+                by_reference_range[beam, a] += influence * row[a]
             beam = beam + 1 if beam + 1 < count else 0
         turn = (sigmas_m[0] * incidence_cos(reference, lines, j, j)) ** 2 / lines.spread_m2[j]
         add_spurious_information(spurious, x, y, normal_x, normal_y, weight * turn)
@@ -103,18 +104,20 @@ def match_covariance(
 
     lever_m = max(np.sqrt(levers / weights), 1e-6)
     scale = np.array([1.0, 1.0, 1.0 / lever_m])
-    _, directions, is_open = find_unobservable_directions(information, spurious, lever_m)
-    closed, opened = directions[:, ~is_open], directions[:, is_open]
-    # Noisy normals feign information and add noise of their own to the gradient: w var(e) = 1.
+    _, directions, is_unobservable = find_unobservable_directions(information, spurious, lever_m)
+    observable, unobservable = directions[:, ~is_unobservable], directions[:, is_unobservable]
+    # Noise of the normals adds spurious information, and noise to the gradient: w var(e) = 1.
     true_information = (information - spurious) * np.outer(scale, scale)
     noise = (gradient_covariance + spurious) * np.outer(scale, scale)
-    covariance = opened @ opened.T * UNOBSERVABLE_SIGMA_M**2
-    if closed.shape[1] > 0:
-        inverse = closed @ np.linalg.inv(closed.T @ true_information @ closed) @ closed.T
+    covariance = unobservable @ unobservable.T * UNOBSERVABLE_SIGMA_M**2
+    if observable.shape[1] > 0:
+        inverse = (
+            observable @ np.linalg.inv(observable.T @ true_information @ observable) @ observable.T
+        )
         factor = squares / max(used - 3, 1) / kept_variance
         covariance += inverse @ noise @ inverse * max(factor, _NOISE_FACTOR_MIN)
     covariance *= np.outer(scale, scale)
-    return covariance, opened.T * scale, lever_m
+    return covariance, unobservable.T * scale, lever_m
 
 
 @compiled()

@@ -1,9 +1,9 @@
-"""The four maps of the plane that A may be, and their least squares.
+"""The four planar transforms that A may be, and their least-squares fits.
 
 Row-vector convention of Xu 2024 eq. (5): ``(x', z', w') = (x, z, 1) A`` and the mapped point is
 ``(x'/w', z'/w')``. With the third column of A at (0, 0, 1), as eq. (5) is printed, w' is 1 and A
 is affine; a homography needs the division. A is scaled so that w' = 1 at the centroid of the
-pairs that it was fitted to, and a point with w' <= 0 (beyond the map's horizon) has no image: NaN.
+pairs that it was fitted to, and a point with w' <= 0 (beyond the horizon) has no image: NaN.
 
 Least squares minimise the errors in D alone, so noise in L shrinks an affine fit across a wall
 whose width is of the noise's size; ``Fit.condition`` shows that case.
@@ -28,21 +28,22 @@ MINIMAL_PAIRS: dict[TransformModel, int] = {
     "homography": 4,
 }
 
-# Beyond this condition the digits of a float64 no longer determine the map (the condition comes
+# Beyond this condition the digits of a float64 no longer determine A (the condition comes
 # from normal equations, which square it).
 SINGULAR_CONDITION = 1e7
 
+# Far more than quadratic convergence from a DLT start needs.
 _GAUSS_NEWTON_STEPS_MAX = 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TransformFit:
-    """A map fitted to pairs.
+    """A transform fitted to pairs.
 
     ``A``: (3, 3). ``unit_covariance``: (9, 9) covariance of A's entries, row by row, for
     independent errors of 1 m on each axis of D. ``condition``: condition number of the design
     matrix in coordinates with zero mean and unit spread. Where it reaches SINGULAR_CONDITION the
-    pairs do not determine the map and the arrays are NaN.
+    pairs do not determine it and the arrays are NaN.
     """
 
     A: FloatArray
@@ -65,13 +66,13 @@ def apply_transform(A: FloatArray, points_m: FloatArray) -> FloatArray:
 def residuals(A: FloatArray, lidar_m: FloatArray, depth_m: FloatArray) -> FloatArray:
     """``||L A - D||`` of eq. (6): A (..., 3, 3) and (m, 2) points give (..., m) metres.
 
-    NaN where a point has no image or A is no map.
+    NaN where a point has no image or A is NaN.
     """
     columns = _homogeneous(lidar_m).T
     with np.errstate(invalid="ignore", over="ignore"):
         across = A[..., :, 0] @ columns
         along = A[..., :, 1] @ columns
-        # In an affine map w' is 1 everywhere, and dividing a stack of draws by it costs most.
+        # In an affine transform w' is 1 everywhere, and dividing a stack of draws by it costs most.
         if A[..., :2, 2].any():
             w = A[..., :, 2] @ columns
             w[~(w > 0.0)] = np.nan
@@ -90,8 +91,8 @@ def solve_least_squares(
 
     All leading axes are solved at once. Rigid and similarity: Umeyama 1991 in the plane, where
     the rotation that is no reflection has a closed form. Affine: the normal equations of eq. (5).
-    Homography: normalised DLT (Hartley 1997). A sample that does not determine its map gives NaN
-    or an arbitrary map; it never raises.
+    Homography: normalised DLT (Hartley 1997). A sample that does not determine A gives NaN
+    or an arbitrary A; it never raises.
     """
     lidar_mean = lidar_m.mean(axis=-2, keepdims=True)
     depth_mean = depth_m.mean(axis=-2, keepdims=True)
@@ -115,7 +116,7 @@ def fit_transform(model: TransformModel, lidar_m: FloatArray, depth_m: FloatArra
     """
     centre_lidar, spread_lidar = _centre_and_spread(lidar_m)
     centre_depth, spread_depth = _centre_and_spread(depth_m)
-    # One unit for both sides, or a rigid map would not stay rigid.
+    # One unit for both sides, or a rigid transform would not stay rigid.
     unit_m = max(spread_lidar, spread_depth)
     if min(spread_lidar, spread_depth) * SINGULAR_CONDITION <= unit_m:
         return _undetermined_fit(np.inf)
@@ -273,9 +274,9 @@ def _refine_homography(A: FloatArray, lidar: FloatArray, depth: FloatArray) -> F
         moved_cost = float(np.sum((apply_transform(moved, lidar) - depth) ** 2))
         if not moved_cost < cost:
             break
-        settled = cost - moved_cost <= 1e-12 * cost
+        has_converged = cost - moved_cost <= 1e-12 * cost
         A, cost = moved, moved_cost
-        if settled:
+        if has_converged:
             break
     return A
 

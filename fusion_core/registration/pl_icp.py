@@ -11,9 +11,9 @@
     match.is_observable                             # False in a corridor
 
 ``first_m`` and ``second_m`` are plain arrays of ranges in metres, NaN (or inf, or 0) for a beam
-without an answer. No first guess is needed: within ``search_translation_m`` and
-``search_rotation_rad`` of it the start is searched (correlative.py). A pair that cannot be
-matched raises RegistrationFailed and says why; there is no answer that only looks like one.
+without a return. An initial guess is optional: starts are searched within ``search_translation_m``
+and ``search_rotation_rad`` of it by correlative matching. Sweeps that cannot be matched raise
+RegistrationFailed with the reason.
 
 To match many sweeps with one, prepare it once:
 
@@ -21,9 +21,9 @@ To match many sweeps with one, prepare it once:
     match = match_to(reference, second_m, angle_min_rad=..., angle_increment_rad=...)
 
 Li 2022 eq. 4 is the cost: Σ (n_i · (p_i ⊕ q - Π(p_i ⊕ q_k)))², the projection Π on the reference
-being on the line of local_lines.py and n_i its normal. Beside Censi 2008: lines are fitted to
-runs of beams, and each pair is weighted by the range noise that crosses its line, which makes
-the estimate nearly as good as the beams allow.
+being on the line of local_lines.py and n_i its normal. Unlike Censi 2008, lines are fitted to runs
+of beams, and each pair is weighted by the range noise across its line, which brings the estimate
+close to the Cramér-Rao bound.
 """
 
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ from fusion_core.registration.match_covariance import match_covariance, trimmed_
 from fusion_core.registration.polar_correspondence import PolarScan, make_polar_scan
 from fusion_core.settings import StageSettings, setting
 
-# Blocks of 16 cells are about as wide as the window: few of them to begin with.
+# Top blocks of 2⁴ = 16 cells are about as wide as the default window, so that few need scoring.
 _SEARCH_LEVELS = 5
 
 
@@ -65,58 +65,58 @@ class PlIcpSettings(StageSettings):
     )
     pair_distance_max_m: float = setting(
         0.3,
-        "Greatest distance of a point from the reference's nearest",
+        "Greatest distance between a point and its nearest point in the reference",
         unit="m",
         ge=1e-6,
         le=10.0,
         formerly="pair_distance_m",
     )
     trim_sigmas: float = setting(
-        3.0, "Pairs off by more standard deviations are left out", ge=1.0, le=10.0
+        3.0, "Pairs with residuals of more standard deviations are trimmed", ge=1.0, le=10.0
     )
-    iterations_max: int = setting(50, "Iterations at which a start is given up", ge=1, le=1_000)
+    iterations_max: int = setting(50, "Most iterations from one start", ge=1, le=1_000)
     beams_min: int = setting(30, "Fewest valid beams of a sweep", unit="beams", ge=6, le=10_000)
     inlier_ratio_min: float = setting(
         0.4,
-        "Least share of the second sweep's valid beams that must fit",
+        "Least ratio of inliers to the second sweep's valid beams",
         ge=1e-6,
         le=1.0,
         formerly="inlier_share_min",
     )
     inlier_ratio_sufficient: float = setting(
         0.7,
-        "Share of fitting beams at which no other start is tried",
+        "Inlier ratio at which no other start is tried",
         ge=1e-6,
         le=1.0,
         formerly="inlier_share_sure",
     )
     residual_ratio_max: float = setting(
         4.0,
-        "Greatest robust residual, in multiples of what range noise explains",
+        "Greatest ratio of the robust residual to that of range noise",
         gt=1.0,
         le=1e3,
         formerly="residual_max",
     )
     search_translation_m: float = setting(
-        1.0, "Search of a start: how far along x and y", unit="m", ge=0.0, le=50.0
+        1.0, "Start search: half width along x and y", unit="m", ge=0.0, le=50.0
     )
     search_rotation_rad: float = setting(
-        np.pi / 3.0, "Search of a start: how far to either side", unit="rad", ge=0.0, le=np.pi
+        np.pi / 3.0, "Start search: half width in rotation", unit="rad", ge=0.0, le=np.pi
     )
-    search_resolution_m: float = setting(
-        0.1, "Search of a start: width of a cell", unit="m", ge=0.01, le=2.0
-    )
+    search_resolution_m: float = setting(0.1, "Start search: cell size", unit="m", ge=0.01, le=2.0)
     search_step_rad: float = setting(
-        0.0175, "Search of a start: step of the turn", unit="rad", ge=0.0005, le=0.5
+        0.0175, "Start search: rotation step", unit="rad", ge=0.0005, le=0.5
     )
     search_points: int = setting(
-        90, "Search of a start: points of the second sweep", unit="points", ge=10, le=10_000
+        90, "Start search: points of the second sweep", unit="points", ge=10, le=10_000
     )
 
     @model_validator(mode="after")
     def _searchable(self) -> Self:
-        reach_m, rotation_rad = _widest_window(self)
-        poses = count_poses(reach_m, rotation_rad, self.search_resolution_m, self.search_step_rad)
+        translation_m, rotation_rad = _widest_window(self)
+        poses = count_poses(
+            translation_m, rotation_rad, self.search_resolution_m, self.search_step_rad
+        )
         if poses > POSES_MAX:
             raise ValueError(
                 f"search_translation_m = {self.search_translation_m:g} over search_resolution_m = "
@@ -128,7 +128,7 @@ class PlIcpSettings(StageSettings):
 
 @dataclass(frozen=True, eq=False)
 class ReferenceScan:
-    """A sweep that others are matched to: its beams, their noise, its lines, its grid."""
+    """A sweep prepared as reference: its beams, range noise, local lines and likelihood grid."""
 
     scan: PolarScan
     sigma_m: float
@@ -152,7 +152,7 @@ class ReferenceScan:
 
     @cached_property
     def pyramid(self) -> LikelihoodPyramid:
-        """The grid in which a start is searched."""
+        """The likelihood grid of the start search."""
         resolution_m = self.settings.search_resolution_m
         return make_likelihood_pyramid(
             _points(self.scan),
@@ -168,10 +168,10 @@ class ScanMatch:
 
     ``pose_first_second``: (3,) x, y, yaw of the second sweep in the first one's frame.
     ``covariance``: (3, 3) of it, see match_covariance.py. ``unobservable_directions``: (k, 3)
-    directions of (x, y, yaw) that the sweeps do not tell, as along a corridor; the pose keeps the
-    guess there and the covariance holds 100 m. ``error_m``: root mean square distance of the
-    inliers from their lines. ``residual``: the pairs' robust residual over the one that range noise
-    explains. ``inlier_share``: of the second sweep's valid beams. ``iterations``: of all starts.
+    directions of (x, y, yaw) that the sweeps do not determine, as along a corridor; there the pose
+    keeps the guess and the standard deviation is 100 m. ``rms_error_m``: root mean square distance
+    of the inliers from their lines. ``residual_ratio``: the pairs' robust residual over that of
+    range noise. ``inlier_ratio``: of the second sweep's valid beams. ``iterations``: of all starts.
     ``start``: (3,) the pose from which the match was found; ``starts``: how many were tried.
     ``converged``: False where the best match fits but its steps had not become small when
     ``iterations_max`` ended them.
@@ -199,7 +199,7 @@ class ScanMatch:
 
     @property
     def is_observable(self) -> bool:
-        """Whether the sweeps tell the motion in every direction."""
+        """Whether the sweeps determine the motion in every direction."""
         return bool(self.unobservable_directions.shape[0] == 0)
 
 
@@ -262,7 +262,7 @@ def match_to_reference(
             refused.append(found)
             continue
         if attempt is not None and found.unobservable_directions.size:
-            # The search had to take some pose where all are alike; the centre's is the better one.
+            # Along an unobservable direction the search picks an arbitrary pose: keep the centre's.
             again, steps = _refine(reference, moving, sigma_m, _move_towards_guess(found, centre))
             iterations += steps
             found = found if isinstance(again, str) else again
@@ -311,7 +311,7 @@ class _Candidate:
 def _refine(
     reference: ReferenceScan, moving: PolarScan, sigma_m: float, start: FloatArray
 ) -> tuple[_Candidate | str, int]:
-    """PL-ICP from one start: the match, or why it is none; the iterations."""
+    """PL-ICP from one start: the match, or why it failed; the iterations."""
     settings = reference.settings
     sigmas_m = (reference.sigma_m, sigma_m)
     pose, pairs, iterations, converged, residual = iterate_pl_icp(
@@ -325,9 +325,12 @@ def _refine(
         settings.iterations_max,
     )
     inliers = pairs.partner >= 0
-    share = np.count_nonzero(inliers) / inliers.size
-    if share < settings.inlier_ratio_min:
-        return f"{share:.0%} of the beams fit, {settings.inlier_ratio_min:.0%} must", iterations
+    inlier_ratio = np.count_nonzero(inliers) / inliers.size
+    if inlier_ratio < settings.inlier_ratio_min:
+        return (
+            f"{inlier_ratio:.0%} of the beams fit, {settings.inlier_ratio_min:.0%} must",
+            iterations,
+        )
     if residual > settings.residual_ratio_max:
         return f"residuals are {residual:.3g} times the ranges' noise", iterations
     covariance, unobservable_directions, lever_m = match_covariance(
@@ -348,14 +351,14 @@ def _refine(
         lever_m=lever_m,
         rms_error_m=sqrt(residual_m @ residual_m / residual_m.size),
         residual_ratio=residual,
-        inlier_ratio=share,
+        inlier_ratio=inlier_ratio,
         converged=converged,
     )
     return candidate, iterations
 
 
 def _move_towards_guess(found: _Candidate, centre: FloatArray) -> FloatArray:
-    """The pose nearest to ``centre`` that differs from the match in open directions alone."""
+    """The match moved along its unobservable directions to be nearest to ``centre``."""
     scale = np.array([1.0, 1.0, found.lever_m])
     difference = found.pose - centre
     difference[2] = wrap_angle(difference[2])
@@ -365,18 +368,21 @@ def _move_towards_guess(found: _Candidate, centre: FloatArray) -> FloatArray:
 
 
 def _search_windows(has_guess: bool, settings: PlIcpSettings) -> list[tuple[float, float] | None]:
-    """How each start is found: None for the guess itself, else how far to search about it."""
+    """How each start is found: None for the guess itself, else the half widths of a search."""
     near = (settings.search_translation_m, settings.search_rotation_rad)
     return [*([None] if has_guess else []), near, _widest_window(settings)]
 
 
 def _widest_window(settings: PlIcpSettings) -> tuple[float, float]:
-    """The widest search: any turn, and twice as far."""
+    """The last search: every rotation, and twice the translation."""
     return 2.0 * settings.search_translation_m, float(np.pi)
 
 
 def _search_start(
-    reference: ReferenceScan, moving: PolarScan, centre: FloatArray, reach: tuple[float, float]
+    reference: ReferenceScan,
+    moving: PolarScan,
+    centre: FloatArray,
+    half_widths: tuple[float, float],
 ) -> FloatArray:
     """The start that fits best within (metres, radians) of a pose."""
     settings = reference.settings
@@ -384,8 +390,8 @@ def _search_start(
     stride = max(1, points_m.shape[0] // settings.search_points)
     window = SearchWindow(
         centre=(float(centre[0]), float(centre[1]), float(centre[2])),
-        translation_m=reach[0],
-        rotation_rad=reach[1],
+        translation_m=half_widths[0],
+        rotation_rad=half_widths[1],
     )
     return find_best_pose(
         reference.pyramid, points_m[::stride], window, step_rad=settings.search_step_rad

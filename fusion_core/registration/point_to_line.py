@@ -1,6 +1,6 @@
-"""The rigid motion that brings points nearest to lines, in closed form (Censi 2008, appendix I).
+"""Weighted least squares of point-to-line distances in closed form (Censi 2008, appendix I).
 
-Points p_i and lines n_i · q = h_i, weights w_i; wanted are R(θ) and t that minimise
+For points p_i, lines n_i · q = h_i and weights w_i, find the R(θ) and t that minimise
 
     Σ w_i (n_i · (R(θ) p_i + t) - h_i)².
 
@@ -13,7 +13,7 @@ import numpy as np
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import FloatArray
 
-# Newton from the right of the largest root: the early steps take off a quarter, the last square.
+# Newton from the right of a quartic's largest root: linear by 1/4 at worst, then quadratic.
 _NEWTON_STEPS = 100
 
 
@@ -23,7 +23,7 @@ def fit_point_to_line(
     """(3,) x, y, theta of the global minimum.
 
     ``points_m``, ``normals``: (n, 2), normals of unit length; ``offsets_m``, ``weights``: (n,).
-    NaN where the lines leave the translation open (fewer than two directions).
+    NaN where the lines do not determine the translation (fewer than two directions).
     """
     normal_matrix, right_side = np.zeros((4, 4)), np.zeros(4)
     for point, normal, offset, weight in zip(points_m, normals, offsets_m, weights, strict=True):
@@ -58,10 +58,11 @@ def add_point_line_pair(
 
 @compiled(error_model="numpy")
 def solve_point_to_line(normal_matrix: FloatArray, right_side: FloatArray) -> FloatArray:
-    """(3,) x, y, theta from the sums of ``add_pair``; NaN where the translation is open."""
+    """(3,) x, y, theta from the sums of ``add_pair``; NaN where the translation is undetermined."""
     m, g = normal_matrix, right_side
     determinant = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]
     trace = m[0, 0] + m[1, 1]
+    # Relative rounding of a float64 determinant, with a margin of about 50.
     if not determinant > 1e-14 * trace * trace:
         return np.full(3, np.nan)
     # t = p - Q u, from the derivative by t.

@@ -1,8 +1,9 @@
 """The nearest point of a 2D sweep, by angle and jump tables (Censi 2008, "smart search").
 
-A sweep is a curve r(θ), so the points near a place are those seen in about its direction. The
-search walks from that direction to both sides, leaps over beams that cannot be nearer, and stops
-where no beam can be: the answer is exact, and costs a few beams instead of all.
+A sweep is a curve r(θ), so the nearest point of a query lies in about the same direction. The
+search goes from that direction to both sides, jumps over beams that cannot be nearer, and stops
+where no beam can be. The result is exact and visits a few beams only; a k-d tree would not use the
+order.
 """
 
 from typing import NamedTuple
@@ -126,7 +127,7 @@ def _steps_to_next(range_m: FloatArray, sign: float, direction: int) -> IntArray
 def find_nearest(
     scan: PolarScan, x_m: float, y_m: float, squared_limit_m2: float
 ) -> tuple[int, float]:
-    """Index below M of the point nearest to a place in the sensor's frame; its squared distance.
+    """Index of the valid beam nearest to a point in the sensor's frame, and its squared distance.
 
     -1 and the limit where none is nearer than that.
     """

@@ -1,4 +1,5 @@
-"""Xu 2024 §2.3.1: the map A between a LiDAR curve and a depth row, by random sample consensus.
+"""Xu 2024 §2.3.1: the transform A between a LiDAR curve and a depth row, by random sample
+consensus.
 
 The paper's symbols, and what they are here:
 
@@ -8,7 +9,7 @@ D     ``depth_points_m``: W points (x, z) of the depth row v
 A     ``Registration.A``: (3, 3), row vectors, ``L̂ A = D`` (5); ``A_inverse`` is for (7)
 n     ``sample_size``: pairs in a draw
 α, β  numbers of good pairs and of noise pairs, W = α + β: ``inliers`` tells them apart
-c     share of good pairs, α / (α + β)
+c     inlier ratio, α / (α + β)
 E     ``mean_error_m``: mean ``||L̂ A - D||`` over the pairs valid on both sides (§3.2.2)
 ε     the threshold of (6) on ``residual_m``: denoising applies it, after the fact.
       ``inlier_threshold_m`` is another one, needed to find A at all; the paper does not name it
@@ -18,10 +19,10 @@ A draw of n pairs is clean with the probability cⁿ, so N = ln(1 - p) / ln(1 - 
 clean one with the confidence p. The paper's 4 / cⁿ is the rule for p = 1 - e⁻⁴ = 98.2 %, not for
 its 97.5 %: with c = 0.6 and n = 6 that is 84 to 86 draws, and 97.5 % needs 78.
 
-Eq. (5) as printed is affine. On a plain wall or in a corridor an affine map is nearly undetermined
-and its inverse sends repairs metres away, so the default takes the simplest of four maps that
-explains the pairs and refuses a map that stretches or mirrors. ``PUBLISHED`` is the paper: affine,
-84 draws of 6, refused only where A has no inverse.
+Eq. (5) as printed is affine. On a plain wall or in a corridor an affine transform is nearly
+undetermined and its inverse sends repairs metres away, so the default takes the simplest of four
+models that explains the pairs and rejects a transform that stretches or mirrors. ``PUBLISHED`` is
+the paper: affine, 84 draws of 6, rejected only where A has no inverse.
 """
 
 from dataclasses import dataclass
@@ -59,9 +60,10 @@ from fusion_core.settings import StageSettings, setting
 # deviation of one axis.
 _RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
 
-# Below this the residuals of exact pairs are rounding and do not tell models apart.
+# 1 µm: residuals of exact pairs are rounding and cannot distinguish models.
 _SIGMA_FLOOR_M = 1e-6
 
+# Kass and Raftery 1995: above it the evidence for the richer model is very strong.
 _GRIC_MARGIN = 10.0
 
 
@@ -69,11 +71,11 @@ class RegistrationSettings(StageSettings):
     """Settings of ``register``."""
 
     model: Literal["auto", "rigid", "similarity", "affine", "homography"] = setting(
-        "auto", "The map A; auto takes the simplest that explains the pairs"
+        "auto", "Model of the transform A; auto: the simplest that explains the pairs"
     )
     sample_size: int = setting(6, "Pairs in a draw (n)", unit="pairs", ge=2, le=50)
     stopping: Literal["fixed", "adaptive"] = setting(
-        "adaptive", "Stop after a fixed number of draws, or when a clean one is likely enough"
+        "adaptive", "Stop after a fixed number of draws, or at the confidence of a clean one"
     )
     draws: int = setting(84, "Draws, or the size of a block where adaptive", ge=1, le=10_000)
     confidence: float = setting(
@@ -84,17 +86,21 @@ class RegistrationSettings(StageSettings):
     inlier_threshold_m: float = setting(
         0.10, "Greatest residual of a pair that supports A", unit="m", ge=1e-6, le=2.0
     )
-    refits_max: int = setting(10, "Least-squares refits until the inliers settle", ge=1, le=100)
+    refits_max: int = setting(
+        10, "Most least-squares refits until the inliers no longer change", ge=1, le=100
+    )
     seed: int = setting(0, "Seed of the draws", ge=0, le=SEED_MAX)
-    guards: bool = setting(True, "Refuse maps that are ill-conditioned, mirror or stretch")
+    guards: bool = setting(True, "Reject transforms that are ill-conditioned, mirror or stretch")
     inliers_min: int = setting(12, "Guard: fewest inliers", unit="pairs", ge=2, le=10_000)
     condition_max: float = setting(
         30.0, "Guard: greatest condition number of the normalised design matrix", gt=1.0, le=1e6
     )
-    scale_min: float = setting(0.8, "Guard: least scale of the map anywhere", ge=1e-6, le=1.0)
-    scale_max: float = setting(1.25, "Guard: greatest scale of the map anywhere", ge=1.0, le=100.0)
+    scale_min: float = setting(0.8, "Guard: least local scale of the transform", ge=1e-6, le=1.0)
+    scale_max: float = setting(
+        1.25, "Guard: greatest local scale of the transform", ge=1.0, le=100.0
+    )
     anisotropy_max: float = setting(
-        1.25, "Guard: greatest ratio of the map's two scales at one point", ge=1.0, le=100.0
+        1.25, "Guard: greatest ratio of the two local scales", ge=1.0, le=100.0
     )
 
     @model_validator(mode="after")
@@ -113,7 +119,7 @@ PUBLISHED = RegistrationSettings(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RejectedModel:
-    """A model that was not taken, and why."""
+    """A model that was rejected, and why."""
 
     model: TransformModel
     reason: str
@@ -121,18 +127,18 @@ class RejectedModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Registration:
-    """The map A of one frame's pairs and its quality.
+    """The transform A of one frame's pairs and its quality.
 
     ``A``, ``A_inverse``: (3, 3), row vectors, metres. ``inliers``: (m,), the pairs that A was
     fitted to. ``residual_m``: (m,) ``||L̂ A - D||``, NaN where either side is missing.
-    ``mean_error_m``: E over all valid pairs, infinite where one of them has no image.
-    ``sigma_m``: robust standard deviation of one axis: the median residual of the inliers over
-    1.1774, as the length of an isotropic planar error is Rayleigh distributed.
-    ``covariance``: (9, 9) of A's entries row by row, for pairs with independent isotropic errors
-    of ``sigma_m``; neighbouring samples that share an error make it too small.
-    ``condition``: of the normalised design matrix. ``valid``: pairs valid on both sides.
-    ``best_draw``: index of the draw whose inliers began the ``refits``; ``settled`` says that
-    the last refit changed no inlier. ``refused``: models that were tried and not allowed.
+    ``mean_error_m``: E over all valid pairs, infinite where one of them has no image. ``sigma_m``:
+    robust standard deviation of one axis: the median residual of the inliers over 1.1774, as the
+    length of an isotropic planar error is Rayleigh distributed. ``covariance``: (9, 9) of A's
+    entries row by row, for pairs with independent isotropic errors of ``sigma_m``; neighbouring
+    samples that share an error make it too small. ``condition``: of the normalised design matrix.
+    ``valid``: pairs valid on both sides. ``best_draw``: index of the draw whose inliers were first
+    refitted; ``has_converged``: the last of the ``refits`` changed no inlier. ``rejected``: models
+    that were tried and rejected.
     """
 
     model: TransformModel
@@ -179,7 +185,7 @@ def register(
 ) -> Registration:
     """Find A with ``L̂ A = D`` (eq. 5) from paired points, (m, 2) twice, NaN where missing.
 
-    Raises RegistrationFailed where too few pairs are valid or every model is refused.
+    Raises RegistrationFailed where too few pairs are valid or every model is rejected.
     """
     lidar_points_m = np.array(lidar_points_m, dtype=np.float64)
     depth_points_m = np.array(depth_points_m, dtype=np.float64)
@@ -197,17 +203,17 @@ def register(
     lidar, depth = lidar_points_m[valid], depth_points_m[valid]
     models = MODELS if settings.model == "auto" else (settings.model,)
     candidates: list[_Candidate] = []
-    refused: list[RejectedModel] = []
+    rejected: list[RejectedModel] = []
     for model in models:
         found = _fit_candidate(model, lidar, depth, settings)
         if isinstance(found, RejectedModel):
-            refused.append(found)
+            rejected.append(found)
         else:
             candidates.append(found)
     if not candidates:
-        reasons = "; ".join(f"{refusal.model}: {refusal.reason}" for refusal in refused)
+        reasons = "; ".join(f"{refusal.model}: {refusal.reason}" for refusal in rejected)
         raise RegistrationFailed(
-            f"no map fits the {count} valid of {valid.size} pairs ({reasons}).",
+            f"no transform fits the {count} valid of {valid.size} pairs ({reasons}).",
             advice="Check (u, v) of the alignment, or try another model or inlier_threshold_m.",
         )
     best = candidates[_select_by_gric(candidates, settings.inlier_threshold_m)]
@@ -242,13 +248,13 @@ def register(
         refits=best.refits,
         has_converged=best.has_converged,
         seed=settings.seed,
-        rejected=tuple(refused),
+        rejected=tuple(rejected),
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Candidate:
-    """One model's map over the valid pairs alone."""
+    """One model's transform over the valid pairs alone."""
 
     model: TransformModel
     fit: TransformFit
@@ -264,14 +270,15 @@ class _Candidate:
 def _fit_candidate(
     model: TransformModel, lidar_m: FloatArray, depth_m: FloatArray, settings: RegistrationSettings
 ) -> _Candidate | RejectedModel:
-    """The best draw of one model, refitted until its inliers settle, unless the guards object."""
+    """The best draw of one model, refitted until its inliers converge, unless a guard rejects
+    it."""
     inliers, best_draw, draws = _find_consensus(model, lidar_m, depth_m, settings)
     # One pair more than the model needs, or no residual is left to judge it by.
     needed = max(settings.sample_size, MINIMAL_PAIRS[model] + 1)
     if settings.guards:
         needed = max(needed, settings.inliers_min)
     refits = 0
-    settled = False
+    has_converged = False
     while True:
         count = int(inliers.sum())
         if count < needed:
@@ -283,14 +290,14 @@ def _fit_candidate(
         residual_m = residuals(fitted.A, lidar_m, depth_m)
         agree = residual_m <= settings.inlier_threshold_m
         refits += 1
-        settled = bool((agree == inliers).all())
-        if settled or refits == settings.refits_max or fitted.condition >= SINGULAR_CONDITION:
+        has_converged = bool((agree == inliers).all())
+        if has_converged or refits == settings.refits_max or fitted.condition >= SINGULAR_CONDITION:
             break
         inliers = agree
 
-    objection = _rejection_reason(fitted, lidar_m, inliers, settings)
-    if objection:
-        return RejectedModel(model=model, reason=objection)
+    rejection = _rejection_reason(fitted, lidar_m, inliers, settings)
+    if rejection:
+        return RejectedModel(model=model, reason=rejection)
     free = 2 * count
     median_m = float(np.median(residual_m[inliers]))
     sigma_m = median_m / _RAYLEIGH_MEDIAN * np.sqrt(free / (free - PARAMETERS[model]))
@@ -303,7 +310,7 @@ def _fit_candidate(
         draws=draws,
         best_draw=best_draw,
         refits=refits,
-        has_converged=settled,
+        has_converged=has_converged,
     )
 
 
@@ -327,15 +334,15 @@ def _find_consensus(
         done += size
         block += 1
         if settings.stopping == "adaptive":
-            share = float(best.mean())
-            enough = count_draws_needed(share, settings.sample_size, settings.confidence)
+            inlier_ratio = float(best.mean())
+            enough = count_draws_needed(inlier_ratio, settings.sample_size, settings.confidence)
     return best, best_draw, done
 
 
 def _rejection_reason(
     fitted: TransformFit, lidar_m: FloatArray, inliers: BoolArray, settings: RegistrationSettings
 ) -> str:
-    """Why a fit is not acceptable; empty where it is."""
+    """Why a fit is rejected; empty where it is not."""
     count = f"its {inliers.sum()} inliers of {inliers.size} valid pairs"
     limit = settings.condition_max if settings.guards else SINGULAR_CONDITION
     if not fitted.condition <= limit or fitted.condition >= SINGULAR_CONDITION:
@@ -378,7 +385,7 @@ def _select_by_gric(candidates: list[_Candidate], threshold_m: float) -> int:
     pairs of four coordinates; the term of the dimension is the same for all four models. σ,
     common to all, is that of the candidate whose residuals, truncated at the threshold, are
     least. 10 is very strong evidence (Kass and Raftery 1995): neighbouring samples share errors,
-    and a richer map soon learns them.
+    which a richer model overfits.
     """
     squares = np.array([candidate.residual_m**2 for candidate in candidates])
     # fmin: a pair without an image counts as one far off.

@@ -23,7 +23,7 @@ def test_the_mean_of_the_points_in_each_voxel(sizes, voxel_m, waiting, seed):
     parts = [random.normal(size=(size, 3)) for size in sizes]
     cloud = VoxelCloud(voxel_m)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(voxel_cloud, "_WAITING_MIN", waiting)
+        patch.setattr(voxel_cloud, "_BUFFERED_MIN", waiting)
         for part in parts:
             cloud.add(part)
         found = cloud.points_m()
