@@ -167,7 +167,8 @@ def at_session(page: Page, workbench: Workbench, known: list[ClientSession]) -> 
             ):
                 return Person(page, session)
         page.wait_for_timeout(50)
-    raise AssertionError("no desk was made")
+    shown = [session.frame_view and session.frame_view.failure for session in workbench.sessions]
+    raise AssertionError(f"no desk was aligned: {shown}")
 
 
 def decoded(png: bytes) -> np.ndarray:
