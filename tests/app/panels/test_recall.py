@@ -29,9 +29,9 @@ FOLDER = "Recall over ε, by the truth"
 class Bench:
     """A server whose browsers have a desk with the Register panel alone."""
 
-    def __init__(self, recordings: list[Path]) -> None:
-        self.library = Library(recordings, [])
-        self.first = View(recording=self.library.names()[0], panel="Register")
+    def __init__(self, library: Library, first: View) -> None:
+        self.library = library
+        self.first = first
         self.server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         self.server.on_client_connect(self._welcome)
         self.furnished = threading.Event()
@@ -56,7 +56,6 @@ class Bench:
         self.session.close()
         self.client.close()
         self.server.stop()
-        self.library.close()
 
     def until(self, condition: Callable[[], bool]) -> None:
         self.client.wait_until(condition, LONG_S)
@@ -102,12 +101,23 @@ class Bench:
         return str(self.within("GuiHtmlMessage").props["content"])
 
 
-@pytest.fixture
-def bench(small_scene: Path, tmp_path: Path) -> Iterator[Bench]:
+@pytest.fixture(scope="module")
+def library(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Library]:
     """The first recording has its truth beside it, the second has none."""
-    alone = tmp_path / "alone.mcap"
+    alone = tmp_path_factory.mktemp("alone") / "alone.mcap"
     shutil.copyfile(small_scene, alone)
-    bench = Bench([small_scene, alone])
+    library = Library([small_scene, alone], [])
+    yield library
+    library.close()
+
+
+@pytest.fixture
+def bench(library: Library) -> Iterator[Bench]:
+    """A new browser before the first recording, which is aligned once and has no curve yet."""
+    first = View(recording=library.names()[0], panel="Register")
+    # Seen by somebody all the time, it stays open.
+    library.open(first, viewer="the tests").recalls.clear()
+    bench = Bench(library, first)
     yield bench
     bench.close()
 
@@ -320,6 +330,9 @@ def test_what_is_computed_waits_for_the_desk(bench: Bench, monkeypatch: pytest.M
             if busy.is_set() and not ended:
                 time.sleep(0.3)
                 ended.append(time.monotonic())
+
+        def close(self) -> None:
+            """It holds nothing."""
 
     monkeypatch.setattr(recall_module, "recall_of", recall_of)
     monkeypatch.setattr(recall_module, "_PATIENCE_S", LONG_S)
