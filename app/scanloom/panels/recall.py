@@ -54,9 +54,9 @@ class RecallPanel:
                     y="recall",
                 ),
                 (
+                    area("E to √2 E", _BAND_COLOR),
                     line("ξ: good pairs kept", color_of("good")),
                     line("η: noise pairs found", color_of("burr")),
-                    area("E to √2 E", _BAND_COLOR),
                     line("ε of this frame", INK),
                 ),
             )
@@ -181,7 +181,7 @@ class RecallPanel:
 
 
 def _data(curve: RecallCurve, marked: float) -> tuple[FloatArray, ...]:
-    """x, both recalls, the paper's band, and a line at the threshold ``marked``, unless NaN."""
+    """x, the paper's band, both recalls, and a line at the threshold ``marked``, unless NaN."""
     first, last = PAPER_BAND
     factors = np.sort(np.concatenate([curve.factors, [first, first, last, last]]))
     band = np.zeros(factors.size)
@@ -197,7 +197,7 @@ def _data(curve: RecallCurve, marked: float) -> tuple[FloatArray, ...]:
     is_marked = bool(np.isfinite(marked))
     return with_vertical_line(
         factors,
-        (*recalls, band),
+        (band, *recalls),
         marked if is_marked else float(factors[0]),
         (0.0, 1.0) if is_marked else (np.nan, np.nan),
         interpolate=True,

@@ -23,6 +23,11 @@ _X_AXIS_PX, _Y_AXIS_PX, _LABEL_PX = 34, 48, 20
 _PADDING_PX = (12, 20, 0, 0)
 _DASH_PX = (5, 4)
 
+# In a gap the nearest value is told, unless it is farther away than this.
+_CURSOR = uplot.Cursor(hover=uplot.Cursor_Hover(prox=24.0, skip=(np.nan,)))
+# Where x falls, uPlot finds values however far away; gaps are told as such, and have no dot.
+_CURSOR_ON_FALLING_X = uplot.Cursor(points=uplot.Cursor_Points(show=False))
+
 Limits = tuple[float, float] | dict[str, Any]
 """Of y: least and greatest value, or uPlot's rule for finding them."""
 
@@ -59,6 +64,7 @@ def add_line_plot(
             uplot.Axis(label=labels.x, labelSize=_LABEL_PX, size=_X_AXIS_PX),
             uplot.Axis(label=labels.y, labelSize=_LABEL_PX, size=_Y_AXIS_PX),
         ),
+        cursor=_CURSOR_ON_FALLING_X if labels.x_falls else _CURSOR,
         height=_HEIGHT_PX,
         padding=_PADDING_PX,
         visible=False,

@@ -176,7 +176,7 @@ def test_a_press_draws_the_curve_with_this_frames_epsilon(bench: Bench) -> None:
     (curve,) = bench.session.frame_view.open_recording.recalls.values()
     assert curve.good_pairs > 100
     at = said.middle_m / said.E_m
-    factors, xi, eta, _, here = bench.panel._recall._plot.data
+    factors, _, xi, eta, here = bench.panel._recall._plot.data
     np.testing.assert_allclose(
         np.interp(curve.factors, factors, xi), curve.good_kept / curve.good_pairs
     )
@@ -194,7 +194,7 @@ def test_the_plot_has_the_papers_band_and_no_curve_of_no_pairs(
     computed.go_on.set()
     bench.press()
     bench.until(lambda: bench.sees("GuiUplotMessage"))
-    factors, xi, eta, band, _ = bench.panel._recall._plot.data
+    factors, band, xi, eta, _ = bench.panel._recall._plot.data
     assert (np.diff(factors) >= 0.0).all()
     assert np.isfinite(xi).all()
     assert np.isnan(eta).all()
