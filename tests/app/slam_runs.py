@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from fusion_core.exporting.figures_slam import write_trajectory_figure
 from fusion_core.exporting.ros_map import write_ros_map
 from fusion_core.exporting.tum_trajectory import write_tum_trajectory
 from fusion_core.model.conventions import NS_PER_S, FloatArray, IntArray
@@ -117,6 +118,11 @@ def write_results(output: Path, options: MapOptions, shift_m: float = 0.0) -> di
     way, stamps = poses(shift_m), stamps_ns()
     write_ros_map(output, f"map_{options.scan}", room())
     write_tum_trajectory(output / "trajectory.tum", Trajectory.from_planar(stamps, way))
+    trusted = np.ones(SCANS, dtype=np.bool_)
+    trusted[LOST] = False
+    write_trajectory_figure(
+        output / "trajectory.png", "a room", room(), way, trusted, np.empty((0, 4))
+    )
     report: dict[str, Any] = {
         "scan": options.scan,
         "motion": options.motion,

@@ -7,14 +7,12 @@ import threading
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
 import viser
 
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress
 from fusion_core.workflows.fuse.export_clouds import CloudExport
-from fusion_core.workflows.fuse.sensor_maps import difference_of
 from fusion_core.workflows.map.result_folder import TrajectoryPoses
 from fusion_core.workflows.recorded_poses import PoseLookup
 from scanloom.client_session import ClientSession, Panel
@@ -34,13 +32,9 @@ from scanloom.panels.slam import SlamPanel
 from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.panels.widgets.markup import paragraph, text_box
 from scanloom.panels.widgets.panel_job import PanelJob
-from scanloom.plots.map_picture import map_pictures
-from scanloom.plots.png import show_picture
+from scanloom.panels.widgets.result_figures import ResultFigures
 from scanloom.state.view import MAP_MODES, View
 
-_PICTURE_PX = (480, 720)
-_TITLES = {"lidar": "LiDAR", "camera": "camera", "fused": "fused"}
-_EMPTY = np.full((2, 2, 3), 255, dtype=np.uint8)
 # Words that do not fit on a line go on under those above, right of the line's name.
 _REPORT_LINE = (
     "padding-left:11ch;text-indent:-11ch;white-space:pre-wrap;overflow-wrap:anywhere;"
@@ -120,7 +114,7 @@ class MapPanel(Panel):
         )
         self._build_button = gui.add_button("Build", icon=viser.Icon.MAP)
         self._job = PanelJob(gui, self._session, self._lock, self._show_working)
-        self._picture = gui.add_image(_EMPTY, format="png", visible=False)
+        self._written = ResultFigures(gui, ("fig9_maps", "map_fused"))
         self._report = gui.add_html("")
         self._files = gui.add_folder("Files", visible=False)
         with self._files:
@@ -232,19 +226,12 @@ class MapPanel(Panel):
         update_widget(self._files, visible=built is not None)
         if built is None:
             self._drawn = None
-            update_widget(self._picture, visible=False)
+            self._written.show(None)
             update_widget(self._report, content="")
             return
         if built is not self._drawn:
             self._drawn = built
-            grids = {_TITLES[name]: grid for name, grid in built.summary.grids.items()}
-            if grids:
-                width_px, height_px = _PICTURE_PX
-                drawn = map_pictures(
-                    grids, difference_of(grids), width_px=width_px, height_px=height_px
-                )
-                show_picture(self._picture, drawn)
-            update_widget(self._picture, visible=bool(grids))
+            self._written.show(built.results)
             update_widget(self._folder, content=text_box(str(built.folder)))
             for handle in (self._voxel, self._export_button):
                 update_widget(handle, visible=built.summary.pose_source is not None)

@@ -14,8 +14,8 @@ from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView
 from scanloom.panels.widgets.controls import Controls
 from scanloom.plots.depth_image import DepthPicture, PairOverlay, depth_picture
+from scanloom.plots.grid_image import grid_texture
 from scanloom.plots.heatmap import Heatmap
-from scanloom.plots.map_picture import map_texture
 from scanloom.scene import camera_views
 from scanloom.scene.color_picture import upright_color
 from scanloom.scene.frame_geometry import (
@@ -215,7 +215,7 @@ class ScenePanel(Panel):
 
 def _plane_of(grid: OccupancyGrid) -> MapPlane:
     x_m, y_m = map(float, grid.origin_m)
-    return MapPlane(picture=map_texture(grid), resolution_m=grid.resolution_m, origin_m=(x_m, y_m))
+    return MapPlane(picture=grid_texture(grid), resolution_m=grid.resolution_m, origin_m=(x_m, y_m))
 
 
 def _geometry(frame_view: FrameView) -> FrameGeometry | None:

@@ -20,12 +20,13 @@ from scanloom.jobs.build import free_folder, results_in, settings_in
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.jobs.slam_run import SlamRequest, SlamRun, map_options, resampling_at, run_slam
 from scanloom.panels.command_line import map_command
-from scanloom.panels.slam_results import SlamResults, effective_picture
+from scanloom.panels.slam_plots import add_effective_plot, show_effective
+from scanloom.panels.slam_results import SlamResults
 from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.panels.widgets.markup import paragraph, text_box
 from scanloom.panels.widgets.panel_job import UPDATE_INTERVAL_S, PanelJob
 from scanloom.plots.png import show_picture
-from scanloom.plots.slam_progress import Window, live_picture, window_around
+from scanloom.plots.slam_progress import Window, slam_progress_picture, window_around
 from scanloom.state.slam_choices import (
     ESTIMATORS,
     MOTIONS,
@@ -102,7 +103,7 @@ class SlamPanel:
             gui, session, self._lock, self._show_working, cancel_label="Cancel run"
         )
         self._picture = gui.add_image(_EMPTY, format="png", visible=False)
-        self._effective = gui.add_image(_EMPTY, format="png", visible=False)
+        self._effective = add_effective_plot(gui)
         self._results = SlamResults(gui, session, self._runs, output_root)
         with gui.add_folder("The same from the command line"):
             self._command = gui.add_html("")
@@ -197,25 +198,23 @@ class SlamPanel:
         if self._window is None:
             return
         height_px = _HEIGHT_PX + (_CLOSE_UP_PX if len(seen.particles) else 0)
-        drawn = live_picture(seen, self._window, width_px=_WIDTH_PX, height_px=height_px)
-        known = np.isfinite(seen.effective)
-        plot = None
-        if known.any():
-            times_s = (seen.stamps_ns[known] - seen.stamps_ns[0]) / NS_PER_S
-            run = self._of_run
-            plot = effective_picture(
-                times_s, seen.effective[known], run.slam.particles, resampling_at(run)
-            )
+        picture = slam_progress_picture(seen, self._window, width_px=_WIDTH_PX, height_px=height_px)
+        run = self._of_run
+        times_s = (seen.stamps_ns[: seen.effective.size] - seen.stamps_ns[0]) / NS_PER_S
         with self._lock:
             # The run may have ended meanwhile.
             if not self._job.is_running or self._job.is_closed:
                 return
             with self._session.batch_updates():
-                show_picture(self._picture, drawn)
+                show_picture(self._picture, picture)
                 update_widget(self._picture, visible=True)
-                if plot is not None:
-                    show_picture(self._effective, plot)
-                    update_widget(self._effective, visible=True)
+                show_effective(
+                    self._effective,
+                    times_s,
+                    seen.effective,
+                    particles=run.slam.particles,
+                    resampling_at=resampling_at(run),
+                )
 
     def _take(self, run: SlamRun) -> None:
         oldest = self._runs.add(run)
@@ -231,8 +230,8 @@ class SlamPanel:
     def _show_working(self, is_at_work: bool) -> None:
         self._commanded = None
         update_widget(self._run_button, disabled=is_at_work)
-        for picture in (self._picture, self._effective):
-            update_widget(picture, visible=False)
+        for widget in (self._picture, self._effective):
+            update_widget(widget, visible=False)
         if not is_at_work and self._live is not None:
             self._live.close()
         if not is_at_work and self._job.is_closed:

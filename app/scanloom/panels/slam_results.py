@@ -1,7 +1,7 @@
 """The finished runs of SLAM: one on its map with its report and files, and two side by side."""
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,27 +9,29 @@ from typing import Any
 import numpy as np
 import viser
 
-from fusion_core.model.conventions import NS_PER_S, ByteArray, FloatArray
 from fusion_core.model.errors import ScanLoomError
 from scanloom.client_session import ClientSession
 from scanloom.jobs.build import results_in, zip_folder
 from scanloom.jobs.slam_run import SlamRun, keep, resampling_at
+from scanloom.panels.slam_plots import (
+    add_distance_plot,
+    add_effective_plot,
+    add_weights_plot,
+    show_distance,
+    show_effective_of,
+    show_weights,
+)
 from scanloom.panels.slam_text import run_distance_text, run_report_html
 from scanloom.panels.widgets.controls import update_widget
 from scanloom.panels.widgets.markup import paragraph, text_box
-from scanloom.plots.palette import Color, color_of
+from scanloom.panels.widgets.result_figures import ResultFigures
 from scanloom.plots.png import show_picture
-from scanloom.plots.run_comparison import WayOnMap, apart, runs_picture
-from scanloom.plots.slam_progress import run_picture
-from scanloom.plots.time_picture import Course, time_picture
+from scanloom.plots.run_comparison import RunOnMap, compare_trajectories, comparison_picture
 from scanloom.state.slam_runs import SlamRuns
 
-_WIDTH_PX, _HEIGHT_PX, _PLOT_PX = 480, 640, 220
+_WIDTH_PX, _HEIGHT_PX = 480, 640
 _NONE_YET = "none yet"
 _EMPTY = np.full((2, 2, 3), 255, dtype=np.uint8)
-_INK: Color = (33, 37, 41)
-# Of odometries that are no sensor's.
-_OTHER_COLORS: tuple[Color, ...] = ((73, 80, 87), (0, 158, 115), (204, 121, 167))
 
 
 class _RunChoice:
@@ -79,16 +81,16 @@ class SlamResults:
         self._compared: dict[str, str | None] = {"A": None, "B": None}
         self._saved: dict[SlamRun, Path] = {}
         # What the widgets show now.
-        self._drawn: SlamRun | None = None
-        self._drawn_pair: tuple[SlamRun, SlamRun] | None = None
+        self._shown: SlamRun | None = None
+        self._shown_pair: tuple[SlamRun, SlamRun] | None = None
 
         self._result = gui.add_folder("Result", visible=False)
         with self._result:
             choice = gui.add_dropdown("Run shown", (_NONE_YET,))
-            self._picture = gui.add_image(_EMPTY, format="png")
-            self._effective = gui.add_image(_EMPTY, format="png", visible=False)
-            self._translation = gui.add_image(_EMPTY, format="png", visible=False)
-            self._rotation = gui.add_image(_EMPTY, format="png", visible=False)
+            self._figures = ResultFigures(gui, ("trajectory",))
+            self._effective = add_effective_plot(gui)
+            self._translation = add_weights_plot(gui, "translation")
+            self._rotation = add_weights_plot(gui, "rotation")
             self._report = gui.add_html("")
             self._download = gui.add_button(
                 "Download run (.zip)", hint="Map, trajectory.tum, graph.g2o, report and settings"
@@ -101,8 +103,8 @@ class SlamResults:
         with self._comparison:
             sides = {name: gui.add_dropdown(name, (_NONE_YET,)) for name in self._compared}
             self._both = gui.add_image(_EMPTY, format="png", visible=False)
-            self._distance = gui.add_image(_EMPTY, format="png", visible=False)
-            self._apart = gui.add_html("")
+            self._distance = add_distance_plot(gui)
+            self._difference = gui.add_html("")
 
         self._choice = _RunChoice(choice, self._lock, self._choose)
         self._sides = {
@@ -146,28 +148,13 @@ class SlamResults:
     def _show_run(self, run: SlamRun) -> None:
         saved = self._saved.get(run)
         update_widget(self._where, content="" if saved is None else text_box(str(saved)))
-        if run is self._drawn:
+        if run is self._shown:
             return
-        self._drawn = run
-        files = run.files
-        drawn = run_picture(
-            run.name,
-            files.grid,
-            files.poses_map_scan,
-            files.trusted,
-            files.loops_m,
-            width_px=_WIDTH_PX,
-            height_px=_HEIGHT_PX,
-        )
-        show_picture(self._picture, drawn)
-        for handle, plot in (
-            (self._effective, effective_plot(run)),
-            (self._translation, _weights_plot(run, run.files.translation_weights, "way")),
-            (self._rotation, _weights_plot(run, run.files.rotation_weights, "turn")),
-        ):
-            if plot is not None:
-                show_picture(handle, plot)
-            update_widget(handle, visible=plot is not None)
+        self._shown = run
+        self._figures.show(results_in(run.folder))
+        show_effective_of(self._effective, run, resampling_at(run.view))
+        show_weights(self._translation, run, run.files.translation_weights)
+        show_weights(self._rotation, run, run.files.rotation_weights)
         update_widget(self._report, content=run_report_html(run))
 
     def _show_pair(self, runs: list[SlamRun]) -> None:
@@ -178,27 +165,22 @@ class SlamResults:
         )
         for side, run in zip(self._sides.values(), (first, second), strict=True):
             side.offer(runs, run)
-        if (first, second) == self._drawn_pair:
+        if (first, second) == self._shown_pair:
             return
-        self._drawn_pair = first, second
-        ways = _way_of(first), _way_of(second)
-        found = apart(*ways)
+        self._shown_pair = first, second
+        on_maps = _on_map(first), _on_map(second)
+        found = compare_trajectories(*on_maps)
         update_widget(self._both, visible=found is not None)
-        update_widget(self._distance, visible=found is not None)
-        update_widget(self._apart, content=paragraph(run_distance_text(found)))
-        if found is None:
-            return
-        drawn = runs_picture(
-            *ways, second_in_first=found.second_in_first, width_px=_WIDTH_PX, height_px=_HEIGHT_PX
-        )
-        show_picture(self._both, drawn)
-        course = Course(
-            words="distance from A to B", color=_INK, times_s=found.times_s, values=found.away_m
-        )
-        show_picture(
-            self._distance,
-            _plot([course], "distance (m)", (0.0, 1.05 * float(found.away_m.max()))),
-        )
+        update_widget(self._difference, content=paragraph(run_distance_text(found)))
+        show_distance(self._distance, found)
+        if found is not None:
+            picture = comparison_picture(
+                *on_maps,
+                second_in_first=found.second_in_first,
+                width_px=_WIDTH_PX,
+                height_px=_HEIGHT_PX,
+            )
+            show_picture(self._both, picture)
 
     def _choose(self, value: str) -> None:
         self._chosen = value
@@ -209,7 +191,7 @@ class SlamResults:
         self._session.refresh()
 
     def _send(self) -> None:
-        run = self._drawn
+        run = self._shown
         if run is None:
             return
         try:
@@ -222,7 +204,7 @@ class SlamResults:
 
     def _keep(self) -> None:
         with self._lock:
-            run = self._drawn
+            run = self._shown
             if run is None:
                 return
             try:
@@ -239,59 +221,9 @@ class SlamResults:
         self._saved = {run: folder for run, folder in self._saved.items() if run.folder.exists()}
 
 
-def effective_plot(run: SlamRun) -> ByteArray | None:
-    """The effective number of particles over time, None without particles."""
-    values = run.files.effective
-    if len(values) == 0:
-        return None
-    times_s = values[:, 0] - run.files.trajectory.stamps_ns[0] / NS_PER_S
-    return effective_picture(times_s, values[:, 1], run.choices.particles, resampling_at(run.view))
-
-
-def effective_picture(
-    times_s: FloatArray, effective: FloatArray, particles: int, resampling: float
-) -> ByteArray:
-    """The same from its numbers; ``resampling``: where new particles are drawn."""
-    course = Course(
-        words="effective number of particles",
-        color=color_of("depth"),
-        times_s=times_s,
-        values=effective,
-    )
-    level = resampling, "drawn anew below"
-    # All alike lies below the edge.
-    return _plot([course], "N_eff", (0.0, 1.05 * particles), level)
-
-
-def _weights_plot(run: SlamRun, weights: Mapping[str, FloatArray], what: str) -> ByteArray | None:
-    """The share of each odometry over time, None where none were fused."""
+def _on_map(run: SlamRun) -> RunOnMap:
     files = run.files
-    if not weights or files.weight_stamps_s.size == 0:
-        return None
-    times_s = files.weight_stamps_s - files.trajectory.stamps_ns[0] / NS_PER_S
-    colors = {"laser": color_of("lidar"), "visual": color_of("depth")}
-    others = iter(_OTHER_COLORS * len(weights))
-    courses = [
-        Course(words=name, color=colors.get(name) or next(others), times_s=times_s, values=values)
-        for name, values in weights.items()
-    ]
-    return _plot(courses, f"weight of the {what}", (0.0, 1.0))
-
-
-def _plot(
-    courses: list[Course],
-    words: str,
-    limits: tuple[float, float],
-    level: tuple[float, str] | None = None,
-) -> ByteArray:
-    return time_picture(
-        courses, words=words, limits=limits, level=level, width_px=_WIDTH_PX, height_px=_PLOT_PX
-    )
-
-
-def _way_of(run: SlamRun) -> WayOnMap:
-    files = run.files
-    return WayOnMap(
+    return RunOnMap(
         title=run.name,
         stamps_ns=files.trajectory.stamps_ns,
         poses=files.poses_map_scan,

@@ -7,7 +7,7 @@ import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S
 from scanloom.jobs.slam_run import SlamRun
-from scanloom.plots.run_comparison import Apart
+from scanloom.plots.run_comparison import TrajectoryDifference
 
 _MOST_STRETCHES = 12
 # Words that do not fit on a line go on under those above, right of the line's name.
@@ -58,17 +58,18 @@ def report_lines(run: SlamRun) -> Iterator[tuple[str, str]]:
         yield "note", note.replace("+-", "±")
 
 
-def run_distance_text(apart: Apart | None) -> str:
-    """How far two runs are apart."""
-    if apart is None:
+def run_distance_text(found: TrajectoryDifference | None) -> str:
+    """How far two runs are found."""
+    if found is None:
         return "The two runs have no time in common."
-    if apart.times_s.size == 1:
+    if found.times_s.size == 1:
         return "The two runs have one pose in common, by which B is laid on A."
-    median_m, most = float(np.median(apart.away_m)), int(apart.away_m.argmax())
+    median_m, most = float(np.median(found.distances_m)), int(found.distances_m.argmax())
+    farthest_m = float(found.distances_m[most])
     return (
-        f"B is laid on A by the first of {apart.times_s.size} common poses. From there on they are "
-        f"{_length(median_m)} apart in the median, at most {_length(float(apart.away_m[most]))}, "
-        f"{apart.times_s[most]:.1f} s later."
+        f"B is laid on A by the first of {found.times_s.size} common poses. From there on they are "
+        f"{_length(median_m)} apart in the median, at most {_length(farthest_m)}, "
+        f"{found.times_s[most]:.1f} s later."
     )
 
 

@@ -3,6 +3,7 @@
 import weakref
 
 import cv2
+import numpy as np
 import viser
 
 from fusion_core.model.conventions import ByteArray, read_only
@@ -29,3 +30,12 @@ def png_of(rgb: ByteArray) -> bytes:
         weakref.finalize(rgb, _encoded.pop, key, None)
         _encoded[key] = cv2.imencode(".png", bgr, options)[1].tobytes()
     return _encoded[key]
+
+
+def show_png(handle: viser.GuiImageHandle, png: bytes) -> None:
+    """Show a PNG file as it is. Raises ValueError where it is none."""
+    bgr = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR) if png else None
+    if bgr is None:
+        raise ValueError("not a PNG file")
+    rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)
+    handle._image, handle._format, handle._data = rgb, "png", png

@@ -1,6 +1,5 @@
-"""Two runs of one recording side by side on one scale, and how far apart their ways are."""
+"""Two runs of one recording side by side on one scale, and how far their trajectories differ."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,22 +13,29 @@ from fusion_core.model.conventions import (
     wrap_angle,
 )
 from fusion_core.model.grids import OccupancyGrid
-from fusion_core.workflows.map.colors import difference_colors, scale_bar_m
-from scanloom.plots import sheet as paper
-from scanloom.plots.lettering import INK, shortened, write
-from scanloom.plots.map_canvas import Canvas, canvas_for
-from scanloom.plots.map_raster import TITLE_PX, draw_scale_bar, layout
+from fusion_core.workflows.map.colors import difference_colors
+from scanloom.plots.axes import ABOVE_PX, fit_axes
+from scanloom.plots.canvas import LINE_PX, MARGIN_PX, Box, blank_canvas, box_between
+from scanloom.plots.grid_image import (
+    draw_metric_grid,
+    draw_scale_bar,
+    grid_legend,
+    grid_step_m,
+    paint_grid,
+)
+from scanloom.plots.legend import Legend, LegendEntry, line_symbol
 from scanloom.plots.palette import Color
-from scanloom.plots.sheet import LINE_PX, MARGIN_PX, LegendEntry
-from scanloom.plots.slam_progress import LATTICE, bounds, lay_map, map_legend
+from scanloom.plots.slam_progress import Window, draw_start
 
-# Height of the ways alone.
-_WAYS_PX = 190
+_OVERLAY_PX = 190
+"""Height of the plot of both trajectories."""
+_BETWEEN_PX = 12
+_SMALLEST_M = 2.0
 _COLORS: tuple[Color, ...] = difference_colors(2)[2:4]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WayOnMap:
+class RunOnMap:
     """``stamps_ns``: (N,) rising; ``poses``: (N, 3) x, y, yaw in the frame of ``grid``, which is
     None where there is no map."""
 
@@ -40,26 +46,27 @@ class WayOnMap:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Apart:
-    """How far two ways are apart once the second is laid on the first by their first common pose.
+class TrajectoryDifference:
+    """How far two trajectories are apart once the second is aligned to the first at their first
+    common pose.
 
-    ``times_s``: (K,) since the first common stamp; ``away_m``: (K,). ``second_in_first``: (3,) x,
-    y, yaw of the second map's frame in the first's.
+    ``times_s``: (K,) since the first common stamp; ``distances_m``: (K,). ``second_in_first``: (3,)
+    x, y, yaw of the second map's frame in the first's.
     """
 
     times_s: FloatArray
-    away_m: FloatArray
+    distances_m: FloatArray
     second_in_first: FloatArray
 
     def __post_init__(self) -> None:
         read_only(self.times_s)
-        read_only(self.away_m)
+        read_only(self.distances_m)
         read_only(self.second_in_first)
 
 
-def apart(first: WayOnMap, second: WayOnMap) -> Apart | None:
-    """At the stamps of the first way, the second interpolated where it has others; None where the
-    two have no time in common."""
+def compare_trajectories(first: RunOnMap, second: RunOnMap) -> TrajectoryDifference | None:
+    """At the stamps of the first trajectory, the second interpolated where it has others; None
+    where the two have no time in common."""
     stamps_ns = first.stamps_ns
     inside = (stamps_ns >= second.stamps_ns[0]) & (stamps_ns <= second.stamps_ns[-1])
     if not inside.any():
@@ -74,33 +81,33 @@ def apart(first: WayOnMap, second: WayOnMap) -> Apart | None:
         [np.interp(asked_s, known_s, v) for v in (second.poses[:, 0], second.poses[:, 1], yaw)]
     )
     turn = float(wrap_angle(here[0, 2] - there[0, 2]))
-    frame = np.array([*(here[0, :2] - _turned(there[:1, :2], turn)[0]), turn])
-    moved = moved_points(there[:, :2], frame)
-    return Apart(
+    frame = np.array([*(here[0, :2] - _rotate(there[:1, :2], turn)[0]), turn])
+    moved = transform_points(there[:, :2], frame)
+    return TrajectoryDifference(
         times_s=(times_ns - times_ns[0]) / NS_PER_S,
-        away_m=np.hypot(*(here[:, :2] - moved).T),
+        distances_m=np.hypot(*(here[:, :2] - moved).T),
         second_in_first=frame,
     )
 
 
-def moved_points(points_m: FloatArray, frame: FloatArray) -> FloatArray:
-    """(N, 2) points of a frame, whose (3,) x, y, yaw is given, in the other frame."""
-    moved: FloatArray = _turned(points_m[:, :2], float(frame[2])) + frame[:2]
+def transform_points(points_m: FloatArray, frame: FloatArray) -> FloatArray:
+    """(N, 2) points of a frame in another; ``frame``: (3,) x, y, yaw of the one in the other."""
+    moved: FloatArray = _rotate(points_m[:, :2], float(frame[2])) + frame[:2]
     return moved
 
 
-def moved_grid(grid: OccupancyGrid, frame: FloatArray) -> OccupancyGrid:
-    """A map laid into another frame: each new cell, of half the side so that no thin wall is lost,
-    has the value of the old one at its middle."""
+def transform_grid(grid: OccupancyGrid, frame: FloatArray) -> OccupancyGrid:
+    """A map resampled in another frame: each new cell, of half the side so that no thin wall is
+    lost, has the value of the old one at its middle."""
     rows, columns = grid.log_odds.shape
     low = np.array(grid.origin_m)
     corners = low + grid.resolution_m * np.array(
         [[0, 0], [columns, 0], [0, rows], [columns, rows]], dtype=np.float64
     )
-    reached = moved_points(corners, frame)
-    new_low = reached.min(axis=0)
+    reached_m = transform_points(corners, frame)
+    new_low = reached_m.min(axis=0)
     side_m = 0.5 * grid.resolution_m
-    width, height = np.ceil(np.ptp(reached, axis=0) / side_m - 1e-6).astype(int)
+    width, height = np.ceil(np.ptp(reached_m, axis=0) / side_m - 1e-6).astype(int)
     x = new_low[0] + (np.arange(width) + 0.5) * side_m - frame[0]
     y = new_low[1] + (np.arange(height) + 0.5) * side_m - frame[1]
     cos, sin = np.cos(frame[2]), np.sin(frame[2])
@@ -118,60 +125,84 @@ def moved_grid(grid: OccupancyGrid, frame: FloatArray) -> OccupancyGrid:
     )
 
 
-def runs_picture(
-    first: WayOnMap, second: WayOnMap, *, second_in_first: FloatArray, width_px: int, height_px: int
+def comparison_picture(
+    first: RunOnMap, second: RunOnMap, *, second_in_first: FloatArray, width_px: int, height_px: int
 ) -> ByteArray:
-    """Both maps with their ways on one scale, in the first map's frame, and the ways alone,
-    enlarged.
+    """Both maps with their trajectories on one scale, in the first map's frame, and the
+    trajectories alone, enlarged.
 
     Returns (h, width_px, 3) uint8 with h at most ``height_px``.
     """
-    grids = [
+    grids = (
         first.grid,
-        None if second.grid is None else moved_grid(second.grid, second_in_first),
-    ]
-    ways = [first.poses[:, :2], moved_points(second.poses, second_in_first)]
-    lows, highs = zip(
-        *(bounds(grid, way) for grid, way in zip(grids, ways, strict=True)), strict=True
+        None if second.grid is None else transform_grid(second.grid, second_in_first),
     )
-    low_m, high_m = np.min(lows, axis=0), np.max(highs, axis=0)
-    entries: Sequence[LegendEntry] = [
-        LegendEntry(paper.stroke(_COLORS[0]), "way of A"),
-        LegendEntry(paper.stroke(_COLORS[1]), "way of B, laid on A by its first pose"),
-        *(map_legend() if any(grid is not None for grid in grids) else ()),
-    ]
-    legend = paper.legend_lines(entries, width_px - 2 * MARGIN_PX)
-    # Both scale bars, the ways alone with their title, the legend.
-    under = (2 + len(legend)) * LINE_PX + TITLE_PX + _WAYS_PX + 2 * MARGIN_PX
-    boxes, px_per_m = layout(
-        2, high_m - low_m, width_px - 2 * MARGIN_PX, height_px - under - MARGIN_PX, columns=2
+    trajectories = first.poses[:, :2], transform_points(second.poses, second_in_first)
+    windows = [_window(grid, poses) for grid, poses in zip(grids, trajectories, strict=True)]
+    low_m = np.min([low for low, _ in windows], axis=0)
+    high_m = np.max([high for _, high in windows], axis=0)
+    legend = Legend.of(
+        [
+            LegendEntry(line_symbol(_COLORS[0]), "trajectory of A"),
+            LegendEntry(line_symbol(_COLORS[1]), "trajectory of B, aligned at its first pose"),
+            *(grid_legend() if any(grid is not None for grid in grids) else ()),
+        ],
+        width_px - 2 * MARGIN_PX,
     )
-    line = boxes[0].bottom + MARGIN_PX
-    top = line + LINE_PX + TITLE_PX
-    sheet = paper.blank_sheet(width_px, boxes[0].bottom + under + MARGIN_PX // 2)
-    for place, (box, run, grid) in enumerate(zip(boxes, (first, second), grids, strict=True)):
-        canvas = Canvas(sheet=sheet, box=box, low_m=low_m, px_per_m=px_per_m)
-        lay_map(canvas, grid)
-        canvas.way(ways[place], _COLORS[place], 1)
-        canvas.ring(ways[place][0], INK)
-        box.frame(sheet)
-        words = shortened(f"{'AB'[place]}  {run.title}", box.width, size_px=paper.TITLE_PX)
-        write(sheet, words, box.left, box.top - 12, size_px=paper.TITLE_PX)
-    draw_scale_bar(sheet, boxes[0], px_per_m, line + LINE_PX // 2)
-    box = paper.room(MARGIN_PX, top, width_px - MARGIN_PX, top + _WAYS_PX)
-    canvas = canvas_for(sheet, box, *bounds(None, *ways))
-    canvas.lattice(scale_bar_m(box.width / canvas.px_per_m), LATTICE)
-    for way, color in zip(ways, _COLORS, strict=True):
-        canvas.way(way, color, 1)
-    canvas.ring(ways[0][0], INK)
-    box.frame(sheet)
-    write(sheet, "A and B, ways alone", box.left, box.top - 12, size_px=paper.TITLE_PX)
-    draw_scale_bar(sheet, box, canvas.px_per_m, box.bottom + MARGIN_PX + LINE_PX // 2)
-    paper.draw_legend(sheet, legend, MARGIN_PX, box.bottom + MARGIN_PX + LINE_PX)
-    return sheet
+    # Both scale bars, the overlay with its title, the legend.
+    below = 2 * (LINE_PX + MARGIN_PX) + ABOVE_PX + _OVERLAY_PX + legend.height_px + MARGIN_PX // 2
+    boxes = _two_boxes(high_m - low_m, width_px, height_px - below)
+    bar_top = boxes[0].bottom + MARGIN_PX
+    rgb = blank_canvas(width_px, boxes[0].bottom + below)
+    for number, run in enumerate((first, second)):
+        axes = fit_axes(rgb, boxes[number], low_m, high_m)
+        paint_grid(axes, grids[number])
+        axes.draw_line(trajectories[number], _COLORS[number], 1)
+        draw_start(axes, trajectories[number][0])
+        axes.draw_frame()
+        axes.draw_title(f"{'AB'[number]}  {run.title}")
+        draw_scale_bar(axes, bar_top + LINE_PX // 2)
+    top = bar_top + LINE_PX + ABOVE_PX
+    box = box_between(MARGIN_PX, top, width_px - MARGIN_PX, top + _OVERLAY_PX)
+    axes = fit_axes(rgb, box, *_window(None, np.concatenate(trajectories)))
+    draw_metric_grid(axes, grid_step_m(axes))
+    for trajectory, color in zip(trajectories, _COLORS, strict=True):
+        axes.draw_line(trajectory, color, 1)
+    draw_start(axes, trajectories[0][0])
+    axes.draw_frame()
+    axes.draw_title("Trajectories of A and B, enlarged")
+    bar_top = box.bottom + MARGIN_PX
+    draw_scale_bar(axes, bar_top + LINE_PX // 2)
+    legend.draw(rgb, MARGIN_PX, bar_top + LINE_PX)
+    return rgb
 
 
-def _turned(points_m: FloatArray, angle_rad: float) -> FloatArray:
+def _two_boxes(size_m: FloatArray, width_px: int, bottom: int) -> tuple[Box, Box]:
+    """The largest two boxes side by side that have the proportions of a window."""
+    half_px = (width_px - 2 * MARGIN_PX - _BETWEEN_PX) / 2
+    px_per_m = min(half_px / size_m[0], (bottom - ABOVE_PX) / size_m[1])
+    width, height = int(px_per_m * size_m[0]), int(px_per_m * size_m[1])
+    left = box_between(MARGIN_PX, ABOVE_PX, MARGIN_PX + width, ABOVE_PX + height)
+    return left, Box(left.right + _BETWEEN_PX, left.top, left.width, left.height)
+
+
+def _window(grid: OccupancyGrid | None, points_m: FloatArray) -> Window:
+    """All that is known of a map and of (N, 2) points, with a little room around."""
+    corners_m = points_m
+    if grid is not None and grid.known.any():
+        rows, columns = np.nonzero(grid.known)
+        cells = np.column_stack([columns, rows])
+        ends = np.array([cells.min(axis=0), cells.max(axis=0) + 1])
+        ends_m = np.array(grid.origin_m) + grid.resolution_m * ends
+        corners_m = np.concatenate([points_m, ends_m])
+    low, high = corners_m.min(axis=0), corners_m.max(axis=0)
+    margin = 0.02 * float((high - low).max())
+    # A robot that stood still is a point.
+    lacking = np.maximum(0.5 * (_SMALLEST_M - (high - low)), 0.0)
+    return low - margin - lacking, high + margin + lacking
+
+
+def _rotate(points_m: FloatArray, angle_rad: float) -> FloatArray:
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
-    turned: FloatArray = points_m @ np.array([[cos, sin], [-sin, cos]])
-    return turned
+    rotated: FloatArray = points_m @ np.array([[cos, sin], [-sin, cos]])
+    return rotated

@@ -1,34 +1,38 @@
-"""A run of SLAM from above and to scale: while it works, and on its map once it is done.
-
-The colours are those of the exported pictures.
-"""
-
-from collections.abc import Sequence
+"""A run of SLAM from above and to scale while it works: trajectory, particles, loop closures."""
 
 import cv2
 import numpy as np
 
-from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray
-from fusion_core.model.grids import OccupancyGrid
+from fusion_core.model.conventions import ByteArray, FloatArray
 from fusion_core.model.slam_view import SlamView
-from fusion_core.workflows.map.colors import FREE, UNKNOWN, scale_bar_m
-from scanloom.plots import sheet as paper
-from scanloom.plots.lettering import INK, shortened, write
-from scanloom.plots.map_canvas import Canvas, canvas_for
-from scanloom.plots.map_raster import TITLE_PX, draw_scale_bar, drawn, layout, raster_of_grid
+from scanloom.plots.axes import (
+    ABOVE_PX,
+    FRACTION_BITS,
+    Axes,
+    draw_dot,
+    draw_ring,
+    fit_axes,
+)
+from scanloom.plots.canvas import LINE_PX, MARGIN_PX, WHITE, blank_canvas, box_between
+from scanloom.plots.color_scale import COLOR_BAR_PX, ColorScale
+from scanloom.plots.grid_image import draw_metric_grid, draw_scale_bar, grid_step_m
+from scanloom.plots.legend import Legend, LegendEntry, line_symbol, padded
+from scanloom.plots.lettering import INK, write
 from scanloom.plots.palette import Color, color_map, color_of
-from scanloom.plots.sheet import LINE_PX, MARGIN_PX, LegendEntry
+from scanloom.plots.ticks import number_label
 
-WAY: Color = color_of("depth")
-LOOP: Color = color_of("lidar")
-UNTRUSTED: Color = color_of("burr")
-_OCCUPIED: Color = (0, 0, 0)
-LATTICE: Color = (236, 239, 242)
+TRAJECTORY: Color = color_of("depth")
+LOOP_CLOSURE: Color = color_of("lidar")
+
 _CLOSE_UP_PX = 156
 # Weights are coloured up to so many times that of equal particles.
 _HEAVIEST = 3.0
 _SMALLEST_M = 2.0
 _CLOSE_UP_LEAST_M = 0.1
+# Of the triangle at a pose: its tip and its two other corners.
+_ARROW_PX = np.array([[12.0], [9.0], [9.0]])
+_ARROW_RAD = np.array([0.0, 2.4, -2.4])
+
 Window = tuple[FloatArray, FloatArray]
 """(2,) least and (2,) greatest x, y that a picture shows."""
 
@@ -46,173 +50,115 @@ def window_around(view: SlamView, before: Window | None = None) -> Window | None
     if before is not None and (before[0] <= low).all() and (high <= before[1]).all():
         return before
     if before is not None:
-        # After loops are closed the whole way may have moved.
+        # After loops are closed the whole trajectory may have moved.
         low, high = np.minimum(low, before[0]), np.maximum(high, before[1])
     margin = 0.15 * float((high - low).max()) + 0.5 * _SMALLEST_M
     return low - margin, high + margin
 
 
-def live_picture(view: SlamView, window: Window, *, width_px: int, height_px: int) -> ByteArray:
-    """The way so far, the particles with a close-up, and the loop closures.
+def slam_progress_picture(
+    view: SlamView, window: Window, *, width_px: int, height_px: int
+) -> ByteArray:
+    """The trajectory so far, the particles with a close-up, and the loop closures.
 
     Returns (height_px, width_px, 3) uint8. Raises ValueError for too small a picture.
     """
-    sheet = paper.blank_sheet(width_px, height_px)
-    count = len(view.particles)
-    legend = paper.legend_lines(_live_legend(view), width_px - 2 * MARGIN_PX)
-    under = (1 + len(legend)) * LINE_PX + MARGIN_PX + (_CLOSE_UP_PX + TITLE_PX if count else 0)
-    top = MARGIN_PX + TITLE_PX
-    box = paper.room(MARGIN_PX, top, width_px - MARGIN_PX, height_px - under - MARGIN_PX)
-    canvas = canvas_for(sheet, box, *window)
-    canvas.lattice(scale_bar_m(box.width / canvas.px_per_m), LATTICE)
+    rgb = blank_canvas(width_px, height_px)
+    has_particles = len(view.particles) > 0
+    legend = Legend.of(_legend(view), width_px - 2 * MARGIN_PX)
+    below = LINE_PX + legend.height_px + 2 * MARGIN_PX
+    below += _CLOSE_UP_PX + ABOVE_PX - MARGIN_PX if has_particles else 0
+    box = box_between(MARGIN_PX, ABOVE_PX, width_px - MARGIN_PX, height_px - below)
+    axes = fit_axes(rgb, box, *window)
+    draw_metric_grid(axes, grid_step_m(axes))
     poses = view.poses_map_scan
-    canvas.way(poses, WAY)
-    canvas.links(view.loops_m, LOOP)
+    axes.draw_line(poses, TRAJECTORY)
+    draw_loop_closures(axes, view.loops_m)
     if len(poses):
-        canvas.ring(poses[0], INK)
-        canvas.arrow(poses[-1], INK)
-    if count:
-        order = np.argsort(view.weights, kind="stable")
-        canvas.dots(view.particles[order], _weight_colors(view.weights[order]), 2)
-    box.frame(sheet)
+        draw_start(axes, poses[0])
+        _draw_arrow(axes, poses[-1])
+    _draw_particles(axes, view, 2.0)
+    axes.draw_frame()
     steps_m = np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()
-    title = f"{view.stage.capitalize()}: {len(poses)} scans placed, {steps_m:.1f} m of way"
-    words = shortened(title, box.width, size_px=paper.TITLE_PX)
-    write(sheet, words, box.left, box.top - 12, size_px=paper.TITLE_PX)
+    axes.draw_title(f"{view.stage.capitalize()}: {len(poses)} scans placed, path {steps_m:.1f} m")
     line = box.bottom + MARGIN_PX
-    draw_scale_bar(sheet, box, canvas.px_per_m, line + LINE_PX // 2)
-    paper.draw_legend(sheet, legend, MARGIN_PX, line + LINE_PX)
-    if count:
-        _close_up(sheet, view, line + (1 + len(legend)) * LINE_PX + TITLE_PX)
-    return sheet
+    draw_scale_bar(axes, line + LINE_PX // 2)
+    legend.draw(rgb, MARGIN_PX, line + LINE_PX)
+    if has_particles:
+        _draw_close_up(rgb, view, line + LINE_PX + legend.height_px + ABOVE_PX)
+    return rgb
 
 
-def run_picture(
-    title: str,
-    grid: OccupancyGrid | None,
-    poses_map_scan: FloatArray,
-    trusted: BoolArray,
-    loops_m: FloatArray,
-    *,
-    width_px: int,
-    height_px: int,
-) -> ByteArray:
-    """A finished run: the way over its map, loop closures, and what cannot be trusted.
-
-    ``grid``: None where there is no map. ``poses_map_scan``: (N, 3), ``trusted``: (N,),
-    ``loops_m``: (L, 4). Returns (h, width_px, 3) uint8 with h at most ``height_px``.
-    """
-    low_m, high_m = bounds(grid, poses_map_scan)
-    entries = [
-        LegendEntry(paper.stroke(WAY), "way of the LiDAR"),
-        LegendEntry(_begin, "begin"),
-        LegendEntry(_end, "end"),
-    ]
-    if len(loops_m):
-        entries.append(LegendEntry(_link, f"loop closures: {len(loops_m)}"))
-    if not trusted.all():
-        entries.append(LegendEntry(paper.stroke(UNTRUSTED, 3), "untrusted"))
-    if grid is not None:
-        entries += map_legend()
-    legend = paper.legend_lines(entries, width_px - 2 * MARGIN_PX)
-    under = (1 + len(legend)) * LINE_PX + MARGIN_PX
-    (box,), px_per_m = layout(
-        1, high_m - low_m, width_px - 2 * MARGIN_PX, height_px - under - MARGIN_PX
-    )
-    sheet = paper.blank_sheet(width_px, box.bottom + under + MARGIN_PX // 2)
-    canvas = Canvas(sheet=sheet, box=box, low_m=low_m, px_per_m=px_per_m)
-    lay_map(canvas, grid)
-    canvas.links(loops_m, LOOP)
-    canvas.way(poses_map_scan, WAY)
-    canvas.stretches(poses_map_scan, ~trusted, UNTRUSTED)
-    canvas.ring(poses_map_scan[0], INK)
-    canvas.arrow(poses_map_scan[-1], INK)
-    box.frame(sheet)
-    words = shortened(title, width_px - 2 * MARGIN_PX, size_px=paper.TITLE_PX)
-    write(sheet, words, box.left, box.top - 12, size_px=paper.TITLE_PX)
-    draw_scale_bar(sheet, box, px_per_m, box.bottom + MARGIN_PX + LINE_PX // 2)
-    paper.draw_legend(sheet, legend, MARGIN_PX, box.bottom + MARGIN_PX + LINE_PX)
-    return sheet
+def draw_loop_closures(axes: Axes, loops_m: FloatArray) -> None:
+    """(L, 4) lines from x, y to x, y, with a dot at each end."""
+    axes.draw_segments(loops_m[:, :2], loops_m[:, 2:], LOOP_CLOSURE)
+    axes.draw_dots(loops_m.reshape(-1, 2), LOOP_CLOSURE, 2.0)
 
 
-def bounds(grid: OccupancyGrid | None, *ways: FloatArray) -> Window:
-    """All that is known of a map and of (N, >= 2) ways, with a little room around."""
-    corners = [way[:, :2] for way in ways]
-    if grid is not None and grid.known.any():
-        rows, columns = np.nonzero(grid.known)
-        cells = np.column_stack([columns, rows])
-        ends = np.array([cells.min(axis=0), cells.max(axis=0) + 1])
-        corners.append(np.array(grid.origin_m) + grid.resolution_m * ends)
-    points_m = np.concatenate(corners)
-    low, high = points_m.min(axis=0), points_m.max(axis=0)
-    margin = 0.02 * float((high - low).max())
-    # A robot that stood still is a point.
-    lacking = np.maximum(0.5 * (_SMALLEST_M - (high - low)), 0.0)
-    return low - margin - lacking, high + margin + lacking
+def draw_start(axes: Axes, pose: FloatArray) -> None:
+    """A small circle where a trajectory begins."""
+    (place,) = axes.to_fixed(pose[np.newaxis]).tolist()
+    draw_dot(axes.inside, place, WHITE, 5.0)
+    draw_ring(axes.inside, place, INK, 5.0)
 
 
-def lay_map(canvas: Canvas, grid: OccupancyGrid | None) -> None:
-    """A map as the ground of a picture; without one, what is unknown."""
-    part = canvas.box.view(canvas.sheet)
-    if grid is None:
-        part[:] = UNKNOWN
-        return
-    raster = raster_of_grid(grid)
-    part[:] = drawn(raster, canvas.low_m, canvas.px_per_m, canvas.box)
+def _draw_arrow(axes: Axes, pose: FloatArray) -> None:
+    """A small triangle that points where the (3,) pose looks."""
+    angles = pose[2] + _ARROW_RAD
+    directions = np.column_stack([np.cos(angles), np.sin(angles)])
+    corners = [axes.to_fixed(pose[:2] + directions * _ARROW_PX / axes.px_per_unit[0])]
+    cv2.polylines(axes.inside, corners, True, WHITE, 3, cv2.LINE_AA, FRACTION_BITS)
+    cv2.fillPoly(axes.inside, corners, INK, cv2.LINE_AA, FRACTION_BITS)
 
 
-def map_legend() -> list[LegendEntry]:
-    """What the ground's colours mean."""
-    known = ((_OCCUPIED, "obstacle"), (FREE, "free"), (UNKNOWN, "unknown"))
-    return [LegendEntry(paper.swatch(color), words) for color, words in known]
-
-
-def _close_up(sheet: ByteArray, view: SlamView, top: int) -> None:
-    """The particles alone, enlarged, with their weights' scale."""
-    box = paper.room(MARGIN_PX, top, MARGIN_PX + _CLOSE_UP_PX, top + _CLOSE_UP_PX - MARGIN_PX)
-    centre = np.average(view.particles[:, :2], axis=0, weights=view.weights)
-    reach_m = float(np.abs(view.particles[:, :2] - centre).max())
-    half_m = _round_up(max(1.3 * reach_m, _CLOSE_UP_LEAST_M))
-    canvas = canvas_for(sheet, box, centre - half_m, centre + half_m)
-    bar_m = scale_bar_m(box.width / canvas.px_per_m)
-    canvas.lattice(bar_m, LATTICE)
+def _draw_particles(
+    axes: Axes, view: SlamView, radius_px: float, *, heading_px: float = 0.0
+) -> None:
+    """Particles as dots coloured by weight, the heaviest on top; ``heading_px``: length of the
+    lines that show where they look."""
     order = np.argsort(view.weights, kind="stable")
-    particles, colors = view.particles[order], _weight_colors(view.weights[order])
-    canvas.headings(particles, colors, 11.0)
-    canvas.dots(particles, colors, 3)
-    box.frame(sheet)
-    write(sheet, "Particles, close up", box.left, box.top - 12, size_px=paper.TITLE_PX)
+    particles = view.particles[order]
+    # In multiples of the weight of equal particles.
+    weights = np.clip(view.weights[order] * len(order) / _HEAVIEST, 0.0, 1.0)
+    colors = color_map("viridis")[np.rint(255.0 * weights).astype(np.intp)].tolist()
+    places = axes.to_fixed(particles).tolist()
+    if heading_px:
+        directions = np.column_stack([np.cos(particles[:, 2]), np.sin(particles[:, 2])])
+        tips = axes.to_fixed(particles[:, :2] + directions * heading_px / axes.px_per_unit[0])
+        for place, tip, color in zip(places, tips.tolist(), colors, strict=True):
+            cv2.line(axes.inside, place, tip, color, 1, cv2.LINE_AA, FRACTION_BITS)
+    for place, color in zip(places, colors, strict=True):
+        draw_dot(axes.inside, place, color, radius_px)
+
+
+def _draw_close_up(rgb: ByteArray, view: SlamView, top: int) -> None:
+    """The particles alone, enlarged, with the scale of their weights."""
+    right, bottom = MARGIN_PX + _CLOSE_UP_PX, top + _CLOSE_UP_PX - MARGIN_PX
+    box = box_between(MARGIN_PX, top, right, bottom)
+    centre_m = np.average(view.particles[:, :2], axis=0, weights=view.weights)
+    farthest_m = float(np.abs(view.particles[:, :2] - centre_m).max())
+    half_m = _round_up(max(1.3 * farthest_m, _CLOSE_UP_LEAST_M))
+    axes = fit_axes(rgb, box, centre_m - half_m, centre_m + half_m)
+    step_m = grid_step_m(axes)
+    draw_metric_grid(axes, step_m)
+    _draw_particles(axes, view, 3.0, heading_px=11.0)
+    axes.draw_frame()
+    axes.draw_title("Particles, close up")
     count = len(view.particles)
-    equal = view.weights * count
-    paper.color_bar(
-        sheet,
-        box,
-        (0.0, _HEAVIEST),
-        color_map("viridis"),
-        words="weight × P",
-        beyond=(False, bool((equal > _HEAVIEST).any())),
-    )
+    is_beyond = bool((view.weights * count > _HEAVIEST).any())
+    scale = ColorScale(colors=color_map("viridis"), limits=(0.0, _HEAVIEST))
+    scale.draw_bar(rgb, box, "weight × P", beyond=(False, is_beyond))
     known = view.effective[np.isfinite(view.effective)]
-    spread_m = float(
-        np.sqrt(
-            np.average(((view.particles[:, :2] - centre) ** 2).sum(axis=1), weights=view.weights)
-        )
-    )
+    squared_m2 = ((view.particles[:, :2] - centre_m) ** 2).sum(axis=1)
+    spread_m = float(np.sqrt(np.average(squared_m2, weights=view.weights)))
     lines = [
         f"P = {count} particles",
         f"N_eff = {known[-1]:.1f}" if known.size else "N_eff: none weighed yet",
         f"spread {100.0 * spread_m:.1f} cm",
-        f"lines every {paper.number(bar_m)} m",
+        f"lines every {number_label(step_m)} m",
     ]
-    left = box.right + paper.COLOR_BAR_PX + 16
-    for place, words in enumerate(lines):
-        write(sheet, words, left, box.top + 10 + place * LINE_PX)
-
-
-def _weight_colors(weights: FloatArray) -> ByteArray:
-    """(P, 3) by how many times the weight of equal particles each has."""
-    share = np.clip(weights * len(weights) / _HEAVIEST, 0.0, 1.0)
-    return color_map("viridis")[np.rint(255.0 * share).astype(np.intp)]
+    for number, text in enumerate(lines):
+        write(rgb, text, box.right + COLOR_BAR_PX + 16, box.top + 10 + number * LINE_PX)
 
 
 def _round_up(length_m: float) -> float:
@@ -221,39 +167,38 @@ def _round_up(length_m: float) -> float:
     return float(next(step * power for step in (1.0, 2.0, 5.0, 10.0) if length_m <= step * power))
 
 
-def _live_legend(view: SlamView) -> Sequence[LegendEntry]:
+def _legend(view: SlamView) -> list[LegendEntry]:
     entries = [
-        LegendEntry(paper.stroke(WAY), "way of the LiDAR"),
-        LegendEntry(_begin, "begin"),
-        LegendEntry(_end, "now"),
+        LegendEntry(line_symbol(TRAJECTORY), "trajectory of the LiDAR"),
+        LegendEntry(_start_symbol, "start"),
+        LegendEntry(_arrow_symbol, "now"),
     ]
     if len(view.particles):
-        entries.append(LegendEntry(_particle, "particle"))
+        entries.append(LegendEntry(_particle_symbol, "particle"))
     # Always there: a legend that grows would move the picture.
-    entries.append(LegendEntry(_link, paper.steady(f"loop closures: {len(view.loops_m)}", 19)))
-    return entries
+    label = padded(f"loop closures: {len(view.loops_m)}", 19)
+    return [*entries, LegendEntry(_loop_symbol, label)]
 
 
-def _link(part: ByteArray) -> None:
-    middle = LINE_PX // 2
-    cv2.line(part, (3, middle), (16, middle), LOOP, 1, cv2.LINE_AA)
+_MIDDLE_Y = LINE_PX // 2
+
+
+def _loop_symbol(part: ByteArray) -> None:
+    cv2.line(part, (3, _MIDDLE_Y), (16, _MIDDLE_Y), LOOP_CLOSURE, 1, cv2.LINE_AA)
     for x in (3, 16):
-        cv2.circle(part, (x, middle), 2, LOOP, cv2.FILLED, cv2.LINE_AA)
+        cv2.circle(part, (x, _MIDDLE_Y), 2, LOOP_CLOSURE, cv2.FILLED, cv2.LINE_AA)
 
 
-def _begin(part: ByteArray) -> None:
-    cv2.circle(part, (10, LINE_PX // 2), 5, INK, 1, cv2.LINE_AA)
+def _start_symbol(part: ByteArray) -> None:
+    cv2.circle(part, (10, _MIDDLE_Y), 5, INK, 1, cv2.LINE_AA)
 
 
-def _end(part: ByteArray) -> None:
-    middle = LINE_PX // 2
-    cv2.fillPoly(
-        part, [np.array([(4, middle - 5), (4, middle + 5), (17, middle)])], INK, cv2.LINE_AA
-    )
+def _arrow_symbol(part: ByteArray) -> None:
+    corners = np.array([(4, _MIDDLE_Y - 5), (4, _MIDDLE_Y + 5), (17, _MIDDLE_Y)])
+    cv2.fillPoly(part, [corners], INK, cv2.LINE_AA)
 
 
-def _particle(part: ByteArray) -> None:
+def _particle_symbol(part: ByteArray) -> None:
     colors = color_map("viridis")
     for x, shade in ((4, 0), (10, 128), (16, 255)):
-        color = tuple(colors[shade].tolist())
-        cv2.circle(part, (x, LINE_PX // 2), 2, color, cv2.FILLED, cv2.LINE_AA)
+        cv2.circle(part, (x, _MIDDLE_Y), 2, colors[shade].tolist(), cv2.FILLED, cv2.LINE_AA)

@@ -10,12 +10,10 @@ import pytest
 from playwright.sync_api import expect
 
 from fusion_core.model.errors import MappingFailed
-from fusion_core.workflows.map.result_folder import read_map_results
 from scanloom.jobs import slam_run as job
-from scanloom.plots.slam_progress import run_picture
 from scanloom.server.workbench import Workbench
 from scanloom.state.slam_choices import SlamChoices
-from tests.app.browser.person import ENOUGH_S, Person
+from tests.app.browser.person import ENOUGH_S, Person, decoded
 from tests.app.slam_runs import SCANS, FakeMap
 
 FIRST, SECOND = "1: lidar, recorded, pose-graph", "2: lidar, recorded, particle-filter (30)"
@@ -57,22 +55,12 @@ def test_a_run_moves_and_ends_on_its_map(newcomer: Person, fake: FakeMap) -> Non
     person.press("Run")
     person.wait_until(begun.is_set)
     expect(person.text("Matching scans, ")).to_be_visible()
-    live = person.picture()
+    assert person.picture().shape[1] == 480
     go_on.set()
     finish(person, FIRST)
-    files = read_map_results(fake.calls[0][1])
-    frame_view = person.wait_for_another_picture(live)
-    person.wait_for_picture(
-        run_picture(
-            FIRST,
-            files.grid,
-            files.poses_map_scan,
-            files.trusted,
-            files.loops_m,
-            width_px=frame_view.shape[1],
-            height_px=640,
-        )
-    )
+    # The panel's picture is the file that the run wrote.
+    written = (fake.calls[0][1] / "trajectory.png").read_bytes()
+    person.wait_for_picture(decoded(written)[..., ::-1])
     expect(person.text("10 scans do not fit the map")).to_be_visible()
     with person.page.expect_download() as arriving:
         person.press("Download run (.zip)")
@@ -81,6 +69,7 @@ def test_a_run_moves_and_ends_on_its_map(newcomer: Person, fake: FakeMap) -> Non
     assert names == {
         "map_lidar.pgm",
         "map_lidar.yaml",
+        "trajectory.png",
         "trajectory.tum",
         "graph.g2o",
         "report.json",
@@ -97,8 +86,10 @@ def test_two_runs_are_compared(newcomer: Person, fake: FakeMap) -> None:
     person.press("Run")
     finish(person, SECOND)
     expect(person.text("10.0 cm apart in the median, at most 20.0 cm")).to_be_visible()
-    # The run, its effective number, both runs, how far they are apart.
-    assert [person.picture(place).shape[1] for place in range(4)] == [480] * 4
+    # The file of the run, and both runs; its effective number, and how far they are apart.
+    assert person.picture(1).shape[1] == 480
+    for title in ("Effective number of particles", "Distance between A and B"):
+        expect(person.text(title)).to_be_visible()
     person.choose("A", SECOND)
     expect(person.text("0.0 cm apart in the median, at most 0.0 cm")).to_be_visible()
 

@@ -18,7 +18,7 @@ def curves(gap_ms: Any, paired: Any = None, period_ms: float = float("nan")) -> 
     paired = np.ones(gap_ms.shape, dtype=bool) if paired is None else np.asarray(paired)
     times_ns = FIRST_NS + np.rint(TIMES_S[: gap_ms.size] * NS_PER_S).astype(np.int64)
     return GapCurves(
-        PairingGaps(time_ns=times_ns, gap_ms=gap_ms, paired=paired, scan_period_ms=period_ms),
+        PairingGaps(time_ns=times_ns, gap_ms=gap_ms, is_paired=paired, scan_period_ms=period_ms),
         FIRST_NS,
     )
 
@@ -44,7 +44,7 @@ def test_images_in_another_order_are_drawn_in_that_of_time() -> None:
     gaps = PairingGaps(
         time_ns=FIRST_NS + np.array([4, 2, 3], dtype=np.int64) * NS_PER_S,
         gap_ms=np.array([40.0, 20.0, 30.0]),
-        paired=np.ones(3, dtype=bool),
+        is_paired=np.ones(3, dtype=bool),
         scan_period_ms=np.nan,
     )
     time_s, pair_ms, *_ = at(GapCurves(gaps, FIRST_NS), 0.0)

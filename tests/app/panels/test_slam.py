@@ -71,7 +71,8 @@ class Seat:
 
     def pictures(self) -> list[Widget]:
         """Live and its effective number; a run, its effective number and weights; both, apart."""
-        found = [w for w in self.client.widgets.values() if w.type == "GuiImageMessage"]
+        kinds = "GuiImageMessage", "GuiUplotMessage"
+        found = [w for w in self.client.widgets.values() if w.type in kinds]
         # The first belongs to the other mode.
         return found[1:]
 
@@ -163,7 +164,7 @@ class Gate:
 
 
 def test_a_run_shows_its_map_its_report_and_its_floor(seat: Seat, bench: Bench) -> None:
-    assert seat.frame_view() == [False, False, True, False, False, False, False, False]
+    seat.until(lambda: seat.frame_view() == [False, False, True, *[False] * 5])
     assert not seat.widget("Result").props["visible"]
     seat.run(FIRST)
     seat.until_says("83.3 % of the scans")
@@ -300,7 +301,13 @@ def test_download_save_and_command(seat: Seat, bench: Bench) -> None:
     part = seat.client.wait_for(lambda got: got.type == "FileTransferPart", LONG_S)
     with zipfile.ZipFile(io.BytesIO(part.message["content"])) as archive:
         names = {Path(name).name for name in archive.namelist()}
-    assert names == {"map_lidar.pgm", "map_lidar.yaml", "trajectory.tum", "report.json"}
+    assert names == {
+        "map_lidar.pgm",
+        "map_lidar.yaml",
+        "trajectory.png",
+        "trajectory.tum",
+        "report.json",
+    }
     seat.client.click("Save to the output folder")
     seat.until_says(str(folder))
     seat.until(lambda: (folder / "results" / "trajectory.tum").exists())
