@@ -12,25 +12,25 @@ names do; ``load`` reads a folder of results that a command wrote. Whatever fail
 ``ScanLoomError``, with the file and what to do about it.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from fusion_core.model.errors import ScanLoomError
-from scanloom.api import (
-    FuseResult,
-    MapResult,
-    RecordingInfo,
-    build_map,
-    fuse,
-    info,
-    load,
-    match_scans,
-    open,
-)
-
 if TYPE_CHECKING:
+    from fusion_core.model.errors import ScanLoomError
     from fusion_core.workflows.fuse.session import FuseOptions
     from fusion_core.workflows.map.options import MapOptions
     from fusion_core.workflows.source import RoomChoice
+    from scanloom.api import (
+        FuseResult,
+        MapResult,
+        RecordingInfo,
+        build_map,
+        fuse,
+        info,
+        load,
+        match_scans,
+        open,
+    )
 
 __all__ = [
     "FuseOptions",
@@ -48,19 +48,21 @@ __all__ = [
     "open",
 ]
 
+_MODULE_OF = {
+    "FuseOptions": "fusion_core.workflows.fuse.session",
+    "MapOptions": "fusion_core.workflows.map.options",
+    "RoomChoice": "fusion_core.workflows.source",
+    "ScanLoomError": "fusion_core.model.errors",
+}
+
 
 def __getattr__(name: str) -> Any:
-    """The options of the workflows, which are imported when they are first asked for."""
-    if name == "FuseOptions":
-        from fusion_core.workflows.fuse.session import FuseOptions
+    """Import what is asked for, when it is first asked for: the command line is a part of this
+    package, and its ``--help`` must be quick."""
+    if name not in __all__:
+        raise AttributeError(f"module 'scanloom' has no attribute {name!r}")
+    return getattr(import_module(_MODULE_OF.get(name, "scanloom.api")), name)
 
-        return FuseOptions
-    if name == "MapOptions":
-        from fusion_core.workflows.map.options import MapOptions
 
-        return MapOptions
-    if name == "RoomChoice":
-        from fusion_core.workflows.source import RoomChoice
-
-        return RoomChoice
-    raise AttributeError(f"module 'scanloom' has no attribute {name!r}")
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])
