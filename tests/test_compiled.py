@@ -35,3 +35,35 @@ def test_a_cache_that_has_a_place_is_used() -> None:
     from fusion_core.mapping.rays import trace_ray
 
     assert trace_ray.stats.cache_path
+
+
+NAMED_TUPLE = """
+from typing import NamedTuple
+
+from fusion_core.compiled import compiled
+
+
+class {name}(NamedTuple):
+    value: float
+
+
+@compiled()
+def doubled(given):
+    return 2.0 * given.value
+
+
+print(doubled({name}({value})))
+"""
+
+
+def test_a_cache_of_another_version_is_compiled_anew(tmp_path: Path) -> None:
+    """An upgrade leaves numba's files, which name the classes of the version before."""
+    program = tmp_path / "program.py"
+    for name, value in (("Before", 1.0), ("After", 2.0), ("After", 3.0)):
+        program.write_text(NAMED_TUPLE.format(name=name, value=value), encoding="utf-8")
+        done = subprocess.run(
+            [sys.executable, str(program)], capture_output=True, text=True, timeout=120, check=False
+        )
+        assert done.stderr == ""
+        assert done.stdout == f"{2.0 * value}\n"
+    assert list(tmp_path.glob("__pycache__/*.nbi"))
