@@ -58,11 +58,16 @@ print(doubled({name}({value})))
 
 def test_a_cache_of_another_version_is_compiled_anew(tmp_path: Path) -> None:
     """An upgrade leaves numba's files, which name the classes of the version before."""
-    program = tmp_path / "program.py"
+    stage = tmp_path / "stage.py"
     for name, value in (("Before", 1.0), ("After", 2.0), ("After", 3.0)):
-        program.write_text(NAMED_TUPLE.format(name=name, value=value), encoding="utf-8")
+        stage.write_text(NAMED_TUPLE.format(name=name, value=value), encoding="utf-8")
         done = subprocess.run(
-            [sys.executable, str(program)], capture_output=True, text=True, timeout=120, check=False
+            [sys.executable, "-c", "import stage"],
+            env={**os.environ, "PYTHONPATH": f"{tmp_path}:{ROOT}"},
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
         )
         assert done.stderr == ""
         assert done.stdout == f"{2.0 * value}\n"
