@@ -207,8 +207,8 @@ def match_scans(
     ``first_ranges_m``, ``second_ranges_m``: (N,) and (M,) metres; what is not finite and positive
     is a missing beam. Both have the given angles, counter-clockwise. ``guess``: (3,) x, y, yaw in
     metres and radians; none is needed. The result has the pose, its (3, 3) covariance, and whether
-    the sweeps determine the motion in every direction (``is_observable``). Raises ScanLoomError where
-    a sweep has too few beams or no start leads to a match.
+    the sweeps determine the motion in every direction (``is_observable``). Raises ScanLoomError
+    where a sweep has too few beams or no start leads to a match.
     """
     from fusion_core.workflows import scan_matching
 
