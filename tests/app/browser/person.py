@@ -18,6 +18,8 @@ from scanloom.server.workbench import Workbench
 from scanloom.state.view import PanelName, View
 
 ENOUGH_S = 60.0
+# The first alignment of a fresh machine compiles what it calls.
+ALIGNED_S = 240.0
 
 # Null where another picture took the place of this one meanwhile.
 FETCH = """async image => {
@@ -157,7 +159,7 @@ class Person:
 
 def at_session(page: Page, workbench: Workbench, known: list[ClientSession]) -> Person:
     """The person at a page whose desk is none of those known; their recording is aligned."""
-    deadline_s = time.monotonic() + ENOUGH_S
+    deadline_s = time.monotonic() + ALIGNED_S
     while time.monotonic() < deadline_s:
         for session in workbench.sessions:
             if (
