@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 import fusion_core
 import scanloom
 from fusion_core.registration.pl_icp import PlIcpSettings
-from fusion_core.settings import StageSettings, ends
+from fusion_core.settings import StageSettings, ends, under_current_names
 from fusion_core.slam.particle_filter import ParticleSettings
 from fusion_core.slam.submaps import SubmapSettings
 
@@ -135,3 +135,24 @@ def test_products_that_make_the_work_are_bounded(
         assert low[0] <= value <= high[0]
     with pytest.raises(ValidationError, match=named):
         settings_class(**values)
+
+
+FORMER_NAMES = [
+    pytest.param(settings_class, name, extra["formerly"], id=f"{settings_class.__name__}.{name}")
+    for settings_class in CLASSES
+    for name, field in settings_class.model_fields.items()
+    if isinstance(extra := field.json_schema_extra, dict) and extra.get("formerly")
+]
+
+
+@pytest.mark.parametrize(("settings_class", "name", "former"), FORMER_NAMES)
+def test_a_former_name_is_read_as_the_present_one(
+    settings_class: type[StageSettings], name: str, former: str
+) -> None:
+    assert former not in settings_class.model_fields
+    assert under_current_names(settings_class, {former: 1}) == ({name: 1}, {former: name})
+
+
+def test_no_former_name_stands_for_two_settings() -> None:
+    pairs = [(parameter.values[0], parameter.values[2]) for parameter in FORMER_NAMES]
+    assert len(set(pairs)) == len(pairs) > 50
