@@ -45,7 +45,7 @@ def project_to_cloud(
 @compiled(error_model="numpy")
 def _points_in_band(
     depth_m: Float32Array,
-    lens: tuple[float, float, float, float],
+    intrinsics: tuple[float, float, float, float],
     P: FloatArray,
     row_stride: int,
     column_stride: int,
@@ -53,7 +53,7 @@ def _points_in_band(
     band: tuple[float, float, float],
 ) -> FloatArray:
     height, width = depth_m.shape
-    fx, fy, cx, cy = lens
+    fx, fy, cx, cy = intrinsics
     lowest_m, rise, highest_m = band
     most = ((height - 1) // row_stride + 1) * ((width - 1) // column_stride + 1)
     points_m = np.empty((most, 3))
@@ -62,7 +62,7 @@ def _points_in_band(
         y = (row - cy) / fy
         for column in range(0, width, column_stride):
             z_m = float(depth_m[row, column])
-            # Whatever is missing is NaN and fails both.
+            # A missing depth is NaN and fails both comparisons.
             if not (z_m > depths_m[0] and z_m <= depths_m[1]):
                 continue
             x = (column - cx) / fx

@@ -14,6 +14,8 @@ from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.robust import robust_sigma
 from fusion_core.model.sensors import CameraIntrinsics
 
+# The thresholds below are set by hand.
+#
 # Samples along the longer side: every fourth pixel of a 320 x 240 image.
 _GRID = 80
 # Beyond, a Kinect's depth steps (4 cm) exceed the slope over neighbouring samples.
@@ -23,24 +25,27 @@ _NEAREST_BELOW_M = 0.08
 # Inlier distance: unevenness of floors, and depth noise that grows with range.
 _TOLERANCE_M = 0.02
 _TOLERANCE_PER_M = 0.005
-# 99.9 % confidence of a draw of three floor points where 28 % of the patches are floor.
-_DRAWS = 300
-# Points that score a draw: a ratio of inliers is then known to 1 %.
+# RANSAC iterations: three floor points are drawn with a confidence of 99.9 % where 28 % of the
+# patches are floor.
+_RANSAC_DRAWS = 300
+# Points that score a draw: the inlier ratio is then known to 1 % (two standard deviations).
 _SCORED = 12_000
+# Rounds of refitting to the inliers.
 _REFITS = 4
-# Twice the area of three points that span a plane: noise of 2 cm on sides of 50 cm.
+# Twice the least area of a drawn triangle: smaller ones give no reliable normal.
 _TRIANGLE_MIN_M2 = 0.01
-# Standard deviation of a slope across two samples at 4 m.
+# Tolerance of a local slope, which depth noise between neighbouring samples makes inexact.
 _SLOPE_SLACK_RAD = np.deg2rad(12.0)
-# A lower plane with this fraction of the patches is the floor, and the one above it furniture.
+# A lower plane with this fraction of the upper one's patches is the floor, and the upper furniture.
 _LARGE_FRACTION = 0.15
 # Ten images of fifteen patches each, 0.3 % of an image's samples.
 _PATCHES_MIN = 150
 _PATCHES_OF_IMAGE = 15
 _IMAGES_MIN = 3
-# Reflections and edges lie below a floor, but not one patch for ten on it.
+# Patches below the floor (reflections, depth edges) as a fraction of those on it.
 _BELOW_FRACTION_MAX = 0.1
-# Median deviation of an image's own floor from the common one, for a robot whose camera pitches.
+# Largest median deviation of the floor in single images from the common one: a robot pitches a
+# little, a camera in a hand more.
 _TILT_SPREAD_RAD = np.deg2rad(1.5)
 _HEIGHT_SPREAD_M = 0.03
 
@@ -207,7 +212,7 @@ def _ransac_plane(
         scored_m = points_m[np.sort(rng.choice(len(points_m), _SCORED, replace=False))]
     best: FloatArray | None = None
     most = 0
-    for _ in range(_DRAWS):
+    for _ in range(_RANSAC_DRAWS):
         a, b, c = points_m[rng.integers(len(points_m), size=3)]
         normal = np.cross(b - a, c - a)
         length = float(np.linalg.norm(normal))

@@ -8,7 +8,7 @@ from fusion_core.model.errors import MappingFailed
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.settings import StageSettings, setting
 
-# A growing cell is a float64 and an int32, and three grids stand side by side: 2.3 GB.
+# Memory: a cell takes 12 bytes (float64, int32), and three grids may exist at once: 2.3 GB.
 _CELLS_MAX = 64_000_000
 
 

@@ -1,7 +1,7 @@
-"""Log odds on a grid that grows with what the scans reach: the one that final maps and submaps use.
+"""A log-odds grid that grows with the mapped area, used by final maps and submaps.
 
-A cell's log odds l = log(p / (1 - p)) start at 0 and are changed by addition (Moravec & Elfes 1985;
-Hess et al. 2016, eqs. 2 and 3 in odds), so that a scan costs a sum in each cell.
+A cell's log odds l = log(p / (1 - p)) start at 0, and a hit or a pass adds a constant (Moravec &
+Elfes 1985; Hess et al. 2016, eqs. 2 and 3, in odds).
 """
 
 from typing import NamedTuple
@@ -12,8 +12,9 @@ import numpy.typing as npt
 from fusion_core.mapping.rays import update_cells
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
 
-# Cells of room on each side when a grid grows, and as fractions of its side: as much as fits.
-_ROOM_MIN, _ROOM_DIVISORS = 60, (4, 16, 64)
+# Padding on each side when a grid grows: at least so many cells, else the largest of these
+# fractions of its side that fits ``cells_max``. Set by hand.
+_PADDING_MIN, _PADDING_DIVISORS = 60, (4, 16, 64)
 
 
 def log_odds(probability: float) -> float:
@@ -53,7 +54,7 @@ class CellBounds(NamedTuple):
         return CellBounds(np.minimum(self.low, other.low), np.maximum(self.high, other.high))
 
     def padded(self, cells: "int | IntArray") -> "CellBounds":
-        """Wider by so many cells on each side."""
+        """Extended by a number of cells on each side."""
         return CellBounds(self.low - cells, self.high + cells)
 
     def holds(self, other: "CellBounds") -> bool:
@@ -72,7 +73,7 @@ class GrowingGrid:
 
     ``bounds``: of the arrays. ``reached``: of the cells that were reserved, None before the first.
     ``log_odds``: (rows, columns). ``border``: cells that are kept about those that were reserved.
-    ``cells_max``: the room to grow ends where the arrays would have more cells.
+    ``cells_max``: no padding is added beyond this number of cells.
     """
 
     def __init__(
@@ -86,7 +87,7 @@ class GrowingGrid:
         self.scans = 0
 
     def reserve(self, needed: CellBounds) -> bool:
-        """Have room for more cells; whether the arrays had to be replaced by larger ones."""
+        """Make the arrays cover these cells, too; True if they were replaced by larger ones."""
         before = self.reached
         if before is not None:
             needed = needed.union(before)
@@ -94,7 +95,7 @@ class GrowingGrid:
         if before is not None and self.bounds.holds(needed.padded(self._border)):
             return False
         side = needed.high - needed.low
-        wider = (needed.padded(np.maximum(_ROOM_MIN, side // d)) for d in _ROOM_DIVISORS)
+        wider = (needed.padded(np.maximum(_PADDING_MIN, side // d)) for d in _PADDING_DIVISORS)
         bounds = next((b for b in wider if b.size <= self._cells_max), needed)
         cells = np.full(bounds.shape, np.nan)
         updated_in_scan = np.zeros(bounds.shape, dtype=np.int32)

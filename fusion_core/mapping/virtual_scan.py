@@ -104,7 +104,7 @@ class VirtualScanSettings(StageSettings):
         return float(np.sqrt(0.5)) * self.voxel_m if self.sampling == "voxel" else 0.0
 
 
-# The paper gives neither radius nor number of neighbours; these suit its sparse rows (our reading).
+# The paper gives neither radius nor number of neighbours; these suit its sparse rows.
 PUBLISHED = VirtualScanSettings(
     sampling="stride",
     depth_min_m=0.0,
@@ -203,7 +203,7 @@ def make_camera_scan(
         half_width_m=settings.half_width_m,
         thickness_m=_surface_thickness_m(cloud_m, settings),
     )
-    # What stands beside the camera's axis may lie farther than its greatest depth.
+    # Away from the optical axis a point's distance exceeds its depth.
     range_max_m = 2.0 * settings.depth_max_m
     ranges_m[ranges_m > range_max_m] = np.nan
     return LaserScan(
@@ -234,7 +234,7 @@ def nearest_per_angle(
     of the same surface, whose mean distance is then taken.
     """
     ranges_m = np.hypot(points_m[:, 0], points_m[:, 1])
-    # Counted along the beams, whichever way they turn; angles may begin anywhere.
+    # Measured in the direction of increasing beam index, from the first beam.
     azimuths_rad = np.arctan2(points_m[:, 1], points_m[:, 0])
     direction = 1.0 if angle_increment_rad > 0.0 else -1.0
     after_first_rad = np.mod(direction * (azimuths_rad - angle_min_rad), 2.0 * np.pi)
@@ -284,7 +284,7 @@ def _nearest_per_angle(
 
 
 def _surface_thickness_m(cloud_m: FloatArray, settings: VirtualScanSettings) -> FloatArray:
-    """(N,) how far the depth of one surface strays at the distance of each point."""
+    """(N,) spread of one surface's depths at the distance of each point."""
     squared_m2 = cloud_m[:, 0] ** 2 + cloud_m[:, 1] ** 2
     return settings.same_surface_m + settings.same_surface_per_m2 * squared_m2
 

@@ -1,1 +1,1 @@
-"""Frozen values that every stage shares. This package imports numpy and nothing else."""
+"""Data types that all stages share. Imports numpy and the standard library only."""

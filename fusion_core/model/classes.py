@@ -13,7 +13,7 @@ class NoiseClass(IntEnum):
 
 
 SAME_SURFACE_M = 0.10
-"""Ranges nearer than this tell of one surface, for truths and measures alike."""
+"""Ranges that differ by less lie on one surface, in ground truth and in metrics."""
 
 
 class RepairSource(IntEnum):

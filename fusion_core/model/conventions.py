@@ -1,4 +1,4 @@
-"""The conventions of the whole project, and the few functions that are nothing but convention.
+"""Conventions of the whole project: units, frames, pixels, and the types that go with them.
 
 * SI units, radians, int64 nanoseconds. ``stamp_ns`` is the sensor's own header stamp,
   ``received_ns`` the time at which the log took the message. Algorithms use ``stamp_ns``.

@@ -29,7 +29,7 @@ class SettingsError(ScanLoomError):
 
 
 class AlignmentFailed(ScanLoomError):
-    """No offset (u, v) or mount can be supported by the data."""
+    """The data do not determine an offset (u, v) or a mount."""
 
 
 class RegistrationFailed(ScanLoomError):
@@ -37,11 +37,11 @@ class RegistrationFailed(ScanLoomError):
 
 
 class MissingStream(ScanLoomError):
-    """The recording lacks a stream that the work needs, or the named one is not there."""
+    """The recording lacks a required stream, or has none of the given name."""
 
 
 class ExportError(ScanLoomError):
-    """A result cannot be written where it was asked for."""
+    """A result cannot be written to the requested place."""
 
 
 class FramesNotConnected(MissingStream):

@@ -12,7 +12,7 @@ def escape_undecodable(text: str) -> str:
     try:
         raw = text.encode("utf-8", "surrogateescape")
     except UnicodeEncodeError:
-        # Surrogates that do not stand for bytes.
+        # Surrogates that do not represent bytes.
         raw = text.encode("utf-8", "backslashreplace")
     return raw.decode("utf-8", "backslashreplace")
 

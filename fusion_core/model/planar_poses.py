@@ -53,7 +53,7 @@ def interpolate_pose(
 
 
 def _stack_poses(x: FloatArray, y: FloatArray, yaw: FloatArray) -> FloatArray:
-    """(..., 3); faster than np.stack for single poses, of which a scan needs dozens."""
+    """(..., 3); faster than np.stack for single poses, the most frequent case."""
     poses = np.empty((*yaw.shape, 3))
     poses[..., 0], poses[..., 1], poses[..., 2] = x, y, yaw
     return poses

@@ -8,9 +8,9 @@ import numpy as np
 from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray, read_only
 from fusion_core.model.sweep import require_plausible_sweep
 
-# From a lens that sees all but half a sphere in a few pixels to pixels of 1 um, 1 m behind theirs.
+# From a fisheye image of a few pixels to pixels of 1 µm at a focal length of 1 m.
 _FOCAL_LENGTH_LIMITS_PX = (1e-2, 1e6)
-# A hundred images of 10,000 pixels away.
+# A hundred times the width of an image of 10,000 pixels.
 _MAX_CENTRE_PX = 1e6
 # k3 multiplies the sixth power of the distance from the axis, which is 1e-9 at the rim of a field
 # of view of 4 degrees.
@@ -102,8 +102,8 @@ class DepthImage:
     ``depth_m``: (H, W) float32 metres, NaN where missing.
     ``encoding``: how the file had it, "16UC1" (millimetres) or "32FC1" (metres), so that an
     export can be of the same kind.
-    ``quantum_m``: the step between two depths that the file can tell apart, where it is coarse
-    enough to matter; the value lies in the middle of its step. None means fine.
+    ``quantum_m``: the file's depth resolution where it is coarse enough to matter; a value lies in
+    the middle of its step. None means fine.
     """
 
     stamp_ns: int
@@ -193,7 +193,7 @@ class PointCloud:
     """Points of a 3D LiDAR or a depth camera, in the order in which they were sent.
 
     ``xyz_m``: (N, 3) float32; a point without a position is NaN in all three, and keeps its place,
-    since drivers of spinning scanners tell ring and azimuth by it.
+    since its index gives ring and azimuth in drivers of spinning scanners.
     ``intensity``: (N,) float32 in the driver's own unit, or None where the cloud has none.
     """
 

@@ -8,13 +8,13 @@ from fusion_core.model.conventions import FloatArray, IntArray, read_only
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SlamView:
-    """A moment of a run.
+    """A snapshot of a run.
 
     ``stage``: its label. ``stamps_ns``: (N,) of the scans placed so far; ``poses_map_scan``: (N, 3)
-    x, y, yaw of the LiDAR, as estimated so far. ``particles``: (P, 3) the poses that the
-    last scan may have, (0, 3) for an estimator without; ``weights``: (P,) of them, their sum 1.
-    ``effective``: (N,) effective number of particles at each scan, NaN where none was weighed,
-    (0,) without particles. ``loops_m``: (L, 4) x, y of the two ends of each loop closure.
+    x, y, yaw of the LiDAR, as estimated so far. ``particles``: (P, 3) their poses at the
+    last scan, (0, 3) without a particle filter; ``weights``: (P,) of them, their sum 1.
+    ``effective``: (N,) effective number of particles at each scan, NaN where the filter was not
+    updated, (0,) without particles. ``loops_m``: (L, 4) x, y of the two ends of each loop closure.
     """
 
     stage: str

@@ -1,4 +1,4 @@
-"""Stamps of streams: which are outliers by the order and times of the log, which are nearest."""
+"""Stamps of streams: outliers by the order and times of the log, and the nearest to an instant."""
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ import numpy as np
 from fusion_core.model.conventions import BoolArray, IntArray
 
 NO_STAMP = int(np.iinfo(np.int64).min)
-"""Stands for the stamp of a message that cannot be read."""
+"""Placeholder for the stamp of a message that cannot be read."""
 
 
 def plausible_stamps(
@@ -22,7 +22,8 @@ def plausible_stamps(
     kept = np.ones(stamps_ns.size, dtype=np.bool_)
     known = np.flatnonzero(stamps_ns != NO_STAMP)
     kept[known] = within_recording(stamps_ns[known], received_ns[known])
-    # Of the rest: before the last stamp but one, a far one would do as well as its follower.
+    # First outliers, then order: else an outlier near the end could be kept in place of its
+    # successor.
     near = known[kept[known]]
     kept[near] = longest_ascending(stamps_ns[near], strictly=strictly)
     return kept
@@ -32,8 +33,8 @@ def longest_ascending(stamps_ns: IntArray, *, strictly: bool = True) -> BoolArra
     """(N,) the longest subsequence of (N,) stamps that ascends; of several the one whose members
     come first.
 
-    So few outliers cost themselves alone, wherever they lie: a stamp far ahead makes none of those
-    after it late. O(N log N), by patience sorting (Schensted 1961).
+    An outlier removes only itself: a stamp far ahead does not make those after it late. O(N log N),
+    by patience sorting (Schensted 1961).
     """
     steps = np.diff(stamps_ns)
     if np.all(steps > 0) or (not strictly and np.all(steps >= 0)):
@@ -58,10 +59,10 @@ def longest_ascending(stamps_ns: IntArray, *, strictly: bool = True) -> BoolArra
 
 
 def within_recording(stamps_ns: IntArray, received_ns: IntArray) -> BoolArray:
-    """(N,) whether a stamp is joined to the middle half of (N,) stamps, which come in any order.
+    """(N,) whether a stamp is connected with the middle half of (N,) stamps, given in any order.
 
-    A step from one stamp to the next parts the two where it is longer than the whole recording, of
-    which the middle half lasts one half, beyond what passed between them in the log
+    Sorted neighbours are not connected where their stamps differ by more than the duration of the
+    recording (twice that of the middle half), beyond the time between them in the log
     (``received_ns``: a recording may pause). A log with one time for all messages is not used.
     """
     kept = np.ones(stamps_ns.size, dtype=np.bool_)
@@ -74,8 +75,8 @@ def within_recording(stamps_ns: IntArray, received_ns: IntArray) -> BoolArray:
     if duration_ns == 0:
         return kept
     logged_ns = np.maximum(np.diff(received_ns[order]), 0)
-    parted = np.flatnonzero(np.diff(sorted_ns) - logged_ns > duration_ns)
-    before, after = parted[parted < first], parted[parted >= last]
+    split = np.flatnonzero(np.diff(sorted_ns) - logged_ns > duration_ns)
+    before, after = split[split < first], split[split >= last]
     if before.size:
         kept[order[: before[-1] + 1]] = False
     if after.size:
@@ -101,7 +102,7 @@ def nearest_stamp(stamps_ns: Sequence[int], stamp_ns: int, max_gap_ns: float) ->
 def nearest_stamps(stamps_ns: IntArray, at_ns: IntArray) -> IntArray:
     """(M,) for each of (M,) instants the index of the nearest of (N,) stamps, N >= 1.
 
-    The same rule for many at once: ``stamps_ns`` ascend, and of two equally near the earlier.
+    As ``nearest_stamp``: ``stamps_ns`` ascend, and of two equally near ones it is the earlier.
     """
     after = np.clip(np.searchsorted(stamps_ns, at_ns), 1, max(stamps_ns.size - 1, 1))
     before = after - 1

@@ -1,7 +1,6 @@
-"""Which directions the sweep of a 2D LiDAR can have.
+"""Plausible beam counts and angles of a 2D LiDAR's sweep.
 
-What is made of a scan takes memory and time by its beams and angles, so that a file may claim no
-others than a scanner can have.
+Memory and time grow with the beams and angles that a file claims, so implausible ones are rejected.
 """
 
 from math import isfinite, tau
@@ -10,7 +9,7 @@ from math import isfinite, tau
 MAX_BEAMS = 40_000
 # Drivers round the step between beams, to two digits by up to 5 %, and with it the whole sweep.
 MAX_SWEEP_RAD = 1.05 * tau
-# 0.1 mm in a distance of 1 km, which no beam is narrow enough to tell apart.
+# 0.1 mm at a distance of 1 km: finer than any beam.
 _MIN_STEP_RAD = 1e-7
 
 _SET_ANGLES = "Set the scanner's angles, in radians, in its driver."
@@ -26,7 +25,7 @@ class ImplausibleSweep(ValueError):
 
 
 def require_plausible_sweep(beams: int, angle_min_rad: float, angle_increment_rad: float) -> None:
-    """Raise ImplausibleSweep unless a scanner can have so many beams in these directions."""
+    """Raise ImplausibleSweep unless a scanner can have this number of beams at these angles."""
     if beams < 1:
         raise ImplausibleSweep(
             "the scan has no ranges", "Check the scanner and the driver that recorded it."

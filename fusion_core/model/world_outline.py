@@ -23,9 +23,9 @@ _PARALLEL_RAD = 1e-3
 class ObstacleOutline:
     """A polyline (closed where its last point is its first) around an obstacle, or a part of it.
 
-    ``outline_m``: (N, 2), N >= 2, in the world's frame. ``z_min_m``, ``z_max_m``: from where to
-    where it stands above the floor. ``seen_by``: for a sensor the samples that it could see, as
-    (R, 2) runs [start, end) of sample numbers, ascending and apart.
+    ``outline_m``: (N, 2), N >= 2, in the world's frame. ``z_min_m``, ``z_max_m``: heights of its
+    lower and upper end above the floor. ``seen_by``: for each sensor the samples that it could see,
+    as (R, 2) runs [start, end) of sample numbers, ascending and separate.
     """
 
     name: str
@@ -39,7 +39,7 @@ class ObstacleOutline:
         if self.outline_m.shape[0] < 2 or not self.length_m > 0.0:
             raise ValueError(f"the outline of {self.name} has no length")
         if not self.z_min_m <= self.z_max_m:
-            raise ValueError(f"{self.name} stands from {self.z_min_m} m to {self.z_max_m} m")
+            raise ValueError(f"{self.name} has a height from {self.z_min_m} m to {self.z_max_m} m")
         for sensor, runs in self.seen_by.items():
             if sensor not in SENSORS:
                 raise ValueError(f"{self.name}: no sensor is called {sensor!r}")
@@ -104,8 +104,8 @@ class MeasuredLine:
     def length_m(self) -> float:
         """The true distance."""
         (x, y), _ = unit_directions(self.faces_m)
-        apart = self.faces_m[1].mean(axis=0) - self.faces_m[0].mean(axis=0)
-        return float(abs(x * apart[1] - y * apart[0]))
+        between_m = self.faces_m[1].mean(axis=0) - self.faces_m[0].mean(axis=0)
+        return float(abs(x * between_m[1] - y * between_m[0]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

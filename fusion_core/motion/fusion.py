@@ -45,7 +45,7 @@ class FusedOdometry:
 
 
 def fuse_odometry(
-    tracks: Sequence[OdometryTrajectory], settings: FusionSettings | None = None
+    trajectories: Sequence[OdometryTrajectory], settings: FusionSettings | None = None
 ) -> FusedOdometry:
     """Fuse trajectories with the same stamps, named after SOURCES, each at most once.
 
@@ -53,19 +53,19 @@ def fuse_odometry(
     Raises MissingStream without any trajectory, ValueError for other stamps or names.
     """
     settings = settings or FusionSettings()
-    if not tracks:
+    if not trajectories:
         raise MissingStream("there is no odometry to fuse.")
-    names = [track.name for track in tracks]
+    names = [trajectory.name for trajectory in trajectories]
     if len(set(names)) < len(names) or not set(names) <= set(SOURCES):
         raise ValueError(f"sources are {', '.join(SOURCES)}, each once, got {names}")
-    stamps_ns = tracks[0].stamps_ns
+    stamps_ns = trajectories[0].stamps_ns
     if any(
-        track.stamps_ns.shape != stamps_ns.shape or (track.stamps_ns != stamps_ns).any()
-        for track in tracks
+        trajectory.stamps_ns.shape != stamps_ns.shape or (trajectory.stamps_ns != stamps_ns).any()
+        for trajectory in trajectories
     ):
-        raise ValueError("tracks must have the same stamps to be fused")
+        raise ValueError("trajectories must have the same stamps to be fused")
     if settings.method == "published":
-        track, weights = fuse_as_published(tracks, settings)
+        trajectory, weights = fuse_as_published(trajectories, settings)
     else:
-        track, weights = fuse_by_covariance(tracks, settings)
-    return FusedOdometry(trajectory=track, weights=weights)
+        trajectory, weights = fuse_by_covariance(trajectories, settings)
+    return FusedOdometry(trajectory=trajectory, weights=weights)

@@ -40,16 +40,16 @@ class CovarianceFusionSettings(StageSettings):
     )
 
 
-# Twice the 1-in-10^9 quantile of chi-square with 3 dof: one outlier must not outweigh a window.
+# Cap on a squared distance, so that one outlier does not dominate the window; set by hand.
 _SQUARE_MAX = 100.0
 # Of a planar step; the mean of a chi-square distributed squared distance.
 _DEGREES_OF_FREEDOM = 3.0
 
 
 def fuse_by_covariance(
-    tracks: Sequence[OdometryTrajectory], settings: CovarianceFusionSettings
+    trajectories: Sequence[OdometryTrajectory], settings: CovarianceFusionSettings
 ) -> tuple[OdometryTrajectory, FusionWeights]:
-    """The fused trajectory and its weights; ``tracks`` have the same stamps.
+    """The fused trajectory and its weights; ``trajectories`` have the same stamps.
 
     Consistency is tested with ``step_covariance``; the weights come from ``drift_covariance``, the
     errors that accumulate. Where a source's squared distances from the others exceed what its
@@ -57,19 +57,19 @@ def fuse_by_covariance(
     Where two sources disagree and there is no third, the one with the smaller covariance along the
     disagreement is kept: mostly the laser, since wheels do not observe their own slip.
     """
-    count, sources = tracks[0].measured.size, len(tracks)
-    steps = np.stack([track.steps for track in tracks], axis=1)
+    count, sources = trajectories[0].measured.size, len(trajectories)
+    steps = np.stack([trajectory.steps for trajectory in trajectories], axis=1)
     floor = np.diag(np.square([settings.sigma_min_m] * 2 + [settings.sigma_min_rad]))
-    singles = np.stack([track.step_covariance for track in tracks], axis=1) + floor
-    drifts = np.stack([track.drift_covariance for track in tracks], axis=1) + floor
-    measured = np.stack([track.measured for track in tracks], axis=1)
+    singles = np.stack([trajectory.step_covariance for trajectory in trajectories], axis=1) + floor
+    drifts = np.stack([trajectory.drift_covariance for trajectory in trajectories], axis=1) + floor
+    measured = np.stack([trajectory.measured for trajectory in trajectories], axis=1)
 
     fused = np.zeros((count, 3))
     covariance, drift = np.full((2, count, 3, 3), np.nan)
     translation, rotation = np.zeros((2, count, sources))
     rejected = np.zeros((count, sources), dtype=np.bool_)
-    history = [_CovarianceInflation(settings.window) for _ in tracks]
-    seconds = np.diff(tracks[0].stamps_ns) / 1e9
+    history = [_CovarianceInflation(settings.window) for _ in trajectories]
+    seconds = np.diff(trajectories[0].stamps_ns) / 1e9
     for k in range(count):
         available = [s for s in range(sources) if measured[k, s]]
         if not available:
@@ -95,25 +95,25 @@ def fuse_by_covariance(
                     history[s].add(_squared_mahalanobis(s, others, steps[k], singles[k]))
     away = subtract_poses(steps, fused[:, np.newaxis])
     is_measured: BoolArray = np.any(measured, axis=1)
-    track = OdometryTrajectory(
+    trajectory = OdometryTrajectory(
         name="fused",
-        stamps_ns=tracks[0].stamps_ns.copy(),
+        stamps_ns=trajectories[0].stamps_ns.copy(),
         poses_odom_lidar=integrate_steps(fused),
         step_covariance=covariance,
         drift_covariance=drift,
         measured=is_measured,
-        notes=_notes(tracks, rejected, is_measured.sum()),
+        notes=_notes(trajectories, rejected, is_measured.sum()),
     )
     weights = FusionWeights(
-        sources=tuple(track.name for track in tracks),
-        stamps_ns=tracks[0].stamps_ns.copy(),
+        sources=tuple(trajectory.name for trajectory in trajectories),
+        stamps_ns=trajectories[0].stamps_ns.copy(),
         translation=translation,
         rotation=rotation,
         rejected=rejected,
         residual_m=np.where(measured, np.hypot(away[..., 0], away[..., 1]), np.nan),
         residual_rad=np.where(measured, np.abs(away[..., 2]), np.nan),
     )
-    return track, weights
+    return trajectory, weights
 
 
 class _CovarianceInflation:
@@ -196,12 +196,12 @@ def _information_fractions(informations: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def _notes(
-    tracks: Sequence[OdometryTrajectory], rejected: BoolArray, measured: int
+    trajectories: Sequence[OdometryTrajectory], rejected: BoolArray, measured: int
 ) -> tuple[str, ...]:
     notes = []
-    for source, track in enumerate(tracks):
+    for source, trajectory in enumerate(trajectories):
         if left_out := int(np.count_nonzero(rejected[:, source])):
-            notes.append(f"fused: {track.name} not believed in {left_out} steps.")
+            notes.append(f"fused: {trajectory.name} not believed in {left_out} steps.")
     if missed := rejected.shape[0] - int(measured):
         notes.append(f"fused: {missed} steps that no source measured.")
     return tuple(notes)

@@ -70,21 +70,21 @@ _SPEED_INTERVAL_MIN_S = 0.5
 
 
 def fuse_as_published(
-    tracks: Sequence[OdometryTrajectory], settings: PublishedFusionSettings
+    trajectories: Sequence[OdometryTrajectory], settings: PublishedFusionSettings
 ) -> tuple[OdometryTrajectory, FusionWeights]:
-    """The fused trajectory and its weights; ``tracks`` have the same stamps."""
-    by_name = {track.name: track for track in tracks}
+    """The fused trajectory and its weights; ``trajectories`` have the same stamps."""
+    by_name = {trajectory.name: trajectory for trajectory in trajectories}
     wheel, laser, visual = (by_name.get(name) for name in ("wheel", "laser", "visual"))
-    stamps_ns = tracks[0].stamps_ns
+    stamps_ns = trajectories[0].stamps_ns
     count = stamps_ns.size - 1
     K = _first_gain(laser, visual, settings)
     fused, gains = np.zeros((count, 3)), np.zeros((count, 3))
-    weights_of_source = {track.name: np.zeros((count, 3)) for track in tracks}
+    weights_of_source = {trajectory.name: np.zeros((count, 3)) for trajectory in trajectories}
     pairs, wheels = _MeanSquare(settings.window), _MeanSquare(settings.window)
     seconds = np.diff(stamps_ns) / 1e9
     for k in range(count):
         gains[k] = K
-        X_v, X_s, p_d = (_step(track, k) for track in (visual, laser, wheel))
+        X_v, X_s, p_d = (_step(trajectory, k) for trajectory in (visual, laser, wheel))
         X_k: FloatArray | None
         if X_v is not None and X_s is not None:
             X_k = X_v + K * subtract_poses(X_s, X_v)  # (7)
@@ -97,7 +97,7 @@ def fuse_as_published(
             K = np.where(is_defined, sigma_v**2 / np.where(is_defined, total, 1.0), K)  # (6)
         elif X_s is not None or X_v is not None:
             alone = laser if X_s is not None else visual
-            assert alone is not None, "a step has a track"
+            assert alone is not None, "a step has a source"
             X_k = X_s if X_s is not None else X_v
             weight_of = {alone.name: np.ones(3)}
             delta_k = alone.step_covariance[k].diagonal()
@@ -106,10 +106,10 @@ def fuse_as_published(
         if X_k is not None and p_d is not None:
             wheels.add(subtract_poses(p_d, X_k))
             delta_d = np.maximum(wheels.mean - delta_k, _VARIANCE_MIN)
-            share = delta_d / (delta_d + np.maximum(delta_k, _VARIANCE_MIN))
-            fused[k] = p_d + share * subtract_poses(X_k, p_d)  # (9)
-            weight_of = {name: share * part for name, part in weight_of.items()}
-            weight_of["wheel"] = 1.0 - share
+            camera_laser_weight = delta_d / (delta_d + np.maximum(delta_k, _VARIANCE_MIN))
+            fused[k] = p_d + camera_laser_weight * subtract_poses(X_k, p_d)  # (9)
+            weight_of = {name: camera_laser_weight * weight for name, weight in weight_of.items()}
+            weight_of["wheel"] = 1.0 - camera_laser_weight
         elif X_k is not None or p_d is not None:
             only = X_k if X_k is not None else p_d
             assert only is not None, "one of the two is there"
@@ -118,9 +118,9 @@ def fuse_as_published(
         elif k:
             fused[k] = fused[k - 1] * (seconds[k] / seconds[k - 1])
         fused[k, 2] = wrap_angle(fused[k, 2])
-        for name, part in weight_of.items():
-            weights_of_source[name][k] = part
-    return _make_results(tracks, fused, gains, weights_of_source)
+        for name, weight in weight_of.items():
+            weights_of_source[name][k] = weight
+    return _make_results(trajectories, fused, gains, weights_of_source)
 
 
 def next_gain(K: float) -> float:
@@ -143,10 +143,10 @@ class _MeanSquare:
         return mean
 
 
-def _step(track: OdometryTrajectory | None, k: int) -> FloatArray | None:
-    if track is None or not track.measured[k]:
+def _step(trajectory: OdometryTrajectory | None, k: int) -> FloatArray | None:
+    if trajectory is None or not trajectory.measured[k]:
         return None
-    step: FloatArray = track.steps[k].copy()
+    step: FloatArray = trajectory.steps[k].copy()
     return step
 
 
@@ -208,13 +208,13 @@ def _is_standstill(
 
 
 def _make_results(
-    tracks: Sequence[OdometryTrajectory],
+    trajectories: Sequence[OdometryTrajectory],
     fused: FloatArray,
     gains: FloatArray,
     weights_of_source: dict[str, FloatArray],
 ) -> tuple[OdometryTrajectory, FusionWeights]:
-    stacked = np.stack([weights_of_source[track.name] for track in tracks], axis=1)
-    measured = np.stack([track.measured for track in tracks], axis=1)
+    stacked = np.stack([weights_of_source[trajectory.name] for trajectory in trajectories], axis=1)
+    measured = np.stack([trajectory.measured for trajectory in trajectories], axis=1)
     is_measured: BoolArray = np.any(measured, axis=1)
     weights_squared = stacked[..., np.newaxis] * stacked[..., np.newaxis, :]
     covariance, drift = (
@@ -224,22 +224,24 @@ def _make_results(
             np.nan,
         )
         for of_source in (
-            [track.step_covariance for track in tracks],
-            [track.drift_covariance for track in tracks],
+            [trajectory.step_covariance for trajectory in trajectories],
+            [trajectory.drift_covariance for trajectory in trajectories],
         )
     )
-    away = subtract_poses(np.stack([track.steps for track in tracks], axis=1), fused[:, np.newaxis])
-    track = OdometryTrajectory(
+    away = subtract_poses(
+        np.stack([trajectory.steps for trajectory in trajectories], axis=1), fused[:, np.newaxis]
+    )
+    trajectory = OdometryTrajectory(
         name="fused",
-        stamps_ns=tracks[0].stamps_ns.copy(),
+        stamps_ns=trajectories[0].stamps_ns.copy(),
         poses_odom_lidar=integrate_steps(fused),
         step_covariance=covariance,
         drift_covariance=drift,
         measured=is_measured,
     )
     weights = FusionWeights(
-        sources=tuple(track.name for track in tracks),
-        stamps_ns=tracks[0].stamps_ns.copy(),
+        sources=tuple(trajectory.name for trajectory in trajectories),
+        stamps_ns=trajectories[0].stamps_ns.copy(),
         translation=stacked[..., :2].mean(axis=2),
         rotation=stacked[..., 2],
         rejected=np.zeros(measured.shape, dtype=np.bool_),
@@ -247,4 +249,4 @@ def _make_results(
         residual_rad=np.where(measured, np.abs(away[..., 2]), np.nan),
         gain=gains,
     )
-    return track, weights
+    return trajectory, weights

@@ -12,7 +12,7 @@ from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.model.geometry import invert_transform, transform_points
 from fusion_core.model.robust import NORMAL_MEDIAN_ABS
 
-# Gauss-Newton converges quadratically: from a PnP start three or four iterations do.
+# Gauss-Newton from a PnP start converges in three or four iterations; a safeguard.
 _ITERATIONS_MAX = 10
 # Metres and radians: far below a step's own uncertainty, about 1e-3.
 _STEP_TOLERANCE = 1e-7
@@ -22,6 +22,7 @@ _CONDITION_MAX = 1e12
 _HUBER = 1.345
 # No depth camera measures nearer; it keeps the division by z away from zero.
 _DEPTH_MIN_M = 0.05
+# The usual outlier bound, in standard deviations.
 _INLIER_SIGMAS = 3.0
 
 

@@ -7,37 +7,37 @@ from fusion_core.model.planar_poses import interpolate_pose
 from fusion_core.motion.odometry_trajectory import OdometryTrajectory, mask_unmeasured
 
 
-def resample_odometry(track: OdometryTrajectory, stamps_ns: IntArray) -> OdometryTrajectory:
+def resample_odometry(trajectory: OdometryTrajectory, stamps_ns: IntArray) -> OdometryTrajectory:
     """A trajectory at (N,) other stamps, strictly increasing, interpolated between its own.
 
     A new step is measured where all steps that overlap it in time are. Its drift covariance is the
     sum over the overlaps, in proportion to time; its step covariance is the mean of theirs, or the
     drift where that is larger. Outside its own stamps the end poses repeat, not measured.
     """
-    own_ns = track.stamps_ns
+    own_ns = trajectory.stamps_ns
     index = _fractional_indices(own_ns, stamps_ns)
     before = np.clip(np.floor(index).astype(np.int64), 0, max(own_ns.size - 2, 0))
     after = np.minimum(before + 1, own_ns.size - 1)
     poses = interpolate_pose(
-        track.poses_odom_lidar[before], track.poses_odom_lidar[after], index - before
+        trajectory.poses_odom_lidar[before], trajectory.poses_odom_lidar[after], index - before
     )
 
     inside = (stamps_ns >= own_ns[0]) & (stamps_ns <= own_ns[-1])
-    measured = inside[:-1] & inside[1:] & _all_measured(track.measured, index)
-    known = track.measured[:, np.newaxis, np.newaxis]
-    drift = _integrate_covariances(np.where(known, track.drift_covariance, 0.0), index)
-    single = _integrate_covariances(np.where(known, track.step_covariance, 0.0), index)
+    measured = inside[:-1] & inside[1:] & _all_measured(trajectory.measured, index)
+    known = trajectory.measured[:, np.newaxis, np.newaxis]
+    drift = _integrate_covariances(np.where(known, trajectory.drift_covariance, 0.0), index)
+    single = _integrate_covariances(np.where(known, trajectory.step_covariance, 0.0), index)
     span = np.maximum(np.diff(index), 1e-12)[:, np.newaxis, np.newaxis]
     mean = single / span
     is_less = (np.trace(mean, axis1=1, axis2=2) < np.trace(drift, axis1=1, axis2=2))[:, None, None]
     return OdometryTrajectory(
-        name=track.name,
+        name=trajectory.name,
         stamps_ns=stamps_ns.copy(),
         poses_odom_lidar=poses,
         step_covariance=mask_unmeasured(np.where(is_less, drift, mean), measured),
         drift_covariance=mask_unmeasured(drift, measured),
         measured=measured,
-        notes=track.notes,
+        notes=trajectory.notes,
     )
 
 

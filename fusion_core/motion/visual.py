@@ -38,16 +38,18 @@ from fusion_core.motion.planar_reprojection import (
 from fusion_core.motion.steps import rotate_covariance
 from fusion_core.settings import StageSettings, setting
 
-# Lucas-Kanade refines a match by a few pixels: OpenCV's window for corners, one coarser level, and
-# its default criteria.
+# Lucas-Kanade refines a match by a few pixels, so a small window and one coarser level suffice (set
+# by hand); the criteria are OpenCV's defaults.
 _LK_WINDOW = (15, 15)
 _LK_LEVELS = 1
 _LK_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01)
 # OpenCV's 0.99 would lose one step in a hundred; the cap on draws bounds the time.
 _RANSAC_CONFIDENCE = 0.999
-# Offsets (row, column) of the pixels that must agree with a feature's depth.
+# Offsets (row, column) of the pixels whose depth must agree with a feature's: itself and its four
+# neighbours.
 _DEPTH_NEIGHBOURS = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
 # Several times the depth noise at 8 m (0.003 · 8 = 2.4 %), below most steps between surfaces.
+# Set by hand.
 _DEPTH_EDGE_RATIO = 0.05
 
 
@@ -417,8 +419,9 @@ class _VisualOdometry:
         """The trajectory over all images so far."""
         if not self._stamps_ns:
             raise MissingStream("visual odometry needs an image with depth.")
-        share = self._settings.depth_scale_sigma
-        return self._chain.to_trajectory("visual", self._stamps_ns, scale_sigma=share)
+        return self._chain.to_trajectory(
+            "visual", self._stamps_ns, scale_sigma=self._settings.depth_scale_sigma
+        )
 
 
 def _sample_depths_m(frame: GrayDepth, pixels: Float32Array) -> FloatArray:

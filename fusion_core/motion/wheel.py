@@ -1,6 +1,7 @@
 """Wheel odometry at the scans' stamps, with covariances from an odometry noise model.
 
-The standard deviations are proportional to the motion, as in Thrun, Burgard, Fox 2005, §5.4.
+The standard deviations grow in proportion to the motion, as in the odometry motion model of Thrun,
+Burgard, Fox 2005, §5.4, but are split into forward, lateral and rotation errors.
 """
 
 from collections.abc import Callable
@@ -74,8 +75,8 @@ class WheelSettings(StageSettings):
     )
 
 
-# Errors of wheels are systematic over a metre or a radian (Borenstein and Feng 1996), so drift is
-# a random walk whose steps are this long.
+# Set by hand: wheel errors are taken as fully correlated over a metre or a radian and independent
+# beyond, so that drift is a random walk with steps of this length.
 _CORRELATION_M = 1.0
 _CORRELATION_RAD = 1.0
 

@@ -21,10 +21,11 @@ from fusion_core.registration.likelihood_grid import CELL_VALUE_MAX, LikelihoodP
 # Truncating a Gaussian at two standard deviations costs an unmatched point 2²/2 nats.
 _NATS_PER_POINT = 2.0
 
-# As a score: a pose exp(10) times less likely than the best adds below 1e-4 to a covariance.
+# Set by hand: poses less likely than the best by more than a factor of exp(10) are left out of the
+# covariance. In units of the score.
 _COVARIANCE_SCORE_MARGIN = int(10.0 / _NATS_PER_POINT * CELL_VALUE_MAX)
 
-# Branch and bound scores few of them; its list of top blocks and int64 counts set this limit.
+# Largest number of candidate poses, set by hand: it bounds the list of top blocks.
 POSES_MAX = 2_000_000_000
 
 
@@ -83,7 +84,8 @@ class CorrelativeMatch:
 class SearchGrid:
     """The poses of a search: ``cells``, (T, n, 2) row and column of each point for each yaw.
 
-    ``yaw_rad``: (T,). Translations add up to ``offset_max_cells`` to rows and columns, either way.
+    ``yaw_rad``: (T,). Translations add up to ``offset_max_cells`` to rows and columns, in both
+    directions.
     """
 
     cells: IntArray

@@ -15,7 +15,7 @@ from fusion_core.model.conventions import ByteArray, FloatArray, read_only
 
 CELL_VALUE_MAX = 255
 
-# Bytes; a map of 1 km² in cells of 5 cm, so that a stray coordinate cannot exhaust the memory.
+# Set by hand: 400 MB, or 1 km² in cells of 5 cm, so that a stray coordinate cannot exhaust memory.
 _CELLS_MAX = 400_000_000
 
 

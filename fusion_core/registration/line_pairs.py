@@ -17,8 +17,8 @@ from fusion_core.registration.polar_correspondence import PolarScan, find_neares
 # At this ratio of densities the sparser sweep causes over 90 % of the variance.
 _DENSITY_RATIO_MAX = 10.0
 
-
-# Largest decrease of the trimming limit in one iteration: four iterations from 300 to 1 σ.
+# Set by hand: the largest factor by which the trimming limit shrinks in one iteration, so that a
+# poor start does not lose its good pairs.
 _LIMIT_DECREASE_MAX = 4.0
 
 

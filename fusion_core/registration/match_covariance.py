@@ -92,7 +92,8 @@ def match_covariance(
             )
             influence = 1.0 / lines.beams[j]
             influence += foot * (along - lines.centre_m[j]) / lines.spread_m2[j]
-            # Signs as in the residual do not matter: all beams of a run cross it the same way.
+            # Signs as in the residual do not matter: all beams of a run cross it in the same
+            # direction.
             influence *= weight * sigmas_m[0] * incidence_cos(reference, lines, j, beam)
             for a in range(3):
                 by_reference_range[beam, a] += influence * row[a]

@@ -252,11 +252,11 @@ def _tangent(model: TransformModel, A: FloatArray) -> FloatArray:
         # All but A's own direction, which changes its scale and no image.
         basis: FloatArray = np.linalg.svd(A.reshape(1, 9))[2][1:].T
         return basis
-    stretch, turn = entry[:, 0] + entry[:, 4], entry[:, 1] - entry[:, 3]
+    scale_cos, scale_sin = entry[:, 0] + entry[:, 4], entry[:, 1] - entry[:, 3]
     if model == "similarity":
-        return np.stack([stretch, turn, entry[:, 6], entry[:, 7]], axis=1)
-    turning = A[0, 0] * turn - A[0, 1] * stretch
-    return np.stack([turning, entry[:, 6], entry[:, 7]], axis=1)
+        return np.stack([scale_cos, scale_sin, entry[:, 6], entry[:, 7]], axis=1)
+    rotated = A[0, 0] * scale_sin - A[0, 1] * scale_cos
+    return np.stack([rotated, entry[:, 6], entry[:, 7]], axis=1)
 
 
 def _refine_homography(A: FloatArray, lidar: FloatArray, depth: FloatArray) -> FloatArray:

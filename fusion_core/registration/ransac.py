@@ -8,7 +8,7 @@ L̂     ``lidar_points_m``: W points (x, z) of the LiDAR curve behind the offset
 D     ``depth_points_m``: W points (x, z) of the depth row v
 A     ``Registration.A``: (3, 3), row vectors, ``L̂ A = D`` (5); ``A_inverse`` is for (7)
 n     ``sample_size``: pairs in a draw
-α, β  numbers of good pairs and of noise pairs, W = α + β: ``inliers`` tells them apart
+α, β  numbers of good pairs and of noise pairs, W = α + β: ``inliers`` separates them
 c     inlier ratio, α / (α + β)
 E     ``mean_error_m``: mean ``||L̂ A - D||`` over the pairs valid on both sides (§3.2.2)
 ε     the threshold of (6) on ``residual_m``: denoising applies it, after the fact.

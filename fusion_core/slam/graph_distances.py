@@ -1,7 +1,7 @@
-"""Path lengths along the pose graph from a key scan to each submap: what drift grows with.
+"""Path lengths along the pose graph from a key scan to each submap, with which drift grows.
 
-The graph's nodes here are submaps, in the order of their first key scan. One is connected with the
-next by the trajectory between them, and two that a loop joins by hardly any length.
+The nodes of this graph are submaps, in the order of their first key scan. Each is connected with
+the next by the length of the trajectory between them, and the two of a loop by a short edge.
 """
 
 import numpy as np
@@ -13,13 +13,13 @@ from fusion_core.slam.identifiers import NodeId, SubmapId
 from fusion_core.slam.local_trajectory import LocalTrajectory
 from fusion_core.slam.tracking_losses import TrackingLosses
 
-# Stands for a motion of which nothing is known: longer than any trajectory.
+# Length of a tracking loss with unknown motion: longer than any trajectory.
 LOSS_DISTANCE_M = 1e5
-# A tracking loss that odometry bridges counts as so much path: its search is wide. Empirical.
+# Length of a tracking loss that odometry bridges, so that its search is wide. Empirical.
 BRIDGED_LOSS_DISTANCE_M = 80.0
-# A loop is not exact: it counts as so much path. Empirical.
+# Length of a loop, since its match is not exact. Empirical.
 _LOOP_DISTANCE_M = 1.0
-# A zero would be no edge to the sparse graph.
+# An entry of zero would be no edge in the sparse matrix.
 _DISTANCE_MIN_M = 1e-3
 
 
@@ -69,7 +69,7 @@ class GraphDistances:
         return SubmapId(int(np.searchsorted(self._first, node, side="right")) - 1)
 
     def _adjacency(self) -> csr_array:
-        """(S, S) the length between each two that are connected, the upper triangle alone."""
+        """(S, S) edge lengths, in the upper triangle only."""
         chain_m = np.maximum(np.diff(self._path_m[self._first]), _DISTANCE_MIN_M)
         shortest = dict(self._loops_m)
         for number, length_m in enumerate(chain_m.tolist()):

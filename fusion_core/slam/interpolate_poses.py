@@ -23,5 +23,5 @@ def interpolate_poses(
         for node in (before, after)
     )
     span = np.maximum(key[after] - key[before], 1)
-    share = np.clip((number - key[before]) / span, 0.0, 1.0)
-    return interpolate_pose(by_before, by_after, share)
+    fraction = np.clip((number - key[before]) / span, 0.0, 1.0)
+    return interpolate_pose(by_before, by_after, fraction)

@@ -68,7 +68,7 @@ def refine(
     total = settings.rounds * taken.size
     done = 0
     for _ in range(settings.rounds):
-        # All from the poses of the round before: the squares' order must not matter.
+        # Use the poses of the round before, so that the order of the squares does not matter.
         before = poses.copy()
         for inside, about in _squares(before[taken, :2], submaps.max_range_m):
             cells = _map_of(before, key_points_m, taken[about], submaps)
@@ -100,7 +100,7 @@ def _squares(places_m: FloatArray, max_range_m: float) -> Iterator[tuple[IntArra
         is_inside = (squares == square).all(axis=1)
         offset_m = places_m - (low_m + square * _SQUARE_M)
         is_about = ((offset_m >= -max_range_m) & (offset_m < _SQUARE_M + max_range_m)).all(axis=1)
-        # By rounding, a place may seem to lie a little outside of its own square.
+        # Rounding may put a position slightly outside its own square.
         yield np.flatnonzero(is_inside), np.flatnonzero(is_about | is_inside)
 
 

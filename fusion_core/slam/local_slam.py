@@ -1,9 +1,9 @@
 """Local SLAM: each scan is matched with the submap that its predecessors built.
 
 After Hess et al. 2016, "Real-time loop closure in 2D LIDAR SLAM", section IV. Poses are in the
-*local* frame, whose error grows slowly with the path; loops are closed in the pose graph. Each step
-of ``LocalSlam.add_scan`` has its details in a file of its own: ``scan_points``, ``prediction`` (and
-``odometry_noise``), ``scan_to_grid``, ``tracking`` (and ``observability``), ``submaps``.
+*local* frame, whose error grows slowly with the path; loops are closed in the pose graph. The
+steps of ``LocalSlam.add_scan`` are in separate files: ``scan_points``, ``prediction`` (with
+``odometry_noise``), ``scan_to_grid``, ``tracking`` (with ``observability``), ``submaps``.
 """
 
 from collections import deque
@@ -32,28 +32,33 @@ from fusion_core.slam.submaps import ActiveSubmaps, SubmapSettings
 from fusion_core.slam.tracking import TrackingMonitor, TrackingState
 
 # The prior's weight in the correlative search, per metre and per radian. With less, a scan that
-# sees the end of a corridor for the first time is drawn back by a cell. Constant velocity is no
-# measurement: a quarter of it. Empirical.
+# sees the end of a corridor for the first time is pulled back by a cell. Constant velocity, which
+# is no measurement, has a quarter of the weight. Empirical.
 _ODOMETRY_WEIGHT, _VELOCITY_WEIGHT = (5.0, 1.0), (1.25, 0.25)
 # The search's size as a multiple of the settings': without odometry, and after a mismatch.
 _VELOCITY_SEARCH, _RELOCALISATION_SEARCH = 2.0, 4.0
-# A match without odometry replaces one with it if its occupancy is so much higher, and so high:
-# among leaves or behind glass every pose fits a little. Half of it where odometry was refuted.
-# Empirical; tests/benchmarks/bench_faults.py shows the effect.
+# A match without odometry replaces one with it if its occupancy is higher by the gain (half of it
+# where odometry was refuted) and above the second value: among leaves or behind glass every pose
+# fits a little. Empirical; tests/benchmarks/bench_faults.py shows the effect.
 _OCCUPANCY_GAIN_MIN, _OCCUPANCY_SURE = 0.1, 0.5
-# A contradiction is judged by the mean of so many matches before it; empirical.
+# Number of matches whose mean occupancy a scan is compared with; empirical.
 _RECENT_MATCHES = 4
 
 
 class LocalSlamSettings(StageSettings):
     """Matching scans with submaps."""
 
-    key_distance_m: float = setting(
-        0.2, "Distance between two key scans", unit="m", ge=1e-6, le=5.0, formerly="key_step_m"
+    keyframe_distance_m: float = setting(
+        0.2,
+        "Distance at which a new key scan is taken",
+        unit="m",
+        ge=1e-6,
+        le=5.0,
+        formerly="key_step_m",
     )
-    key_rotation_rad: float = setting(
+    keyframe_rotation_rad: float = setting(
         0.0873,
-        "Rotation between two key scans",
+        "Rotation at which a new key scan is taken",
         unit="rad",
         ge=1e-6,
         le=3.1416,
@@ -117,7 +122,7 @@ class LocalSlamSettings(StageSettings):
     )
     contradictions_max: int = setting(
         12,
-        "So many scans that contradict the map begin a new segment",
+        "Consecutive scans that contradict the map after which a new segment begins",
         unit="scans",
         ge=1,
         le=1000,
@@ -151,7 +156,7 @@ class LocalSlam:
             np.array([settings.speed_max_m_s, settings.speed_max_rad_s]),
         )
         self._tracking = TrackingMonitor(settings.uncertainty_max_m, settings.contradictions_max)
-        self._submaps = ActiveSubmaps(submaps, settings.key_distance_m)
+        self._submaps = ActiveSubmaps(submaps, settings.keyframe_distance_m)
         self._recent_occupancy: deque[float] = deque(maxlen=_RECENT_MATCHES)
         # Of each scan.
         self._stamps_ns: list[int] = []
@@ -181,8 +186,8 @@ class LocalSlam:
         # Match with the older growing submap: correlative search, then eq. CS (IV.C).
         match = self._match(points_m, prediction)
 
-        # Judge: what determines the pose, the match or the prediction.
-        tracked = self._judge(points_m, prediction, match)
+        # Decide whether the match or the prediction determines the pose.
+        tracked = self._update_tracking(points_m, prediction, match)
 
         # Insert into both growing submaps, if the scan has moved far enough (IV.B).
         self._insert(tracked)
@@ -214,7 +219,7 @@ class LocalSlam:
             return self._check_for_slip(grid, points_m, prediction, match)
         return match
 
-    def _judge(
+    def _update_tracking(
         self, points_m: FloatArray, prediction: Prediction, match: GridMatch | None
     ) -> TrackedScan:
         """The scan's tracking state, and the pose that follows from it."""
@@ -229,7 +234,7 @@ class LocalSlam:
             )
             fits, pose = not self._poses and points_m.size > 0, prediction.pose
             return self._tracked(pose, points_m, state, fits=fits)
-        # NaN, where recent scans hardly fitted themselves, compares false.
+        # False if the recent occupancy is NaN: those scans hardly fitted themselves.
         is_contradiction = match.occupancy < settings.occupancy_ratio_min * self._occupancy_before()
         fits = match.occupancy >= settings.occupancy_min
         if fits and not is_contradiction:
@@ -284,8 +289,8 @@ class LocalSlam:
             return bool(tracked.points_m.shape[0] >= POINTS_MIN)
         step = relative_pose(self._poses[self._key_scans[-1]], tracked.pose_local_scan)
         return bool(
-            np.hypot(step[0], step[1]) > self._settings.key_distance_m
-            or abs(step[2]) > self._settings.key_rotation_rad
+            np.hypot(step[0], step[1]) > self._settings.keyframe_distance_m
+            or abs(step[2]) > self._settings.keyframe_rotation_rad
         )
 
     def _relocalise(
@@ -322,7 +327,7 @@ class LocalSlam:
         start: FloatArray,
         factor: float = _VELOCITY_SEARCH,
     ) -> GridMatch:
-        """A match whose prior is not measured."""
+        """A match with the constant-velocity prior."""
         search = self._search(factor, _VELOCITY_WEIGHT)
         return self._match_near(grid, points_m, start, self._velocity_sigma, search)
 
@@ -367,13 +372,13 @@ class LocalSlam:
         return np.array(self._stamps_ns, dtype=np.int64), np.array(self._poses).reshape(-1, 3)
 
     def drop_map(self) -> None:
-        """Forget finished submaps and key scans' points, which only loop closure needs."""
+        """Delete finished submaps and key scans' points, which only loop closure needs."""
         self._submaps.finished.clear()
         if self._node_points_m:
             self._node_points_m[-1] = np.empty((0, 2))
 
     def finish(self) -> LocalTrajectory:
-        """All that was found; the growing submaps end with the last key scan.
+        """The trajectory of all scans; the growing submaps end with the last key scan.
 
         Raises ValueError where no scan was added.
         """

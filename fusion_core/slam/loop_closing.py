@@ -28,8 +28,8 @@ from fusion_core.slam.pose_graph import (
 )
 from fusion_core.slam.tracking_losses import TrackingLosses
 
-# The graph is optimised again when it has grown by this fraction and so many key scans, so that
-# the work stays linear in its size.
+# The graph is optimised again when it has grown by this fraction and by this number of key scans,
+# so that the work stays linear in its size. Set by hand.
 _GROWTH_MIN = 0.3
 _KEY_SCANS_MIN = 100
 # Relative error tolerance of the optimiser, during the search and at the end.
@@ -37,7 +37,7 @@ _TOLERANCE_SEARCH, _TOLERANCE_FINAL = 1e-2, 1e-4
 # The search for a confirming match, and how near to the predicted place it must lie; empirical.
 _CONFIRMING_WINDOW = LoopWindow(1.5, 0.15)
 _CONFIRMS_WITHIN_M = 0.4
-# So many matches confirm a loop, the second across a tracking loss.
+# Matches needed to confirm a loop, and across a tracking loss. Empirical.
 _CONFIRMING_MIN, _CONFIRMING_MIN_LOSS = 2, 3
 
 OptimisationObserver = Callable[[str, FloatArray, list[Edge]], None]
@@ -93,11 +93,11 @@ class _LoopClosure:
         steps: list[Edge],
         loop_settings: LoopSettings,
         graph_settings: GraphSettings,
-        solved: OptimisationObserver,
+        observer: OptimisationObserver,
     ) -> None:
         self._local, self.steps = local, list(steps)
         self._loop_settings, self._graph_settings = loop_settings, graph_settings
-        self._report = solved
+        self._report = observer
         self.search = LoopSearch(local, loop_settings)
         self.loops: list[Edge] = []
         self.poses = local.poses_local_node.copy()
@@ -161,7 +161,7 @@ class _LoopClosure:
             self._compare_with_odometry(edge, submap)
             self._add_loop(edge, submap)
             for other, other_submap in confirming:
-                # Loops to nodes that are not reached yet are found again there.
+                # Loops to later nodes are found again when the search reaches them.
                 if other.second <= node:
                     self._add_loop(other, other_submap)
             is_far = True
@@ -220,7 +220,7 @@ class _LoopClosure:
         return self.losses.connected_by(self.loops)
 
     def _extend_poses(self, node: int) -> None:
-        """Give the nodes up to this one a pose, by local SLAM from the last one that has."""
+        """Dead-reckon the nodes up to this one by local SLAM, from the last one with a pose."""
         if node <= self._last_posed:
             return
         local = self._local.poses_local_node
@@ -245,7 +245,7 @@ class _LoopClosure:
         self._report(stage, self.poses[:end], reached)
 
     def _initial_poses(self, end: int, reached: list[Edge]) -> FloatArray:
-        """(end, 3) to start from: a segment that only a loop connects begins where that has it."""
+        """(end, 3) initial poses: a segment that only a loop connects is placed by that loop."""
         poses = self.poses[:end].copy()
         segment = self.losses.unbridged_segments()[:end]
         consistent = self._consistent_loops(reached)

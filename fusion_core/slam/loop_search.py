@@ -6,11 +6,11 @@ a finished submap best (Hess et al. 2016, V.B, eq. BBS), and Gauss-Newton refine
 is as wide as the drift over the path between the two along the graph.
 """
 
-from collections import OrderedDict
 from dataclasses import dataclass
 
 import numpy as np
 
+from fusion_core.model.bounded_cache import BoundedCache
 from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.model.errors import RegistrationFailed
 from fusion_core.model.planar_poses import compose_poses, relative_pose, transform_planar_points
@@ -25,21 +25,22 @@ from fusion_core.slam.scan_to_grid import match_scan
 
 # Between two headings: half a cell at five metres, which Gauss-Newton corrects.
 _HEADING_STEP_RAD = 0.01
-# Levels of branch and bound: blocks of 32 cells at the top, as in a submap's rooms.
+# Levels of branch and bound, set by hand: blocks of 2⁵ = 32 cells at the top.
 _LEVELS = 6
-# Memory: a pyramid takes some megabytes.
+# Memory: a pyramid takes some megabytes. Set by hand.
 _PYRAMIDS_MAX = 48
-# The likelihood about an obstacle ends here: the error of local poses within a window.
+# Truncation distance of the likelihood: the error of local poses within a window. Empirical.
 _TRUNCATION_M = 0.15
-# A minimum of an edge's information, which along a bare wall would be singular: 1 m and 0.5 rad.
+# Added to an edge's information, which along a bare wall would be singular: 1 m and 0.5 rad. Set by
+# hand.
 _INFORMATION_MIN = np.diag([1.0, 1.0, 4.0])
 # Points of a search: the score's sampling error is then a few hundredths.
 _SEARCH_POINTS = 300
 # A window beyond this is wide, and what is found in it must be confirmed. A room's size.
 WIDE_M = 5.0
-# One of so many wide searches distrusts odometry over losses: the robot may be kidnapped.
+# Every n-th wide search ignores odometry over tracking losses: the robot may have been kidnapped.
 _KIDNAPPED_EVERY = 8
-# The others try so many submaps, since no loop has narrowed the choice.
+# Submaps tried in the others, since no loop has narrowed the choice. Empirical.
 _TRIES_OVER_LOSS = 3
 
 
@@ -143,7 +144,7 @@ class LoopSearch:
         self._local, self._settings = local, settings
         self._end = np.array([submap.end for submap in local.submaps])
         self.centre = np.array([(s.first + s.end - 1) // 2 for s in local.submaps])
-        self._pyramids: OrderedDict[int, LikelihoodPyramid | None] = OrderedDict()
+        self._pyramids = BoundedCache[SubmapId, LikelihoodPyramid | None](_PYRAMIDS_MAX)
         # Several submaps are tried with one local window.
         self._window_points: tuple[NodeId, FloatArray] | None = None
         # The node from which each submap was last searched near the estimate.
@@ -151,7 +152,7 @@ class LoopSearch:
         self.tried = 0
 
     def window(self, distance_m: float, *, is_across_bridged_loss: bool = False) -> LoopWindow:
-        """What to search over a path along the graph; infinite where the two are not connected."""
+        """The window for a path length, which is infinite where the two are not connected."""
         settings = self._settings
         # Zero times an infinite length would be NaN.
         grown_m = min(distance_m, 1e6)
@@ -186,8 +187,8 @@ class LoopSearch:
         ``centres_m``: (S, 2) of the submaps in the map; ``place_m``: (2,) of the node;
         ``distances_m``: (S,) from it to each along the graph; ``is_connected``: (S,) whether loops
         or confirmed odometry connect them. A submap near the estimate is tried with local windows
-        that share no key scan, since their matches would not be independent. Wide windows are
-        searched every other time, one submap after the other.
+        that have no key scan in common, since their matches would not be independent. Wide windows
+        are searched every other time, one submap after the other.
         """
         settings = self._settings
         before = self.submaps_before(node)
@@ -345,21 +346,17 @@ class LoopSearch:
         return self._window_points[1]
 
     def _pyramid(self, number: SubmapId) -> LikelihoodPyramid | None:
-        if number in self._pyramids:
-            self._pyramids.move_to_end(number)
-            return self._pyramids[number]
+        return self._pyramids.get_or_compute(number, lambda: self._make_pyramid(number))
+
+    def _make_pyramid(self, number: SubmapId) -> LikelihoodPyramid | None:
+        """None for a submap without obstacles."""
         submap = self._local.submaps[number]
         obstacles_m = submap.obstacles_m()
-        self._pyramids[number] = (
-            make_likelihood_pyramid(
-                obstacles_m,
-                resolution_m=submap.grid.resolution_m,
-                truncation_m=_TRUNCATION_M,
-                levels=_LEVELS,
-            )
-            if obstacles_m.size
-            else None
+        if not obstacles_m.size:
+            return None
+        return make_likelihood_pyramid(
+            obstacles_m,
+            resolution_m=submap.grid.resolution_m,
+            truncation_m=_TRUNCATION_M,
+            levels=_LEVELS,
         )
-        if len(self._pyramids) > _PYRAMIDS_MAX:
-            self._pyramids.popitem(last=False)
-        return self._pyramids[number]

@@ -6,8 +6,8 @@ from fusion_core.model.conventions import FloatArray
 from fusion_core.model.planar_poses import transform_planar_points
 from fusion_core.slam.scan_to_grid import ProbabilityGrid
 
-# A pose so far away in one of so many directions must score less than this fraction of the match.
-# Empirical: 0.3 m is beyond the blur of a wall in a submap of 5 cm cells.
+# Poses at this distance from the match, in this number of directions, must score less than this
+# fraction of it. Empirical: 0.3 m is beyond the blur of a wall in a submap of 5 cm cells.
 _OFFSET_M, _DIRECTIONS, _SCORE_RATIO_MAX = 0.3, 16, 0.9
 
 

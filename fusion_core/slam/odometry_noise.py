@@ -1,9 +1,9 @@
 """Odometry's noise model, learned while the robot drives.
 
-The wheels of one robot turn it by a tenth of a degree too far, those of another by ten degrees, so
-that no fixed value suits both. The standard deviation of a step is taken to be proportional to the
-step (Thrun, Burgard, Fox 2005, 5.4), by a factor for translation and one for rotation, which are
-estimated from the differences between odometry and scan matching.
+Odometry errors differ between robots by orders of magnitude, so that no fixed value suits all. The
+standard deviation of a step is taken to be proportional to the step (Thrun, Burgard, Fox 2005,
+5.4), by a factor for translation and one for rotation, which are estimated from the differences
+between odometry and scan matching.
 """
 
 import numpy as np
@@ -13,13 +13,13 @@ from fusion_core.model.planar_poses import compose_poses, relative_pose
 
 # The size of a step in metres and in radians, of its distance in metres, its rotation in radians
 # and a constant: wheels slip when they start, a straight step turns a little, and a rotation on the
-# spot moves a little. As the α of Thrun et al. 2005, table 5.6; empirical for indoor robots.
+# spot moves a little. They correspond to the α of Thrun et al. 2005, 5.4; set by hand.
 _SIZE_M, _SIZE_RAD = (1.0, 0.05, 0.02), (0.15, 1.0, 0.005)
 # Errors of successive steps are correlated (wheels of two sizes, a late stamp), so that the
-# differences are summed over so many steps.
+# differences are summed over a window of steps. Empirical.
 _WINDOW_STEPS = 10
-# The initial factors count as so many windows, and all that is learned as no more than so many,
-# since the floor may change. Empirical.
+# Weight of the initial factors, in windows, and the most windows of the running mean, since the
+# floor may change. Empirical.
 _WINDOWS_INITIAL, _WINDOWS_MAX = 2.0, 30.0
 # In standard deviations: the usual bound beyond which a difference is a slip or a false match.
 _OUTLIER_SIGMAS = 3.0
@@ -95,7 +95,7 @@ class OdometryNoiseModel:
         self.discard_window()
 
     def discard_window(self) -> None:
-        """Begin the sums anew, as after a scan that was not matched."""
+        """Reset the sums, as after a scan that was not matched."""
         self._sum_by_odometry, self._sum_by_scans = np.zeros(3), np.zeros(3)
         self._squared_sizes, self._gains, self._steps = np.zeros(2), np.zeros(3), 0
 

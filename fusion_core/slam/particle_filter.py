@@ -25,7 +25,7 @@ from fusion_core.slam.trajectory_tree import TrajectoryTree
 
 # Cells about a scan: bicubic interpolation reads two to either side, and a match moves by a few.
 _MARGIN_CELLS = 4
-# Where scan matching was lost the motion model is wide, and so is the search: 95 % of it.
+# Where scan matching failed the motion model is wide, and so is the search: 95 % of its poses.
 _SEARCH_SIGMAS = 2.0
 # In the lattice search, per metre and radian. Little: the motion model decides afterwards.
 _PRIOR_WEIGHT = (1.0, 1.0)

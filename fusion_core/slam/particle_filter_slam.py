@@ -1,8 +1,8 @@
 """GMapping: SLAM with a Rao-Blackwellised particle filter (Grisetti, Stachniss, Burgard 2007).
 
-Odometry is improved by scan matching first, alike for all particles (local_slam.py). After each
-step of some length, the filter is updated by the scan (particle_filter.py, algorithm 1). Where a
-loop closes, the particles whose map is consistent outweigh the others.
+Odometry is first improved by scan matching, once for all particles (local_slam.py). After each
+step of ``step_m`` or ``step_rad``, the filter is updated by the scan (particle_filter.py, algorithm
+1). Where a loop closes, the particles whose map is consistent outweigh the others.
 
     result = particle_filter_slam(scans, odometry.at, ParticleSettings())
     result.poses_map_scan, result.effective, result.trusted
@@ -93,7 +93,7 @@ def particle_filter_slam(
     for scan in scans:
         run.add_scan(scan, None if prior is None else prior(scan.stamp_ns))
         progress(len(run.stamps_ns), None, "weighing particles")
-        # A view has the whole trajectory so far: it is not made where nobody observes.
+        # A view copies the whole trajectory, so none is made without an observer.
         if run.is_view_due and observer is not no_observer:
             observer(run.view())
     result = run.finish()

@@ -1,4 +1,4 @@
-"""The maps of all particles: tiles of cells that are shared until one is changed (copy on write).
+"""The maps of all particles, in tiles that are shared until one is changed (copy on write).
 
 A particle's map is a table of tile numbers; the tiles lie in one pool. Particles that resampling
 has made of one parent refer to the same tiles, and a tile is copied when one of them changes it.
@@ -21,14 +21,14 @@ from fusion_core.model.conventions import ByteArray, FloatArray, IntArray, read_
 from fusion_core.model.errors import MappingFailed
 from fusion_core.slam.submaps import SubmapSettings
 
-# Cells on a side: 4 kB, a page of memory.
+# Cells on a side, set by hand: a tile is 4 kB, cheap to copy, and tables stay short.
 TILE = 64
-# 1 GB, a share of the memory of a small computer.
+# 1 GB, set by hand for a small computer.
 _TILES_MAX = 2**30 // TILE**2
 # The encoding of a cell in a byte.
 UNKNOWN, _LOWEST, _EVEN_ODDS, _HIGHEST = 0, 1, 128, 255
-# A step is such that the highest byte is the highest probability of a submap; a hit and a pass are
-# those of a submap in whole steps.
+# The log odds of one step: the highest byte is the highest probability of a submap. A hit and a
+# pass are those of a submap, rounded to whole steps.
 _DEFAULTS = SubmapSettings()
 _STEP = log_odds(_DEFAULTS.p_limit) / (_HIGHEST - _EVEN_ODDS)
 _HIT, _MISS = (round(log_odds(p) / _STEP) for p in (_DEFAULTS.p_hit, _DEFAULTS.p_miss))

@@ -16,7 +16,7 @@ from fusion_core.slam.identifiers import NodeId
 
 # Fixes the first pose, the map's origin, but for rounding.
 _ANCHOR_SIGMA = 1e-6
-# Of a step of which nothing is known: wider than any place, yet the optimum stays unique.
+# Of an unknown step, in metres and radians: larger than most places, yet the optimum stays unique.
 UNKNOWN_STEP_SIGMAS = (100.0, 100.0, 10.0)
 
 
@@ -45,7 +45,7 @@ class Edge:
     """A measured relation between two key scans.
 
     ``pose_first_second``: (3,). ``information``: (3, 3) of its x, y, yaw in the second's axes.
-    ``is_loop``: the two were matched across time, so that the relation may be wrong altogether.
+    ``is_loop``: a loop closure, which may be a false match.
     """
 
     first: NodeId

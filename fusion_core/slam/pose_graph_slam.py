@@ -2,7 +2,7 @@
 
 After Hess et al. 2016, "Real-time loop closure in 2D LIDAR SLAM", for whole recordings: loops are
 searched along the trajectory, with the poses that the loops before have given. ``pose_graph_slam``
-is the whole; each of its steps has a file of its own.
+runs all steps; each is in a separate file.
 
     result = pose_graph_slam(scans, odometry.at, SlamSettings())
     result.poses_map_scan, result.graph, result.trusted

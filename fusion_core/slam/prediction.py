@@ -1,4 +1,4 @@
-"""Where a scan is expected: by odometry where it is known, else by constant velocity."""
+"""Pose prediction for each scan: by odometry where it is known, else by constant velocity."""
 
 from dataclasses import dataclass
 
@@ -8,10 +8,11 @@ from fusion_core.model.conventions import FloatArray
 from fusion_core.model.planar_poses import compose_poses, relative_pose
 from fusion_core.slam.odometry_noise import OdometryNoiseModel
 
-# Without odometry, a robot is taken to move by up to this fraction of its highest speed.
+# Without odometry, a robot is taken to move by up to this fraction of its highest speed; set by
+# hand.
 _USUAL_SPEED_FRACTION = 1.0 / 3.0
-# How late a stamp may be, as a divisor of a second: a frame of a 30 Hz clock.
-_STAMPS_PER_S = 30.0
+# A stamp may be off by one period of this rate; set by hand.
+_STAMP_RATE_HZ = 30.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -89,7 +90,7 @@ class PosePredictor:
     def update(
         self, stamp_ns: int, pose_local_scan: FloatArray, pose_odom_scan: FloatArray | None
     ) -> None:
-        """Take in where the scan was placed, and where odometry has it."""
+        """Add a placed scan: its pose, and its pose by odometry."""
         self._stamps_ns = [*self._stamps_ns[-1:], stamp_ns]
         self._poses = [*self._poses[-1:], pose_local_scan]
         self._pose_odom_last = pose_odom_scan
@@ -106,6 +107,6 @@ class PosePredictor:
         """Whether the robot can have moved so far in the time: odometry that is reset jumps."""
         m_s, rad_s = self._speed_max.tolist()
         return bool(
-            np.hypot(step[0], step[1]) < m_s / _STAMPS_PER_S + m_s * since_s
-            and abs(step[2]) < rad_s / _STAMPS_PER_S + rad_s * since_s
+            np.hypot(step[0], step[1]) < m_s / _STAMP_RATE_HZ + m_s * since_s
+            and abs(step[2]) < rad_s / _STAMP_RATE_HZ + rad_s * since_s
         )

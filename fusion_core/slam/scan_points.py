@@ -5,8 +5,9 @@ import numpy as np
 from fusion_core.model.conventions import FloatArray, wrap_angle
 from fusion_core.model.sensors import LaserScan
 
-# Two neighbours are on one wall unless the beams would meet it at less than 20 degrees (1 / tan),
-# or a beam or more is missing between them: the widest increment of common LiDARs is 1 degree.
+# Two neighbours are taken as one wall if the beams meet it at more than 18 degrees (1 / tan) and
+# the angle between them is small: at most one missing beam at an increment of 1 degree. Set by
+# hand.
 _SLANT_MAX = 3.0
 _BEAM_GAP_MAX_RAD = np.radians(2.5)
 
@@ -22,9 +23,9 @@ def scan_points(scan: LaserScan, max_range_m: float, beams_max: int) -> FloatArr
 
 
 def densified_points(points_m: FloatArray, resolution_m: float) -> FloatArray:
-    """(n', 2) the points and, at most ``resolution_m`` apart, others between neighbours on a wall.
+    """(n', 2) the points and, at steps of at most ``resolution_m``, others between them on walls.
 
-    Without them a wall is a row of dots, to which the next scan's points would be attracted.
+    Without them a wall is a row of dots that attracts the next scan's points.
     """
     if points_m.shape[0] < 2:
         return points_m
@@ -38,6 +39,6 @@ def densified_points(points_m: FloatArray, resolution_m: float) -> FloatArray:
     pieces = np.ceil(gap_m / resolution_m).astype(np.int64)
     pieces[~is_wall] = 1
     first = np.repeat(np.arange(pieces.size), pieces)
-    part = np.arange(first.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    between = points_m[first] + (part / pieces[first])[:, np.newaxis] * step_m[first]
+    number = np.arange(first.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    between = points_m[first] + (number / pieces[first])[:, np.newaxis] * step_m[first]
     return np.concatenate([between, points_m[-1:]])

@@ -46,8 +46,8 @@ class SubmapSettings(StageSettings):
 
 
 def check_grid_size(max_range_m: float, resolution_m: float) -> None:
-    """Raises ValueError where a scan reaches over more cells than a grid may be large."""
-    # A hundredth of a cell: what rounding adds to a whole number of them is none.
+    """Raises ValueError where the range spans more cells than a grid may have."""
+    # A tolerance of a hundredth of a cell, for rounding.
     if max_range_m / resolution_m > _RANGE_CELLS_MAX + 0.01:
         raise ValueError(
             f"max_range_m = {max_range_m:g} over resolution_m = {resolution_m:g} is "
@@ -78,7 +78,7 @@ class Submap:
 
 
 class GrowingSubmap:
-    """A submap to which scans are added; its grid grows with what they reach."""
+    """A submap to which scans are added; its grid grows with them."""
 
     def __init__(
         self, centre_m: FloatArray, first: NodeId, travel_m: float, settings: SubmapSettings
@@ -131,7 +131,7 @@ class GrowingSubmap:
         )
 
     def finish(self, end: NodeId) -> Submap:
-        """Cut to the cells that some scan reached."""
+        """Crop the grid to the cells that some scan updated."""
         reached = self._log_odds.reached
         if reached is None:
             # No scan had a point: a submap of one free cell, which matches nothing.
@@ -151,7 +151,7 @@ class GrowingSubmap:
         return within
 
     def _reserve(self, scan: CellBounds) -> None:
-        """Have room for a scan's cells, in the log odds and in the probabilities."""
+        """Make log odds and probabilities cover a scan's cells."""
         reached, bounds = self._log_odds.reached, self._log_odds.bounds
         if not self._log_odds.reserve(scan):
             return
@@ -164,10 +164,10 @@ class GrowingSubmap:
 class ActiveSubmaps:
     """The growing submaps, the older one of which scans are matched with, and the finished ones."""
 
-    def __init__(self, settings: SubmapSettings, key_distance_m: float) -> None:
+    def __init__(self, settings: SubmapSettings, keyframe_distance_m: float) -> None:
         self._settings = settings
-        # Half as much again as key scans can be apart by distance: others are made by rotation.
-        self._travel_m = 1.5 * settings.key_scans * key_distance_m
+        # A margin of one half: key scans taken for their rotation add distance, too. Set by hand.
+        self._travel_m = 1.5 * settings.key_scans * keyframe_distance_m
         self._growing: list[GrowingSubmap] = []
         self.finished: list[Submap] = []
 

@@ -1,9 +1,9 @@
 """The tracking state: what determines each scan's pose in local SLAM.
 
-A scan that fits its submap in one place alone is tracked. One that fits anywhere along a corridor
+A scan that fits its submap at a single pose is tracked. One that fits anywhere along a corridor
 needs odometry to be placed along it. One that does not fit, or has no points, is dead-reckoned,
 and its uncertainty grows. When the uncertainty is too large, or scan after scan contradicts the
-map, tracking is lost: a new segment of the trajectory begins, with submaps of its own, until a loop
+map, tracking is lost: a new segment of the trajectory begins, with new submaps, until a loop
 closure connects it with the others.
 """
 
@@ -15,8 +15,8 @@ from fusion_core.model.conventions import FloatArray
 
 # Fewer scans in a row without a match do not end a segment: the next may fit again. Empirical.
 _MISMATCHES_MIN = 3
-# Without any points, the next scan with points may find its place again within a wider search, so
-# that so many times the uncertainty is allowed. Empirical.
+# Without any points the uncertainty may grow this many times larger, since the next scan with
+# points is matched in a wider search. Empirical.
 _BLIND_FACTOR = 3.0
 
 
@@ -24,7 +24,7 @@ class TrackingState(Enum):
     """What determines a scan's pose.
 
     ``INITIALISING``: there is no submap yet, the scan begins one. ``TRACKING``: it fits its submap
-    in one place alone. ``UNCONSTRAINED``: it fits, but not in one place alone. ``DEAD_RECKONING``:
+    at a single pose. ``UNCONSTRAINED``: it fits, but not at a single pose. ``DEAD_RECKONING``:
     it fits badly or has no points; odometry or constant velocity has brought it here.
     ``CONTRADICTED``: unlike the scans just before, it does not fit, so that it is not inserted.
     ``LOST``: the uncertainty was too large, and no scan has been tracked since.
@@ -72,7 +72,7 @@ class TrackingMonitor:
     def on_match(
         self, uncertainty: FloatArray, *, is_well_constrained: bool, has_odometry: bool
     ) -> TrackingState:
-        """The scan fits its submap; ``is_well_constrained``: in one place alone."""
+        """The scan fits its submap; ``is_well_constrained``: at a single pose."""
         self._contradictions = self.mismatches = 0
         if is_well_constrained:
             self._uncertainty[:] = 0.0

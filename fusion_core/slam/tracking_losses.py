@@ -1,8 +1,8 @@
 """Tracking losses: which segments of a trajectory are connected, by loops or by odometry.
 
-Where odometry bridges a tracking loss, that it is right is a hypothesis: scans that contradict the
-map may be of a ramp, or of another room to which the robot was carried. A loop that is found where
-odometry predicts the place confirms all losses between its ends; one found elsewhere refutes them.
+Odometry that bridges a tracking loss is a hypothesis: scans that contradict the map may be of a
+ramp, or of another room to which the robot was moved. A loop that is found where odometry
+predicts it confirms the odometry over all losses between its ends; one found elsewhere refutes it.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from fusion_core.model.conventions import BoolArray, IntArray
 from fusion_core.slam.local_trajectory import LocalTrajectory
 from fusion_core.slam.pose_graph import Edge
 
-# A shorter segment may be of false scans, as of the floor on a ramp. Empirical.
+# A shorter segment may consist of false scans, such as the floor on a ramp. Empirical.
 _SEGMENT_KEY_SCANS_MIN = 10
 
 

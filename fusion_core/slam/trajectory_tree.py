@@ -1,14 +1,14 @@
-"""The trajectories of all particles as a tree: what all have in common is kept once.
+"""The trajectories of all particles as a tree, in which common ancestors are stored once.
 
-Resampling makes the particles of today descendants of few of yesterday. Their trajectories soon
-merge, backwards in time, and what lies before that is kept once and not for each particle.
+After resampling, the particles descend from a few earlier ones: backwards in time, their
+trajectories soon merge, and the common beginning is stored once instead of for each particle.
 """
 
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, IntArray
 
-# Steps between two searches for what has become common: a small part of the work.
+# Steps between two searches for common ancestors, set by hand: a small part of the work.
 _MERGE_EVERY = 64
 
 
@@ -25,7 +25,7 @@ class TrajectoryTree:
 
     @property
     def branching(self) -> int:
-        """Steps that are kept for each particle."""
+        """Steps that are stored for each particle."""
         return len(self._values)
 
     def add(self, values: FloatArray) -> None:
@@ -51,7 +51,7 @@ class TrajectoryTree:
         return np.array(steps).reshape(-1, self._width)
 
     def _merge(self) -> None:
-        """Move the steps that have one ancestor alone to what is common."""
+        """Move the steps with a single ancestor to the common beginning."""
         numbers = np.unique(self._last_parents)
         step = len(self._values)
         while step > 0 and numbers.size > 1:

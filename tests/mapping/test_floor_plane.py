@@ -49,7 +49,7 @@ def test_walls_alone_are_no_floor(pitch):
     assert "lidar_height_m" in caught.value.advice
 
 
-def test_a_camera_carried_by_hand_is_refused():
+def test_a_hand_held_camera_is_refused():
     room = BoxRoom()
     rng = np.random.default_rng(2)
     carried = [

@@ -175,7 +175,7 @@ def test_a_wild_pose_is_refused_and_the_map_stays(x_m: float) -> None:
     builder.add_scan(np.zeros(3), *scan)
 
 
-def test_room_to_grow_does_not_count_as_map() -> None:
+def test_padding_does_not_count_as_map() -> None:
     """A map that just fits is drawn as one with room for more is, however it has grown."""
     scans = random_scans(3, 20)
     free = GridBuilder(SETTINGS)

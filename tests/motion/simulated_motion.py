@@ -55,8 +55,8 @@ def track_of(
     )
 
 
-def step_errors(track: OdometryTrajectory, truth: FloatArray) -> FloatArray:
-    """(N - 1, 3) of a track's steps."""
-    away = track.steps - truth
+def step_errors(trajectory: OdometryTrajectory, truth: FloatArray) -> FloatArray:
+    """(N - 1, 3) of a trajectory's steps."""
+    away = trajectory.steps - truth
     away[:, 2] = wrap_angle(away[:, 2])
     return away

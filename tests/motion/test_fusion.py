@@ -35,9 +35,9 @@ def slipping(factor: float, when: slice) -> OdometryTrajectory:
     return track_of("wheel", steps, WHEEL, seed=0)
 
 
-def way_error_m(track: OdometryTrajectory, when: slice = slice(None)) -> float:
+def way_error_m(trajectory: OdometryTrajectory, when: slice = slice(None)) -> float:
     """Of the way ahead, summed over steps; the noise alone of 300 steps is 2 cm for the laser."""
-    return abs(float(step_errors(track, TRUTH)[when, 0].sum()))
+    return abs(float(step_errors(trajectory, TRUTH)[when, 0].sum()))
 
 
 def rms(fusion: FusedOdometry, truth: FloatArray = TRUTH) -> FloatArray:
@@ -49,17 +49,21 @@ def test_it_is_the_least_squares_mean_of_the_steps() -> None:
     """Against numpy's solver on the stacked and whitened steps, with full covariances."""
     random = np.random.default_rng(5)
     truth = weaving(6)
-    tracks = []
+    trajectories = []
     for name in ("wheel", "laser", "visual"):
         root = random.normal(0.0, 0.01, (3, 3))
         covariance = root @ root.T + 1e-6 * np.eye(3)
-        tracks.append(track_of(name, truth, (0.002,) * 3, seed=len(name), covariance=covariance))
+        trajectories.append(
+            track_of(name, truth, (0.002,) * 3, seed=len(name), covariance=covariance)
+        )
     settings = FusionSettings(gate=1e9, window=1000, sigma_min_m=1e-9, sigma_min_rad=1e-9)
-    fusion = fuse_odometry(tracks, settings)
+    fusion = fuse_odometry(trajectories, settings)
     for k in range(5):
-        roots = [np.linalg.cholesky(np.linalg.inv(t.drift_covariance[k])).T for t in tracks]
+        roots = [np.linalg.cholesky(np.linalg.inv(t.drift_covariance[k])).T for t in trajectories]
         rows = np.concatenate(roots)
-        right = np.concatenate([root @ t.steps[k] for root, t in zip(roots, tracks, strict=True)])
+        right = np.concatenate(
+            [root @ t.steps[k] for root, t in zip(roots, trajectories, strict=True)]
+        )
         expected, *_ = np.linalg.lstsq(rows, right, rcond=None)
         np.testing.assert_allclose(fusion.trajectory.steps[k], expected, atol=1e-6)
         np.testing.assert_allclose(
@@ -71,9 +75,11 @@ def test_it_is_the_least_squares_mean_of_the_steps() -> None:
 
 
 def test_it_is_better_than_each_source_and_knows_how_good_it_is() -> None:
-    tracks = sources()
-    fusion = fuse_odometry(tracks)
-    best = np.min([np.sqrt(np.mean(step_errors(t, TRUTH) ** 2, axis=0)) for t in tracks], axis=0)
+    trajectories = sources()
+    fusion = fuse_odometry(trajectories)
+    best = np.min(
+        [np.sqrt(np.mean(step_errors(t, TRUTH) ** 2, axis=0)) for t in trajectories], axis=0
+    )
     assert (rms(fusion) < best).all()
     said = np.sqrt(
         np.mean(np.diagonal(fusion.trajectory.step_covariance, axis1=1, axis2=2), axis=0)
@@ -83,8 +89,8 @@ def test_it_is_better_than_each_source_and_knows_how_good_it_is() -> None:
 
 
 def test_the_order_of_the_sources_does_not_matter() -> None:
-    tracks = sources(laser=slice(50, 70))
-    one, other = fuse_odometry(tracks), fuse_odometry(tracks[::-1])
+    trajectories = sources(laser=slice(50, 70))
+    one, other = fuse_odometry(trajectories), fuse_odometry(trajectories[::-1])
     np.testing.assert_allclose(
         one.trajectory.poses_odom_lidar, other.trajectory.poses_odom_lidar, atol=1e-9
     )
@@ -93,21 +99,21 @@ def test_the_order_of_the_sources_does_not_matter() -> None:
 
 @pytest.mark.parametrize("factor", [3.0, 0.0])
 @pytest.mark.parametrize("count", [2, 3])
-def test_wheels_that_slip_for_three_seconds_are_not_believed(factor: float, count: int) -> None:
+def test_wheels_that_slip_for_three_seconds_are_rejected(factor: float, count: int) -> None:
     slip = slice(100, 130)
-    tracks = [slipping(factor, slip), *sources()[1:count]]
-    fusion = fuse_odometry(tracks)
+    trajectories = [slipping(factor, slip), *sources()[1:count]]
+    fusion = fuse_odometry(trajectories)
     assert fusion.weights.rejected[slip, 0].mean() > 0.95
     assert fusion.weights.translation[slip, 0].max() < 0.25
     assert fusion.weights.rejected[slip, 1:].mean() < 0.05
     # The wheels alone are off by the slip: 1.2 m and more.
-    assert way_error_m(tracks[0], slip) > 1.0
+    assert way_error_m(trajectories[0], slip) > 1.0
     assert way_error_m(fusion.trajectory, slip) < 0.02
     # Once they grip again they count again.
     assert fusion.weights.translation[180:, 0].mean() > 0.1
 
 
-def test_a_source_that_says_it_is_better_than_it_is_counts_less() -> None:
+def test_an_overconfident_source_counts_less() -> None:
     """A laser that errs by 3 mm and says 1 mm: too little to be refused, and too often."""
     said = np.diag(np.square(LASER))
     boasting = track_of("laser", TRUTH, (0.003, 0.003, 0.003), seed=1, covariance=said)
@@ -134,7 +140,7 @@ def test_a_source_that_drops_out_has_no_weight_and_one_that_is_there_all() -> No
     assert way_error_m(fusion.trajectory) < 0.05
 
 
-def test_where_nothing_measures_it_is_carried_on_and_says_so() -> None:
+def test_unmeasured_steps_repeat_the_velocity_and_are_marked() -> None:
     lost = slice(100, 110)
     fusion = fuse_odometry(sources(wheel=lost, laser=lost, visual=lost))
     np.testing.assert_array_equal(np.flatnonzero(~fusion.trajectory.measured), np.arange(100, 110))
@@ -161,7 +167,7 @@ def test_along_a_corridor_the_wheels_count_and_across_it_the_laser() -> None:
     np.testing.assert_allclose(fusion.weights.translation.mean(axis=0), 0.5, atol=0.01)
 
 
-def test_turns_are_fused_across_the_half_turn() -> None:
+def test_rotations_are_fused_across_pi() -> None:
     steps = np.tile([0.0, 0.0, np.pi - 0.001], (20, 1))
     fusion = fuse_odometry(
         [
@@ -229,7 +235,7 @@ def test_as_published_agreement_keeps_the_gain() -> None:
     np.testing.assert_allclose(fusion.trajectory.steps, TRUTH, atol=1e-9)
 
 
-def test_as_published_the_noise_at_rest_decides_the_first_gain() -> None:
+def test_as_published_the_noise_at_standstill_decides_the_first_gain() -> None:
     """Ten seconds at rest, after some motion, with noise of 2 mm and 1 mm, of which the covariances
     know nothing."""
     steps = TRUTH.copy()
@@ -245,22 +251,22 @@ def test_as_published_the_noise_at_rest_decides_the_first_gain() -> None:
 
 def test_as_published_the_wheels_are_weighed_by_their_residuals() -> None:
     """(9): wheels that slip lose weight, with the delay of the window, and are never rejected."""
-    tracks = [slipping(3.0, slice(100, 130)), *sources()[1:]]
-    fusion = fuse_odometry(tracks, PUBLISHED)
+    trajectories = [slipping(3.0, slice(100, 130)), *sources()[1:]]
+    fusion = fuse_odometry(trajectories, PUBLISHED)
     weights = fusion.weights
     # Half of the share is that of the way aside, where they do not slip.
     before = weights.translation[60:100, 0].mean()
     assert weights.translation[110:130, 0].mean() < before - 0.2
     assert not weights.rejected.any()
     np.testing.assert_allclose(weights.translation.sum(axis=1), 1.0)
-    assert way_error_m(fusion.trajectory) < 0.3 * way_error_m(tracks[0])
+    assert way_error_m(fusion.trajectory) < 0.3 * way_error_m(trajectories[0])
 
 
 @pytest.mark.parametrize("settings", [FusionSettings(), PUBLISHED], ids=["covariance", "published"])
-def test_shares_sum_to_one_with_any_dropouts(settings: FusionSettings) -> None:
-    tracks = sources(wheel=slice(0, 90), laser=slice(60, 150), visual=slice(140, 301))
-    fusion = fuse_odometry(tracks, settings)
-    there = np.stack([t.measured for t in tracks], axis=1).any(axis=1)
+def test_weights_sum_to_one_with_any_dropouts(settings: FusionSettings) -> None:
+    trajectories = sources(wheel=slice(0, 90), laser=slice(60, 150), visual=slice(140, 301))
+    fusion = fuse_odometry(trajectories, settings)
+    there = np.stack([t.measured for t in trajectories], axis=1).any(axis=1)
     for shares in (fusion.weights.translation, fusion.weights.rotation):
         np.testing.assert_allclose(shares[there].sum(axis=1), 1.0)
         np.testing.assert_array_equal(shares[~there], 0.0)

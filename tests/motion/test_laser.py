@@ -53,11 +53,11 @@ def room() -> list[LaserScan]:
 
 
 def test_it_follows_a_path_of_five_metres(room: list[LaserScan]) -> None:
-    track = laser_odometry(room)
-    assert track.measured.all()
-    assert track.notes == ()
+    trajectory = laser_odometry(room)
+    assert trajectory.measured.all()
+    assert trajectory.notes == ()
     error = relative_pose(
-        relative_pose(POSES[0], POSES[-1]), relative_pose(*track.poses_odom_lidar[[0, -1]])
+        relative_pose(POSES[0], POSES[-1]), relative_pose(*trajectory.poses_odom_lidar[[0, -1]])
     )
     assert np.hypot(error[0], error[1]) < 0.015
     assert abs(error[2]) < np.deg2rad(0.3)
@@ -65,40 +65,40 @@ def test_it_follows_a_path_of_five_metres(room: list[LaserScan]) -> None:
 
 def test_its_covariances_are_those_of_its_errors(room: list[LaserScan]) -> None:
     """Of single steps, and of two seconds, in which what matches add does not grow with steps."""
-    track = laser_odometry(room)
-    errors = step_errors(track, steps_between(POSES))
-    said = np.sqrt(np.diagonal(track.step_covariance, axis1=1, axis2=2).mean(axis=0))
+    trajectory = laser_odometry(room)
+    errors = step_errors(trajectory, steps_between(POSES))
+    said = np.sqrt(np.diagonal(trajectory.step_covariance, axis1=1, axis2=2).mean(axis=0))
     ratio = np.sqrt((errors**2).mean(axis=0)) / said
     assert (ratio < 1.5).all()
     assert (ratio > 0.25).all()
     over = 20
     true = relative_pose(POSES[:-over], POSES[over:])
-    made = relative_pose(track.poses_odom_lidar[:-over], track.poses_odom_lidar[over:])
-    drift = track.drift_covariance[:over].sum(axis=0) + track.step_covariance[0]
+    made = relative_pose(trajectory.poses_odom_lidar[:-over], trajectory.poses_odom_lidar[over:])
+    drift = trajectory.drift_covariance[:over].sum(axis=0) + trajectory.step_covariance[0]
     assert np.sqrt(((made - true)[:, 0] ** 2).mean()) < 2.0 * np.sqrt(drift[0, 0])
     # Steps added up as if they were independent would be several times that.
-    assert track.step_covariance[:over, 0, 0].sum() > 4.0 * drift[0, 0]
+    assert trajectory.step_covariance[:over, 0, 0].sum() > 4.0 * drift[0, 0]
 
 
-def test_at_rest_nothing_adds_up() -> None:
+def test_at_standstill_nothing_accumulates() -> None:
     poses = np.tile(POSES[:1], (60, 1))
-    track = laser_odometry(sweeps(poses))
-    assert np.abs(track.poses_odom_lidar[-1, :2]).max() < 0.006
-    assert np.sqrt(track.drift_covariance.sum(axis=0)[0, 0]) < 0.01
+    trajectory = laser_odometry(sweeps(poses))
+    assert np.abs(trajectory.poses_odom_lidar[-1, :2]).max() < 0.006
+    assert np.sqrt(trajectory.drift_covariance.sum(axis=0)[0, 0]) < 0.01
 
 
 def test_blank_scans_are_not_measured_and_counted() -> None:
-    track = laser_odometry(sweeps(POSES, blank=slice(40, 44)))
-    np.testing.assert_array_equal(np.flatnonzero(~track.measured), np.arange(39, 44))
-    assert track.notes == ("laser: 5 steps not measured: 4 too few beams.",)
+    trajectory = laser_odometry(sweeps(POSES, blank=slice(40, 44)))
+    np.testing.assert_array_equal(np.flatnonzero(~trajectory.measured), np.arange(39, 44))
+    assert trajectory.notes == ("laser: 5 steps not measured: 4 too few beams.",)
     # The keyframe outlives them, so that what follows is right again.
     error = relative_pose(
-        relative_pose(POSES[0], POSES[-1]), relative_pose(*track.poses_odom_lidar[[0, -1]])
+        relative_pose(POSES[0], POSES[-1]), relative_pose(*trajectory.poses_odom_lidar[[0, -1]])
     )
     assert np.hypot(error[0], error[1]) < 0.02
 
 
-def test_a_robot_that_was_carried_away_begins_anew() -> None:
+def test_a_kidnapped_robot_starts_a_new_segment() -> None:
     """From one end of the room to a place in another house, which no scan before has shown."""
     elsewhere = rectangle((0.0, 0.0), (3.0, 40.0), 0.4)
     scans = sweeps(POSES[:20]) + sweeps(integrate_steps(weaving(20)), elsewhere)
@@ -106,13 +106,13 @@ def test_a_robot_that_was_carried_away_begins_anew() -> None:
         LaserScan(**{**_fields(scan), "stamp_ns": int(stamps(1)[0]) + k * STEP_NS})
         for k, scan in enumerate(scans)
     ]
-    track = laser_odometry(moved, LaserOdometrySettings(unmatched_scans_max=3))
-    assert not track.measured[19]
-    assert 1 <= np.count_nonzero(~track.measured) <= 5
+    trajectory = laser_odometry(moved, LaserOdometrySettings(unmatched_scans_max=3))
+    assert not trajectory.measured[19]
+    assert 1 <= np.count_nonzero(~trajectory.measured) <= 5
     true = steps_between(integrate_steps(weaving(20)))[-5:]
-    errors = (track.steps[-5:] - true)[:, 2]
+    errors = (trajectory.steps[-5:] - true)[:, 2]
     assert np.abs(errors).max() < 0.01
-    assert "not measured" in track.notes[0]
+    assert "not measured" in trajectory.notes[0]
 
 
 def test_what_the_keyframe_no_longer_shows_the_scan_before_does() -> None:
@@ -129,10 +129,10 @@ def test_what_the_keyframe_no_longer_shows_the_scan_before_does() -> None:
     settings = LaserOdometrySettings(
         keyframe_distance_m=10.0, keyframe_rotation_rad=3.0, keyframe_inlier_ratio=0.0
     )
-    track = laser_odometry(sweeps(poses, walls), settings)
-    assert track.measured.all()
+    trajectory = laser_odometry(sweeps(poses, walls), settings)
+    assert trajectory.measured.all()
     error = relative_pose(
-        relative_pose(poses[0], poses[-1]), relative_pose(*track.poses_odom_lidar[[0, -1]])
+        relative_pose(poses[0], poses[-1]), relative_pose(*trajectory.poses_odom_lidar[[0, -1]])
     )
     assert np.hypot(error[0], error[1]) < 0.05
 
@@ -145,8 +145,8 @@ def test_a_corridor_shows_in_the_covariance() -> None:
     """Walls of 2.4 m apart that go on beyond the reach: nothing tells the way along them."""
     poses = np.tile([0.05, 0.0, 0.0], (COUNT, 1)).cumsum(axis=0) * np.array([1.0, 0.0, 0.0])
     scans = sweeps(poses[:40], CORRIDOR, reach_m=8.0)
-    track = laser_odometry(scans)
-    sigma = np.sqrt(np.diagonal(track.step_covariance, axis1=1, axis2=2))
+    trajectory = laser_odometry(scans)
+    sigma = np.sqrt(np.diagonal(trajectory.step_covariance, axis1=1, axis2=2))
     assert np.median(sigma[:, 0]) > 10.0
     assert np.median(sigma[:, 1]) < 0.02
     assert np.median(sigma[:, 2]) < 0.03
@@ -161,12 +161,12 @@ def test_a_prediction_that_is_wrong_does_not_mislead_it(room: list[LaserScan]) -
     """Wheels that spin: 20 cm ahead and 6 degrees too far in each scan."""
     spin = np.array([0.2, 0.0, 0.1])
     wrong = integrate_steps(steps_between(POSES) + spin)
-    track = laser_odometry(
+    trajectory = laser_odometry(
         room[:40], predicted=lambda stamp_ns: wrong[(stamp_ns - room[0].stamp_ns) // STEP_NS]
     )
-    errors = step_errors(track, steps_between(POSES[:40]))
-    assert np.abs(errors[track.measured]).max() < 0.03
-    assert track.measured_fraction > 0.9
+    errors = step_errors(trajectory, steps_between(POSES[:40]))
+    assert np.abs(errors[trajectory.measured]).max() < 0.03
+    assert trajectory.measured_fraction > 0.9
 
 
 def test_without_a_scan_there_is_no_odometry() -> None:

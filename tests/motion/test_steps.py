@@ -49,7 +49,7 @@ def test_a_chain_is_step_after_step(start: FloatArray, steps: list[FloatArray]) 
         same(made, step)
 
 
-def test_a_difference_of_turns_takes_the_short_way() -> None:
+def test_a_difference_of_yaws_is_wrapped() -> None:
     away = subtract_poses(np.array([1.0, 2.0, 3.1]), np.array([0.5, 2.5, -3.1]))
     np.testing.assert_allclose(away, [0.5, -0.5, 6.2 - 2.0 * np.pi], atol=1e-12)
 

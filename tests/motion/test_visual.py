@@ -75,32 +75,32 @@ POSES = integrate_steps(STEPS)
 
 
 def test_it_gives_the_motion_of_the_lidar_not_of_the_camera() -> None:
-    track = visual_odometry((frame(p, k) for k, p in enumerate(POSES)), LENS, T_LIDAR_CAMERA)
-    assert track.measured.all()
-    error = relative_pose(POSES[-1], track.poses_odom_lidar[-1])
+    trajectory = visual_odometry((frame(p, k) for k, p in enumerate(POSES)), LENS, T_LIDAR_CAMERA)
+    assert trajectory.measured.all()
+    error = relative_pose(POSES[-1], trajectory.poses_odom_lidar[-1])
     assert np.hypot(error[0], error[1]) < 0.03
     assert abs(error[2]) < 0.01
-    errors = step_errors(track, STEPS)
-    said = np.sqrt(np.diagonal(track.step_covariance, axis1=1, axis2=2).mean(axis=0))
+    errors = step_errors(trajectory, STEPS)
+    said = np.sqrt(np.diagonal(trajectory.step_covariance, axis1=1, axis2=2).mean(axis=0))
     assert (np.sqrt((errors**2).mean(axis=0)) < 2.0 * said).all()
     assert said[0] < 0.05
 
 
 def test_depth_of_half_the_size_does_as_well() -> None:
     frames = (frame(p, k, depth_scale=2) for k, p in enumerate(POSES[:10]))
-    track = visual_odometry(frames, LENS, T_LIDAR_CAMERA)
-    assert track.measured.all()
-    error = relative_pose(POSES[9], track.poses_odom_lidar[-1])
+    trajectory = visual_odometry(frames, LENS, T_LIDAR_CAMERA)
+    assert trajectory.measured.all()
+    error = relative_pose(POSES[9], trajectory.poses_odom_lidar[-1])
     assert np.hypot(error[0], error[1]) < 0.02
 
 
 def test_dark_images_are_not_measured_and_what_follows_is_right_again() -> None:
     dark = range(10, 14)
     frames = (frame(pose, k, light=0.0 if k in dark else 1.0) for k, pose in enumerate(POSES[:20]))
-    track = visual_odometry(frames, LENS, T_LIDAR_CAMERA)
-    np.testing.assert_array_equal(np.flatnonzero(~track.measured), np.arange(9, 14))
-    assert "visual: 5 steps not measured: 4 too few" in track.notes[0]
-    error = relative_pose(POSES[19], track.poses_odom_lidar[-1])
+    trajectory = visual_odometry(frames, LENS, T_LIDAR_CAMERA)
+    np.testing.assert_array_equal(np.flatnonzero(~trajectory.measured), np.arange(9, 14))
+    assert "visual: 5 steps not measured: 4 too few" in trajectory.notes[0]
+    error = relative_pose(POSES[19], trajectory.poses_odom_lidar[-1])
     assert np.hypot(error[0], error[1]) < 0.03
 
 
@@ -109,9 +109,9 @@ def test_without_depth_or_images_there_is_nothing_to_follow() -> None:
         GrayDepth(stamp_ns=f.stamp_ns, gray=f.gray, depth_m=np.full_like(f.depth_m, np.nan))
         for f in (frame(p, k) for k, p in enumerate(POSES[:3]))
     ]
-    track = visual_odometry(blind, LENS, T_LIDAR_CAMERA)
-    assert not track.measured.any()
-    assert "too few features with depth" in track.notes[0]
+    trajectory = visual_odometry(blind, LENS, T_LIDAR_CAMERA)
+    assert not trajectory.measured.any()
+    assert "too few features with depth" in trajectory.notes[0]
     with pytest.raises(MissingStream, match="needs an image"):
         visual_odometry([], LENS, T_LIDAR_CAMERA)
 
@@ -127,8 +127,8 @@ def test_a_wall_without_texture_is_not_measured() -> None:
         GrayDepth(stamp_ns=f.stamp_ns, gray=np.full_like(f.gray, 90), depth_m=f.depth_m)
         for f in (frame(p, k) for k, p in enumerate(POSES[:3]))
     ]
-    track = visual_odometry(flat, LENS, T_LIDAR_CAMERA, VisualOdometrySettings())
-    assert not track.measured.any()
+    trajectory = visual_odometry(flat, LENS, T_LIDAR_CAMERA, VisualOdometrySettings())
+    assert not trajectory.measured.any()
 
 
 def scattered(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:

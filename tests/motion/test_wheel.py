@@ -21,51 +21,51 @@ def recorded(stamp_ns: int) -> FloatArray | None:
     return np.array([np.interp(place, np.arange(COUNT), POSES[:, axis]) for axis in range(3)])
 
 
-def test_ends_are_not_measured_and_stand_still() -> None:
-    track = wheel_odometry(STAMPS, recorded, STAMPS)
+def test_outside_the_recording_poses_repeat_and_are_not_measured() -> None:
+    trajectory = wheel_odometry(STAMPS, recorded, STAMPS)
     expected = np.ones(COUNT - 1, dtype=np.bool_)
     expected[:2] = expected[-1] = False
-    np.testing.assert_array_equal(track.measured, expected)
-    np.testing.assert_allclose(track.poses_odom_lidar[2:-1], POSES[2:-1], atol=1e-9)
-    np.testing.assert_allclose(track.poses_odom_lidar[0], POSES[2])
-    assert track.notes == ("wheel: scans without a pose: 3 outside the recorded odometry.",)
+    np.testing.assert_array_equal(trajectory.measured, expected)
+    np.testing.assert_allclose(trajectory.poses_odom_lidar[2:-1], POSES[2:-1], atol=1e-9)
+    np.testing.assert_allclose(trajectory.poses_odom_lidar[0], POSES[2])
+    assert trajectory.notes == ("wheel: scans without a pose: 3 outside the recorded odometry.",)
 
 
 def test_a_gap_in_the_recording_is_not_bridged() -> None:
     """Samples halfway between the scans; from the 10th scan to the 20th there are none."""
     sampled = np.delete(STAMPS + STEP_NS // 2, slice(10, 20))
-    track = wheel_odometry(STAMPS, recorded, sampled)
+    trajectory = wheel_odometry(STAMPS, recorded, sampled)
     expected = np.ones(COUNT - 1, dtype=np.bool_)
     expected[:2] = expected[-1] = False
     expected[9 : 20 + 1] = False
-    np.testing.assert_array_equal(track.measured, expected)
-    assert "11 in its gaps" in track.notes[0]
+    np.testing.assert_array_equal(trajectory.measured, expected)
+    assert "11 in its gaps" in trajectory.notes[0]
 
 
-def test_samples_with_the_scans_leave_no_gap_however_far_apart() -> None:
+def test_samples_at_the_scans_stamps_leave_no_gap() -> None:
     """Wheels count on between two scans: where both ends were sampled the step is known."""
     sparse = STAMPS[::10]
-    track = wheel_odometry(
+    trajectory = wheel_odometry(
         sparse, lambda stamp_ns: POSES[(stamp_ns - STAMPS[0]) // STEP_NS], sparse
     )
-    assert track.measured.all()
+    assert trajectory.measured.all()
 
 
-def test_errors_of_a_scale_stay_within_what_drift_says_of_a_long_way() -> None:
+def test_scale_errors_stay_within_the_drift_covariance_of_a_long_path() -> None:
     """A wheel 3 % too large is off by 3 % of a metre after a metre, and drift says one sigma; its
     single steps are off by 3 % each, which is what their own covariance says."""
     steps = np.tile([0.02, 0.0, 0.0], (50, 1))
     poses = integrate_steps(steps)
     settings = WheelSettings(forward_sigma_per_m=0.03)
-    track = wheel_odometry(
+    trajectory = wheel_odometry(
         stamps(51), lambda s: poses[(s - STAMPS[0]) // STEP_NS], stamps(51), settings
     )
-    assert np.sqrt(track.drift_covariance[:, 0, 0].sum()) == pytest.approx(0.03, rel=1e-3)
-    assert np.sqrt(track.step_covariance[:, 0, 0]) == pytest.approx(0.03 * 0.02, rel=0.02)
+    assert np.sqrt(trajectory.drift_covariance[:, 0, 0].sum()) == pytest.approx(0.03, rel=1e-3)
+    assert np.sqrt(trajectory.step_covariance[:, 0, 0]) == pytest.approx(0.03 * 0.02, rel=0.02)
 
 
-def test_the_doubt_of_a_way_lies_along_it() -> None:
-    """A LiDAR that moves aside has its doubt aside."""
+def test_the_covariance_of_a_step_is_aligned_with_its_direction() -> None:
+    """A LiDAR that moves sideways has its uncertainty sideways."""
     poses = integrate_steps(np.tile([0.0, 0.02, 0.0], (5, 1)))
-    track = wheel_odometry(stamps(6), lambda s: poses[(s - STAMPS[0]) // STEP_NS], stamps(6))
-    assert track.step_covariance[0, 1, 1] > 4.0 * track.step_covariance[0, 0, 0]
+    trajectory = wheel_odometry(stamps(6), lambda s: poses[(s - STAMPS[0]) // STEP_NS], stamps(6))
+    assert trajectory.step_covariance[0, 1, 1] > 4.0 * trajectory.step_covariance[0, 0, 0]

@@ -30,9 +30,9 @@ def moved(points, pose):
 def brute_force(pyramid, points, window, turns):
     """(T, C, C) the score of every pose of the lattice; the yaws, and the cells' offsets."""
     grid = pyramid.levels[0].astype(int)
-    reach = int(np.ceil(window.translation_m / pyramid.resolution_m - 1e-9))
+    truncation_m = int(np.ceil(window.translation_m / pyramid.resolution_m - 1e-9))
     yaws = window.centre[2] + np.linspace(-window.rotation_rad, window.rotation_rad, 2 * turns + 1)
-    offsets = np.arange(-reach, reach + 1)
+    offsets = np.arange(-truncation_m, truncation_m + 1)
     scores = np.zeros((yaws.size, offsets.size, offsets.size), dtype=int)
     for t, yaw in enumerate(yaws):
         placed = moved(points, np.array([window.centre[0], window.centre[1], yaw]))
@@ -130,15 +130,17 @@ def test_each_level_holds_the_maxima_of_its_blocks(seed):
 
 
 @given(seed=SEEDS)
-def test_a_cell_tells_how_near_its_middle_is_to_the_map(seed):
+def test_a_cell_is_the_likelihood_at_its_centre(seed):
     rng = np.random.default_rng(seed)
     landmarks = rng.uniform(-1.0, 1.0, (rng.integers(1, 12), 2))
-    reach = float(rng.uniform(0.05, 0.4))
-    pyramid = make_likelihood_pyramid(landmarks, resolution_m=0.1, truncation_m=reach, levels=3)
+    truncation_m = float(rng.uniform(0.05, 0.4))
+    pyramid = make_likelihood_pyramid(
+        landmarks, resolution_m=0.1, truncation_m=truncation_m, levels=3
+    )
     rows, columns = np.indices(pyramid.levels[0].shape)
     middles = np.stack([columns, rows], axis=-1) * 0.1 + pyramid.corner_m + 0.05
     squared = ((middles[:, :, None] - landmarks) ** 2).sum(axis=-1).min(axis=-1)
-    expected = 255.0 * np.maximum(1.0 - squared / reach**2, 0.0)
+    expected = 255.0 * np.maximum(1.0 - squared / truncation_m**2, 0.0)
     np.testing.assert_allclose(pyramid.levels[0], expected, atol=0.5 + 1e-6)
 
 
@@ -164,7 +166,8 @@ def test_one_pyramid_finds_every_sweep_of_its_room(yaw):
 
 def test_a_corridor_leaves_its_length_open():
     walls = np.array([[[-50.0, -1.0], [50.0, -1.0]], [[50.0, 1.2], [-50.0, 1.2]]])
-    # Dense enough that neighbouring points of the map are nearer than the likelihood's reach.
+    # Dense enough that neighbouring points of the map are nearer than the likelihood's
+    # truncation_m.
     dense = sweep((0.0, 0.0, 0.0), 2880, walls=walls, range_max_m=8.0)
     pyramid = make_likelihood_pyramid(dense, resolution_m=0.1, truncation_m=0.2, levels=5)
     seen = sweep((0.0, 0.0, 0.0), walls=walls, range_max_m=4.0)
@@ -174,7 +177,7 @@ def test_a_corridor_leaves_its_length_open():
     assert deviation[1] < 0.06
 
 
-def test_two_places_alike_are_told_by_the_covariance():
+def test_two_similar_places_give_a_large_covariance():
     corner = np.array([(0.1 * k, 0.0) for k in range(15)] + [(0.0, 0.1 * k) for k in range(1, 15)])
     once = make_likelihood_pyramid(corner, resolution_m=0.1, truncation_m=0.2, levels=4)
     twice = make_likelihood_pyramid(

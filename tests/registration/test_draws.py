@@ -40,7 +40,7 @@ def test_the_number_of_draws_of_the_paper():
     assert count_draws_needed(1.0, 6, 0.99) == 1.0
 
 
-def test_so_many_draws_hold_a_clean_one_with_the_confidence():
+def test_the_draws_contain_a_clean_one_with_the_confidence():
     """Brute force: 60 good of 100 pairs, draws of 3, told clean by their indices."""
     draws = int(np.ceil(count_draws_needed(0.6, 3, 0.9)))
     held = [(draw_samples(100, 3, draws, (seed, 0)) < 60).all(axis=1).any() for seed in range(2000)]

@@ -49,7 +49,7 @@ def test_the_residual_is_the_distance_from_the_wall():
     )
 
 
-def test_a_point_past_the_end_of_a_line_stays_alone():
+def test_a_point_past_the_end_of_a_line_stays_unpaired():
     """The reference saw half of the wall; what the other saw beyond is no part of it."""
     reference, moving = scan_of(100, 0.2), scan_of(200, 0.4)
     pairs = paired(reference, moving)
@@ -60,7 +60,7 @@ def test_a_point_past_the_end_of_a_line_stays_alone():
     assert (pairs.partner[np.abs(place) < end] >= 0).all()
 
 
-def test_a_point_far_from_the_wall_stays_alone():
+def test_a_point_far_from_the_wall_stays_unpaired():
     reference, moving = scan_of(100, 0.4), scan_of(100, 0.3)
     assert (paired(reference, moving, (0.2, 0.0, 0.0), distance_m=0.3).partner >= 0).all()
     assert (paired(reference, moving, (0.4, 0.0, 0.0), distance_m=0.3).partner == -1).all()
@@ -68,7 +68,7 @@ def test_a_point_far_from_the_wall_stays_alone():
 
 @pytest.mark.parametrize(("first", "second"), [(200, 200), (200, 50), (50, 200)])
 @pytest.mark.parametrize("sigmas_m", [(0.01, 0.01), (0.01, 0.03)])
-def test_all_pairs_weigh_what_two_sweeps_tell_of_a_wall(first, second, sigmas_m):
+def test_all_pairs_weigh_as_much_as_two_line_fits_of_a_wall(first, second, sigmas_m):
     """The sides' means differ by σ₁²/K + σ₂²/N, so the pairs weigh its inverse together."""
     pairs = paired(scan_of(first, 0.1), scan_of(second, 0.1), sigmas_m=sigmas_m)
     assert (pairs.partner >= 0).all()

@@ -21,7 +21,7 @@ def scan_of(pose, sigma_m=0.0, seed=0):
 
 
 @pytest.mark.parametrize("sigma_m", [0.003, 0.01, 0.03])
-def test_the_noise_is_told_from_the_sweep(sigma_m):
+def test_the_noise_is_estimated_from_the_sweep(sigma_m):
     told = [
         estimate_range_sigma_m(scan_of((4.0 + 0.1 * k, 4.0, 0.3), sigma_m, k)) for k in range(20)
     ]

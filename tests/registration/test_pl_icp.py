@@ -92,7 +92,7 @@ def test_two_matches_compose(seed):
 
 
 @pytest.mark.parametrize("shift", [0.5, -2.0])
-def test_the_angle_of_the_first_beam_turns_the_answer(shift):
+def test_the_angle_of_the_first_beam_rotates_the_result(shift):
     pair = draw_pair(np.random.default_rng(4), 720, 0.5, 0.3, 0.01)
     plain = matched(pair)
     turned = match_scans(
@@ -179,7 +179,7 @@ def test_a_bad_guess_falls_back_on_the_search():
 
 @pytest.mark.parametrize("sigma_m", [0.0, 0.01])
 @pytest.mark.parametrize("heading", [0.0, 0.8])
-def test_a_corridor_leaves_its_length_open(sigma_m, heading):
+def test_along_a_corridor_the_translation_is_unobservable(sigma_m, heading):
     rng = np.random.default_rng(12)
     move = np.array([0.2, 0.05, 0.1])
     first = sweep((0.0, 0.0, heading), CORRIDOR, 8.0, sigma_m, rng)
@@ -216,7 +216,7 @@ def test_a_corridor_with_an_end_is_observable():
     assert deviation[0] > 2.0 * deviation[1]
 
 
-def test_a_round_room_leaves_the_turn_open():
+def test_in_a_round_room_the_rotation_is_unobservable():
     rng = np.random.default_rng(14)
     first, second = (3.0 + rng.normal(0.0, 0.01, 720) for _ in range(2))
     match = match_scans(first, second, **TURN)
@@ -269,7 +269,7 @@ def test_a_guess_that_is_none_is_refused(guess):
         match_scans(whole, whole, guess=guess, **TURN)
 
 
-def test_iterations_that_end_early_are_told():
+def test_iterations_that_end_early_are_reported():
     pair = draw_pair(np.random.default_rng(17), 720, 0.3, 0.3, 0.01)
     settings = PlIcpSettings(iterations_max=3)
     assert not matched(pair, settings=settings).converged

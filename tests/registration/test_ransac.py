@@ -229,7 +229,7 @@ def test_refits_end_where_the_inliers_support_themselves(model):
     assert not register(lidar, depth, once).has_converged
 
 
-def test_a_rigid_map_turns_and_does_not_stretch_within_its_covariance():
+def test_the_covariance_of_a_rigid_map_has_no_scale():
     """The area of a rigid map is certain, and not that of a similarity: gradient of det A."""
     turn = np.array(
         [[np.cos(0.8), np.sin(0.8), 0.0], [-np.sin(0.8), np.cos(0.8), 0.0], [0.2, 0.1, 1.0]]
@@ -246,7 +246,7 @@ def test_a_rigid_map_turns_and_does_not_stretch_within_its_covariance():
 
 
 @pytest.mark.parametrize("model", ["affine", "homography"])
-def test_the_inverse_carries_the_uncertainty_back_through_a_sheared_map(model):
+def test_the_inverse_propagates_the_uncertainty_through_a_sheared_map(model):
     shear = np.array([[1.6, 0.9, 0.0], [-0.1, 0.6, 0.02], [0.0, 0.0, 1.0]])
     if model == "affine":
         shear[:2, 2] = 0.0
@@ -398,7 +398,7 @@ def test_the_same_input_gives_the_same_bytes_and_is_left_alone():
     assert first.draws[0].pairs.tobytes() != other.draws[0].pairs.tobytes()
 
 
-def test_adaptive_draws_follow_the_share_of_good_pairs():
+def test_adaptive_draws_follow_the_inlier_ratio():
     made = []
     for outliers in (0.1, 0.5):
         lidar, depth, _ = pairs_of(room_curve(), RIGID, 3, outliers)

@@ -28,7 +28,7 @@ def turn(angle_rad: float) -> np.ndarray:
     scale=st.floats(0.5, 2.0),
     shift_m=st.tuples(st.floats(-2, 2), st.floats(-2, 2)),
 )
-def test_a_similarity_is_its_turn_scale_and_shift(angle_rad, scale, shift_m):
+def test_a_similarity_is_its_rotation_scale_and_translation(angle_rad, scale, shift_m):
     meaning = decompose_transform(affine(scale * turn(angle_rad), shift_m), AT_M)
     assert meaning.rotation_rad == pytest.approx(angle_rad, abs=1e-12)
     for found in (meaning.scale, meaning.scale_x, meaning.scale_z):
@@ -47,7 +47,7 @@ def test_left_is_left():
     assert decompose_transform(A, AT_M).rotation_rad == pytest.approx(np.deg2rad(3.0))
 
 
-def test_stretch_and_shear_are_those_of_the_axes():
+def test_scale_and_shear_are_those_of_the_axes():
     meaning = decompose_transform(affine(np.array([[1.1, 0.0], [0.3, 0.9]])), AT_M)
     assert meaning.scale_x == pytest.approx(1.1)
     assert meaning.scale_z == pytest.approx(np.hypot(0.3, 0.9))
@@ -62,7 +62,7 @@ def test_a_point_moves_by_its_image():
     np.testing.assert_allclose(decompose_transform(A, AT_M).displacement_m, moved_m)
 
 
-def test_a_mirror_is_told():
+def test_a_mirror_is_recognised():
     assert decompose_transform(affine(np.diag([-1.0, 1.0])), AT_M).is_mirrored
 
 

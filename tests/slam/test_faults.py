@@ -114,7 +114,7 @@ def kidnapped(ring, begin, shift):
 
 
 @pytest.mark.parametrize("shift", [slow(60), 100, slow(170)])
-def test_a_robot_that_is_carried_away(shift):
+def test_a_kidnapped_robot(shift):
     ring = drive(300)
     numbers, odometry = kidnapped(ring, 100, shift)
     kept = [ring.scans[n] for n in numbers]
@@ -127,7 +127,7 @@ def test_a_robot_that_is_carried_away(shift):
 
 @pytest.mark.parametrize("prior", [True, False])
 @pytest.mark.parametrize("shift", [30, slow(50), slow(90)])
-def test_a_robot_that_is_carried_away_within_a_room(shift, prior):
+def test_a_robot_kidnapped_within_a_room(shift, prior):
     whole = room(200)
     numbers, odometry = kidnapped(whole, 60, shift)
     kept = [whole.scans[n] for n in numbers]
@@ -139,7 +139,7 @@ def test_a_robot_that_is_carried_away_within_a_room(shift, prior):
     assert result.trusted[:60].mean() > 0.9
 
 
-def test_a_robot_that_is_carried_away_and_comes_back_to_where_it_was():
+def test_a_kidnapped_robot_that_returns_to_where_it_was():
     ring = drive(900, turn_bias_rad_per_m=0.005)
     numbers, odometry = kidnapped(ring, 250, 130)
     kept = [ring.scans[n] for n in numbers]

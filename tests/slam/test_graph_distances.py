@@ -1,4 +1,4 @@
-"""Ways along the graph, against the shortest of all ways found one step at a time."""
+"""Distances along the graph, against a brute-force search of the shortest paths."""
 
 from types import SimpleNamespace
 
@@ -25,18 +25,18 @@ def trajectory(steps_m):
     return SimpleNamespace(poses_local_node=poses, submaps=submaps)
 
 
-def breaks(nodes=(), told=()):
+def losses(nodes=(), is_bridged=()):
     return SimpleNamespace(
-        node_after=np.array(nodes, dtype=np.int64), is_bridged=np.array(told, dtype=bool)
+        node_after=np.array(nodes, dtype=np.int64), is_bridged=np.array(is_bridged, dtype=bool)
     )
 
 
-def expected_m(steps_m, ties, node):
+def expected_m(steps_m, loops, node):
     """Bellman and Ford over submaps, from the one that the node is part of."""
     way_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     first = PER_SUBMAP * np.arange(SUBMAPS)
     edges = [(n, n + 1, way_m[first[n + 1]] - way_m[first[n]]) for n in range(SUBMAPS - 1)]
-    for number, end in ties:
+    for number, end in loops:
         other = end // PER_SUBMAP
         edges.append((number, other, 1.0 + way_m[end] - way_m[first[other]]))
     ways_m = np.full(SUBMAPS, np.inf)
@@ -53,25 +53,27 @@ ends = st.tuples(st.integers(0, SUBMAPS - 1), st.integers(0, NODES - 1))
 
 
 @given(steps, st.lists(ends, max_size=6), st.integers(0, NODES - 1))
-def test_ways_are_the_shortest(steps_m, ties, node):
-    ways = GraphDistances(trajectory(steps_m), breaks())
-    for taken, (number, end) in enumerate(ties):
-        # What was asked before must not be what is told after the next loop.
+def test_distances_are_the_shortest(steps_m, loops, node):
+    distances = GraphDistances(trajectory(steps_m), losses())
+    for done, (number, end) in enumerate(loops):
+        # A result from before must not be returned after the next loop.
         np.testing.assert_allclose(
-            ways.to_submaps(node), expected_m(steps_m, ties[:taken], node), atol=1e-9
+            distances.to_submaps(node), expected_m(steps_m, loops[:done], node), atol=1e-9
         )
-        ways.add_loop(number, end)
-    np.testing.assert_allclose(ways.to_submaps(node), expected_m(steps_m, ties, node), atol=1e-9)
+        distances.add_loop(number, end)
+    np.testing.assert_allclose(
+        distances.to_submaps(node), expected_m(steps_m, loops, node), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(
-    ("told", "longer_m"), [(True, BRIDGED_LOSS_DISTANCE_M), (False, LOSS_DISTANCE_M)]
+    ("is_bridged", "longer_m"), [(True, BRIDGED_LOSS_DISTANCE_M), (False, LOSS_DISTANCE_M)]
 )
-def test_a_break_is_a_long_way(told, longer_m):
+def test_a_tracking_loss_is_a_long_distance(is_bridged, longer_m):
     steps_m = np.full(NODES - 1, 0.2)
-    whole = GraphDistances(trajectory(steps_m), breaks())
-    broken = GraphDistances(trajectory(steps_m), breaks([12], [told]))
-    more_m = broken.to_submaps(0) - whole.to_submaps(0)
+    whole = GraphDistances(trajectory(steps_m), losses())
+    with_loss = GraphDistances(trajectory(steps_m), losses([12], [is_bridged]))
+    more_m = with_loss.to_submaps(0) - whole.to_submaps(0)
     np.testing.assert_allclose(more_m, [0.0] * 3 + [longer_m] * 5, atol=1e-6)
-    broken.set_losses(breaks())
-    np.testing.assert_array_equal(broken.to_submaps(0), whole.to_submaps(0))
+    with_loss.set_losses(losses())
+    np.testing.assert_array_equal(with_loss.to_submaps(0), whole.to_submaps(0))

@@ -68,7 +68,7 @@ def test_without_a_round_nothing_moves(room, off):
     np.testing.assert_array_equal(refine(off, points_m, JOINED, SUBMAPS, none), off)
 
 
-def test_what_is_not_joined_neither_moves_nor_pulls(room, off):
+def test_unconnected_scans_neither_move_nor_affect_others(room, off):
     _, points_m = room
     joined = JOINED.copy()
     joined[40:] = False
@@ -88,7 +88,7 @@ def test_a_scan_without_points_stays(room, off):
     assert (refined[1:-1] != off[1:-1]).any(axis=1).all()
 
 
-def test_places_far_apart_know_nothing_of_each_other(room, off):
+def test_distant_places_are_independent(room, off):
     """A second room beyond the first one's reach, in a square of its own."""
     _, points_m = room
     # A whole number of cells, so that both lie on the lattice alike.
@@ -100,7 +100,7 @@ def test_places_far_apart_know_nothing_of_each_other(room, off):
     np.testing.assert_allclose(both[COUNT + 1 :] - shift, alone[1:], atol=2e-3)
 
 
-def test_the_work_is_told(room, off):
+def test_progress_is_reported(room, off):
     _, points_m = room
     said = []
     refine(off, points_m, JOINED, SUBMAPS, SETTINGS, lambda *state: said.append(state))
@@ -109,7 +109,7 @@ def test_the_work_is_told(room, off):
 
 
 @given(arrays(np.float64, st.tuples(st.integers(0, 30), st.just(2)), elements=st.floats(-500, 500)))
-def test_squares_hold_each_place_once_with_all_within_reach(places_m):
+def test_squares_hold_each_place_once_with_all_within_range(places_m):
     seen = []
     for inside, about in _squares(places_m, 30.0):
         seen += inside.tolist()

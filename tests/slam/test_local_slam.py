@@ -10,7 +10,7 @@ from tests.slam.ring import drive
 SUBMAPS = SubmapSettings(key_scans=10)
 
 
-def test_it_places_scans_alike_when_the_map_is_dropped():
+def test_dropping_the_map_does_not_change_the_poses():
     ring = drive(150)
     slam, odometry = (LocalSlam(LocalSlamSettings(), SUBMAPS) for _ in range(2))
     placed = []

@@ -63,7 +63,7 @@ def test_a_loop_closes(ring, closed):
     assert closed.unmatched.sum() == 0
 
 
-def test_the_state_is_told(closed):
+def test_the_result_is_consistent(closed):
     count = ParticleSettings().particles
     assert closed.key[0] == 0
     assert (np.diff(closed.key) > 0).all()
@@ -80,7 +80,7 @@ def test_the_state_is_told(closed):
         np.testing.assert_allclose(closed.poses_map_scan[closed.key[-1]], best, atol=1e-12)
 
 
-def test_weighed_scans_are_a_step_apart(closed):
+def test_filter_updates_are_a_step_from_each_other(closed):
     settings = ParticleSettings()
     steps = relative_pose(
         closed.poses_map_scan[closed.key[:-1]], closed.poses_map_scan[closed.key[1:]]
@@ -91,7 +91,7 @@ def test_weighed_scans_are_a_step_apart(closed):
     assert way_m.max() < settings.step_m + 0.25
 
 
-def test_who_looks_on_sees_the_run_grow(closed, views):
+def test_an_observer_sees_the_trajectory_grow(closed, views):
     lengths = [view.stamps_ns.size for view in views]
     assert lengths == sorted(lengths)
     assert len(views) == closed.key.size // 20 + 1
@@ -144,7 +144,7 @@ def test_the_work_is_reported(ring):
     assert all(value >= 0.0 for value in result.seconds.values())
 
 
-def test_scans_between_weighed_ones_keep_the_local_way():
+def test_scans_between_updates_keep_the_local_trajectory():
     rng = np.random.default_rng(2)
     local = np.cumsum(rng.normal(0.0, 0.1, (12, 3)), axis=0)
     local[:, 2] += 3.0
@@ -187,7 +187,7 @@ def test_scans_without_a_point_are_no_map():
         particle_filter_slam(scans)
 
 
-def test_points_out_of_reach_are_no_map(ring):
+def test_points_beyond_the_max_range_are_no_map(ring):
     with pytest.raises(MappingFailed, match="within 1 m"):
         particle_filter_slam(
             [scan_with(np.full(180, 3.0), 0)], None, ParticleSettings(max_range_m=1.0)
@@ -209,7 +209,7 @@ def test_one_particle_is_enough_to_run(ring):
 
 
 @pytest.mark.parametrize("first", [0, 40])
-def test_a_blind_stretch_is_told_and_odometry_carries_over_it(ring, first):
+def test_scans_without_points_are_untrusted_and_bridged_by_odometry(ring, first):
     blind = slice(first, first + 10)
     scans = [
         scan.with_ranges(np.full_like(scan.ranges_m, np.nan), None)
@@ -226,7 +226,7 @@ def test_a_blind_stretch_is_told_and_odometry_carries_over_it(ring, first):
     assert error_m(result.poses_map_scan, ring.truth[:100]) < 0.3
 
 
-def test_a_robot_that_is_carried_away_is_told(ring):
+def test_a_kidnapped_robot_is_untrusted(ring):
     rng = np.random.default_rng(4)
     scans = ring.scans[:100] + [
         scan_of(np.array([5.6, 4.0 + 0.05 * n, 1.0]), 100 + n, rng, ROOM, 12.0) for n in range(40)
@@ -258,7 +258,7 @@ def test_stamps_must_increase(ring):
 
 @pytest.mark.data
 @pytest.mark.slow
-def test_a_stretch_of_the_intel_log_meets_its_relations(data_folder: Path):
+def test_a_section_of_the_intel_log_meets_its_relations(data_folder: Path):
     folder = data_folder / "real" / "carmen"
     with open_recording(folder / "intel.clf.bz2") as recording:
         streams = choose_streams(recording, odometry="/flaser/odom")

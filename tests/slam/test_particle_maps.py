@@ -144,7 +144,7 @@ def test_a_cell_is_a_probability():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_scan_frees_its_ways_and_hits_its_walls(seed):
+def test_a_scan_frees_its_rays_and_hits_its_walls(seed):
     rng = np.random.default_rng(seed)
     before = rng.integers(0, 256, (TILE, TILE)).astype(np.uint8)
     origin = rng.uniform(20.0, 40.0, 2)

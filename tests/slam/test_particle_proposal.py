@@ -129,7 +129,7 @@ def test_the_better_the_prediction_the_greater_the_weight(room):
     assert evidence[0] - evidence[2] == pytest.approx(0.5 * (0.12 / sigma_m) ** 2, rel=0.3)
 
 
-def test_a_corridor_leaves_the_way_along_it_to_the_motion_model():
+def test_along_a_corridor_the_motion_model_decides():
     rng = np.random.default_rng(2)
     corridor = map_of(CORRIDOR, rng, 5.0)
     pose = np.array([5.6, 4.1, 0.0])
@@ -142,7 +142,7 @@ def test_a_corridor_leaves_the_way_along_it_to_the_motion_model():
     assert abs(found.mean[1] - pose[1]) < 0.015
 
 
-def test_no_match_is_told(room):
+def test_no_match_gives_no_proposal(room):
     rng = np.random.default_rng(8)
     points_m = points_of(WALLS, TRUTH, rng)
     assert proposed(np.zeros_like(room), points_m, TRUTH) is None

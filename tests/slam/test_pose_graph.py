@@ -87,7 +87,7 @@ def test_the_first_pose_stays():
     np.testing.assert_allclose(optimise(start, edges, 1.0)[0, :2], start[0, :2], atol=1e-6)
 
 
-def test_residuals_tell_how_far_an_edge_is_from_the_poses():
+def test_residuals_are_the_deviations_of_edges_from_the_poses():
     poses = np.array([[1.0, 2.0, 0.5 * np.pi], [1.0, 4.0, np.pi]])
     edge = Edge(
         first=0,

@@ -100,7 +100,7 @@ def test_a_room_needs_no_odometry():
     assert error_m(result.poses_map_scan, truth) < 0.07
 
 
-def test_odometry_that_jumps_is_not_believed():
+def test_odometry_that_jumps_is_rejected():
     scans, truth = room_drive()
     odometry = truth.copy()
     odometry[60:] += [0.6, -0.4, 0.5]
@@ -139,7 +139,7 @@ def test_one_scan_is_a_map(ring):
     assert result.graph.first.size == 0
 
 
-def test_a_blind_stretch_is_told_and_odometry_carries_over_it(ring):
+def test_scans_without_points_are_untrusted_and_bridged_by_odometry(ring):
     blind = slice(40, 50)
     scans = [
         scan.with_ranges(np.full_like(scan.ranges_m, np.nan), None) if 40 <= n < 50 else scan
@@ -158,7 +158,7 @@ def test_a_blind_stretch_is_told_and_odometry_carries_over_it(ring):
     assert (doubt[steps & ~over] < 0.031).all()
 
 
-def test_a_robot_that_is_carried_away_is_told(ring):
+def test_a_kidnapped_robot_is_untrusted(ring):
     elsewhere, _ = room_drive(50)
     scans = [
         scan if number < 100 else scan_with(elsewhere[number - 100].ranges_m, number)
@@ -177,7 +177,7 @@ def test_stamps_must_increase(ring):
             slam.add_scan(scan, None)
 
 
-def test_submaps_overlap_and_cover_the_way(ring):
+def test_submaps_overlap_and_cover_the_trajectory(ring):
     slam = LocalSlam(LocalSlamSettings(), SubmapSettings(key_scans=20))
     for scan, pose in zip(ring.scans[:200], ring.odometry, strict=False):
         slam.add_scan(scan, pose)
@@ -190,7 +190,7 @@ def test_submaps_overlap_and_cover_the_way(ring):
 
 
 @pytest.mark.data
-def test_a_stretch_of_the_intel_log_meets_its_relations(data_folder: Path):
+def test_a_section_of_the_intel_log_meets_its_relations(data_folder: Path):
     folder = data_folder / "real" / "carmen"
     with open_recording(folder / "intel.clf.bz2") as recording:
         streams = choose_streams(recording, odometry="/flaser/odom")

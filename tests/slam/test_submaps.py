@@ -51,7 +51,7 @@ def test_its_obstacles_lie_where_points_were():
         assert np.abs(obstacles_m - point_m).max(axis=1).min() <= 0.025 + 1e-9
 
 
-def test_a_match_does_not_feel_where_the_grid_ends():
+def test_a_match_does_not_depend_on_the_grid_size():
     """Cells at the very edge of what was met have the same neighbourhood as any other."""
     submap = GrowingSubmap(np.zeros(2), 0, 1.0, SETTINGS)
     submap.add_scan(np.zeros(3), np.array([[2.0, 0.0], [0.0, 3.0], [-2.5, 0.0], [0.0, -1.5]]))
@@ -66,7 +66,7 @@ def test_a_match_does_not_feel_where_the_grid_ends():
     assert submap.grid.cells.shape[1] - 1 - columns.max() >= 3
 
 
-def test_what_it_cannot_hold_is_left_out():
+def test_points_beyond_its_limits_are_left_out():
     submap = GrowingSubmap(np.zeros(2), 0, 1.0, SETTINGS)
     submap.add_scan(np.zeros(3), np.array([[2.0, 0.0], [50.0, 0.0]]))
     assert submap.finish(1).obstacles_m() == pytest.approx(np.array([[2.025, 0.025]]))
