@@ -32,20 +32,20 @@ def losses(nodes=(), is_bridged=()):
 
 
 def expected_m(steps_m, loops, node):
-    """Bellman and Ford over submaps, from the one that the node is part of."""
-    way_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    """Bellman-Ford over submaps, from the one that contains the node."""
+    path_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     first = PER_SUBMAP * np.arange(SUBMAPS)
-    edges = [(n, n + 1, way_m[first[n + 1]] - way_m[first[n]]) for n in range(SUBMAPS - 1)]
+    edges = [(n, n + 1, path_m[first[n + 1]] - path_m[first[n]]) for n in range(SUBMAPS - 1)]
     for number, end in loops:
         other = end // PER_SUBMAP
-        edges.append((number, other, 1.0 + way_m[end] - way_m[first[other]]))
-    ways_m = np.full(SUBMAPS, np.inf)
-    ways_m[node // PER_SUBMAP] = 0.0
+        edges.append((number, other, 1.0 + path_m[end] - path_m[first[other]]))
+    distances_m = np.full(SUBMAPS, np.inf)
+    distances_m[node // PER_SUBMAP] = 0.0
     for _ in range(SUBMAPS):
         for a, b, length_m in edges:
-            ways_m[b] = min(ways_m[b], ways_m[a] + length_m)
-            ways_m[a] = min(ways_m[a], ways_m[b] + length_m)
-    return ways_m + way_m[node] - way_m[first[node // PER_SUBMAP]]
+            distances_m[b] = min(distances_m[b], distances_m[a] + length_m)
+            distances_m[a] = min(distances_m[a], distances_m[b] + length_m)
+    return distances_m + path_m[node] - path_m[first[node // PER_SUBMAP]]
 
 
 steps = st.lists(st.floats(0.05, 3.0), min_size=NODES - 1, max_size=NODES - 1)

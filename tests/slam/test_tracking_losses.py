@@ -1,4 +1,4 @@
-"""Breaks of the way: what loops confirm, refute and join."""
+"""Tracking losses: which ones loops confirm, refute and connect."""
 
 import numpy as np
 
@@ -9,24 +9,24 @@ from fusion_core.slam.tracking_losses import TrackingLosses
 STARTS = (10, 20, 30)
 
 
-def trajectory(part, is_bridged=()):
-    """Forty key scans; ``is_bridged``: of the first of each part but the first one, if not all are."""
-    is_told = np.ones(40, dtype=np.bool_)
-    is_told[list(STARTS[: len(is_bridged)])] = is_bridged
+def trajectory(segment, is_bridged=()):
+    """Forty key scans; ``is_bridged``: of each loss, by default all."""
+    node_is_bridged = np.ones(40, dtype=np.bool_)
+    node_is_bridged[list(STARTS[: len(is_bridged)])] = is_bridged
     return LocalTrajectory(
         stamps_ns=np.arange(40),
         poses_local_scan=np.zeros((40, 3)),
         is_trusted=np.ones(40, dtype=np.bool_),
         key_scans=np.arange(40),
         node_points_m=[np.zeros((1, 2))] * 40,
-        segment=part,
-        is_bridged=is_told,
+        segment=segment,
+        is_bridged=node_is_bridged,
         submaps=[],
     )
 
 
 def losses(is_bridged=(True, True, True)):
-    """Four parts of ten key scans."""
+    """Four segments of ten key scans."""
     return TrackingLosses(trajectory(np.arange(40) // 10, is_bridged))
 
 
@@ -40,7 +40,7 @@ def loop(first, second):
     )
 
 
-def joined_parts(of, loops):
+def connected_segments(state, loops):
     return state.connected_by(loops)[::10].tolist()
 
 
@@ -48,16 +48,16 @@ def test_a_loop_that_agrees_with_odometry_confirms_all_losses_between():
     state, edge = losses(), loop(2, 35)
     state.add_loop(edge, agrees_with_odometry=True)
     assert state.is_confirmed.all()
-    assert joined_parts(of, [edge]) == [True] * 4
-    # Once the loop is dropped, so is what hung on it.
-    assert joined_parts(of, []) == [True, False, False, False]
+    assert connected_segments(state, [edge]) == [True] * 4
+    # Without the loop, the segments that depend on it are not connected.
+    assert connected_segments(state, []) == [True, False, False, False]
 
 
 def test_a_loop_that_disagrees_refutes_and_connects_its_own_segments_only():
     state, edge = losses(), loop(2, 35)
     state.add_loop(edge, agrees_with_odometry=False)
     assert not state.is_bridged.any()
-    assert joined_parts(of, [edge]) == [True, False, False, True]
+    assert connected_segments(state, [edge]) == [True, False, False, True]
     np.testing.assert_array_equal(state.unbridged_segments()[::10], [0, 1, 2, 3])
 
 
@@ -80,7 +80,7 @@ def test_a_short_segment_is_not_connected_by_odometry_alone():
     local = trajectory(np.array([0] * 10 + [1] * 4 + [2] * 26))
     over, into = loop(2, 35), loop(2, 11)
     for loops, expected in (([over], [True, False, True]), ([over, into], [True, True, True])):
-        of = TrackingLosses(local)
+        state = TrackingLosses(local)
         for edge in loops:
             state.add_loop(edge, agrees_with_odometry=True)
         assert state.connected_by(loops)[[5, 11, 30]].tolist() == expected
