@@ -468,7 +468,7 @@ def test_the_clock_offset_is_the_mounts_and_only_where_asked_for(
 
 
 @pytest.mark.parametrize("preset", ["default", "published"])
-def test_a_picked_row_that_the_image_lacks_is_a_failure_in_words(
+def test_a_picked_row_that_the_image_lacks_is_a_failure_as_text(
     library: Library, view: View, preset: str
 ) -> None:
     open_recording = library.open(view)

@@ -25,7 +25,7 @@ from scanloom.client_session import STORED_VIEW
 from scanloom.server import connections as connections_module
 from scanloom.server.connections import Connections
 from scanloom.server.error_log import ErrorLog, websockets_logger
-from scanloom.server.message_filter import MOST_BYTES, check_message
+from scanloom.server.message_filter import MAX_MESSAGE_BYTES, check_message
 from scanloom.server.security import guard_for, guarded
 from scanloom.server.workbench import ServeOptions, Workbench
 from tests.app.viser_client import CAMERA, connect
@@ -53,8 +53,8 @@ class Served:
         self.connections = Connections(error_log)
         with guarded(
             guard_for("127.0.0.1"),
-            create_connection=self.connections.make,
-            max_size=MOST_BYTES,
+            create_connection=self.connections.create,
+            max_size=MAX_MESSAGE_BYTES,
             logger=websockets_logger(error_log),
         ):
             self.server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
@@ -97,11 +97,11 @@ def answer(request_uuid: str = "x") -> bytes:
 def test_of_those_who_wait_the_longest_waiting_goes(
     served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connections_module, "_MOST_WAITING_OF_ONE", 3)
+    monkeypatch.setattr(connections_module, "_MAX_PENDING_PER_HOST", 3)
     with ExitStack() as stack:
         settled = stack.enter_context(connect(served.address))
         settled.send_bytes(answer())
-        served.until(lambda: len(served.connections._settled) == 1)
+        served.until(lambda: len(served.connections._ready) == 1)
         every = []
         for count in range(1, 6):
             every.append(stack.enter_context(connect(served.address)))
@@ -111,7 +111,7 @@ def test_of_those_who_wait_the_longest_waiting_goes(
                 while True:
                     gone.receive(ENOUGH_S)
             assert gone.closed_with is not None
-        assert len(served.connections._waiting) == 3
+        assert len(served.connections._pending) == 3
         assert all(client.closed_with is None for client in (settled, *every[2:]))
     served.until(lambda: len(served.connections) == 0)
 
@@ -119,12 +119,12 @@ def test_of_those_who_wait_the_longest_waiting_goes(
 def test_where_no_more_fit_nobody_who_has_answered_goes(
     served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connections_module, "_MOST", 2)
+    monkeypatch.setattr(connections_module, "_MAX_CONNECTIONS", 2)
     with ExitStack() as stack:
         two = [stack.enter_context(connect(served.address)) for _ in range(2)]
         for client in two:
             client.send_bytes(answer())
-        served.until(lambda: len(served.connections._settled) == 2)
+        served.until(lambda: len(served.connections._ready) == 2)
         with pytest.raises((OSError, EOFError, websockets.exceptions.WebSocketException)):
             connect(served.address)
         assert all(client.closed_with is None for client in two)
@@ -134,15 +134,15 @@ def test_where_no_more_fit_nobody_who_has_answered_goes(
 def test_connections_that_say_nothing_keep_no_page_from_anybody(
     served: Served, said: bytes
 ) -> None:
-    many = 2 * connections_module._MOST_WAITING_OF_ONE
+    many = 2 * connections_module._MAX_PENDING_PER_HOST
     with open_mute_connections(served.address, many, said), connect(served.address):
         served.until(lambda: len(served.arrived) == 1)
-        assert len(served.connections) <= connections_module._MOST_WAITING_OF_ONE
+        assert len(served.connections) <= connections_module._MAX_PENDING_PER_HOST
     assert served.lines == []
 
 
 def test_who_reads_nothing_is_cut_off(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connections_module, "_MOST_UNREAD_S", 0.05)
+    monkeypatch.setattr(connections_module, "_READ_TIMEOUT_S", 0.05)
     with socket.socket() as page:
         page.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         page.connect(place_of(served.address))
@@ -171,7 +171,7 @@ def test_who_reads_something_stays(size: int, stays: bool) -> None:
         protocol=SimpleNamespace(state=None),
         _watch=lambda: happened.append("watched on"),
     )
-    connections_module.ClientConnection._look(visit, 100)  # type: ignore[arg-type]  # as far as it is needed
+    connections_module.ClientConnection._abort_if_unread(visit, 100)  # type: ignore[arg-type]  # as far as it is needed
     assert happened == (["watched on"] if stays else ["cut off"])
 
 
@@ -181,16 +181,16 @@ def test_who_reads_something_stays(size: int, stays: bool) -> None:
 def test_a_malformed_message_changes_nothing(name: str, data: bytes) -> None:
     judged = check_message(data)
     if name == "an answer that was not asked for":
-        assert judged.is_wanted
+        assert judged.is_accepted
         return
-    assert not judged.is_wanted
+    assert not judged.is_accepted
     if name not in ("a message of the server's", "an upload", "a tunnel"):
         assert judged.problem
 
 
 @given(data=st.binary(max_size=200))
 def test_any_bytes_are_judged(data: bytes) -> None:
-    assert not check_message(data).is_wanted
+    assert not check_message(data).is_accepted
 
 
 VALUES = st.recursive(
@@ -209,7 +209,7 @@ VALUES = st.recursive(
 def test_what_is_let_in_is_what_viser_reads(name: str, value: object) -> None:
     """A camera with one value changed: let in, viser makes a message of it without a word."""
     data = msgspec.msgpack.encode(CAMERA | {name: value})
-    if check_message(data).is_wanted:
+    if check_message(data).is_accepted:
         message = messages.Message.deserialize(data)
         assert isinstance(message, messages.ViewerCameraMessage)
         assert message.image_height >= 0

@@ -43,13 +43,13 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> FakeMap:
     return fake
 
 
-def asked(**choices: object) -> View:
+def view_with(**choices: object) -> View:
     return View(recording=RECORDING.name, slam=SlamChoices.model_validate(choices))
 
 
 def run(root: Path, number: int = 1, progress: Progress = silent, **choices: object) -> SlamRun:
     return run_slam(
-        SlamRequest(number=number, view=asked(**choices), recording=RECORDING),
+        SlamRequest(number=number, view=view_with(**choices), recording=RECORDING),
         root,
         progress,
         no_observer,
@@ -122,12 +122,12 @@ def test_the_settings_file_says_how_many_particles(fake: FakeMap, tmp_path: Path
     assert tomllib.loads(file.read_text())["particles"]["particles"] == 77
     assert resampling_at(made.view) == 38.5
     # Of no use to the others.
-    assert map_options(asked(estimator="pose-graph", particles=77), file).settings_file is None
+    assert map_options(view_with(estimator="pose-graph", particles=77), file).settings_file is None
 
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_the_settings_file_says_all_that_the_view_says(preset: PresetName, tmp_path: Path) -> None:
-    view = asked(estimator="particle-filter", particles=50).changed(
+    view = view_with(estimator="particle-filter", particles=50).changed(
         preset=preset, settings=PRESETS[preset]
     )
     view = view.with_setting("noise", "epsilon", 2.25).with_setting("grid", "resolution_m", 0.1)
@@ -141,7 +141,7 @@ def test_the_settings_file_says_all_that_the_view_says(preset: PresetName, tmp_p
 
 
 def test_the_topic_of_the_view_goes_into_the_options() -> None:
-    view = asked(scan="camera", motion="none").changed(lidar_topic="/front")
+    view = view_with(scan="camera", motion="none").changed(lidar_topic="/front")
     options = map_options(view, Path("settings.toml"))
     assert (options.scan, options.motion, options.slam) == ("camera", "none", "pose-graph")
     assert options.lidar_topic == "/front"
@@ -179,13 +179,13 @@ def test_a_run_stops_where_only_its_picture_moves(
         assert callable(watch)
         progress(0, None, "closing loops")
         for _ in range(100):
-            watch(slam_runs.view_at(SCANS, "closing loops", map_options(asked(), Path("x"))))
+            watch(slam_runs.view_at(SCANS, "closing loops", map_options(view_with(), Path("x"))))
 
     monkeypatch.setattr(job, "build_map", only_watched)
     progress, _ = stopping(5)
     with pytest.raises(Cancelled):
         run_slam(
-            SlamRequest(number=1, view=asked(), recording=RECORDING),
+            SlamRequest(number=1, view=view_with(), recording=RECORDING),
             tmp_path,
             progress,
             seen.append,
@@ -241,7 +241,7 @@ def test_a_run_writes_the_bytes_that_its_command_writes(
     estimator: str, small_scene: Path, tmp_path: Path
 ) -> None:
     seen: list[SlamView] = []
-    view = asked(motion="wheel", estimator=estimator, particles=5)
+    view = view_with(motion="wheel", estimator=estimator, particles=5)
     made = run_slam(
         SlamRequest(number=1, view=view, recording=small_scene), tmp_path, silent, seen.append
     )

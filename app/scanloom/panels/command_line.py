@@ -12,8 +12,8 @@ from fusion_core.workflows.map.options import MapOptions
 
 def fuse_command(recording: Path, output: Path, options: FuseOptions) -> str:
     """A line for a POSIX shell that gives ``options`` to ``scanloom fuse``."""
-    words = ["scanloom", "fuse", str(recording), "--output", str(output), *_words(options)]
-    return " ".join(map(_quoted, words))
+    words = ["scanloom", "fuse", str(recording), "--output", str(output), *_fuse_arguments(options)]
+    return " ".join(map(_shell_quoted, words))
 
 
 def map_command(recording: Path, output: Path, options: MapOptions) -> str:
@@ -37,19 +37,19 @@ def map_command(recording: Path, output: Path, options: MapOptions) -> str:
     words += [f"{option}={value}" for option, value in named if value is not None]
     switches = (("--force", options.force), ("--overwrite", options.overwrite))
     words += [switch for switch, is_on in switches if is_on]
-    return " ".join(map(_quoted, words))
+    return " ".join(map(_shell_quoted, words))
 
 
-def _quoted(word: str) -> str:
+def _shell_quoted(argument: str) -> str:
     """One word for the shell; what is no UTF-8 in a path as bytes, as bash and zsh read them."""
-    if escape_undecodable(word) == word:
-        return shlex.quote(word)
-    raw = os.fsencode(word)
+    if escape_undecodable(argument) == argument:
+        return shlex.quote(argument)
+    raw = os.fsencode(argument)
     plain = (chr(b) if 0x20 <= b < 0x7F and chr(b) not in "'\\" else f"\\x{b:02x}" for b in raw)
     return f"$'{''.join(plain)}'"
 
 
-def _words(options: FuseOptions) -> Iterator[str]:
+def _fuse_arguments(options: FuseOptions) -> Iterator[str]:
     if options.preset != "default":
         yield from ("--preset", options.preset)
     room = options.room

@@ -55,7 +55,7 @@ class DepthCameras:
             )
             self._boxes = [by_type]
             self._controls.bind(by_type, lambda v: not v.depth_topics, self._take_found)
-            for topic, label in zip(self._topics, own_parts(self._topics), strict=True):
+            for topic, label in zip(self._topics, distinct_labels(self._topics), strict=True):
                 self._boxes.append(self._add_box(topic, label, view))
 
     def _add_box(self, topic: str, label: str, view: View) -> viser.GuiCheckboxHandle:
@@ -87,7 +87,7 @@ class DepthCameras:
         self._session.change(depth_topics=topics, frame_index=0)
 
 
-def own_parts(topics: Sequence[str]) -> list[str]:
+def distinct_labels(topics: Sequence[str]) -> list[str]:
     """What tells topics apart: their names without the last parts that all of them share."""
     parts = [topic.split("/") for topic in topics]
     shared = 0

@@ -84,7 +84,7 @@ class EpsilonControls:
         )
         self._controls.bind(unit, lambda view: view.settings.noise.epsilon_unit, self._change_unit)
         self._sliders = EpsilonSliders(gui, session, self._controls)
-        self._words = gui.add_markdown("")
+        self._text = gui.add_markdown("")
 
     def show(self, frame_view: FrameView) -> None:
         """Set unit and slider; say what epsilon is in this frame."""
@@ -93,12 +93,12 @@ class EpsilonControls:
         self._sliders.show(frame_view.view)
         if frame_view.match is not None and frame_view.chain is not None:
             self._lengths_m = unit_lengths_m(frame_view.match, frame_view.chain.alignment)
-        said = ""
+        text = ""
         if frame_view.fused is not None:
-            said = epsilon_text(
+            text = epsilon_text(
                 measure_epsilon(frame_view.fused), noise.epsilon, noise.epsilon_unit
             )
-        update_widget(self._words, content=said)
+        update_widget(self._text, content=text)
 
     def _change_unit(self, unit: EpsilonUnit) -> None:
         """The same length in another unit, as one change."""

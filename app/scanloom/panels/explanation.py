@@ -82,7 +82,7 @@ def explain_beam_repair(facts: BeamFacts, settings: ChainSettings) -> str:
             f"the camera's answer, {length(facts.camera_range_m)}, contradicts the sides of "
             "this narrow gap and is not believed"
         )
-    return _repair_words(lidar, "the camera", refused, settings)
+    return _repair_text(lidar, "the camera", refused, settings)
 
 
 def explain_pixel_repair(facts: BeamFacts, settings: ChainSettings) -> str:
@@ -104,7 +104,7 @@ def explain_pixel_repair(facts: BeamFacts, settings: ChainSettings) -> str:
         refused = "the LiDAR offers nothing"
     else:
         refused = "what the image shows around it is nearer and may hide the LiDAR's point"
-    return _repair_words(pixel, "the LiDAR", refused, settings)
+    return _repair_text(pixel, "the LiDAR", refused, settings)
 
 
 def length(metres: float) -> str:
@@ -114,7 +114,7 @@ def length(metres: float) -> str:
     return f"{100.0 * metres:.1f} cm" if abs(metres) < 1.0 else f"{metres:.2f} m"
 
 
-def _repair_words(
+def _repair_text(
     sample: SampleFacts, other: str, other_refused: str, settings: ChainSettings
 ) -> str:
     """``other_refused``: why the other sensor offers nothing, where it does not."""
@@ -205,8 +205,8 @@ def _pixel_support(facts: BeamFacts) -> str:
     return f"{supporters} of the {valid} depths around it support it"
 
 
-def _capital(words: str) -> str:
-    return words[0].upper() + words[1:]
+def _capital(text: str) -> str:
+    return text[0].upper() + text[1:]
 
 
 def _share(confidence: float) -> str:

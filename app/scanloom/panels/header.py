@@ -12,7 +12,7 @@ from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.panels.widgets.help import keys_text
 from scanloom.state.view import View
 
-_MOST_DIFFERENCES = 6
+_MAX_DIFFERENCES = 6
 
 
 class HeaderPanel(Panel):
@@ -44,9 +44,9 @@ class HeaderPanel(Panel):
                 case "Reset":
                     session.apply_preset(session.view.preset)
                 case "Link":
-                    self._tell_link()
+                    self._show_link()
                 case "Keys":
-                    self._tell("Keys", keys_text())
+                    self._show_dialogue("Keys", keys_text())
 
     def show(self, frame_view: FrameView) -> None:
         """Set title, preset and differences."""
@@ -55,16 +55,16 @@ class HeaderPanel(Panel):
         update_widget(self._title, content=_title(view))
         update_widget(self._differs, content=_differences(view))
 
-    def _tell_link(self) -> None:
+    def _show_link(self) -> None:
         link = f"/go?view={self._session.view.to_link()}"
         words = "Add this to the server's address. It restores recording, time, settings and panel."
-        self._tell("A link to this view", words, link=link)
+        self._show_dialogue("A link to this view", words, link=link)
 
-    def _tell(self, title: str, words: str, *, link: str | None = None) -> None:
+    def _show_dialogue(self, title: str, text: str, *, link: str | None = None) -> None:
         """A modal dialogue with a text, and a link to copy."""
         gui = self._gui
         with gui.add_modal(title) as modal:
-            gui.add_markdown(words)
+            gui.add_markdown(text)
             if link is not None:
                 gui.add_text("Link", link, multiline=True)
             close = gui.add_button("Close")
@@ -87,9 +87,9 @@ def _differences(view: View) -> str:
         for stage, values in view.preset_overrides().items()
         for name, value in values.items()
     ]
-    said = f"settings of the preset {view.preset}"
+    text = f"settings of the preset {view.preset}"
     if changed:
-        more = len(changed) - _MOST_DIFFERENCES
+        more = len(changed) - _MAX_DIFFERENCES
         tail = f" and {more} more" if more > 0 else ""
-        said = "differs: " + ", ".join(changed[:_MOST_DIFFERENCES]) + tail
-    return f'<div style="padding:0 0.5em;font-size:0.85em;opacity:0.75">{html.escape(said)}</div>'
+        text = "differs: " + ", ".join(changed[:_MAX_DIFFERENCES]) + tail
+    return f'<div style="padding:0 0.5em;font-size:0.85em;opacity:0.75">{html.escape(text)}</div>'

@@ -193,7 +193,7 @@ class MapPanel(Panel):
         def done(exported: CloudExport) -> None:
             with self._lock:
                 if self._built is built:
-                    self._clouds = _clouds_said(exported)
+                    self._clouds = _export_text(exported)
             self._job.end()
 
         self._job.begin("export", lambda progress: export(built, voxel_m, progress), done)
@@ -204,12 +204,12 @@ class MapPanel(Panel):
         update_widget(self._export_button, disabled=is_at_work)
 
     def _show_command(self, view: View, built: Build | None) -> None:
-        key = (_asked(view), self._figures.value, built)
+        key = (_build_inputs(view), self._figures.value, built)
         if key == self._commanded:
             return
         self._commanded = key
         recording = self._session.recording_path(view.recording)
-        if built is not None and _asked(view) == _asked(built.view):
+        if built is not None and _build_inputs(view) == _build_inputs(built.view):
             folder, options = built.folder, built.options
         else:
             folder = free_folder(self._root, recording)
@@ -237,7 +237,8 @@ class MapPanel(Panel):
                 update_widget(handle, visible=built.summary.pose_source is not None)
         update_widget(self._exported, content=paragraph(self._clouds) if self._clouds else "")
         update_widget(
-            self._report, content=_report(built, changed=_asked(view) != _asked(built.view))
+            self._report,
+            content=_report(built, changed=_build_inputs(view) != _build_inputs(built.view)),
         )
 
     def _send(self) -> None:
@@ -252,7 +253,7 @@ class MapPanel(Panel):
         self._session.send_file(f"{built.folder.name}.zip", content)
 
 
-def _asked(view: View) -> tuple[object, ...]:
+def _build_inputs(view: View) -> tuple[object, ...]:
     """What of a view a build depends on."""
     return (
         view.recording,
@@ -268,12 +269,12 @@ def _asked(view: View) -> tuple[object, ...]:
 
 def _report(built: Build, *, changed: bool) -> str:
     """What a run has to report, as HTML."""
-    said = []
+    notices = []
     if changed:
-        said.append("<b>Settings or streams changed since this build.</b>")
+        notices.append("<b>Settings or streams changed since this build.</b>")
     if not built.summary.grids:
-        said.append(html.escape(_why_no_maps(built)))
-    paragraphs = "".join(f"<p style='margin:0.3em 0'>{line}</p>" for line in said)
+        notices.append(html.escape(_why_no_maps(built)))
+    paragraphs = "".join(f"<p style='margin:0.3em 0'>{line}</p>" for line in notices)
     lines = "".join(
         # The lines are a terminal's, which may not have the sign.
         f"<div style='{_REPORT_LINE}'>{html.escape(line.replace('+-', '±'))}</div>"
@@ -292,6 +293,6 @@ def _why_no_maps(built: Build) -> str:
     return f"No maps. {why} All other results are there."
 
 
-def _clouds_said(exported: CloudExport) -> str:
+def _export_text(exported: CloudExport) -> str:
     counts = ", ".join(f"{name} {count:,} points" for name, count in exported.points.items())
     return " ".join([f"Clouds: {counts}, in {exported.output}.", *exported.notes])

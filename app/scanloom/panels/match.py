@@ -54,7 +54,7 @@ class MatchPanel(Panel):
         self._picture = gui.add_image(
             np.full((_HEIGHT_PX, _WIDTH_PX, 3), 255, np.uint8), format="png", visible=False
         )
-        self._words = gui.add_markdown("")
+        self._summary = gui.add_markdown("")
         with gui.add_folder("Pick by hand"):
             self._u = gui.add_number("u (samples)", 0.0, step=0.25)
             self._v = gui.add_number("v (row)", 0.0, step=1.0)
@@ -100,12 +100,12 @@ class MatchPanel(Panel):
             update_widget(picture, visible=match is not None)
         if match is None or frame_view.chain is None:
             self._on_heatmap(None)
-            update_widget(self._words, content=escape_markdown(missing_result_text(frame_view)))
+            update_widget(self._summary, content=escape_markdown(missing_result_text(frame_view)))
             return
         self._on_heatmap(partial(self._heatmap_of, frame_view, match))
         if frame_view.view.panel == "Match":
             show_picture(self._picture, self._heatmap_of(frame_view, match).rgb)
-            update_widget(self._words, content=_peak_words(frame_view, match))
+            update_widget(self._summary, content=_peak_text(frame_view, match))
             self._show_curves(frame_view, match)
             alignment = frame_view.chain.alignment
             update_widget(self._mount, content=mount_text(alignment.mount, alignment.notes))
@@ -178,7 +178,7 @@ def _place(frame_view: FrameView, match: FrameMatch) -> tuple[float, float] | No
     return None if peak is None else (peak.u, peak.v)
 
 
-def _peak_words(frame_view: FrameView, match: FrameMatch) -> str:
+def _peak_text(frame_view: FrameView, match: FrameMatch) -> str:
     metric = frame_view.view.settings.search.metric
     peak = match.search.peaks.get(metric)
     if peak is None:

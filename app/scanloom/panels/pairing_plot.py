@@ -46,7 +46,7 @@ class PairingPlot:
             ),
             y_limits=(-1.0, 1.0),
         )
-        self._words = gui.add_markdown("", visible=False)
+        self._summary = gui.add_markdown("", visible=False)
         self._of: tuple[PairingStamps | None, float] = None, 0.0
         self._curves: GapCurves | None = None
         self._marked: tuple[GapCurves | None, int] = None, -1
@@ -56,9 +56,9 @@ class PairingPlot:
         stamps = frame_view.open_recording.pairing
         is_virtual = frame_view.open_recording.fuse_session.virtual_row is not None
         if is_virtual:
-            update_widget(self._words, content="A virtual LiDAR has the stamps of its images.")
+            update_widget(self._summary, content="A virtual LiDAR has the stamps of its images.")
         update_widget(self._plot, visible=stamps is not None and not is_virtual)
-        update_widget(self._words, visible=stamps is not None)
+        update_widget(self._summary, visible=stamps is not None)
         if stamps is None or is_virtual:
             return
         offset_ms = (
@@ -81,7 +81,7 @@ class PairingPlot:
         first_ns = int(frame_view.open_recording.frames.times_ns[0])
         self._curves = curves = GapCurves(gaps, first_ns)
         set_y_limits(self._plot, -curves.limit_ms, curves.limit_ms)
-        update_widget(self._words, content=_words(gaps, offset_ms, max_gap_ms))
+        update_widget(self._summary, content=_summary_text(gaps, offset_ms, max_gap_ms))
         return curves
 
 
@@ -118,7 +118,7 @@ class GapCurves:
         )
 
 
-def _words(gaps: PairingGaps, offset_ms: float, max_gap_ms: float) -> str:
+def _summary_text(gaps: PairingGaps, offset_ms: float, max_gap_ms: float) -> str:
     without = int((~gaps.is_paired).sum())
     known_ms = gaps.gap_ms[gaps.is_paired]
     lines = []

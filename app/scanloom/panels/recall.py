@@ -25,8 +25,8 @@ from scanloom.state.open_recording import OpenRecording
 _BAND_COLOR: Color = (225, 229, 233)
 _COMPUTE, _CANCEL = "Compute", "Cancel"
 # The desk's own work goes first; a film that plays leaves no pause.
-_PATIENCE_S = 0.5
-_CLOSE_S = 10.0
+_MAX_IDLE_WAIT_S = 0.5
+_CANCEL_TIMEOUT_S = 10.0
 
 
 class RecallPanel:
@@ -39,7 +39,7 @@ class RecallPanel:
         self._closed = False
         self._begin: Callable[[], None] = lambda: None
         # What the job's words are about, and whose curve is drawn.
-        self._opened: OpenRecording | None = None
+        self._open_recording: OpenRecording | None = None
         self._truth: Path | None = None
         # Whose curve the plot shows, and the epsilon that is marked.
         self._plotted: tuple[RecallCurve | None, float] = None, 0.0
@@ -60,7 +60,7 @@ class RecallPanel:
                     line("ε of this frame", INK),
                 ),
             )
-            self._words = gui.add_markdown("", visible=False)
+            self._summary = gui.add_markdown("", visible=False)
             self._button = gui.add_button(
                 _COMPUTE, hint="Compares every frame with the truth, as in Fig. 6 of Xu 2024"
             )
@@ -70,7 +70,7 @@ class RecallPanel:
 
     def show(self, frame_view: FrameView) -> None:
         """Draw the curve of the view's settings where it is known; else offer to compute it."""
-        self._look_for_truth(frame_view.open_recording)
+        self._find_truth(frame_view.open_recording)
         chain, truth, fused = frame_view.chain, self._truth, frame_view.fused
         update_widget(self._folder, visible=chain is not None and truth is not None)
         if chain is None or truth is None:
@@ -80,13 +80,13 @@ class RecallPanel:
         curve = frame_view.open_recording.recalls.get(key)
 
         def work(progress: Progress) -> RecallCurve:
-            return recall_of(chain, settings, truth, offset_ms, self._patient(progress))
+            return recall_of(chain, settings, truth, offset_ms, self._yielding(progress))
 
         with self._lock:
             self._begin = lambda: self._start(work, frame_view.open_recording, key)
             update_widget(self._button, visible=curve is None or self._job is not None)
         update_widget(self._plot, visible=curve is not None)
-        update_widget(self._words, visible=curve is not None)
+        update_widget(self._summary, visible=curve is not None)
         if curve is not None:
             self._show_curve(curve, fused)
 
@@ -97,13 +97,13 @@ class RecallPanel:
             job = self._job
         if job is not None:
             job.cancel()
-            job.wait(_CLOSE_S)
+            job.wait(_CANCEL_TIMEOUT_S)
 
-    def _look_for_truth(self, open_recording: OpenRecording) -> None:
-        if self._opened is open_recording:
+    def _find_truth(self, open_recording: OpenRecording) -> None:
+        if self._open_recording is open_recording:
             return
         with self._lock:
-            self._opened = open_recording
+            self._open_recording = open_recording
             if self._job is not None:
                 self._job.cancel()
             update_widget(self._progress_text, visible=False)
@@ -138,12 +138,12 @@ class RecallPanel:
             on_cancelled=lambda: self._end(""),
         )
 
-    def _patient(self, progress: Progress) -> Progress:
+    def _yielding(self, progress: Progress) -> Progress:
         """Reports, and lets the desk go first: what a person drags must not wait for this."""
 
         def report(done: int, total: int | None, what: str) -> None:
             progress(done, total, what)
-            self._session.wait(_PATIENCE_S)
+            self._session.wait(_MAX_IDLE_WAIT_S)
 
         return report
 
@@ -154,17 +154,19 @@ class RecallPanel:
 
     def _fail(self, error: Exception) -> None:
         failure = as_failure(
-            error if self._opened is None else self._opened.explain_read_error(error)
+            error
+            if self._open_recording is None
+            else self._open_recording.explain_read_error(error)
         )
         self._end(f"There is no curve. {failure_summary(failure)} {failure.advice}")
 
-    def _end(self, said: str) -> None:
+    def _end(self, message: str) -> None:
         """The job's last step, in its thread: the worker draws what came of it."""
         with self._lock:
             self._job = None
             update_widget(self._button, label=_COMPUTE)
             update_widget(self._progress, visible=False)
-            update_widget(self._progress_text, content=_paragraph(said), visible=bool(said))
+            update_widget(self._progress_text, content=_paragraph(message), visible=bool(message))
             closed = self._closed
         if not closed:
             self._session.refresh()
@@ -177,7 +179,7 @@ class RecallPanel:
         if before is not curve or not np.array_equal(at, marked, equal_nan=True):
             self._plotted = curve, marked
             self._plot.data = _data(curve, marked)
-        update_widget(self._words, content=_words_of(curve, factor))
+        update_widget(self._summary, content=_summary_text(curve, factor))
 
 
 def _data(curve: RecallCurve, marked: float) -> tuple[FloatArray, ...]:
@@ -188,7 +190,7 @@ def _data(curve: RecallCurve, marked: float) -> tuple[FloatArray, ...]:
     # Its edges stand twice, so that they are upright.
     band[np.searchsorted(factors, first) + 1 : np.searchsorted(factors, last, "right") - 1] = 1.0
     recalls = [
-        np.interp(factors, curve.factors, _shares(counts, whole))
+        np.interp(factors, curve.factors, _fractions(counts, whole))
         for counts, whole in (
             (curve.good_kept, curve.good_pairs),
             (curve.noise_found, curve.noise_pairs),
@@ -208,12 +210,12 @@ def _is_in_plot(curve: RecallCurve, factor: float) -> bool:
     return bool(curve.factors[0] <= factor <= curve.factors[-1])
 
 
-def _shares(counts: IntArray, whole: int) -> FloatArray:
+def _fractions(counts: IntArray, whole: int) -> FloatArray:
     """Counts as shares of all, NaN where there are none."""
     return counts / whole if whole else np.full(counts.shape, np.nan)
 
 
-def _words_of(curve: RecallCurve, factor: float) -> str:
+def _summary_text(curve: RecallCurve, factor: float) -> str:
     counts = f"{curve.good_pairs} good and {curve.noise_pairs} noise pairs by the truth."
     if not np.isfinite(factor):
         return f"{counts} This frame has no E, so its ε is not marked."
@@ -226,7 +228,7 @@ def _words_of(curve: RecallCurve, factor: float) -> str:
         ("finds", curve.noise_found, curve.noise_pairs, "noise"),
     ):
         if whole:
-            percent = 100.0 * np.interp(factor, curve.factors, _shares(found, whole))
+            percent = 100.0 * np.interp(factor, curve.factors, _fractions(found, whole))
             shares.append(f"{verb} **{percent:.1f} %** of the {what} pairs")
     alone = f" ε alone {' and '.join(shares)}; the classes look at neighbours, too."
     return f"{counts} {there}.{alone if shares else ''}"

@@ -80,7 +80,7 @@ class RecordingPanel(Panel):
         chain = frame_view.chain
         sd_ms = None if chain is None else chain.alignment.mount.sd[_CLOCK]
         update_widget(
-            self._clock, content="" if chain is None else _clock_words(chain.alignment.mount)
+            self._clock, content="" if chain is None else _clock_offset_text(chain.alignment.mount)
         )
         # What was applied can be taken back in any case.
         update_widget(self._apply, disabled=sd_ms is None and not view.apply_clock_offset)
@@ -131,15 +131,15 @@ class RecordingPanel(Panel):
         if not waiting:
             return
         step = open_recording.progress
-        share = 100.0 * step.done / step.total if step.total else 0.0
-        update_widget(self._progress, value=min(share, 100.0))
-        said = alignment_progress_text(open_recording)
+        percent = 100.0 * step.done / step.total if step.total else 0.0
+        update_widget(self._progress, value=min(percent, 100.0))
+        text = alignment_progress_text(open_recording)
         update_widget(
-            self._progress_text, content=f'<div style="padding:0 0.5em">{html.escape(said)}</div>'
+            self._progress_text, content=f'<div style="padding:0 0.5em">{html.escape(text)}</div>'
         )
 
 
-def _clock_words(mount: Mount) -> str:
+def _clock_offset_text(mount: Mount) -> str:
     offset = "not observable in this recording"
     sd_ms = mount.sd[_CLOCK]
     if sd_ms is not None:

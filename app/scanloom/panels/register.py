@@ -49,11 +49,11 @@ class RegisterPanel(Panel):
         self._residuals = ResidualPlot(gui)
         self._recall = RecallPanel(gui, session)
         self._pairs = gui.add_image(_blank(_PAIRS_PX), format="png")
-        self._words = gui.add_markdown("")
+        self._summary = gui.add_markdown("")
         with gui.add_folder("Draws, one by one"):
             self._draw = gui.add_slider("Draw", min=0, max=1, step=1, initial_value=0)
             self._buttons = gui.add_button_group("Go to", ("Previous", "Next", "Best"))
-            self._draw_words = gui.add_markdown("")
+            self._draw_text = gui.add_markdown("")
             self._draw_picture = gui.add_image(_blank(_DRAW_PX), format="png")
             self._consensus = gui.add_markdown("")
         with gui.add_folder("How it draws", expand_by_default=False):
@@ -100,13 +100,13 @@ class RegisterPanel(Panel):
             self._show_pairs(match, axes)
         else:
             self._drawn_pairs = None
-            update_widget(self._words, content=escape_markdown(missing_result_text(frame_view)))
+            update_widget(self._summary, content=escape_markdown(missing_result_text(frame_view)))
         if found is not None:
             self._show_draw(found, min(view.draw_index, self._last_draw), axes)
         else:
             self._drawn_draw = (None, -1)
             update_widget(self._matrix, content="There is none.")
-            update_widget(self._draw_words, content="Without an A there is no draw to show.")
+            update_widget(self._draw_text, content="Without an A there is no draw to show.")
 
     def close(self) -> None:
         """The browser has gone."""
@@ -133,10 +133,10 @@ class RegisterPanel(Panel):
         drawn = pair_picture(plots, width_px=_WIDTH_PX, height_px=height_px, axis_labels=axes)
         show_picture(self._pairs, drawn.rgb)
         if found is None:
-            update_widget(self._words, content=registration_text.failure_text(match.refusal))
+            update_widget(self._summary, content=registration_text.failure_text(match.refusal))
             return
         update_widget(
-            self._words,
+            self._summary,
             content=registration_text.transform_text(found, meaning_of_registration(found)),
         )
         update_widget(self._matrix, content=registration_text.matrix_text(found.A))
@@ -159,7 +159,7 @@ class RegisterPanel(Panel):
         )
         drawn = pair_picture([plot], width_px=_WIDTH_PX, height_px=_DRAW_PX, axis_labels=axes)
         show_picture(self._draw_picture, drawn.rgb)
-        update_widget(self._draw_words, content=registration_text.draw_text(draw, found))
+        update_widget(self._draw_text, content=registration_text.draw_text(draw, found))
 
 
 def _before_and_after(pairs: PlanarPairs) -> list[PairPlot]:

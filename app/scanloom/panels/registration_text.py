@@ -78,13 +78,13 @@ def draw_text(draw: RansacDraw, found: Registration) -> str:
     count, best = len(found.draws), found.best_draw
     mark = " ★ **the best draw**" if draw.index == best else ""
     if np.isfinite(draw.A).all():
-        share = _percent(draw.inliers / found.valid, 0)
-        said = (
-            f"its A agrees with **{draw.inliers}** of {found.valid} pairs ({share}) within "
+        percent = _percent(draw.inliers / found.valid, 0)
+        outcome = (
+            f"its A agrees with **{draw.inliers}** of {found.valid} pairs ({percent}) within "
             f"{_length(found.draws.inlier_threshold_m)}"
         )
     else:
-        said = "its pairs do not determine a transform"
+        outcome = "its pairs do not determine a transform"
     numbers = ", ".join(str(pair) for pair in draw.pairs)
     after = ""
     if draw.index == best:
@@ -92,7 +92,7 @@ def draw_text(draw: RansacDraw, found: Registration) -> str:
             f" {_counted(found.refits, 'refit').capitalize()} to the inliers made them "
             f"{int(found.inliers.sum())}."
         )
-    return f"Draw **{draw.index}** of 0…{count - 1}{mark}: {said}.{after} Pairs {numbers}."
+    return f"Draw **{draw.index}** of 0…{count - 1}{mark}: {outcome}.{after} Pairs {numbers}."
 
 
 def consensus_text(found: Registration, consensus: Consensus) -> str:
@@ -106,28 +106,28 @@ def consensus_text(found: Registration, consensus: Consensus) -> str:
     )
 
 
-def epsilon_text(said: EpsilonInFrame, epsilon: float, unit: EpsilonUnit) -> str:
+def epsilon_text(measured: EpsilonInFrame, epsilon: float, unit: EpsilonUnit) -> str:
     """The threshold in metres, the pairs beyond it, and the paper's band."""
-    if said.compared == 0:
+    if measured.compared == 0:
         return "No pair of this frame has both values."
-    if not np.isfinite(said.middle_m):
+    if not np.isfinite(measured.middle_m):
         return "This frame has no E, so ε is not known in its multiples: no pair counts as beyond."
     spread = ""
-    if said.greatest_m > 1.01 * said.least_m:
-        spread = f" ({said.least_m:.3f} to {said.greatest_m:.3f} m, growing with range)"
+    if measured.greatest_m > 1.01 * measured.least_m:
+        spread = f" ({measured.least_m:.3f} to {measured.greatest_m:.3f} m, growing with range)"
     own = "" if unit == "m" else f" = {epsilon:g}{_UNIT_SIGNS[unit]}"
     lines = [
-        f"ε = **{said.middle_m:.3f} m**{own}{spread}; **{said.beyond}** of {said.compared} pairs "
-        "disagree by more."
+        f"ε = **{measured.middle_m:.3f} m**{own}{spread}; **{measured.beyond}** of "
+        f"{measured.compared} pairs disagree by more."
     ]
-    if np.isfinite(said.E_m):
-        low_m, high_m = said.band_m
+    if np.isfinite(measured.E_m):
+        low_m, high_m = measured.band_m
         where = "inside"
-        if said.middle_m < low_m * (1.0 - 1e-9):
+        if measured.middle_m < low_m * (1.0 - 1e-9):
             where = "below"
-        elif said.middle_m > high_m * (1.0 + 1e-9):
+        elif measured.middle_m > high_m * (1.0 + 1e-9):
             where = "above"
-        ratio = "" if said.E_m <= 0.0 else f", {said.middle_m / said.E_m:.2f} E"
+        ratio = "" if measured.E_m <= 0.0 else f", {measured.middle_m / measured.E_m:.2f} E"
         lines.append(
             f"The paper's band [E, √2 E] is [{low_m:.3f}, {high_m:.3f}] m here: ε lies **{where}** "
             f"it{ratio}."
@@ -189,5 +189,5 @@ def _probability(value: float) -> str:
     return "more than 99.9 %" if value > 0.999 else _percent(value, 1)
 
 
-def _percent(share: float, digits: int) -> str:
-    return f"{100.0 * share:.{digits}f} %"
+def _percent(fraction: float, digits: int) -> str:
+    return f"{100.0 * fraction:.{digits}f} %"

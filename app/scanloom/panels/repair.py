@@ -15,10 +15,10 @@ from scanloom.panels.repair_tables import beam_table, class_table
 from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.plots.depth_image import PairOverlay, depth_limits_m, depth_picture
 from scanloom.plots.line_plot import PlotLabels, add_line_plot, dots, set_y_limits
+from scanloom.plots.pair_pixels import pixels_of_match, repaired_depth_m
 from scanloom.plots.palette import color_of
 from scanloom.plots.png import show_picture
 from scanloom.scene.frame_summary import ConflictRun, conflict_runs
-from scanloom.scene.pair_pixels import pixels_of_match, repaired_depth_m
 from scanloom.scene.range_curves import range_curves
 from scanloom.state.view import View
 
@@ -37,7 +37,7 @@ class RepairPanel(Panel):
         # What the list offers, by its words.
         self._runs: dict[str, ConflictRun] = {}
         self._controls = Controls(gui, session)
-        self._words = gui.add_html("", visible=False)
+        self._message = gui.add_html("", visible=False)
         both = gui.add_checkbox(
             "Before and after",
             session.view.show_raw_and_repaired,
@@ -84,11 +84,11 @@ class RepairPanel(Panel):
             lambda value: _NO_BEAM if value is None else value,
         )
         # What the list says follows from the frame, not from the view.
-        controls.bind(self._conflicts, lambda _: None, self._go_to)
+        controls.bind(self._conflicts, lambda _: None, self._select_conflict)
 
         @self._step.on_click
         def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
-            self._go(1 if self._step.value == "Next" else -1)
+            self._step_conflict(1 if self._step.value == "Next" else -1)
 
     def show(self, frame_view: FrameView) -> None:
         """Draw the frame of this view, while the panel is open."""
@@ -98,7 +98,7 @@ class RepairPanel(Panel):
         if view.panel != "Repair":
             return
         missing = f'<div style="padding:0.5em">{html.escape(missing_result_text(frame_view))}</div>'
-        update_widget(self._words, content=missing, visible=frame_view.fused is None)
+        update_widget(self._message, content=missing, visible=frame_view.fused is None)
         if frame_view.fused is None:
             self._hide()
             return
@@ -162,10 +162,12 @@ class RepairPanel(Panel):
 
     def _show_conflicts(self, frame: FusedFrame, view: View) -> None:
         runs = conflict_runs(frame)
-        self._runs = {_conflict_words(run): run for run in runs}
+        self._runs = {_conflict_label(run): run for run in runs}
         heading = f"{len(runs)}: choose one" if runs else _NO_CONFLICTS
         update_widget(self._conflicts, options=(heading, *self._runs))
-        chosen = [words for words, run in self._runs.items() if _holds(run, view.selected_beam)]
+        chosen = [
+            label for label, run in self._runs.items() if _contains_beam(run, view.selected_beam)
+        ]
         update_widget(self._conflicts, value=chosen[0] if chosen else heading)
 
     def _hide(self) -> None:
@@ -192,19 +194,21 @@ class RepairPanel(Panel):
 
         self._controls.bind(box, lambda view: noise in view.visible_classes, change)
 
-    def _go_to(self, words: str) -> None:
+    def _select_conflict(self, label: str) -> None:
         """Look at the conflict that the list calls so; its heading is none."""
-        run = self._runs.get(words)
+        run = self._runs.get(label)
         if run is not None:
             self._session.change(selected_beam=run.middle)
 
-    def _go(self, by: int) -> None:
+    def _step_conflict(self, by: int) -> None:
         """Look at the next conflict, around the ends."""
         runs = list(self._runs.values())
         if not runs:
             return
         at = [
-            place for place, run in enumerate(runs) if _holds(run, self._session.view.selected_beam)
+            place
+            for place, run in enumerate(runs)
+            if _contains_beam(run, self._session.view.selected_beam)
         ]
         place = at[0] + by if at else (by - 1) // 2
         self._session.change(selected_beam=runs[place % len(runs)].middle)
@@ -231,10 +235,10 @@ def _add_range_plot(gui: viser.GuiApi) -> viser.GuiUplotHandle:
     )
 
 
-def _conflict_words(run: ConflictRun) -> str:
+def _conflict_label(run: ConflictRun) -> str:
     beams = f"{run.first}" if run.first == run.last else f"{run.first}–{run.last}"
     return f"beam {beams}: LiDAR {run.lidar_m:.2f} m, camera {run.camera_m:.2f} m"
 
 
-def _holds(run: ConflictRun, beam: int | None) -> bool:
+def _contains_beam(run: ConflictRun, beam: int | None) -> bool:
     return beam is not None and run.first <= beam <= run.last

@@ -1,4 +1,4 @@
-"""The Repair panel's tables as HTML: classes and sources in numbers, and all about one beam."""
+"""The Repair panel's tables as HTML: counts by class and repair source, and the details of one beam."""
 
 import math
 
@@ -26,10 +26,12 @@ _TABLE = (
     "<table style='width:100%;border-collapse:collapse;font-variant-numeric:tabular-nums'>"
     "{}</table>"
 )
-_FIRST = "<td style='padding:0.05em 0.6em 0.05em 0'>{}</td>"
-_OTHER = "<td style='padding:0.05em 0;text-align:right'>{}</td>"
-_RULE = "<tr><td colspan='3' style='border-top:1px solid rgba(128,128,128,0.35)'></td></tr>"
-_REPAIRED = (
+_FIRST_CELL = "<td style='padding:0.05em 0.6em 0.05em 0'>{}</td>"
+_VALUE_CELL = "<td style='padding:0.05em 0;text-align:right'>{}</td>"
+_SEPARATOR_ROW = (
+    "<tr><td colspan='3' style='border-top:1px solid rgba(128,128,128,0.35)'></td></tr>"
+)
+_SOURCE_LABELS = (
     (RepairSource.OTHER_SENSOR, "repaired from the other sensor"),
     (RepairSource.NEIGHBOURS, "repaired from neighbours"),
     (RepairSource.RAW, "kept as they are"),
@@ -38,24 +40,24 @@ _REPAIRED = (
 
 
 def class_table(frame: FusedFrame) -> str:
-    """How many beams and pixels are of each class, and what became of the holes and burrs."""
+    """Counts of beams and pixels by class, and of holes and burrs by repair source."""
     beams, pixels = counts_of_beams(frame), counts_of_pixels(frame)
     rows = [_row("", "beams", "pixels")]
     rows += [
-        _row(_named(noise), str(beams.by_class[noise]), str(pixels.by_class[noise]))
+        _row(_class_label(noise), str(beams.by_class[noise]), str(pixels.by_class[noise]))
         for noise in NoiseClass
     ]
-    rows += [_row("outside the image", "", str(pixels.without_pixel)), _RULE]
+    rows += [_row("outside the image", "", str(pixels.without_pixel)), _SEPARATOR_ROW]
     rows += [_row("of the holes and burrs", "", "")]
     rows += [
         _row(words, str(beams.by_source[source]), str(pixels.by_source[source]))
-        for source, words in _REPAIRED
+        for source, words in _SOURCE_LABELS
     ]
     return f"{_BOX}{_TABLE.format(''.join(rows))}</div>"
 
 
 def beam_table(frame: FusedFrame, beam: int | None, settings: ChainSettings) -> str:
-    """Class, confidence, values and source of a beam and its pixel, and why in words."""
+    """Class, confidence, values and source of a beam and its pixel, with the reasons."""
     if beam is None:
         return f"{_BOX}Choose a conflict or a number, or click a beam in the scene.</div>"
     facts = facts_of_beam(frame, beam)
@@ -65,15 +67,15 @@ def beam_table(frame: FusedFrame, beam: int | None, settings: ChainSettings) -> 
     titles = ("", "class", "confidence", "raw", "repaired", "source")
     heads = (f"beam {facts.beam}, range", "pixel, depth")
     table = "".join(map(_row, titles, (heads[0], *beam_side), (heads[1], *pixel_side)))
-    said = [
+    paragraphs = [
         "<b>Beam.</b> "
         f"{explain_beam_class(facts, settings)} {explain_beam_repair(facts, settings)}",
         "<b>Pixel.</b> "
         f"{explain_pixel_class(facts, settings)} {explain_pixel_repair(facts, settings)}",
         _measures(facts),
     ]
-    words = "".join(f"<p style='margin:0.5em 0 0'>{line}</p>" for line in said)
-    return f"{_BOX}{_TABLE.format(table)}{words}</div>"
+    text = "".join(f"<p style='margin:0.5em 0 0'>{line}</p>" for line in paragraphs)
+    return f"{_BOX}{_TABLE.format(table)}{text}</div>"
 
 
 def _side(sample: SampleFacts | None, other: str) -> tuple[str, ...]:
@@ -87,7 +89,7 @@ def _side(sample: SampleFacts | None, other: str) -> tuple[str, ...]:
         RepairSource.NONE: "none",
     }[sample.source]
     return (
-        _named(sample.noise_class),
+        _class_label(sample.noise_class),
         f"{sample.confidence:.2f}",
         _metres(sample.raw_m),
         _metres(sample.repaired_m),
@@ -96,18 +98,18 @@ def _side(sample: SampleFacts | None, other: str) -> tuple[str, ...]:
 
 
 def _measures(facts: BeamFacts) -> str:
-    said = [f"azimuth {facts.azimuth_deg:.1f}°"]
+    measures = [f"azimuth {facts.azimuth_deg:.1f}°"]
     if facts.pixel is not None:
-        said += [
+        measures += [
             f"pixel in row {facts.row}, column {facts.column}",
             f"its depth as a range: {_metres(facts.pixel_range_m)}",
         ]
-    said += [
+    measures += [
         f"where the beam meets what the camera sees: {_metres(facts.camera_range_m)}",
         f"residual {length(facts.residual_m)}",
         f"epsilon {length(facts.epsilon_m)}",
     ]
-    return "<b>Measures.</b> " + "; ".join(said).replace("-", "−") + "."
+    return "<b>Measures.</b> " + "; ".join(measures).replace("-", "−") + "."
 
 
 def _out_of_view(frame: FusedFrame, beam: int) -> str:
@@ -115,17 +117,18 @@ def _out_of_view(frame: FusedFrame, beam: int) -> str:
     if beam >= ranges_m.size:
         return f"The scan has {ranges_m.size} beams; there is no beam {beam}."
     return (
-        f"Beam {beam} lies outside the camera's view, so that nothing is said of it. "
+        f"Beam {beam} lies outside the camera's view, so it has no class. "
         f"Its range: {_metres(float(ranges_m[beam]))}."
     )
 
 
 def _row(first: str, second: str, third: str) -> str:
-    return f"<tr>{_FIRST.format(first)}{_OTHER.format(second)}{_OTHER.format(third)}</tr>"
+    values = "".join(_VALUE_CELL.format(value) for value in (second, third))
+    return f"<tr>{_FIRST_CELL.format(first)}{values}</tr>"
 
 
-def _named(noise: NoiseClass) -> str:
-    """A class with its colour."""
+def _class_label(noise: NoiseClass) -> str:
+    """A class name with a swatch of its colour."""
     name = noise.name.lower()
     return (
         "<span style='display:inline-block;width:0.75em;height:0.75em;margin-right:0.45em;"

@@ -13,12 +13,12 @@ from scanloom.plots.line_plot import NEUTRAL, PlotLabels, add_line_plot, dots, l
 from scanloom.plots.palette import class_color
 
 # The plot reaches so far beyond epsilon; what lies beyond that is drawn at its edge.
-_REACH = 2.5
-_SHOWN = (NoiseClass.GOOD, NoiseClass.CONFLICT, NoiseClass.BURR)
-_NOTHING = (*no_data(len(_SHOWN) + 1), np.zeros(2), np.zeros(2))
+_Y_LIMIT_IN_EPSILON = 2.5
+_PLOTTED_CLASSES = (NoiseClass.GOOD, NoiseClass.CONFLICT, NoiseClass.BURR)
+_NOTHING = (*no_data(len(_PLOTTED_CLASSES) + 1), np.zeros(2), np.zeros(2))
 # The two lines of epsilon alone set the range of y: limits of its own for each frame would set the
 # plot up anew at each change.
-_BEYOND_LINES = {"pad": 0.5 * (_REACH - 1.0), "soft": 0.0, "mode": 0}
+_Y_PADDING = {"pad": 0.5 * (_Y_LIMIT_IN_EPSILON - 1.0), "soft": 0.0, "mode": 0}
 
 
 class ResidualPlot:
@@ -35,35 +35,35 @@ class ResidualPlot:
                 x_falls=True,
             ),
             (
-                *(dots(noise.name.lower(), class_color(noise)) for noise in _SHOWN),
+                *(dots(noise.name.lower(), class_color(noise)) for noise in _PLOTTED_CLASSES),
                 dots("beyond the plot", NEUTRAL, 6.0, hollow=True),
                 line("+ε", NEUTRAL, dashed=True),
                 line("−ε", NEUTRAL, dashed=True),
             ),
-            y_limits={"min": _BEYOND_LINES, "max": _BEYOND_LINES},
+            y_limits={"min": _Y_PADDING, "max": _Y_PADDING},
         )
-        self._words = gui.add_markdown("")
-        self._shown: FusedFrame | None = None
+        self._text = gui.add_markdown("")
+        self._plotted: FusedFrame | None = None
 
     def show(self, fused: FusedFrame | None, *, signed: bool) -> None:
         """Draw a frame's pairs; nothing where less than two have both values.
 
         ``signed``: residuals are differences along the beam, else lengths.
         """
-        if fused is self._shown:
+        if fused is self._plotted:
             return
-        self._shown = fused
+        self._plotted = fused
         curve = None if fused is None else residual_curve(fused)
         # Without an E there is no epsilon in its multiples.
         if curve is None or curve.residual_mm.size < 2 or not np.isfinite(curve.epsilon_mm).all():
             self._plot.data = _NOTHING
             update_widget(self._plot, visible=False)
-            update_widget(self._words, content="")
+            update_widget(self._text, content="")
             return
         update_widget(self._plot, visible=True)
-        limit_mm = _REACH * float(curve.epsilon_mm.max())
+        limit_mm = _Y_LIMIT_IN_EPSILON * float(curve.epsilon_mm.max())
         self._plot.data = _data(curve, limit_mm)
-        update_widget(self._words, content=_words(curve, limit_mm, signed=signed))
+        update_widget(self._text, content=_caption(curve, limit_mm, signed=signed))
 
 
 def _data(curve: ResidualCurve, limit_mm: float) -> tuple[np.ndarray[Any, Any], ...]:
@@ -71,7 +71,8 @@ def _data(curve: ResidualCurve, limit_mm: float) -> tuple[np.ndarray[Any, Any], 
     residual_mm = curve.residual_mm
     beyond = np.abs(residual_mm) > limit_mm
     by_class = (
-        np.where((curve.pair_class == noise) & ~beyond, residual_mm, np.nan) for noise in _SHOWN
+        np.where((curve.pair_class == noise) & ~beyond, residual_mm, np.nan)
+        for noise in _PLOTTED_CLASSES
     )
     return (
         curve.azimuth_deg,
@@ -82,7 +83,7 @@ def _data(curve: ResidualCurve, limit_mm: float) -> tuple[np.ndarray[Any, Any], 
     )
 
 
-def _words(curve: ResidualCurve, limit_mm: float, *, signed: bool) -> str:
+def _caption(curve: ResidualCurve, limit_mm: float, *, signed: bool) -> str:
     count = int((np.abs(curve.residual_mm) > limit_mm).sum())
     said = "Positive: the camera sees farther than the LiDAR. Dashed: ±ε."
     if not signed:

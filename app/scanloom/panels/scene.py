@@ -16,6 +16,7 @@ from scanloom.panels.widgets.controls import Controls
 from scanloom.plots.depth_image import DepthPicture, PairOverlay, depth_picture
 from scanloom.plots.grid_image import grid_texture
 from scanloom.plots.heatmap import Heatmap
+from scanloom.plots.pair_pixels import pixels_of_match, repaired_depth_m
 from scanloom.scene import camera_views
 from scanloom.scene.color_picture import upright_color
 from scanloom.scene.frame_geometry import (
@@ -27,7 +28,6 @@ from scanloom.scene.frame_geometry import (
 from scanloom.scene.image_planes import ImagePlane, Layout, layout_of
 from scanloom.scene.layers import LAYERS, Layer
 from scanloom.scene.nodes import MapPlane, PickResult, SceneNodes
-from scanloom.scene.pair_pixels import pixels_of_match, repaired_depth_m
 
 _VIEWS = ("3D", "Curve", "From above", "Heatmap", "Depth")
 _BOARD_PX = (560, 470)

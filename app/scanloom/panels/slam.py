@@ -61,7 +61,7 @@ class SlamPanel:
         self._folder: Path | None = None
         self._of_run = session.view
         self._window: Window | None = None
-        self._asked_s = 0.0
+        self._submitted_s = 0.0
         self._why_not: str | None = None
         self._clock_offset_ms = 0.0
         self._commanded: object = None
@@ -170,7 +170,7 @@ class SlamPanel:
             root, number = self._folder, self._runs.next_number()
             offset_ms = self._clock_offset_ms
             self._of_run, self._window = view, None
-            self._asked_s = 0.0
+            self._submitted_s = 0.0
             live = LatestOnlyWorker(f"run {number}", self._draw, self._session.show_failure)
             self._live = live
 
@@ -179,28 +179,32 @@ class SlamPanel:
                 request = SlamRequest(
                     number=number, view=view, recording=recording, clock_offset_ms=offset_ms
                 )
-                return run_slam(request, root, progress, self._watch)
+                return run_slam(request, root, progress, self._observe)
 
-            self._job.begin("slam", work, self._take)
+            self._job.begin("slam", work, self._on_done)
 
-    def _watch(self, seen: SlamView) -> None:
+    def _observe(self, seen: SlamView) -> None:
         now_s = time.monotonic()
-        if now_s - self._asked_s >= UPDATE_INTERVAL_S and self._live is not None:
-            self._asked_s = now_s
+        if now_s - self._submitted_s >= UPDATE_INTERVAL_S and self._live is not None:
+            self._submitted_s = now_s
             self._live.submit(seen)
 
-    def _draw(self, seen: SlamView, is_newest: Callable[[], bool]) -> None:
+    def _draw(self, slam_view: SlamView, is_newest: Callable[[], bool]) -> None:
         """A picture of the run as it is now, unless nobody looks."""
         view = self._session.view
         if view.panel != "Map" or view.map_mode != "SLAM":
             return
-        self._window = window_around(seen, self._window)
+        self._window = window_around(slam_view, self._window)
         if self._window is None:
             return
-        height_px = _HEIGHT_PX + (_CLOSE_UP_PX if len(seen.particles) else 0)
-        picture = slam_progress_picture(seen, self._window, width_px=_WIDTH_PX, height_px=height_px)
+        height_px = _HEIGHT_PX + (_CLOSE_UP_PX if len(slam_view.particles) else 0)
+        picture = slam_progress_picture(
+            slam_view, self._window, width_px=_WIDTH_PX, height_px=height_px
+        )
         run = self._of_run
-        times_s = (seen.stamps_ns[: seen.effective.size] - seen.stamps_ns[0]) / NS_PER_S
+        times_s = (
+            slam_view.stamps_ns[: slam_view.effective.size] - slam_view.stamps_ns[0]
+        ) / NS_PER_S
         with self._lock:
             # The run may have ended meanwhile.
             if not self._job.is_running or self._job.is_closed:
@@ -211,19 +215,19 @@ class SlamPanel:
                 show_effective(
                     self._effective,
                     times_s,
-                    seen.effective,
+                    slam_view.effective,
                     particles=run.slam.particles,
                     resampling_at=resampling_at(run),
                 )
 
-    def _take(self, run: SlamRun) -> None:
+    def _on_done(self, run: SlamRun) -> None:
         oldest = self._runs.add(run)
         self._results.take(run)
-        said = ""
+        message = ""
         if oldest is not None:
             shutil.rmtree(oldest.folder, ignore_errors=True)
-            said = f"Run {oldest.number} was cleared away: the last {MAX_RUNS} are kept."
-        self._job.end(said)
+            message = f"Run {oldest.number} was cleared away: the last {MAX_RUNS} are kept."
+        self._job.end(message)
         if run.problem is not None and not self._job.is_closed:
             self._session.show_failure(run.problem)
 
@@ -240,9 +244,9 @@ class SlamPanel:
     def _show_command(self, view: View) -> None:
         recording = self._session.recording_path(view.recording)
         run = self._results.chosen(view.recording)
-        is_same = run is not None and asked(run.view) == asked(view)
+        is_same = run is not None and slam_inputs(run.view) == slam_inputs(view)
         saved = self._results.saved(run) if run is not None and is_same else None
-        key = (asked(view), self._clock_offset_ms, saved)
+        key = (slam_inputs(view), self._clock_offset_ms, saved)
         if key == self._commanded:
             return
         self._commanded = key
@@ -269,7 +273,7 @@ def _no_folder(error: OSError) -> ExportError:
     )
 
 
-def asked(view: View) -> tuple[object, ...]:
+def slam_inputs(view: View) -> tuple[object, ...]:
     """What of a view a run depends on."""
     return (
         view.recording,

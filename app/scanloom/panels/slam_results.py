@@ -81,7 +81,7 @@ class SlamResults:
         self._compared: dict[str, str | None] = {"A": None, "B": None}
         self._saved: dict[SlamRun, Path] = {}
         # What the widgets show now.
-        self._shown: SlamRun | None = None
+        self._displayed: SlamRun | None = None
         self._shown_pair: tuple[SlamRun, SlamRun] | None = None
 
         self._result = gui.add_folder("Result", visible=False)
@@ -148,9 +148,9 @@ class SlamResults:
     def _show_run(self, run: SlamRun) -> None:
         saved = self._saved.get(run)
         update_widget(self._where, content="" if saved is None else text_box(str(saved)))
-        if run is self._shown:
+        if run is self._displayed:
             return
-        self._shown = run
+        self._displayed = run
         self._figures.show(results_in(run.folder))
         show_effective_of(self._effective, run, resampling_at(run.view))
         show_weights(self._translation, run, run.files.translation_weights)
@@ -191,7 +191,7 @@ class SlamResults:
         self._session.refresh()
 
     def _send(self) -> None:
-        run = self._shown
+        run = self._displayed
         if run is None:
             return
         try:
@@ -204,7 +204,7 @@ class SlamResults:
 
     def _keep(self) -> None:
         with self._lock:
-            run = self._shown
+            run = self._displayed
             if run is None:
                 return
             try:

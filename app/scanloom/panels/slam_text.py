@@ -9,7 +9,7 @@ from fusion_core.model.conventions import NS_PER_S
 from scanloom.jobs.slam_run import SlamRun
 from scanloom.plots.run_comparison import TrajectoryDifference
 
-_MOST_STRETCHES = 12
+_MAX_SEGMENTS = 12
 # Words that do not fit on a line go on under those above, right of the line's name.
 _LINE = (
     "padding-left:11ch;text-indent:-11ch;white-space:pre-wrap;overflow-wrap:anywhere;"
@@ -21,8 +21,8 @@ def run_report_html(run: SlamRun) -> str:
     """Path length, loop closures, unreliable segments, and computing time by stage, as HTML."""
     problem = ""
     if run.problem is not None:
-        said = html.escape(f"{run.problem.problem} {run.problem.advice}")
-        problem = f"<p style='margin:0.3em 0'><b>Not to be relied on:</b> {said}</p>"
+        message = html.escape(f"{run.problem.problem} {run.problem.advice}")
+        problem = f"<p style='margin:0.3em 0'><b>Not to be relied on:</b> {message}</p>"
     lines = "".join(
         f"<div style='{_LINE}'>{html.escape(f'{name:<11}{words}')}</div>"
         for name, words in report_lines(run)
@@ -50,7 +50,7 @@ def report_lines(run: SlamRun) -> Iterator[tuple[str, str]]:
             f"least effective number {least[1]:.1f} at {least[0] - zero_s:.1f} s",
         )
     yield "trusted", f"{100.0 * report['trusted_share']:.1f} % of the scans"
-    yield from _stretches(run)
+    yield from _unreliable_segments(run)
     for stage, seconds in ({} if run.summary is None else run.summary.seconds).items():
         yield "time", f"{stage.replace('_', ' ')} {seconds:.1f} s"
     for note in report["notes"]:
@@ -77,13 +77,13 @@ def _length(length_m: float) -> str:
     return f"{length_m:.2f} m" if length_m >= 1.0 else f"{100.0 * length_m:.1f} cm"
 
 
-def _stretches(run: SlamRun) -> Iterator[tuple[str, str]]:
+def _unreliable_segments(run: SlamRun) -> Iterator[tuple[str, str]]:
     zero_s = run.files.trajectory.stamps_ns[0] / NS_PER_S
     stretches = run.files.report["untrusted"]
-    for stretch in stretches[:_MOST_STRETCHES]:
+    for stretch in stretches[:_MAX_SEGMENTS]:
         first, last = stretch["from_s"] - zero_s, stretch["to_s"] - zero_s
         when = f"{first:.1f} s to {last:.1f} s" if stretch["scans"] > 1 else f"{first:.1f} s"
         many = "1 scan does" if stretch["scans"] == 1 else f"{stretch['scans']} scans do"
         yield "untrusted", f"{when}: {many} not fit the map"
-    if len(stretches) > _MOST_STRETCHES:
-        yield "untrusted", f"{len(stretches) - _MOST_STRETCHES} more stretches, in report.json"
+    if len(stretches) > _MAX_SEGMENTS:
+        yield "untrusted", f"{len(stretches) - _MAX_SEGMENTS} more stretches, in report.json"

@@ -38,8 +38,8 @@ def _gap_row(found: StreamGaps | None) -> str:
     if found is None or not found.count:
         return ""
     count = "1 gap:" if found.count == 1 else f"{found.count} gaps, the longest"
-    said = f"{count} {found.longest_s:.2f} s from {found.longest_at_s:.2f} s on"
-    return f"{_GAP_ROW}{said}</td></tr>"
+    text = f"{count} {found.longest_s:.2f} s from {found.longest_at_s:.2f} s on"
+    return f"{_GAP_ROW}{text}</td></tr>"
 
 
 def _about_gaps(gaps: Mapping[str, StreamGaps]) -> list[str]:

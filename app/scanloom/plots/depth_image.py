@@ -12,9 +12,9 @@ from scanloom.plots.axes import ABOVE_PX, BELOW_PX, LEFT_PX, Axes, image_axes
 from scanloom.plots.canvas import BLACK, MARGIN_PX, WHITE, Box, blank_canvas, box_between
 from scanloom.plots.color_scale import COLOR_BAR_PX, ColorScale
 from scanloom.plots.legend import Legend, LegendEntry, hatch_symbol, padded, swatch
+from scanloom.plots.pair_pixels import PairPixels
 from scanloom.plots.palette import Color, class_color, color_map, color_of
 from scanloom.plots.ticks import distinct_limits
-from scanloom.scene.pair_pixels import PairPixels
 
 # Images wider than this get larger dots.
 _LARGE_PX = 480

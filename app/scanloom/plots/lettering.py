@@ -51,10 +51,10 @@ def write(
         left, top = round(x_px - before), round(y_px) - middle
     bottom, right = top + coverage.shape[0], left + coverage.shape[1]
     target = sheet[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
-    share = coverage[max(-top, 0) :, max(-left, 0) :][: target.shape[0], : target.shape[1]]
-    share = share[:, :, np.newaxis].astype(np.int32)
+    alpha = coverage[max(-top, 0) :, max(-left, 0) :][: target.shape[0], : target.shape[1]]
+    alpha = alpha[:, :, np.newaxis].astype(np.int32)
     # uint8 would wrap around in the products.
-    target[:] = (target * (255 - share) + np.array(color, dtype=np.int32) * share + 127) // 255
+    target[:] = (target * (255 - alpha) + np.array(color, dtype=np.int32) * alpha + 127) // 255
 
 
 def width_of(text: str, *, size_px: int = SIZE_PX) -> int:

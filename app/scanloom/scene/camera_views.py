@@ -48,8 +48,8 @@ def perspective(layout: Layout, aspect: float = _USUAL_ASPECT) -> CameraView:
     ``aspect``: width over height of the screen; before a narrow one, from farther away, so that
     the image planes at both sides are in sight.
     """
-    position_m = layout.ahead(-0.95 * layout.reach_m, 0.0, 0.95 * layout.reach_m)
-    look_at_m = layout.ahead(0.6 * layout.reach_m, 0.0, 0.05 * layout.reach_m)
+    position_m = layout.ahead(-0.95 * layout.view_range_m, 0.0, 0.95 * layout.view_range_m)
+    look_at_m = layout.ahead(0.6 * layout.view_range_m, 0.0, 0.05 * layout.view_range_m)
     away = max(1.0, _USUAL_ASPECT / max(aspect, _LEAST_ASPECT))
     return CameraView(
         position_m=look_at_m + away * (position_m - look_at_m),
@@ -62,8 +62,8 @@ def curve(layout: Layout) -> CameraView:
     """Straight down, to scale: x to the right and z ahead, as in Xu 2024's figures."""
     # Rows of a wall stand one above the other, and an image plane is seen edge-on.
     return _above(
-        layout.ahead(0.5 * layout.reach_m, 0.0, 0.0),
-        1.3 * layout.reach_m,
+        layout.ahead(0.5 * layout.view_range_m, 0.0, 0.0),
+        1.3 * layout.view_range_m,
         up=layout.ahead(1.0, 0.0, 0.0),
         hides=frozenset({"rows", "images", "map"}),
     )

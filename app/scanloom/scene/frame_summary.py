@@ -174,10 +174,10 @@ def unwrapped_deg(azimuth_rad: FloatArray) -> FloatArray:
 
 
 def _counts(noise_class: IntArray, source: IntArray) -> Counts:
-    judged = noise_class >= 0
-    asked = np.isin(noise_class, (NoiseClass.HOLE, NoiseClass.BURR))
+    has_class = noise_class >= 0
+    is_noise = np.isin(noise_class, (NoiseClass.HOLE, NoiseClass.BURR))
     return Counts(
         by_class={kind: int((noise_class == kind).sum()) for kind in NoiseClass},
-        by_source={kind: int((asked & (source == kind)).sum()) for kind in RepairSource},
-        without_pixel=int((~judged).sum()),
+        by_source={kind: int((is_noise & (source == kind)).sum()) for kind in RepairSource},
+        without_pixel=int((~has_class).sum()),
     )

@@ -14,7 +14,7 @@ from fusion_core.model.sensors import LaserScan
 # Neighbours farther apart than this are an edge: no line joins them.
 _EDGE_M = 0.25
 # Rows are drawn with about so many points; more cannot be told apart on a screen.
-_MOST_COLUMNS = 320
+_MAX_COLUMNS = 320
 _BARB_M = 0.06
 # Poses of a path farther apart than this are a gap of the recording.
 _PATH_GAP_M = 1.0
@@ -53,7 +53,7 @@ def ridge_lines(
     height, width = depth_m.shape
     rows = np.arange((height - 1) % row_step // 2, height, row_step)
     depth = depth_m[rows]
-    step = max(1, width // _MOST_COLUMNS)
+    step = max(1, width // _MAX_COLUMNS)
     whole = (width - 1) // step * step
     with np.errstate(invalid="ignore"):
         near = np.abs(np.diff(depth[:, : whole + 1], axis=1)) <= _EDGE_M

@@ -52,8 +52,8 @@ class SceneGeometry:
 
 def depth_colors(depth_m: Float32Array) -> ByteArray:
     """(N, 3) grey-blues of depths, darker where nearer."""
-    share = np.clip((depth_m - _NEAR_M) / (_FAR_M - _NEAR_M), 0.0, 1.0)
-    return np.asarray(_DEPTH_COLORS[(255.0 * share).astype(np.uint8)])
+    fraction = np.clip((depth_m - _NEAR_M) / (_FAR_M - _NEAR_M), 0.0, 1.0)
+    return np.asarray(_DEPTH_COLORS[(255.0 * fraction).astype(np.uint8)])
 
 
 def colors_of_segments(colors: ByteArray) -> ByteArray:

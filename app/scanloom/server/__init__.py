@@ -1,1 +1,1 @@
-"""The workbench's server: where it listens, whom it lets in, and what it takes from browsers."""
+"""The workbench's server: address, access control, and validation of browsers' messages."""

@@ -1,10 +1,9 @@
-"""The connections of the server: how many may wait, what they may send, how long they may not read.
+"""Limits on the server's connections: their number, their messages, and the time without a read.
 
-websockets makes one ``ClientConnection`` for each connection, page or socket. It waits until its
-browser has
-answered what the server asks first (``scanloom.server.browser_storage``): until then it costs
-little, and where too many wait, the one that has waited longest goes. No browser's silence costs
-another one anything.
+websockets creates a ``ClientConnection`` for each request of a page or socket. A connection is
+pending until its browser has answered the server's first request
+(``scanloom.server.browser_storage``). When too many are pending, the oldest is closed, so that idle
+clients cannot lock others out.
 """
 
 import asyncio
@@ -18,131 +17,133 @@ from websockets.typing import Data
 from scanloom.server.error_log import ErrorLog, client_address
 from scanloom.server.message_filter import check_message
 
-# Pages that load and tabs that were opened in the background. A page that is not read is kept in
-# memory, 3 MB each.
-_MOST_WAITING_OF_ONE = 32
-# Below the 1024 files that a process may usually have open; recordings take some, too.
-_MOST = 512
-# A browser that has taken nothing off the wire for so long is gone, or reads nothing. websockets'
-# own pings wait behind what is not read.
-_MOST_UNREAD_S = 30.0
+# Set by hand: room for background tabs. The page (3 MB) stays in memory until it is read.
+_MAX_PENDING_PER_HOST = 32
+# Half of Linux's default limit of 1024 open files; recordings need some, too.
+_MAX_CONNECTIONS = 512
+# Set by hand. The keepalive pings of websockets cannot detect a stalled reader, as they are queued
+# behind the unread data.
+_READ_TIMEOUT_S = 30.0
 
 
 class Connections:
-    """All connections of a server, for its event loop alone."""
+    """The open connections of a server. To be used on its event loop only."""
 
     def __init__(self, error_log: ErrorLog) -> None:
         self.error_log = error_log
-        # The longest waiting first.
-        self._waiting: dict[ClientConnection, None] = {}
-        self._settled: set[ClientConnection] = set()
+        # Oldest first; a dict serves as an ordered set.
+        self._pending: dict[ClientConnection, None] = {}
+        self._ready: set[ClientConnection] = set()
 
     def __len__(self) -> int:
-        return len(self._waiting) + len(self._settled)
+        return len(self._pending) + len(self._ready)
 
-    def make(self, *args: Any, **options: Any) -> "ClientConnection":
-        """A connection, for websockets."""
+    def create(self, *args: Any, **options: Any) -> "ClientConnection":
+        """The ``create_connection`` of websockets' ``serve``."""
         return ClientConnection(self, *args, **options)
 
-    def enter(self, visit: "ClientConnection") -> None:
-        """A connection was opened; another may have to go for it."""
-        self._waiting[visit] = None
-        of_one = [other for other in self._waiting if other.host == visit.host]
-        if len(of_one) > _MOST_WAITING_OF_ONE:
-            self._end(of_one[0])
-        elif len(self) > _MOST:
-            self._end(next(iter(self._waiting)))
+    def add(self, connection: "ClientConnection") -> None:
+        """Register a new connection; the oldest pending one is aborted if there are too many."""
+        self._pending[connection] = None
+        of_one = [other for other in self._pending if other.host == connection.host]
+        if len(of_one) > _MAX_PENDING_PER_HOST:
+            self._abort(of_one[0])
+        elif len(self) > _MAX_CONNECTIONS:
+            self._abort(next(iter(self._pending)))
 
-    def settle(self, visit: "ClientConnection") -> None:
-        """A browser has answered: it waits no longer."""
-        if self._waiting.pop(visit, self) is None:
-            self._settled.add(visit)
+    def mark_ready(self, connection: "ClientConnection") -> None:
+        """Mark a connection as no longer pending: its browser has answered."""
+        if self._pending.pop(connection, self) is None:
+            self._ready.add(connection)
 
-    def leave(self, visit: "ClientConnection") -> None:
-        """A connection is closed."""
-        self._waiting.pop(visit, None)
-        self._settled.discard(visit)
+    def discard(self, connection: "ClientConnection") -> None:
+        """Forget a closed connection."""
+        self._pending.pop(connection, None)
+        self._ready.discard(connection)
 
-    def _end(self, visit: "ClientConnection") -> None:
-        self.leave(visit)
-        visit.transport.abort()
+    def _abort(self, connection: "ClientConnection") -> None:
+        self.discard(connection)
+        connection.transport.abort()
 
 
 class ClientConnection(ServerConnection):
-    """A connection that hands on what a browser may send, and ends where nothing is read."""
+    """A connection that filters incoming messages, and closes if its client stops reading."""
 
     def __init__(self, connections: Connections, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         self._connections = connections
-        self._unread: asyncio.TimerHandle | None = None
+        self._read_timer: asyncio.TimerHandle | None = None
         self.host = ""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
         peer = transport.get_extra_info("peername")
         self.host = str(peer[0]) if peer else ""
-        self._connections.enter(self)
+        self._connections.add(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._connections.leave(self)
-        self._stop_watching()
+        self._connections.discard(self)
+        self._cancel_read_timer()
         super().connection_lost(exc)
 
     def pause_writing(self) -> None:
         super().pause_writing()
-        self._watch()
+        self._start_read_timer()
 
     def resume_writing(self) -> None:
-        self._stop_watching()
+        self._cancel_read_timer()
         super().resume_writing()
 
     async def recv(self, decode: bool | None = None) -> Data:  # type: ignore[override]  # one of three overloads
-        """The next message that viser can take. Others are left out; some are told of."""
+        """The next message that viser accepts. Invalid ones are dropped and logged."""
         while True:
             data = await super().recv(decode)
-            judged = check_message(data)
-            if judged.problem:
+            check = check_message(data)
+            if check.problem:
                 self._connections.error_log.report(
-                    client_address(self), f"sent {judged.problem}; it is left out."
+                    client_address(self), f"sent {check.problem}; it is left out."
                 )
-            elif judged.is_wanted:
-                if judged.answers:
-                    self._connections.settle(self)
+            elif check.is_accepted:
+                if check.is_storage_response:
+                    self._connections.mark_ready(self)
                 return data
 
-    def _watch(self) -> None:
+    def _start_read_timer(self) -> None:
         size = self.transport.get_write_buffer_size()
-        self._unread = self.loop.call_later(_MOST_UNREAD_S, self._look, size)
+        self._read_timer = self.loop.call_later(_READ_TIMEOUT_S, self._abort_if_unread, size)
 
-    def _look(self, size_before: int) -> None:
-        """End the connection unless something was read since."""
+    def _abort_if_unread(self, size_before: int) -> None:
+        """Abort the connection unless its client has read something meanwhile."""
         if self.transport.get_write_buffer_size() != size_before:
-            self._watch()
+            self._start_read_timer()
             return
         if self.protocol.state is State.OPEN:
             self._connections.error_log.report(client_address(self), "reads nothing; disconnected.")
         self.transport.abort()
 
-    def _stop_watching(self) -> None:
-        if self._unread is not None:
-            self._unread.cancel()
-            self._unread = None
+    def _cancel_read_timer(self) -> None:
+        if self._read_timer is not None:
+            self._read_timer.cancel()
+            self._read_timer = None
 
 
 def require_viser_version(handler: Callable[[Any], Any], version: str) -> Callable[[Any], Any]:
-    """``handler`` for pages of this version of viser alone; others are told to load again.
+    """``handler`` for pages of this version of viser only; others are asked to reload.
 
-    viser tells them, too, but on stdout, which belongs to the command, with what they sent.
+    viser checks the version, too, but prints what the client sent to stdout, which belongs to the
+    command.
     """
 
     async def handle(connection: ServerConnection) -> None:
-        theirs = (connection.subprotocol or "viser-vunknown").removeprefix("viser-v").strip()
-        if theirs == version:
+        client_version = (
+            (connection.subprotocol or "viser-vunknown").removeprefix("viser-v").strip()
+        )
+        if client_version == version:
             await handler(connection)
         else:
-            # The words of viser, which its page shows. A reason has 123 bytes at most.
+            # The message of viser, which its page displays. A close reason has at most 123 bytes.
             await connection.close(
-                1002, f"Version mismatch. Client: {theirs[:20]}, Server: {version}"
+                1002, f"Version mismatch. Client: {client_version[:20]}, Server: {version}"
             )
 
     return handle

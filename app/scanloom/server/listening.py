@@ -1,4 +1,4 @@
-"""Where the server may listen: an address of this machine, and a free port of it."""
+"""Checks the address to listen on, and finds a free port."""
 
 import errno
 import os
@@ -7,24 +7,24 @@ import socket
 from fusion_core.model.errors import SettingsError
 
 LAST_PORT = 65_535
-# viser looks no further for a free one.
-_MOST_TRIED = 1000
+# As many as viser tries itself.
+_MAX_PORTS_TRIED = 1000
 
 
 def free_port(host: str, port: int) -> int:
-    """The port, or the next one that is free; any with 0.
+    """``port``, or the next free one after it; 0 stays 0 (any port).
 
-    viser itself waits for ever for an address that cannot be had, and for a port after the last.
+    viser itself hangs if the address is unavailable or no port is free.
 
-    Raises SettingsError for an address that is not this machine's, and for a port that may not be
-    had.
+    Raises SettingsError if the address is not of this machine, no port is free, or the port is not
+    permitted.
     """
     addresses = _addresses(host)
     if port == 0:
-        _bind(host, addresses, 0)
+        _is_free(host, addresses, 0)
         return 0
-    for tried in range(port, min(port + _MOST_TRIED, LAST_PORT + 1)):
-        if _bind(host, addresses, tried):
+    for tried in range(port, min(port + _MAX_PORTS_TRIED, LAST_PORT + 1)):
+        if _is_free(host, addresses, tried):
             return tried
     raise SettingsError(
         f"--port {port}: it is taken, and so are those after it.", advice="Name another, or 0."
@@ -37,19 +37,19 @@ def _addresses(host: str) -> list[tuple[socket.AddressFamily, str]]:
             host or None, 0, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )
     except OSError as error:
-        raise _not_ours(host, error.strerror or str(error)) from error
+        raise _address_error(host, error.strerror or str(error)) from error
     except ValueError as error:
-        # Of more signs than a name can have, or others.
-        raise _not_ours(host, "it is no name of a machine") from error
+        # Too long for a host name, or with invalid characters.
+        raise _address_error(host, "it is no name of a machine") from error
     return [(family, str(address[0])) for family, _, _, _, address in found]
 
 
-def _bind(host: str, addresses: list[tuple[socket.AddressFamily, str]], port: int) -> bool:
-    """Whether a port is free on all addresses. Raises SettingsError where none will do."""
+def _is_free(host: str, addresses: list[tuple[socket.AddressFamily, str]], port: int) -> bool:
+    """Whether a port is free on all addresses. Raises SettingsError if it cannot be used at all."""
     for family, address in addresses:
         try:
             with socket.socket(family, socket.SOCK_STREAM) as probe:
-                # As the server does: what a connection has just left is free.
+                # As the server does: a port in TIME_WAIT counts as free.
                 if os.name == "posix":
                     probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 if family == socket.AF_INET6:
@@ -63,11 +63,11 @@ def _bind(host: str, addresses: list[tuple[socket.AddressFamily, str]], port: in
                     f"--port {port}: it may not be listened on ({error.strerror}).",
                     advice="Ports below 1024 are the system's: name a higher one.",
                 ) from error
-            raise _not_ours(host, error.strerror or str(error)) from error
+            raise _address_error(host, error.strerror or str(error)) from error
     return True
 
 
-def _not_ours(host: str, reason: str) -> SettingsError:
+def _address_error(host: str, reason: str) -> SettingsError:
     return SettingsError(
         f"--host {host[:80]}: cannot be listened on ({reason}).",
         advice="Name an address of this machine, such as 127.0.0.1.",

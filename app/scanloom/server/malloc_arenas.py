@@ -1,4 +1,4 @@
-"""The memory that the C library keeps between uses."""
+"""Limits the number of malloc arenas of glibc, and with it memory fragmentation."""
 
 import ctypes
 from contextlib import suppress
@@ -9,11 +9,11 @@ _ARENAS = 2
 
 
 def limit_arenas() -> None:
-    """Let all threads share two pools of free memory. Call it before the first thread begins.
+    """Have all threads share two malloc arenas. Call it before the first thread is started.
 
-    By default each thread gets its own, of which none gives back what another could use: a server
-    that draws pictures in many threads would grow by a hundred megabytes for nothing. Other C
-    libraries than glibc have no such pools and are left alone.
+    By default threads get arenas of their own, which cannot reuse each other's free memory: a
+    server that draws pictures in many threads would grow by about 100 MB. No effect with C
+    libraries other than glibc.
     """
     with suppress(AttributeError, OSError):
         ctypes.CDLL(None).mallopt(_ARENA_MAX, _ARENAS)

@@ -18,7 +18,11 @@ from scanloom.server import browser_storage as storage
 from scanloom.server.connections import Connections
 from scanloom.server.error_log import ErrorLog, error_summary, websockets_logger
 from scanloom.server.listening import free_port
-from scanloom.server.message_filter import MOST_BYTES, disable_share_tunnel, restrict_gui_updates
+from scanloom.server.message_filter import (
+    MAX_MESSAGE_BYTES,
+    disable_share_tunnel,
+    restrict_gui_updates,
+)
 from scanloom.server.security import LINK_KEY, Guard, guard_for, guarded
 from scanloom.state.library import Library
 from scanloom.state.view import View, view_of_link
@@ -71,8 +75,8 @@ class Workbench:
         # viser prints a greeting, but stdout belongs to the command.
         serving = guarded(
             self.guard,
-            create_connection=self._connections.make,
-            max_size=MOST_BYTES,
+            create_connection=self._connections.create,
+            max_size=MAX_MESSAGE_BYTES,
             logger=websockets_logger(self._error_log),
         )
         with serving, redirect_stdout(io.StringIO()):

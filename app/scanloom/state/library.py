@@ -178,17 +178,17 @@ class _Key:
     """A recording and all that its alignment depends on."""
 
     path: Path
-    asked: Hashable
+    options: Hashable
 
 
 def _key_of(path: Path, view: View) -> _Key:
-    asked = (
+    options = (
         view.lidar_topic,
         view.depth_topics,
         view.virtual_row,
         view.alignment_settings.read_by("alignment"),
     )
-    return _Key(path, asked)
+    return _Key(path, options)
 
 
 class _File:

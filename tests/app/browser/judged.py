@@ -5,7 +5,7 @@ import numpy as np
 from fusion_core.workflows.fuse.frame import FusedFrame, classify_and_repair
 from scanloom.frame_view import FrameView
 from scanloom.plots.depth_image import DepthPicture, PairOverlay, depth_limits_m, depth_picture
-from scanloom.scene.pair_pixels import pixels_of_match, repaired_depth_m
+from scanloom.plots.pair_pixels import pixels_of_match, repaired_depth_m
 from scanloom.state.view import View
 from tests.app.browser.person import match_of
 

@@ -64,7 +64,7 @@ def test_a_match_is_drawn(
     assert seen(panel) == [True, True]
     assert panel._picture.image.min() < 255
     assert heatmaps[-1] is not None
-    assert "Peak **u = " in panel._words.content
+    assert "Peak **u = " in panel._summary.content
     sample, depth_m, lidar_m = panel._curves.data
     assert sample.tolist() == list(range(lidar_m.size))
     both = np.concatenate([depth_m, lidar_m])
@@ -88,8 +88,8 @@ def test_while_it_is_being_aligned_it_says_how_far_that_is(
     ):
         open_recording.progress = step
         panel.show(FrameView(view=view, open_recording=open_recording))
-        assert f"Aligning the recording: {words}" in panel._words.content.replace("\\", "")
-    assert "first time" not in panel._words.content
+        assert f"Aligning the recording: {words}" in panel._summary.content.replace("\\", "")
+    assert "first time" not in panel._summary.content
     open_recording.progress = before
 
 
@@ -112,6 +112,6 @@ def test_without_a_match_it_says_why_and_shows_no_other(
     panel.show(FrameView(view=view, open_recording=open_recording, failure=failure))
     assert seen(panel) == [False, False]
     assert heatmaps[-1] is None
-    assert panel._words.content == words.strip()
+    assert panel._summary.content == words.strip()
     panel.show(compute_frame_view(view, open_recording))
     assert seen(panel) == [True, True]

@@ -14,7 +14,7 @@ from fusion_core.simulation.scenes import SceneSettings, find_scene, write_scene
 from fusion_core.workflows.stream_gaps import StreamGaps
 from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView
-from scanloom.panels.depth_cameras import own_parts
+from scanloom.panels.depth_cameras import distinct_labels
 from scanloom.panels.recording import RecordingPanel
 from scanloom.panels.stream_table import stream_table
 from scanloom.state.library import Library
@@ -186,7 +186,7 @@ def test_the_last_camera_cannot_be_taken_away(bench: Bench) -> None:
 def test_a_label_is_what_tells_a_topic_from_the_others(
     topics: list[str], labels: list[str]
 ) -> None:
-    assert own_parts(topics) == labels
+    assert distinct_labels(topics) == labels
 
 
 def test_another_recording_has_boxes_of_its_own(bench: Bench, small_scene: Path) -> None:
@@ -241,7 +241,7 @@ def test_a_closed_panel_draws_no_plot(bench: Bench) -> None:
     assert bench.panel._pairing._marked[1] == 3
 
 
-def test_frames_without_a_scan_are_counted_in_words(bench: Bench, small_scene: Path) -> None:
+def test_frames_without_a_scan_are_counted_as_text(bench: Bench, small_scene: Path) -> None:
     narrow = bench.first.with_setting("time", "max_gap_ms", 25.0).settings
     bench.change(recording=small_scene.name, settings=narrow, alignment_settings=narrow)
     said = bench.words("have no scan within 25 ms")

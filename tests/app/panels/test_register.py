@@ -53,7 +53,7 @@ def words_of(found):
     return registration_text.transform_text(found, meaning_of_registration(found))
 
 
-def test_a_turn_and_a_shift_in_words():
+def test_a_turn_and_a_shift_as_text():
     said = words_of(registered(moved(LIDAR_M, turn_deg=3.0, shift_m=(0.10, -0.05))))
     assert "rotates the LiDAR's points by **3.00° to the left**" in said
     assert "translates the origin by **10.0 cm to the right and 5.0 cm back**" in said
@@ -63,13 +63,13 @@ def test_a_turn_and_a_shift_in_words():
     assert "**10.0 cm to the left and 5.0 cm ahead**" in other
 
 
-def test_a_scale_in_words():
+def test_a_scale_as_text():
     said = words_of(registered(moved(LIDAR_M, scale=1.02), model="similarity"))
     assert "scales by **1.020**: distances become 2.0 % longer" in said
     assert "rotates the LiDAR's points by **0.00°**" in said
 
 
-def test_stretch_and_shear_in_words():
+def test_stretch_and_shear_as_text():
     sheared = LIDAR_M @ np.array([[1.1, 0.0], [0.1, 1.0]])
     said = words_of(registered(sheared, model="affine"))
     assert "scales x by **1.100** and z by **1.005**" in said
@@ -84,7 +84,7 @@ def test_a_flat_map_is_warned_of():
     assert "errors up to 100 times as long" in said
 
 
-def test_a_tilt_in_words():
+def test_a_tilt_as_text():
     w = 1.0 + LIDAR_M @ (0.0, 0.02)
     found = registered(LIDAR_M / w[:, np.newaxis], model="homography", condition_max=1e5)
     assert "tilts: w′ grows by **" in words_of(found)
@@ -101,7 +101,7 @@ def test_refused_models_are_named_with_their_reason():
         assert f"- {refusal.model}: {refusal.reason}" in said
 
 
-def test_a_draw_in_words():
+def test_a_draw_as_text():
     found = registered(moved(LIDAR_M, shift_m=(0.1, 0.0)))
     best = registration_text.draw_text(draw_at(found, found.best_draw), found)
     assert "★ **the best draw**" in best
@@ -138,14 +138,14 @@ def epsilon_said(middle_m, E_m=0.05, unit="sigma", epsilon=2.6):
     ("middle_m", "where"),
     [(0.049, "below"), (0.05, "inside"), (0.0707, "inside"), (0.072, "above")],
 )
-def test_the_papers_band_in_words(middle_m, where):
+def test_the_papers_band_as_text(middle_m, where):
     said = epsilon_said(middle_m)
     assert "The paper's band [E, √2 E] is [0.050, 0.071] m here" in said
     assert f"ε lies **{where}** it" in said
     assert f"ε = **{middle_m:.3f} m** = 2.6 σ; **3** of 40 pairs disagree by more." in said
 
 
-def test_epsilon_without_an_E_in_words():
+def test_epsilon_without_an_E_as_text():
     assert "the paper's band [E, √2 E] is not known" in epsilon_said(0.1, float("nan"))
     assert "ε is not known" in epsilon_said(float("nan"), float("nan"), "E", 1.2)
 
@@ -221,9 +221,9 @@ def test_the_panel_shows_a_frame(panel, session):
     found = registered(moved(LIDAR_M, turn_deg=2.0))
     panel.show(frame_view(session, frame_of(found)))
     assert panel._draw.max == 19
-    assert "2.00° to the left" in panel._words.content
+    assert "2.00° to the left" in panel._summary.content
     assert panel._pairs.image.min() < 255
-    assert "Draw **0** of 0…19" in panel._draw_words.content
+    assert "Draw **0** of 0…19" in panel._draw_text.content
 
 
 def test_epsilon_alone_redraws_no_pairs(panel, session):
@@ -252,7 +252,7 @@ def test_a_draw_beyond_the_last_shows_the_last(panel, session):
     session.change(draw_index=500)
     panel.show(frame_view(session, frame_of(registered(LIDAR_M))))
     assert panel._draw.value == 19
-    assert "Draw **19**" in panel._draw_words.content
+    assert "Draw **19**" in panel._draw_text.content
 
 
 def test_the_buttons_go_from_draw_to_draw(panel, session):
@@ -272,7 +272,7 @@ def test_the_buttons_go_from_draw_to_draw(panel, session):
 def test_a_frame_without_a_map_says_why_and_shows_its_points(panel, session):
     panel.show(frame_view(session, frame_of(registered(LIDAR_M))))
     panel.show(frame_view(session, frame_of(None, refusal="no map fits the 60 valid of 60 pairs.")))
-    assert "no map fits the 60 valid of 60 pairs." in panel._words.content
+    assert "no map fits the 60 valid of 60 pairs." in panel._summary.content
     assert panel._pairs.visible
     assert panel._pairs.image.min() < 255
     assert not panel._draw.visible
@@ -283,13 +283,13 @@ def test_a_frame_without_a_map_says_why_and_shows_its_points(panel, session):
 def test_a_frame_that_failed_gives_its_reason_and_then_the_old_frame_comes_back(panel, session):
     frame = frame_of(registered(LIDAR_M))
     panel.show(frame_view(session, frame))
-    before = panel._words.content
+    before = panel._summary.content
     panel.show(frame_view(session, None, AlignmentFailed("no scan lies near.")))
-    assert "no scan lies near" in panel._words.content
-    assert panel._epsilon._words.content == ""
+    assert "no scan lies near" in panel._summary.content
+    assert panel._epsilon._text.content == ""
     assert not panel._pairs.visible
     panel.show(frame_view(session, frame))
-    assert panel._words.content == before
+    assert panel._summary.content == before
     assert panel._pairs.visible
 
 
@@ -360,7 +360,7 @@ def test_residuals_beyond_the_plot_are_at_its_edge(server):
     assert (np.nanmin(good), np.nanmax(good)) == pytest.approx((0.0, 200.0))
     assert beyond[np.isfinite(beyond)].tolist() == [-250.0]
     assert np.isfinite([upper, lower]).all()
-    assert "1 beyond the plot at its edge, up to 2.00 m" in plot._words.content
+    assert "1 beyond the plot at its edge, up to 2.00 m" in plot._text.content
 
 
 def test_without_an_epsilon_the_plot_is_empty(server):
@@ -372,7 +372,7 @@ def test_without_an_epsilon_the_plot_is_empty(server):
     assert plot._plot.visible
     plot.show(None, signed=True)
     assert not plot._plot.visible
-    assert plot._words.content == ""
+    assert plot._text.content == ""
 
 
 def test_the_panels_draws_are_those_of_the_registration(panel, session):

@@ -368,7 +368,7 @@ def test_pictures_come_a_few_times_a_second(
     monkeypatch.setattr(panel, "_live", Noted())
     options = job.map_options(seat.session.view, Path("settings.toml"))
     for number in range(1, SCANS + 1):
-        panel._watch(view_at(number, "matching scans", options))
+        panel._observe(view_at(number, "matching scans", options))
     assert asked == [21, 41]
 
 

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from fusion_core.model.classes import NoiseClass
 from scanloom.plots.color_scale import hatch
 from scanloom.plots.depth_image import DepthPicture, PairOverlay, depth_limits_m, depth_picture
+from scanloom.plots.pair_pixels import PairPixels
 from scanloom.plots.palette import class_color, color_map, color_of
-from scanloom.scene.pair_pixels import PairPixels
 
 COLORS = color_map("cividis")
 

@@ -17,7 +17,7 @@ from scanloom.scene.image_planes import Layout, layout_of
 from scanloom.scene.layers import LAYERS
 from scanloom.scene.nodes import MapPlane, SceneNodes
 
-LAYOUT = Layout(yaw_rad=0.0, reach_m=4.0)
+LAYOUT = Layout(yaw_rad=0.0, view_range_m=4.0)
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
@@ -338,7 +338,7 @@ def test_clearing_leaves_nothing_to_be_seen_or_picked(scene):
 def test_a_layout_reaches_as_far_as_the_frame_sees():
     near = layout_of(frame(lines=1), 0.3)
     far = layout_of(replace(frame(lines=11)), 0.3)
-    assert (near.reach_m, near.yaw_rad) == (2.0, 0.3)
-    assert far.reach_m == pytest.approx(9.0)
+    assert (near.view_range_m, near.yaw_rad) == (2.0, 0.3)
+    assert far.view_range_m == pytest.approx(9.0)
     nothing = frame(rows_m=segments(0), beams_m=np.empty((0, 3), dtype=np.float32))
-    assert layout_of(nothing, 0.0).reach_m == 4.0
+    assert layout_of(nothing, 0.0).view_range_m == 4.0

@@ -26,7 +26,7 @@ from scanloom.scene.geometry import quaternion
 from scanloom.scene.image_planes import ImagePlane, Layout
 from scanloom.scene.picking import Plane, nearest_beam
 
-LAYOUT = Layout(yaw_rad=0.4, reach_m=4.0)
+LAYOUT = Layout(yaw_rad=0.4, view_range_m=4.0)
 angles = st.floats(-3.1, 3.1)
 metres = st.floats(-5.0, 5.0)
 PICTURE = np.zeros((30, 40, 3), dtype=np.uint8)

@@ -46,7 +46,7 @@ class ResultFigures:
         self._folder: Path | None = None
         self._files: dict[str, Path] = {}
         self._chosen: str | None = None
-        self._shown: Path | None = None
+        self._displayed: Path | None = None
         empty = np.full((2, 2, 3), 255, dtype=np.uint8)
         self._choice = gui.add_dropdown(
             "Figure",
@@ -83,13 +83,13 @@ class ResultFigures:
             return
         update_widget(self._choice, value=title)
         file = self._files[title]
-        if file != self._shown:
+        if file != self._displayed:
             try:
                 show_png(self.picture, file.read_bytes())
             except (OSError, ValueError):
                 update_widget(self.picture, visible=False)
             else:
-                self._shown = file
+                self._displayed = file
 
 
 def figures_in(folder: Path) -> dict[str, Path]:

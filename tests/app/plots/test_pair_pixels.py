@@ -9,7 +9,7 @@ import pytest
 
 from fusion_core.model.classes import NoiseClass
 from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
-from scanloom.scene.pair_pixels import PairPixels, pixels_of_match, repaired_depth_m
+from scanloom.plots.pair_pixels import PairPixels, pixels_of_match, repaired_depth_m
 
 
 def pairs() -> PairPixels:

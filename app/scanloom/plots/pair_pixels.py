@@ -1,4 +1,4 @@
-"""The pixels that a scan's beams are paired with, and what was said of each."""
+"""The pixels that a scan's beams are paired with, and their classes."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
