@@ -99,7 +99,7 @@ def test_of_those_who_wait_the_longest_waiting_goes(
 ) -> None:
     monkeypatch.setattr(connections_module, "_MAX_PENDING_PER_HOST", 3)
     with ExitStack() as stack:
-        settled = stack.enter_context(connect(served.address))
+        ready = stack.enter_context(connect(served.address))
         settled.send_bytes(answer())
         served.until(lambda: len(served.connections._ready) == 1)
         every = []
@@ -164,14 +164,14 @@ def test_who_reads_nothing_is_cut_off(served: Served, monkeypatch: pytest.Monkey
 def test_who_reads_something_stays(size: int, stays: bool) -> None:
     """100 bytes were unread at the last look. What was added since may be more than was read."""
     happened: list[str] = []
-    visit = SimpleNamespace(
+    connection = SimpleNamespace(
         transport=SimpleNamespace(
             get_write_buffer_size=lambda: size, abort=lambda: happened.append("cut off")
         ),
         protocol=SimpleNamespace(state=None),
-        _watch=lambda: happened.append("watched on"),
+        _start_read_timer=lambda: happened.append("watched on"),
     )
-    connections_module.ClientConnection._abort_if_unread(visit, 100)  # type: ignore[arg-type]  # as far as it is needed
+    connections_module.ClientConnection._abort_if_unread(connection, 100)  # type: ignore[arg-type]  # as far as it is needed
     assert happened == (["watched on"] if stays else ["cut off"])
 
 
@@ -179,17 +179,17 @@ def test_who_reads_something_stays(size: int, stays: bool) -> None:
     ("name", "data"), [pytest.param(*each, id=each[0]) for each in malformed_messages()]
 )
 def test_a_malformed_message_changes_nothing(name: str, data: bytes) -> None:
-    judged = check_message(data)
+    check = check_message(data)
     if name == "an answer that was not asked for":
-        assert judged.is_accepted
+        assert check.is_accepted
         return
-    assert not judged.is_accepted
+    assert not check.is_accepted
     if name not in ("a message of the server's", "an upload", "a tunnel"):
-        assert judged.problem
+        assert check.problem
 
 
 @given(data=st.binary(max_size=200))
-def test_any_bytes_are_judged(data: bytes) -> None:
+def test_arbitrary_bytes_are_never_accepted(data: bytes) -> None:
     assert not check_message(data).is_accepted
 
 

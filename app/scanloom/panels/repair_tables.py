@@ -1,4 +1,4 @@
-"""The Repair panel's tables as HTML: counts by class and repair source, and the details of one beam."""
+"""The Repair panel's tables as HTML: counts by class and repair source, details of one beam."""
 
 import math
 

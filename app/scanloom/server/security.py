@@ -74,7 +74,7 @@ class Guard:
     def cookie(self) -> str:
         """Name and value of the cookie that holds the token.
 
-        Browsers send a host's cookies to all of its ports, so each server's cookie has its own name.
+        Browsers send a host's cookies to all of its ports, so each server uses another name.
         """
         assert self.token is not None, "only a guard with a token has a cookie"
         return f"scanloom_{hashlib.sha256(self.token.encode()).hexdigest()[:8]}={self.token}"
@@ -118,9 +118,9 @@ def is_loopback(host: str) -> bool:
 
 @contextmanager
 def guarded(guard: Guard, **overrides: Any) -> Iterator[None]:
-    """Servers that are started within ask ``guard`` before they answer anything.
+    """Have ``guard`` check every request of servers that are started within the block.
 
-    ``instead``: options of websockets' ``serve`` that go over those of viser.
+    ``overrides``: options of websockets' ``serve`` that replace those of viser.
     """
     module: Any = websockets.asyncio.server
     original = module.serve
