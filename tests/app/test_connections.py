@@ -100,7 +100,7 @@ def test_of_those_who_wait_the_longest_waiting_goes(
     monkeypatch.setattr(connections_module, "_MAX_PENDING_PER_HOST", 3)
     with ExitStack() as stack:
         ready = stack.enter_context(connect(served.address))
-        settled.send_bytes(answer())
+        ready.send_bytes(answer())
         served.until(lambda: len(served.connections._ready) == 1)
         every = []
         for count in range(1, 6):
@@ -112,7 +112,7 @@ def test_of_those_who_wait_the_longest_waiting_goes(
                     gone.receive(ENOUGH_S)
             assert gone.closed_with is not None
         assert len(served.connections._pending) == 3
-        assert all(client.closed_with is None for client in (settled, *every[2:]))
+        assert all(client.closed_with is None for client in (ready, *every[2:]))
     served.until(lambda: len(served.connections) == 0)
 
 
