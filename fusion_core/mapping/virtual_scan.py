@@ -127,7 +127,7 @@ def merge_camera_cloud(
     settings: VirtualScanSettings,
     lidar_height_m: float | None = None,
 ) -> LaserScan:
-    """The LiDAR's scan with what the camera alone met, on the LiDAR's own angles.
+    """The LiDAR's scan with the obstacles that only the camera saw, at the LiDAR's own angles.
 
     ``cloud_m``: (N, 3) as above, at the scan's stamp. ``lidar_height_m``: the LiDAR's plane above
     the floor; None where unknown: the filter then treats the two clouds separately.
@@ -154,8 +154,8 @@ def merge_camera_cloud(
     added_m = _nearest_on_scan_m(
         scan, cloud_m[~_is_seen_by_lidar(cloud_m, lidar_m[kept_lidar], settings)], settings
     )
-    # Where the LiDAR knows the nearest that the camera saw, what lies behind it adds nothing; a
-    # beam without a return takes that nearest.
+    # Where the LiDAR measured the surface nearest to the camera, points behind it are dropped; a
+    # beam without a return takes the range of that surface.
     met = ranges_m <= scan.range_max_m
     limit_m = settings.same_surface_m + settings.same_surface_per_m2 * seen_m**2
     added_m[added_m > seen_m + limit_m] = np.nan
@@ -166,7 +166,7 @@ def merge_camera_cloud(
 def _nearest_on_scan_m(
     scan: LaserScan, cloud_m: FloatArray, settings: VirtualScanSettings
 ) -> FloatArray:
-    """(beams,) what the camera's points alone give on a scan's angles and within its range."""
+    """(beams,) ranges from the camera's points alone, at a scan's angles and within its range."""
     nearest_m = nearest_per_angle(
         cloud_m[:, :2],
         scan.angle_min_rad,
@@ -268,7 +268,7 @@ def _nearest_per_angle(
             if not ranges_m[i] > 0.0:
                 continue
             half = np.arctan(half_width_m / ranges_m[i]) / step_rad
-            # A turn on or back is the same place: past the last beam lies the first.
+            # Angles repeat after a full turn: past the last beam lies the first.
             for turns in (-1.0, 0.0, 1.0):
                 middle = after_first_rad[i] / step_rad + turns * turn
                 own = np.rint(middle)

@@ -1,4 +1,4 @@
-"""A cache that holds the values that were used last."""
+"""A cache of the most recently used values."""
 
 import threading
 from collections import OrderedDict
@@ -12,8 +12,7 @@ _Value = TypeVar("_Value")
 class BoundedCache(Generic[_Key, _Value]):
     """The ``capacity`` most recently used values by key. Safe for threads.
 
-    Two threads that ask for the same missing key at once may both compute it: a value must not
-    depend on who computes it.
+    Two threads that request the same missing key at the same time may both compute it.
     """
 
     def __init__(self, capacity: int) -> None:
@@ -27,7 +26,7 @@ class BoundedCache(Generic[_Key, _Value]):
         return len(self._values)
 
     def get_or_compute(self, key: _Key, compute: Callable[[], _Value]) -> _Value:
-        """The value of ``key``, computed where it is not held."""
+        """The value of ``key``, computed if it is not in the cache."""
         with self._lock:
             if key in self._values:
                 self._values.move_to_end(key)

@@ -6,9 +6,9 @@ import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S, BoolArray, FloatArray, IntArray
 
-# 360 km/h: faster than any vehicle with a 2D LiDAR.
+# 360 km/h, set by hand: faster than any vehicle with a 2D LiDAR.
 _SPEED_MAX_M_S = 100.0
-# Stamp jitter of drivers that read messages in bursts.
+# Stamp jitter of drivers that read messages in bursts; set by hand.
 _STAMP_JITTER_S = 0.01
 
 

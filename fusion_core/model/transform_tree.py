@@ -180,7 +180,7 @@ class _Samples:
         if self._size == self._stamps_ns.size:
             self._make_room()
             place = self._place(stamp_ns)
-        # A latecomer from before the dropped samples would be interpolated across their gap.
+        # A sample older than the dropped ones would be interpolated across their gap.
         if stamp_ns <= self._dropped_until_ns:
             return
         self._stamps_ns[place + 1 : self._size + 1] = self._stamps_ns[place : self._size]

@@ -47,7 +47,7 @@ class KeyframeChain:
     ) -> OdometryTrajectory:
         """The poses at (N,) stamps.
 
-        ``scale_sigma``: standard deviation of the scale, in m/m, which no match reveals.
+        ``scale_sigma``: standard deviation of the scale, in m/m, which matches do not observe.
         """
         noise = np.array(self._noise)
         matched = np.array(self.matched, dtype=np.bool_)

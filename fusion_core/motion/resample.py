@@ -44,10 +44,10 @@ def resample_odometry(trajectory: OdometryTrajectory, stamps_ns: IntArray) -> Od
 def _fractional_indices(own_ns: IntArray, stamps_ns: IntArray) -> FloatArray:
     """(N,) fractional indices of stamps among the trajectory's own, clipped to its ends."""
     # Differences first: an int64 of nanoseconds has more digits than a float64.
-    indexs: FloatArray = np.interp(
+    indices: FloatArray = np.interp(
         stamps_ns - own_ns[0], own_ns - own_ns[0], np.arange(own_ns.size)
     )
-    return indexs
+    return indices
 
 
 def _all_measured(measured: BoolArray, index: FloatArray) -> BoolArray:

@@ -284,7 +284,7 @@ def _branch_and_bound(
     top = levels.shape[0] - 1
     along = (2 * offset_max + (1 << top)) >> top
     visited = cells.shape[0] * along * along
-    # Three siblings wait on each level below the top.
+    # At most three siblings are on the stack for each level below the top.
     stack = np.empty((3 * top + 4, 4), dtype=np.int64)
     children = np.empty((4, 4), dtype=np.int64)
     for block in range(blocks.shape[0]):
@@ -292,17 +292,17 @@ def _branch_and_bound(
         if bound <= best[3]:
             break
         stack[0] = (top, row, column, bound)
-        waiting = 1
-        while waiting > 0:
-            waiting -= 1
-            level, r, c, above = stack[waiting]
+        depth = 1
+        while depth > 0:
+            depth -= 1
+            level, r, c, above = stack[depth]
             if above <= best[3]:
                 continue
             if level == 0:
                 best = (t, r, c, above)
                 continue
             half = 1 << (level - 1)
-            born = 0
+            added = 0
             for down in (0, half):
                 for across in (0, half):
                     if r + down > offset_max or c + across > offset_max:
@@ -312,14 +312,14 @@ def _branch_and_bound(
                     if score <= best[3]:
                         continue
                     # Insertion in rising order: the last one is taken first.
-                    place = born
+                    place = added
                     while place > 0 and children[place - 1, 3] > score:
                         children[place] = children[place - 1]
                         place -= 1
                     children[place] = (level - 1, r + down, c + across, score)
-                    born += 1
-            stack[waiting : waiting + born] = children[:born]
-            waiting += born
+                    added += 1
+            stack[depth : depth + added] = children[:added]
+            depth += added
     return best[0], best[1], best[2], best[3], visited
 
 
@@ -346,10 +346,10 @@ def _leaf_covariance(
         if bound < least:
             break
         stack[0] = (top, row, column)
-        waiting = 1
-        while waiting > 0:
-            waiting -= 1
-            level, r, c = stack[waiting]
+        depth = 1
+        while depth > 0:
+            depth -= 1
+            level, r, c = stack[depth]
             if r > offset_max or c > offset_max:
                 continue
             score = sum_scores(levels[level], cells[t], r, c)
@@ -367,7 +367,7 @@ def _leaf_covariance(
             half = 1 << (level - 1)
             for down in (0, half):
                 for across in (0, half):
-                    stack[waiting] = (level - 1, r + down, c + across)
-                    waiting += 1
+                    stack[depth] = (level - 1, r + down, c + across)
+                    depth += 1
     first /= weight_sum
     return second / weight_sum - np.outer(first, first)

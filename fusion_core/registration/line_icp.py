@@ -20,12 +20,13 @@ from fusion_core.registration.local_lines import LocalLines, incidence_cos
 from fusion_core.registration.point_to_line import add_point_line_pair, solve_point_to_line
 from fusion_core.registration.polar_correspondence import PolarScan
 
-# Coarse phase: far from the optimum a quarter of the points gives as good a step as all of them.
+# Coarse phase, set by hand: far from the optimum a quarter of the points gives as good a step as
+# all.
 _COARSE_STRIDE = 4
 _COARSE_ITERATIONS = 10
 
-# Convergence: squared Mahalanobis length of a step. Single pairs at the trimming limit may
-# alternate for ever, so late iterations stop at a third of a standard deviation.
+# Convergence: squared Mahalanobis length of a step, set by hand. Single pairs at the trimming limit
+# may alternate for ever, so late iterations stop at a third of a standard deviation.
 _COARSE_STEP = 1.0
 _FINE_STEP = 1e-3
 _LATE_ITERATION = 12
@@ -124,7 +125,7 @@ def _solve_step(
         information, spurious, lever_m
     )
     if is_unobservable.any():
-        # Half the derivative of the sum of squares at rest, u = (1, 0).
+        # Half the derivative of the sum of squares at zero motion, u = (1, 0).
         gradient = np.array(
             [
                 m[0, 2] - right_side[0],

@@ -14,7 +14,7 @@ from fusion_core.registration.local_lines import (
 )
 from fusion_core.registration.polar_correspondence import PolarScan, find_nearest
 
-# At this ratio of densities the sparser sweep causes over 90 % of the variance.
+# Set by hand: at this ratio of densities the sparser sweep causes over 90 % of the variance.
 _DENSITY_RATIO_MAX = 10.0
 
 # Set by hand: the largest factor by which the trimming limit shrinks in one iteration, so that a
@@ -85,15 +85,15 @@ def find_pairs(
         point_variance = (sigmas_m[1] * here) ** 2
         beam_variance = (sigmas_m[0] * there) ** 2
         off_centre = along - lines.centre_m[j]
-        line_share = 1.0 / lines.beams[j] + off_centre * off_centre / lines.spread_m2[j]
-        # Pairs on one surface share the reference's noise. With N moving and K reference points
-        # the two estimates of the surface differ by point_variance / N + beam_variance / K; a
-        # weight of 1 / (point_variance + N/K beam_variance) for each pair says the same.
+        line_variance_ratio = 1.0 / lines.beams[j] + off_centre * off_centre / lines.spread_m2[j]
+        # Pairs on one surface have the reference's noise in common. With N moving and K reference
+        # points the two estimates of the surface differ by point_variance / N + beam_variance / K;
+        # a weight of 1 / (point_variance + N/K beam_variance) for each pair is equivalent.
         density = step_ratio * reference.range_m[j] * here / (there * range_m)
         density = min(max(density, 1.0 / _DENSITY_RATIO_MAX), _DENSITY_RATIO_MAX)
         pairs.partner[i] = j
         pairs.residual_m[i] = normal_x * x + normal_y * y - lines.offset_m[j]
-        pairs.variance_m2[i] = point_variance + line_share * beam_variance
+        pairs.variance_m2[i] = point_variance + line_variance_ratio * beam_variance
         pairs.weight_per_m2[i] = 1.0 / (point_variance + density * beam_variance)
 
 

@@ -14,22 +14,23 @@ from fusion_core.compiled import compiled
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.registration.polar_correspondence import PolarScan
 
-# 17 beams of a common LiDAR (0.5 degrees) span 8 degrees, about 30 cm of wall at 2 m.
+# Set by hand: 17 beams of a common LiDAR (0.5 degrees) span 8 degrees, about 30 cm of wall at 2 m.
 HALF_WINDOW = 8
 # Three beams: the fewest with a residual.
 _HALF_WINDOW_MIN = 1
 
-# 84 degrees: beyond it the noise across the surface comes from the beam's angle, not its range.
+# 84 degrees, set by hand: beyond it the noise across the surface comes from the beam's angle, not
+# its range.
 INCIDENCE_COS_MIN = 0.1
 
 # Ranges without noise, as in a simulation: weights divide by it.
 RANGE_SIGMA_MIN_M = 1e-5
 
-# No 2D LiDAR is noisier; a larger spread of neighbours is clutter: leaves, legs, edges.
+# Set by hand, above the noise of common 2D LiDARs; a larger spread is clutter: leaves, legs, edges.
 RANGE_SIGMA_MAX_M = 0.05
 
-# A run is straight if its reduced chi-square is below this; noise alone exceeds it in about 1 of
-# 1000 runs.
+# A run is straight if its reduced chi-square is below this. Set by hand: noise alone rarely exceeds
+# it, except in the shortest runs.
 _CHI_SQUARE_MAX = 3.0
 
 

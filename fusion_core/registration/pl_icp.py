@@ -18,7 +18,7 @@ RegistrationFailed with the reason.
 To match many sweeps with one, prepare it once:
 
     reference = ReferenceScan.of(first_m, angle_min_rad=..., angle_increment_rad=...)
-    match = match_to(reference, second_m, angle_min_rad=..., angle_increment_rad=...)
+    match = match_to_reference(reference, second_m, angle_min_rad=..., angle_increment_rad=...)
 
 Li 2022 eq. 4 is the cost: Σ (n_i · (p_i ⊕ q - Π(p_i ⊕ q_k)))², the projection Π on the reference
 being on the line of local_lines.py and n_i its normal. Unlike Censi 2008, lines are fitted to runs
@@ -49,7 +49,8 @@ from fusion_core.registration.match_covariance import match_covariance, trimmed_
 from fusion_core.registration.polar_correspondence import PolarScan, make_polar_scan
 from fusion_core.settings import StageSettings, setting
 
-# Top blocks of 2⁴ = 16 cells are about as wide as the default window, so that few need scoring.
+# Set by hand: top blocks of 2⁴ = 16 cells are about as wide as the default window, so that few are
+# scored.
 _SEARCH_LEVELS = 5
 
 
@@ -251,7 +252,7 @@ def match_to_reference(
         raise ValueError(f"a guess must be (3,) and finite, got {guess}")
 
     best: _Candidate | None = None
-    refused = []
+    failures = []
     iterations = starts = 0
     for attempt in _search_windows(guess is not None, settings):
         start = centre if attempt is None else _search_start(reference, moving, centre, attempt)
@@ -259,10 +260,10 @@ def match_to_reference(
         starts += 1
         iterations += steps
         if isinstance(found, str):
-            refused.append(found)
+            failures.append(found)
             continue
         if attempt is not None and found.unobservable_directions.size:
-            # Along an unobservable direction the search picks an arbitrary pose: keep the centre's.
+            # The search picks an arbitrary pose along an unobservable direction: keep the centre's.
             again, steps = _refine(reference, moving, sigma_m, _move_towards_guess(found, centre))
             iterations += steps
             found = found if isinstance(again, str) else again
@@ -275,7 +276,7 @@ def match_to_reference(
             break
     if best is None:
         raise RegistrationFailed(
-            f"the two sweeps do not match from any of {starts} starts ({'; '.join(refused)}).",
+            f"the two sweeps do not match from any of {starts} starts ({'; '.join(failures)}).",
             advice="Give a guess, widen the search, or match sweeps that are nearer to each other.",
         )
     best.pose[2] = wrap_angle(best.pose[2])
@@ -295,7 +296,7 @@ def match_to_reference(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Candidate:
-    """What one start led to; the fields are those of ScanMatch."""
+    """The match from one start; the fields are those of ScanMatch."""
 
     start: FloatArray
     pose: FloatArray

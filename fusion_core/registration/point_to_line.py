@@ -58,7 +58,7 @@ def add_point_line_pair(
 
 @compiled(error_model="numpy")
 def solve_point_to_line(normal_matrix: FloatArray, right_side: FloatArray) -> FloatArray:
-    """(3,) x, y, theta from the sums of ``add_pair``; NaN where the translation is undetermined."""
+    """(3,) x, y, theta from the sums of ``add_point_line_pair``; NaN where undetermined."""
     m, g = normal_matrix, right_side
     determinant = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]
     trace = m[0, 0] + m[1, 1]
@@ -72,7 +72,7 @@ def solve_point_to_line(normal_matrix: FloatArray, right_side: FloatArray) -> Fl
     qy0 = (m[0, 0] * m[1, 2] - m[0, 1] * m[0, 2]) / determinant
     qx1 = (m[1, 1] * m[0, 3] - m[0, 1] * m[1, 3]) / determinant
     qy1 = (m[0, 0] * m[1, 3] - m[0, 1] * m[0, 3]) / determinant
-    # What is left to minimise: uᵀ S u - 2 b · u.
+    # Then minimise uᵀ S u - 2 b · u.
     s00 = m[2, 2] - m[0, 2] * qx0 - m[1, 2] * qy0
     s01 = m[2, 3] - m[0, 2] * qx1 - m[1, 2] * qy1
     s11 = m[3, 3] - m[0, 3] * qx1 - m[1, 3] * qy1

@@ -42,10 +42,10 @@ class PolarScan(NamedTuple):
 def make_polar_scan(
     ranges_m: FloatArray, angle_min_rad: float, angle_increment_rad: float
 ) -> PolarScan:
-    """Prepare a sweep (N,) for ``nearest``. A beam that is not finite and positive is missing, and
-    so is one beyond a full turn.
+    """Prepare a sweep (N,) for ``find_nearest``. A beam that is not finite and positive is missing,
+    and so is one beyond a full turn.
 
-    Raises ValueError for arrays that are no sweep, and for one that ends far beyond a full turn.
+    Raises ValueError for wrong shapes and angles, and for a sweep of much more than a full turn.
     """
     ranges_m = np.asarray(ranges_m, dtype=np.float64)
     if ranges_m.ndim != 1:
@@ -58,8 +58,8 @@ def make_polar_scan(
         )
     if step_rad * (ranges_m.size - 1) > MAX_SWEEP_RAD:
         raise ValueError(f"{ranges_m.size} beams, {step_rad:g} rad apart, exceed a full turn")
-    # The beam that closes the circle may be there twice. What a sweep has beyond it is the start
-    # seen again, or what a rounded increment makes of the turn.
+    # The first beam may be repeated at the end of the circle. Any beams after it see the start
+    # again, or are due to a rounded increment.
     ranges_m = ranges_m[: int((2.0 * np.pi) / step_rad + 0.5) + 1]
     clockwise = angle_increment_rad < 0.0
     start_rad = angle_min_rad + angle_increment_rad * (ranges_m.size - 1) * clockwise
@@ -105,21 +105,21 @@ def _steps_to_next(range_m: FloatArray, sign: float, direction: int) -> IntArray
     """(M,) steps in ``direction`` to the next beam with sign · range larger; M where none is."""
     count = range_m.size
     steps = np.full(count, count, dtype=np.int64)
-    waiting = np.empty(2 * count, dtype=np.int64)
-    waiters = 0
+    stack = np.empty(2 * count, dtype=np.int64)
+    depth = 0
     # Twice round the circle, so that each beam sees all others after it.
     for place in range(2 * count):
         value = sign * range_m[place % count if direction > 0 else -1 - place % count]
-        while waiters > 0:
-            earlier = waiting[waiters - 1]
+        while depth > 0:
+            earlier = stack[depth - 1]
             index = earlier % count if direction > 0 else count - 1 - earlier % count
             if sign * range_m[index] >= value:
                 break
-            waiters -= 1
+            depth -= 1
             if earlier < count:
                 steps[index] = min(steps[index], place - earlier)
-        waiting[waiters] = place
-        waiters += 1
+        stack[depth] = place
+        depth += 1
     return steps
 
 

@@ -32,7 +32,7 @@ from fusion_core.slam.tracking_losses import TrackingLosses
 # so that the work stays linear in its size. Set by hand.
 _GROWTH_MIN = 0.3
 _KEY_SCANS_MIN = 100
-# Relative error tolerance of the optimiser, during the search and at the end.
+# Relative error tolerance of the optimiser, during the search and at the end. Set by hand.
 _TOLERANCE_SEARCH, _TOLERANCE_FINAL = 1e-2, 1e-4
 # The search for a confirming match, and how near to the predicted place it must lie; empirical.
 _CONFIRMING_WINDOW = LoopWindow(1.5, 0.15)

@@ -11,8 +11,8 @@ is far more exact than odometry. So the map's likelihood is part of it:
 and the particle's weight is multiplied by η (eq. 19), since the proposal is nearly the optimal one.
 
 The likelihood is that of ``scan_to_grid``: log p(z | m, x) = -k/2n Σ (1 - M(x · p_i))², with the
-map's smoothed occupancy M. Errors of beams on one wall are correlated, so that n beams count as k
-says and not as n independent ones. The samples x_j are a lattice along the principal axes of the
+map's smoothed occupancy M. Errors of beams on one wall are correlated, so that n beams count as
+fewer independent ones, as given by k. The samples x_j are a lattice along the principal axes of the
 likelihood at x̂: the sums are a quadrature of the integrals they stand for, with the volume of a
 lattice cell as factor, so that the η of two particles can be compared.
 """
@@ -36,7 +36,8 @@ from fusion_core.slam.scan_to_grid import (
 # deviations. A wider step would miss bumps of the likelihood as small as a cell, which its
 # curvature at the peak does not show.
 _LATTICE_STEP, _LATTICE_RADIUS_SQUARED = 1.25, 5
-# A match so many times farther away than was searched has slid along a wall; empirical.
+# A match farther from the prediction than this multiple of the search has slid along a wall;
+# empirical.
 _SLIDE_MAX = 2.0
 
 

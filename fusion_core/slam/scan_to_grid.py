@@ -20,7 +20,7 @@ FULL = 255.0
 # on one wall have correlated errors, so that a scan counts as nine independent points: 9 / 0.25².
 INFORMATION_OF_A_SCAN = 144.0
 
-# Fewer points do not constrain a pose; empirical.
+# Fewer points hardly constrain a pose; set by hand.
 POINTS_MIN = 10
 
 # Numerics of Gauss-Newton: metres and radians below which a step has converged, and a safeguard.
@@ -146,14 +146,14 @@ def _best_of_lattice(  # compiled functions take no dataclasses
     resolution_m: float,
     points_m: FloatArray,
     predicted: FloatArray,
-    window: tuple[float, float],
+    half_widths: tuple[float, float],
     step_rad: float,
     prior_weight: tuple[float, float],
 ) -> FloatArray:
     """``correlative_match`` with the fields of its arguments one by one."""
     rows, columns = grid.shape
-    cells = round(window[0] / resolution_m)
-    turns = round(window[1] / step_rad)
+    cells = round(half_widths[0] / resolution_m)
+    turns = round(half_widths[1] / step_rad)
     side = 2 * cells + 1
     best, best_pose = -1.0, predicted.copy()
     total = np.empty((side, side), dtype=np.int64)

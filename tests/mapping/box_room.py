@@ -8,7 +8,7 @@ from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_r
 from fusion_core.model.sensors import CameraIntrinsics, LaserScan
 
 OPTICAL = rotation_from_yaw_pitch_roll(-np.pi / 2, 0.0, -np.pi / 2)
-LENS = CameraIntrinsics(width=320, height=240, fx=288.0, fy=288.0, cx=159.5, cy=119.5)
+INTRINSICS = CameraIntrinsics(width=320, height=240, fx=288.0, fy=288.0, cx=159.5, cy=119.5)
 LIDAR_HEIGHT_M = 0.3
 
 
@@ -56,7 +56,7 @@ class BoxRoom:
             ranges_m=np.where(ranges <= range_max_m, ranges, np.nan),
         )
 
-    def depth(self, pose, T_base_camera, *, lens=LENS, noise=None):
+    def depth(self, pose, T_base_camera, *, lens=INTRINSICS, noise=None):
         """(H, W) depth image; ``noise``: a generator for a Kinect's standard deviation."""
         base = make_transform(
             rotation_from_yaw_pitch_roll(pose[2], 0.0, 0.0), np.array([pose[0], pose[1], 0.0])

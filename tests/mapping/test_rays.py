@@ -22,7 +22,7 @@ def traced(x0: float, y0: float, x1: float, y1: float) -> list[Cell]:
 
 
 def share_inside(x0: float, y0: float, x1: float, y1: float, cell: Cell) -> Fraction:
-    """Share of a segment inside a cell (Liang & Barsky 1984), exact; negative where apart."""
+    """Fraction of a segment inside a cell (Liang & Barsky 1984), exact; negative where outside."""
     low, high = Fraction(0), Fraction(1)
     for start, end, first in ((x0, x1, cell[1]), (y0, y1, cell[0])):
         step = Fraction(end) - Fraction(start)
@@ -53,7 +53,7 @@ def test_exactly_the_cells_that_the_segment_crosses(
         for column in columns
         if share_inside(x0, y0, x1, y1, (row, column)) > 1e-12
     }
-    # Along a border between two cells the share of both is the same; one of them is traced.
+    # Along a border between two cells the fraction in both is the same; one of them is traced.
     along_border = (x0 == x1 and x0 == round(x0)) or (y0 == y1 and y0 == round(y0))
     if not along_border:
         assert crossed <= set(cells)

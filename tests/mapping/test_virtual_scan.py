@@ -18,7 +18,7 @@ from fusion_core.mapping.virtual_scan import (
 )
 from fusion_core.model.conventions import wrap_angle
 from fusion_core.model.sensors import CameraIntrinsics
-from tests.mapping.box_room import LENS, LIDAR_HEIGHT_M, BoxRoom, camera_pose
+from tests.mapping.box_room import INTRINSICS, LIDAR_HEIGHT_M, BoxRoom, camera_pose
 
 DEFAULT = VirtualScanSettings()
 POSE = np.array([1.0, 2.5, 0.0])
@@ -81,7 +81,7 @@ def test_each_angle_takes_its_nearest_point(points, first, step, beams, half_wid
 @pytest.mark.parametrize("seed", range(5))
 def test_the_published_preset_is_the_papers_six_steps(seed):
     rng = np.random.default_rng(seed)
-    depth = rng.uniform(0.3, 4.0, (LENS.height, LENS.width)).astype(np.float32)
+    depth = rng.uniform(0.3, 4.0, (INTRINSICS.height, INTRINSICS.width)).astype(np.float32)
     depth[rng.random(depth.shape) < 0.3] = np.nan
     # Dense enough that the radius filter keeps some and drops some.
     depth = np.where(rng.random(depth.shape) < 0.5, np.float32(2.0), depth)
@@ -94,7 +94,9 @@ def test_the_published_preset_is_the_papers_six_steps(seed):
             z = float(depth[v, u])
             if not np.isfinite(z):
                 continue
-            ray = np.array([(u - LENS.cx) / LENS.fx, (v - LENS.cy) / LENS.fy, 1.0])
+            ray = np.array(
+                [(u - INTRINSICS.cx) / INTRINSICS.fx, (v - INTRINSICS.cy) / INTRINSICS.fy, 1.0]
+            )
             p = P[:, :3] @ (z * ray) + P[:, 3]
             if 0.01 < p[2] < 0.55:
                 cloud.append(p)
@@ -123,7 +125,9 @@ def test_the_published_preset_is_the_papers_six_steps(seed):
     assert len(cloud) > 20
     assert 0 < sum(map(stays, cloud)) < len(cloud)
     assert 0 < sum(map(stays, lidar.values())) < len(lidar)
-    found = merge_camera_cloud(scan, project_to_cloud(depth, LENS, P, PUBLISHED), PUBLISHED, 0.3)
+    found = merge_camera_cloud(
+        scan, project_to_cloud(depth, INTRINSICS, P, PUBLISHED), PUBLISHED, 0.3
+    )
     np.testing.assert_allclose(found.ranges_m, expected, atol=1e-6)
 
 
@@ -132,7 +136,7 @@ WIDE = CameraIntrinsics(width=1280, height=1024, fx=1145.0, fy=1145.0, cx=639.5,
 
 
 def seen(room, settings):
-    lens = LENS if settings is DEFAULT else WIDE
+    lens = INTRINSICS if settings is DEFAULT else WIDE
     depth_m = room.depth(POSE, camera_pose(), lens=lens, noise=np.random.default_rng(5))
     return project_to_cloud(depth_m, lens, camera_pose()[:3], settings)
 
@@ -194,7 +198,7 @@ def test_noise_on_the_floor_is_no_obstacle():
     T = camera_pose(1.0, pitch=0.2)
     cloud = project_to_cloud(
         room.depth(pose, T, noise=np.random.default_rng(3)),
-        LENS,
+        INTRINSICS,
         camera_pose(1.0, pitch=0.2 - np.deg2rad(0.5))[:3],
         DEFAULT,
     )
@@ -206,7 +210,7 @@ def test_a_lone_depth_is_dropped_and_a_thin_post_is_not():
     room = BoxRoom(boxes=((2.5, 2.6, 0.0, 2.53, 2.63, 1.0),))
     depth = room.depth(POSE, camera_pose()).copy()
     depth[150, 60] = 1.1
-    cloud = project_to_cloud(depth, LENS, camera_pose()[:3], DEFAULT)
+    cloud = project_to_cloud(depth, INTRINSICS, camera_pose()[:3], DEFAULT)
     scan = make_camera_scan(cloud, DEFAULT, stamp_ns=0, received_ns=0, frame_id="laser")
     assert np.nanmin(scan.ranges_m) == pytest.approx(np.hypot(1.5, 0.1), abs=0.03)
 

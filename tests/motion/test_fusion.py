@@ -1,4 +1,4 @@
-"""Fused odometry on simulated motion: faults that the method is not told of, and Li 2022's (8)."""
+"""Fused odometry on simulated motion: faults unknown to the method, and Li 2022's (8)."""
 
 import numpy as np
 import pytest
@@ -29,14 +29,14 @@ def sources(**more: slice) -> list[OdometryTrajectory]:
 
 
 def slipping(factor: float, when: slice) -> OdometryTrajectory:
-    """Wheels that report ``factor`` times the way, and do not know."""
+    """Wheels that report ``factor`` times the distance, with an unchanged covariance."""
     steps = TRUTH.copy()
     steps[when, 0] *= factor
     return track_of("wheel", steps, WHEEL, seed=0)
 
 
 def way_error_m(trajectory: OdometryTrajectory, when: slice = slice(None)) -> float:
-    """Of the way ahead, summed over steps; the noise alone of 300 steps is 2 cm for the laser."""
+    """Of the summed forward distance; the noise alone of 300 steps is 2 cm for the laser."""
     return abs(float(step_errors(trajectory, TRUTH)[when, 0].sum()))
 
 
@@ -254,7 +254,7 @@ def test_as_published_the_wheels_are_weighed_by_their_residuals() -> None:
     trajectories = [slipping(3.0, slice(100, 130)), *sources()[1:]]
     fusion = fuse_odometry(trajectories, PUBLISHED)
     weights = fusion.weights
-    # Half of the share is that of the way aside, where they do not slip.
+    # Half of the weight is lateral, where they do not slip.
     before = weights.translation[60:100, 0].mean()
     assert weights.translation[110:130, 0].mean() < before - 0.2
     assert not weights.rejected.any()

@@ -1,4 +1,4 @@
-"""Laser odometry in a ray-cast room and corridor, with noise that it was not told of."""
+"""Laser odometry in a ray-cast room and corridor, with noise unknown to the method."""
 
 import numpy as np
 import pytest
@@ -142,7 +142,7 @@ def _fields(scan: LaserScan) -> dict:
 
 
 def test_a_corridor_shows_in_the_covariance() -> None:
-    """Walls of 2.4 m apart that go on beyond the reach: nothing tells the way along them."""
+    """Walls 2.4 m from each other, longer than the range: the pose along them is unobservable."""
     poses = np.tile([0.05, 0.0, 0.0], (COUNT, 1)).cumsum(axis=0) * np.array([1.0, 0.0, 0.0])
     scans = sweeps(poses[:40], CORRIDOR, reach_m=8.0)
     trajectory = laser_odometry(scans)

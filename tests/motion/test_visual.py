@@ -21,8 +21,10 @@ from fusion_core.motion.steps import integrate_steps
 from fusion_core.motion.visual import GrayDepth, VisualOdometrySettings, visual_odometry
 from tests.motion.simulated_motion import STEP_NS, stamps, step_errors
 
-LENS = CameraIntrinsics(width=320, height=240, fx=288.0, fy=288.0, cx=159.5, cy=119.5)
-K = np.array([[LENS.fx, 0.0, LENS.cx], [0.0, LENS.fy, LENS.cy], [0.0, 0.0, 1.0]])
+INTRINSICS = CameraIntrinsics(width=320, height=240, fx=288.0, fy=288.0, cx=159.5, cy=119.5)
+K = np.array(
+    [[INTRINSICS.fx, 0.0, INTRINSICS.cx], [0.0, INTRINSICS.fy, INTRINSICS.cy], [0.0, 0.0, 1.0]]
+)
 # 10 cm ahead, 4 cm to the left and 60 cm above the LiDAR, looking 7 degrees left and 5 down.
 T_LIDAR_CAMERA = make_transform(
     rotation_from_yaw_pitch_roll(0.12, 0.09, 0.0) @ R_BODY_OPTICAL, np.array([0.1, 0.04, 0.6])
@@ -52,13 +54,22 @@ def frame(pose: FloatArray, number: int, *, light: float = 1.0, depth_scale: int
     # Wall pixels (a, b) lie at y = 4 - a / PX_PER_M, z = 4 - b / PX_PER_M.
     wall = np.array([[0.0, 0.0, WALL_M], [-1.0 / PX_PER_M, 0.0, 4.0], [0.0, -1.0 / PX_PER_M, 4.0]])
     H = K @ (T_camera_map[:3, :3] @ wall + np.outer(T_camera_map[:3, 3], [0.0, 0.0, 1.0]))
-    gray = cv2.warpPerspective(TEXTURE, H, (LENS.width, LENS.height), flags=cv2.INTER_LINEAR)
+    gray = cv2.warpPerspective(
+        TEXTURE, H, (INTRINSICS.width, INTRINSICS.height), flags=cv2.INTER_LINEAR
+    )
     random = np.random.default_rng(number)
     noisy = np.clip(light * gray + random.normal(0.0, 2.0, gray.shape), 0, 255).astype(np.uint8)
-    rows, columns = np.mgrid[: LENS.height : depth_scale, : LENS.width : depth_scale].astype(float)
+    rows, columns = np.mgrid[
+        : INTRINSICS.height : depth_scale, : INTRINSICS.width : depth_scale
+    ].astype(float)
     rows, columns = (x + 0.5 * (depth_scale - 1) for x in (rows, columns))
     rays = np.stack(
-        [(columns - LENS.cx) / LENS.fx, (rows - LENS.cy) / LENS.fy, np.ones(rows.shape)], axis=-1
+        [
+            (columns - INTRINSICS.cx) / INTRINSICS.fx,
+            (rows - INTRINSICS.cy) / INTRINSICS.fy,
+            np.ones(rows.shape),
+        ],
+        axis=-1,
     )
     T_map_camera = invert_transform(T_camera_map)
     depth_m = (WALL_M - T_map_camera[0, 3]) / (rays @ T_map_camera[0, :3])
@@ -75,7 +86,9 @@ POSES = integrate_steps(STEPS)
 
 
 def test_it_gives_the_motion_of_the_lidar_not_of_the_camera() -> None:
-    trajectory = visual_odometry((frame(p, k) for k, p in enumerate(POSES)), LENS, T_LIDAR_CAMERA)
+    trajectory = visual_odometry(
+        (frame(p, k) for k, p in enumerate(POSES)), INTRINSICS, T_LIDAR_CAMERA
+    )
     assert trajectory.measured.all()
     error = relative_pose(POSES[-1], trajectory.poses_odom_lidar[-1])
     assert np.hypot(error[0], error[1]) < 0.03
@@ -88,7 +101,7 @@ def test_it_gives_the_motion_of_the_lidar_not_of_the_camera() -> None:
 
 def test_depth_of_half_the_size_does_as_well() -> None:
     frames = (frame(p, k, depth_scale=2) for k, p in enumerate(POSES[:10]))
-    trajectory = visual_odometry(frames, LENS, T_LIDAR_CAMERA)
+    trajectory = visual_odometry(frames, INTRINSICS, T_LIDAR_CAMERA)
     assert trajectory.measured.all()
     error = relative_pose(POSES[9], trajectory.poses_odom_lidar[-1])
     assert np.hypot(error[0], error[1]) < 0.02
@@ -97,7 +110,7 @@ def test_depth_of_half_the_size_does_as_well() -> None:
 def test_dark_images_are_not_measured_and_what_follows_is_right_again() -> None:
     dark = range(10, 14)
     frames = (frame(pose, k, light=0.0 if k in dark else 1.0) for k, pose in enumerate(POSES[:20]))
-    trajectory = visual_odometry(frames, LENS, T_LIDAR_CAMERA)
+    trajectory = visual_odometry(frames, INTRINSICS, T_LIDAR_CAMERA)
     np.testing.assert_array_equal(np.flatnonzero(~trajectory.measured), np.arange(9, 14))
     assert "visual: 5 steps not measured: 4 too few" in trajectory.notes[0]
     error = relative_pose(POSES[19], trajectory.poses_odom_lidar[-1])
@@ -109,16 +122,16 @@ def test_without_depth_or_images_there_is_nothing_to_follow() -> None:
         GrayDepth(stamp_ns=f.stamp_ns, gray=f.gray, depth_m=np.full_like(f.depth_m, np.nan))
         for f in (frame(p, k) for k, p in enumerate(POSES[:3]))
     ]
-    trajectory = visual_odometry(blind, LENS, T_LIDAR_CAMERA)
+    trajectory = visual_odometry(blind, INTRINSICS, T_LIDAR_CAMERA)
     assert not trajectory.measured.any()
     assert "too few features with depth" in trajectory.notes[0]
     with pytest.raises(MissingStream, match="needs an image"):
-        visual_odometry([], LENS, T_LIDAR_CAMERA)
+        visual_odometry([], INTRINSICS, T_LIDAR_CAMERA)
 
 
 def test_two_runs_give_the_same_bytes() -> None:
     frames = [frame(p, k) for k, p in enumerate(POSES[:6])]
-    one, other = (visual_odometry(frames, LENS, T_LIDAR_CAMERA) for _ in range(2))
+    one, other = (visual_odometry(frames, INTRINSICS, T_LIDAR_CAMERA) for _ in range(2))
     assert one.poses_odom_lidar.tobytes() == other.poses_odom_lidar.tobytes()
 
 
@@ -127,7 +140,7 @@ def test_a_wall_without_texture_is_not_measured() -> None:
         GrayDepth(stamp_ns=f.stamp_ns, gray=np.full_like(f.gray, 90), depth_m=f.depth_m)
         for f in (frame(p, k) for k, p in enumerate(POSES[:3]))
     ]
-    trajectory = visual_odometry(flat, LENS, T_LIDAR_CAMERA, VisualOdometrySettings())
+    trajectory = visual_odometry(flat, INTRINSICS, T_LIDAR_CAMERA, VisualOdometrySettings())
     assert not trajectory.measured.any()
 
 
@@ -147,7 +160,7 @@ def fit(points: FloatArray, seen: FloatArray, depth_sigma: float = 1e-9):
         seen,
         np.zeros(3),
         T_LIDAR_CAMERA,
-        FeatureNoise(focal_px=LENS.fx, sigma_px=0.5, depth_sigma_per_m2=depth_sigma),
+        FeatureNoise(focal_px=INTRINSICS.fx, sigma_px=0.5, depth_sigma_per_m2=depth_sigma),
     )
 
 
@@ -162,7 +175,7 @@ def test_the_planar_fit_is_exact_on_exact_points() -> None:
 def test_the_planar_fit_is_that_of_scipy() -> None:
     """With Huber's loss on each point's error, as scipy has it."""
     points, seen, _ = scattered(1)
-    noisy = seen + np.random.default_rng(1).normal(0.0, 0.5 / LENS.fx, seen.shape)
+    noisy = seen + np.random.default_rng(1).normal(0.0, 0.5 / INTRINSICS.fx, seen.shape)
     noisy[:6] += 0.05
     found = fit(points, noisy)
     assert found is not None
@@ -171,7 +184,7 @@ def test_the_planar_fit_is_that_of_scipy() -> None:
         now = transform_points(
             invert_transform(transform_from_planar(step) @ T_LIDAR_CAMERA), points
         )
-        return LENS.fx * np.linalg.norm(now[:, :2] / now[:, 2:] - noisy, axis=1) / 0.5
+        return INTRINSICS.fx * np.linalg.norm(now[:, :2] / now[:, 2:] - noisy, axis=1) / 0.5
 
     best = least_squares(sizes, np.zeros(3), loss="huber", f_scale=1.345, xtol=1e-12, ftol=1e-14)
     np.testing.assert_allclose(found.step, best.x, atol=2e-5)
@@ -188,7 +201,9 @@ def test_the_planar_covariance_is_that_of_many_fits() -> None:
         random = np.random.default_rng(seed)
         off_m = random.normal(0.0, depth_sigma * depths**2)
         measured = points + off_m[:, np.newaxis] * rays
-        found = fit(measured, seen + random.normal(0.0, 0.5 / LENS.fx, seen.shape), depth_sigma)
+        found = fit(
+            measured, seen + random.normal(0.0, 0.5 / INTRINSICS.fx, seen.shape), depth_sigma
+        )
         assert found is not None
         errors.append(found.step - step)
         said.append(found.covariance)

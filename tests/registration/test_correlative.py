@@ -1,4 +1,4 @@
-"""Correlative matching: the maximum that brute force finds, and a covariance that tells doubt."""
+"""Correlative matching: the maximum of brute force, and a covariance that shows ambiguity."""
 
 import numpy as np
 import pytest
@@ -185,7 +185,7 @@ def test_two_similar_places_give_a_large_covariance():
     )
     window = SearchWindow(translation_m=2.0, rotation_rad=0.2)
     assert np.sqrt(match_correlative(once, corner, window).covariance[0, 0]) < 0.15
-    # Two poses alike, 1.5 m apart along x: a standard deviation of half of it.
+    # Two equally good poses with a distance of 1.5 m along x: a standard deviation of half of it.
     assert np.sqrt(match_correlative(twice, corner, window).covariance[0, 0]) == pytest.approx(
         0.75, abs=0.1
     )

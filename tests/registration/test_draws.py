@@ -15,10 +15,10 @@ from fusion_core.registration.ransac import RegistrationSettings, register
 
 
 @given(
-    pairs=st.integers(2, 60), share=st.floats(0.0, 1.0), draws=st.integers(1, 30), data=st.data()
+    pairs=st.integers(2, 60), fraction=st.floats(0.0, 1.0), draws=st.integers(1, 30), data=st.data()
 )
-def test_a_sample_has_distinct_pairs_of_those_given(pairs, share, draws, data):
-    size = max(1, round(share * pairs))
+def test_a_sample_has_distinct_pairs_of_those_given(pairs, fraction, draws, data):
+    size = max(1, round(fraction * pairs))
     samples = draw_samples(pairs, size, draws, (data.draw(st.integers(0, 2**40)), 0))
     assert samples.shape == (draws, size)
     assert samples.min() >= 0
@@ -41,18 +41,18 @@ def test_the_number_of_draws_of_the_paper():
 
 
 def test_the_draws_contain_a_clean_one_with_the_confidence():
-    """Brute force: 60 good of 100 pairs, draws of 3, told clean by their indices."""
+    """Brute force: 60 good of 100 pairs, draws of 3, clean by their indices."""
     draws = int(np.ceil(count_draws_needed(0.6, 3, 0.9)))
     held = [(draw_samples(100, 3, draws, (seed, 0)) < 60).all(axis=1).any() for seed in range(2000)]
     # Draws without replacement are clean a little less often than c to the n: 0.211 for 0.216.
     assert np.mean(held) == pytest.approx(1.0 - (1.0 - 0.2116) ** draws, abs=0.02)
 
 
-def noisy_pairs(count=90, share=0.4, seed=5):
+def noisy_pairs(count=90, fraction=0.4, seed=5):
     rng = np.random.default_rng(seed)
     lidar = rng.uniform([-2.0, 1.0], [2.0, 5.0], size=(count, 2))
     depth = lidar + np.array([0.05, -0.03]) + rng.normal(0.0, 0.01, (count, 2))
-    burr = rng.random(count) < share
+    burr = rng.random(count) < fraction
     depth[burr] += rng.normal(0.0, 1.0, (burr.sum(), 2))
     lidar[3] = np.nan
     depth[17, 1] = np.nan

@@ -1,4 +1,4 @@
-"""Lines of a sweep's neighbourhoods, and the noise that it tells of itself."""
+"""Lines of a sweep's neighbourhoods, and the noise estimated from it."""
 
 import numpy as np
 import pytest
@@ -22,11 +22,11 @@ def scan_of(pose, sigma_m=0.0, seed=0):
 
 @pytest.mark.parametrize("sigma_m", [0.003, 0.01, 0.03])
 def test_the_noise_is_estimated_from_the_sweep(sigma_m):
-    told = [
+    estimates = [
         estimate_range_sigma_m(scan_of((4.0 + 0.1 * k, 4.0, 0.3), sigma_m, k)) for k in range(20)
     ]
-    assert np.mean(told) == pytest.approx(sigma_m, rel=0.05)
-    assert np.std(told) < 0.1 * sigma_m
+    assert np.mean(estimates) == pytest.approx(sigma_m, rel=0.05)
+    assert np.std(estimates) < 0.1 * sigma_m
 
 
 def test_no_noise_and_clutter_keep_their_limits():

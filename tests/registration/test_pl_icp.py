@@ -174,7 +174,7 @@ def test_a_bad_guess_falls_back_on_the_search():
     np.testing.assert_allclose(bad.pose_first_second, good.pose_first_second, atol=1e-3)
 
 
-# --- What cannot be told
+# --- What is unobservable
 
 
 @pytest.mark.parametrize("sigma_m", [0.0, 0.01])
@@ -194,7 +194,7 @@ def test_along_a_corridor_the_translation_is_unobservable(sigma_m, heading):
         across = np.array([np.sin(heading), np.cos(heading), 0.0])
         np.testing.assert_allclose(np.abs(match.unobservable_directions @ along), [1.0], atol=0.01)
         assert match.covariance @ along @ along == pytest.approx(UNOBSERVABLE_SIGMA_M**2, rel=0.01)
-        # What the walls do tell stays right, and what they do not stays as it was guessed.
+        # Observable directions stay right, and unobservable ones keep the guess.
         error = match.pose_first_second - move
         assert abs(error @ across) < 0.002
         assert abs(error[2]) < 0.001

@@ -47,7 +47,7 @@ def test_parallel_lines_leave_the_closed_form_open():
 
 @pytest.mark.parametrize("cosine", [-0.2, 0.5, 0.95])
 def test_of_two_equally_good_rotations_one_is_found(cosine):
-    """Points on the x axis and lines across it tell the cosine of the turn, not its sign."""
+    """Points on the x axis and lines across it do not determine the sign of the rotation."""
     points = np.array([[1.0, 0.0], [2.0, 0.0], [4.0, 0.0], [0.0, 0.0]])
     normals = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     offsets = cosine * points[:, 0]

@@ -12,8 +12,8 @@ from fusion_core.registration.polar_correspondence import find_nearest, make_pol
 def test_the_jump_tables_find_the_nearest_point(seed):
     rng = np.random.default_rng(seed)
     count = int(rng.integers(1, 120))
-    share = rng.choice([1.0, rng.uniform(0.02, 1.0)])
-    step = share * 2.0 * np.pi / count * rng.choice([-1.0, 1.0])
+    fraction = rng.choice([1.0, rng.uniform(0.02, 1.0)])
+    step = fraction * 2.0 * np.pi / count * rng.choice([-1.0, 1.0])
     # Few distinct ranges make ties, many make jumps.
     ranges = rng.choice(rng.uniform(0.2, 5.0, int(rng.integers(1, 40))), count)
     ranges[rng.random(count) < rng.uniform(0.0, 0.7)] = rng.choice([np.nan, np.inf, 0.0, -1.0])

@@ -1,6 +1,6 @@
 """A ring of corridors about a block, driven round once and a bit: truth, noisy scans, odometry.
 
-Nothing of the noise is told to the method: ranges with noise and strays, beams lost, and odometry
+The method does not know the noise: ranges with noise and strays, beams lost, and odometry
 whose wheels differ, so that its heading drifts.
 """
 
@@ -101,7 +101,7 @@ def on_the_way(way_m: float) -> FloatArray:
         way_m -= arc
         corner = corner + radius * (ahead + left)
         heading += 0.5 * np.pi
-    raise AssertionError("the way is longer than the round")
+    raise AssertionError("the path is longer than the round")
 
 
 def scan_of(

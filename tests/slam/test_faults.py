@@ -1,6 +1,6 @@
 """Faults of a drive: wherever the trajectory is wrong, it says so, and where it is right, mostly.
 
-The truth is simulated; nothing of the fault is told to the method.
+The truth is simulated; the method does not know of the fault.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ def slow(value):
     return pytest.param(value, marks=pytest.mark.slow)
 
 
-def untold(result, truth):
+def unnoticed_errors(result, truth):
     """Scans that are wrong by more than 30 cm and trusted all the same."""
     found, expected = (relative_pose(of[0], of) for of in (result.poses_map_scan, truth))
     away_m = np.hypot(*(found - expected)[:, :2].T)
@@ -65,7 +65,7 @@ def run(whole, kept=None, *, prior=True):
 def test_a_tenth_of_the_scans_lost(prior):
     kept = np.flatnonzero(np.random.default_rng(2).random(200) > 0.1)
     result, truth = run(room(), kept, prior=prior)
-    assert untold(result, truth) == 0
+    assert unnoticed_errors(result, truth) == 0
     assert result.trusted.mean() > 0.9
 
 
@@ -74,7 +74,7 @@ def test_a_tenth_of_the_scans_lost(prior):
 def test_a_second_of_no_data(begin, prior):
     kept = np.concatenate([np.arange(begin), np.arange(begin + 5, 200)])
     result, truth = run(room(), kept, prior=prior)
-    assert untold(result, truth) == 0
+    assert unnoticed_errors(result, truth) == 0
     assert result.trusted.mean() > 0.9
 
 
@@ -87,7 +87,7 @@ def test_wheels_that_slip_for_three_seconds(slip, seed):
 
     slipping = with_steps(room(seed=seed), change)
     result, truth = run(slipping)
-    assert untold(result, truth) == 0
+    assert unnoticed_errors(result, truth) == 0
     assert result.trusted.mean() > 0.9
 
 
@@ -97,7 +97,7 @@ def test_wheels_that_spin_on_the_spot():
         return steps
 
     result, truth = run(with_steps(room(), change))
-    assert untold(result, truth) == 0
+    assert unnoticed_errors(result, truth) == 0
     assert result.trusted.mean() > 0.9
 
 
@@ -120,7 +120,7 @@ def test_a_kidnapped_robot(shift):
     kept = [ring.scans[n] for n in numbers]
     number_of = {scan.stamp_ns: n for n, scan in enumerate(kept)}
     result = pose_graph_slam(kept, lambda stamp_ns: odometry[number_of[stamp_ns]])
-    assert untold(result, ring.truth[numbers]) == 0
+    assert unnoticed_errors(result, ring.truth[numbers]) == 0
     assert result.trusted[:100].mean() > 0.9
     assert not result.trusted[100:].any()
 
@@ -135,7 +135,7 @@ def test_a_robot_kidnapped_within_a_room(shift, prior):
     result = pose_graph_slam(
         kept, (lambda stamp_ns: odometry[number_of[stamp_ns]]) if prior else None
     )
-    assert untold(result, whole.truth[numbers]) == 0
+    assert unnoticed_errors(result, whole.truth[numbers]) == 0
     assert result.trusted[:60].mean() > 0.9
 
 
@@ -152,7 +152,7 @@ def test_a_kidnapped_robot_that_returns_to_where_it_was():
     assert np.hypot(*(relative_pose(odometry[0], odometry) - expected)[:, :2].T)[280:].min() > 1.0
     assert result.trusted[280:].mean() > 0.9
     assert np.median(away_m[280:]) < 0.3
-    assert untold(result, ring.truth[numbers]) == 0
+    assert unnoticed_errors(result, ring.truth[numbers]) == 0
 
 
 @pytest.mark.parametrize("reach_m", [4.0, slow(10.0)])
@@ -165,14 +165,14 @@ def test_a_bare_corridor_without_odometry_has_no_length(reach_m):
     scans = [scan_of(pose, n, rng, BARE, reach_m) for n, pose in enumerate(truth)]
     whole = Drive(scans=scans, truth=truth, odometry=truth)
     blind, _ = run(whole, prior=False)
-    # Of the very first scans the map knows too little to tell a corridor from a room.
-    assert untold(blind, truth) <= 3
+    # At the very first scans the map is too small to distinguish a corridor from a room.
+    assert unnoticed_errors(blind, truth) <= 3
     assert blind.trusted.mean() < 0.2
     # With odometry it has.
-    told, _ = run(whole)
-    assert told.trusted.mean() > 0.9
-    way_m = np.hypot(*(told.poses_map_scan[-1] - told.poses_map_scan[0])[:2])
-    assert way_m == pytest.approx(0.1 * 249, rel=0.1)
+    result, _ = run(whole)
+    assert result.trusted.mean() > 0.9
+    length_m = np.hypot(*(result.poses_map_scan[-1] - result.poses_map_scan[0])[:2])
+    assert length_m == pytest.approx(0.1 * 249, rel=0.1)
 
 
 def contradicted(ring, begin, end):
@@ -188,9 +188,9 @@ def test_a_ramp_where_the_laser_sees_the_floor_is_bridged_by_odometry_when_a_loo
     ring = contradicted(drive(650, turn_bias_rad_per_m=0.003), 200, 214)
     result, truth = run(ring)
     assert not result.trusted[201:210].any()
-    # The loop lies behind the break; what lies between hangs on odometry, which the loop confirms.
+    # The loop lies after the tracking loss; what is between depends on odometry, which it confirms.
     assert result.trusted[230:].mean() > 0.9
-    assert untold(result, truth) == 0
-    # Before the place is seen again nothing tells a ramp from another building.
+    assert unnoticed_errors(result, truth) == 0
+    # Before the place is seen again, a ramp cannot be distinguished from another building.
     early, _ = run(ring, np.arange(400))
     assert not early.trusted[220:].any()

@@ -89,9 +89,9 @@ def test_a_scan_without_points_stays(room, off):
 
 
 def test_distant_places_are_independent(room, off):
-    """A second room beyond the first one's reach, in a square of its own."""
+    """A second room beyond the first one's range, in a separate square."""
     _, points_m = room
-    # A whole number of cells, so that both lie on the lattice alike.
+    # A whole number of cells, so that both lie on the lattice in the same position.
     shift = np.array([400.0, 0.0, 0.0])
     away = off + shift
     both = refine(np.concatenate([off, away]), points_m * 2, np.tile(JOINED, 2), SUBMAPS, SETTINGS)

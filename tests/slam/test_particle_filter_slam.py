@@ -1,4 +1,4 @@
-"""The particle filter in a simulated ring of corridors, and on a stretch of a real log."""
+"""The particle filter in a simulated ring of corridors, and on a section of a real log."""
 
 from itertools import islice
 from pathlib import Path
@@ -117,7 +117,7 @@ def room_drive(scans, rounds=1):
 
 
 def test_maps_follow_the_area_and_not_time():
-    # Drawn anew most of the time, so that tiles are shared and parted again and again.
+    # Resampled often, so that tiles are shared and copied again and again.
     settings = FEW.model_copy(update={"resample_fraction": 0.99})
     once = particle_filter_slam(room_drive(100)[0], None, settings)
     twice = particle_filter_slam(room_drive(200, 2)[0], None, settings)
@@ -151,10 +151,10 @@ def test_scans_between_updates_keep_the_local_trajectory():
     key = np.array([2, 5, 10])
     moved = np.array([4.0, -2.0, 1.3])
     poses = compose_poses(moved, local)
-    # One rigid motion: nothing is to be spread.
+    # A single rigid motion: there is no error to distribute.
     found = interpolate_poses(local, key, poses[key])
     np.testing.assert_allclose(relative_pose(found, poses), 0.0, atol=1e-9)
-    # Else each scan lies between what its two neighbours say.
+    # Otherwise each scan lies between the poses by its two neighbours.
     bent = poses[key] + rng.normal(0.0, 0.1, (3, 3))
     found = interpolate_poses(local, key, bent)
     np.testing.assert_allclose(relative_pose(found[key], bent), 0.0, atol=1e-9)
@@ -220,7 +220,7 @@ def test_scans_without_points_are_untrusted_and_bridged_by_odometry(ring, first)
     result = particle_filter_slam(scans, ring.prior, FEW)
     assert not result.trusted[blind].any()
     assert result.trusted[:first].all()
-    # A corridor tells nothing of the way along it: for a while there is doubt.
+    # A corridor does not constrain the pose along it: for a while the pose is uncertain.
     assert result.trusted[-10:].all()
     assert not np.isin(result.key, np.arange(first, first + 10)).any()
     assert error_m(result.poses_map_scan, ring.truth[:100]) < 0.3
@@ -234,7 +234,7 @@ def test_a_kidnapped_robot_is_untrusted(ring):
     result = particle_filter_slam(scans, lambda stamp_ns: ring.prior(stamp_ns), FEW)
     assert result.trusted[:100].all()
     assert not result.trusted[100]
-    # The first one that is weighed there is in nobody's map.
+    # The first update there finds no match in any particle's map.
     first = np.flatnonzero(result.key >= 100)[0]
     assert result.unmatched[first] == FEW.particles
     assert not result.trusted[result.key[first]]

@@ -154,12 +154,12 @@ def test_a_scan_frees_its_rays_and_hits_its_walls(seed):
 
     is_hit, is_passed = np.zeros_like(before, dtype=bool), np.zeros_like(before, dtype=bool)
     is_hit[tuple(np.floor(hits[:, ::-1]).astype(int).T)] = True
-    # No way is missed at a thousandth of it, but for the corners that it only grazes.
+    # At steps of a thousandth no cell of a ray is missed, except corners that it only grazes.
     for end in ends:
         places = origin + np.linspace(0.0, 1.0, 20_001)[:, np.newaxis] * (end - origin)
-        way = np.floor(places[:, ::-1]).astype(int)
-        way = way[(way != way[-1]).any(axis=1)]
-        is_passed[tuple(way.T)] = True
+        passed = np.floor(places[:, ::-1]).astype(int)
+        passed = passed[(passed != passed[-1]).any(axis=1)]
+        is_passed[tuple(passed.T)] = True
     start = np.where(before == UNKNOWN, 128, before.astype(int))
     expected = np.where(is_hit, start + 13, np.where(is_passed, start - 3, before))
     touched = is_hit | is_passed

@@ -21,22 +21,23 @@ def in_place(cells):
     return ProbabilityGrid(cells, CORNER_M, RESOLUTION_M)
 
 
-def points_of(walls, pose, rng, beams=180, reach_m=20.0):
+def points_of(walls, pose, rng, beams=180, half_widths_m=20.0):
     angles_rad = np.linspace(-np.pi, np.pi, beams, endpoint=False)
     ranges_m, _ = cast(walls, pose, angles_rad)
     ranges_m = ranges_m + rng.normal(0.0, 0.015, beams)
-    seen = ranges_m < reach_m
+    seen = ranges_m < half_widths_m
     ranges_m, angles_rad = ranges_m[seen], angles_rad[seen]
     return np.stack([ranges_m * np.cos(angles_rad), ranges_m * np.sin(angles_rad)], axis=1)
 
 
-def map_of(walls, rng, reach_m=20.0):
+def map_of(walls, rng, half_widths_m=20.0):
     """Occupancy from ten scans about the truth."""
     cells = np.zeros((240, 280), dtype=np.uint8)
     for _ in range(10):
         pose = compose_poses(TRUTH, rng.normal(0.0, [0.3, 0.3, 0.5]))
         ends = (
-            transform_planar_points(pose, points_of(walls, pose, rng, 720, reach_m)) - CORNER_M
+            transform_planar_points(pose, points_of(walls, pose, rng, 720, half_widths_m))
+            - CORNER_M
         ) / (RESOLUTION_M)
         add_scan(cells, (pose[:2] - CORNER_M) / RESOLUTION_M, ends, ends)
     return OCCUPANCY[cells]
@@ -58,9 +59,9 @@ def proposed(occupancy, points_m, predicted, motion=MOTION, occupancy_min=0.3):
     )
 
 
-def brute_force(occupancy, points_m, predicted, motion, centre, reach, count=31):
+def brute_force(occupancy, points_m, predicted, motion, centre, half_widths, count=31):
     """Mean, covariance and log of the integral over a box, by the midpoint rule."""
-    axes = [c + np.linspace(-r, r, count) for c, r in zip(centre, reach, strict=True)]
+    axes = [c + np.linspace(-r, r, count) for c, r in zip(centre, half_widths, strict=True)]
     poses = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     sigmas = np.array([motion.sigma_m, motion.sigma_m, motion.sigma_rad])
     log = log_likelihoods(in_place(occupancy), points_m, poses)
@@ -79,9 +80,9 @@ def test_mean_covariance_and_weight_are_the_integrals(room, seed):
     points_m = points_of(WALLS, TRUTH, rng)
     predicted = TRUTH + rng.normal(0.0, [0.04, 0.04, 0.02])
     found = proposed(room, points_m, predicted)
-    reach = 4.5 * np.sqrt(np.diag(found.covariance))
+    half_widths = 4.5 * np.sqrt(np.diag(found.covariance))
     mean, covariance, log_evidence = brute_force(
-        room, points_m[::2], predicted, MOTION, found.mean, reach
+        room, points_m[::2], predicted, MOTION, found.mean, half_widths
     )
     sigmas = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(found.mean / sigmas, mean / sigmas, atol=0.15)
@@ -89,7 +90,7 @@ def test_mean_covariance_and_weight_are_the_integrals(room, seed):
         found.covariance / np.outer(sigmas, sigmas), covariance / np.outer(sigmas, sigmas), atol=0.2
     )
     assert found.log_evidence == pytest.approx(log_evidence, abs=0.15)
-    # The scan tells far more than the motion model.
+    # The scan is far more informative than the motion model.
     assert (sigmas < 0.6 * np.array([MOTION.sigma_m, MOTION.sigma_m, MOTION.sigma_rad])).all()
     assert np.hypot(*(found.mean - TRUTH)[:2]) < 0.03
     assert abs(found.mean[2] - TRUTH[2]) < 0.01
@@ -133,7 +134,7 @@ def test_along_a_corridor_the_motion_model_decides():
     rng = np.random.default_rng(2)
     corridor = map_of(CORRIDOR, rng, 5.0)
     pose = np.array([5.6, 4.1, 0.0])
-    points_m = points_of(CORRIDOR, pose, rng, reach_m=4.0)
+    points_m = points_of(CORRIDOR, pose, rng, half_widths_m=4.0)
     found = proposed(corridor, points_m, pose + np.array([0.05, 0.03, 0.01]))
     sigmas = np.sqrt(np.diag(found.covariance))
     assert sigmas[0] > 0.8 * MOTION.sigma_m

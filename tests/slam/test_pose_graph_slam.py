@@ -1,4 +1,4 @@
-"""Pose graph SLAM in a simulated ring of corridors, and on a stretch of a real log."""
+"""Pose graph SLAM in a simulated ring of corridors, and on a section of a real log."""
 
 from itertools import islice
 from pathlib import Path
@@ -150,7 +150,7 @@ def test_scans_without_points_are_untrusted_and_bridged_by_odometry(ring):
     assert result.trusted[:40].all()
     assert result.trusted[60:].all()
     assert error_m(result.poses_map_scan, ring.truth[:120]) < 0.3
-    # Less sure is the way over it, and no other.
+    # Only the edge over it has less information.
     steps = ~result.graph.is_loop
     over = (result.key[result.graph.second] >= 40) & (result.key[result.graph.first] < 50)
     doubt = result.graph.information[:, 0, 0] ** -0.5

@@ -136,7 +136,7 @@ def test_a_corridor_leaves_its_length_open():
     yaw = 0.5
     pose = np.array([10.0, middle_m, yaw])
     c, s = np.cos(yaw), np.sin(yaw)
-    # On the very crest of a wall the field is flat and tells nothing: points have noise.
+    # On the crest of a wall the field is flat and has no gradient: points have noise.
     walls[:, 1] += np.random.default_rng(1).normal(0.0, 0.015, len(walls))
     points_m = (walls - [0.0, middle_m]) @ np.array([[c, -s], [s, c]])
     predicted = pose + np.array([0.03, 0.02, 0.0])

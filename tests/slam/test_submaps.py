@@ -1,4 +1,4 @@
-"""Submaps: what they hold, and that a finished one is only cut."""
+"""Submaps: what they hold, and that a finished one is only cropped."""
 
 import numpy as np
 import pytest
@@ -37,8 +37,8 @@ def test_it_is_the_grid_of_its_scans(step_m):
     probability = np.where(expected.known, expected.probability, 0.0)
     assert finished.grid.cells.shape == probability.shape
     # An end point that lies on a cell's border by rounding may fall to either side.
-    apart = np.abs(finished.grid.cells / 255.0 - probability) > 0.003
-    assert apart.mean() < 1e-3
+    differs = np.abs(finished.grid.cells / 255.0 - probability) > 0.003
+    assert differs.mean() < 1e-3
 
 
 def test_its_obstacles_lie_where_points_were():
@@ -52,7 +52,7 @@ def test_its_obstacles_lie_where_points_were():
 
 
 def test_a_match_does_not_depend_on_the_grid_size():
-    """Cells at the very edge of what was met have the same neighbourhood as any other."""
+    """Cells at the edge of the known area have as many neighbours as any other."""
     submap = GrowingSubmap(np.zeros(2), 0, 1.0, SETTINGS)
     submap.add_scan(np.zeros(3), np.array([[2.0, 0.0], [0.0, 3.0], [-2.5, 0.0], [0.0, -1.5]]))
     rows, columns = np.nonzero(submap.grid.cells)
@@ -60,7 +60,7 @@ def test_a_match_does_not_depend_on_the_grid_size():
     assert min(rows.min(), columns.min()) >= 3
     assert shape[0] - 1 - rows.max() >= 3
     assert shape[1] - 1 - columns.max() >= 3
-    # Scans that come to the very end of the room that was left: it grows by as much again.
+    # Scans that fill the padding, so that the grid must grow again.
     submap.add_scan(np.zeros(3), np.array([[4.9, 0.0]]))
     rows, columns = np.nonzero(submap.grid.cells)
     assert submap.grid.cells.shape[1] - 1 - columns.max() >= 3

@@ -1,4 +1,4 @@
-"""Ways along the lines of descent against a full history of each particle."""
+"""Paths along the lines of descent against a full history of each particle."""
 
 import numpy as np
 from hypothesis import given
@@ -17,8 +17,8 @@ def test_a_path_is_that_of_the_ancestors(seed, steps, often):
     for _ in range(steps):
         values = rng.normal(size=(PARTICLES, 2))
         paths.add(values)
-        for way, value in zip(plain, values, strict=True):
-            way.append(value)
+        for path, value in zip(plain, values, strict=True):
+            path.append(value)
         # Twice at one step, too.
         while rng.random() < 0.5 * often:
             parents = np.sort(rng.integers(0, PARTICLES, PARTICLES))
