@@ -1,6 +1,6 @@
-"""Files that state a depth camera: ROS YAML, JSON of Open3D or of plain keys, and text.
+"""Depth camera parameter files: ROS YAML, JSON (Open3D or plain keys), and text.
 
-Every function raises RecordingError naming its file.
+Every function raises RecordingError with the file's name.
 """
 
 import json
@@ -27,18 +27,18 @@ _MAX_TEXT_BYTES = 64 << 10
 _MAX_SIDE = 1 << 16
 _SCALE_KEYS = ("depth_scale", "depth_factor")
 _DISTORTION_KEYS = ("distortion_coefficients", "distortion")
-# As many coefficients as OpenCV's models have.
+# Numbers of coefficients in OpenCV's models.
 _DISTORTION_SIZES = (0, 4, 5, 8, 12, 14)
-# 16-bit depth in coarser or finer units than these reaches no room, or resolves no wall.
+# Set by hand: coarser units do not resolve a wall, with finer ones 16 bits end below 1 m.
 _UNITS_PER_METRE = (100.0, 100_000.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraFile:
-    """What a file says of a depth camera.
+    """Parameters of a depth camera from a file.
 
     ``pinhole``: fx, fy, cx, cy in pixels. ``shape``: (rows, columns) of its images.
-    ``units_per_metre`` is that of 16-bit depth. Each is None where the file does not say it.
+    ``units_per_metre`` is that of 16-bit depth. Each is None if the file does not state it.
     """
 
     pinhole: tuple[float, float, float, float] | None = None
@@ -48,7 +48,7 @@ class CameraFile:
     units_per_metre: float | None = None
 
     def intrinsics(self, shape: tuple[int, int]) -> CameraIntrinsics | None:
-        """For images of ``shape``. Raises ValueError if they are not this camera's."""
+        """The intrinsics for images of ``shape``. Raises ValueError if the sizes differ."""
         if self.pinhole is None:
             return None
         if self.shape not in (None, shape):
@@ -69,17 +69,17 @@ class CameraFile:
 
 
 def find_camera_files(folder: Path) -> list[Path]:
-    """The files directly in a folder that are named like a camera's, in order of their names."""
+    """The camera parameter files directly in a folder, sorted by name."""
     names = {stem + suffix for stem in _STEMS for suffix in _PARSERS}
     return [folder / name for name in sorted(names) if (folder / name).is_file()]
 
 
 def read_camera_file(file: Path) -> CameraFile:
-    """The camera that a file states. Raises RecordingError.
+    """The camera parameters in a file. Raises RecordingError.
 
-    Text and plain keys hold fx, fy, cx, cy; a matrix has its rows one after another, but for
-    ``intrinsic_matrix``, which Open3D writes by columns. ``depth_scale`` counts units in a metre,
-    or metres in a unit where it is below 1.
+    Text and plain keys hold fx, fy, cx, cy. A matrix is row-major, except ``intrinsic_matrix``,
+    which Open3D writes column-major. ``depth_scale`` is units per metre, or metres per unit if it
+    is below 1.
     """
     text = read_text(file, _MAX_TEXT_BYTES)
     try:
@@ -93,7 +93,7 @@ def read_camera_file(file: Path) -> CameraFile:
 
 
 def read_intrinsics(file: Path, shape: tuple[int, int]) -> CameraIntrinsics:
-    """What a file states for images of ``shape`` (rows, columns). Raises RecordingError."""
+    """The intrinsics in a file for images of ``shape`` (rows, columns). Raises RecordingError."""
     stated = read_camera_file(file)
     try:
         intrinsics = stated.intrinsics(shape)
@@ -180,7 +180,7 @@ def _pixels(camera: dict[Any, Any], key: str) -> int:
 
 
 def _numbers(camera: dict[Any, Any], key: str) -> list[float]:
-    """A list of numbers, flat or by rows, or a matrix of ROS, whose list is under ``data``."""
+    """A list of numbers, flat or by rows, or a ROS matrix, whose list is under ``data``."""
     value = camera[key]
     if isinstance(value, dict):
         value = value.get("data")

@@ -1,6 +1,6 @@
-"""Depth images as files: 16-bit PNG, PGM, TIFF and NPY in parts of a metre, floats in metres.
+"""Depth image files: 16-bit PNG, PGM, TIFF and NPY in a given unit, floats in metres.
 
-Every function raises RecordingError naming its file.
+Every function raises RecordingError with the file's name.
 """
 
 import re
@@ -28,19 +28,20 @@ from fusion_core.recordings.units import (
 )
 
 _NPY_MAGIC = b"\x93NUMPY"
-# The header that numpy writes for a plain array of two dimensions. It is a Python literal;
-# matching it whole spares evaluating what a stranger wrote.
+# The header that numpy writes for a plain two-dimensional array. It is a Python literal; matching
+# it avoids evaluating untrusted input.
 _NPY_HEADER = re.compile(
     rb"\x93NUMPY\x01\0..\{'descr': '([<>](?:u2|f4|f8))', 'fortran_order': (True|False), "
     rb"'shape': \((\d{1,6}), (\d{1,6})\), \} *\n",
     re.DOTALL,
 )
-# Fewer values than these prove no encoding.
+# Set by hand: with fewer values the encoding is not checked.
 _MIN_PIXELS = 100
-# And not many more are needed of a large image.
+# Large images are subsampled to about this many, for speed.
 _MAX_SAMPLED_PIXELS = 1 << 20
+# About the range limit of structured-light and time-of-flight cameras; set by hand.
 _FARTHEST_MM = 10_000
-# What a rotation makes of about one metre.
+# The largest 13-bit number: distances from 1024 mm, rotated left by 3 bits, exceed it.
 _ROTATED_MM = 8_191
 _MIN_FRACTION = 0.99
 
@@ -48,8 +49,8 @@ _MIN_FRACTION = 0.99
 def read_depth(file: Path, units_per_metre: float) -> tuple[Float32Array, str]:
     """(H, W) metres, NaN where missing, and the encoding for DepthImage.
 
-    ``units_per_metre`` is for 16-bit files; floating files hold metres. Encoding "16UC1" promises
-    millimetres, so that other units are given as "32FC1", which loses none of their steps.
+    ``units_per_metre`` is for 16-bit files; floating files hold metres. Encoding "16UC1" means
+    millimetres; other units are returned as "32FC1", which represents them without loss.
     """
     pixels = _read_pixels(file)
     if pixels.dtype == np.uint16:
@@ -75,10 +76,11 @@ def read_depth_shape(file: Path) -> tuple[int, int]:
 
 @dataclass(frozen=True, slots=True)
 class DepthEncodingCheck:
-    """What the values of some files tell: whether any is of 16 bits, whose unit must be known.
+    """Result of a check of depth files.
 
-    ``disorder``: why such values cannot be distances in their order of size, whatever their unit;
-    ``other_unit``: why they cannot be millimetres. Each names its file; None for no doubt.
+    ``has_integers``: some file has 16-bit values, whose unit must be known. ``scrambled_bits``: why
+    these cannot be distances in any unit; ``other_unit``: why they cannot be millimetres. Each
+    names its file, and is None if nothing was found.
     """
 
     has_integers: bool = False
@@ -87,7 +89,7 @@ class DepthEncodingCheck:
 
 
 def check_depth_encoding(files: Sequence[Path]) -> DepthEncodingCheck:
-    """Look into ``files``; those that cannot be read tell nothing."""
+    """Check the values of ``files``; those that cannot be read are skipped."""
     stored = DepthEncodingCheck()
     for file in files:
         try:
@@ -112,7 +114,7 @@ def _find_scrambled_bits(values: np.ndarray[Any, Any]) -> str | None:
     low, high = int((values & 0xFF).max()), int((values >> 8).max())
     if 2 <= low < _FARTHEST_MM >> 8 < high:
         return "its two bytes seem swapped, as in raw dumps of NYU Depth"
-    # A rotation left by 3 puts the topmost bits of a short distance, which are 0, at the bottom.
+    # Rotated left by 3, the zero high bits of a short distance become the low bits.
     if values.max() > _ROTATED_MM and not (values & 0b110).any():
         return "its bits seem rotated, as in SUN RGB-D"
     return None
@@ -140,7 +142,7 @@ def _read_pixels(file: Path) -> np.ndarray[Any, Any]:
 
 
 def _npy_pixels(file: Path, packed: bytes) -> np.ndarray[Any, Any]:
-    """An array over ``packed``, so that a header can claim no more memory than the file has."""
+    """A view of ``packed``, so that a header cannot claim more memory than the file has."""
     header = _NPY_HEADER.match(packed)
     if header is None:
         raise RecordingError(

@@ -1,6 +1,6 @@
-"""The single files of a folder of frames: images, and poses as text.
+"""The files in a folder of frames: images, and poses as text.
 
-Every function raises RecordingError naming its file.
+Every function raises RecordingError with the file's name.
 """
 
 from pathlib import Path
@@ -20,9 +20,9 @@ from fusion_core.recordings.messages.image_headers import (
 )
 
 # Frames are numbered with at most twelve digits.
-_MOST_FRAMES = 10**12
+_MAX_FRAMES = 10**12
 _MAX_TEXT_BYTES = 256 << 20
-# No packed image is larger than what it may unpack to and its header.
+# A compressed image is at most as large as its decoded pixels and a header.
 _MAX_PACKED_BYTES = MAX_DECODED_BYTES + (1 << 20)
 _COPY_AGAIN = "Copy it again from its source."
 
@@ -67,21 +67,21 @@ def read_rgb(file: Path) -> ByteArray:
 
 
 def read_trajectory_log(file: Path, warnings: list[str]) -> dict[int, FloatArray]:
-    """{place of the frame: (4, 4)}: blocks of a line "place id next" and four rows.
+    """(4, 4) poses by frame index, from blocks of a line "index id next" and four matrix rows.
 
-    What follows a damaged place is lost; ``warnings`` gets a line about it.
+    Everything after a damaged block is lost; ``warnings`` gets a line about it.
     """
     blocks = _leading_rows(file, 19, "five lines: three numbers, and four rows of four", warnings)
-    named = blocks[np.isfinite(blocks[:, 0]) & (np.abs(blocks[:, 0]) < _MOST_FRAMES)]
+    named = blocks[np.isfinite(blocks[:, 0]) & (np.abs(blocks[:, 0]) < _MAX_FRAMES)]
     if len(named) < len(blocks):
         warnings.append(f"{file.name}: {len(blocks) - len(named)} poses name no frame.")
     return {int(block[0]): block[3:].reshape(4, 4) for block in named}
 
 
 def read_pose_lines(file: Path, warnings: list[str]) -> dict[int, FloatArray]:
-    """{place of the frame: (4, 4)}: one line tx ty tz qx qy qz qw for each frame.
+    """(4, 4) poses by frame index, from one line tx ty tz qx qy qz qw per frame.
 
-    As ``read_trajectory_log`` where it is damaged; a quaternion that is no rotation costs its pose.
+    Damage is handled as in ``read_trajectory_log``; a pose with an invalid quaternion is skipped.
     """
     poses = {}
     rows = _leading_rows(file, 7, "a line tx ty tz qx qy qz qw", warnings)
@@ -96,7 +96,7 @@ def read_pose_lines(file: Path, warnings: list[str]) -> dict[int, FloatArray]:
 
 
 def _leading_rows(file: Path, width: int, form: str, warnings: list[str]) -> FloatArray:
-    """(n, width) whole rows of numbers before the first word that is none."""
+    """(n, width) complete rows of numbers before the first word that is not a number."""
     words = read_text(file).split()
     numbers: list[float] = []
     for word in words:
@@ -113,7 +113,7 @@ def _leading_rows(file: Path, width: int, form: str, warnings: list[str]) -> Flo
 
 
 def read_matrix(file: Path, shape: tuple[int, int]) -> FloatArray:
-    """A text file of exactly the numbers of one matrix."""
+    """The matrix in a text file that contains nothing else."""
     values = _read_numbers(file)
     if values.size != shape[0] * shape[1]:
         raise RecordingError(
@@ -136,7 +136,7 @@ def _read_numbers(file: Path) -> FloatArray:
 def read_text(file: Path, max_bytes: int = _MAX_TEXT_BYTES) -> str:
     """The text of a file of at most ``max_bytes``."""
     try:
-        # Lines as text files have them, whatever wrote them.
+        # Line ends of any platform.
         return read_regular(file, max_bytes).decode().replace("\r\n", "\n").replace("\r", "\n")
     except OSError as error:
         raise RecordingError(

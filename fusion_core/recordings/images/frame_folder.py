@@ -1,7 +1,7 @@
 """Folders of depth and colour images: 7-Scenes, Redwood (Open3D) and slambook layouts.
 
-They have no clock: a frame's stamp is its number / 30 s, counted from the first. Depth is in
-millimetres. The nominal stamp also stands in for the log time in ranges.
+They have no time stamps: the nominal stamp of a frame is its number / 30 s, counted from the first.
+It is also used as log time. Depth is in millimetres.
 """
 
 import re
@@ -53,9 +53,9 @@ _RIGID_TOLERANCE = 1e-2
 
 @dataclass(frozen=True, slots=True)
 class FrameLayout:
-    """Where a folder keeps what: files by frame number.
+    """The files of a folder by frame number.
 
-    ``poses`` holds the file of one pose, or the numbers read from a file of all poses.
+    ``poses``: for each frame the file of its pose, or the matrix read from a file of all poses.
     """
 
     format: str
@@ -67,19 +67,19 @@ class FrameLayout:
 
 
 def frame_layout(path: Path) -> str | None:
-    """The name of the layout that a folder has, or None."""
+    """The name of the folder's layout, or None."""
     if next(_seven_scenes_files(path), None) is not None:
         return "7-Scenes folder"
     if not (path / "depth").is_dir() or not (path / "color").is_dir():
         return None
-    # The marks also vouch for millimetres: TUM and ICL-NUIM folders look alike and have 1/5000 m.
+    # These files also imply millimetres: TUM and ICL-NUIM folders look alike and have 1/5000 m.
     if (path / "trajectory.log").is_file() or any(path.glob("camera_*.json")):
         return "Redwood folder"
     return "slambook folder" if (path / "pose.txt").is_file() else None
 
 
 def open_frame_folder(path: Path) -> Recording:
-    """A folder in a layout that ``frame_layout`` knows. Raises RecordingError."""
+    """Open a folder in a layout known to ``frame_layout``. Raises RecordingError."""
     name = frame_layout(path)
     if name is None:
         raise RecordingError(
@@ -229,7 +229,7 @@ def _color(files: Mapping[int, Path], number: int, stamp_ns: int) -> ColorImage:
 
 
 def _pose(poses: Mapping[int, Path | FloatArray], number: int, stamp_ns: int) -> PoseSample:
-    """Camera to world, as all three layouts have it."""
+    """The pose T_world_camera, as in all three layouts."""
     source = poses[number]
     if isinstance(source, Path):
         matrix = read_matrix(source, (4, 4))

@@ -1,8 +1,8 @@
 """Plain folders of images: depth/ and rgb/, color/ or images/, named by number or by time.
 
-A time is decimal seconds or nanoseconds; numbers have no clock, and a frame's stamp is then its
+A time is decimal seconds or nanoseconds. Frames named by number get the nominal stamp
 number / 30 s, counted from the first. Intrinsics and the unit of 16-bit depth come from a file
-beside the images (``camera_files``). Depth and colour keep their own stamps: nothing is paired.
+beside the images (``camera_files``). Depth and colour keep their own stamps; they are not paired.
 """
 
 import re
@@ -51,7 +51,7 @@ _COLOR_FOLDERS = ("rgb", "color", "images")
 _DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".npy")
 _COLOR_SUFFIXES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm")
 _NAME = re.compile(r"(?:[A-Za-z][A-Za-z_-]*)?(\d{1,19}(?:\.\d{1,9})?)", re.ASCII)
-# Whole numbers: below, frames; from here on, nanoseconds (since 1973); between, neither.
+# Integers below the first are frame numbers; from the second on they are nanoseconds (since 1973).
 _END_OF_FRAMES = 10**9
 _FIRST_NS = 10**17
 _SHAPE_ATTEMPTS = 10
@@ -59,7 +59,7 @@ _SHAPE_ATTEMPTS = 10
 
 @dataclass(frozen=True, slots=True)
 class ImageSeries:
-    """The images of one sensor, names below ``folder``. ``stamp_ns``: (count,), ascending."""
+    """The images of one sensor, as names in ``folder``. ``stamp_ns``: (count,), ascending."""
 
     folder: Path
     names: tuple[str, ...]
@@ -72,14 +72,14 @@ class ImageSeries:
 
 @dataclass(frozen=True, slots=True)
 class DepthCameraParameters:
-    """Intrinsics and unit of 16-bit depth; None where no file says them."""
+    """Intrinsics and unit of 16-bit depth; None if no file states them."""
 
     intrinsics: CameraIntrinsics | None = None
     units_per_metre: float | None = None
 
 
 def is_image_folder(path: Path) -> bool:
-    """Whether a folder holds depth/ with images, or beside a folder of colour images."""
+    """Whether a folder has depth/ with images, or depth/ next to a folder of colour images."""
     depth = path / _DEPTH_FOLDER
     if not depth.is_dir():
         return False
@@ -89,7 +89,7 @@ def is_image_folder(path: Path) -> bool:
 
 
 def open_image_folder(path: Path) -> Recording:
-    """A folder that ``is_image_folder`` knows. Raises RecordingError."""
+    """Open a folder accepted by ``is_image_folder``. Raises RecordingError."""
     warnings: list[str] = []
     depth = _named_images(path / _DEPTH_FOLDER, _DEPTH_SUFFIXES, warnings)
     if depth is None:
@@ -126,7 +126,7 @@ def open_image_folder(path: Path) -> Recording:
 def find_camera_parameters(
     depth: ImageSeries, folders: Sequence[Path], warnings: list[str]
 ) -> DepthCameraParameters:
-    """What the one camera file in ``folders`` says; what it cannot say goes to ``warnings``."""
+    """Parameters from the only camera file in ``folders``; problems are added to ``warnings``."""
     files = [file for folder in folders for file in find_camera_files(folder)]
     if len(files) > 1:
         names = ", ".join(file.name for file in files)
@@ -161,7 +161,7 @@ def camera_streams(
     intrinsics: CameraIntrinsics | None,
     units_per_metre: float,
 ) -> list[StampedStream]:
-    """The topics of a camera. ``intrinsics`` come with each depth image."""
+    """The topics of a camera, with the intrinsics repeated for each depth image."""
     streams = []
     if depth is not None:
         streams.append(
@@ -265,7 +265,7 @@ def _color_folder(path: Path) -> Path | None:
 def _named_images(
     folder: Path, suffixes: Iterable[str], warnings: list[str]
 ) -> _NamedImages | None:
-    """The images of a folder by what their names say; None where there are none."""
+    """The images of a folder, ordered by the number or time in their names; None if none."""
     by_value: dict[int, str] = {}
     kinds: set[bool] = set()
     left_out = 0
@@ -285,7 +285,7 @@ def _named_images(
         kinds.add(is_number)
         if value in by_value:
             left_out += 1
-        # Folders are listed in any order; the same input must give the same choice.
+        # The listing order of a folder is arbitrary; the choice must not depend on it.
         by_value[value] = min(by_value.get(value, child.name), child.name)
     if len(kinds) > 1:
         raise RecordingError(
@@ -306,7 +306,7 @@ def _named_images(
 
 
 def _number_or_stamp(name: Path, suffixes: Iterable[str]) -> tuple[int, bool] | None:
-    """(frame number, True) or (nanoseconds, False), as a file's name says; None if neither."""
+    """(frame number, True) or (nanoseconds, False) from a file's name; None if neither."""
     match = _NAME.fullmatch(name.stem)
     if match is None or name.suffix.lower() not in suffixes:
         return None

@@ -1,13 +1,13 @@
 """Folders of the TUM RGB-D benchmark, and ICL-NUIM in its layout.
 
-Lists name the images with their stamps: rgb.txt and depth.txt ("stamp file" a line), or
-associations.txt ("stamp file stamp file"). groundtruth.txt holds the pose of the colour camera's
-optical centre. 16-bit depth counts 1/5000 m. Source: Sturm et al., "A Benchmark for the Evaluation
-of RGB-D SLAM Systems", and the file formats on the benchmark's pages.
+Text files list the images with their stamps: rgb.txt and depth.txt (lines "stamp file"), or
+associations.txt (lines "stamp file stamp file"). groundtruth.txt holds the pose of the colour
+camera's optical centre. 16-bit depth is in 1/5000 m. Source: Sturm et al., "A Benchmark for the
+Evaluation of RGB-D SLAM Systems", and the file formats on the benchmark's pages.
 
-The driver registered the depth images to the colour images, pixel by pixel, and left the colour
-camera's distortion in: depth has the colour camera's intrinsics, distortion included. The images
-of the third camera (freiburg3) are published without distortion.
+The driver registered the depth images to the distorted colour images, pixel by pixel: depth has the
+colour camera's intrinsics, distortion included. The images of the third camera (freiburg3) are
+published without distortion.
 """
 
 import os
@@ -40,7 +40,7 @@ from fusion_core.recordings.quoting import quote_clipped
 from fusion_core.recordings.stamped import StampedRecording, StampedStream
 
 UNITS_PER_METRE = 5000.0
-# Named so that it is never taken for odometry.
+# A name that topic selection never takes for odometry.
 GROUND_TRUTH_TOPIC = "/camera/ground_truth"
 
 _DEPTH_LIST, _COLOR_LIST, _PAIR_LIST = "depth.txt", "rgb.txt", "associations.txt"
@@ -60,7 +60,7 @@ _PUBLISHED_SHAPE = (480, 640)
 
 
 def is_tum_folder(path: Path) -> bool:
-    """Whether a folder holds lists of images beside a folder of images."""
+    """Whether a folder has an image list and a folder of images."""
     lists = (_DEPTH_LIST, _COLOR_LIST, _PAIR_LIST)
     return any((path / name).is_file() for name in lists) and any(
         (path / name).is_dir() for name in ("depth", "rgb")
@@ -68,7 +68,7 @@ def is_tum_folder(path: Path) -> bool:
 
 
 def open_tum_folder(path: Path) -> Recording:
-    """A folder that ``is_tum_folder`` knows. Raises RecordingError."""
+    """Open a folder accepted by ``is_tum_folder``. Raises RecordingError."""
     warnings: list[str] = []
     depth_list, color_list = _read_image_lists(path, warnings)
     lists = [listed for listed in (depth_list, color_list) if listed.names]
@@ -95,7 +95,7 @@ def open_tum_folder(path: Path) -> Recording:
 class _ImageList:
     """Images in the order of a list's lines.
 
-    ``is_numbered``: every stamp is but the number that its file is named by, as in ICL-NUIM.
+    ``is_numbered``: every stamp is only the number in its file's name, as in ICL-NUIM.
     """
 
     folder: Path
@@ -105,7 +105,7 @@ class _ImageList:
     is_numbered: bool = True
 
     def add(self, stamp: str, name: str) -> str | None:
-        """Take an image, or say why not."""
+        """Add an image; returns the reason if it is rejected."""
         stamp_ns = ns_from_decimal_seconds(stamp)
         if stamp_ns is None:
             return f"{quote_clipped(stamp)} is no stamp in seconds"
@@ -121,7 +121,7 @@ class _ImageList:
         return None
 
     def series(self, first_number: int | None, warnings: list[str]) -> ImageSeries | None:
-        """The images by time, with nominal stamps if ``first_number`` is given; None if none."""
+        """The images by time; None if empty. ``first_number``: stamps are nominal, from it."""
         if not self.names:
             return None
         stamps = np.array(self.stamps_ns, dtype=np.int64)
@@ -133,7 +133,7 @@ class _ImageList:
 
 
 def _read_image_lists(path: Path, warnings: list[str]) -> tuple[_ImageList, _ImageList]:
-    """Depth and colour as rgb.txt and depth.txt say; as associations.txt where both are missing."""
+    """Depth and colour images from their lists; from associations.txt if both are missing."""
     depth, color = _ImageList(path, _DEPTH_LIST), _ImageList(path, _COLOR_LIST)
 
     def take_pair(fields: list[str]) -> str | None:
@@ -158,9 +158,9 @@ def _read_image_lists(path: Path, warnings: list[str]) -> tuple[_ImageList, _Ima
 
 
 def _parse_lines(file: Path, take: Callable[[list[str]], str | None], warnings: list[str]) -> None:
-    """Hand the fields of each line to ``take``, which returns why it refuses them.
+    """Pass the fields of each line to ``take``, which returns a reason if it rejects them.
 
-    A list that cannot be read costs its topic, a line itself; both give a warning.
+    Unreadable files and rejected lines are skipped with a warning.
     """
     refused, first_reason = 0, ""
     try:
@@ -246,7 +246,7 @@ def _ground_truth_streams(file: Path, nominal: bool, warnings: list[str]) -> lis
 def _published_intrinsics(
     path: Path, depth: ImageSeries, warnings: list[str]
 ) -> CameraIntrinsics | None:
-    """The published values of the camera that the folder's name tells; None if it tells none."""
+    """The published intrinsics of the camera in the folder's name; None if it names none."""
     match = _CAMERA_NAME.search(path.resolve().name)
     if match is None:
         return None
@@ -272,7 +272,7 @@ def _published_intrinsics(
 
 
 def _sorting_order(stamps_ns: IntArray, list_name: str, warnings: list[str]) -> IntArray:
-    """The order that makes stamps ascend, lines of one stamp as they stand."""
+    """Indices that sort the stamps; lines with equal stamps keep their order."""
     if (np.diff(stamps_ns) < 0).any():
         warnings.append(f"{list_name}: its stamps do not ascend; its lines are sorted.")
     return np.argsort(stamps_ns, kind="stable")

@@ -1,4 +1,4 @@
-"""Salvage: an MCAP file read record by record, where no summary leads to its messages."""
+"""Recovery: read an MCAP file record by record if its summary is missing or damaged."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -30,10 +30,10 @@ _NO_RECORD = "no record can be read there"
 
 
 class RecordWalk:
-    """Reads the data section of a file; ``losses`` then tells what of it cannot be read.
+    """Reads the data section of a file; ``losses`` then lists what could not be read.
 
-    A chunk is unpacked only where the message index behind it is missing, damaged, or of
-    channels that no record before it defines.
+    A chunk is decompressed only if the message index after it is missing, damaged, or refers to
+    channels that no earlier record defines.
     """
 
     def __init__(self, file: RecordFile, channels: McapChannels) -> None:
@@ -41,19 +41,19 @@ class RecordWalk:
         self._file = file
         self._channels = channels
         self._in_data = True
-        # With the ids of the file in place of channels.
+        # Their channels are ids of the file until ``_with_numbers`` replaces them.
         self._parts: list[Entries] = [np.empty(0, dtype=ENTRY)]
         # Log time, channel, block and offset of messages.
         self._rows: list[tuple[int, int, int, int]] = []
         self._seen: dict[tuple[int, ...], int] = {}
-        # Log times and sequence numbers do not compress to less than a byte a message.
+        # Bound for hostile files: log times and sequence numbers need at least a byte per message.
         self._records_left = file.size
 
     def entries(self, start: int) -> Entries:
-        """Every message from byte ``start`` on, in the order of the file."""
+        """All messages from byte ``start`` on, in file order."""
         position = start
         while (record := self._next(position)) and record.opcode != Opcode.FOOTER:
-            # The summary that follows repeats definitions, which may be the only ones left.
+            # Read on into the summary: the definitions repeated there may be the only ones left.
             self._in_data = self._in_data and record.opcode != Opcode.DATA_END
             if record.opcode == Opcode.CHUNK:
                 self._flush()
@@ -67,7 +67,7 @@ class RecordWalk:
         return self._with_numbers(entries)
 
     def _next(self, position: int) -> Record | None:
-        """The record at a place or, where none is, the next that can be found."""
+        """The record at ``position`` or, if there is none, the next one that can be found."""
         if position >= self._file.size:
             return None
         record = self._file.record(position)
@@ -77,7 +77,7 @@ class RecordWalk:
         return record
 
     def _lose(self, start: int, search_from: int, what: str, chunk: Chunk | None = None) -> int:
-        """Give up what stands between ``start`` and the next record that is found; go there."""
+        """Report the bytes from ``start`` to the next record as lost; returns its position."""
         found = self._file.find_record(search_from)
         end = self._file.size if found is None else found
         self._add_lost(start, end, what, chunk)
@@ -85,12 +85,12 @@ class RecordWalk:
 
     def _add_lost(self, start: int, end: int, what: str, chunk: Chunk | None = None) -> None:
         start_ns, end_ns = (None, None) if chunk is None else (chunk.start_ns, chunk.end_ns)
-        # Behind the data only definitions count, which other places give too.
+        # After the data section there are only definitions, which are also elsewhere.
         if self._in_data:
             self.losses.add(Lost(start=start, end=end, what=what, start_ns=start_ns, end_ns=end_ns))
 
     def _take_record(self, record: Record) -> int:
-        """A record outside of chunks; returns where the next is looked for."""
+        """Process a record outside of chunks; returns where to look for the next one."""
         after = record.end
         if not self._file.follows(record.end):
             found = self._file.find_record(record.position + 1)
@@ -115,7 +115,7 @@ class RecordWalk:
         return after
 
     def _take_chunk(self, record: Record) -> int:
-        """A chunk and the message index behind it; returns where the next record is looked for."""
+        """Process a chunk and its message index; returns where to look for the next record."""
         try:
             chunk = self._file.chunk(record.position)
         except ValueError as error:
@@ -126,7 +126,7 @@ class RecordWalk:
             return self._lose(record.position, record.position + 1, what)
         if record.end == chunk.data_end > self._file.size:
             return self._take_cut_chunk(chunk)
-        # Either length may be the damaged one.
+        # Either of the two lengths may be damaged.
         ends = (end for end in (chunk.data_end, record.end) if self._file.follows(end))
         end = next(ends, None)
         after = None if end is None else self._behind_index(end)
@@ -176,7 +176,7 @@ class RecordWalk:
         return self._file.size
 
     def _behind_index(self, position: int) -> int:
-        """Where the message index records from ``position`` on end."""
+        """The end of the message index records that start at ``position``."""
         while (
             (record := self._file.record(position)) is not None
             and record.opcode == Opcode.MESSAGE_INDEX
@@ -186,7 +186,7 @@ class RecordWalk:
         return position
 
     def _indexed_count(self, position: int, end: int) -> int:
-        """How many messages the message index records from ``position`` to ``end`` name."""
+        """Number of messages in the message index records from ``position`` to ``end``."""
         count = 0
         while position < end and (record := self._file.record(position)) is not None:
             count += (record.end - record.position - INDEX_HEADER.size) // INDEX_ENTRY.itemsize
@@ -194,7 +194,7 @@ class RecordWalk:
         return count
 
     def _take_index(self, chunk: Chunk, start: int, end: int) -> bool:
-        """Take the messages of a chunk from its index; False where that may not be whole."""
+        """Add the messages of a chunk from its index; False if the index may be incomplete."""
         behind = self._file.record(end)
         if behind is None or behind.opcode == Opcode.MESSAGE_INDEX:
             return False
@@ -215,7 +215,7 @@ class RecordWalk:
         return True
 
     def _is_repeated(self, chunk: Chunk, after: int) -> bool:
-        """Whether the chunk stands in the file a second time, by its checksum and times."""
+        """Whether an identical chunk came before, judged by checksum, size and times."""
         key = (chunk.crc, chunk.size, chunk.start_ns, chunk.end_ns)
         first = self._seen.setdefault(key, chunk.position)
         if first == chunk.position or not chunk.crc:
@@ -229,7 +229,7 @@ class RecordWalk:
         return None if self._channels.channel_number(channel) is None else channel
 
     def _take_content(self, chunk: Chunk, content: bytes) -> int:
-        """Take the records in a chunk; returns how many bytes of it are whole records."""
+        """Add the records in a chunk; returns the number of bytes in complete records."""
         position = 0
         for opcode, start, end in self._records_in(content):
             if opcode == Opcode.MESSAGE:
@@ -249,7 +249,7 @@ class RecordWalk:
             yield found
 
     def _keep_definitions(self, content: bytes) -> None:
-        """Schemas and channels of a damaged chunk: the messages of others may need them."""
+        """Keep schemas and channels of a damaged chunk: messages in other chunks may need them."""
         for opcode, start, end in self._records_in(content):
             if opcode in DEFINING:
                 with suppress(ValueError):
@@ -278,7 +278,7 @@ class RecordWalk:
             self._rows = []
 
     def _with_numbers(self, entries: Entries) -> Entries:
-        """Channels by their place; the messages of channels that no record defines are lost."""
+        """Replace channel ids by channel numbers; messages of undefined channels are dropped."""
         ids = entries["channel"]
         places = np.full(_CHANNEL_IDS, -1, dtype=np.int32)
         for channel in np.flatnonzero(np.bincount(ids, minlength=_CHANNEL_IDS)).tolist():

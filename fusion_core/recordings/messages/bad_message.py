@@ -2,7 +2,7 @@
 
 
 class BadMessage(ValueError):
-    """A message contradicts itself: ``problem`` names the value, ``advice`` what to do."""
+    """An invalid message: ``problem`` names the value, ``advice`` a remedy."""
 
     def __init__(self, problem: str, advice: str) -> None:
         super().__init__(problem)

@@ -1,4 +1,4 @@
-"""Rows from the CDR bytes of ROS 2 messages. ``rows`` says what they gain.
+"""Rows from the CDR bytes of ROS 2 messages; ``rows`` explains why.
 
 CDR aligns a number to a multiple of its size, counted from the end of the encapsulation header.
 Every reader raises ValueError for bytes that do not fit.
@@ -24,10 +24,10 @@ _MAX_PADDING = 3
 
 
 class _ByteOrder(NamedTuple):
-    """How numbers are read in one of the byte orders."""
+    """Formats of numbers in one byte order."""
 
     length: struct.Struct
-    # Seconds, nanoseconds, and the length of the frame's name with the zero behind it.
+    # Seconds, nanoseconds, and the length of the frame's name with its terminating zero.
     header: struct.Struct
     pose: struct.Struct
     # Angles, times and limits, and the number of ranges.
@@ -35,7 +35,7 @@ class _ByteOrder(NamedTuple):
     range: np.dtype[np.float32]
 
 
-# By the second byte of the encapsulation; the first is zero in plain CDR.
+# Indexed by the second byte of the encapsulation; the first is zero in plain CDR.
 _BYTE_ORDERS = [
     _ByteOrder(
         length=struct.Struct(f"{sign}I"),
@@ -53,7 +53,7 @@ _Row = TypeVar("_Row")
 def _require_whole_payload(
     read: Callable[[Payload, _ByteOrder], tuple[_Row, int]],
 ) -> Callable[[Payload], _Row]:
-    """Wrap a reader of a row and its end, so that the row must fill the message."""
+    """Wrap a reader that returns a row and its end; the row must fill the whole message."""
 
     @wraps(read)
     def read_whole(payload: Payload) -> _Row:

@@ -18,14 +18,14 @@ from fusion_core.recordings.messages.image_headers import BadImage, read_image_s
 from fusion_core.recordings.messages.image_pixels import is_depth_encoding
 from fusion_core.recordings.quoting import quote_clipped
 
-# No depth camera has more; the unpacked values and their masks stay well below 256 MiB.
+# Set by hand, above any depth camera; keeps the decoded values and masks well below 256 MiB.
 MAX_DEPTH_PIXELS = 1 << 24
 _PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 _JPEG_MAGIC = b"\xff\xd8\xff"
 # Bit depth and colour type, which is 0 for grey.
 _PNG_KIND = slice(24, 26)
 _GREY_16_BIT = b"\x10\x00"
-# compressedDepth begins with its ConfigHeader: a number without use, and the parameters A and B.
+# compressedDepth begins with its ConfigHeader: an unused number and the parameters A and B.
 _CONFIG = struct.Struct("<iff")
 _RVL_SIZE = struct.Struct("<II")
 _CUT_SHORT = "The message was cut short; record again or leave the topic out."
@@ -34,14 +34,14 @@ Compression = Literal["file", "compressedDepth png", "compressedDepth rvl", "unk
 
 
 def decompressed_encoding(format: str, data: ByteArray) -> str:
-    """The encoding that the image would have as sensor_msgs/Image; ``format`` if it is not read.
+    """The encoding of the image as sensor_msgs/Image; ``format`` itself if it is not supported.
 
-    Looks at no more than the first bytes of ``data``.
+    Reads only the first bytes of ``data``.
     """
     encoding, packing = _parse_format(format)
     head = data[: _PNG_KIND.stop].tobytes()
     if packing == "unknown" or (is_depth_encoding(encoding) and head.startswith(_JPEG_MAGIC)):
-        # Depth as JPEG is a picture of depth: 8 bits, with loss.
+        # JPEG has only 8 lossy bits: such an image is a picture of depth, not depth.
         return format
     if is_depth_encoding(encoding):
         return "16UC1" if encoding == "mono16" and packing != "file" else encoding
@@ -53,8 +53,8 @@ def decompressed_encoding(format: str, data: ByteArray) -> str:
 def decompress_image(format: str, data: ByteArray) -> np.ndarray[Any, Any]:
     """(H, W, 3) uint8 RGB, (H, W) uint16 millimetres or (H, W) float32 metres.
 
-    Raises BadMessage for a format that is not read, and for data that is cut short, damaged or
-    claims too much.
+    Raises BadMessage for an unsupported format, and for data that is truncated, damaged or claims
+    too large a size.
     """
     packing = _parse_format(format)[1]
     encoding = decompressed_encoding(format, data)
@@ -77,10 +77,10 @@ def decompress_image(format: str, data: ByteArray) -> np.ndarray[Any, Any]:
 
 
 def _parse_format(format: str) -> tuple[str, Compression]:
-    """The encoding before packing, empty where ``format`` does not say, and how it was packed."""
+    """The encoding before compression (empty if not stated in ``format``), and the compression."""
     encoding, separator, rest = (part.strip() for part in format.partition(";"))
     if not separator:
-        # The first compressedDepth wrote the encoding alone.
+        # Early versions of compressedDepth wrote the encoding alone.
         return (encoding, "compressedDepth png") if is_depth_encoding(encoding) else ("", "file")
     if "compressedDepth" not in rest:
         return encoding, "file"
@@ -111,7 +111,7 @@ def _decompress_depth_file(packed: bytes, encoding: str) -> np.ndarray[Any, Any]
 
 
 def _decompress_depth_png(packed: bytes) -> np.ndarray[Any, Any]:
-    """(H, W) uint16. The PNG is looked for: some writers leave out the header before it."""
+    """(H, W) uint16. Searches for the PNG, because some writers omit the header before it."""
     start = packed.find(_PNG_MAGIC)
     if start < 0:
         raise BadMessage("the compressed depth holds no PNG image", _CUT_SHORT)

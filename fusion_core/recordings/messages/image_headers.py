@@ -1,4 +1,4 @@
-"""What the bytes of an image file claim, checked before a decoder takes memory for them."""
+"""Sizes claimed by image files, checked before a decoder allocates memory for them."""
 
 import struct
 import zlib
@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-# A damaged header may claim any size, and OpenCV takes the memory before it reads on.
+# Set by hand: a damaged header may claim any size, and OpenCV allocates it before reading on.
 MAX_DECODED_BYTES = 1 << 26
-# Far above what encoders write; it bounds the time that a walk over tiny parts takes.
+# Set by hand, far above what encoders write; bounds the time for files of tiny parts.
 _MAX_PARTS = 1 << 16
 
 _PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
@@ -21,7 +21,7 @@ _JPEG_MAGIC = b"\xff\xd8\xff"
 _JPEG_END = b"\xff\xd9"
 _JPEG_SEGMENT = struct.Struct(">BBH")
 _JPEG_FRAME = struct.Struct(">BHH")
-# Start of frame: baseline, extended, progressive and their kin; C4, C8 and CC are tables.
+# Start-of-frame markers of all JPEG modes; C4, C8 and CC are no frames.
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _JPEG_SCAN = 0xDA
 _PNM_CHANNELS = {b"P5": 1, b"P6": 3}
@@ -35,12 +35,12 @@ _TIFF_ALL_ROWS = (1 << 32) - 1
 
 
 class BadImage(ValueError):
-    """The bytes are no image that is read, are cut short, or claim too much; says which."""
+    """The bytes are an unsupported format, truncated, or claim too large a size."""
 
 
 @dataclass(frozen=True, slots=True)
 class ImageSize:
-    """Pixels and the bytes that a decoded pixel takes."""
+    """Size of an image in pixels, and bytes per decoded pixel."""
 
     width: int
     height: int
@@ -71,7 +71,7 @@ def read_image_size(packed: bytes) -> ImageSize:
 
 
 def _png(packed: bytes) -> ImageSize:
-    """Every chunk is walked: libpng trusts a chunk's length, and its checksum shows damage."""
+    """Checks every chunk's length, which libpng trusts, and its checksum."""
     view, position, size = memoryview(packed), len(_PNG_MAGIC), None
     for _ in range(_MAX_PARTS):
         length, kind = _PNG_CHUNK.unpack_from(packed, position)
@@ -93,7 +93,7 @@ def _png(packed: bytes) -> ImageSize:
 
 
 def _jpeg(packed: bytes) -> ImageSize:
-    """The end mark is looked for: a decoder fills what a cut image lacks with grey."""
+    """Requires the end marker, because decoders fill the rest of a truncated image with grey."""
     position, size = len(_JPEG_END), None
     for _ in range(_MAX_PARTS):
         mark, kind, length = _JPEG_SEGMENT.unpack_from(packed, position)
@@ -106,7 +106,7 @@ def _jpeg(packed: bytes) -> ImageSize:
             if packed.find(_JPEG_END, position) < 0:
                 raise BadImage("is a JPEG image that is cut short")
             return size
-        # Any number of fill bytes may stand before a segment's kind.
+        # Any number of fill bytes may precede a segment's marker.
         position += 1 if kind == 0xFF else 2 + length
     raise BadImage(f"is a JPEG image of more than {_MAX_PARTS} segments")
 
@@ -135,7 +135,7 @@ def _pnm(packed: bytes) -> ImageSize:
 
 
 def _tiff(packed: bytes) -> ImageSize:
-    """Strips and tiles count too: the decoder takes memory for a whole one."""
+    """Includes strips and tiles, because the decoder allocates whole ones."""
     order = _TIFF_ORDERS[packed[:4]]
     (directory,) = struct.unpack_from(order + "I", packed, 4)
     (count,) = struct.unpack_from(order + "H", packed, directory)

@@ -11,7 +11,7 @@ from fusion_core.recordings.quoting import quote_clipped
 
 MAX_PIXELS = 1 << 26
 
-# Bytes a pixel, and OpenCV's conversion to red, green, blue.
+# Bytes per pixel, and OpenCV's conversion to RGB.
 _COLOR_ENCODINGS: dict[str, tuple[int, int | None]] = {
     "rgb8": (3, None),
     "bgr8": (3, cv2.COLOR_BGR2RGB),
@@ -41,7 +41,7 @@ def read_depth_pixels(raw: Any) -> np.ndarray[Any, Any]:
 
 
 def read_rgb_pixels(raw: Any) -> ByteArray:
-    """(H, W, 3) uint8 of a colour or grey encoding, a copy that lets go of the message."""
+    """(H, W, 3) uint8 of a colour or grey encoding; a copy, so that the message can be freed."""
     if raw.encoding not in _COLOR_ENCODINGS:
         known = ", ".join([*_DEPTH_DTYPES, *_COLOR_ENCODINGS])
         raise BadMessage(

@@ -1,4 +1,4 @@
-"""sensor_msgs/PointCloud2 to points: any layout of fields, byte order, padded points and rows."""
+"""sensor_msgs/PointCloud2 to points, with any field layout, byte order and padding."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ import numpy as np
 from fusion_core.model.conventions import Float32Array
 from fusion_core.recordings.messages.bad_message import BadMessage
 
-# More than any scanner sends at once; the values and their masks stay well below 256 MiB.
+# Set by hand, above any scanner's cloud; keeps the values and masks well below 256 MiB.
 MAX_POINTS = 1 << 23
 # PointField's INT8 to FLOAT64.
 _DTYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -15,10 +15,10 @@ _AXES = ("x", "y", "z")
 
 
 def read_points(raw: Any) -> tuple[Float32Array, Float32Array | None]:
-    """(N, 3) metres and (N,) intensity of a cloud, in its order; None where it has no intensity.
+    """(N, 3) metres and (N,) intensity of a cloud, in its order; None if it has no intensity.
 
-    A point is NaN where a coordinate is not finite, whatever ``is_dense`` says, and where all are
-    0, which is how some drivers mark a missing point. Other fields are ignored.
+    A point is NaN if a coordinate is not finite, regardless of ``is_dense``, or if all are 0, which
+    some drivers use for a missing point. Other fields are ignored.
 
     Raises BadMessage for a cloud whose sizes, fields and data contradict each other.
     """
@@ -49,7 +49,7 @@ def read_points(raw: Any) -> tuple[Float32Array, Float32Array | None]:
 
 def _check_data(raw: Any, width: int, height: int) -> None:
     row_bytes, row_step = width * int(raw.point_step), int(raw.row_step)
-    # Drivers of unordered clouds, which are one row, may leave row_step empty.
+    # Some drivers leave row_step at 0 in unordered clouds, which have one row.
     if height > 1 and row_step < row_bytes:
         raise BadMessage(
             f"rows of {width} points of {raw.point_step} bytes cannot have row_step {row_step}",
@@ -68,7 +68,7 @@ def _column(raw: Any, fields: dict[str, Any], name: str) -> np.ndarray[Any, Any]
     field = fields.get(name)
     if field is None:
         raise BadMessage(f"the cloud has no field {name}", "Name another topic.")
-    # A count of 0 is an old driver's 1.
+    # Old drivers write a count of 0 for 1.
     if field.datatype not in _DTYPES or field.count > 1:
         raise BadMessage(
             f"field {name} is of datatype {field.datatype}, {field.count} a point",

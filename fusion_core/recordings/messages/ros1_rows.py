@@ -1,4 +1,4 @@
-"""Rows from the bytes of ROS 1 messages, which have no padding. ``rows`` says what they gain.
+"""Rows from the bytes of ROS 1 messages, which have no padding; ``rows`` explains why.
 
 Every reader raises ValueError for bytes that do not fit.
 """
@@ -29,7 +29,7 @@ _Row = TypeVar("_Row")
 def _require_whole_payload(
     read: Callable[[Payload], tuple[_Row, int]],
 ) -> Callable[[Payload], _Row]:
-    """Wrap a reader of a row and its end, so that the row must fill the message."""
+    """Wrap a reader that returns a row and its end; the row must fill the whole message."""
 
     @wraps(read)
     def read_whole(payload: Payload) -> _Row:

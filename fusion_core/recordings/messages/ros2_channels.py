@@ -1,6 +1,6 @@
-"""Channels of any recording as ROS 2 has them: type, definition, and messages in CDR.
+"""Conversion of channels to ROS 2: type, definition, and messages in CDR.
 
-CDR messages stay as they are. ROS 1 messages are rewritten: types that ROS 2 has too get its
+CDR messages are unchanged. ROS 1 messages are converted: types that exist in ROS 2 get its
 definition, others keep their own with ROS 2's std_msgs/Header, which has no ``seq``.
 """
 
@@ -27,7 +27,7 @@ _ROS1_NAMES = {
     "roslib/msg/Clock": "rosgraph_msgs/msg/Clock",
 }
 _HEADER = "std_msgs/msg/Header"
-# What a type without fields holds in ROS 2, whose messages cannot be empty.
+# The placeholder field of empty types in ROS 2, whose messages cannot be empty.
 _NO_FIELDS = "uint8 structure_needs_at_least_one_member\n"
 # Bytes of CDR before the first field, and before the first element of a sequence.
 _ENCAPSULATION_BYTES = 4
@@ -36,11 +36,11 @@ _COUNT_BYTES = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ros2Channel:
-    """How a channel stands in a ROS 2 file.
+    """A channel as written to a ROS 2 file.
 
-    ``definition`` is empty where none is known. ``to_cdr`` gives a message's bytes in CDR and
-    raises ValueError for bytes that do not fit. ``stamp_ns`` finds the sensor's stamp in them,
-    None where the type or the message has none. ``note`` says what ROS 2 has otherwise.
+    ``definition`` is empty if none is known. ``to_cdr`` converts a message to CDR and raises
+    ValueError for bytes that do not fit the type. ``stamp_ns`` reads the sensor's stamp from CDR,
+    None if the type or the message has none. ``note`` describes differences to the source type.
     """
 
     message_type: str
@@ -52,7 +52,7 @@ class Ros2Channel:
 
 
 def describe_ros2_channel(channel: Channel) -> Ros2Channel:
-    """The channel in ROS 2. Raises UnreadableType where its messages cannot be CDR."""
+    """The channel as ROS 2. Raises UnreadableType if its messages cannot be converted to CDR."""
     if channel.serialization == "cdr":
         return _describe_cdr_channel(channel)
     return _describe_converted_channel(channel, _ros1_store(channel))
@@ -65,7 +65,7 @@ def _describe_cdr_channel(channel: Channel) -> Ros2Channel:
     try:
         store = require_type_store(channel)
     except UnreadableType:
-        # Other tools may know the type; its bytes and its definition are theirs to judge.
+        # Pass the messages through: other tools may know the type.
         store = None
     definition = channel.definition
     if not definition and store is not None:
@@ -85,7 +85,7 @@ def _ros1_store(channel: Channel) -> Typestore:
     except UnreadableType:
         if channel.serialization != "ros1" or channel.definition:
             raise
-        # A type without fields has a definition without text.
+        # The definition of a type without fields is empty.
         return require_type_store(replace(channel, definition=_NO_FIELDS))
 
 
@@ -153,7 +153,7 @@ def _is_extension(target: Typestore, new: str, source: Typestore, old: str) -> b
 
 
 def _element(field: FieldDesc) -> tuple[Nodetype, Any]:
-    """Kind and type of a field, or of the elements of an array."""
+    """Kind and type of a field, or of the elements if it is an array."""
     if field[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
         kind, content = field[1][0]
         return Nodetype(kind), content
@@ -185,7 +185,7 @@ def _definition(store: Typestore, name: str) -> str:
 
 
 def _stamp_finder(store: Typestore, name: str) -> Callable[[Payload], int | None]:
-    """A stamp is known where a message begins with a header, or with a list of what does."""
+    """Returns a reader of the stamp, for types that begin with a header or a list of transforms."""
     fields: Any = store.fielddefs[name][1]
     if not fields:
         return _no_stamp
@@ -209,7 +209,7 @@ def _first_stamp_ns(cdr: Payload) -> int | None:
 
 
 def _stamp_ns(offset: int, cdr: Payload) -> int | None:
-    """A stamp of 32-bit seconds and nanoseconds. An empty list ends before it."""
+    """The stamp, 32-bit seconds and nanoseconds, at ``offset``; None if the message is shorter."""
     end = offset + 8
     if len(cdr) < end or cdr[0] != 0 or cdr[1] not in (0, 1):
         return None

@@ -1,8 +1,9 @@
 """RVL, the lossless depth codec of A. D. Wilson, "Fast Lossless Depth Image Compression" (2017).
 
-The stream is a row of numbers, each in nibbles of 3 bits and a continuation bit, least significant
-first, packed into 32-bit little-endian words from their top. Runs of zeros and of other values
-take turns: the length of each, and for a value its zigzag difference from the last value.
+The stream is a sequence of numbers, each in nibbles of a continuation bit and 3 bits, least
+significant first, packed into 32-bit little-endian words from the most significant nibble. Runs of
+zeros and of non-zero values alternate: each run has its length, and each non-zero value its zigzag
+difference to the previous one.
 """
 
 import numpy as np
@@ -12,12 +13,12 @@ from fusion_core.compiled import compiled
 
 _WORD_BYTES = 4
 _NIBBLES_IN_WORD = 8
-# A longer number is beyond any run and any difference of 16-bit values.
-_MOST_BITS = 30
+# Longer numbers exceed any run length and any difference of 16-bit values.
+_MAX_BITS = 30
 
 
 def decompress(stream: bytes, pixel_count: int) -> npt.NDArray[np.uint16]:
-    """(pixel_count,) uint16. Raises ValueError for a stream that does not hold as many."""
+    """(pixel_count,) uint16. Raises ValueError if the stream has fewer pixels."""
     words = np.frombuffer(stream, "<u4", len(stream) // _WORD_BYTES).astype(np.uint32)
     pixels = np.zeros(pixel_count, np.uint16)
     found = _decompress(words, pixels)
@@ -28,7 +29,7 @@ def decompress(stream: bytes, pixel_count: int) -> npt.NDArray[np.uint16]:
 
 @compiled()
 def _decompress(words: npt.NDArray[np.uint32], pixels: npt.NDArray[np.uint16]) -> int:
-    """Fill ``pixels``, zeros so far; how many of them the words hold."""
+    """Fill ``pixels``, which must be zero; returns the number of decoded pixels."""
     zeros: int
     others: int
     place = 0
@@ -54,10 +55,10 @@ def _decompress(words: npt.NDArray[np.uint32], pixels: npt.NDArray[np.uint16]) -
 
 @compiled()
 def _number(words: npt.NDArray[np.uint32], place: int) -> tuple[int, int]:
-    """The number at a nibble's place and the place behind it; -1 where there is none."""
+    """The number at nibble ``place`` and the nibble after it; -1 if there is none."""
     number = 0
     bits = 0
-    while place < words.size * _NIBBLES_IN_WORD and bits < _MOST_BITS:
+    while place < words.size * _NIBBLES_IN_WORD and bits < _MAX_BITS:
         word = int(words[place // _NIBBLES_IN_WORD])
         nibble = (word >> (28 - 4 * (place % _NIBBLES_IN_WORD))) & 0xF
         place += 1

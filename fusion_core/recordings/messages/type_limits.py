@@ -1,7 +1,7 @@
-"""Limits on message types, which a file defines itself and a hostile one defines without bounds.
+"""Limits on the message types that a file defines, against hostile definitions.
 
-Code is generated for each type, in proportion to its fixed arrays of strings and messages; an
-array of variable length whose elements have no bytes could claim any number of them.
+Code is generated for each type, in proportion to its fixed arrays of strings and messages. A
+sequence of elements without content could claim any length.
 """
 
 from typing import NamedTuple
@@ -10,6 +10,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import FieldDesc, Typesdict
 from rosbags.serde.utils import SIZEMAP
 
+# Set by hand, above the types of real recordings.
 _MAX_NESTING = 32
 _MAX_ELEMENTS = 100_000
 _MAX_FIXED_BYTES = 1 << 26
@@ -18,11 +19,11 @@ _NO_FIELDS = "structure_needs_at_least_one_member"
 
 
 class ExcessiveType(ValueError):
-    """A type that is larger than any of a real recording."""
+    """A type larger than any in a real recording."""
 
 
 class _Size(NamedTuple):
-    """What each message of a type has at the least; ``elements`` are read one by one."""
+    """Minimum size of each message of a type; ``elements`` are read one by one."""
 
     elements: int
     size_bytes: int
@@ -30,12 +31,12 @@ class _Size(NamedTuple):
 
 
 def require_bounded_type(types: Typesdict, name: str) -> None:
-    """Raise ExcessiveType for a type beyond the limits, KeyError where a part of it is missing."""
+    """Raise ExcessiveType for a type beyond the limits, KeyError if a nested type is missing."""
     _measure(types, name, {}, 0)
 
 
 def _measure(types: Typesdict, name: str, known: dict[str, _Size], depth: int) -> _Size:
-    # A type that contains itself is nested without end.
+    # A recursive type has infinite depth.
     if depth > _MAX_NESTING:
         raise ExcessiveType(f"{name} is nested more than {_MAX_NESTING} deep")
     if name not in known:

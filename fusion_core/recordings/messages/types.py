@@ -1,7 +1,7 @@
-"""Message definitions to deserialisers, one store of types for each definition.
+"""Deserialisers from message definitions, with a separate type store for each definition.
 
-A store of its own for each definition keeps files apart that define the same name differently,
-and lets a definition that does not parse cost its own topic alone.
+So files may define the same name differently, and a definition that does not parse affects its
+own topic only.
 """
 
 import re
@@ -26,7 +26,7 @@ from fusion_core.recordings.messages.type_limits import ExcessiveType, require_b
 
 Deserializer = Callable[[Payload], Any]
 
-# What serialised bytes may be read with, and the definitions for files that carry none.
+# Supported serialisations, and the definitions used for files without any.
 _DEFAULT_STORES = {"cdr": Stores.ROS2_HUMBLE, "ros1": Stores.ROS1_NOETIC}
 READABLE_ENCODINGS = frozenset(_DEFAULT_STORES)
 # Bags from before 2011 have the header in the package that REP 100 took it from. In a field
@@ -36,20 +36,20 @@ _HEADER = "std_msgs/Header"
 
 
 class UnreadableType(ValueError):
-    """Messages of this channel cannot be deserialised; the text says why."""
+    """Messages of this channel cannot be deserialised; the message says why."""
 
 
 def find_deserializer(channel: Channel) -> Deserializer:
-    """A function from the channel's bytes to an object with the fields of its type, or to its row.
+    """A function from a message's bytes to an object with the fields of its type, or to its row.
 
-    Raises UnreadableType here, and ValueError from the function for bytes that do not fit.
+    Raises UnreadableType; the returned function raises ValueError for bytes that do not fit.
     """
     return find_type_deserializer(replace(channel, topic=""))
 
 
 @lru_cache(maxsize=128)
 def find_type_deserializer(channel: Channel) -> Deserializer:
-    """``deserializer``, made once for all channels that differ in their topics alone."""
+    """``find_deserializer``, cached for all channels that differ only in their topics."""
     store = _type_store(channel)
     name = channel.message_type
     row_reader = _find_row_reader(store, name, channel.serialization)
@@ -60,7 +60,7 @@ def find_type_deserializer(channel: Channel) -> Deserializer:
 
     def deserialize(payload: Payload) -> Any:
         try:
-            # Of bytes, rosbags would copy all that is behind their first four.
+            # Given bytes, rosbags would copy everything after the first four.
             return read(memoryview(payload), name)
         except (SerdeError, AssertionError, IndexError) as error:
             problem = " ".join(str(error).split())
@@ -70,7 +70,7 @@ def find_type_deserializer(channel: Channel) -> Deserializer:
 
 
 def _find_row_reader(store: Typestore, name: str, serialization: str) -> Deserializer | None:
-    """The reader of rows for a type that is laid out as ROS lays it out, by its own definition."""
+    """The row reader for a type whose definition has the standard layout of ROS; else None."""
     is_ros1 = serialization == "ros1"
     readers: Mapping[tuple[str, str], Deserializer]
     readers = ros1_rows.READERS if is_ros1 else cdr_rows.READERS
@@ -81,7 +81,7 @@ def _find_row_reader(store: Typestore, name: str, serialization: str) -> Deseria
 
 
 def ros1_checksum(channel: Channel) -> str:
-    """The MD5 sum by which ROS 1 tells the channel's type. Raises UnreadableType."""
+    """The MD5 sum that identifies the channel's type in ROS 1. Raises UnreadableType."""
     try:
         return _type_store(channel).generate_msgdef(channel.message_type)[1]
     except (TypesysError, KeyError, ValueError) as error:
@@ -89,7 +89,7 @@ def ros1_checksum(channel: Channel) -> str:
 
 
 def require_type_store(channel: Channel) -> Typestore:
-    """The channel's type and all that it is made of. Raises UnreadableType."""
+    """The channel's type with all nested types. Raises UnreadableType."""
     store = _type_store(channel)
     _require_code(store, channel.message_type)
     return store
@@ -119,7 +119,7 @@ def _type_store(channel: Channel) -> Typestore:
 
 
 def _require_code(store: Typestore, name: str) -> None:
-    """Let the store generate what reads the type. Raises UnreadableType where it cannot."""
+    """Generate the store's reader of the type. Raises UnreadableType if that fails."""
     try:
         store.get_msgdef(name)
     except (TypesysError, KeyError, ValueError) as error:

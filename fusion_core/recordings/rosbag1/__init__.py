@@ -1,1 +1,1 @@
-"""ROS 1 bags, whole, cut or damaged."""
+"""ROS 1 bags: complete, truncated or damaged."""

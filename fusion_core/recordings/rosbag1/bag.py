@@ -1,4 +1,4 @@
-"""ROS 1 bags, version 2.0: chunks plain, bz2 or lz4, whole or as much of them as is left."""
+"""Reader of ROS 1 bags, version 2.0, with uncompressed, bz2 or lz4 chunks."""
 
 import struct
 from io import BytesIO
@@ -87,7 +87,7 @@ class BagFile:
                 start, offset = offset + LENGTH.size, offset + LENGTH.size + size
                 if chunk.find(_IS_MESSAGE, header, start) >= 0:
                     break
-                # Some writers let the index point at the connection before the message.
+                # In some bags the index points at the connection record before the message.
                 if chunk.find(_IS_CONNECTION, header, start) < 0:
                     raise self._broken_chunk_error(block)
         except struct.error as error:
@@ -131,11 +131,14 @@ class BagFile:
         return has_checksum(chunk, self._file.read(LZ4_HEADER_BYTES))
 
     def _index_problem(self, content: bytes, indexed: Entries) -> str:
-        """How the index contradicts a chunk's content; ``indexed`` is in order of offset."""
+        """How the index contradicts a chunk's content; empty if it does not.
+
+        ``indexed``: the entries of this chunk, sorted by offset.
+        """
         stream, end = BytesIO(content), len(content)
         rows = []
         position = 0
-        # Where the index may point: at a message, or at the connections before it.
+        # The index may point at a message or at the connection records before it.
         starts: dict[int, int] = {}
         before: list[int] = []
         while position < end:

@@ -1,4 +1,4 @@
-"""What the chunks of ROS 1 bags hold: plain, bz2 or lz4, unpacked within bounds."""
+"""Decompression of the chunks of ROS 1 bags (none, bz2 or lz4) with bounded memory."""
 
 import bz2
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ import lz4.frame  # type: ignore[import-untyped]  # Ships no type information.
 from fusion_core.recordings.containers import MAX_CHUNK_BYTES
 from fusion_core.recordings.rosbag1.records import BagRecord
 
-# Pieces in and out: the decompressors copy what they have not used yet.
+# Size of input and output pieces, small because the decompressors copy unused input.
 _STEP_BYTES = 1 << 16
 # The magic number of a frame and its flags, of which two are for checksums of blocks and content
 # (github.com/lz4/lz4, lz4_Frame_format.md).
@@ -21,9 +21,9 @@ _DECOMPRESSORS = {b"bz2": bz2.BZ2Decompressor, b"lz4": lz4.frame.LZ4FrameDecompr
 
 @dataclass(frozen=True, slots=True)
 class DecompressedChunk:
-    """The content of a chunk; ``problem`` says why it is less than the chunk had, or nothing.
+    """The content of a chunk; ``problem`` says why it is incomplete, empty if it is complete.
 
-    ``surplus_bytes`` of the chunk's data stand behind the end of what was compressed.
+    ``surplus_bytes``: bytes of the chunk's data after the end of the compressed stream.
     """
 
     content: bytes
@@ -32,7 +32,7 @@ class DecompressedChunk:
 
 
 def find_chunk_problem(chunk: BagRecord) -> str:
-    """Why a chunk cannot be unpacked, judged by its header; empty where it can."""
+    """Why a chunk cannot be decompressed, judged by its header; empty if it can."""
     compression = chunk.fields[b"compression"]
     if compression == b"none":
         return ""
@@ -45,7 +45,7 @@ def find_chunk_problem(chunk: BagRecord) -> str:
 
 
 def has_checksum(chunk: BagRecord, data: bytes) -> bool:
-    """Whether a changed bit in a chunk would show; ``data`` are the first bytes of its data."""
+    """Whether a chunk is protected by a checksum; ``data`` are the first bytes of its data."""
     compression = chunk.fields[b"compression"]
     # Every block of bz2 has one; a frame of lz4 says so in its header.
     return compression == b"bz2" or (
@@ -54,10 +54,10 @@ def has_checksum(chunk: BagRecord, data: bytes) -> bool:
 
 
 def decompress_chunk(stream: BinaryIO, chunk: BagRecord, end: int) -> DecompressedChunk:
-    """The content of a chunk whose data end at ``end``, before their place where they are cut.
+    """The content of a chunk whose data end at ``end``, which is earlier if they are truncated.
 
-    What a compressed chunk gave before its data break off is kept. Data that contradict
-    themselves give nothing: where they began to be wrong is not known.
+    What a truncated chunk gives is kept. Corrupt data give nothing, because it is not known where
+    the corruption begins.
     """
     problem = find_chunk_problem(chunk)
     if problem:

@@ -1,8 +1,8 @@
-"""The connections of a ROS 1 bag: which topic and type a number in its records means.
+"""The connections of a ROS 1 bag: topic and type by connection number.
 
-No checksum guards their records, but each stands in the bag twice: in the index at the end, and in
-the chunk that holds its first message (in the first chunk of all, by some writers). Where the two
-differ, what is true of itself is believed before what is not, and the chunk before the index.
+Their records have no checksum, but each is in the bag twice: in the index at the end, and in the
+chunk with its first message (by some writers in the first chunk). If the two differ, the one that
+is consistent in itself is preferred, then the one in the chunk.
 """
 
 import re
@@ -23,11 +23,11 @@ _TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z][A-Za-z0-9_]*")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _ConnectionRecord:
-    """A connection as one of its records has it.
+    """The description of a connection in one of its records.
 
-    ``repeated_topic`` is the topic in the record's data, empty where that has none. ``chunk`` is
-    the place of the chunk that holds the record; None for one in the file itself, from ``start``
-    to ``end``.
+    ``repeated_topic`` is the topic in the record's data, empty if there is none. ``chunk`` is the
+    position of the chunk with the record; None for a record outside of chunks, at ``start`` to
+    ``end`` of the file.
     """
 
     channel: Channel
@@ -38,7 +38,7 @@ class _ConnectionRecord:
     end: int
 
     def count_plausible_names(self) -> int:
-        """How many of its names are plausible: valid in ROS, or repeated consistently."""
+        """Number of plausible names: valid in ROS, or repeated consistently."""
         return sum(
             (
                 _TOPIC_NAME.fullmatch(self.channel.topic) is not None,
@@ -48,7 +48,7 @@ class _ConnectionRecord:
         )
 
     def has_matching_md5sum(self) -> bool:
-        """Whether its MD5 sum is that of its definition."""
+        """Whether its MD5 sum matches its definition."""
         try:
             return ros1_checksum(self.channel) == self.md5sum
         except UnreadableType:
@@ -56,7 +56,7 @@ class _ConnectionRecord:
 
 
 class Connections:
-    """What the records of a bag tell of its connections, by their numbers."""
+    """All records of the connections of a bag, by connection number."""
 
     def __init__(self) -> None:
         self._descriptions: dict[int, list[_ConnectionRecord]] = {}
@@ -73,7 +73,7 @@ class Connections:
         return len(self._descriptions)
 
     def add(self, stream: BinaryIO, record: BagRecord, chunk: int | None) -> None:
-        """Take a connection's record in ``stream``, the content of a chunk or the file (None)."""
+        """Add a record in ``stream``: the content of ``chunk``, or the file if that is None."""
         description = _read(stream, record, chunk)
         if description is None:
             return
@@ -92,7 +92,7 @@ class Connections:
         self._descriptions.setdefault(record.number(b"conn"), []).append(description)
 
     def places(self, number: int) -> list[tuple[int, int]]:
-        """Where the records of a connection that stand in the file itself begin and end."""
+        """Start and end of the records of a connection outside of chunks."""
         known = self._descriptions.get(number, [])
         return [(one.start, one.end) for one in known if one.chunk is None]
 
@@ -101,7 +101,7 @@ class Connections:
             self._descriptions.pop(number, None)
 
     def resolve(self) -> tuple[list[Channel], dict[int, int], list[str]]:
-        """The channels, the place among them for each connection, and what was contradicted."""
+        """The channels, the channel index of each connection, and warnings of contradictions."""
         channels: dict[Channel, int] = {}
         numbers = {}
         warnings = []
@@ -120,7 +120,7 @@ class Connections:
 
 
 def _credibility(known: list[_ConnectionRecord]) -> Callable[[_ConnectionRecord], tuple[int, bool]]:
-    # A definition takes long to parse, and one that all have tells nothing.
+    # Definitions are slow to parse, and comparing helps only if they differ.
     differ = len({one.channel.definition for one in known}) > 1
     return lambda one: (
         one.count_plausible_names() + (differ and one.has_matching_md5sum()),
@@ -129,7 +129,7 @@ def _credibility(known: list[_ConnectionRecord]) -> Callable[[_ConnectionRecord]
 
 
 def _read(stream: BinaryIO, record: BagRecord, chunk: int | None) -> _ConnectionRecord | None:
-    """None where the content of the record is broken."""
+    """Parse a connection record; None if its content is damaged."""
     stream.seek(record.data_start)
     fields = read_fields(stream.read(record.data_size), needs_op=False)
     if fields is None or not {b"type", b"message_definition"} <= fields.keys():

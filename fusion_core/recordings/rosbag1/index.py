@@ -1,4 +1,4 @@
-"""Where the messages of a ROS 1 bag are, and what of a damaged one is lost."""
+"""Index of the messages of a ROS 1 bag, and warnings about lost parts of a damaged one."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,12 +21,11 @@ _AT_THE_END = (OP_CONNECTION, OP_CHUNK_INFO)
 
 @dataclass(frozen=True, slots=True)
 class BagContents:
-    """What a bag holds.
+    """Contents of a bag.
 
-    ``channel_of`` leads from connections to places in ``channels``. ``chunk_ends`` tells where the
-    data of cut chunks end in the file, by their place. ``unpacked`` are chunks, by their place,
-    that had to be unpacked and will be read first. ``encryptor`` names what the bag is encrypted
-    with, if it is.
+    ``channel_of``: index into ``channels`` by connection number. ``chunk_ends``: end of the data
+    of truncated chunks in the file, by chunk position. ``unpacked``: content of chunks that were
+    decompressed already, by chunk position. ``encryptor``: the encryption plugin, or empty.
     """
 
     channels: list[Channel]
@@ -39,7 +38,7 @@ class BagContents:
 
 
 def read_contents(file: BinaryIO, size: int) -> BagContents:
-    """Everything that a bag of ``size`` bytes has, as far as it can be read."""
+    """All readable contents of a bag of ``size`` bytes."""
     walk = BagWalk(file, size)
     walk.walk_file()
     indexed, trusted = _trusted_index(walk)
@@ -50,7 +49,7 @@ def read_contents(file: BinaryIO, size: int) -> BagContents:
     rows = np.concatenate([walk.messages, indexed[trusted]])
     connections, place = np.unique(rows[:, 1], return_inverse=True)
     if restored:
-        # What the index has instead, of which there is no message, has a damaged number.
+        # A connection in the index without messages is there because its number is damaged.
         walk.connections.remove(unconfirmed.difference(connections.tolist()))
     channels, channel_of, contradictions = walk.connections.resolve()
     numbers = [channel_of.get(connection, -1) for connection in connections.tolist()]
@@ -79,9 +78,9 @@ def read_contents(file: BinaryIO, size: int) -> BagContents:
 
 
 def _trusted_index(walk: BagWalk) -> tuple[IntArray, BoolArray]:
-    """(N, 4) log time, connection, block, offset by the index data, and which to believe.
+    """(N, 4) log time, connection, block, offset from the index data, and which rows are reliable.
 
-    Chunks whose index data are missing or not believed are added to ``walk.unindexed``.
+    Chunks whose index data are missing or unreliable are added to ``walk.unindexed``.
     """
     data = np.frombuffer(walk.index_data, dtype=_INDEX_ENTRY)
     chunks, index = walk.chunks, walk.index
@@ -107,7 +106,7 @@ def _trusted_index(walk: BagWalk) -> tuple[IntArray, BoolArray]:
 
 
 def _contradicted_counts(index: IntArray, infos: IntArray) -> IntArray:
-    """The chunks for which the index at the end counts other messages than their index data."""
+    """Chunks whose message counts differ between the index at the end and their index data."""
     infos = infos[infos[:, 2] > 0]
     own = index[np.isin(index[:, 0], infos[:, 0]) & (index[:, 2] > 0)]
     found, times = np.unique(np.concatenate([own, infos]), axis=0, return_counts=True)
@@ -120,9 +119,9 @@ def _check_connections(
 ) -> tuple[set[int], set[int]]:
     """Compare the connections in the index at the end with the chunks, and find missing ones.
 
-    A recorder writes each also into the chunk that it is writing: that of the connection's first
-    message, or the first of all. Gives those that were missing at the end, and those of which no
-    chunk has a record like the one at the end. The content of the first chunk goes into ``kept``.
+    A recorder also writes each connection into a chunk: that of its first message, or the first
+    chunk of the bag. Returns the connections missing at the end that were found in chunks, and
+    those whose record at the end matches none in a chunk. ``kept`` gets the first chunk's content.
     """
     if not len(walk.chunks):
         return set(), set()
@@ -145,14 +144,14 @@ def _check_connections(
         described[chunk] = records.keys() & unconfirmed.keys()
     missing = {number for number in chunk_of if number not in walk.connections}
     for chunk, numbers in described.items():
-        # One that was unconfirmed here may stand as it should in a later chunk.
+        # A later chunk may have confirmed a connection that this one did not.
         if numbers & unconfirmed.keys():
             walk.walk_chunk(chunk, take_messages=False)
     return {number for number in missing if number in walk.connections}, set(unconfirmed)
 
 
 def _records(walk: BagWalk, number: int) -> list[bytes]:
-    """The bytes of the records of a connection that stand in the file itself."""
+    """The bytes of the records of a connection outside of chunks."""
     return [walk.bytes_of(start, end) for start, end in walk.connections.places(number)]
 
 
@@ -199,7 +198,7 @@ def _lost_bytes(lost: list[Lost], entries: Entries, size: int) -> Iterator[str]:
 
 
 def _logged_around(loss: Lost, entries: Entries) -> str:
-    """By the log times of the messages before and behind in the file."""
+    """The time of a loss, from the log times of the messages before and after it in the file."""
     times = entries["received_ns"]
     before = int(np.searchsorted(entries["block"], loss.start, side="right")) - 1
     behind = int(np.searchsorted(entries["block"], loss.end))
@@ -212,17 +211,17 @@ def _logged_around(loss: Lost, entries: Entries) -> str:
 
 
 def _lost_messages(walk: BagWalk, entries: Entries) -> Iterator[str]:
-    """By the index at the end, which counts the messages of each chunk."""
+    """Compare the messages found in each chunk with the counts in the index at the end."""
     infos, spans = walk.infos, walk.spans
     if not len(infos):
         return
     chunks, place = np.unique(infos[:, 0], return_inverse=True)
     counted = np.bincount(place, weights=infos[:, 2]).astype(np.int64)
     bounds = np.searchsorted(entries["block"], chunks)
-    # The messages of a chunk without its header stand behind its place one by one.
+    # Messages of a chunk that lost its header are found singly after its position.
     found = np.diff(bounds, append=len(entries))
-    # The index itself may be damaged: chunks of which everything was read, and those that it has
-    # at another place.
+    # The index itself may be damaged: it is wrong about chunks that were read completely, and about
+    # chunks that it lists at another position.
     is_wrong = np.isin(chunks, np.array(sorted(walk.whole), dtype=np.int64)) & (counted != found)
     is_there = np.isin(chunks, walk.chunks[:, 0])
     unlisted = np.setdiff1d(walk.chunks[:, 0], chunks)

@@ -1,8 +1,8 @@
-"""Records of ROS 1 bags, version 2.0 (wiki.ros.org/Bags/Format/2.0), taken one by one.
+"""Records of ROS 1 bags, version 2.0 (wiki.ros.org/Bags/Format/2.0).
 
-A record is the length of its header, the header, the length of its data, the data. A header is
-fields of a length and ``name=value``. Numbers are little-endian. Nothing that a record claims is
-believed before it fits: a damaged file is read through what is left of it.
+A record is: header length, header, data length, data. A header is a sequence of fields, each a
+length and ``name=value``. Numbers are little-endian. All lengths and counts are checked before
+they are used, because the file may be damaged.
 """
 
 import re
@@ -15,7 +15,7 @@ from typing import BinaryIO
 from fusion_core.recordings.containers import MAX_CHUNK_BYTES
 
 MAGIC = b"#ROSBAG V2.0\n"
-# The offset of a message outside of chunks; its block is its own place in the file.
+# The offset of a message outside of chunks; its block is its own position in the file.
 NOT_IN_A_CHUNK = -1
 
 OP_MESSAGE, OP_BAG, OP_INDEX, OP_CHUNK, OP_CHUNK_INFO, OP_CONNECTION = range(2, 8)
@@ -23,7 +23,7 @@ OP_MESSAGE, OP_BAG, OP_INDEX, OP_CHUNK, OP_CHUNK_INFO, OP_CONNECTION = range(2, 
 LENGTH = struct.Struct("<I")
 _TIME = struct.Struct("<II")
 _NS_PER_S = 1_000_000_000
-# The fields that a record cannot do without, and their sizes; None for text.
+# Required fields of each record type and their sizes in bytes; None for text.
 _FIELDS: dict[int, dict[bytes, int | None]] = {
     OP_MESSAGE: {b"conn": 4, b"time": 8},
     OP_BAG: {b"index_pos": 8, b"conn_count": 4, b"chunk_count": 4},
@@ -32,7 +32,7 @@ _FIELDS: dict[int, dict[bytes, int | None]] = {
     OP_CHUNK_INFO: {b"ver": 4, b"chunk_pos": 8, b"count": 4},
     OP_CONNECTION: {b"conn": 4, b"topic": None},
 }
-# Bytes for each of the ``count`` things in a record's data.
+# Bytes per entry in the data of records that have a ``count``.
 _COUNTED = {OP_INDEX: 12, OP_CHUNK_INFO: 8}
 _COUNTED_VERSION = 1
 _MAX_HEADER_BYTES = 4096
@@ -50,15 +50,15 @@ _HEADER_START = re.compile(
 )
 _PLACES_PER_SEARCH = 10
 _SEARCH_BLOCK = 1 << 16
-# Further than this no header reaches back from its opcode.
+# A header starts at most this many bytes before its opcode.
 _SEARCH_OVERLAP = MAX_NAME_BYTES + 256
 
 
 @dataclass(frozen=True, slots=True)
 class BagRecord:
-    """A record whose header holds what its kind needs. Places are bytes from the file's start.
+    """A record whose header has all required fields. Positions are bytes from the file's start.
 
-    The data of a chunk may reach beyond the end of the file; that of other records does not.
+    The data of a chunk may extend beyond the end of the file; that of other records does not.
     """
 
     op: int
@@ -80,12 +80,12 @@ class BagRecord:
 
 
 def op_field(op: int) -> bytes:
-    """The field of a header that says what its record is."""
+    """The header field with the type (opcode) of the record."""
     return _OP_FIELD + bytes([op])
 
 
 def read_record(stream: BinaryIO, start: int, end: int) -> BagRecord | None:
-    """The record at ``start`` of a stream that ends at ``end``; None where none can stand."""
+    """The record at ``start`` of a stream that ends at ``end``; None if there is no valid one."""
     record = _record_by_its_lengths(stream, start, end)
     if record is None:
         return None
@@ -95,10 +95,10 @@ def read_record(stream: BinaryIO, start: int, end: int) -> BagRecord | None:
 
 
 def _by_its_count(stream: BinaryIO, record: BagRecord, end: int) -> BagRecord:
-    """A record whose data are as long as what it counts, where a record follows that.
+    """The record with its data length computed from its count, if a record follows there.
 
-    The first recorders of bags 2.0 gave index data the length that their entries had in memory,
-    and wrote 12 bytes of each. The readers of ROS go by the count alone.
+    The first recorders of bags 2.0 stated the in-memory length of index data, but wrote 12 bytes
+    per entry. The readers of ROS use the count alone.
     """
     counted = replace(record, data_size=record.number(b"count") * _COUNTED[record.op])
     if counted.data_size == record.data_size or counted.end > end:
@@ -108,7 +108,7 @@ def _by_its_count(stream: BinaryIO, record: BagRecord, end: int) -> BagRecord:
 
 
 def _record_by_its_lengths(stream: BinaryIO, start: int, end: int) -> BagRecord | None:
-    """The record at ``start`` as its own lengths have it, whatever it holds."""
+    """The record at ``start`` by its stated lengths; its fields are not checked."""
     if end - start < 2 * LENGTH.size:
         return None
     stream.seek(start)
@@ -128,7 +128,7 @@ def _record_by_its_lengths(stream: BinaryIO, start: int, end: int) -> BagRecord 
 
 @dataclass(slots=True)
 class SearchBudget:
-    """What a search may still look at: a hostile file offers millions of places."""
+    """Remaining search effort, bounded because a hostile file may have millions of candidates."""
 
     places: int = 100_000
     file_bytes: int = 2 << 30
@@ -141,10 +141,10 @@ def find_record(
     budget: SearchBudget,
     ops: frozenset[int] = frozenset(_FIELDS),
 ) -> int:
-    """Where the next record of a kind in ``ops`` stands at or behind ``start``, or else ``end``.
+    """Position of the next record with an opcode in ``ops`` at or after ``start``, or ``end``.
 
-    Another record must follow it: compressed data show single records of their content as they
-    are. A chunk may be the last thing in the file.
+    Another record must follow it, because compressed data may contain single records verbatim.
+    Only a chunk may be the last record in the file.
     """
     budget.places -= _PLACES_PER_SEARCH
     if budget.places < 0:
@@ -153,7 +153,7 @@ def find_record(
         stream.seek(position)
         block = stream.read(min(_SEARCH_BLOCK + _SEARCH_OVERLAP, end - position))
         budget.file_bytes -= len(block)
-        # Where the field before this one was looked for.
+        # Position of the previous opcode field.
         last = 0
         for field in _ANY_OP_FIELD.finditer(block):
             window = max(last, field.start() - _SEARCH_OVERLAP)
@@ -172,9 +172,9 @@ def find_record(
 
 
 def connection_records(content: bytes, budget: SearchBudget) -> Iterator[BagRecord]:
-    """What looks like the records of connections in a chunk's content, without reading all of it.
+    """Candidate connection records in a chunk's content, without parsing all of it.
 
-    A message may hold such bytes too: who takes one must read the records before it.
+    A message may contain such bytes too: to be sure, parse the records before it.
     """
     stream, end = BytesIO(content), len(content)
     field = content.find(_CONNECTION_FIELD)
@@ -196,7 +196,7 @@ def _is_followed(stream: BinaryIO, record: BagRecord, end: int) -> bool:
 
 
 def read_fields(header: bytes, needs_op: bool = True) -> dict[bytes, bytes] | None:
-    """Names and values; None where the lengths of the fields do not lead to the header's end."""
+    """Values by name; None if the field lengths do not add up to the header's length."""
     fields = {}
     position, end = 0, len(header)
     while position + LENGTH.size <= end:

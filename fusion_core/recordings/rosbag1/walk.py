@@ -1,7 +1,7 @@
-"""A walk over the records of a ROS 1 bag: what is there, whether or not the bag is whole.
+"""Scan of all records of a ROS 1 bag, complete or damaged.
 
-The index data behind each chunk say where its messages are, so that an intact chunk is passed
-over unread. A chunk is unpacked where they are missing or contradict the index at the end.
+The index data after each chunk locate its messages, so that an intact chunk is skipped. A chunk is
+decompressed only if its index data are missing or contradict the index at the end of the bag.
 """
 
 from array import array
@@ -35,15 +35,15 @@ from fusion_core.recordings.rosbag1.records import (
     read_record,
 )
 
-# Messages and connections are found inside of chunks too.
+# Record types that follow a chunk; messages and connections also occur inside chunks.
 _BEHIND_CHUNKS = frozenset((OP_INDEX, OP_CHUNK, OP_CHUNK_INFO))
-# What a walk may unpack: enough for every chunk of a real bag, and an end for a hostile one.
+# Bounds on decompressed bytes, set by hand: ample for real bags, finite for hostile ones.
 _UNPACKED_BYTES, _UNPACKED_PER_BYTE = 256 << 20, 64
 
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """Bytes of the file that gave nothing, or less than they had."""
+    """A byte range of the file that could not be read, or only in part."""
 
     start: int
     end: int
@@ -51,13 +51,13 @@ class Lost:
 
 
 class BagWalk:
-    """What a bag holds, gathered by ``walk_file``, then ``walk_chunk`` where that is not enough.
+    """Contents of a bag, gathered by ``walk_file``, then by ``walk_chunk`` for unindexed chunks.
 
-    ``messages`` has rows of log time, connection, block and offset; ``chunks`` of place and
-    content size; ``index`` of chunk, connection and the count of its entries in ``index_data``;
+    ``messages`` has rows of log time, connection, block and offset; ``chunks`` of position and
+    content size; ``index`` of chunk, connection and number of entries in ``index_data``;
     ``infos`` of chunk, connection and count; ``spans`` of chunk, first and last log time.
-    ``unindexed`` are chunks whose index data are not to be relied on, ``whole`` those of which
-    ``walk_chunk`` could read everything.
+    ``unindexed`` are chunks whose index data are missing or unreliable, ``whole`` those that
+    ``walk_chunk`` read completely.
     """
 
     def __init__(self, file: BinaryIO, size: int) -> None:
@@ -79,7 +79,7 @@ class BagWalk:
         self._search = SearchBudget()
         self._connection_search = SearchBudget()
         self._unpackable_bytes = _UNPACKED_BYTES + _UNPACKED_PER_BYTE * size
-        # The chunk that index data belong to.
+        # The chunk to which the following index data belong.
         self._chunk: int | None = None
 
     @property
@@ -121,13 +121,13 @@ class BagWalk:
                 self._take_record(record)
                 position = record.end
                 if record.op == OP_BAG and not self._has_record_at(position):
-                    # The length of its padding may be too large.
+                    # The stated length of its padding may be too large.
                     position = min(self._find(record.data_start), record.end)
-        # A whole bag does not end in the index data of a chunk: some of them may be lost.
+        # A complete bag does not end with the index data of a chunk: some of it may be lost.
         self._close_chunk(is_damaged=True)
 
     def walk_chunk(self, start: int, *, take_messages: bool = True) -> None:
-        """Take the connections of a chunk, and its messages, from its content."""
+        """Read the connections of a chunk, and its messages, from its content."""
         found_chunk = self._chunk_at(start)
         if found_chunk is None:
             return
@@ -153,7 +153,7 @@ class BagWalk:
             self.whole.add(start)
 
     def content(self, start: int) -> DecompressedChunk:
-        """The content of the chunk at a place, or as much of it as there is."""
+        """The content of the chunk at ``start``, as far as it can be read."""
         chunk = self._chunk_at(start)
         return (
             DecompressedChunk(b"", "no chunk is there")
@@ -162,12 +162,12 @@ class BagWalk:
         )
 
     def connection_records(self, content: bytes) -> dict[int, bytes]:
-        """The records of connections that seem to be in a chunk's content, by their numbers."""
+        """Candidate connection records in a chunk's content, by connection number."""
         found = connection_records(content, self._connection_search)
         return {one.number(b"conn"): content[one.start : one.end] for one in found}
 
     def bytes_of(self, start: int, end: int) -> bytes:
-        """A part of the file, of a record that was found there."""
+        """The bytes of the file from ``start`` to ``end``."""
         self._file.seek(start)
         return self._file.read(end - start)
 
@@ -175,20 +175,20 @@ class BagWalk:
         return read_record(self._file, start, self._size)
 
     def _chunk_at(self, start: int) -> tuple[BagRecord, int] | None:
-        """The chunk at a place, and where its data end in the file."""
+        """The chunk at ``start`` and the end of its data in the file; None if there is no chunk."""
         chunk = self.record_at(start)
         if chunk is None or chunk.op != OP_CHUNK:
             return None
         return chunk, self.chunk_ends.get(start, min(chunk.end, self._size))
 
     def _skip_chunk(self, chunk: BagRecord) -> int:
-        """Note a chunk, and say where the walk goes on."""
+        """Register a chunk; returns where the next record is."""
         is_whole = self._has_record_at(chunk.end)
         is_plain = chunk.fields[b"compression"] == b"none"
         content_bytes = chunk.number(b"size")
         fits = content_bytes == chunk.data_size <= MAX_CHUNK_BYTES
         if is_plain and not (is_whole and fits):
-            # Its records are then read as if they stood in the file itself.
+            # Its records are then read as if they were outside of a chunk.
             return chunk.data_start
         end = chunk.end
         problem = find_chunk_problem(chunk)
@@ -208,7 +208,7 @@ class BagWalk:
         return end
 
     def _has_record_at(self, position: int) -> bool:
-        """Whether a record or the file's end is at a place."""
+        """Whether a record or the end of the file is at ``position``."""
         return position == self._size or self.record_at(position) is not None
 
     def _find(self, start: int) -> int:
@@ -227,7 +227,7 @@ class BagWalk:
         self._chunk = None
 
     def _take_record(self, record: BagRecord) -> None:
-        """A record that stands in the file itself."""
+        """Process a record outside of chunks."""
         if record.op == OP_MESSAGE:
             self._add_message(record, record.start, NOT_IN_A_CHUNK)
         elif record.op == OP_CONNECTION:

@@ -1,14 +1,13 @@
-"""Rows of a damaged ROS 2 database, read from its leaf pages without its trees.
+"""Rows of a damaged ROS 2 database, read from its leaf pages without its B-trees.
 
 Layout: sqlite.org/fileformat2.html. SQLite refuses a file that is shorter than its header says,
-and reaches no row below an inner page that is lost; inner pages often stand behind their leaves.
-But rows stand in leaf pages of tables, which begin with the byte 13. No other page does: the
-pages that continue a long row begin with the number of the next one, which is that large only
-in files beyond 100 GB.
+and cannot reach the rows below a lost interior page; interior pages often come after their leaves.
+But all rows are in table leaf pages, which begin with the byte 13. No other page does: an overflow
+page begins with the number of the next one, whose first byte is 13 only in files beyond 100 GB.
 
-The shape of a record tells what its row is: a message is (id, topic_id, timestamp, data)
-with two integers and a blob, and a row of ``topics`` or ``message_definitions`` is an id and
-three texts or more.
+The table of a row is recognised by its columns: a message is (id, topic_id, timestamp, data) with
+two integers and a blob; a row of ``topics`` or ``message_definitions`` is an id and at least three
+texts.
 """
 
 import errno
@@ -26,18 +25,18 @@ from fusion_core.model.errors import RecordingError
 from fusion_core.recordings.containers import MAX_CHUNK_BYTES, damaged_file_error
 
 HEADER_BYTES = 100
-# One message and where its cell begins in the file.
+# One message and the position of its cell in the file.
 ROW = np.dtype([("id", "<i8"), ("topic_id", "<i8"), ("timestamp", "<i8"), ("cell", "<i8")])
 Rows = npt.NDArray[np.void]
 
-# What of a row stands on further pages, and the first of them.
+# The bytes of a row on overflow pages, and the first of these pages.
 _SPILL = np.dtype([("cell", "<i8"), ("bytes", "<i8"), ("page", "<i8")])
 _LEAF = 13
 _BLOCK_BYTES = 4 << 20
 _DEFAULT_PAGE_BYTES = 4096
-# Seven variable-length integers.
+# At most seven variable-length integers of nine bytes.
 _LONGEST_HEAD = 64
-# Topics and definitions together; a hostile file may let many rows share the same pages.
+# Of topics and definitions together: rows of a hostile file may share the same pages.
 _MAX_TEXT_BYTES = 32 << 20
 _MAX_TEXTS = 20_000
 _TEXT_COLUMNS = 6
@@ -48,7 +47,7 @@ _INTEGER_TYPES = np.array([0, 1, 1, 1, 1, 1, 1, 0, 1, 1], dtype=bool)
 
 @dataclass(frozen=True, slots=True)
 class FileHeader:
-    """What the first bytes say. ``claimed_bytes`` is 0 where they do not say it reliably."""
+    """Sizes from the file header. ``claimed_bytes`` is 0 if the page count is not reliable."""
 
     page_bytes: int
     usable_bytes: int
@@ -60,10 +59,10 @@ def read_header(head: bytes) -> FileHeader:
     page_bytes = int.from_bytes(head[16:18], "big")
     page_bytes = 65536 if page_bytes == 1 else page_bytes
     if page_bytes < 512 or page_bytes & (page_bytes - 1):
-        # The size that SQLite chooses by itself; the rows will tell whether it was right.
+        # The default of SQLite.
         page_bytes = _DEFAULT_PAGE_BYTES
     reserved = head[20] if len(head) > 20 else 0
-    # The page count holds only if the last writer knew of it.
+    # The page count is valid only if the change counter equals the version-valid-for number.
     counted = len(head) == HEADER_BYTES and head[24:28] == head[92:96]
     return FileHeader(
         page_bytes=page_bytes,
@@ -75,8 +74,8 @@ def read_header(head: bytes) -> FileHeader:
 class DatabasePages:
     """The rows that can still be read.
 
-    ``rows`` are the messages whose data is all there, by rising id; ``cut_rows`` those whose data
-    is not. ``texts`` are (id, columns) of all other rows that begin with three texts.
+    ``rows`` are the messages with complete data, by ascending id; ``cut_rows`` those with
+    incomplete data. ``texts`` are (id, columns) of all other rows that begin with three texts.
     """
 
     def __init__(self, path: Path) -> None:
@@ -85,7 +84,7 @@ class DatabasePages:
         self.cut_rows: Rows
         self.texts: list[tuple[int, tuple[str, ...]]] = []
         self._text_bytes = 0
-        # Without a buffer, which looking for holes would put out of step.
+        # Unbuffered: seeking for holes on the descriptor would desynchronise a buffer.
         self._file = path.open("rb", buffering=0)
         try:
             self.size = self._file.seek(0, 2)
@@ -126,10 +125,10 @@ class DatabasePages:
         return self._file.read(size)
 
     def _scan(self) -> Iterator[Rows]:
-        """Messages block by block; fills ``texts`` and ``_next`` on the way."""
+        """Yield the messages of each block; also fills ``texts`` and ``_next``."""
         page_bytes = self.header.page_bytes
         block_bytes = max(_BLOCK_BYTES, page_bytes)
-        # Room behind the pages for the last varints to run over the end.
+        # Padding, so that varints can be decoded at the end of the last page.
         data = np.zeros(block_bytes + _LONGEST_HEAD, dtype=np.uint8)
         for start in range(0, self.size, block_bytes):
             if self._is_hole(start, block_bytes):
@@ -144,7 +143,7 @@ class DatabasePages:
             yield self._messages(data, self._cells(data, pages), start)
 
     def _is_hole(self, start: int, size: int) -> bool:
-        """Whether nothing was ever written there, as in a file of which the end is to come."""
+        """Whether the range is a hole of a sparse file, as in an unfinished download."""
         if not hasattr(os, "SEEK_DATA"):
             return False
         try:
@@ -153,7 +152,7 @@ class DatabasePages:
             return error.errno == errno.ENXIO
 
     def _cells(self, data: ByteArray, pages: int) -> IntArray:
-        """Where the cells of the leaf pages of a block begin."""
+        """Positions of the cells in the leaf pages of a block."""
         page_bytes, usable = self.header.page_bytes, self.header.usable_bytes
         starts = np.arange(pages) * page_bytes
         starts = starts[data[starts] == _LEAF]
@@ -218,7 +217,7 @@ class DatabasePages:
             self._text_bytes += int(record_bytes[place])
             if self._text_bytes > _MAX_TEXT_BYTES or len(self.texts) >= _MAX_TEXTS:
                 return
-            # A row that breaks off is lost; its messages will tell.
+            # A truncated row is lost; its messages are then reported.
             with suppress(RecordingError):
                 record = self._record(int(records[place]), int(record_bytes[place]))
                 texts = _texts(record)
@@ -226,7 +225,7 @@ class DatabasePages:
                     self.texts.append((int(ids[place]), texts))
 
     def _local_bytes(self, record_bytes: IntArray) -> IntArray:
-        """How many bytes of a record stand in its leaf page."""
+        """Number of bytes of a record in its leaf page; the rest is on overflow pages."""
         usable = self.header.usable_bytes
         least = (usable - 12) * 32 // 255 - 23
         spilled = least + (record_bytes - least) % (usable - 4)
@@ -234,12 +233,12 @@ class DatabasePages:
         return np.where(record_bytes <= usable - 35, record_bytes, spilled)
 
     def _cut_cells(self) -> IntArray:
-        """Cells of the rows that continue on a page that is not in the file."""
+        """Cells of the rows with an overflow page that is not in the file."""
         usable, page_bytes = self.header.usable_bytes, self.header.page_bytes
         spills = np.concatenate(self._spills)
         first, steps = spills["page"], (spills["bytes"] - 1) // (usable - 4)
         last = first + steps
-        # Most rows stand on pages in sequence, which no step between them breaks.
+        # Most rows lie on consecutive pages, which is checked for all rows at once.
         numbers = np.arange(1, len(self._next) + 1, dtype=np.uint32)
         breaks = np.zeros(len(self._next) + 1, dtype=np.int32)
         np.cumsum(self._next != numbers, dtype=np.int32, out=breaks[1:])
@@ -254,7 +253,7 @@ class DatabasePages:
         return cells
 
     def _walk(self, page: int, steps: int, taken: BoolArray) -> int:
-        """The page ``steps`` behind a page; 0 where the way ends, or meets that of another row."""
+        """The page ``steps`` links after ``page``; 0 if the chain ends or meets another row's."""
         for _ in range(steps):
             if not 0 < page < len(taken) or taken[page]:
                 return 0
@@ -263,7 +262,7 @@ class DatabasePages:
         return page if 0 < page < len(taken) else 0
 
     def _record(self, position: int, size: int) -> bytes:
-        """A record with the pages that continue it; shorter where they are missing."""
+        """A record with its overflow pages. Raises RecordingError if some are missing."""
         usable, page_bytes = self.header.usable_bytes, self.header.page_bytes
         local = int(self._local_bytes(np.array([size]))[0])
         content = self._read(position, local + 4)
@@ -283,7 +282,7 @@ class DatabasePages:
 
 
 def _texts(record: bytes) -> tuple[str, ...]:
-    """The leading text columns of a record, behind its id."""
+    """The leading text columns of a record, after its id."""
     data = np.frombuffer(record + bytes(64), dtype=np.uint8)
     header, at = _varints(data, np.zeros(1, dtype=np.int64))
     end = end_of_header = int(header[0])
@@ -305,7 +304,7 @@ def _be16(data: ByteArray, at: IntArray) -> IntArray:
 
 
 def _varints(data: ByteArray, at: IntArray) -> tuple[IntArray, IntArray]:
-    """The variable-length integers that begin at ``at``, and where each ends."""
+    """The variable-length integers (varints) at ``at``, and the end of each."""
     values = np.zeros(len(at), dtype=np.int64)
     ends = at.copy()
     more = np.ones(len(at), dtype=bool)
