@@ -18,17 +18,27 @@ from scanloom.state.view import View
 class FrameView:
     """A view and its results. A result that could not be computed is None; ``failure`` says why.
 
-    ``chain`` is None while the recording is being aligned.
+    ``chain`` is None while the recording is being aligned. ``frame`` is a FrameMatch where the
+    classification or the repair failed.
     """
 
     view: View
     open_recording: OpenRecording
     chain: CachedChain | None = None
     paired: PairedImage | None = None
-    match: FrameMatch | None = None
-    fused: FusedFrame | None = None
+    frame: FusedFrame | FrameMatch | None = None
     color: ColorImage | None = None
     failure: ScanLoomError | None = None
+
+    @property
+    def match(self) -> FrameMatch | None:
+        """The matched frame, None if it could not be matched."""
+        return self.frame.match if isinstance(self.frame, FusedFrame) else self.frame
+
+    @property
+    def fused(self) -> FusedFrame | None:
+        """The classified and repaired frame, None if a stage failed."""
+        return self.frame if isinstance(self.frame, FusedFrame) else None
 
 
 def clock_offset_ms(view: View, chain: CachedChain) -> float:
@@ -89,14 +99,15 @@ def compute_frame_view(
         clock_offset_ms=clock_offset_ms(view, chain),
         picked_offset=view.picked_offset,
     )
-    paired = match = fused = color = None
+    paired = color = None
+    frame: FusedFrame | FrameMatch | None = None
     failure = None
     try:
         paired = chain.pair(choice)
         check()
-        match = chain.match(choice, view.settings)
+        frame = chain.match(choice, view.settings)
         check()
-        fused = chain.fused(choice, view.settings)
+        frame = chain.fused(choice, view.settings)
         check()
     except Cancelled:
         raise
@@ -111,8 +122,7 @@ def compute_frame_view(
         open_recording=open_recording,
         chain=chain,
         paired=paired,
-        match=match,
-        fused=fused,
+        frame=frame,
         color=color,
         failure=failure,
     )

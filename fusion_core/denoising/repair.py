@@ -133,7 +133,7 @@ def _repair_lidar(
     raw = pairs.lidar_range_m
     burr = classes.lidar_class == NoiseClass.BURR
     if settings.prefer == "smaller_error":
-        # What three scans show in one place is kept, whatever its own scan makes of it.
+        # A return that three consecutive scans confirm is kept, even if classified as a burr.
         burr &= ~classes.lidar_steady
     noisy = burr | (classes.lidar_class == NoiseClass.HOLE)
     support = np.isin(classes.lidar_class, (NoiseClass.GOOD, NoiseClass.CONFLICT))
@@ -141,24 +141,21 @@ def _repair_lidar(
     neighbours = np.where(gap_rad <= np.deg2rad(settings.max_gap_deg), neighbours, np.nan)
     camera = pairs.camera_range_m
     camera_error = settings.camera_noise_fraction * scale.sigma_at(camera)
-    # A gap hides structure in proportion to its width; its sides are means of three beams.
+    # Unseen structure grows with the width of the gap; the sides are means of three beams.
     neighbour_error = _GAP_SIDE_NOISE * scale.sigma_at(neighbours) + (
         _STRUCTURE_PER_GAP * gap_rad * neighbours
     )
-    # Where the two contradict each other over a narrow gap, an edge of the camera lies a beam off.
+    # Where both disagree over a narrow gap, an edge in the image is probably one beam off.
     narrow = gap_rad <= np.deg2rad(settings.narrow_gap_deg)
     contradict = np.abs(camera - neighbours) > _CONTRADICTION_SIGMA * scale.sigma_at(neighbours)
-    doubtful = narrow & contradict & (settings.prefer == "smaller_error")
-    camera_error = np.where(doubtful, np.inf, camera_error)
-    return _choose_source(
-        raw,
-        noisy,
-        burr,
-        classes.lidar_confidence,
-        (camera, camera_error),
-        (neighbours, neighbour_error),
-        settings,
+    inconsistent = narrow & contradict & (settings.prefer == "smaller_error")
+    camera_error = np.where(inconsistent, np.inf, camera_error)
+    samples = _NoisySamples(
+        raw=raw, is_noisy=noisy, is_burr=burr, confidence=classes.lidar_confidence
     )
+    from_camera = _Estimate(value=camera, error=camera_error)
+    from_neighbours = _Estimate(value=neighbours, error=neighbour_error)
+    return _choose_source(samples, from_camera, from_neighbours, settings)
 
 
 def _repair_depth(
@@ -177,7 +174,7 @@ def _repair_depth(
     lidar = np.where(reliable, pairs.lidar_as_depth_m, np.nan)
     lidar_error = scale.sigma_at(lidar)
     if settings.prefer == "smaller_error":
-        # A beam's noise is its own; the surface that it shares with its neighbours is not.
+        # Averaging over the surface shared with adjacent beams reduces the noise of a single beam.
         smooth = smooth_ranges(
             pairs.azimuth_rad,
             np.where(reliable, pairs.lidar_range_m, np.nan),
@@ -199,8 +196,8 @@ def _repair_depth(
         return found
 
     planes = planes_near(lidar, noisy)
-    # Where the image shows nothing at the LiDAR's depth, what it shows may hide that: a table top
-    # over the LiDAR's plane. Only something nearer can.
+    # Where the image has no surface at the LiDAR's depth, a nearer one may occlude it, such as a
+    # table top above the LiDAR's plane.
     alone = noisy & ~np.isfinite(planes[:, 0])
     if settings.prefer == "other_sensor":
         alone &= ~np.isfinite(lidar)
@@ -208,38 +205,54 @@ def _repair_depth(
     hides = alone & ~(image_only[:, 0] > lidar - settings.edge_m)
     planes = np.where(hides[:, np.newaxis], image_only, planes)
     lidar = np.where(hides & np.isfinite(image_only[:, 0]), np.nan, lidar)
-    return _choose_source(
-        raw,
-        noisy,
-        burr,
-        classes.depth_confidence,
-        (lidar, lidar_error),
-        (planes[:, 0], planes[:, 1]),
-        settings,
+    samples = _NoisySamples(
+        raw=raw, is_noisy=noisy, is_burr=burr, confidence=classes.depth_confidence
     )
+    from_lidar = _Estimate(value=lidar, error=lidar_error)
+    from_neighbours = _Estimate(value=planes[:, 0], error=planes[:, 1])
+    return _choose_source(samples, from_lidar, from_neighbours, settings)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _NoisySamples:
+    """(B,) samples of one sensor: raw values (m), and which of them need a repair."""
+
+    raw: FloatArray
+    is_noisy: BoolArray
+    is_burr: BoolArray
+    confidence: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Estimate:
+    """(B,) replacement values (m), NaN where there is none, and their expected errors (m)."""
+
+    value: FloatArray
+    error: FloatArray
 
 
 def _choose_source(
-    raw: FloatArray,
-    noisy: BoolArray,
-    burr: BoolArray,
-    confidence: FloatArray,
-    other: tuple[FloatArray, FloatArray],
-    neighbours: tuple[FloatArray, FloatArray],
-    settings: RepairSettings,
+    samples: _NoisySamples, other: _Estimate, neighbours: _Estimate, settings: RepairSettings
 ) -> tuple[FloatArray, IntArray, FloatArray]:
-    # A map A may send a value behind the sensor: that is none.
-    usable = np.isfinite(other[0]) & (other[0] > 0.0)
-    other_error = np.where(usable, other[1], np.inf)
-    neighbour_error = np.where(np.isfinite(neighbours[0]), neighbours[1], np.inf)
+    """Replace each noisy sample by the other sensor's value or by that of its neighbours.
+
+    Returns (B,) values, (B,) codes of RepairSource and (B, 2) expected errors, NaN where the sample
+    is not noisy.
+    """
+    raw, noisy = samples.raw, samples.is_noisy
+    # A map A may place a value behind the sensor; such a value is not used.
+    usable = np.isfinite(other.value) & (other.value > 0.0)
+    other_error = np.where(usable, other.error, np.inf)
+    neighbour_error = np.where(np.isfinite(neighbours.value), neighbours.error, np.inf)
     better = (other_error <= neighbour_error) | (settings.prefer == "other_sensor")
     from_other = noisy & np.isfinite(other_error) & better
     from_neighbours = noisy & np.isfinite(neighbour_error) & ~from_other
-    value = np.where(from_other, other[0], np.where(from_neighbours, neighbours[0], raw))
+    value = np.where(from_other, other.value, np.where(from_neighbours, neighbours.value, raw))
     source = np.full(raw.size, int(RepairSource.RAW))
     source[from_other] = RepairSource.OTHER_SENSOR
     source[from_neighbours] = RepairSource.NEIGHBOURS
-    farther = burr & (value > raw) & (confidence < settings.farther_confidence)
+    farther = samples.is_burr & (value > raw)
+    farther &= samples.confidence < settings.farther_confidence
     value[farther] = raw[farther]
     source[farther] = RepairSource.RAW
     source[~np.isfinite(value)] = RepairSource.NONE

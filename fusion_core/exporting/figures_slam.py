@@ -51,7 +51,7 @@ def write_trajectory_figure(
         for i, (x0, y0, x1, y1) in enumerate(loops_m):
             label = f"loop closures: {len(loops_m)}" if i == 0 else None
             axes.plot([x0, x1], [y0, y1], "-", color=LIDAR, lw=0.8, label=label)
-        axes.plot(x, y, "-", color=DEPTH, lw=1.0, label="way of the LiDAR")
+        axes.plot(x, y, "-", color=DEPTH, lw=1.0, label="trajectory of the LiDAR")
         if not trusted.all():
             axes.plot(
                 np.where(trusted, np.nan, x),

@@ -69,7 +69,7 @@ def chain(session: Session, alignment: RecordingAlignment) -> int:
     for entry in fuse_frames(session, alignment):
         if isinstance(entry, FusedFrame):
             pairs += 1
-            topic = session.rig.cameras[entry.pair.camera_index].topic
+            topic = session.rig.cameras[entry.match.pair.camera_index].topic
             tables.frame_row(topic, entry, alignment, session.rig)
             tables.sample_columns(topic, entry, session.rig)
             result_writer.repaired_image(entry, session.rig)

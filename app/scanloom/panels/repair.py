@@ -122,13 +122,13 @@ class RepairPanel(Panel):
         )
 
     def _show_pictures(self, frame: FusedFrame, view: View) -> None:
-        after = pixels_of_match(frame)
+        after = pixels_of_match(frame.match, frame)
         before = replace(after, repaired=np.zeros_like(after.repaired))
         images = (
-            ("Before: as recorded", frame.depth_m, before),
+            ("Before: as recorded", frame.match.depth_m, before),
             ("After: repaired", repaired_depth_m(frame), after),
         )
-        limits_m = depth_limits_m(frame.depth_m)
+        limits_m = depth_limits_m(frame.match.depth_m)
         for place, (title, depth_m, pairs) in enumerate(images):
             handle = self._pictures[place]
             wanted = view.show_raw_and_repaired or place == int(view.show_repaired)

@@ -113,7 +113,7 @@ def _measures(facts: BeamFacts) -> str:
 
 
 def _out_of_view(frame: FusedFrame, beam: int) -> str:
-    ranges_m = frame.scan.ranges_m
+    ranges_m = frame.match.scan.ranges_m
     if beam >= ranges_m.size:
         return f"The scan has {ranges_m.size} beams; there is no beam {beam}."
     return (

@@ -135,7 +135,7 @@ class ScenePanel(Panel):
     def _show_planes(self, frame_view: FrameView) -> None:
         if self._layout is None or not self._are_planes_visible:
             return
-        view, frame = frame_view.view, frame_view.fused or frame_view.match or frame_view.paired
+        view, frame = frame_view.view, frame_view.frame or frame_view.paired
         looked_at = (view.frame_index, view.show_repaired, view.visible_classes, view.selected_beam)
         if self._depth_of[0] is not frame or self._depth_of[1] != looked_at:
             self._depth_of = frame, looked_at
@@ -223,10 +223,9 @@ def _geometry(frame_view: FrameView) -> FrameGeometry | None:
     if chain is None or frame_view.paired is None:
         return None
     rig = frame_view.open_recording.fuse_session.rig
-    match = frame_view.fused or frame_view.match
-    if match is not None:
+    if frame_view.frame is not None:
         return frame_geometry(
-            match,
+            frame_view.frame,
             rig,
             chain.alignment,
             row_step=view.row_step,
@@ -248,10 +247,10 @@ def _geometry(frame_view: FrameView) -> FrameGeometry | None:
 def _depth(frame_view: FrameView) -> DepthPicture | None:
     """The depth image with its pairs; of a frame that could not be matched, without."""
     view, paired = frame_view.view, frame_view.paired
-    match = frame_view.fused or frame_view.match
+    match = frame_view.match
     title = f"Depth, frame {view.frame_index}"
     if match is not None:
-        depth_m, pairs = match.depth_m, pixels_of_match(match)
+        depth_m, pairs = match.depth_m, pixels_of_match(match, frame_view.fused)
     elif paired is not None:
         depth_m, pairs = (
             frame_view.open_recording.fuse_session.depth_of(paired.camera, paired.image.depth_m),

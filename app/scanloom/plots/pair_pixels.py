@@ -44,14 +44,14 @@ class PairPixels:
         return int(self.beam[np.argmin(distance_px)])
 
 
-def pixels_of_match(match: FrameMatch) -> PairPixels:
-    """The pairs of a frame before its classes are known, or with those that it has."""
+def pixels_of_match(match: FrameMatch, fused: FusedFrame | None = None) -> PairPixels:
+    """The pairs of a matched frame, with classes and repairs where it is fused."""
     pairs = match.correspondence
     noise_class = np.full(pairs.beam.size, -1)
     repaired = np.zeros(pairs.beam.size, dtype=np.bool_)
-    if isinstance(match, FusedFrame):
-        noise_class = match.classes.depth_class
-        repaired = match.pixel_changed
+    if fused is not None:
+        noise_class = fused.classes.depth_class
+        repaired = fused.pixel_changed
     return PairPixels(
         beam=pairs.beam,
         row=pairs.row,
@@ -63,8 +63,8 @@ def pixels_of_match(match: FrameMatch) -> PairPixels:
 
 def repaired_depth_m(frame: FusedFrame) -> Float32Array:
     """(H, W) upright view with the repaired pixels of the pairs."""
-    depth_m = frame.depth_m.copy()
+    depth_m, pairs = frame.match.depth_m.copy(), frame.match.correspondence
     changed = frame.pixel_changed
-    row, column = frame.correspondence.row[changed], frame.correspondence.column[changed]
+    row, column = pairs.row[changed], pairs.column[changed]
     depth_m[row, column] = frame.repair.depth_m[changed]
     return depth_m

@@ -80,7 +80,7 @@ class FrameGeometry:
 
 
 def frame_geometry(
-    frame: FrameMatch,
+    frame: FusedFrame | FrameMatch,
     rig: CameraRig,
     alignment: RecordingAlignment,
     *,
@@ -88,23 +88,24 @@ def frame_geometry(
     classes: frozenset[NoiseClass] = frozenset(NoiseClass),
     repaired: bool = True,
 ) -> FrameGeometry:
-    """What is drawn of a matched frame. Pairs and repairs are those of ``classes``; a frame that
-    was not judged has neither. ``repaired``: whether the curve shows repaired ranges."""
-    camera = rig.cameras[frame.pair.camera_index]
-    T_lidar_camera = camera_pose(frame, rig, alignment)
-    rows_m, rows_depth_m = ridge_lines(frame.depth_m, camera, T_lidar_camera, row_step)
-    pixels_m = pixel_points(frame, camera, T_lidar_camera, frame.correspondence.depth_m)
+    """The geometry drawn for a matched frame. Pairs and repairs are those of ``classes``; a frame
+    that is only matched has neither. ``repaired``: whether the curve shows repaired ranges."""
+    fused, match = (frame, frame.match) if isinstance(frame, FusedFrame) else (None, frame)
+    camera = rig.cameras[match.pair.camera_index]
+    T_lidar_camera = camera_pose(match, rig, alignment)
+    rows_m, rows_depth_m = ridge_lines(match.depth_m, camera, T_lidar_camera, row_step)
+    pixels_m = pixel_points(match, camera, T_lidar_camera, match.correspondence.depth_m)
     pairs_m, pairs_class = NO_SEGMENTS, _NO_CODES
     moved_m, moved_class, filled_m, filled_class = NO_SEGMENTS, _NO_CODES, _NO_POINTS, _NO_CODES
-    if isinstance(frame, FusedFrame):
-        pairs_m, pairs_class = pair_segments(frame, pixels_m, classes)
+    if fused is not None:
+        pairs_m, pairs_class = pair_segments(fused, pixels_m, classes)
         moved_m, moved_class, filled_m, filled_class = repairs(
-            frame, camera, T_lidar_camera, classes
+            fused, camera, T_lidar_camera, classes
         )
-    beams_m = curve_points(frame.scan, _ranges_m(frame, repaired))
+    beams_m = curve_points(match.scan, _ranges_m(match.scan, fused if repaired else None))
     return FrameGeometry(
-        camera=frame.pair.camera_index,
-        stamp_ns=frame.stamp_ns,
+        camera=match.pair.camera_index,
+        stamp_ns=match.stamp_ns,
         frustum=frustum(camera, T_lidar_camera),
         rows_m=rows_m,
         rows_depth_m=rows_depth_m,
@@ -214,7 +215,7 @@ def pair_segments(
     A pair is what its worse side is: a burr before a conflict, a conflict before good. Where a
     side is a hole there is no line.
     """
-    pairs, judged = frame.correspondence, frame.classes
+    pairs, judged = frame.match.correspondence, frame.classes
     segments = np.stack([points_in_plane(pairs.azimuth_rad, pairs.lidar_range_m), pixels_m], axis=1)
     code = np.full(pairs.beam.size, int(NoiseClass.GOOD))
     for worse in (NoiseClass.CONFLICT, NoiseClass.BURR):
@@ -231,14 +232,14 @@ def repairs(
 ) -> tuple[Segments, IntArray, Float32Array, IntArray]:
     """What was repaired, of beams and pixels alike: (N, 2, 3) from raw to repaired where there was
     a value, (M, 3) points where there was none, each with its classes."""
-    pairs, repair, judged = frame.correspondence, frame.repair, frame.classes
+    pairs, repair, judged = frame.match.correspondence, frame.repair, frame.classes
     before = [
         points_in_plane(pairs.azimuth_rad, pairs.lidar_range_m),
-        pixel_points(frame, camera, T_lidar_camera, pairs.depth_m),
+        pixel_points(frame.match, camera, T_lidar_camera, pairs.depth_m),
     ]
     after = [
         points_in_plane(pairs.azimuth_rad, repair.lidar_range_m),
-        pixel_points(frame, camera, T_lidar_camera, repair.depth_m),
+        pixel_points(frame.match, camera, T_lidar_camera, repair.depth_m),
     ]
     segments = np.stack([np.concatenate(before), np.concatenate(after)], axis=1)
     code = np.concatenate([judged.lidar_class, judged.depth_class])
@@ -255,12 +256,12 @@ def repairs(
     )
 
 
-def _ranges_m(frame: FrameMatch, repaired: bool) -> FloatArray:
-    """(B,) the scan's ranges, those of the pairs repaired where that is asked and was done."""
-    if not repaired or not isinstance(frame, FusedFrame):
-        return frame.scan.ranges_m
-    ranges_m = frame.scan.ranges_m.copy()
-    ranges_m[frame.correspondence.beam] = frame.repair.lidar_range_m
+def _ranges_m(scan: LaserScan, fused: FusedFrame | None) -> FloatArray:
+    """(B,) the scan's ranges, with the repairs of a fused frame."""
+    if fused is None:
+        return scan.ranges_m
+    ranges_m = scan.ranges_m.copy()
+    ranges_m[fused.match.correspondence.beam] = fused.repair.lidar_range_m
     return ranges_m
 
 

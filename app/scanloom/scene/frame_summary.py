@@ -96,7 +96,7 @@ def counts_of_pixels(frame: FusedFrame) -> Counts:
 
 def conflict_runs(frame: FusedFrame) -> list[ConflictRun]:
     """The conflicts of a frame, those first that disagree most."""
-    pairs = frame.correspondence
+    pairs = frame.match.correspondence
     index = np.flatnonzero(frame.classes.lidar_class == NoiseClass.CONFLICT)
     if not index.size:
         return []
@@ -118,7 +118,7 @@ def conflict_runs(frame: FusedFrame) -> list[ConflictRun]:
 
 def facts_of_beam(frame: FusedFrame, beam: int) -> BeamFacts | None:
     """What is known of a beam of the scan, None where it is outside of the camera's view."""
-    pairs, classes, repair = frame.correspondence, frame.classes, frame.repair
+    pairs, classes, repair = frame.match.correspondence, frame.classes, frame.repair
     found = np.flatnonzero(pairs.beam == beam)
     if not found.size:
         return None

@@ -42,7 +42,7 @@ def range_curves(
     frame: FusedFrame, classes: frozenset[NoiseClass], beam: int | None
 ) -> RangeCurves:
     """The curves of a frame. ``classes``: whose beams are shown; ``beam``: the one looked at."""
-    pairs = frame.correspondence
+    pairs = frame.match.correspondence
     raw_m, repaired_m, camera_m = (
         pairs.lidar_range_m,
         frame.repair.lidar_range_m,

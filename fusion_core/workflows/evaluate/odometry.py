@@ -88,7 +88,7 @@ def odometry_lines(result: Mapping[str, Any]) -> list[str]:
         for row in rows
     ]
     lines.append(
-        f"{first['path_m']:.2f} m of way, {first['straight']['stretches']} straight stretches of "
+        f"{first['path_m']:.2f} m path, {first['straight']['stretches']} straight stretches of "
         f"{sum(first['straight']['true_m']):.2f} m, mean over stretches of {first['stretch_m']:g} m"
     )
     lines += [f"{name}: {problem}" for name, problem in result["failed"].items()]

@@ -67,15 +67,17 @@ def convert_epsilon(
 
 def measure_epsilon(frame: FusedFrame) -> EpsilonInFrame:
     """What the threshold is in a frame, and how many pairs disagree by more."""
-    compared = np.isfinite(frame.correspondence.residual_m)
+    compared = np.isfinite(frame.match.correspondence.residual_m)
     epsilon_m: FloatArray = frame.classes.epsilon_m[compared]
-    E_m = float("nan") if frame.registration is None else frame.registration.mean_error_m
+    E_m = (
+        float("nan") if frame.match.registration is None else frame.match.registration.mean_error_m
+    )
     known = bool(epsilon_m.size)
     return EpsilonInFrame(
         middle_m=frame.epsilon_m,
         least_m=float(epsilon_m.min()) if known else float("nan"),
         greatest_m=float(epsilon_m.max()) if known else float("nan"),
-        beyond=int((np.abs(frame.correspondence.residual_m[compared]) > epsilon_m).sum()),
+        beyond=int((np.abs(frame.match.correspondence.residual_m[compared]) > epsilon_m).sum()),
         compared=int(compared.sum()),
         E_m=E_m,
     )

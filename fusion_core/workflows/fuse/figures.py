@@ -4,6 +4,7 @@ Figs. 3, 4, 5, 7 and 8 show one frame, the showcase; Fig. 6 needs a truth and Fi
 """
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,8 +72,8 @@ _COLOR_NEIGHBOURS = 3
 
 
 class FigureCollector:
-    """Keeps, in bounded memory, what the figures need of the frames that pass by: one frame to
-    show, and the counts of Table 1.
+    """Collects from the fused frames, in bounded memory, one frame to show and the counts of
+    Table 1.
 
     ``showcase`` is the frame with most repaired samples among those with an overlap of at least
     half and a registration, the earliest of equal ones; where there is none, the same among all.
@@ -85,10 +86,10 @@ class FigureCollector:
         self.scores = {"low": 0, "middle": 0, "high": 0, "not_positive": 0, "missing": 0}
 
     def add(self, frame: FusedFrame) -> None:
-        """Take note of one frame."""
-        self.scores[score_range(frame.search.peaks_without_prior.get("pearson"))] += 1
-        peak = frame.search.peaks.get(self._alignment.metric)
-        is_sound = frame.registration is not None and peak is not None and peak.overlap >= 0.5
+        """Count a frame, and keep it if it ranks first."""
+        self.scores[score_range(frame.match.search.peaks_without_prior.get("pearson"))] += 1
+        peak = frame.match.search.peaks.get(self._alignment.metric)
+        is_sound = frame.match.registration is not None and peak is not None and peak.overlap >= 0.5
         rank = (is_sound, _repaired_count(frame))
         if rank > self._rank:
             self._rank, self.showcase = rank, frame
@@ -110,44 +111,51 @@ def _repaired_count(frame: FusedFrame) -> int:
     return int(np.isin(sources, (RepairSource.OTHER_SENSOR, RepairSource.NEIGHBOURS)).sum())
 
 
-def write_figures(
-    folder: Path,
-    session: "Session",
-    alignment: RecordingAlignment,
-    collected: FigureCollector,
-    grids: dict[str, OccupancyGrid],
-    *,
-    preset: str,
-    fuse_dir: Path,
-    truth: Path | None,
-) -> list[str]:
-    """Draw what the recording gives into ``folder``, and return why a figure is left out.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FigureData:
+    """The results of a run that the figures show.
 
-    ``fuse_dir`` holds the results that ``truth`` is compared with. Raises ExportError where a file
-    cannot be written.
+    ``grids``: maps by name, empty without poses. ``fuse_dir``: the result folder that ``truth``, if
+    given, is compared with.
     """
+
+    session: "Session"
+    alignment: RecordingAlignment
+    collected: FigureCollector
+    grids: dict[str, OccupancyGrid]
+    preset: str
+    fuse_dir: Path
+    truth: Path | None
+
+
+def write_figures(folder: Path, data: FigureData) -> list[str]:
+    """Draw the figures that the data allow into ``folder``; return why others are left out.
+
+    Raises ExportError where a file cannot be written.
+    """
+    session, truth = data.session, data.truth
     folder.mkdir(exist_ok=True)
     name = session.recording.path.resolve().name
-    heading = f"{printable(name)}, preset {preset}"
+    heading = f"{printable(name)}, preset {data.preset}"
     if session.virtual_row is not None:
         heading += f", virtual LiDAR, row {session.virtual_row}"
     notes: list[str] = []
-    write_table_1(folder / "table1.csv", [table_1_row(name, collected.scores)])
-    frame = collected.showcase
-    _write_similarity(folder, heading, session, alignment, frame)
+    write_table_1(folder / "table1.csv", [table_1_row(name, data.collected.scores)])
+    frame = data.collected.showcase
+    _write_similarity(folder, heading, session, data.alignment, frame)
     if frame is None:
         notes.append("No frame to show: Figs. 3, 5, 7 and 8 are left out.")
     else:
         _write_showcase(folder, heading, session, frame)
-        if frame.registration is None:
-            notes.append(f"Fig. 5 is left out: {frame.refusal}")
+        if frame.match.registration is None:
+            notes.append(f"Fig. 5 is left out: {frame.match.refusal}")
     if truth is not None:
         try:
-            _write_recall(folder, heading, fuse_dir, truth)
+            _write_recall(folder, heading, data.fuse_dir, truth)
         except ScanLoomError as error:
             notes.append(f"Fig. 6 is left out: {truth.name} {error.problem}")
-    if grids:
-        _write_maps(folder, heading, grids)
+    if data.grids:
+        _write_maps(folder, heading, data.grids)
     return notes
 
 
@@ -157,7 +165,7 @@ def printable(name: str) -> str:
 
 
 def table_1_row(room: str, scores: dict[str, int]) -> dict[str, Any]:
-    """A row of Table 1: frames by the greatest Pearson score that each reaches alone."""
+    """A row of Table 1: frames by their own greatest Pearson score."""
     scored = scores["low"] + scores["middle"] + scores["high"]
     share = 100.0 * scores["high"] / scored if scored else float("nan")
     return {"room": room, "high_percent": round(share, 2), **scores}
@@ -196,12 +204,13 @@ def _write_similarity(
         )
         panel = curves = None
         if frame is not None:
-            camera = cameras[frame.pair.camera_index]
-            peak = frame.search.peaks_without_prior.get(metric)
-            panel = _field_panel(frame.search.fields[metric], peak, frame.curve, frame.row, camera)
+            match = frame.match
+            camera = cameras[match.pair.camera_index]
+            peak = match.search.peaks_without_prior.get(metric)
+            panel = _field_panel(match.search.fields[metric], peak, match.curve, match.row, camera)
             if peak is not None:
                 lidar_m, depth_m = curves_at(
-                    frame, (peak.u, peak.v), masked=session.settings.search.mask_holes
+                    match, (peak.u, peak.v), masked=session.settings.search.mask_holes
                 )
                 curves = CurvePair(lidar_m=lidar_m, depth_m=depth_m)
         columns.append(MetricColumn(name=name, frame=panel, recording=recording, curves=curves))
@@ -235,46 +244,47 @@ def _field_panel(
 
 
 def _frame_name(session: "Session", frame: FusedFrame) -> str:
-    topic = printable(session.rig.cameras[frame.pair.camera_index].topic)
-    return f"{topic} at {format_stamp(frame.stamp_ns)}"
+    topic = printable(session.rig.cameras[frame.match.pair.camera_index].topic)
+    return f"{topic} at {format_stamp(frame.match.stamp_ns)}"
 
 
 def _write_showcase(folder: Path, heading: str, session: "Session", frame: FusedFrame) -> None:
+    match = frame.match
     about = f"{heading}\n{_frame_name(session, frame)}"
     found = _color_near(session, frame)
     color = (
         None
         if found is None
-        else remap_color(found.rgb, session.rig.views[frame.pair.camera_index])
+        else remap_color(found.rgb, session.rig.views[match.pair.camera_index])
     )
-    after_ms = None if found is None else (found.stamp_ns - frame.stamp_ns) / NS_PER_MS
+    after_ms = None if found is None else (found.stamp_ns - match.stamp_ns) / NS_PER_MS
     write_aligned(
         folder / "fig3_aligned.png",
         f"Fig. 3, aligned in time: {about}",
         SynchronizedFrame(
             color=color,
             color_after_ms=after_ms,
-            depth_m=frame.depth_m,
-            depth_stamp_ns=frame.stamp_ns,
-            scan=frame.scan,
-            gap_ns=frame.pair.gap_ns,
-            beams_in_view=frame.correspondence.beam,
+            depth_m=match.depth_m,
+            depth_stamp_ns=match.stamp_ns,
+            scan=match.scan,
+            gap_ns=match.pair.gap_ns,
+            beams_in_view=match.correspondence.beam,
             has_nominal_stamps=session.recording.stamps_are_nominal,
         ),
     )
     by_sample = session.settings.pairing == "frame"
-    if frame.registration is not None:
+    if match.registration is not None:
         write_pairs(
             folder / "fig5_pairs.png",
             f"Fig. 5, pairs before and after RANSAC: {about}",
             RansacPairs(
-                lidar_points_m=frame.registration.draws.lidar_points_m,
-                depth_points_m=frame.registration.draws.depth_points_m,
-                inliers=frame.registration.inliers,
-                model=frame.registration.model,
-                mean_error_m=frame.registration.mean_error_m,
-                threshold_m=frame.registration.draws.inlier_threshold_m,
-                draws=frame.registration.draws.count,
+                lidar_points_m=match.registration.draws.lidar_points_m,
+                depth_points_m=match.registration.draws.depth_points_m,
+                inliers=match.registration.inliers,
+                model=match.registration.model,
+                mean_error_m=match.registration.mean_error_m,
+                threshold_m=match.registration.draws.inlier_threshold_m,
+                draws=match.registration.draws.count,
                 axis_names=(
                     (
                         "x: sample number × median arc of a sample (m)",
@@ -286,45 +296,46 @@ def _write_showcase(folder: Path, heading: str, session: "Session", frame: Fused
             ),
         )
     curve = RepairedCurve(
-        azimuth_rad=frame.correspondence.azimuth_rad,
-        row=frame.correspondence.row,
-        column=frame.correspondence.column,
-        lidar_m=frame.correspondence.lidar_range_m,
+        azimuth_rad=match.correspondence.azimuth_rad,
+        row=match.correspondence.row,
+        column=match.correspondence.column,
+        lidar_m=match.correspondence.lidar_range_m,
         lidar_repaired_m=frame.repair.lidar_range_m,
         lidar_class=frame.classes.lidar_class,
         lidar_source=frame.repair.lidar_source,
-        depth_m=frame.correspondence.depth_m,
+        depth_m=match.correspondence.depth_m,
         depth_repaired_m=frame.repair.depth_m,
         depth_class=frame.classes.depth_class,
         depth_source=frame.repair.depth_source,
-        depth_as_range_m=frame.correspondence.depth_as_range_m,
-        camera_range_m=frame.correspondence.camera_range_m,
+        depth_as_range_m=match.correspondence.depth_as_range_m,
+        camera_range_m=match.correspondence.camera_range_m,
     )
     write_repair(
         folder / "fig7_repair.png",
         f"Fig. 7, before and after denoising: {about}",
-        frame.depth_m,
+        match.depth_m,
         curve,
     )
     write_fused_depth(
         folder / "fig8_fused_depth.png",
         f"Fig. 8, fused depth image: {about}",
         color=color,
-        depth_m=frame.depth_m,
+        depth_m=match.depth_m,
         curve=curve,
     )
 
 
 def _color_near(session: "Session", frame: FusedFrame) -> ColorImage | None:
     """The colour image nearest in stamp among the few that were logged around the depth image."""
+    match = frame.match
     topic = session.streams.color[
-        session.streams.depth.index(session.rig.cameras[frame.pair.camera_index].topic)
+        session.streams.depth.index(session.rig.cameras[match.pair.camera_index].topic)
     ]
     if topic is None:
         return None
     logged_ns = session.recording.received_ns(topic)
-    depth_ns = frame.pair.image.received_ns
-    place = int(np.searchsorted(logged_ns, frame.stamp_ns if depth_ns is None else depth_ns))
+    depth_ns = match.pair.image.received_ns
+    place = int(np.searchsorted(logged_ns, match.stamp_ns if depth_ns is None else depth_ns))
     nearest: ColorImage | None = None
     for index in range(
         max(0, place - _COLOR_NEIGHBOURS), min(logged_ns.size, place + _COLOR_NEIGHBOURS)
@@ -336,7 +347,7 @@ def _color_near(session: "Session", frame: FusedFrame) -> ColorImage | None:
             continue
         if isinstance(value, ColorImage) and (
             nearest is None
-            or abs(value.stamp_ns - frame.stamp_ns) < abs(nearest.stamp_ns - frame.stamp_ns)
+            or abs(value.stamp_ns - match.stamp_ns) < abs(nearest.stamp_ns - match.stamp_ns)
         ):
             nearest = value
     return nearest
@@ -356,7 +367,7 @@ def remap_color(rgb: ByteArray, view: UprightView) -> ByteArray:
 
 
 def _write_recall(folder: Path, heading: str, fuse_dir: Path, truth: Path) -> None:
-    """Fig. 6. Raises ScanLoomError where the truth does not serve."""
+    """Fig. 6. Raises ScanLoomError where the truth cannot be used."""
     measured = evaluate.noise(fuse_dir, truth)
     over = measured["over_epsilon"]
     factors = np.array(over["epsilon_over_E"])

@@ -1,7 +1,7 @@
 """Pass 2: one scan against one depth image, from correspondence to repair."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -92,24 +92,25 @@ class FrameMatch:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FusedFrame(FrameMatch):
-    """Everything that pass 2 says of one depth image."""
+class FusedFrame:
+    """A matched depth image with its classified and repaired measurements."""
 
+    match: FrameMatch
     classes: Classification
     repair: Repair
 
     @property
     def epsilon_m(self) -> float:
         """Median threshold over the pairs, NaN without pairs."""
-        valid = self.classes.epsilon_m[np.isfinite(self.correspondence.residual_m)]
+        valid = self.classes.epsilon_m[np.isfinite(self.match.correspondence.residual_m)]
         return float(np.median(valid)) if valid.size else float("nan")
 
     @property
     def pixel_changed(self) -> BoolArray:
         """(B,): pairs whose pixel the repair gave another value."""
         repaired_m = self.repair.depth_m
-        changed: BoolArray = (self.correspondence.row >= 0) & np.isfinite(repaired_m)
-        changed &= repaired_m != self.correspondence.depth_m
+        changed: BoolArray = (self.match.correspondence.row >= 0) & np.isfinite(repaired_m)
+        changed &= repaired_m != self.match.correspondence.depth_m
         return changed
 
 
@@ -237,7 +238,7 @@ def classify_and_repair(
         registration.mean_error_m if registration is not None else float("nan"),
     )
     return FusedFrame(
-        **{field.name: getattr(match, field.name) for field in fields(FrameMatch)},
+        match=match,
         classes=classes,
         repair=repair(
             match.correspondence, classes, pair.depth_m, alignment.scale, settings.repair

@@ -18,7 +18,7 @@ from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rig import MOUNT_PARAMETERS
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.align import RecordingAlignment, align_recording
-from fusion_core.workflows.fuse.figures import write_figures
+from fusion_core.workflows.fuse.figures import FigureData, write_figures
 from fusion_core.workflows.fuse.frame import fuse_frames
 from fusion_core.workflows.fuse.result_writer import ResultWriter
 from fusion_core.workflows.fuse.session import FuseOptions, Session, open_session
@@ -64,8 +64,8 @@ def fuse(
 
 
 def _options_text(options: FuseOptions) -> str:
-    """What was asked beyond the settings, as part of what makes two runs the same."""
-    asked = {
+    """The options besides the settings; runs with equal texts and settings have equal results."""
+    values = {
         "virtual_lidar_row": options.virtual_lidar_row,
         "lidar": options.lidar_topic,
         "depth": options.depth_topics,
@@ -75,8 +75,8 @@ def _options_text(options: FuseOptions) -> str:
         "figures": options.figures,
     }
     if options.room is not None:
-        asked["room"] = str(options.room)
-    return json.dumps(asked)
+        values["room"] = str(options.room)
+    return json.dumps(values)
 
 
 def _run_chain(
@@ -110,13 +110,15 @@ def _run_chain(
         progress(0, None, "drawing figures")
         figure_notes = write_figures(
             folder / "figures",
-            session,
-            alignment,
-            results.figures,
-            grids,
-            preset=options.preset,
-            fuse_dir=folder,
-            truth=options.truth,
+            FigureData(
+                session=session,
+                alignment=alignment,
+                collected=results.figures,
+                grids=grids,
+                preset=options.preset,
+                fuse_dir=folder,
+                truth=options.truth,
+            ),
         )
     return FuseSummary(
         output=folder,

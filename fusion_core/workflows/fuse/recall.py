@@ -80,6 +80,6 @@ def _write_frames(
             if isinstance(entry, PairedImage):
                 frames.append(unpaired_row(rig.cameras[entry.camera].topic, entry))
             else:
-                topic = entry.pair.camera.topic
+                topic = entry.match.pair.camera.topic
                 frames.append(frame_row(topic, entry, chain.alignment, rig))
                 samples.append(sample_columns(topic, entry, rig))

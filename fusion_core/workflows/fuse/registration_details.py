@@ -146,7 +146,7 @@ def meaning_of_registration(registration: Registration) -> TransformDecompositio
 
 def residual_curve(frame: FusedFrame) -> ResidualCurve:
     """The residuals of a frame with their thresholds and classes."""
-    pairs, classes = frame.correspondence, frame.classes
+    pairs, classes = frame.match.correspondence, frame.classes
     shown = np.flatnonzero(np.isfinite(pairs.residual_m))
     # Beams on both sides of the scan's seam are neighbours where the camera looks backwards.
     middle_rad = float(np.angle(np.exp(1j * pairs.azimuth_rad).sum()))

@@ -99,7 +99,7 @@ class ResultWriter:
             self._mcap.write_depth(topic, entry.image)
             return
         self.paired += 1
-        rig, topic = self._session.rig, self._topics[entry.pair.camera_index]
+        rig, topic = self._session.rig, self._topics[entry.match.pair.camera_index]
         self._frame_table.append(frame_row(topic, entry, self._alignment, rig))
         self._sample_table.append(sample_columns(topic, entry, rig))
         self._mcap.write_depth(topic, repaired_image(entry, rig))
@@ -110,7 +110,7 @@ class ResultWriter:
         per_class = np.bincount(entry.classes.lidar_class, minlength=len(NoiseClass))
         for noise_class, count in zip(NoiseClass, per_class, strict=True):
             self.lidar_counts[noise_class.name.lower()] += int(count)
-        self._last_stamp_ns = max(self._last_stamp_ns, entry.stamp_ns)
+        self._last_stamp_ns = max(self._last_stamp_ns, entry.match.stamp_ns)
 
     def finish(self) -> tuple[dict[str, OccupancyGrid], list[str]]:
         """Write the scans that still wait and the maps; the maps, and notes for people."""
@@ -133,10 +133,11 @@ class ResultWriter:
 
 def repaired_image(frame: FusedFrame, rig: CameraRig) -> DepthImage:
     """The stored depth image with the repaired pixels of the curve."""
-    depth_m = frame.pair.image.depth_m.copy()
-    row, column = rig.views[frame.pair.camera_index].stored_pixels(
-        frame.correspondence.row, frame.correspondence.column
+    match = frame.match
+    depth_m = match.pair.image.depth_m.copy()
+    row, column = rig.views[match.pair.camera_index].stored_pixels(
+        match.correspondence.row, match.correspondence.column
     )
     changed = frame.pixel_changed & (row >= 0)
     depth_m[row[changed], column[changed]] = frame.repair.depth_m[changed]
-    return replace(frame.pair.image, depth_m=depth_m)
+    return replace(match.pair.image, depth_m=depth_m)

@@ -37,11 +37,11 @@ class RepairedScanQueue:
 
     def apply_repairs(self, frame: FusedFrame) -> None:
         """The repairs of one image, whose scan must still wait."""
-        pending = self._pending[id(frame.scan)]
-        beam = frame.correspondence.beam
-        nearer = abs(frame.pair.gap_ns) < pending.gap_ns[beam]
+        pending = self._pending[id(frame.match.scan)]
+        beam = frame.match.correspondence.beam
+        nearer = abs(frame.match.pair.gap_ns) < pending.gap_ns[beam]
         beam = beam[nearer]
-        pending.gap_ns[beam] = abs(frame.pair.gap_ns)
+        pending.gap_ns[beam] = abs(frame.match.pair.gap_ns)
         pending.ranges_m[beam] = frame.repair.lidar_range_m[nearer]
         pending.codes[beam] = frame.classes.lidar_class[nearer]
 

@@ -35,14 +35,14 @@ class SensorMaps:
 
     def add_camera(self, frame: FusedFrame) -> None:
         """What the camera alone says along the LiDAR's plane."""
-        pose = self._poses.at(frame.scan.stamp_ns)
+        pose = self._poses.at(frame.match.scan.stamp_ns)
         if pose is not None:
             self._add(
                 "camera",
                 pose,
-                frame.correspondence.azimuth_rad,
-                frame.correspondence.camera_range_m,
-                frame.scan,
+                frame.match.correspondence.azimuth_rad,
+                frame.match.correspondence.camera_range_m,
+                frame.match.scan,
             )
 
     def add_scan(self, raw: LaserScan, repaired: LaserScan) -> None:

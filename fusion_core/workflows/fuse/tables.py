@@ -76,32 +76,33 @@ def frame_row(
     topic: str, frame: FusedFrame, alignment: RecordingAlignment, rig: CameraRig
 ) -> dict[str, object]:
     """The row of a fused image. Depth is counted where the stored image has the pixel."""
-    peak = frame.search.peaks.get(alignment.metric)
-    alone = frame.search.peaks_without_prior.get(alignment.metric)
-    registration = frame.registration
-    stored_row, _ = rig.views[frame.pair.camera_index].stored_pixels(
-        frame.correspondence.row, frame.correspondence.column
+    match = frame.match
+    peak = match.search.peaks.get(alignment.metric)
+    alone = match.search.peaks_without_prior.get(alignment.metric)
+    registration = match.registration
+    stored_row, _ = rig.views[match.pair.camera_index].stored_pixels(
+        match.correspondence.row, match.correspondence.column
     )
     stored = stored_row >= 0
     row: dict[str, object] = dict.fromkeys(FRAME_COLUMNS)
     row.update(
         camera=topic,
-        stamp_ns=frame.stamp_ns,
-        scan_stamp_ns=frame.scan.stamp_ns,
-        gap_ms=frame.pair.gap_ns / NS_PER_MS,
-        u_alone=None if alone is None else alone.u + frame.u_of_rig,
-        row_model=frame.row_model,
+        stamp_ns=match.stamp_ns,
+        scan_stamp_ns=match.scan.stamp_ns,
+        gap_ms=match.pair.gap_ns / NS_PER_MS,
+        u_alone=None if alone is None else alone.u + match.u_of_rig,
+        row_model=match.row_model,
         inliers=None if registration is None else int(registration.inliers.sum()),
         mean_error_m=None if registration is None else registration.mean_error_m,
-        sigma_m=frame.sigma_m,
+        sigma_m=match.sigma_m,
         epsilon_m=frame.epsilon_m,
         repaired_lidar=_repaired(frame.repair.lidar_source),
         repaired_depth=_repaired(frame.repair.depth_source[stored]),
-        registration_refused=frame.refusal or None,
+        registration_refused=match.refusal or None,
     )
     if peak is not None:
         row.update(
-            u=peak.u + frame.u_of_rig,
+            u=peak.u + match.u_of_rig,
             v=peak.v,
             score=peak.score,
             peak_ratio=peak.ratio,
@@ -114,10 +115,10 @@ def frame_row(
         for noise in NoiseClass:
             row[f"{name}_{noise.name.lower()}"] = int((classes == noise).sum())
     for metric in METRICS:
-        if metric in frame.search.peaks:
-            row[f"u_{metric}"] = frame.search.peaks[metric].u + frame.u_of_rig
-        if metric in frame.search.peaks_without_prior:
-            row[f"u_alone_{metric}"] = frame.search.peaks_without_prior[metric].u + frame.u_of_rig
+        if metric in match.search.peaks:
+            row[f"u_{metric}"] = match.search.peaks[metric].u + match.u_of_rig
+        if metric in match.search.peaks_without_prior:
+            row[f"u_alone_{metric}"] = match.search.peaks_without_prior[metric].u + match.u_of_rig
     return row
 
 
@@ -127,9 +128,10 @@ def _repaired(sources: npt.NDArray[np.int64]) -> int:
 
 def sample_columns(topic: str, frame: FusedFrame, rig: CameraRig) -> dict[str, npt.NDArray[Any]]:
     """The rows of a fused image's beams, pixels named in the stored image."""
-    pairs, classes, mended = frame.correspondence, frame.classes, frame.repair
+    match = frame.match
+    pairs, classes, mended = match.correspondence, frame.classes, frame.repair
     count = pairs.beam.size
-    row, column = rig.views[frame.pair.camera_index].stored_pixels(pairs.row, pairs.column)
+    row, column = rig.views[match.pair.camera_index].stored_pixels(pairs.row, pairs.column)
     outside = row < 0
 
     def nullable(values: npt.NDArray[np.int64]) -> FloatArray:
@@ -137,8 +139,8 @@ def sample_columns(topic: str, frame: FusedFrame, rig: CameraRig) -> dict[str, n
 
     return {
         "camera": np.full(count, topic),
-        "stamp_ns": np.full(count, frame.stamp_ns),
-        "scan_stamp_ns": np.full(count, frame.scan.stamp_ns),
+        "stamp_ns": np.full(count, match.stamp_ns),
+        "scan_stamp_ns": np.full(count, match.scan.stamp_ns),
         "lidar_beam": pairs.beam,
         "depth_row": nullable(row),
         "depth_column": nullable(column),

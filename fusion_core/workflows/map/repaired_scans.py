@@ -73,7 +73,7 @@ class RepairedScans:
                     yield raw, repaired
             elif isinstance(entry, FusedFrame):
                 # Two images of one scan count once.
-                self._with_image += id(entry.scan) not in paired
-                paired.add(id(entry.scan))
+                self._with_image += id(entry.match.scan) not in paired
+                paired.add(id(entry.match.scan))
                 merge.apply_repairs(entry)
         yield from merge.flush()

@@ -42,7 +42,7 @@ class MapSummary:
         report = self.report
         lines = [
             f"scans      {report['scans']} of {report['duration_s']:.1f} s, "
-            f"{report['path_m']:.1f} m of way",
+            f"{report['path_m']:.1f} m path",
         ]
         if "loops" in report:
             lines.append(

@@ -28,8 +28,8 @@ def repaired_picture(frame: FusedFrame, view: View, like: np.ndarray) -> DepthPi
     return depth_picture(
         "After: repaired",
         repaired_depth_m(frame),
-        PairOverlay(pixels=pixels_of_match(frame), classes=view.visible_classes),
+        PairOverlay(pixels=pixels_of_match(frame.match, frame), classes=view.visible_classes),
         width_px=like.shape[1],
         height_px=_ROOM_PX,
-        limits_m=depth_limits_m(frame.depth_m),
+        limits_m=depth_limits_m(frame.match.depth_m),
     )

@@ -37,7 +37,7 @@ def test_a_dragged_epsilon_judges_every_pair_again(person: Person) -> None:
 
 def threshold_in(frame: FusedFrame) -> tuple[float, int, int]:
     """Epsilon in metres, the pairs that disagree by more, and all that have both values."""
-    residual_m, epsilon_m = frame.correspondence.residual_m, frame.classes.epsilon_m
+    residual_m, epsilon_m = frame.match.correspondence.residual_m, frame.classes.epsilon_m
     both = np.isfinite(residual_m)
     beyond = np.abs(residual_m[both]) > epsilon_m[both]
     return round(float(np.median(epsilon_m[both])), 3), int(beyond.sum()), int(both.sum())

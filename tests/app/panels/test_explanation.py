@@ -100,9 +100,8 @@ def facts(
     )
     classes = classify(window, settings.noise, SCALE, 0.05)
     repaired = repair(pairs, classes, image, SCALE, settings.repair)
-    found = facts_of_beam(
-        SimpleNamespace(correspondence=pairs, classes=classes, repair=repaired), beam
-    )
+    match = SimpleNamespace(correspondence=pairs)
+    found = facts_of_beam(SimpleNamespace(match=match, classes=classes, repair=repaired), beam)
     assert found is not None
     return found
 

@@ -178,7 +178,7 @@ def session() -> RecordingSession:
 
 
 def frame_of(found, *, residual_m=None, epsilon_m=0.1, refusal=""):
-    """A judged frame around a registration."""
+    """A fused frame around a registration."""
     count = AZIMUTHS_RAD.size
     residual_m = np.zeros(count) if residual_m is None else residual_m
     pairs = SimpleNamespace(
@@ -191,13 +191,8 @@ def frame_of(found, *, residual_m=None, epsilon_m=0.1, refusal=""):
     classes = SimpleNamespace(
         lidar_class=good, depth_class=good, epsilon_m=np.full(count, epsilon_m)
     )
-    return SimpleNamespace(
-        registration=found,
-        refusal=refusal,
-        correspondence=pairs,
-        classes=classes,
-        epsilon_m=epsilon_m,
-    )
+    match = SimpleNamespace(registration=found, refusal=refusal, correspondence=pairs)
+    return SimpleNamespace(match=match, classes=classes, epsilon_m=epsilon_m)
 
 
 def frame_view(session, frame, failure=None):
@@ -206,7 +201,7 @@ def frame_view(session, frame, failure=None):
         view=session.view,
         open_recording=OPENED,
         chain=chain,
-        match=frame,
+        match=None if frame is None else frame.match,
         fused=frame,
         failure=failure,
     )
@@ -232,7 +227,7 @@ def test_epsilon_alone_redraws_no_pairs(panel, session):
     panel.show(frame_view(session, frame))
     pairs, draw, data = panel._pairs.image, panel._draw_picture.image, panel._residuals._plot.data
     again = frame_of(found, epsilon_m=0.2)
-    again.correspondence = frame.correspondence
+    again.match.correspondence = frame.match.correspondence
     panel.show(frame_view(session, again))
     assert panel._pairs.image is pairs
     assert panel._draw_picture.image is draw
@@ -380,4 +375,4 @@ def test_the_panels_draws_are_those_of_the_registration(panel, session):
     panel.show(frame_view(session, frame_of(found)))
     panel._go("Best")
     best = draw_at(found, session.view.draw_index)
-    np.testing.assert_array_equal(best.agree, planar_pairs(frame_of(found)).inliers)
+    np.testing.assert_array_equal(best.agree, planar_pairs(frame_of(found).match).inliers)

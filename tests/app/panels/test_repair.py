@@ -152,7 +152,7 @@ def test_the_filter_takes_a_class_out_of_picture_and_curve(bench: Bench) -> None
     for picture in (before, after):
         assert colored(picture.image, NoiseClass.GOOD) == 0
         assert colored(picture.image, NoiseClass.HOLE) > 0
-    others = np.isfinite(bench.frame.correspondence.lidar_range_m).sum() - good
+    others = np.isfinite(bench.frame.match.correspondence.lidar_range_m).sum() - good
     assert np.isfinite(bench.panel._curve.data[3]).sum() == others
     bench.browser.set_value("Show good", True)
     bench.until(lambda: bench.session.view.visible_classes == ALL)
@@ -160,7 +160,7 @@ def test_the_filter_takes_a_class_out_of_picture_and_curve(bench: Bench) -> None
 
 
 def test_the_curve_is_that_of_the_frame(bench: Bench) -> None:
-    pairs = bench.frame.correspondence
+    pairs = bench.frame.match.correspondence
     azimuth_deg, pixel_m, repaired_m, raw_m, camera_m, chosen_m = bench.panel._curve.data
     order = np.argsort(pairs.azimuth_rad)
     np.testing.assert_allclose(azimuth_deg, np.rad2deg(pairs.azimuth_rad[order]))
@@ -207,7 +207,7 @@ def test_the_buttons_go_around_the_conflicts(bench: Bench) -> None:
 def test_a_number_tells_of_that_beam(bench: Bench) -> None:
     holes = bench.frame.classes.lidar_class == NoiseClass.HOLE
     filled = np.flatnonzero(holes & np.isfinite(bench.frame.repair.lidar_range_m))
-    beam = int(bench.frame.correspondence.beam[filled[0]])
+    beam = int(bench.frame.match.correspondence.beam[filled[0]])
     facts = facts_of_beam(bench.frame, beam)
     assert facts is not None
     bench.browser.set_value("Beam", beam)

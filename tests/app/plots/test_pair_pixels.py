@@ -64,31 +64,38 @@ def stages() -> dict[str, Any]:
     }
 
 
-def of_type(frame_type: type[FrameMatch]) -> Any:
-    """A frame that knows its pairs, and what came of them, alone."""
+def match_of_stages() -> FrameMatch:
+    """A match with its image and pairs only."""
     values = stages()
-    return frame_type(**{field.name: values.get(field.name) for field in fields(frame_type)})
+    return FrameMatch(**{field.name: values.get(field.name) for field in fields(FrameMatch)})
+
+
+def fused_of_stages() -> FusedFrame:
+    """The same with classes and repairs."""
+    values = stages()
+    return FusedFrame(match=match_of_stages(), classes=values["classes"], repair=values["repair"])
 
 
 def test_a_fused_frame_gives_classes_and_what_was_repaired() -> None:
-    found = pixels_of_match(of_type(FusedFrame))
+    fused = fused_of_stages()
+    found = pixels_of_match(fused.match, fused)
     assert found.noise_class.tolist() == [0, 1, 1, -1]
     assert found.repaired.tolist() == [False, True, False, False]
     assert found.beam.tolist() == [7, 8, 9, 10]
 
 
 def test_a_match_has_no_classes_yet() -> None:
-    found = pixels_of_match(of_type(FrameMatch))
+    found = pixels_of_match(match_of_stages())
     assert found.noise_class.tolist() == [-1] * 4
     assert not found.repaired.any()
     assert found.shown(()).tolist() == [True, True, True, False]
 
 
 def test_the_repaired_image_differs_in_the_repaired_pixels_alone() -> None:
-    frame = of_type(FusedFrame)
-    raw_m = frame.depth_m.copy()
+    frame = fused_of_stages()
+    raw_m = frame.match.depth_m.copy()
     repaired_m = repaired_depth_m(frame)
     changed = ~np.isclose(repaired_m, raw_m, equal_nan=True)
     assert np.argwhere(changed).tolist() == [[1, 1]]
     assert repaired_m[1, 1] == 1.5
-    assert np.array_equal(frame.depth_m, raw_m, equal_nan=True)
+    assert np.array_equal(frame.match.depth_m, raw_m, equal_nan=True)

@@ -61,7 +61,8 @@ def frame(first_rad: float = 0.3) -> SimpleNamespace:
         depth_source=np.array([RAW] * 6 + [NONE]),
         depth_errors_m=np.full((7, 2), NAN),
     )
-    return SimpleNamespace(correspondence=pairs, classes=classes, repair=repair)
+    match = SimpleNamespace(correspondence=pairs)
+    return SimpleNamespace(match=match, classes=classes, repair=repair)
 
 
 def test_beams_and_pixels_are_counted_by_class_and_by_what_became_of_them() -> None:
@@ -123,7 +124,7 @@ def test_a_beam_may_have_no_pixel_or_lie_out_of_view() -> None:
 
 
 def test_azimuths_do_not_jump_where_the_camera_looks_back() -> None:
-    across = unwrapped_deg(frame(np.pi + 0.25).correspondence.azimuth_rad)
+    across = unwrapped_deg(frame(np.pi + 0.25).match.correspondence.azimuth_rad)
     np.testing.assert_allclose(np.diff(across), np.rad2deg(-0.1))
     assert abs(across.mean()) == pytest.approx(np.rad2deg(np.pi - 0.05), abs=1e-6)
     assert unwrapped_deg(np.empty(0)).size == 0
@@ -132,10 +133,14 @@ def test_azimuths_do_not_jump_where_the_camera_looks_back() -> None:
 def test_curves_rise_in_azimuth_and_show_the_chosen_classes() -> None:
     curves = range_curves(frame(), ALL, 101)
     assert (np.diff(curves.azimuth_deg) > 0.0).all()
-    np.testing.assert_array_equal(curves.raw_m[::-1], frame().correspondence.lidar_range_m)
+    np.testing.assert_array_equal(curves.raw_m[::-1], frame().match.correspondence.lidar_range_m)
     np.testing.assert_array_equal(curves.repaired_m[::-1], frame().repair.lidar_range_m)
-    np.testing.assert_array_equal(curves.camera_m[::-1], frame().correspondence.camera_range_m)
-    np.testing.assert_array_equal(curves.pixel_m[::-1], frame().correspondence.depth_as_range_m)
+    np.testing.assert_array_equal(
+        curves.camera_m[::-1], frame().match.correspondence.camera_range_m
+    )
+    np.testing.assert_array_equal(
+        curves.pixel_m[::-1], frame().match.correspondence.depth_as_range_m
+    )
     # A hole is pointed at where it was filled.
     np.testing.assert_array_equal(curves.looked_at_m[::-1], [NAN, 2.2, *[NAN] * 5])
     assert curves.limits_m == (1.0, 4.0)

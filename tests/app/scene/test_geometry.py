@@ -17,7 +17,7 @@ from fusion_core.model.geometry import (
 )
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import CameraIntrinsics, LaserScan
-from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
 from fusion_core.workflows.fuse.pairing import FramePair
 from scanloom.scene.frame_geometry import (
     UnmatchedFrame,
@@ -72,7 +72,7 @@ def wall_scan() -> LaserScan:
 
 
 def frame_of(pairs, scan, depth_m, lidar_class=None, depth_class=None, lidar_m=None, pixel_m=None):
-    """A judged frame with these pairs, all good and unrepaired unless said."""
+    """A fused frame with these pairs, by default all good and unrepaired."""
     good = np.zeros(pairs.beam.size, dtype=np.int64)
     classes = SimpleNamespace(
         lidar_class=good if lidar_class is None else lidar_class,
@@ -82,7 +82,7 @@ def frame_of(pairs, scan, depth_m, lidar_class=None, depth_class=None, lidar_m=N
         lidar_range_m=pairs.lidar_range_m if lidar_m is None else lidar_m,
         depth_m=pairs.depth_m if pixel_m is None else pixel_m,
     )
-    return FusedFrame(
+    match = FrameMatch(
         pair=FramePair(
             camera_index=0,
             camera=CAMERA,
@@ -101,9 +101,8 @@ def frame_of(pairs, scan, depth_m, lidar_class=None, depth_class=None, lidar_m=N
         registration=None,
         refusal="",
         correspondence=pairs,
-        classes=classes,
-        repair=repair,
     )
+    return FusedFrame(match=match, classes=classes, repair=repair)
 
 
 @pytest.fixture
@@ -191,7 +190,7 @@ def test_a_path_has_a_gap_where_poses_are_missing_or_far_apart():
 
 
 def test_exact_pairs_coincide(wall):
-    pixels_m = pixel_points(wall, CAMERA, T_LIDAR_CAMERA, wall.correspondence.depth_m)
+    pixels_m = pixel_points(wall.match, CAMERA, T_LIDAR_CAMERA, wall.match.correspondence.depth_m)
     segments, codes = pair_segments(wall, pixels_m, ALL)
     assert len(segments) == np.isfinite(pixels_m[:, 0]).sum() > 30
     # A pixel is half a pixel off the beam's point at most.
@@ -202,12 +201,14 @@ def test_exact_pairs_coincide(wall):
 
 
 def test_a_pair_is_what_its_worse_side_is(wall):
-    lidar_class = np.zeros(wall.correspondence.beam.size, dtype=np.int64)
+    lidar_class = np.zeros(wall.match.correspondence.beam.size, dtype=np.int64)
     depth_class = lidar_class.copy()
     lidar_class[3] = depth_class[4] = NoiseClass.BURR
     lidar_class[5] = depth_class[5] = lidar_class[4] = NoiseClass.CONFLICT
-    frame = frame_of(wall.correspondence, wall.scan, wall.depth_m, lidar_class, depth_class)
-    pixels_m = pixel_points(frame, CAMERA, T_LIDAR_CAMERA, frame.correspondence.depth_m)
+    frame = frame_of(
+        wall.match.correspondence, wall.match.scan, wall.match.depth_m, lidar_class, depth_class
+    )
+    pixels_m = pixel_points(frame.match, CAMERA, T_LIDAR_CAMERA, frame.match.correspondence.depth_m)
     _, codes = pair_segments(frame, pixels_m, ALL)
     assert codes[3:6].tolist() == [NoiseClass.BURR, NoiseClass.BURR, NoiseClass.CONFLICT]
     segments, codes = pair_segments(frame, pixels_m, frozenset({NoiseClass.BURR}))
@@ -219,16 +220,16 @@ def test_a_pair_is_what_its_worse_side_is(wall):
 def test_a_repaired_burr_moves_and_a_filled_hole_appears(wall):
     scan = wall_scan()
     ranges_m = scan.ranges_m.copy()
-    burr, hole = int(wall.correspondence.beam[10]), int(wall.correspondence.beam[20])
+    burr, hole = int(wall.match.correspondence.beam[10]), int(wall.match.correspondence.beam[20])
     ranges_m[burr] -= 1.0
     ranges_m[hole] = np.nan
     noisy = scan.with_ranges(ranges_m, None)
-    pairs = match_along_curve(noisy, wall.depth_m, wall.depth_m, CAMERA, T_LIDAR_CAMERA)
+    pairs = match_along_curve(noisy, wall.match.depth_m, wall.match.depth_m, CAMERA, T_LIDAR_CAMERA)
     at = {int(beam): index for index, beam in enumerate(pairs.beam)}
     lidar_class = np.zeros(pairs.beam.size, dtype=np.int64)
     lidar_class[at[burr]], lidar_class[at[hole]] = NoiseClass.BURR, NoiseClass.HOLE
     frame = frame_of(
-        pairs, noisy, wall.depth_m, lidar_class, lidar_m=scan.ranges_m[pairs.beam].copy()
+        pairs, noisy, wall.match.depth_m, lidar_class, lidar_m=scan.ranges_m[pairs.beam].copy()
     )
     moved_m, moved_class, filled_m, filled_class = repairs(frame, CAMERA, T_LIDAR_CAMERA, ALL)
     assert moved_class.tolist() == [NoiseClass.BURR]
@@ -252,13 +253,13 @@ def test_a_row_is_drawn_in_the_lidars_plane():
     )
     scan, depth_m = wall_scan(), wall_depth(level)
     frame = frame_of(match_in_row(scan, depth_m, depth_m, CAMERA, level, 45), scan, depth_m)
-    T_lidar_camera = camera_pose(frame, RIG, ALIGNMENT)
+    T_lidar_camera = camera_pose(frame.match, RIG, ALIGNMENT)
     # The yaw is that of the pairs to half a pixel, whatever the mount says.
     np.testing.assert_allclose(T_lidar_camera[:3, :3], level[:3, :3], atol=0.5 / LENS.fx)
     # A pixel of row 45 lies below the axis; the camera is drawn as much higher.
     below = float(np.median(depth_m[45])) * (45 - LENS.cy) / LENS.fy
     assert T_lidar_camera[2, 3] == pytest.approx(below, abs=0.05)
-    pixels_m = pixel_points(frame, CAMERA, T_lidar_camera, frame.correspondence.depth_m)
+    pixels_m = pixel_points(frame.match, CAMERA, T_lidar_camera, frame.match.correspondence.depth_m)
     np.testing.assert_allclose(pixels_m[:, 0], WALL_M, atol=0.05)
     np.testing.assert_array_equal(pixels_m[:, 2], 0.0)
 

@@ -3,6 +3,7 @@
 import csv
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -77,11 +78,13 @@ def frame(
     other = np.full(40, 3)
     other[: repaired - repaired // 2] = 2
     return SimpleNamespace(
-        search=SimpleNamespace(
-            peaks={} if overlap is None else {"euclidean": peak(0.8, overlap)},
-            peaks_without_prior={"pearson": peak(alone)},
+        match=SimpleNamespace(
+            search=SimpleNamespace(
+                peaks={} if overlap is None else {"euclidean": peak(0.8, overlap)},
+                peaks_without_prior={"pearson": peak(alone)},
+            ),
+            registration=object() if registered else None,
         ),
-        registration=object() if registered else None,
         repair=SimpleNamespace(lidar_source=source, depth_source=other),
     )
 
@@ -179,10 +182,8 @@ def color_near(log: ColorLog, stamp_ns: int, received_ns: int | None, topic: str
         rig=SimpleNamespace(cameras=[SimpleNamespace(topic="/depth")]),
         recording=log,
     )
-    shown: Any = SimpleNamespace(
-        stamp_ns=stamp_ns,
-        pair=SimpleNamespace(camera_index=0, image=SimpleNamespace(received_ns=received_ns)),
-    )
+    pair = SimpleNamespace(camera_index=0, image=SimpleNamespace(received_ns=received_ns))
+    shown: Any = SimpleNamespace(match=SimpleNamespace(stamp_ns=stamp_ns, pair=pair))
     return figures._color_near(session, shown)
 
 
@@ -219,9 +220,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     """A short recording, fused, with what write_figures was called with."""
     called: dict[str, Any] = {}
 
-    def write_and_remember(folder: Path, *args: Any, **named: Any) -> list[str]:
-        called.update(args=args, named=named)
-        return write_figures(folder, *args, **named)
+    def write_and_remember(folder: Path, data: figures.FigureData) -> list[str]:
+        called.update(data=data)
+        return write_figures(folder, data)
 
     folder = tmp_path_factory.mktemp("figures")
     recording = folder / "room.mcap"
@@ -287,12 +288,17 @@ def test_a_truth_that_does_not_serve_costs_its_figure_alone(
         without_mount = {name: arrays[name] for name in arrays.files if name != "T_lidar_camera"}
     truth = tmp_path / "truth.npz"
     np.savez(truth, **without_mount)
-    alignment = run.args[1]
-    named = {**run.named, "fuse_dir": run.output, "truth": truth}
+    collected = FigureCollector(run.data.alignment)
     with opened(run) as session:
-        notes = write_figures(
-            tmp_path / "figures", session, alignment, FigureCollector(alignment), {}, **named
+        data = replace(
+            run.data,
+            session=session,
+            collected=collected,
+            grids={},
+            fuse_dir=run.output,
+            truth=truth,
         )
+        notes = write_figures(tmp_path / "figures", data)
     assert [note.split(":")[0] for note in notes] == ["No frame to show", "Fig. 6 is left out"]
     assert "mounted" in notes[1]
     assert str(tmp_path) not in notes[1]
@@ -317,11 +323,16 @@ def test_the_headings_say_preset_frame_and_virtual_lidar(
         "write_maps",
     ):
         monkeypatch.setattr(figures, name, note_heading)
-    named = {"preset": "published", "fuse_dir": run.output, "truth": None}
-    alignment, collected, grids = run.args[1:]
     with opened(run, sessions.FuseOptions(virtual_lidar_row=60)) as session:
-        write_figures(tmp_path / "figures", session, alignment, collected, grids, **named)
+        data = replace(run.data, session=session, preset="published", truth=None)
+        write_figures(tmp_path / "figures", data)
     assert len(headings) == 6
     for heading in headings:
         assert "room.mcap, preset published, virtual LiDAR, row 60" in heading
-    assert sum(format_stamp(collected.showcase.stamp_ns) in heading for heading in headings) == 5
+    assert (
+        sum(
+            format_stamp(run.data.collected.showcase.match.stamp_ns) in heading
+            for heading in headings
+        )
+        == 5
+    )

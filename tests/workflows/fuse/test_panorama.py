@@ -113,8 +113,8 @@ def test_a_session_gives_scans_and_every_image_once(session, images):
     assert scans
     assert frames
     for frame in frames:
-        assert isinstance(frame.pair.image, DepthImage)
-        stored = images[TOPICS[frame.pair.camera_index], frame.stamp_ns]
-        np.testing.assert_array_equal(frame.pair.image.depth_m, stored.depth_m)
+        assert isinstance(frame.match.pair.image, DepthImage)
+        stored = images[TOPICS[frame.match.pair.camera_index], frame.match.stamp_ns]
+        np.testing.assert_array_equal(frame.match.pair.image.depth_m, stored.depth_m)
         # The upright view of a rolled landscape image is in portrait.
-        assert frame.depth_m.shape == stored.depth_m.shape[::-1]
+        assert frame.match.depth_m.shape == stored.depth_m.shape[::-1]

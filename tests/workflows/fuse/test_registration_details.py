@@ -106,17 +106,19 @@ def frame(azimuth_rad, residual_m, *, lidar_class=None, depth_class=None, epsilo
     epsilon = np.full(len(azimuth_rad), epsilon_m)
     residual = np.array(residual_m)
     return SimpleNamespace(
-        correspondence=SimpleNamespace(
-            azimuth_rad=np.array(azimuth_rad),
-            residual_m=residual,
-            lidar_range_m=np.full(len(azimuth_rad), 2.0),
+        match=SimpleNamespace(
+            correspondence=SimpleNamespace(
+                azimuth_rad=np.array(azimuth_rad),
+                residual_m=residual,
+                lidar_range_m=np.full(len(azimuth_rad), 2.0),
+            ),
+            registration=None if E_m is None else SimpleNamespace(mean_error_m=E_m),
         ),
         classes=SimpleNamespace(
             lidar_class=good if lidar_class is None else np.array(lidar_class),
             depth_class=good if depth_class is None else np.array(depth_class),
             epsilon_m=epsilon,
         ),
-        registration=None if E_m is None else SimpleNamespace(mean_error_m=E_m),
         epsilon_m=epsilon_m,
     )
 
@@ -161,11 +163,11 @@ def test_a_unit_without_a_length_has_its_usual_value():
 
 def test_lengths_of_the_units():
     alignment = SimpleNamespace(scale=NoiseScale(floor_m=0.0, fraction=0.02))
-    match = frame([0.1, 0.0], [0.01, np.nan])
+    match = frame([0.1, 0.0], [0.01, np.nan]).match
     assert unit_lengths_m(match, alignment) == {"m": 1.0, "E": 0.04, "sigma": 0.04}
-    nothing = frame([0.1], [np.nan], E_m=None)
+    nothing = frame([0.1], [np.nan], E_m=None).match
     assert unit_lengths_m(nothing, alignment) == {"m": 1.0}
-    assert "E" not in unit_lengths_m(frame([0.1], [0.0], E_m=np.inf), alignment)
+    assert "E" not in unit_lengths_m(frame([0.1], [0.0], E_m=np.inf).match, alignment)
 
 
 def test_epsilon_in_a_frame_counts_what_lies_beyond():

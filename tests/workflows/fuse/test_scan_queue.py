@@ -28,12 +28,14 @@ def scan(stamp_ns, *, lost=()):
 
 
 def frame(of, gap_ns, beams, range_m, noise):
-    """As much of a fused frame as a merge reads."""
+    """The fields of a fused frame that the queue reads."""
     count = len(beams)
     return SimpleNamespace(
-        scan=of,
-        pair=SimpleNamespace(gap_ns=gap_ns),
-        correspondence=SimpleNamespace(beam=np.array(beams)),
+        match=SimpleNamespace(
+            scan=of,
+            pair=SimpleNamespace(gap_ns=gap_ns),
+            correspondence=SimpleNamespace(beam=np.array(beams)),
+        ),
         repair=SimpleNamespace(lidar_range_m=np.full(count, range_m)),
         classes=SimpleNamespace(lidar_class=np.full(count, noise)),
     )
