@@ -1,4 +1,4 @@
-"""What every message container (ROS 1 bag, MCAP, SQLite) offers: channels, an index, payloads."""
+"""The interface of message containers (ROS 1 bag, MCAP, SQLite): channels, index, payloads."""
 
 from collections import OrderedDict
 from collections.abc import Callable
@@ -18,9 +18,9 @@ Payload = bytes | memoryview
 ENTRY = np.dtype([("received_ns", "<i8"), ("channel", "<i4"), ("block", "<i8"), ("offset", "<i8")])
 Entries = npt.NDArray[np.void]
 
-# No recorder writes chunks of this size; a damaged or hostile file may claim them.
+# Set by hand, above what recorders write; a damaged or hostile file may claim more.
 MAX_CHUNK_BYTES = 128 << 20
-# Chunks hold a few seconds at most: this is enough to read forward, and to step back once.
+# Set by hand: enough to read forward and to step back once.
 _CACHED_CHUNK_BYTES = 16 << 20
 
 
@@ -41,7 +41,7 @@ class Channel:
 
 @dataclass(slots=True)
 class ChecksumReport:
-    """What reading all of a container showed besides its messages.
+    """Result of checking a whole container.
 
     ``checksums`` were right; ``unguarded`` parts have none: chunks, or all that is in no chunk.
     ``damage`` has a line for each thing that is wrong, other than messages that cannot be read.
@@ -60,7 +60,7 @@ class ChecksumReport:
 class Container(Protocol):
     """One file, opened read-only. Not safe for threads: the caller takes turns.
 
-    ``warnings`` name what of a damaged file is lost; they are complete after ``index``.
+    ``warnings`` name the lost parts of a damaged file; they are complete after ``index``.
     """
 
     path: Path
@@ -68,7 +68,7 @@ class Container(Protocol):
     warnings: list[str]
 
     def index(self) -> Entries:
-        """(N,) ENTRY of every message, in the order of the file."""
+        """(N,) ENTRY of every message, in file order."""
         ...
 
     def payload(self, block: int, offset: int) -> Payload:
@@ -93,7 +93,7 @@ class Container(Protocol):
 
 
 class ChunkCache:
-    """The last unpacked chunks, at most 16 MiB of them but always one."""
+    """The last decompressed chunks, at most 16 MiB of them but always one."""
 
     def __init__(self, unpack: Callable[[int], bytes]) -> None:
         self._unpack = unpack
@@ -114,7 +114,7 @@ class ChunkCache:
         return chunk
 
     def keep(self, block: int, chunk: bytes) -> None:
-        """Hold a chunk that somebody unpacked."""
+        """Add a chunk that is already decompressed."""
         self._chunks[block] = chunk
         self._size += len(chunk)
         while self._size > _CACHED_CHUNK_BYTES and len(self._chunks) > 1:
@@ -140,7 +140,7 @@ def make_entries(
 
 
 def merge_in_file_order(parts: list[Entries]) -> Entries:
-    """All entries in the order in which the file holds them."""
+    """All entries merged in file order."""
     entries = np.concatenate([np.empty(0, dtype=ENTRY), *parts])
     return entries[np.lexsort((entries["offset"], entries["block"]))]
 

@@ -30,7 +30,7 @@ READABLE_FORMATS = (
     "depth and colour images: TUM RGB-D, 7-Scenes, Redwood, slambook, or plain rgb/ and depth/."
 )
 _HEAD_BYTES = 512
-# At most so many children of a folder are examined: it may be a whole disk.
+# Set by hand: at most this many children of a folder are examined, as it may be a whole disk.
 _MAX_CHILDREN = 500
 
 

@@ -33,7 +33,7 @@ class Ros2McapWriter:
     """Writes model values to one .mcap file, which appears whole or not at all.
 
     The log time of a message is ``received_ns``, or the stamp where that is None. A value that its
-    ROS message cannot hold raises BadMessage and costs itself alone.
+    ROS message cannot represent raises BadMessage; the file stays valid.
     """
 
     def __init__(self, path: Path) -> None:

@@ -85,7 +85,7 @@ class _World(_StrictModel):
 
 
 def world_path(recording: Path) -> Path:
-    """Where a recording's world stands: ``NAME.mcap`` has ``NAME.world.json`` beside it."""
+    """The path of a recording's world file: ``NAME.mcap`` has ``NAME.world.json`` beside it."""
     return recording.with_name(f"{recording.stem}.world.json")
 
 

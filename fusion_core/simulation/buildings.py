@@ -162,7 +162,7 @@ def _partition(
 
 
 def _furnish(plan: FloorPlan, room: Footprint) -> None:
-    """What stands in a room, as far as there is space."""
+    """The furniture of a room, as far as there is space."""
     dark = furniture.cabinet((0.7, 1.2), Material.DARK)
     light = furniture.cabinet((0.5, 1.8), Material.WOOD)
     plan.place_freely((0.9, 1.1), (0.6, 0.7), furniture.table, room)

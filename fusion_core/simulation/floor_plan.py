@@ -49,7 +49,7 @@ class FloorPlan:
         self.objects.append(solid)
 
     def add_mesh(self, mesh: Mesh) -> None:
-        """Add what stands on no floor, such as a lintel."""
+        """Add a solid that does not stand on the floor, such as a lintel."""
         self.meshes.append(mesh)
 
     def keep_free(self, footprint: Footprint) -> None:

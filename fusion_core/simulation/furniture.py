@@ -26,7 +26,7 @@ def cabinet(heights_m: tuple[float, float], material: Material) -> ObjectMaker:
 
 
 def low_box(footprint: Footprint, rng: np.random.Generator) -> SolidObject:
-    """A box that reaches just above the LiDAR's plane: close by, only the LiDAR meets it."""
+    """A box that reaches just above the LiDAR's plane: close by, only the LiDAR sees it."""
     x0, y0, x1, y1 = footprint
     height_m = float(rng.uniform(0.34, 0.4))
     return make_object("low box", [((x0, y0, 0.0), (x1, y1, height_m), Material.WOOD)])

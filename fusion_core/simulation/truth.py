@@ -15,7 +15,7 @@ _CHUNK_BYTES = 1 << 20
 
 
 def truth_path(recording: Path) -> Path:
-    """Where a recording's truth stands: ``NAME.mcap`` has ``NAME.truth.npz`` beside it."""
+    """The path of a recording's ground truth: ``NAME.mcap`` has ``NAME.truth.npz`` beside it."""
     return recording.with_name(f"{recording.stem}.truth.npz")
 
 

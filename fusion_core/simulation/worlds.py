@@ -205,7 +205,7 @@ def build_world(
     angles: tuple[MeasuredAngle, ...] = (),
     fine_texture: bool = False,
 ) -> World:
-    """The world of a plan, with its shell and the outlines of what stands in it."""
+    """The world of a plan, with its shell and the outlines of its obstacles."""
     obstacles = obstacle_outlines(
         outer_wall_edges(plan.size_m, openings, CEILING_M), plan.objects, plan.size_m
     )

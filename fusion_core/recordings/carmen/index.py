@@ -75,7 +75,7 @@ class CarmenIndex:
 
 
 def index_lines(file: BinaryIO) -> CarmenIndex:
-    """Read a log from its beginning, a line at a time. What cannot be read costs a warning."""
+    """Read a log from its beginning, a line at a time. Unreadable lines give a warning."""
     indexer = _Indexer()
     place = 0
     while line := file.readline(MAX_LINE_BYTES + 1):

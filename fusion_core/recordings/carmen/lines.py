@@ -46,9 +46,9 @@ class BadLine(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class LineKind:
-    """What stands between the keyword and the stamps: ``body_fields`` follow the counted lists.
+    """The fields between the keyword and the stamps: ``body_fields`` follow the counted lists.
 
-    ``has_config``: the line itself tells the angles and limits of its readings.
+    ``has_config``: the line itself has the angles and limits of its readings.
     """
 
     body_fields: int
@@ -184,7 +184,7 @@ def _sick_angles(count: int, resolution_deg: float | None) -> tuple[float, float
 
 
 def _take_counted_list(fields: list[bytes], position: int, what: str) -> tuple[list[bytes], int]:
-    """The list whose length stands at ``position``, and where it ends."""
+    """The list whose length is at ``position``, and its end."""
     if position >= len(fields):
         raise BadLine(f"ends before its number of {what}")
     text = fields[position]

@@ -27,7 +27,7 @@ _Definition = TypeVar("_Definition", Schema, ChannelRecord)
 class McapChannels:
     """Channels in the order in which the file names them, each once.
 
-    The summary repeats what stands between the messages, and damaged chunks may still show it.
+    The summary repeats the definitions, and damaged chunks may still contain them.
     Such spare records serve where there is no other.
     """
 

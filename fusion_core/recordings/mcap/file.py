@@ -164,7 +164,7 @@ class McapFile:
             )
 
     def _verify_data(self, verified: ChecksumReport) -> None:
-        """By the checksum of all that stands before the summary, where the writer made one."""
+        """Verify the checksum of the data section, if the writer stored one."""
         end = self._summary.start - _DATA_END.size
         if self._summary.problem or end < len(MAGIC):
             return

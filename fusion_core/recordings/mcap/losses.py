@@ -1,4 +1,4 @@
-"""What is lost of a damaged MCAP file, and the warnings that report it."""
+"""The lost parts of a damaged MCAP file, and the warnings that report them."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ _MAX_LISTED = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lost:
-    """Bytes of the file that give no message. Their first and last log time are None if unknown."""
+    """A byte range that could not be read. First and last log time are None if unknown."""
 
     start: int
     end: int
@@ -57,12 +57,12 @@ class Losses:
         )
 
     def add_bad_definition(self, problem: str) -> None:
-        """A schema or a channel that cannot be read."""
+        """Add a schema or channel that cannot be read."""
         self._first_undefined = self._first_undefined or problem
         self._undefined += 1
 
     def add_untimed(self) -> None:
-        """A message whose log time is none."""
+        """Count a message with an invalid log time."""
         self._untimed += 1
 
     def warnings(self, found: Entries, file_bytes: int) -> list[str]:

@@ -68,7 +68,7 @@ _SEARCHED_CANDIDATES = 300_000
 
 
 class Record(NamedTuple):
-    """Where a record stands in the file. ``fields_end`` is where its known fields end.
+    """The position of a record in the file. ``fields_end`` is the end of its known fields.
 
     Either end may lie behind the end of the file, where that is cut. ``head`` are its first bytes.
     """
@@ -105,7 +105,7 @@ class Chunk:
 class RecordFile:
     """Reads records and chunks of an open file; every claim is checked before memory is taken.
 
-    Methods raise ValueError, with a reason in few words, for what is damaged.
+    Methods raise ValueError with a short reason for damaged content.
     """
 
     def __init__(self, file: BinaryIO) -> None:
@@ -215,7 +215,7 @@ class RecordFile:
         return None
 
     def follows(self, position: int) -> bool:
-        """Whether a record or the file's end stands at a place."""
+        """Whether a record or the end of the file is at a position."""
         return position == self.size or self.record(position) is not None
 
     def _is_certain(self, position: int) -> bool:
