@@ -65,15 +65,15 @@ class TransformTree:
         Raises FramesNotConnected where no chain of transforms leads from source to target, and
         StampOutsideRange where one does but not at this instant.
         """
-        chain = self._chain(target, source, stamp_ns)
+        chain = self._find_chain(target, source, stamp_ns)
         if chain is None:
-            raise self._failure(target, source, stamp_ns)
+            raise self._make_error(target, source, stamp_ns)
         T_target_source = np.eye(4)
         for parent, child in pairwise(chain):
-            T_target_source = T_target_source @ self._between(parent, child, stamp_ns)
+            T_target_source = T_target_source @ self._pair_transform(parent, child, stamp_ns)
         return T_target_source
 
-    def _chain(self, target: str, source: str, stamp_ns: int | None) -> list[str] | None:
+    def _find_chain(self, target: str, source: str, stamp_ns: int | None) -> list[str] | None:
         """Frames from target to source, breadth first; pairs at any time if stamp_ns is None."""
         if target not in self._neighbours or source not in self._neighbours:
             return [target] if target == source else None
@@ -110,7 +110,7 @@ class TransformTree:
                 gaps.append(self._timed[pair].gap_ns(stamp_ns))
         return min((gap for gap in gaps if gap is not None), default=None)
 
-    def _between(self, a: str, b: str, stamp_ns: int) -> FloatArray:
+    def _pair_transform(self, a: str, b: str, stamp_ns: int) -> FloatArray:
         """(4, 4) T_a_b of a pair that is known at the instant, recorded in either direction."""
         if (a, b) in self._static:
             return self._static[a, b]
@@ -122,10 +122,10 @@ class TransformTree:
             return forward.at(stamp_ns)
         return invert_transform(self._timed[b, a].at(stamp_ns))
 
-    def _failure(
+    def _make_error(
         self, target: str, source: str, stamp_ns: int
     ) -> FramesNotConnected | StampOutsideRange:
-        chain = self._chain(target, source, None)
+        chain = self._find_chain(target, source, None)
         if chain is None:
             known = ", ".join(repr(frame) for frame in self.frames) or "none"
             return FramesNotConnected(

@@ -84,7 +84,7 @@ def fuse_as_published(
     seconds = np.diff(stamps_ns) / 1e9
     for k in range(count):
         gains[k] = K
-        X_v, X_s, p_d = (_step(trajectory, k) for trajectory in (visual, laser, wheel))
+        X_v, X_s, p_d = (_measured_step(trajectory, k) for trajectory in (visual, laser, wheel))
         X_k: FloatArray | None
         if X_v is not None and X_s is not None:
             X_k = X_v + K * subtract_poses(X_s, X_v)  # (7)
@@ -143,7 +143,7 @@ class _MeanSquare:
         return mean
 
 
-def _step(trajectory: OdometryTrajectory | None, k: int) -> FloatArray | None:
+def _measured_step(trajectory: OdometryTrajectory | None, k: int) -> FloatArray | None:
     if trajectory is None or not trajectory.measured[k]:
         return None
     step: FloatArray = trajectory.steps[k].copy()

@@ -31,7 +31,7 @@ class Draw:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Draws:
-    """The draws of one model, recomputed from the seed when asked for: ``draws[i]``, iteration.
+    """The draws of one model, recomputed from the seed on demand: ``draws[i]``, iteration.
 
     A whole block is recomputed as it was at first, so a replay equals the original to the bit.
     ``lidar_points_m`` and ``depth_points_m``: (m, 2) as given, NaN where missing.

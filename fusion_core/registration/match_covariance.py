@@ -7,7 +7,7 @@ gradient g(x, z) of the cost vanishes, so an error dz of the ranges moves the po
     cov(x) = (dg/dx)⁻¹ (dg/dz) cov(z) (dg/dz)ᵀ (dg/dx)⁻¹        (Censi 2007, eq. 4)
 
 z are the ranges of *both* sweeps. A reference range takes part in the lines of all of its
-neighbours, so their residuals err together: dg/dz is summed up by range before it is squared.
+neighbours, so their residuals are correlated: dg/dz is summed by range before it is squared.
 """
 
 from math import erf, exp, pi, sqrt
@@ -24,8 +24,8 @@ from fusion_core.registration.polar_correspondence import PolarScan
 # Standard deviation along an unobservable direction: finite, and larger than any room.
 UNOBSERVABLE_SIGMA_M = 100.0
 
-# Least factor on the covariance. Residuals far below range noise mean correlated errors (quantised
-# or filtered ranges at standstill), not a better match.
+# Least factor on the covariance, set by hand. Residuals far below range noise mean correlated
+# errors (quantised or filtered ranges at standstill), not a better match.
 _NOISE_FACTOR_MIN = 0.5
 
 

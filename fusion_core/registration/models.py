@@ -32,7 +32,7 @@ MINIMAL_PAIRS: dict[TransformModel, int] = {
 # from normal equations, which square it).
 SINGULAR_CONDITION = 1e7
 
-# Far more than quadratic convergence from a DLT start needs.
+# A safeguard: from a DLT start, far fewer steps are needed.
 _GAUSS_NEWTON_STEPS_MAX = 20
 
 

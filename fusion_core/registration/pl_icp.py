@@ -147,7 +147,9 @@ class ReferenceScan:
     ) -> "ReferenceScan":
         """Prepare a sweep (N,); arguments and errors as in ``match_scans``."""
         settings = settings or PlIcpSettings()
-        scan, sigma_m = _prepare("first", ranges_m, angle_min_rad, angle_increment_rad, settings)
+        scan, sigma_m = _prepare_sweep(
+            "first", ranges_m, angle_min_rad, angle_increment_rad, settings
+        )
         lines: LocalLines = fit_local_lines(scan, sigma_m)
         return cls(scan=scan, sigma_m=sigma_m, lines=lines, settings=settings)
 
@@ -156,7 +158,7 @@ class ReferenceScan:
         """The likelihood grid of the start search."""
         resolution_m = self.settings.search_resolution_m
         return make_likelihood_pyramid(
-            _points(self.scan),
+            _scan_points(self.scan),
             resolution_m=resolution_m,
             truncation_m=2.0 * resolution_m,
             levels=_SEARCH_LEVELS,
@@ -246,7 +248,9 @@ def match_to_reference(
 ) -> ScanMatch:
     """As ``match_scans``, with a first sweep that has been prepared."""
     settings = reference.settings
-    moving, sigma_m = _prepare("second", ranges_m, angle_min_rad, angle_increment_rad, settings)
+    moving, sigma_m = _prepare_sweep(
+        "second", ranges_m, angle_min_rad, angle_increment_rad, settings
+    )
     centre = np.zeros(3) if guess is None else np.array(guess, dtype=np.float64)
     if centre.shape != (3,) or not np.isfinite(centre).all():
         raise ValueError(f"a guess must be (3,) and finite, got {guess}")
@@ -387,7 +391,7 @@ def _search_start(
 ) -> FloatArray:
     """The start that fits best within (metres, radians) of a pose."""
     settings = reference.settings
-    points_m = _points(moving)
+    points_m = _scan_points(moving)
     stride = max(1, points_m.shape[0] // settings.search_points)
     window = SearchWindow(
         centre=(float(centre[0]), float(centre[1]), float(centre[2])),
@@ -399,13 +403,13 @@ def _search_start(
     )
 
 
-def _points(scan: PolarScan) -> FloatArray:
+def _scan_points(scan: PolarScan) -> FloatArray:
     """(M, 2) of the valid beams."""
     points_m: FloatArray = scan.range_m[:, np.newaxis] * np.stack([scan.cos, scan.sin], axis=1)
     return points_m
 
 
-def _prepare(
+def _prepare_sweep(
     which: str,
     ranges_m: FloatArray,
     angle_min_rad: float,

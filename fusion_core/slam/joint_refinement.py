@@ -70,8 +70,8 @@ def refine(
     for _ in range(settings.rounds):
         # Use the poses of the round before, so that the order of the squares does not matter.
         before = poses.copy()
-        for inside, about in _squares(before[taken, :2], submaps.max_range_m):
-            cells = _map_of(before, key_points_m, taken[about], submaps)
+        for inside, about in _split_into_squares(before[taken, :2], submaps.max_range_m):
+            cells = _build_map(before, key_points_m, taken[about], submaps)
             for node in taken[inside].tolist():
                 progress(done, total, "refining")
                 done += 1
@@ -87,7 +87,9 @@ def refine(
     return poses
 
 
-def _squares(places_m: FloatArray, max_range_m: float) -> Iterator[tuple[IntArray, IntArray]]:
+def _split_into_squares(
+    places_m: FloatArray, max_range_m: float
+) -> Iterator[tuple[IntArray, IntArray]]:
     """For each square of the plane that holds places: those inside, and those within range of it.
 
     ``places_m``: (n, 2). Both as indices, rising.
@@ -104,7 +106,7 @@ def _squares(places_m: FloatArray, max_range_m: float) -> Iterator[tuple[IntArra
         yield np.flatnonzero(is_inside), np.flatnonzero(is_about | is_inside)
 
 
-def _map_of(
+def _build_map(
     poses: FloatArray, key_points_m: Sequence[FloatArray], nodes: IntArray, settings: SubmapSettings
 ) -> GrowingSubmap:
     """The cells that key scans have met, all of them in one grid."""

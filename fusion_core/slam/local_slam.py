@@ -211,7 +211,7 @@ class LocalSlam:
                 points_m,
                 prediction.pose,
                 prediction.sigma,
-                self._search(1.0, _ODOMETRY_WEIGHT),
+                self._make_search(1.0, _ODOMETRY_WEIGHT),
             )
         if match.occupancy < self._settings.occupancy_min:
             return self._relocalise(grid, points_m, prediction, match)
@@ -328,7 +328,7 @@ class LocalSlam:
         factor: float = _VELOCITY_SEARCH,
     ) -> GridMatch:
         """A match with the constant-velocity prior."""
-        search = self._search(factor, _VELOCITY_WEIGHT)
+        search = self._make_search(factor, _VELOCITY_WEIGHT)
         return self._match_near(grid, points_m, start, self._velocity_sigma, search)
 
     def _match_near(
@@ -344,7 +344,7 @@ class LocalSlam:
         prior_sigma = (float(sigma[0]), float(sigma[1]))
         return match_scan(grid, points_m, start, predicted=predicted, prior_sigma=prior_sigma)
 
-    def _search(self, factor: float, prior_weight: tuple[float, float]) -> LatticeSearch:
+    def _make_search(self, factor: float, prior_weight: tuple[float, float]) -> LatticeSearch:
         return LatticeSearch(
             translation_m=factor * self._settings.search_m,
             rotation_rad=factor * self._settings.search_rad,

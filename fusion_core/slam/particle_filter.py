@@ -194,12 +194,12 @@ class ParticleFilter:
         """
         settings = self._settings
         occupancy = np.full(len(self.poses), np.nan)
-        search = self._search(motion)
+        search = self._make_search(motion)
         # x'_t = x_{t-1} ⊕ u_{t-1}
         predicted = compose_poses(self.poses, step)
         for particle in range(len(self.poses)):
             noise = self._rng.standard_normal(3)
-            grid = self._map_about(particle, predicted[particle], points_m, search)
+            grid = self._grid_around(particle, predicted[particle], points_m, search)
             # Scan matching and the Gaussian about the match (eqs. 15 to 18).
             proposal = propose(
                 grid,
@@ -248,7 +248,7 @@ class ParticleFilter:
         self._log_weights[:] = 0.0
         self.weights = np.full(len(self.poses), 1.0 / len(self.poses))
 
-    def _search(self, motion: MotionModel) -> LatticeSearch:
+    def _make_search(self, motion: MotionModel) -> LatticeSearch:
         settings = self._settings
         return LatticeSearch(
             translation_m=max(settings.search_m, _SEARCH_SIGMAS * motion.sigma_m),
@@ -256,7 +256,7 @@ class ParticleFilter:
             prior_weight=_PRIOR_WEIGHT,
         )
 
-    def _map_about(
+    def _grid_around(
         self, particle: int, pose: FloatArray, points_m: FloatArray, search: LatticeSearch
     ) -> ProbabilityGrid:
         """The particle's map where a scan near ``pose`` may lie."""

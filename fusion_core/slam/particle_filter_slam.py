@@ -29,7 +29,7 @@ from fusion_core.slam.scan_points import densified_points
 from fusion_core.slam.scan_to_grid import POINTS_MIN
 from fusion_core.slam.submaps import SubmapSettings
 
-# Updates between two calls of an observer: a picture every few seconds.
+# Updates between two calls of an observer, set by hand: a picture every few seconds.
 _OBSERVED_EVERY = 20
 
 

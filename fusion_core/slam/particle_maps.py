@@ -89,7 +89,7 @@ class ParticleMaps:
         rows, columns = high[0] // TILE + 1 - row, high[1] // TILE + 1 - column
         cells = np.empty((rows * TILE, columns * TILE), dtype=np.uint8)
         occupancy = np.empty_like(cells)
-        _gather(
+        _gather_tiles(
             self._pool,
             self._tables[particle],
             row - self._first_row,
@@ -161,7 +161,7 @@ class ParticleMaps:
 
 
 @compiled()
-def _gather(
+def _gather_tiles(
     pool: ByteArray,
     table: Int32Array,
     first_row: int,

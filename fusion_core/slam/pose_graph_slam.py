@@ -37,7 +37,7 @@ from fusion_core.slam.submaps import SubmapSettings
 
 # Of odometry over a tracking loss: a slip in x, y [m] and yaw [rad]. Empirical.
 _BRIDGED_SIGMAS = (0.3, 0.3, 0.1)
-# Scans between two calls of an observer: a picture every few seconds.
+# Scans between two calls of an observer, set by hand: a picture every few seconds.
 _OBSERVED_EVERY = 20
 
 
@@ -122,7 +122,7 @@ def pose_graph_slam(
         count += 1
         progress(count, None, "matching scans")
         if count % _OBSERVED_EVERY == 0 and observer is not no_observer:
-            observer(_view("matching scans", *slam.trajectory_so_far(), []))
+            observer(_make_view("matching scans", *slam.trajectory_so_far(), []))
     if count == 0:
         raise MappingFailed("there is no scan to place.")
     local = slam.finish()
@@ -136,7 +136,7 @@ def pose_graph_slam(
     def show(stage: str, poses_map_node: FloatArray, loops: list[Edge]) -> None:
         if observer is not no_observer:
             stamps_ns = local.stamps_ns[local.key_scans[: len(poses_map_node)]]
-            observer(_view(stage, stamps_ns, poses_map_node, loops))
+            observer(_make_view(stage, stamps_ns, poses_map_node, loops))
 
     # Global SLAM: constraints (V.A), loops by branch and bound (V.B), eq. SPA (V.A).
     closed = close_loops(
@@ -161,13 +161,13 @@ def pose_graph_slam(
     poses_map_scan = interpolate_poses(local.poses_local_scan, local.key_scans, poses_map_node)
     loops = [edge for edge in closed.edges if edge.is_loop]
     if observer is not no_observer:
-        observer(_view("done", local.stamps_ns, poses_map_scan, loops, poses_map_node))
+        observer(_make_view("done", local.stamps_ns, poses_map_scan, loops, poses_map_node))
     return SlamResult(
         stamps_ns=local.stamps_ns,
         poses_map_scan=poses_map_scan,
-        trusted=local.is_trusted & _scans_connected(local, closed.is_connected),
+        trusted=local.is_trusted & _find_connected_scans(local, closed.is_connected),
         key=local.key_scans,
-        graph=_graph(poses_map_node, closed.edges),
+        graph=_make_graph(poses_map_node, closed.edges),
         residuals=residuals(poses_map_node, closed.edges),
         loops_tried=closed.candidates_tried,
         loops_dropped=closed.loops_dropped,
@@ -180,7 +180,7 @@ def pose_graph_slam(
     )
 
 
-def _view(
+def _make_view(
     stage: str,
     stamps_ns: IntArray,
     poses_map_scan: FloatArray,
@@ -202,7 +202,7 @@ def _view(
     )
 
 
-def _scans_connected(local: LocalTrajectory, is_connected: BoolArray) -> BoolArray:
+def _find_connected_scans(local: LocalTrajectory, is_connected: BoolArray) -> BoolArray:
     """(N,) whether the last key scan before each scan is connected with the first one."""
     connected: BoolArray = is_connected[local.nodes_before(np.arange(len(local.stamps_ns)))]
     return connected
@@ -234,7 +234,7 @@ def _odometry_edges(local: LocalTrajectory, settings: GraphSettings) -> list[Edg
     return edges
 
 
-def _graph(poses_map_node: FloatArray, edges: list[Edge]) -> PoseGraph:
+def _make_graph(poses_map_node: FloatArray, edges: list[Edge]) -> PoseGraph:
     return PoseGraph(
         poses_map_node=poses_map_node,
         first=np.array([edge.first for edge in edges], dtype=np.int64),

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from fusion_core.model.conventions import wrap_angle
-from fusion_core.slam.joint_refinement import RefinementSettings, _squares, refine
+from fusion_core.slam.joint_refinement import RefinementSettings, _split_into_squares, refine
 from fusion_core.slam.scan_points import scan_points
 from fusion_core.slam.submaps import SubmapSettings
 from tests.benchmarks.scan_matching_room import WALLS as ROOM
@@ -111,7 +111,7 @@ def test_progress_is_reported(room, off):
 @given(arrays(np.float64, st.tuples(st.integers(0, 30), st.just(2)), elements=st.floats(-500, 500)))
 def test_squares_hold_each_place_once_with_all_within_range(places_m):
     seen = []
-    for inside, about in _squares(places_m, 30.0):
+    for inside, about in _split_into_squares(places_m, 30.0):
         seen += inside.tolist()
         for place in inside:
             away_m = np.abs(places_m - places_m[place]).max(axis=1)
