@@ -57,7 +57,7 @@ _MODULE_OF = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for, when it is first asked for: the command line is a part of this
+    """Import a name on first access: the command line is a part of this
     package, and its ``--help`` must be quick."""
     if name not in __all__:
         raise AttributeError(f"module 'scanloom' has no attribute {name!r}")

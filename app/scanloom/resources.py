@@ -1,6 +1,6 @@
 """The files that come with ScanLoom: pictures and colours (static), built-in recordings (samples).
 
-A wheel holds both folders inside this package; in a checkout they stand at its top.
+A wheel holds both folders inside this package; in a checkout they are at its top level.
 """
 
 import json
@@ -24,7 +24,7 @@ def sample_path(name: str = "furnished_room.mcap") -> Path:
 def palette() -> dict[str, str]:
     """Colour (#RRGGBB) of each noise class, each sensor and the fused result.
 
-    The colours are those of Okabe and Ito, which stay apart for colour-blind readers.
+    The colours are those of Okabe and Ito, which colour-blind readers can distinguish.
     """
     colours: dict[str, str] = json.loads(static_path("palette.json").read_text(encoding="utf-8"))
     return colours
@@ -38,5 +38,5 @@ def _find(folder: str, name: str) -> Path:
     raise ScanLoomError(
         "this file of ScanLoom itself is missing.",
         file=f"{folder}/{name}",
-        advice="Install ScanLoom anew.",
+        advice="Reinstall ScanLoom.",
     )

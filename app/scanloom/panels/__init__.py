@@ -1,1 +1,1 @@
-"""One file for each panel: widgets that change the view, and what they show of the result."""
+"""The panels, one file each: widgets that change the view and display its results."""

@@ -1,4 +1,4 @@
-"""The commands that do what the Map panel does, to copy: ``scanloom fuse`` and ``scanloom map``."""
+"""The commands equivalent to the Map panel, to copy: ``scanloom fuse`` and ``scanloom map``."""
 
 import os
 import shlex
@@ -12,8 +12,15 @@ from fusion_core.workflows.map.options import MapOptions
 
 def fuse_command(recording: Path, output: Path, options: FuseOptions) -> str:
     """A line for a POSIX shell that gives ``options`` to ``scanloom fuse``."""
-    words = ["scanloom", "fuse", str(recording), "--output", str(output), *_fuse_arguments(options)]
-    return " ".join(map(_shell_quoted, words))
+    arguments = [
+        "scanloom",
+        "fuse",
+        str(recording),
+        "--output",
+        str(output),
+        *_fuse_arguments(options),
+    ]
+    return " ".join(map(_shell_quoted, arguments))
 
 
 def map_command(recording: Path, output: Path, options: MapOptions) -> str:
@@ -33,15 +40,15 @@ def map_command(recording: Path, output: Path, options: MapOptions) -> str:
         ("--lidar", options.lidar_topic),
         ("--pose", options.pose_topic),
     )
-    words = ["scanloom", "map", str(recording), "--output", str(output)]
-    words += [f"{option}={value}" for option, value in named if value is not None]
+    arguments = ["scanloom", "map", str(recording), "--output", str(output)]
+    arguments += [f"{option}={value}" for option, value in named if value is not None]
     switches = (("--force", options.force), ("--overwrite", options.overwrite))
-    words += [switch for switch, is_on in switches if is_on]
-    return " ".join(map(_shell_quoted, words))
+    arguments += [switch for switch, is_on in switches if is_on]
+    return " ".join(map(_shell_quoted, arguments))
 
 
 def _shell_quoted(argument: str) -> str:
-    """One word for the shell; what is no UTF-8 in a path as bytes, as bash and zsh read them."""
+    """Quote an argument; bytes of a path that are not UTF-8 become escapes of bash and zsh."""
     if escape_undecodable(argument) == argument:
         return shlex.quote(argument)
     raw = os.fsencode(argument)
@@ -67,7 +74,7 @@ def _fuse_arguments(options: FuseOptions) -> Iterator[str]:
     )
     for option, value in named:
         if value is not None:
-            # In one word: a topic may begin with a dash.
+            # Joined by "=": a topic may begin with a dash.
             yield f"{option}={value}"
     switches = (
         ("--apply-clock-offset", options.apply_clock_offset),

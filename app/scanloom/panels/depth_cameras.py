@@ -14,8 +14,8 @@ from scanloom.state.view import View
 class DepthCameras:
     """A box for each depth topic, and one for those found by type.
 
-    viser has no list to choose several of, and its widgets are made once: each recording gets boxes
-    of its own.
+    viser has no multiple choice, and the number of widgets is fixed: the boxes are created anew for
+    each recording.
     """
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
@@ -29,7 +29,7 @@ class DepthCameras:
         self._folder = gui.add_folder("Depth cameras", expand_by_default=True)
 
     def show(self, frame_view: FrameView) -> None:
-        """Boxes once for each recording; what is checked is what the view asks for."""
+        """Create the boxes of a new recording, and check those of the view."""
         open_recording = frame_view.open_recording
         if self._recording is not open_recording.fuse_session.recording:
             self._recording = open_recording.fuse_session.recording
@@ -80,7 +80,7 @@ class DepthCameras:
             self._session.notify("One depth camera is needed", "Check another one first.")
             self._session.refresh()
             return
-        # In the recording's order: the same cameras are the same choice.
+        # In the recording's order, so that the same cameras are the same choice.
         self._choose(tuple(name for name in self._topics if name in chosen))
 
     def _choose(self, topics: tuple[str, ...]) -> None:
@@ -88,7 +88,7 @@ class DepthCameras:
 
 
 def distinct_labels(topics: Sequence[str]) -> list[str]:
-    """What tells topics apart: their names without the last parts that all of them share."""
+    """The shortest distinct labels of topics: their names without the last parts common to all."""
     parts = [topic.split("/") for topic in topics]
     shared = 0
     while len(parts) > 1 and all(len(own) > shared + 2 for own in parts):

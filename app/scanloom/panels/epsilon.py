@@ -17,7 +17,7 @@ from scanloom.panels.registration_text import epsilon_text
 from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.state.view import View
 
-# Ends and step of each unit's slider; a setting may lie beyond.
+# Range and step of each unit's slider, set by hand; a setting may lie outside.
 _RANGES: dict[EpsilonUnit, tuple[float, float, float]] = {
     "sigma": (0.5, 10.0, 0.1),
     "E": (0.1, 5.0, 0.01),
@@ -28,14 +28,14 @@ _BAND_MARKS = ((1.0, "E"), (2.0**0.5, "√2 E"))
 
 
 class EpsilonSliders:
-    """A slider for each unit, of which one is visible."""
+    """A slider for each unit; one is visible."""
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession, controls: Controls) -> None:
         self._session = session
         self._sliders = {unit: self._add(gui, controls, unit) for unit in EPSILON_UNITS}
 
     def show(self, view: View) -> None:
-        """The slider of the view's unit."""
+        """Show the slider of the view's unit."""
         for unit, slider in self._sliders.items():
             update_widget(slider, visible=unit == view.settings.noise.epsilon_unit)
 
@@ -60,7 +60,7 @@ class EpsilonSliders:
             return min(max(noise.epsilon, low), high) if noise.epsilon_unit == unit else None
 
         def change(value: float) -> None:
-            # A value that was on its way when the unit changed means the unit before.
+            # A late value of the previous unit is dropped.
             if unit == self._session.view.settings.noise.epsilon_unit:
                 self._session.change_setting("noise", "epsilon", float(value))
 
@@ -69,7 +69,7 @@ class EpsilonSliders:
 
 
 class EpsilonControls:
-    """The unit, its slider, and words."""
+    """The unit, its slider, and epsilon in metres as text."""
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
         self._session = session
@@ -87,7 +87,7 @@ class EpsilonControls:
         self._text = gui.add_markdown("")
 
     def show(self, frame_view: FrameView) -> None:
-        """Set unit and slider; say what epsilon is in this frame."""
+        """Set unit and slider, and display epsilon in this frame."""
         noise = frame_view.view.settings.noise
         self._controls.show(frame_view.view)
         self._sliders.show(frame_view.view)
@@ -101,12 +101,12 @@ class EpsilonControls:
         update_widget(self._text, content=text)
 
     def _change_unit(self, unit: EpsilonUnit) -> None:
-        """The same length in another unit, as one change."""
+        """Convert epsilon to another unit, as one change."""
         view = self._session.view
         noise = view.settings.noise
         low, high, step = _RANGES[unit]
         epsilon = convert_epsilon(noise.epsilon, noise.epsilon_unit, unit, self._lengths_m)
-        # On the slider, as if it had been set there.
+        # Rounded to a step of the slider.
         on_slider = min(max(round(epsilon / step) * step, low), high)
         changed = view.with_setting("noise", "epsilon_unit", unit).with_setting(
             "noise", "epsilon", round(on_slider, 3)

@@ -72,7 +72,7 @@ def explain_pixel_class(facts: BeamFacts, settings: ChainSettings) -> str:
 
 
 def explain_beam_repair(facts: BeamFacts, settings: ChainSettings) -> str:
-    """Why the beam was repaired as it was, or not."""
+    """How the beam was repaired, or why it was not."""
     lidar = facts.lidar
     if lidar.noise_class == NoiseClass.BURR and math.isnan(lidar.from_other_m):
         return "Kept: the scans before and after have it in the same place."
@@ -86,7 +86,7 @@ def explain_beam_repair(facts: BeamFacts, settings: ChainSettings) -> str:
 
 
 def explain_pixel_repair(facts: BeamFacts, settings: ChainSettings) -> str:
-    """Why the pixel was repaired as it was, or not."""
+    """How the pixel was repaired, or why it was not."""
     pixel, beam = facts.pixel, facts.lidar
     if pixel is None:
         return ""
@@ -108,7 +108,7 @@ def explain_pixel_repair(facts: BeamFacts, settings: ChainSettings) -> str:
 
 
 def length(metres: float) -> str:
-    """A length as people say it; a dash where there is none."""
+    """A length in readable units; a dash for NaN."""
     if not math.isfinite(metres):
         return "–"
     return f"{100.0 * metres:.1f} cm" if abs(metres) < 1.0 else f"{metres:.2f} m"
@@ -117,7 +117,7 @@ def length(metres: float) -> str:
 def _repair_text(
     sample: SampleFacts, other: str, other_refused: str, settings: ChainSettings
 ) -> str:
-    """``other_refused``: why the other sensor offers nothing, where it does not."""
+    """``other_refused``: why the other sensor gives no value, if so."""
     if sample.noise_class == NoiseClass.GOOD:
         return "Kept: a good value stays."
     if sample.noise_class == NoiseClass.CONFLICT:
@@ -145,10 +145,10 @@ def _repair_text(
             own, theirs, source = from_neighbours, from_other, "its neighbours"
             none = other_refused
             preferred = False
-    said = f"{done} from {source}: expected error {length(own)}"
+    text = f"{done} from {source}: expected error {length(own)}"
     if preferred:
-        return f"{said}. The other sensor is preferred, whatever the neighbours give."
-    return f"{said}; {none}." if math.isinf(theirs) else f"{said} against {against}."
+        return f"{text}. The other sensor is preferred, regardless of the neighbours."
+    return f"{text}; {none}." if math.isinf(theirs) else f"{text} against {against}."
 
 
 def _no_pair(facts: BeamFacts) -> bool:
@@ -210,5 +210,5 @@ def _capital(text: str) -> str:
 
 
 def _share(confidence: float) -> str:
-    """Rounded down: what is below a limit of two digits must not read as the limit itself."""
+    """Rounded down: a value below a limit of two digits must not read as the limit."""
     return f"{math.floor(100.0 * confidence) / 100.0:.2f}"

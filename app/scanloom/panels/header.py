@@ -57,11 +57,11 @@ class HeaderPanel(Panel):
 
     def _show_link(self) -> None:
         link = f"/go?view={self._session.view.to_link()}"
-        words = "Add this to the server's address. It restores recording, time, settings and panel."
-        self._show_dialogue("A link to this view", words, link=link)
+        text = "Add this to the server's address. It restores recording, time, settings and panel."
+        self._show_dialogue("A link to this view", text, link=link)
 
     def _show_dialogue(self, title: str, text: str, *, link: str | None = None) -> None:
-        """A modal dialogue with a text, and a link to copy."""
+        """Open a modal dialogue with a text, and a link to copy."""
         gui = self._gui
         with gui.add_modal(title) as modal:
             gui.add_markdown(text)
@@ -81,7 +81,7 @@ def _title(view: View) -> str:
 
 
 def _differences(view: View) -> str:
-    """One line that says what differs from the preset."""
+    """The settings that differ from the preset, in one line."""
     changed = [
         f"{stage}.{name} = {value}" if stage else f"{name} = {value}"
         for stage, values in view.preset_overrides().items()

@@ -30,20 +30,14 @@ from scanloom.jobs.build import (
 from scanloom.panels.command_line import fuse_command
 from scanloom.panels.slam import SlamPanel
 from scanloom.panels.widgets.controls import Controls, update_widget
-from scanloom.panels.widgets.markup import paragraph, text_box
+from scanloom.panels.widgets.markup import paragraph, report_line, text_box
 from scanloom.panels.widgets.panel_job import PanelJob
 from scanloom.panels.widgets.result_figures import ResultFigures
 from scanloom.state.view import MAP_MODES, View
 
-# Words that do not fit on a line go on under those above, right of the line's name.
-_REPORT_LINE = (
-    "padding-left:11ch;text-indent:-11ch;white-space:pre-wrap;overflow-wrap:anywhere;"
-    "font-family:ui-monospace,monospace;font-size:0.9em"
-)
-
 
 class TakeMap(Protocol):
-    """Takes the map on the floor; ``poses``: the LiDAR's in it, where not the recorded ones."""
+    """Receives the map for the scene's floor; ``poses``: the LiDAR's, None: the recorded ones."""
 
     def __call__(self, grid: OccupancyGrid | None, poses: PoseLookup | None = None, /) -> None: ...
 
@@ -64,13 +58,13 @@ class MapPanel(Panel):
         on_map: TakeMap,
     ) -> None:
         self._session = session
-        # Commands are for shells that stand elsewhere.
+        # The command may be run in another working directory.
         self._root = Path(os.path.realpath(output_root))
         self._on_map = on_map
         self._lock = threading.RLock()
         self._built: Build | None = None
         self._clouds = ""
-        # What the widgets show now; a view changes many times while these stay.
+        # What the widgets display; most changes of the view leave it unchanged.
         self._drawn: Build | None = None
         self._on_floor: OccupancyGrid | None = None
         self._commanded: object = None
@@ -85,7 +79,7 @@ class MapPanel(Panel):
         self._controls.bind_field(mode, "map_mode", str)
         self._fuse = gui.add_folder("Fuse", visible=session.view.map_mode == "Fuse")
         with self._fuse:
-            self._furnish(gui)
+            self._add_build_widgets(gui)
         self._slam_folder = gui.add_folder(
             "Motion and SLAM", visible=session.view.map_mode == "SLAM"
         )
@@ -101,8 +95,8 @@ class MapPanel(Panel):
             if event.client is not None:
                 session.refresh()
 
-    def _furnish(self, gui: viser.GuiApi) -> None:
-        """The widgets of a build."""
+    def _add_build_widgets(self, gui: viser.GuiApi) -> None:
+        """Add the widgets of a build."""
         gui.add_html(
             paragraph(
                 "Fuses the whole recording with the settings as they are, and builds the maps of "
@@ -131,7 +125,7 @@ class MapPanel(Panel):
             self._command = gui.add_html("")
 
     def show(self, frame_view: FrameView) -> None:
-        """The maps of the recording that is shown, and the command of the view."""
+        """Display the maps of the view's recording, and the equivalent command."""
         with self._lock:
             built = self._built
             if built is not None and built.view.recording != frame_view.view.recording:
@@ -150,12 +144,12 @@ class MapPanel(Panel):
             self._show_built(frame_view.view, built)
 
     def close(self) -> None:
-        """The browser has gone: what it builds is of no use any more."""
+        """Cancel the build: the browser has disconnected."""
         self._job.close()
         self._slam.close()
 
     def _lay_floor(self, view: View, built: Build | None) -> None:
-        """The map of the mode, handed on where it is another one."""
+        """Pass the map of the mode to the scene, if it has changed."""
         run = self._slam.chosen(view.recording) if view.map_mode == "SLAM" else None
         poses: PoseLookup | None = None
         if run is not None:
@@ -254,7 +248,7 @@ class MapPanel(Panel):
 
 
 def _build_inputs(view: View) -> tuple[object, ...]:
-    """What of a view a build depends on."""
+    """The fields of a view that a build depends on."""
     return (
         view.recording,
         view.preset,
@@ -268,7 +262,7 @@ def _build_inputs(view: View) -> tuple[object, ...]:
 
 
 def _report(built: Build, *, changed: bool) -> str:
-    """What a run has to report, as HTML."""
+    """The report of a build, as HTML."""
     notices = []
     if changed:
         notices.append("<b>Settings or streams changed since this build.</b>")
@@ -276,8 +270,8 @@ def _report(built: Build, *, changed: bool) -> str:
         notices.append(html.escape(_why_no_maps(built)))
     paragraphs = "".join(f"<p style='margin:0.3em 0'>{line}</p>" for line in notices)
     lines = "".join(
-        # The lines are a terminal's, which may not have the sign.
-        f"<div style='{_REPORT_LINE}'>{html.escape(line.replace('+-', '±'))}</div>"
+        # The command line prints ASCII.
+        report_line(line.replace("+-", "±"))
         for line in built.summary.lines()
     )
     return f"<div style='padding:0 0.5em;font-size:0.85em'>{paragraphs}{lines}</div>"
@@ -287,7 +281,7 @@ def _why_no_maps(built: Build) -> str:
     if built.options.virtual_lidar_row is not None:
         why = "A virtual LiDAR is cut from the camera's own images, so there is nothing to compare."
     elif built.summary.pose_source is None:
-        why = "The recording does not say where the LiDAR was: no TF, odometry or pose topic."
+        why = "The recording has no poses of the LiDAR: no TF, odometry or pose topic."
     else:
         why = "No scan could be placed."
     return f"No maps. {why} All other results are there."

@@ -23,7 +23,7 @@ from scanloom.state.view import Scope
 
 _WIDTH_PX, _HEIGHT_PX = 500, 420
 _METRICS = ("euclidean", "pearson", "cosine", "inverse_cosine")
-# Frames to either side that make a window's field.
+# Frames on either side that the field of a window averages; set by hand.
 _WINDOW_FRAMES = 2
 
 
@@ -40,7 +40,7 @@ class MatchPanel(Panel):
         self._session = session
         self._on_heatmap = on_heatmap
         self._drawn: Heatmap | None = None
-        # Frame, chain and choices that it was drawn of.
+        # The frame, chain and options of the last drawing.
         self._drawn_of: tuple[object, object, object] = None, None, None
         controls = Controls(gui, session)
         scope = gui.add_dropdown(
@@ -93,7 +93,7 @@ class MatchPanel(Panel):
             session.change_settings(picked_offset=picked)
 
     def show(self, frame_view: FrameView) -> None:
-        """Draw the field, the curves and the words of this view."""
+        """Draw the field, the curves and the summary of this view."""
         self._controls.show(frame_view.view)
         match = frame_view.match
         for picture in (self._picture, self._curves):
@@ -111,7 +111,7 @@ class MatchPanel(Panel):
             update_widget(self._mount, content=mount_text(alignment.mount, alignment.notes))
 
     def _heatmap_of(self, frame_view: FrameView, match: FrameMatch) -> Heatmap:
-        """The picture of this view: the last one where nothing of it has changed."""
+        """The picture of this view; the last one if nothing has changed."""
         view = frame_view.view
         # A match is kept as long as its settings are: a new epsilon makes no new one.
         frame = match if view.field_scope != "recording" else None
@@ -171,7 +171,7 @@ class MatchPanel(Panel):
 
 
 def _place(frame_view: FrameView, match: FrameMatch) -> tuple[float, float] | None:
-    """The offset that is shown: the picked one, else the frame's peak."""
+    """The displayed offset: the picked one, else the frame's peak."""
     if frame_view.view.picked_offset is not None:
         return frame_view.view.picked_offset
     peak = match.search.peaks.get(frame_view.view.settings.search.metric)

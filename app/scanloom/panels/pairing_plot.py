@@ -19,14 +19,14 @@ from scanloom.plots.line_plot import (
 )
 from scanloom.plots.palette import color_of
 
-# The plot ends so far beyond the largest gap of a pair.
+# Margin of the plot beyond the largest gap of a pair; set by hand.
 _MARGIN_FRACTION = 0.12
-# What clocks of robots resolve: smaller gaps need no larger scale.
-_LEAST_LIMIT_MS = 0.5
+# Set by hand: about the resolution of stamps on robots.
+_MIN_LIMIT_MS = 0.5
 
 
 class PairingPlot:
-    """Follows the stamps and the clock offset; another frame only moves its line."""
+    """The gap of each pair over time, with the current frame marked."""
 
     def __init__(self, gui: viser.GuiApi) -> None:
         self._plot = add_line_plot(
@@ -52,7 +52,7 @@ class PairingPlot:
         self._marked: tuple[GapCurves | None, int] = None, -1
 
     def show(self, frame_view: FrameView) -> None:
-        """Nothing before the first pass over the recording has ended."""
+        """Draw the gaps, once the recording's stamps are known."""
         stamps = frame_view.open_recording.pairing
         is_virtual = frame_view.open_recording.fuse_session.virtual_row is not None
         if is_virtual:
@@ -93,8 +93,8 @@ class GapCurves:
         gap_ms, paired = gaps.gap_ms[order], gaps.is_paired[order]
         known_ms = np.abs(gap_ms[paired if paired.any() else np.isfinite(gap_ms)])
         farthest_ms = float(known_ms.max()) if known_ms.size else 0.0
-        self.limit_ms = max((1.0 + _MARGIN_FRACTION) * farthest_ms, _LEAST_LIMIT_MS)
-        # An image without any scan is as far away as can be.
+        self.limit_ms = max((1.0 + _MARGIN_FRACTION) * farthest_ms, _MIN_LIMIT_MS)
+        # An image without any scan is drawn at the edge.
         inside_ms = np.clip(np.nan_to_num(gap_ms, nan=np.inf), -self.limit_ms, self.limit_ms)
         half_ms = np.full(gap_ms.size, 0.5 * gaps.scan_period_ms)
         half_ms[half_ms > self.limit_ms] = np.nan

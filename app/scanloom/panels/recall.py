@@ -1,6 +1,5 @@
-"""The recall curve of Fig. 6 with the present epsilon, where a truth stands by the recording."""
+"""The recall curve of Fig. 6 with the current epsilon, for recordings with ground truth."""
 
-import html
 import threading
 from collections.abc import Callable, Hashable
 from pathlib import Path
@@ -17,6 +16,7 @@ from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView, as_failure, clock_offset_ms, failure_summary
 from scanloom.jobs.long_job import LongJob
 from scanloom.panels.widgets.controls import update_widget
+from scanloom.panels.widgets.markup import paragraph
 from scanloom.plots.lettering import INK
 from scanloom.plots.line_plot import PlotLabels, add_line_plot, area, line, with_vertical_line
 from scanloom.plots.palette import Color, color_of
@@ -24,13 +24,13 @@ from scanloom.state.open_recording import OpenRecording
 
 _BAND_COLOR: Color = (225, 229, 233)
 _COMPUTE, _CANCEL = "Compute", "Cancel"
-# The desk's own work goes first; a film that plays leaves no pause.
+# Set by hand: continuous playback must not stop this computation altogether.
 _MAX_IDLE_WAIT_S = 0.5
 _CANCEL_TIMEOUT_S = 10.0
 
 
 class RecallPanel:
-    """Computes the curve when asked, in a thread of its own; the recording keeps it for all."""
+    """Computes the curve on request in a background thread; it is cached with the recording."""
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
         self._session = session
@@ -38,10 +38,10 @@ class RecallPanel:
         self._job: LongJob | None = None
         self._closed = False
         self._begin: Callable[[], None] = lambda: None
-        # What the job's words are about, and whose curve is drawn.
+        # The displayed recording, and its ground truth.
         self._open_recording: OpenRecording | None = None
         self._truth: Path | None = None
-        # Whose curve the plot shows, and the epsilon that is marked.
+        # The plotted curve, and the marked epsilon.
         self._plotted: tuple[RecallCurve | None, float] = None, 0.0
         self._folder = gui.add_folder("Recall over ε, by the truth", visible=False)
         with self._folder:
@@ -69,7 +69,7 @@ class RecallPanel:
         self._button.on_click(lambda _: self._press())
 
     def show(self, frame_view: FrameView) -> None:
-        """Draw the curve of the view's settings where it is known; else offer to compute it."""
+        """Draw the curve of the view's settings if it is cached; else offer to compute it."""
         self._find_truth(frame_view.open_recording)
         chain, truth, fused = frame_view.chain, self._truth, frame_view.fused
         update_widget(self._folder, visible=chain is not None and truth is not None)
@@ -91,7 +91,7 @@ class RecallPanel:
             self._show_curve(curve, fused)
 
     def close(self) -> None:
-        """The browser has gone."""
+        """Cancel the computation: the browser has disconnected."""
         with self._lock:
             self._closed = True
             job = self._job
@@ -127,7 +127,7 @@ class RecallPanel:
             self._end("")
 
         update_widget(self._button, label=_CANCEL)
-        update_widget(self._progress_text, content=_paragraph("Starting …"), visible=True)
+        update_widget(self._progress_text, content=paragraph("Starting …"), visible=True)
         update_widget(self._progress, value=0.0, visible=True)
         self._job = LongJob(
             "recall",
@@ -139,7 +139,7 @@ class RecallPanel:
         )
 
     def _yielding(self, progress: Progress) -> Progress:
-        """Reports, and lets the desk go first: what a person drags must not wait for this."""
+        """``progress`` that also waits for the session's worker, so that dragging stays smooth."""
 
         def report(done: int, total: int | None, what: str) -> None:
             progress(done, total, what)
@@ -150,7 +150,7 @@ class RecallPanel:
     def _advance(self, done: int, total: int | None, what: str) -> None:
         percent = round(100.0 * done / total) if total else 0
         update_widget(self._progress, value=float(percent))
-        update_widget(self._progress_text, content=_paragraph(f"{what.capitalize()}, {percent} %"))
+        update_widget(self._progress_text, content=paragraph(f"{what.capitalize()}, {percent} %"))
 
     def _fail(self, error: Exception) -> None:
         failure = as_failure(
@@ -161,19 +161,23 @@ class RecallPanel:
         self._end(f"There is no curve. {failure_summary(failure)} {failure.advice}")
 
     def _end(self, message: str) -> None:
-        """The job's last step, in its thread: the worker draws what came of it."""
+        """End the job, in its thread, and have the session display the result."""
         with self._lock:
             self._job = None
             update_widget(self._button, label=_COMPUTE)
             update_widget(self._progress, visible=False)
-            update_widget(self._progress_text, content=_paragraph(message), visible=bool(message))
+            update_widget(self._progress_text, content=paragraph(message), visible=bool(message))
             closed = self._closed
         if not closed:
             self._session.refresh()
 
     def _show_curve(self, curve: RecallCurve, fused: FusedFrame | None) -> None:
-        said = None if fused is None else measure_epsilon(fused)
-        factor = float("nan") if said is None or not said.E_m > 0.0 else said.middle_m / said.E_m
+        measured = None if fused is None else measure_epsilon(fused)
+        factor = (
+            float("nan")
+            if measured is None or not measured.E_m > 0.0
+            else measured.middle_m / measured.E_m
+        )
         marked = factor if _is_in_plot(curve, factor) else float("nan")
         before, at = self._plotted
         if before is not curve or not np.array_equal(at, marked, equal_nan=True):
@@ -187,7 +191,7 @@ def _data(curve: RecallCurve, marked: float) -> tuple[FloatArray, ...]:
     first, last = PAPER_BAND
     factors = np.sort(np.concatenate([curve.factors, [first, first, last, last]]))
     band = np.zeros(factors.size)
-    # Its edges stand twice, so that they are upright.
+    # Its edges occur twice, so that they are vertical.
     band[np.searchsorted(factors, first) + 1 : np.searchsorted(factors, last, "right") - 1] = 1.0
     recalls = [
         np.interp(factors, curve.factors, _fractions(counts, whole))
@@ -211,7 +215,7 @@ def _is_in_plot(curve: RecallCurve, factor: float) -> bool:
 
 
 def _fractions(counts: IntArray, whole: int) -> FloatArray:
-    """Counts as shares of all, NaN where there are none."""
+    """Counts as fractions of ``whole``, NaN if it is 0."""
     return counts / whole if whole else np.full(counts.shape, np.nan)
 
 
@@ -232,10 +236,3 @@ def _summary_text(curve: RecallCurve, factor: float) -> str:
             shares.append(f"{verb} **{percent:.1f} %** of the {what} pairs")
     alone = f" ε alone {' and '.join(shares)}; the classes look at neighbours, too."
     return f"{counts} {there}.{alone if shares else ''}"
-
-
-def _paragraph(text: str) -> str:
-    return (
-        "<div style='padding:0.2em 0.5em;font-size:0.85em;overflow-wrap:anywhere'>"
-        f"{html.escape(text)}</div>"
-    )

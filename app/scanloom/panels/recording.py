@@ -24,7 +24,7 @@ class RecordingPanel(Panel):
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
         self._session = session
-        # The recording and how many of its warnings are listed: reading on may find more.
+        # The listed recording and its number of warnings: further reading may find more.
         self._listed: tuple[object, int] = None, 0
         self._names = tuple(session.recording_names())
         self._name = gui.add_dropdown("Recording", self._names, initial_value=self._names[0])
@@ -68,7 +68,7 @@ class RecordingPanel(Panel):
         again.on_click(lambda _: session.align_again())
 
     def show(self, frame_view: FrameView) -> None:
-        """Streams once for each recording; progress and clock as they come."""
+        """Display the streams of a new recording, and the progress and clock offset."""
         view = frame_view.view
         self._offer(frame_view)
         self._controls.show(view)
@@ -82,7 +82,7 @@ class RecordingPanel(Panel):
         update_widget(
             self._clock, content="" if chain is None else _clock_offset_text(chain.alignment.mount)
         )
-        # What was applied can be taken back in any case.
+        # An applied offset can always be removed.
         update_widget(self._apply, disabled=sd_ms is None and not view.apply_clock_offset)
         aligned = ""
         if chain is not None:
@@ -104,7 +104,7 @@ class RecordingPanel(Panel):
         )
 
     def _offer(self, frame_view: FrameView) -> None:
-        """What there is to choose from. A link may name a recording in an inner folder."""
+        """Update the list of recordings. A link may name one in a subfolder."""
         name = frame_view.view.recording
         update_widget(
             self._name, options=self._names if name in self._names else (*self._names, name)

@@ -27,7 +27,7 @@ from scanloom.plots.png import show_picture
 _WIDTH_PX, _PAIRS_PX, _DRAW_PX = 480, 590, 330
 _MODELS = ("auto", "rigid", "similarity", "affine", "homography")
 _STOPPINGS = ("fixed", "adaptive")
-# In the paper's own pairs x is no length that was measured.
+# In the paper's pairs x is an index, not a length.
 _AXES_BY_SAMPLE = ("x: sample times its width (m)", "z: value (m)")
 _AXES = ("x to the right (m)", "z ahead (m)")
 
@@ -37,7 +37,7 @@ class RegisterPanel(Panel):
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
         self._session = session
-        # What is drawn: it is drawn again when another object takes its place.
+        # What is drawn; drawn again when the object changes.
         self._registration: Registration | None = None
         self._last_draw = 0
         self._drawn_pairs: object = None
@@ -78,7 +78,7 @@ class RegisterPanel(Panel):
             self._go(self._buttons.value)
 
     def show(self, frame_view: FrameView) -> None:
-        """Set the widgets; draw what differs from what is drawn, while the panel is open."""
+        """Set the widgets; while the panel is open, redraw what has changed."""
         view, match = frame_view.view, frame_view.match
         self._registration = found = None if match is None else match.registration
         if found is not None:
@@ -109,11 +109,11 @@ class RegisterPanel(Panel):
             update_widget(self._draw_text, content="Without an A there is no draw to show.")
 
     def close(self) -> None:
-        """The browser has gone."""
+        """Cancel the recall computation: the browser has disconnected."""
         self._recall.close()
 
     def _go(self, where: str) -> None:
-        """To another draw; the ends stop."""
+        """Go to another draw, within the range."""
         found = self._registration
         if found is None:
             return
@@ -123,7 +123,7 @@ class RegisterPanel(Panel):
         self._session.change(draw_index=places.get(where, found.best_draw))
 
     def _show_pairs(self, match: FrameMatch, axes: tuple[str, str]) -> None:
-        """Fig. 5, and A in words. Epsilon changes neither."""
+        """Draw Fig. 5, and describe A. Neither depends on epsilon."""
         if self._drawn_pairs is match.correspondence:
             return
         self._drawn_pairs = match.correspondence
@@ -163,7 +163,7 @@ class RegisterPanel(Panel):
 
 
 def _before_and_after(pairs: PlanarPairs) -> list[PairPlot]:
-    """One plot where there is no A, else two."""
+    """The pairs before and after A; only before if there is no A."""
     before = PairPlot(
         title="Before A: LiDAR and depth as they are",
         lidar_m=pairs.lidar_m,

@@ -13,7 +13,7 @@ from fusion_core.workflows.fuse.registration_details import (
     TransformDecomposition,
 )
 
-# A map that keeps less than this of some distance has an inverse that is worth a warning.
+# Set by hand: a transform that shrinks a distance below this fraction has an unstable inverse.
 _FLATTENS = 0.5
 _UNIT_SIGNS: dict[EpsilonUnit, str] = {"sigma": " σ", "E": " E", "m": " m"}
 
@@ -74,7 +74,7 @@ def failure_text(refusal: str) -> str:
 
 
 def draw_text(draw: RansacDraw, found: Registration) -> str:
-    """One draw, beside the best one and beside what became of it."""
+    """One draw, compared with the best draw and with the refined A."""
     count, best = len(found.draws), found.best_draw
     mark = " ★ **the best draw**" if draw.index == best else ""
     if np.isfinite(draw.A).all():
@@ -96,7 +96,7 @@ def draw_text(draw: RansacDraw, found: Registration) -> str:
 
 
 def consensus_text(found: Registration, consensus: Consensus) -> str:
-    """Why so many draws are enough."""
+    """The confidence that the number of draws gives."""
     n, count = found.draws.sample_size, len(found.draws)
     return (
         f"{_percent(consensus.inlier_fraction, 0)} of the pairs are inliers (c), so a draw of "
@@ -153,10 +153,10 @@ def _counted(count: int, noun: str) -> str:
 
 
 def _turn(angle_rad: float) -> str:
-    words = f"{_degrees(abs(angle_rad))}"
-    if words == "0.00°":
-        return words
-    return words + (" to the left" if angle_rad > 0.0 else " to the right")
+    text = f"{_degrees(abs(angle_rad))}"
+    if text == "0.00°":
+        return text
+    return text + (" to the left" if angle_rad > 0.0 else " to the right")
 
 
 def _degrees(angle_rad: float) -> str:
@@ -171,8 +171,8 @@ def _shift(shift_m: FloatArray) -> str:
 
 
 def _longer(scale: float) -> str:
-    words = "longer" if scale >= 1.0 else "shorter"
-    return f"distances become {_percent(abs(scale - 1.0), 1)} {words}"
+    comparison = "longer" if scale >= 1.0 else "shorter"
+    return f"distances become {_percent(abs(scale - 1.0), 1)} {comparison}"
 
 
 def _length(length_m: float) -> str:

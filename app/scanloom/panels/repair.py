@@ -22,7 +22,7 @@ from scanloom.scene.frame_summary import ConflictRun, conflict_runs
 from scanloom.scene.range_curves import range_curves
 from scanloom.state.view import View
 
-# A picture in these pixels is shrunk a little by the panel, and sharp when it is enlarged.
+# Slightly wider than the panel, so that an enlarged picture stays sharp.
 _WIDTH_PX, _HEIGHT_PX = 480, 420
 _NO_BEAM = -1
 _NO_CONFLICTS = "none in this frame"
@@ -34,7 +34,7 @@ class RepairPanel(Panel):
     def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
         self._session = session
         self._drawn: tuple[FusedFrame | None, object] = None, None
-        # What the list offers, by its words.
+        # The runs of conflicts by their labels in the list.
         self._runs: dict[str, ConflictRun] = {}
         self._controls = Controls(gui, session)
         self._message = gui.add_html("", visible=False)
@@ -83,7 +83,7 @@ class RepairPanel(Panel):
             lambda value: None if value == _NO_BEAM else int(value),
             lambda value: _NO_BEAM if value is None else value,
         )
-        # What the list says follows from the frame, not from the view.
+        # The list depends on the frame, not on the view.
         controls.bind(self._conflicts, lambda _: None, self._select_conflict)
 
         @self._step.on_click
@@ -102,16 +102,16 @@ class RepairPanel(Panel):
         if frame_view.fused is None:
             self._hide()
             return
-        looked_at = (
+        inputs = (
             view.visible_classes,
             view.show_raw_and_repaired,
             view.show_repaired,
             view.selected_beam,
             view.settings,
         )
-        if self._drawn[0] is frame_view.fused and self._drawn[1] == looked_at:
+        if self._drawn[0] is frame_view.fused and self._drawn[1] == inputs:
             return
-        self._drawn = frame_view.fused, looked_at
+        self._drawn = frame_view.fused, inputs
         self._show_pictures(frame_view.fused, view)
         self._show_curve(frame_view.fused, view)
         update_widget(self._classes, content=class_table(frame_view.fused))
@@ -171,7 +171,7 @@ class RepairPanel(Panel):
         update_widget(self._conflicts, value=chosen[0] if chosen else heading)
 
     def _hide(self) -> None:
-        """What was drawn is of another frame."""
+        """Hide the results: they belong to another frame."""
         self._drawn = None, None
         for handle in (*self._pictures, self._curve):
             update_widget(handle, visible=False)
@@ -181,7 +181,7 @@ class RepairPanel(Panel):
             update_widget(table, content="")
 
     def _add_filter(self, gui: viser.GuiApi, noise: NoiseClass) -> None:
-        """A box that shows a class or leaves it out."""
+        """Add a checkbox for the visibility of a class."""
         box = gui.add_checkbox(
             f"Show {noise.name.lower()}",
             noise in self._session.view.visible_classes,
@@ -195,13 +195,13 @@ class RepairPanel(Panel):
         self._controls.bind(box, lambda view: noise in view.visible_classes, change)
 
     def _select_conflict(self, label: str) -> None:
-        """Look at the conflict that the list calls so; its heading is none."""
+        """Select the middle beam of a conflict; the list's heading selects none."""
         run = self._runs.get(label)
         if run is not None:
             self._session.change(selected_beam=run.middle)
 
     def _step_conflict(self, by: int) -> None:
-        """Look at the next conflict, around the ends."""
+        """Select the next or previous conflict, cyclically."""
         runs = list(self._runs.values())
         if not runs:
             return

@@ -12,17 +12,17 @@ from scanloom.panels.widgets.controls import update_widget
 from scanloom.plots.line_plot import NEUTRAL, PlotLabels, add_line_plot, dots, line, no_data
 from scanloom.plots.palette import class_color
 
-# The plot reaches so far beyond epsilon; what lies beyond that is drawn at its edge.
+# Set by hand: limit of y in multiples of epsilon; larger residuals are drawn at the edge.
 _Y_LIMIT_IN_EPSILON = 2.5
 _PLOTTED_CLASSES = (NoiseClass.GOOD, NoiseClass.CONFLICT, NoiseClass.BURR)
 _NOTHING = (*no_data(len(_PLOTTED_CLASSES) + 1), np.zeros(2), np.zeros(2))
-# The two lines of epsilon alone set the range of y: limits of its own for each frame would set the
-# plot up anew at each change.
+# The range of y follows the two lines of epsilon: explicit limits for each frame would recreate
+# the plot at each change.
 _Y_PADDING = {"pad": 0.5 * (_Y_LIMIT_IN_EPSILON - 1.0), "soft": 0.0, "mode": 0}
 
 
 class ResidualPlot:
-    """A dot for each pair in the colour of its class, seen from left to right."""
+    """A dot for each pair in the colour of its class, from left to right."""
 
     def __init__(self, gui: viser.GuiApi) -> None:
         self._plot = add_line_plot(
@@ -46,7 +46,7 @@ class ResidualPlot:
         self._plotted: FusedFrame | None = None
 
     def show(self, fused: FusedFrame | None, *, signed: bool) -> None:
-        """Draw a frame's pairs; nothing where less than two have both values.
+        """Draw a frame's pairs; nothing if fewer than two have both values.
 
         ``signed``: residuals are differences along the beam, else lengths.
         """
@@ -54,7 +54,7 @@ class ResidualPlot:
             return
         self._plotted = fused
         curve = None if fused is None else residual_curve(fused)
-        # Without an E there is no epsilon in its multiples.
+        # Epsilon in multiples of E is NaN without an E.
         if curve is None or curve.residual_mm.size < 2 or not np.isfinite(curve.epsilon_mm).all():
             self._plot.data = _NOTHING
             update_widget(self._plot, visible=False)
@@ -85,10 +85,10 @@ def _data(curve: ResidualCurve, limit_mm: float) -> tuple[np.ndarray[Any, Any], 
 
 def _caption(curve: ResidualCurve, limit_mm: float, *, signed: bool) -> str:
     count = int((np.abs(curve.residual_mm) > limit_mm).sum())
-    said = "Positive: the camera sees farther than the LiDAR. Dashed: ±ε."
+    text = "Positive: the camera sees farther than the LiDAR. Dashed: ±ε."
     if not signed:
-        said = "Length of L A − D, which is never negative. Dashed: ε."
+        text = "Length of L A − D, which is never negative. Dashed: ε."
     if count:
         farthest_m = 1e-3 * float(np.abs(curve.residual_mm).max())
-        said += f" {count} beyond the plot at its edge, up to {farthest_m:.2f} m."
-    return said
+        text += f" {count} beyond the plot at its edge, up to {farthest_m:.2f} m."
+    return text

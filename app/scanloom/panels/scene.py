@@ -45,7 +45,7 @@ class ScenePanel(Panel):
         self._opened: object = None
         self._planes: dict[str, ImagePlane] = {}
         self._hidden: frozenset[Layer] = frozenset()
-        # Nodes are drawn in the desk's worker, and switched and clicked in viser's threads.
+        # Nodes are drawn in the session's worker, and switched and picked in viser's threads.
         self._drawing = threading.RLock()
         self._draw_heatmap: Callable[[], Heatmap] | None = None
         self._heatmap: Heatmap | None = None
@@ -54,7 +54,7 @@ class ScenePanel(Panel):
         self._T_lidar_map: FloatArray | None = None
         self._path_of: object = None
         self._depth: DepthPicture | None = None
-        # Frame and choices that it was drawn of.
+        # The frame and options of the last drawing.
         self._depth_of: tuple[object, object] = None, None
         self._are_planes_visible = True
         self._views = gui.add_button_group("View", _VIEWS, hint="From where the scene is looked at")
@@ -85,14 +85,14 @@ class ScenePanel(Panel):
         self._path_of = None
 
     def show(self, frame_view: FrameView) -> None:
-        """Draw the frame; what could not be matched is drawn without pairs."""
+        """Draw the frame, without pairs if it could not be matched."""
         self._controls.show(frame_view.view)
         geometry = _geometry(frame_view)
         with self._drawing:
             if geometry is not None and frame_view.chain is not None:
                 self._draw(frame_view, geometry, frame_view.chain.alignment.mount.yaw_rad)
             else:
-                # What is still there is of another frame.
+                # The current nodes belong to another frame.
                 self._nodes.hide_frame()
                 self._show_planes(frame_view)
 
@@ -176,14 +176,14 @@ class ScenePanel(Panel):
             camera_views.apply(self._camera, view)
 
     def _show_layers(self) -> None:
-        """Those switched on, less those of which the view shows nothing."""
+        """Show the layers that are on and visible from the camera preset."""
         chosen = frozenset(name for name, box in self._switches.items() if box.value)
         are_visible = "images" in chosen - self._hidden
         with self._drawing:
             self._nodes.show_layers(chosen - self._hidden)
             were_visible, self._are_planes_visible = self._are_planes_visible, are_visible
         if are_visible and not were_visible:
-            # Their pictures were not drawn meanwhile.
+            # Hidden pictures are not updated.
             self._session.refresh()
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
@@ -245,7 +245,7 @@ def _geometry(frame_view: FrameView) -> FrameGeometry | None:
 
 
 def _depth(frame_view: FrameView) -> DepthPicture | None:
-    """The depth image with its pairs; of a frame that could not be matched, without."""
+    """The depth image, with its pairs if the frame was matched."""
     view, paired = frame_view.view, frame_view.paired
     match = frame_view.match
     title = f"Depth, frame {view.frame_index}"

@@ -1,4 +1,4 @@
-"""Motion and SLAM in the Map panel: choose, run, look on, and see what came of it."""
+"""Motion and SLAM in the Map panel: options, live display of the run, and results."""
 
 import shutil
 import tempfile
@@ -44,14 +44,14 @@ _WIDTH_PX, _HEIGHT_PX = 480, 430
 _CLOSE_UP_PX = 180
 _EMPTY = np.full((2, 2, 3), 255, dtype=np.uint8)
 _ABOUT = (
-    "Places every scan, draws the map from where they lie, and keeps the last "
+    "Estimates the pose of every scan, builds the map, and keeps the last "
     f"{MAX_RUNS} runs to compare, until this page is closed or loaded again."
 )
 _NO_OFFSET = "The clock offset that is to be applied is known once the recording is aligned."
 
 
 class SlamPanel:
-    """Runs ``map`` over the recording that is shown, in a thread of its own."""
+    """Runs ``map`` over the view's recording in a background thread."""
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession, output_root: Path) -> None:
         self._session, self._root = session, output_root
@@ -79,14 +79,14 @@ class SlamPanel:
             "Motion",
             MOTIONS,
             initial_value=choices.motion,
-            hint="What is known of the motion beforehand: recorded poses, an odometry, or nothing",
+            hint="The motion prior: recorded poses, an odometry, or none",
         )
         estimator = gui.add_dropdown(
             "SLAM",
             ESTIMATORS,
             initial_value=choices.estimator,
-            hint="What places the scans: the motion alone, a particle filter, or a pose graph "
-            "that closes loops",
+            hint="The estimator: the motion prior alone, a particle filter, or a pose graph "
+            "with loop closure",
         )
         self._particles = gui.add_slider(
             "Particles",
@@ -95,7 +95,7 @@ class SlamPanel:
             step=1,
             initial_value=choices.particles,
             visible=choices.estimator == "particle-filter",
-            hint="More follow more guesses at once, and take longer",
+            hint="More particles cover more hypotheses, and take longer",
         )
         self._why = gui.add_html("", visible=False)
         self._run_button = gui.add_button("Run", icon=viser.Icon.ROUTE)
@@ -119,11 +119,11 @@ class SlamPanel:
         self._run_button.on_click(lambda _: self._begin())
 
     def chosen(self, recording: str) -> SlamRun | None:
-        """The run that is looked at, None where the recording has none."""
+        """The displayed run, None if the recording has none."""
         return self._results.chosen(recording)
 
     def show(self, frame_view: FrameView) -> None:
-        """The choices, the runs of the recording, and the command of the view."""
+        """Display the options, the runs of the recording, and the equivalent command."""
         view = frame_view.view
         self._controls.show(view)
         update_widget(self._particles, visible=view.slam.estimator == "particle-filter")
@@ -145,7 +145,7 @@ class SlamPanel:
             self._show_command(view)
 
     def close(self) -> None:
-        """The browser has gone, and its runs go with it."""
+        """Cancel the run and delete the session's runs: the browser has disconnected."""
         self._job.close()
         self._clear_away()
 
@@ -157,7 +157,7 @@ class SlamPanel:
         self._controls.bind(handle, lambda view: getattr(view.slam, name), change)
 
     def _begin(self) -> None:
-        """Start a run unless one is at work, it cannot be done, or the browser has gone."""
+        """Start a run unless one is running, it is not possible, or the session is closed."""
         view = self._session.view
         with self._lock:
             if self._job.is_running or self._job.is_closed or self._why_not is not None:
@@ -190,7 +190,7 @@ class SlamPanel:
             self._live.submit(seen)
 
     def _draw(self, slam_view: SlamView, is_newest: Callable[[], bool]) -> None:
-        """A picture of the run as it is now, unless nobody looks."""
+        """Draw the current state of the run, if it is visible."""
         view = self._session.view
         if view.panel != "Map" or view.map_mode != "SLAM":
             return
@@ -226,7 +226,7 @@ class SlamPanel:
         message = ""
         if oldest is not None:
             shutil.rmtree(oldest.folder, ignore_errors=True)
-            message = f"Run {oldest.number} was cleared away: the last {MAX_RUNS} are kept."
+            message = f"Run {oldest.number} was deleted: the last {MAX_RUNS} are kept."
         self._job.end(message)
         if run.problem is not None and not self._job.is_closed:
             self._session.show_failure(run.problem)
@@ -274,7 +274,7 @@ def _no_folder(error: OSError) -> ExportError:
 
 
 def slam_inputs(view: View) -> tuple[object, ...]:
-    """What of a view a run depends on."""
+    """The fields of a view that a run depends on."""
     return (
         view.recording,
         view.slam,

@@ -1,4 +1,4 @@
-"""Curves over the time of a run of SLAM: particles, weights of odometries, distance of two runs."""
+"""Plots over the time of a SLAM run: particles, odometry weights, distance of two runs."""
 
 from collections.abc import Mapping
 
@@ -49,7 +49,7 @@ def show_effective(
     particles: int,
     resampling_at: float,
 ) -> None:
-    """(K,) values over (K,) times, NaN where nothing was weighed; hidden without any."""
+    """(K,) values over (K,) times, NaN where no weights were updated; hidden if empty."""
     known = np.isfinite(effective)
     if known.any():
         plot.data = times_s[known], effective[known], np.full(int(known.sum()), resampling_at)
@@ -58,7 +58,7 @@ def show_effective(
 
 
 def show_effective_of(plot: viser.GuiUplotHandle, run: SlamRun, resampling_at: float) -> None:
-    """That of a finished run."""
+    """The effective number of particles of a finished run."""
     values = run.files.effective
     times_s = values[:, 0] - run.files.trajectory.stamps_ns[0] / NS_PER_S
     show_effective(
@@ -67,7 +67,7 @@ def show_effective_of(plot: viser.GuiUplotHandle, run: SlamRun, resampling_at: f
 
 
 def add_weights_plot(gui: viser.GuiApi, part: str) -> viser.GuiUplotHandle:
-    """The weight of each odometry in a part of the motion."""
+    """The weight of each odometry in translation or rotation."""
     return add_line_plot(
         gui,
         PlotLabels(
@@ -95,7 +95,7 @@ def show_weights(
 
 
 def add_distance_plot(gui: viser.GuiApi) -> viser.GuiUplotHandle:
-    """How far two runs are apart."""
+    """The distance between the trajectories of two runs."""
     return add_line_plot(
         gui,
         PlotLabels(

@@ -1,4 +1,4 @@
-"""The finished runs of SLAM: one on its map with its report and files, and two side by side."""
+"""The finished SLAM runs: one with its map, report and files, and a comparison of two."""
 
 import threading
 from collections.abc import Callable
@@ -35,7 +35,7 @@ _EMPTY = np.full((2, 2, 3), 255, dtype=np.uint8)
 
 
 class _RunChoice:
-    """A dropdown of runs. ``lock`` is held by whoever calls ``offer``."""
+    """A dropdown of runs. Callers of ``offer`` hold ``lock``."""
 
     def __init__(
         self,
@@ -56,9 +56,9 @@ class _RunChoice:
                 change(handle.value)
 
     def offer(self, runs: list[SlamRun], chosen: SlamRun) -> None:
-        """The runs to choose from, and which is.
+        """Set the options and the chosen run.
 
-        What is offered again is not set: a person may have just chosen another.
+        An unchanged choice is not set again: the user may just have chosen another run.
         """
         names = tuple(run.name for run in runs)
         if self._handle.options != names:
@@ -70,7 +70,7 @@ class _RunChoice:
 
 
 class SlamResults:
-    """Shows what the runs of one browser made. ``show`` is called in the thread of the views."""
+    """Displays the runs of one session. ``show`` is called in the session's worker thread."""
 
     def __init__(
         self, gui: viser.GuiApi, session: ClientSession, runs: SlamRuns, output_root: Path
@@ -80,7 +80,7 @@ class SlamResults:
         self._chosen: str | None = None
         self._compared: dict[str, str | None] = {"A": None, "B": None}
         self._saved: dict[SlamRun, Path] = {}
-        # What the widgets show now.
+        # What the widgets display.
         self._displayed: SlamRun | None = None
         self._shown_pair: tuple[SlamRun, SlamRun] | None = None
 
@@ -115,22 +115,22 @@ class SlamResults:
         self._save.on_click(lambda _: self._keep())
 
     def chosen(self, recording: str) -> SlamRun | None:
-        """The run that is looked at: the one chosen, else the last of the recording."""
+        """The displayed run: the chosen one, else the last of the recording."""
         runs = self._runs.of(recording)
         named = [run for run in runs if run.name == self._chosen]
         return next(iter(named or runs[-1:]), None)
 
     def saved(self, run: SlamRun) -> Path | None:
-        """Where a run was saved, None where it was not."""
+        """The folder that a run was saved to, None if it was not."""
         return self._saved.get(run)
 
     def take(self, run: SlamRun) -> None:
-        """Look at a new run."""
+        """Choose a new run."""
         with self._lock:
             self._chosen = run.name
 
     def show(self, recording: str) -> None:
-        """The runs of a recording."""
+        """Display the runs of a recording."""
         with self._lock:
             runs = self._runs.of(recording)
             self._forget()
@@ -217,7 +217,7 @@ class SlamResults:
         self._session.refresh()
 
     def _forget(self) -> None:
-        """What has been cleared away need not be held."""
+        """Forget the runs whose folders were deleted."""
         self._saved = {run: folder for run, folder in self._saved.items() if run.folder.exists()}
 
 

@@ -7,14 +7,11 @@ import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S
 from scanloom.jobs.slam_run import SlamRun
+from scanloom.panels.widgets.markup import report_line
 from scanloom.plots.run_comparison import TrajectoryDifference
 
+# Set by hand; report.json lists all.
 _MAX_SEGMENTS = 12
-# Words that do not fit on a line go on under those above, right of the line's name.
-_LINE = (
-    "padding-left:11ch;text-indent:-11ch;white-space:pre-wrap;overflow-wrap:anywhere;"
-    "font-family:ui-monospace,monospace;font-size:0.9em"
-)
 
 
 def run_report_html(run: SlamRun) -> str:
@@ -23,15 +20,12 @@ def run_report_html(run: SlamRun) -> str:
     if run.problem is not None:
         message = html.escape(f"{run.problem.problem} {run.problem.advice}")
         problem = f"<p style='margin:0.3em 0'><b>Not to be relied on:</b> {message}</p>"
-    lines = "".join(
-        f"<div style='{_LINE}'>{html.escape(f'{name:<11}{words}')}</div>"
-        for name, words in report_lines(run)
-    )
+    lines = "".join(report_line(f"{name:<11}{text}") for name, text in report_lines(run))
     return f"<div style='padding:0 0.5em;font-size:0.85em'>{problem}{lines}</div>"
 
 
 def report_lines(run: SlamRun) -> Iterator[tuple[str, str]]:
-    """Each line's name and words."""
+    """Name and text of each line."""
     report = run.files.report
     yield "path", f"{report['path_m']:.1f} m in {report['duration_s']:.1f} s"
     yield "scans", f"{report['scans']} placed"
@@ -54,21 +48,21 @@ def report_lines(run: SlamRun) -> Iterator[tuple[str, str]]:
     for stage, seconds in ({} if run.summary is None else run.summary.seconds).items():
         yield "time", f"{stage.replace('_', ' ')} {seconds:.1f} s"
     for note in report["notes"]:
-        # The notes are a terminal's, which may not have the sign.
+        # The command line prints ASCII.
         yield "note", note.replace("+-", "±")
 
 
 def run_distance_text(found: TrajectoryDifference | None) -> str:
-    """How far two runs are found."""
+    """The distance between the trajectories of two runs, as text."""
     if found is None:
         return "The two runs have no time in common."
     if found.times_s.size == 1:
-        return "The two runs have one pose in common, by which B is laid on A."
+        return "The two runs have one pose in common, at which B is aligned to A."
     median_m, most = float(np.median(found.distances_m)), int(found.distances_m.argmax())
     farthest_m = float(found.distances_m[most])
     return (
-        f"B is laid on A by the first of {found.times_s.size} common poses. From there on they are "
-        f"{_length(median_m)} apart in the median, at most {_length(farthest_m)}, "
+        f"B is aligned to A at the first of {found.times_s.size} common poses. From there on their "
+        f"distance is {_length(median_m)} in the median, at most {_length(farthest_m)}, "
         f"{found.times_s[most]:.1f} s later."
     )
 
@@ -79,11 +73,11 @@ def _length(length_m: float) -> str:
 
 def _unreliable_segments(run: SlamRun) -> Iterator[tuple[str, str]]:
     zero_s = run.files.trajectory.stamps_ns[0] / NS_PER_S
-    stretches = run.files.report["untrusted"]
-    for stretch in stretches[:_MAX_SEGMENTS]:
-        first, last = stretch["from_s"] - zero_s, stretch["to_s"] - zero_s
-        when = f"{first:.1f} s to {last:.1f} s" if stretch["scans"] > 1 else f"{first:.1f} s"
-        many = "1 scan does" if stretch["scans"] == 1 else f"{stretch['scans']} scans do"
+    segments = run.files.report["untrusted"]
+    for segment in segments[:_MAX_SEGMENTS]:
+        first, last = segment["from_s"] - zero_s, segment["to_s"] - zero_s
+        when = f"{first:.1f} s to {last:.1f} s" if segment["scans"] > 1 else f"{first:.1f} s"
+        many = "1 scan does" if segment["scans"] == 1 else f"{segment['scans']} scans do"
         yield "untrusted", f"{when}: {many} not fit the map"
-    if len(stretches) > _MAX_SEGMENTS:
-        yield "untrusted", f"{len(stretches) - _MAX_SEGMENTS} more stretches, in report.json"
+    if len(segments) > _MAX_SEGMENTS:
+        yield "untrusted", f"{len(segments) - _MAX_SEGMENTS} more segments, in report.json"

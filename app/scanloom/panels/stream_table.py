@@ -11,7 +11,7 @@ _GAP_ROW = "<tr><td colspan='4' style='padding:0 0 0.2em 1em;vertical-align:top;
 
 
 def stream_table(described: Mapping[str, Any], gaps: Mapping[str, StreamGaps]) -> str:
-    """``described``: a recording as ``describe`` has it. ``gaps``: by topic."""
+    """``described``: the document of ``describe_recording``. ``gaps``: by topic."""
     rows = "".join(_row(topic) + _gap_row(gaps.get(topic["name"])) for topic in described["topics"])
     head = "".join(f"<th align='left'>{name}</th>" for name in ("stream", "role", "count", "Hz"))
     lines = [html.escape(line) for line in (*_about_gaps(gaps), *described["can"])]

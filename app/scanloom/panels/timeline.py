@@ -13,7 +13,7 @@ from scanloom.frame_view import FrameView
 from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.state.view import PANELS
 
-# Frames a second at speed 1 where the recording has no rate of its own.
+# Frames a second at speed 1 if the recording has no rate; set by hand.
 _DEFAULT_HZ = 10.0
 _MAX_HZ = 30.0
 _SPEEDS = ("0.25", "0.5", "1", "2", "4")
@@ -143,7 +143,7 @@ class TimelinePanel(Panel):
 
 
 def _calling(action: Callable[[], None]) -> Callable[[object], None]:
-    """A callback that leaves the event aside."""
+    """A callback that ignores the event."""
     return lambda _: action()
 
 
@@ -164,7 +164,7 @@ def _gap(frame_view: FrameView) -> str:
 
 
 def _camera(frame_view: FrameView, number: int) -> str:
-    """Whose image it is, where several cameras take turns."""
+    """The frame's camera, if the recording has several."""
     cameras = frame_view.open_recording.fuse_session.rig.cameras
     if len(cameras) < 2 or not len(frame_view.open_recording.frames):
         return ""

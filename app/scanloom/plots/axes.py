@@ -13,11 +13,11 @@ from scanloom.plots.palette import Color
 from scanloom.plots.ticks import number_label, ticks_between, whole_ticks_between
 
 LEFT_PX = 54
-"""What ticks and label take to the left of a box."""
+"""Room for ticks and label to the left of a box."""
 BELOW_PX = 40
-"""What ticks and label take above or below a box."""
+"""Room for ticks and label above or below a box."""
 ABOVE_PX = LINE_PX + 10
-"""What a title takes above a box."""
+"""Room for a title above a box."""
 
 _TICK_PX = 4
 # A label of four figures with its gap.
@@ -32,7 +32,7 @@ class Axes:
     """``box`` of the picture ``rgb`` shows the plane linearly.
 
     ``x_limits``: x at the left and the right edge of the box; ``y_limits``: y at the bottom and the
-    top edge. Either may fall. Pixel centres are integers.
+    top edge. Either axis may be reversed. Pixel centres are integers.
     """
 
     rgb: ByteArray
@@ -42,12 +42,12 @@ class Axes:
 
     @property
     def px_per_unit(self) -> tuple[float, float]:
-        """Columns for a unit of x, rows upwards for a unit of y; negative where an axis falls."""
+        """Columns for a unit of x, rows upwards for a unit of y; negative for a reversed axis."""
         (left, right), (bottom, top) = self.x_limits, self.y_limits
         return self.box.width / (right - left), self.box.height / (top - bottom)
 
     def to_pixel(self, x: float, y: float) -> tuple[float, float]:
-        """Where a point lies in the picture, also beyond the box."""
+        """The pixel of a point, which may lie outside the box."""
         zoom_x, zoom_y = self.px_per_unit
         return (
             self.box.left - 0.5 + (x - self.x_limits[0]) * zoom_x,
@@ -55,7 +55,7 @@ class Axes:
         )
 
     def to_data(self, x_px: float, y_px: float) -> tuple[float, float] | None:
-        """The point under a place of the picture, None outside the box."""
+        """The point at a pixel, None outside the box."""
         if not self.box.contains(x_px, y_px):
             return None
         zoom_x, zoom_y = self.px_per_unit
@@ -76,12 +76,12 @@ class Axes:
         write(self.rgb, text, self.box.left, self.box.top - 13, size_px=TITLE_PX)
 
     def x_ticks(self, *, whole: bool = False) -> list[float]:
-        """As many round values of x as have room."""
+        """Round values of x, as many as fit."""
         count = max(2, self.box.width // _X_TICK_ROOM_PX)
         return _ticks(self.x_limits, count, whole=whole)
 
     def y_ticks(self, *, whole: bool = False) -> list[float]:
-        """As many round values of y as have room."""
+        """Round values of y, as many as fit."""
         count = max(2, self.box.height // _Y_TICK_ROOM_PX)
         return _ticks(self.y_limits, count, whole=whole)
 
@@ -138,12 +138,12 @@ class Axes:
     def to_fixed(self, points: FloatArray) -> IntArray:
         """(N, 2) places inside the box as OpenCV draws them, with FRACTION_BITS.
 
-        ``points``: (N, >= 2); what is NaN or far off lies outside of every picture.
+        ``points``: (N, >= 2); NaN and far points are mapped outside of every picture.
         """
         zoom_x, zoom_y = self.px_per_unit
         places = (points[:, :2] - (self.x_limits[0], self.y_limits[0])) * (zoom_x, -zoom_y)
         places += (-0.5, self.box.height - 0.5)
-        # fmax takes NaN for the least.
+        # fmax replaces NaN.
         places = np.fmin(np.fmax(places, -_FAR_PX), _FAR_PX)
         fixed: IntArray = np.rint(places * (1 << FRACTION_BITS)).astype(np.int32)
         return fixed

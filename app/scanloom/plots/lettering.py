@@ -21,7 +21,7 @@ INK: Color = (33, 37, 41)
 
 # Half the height of a figure: what brings the middle of numbers onto a line.
 _HALF_FIGURE = 0.36
-# A font holds the text that it draws, so that two threads must not share one at a time.
+# A font holds the text that it draws: two threads must not use one at a time.
 _drawing = threading.Lock()
 
 
@@ -36,7 +36,7 @@ def write(
     color: Color = INK,
     turned: bool = False,
 ) -> None:
-    """Write a line into ``sheet``, (H, W, 3) uint8; what lies outside is cut off.
+    """Write a line into ``sheet``, (H, W, 3) uint8; text outside is clipped.
 
     ``y_px``: the middle of the line's figures. ``turned``: reads upwards, and then ``x_px`` is that
     middle and ``align`` is along y, left at the bottom.
@@ -91,7 +91,7 @@ def _drawn(text: str, size_px: int) -> tuple[ByteArray, int]:
         coverage = np.array(font.get_image(), dtype=np.uint8)
         descent = round(font.get_descent() / 64.0)
     coverage.setflags(write=False)
-    # The last row is empty, whatever the text.
+    # The last row is empty for any text.
     return coverage, coverage.shape[0] - 1 - descent
 
 

@@ -23,9 +23,9 @@ _X_AXIS_PX, _Y_AXIS_PX, _LABEL_PX = 34, 48, 20
 _PADDING_PX = (12, 20, 0, 0)
 _DASH_PX = (5, 4)
 
-# In a gap the nearest value is told, unless it is farther away than this.
+# In a gap the legend shows the nearest value within this distance.
 _CURSOR = uplot.Cursor(hover=uplot.Cursor_Hover(prox=24.0, skip=(np.nan,)))
-# Where x falls, uPlot finds values however far away; gaps are told as such, and have no dot.
+# With x reversed, uPlot finds values at any distance; gaps show no value and no dot.
 _CURSOR_ON_FALLING_X = uplot.Cursor(points=uplot.Cursor_Points(show=False))
 
 Limits = tuple[float, float] | dict[str, Any]

@@ -1,4 +1,4 @@
-"""Pictures on their way to a browser: encoded once, however many places show them."""
+"""Pictures for the browser: encoded once, even if displayed in several places."""
 
 import weakref
 

@@ -47,7 +47,7 @@ class RunOnMap:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TrajectoryDifference:
-    """How far two trajectories are apart once the second is aligned to the first at their first
+    """The distance of two trajectories after aligning the second to the first at their first
     common pose.
 
     ``times_s``: (K,) since the first common stamp; ``distances_m``: (K,). ``second_in_first``: (3,)
@@ -104,10 +104,10 @@ def transform_grid(grid: OccupancyGrid, frame: FloatArray) -> OccupancyGrid:
     corners = low + grid.resolution_m * np.array(
         [[0, 0], [columns, 0], [0, rows], [columns, rows]], dtype=np.float64
     )
-    reached_m = transform_points(corners, frame)
-    new_low = reached_m.min(axis=0)
+    corners_in_frame_m = transform_points(corners, frame)
+    new_low = corners_in_frame_m.min(axis=0)
     side_m = 0.5 * grid.resolution_m
-    width, height = np.ceil(np.ptp(reached_m, axis=0) / side_m - 1e-6).astype(int)
+    width, height = np.ceil(np.ptp(corners_in_frame_m, axis=0) / side_m - 1e-6).astype(int)
     x = new_low[0] + (np.arange(width) + 0.5) * side_m - frame[0]
     y = new_low[1] + (np.arange(height) + 0.5) * side_m - frame[1]
     cos, sin = np.cos(frame[2]), np.sin(frame[2])
@@ -197,7 +197,7 @@ def _window(grid: OccupancyGrid | None, points_m: FloatArray) -> Window:
         corners_m = np.concatenate([points_m, ends_m])
     low, high = corners_m.min(axis=0), corners_m.max(axis=0)
     margin = 0.02 * float((high - low).max())
-    # A robot that stood still is a point.
+    # A robot that did not move is a point.
     lacking = np.maximum(0.5 * (_SMALLEST_M - (high - low)), 0.0)
     return low - margin - lacking, high + margin + lacking
 

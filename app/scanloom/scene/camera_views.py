@@ -1,4 +1,4 @@
-"""From where the scene is looked at: the presets of the viewer's camera."""
+"""The presets of the viewer's camera."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -23,7 +23,7 @@ _LEAST_ASPECT = 0.5
 class CameraView:
     """A place to look from. ``up``: (3,) what is up on the screen; ``fov_rad`` is vertical.
 
-    ``hides``: layers of which nothing can be told apart from there.
+    ``hides``: layers that are not readable from there.
     """
 
     position_m: FloatArray
@@ -60,7 +60,7 @@ def perspective(layout: Layout, aspect: float = _USUAL_ASPECT) -> CameraView:
 
 def curve(layout: Layout) -> CameraView:
     """Straight down, to scale: x to the right and z ahead, as in Xu 2024's figures."""
-    # Rows of a wall stand one above the other, and an image plane is seen edge-on.
+    # The rows of a wall coincide, and image planes are edge-on.
     return _above(
         layout.ahead(0.5 * layout.view_range_m, 0.0, 0.0),
         1.3 * layout.view_range_m,

@@ -36,8 +36,8 @@ from scanloom.scene.geometry import (
     ridge_lines,
 )
 
-# A repair that moves a sample by less than this cannot be seen.
-_LEAST_MOVE_M = 0.02
+# Set by hand: shorter arrows are invisible.
+_MIN_MOVE_M = 0.02
 
 _NO_POINTS: Float32Array = np.empty((0, 3), dtype=np.float32)
 _NO_CODES: IntArray = np.empty(0, dtype=np.int64)
@@ -45,7 +45,7 @@ _NO_CODES: IntArray = np.empty(0, dtype=np.int64)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameGeometry:
-    """All that is drawn of one frame.
+    """The geometry that is drawn for one frame.
 
     ``rows_m``: (N, 2, 3) with ``rows_depth_m`` (N,) along the optical axis; ``matched_m``: the
     depth that the LiDAR is compared with; ``curve_m``: segments of the LiDAR's curve;
@@ -212,14 +212,14 @@ def pair_segments(
 ) -> tuple[Segments, IntArray]:
     """Lines from beams to their pixels' points (B, 3), and the (N,) class of each pair.
 
-    A pair is what its worse side is: a burr before a conflict, a conflict before good. Where a
-    side is a hole there is no line.
+    A pair has the worse class of its two sides: burr, then conflict, then good. Pairs with a hole
+    have no line.
     """
-    pairs, judged = frame.match.correspondence, frame.classes
+    pairs, noise = frame.match.correspondence, frame.classes
     segments = np.stack([points_in_plane(pairs.azimuth_rad, pairs.lidar_range_m), pixels_m], axis=1)
     code = np.full(pairs.beam.size, int(NoiseClass.GOOD))
     for worse in (NoiseClass.CONFLICT, NoiseClass.BURR):
-        code[(judged.lidar_class == worse) | (judged.depth_class == worse)] = worse
+        code[(noise.lidar_class == worse) | (noise.depth_class == worse)] = worse
     drawn = np.isfinite(segments).all(axis=(1, 2)) & _among(code, classes)
     return segments[drawn].astype(np.float32), code[drawn]
 
@@ -232,7 +232,7 @@ def repairs(
 ) -> tuple[Segments, IntArray, Float32Array, IntArray]:
     """What was repaired, of beams and pixels alike: (N, 2, 3) from raw to repaired where there was
     a value, (M, 3) points where there was none, each with its classes."""
-    pairs, repair, judged = frame.match.correspondence, frame.repair, frame.classes
+    pairs, repair, noise = frame.match.correspondence, frame.repair, frame.classes
     before = [
         points_in_plane(pairs.azimuth_rad, pairs.lidar_range_m),
         pixel_points(frame.match, camera, T_lidar_camera, pairs.depth_m),
@@ -242,10 +242,10 @@ def repairs(
         pixel_points(frame.match, camera, T_lidar_camera, repair.depth_m),
     ]
     segments = np.stack([np.concatenate(before), np.concatenate(after)], axis=1)
-    code = np.concatenate([judged.lidar_class, judged.depth_class])
+    code = np.concatenate([noise.lidar_class, noise.depth_class])
     had, has = np.isfinite(segments[:, 0, 0]), np.isfinite(segments[:, 1, 0])
     with np.errstate(invalid="ignore"):
-        far = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1) > _LEAST_MOVE_M
+        far = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1) > _MIN_MOVE_M
     wanted = _among(code, classes)
     moved, filled = wanted & far, wanted & ~had & has
     return (
@@ -270,5 +270,5 @@ def _among(code: IntArray, classes: frozenset[NoiseClass]) -> BoolArray:
 
 
 def _lowest_m(rows_m: Segments) -> float:
-    # Speckle lies below the floor; it is less than a hundredth of an image.
+    # Speckle below the floor is less than a hundredth of an image.
     return float(np.percentile(rows_m[:, 0, 2], 1.0)) if len(rows_m) else float("nan")

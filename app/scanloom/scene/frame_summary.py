@@ -41,7 +41,7 @@ class SampleFacts:
     """One sample, a beam or its pixel: metres as it has them, NaN where missing.
 
     ``from_other_m`` and ``from_neighbours_m``: expected errors of what each offered for a repair,
-    infinite where it offered nothing, NaN where nothing was asked.
+    infinite if it had no value, NaN if no repair was needed.
     """
 
     noise_class: NoiseClass

@@ -13,7 +13,7 @@ from fusion_core.model.sensors import LaserScan
 
 # Neighbours farther apart than this are an edge: no line joins them.
 _EDGE_M = 0.25
-# Rows are drawn with about so many points; more cannot be told apart on a screen.
+# About so many points of a row are distinguishable on a screen.
 _MAX_COLUMNS = 320
 _BARB_M = 0.06
 # Poses of a path farther apart than this are a gap of the recording.
@@ -48,7 +48,7 @@ def ridge_lines(
     (N,) depth of each.
 
     No line crosses a missing pixel or a jump of more than 0.25 m. Images of more than about 320
-    columns are thinned, the pixels in between still decide where a line ends.
+    columns are subsampled; the skipped pixels still decide where a line ends.
     """
     height, width = depth_m.shape
     rows = np.arange((height - 1) % row_step // 2, height, row_step)
@@ -124,7 +124,7 @@ def frustum(camera: Camera, T_lidar_camera: FloatArray) -> Frustum:
 
 def quaternion(R: FloatArray) -> FloatArray:
     """(4,) unit quaternion (w, x, y, z), w >= 0, of a (3, 3) rotation."""
-    # The eigenvector of Bar-Itzhack (2000): no case is special.
+    # The eigenvector method of Bar-Itzhack (2000) has no special cases.
     K = np.empty((4, 4))
     K[0, 0] = np.trace(R)
     K[0, 1:] = K[1:, 0] = [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]

@@ -20,10 +20,10 @@ from scanloom.scene.image_planes import ImagePlane
 from scanloom.scene.layers import LAYERS, Layer
 from scanloom.scene.picking import nearest_beam
 
-# The cameras of a panorama are triggered one after the other; what is older is of another place.
+# Set by hand: the cameras of a panorama trigger one after the other within this time.
 _TOGETHER_NS = 150 * NS_PER_MS
 _GREY: Color = (120, 128, 138)
-# What lies in one plane is drawn a little apart.
+# Coplanar layers are drawn with a small offset against z-fighting.
 _APART_M = 0.01
 
 
@@ -57,7 +57,7 @@ class PickResult:
 
 
 class SceneNodes:
-    """What one browser sees of a frame. ``scene`` is the browser's own.
+    """One browser's view of a frame. ``scene`` is the browser's own.
 
     Calls come from one thread at a time, and inside the client's ``atomic()`` where the browser
     should see their effects together.
@@ -142,7 +142,7 @@ class SceneNodes:
             self._cameras[camera].frustum.image = rgb
 
     def mark_beam(self, beam: int | None) -> None:
-        """Point at a beam of the scan, in this frame and the next; None at none."""
+        """Highlight a beam of the scan, in this frame and the next ones; None: none."""
         self._marked = beam
         beams_m = self._frame.beams_m if self._frame is not None else np.empty((0, 3))
         if beam is None or beam >= len(beams_m) or not np.isfinite(beams_m[beam]).all():
@@ -185,8 +185,7 @@ class SceneNodes:
         self._path.draw(path_segments(on_floor))
 
     def place_map(self, T_map_lidar: FloatArray | None) -> None:
-        """Where the LiDAR stands in the map: map and path are laid out around it. None hides them,
-        as for frames without a pose."""
+        """Place map and path around the LiDAR by its pose in the map; None (no pose) hides them."""
         if T_map_lidar is not None:
             R_lidar_map = T_map_lidar[:3, :3].T
             x_m, y_m, _ = -R_lidar_map @ T_map_lidar[:3, 3]
@@ -197,7 +196,7 @@ class SceneNodes:
         self._in_map.visible = self._in_a_map and "map" in self._layers
 
     def show_image_plane(self, image_plane: ImagePlane) -> None:
-        """A picture that stands in the scene; one of the same name is replaced."""
+        """Display a picture on its plane; one of the same name is replaced."""
         shown = self._planes.get(image_plane.name)
         plane = image_plane.plane
         if shown is None:
@@ -227,7 +226,7 @@ class SceneNodes:
         self._update_visible()
 
     def pick(self, ray_origin_m: FloatArray, ray_direction: FloatArray) -> PickResult | None:
-        """What the ray of a click on the scene means, None where it means nothing shown."""
+        """The pixel or beam that the ray of a click hits, None if it misses."""
         if "images" in self._layers:
             hits = [
                 (*image_plane.plane.hit(ray_origin_m, ray_direction), name)
@@ -243,20 +242,20 @@ class SceneNodes:
         return None if beam is None else PickResult(beam=beam)
 
     def hide_image_plane(self, name: str) -> None:
-        """Take a picture out of the scene until the next of its name."""
+        """Hide a picture until the next one of its name."""
         shown = self._planes.pop(name, None)
         if shown is not None:
             shown[1].remove()
 
     def hide_frame(self) -> None:
-        """Show no frame until the next; floor and map stay."""
+        """Hide the frame until the next one; floor and map stay."""
         self._frame = None
         for drawn in self._of_frame:
             drawn.empty()
         self._update_visible()
 
     def clear(self) -> None:
-        """Show nothing any more, as before the first frame."""
+        """Hide everything, as before the first frame."""
         self._frame, self._marked, self._floor_m = None, None, float("nan")
         for camera in self._cameras.values():
             camera.remove()
@@ -270,7 +269,7 @@ class SceneNodes:
         self._lidar.visible = self._floor.visible = False
 
     def _place_floor(self, lowest_m: float) -> None:
-        # The lowest that was seen so far: a frame without floor in it does not lift it.
+        # The lowest so far: a frame that does not see the floor does not raise it.
         if np.isnan(lowest_m) or lowest_m > self._floor_m - 0.03:
             return
         self._floor_m = lowest_m

@@ -309,8 +309,10 @@ def test_pairs_that_there_are_none_of_are_not_spoken_of(bench: Bench, computed: 
     assert "finds" not in bench.words
 
 
-def test_what_is_computed_waits_for_the_desk(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """While the desk is at work, the job makes no step."""
+def test_what_is_computed_waits_for_the_session(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While the session is computing, the job makes no step."""
     steps: list[float] = []
     busy = threading.Event()
 
@@ -335,8 +337,8 @@ def test_what_is_computed_waits_for_the_desk(bench: Bench, monkeypatch: pytest.M
             """It holds nothing."""
 
     monkeypatch.setattr(recall_module, "recall_of", recall_of)
-    monkeypatch.setattr(recall_module, "_PATIENCE_S", LONG_S)
-    bench.session.panels.append(Slow())  # type: ignore[arg-type]  # a panel as far as a desk needs one
+    monkeypatch.setattr(recall_module, "_MAX_IDLE_WAIT_S", LONG_S)
+    bench.session.panels.append(Slow())  # type: ignore[arg-type]  # a panel as far as a session needs one
     busy.set()
     bench.session.refresh()
     bench.press()

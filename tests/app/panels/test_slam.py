@@ -284,7 +284,7 @@ def test_two_runs_side_by_side(seat: Seat, fake: FakeMap) -> None:
 def test_the_oldest_goes_with_a_note(seat: Seat, fake: FakeMap) -> None:
     for number in range(1, MAX_RUNS + 2):
         seat.run(f"{number}: lidar, recorded, pose-graph")
-    seat.until_says(f"Run 1 was cleared away: the last {MAX_RUNS} are kept.")
+    seat.until_says(f"Run 1 was deleted: the last {MAX_RUNS} are kept.")
     offered = seat.widget("Run shown").props["options"]
     assert [int(name.split(":")[0]) for name in offered] == list(range(2, MAX_RUNS + 2))
     folders = [call[1].parent for call in fake.calls]

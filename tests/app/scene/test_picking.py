@@ -92,8 +92,8 @@ def test_planes_hide_nothing_that_the_camera_sees(shape):
             assert shown.pixel_at(eye, point - eye) is None
 
 
-def test_a_board_is_of_its_pictures_shape():
-    with pytest.raises(ValueError, match="none of"):
+def test_an_image_plane_has_the_shape_of_its_picture():
+    with pytest.raises(ValueError, match="does not fit"):
         ImagePlane(
             name="x", rgb=np.zeros((3, 3, 3), np.uint8), plane=LAYOUT.depth_plane(PICTURE).plane
         )

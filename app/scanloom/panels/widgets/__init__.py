@@ -1,1 +1,1 @@
-"""What panels are made of: bound controls, HTML, a job with its progress bar, help texts."""
+"""Building blocks of panels: bound controls, HTML, a job with its progress bar, help texts."""

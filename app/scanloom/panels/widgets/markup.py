@@ -1,6 +1,6 @@
-"""Pieces of HTML and Markdown that panels are made of.
+"""Building blocks of the panels' HTML and Markdown.
 
-Whatever is put in is text, not markup: names from recordings may hold anything.
+All arguments are plain text and are escaped: names from recordings may contain markup.
 """
 
 import html
@@ -15,6 +15,12 @@ _BOX = (
     "font-family:ui-monospace,monospace;font-size:0.8em;resize:vertical;"
     # Break lines anywhere, like a terminal.
     "word-break:break-all"
+)
+
+# The names of report lines take 11 columns.
+_REPORT_LINE = (
+    "padding-left:11ch;text-indent:-11ch;white-space:pre-wrap;overflow-wrap:anywhere;"
+    "font-family:ui-monospace,monospace;font-size:0.9em"
 )
 
 
@@ -33,6 +39,11 @@ def text_box(text: str) -> str:
         f"<div style='padding:0.2em 0.5em'><textarea readonly spellcheck='false' rows='{rows}' "
         f"style='{_BOX}'>{html.escape(escape_undecodable(text))}</textarea></div>"
     )
+
+
+def report_line(text: str) -> str:
+    """A line of a report in a monospaced font; wrapped text is indented past the line's name."""
+    return f"<div style='{_REPORT_LINE}'>{html.escape(text)}</div>"
 
 
 def escape_markdown(text: str) -> str:
