@@ -325,8 +325,8 @@ def test_in_the_paper_the_rougher_side_is_the_burr_and_the_other_sensor_is_prefe
         "but its beam deviates no less from its neighbours. Its beam is the burr."
     )
     assert explain_beam_repair(said, PUBLISHED) == (
-        "Replaced from the camera: expected error 1.0 cm. The other sensor is preferred, regardless "
-        "of the neighbours."
+        "Replaced from the camera: expected error 1.0 cm. The other sensor is preferred, "
+        "regardless of the neighbours."
     )
     image = wall_image()
     image[ROW, 20] = 1.2
