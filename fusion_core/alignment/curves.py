@@ -82,7 +82,7 @@ def sample_curve(
 ) -> CurveSampling:
     """The sampling of a LiDAR's curve (the paper's Psi: 240 of 682 beams).
 
-    ``shift``: by which share of a sample every sample lies to the right (not by index).
+    ``shift``: by which fraction of a sample every sample lies to the right (not by index).
     """
     beams = scan.ranges_m.size
     fov_rad = abs(scan.angle_increment_rad) * beams

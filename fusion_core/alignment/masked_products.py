@@ -18,7 +18,7 @@ from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
 
 PEARSON, COSINE, INVERSE_COSINE, EUCLIDEAN = range(4)
 
-# Squares that sum to less than this share of those of the whole row (or curve) are rounding, not
+# Squares that sum to less than this fraction of those of the whole row (or curve) are rounding, not
 # signal: over 10⁴ samples the cumulative sums are good to about 10⁻¹³ of their total.
 _NEGLIGIBLE = 1e-12
 
@@ -47,8 +47,8 @@ def masked_scores(
     ``curve``: (Ψ,), ``rows``: (H, W) with W <= Ψ, NaN where missing. ``scores``: any of
     ``PEARSON``, ``COSINE``, ``INVERSE_COSINE``, ``EUCLIDEAN``.
 
-    Returns (len(scores), H, Ψ - W + 1) scores and the (H, Ψ - W + 1) share of a row's samples that
-    are valid on both sides. A score is NaN where there are fewer than ``min_samples`` of them or
+    Returns (len(scores), H, Ψ - W + 1) scores and the (H, Ψ - W + 1) fraction of a row's samples
+    that are valid on both sides. A score is NaN where there are fewer than ``min_samples`` or
     where either side has no variance (Pearson) or no norm (the others).
     """
     along, across = _centre(curve[np.newaxis]), _centre(rows)
@@ -79,7 +79,7 @@ def _centre(curves: FloatArray) -> _CentredCurves:
         means=means,
         runs=edges % (width + 1),
         first_run=np.searchsorted(edges[:, 0], np.arange(height + 1) * (width + 1)),
-        # The mean is rounded too, so a constant row is constant only to a share of its mean.
+        # The mean is rounded too, so a constant row is constant only relative to its mean.
         flat=_NEGLIGIBLE * (squares + _NEGLIGIBLE * counts * means**2),
         zero=_NEGLIGIBLE * (squares + counts * means**2),
     )

@@ -44,7 +44,7 @@ _SAME_YAW_RAD = np.deg2rad(5.0)
 _SAME_HEIGHT_M = 0.15
 # Steps of the search and of the finite differences: large against a pixel, small against a mode.
 _STEP = np.array([np.deg2rad(0.6), 0.04, 0.04, 0.04, np.deg2rad(0.8), 20.0])
-# Noise that only one sensor has moves the cost of two heights apart by this much.
+# Noise in one sensor makes the costs of two heights differ by this much.
 _RIVAL_COST = 0.01
 
 
@@ -52,7 +52,7 @@ _RIVAL_COST = 0.01
 class MountEstimate:
     """The mount, and how far the recording supports it.
 
-    ``agreement``: share of visible points within the tolerance; ``visible``: share of the points
+    ``agreement``: fraction of visible points within the tolerance; ``visible``: fraction of points
     in front of a camera that fall on a valid depth; ``delta_z_profile``: (K, 2) Delta z and cost.
     ``refusal``: why a recorded mount is not used, as part of a sentence, "" where there is none.
     """
@@ -77,10 +77,10 @@ def estimate_mount(
     """Refine the mount from the yaw of the recording's offset u.
 
     Where the plane of the LiDAR lies far from any one row, the rows can favour a wrong yaw: other
-    yaws are tried as well, and taken only where they agree better beyond doubt.
+    yaws are tried as well, and taken only where they agree significantly better.
     ``recorded``: extrinsics that the recording itself gives; used as a prior where they explain
     what is seen (``refusal_of``), unless too few points agree and another mount explains them
-    beyond doubt. ``on_step`` is called before each mount that is tried, and may raise to end the
+    significantly. ``on_step`` is called before each mount that is tried, and may raise to end the
     search.
 
     Raises AlignmentFailed where there are too few frames or points.
@@ -183,7 +183,7 @@ def _reason_to_prefer_free_fit(
 
 
 def _is_significantly_better(problem: MountCost, fit: FloatArray, other: FloatArray) -> bool:
-    """Whether a fit costs less than another beyond doubt (paired over blocks, 3 sigma)."""
+    """Whether a fit costs significantly less than another (paired over blocks, 3 sigma)."""
     gain = problem.block_costs(other) - problem.block_costs(fit)
     return bool(np.mean(gain) > 3.0 * np.std(gain) / np.sqrt(gain.size))
 
@@ -242,8 +242,8 @@ def _find_rival_yaws(problem: MountCost, yaw_rad: float, heights_m: FloatArray) 
 def _choose_fit(
     problem: MountCost, fits: list[FloatArray], yaw_rad: float
 ) -> tuple[FloatArray, bool]:
-    """The best fit near the rows' yaw, unless another is better beyond doubt; and whether the two
-    remain in doubt."""
+    """The best fit near the rows' yaw, unless another is significantly better; and whether the two
+    cannot be distinguished."""
     near = [fit for fit in fits if _angle_between_rad(fit[0], yaw_rad) < _SAME_YAW_RAD]
     best = min(near or fits, key=problem.mean_cost)
     rival = min(fits, key=problem.mean_cost)
@@ -383,7 +383,7 @@ def _find_rival_heights(
         if abs(fit[1] - best[1]) < _SAME_HEIGHT_M:
             continue
         difference = problem.block_costs(fit) - reference
-        doubt = 2.0 * np.std(difference) / np.sqrt(difference.size)
-        if np.mean(difference) < max(doubt, _RIVAL_COST):
+        margin = 2.0 * np.std(difference) / np.sqrt(difference.size)
+        if np.mean(difference) < max(margin, _RIVAL_COST):
             rivals.append(fit)
     return rivals

@@ -182,8 +182,15 @@ class MountCost:
         self._first_pixel = np.concatenate([[0], np.cumsum(areas)[:-1]]).astype(np.int64)
         self._intrinsics = np.array(
             [
-                [lens.fx, lens.fy, lens.cx, lens.cy, lens.width, lens.height]
-                for lens in (frame.camera.intrinsics for frame in frames)
+                [
+                    intrinsics.fx,
+                    intrinsics.fy,
+                    intrinsics.cx,
+                    intrinsics.cy,
+                    intrinsics.width,
+                    intrinsics.height,
+                ]
+                for intrinsics in (frame.camera.intrinsics for frame in frames)
             ]
         )
         self._T_camera_rig = np.stack(
@@ -282,7 +289,7 @@ def _tally_points(
     first_point: IntArray,
     pixels: Float32Array,
     first_pixel: IntArray,
-    lens: FloatArray,
+    intrinsics: FloatArray,
     T_camera_lidar: FloatArray,
     tolerance_m: float,
     tolerance_share: float,
@@ -290,10 +297,10 @@ def _tally_points(
     hidden_cost: float,
 ) -> FloatArray:
     """Per frame: cost, points in front, points on valid depth, points within 2.5 tolerances."""
-    frames = lens.shape[0]
+    frames = intrinsics.shape[0]
     out = np.zeros((frames, 4))
     for frame in range(frames):
-        fx, fy, cx, cy, width, height = lens[frame]
+        fx, fy, cx, cy, width, height = intrinsics[frame]
         T = T_camera_lidar[frame]
         for index in range(first_point[frame], first_point[frame + 1]):
             x, y = points[index]

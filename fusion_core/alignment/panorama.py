@@ -28,16 +28,18 @@ class Panorama:
         azimuths: list[float] = []
         for camera in self._cameras:
             # Every pixel column nearest to half a sample is enough for one value a sample.
-            lens = camera.intrinsics
-            stride = max(1, int(0.5 * step_rad * lens.fx))
-            columns = np.arange(0, lens.width, stride)
-            u, v = np.meshgrid(columns, np.arange(lens.height))
+            intrinsics = camera.intrinsics
+            stride = max(1, int(0.5 * step_rad * intrinsics.fx))
+            columns = np.arange(0, intrinsics.width, stride)
+            u, v = np.meshgrid(columns, np.arange(intrinsics.height))
             rays = camera.rays(v, u)
             self._rays.append((columns, rays))
-            ends = transform_points(camera.T_rig_camera, 2.0 * rays[lens.height // 2, [0, -1]])
+            ends = transform_points(
+                camera.T_rig_camera, 2.0 * rays[intrinsics.height // 2, [0, -1]]
+            )
             azimuths.extend(np.arctan2(ends[:, 1], ends[:, 0]))
-        lens = self._cameras[0].intrinsics
-        self._rows, self._focal, self._middle_row = lens.height, lens.fy, lens.cy
+        intrinsics = self._cameras[0].intrinsics
+        self._rows, self._focal, self._middle_row = intrinsics.height, intrinsics.fy, intrinsics.cy
         fov_rad = float(max(azimuths) - min(azimuths))
         count = max(2, int(fov_rad / step_rad))
         middle_rad = 0.5 * float(max(azimuths) + min(azimuths))

@@ -12,7 +12,7 @@ from fusion_core.model.rig import Mount
 _SAME_YAW_RAD = np.deg2rad(5.0)
 # Turned by each of these a right mount would be wrong, but for a room that repeats itself.
 _TURNS_RAD = np.deg2rad(np.arange(10.0, 360.0, 10.0))
-# The usual level of a test: a wrong mount is better than all but so many others by chance.
+# Significance level: the fraction of turned mounts that may agree as well as the recorded one.
 _CHANCE = 0.05
 
 
@@ -25,7 +25,7 @@ def find_refusal(
     (``yaw_rad``, where they were searched), the camera nearer than the farthest that the LiDAR
     sees, and of the points that fall on a valid depth more must agree than do by chance: than where
     the same camera is turned to look elsewhere. Of a camera that looks past the LiDAR's plane,
-    with fewer than LEAST_POINTS on a valid depth, nothing is told.
+    with fewer than LEAST_POINTS on a valid depth, there is no verdict.
     """
     agreement, _ = problem.agreement_and_visibility(recorded.vector())
     if agreement >= settings.min_agreement:
@@ -51,14 +51,14 @@ def find_refusal(
         for turn in _TURNS_RAD
     ]
     # A camera that is turned to where the LiDAR is blind cannot be compared.
-    shares = [other / count for count, other in turned if count >= 0.5 * visible]
-    as_good = sum(share >= agreement for share in shares)
-    if agreeing > 0.0 and as_good <= _CHANCE * len(shares):
+    fractions = [other / count for count, other in turned if count >= 0.5 * visible]
+    as_good = sum(fraction >= agreement for fraction in fractions)
+    if agreeing > 0.0 and as_good <= _CHANCE * len(fractions):
         return ""
     return (
         f"it puts the camera {apart_m:.4g} m from the LiDAR, and {agreement:.0%} of the visible "
         f"points agree, no more than by chance: turned elsewhere as many do in {as_good} of "
-        f"{len(shares)} directions"
+        f"{len(fractions)} directions"
     )
 
 

@@ -34,7 +34,7 @@ class SimilarityField:
     """Scores of H depth rows at U offsets along the LiDAR curve.
 
     ``scores``: (H, U), NaN where there is no score; greater is better for every metric.
-    ``overlap``: (H, U) share of the row's samples valid on both sides.
+    ``overlap``: (H, U) fraction of the row's samples valid on both sides.
     ``u_first``: the offset u of column 0: 0, or negative with partial overlaps.
     """
 

@@ -3,7 +3,7 @@
 The paper pairs by sampling rates, t = f(i) / g(j); with stamps the nearest scan is the same where
 the rates are constant and right where they are not. A robot that turns at 0.5 rad/s moves 1.4
 degrees within half a scan period, so the turn between the two stamps is taken out, with a rate
-measured from neighbouring scans alone: no odometry is needed.
+measured from consecutive scans: no odometry is needed.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from fusion_core.model.conventions import NS_PER_S, FloatArray
 from fusion_core.model.sensors import LaserScan
 from fusion_core.settings import StageSettings, setting
 
-# A range difference beyond this tells nothing more about the turn: another surface.
+# A range difference beyond this belongs to another surface and says nothing about the turn.
 _MAX_DIFFERENCE_M = 0.3
 
 

@@ -50,7 +50,7 @@ class UprightView:
 
 def upright_view(intrinsics: CameraIntrinsics, up_in_camera: FloatArray | None) -> UprightView:
     """The view of a camera. ``up_in_camera``: (3,) the world's up in the stored image's optical
-    axes, or None where nobody says, which counts as upright."""
+    axes, or None where unknown, which counts as upright."""
     turns = 0 if up_in_camera is None else _quarter_turns(up_in_camera)
     shape = (intrinsics.height, intrinsics.width)
     index = np.arange(shape[0] * shape[1], dtype=np.int64).reshape(shape)

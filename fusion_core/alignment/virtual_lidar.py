@@ -30,22 +30,22 @@ def cut_scan(image: DepthImage, camera: Camera, row: int) -> LaserScan:
 
     Raises SettingsError for a row that the image does not have, and for images that are no sweep.
     """
-    lens = camera.intrinsics
-    if not 0 <= row < lens.height:
+    intrinsics = camera.intrinsics
+    if not 0 <= row < intrinsics.height:
         raise SettingsError(
-            f"--virtual-lidar {row}: the depth image has rows 0 to {lens.height - 1}.",
+            f"--virtual-lidar {row}: the depth image has rows 0 to {intrinsics.height - 1}.",
             advice="Name one of these.",
         )
-    if not 2 <= lens.width <= MAX_BEAMS:
+    if not 2 <= intrinsics.width <= MAX_BEAMS:
         raise SettingsError(
             f"--virtual-lidar {row}: a scan has 2 to {MAX_BEAMS} beams, a row of the depth image "
-            f"{lens.width} pixels.",
+            f"{intrinsics.width} pixels.",
             advice="Use a recording with a 2D LiDAR.",
         )
-    ends_rad = camera.column_azimuths_rad(np.array([0.0, lens.width - 1.0]))
-    azimuths_rad = np.linspace(float(ends_rad[1]), float(ends_rad[0]), lens.width)
-    columns = np.rint(lens.cx - lens.fx * np.tan(azimuths_rad)).astype(np.int64)
-    columns = np.clip(columns, 0, lens.width - 1)
+    ends_rad = camera.column_azimuths_rad(np.array([0.0, intrinsics.width - 1.0]))
+    azimuths_rad = np.linspace(float(ends_rad[1]), float(ends_rad[0]), intrinsics.width)
+    columns = np.rint(intrinsics.cx - intrinsics.fx * np.tan(azimuths_rad)).astype(np.int64)
+    columns = np.clip(columns, 0, intrinsics.width - 1)
     ranges_m = image.depth_m[row, columns].astype(np.float64) / np.cos(azimuths_rad)
     ranges_m[ranges_m > _RANGE_MAX_M] = np.nan
     return LaserScan(
@@ -69,14 +69,16 @@ def mask_cut_rows(depth_m: Float32Array, row: int) -> Float32Array:
 
 def crop_view(view: UprightView) -> UprightView:
     """The middle columns of a view, so that the curve is wider than the rows laid on it."""
-    lens = view.intrinsics
-    first = round(0.5 * (1.0 - _KEPT_WIDTH_FRACTION) * lens.width)
-    last = lens.width - first
+    intrinsics = view.intrinsics
+    first = round(0.5 * (1.0 - _KEPT_WIDTH_FRACTION) * intrinsics.width)
+    last = intrinsics.width - first
     index = view.stored_index
     if index is None:
-        index = np.arange(lens.height * lens.width, dtype=np.int64).reshape(lens.height, lens.width)
+        index = np.arange(intrinsics.height * intrinsics.width, dtype=np.int64).reshape(
+            intrinsics.height, intrinsics.width
+        )
     return replace(
         view,
-        intrinsics=replace(lens, width=last - first, cx=lens.cx - first),
+        intrinsics=replace(intrinsics, width=last - first, cx=intrinsics.cx - first),
         stored_index=np.ascontiguousarray(index[:, first:last]),
     )

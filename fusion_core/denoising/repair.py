@@ -91,8 +91,8 @@ class Repair:
 
     ``lidar_range_m``: horizontal ranges; ``depth_m``: along the optical axis; NaN where missing
     and not repaired. ``lidar_source``, ``depth_source``: codes of RepairSource.
-    ``lidar_errors_m``, ``depth_errors_m``: (B, 2) expected errors of what the other sensor and
-    what the neighbours offer, infinite where they offer nothing, NaN where nothing was asked.
+    ``lidar_errors_m``, ``depth_errors_m``: (B, 2) expected errors of the other sensor and of
+    the neighbours, infinite where there is no estimate, NaN where none was needed.
     """
 
     lidar_range_m: FloatArray

@@ -1,4 +1,4 @@
-"""What supports a beam or a pixel: neighbours of its own surface, beside it and in time."""
+"""Support of a beam or a pixel: neighbours on the same surface, in space and in time."""
 
 import numpy as np
 
@@ -88,7 +88,7 @@ def count_beam_support(
 def _is_between_surfaces(ranges: FloatArray, beam: int, tolerance: float) -> bool:
     """Whether a beam, alone or with one like it beside it, steps from one surface to another.
 
-    Mixed pixels do; a thin object of its own stands before both.
+    Mixed pixels do; a separate thin object is nearer than both.
     """
     for width in (1, 2):
         for first in range(beam - width + 1, beam + 1):

@@ -21,7 +21,7 @@ _SAME_WALL_SIGMA = 2.5
 class SmoothRanges:
     """(B,) ranges of the walls through beams and their neighbours, and their expected errors.
 
-    A beam without a wall of its own keeps its range and its noise; NaN where it has none.
+    A beam without a fitted wall keeps its range and its noise; NaN where it has none.
     """
 
     range_m: FloatArray

@@ -294,7 +294,7 @@ def test_what_stays_the_same_is_not_drawn_again(bench: Bench) -> None:
 
 def test_a_frame_that_failed_says_why_and_shows_nothing_of_another(bench: Bench) -> None:
     failure = ScanLoomError("no peak in <b>/scan</b>.", advice="Go on.")
-    bench.panel.show(replace(bench.frame_view, fused=None, failure=failure))
+    bench.panel.show(replace(bench.frame_view, frame=None, failure=failure))
     bench.html("no peak in &lt;b&gt;/scan&lt;/b&gt;. Go on.")
     assert not any(handle.visible for handle in (*bench.panel._pictures, bench.panel._curve))
     assert bench.panel._classes.content == ""
