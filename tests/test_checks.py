@@ -26,4 +26,4 @@ def test_the_guide_names_files_that_exist() -> None:
     assert len(named) > 20
     # The example's file is what a contributor writes.
     missing = {name for name in named if not (ROOT / name).exists()}
-    assert missing == {"fusion_core/recordings/csv_ranges.py"}
+    assert missing <= {"fusion_core/recordings/csv_ranges.py"}

@@ -18,7 +18,6 @@ ALGORITHMS = {
     "fusion_core.mapping": BASE,
     "fusion_core.denoising": BASE | {"fusion_core.alignment", "fusion_core.registration"},
     "fusion_core.motion": BASE | {"fusion_core.registration"},
-    "fusion_core.calibration": BASE | {"fusion_core.registration"},
     "fusion_core.slam": BASE
     | {"fusion_core.registration", "fusion_core.motion", "fusion_core.mapping"},
 }
@@ -26,7 +25,6 @@ SIDES = {
     "fusion_core.recordings": BASE | FILES,
     "fusion_core.exporting": BASE | FILES,
     "fusion_core.evaluation": BASE | FILES,
-    "fusion_core.annotation": BASE | FILES,
     "fusion_core.simulation": BASE | FILES | {"fusion_core.recordings"},
 }
 ALLOWED: dict[str, set[str]] = {

@@ -2,28 +2,39 @@
 
 To add a panel:
 
-1. Add its name to ``PanelName`` in ``scanloom/state/view.py``; the order there is that of the
-   buttons and of the keys Alt + 1…9.
-2. Write ``scanloom/panels/<name>.py`` with a class like this::
+1. Add its name to ``PanelName`` in ``app/scanloom/state/view.py``; the order there is that of the
+   buttons and of the keys Alt + 1, Alt + 2, ...
+2. Write ``app/scanloom/panels/<name>.py``. Numbers come from the workflows or from a function in
+   ``app/scanloom/scene/``, here ``range_histogram(scan) -> (range_m, beams)``::
+
+    from scanloom.client_session import Panel
+    from scanloom.frame_view import FrameView
+    from scanloom.plots.line_plot import (
+        PlotLabels, add_line_plot, line, set_y_limits, whole_limits
+    )
+    from scanloom.plots.palette import color_of
+    from scanloom.scene.range_histogram import range_histogram
 
     class RangesPanel(Panel):
         \"""Histogram of the scan's ranges.\"""
 
         def __init__(self, gui: viser.GuiApi) -> None:
-            empty = (np.array([0.0, 1.0]), np.zeros(2))
-            series = (uplot.Series(label="range (m)"), uplot.Series(label="beams", stroke="blue"))
-            self._plot = gui.add_uplot(empty, series, aspect=1.5)
+            labels = PlotLabels(title="Ranges", x="range (m)", x_short="range (m)", y="beams")
+            self._plot = add_line_plot(gui, labels, [line("beams", color_of("lidar"))])
 
         def show(self, frame_view: FrameView) -> None:
             match = frame_view.match
-            if frame_view.view.panel != "Ranges" or match is None:
-                return
-            ranges_m = match.scan.ranges_m
-            count, edges_m = np.histogram(ranges_m[np.isfinite(ranges_m)], bins=40)
-            self._plot.data = edges_m[:-1], count.astype(float)
+            if frame_view.view.panel == "Ranges" and match is not None:
+                range_m, beams = range_histogram(match.scan)
+                self._plot.data = range_m, beams
+                set_y_limits(self._plot, *whole_limits(beams))
+            # Hidden at first, and where the frame has no result.
+            self._plot.visible = match is not None
 
 3. Add it to ``_BUILDERS`` below.
-4. Write its help, ``static/help/<name>.md``.
+4. Write its help, ``static/help/<name>.md``: 120 to 200 words, the headings of the others, the paper
+   where it has the subject, ``![Formula](<name>.svg)``. The formula and its words stand in
+   ``FORMULAS`` (``tests/pictures/formulas.py``); ``python -m tests.pictures.formulas`` draws it.
 
 A slider of a setting is one line in the panel's constructor, ``controls.slider(stage, field, …)``
 (``scanloom.panels.widgets.controls``); it takes its help text from the setting.
