@@ -32,8 +32,8 @@ To add a panel:
             self._plot.visible = match is not None
 
 3. Add it to ``_BUILDERS`` below.
-4. Write its help, ``static/help/<name>.md``: 120 to 200 words, the headings of the others, the paper
-   where it has the subject, ``![Formula](<name>.svg)``. The formula and its words stand in
+4. Write its help, ``static/help/<name>.md``: 120 to 200 words under the headings of the others,
+   the place in the paper, ``![Formula](<name>.svg)``. The formula and its words stand in
    ``FORMULAS`` (``tests/pictures/formulas.py``); ``python -m tests.pictures.formulas`` draws it.
 
 A slider of a setting is one line in the panel's constructor, ``controls.slider(stage, field, …)``
