@@ -124,8 +124,8 @@ class Classification:
     What the classes rest on: ``beam_support`` (B, 3), how many adjacent beams, beams two and three
     away, and scans before and after support a beam (none beside one that lies between two
     surfaces); ``pixel_support`` (B, 2), how many of the 5 x 5 pixels around support a pixel, and
-    how many of them have a depth; ``pixel_unconfirmed`` (B,), pixels in a disagreement of which the image
-    before shows nothing.
+    how many of them have a depth; ``pixel_unconfirmed`` (B,), pixels in a disagreement
+    of which the image before shows nothing.
     """
 
     lidar_class: IntArray
