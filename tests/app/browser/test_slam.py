@@ -85,13 +85,13 @@ def test_two_runs_are_compared(newcomer: Person, fake: FakeMap) -> None:
     person.wait_until(lambda: person.session.view.slam.estimator == "particle-filter")
     person.press("Run")
     finish(person, SECOND)
-    expect(person.text("10.0 cm apart in the median, at most 20.0 cm")).to_be_visible()
+    expect(person.text("10.0 cm in the median, at most 20.0 cm")).to_be_visible()
     # The file of the run, and both runs; its effective number, and how far they are apart.
     assert person.picture(1).shape[1] == 480
     for title in ("Effective number of particles", "Distance between A and B"):
         expect(person.text(title)).to_be_visible()
     person.choose("A", SECOND)
-    expect(person.text("0.0 cm apart in the median, at most 0.0 cm")).to_be_visible()
+    expect(person.text("0.0 cm in the median, at most 0.0 cm")).to_be_visible()
 
 
 def test_after_a_failure_the_page_works_on(

@@ -269,10 +269,10 @@ def test_two_runs_side_by_side(seat: Seat, fake: FakeMap) -> None:
     seat.run("2: lidar, fused, particle-filter (30)", SLAM="particle-filter", Motion="fused")
     seat.until(lambda: all(seat.frame_view()[2:]))
     # It drifts steadily: half of the way has half of the most.
-    seat.until_says("15.0 cm apart in the median, at most 30.0 cm, 5.9 s later")
+    seat.until_says("15.0 cm in the median, at most 30.0 cm, 5.9 s later")
     # Each with itself.
     seat.client.set_value("A", "2: lidar, fused, particle-filter (30)")
-    seat.until_says("0.0 cm apart in the median, at most 0.0 cm")
+    seat.until_says("0.0 cm in the median, at most 0.0 cm")
     seat.client.set_value("Run shown", FIRST)
     seat.until_says("2 closed, 1 dropped")
     seat.until(lambda: seat.frame_view()[2:6] == [True, False, False, False])
