@@ -83,7 +83,7 @@ def stated(tmp_path: Path, **changes: Any) -> Path:
         ({"obstacles__0__outline__1__0": 1e300}, "obstacles.0.outline.1.0: "),
         ({"obstacles__0__outline__1__0": float("nan")}, "finite number"),
         ({"obstacles__0__outline": [[-1e6, 0], [1e6, 0]]}, "longer than 100000 m"),
-        ({"obstacles__0__z_max_m": -1}, "stands from 0.0 m to -1.0 m"),
+        ({"obstacles__0__z_max_m": -1}, "has a height from 0.0 m to -1.0 m"),
         ({"obstacles__0__seen_by__lidar": [[5, 3]]}, "runs of lidar must ascend"),
         ({"obstacles__0__seen_by__lidar": [[0, 401]]}, "within 0 to 400"),
         ({"obstacles__0__seen_by__lidar": [[0, 10**30]]}, "obstacles.0.seen_by.lidar.0.1: "),
