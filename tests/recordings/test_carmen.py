@@ -517,7 +517,11 @@ REAL = {
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("name", REAL)
+@pytest.mark.parametrize(
+    "name",
+    # The longest has no line of a kind that the others lack.
+    [pytest.param(name, marks=[pytest.mark.slow] * (name == "intel.clf.bz2")) for name in REAL],
+)
 def test_real_logs_line_by_line(data_folder: Path, name: str) -> None:
     """Every line split by hand."""
     file = data_folder / "real/carmen" / name
