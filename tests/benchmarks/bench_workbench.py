@@ -46,10 +46,10 @@ IsPicture = Callable[[Received], bool]
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A row of the table: what was measured, as it reads, and whether that meets the aim."""
+    """A row of the table: what was measured, in words, and whether it meets the aim."""
 
     name: str
-    frame_view: str
+    text: str
     aim: str
     is_met: bool
 
@@ -127,7 +127,7 @@ class Browser:
 
     def _is_aligned(self) -> bool:
         return any(
-            "frames made the recording's field" in str(widget.props.get("_markdown", ""))
+            "frames are averaged in the recording's field" in str(widget.props.get("_markdown", ""))
             for widget in self.client.widgets.values()
         )
 
@@ -156,8 +156,8 @@ def serving(recording: Path) -> Iterator[Server]:
 
 def latency(name: str, times_ms: Sequence[float], aim_ms: float) -> Figure:
     median_ms, high_ms = np.percentile(times_ms, [50.0, 95.0])
-    frame_view = f"median {median_ms:6.1f} ms, 95 % within {high_ms:6.1f} ms"
-    return Figure(name, frame_view, f"95 % within {aim_ms:.0f} ms", bool(high_ms <= aim_ms))
+    text = f"median {median_ms:6.1f} ms, 95 % within {high_ms:6.1f} ms"
+    return Figure(name, text, f"95 % within {aim_ms:.0f} ms", bool(high_ms <= aim_ms))
 
 
 def searching(browser: Browser, where: str, aim_ms: float) -> Iterator[Figure]:
@@ -201,10 +201,10 @@ def playing(browser: Browser, where: str, aim_hz: float) -> Figure:
     time.sleep(1.0)
     browser.client.drain()
     time.sleep(PLAYED_S)
-    frame_view = sum(map(is_picture, browser.client.drain()))
+    pictures = sum(map(is_picture, browser.client.drain()))
     browser.client.set_value("Go", "Play")
     browser.settle()
-    rate_hz = frame_view / PLAYED_S
+    rate_hz = pictures / PLAYED_S
     name = f"{where}: playing, heatmap on"
     return Figure(name, f"{rate_hz:.1f} pictures/s", f"{aim_hz:.0f} pictures/s", rate_hz >= aim_hz)
 
@@ -236,12 +236,12 @@ def dragging(browser: Browser) -> Figure:
             client.set_value(label, value, within="Match")
             fresh = [one for one in browser.settle() if is_picture(one)]
         right += bool(fresh) and _data(found[-1]) == _data(fresh[-1])
-    frame_view = (
+    text = (
         f"{right} of {EVENT_ROUNDS} right, {max(waited_ms):.0f} ms after the last at most, "
         f"{pictures / EVENT_ROUNDS:.0f} pictures each, slider moved {moved} times"
     )
     name = f"sample: {EVENTS} events in {EVENTS_S:g} s"
-    return Figure(name, frame_view, "the last value's picture", right == EVENT_ROUNDS and not moved)
+    return Figure(name, text, "the last value's picture", right == EVENT_ROUNDS and not moved)
 
 
 def _sets_value(received: Received, uuid: str) -> bool:
@@ -289,7 +289,7 @@ def main() -> None:
         for figure in figures(panorama):
             is_met &= figure.is_met
             missed = "" if figure.is_met else "  MISSED"
-            print(f"{figure.name:<48}{figure.frame_view}  (aim: {figure.aim}){missed}", flush=True)
+            print(f"{figure.name:<48}{figure.text}  (aim: {figure.aim}){missed}", flush=True)
     sys.exit(not is_met)
 
 
