@@ -14,6 +14,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.grids import OccupancyGrid
@@ -94,8 +96,6 @@ class MapResult:
 
     def to_numpy(self) -> FloatArray:
         """(N, 3) the LiDAR's x, y, yaw in the map, in metres and radians, a row for each scan."""
-        import numpy as np
-
         return np.column_stack([self.trajectory[name] for name in ("x_m", "y_m", "yaw_rad")])
 
 
@@ -261,7 +261,7 @@ def _map_result(folder: Path) -> MapResult:
     from fusion_core.workflows.map.result_folder import read_map_results
 
     found = read_map_results(folder)
-    x_m, y_m, yaw_rad = found.poses_map_scan.T
+    x_m, y_m, yaw_rad = found.trajectory.planar_poses.T
     trajectory = pa.table(
         {
             "stamp_ns": found.trajectory.stamps_ns,

@@ -17,6 +17,7 @@ from fusion_core.files.regular_file import open_regular, read_regular
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.errors import ScanLoomError
+from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
 
 MISSING = -1
 """Stands for null in integer columns, which have no NaN."""
@@ -132,11 +133,27 @@ def open_fuse_folder(path: Path) -> FuseFolder:
     except OSError as error:
         raise ScanLoomError(f"cannot be read: {error}.", file=file, advice=_ADVICE) from error
     except (KeyError, TypeError, ValueError) as error:
-        raise ScanLoomError(
-            f"is not an alignment that can be evaluated ({type(error).__name__}: {error}).",
-            file=file,
-            advice=_ADVICE,
-        ) from error
+        raise _not_an_alignment(file, error) from error
+
+
+def read_mount(folder: FuseFolder) -> Mount:
+    """The mount that the frames were fused with, and what is known of its errors."""
+    alignment = folder.alignment
+    try:
+        return Mount.from_vector(
+            np.array([float(alignment["mount_used"][name]) for name in MOUNT_PARAMETERS]),
+            tuple(alignment[f"{name}_sd"] for name in MOUNT_PARAMETERS),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise _not_an_alignment(folder.path / "alignment.json", error) from error
+
+
+def _not_an_alignment(file: Path, error: Exception) -> ScanLoomError:
+    return ScanLoomError(
+        f"is not an alignment as fuse writes it ({type(error).__name__}: {error}).",
+        file=file,
+        advice=_ADVICE,
+    )
 
 
 def _recorded_camera(entry: dict[str, Any]) -> RecordedCamera:
@@ -158,8 +175,8 @@ def _recorded_camera(entry: dict[str, Any]) -> RecordedCamera:
     )
 
 
-def read_frames(folder: FuseFolder) -> Frames:
-    """frames.csv: one row for each depth image, in the file's order."""
+def read_frames_table(folder: FuseFolder) -> pa.Table:
+    """frames.csv as it is: one row for each depth image, in the file's order."""
     file = folder.path / "frames.csv"
     try:
         # Streams, since Arrow takes no path that is no UTF-8.
@@ -167,8 +184,15 @@ def read_frames(folder: FuseFolder) -> Frames:
             table = pyarrow.csv.read_csv(stream)
     except (OSError, pa.ArrowInvalid) as error:
         raise ScanLoomError(f"cannot be read: {error}.", file=file, advice=_ADVICE) from error
+    _require_columns(table.column_names, _FRAME_KEYS + _FRAME_NUMBERS, file)
+    return table
+
+
+def read_frames(folder: FuseFolder) -> Frames:
+    """frames.csv as arrays: one row for each depth image, in the file's order."""
+    file = folder.path / "frames.csv"
+    table = read_frames_table(folder)
     columns = dict(zip(table.column_names, table.columns, strict=True))
-    _require_columns(columns, _FRAME_KEYS + _FRAME_NUMBERS, file)
     number = {
         name: _as_floats(column)
         for name, column in columns.items()
@@ -192,7 +216,7 @@ def read_samples(folder: FuseFolder) -> Iterator[Samples]:
     wanted = tuple(field.name for field in fields(Samples))
     try:
         with open_regular(file) as stream, pq.ParquetFile(stream) as parquet:
-            _require_columns(dict.fromkeys(parquet.schema_arrow.names), wanted, file)
+            _require_columns(parquet.schema_arrow.names, wanted, file)
             for batch in parquet.iter_batches(batch_size=_BATCH_ROWS, columns=list(wanted)):
                 yield _samples(folder, dict(zip(wanted, batch.select(wanted), strict=True)), file)
     except (OSError, pa.ArrowInvalid) as error:
@@ -228,8 +252,8 @@ def _samples(folder: FuseFolder, columns: dict[str, Any], file: Path) -> Samples
     return samples
 
 
-def _require_columns(columns: dict[str, Any], wanted: tuple[str, ...], file: Path) -> None:
-    absent = [name for name in wanted if name not in columns]
+def _require_columns(present: list[str], wanted: tuple[str, ...], file: Path) -> None:
+    absent = [name for name in wanted if name not in present]
     if absent:
         raise ScanLoomError(f"has no column {', '.join(absent)}.", file=file, advice=_ADVICE)
 

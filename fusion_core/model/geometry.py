@@ -66,8 +66,9 @@ def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> FloatArr
 
 
 def planar_from_transform(T_a_b: FloatArray) -> FloatArray:
-    """(x, y, yaw) of a (4, 4), dropping height, pitch and roll."""
-    return np.array([T_a_b[0, 3], T_a_b[1, 3], np.arctan2(T_a_b[1, 0], T_a_b[0, 0])])
+    """(..., 3) x, y, yaw of (..., 4, 4), dropping height, pitch and roll."""
+    yaw_rad = np.arctan2(T_a_b[..., 1, 0], T_a_b[..., 0, 0])
+    return np.stack([T_a_b[..., 0, 3], T_a_b[..., 1, 3], yaw_rad], axis=-1)
 
 
 def transform_from_planar(pose: FloatArray) -> FloatArray:

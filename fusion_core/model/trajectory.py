@@ -47,7 +47,7 @@ class Trajectory:
     @property
     def planar_poses(self) -> FloatArray:
         """(N, 3) poses x, y, yaw; height, pitch and roll are dropped."""
-        return np.array([planar_from_transform(pose) for pose in self.T_map_body])
+        return planar_from_transform(self.T_map_body)
 
     def pose_at(self, stamp_ns: int) -> FloatArray:
         """(4, 4) T_map_body at an instant, interpolated between its two neighbours.

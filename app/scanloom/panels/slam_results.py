@@ -226,6 +226,6 @@ def _on_map(run: SlamRun) -> RunOnMap:
     return RunOnMap(
         title=run.name,
         stamps_ns=files.trajectory.stamps_ns,
-        poses=files.poses_map_scan,
+        poses=files.trajectory.planar_poses,
         grid=files.grid,
     )

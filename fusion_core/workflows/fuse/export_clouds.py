@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion_core.evaluation.fuse_folder import open_fuse_folder
+from fusion_core.evaluation.fuse_folder import open_fuse_folder, read_mount
 from fusion_core.exporting.clouds import write_cloud
 from fusion_core.exporting.manifest import require_intact
 from fusion_core.exporting.output_folder import RunRequest, plan_output, results_folder
@@ -18,7 +18,7 @@ from fusion_core.model.conventions import NS_PER_MS, FloatArray
 from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.model.geometry import transform_from_planar, transform_points
 from fusion_core.model.progress import Progress, silent
-from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
+from fusion_core.model.rig import Mount
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.fuse.session import FuseOptions, Session, open_session
@@ -58,8 +58,8 @@ def export_clouds(
     """
     require_intact(results, ("settings.toml", "alignment.json", "fused.mcap"), "fuse")
     preset, settings = chain_settings("default", results / "settings.toml", None)
-    alignment = open_fuse_folder(results).alignment
-    mount = Mount.from_vector(np.array([alignment["mount_used"][n] for n in MOUNT_PARAMETERS]))
+    fuse_folder = open_fuse_folder(results)
+    mount = read_mount(fuse_folder)
     fused_file = results / "fused.mcap"
     with open_source(recording, options.room) as opened, open_recording(fused_file) as fused:
         session = open_session(opened, options, settings)
@@ -109,7 +109,9 @@ def export_clouds(
                 for suffix in _SUFFIXES if points[name] else ():
                     progress(0, None, f"writing {name}{suffix}")
                     write_cloud(folder / f"{name}{suffix}", points_m)
-    return CloudExport(output=output, points=points, notes=tuple(_notes(session, alignment)))
+    return CloudExport(
+        output=output, points=points, notes=tuple(_notes(session, fuse_folder.alignment))
+    )
 
 
 def _raw_scans(session: Session) -> Iterator[LaserScan]:

@@ -54,12 +54,6 @@ class MapResults:
         for array in (self.trusted, self.loops_m, self.effective, self.weight_stamps_s):
             read_only(array)
 
-    @property
-    def poses_map_scan(self) -> FloatArray:
-        """(N, 3) x, y, yaw."""
-        T = self.trajectory.T_map_body
-        return np.column_stack([T[:, :2, 3], np.arctan2(T[:, 1, 0], T[:, 0, 0])])
-
 
 @dataclass(slots=True)
 class TrajectoryPoses:
