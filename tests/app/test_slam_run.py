@@ -64,8 +64,10 @@ def test_a_run_reads_back_what_was_written(tmp_path: Path) -> None:
     # To the nanosecond, for two runs are compared at their stamps.
     assert np.array_equal(files.trajectory.stamps_ns, slam_runs.stamps_ns())
     way = slam_runs.poses()
-    assert np.allclose(files.poses_map_scan[:, :2], way[:, :2], atol=1e-8)
-    assert np.allclose(np.exp(1j * files.poses_map_scan[:, 2]), np.exp(1j * way[:, 2]), atol=1e-8)
+    assert np.allclose(files.trajectory.planar_poses[:, :2], way[:, :2], atol=1e-8)
+    assert np.allclose(
+        np.exp(1j * files.trajectory.planar_poses[:, 2]), np.exp(1j * way[:, 2]), atol=1e-8
+    )
     assert np.flatnonzero(~files.trusted).tolist() == list(range(LOST.start, LOST.stop))
     ends = [[*way[first, :2], *way[second, :2]] for first, second in LOOPS]
     assert np.allclose(files.loops_m, ends, atol=1e-8)
@@ -252,7 +254,9 @@ def test_a_run_writes_the_bytes_that_its_command_writes(
     assert {"map_lidar.pgm", "trajectory.tum", "report.json"} <= by_command.keys()
     # What is read back is what was watched last.
     assert np.array_equal(seen[-1].stamps_ns, made.files.trajectory.stamps_ns)
-    assert np.allclose(seen[-1].poses_map_scan[:, :2], made.files.poses_map_scan[:, :2], atol=1e-8)
+    assert np.allclose(
+        seen[-1].poses_map_scan[:, :2], made.files.trajectory.planar_poses[:, :2], atol=1e-8
+    )
     weighed = seen[-1].effective[np.isfinite(seen[-1].effective)]
     assert np.allclose(made.files.effective[:, 1], weighed)
     assert (weighed.size > 0) == (estimator == "particle-filter")
