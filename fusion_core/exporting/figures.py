@@ -74,7 +74,9 @@ def png_figure(path: Path, heading: str, *, width_px: int, height_px: int) -> It
 def _freeze_layout(figure: "Figure") -> None:
     """Lay out the panels once, and round where they stand: the layout's solver orders its terms by
     memory address, so that its last digits are not the same in every run."""
-    figure.draw_without_rendering()
+    engine = figure.get_layout_engine()
+    assert engine is not None, "the figure was made with one"
+    engine.execute(figure)
     figure.set_layout_engine("none")
     for axes in figure.get_axes():
         x, y, width, height = (round(value, 5) for value in axes.get_position(True).bounds)
