@@ -1,6 +1,6 @@
-"""Path lengths along the pose graph from a key scan to each submap, with which drift grows.
+"""Path lengths along the pose graph from a keyframe to each submap, with which drift grows.
 
-The nodes of this graph are submaps, in the order of their first key scan. Each is connected with
+The nodes of this graph are submaps, in the order of their first keyframe. Each is connected with
 the next by the length of the trajectory between them, and the two of a loop by a short edge.
 """
 
@@ -24,7 +24,7 @@ _DISTANCE_MIN_M = 1e-3
 
 
 class GraphDistances:
-    """Path lengths of a trajectory of K key scans and S submaps; loops make them shorter."""
+    """Path lengths of a trajectory of K keyframes and S submaps; loops make them shorter."""
 
     def __init__(self, local: LocalTrajectory, losses: TrackingLosses) -> None:
         self._steps_m = np.hypot(*np.diff(local.poses_local_node[:, :2], axis=0).T)
@@ -45,7 +45,7 @@ class GraphDistances:
         self._graph_m = None
 
     def add_loop(self, submap: SubmapId, node: NodeId) -> None:
-        """Connect a submap and a key scan by a loop."""
+        """Connect a submap and a keyframe by a loop."""
         other = self._submap_of(node)
         pair = (min(submap, other), max(submap, other))
         length_m = _LOOP_DISTANCE_M + abs(
@@ -56,7 +56,7 @@ class GraphDistances:
             self._graph_m = None
 
     def to_submaps(self, node: NodeId) -> FloatArray:
-        """(S,) the shortest path from a key scan to each submap's first one, in metres."""
+        """(S,) the shortest path from a keyframe to each submap's first one, in metres."""
         if self._graph_m is None:
             self._graph_m = self._adjacency()
             self._from_m.clear()

@@ -1,4 +1,4 @@
-"""Poses of all scans from the poses of the key scans among them."""
+"""Poses of all scans from the poses of the keyframes among them."""
 
 import numpy as np
 
@@ -7,21 +7,23 @@ from fusion_core.model.planar_poses import compose_poses, interpolate_pose, rela
 
 
 def interpolate_poses(
-    poses_local_scan: FloatArray, key: IntArray, poses_map_key: FloatArray
+    poses_local_scan: FloatArray, keyframes: IntArray, poses_map_keyframe: FloatArray
 ) -> FloatArray:
-    """(N, 3) every scan by the key scans before and after it, the nearer one weighing more.
+    """(N, 3) every scan by the keyframes before and after it, the nearer one weighing more.
 
-    ``poses_local_scan``: (N, 3). ``key``: (K,) rising, K >= 1. ``poses_map_key``: (K, 3).
+    ``poses_local_scan``: (N, 3). ``keyframes``: (K,) scan numbers, rising, K >= 1.
+    ``poses_map_keyframe``: (K, 3).
     """
     number = np.arange(len(poses_local_scan))
-    before = np.maximum(np.searchsorted(key, number, side="right") - 1, 0)
-    after = np.minimum(before + 1, key.size - 1)
+    before = np.maximum(np.searchsorted(keyframes, number, side="right") - 1, 0)
+    after = np.minimum(before + 1, keyframes.size - 1)
     by_before, by_after = (
         compose_poses(
-            poses_map_key[node], relative_pose(poses_local_scan[key[node]], poses_local_scan)
+            poses_map_keyframe[node],
+            relative_pose(poses_local_scan[keyframes[node]], poses_local_scan),
         )
         for node in (before, after)
     )
-    span = np.maximum(key[after] - key[before], 1)
-    fraction = np.clip((number - key[before]) / span, 0.0, 1.0)
+    span = np.maximum(keyframes[after] - keyframes[before], 1)
+    fraction = np.clip((number - keyframes[before]) / span, 0.0, 1.0)
     return interpolate_pose(by_before, by_after, fraction)

@@ -1,9 +1,9 @@
 """Poses and map refined together, the last step after the pose graph.
 
 A pose graph has one constraint for each match, made with a submap of its time. Here the poses and
-the map of all key scans fit each other (Wang et al. 2025, Occupancy-SLAM, arXiv 2502.06292). The
-cost is minimised by alternation: the cells are the log odds of all key scans at their poses, then
-each key scan is matched with the cells, with its pose in the graph as prior.
+the map of all keyframes fit each other (Wang et al. 2025, Occupancy-SLAM, arXiv 2502.06292). The
+cost is minimised by alternation: the cells are the log odds of all keyframes at their poses, then
+each keyframe is matched with the cells, with its pose in the graph as prior.
 
     poses = refine(poses, key_points_m, is_connected, submaps, RefinementSettings())
 """
@@ -20,7 +20,7 @@ from fusion_core.slam.scan_points import densified_points
 from fusion_core.slam.scan_to_grid import POINTS_MIN, match_scan
 from fusion_core.slam.submaps import GrowingSubmap, SubmapSettings
 
-# Side of the squares in which key scans are refined, so that memory is bounded: 4 million cells.
+# Side of the squares in which keyframes are refined, so that memory is bounded: 4 million cells.
 _SQUARE_M = 100.0
 
 
@@ -50,7 +50,7 @@ class RefinementSettings(StageSettings):
 
 def refine(
     poses_map_node: FloatArray,
-    key_points_m: Sequence[FloatArray],
+    keyframe_points_m: Sequence[FloatArray],
     is_connected: BoolArray,
     submaps: SubmapSettings,
     settings: RefinementSettings,
@@ -63,7 +63,7 @@ def refine(
     """
     poses = poses_map_node.copy()
     taken = np.flatnonzero(
-        is_connected & np.array([points_m.shape[0] >= POINTS_MIN for points_m in key_points_m])
+        is_connected & np.array([points_m.shape[0] >= POINTS_MIN for points_m in keyframe_points_m])
     )
     total = settings.rounds * taken.size
     done = 0
@@ -71,13 +71,13 @@ def refine(
         # Use the poses of the round before, so that the order of the squares does not matter.
         before = poses.copy()
         for inside, about in _split_into_squares(before[taken, :2], submaps.max_range_m):
-            cells = _build_map(before, key_points_m, taken[about], submaps)
+            cells = _build_map(before, keyframe_points_m, taken[about], submaps)
             for node in taken[inside].tolist():
                 progress(done, total, "refining")
                 done += 1
                 poses[node] = match_scan(
                     cells.grid,
-                    key_points_m[node],
+                    keyframe_points_m[node],
                     before[node],
                     predicted=poses_map_node[node],
                     prior_sigma=(settings.prior_sigma_m, settings.prior_sigma_rad),
@@ -107,12 +107,17 @@ def _split_into_squares(
 
 
 def _build_map(
-    poses: FloatArray, key_points_m: Sequence[FloatArray], nodes: IntArray, settings: SubmapSettings
+    poses: FloatArray,
+    keyframe_points_m: Sequence[FloatArray],
+    nodes: IntArray,
+    settings: SubmapSettings,
 ) -> GrowingSubmap:
-    """The cells that key scans have met, all of them in one grid."""
+    """The cells that keyframes have met, all of them in one grid."""
     middle_m = (poses[nodes, :2].min(axis=0) + poses[nodes, :2].max(axis=0)) / 2.0
     farthest_m = float(np.abs(poses[nodes, :2] - middle_m).max())
     cells = GrowingSubmap(middle_m, NodeId(int(nodes[0])), farthest_m, settings)
     for node in nodes.tolist():
-        cells.add_scan(poses[node], densified_points(key_points_m[node], settings.resolution_m))
+        cells.add_scan(
+            poses[node], densified_points(keyframe_points_m[node], settings.resolution_m)
+        )
     return cells

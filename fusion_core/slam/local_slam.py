@@ -50,7 +50,7 @@ class LocalSlamSettings(StageSettings):
 
     keyframe_distance_m: float = setting(
         0.2,
-        "Distance at which a new key scan is taken",
+        "Distance at which a new keyframe is taken",
         unit="m",
         ge=1e-6,
         le=5.0,
@@ -58,7 +58,7 @@ class LocalSlamSettings(StageSettings):
     )
     keyframe_rotation_rad: float = setting(
         0.0873,
-        "Rotation at which a new key scan is taken",
+        "Rotation at which a new keyframe is taken",
         unit="rad",
         ge=1e-6,
         le=3.1416,
@@ -142,7 +142,7 @@ class LocalSlamSettings(StageSettings):
 
 
 class LocalSlam:
-    """Places scans in the order of their stamps. Memory follows the key scans."""
+    """Places scans in the order of their stamps. Memory follows the keyframes."""
 
     def __init__(self, settings: LocalSlamSettings, submaps: SubmapSettings) -> None:
         self._settings, self._submap_settings = settings, submaps
@@ -162,8 +162,8 @@ class LocalSlam:
         self._stamps_ns: list[int] = []
         self._poses: list[FloatArray] = []
         self._is_trusted: list[bool] = []
-        # Of each key scan.
-        self._key_scans: list[int] = []
+        # Of each keyframe.
+        self._keyframes: list[int] = []
         self._node_points_m: list[FloatArray] = []
         self._segments: list[int] = []
         self._is_bridged: list[bool] = []
@@ -263,15 +263,15 @@ class LocalSlam:
         return self._tracked(pose, points_m, state, fits=fits)
 
     def _insert(self, tracked: TrackedScan) -> None:
-        """Make the scan a key scan where it is due; a new segment begins new submaps."""
-        node = NodeId(len(self._key_scans))
+        """Make the scan a keyframe where it is due; a new segment begins new submaps."""
+        node = NodeId(len(self._keyframes))
         begins_segment = bool(self._segments) and tracked.segment != self._segments[-1]
         if begins_segment:
             self._submaps.end_segment(node)
         if not self._is_due(tracked, begins_segment=begins_segment):
             return
         pose, points_m = tracked.pose_local_scan, tracked.points_m
-        self._key_scans.append(len(self._poses))
+        self._keyframes.append(len(self._poses))
         self._node_points_m.append(points_m)
         self._segments.append(tracked.segment)
         self._is_bridged.append(self._tracking.is_bridged)
@@ -280,14 +280,14 @@ class LocalSlam:
         )
 
     def _is_due(self, tracked: TrackedScan, *, begins_segment: bool) -> bool:
-        """Whether a scan is a key scan: the motion filter of IV.B."""
+        """Whether a scan is a keyframe: the motion filter of IV.B."""
         if tracked.state is TrackingState.CONTRADICTED:
             return False
-        if not self._key_scans:
+        if not self._keyframes:
             return True
         if begins_segment:
             return bool(tracked.points_m.shape[0] >= POINTS_MIN)
-        step = relative_pose(self._poses[self._key_scans[-1]], tracked.pose_local_scan)
+        step = relative_pose(self._poses[self._keyframes[-1]], tracked.pose_local_scan)
         return bool(
             np.hypot(step[0], step[1]) > self._settings.keyframe_distance_m
             or abs(step[2]) > self._settings.keyframe_rotation_rad
@@ -372,13 +372,13 @@ class LocalSlam:
         return np.array(self._stamps_ns, dtype=np.int64), np.array(self._poses).reshape(-1, 3)
 
     def drop_map(self) -> None:
-        """Delete finished submaps and key scans' points, which only loop closure needs."""
+        """Delete finished submaps and keyframes' points, which only loop closure needs."""
         self._submaps.finished.clear()
         if self._node_points_m:
             self._node_points_m[-1] = np.empty((0, 2))
 
     def finish(self) -> LocalTrajectory:
-        """The trajectory of all scans; the growing submaps end with the last key scan.
+        """The trajectory of all scans; the growing submaps end with the last keyframe.
 
         Raises ValueError where no scan was added.
         """
@@ -388,11 +388,11 @@ class LocalSlam:
             stamps_ns=np.array(self._stamps_ns, dtype=np.int64),
             poses_local_scan=np.array(self._poses),
             is_trusted=np.array(self._is_trusted, dtype=np.bool_),
-            key_scans=np.array(self._key_scans, dtype=np.int64),
+            keyframes=np.array(self._keyframes, dtype=np.int64),
             node_points_m=tuple(self._node_points_m),
             segment=np.array(self._segments, dtype=np.int64),
             is_bridged=np.array(self._is_bridged, dtype=np.bool_),
-            submaps=self._submaps.all_until(NodeId(len(self._key_scans))),
+            submaps=self._submaps.all_until(NodeId(len(self._keyframes))),
         )
 
 

@@ -33,20 +33,20 @@ class TrackedScan:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LocalTrajectory:
-    """N scans as local SLAM has placed them. K of them are key scans, the nodes of the pose graph.
+    """N scans as local SLAM has placed them. K of them are keyframes, the nodes of the pose graph.
 
     ``stamps_ns``: (N,) strictly increasing. ``poses_local_scan``: (N, 3). ``is_trusted``: (N,) the
-    scan fits its submap, and its place is known within the segment. ``key_scans``: (K,) numbers of
-    the key scans, the first being 0. ``node_points_m``: K arrays (n, 2). ``segment``: (K,) 0, 1,
+    scan fits its submap, and its place is known within the segment. ``keyframes``: (K,) numbers of
+    their scans, the first being 0. ``node_points_m``: K arrays (n, 2). ``segment``: (K,) 0, 1,
     ...: no scan determines the motion from one segment to the next. ``is_bridged``: (K,) odometry
     has measured all motion since the last scan that was tracked. ``submaps``: in the order of their
-    first key scan; each is of one segment. ``poses_local_node``: (K, 3) of the key scans.
+    first keyframe; each is of one segment. ``poses_local_node``: (K, 3) of the keyframes.
     """
 
     stamps_ns: IntArray
     poses_local_scan: FloatArray
     is_trusted: BoolArray
-    key_scans: IntArray
+    keyframes: IntArray
     node_points_m: Sequence[FloatArray]
     segment: IntArray
     is_bridged: BoolArray
@@ -54,12 +54,12 @@ class LocalTrajectory:
     poses_local_node: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "poses_local_node", self.poses_local_scan[self.key_scans])
+        object.__setattr__(self, "poses_local_node", self.poses_local_scan[self.keyframes])
         for array in (
             self.stamps_ns,
             self.poses_local_scan,
             self.is_trusted,
-            self.key_scans,
+            self.keyframes,
             self.segment,
             self.is_bridged,
             self.poses_local_node,
@@ -67,6 +67,6 @@ class LocalTrajectory:
             read_only(array)
 
     def nodes_before(self, scans: IntArray) -> IntArray:
-        """(n,) the last key scan, as a node, at or before each scan (n,)."""
-        nodes: IntArray = np.searchsorted(self.key_scans, scans, side="right") - 1
+        """(n,) the last keyframe, as a node, at or before each scan (n,)."""
+        nodes: IntArray = np.searchsorted(self.keyframes, scans, side="right") - 1
         return nodes

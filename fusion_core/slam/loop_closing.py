@@ -28,10 +28,10 @@ from fusion_core.slam.pose_graph import (
 )
 from fusion_core.slam.tracking_losses import TrackingLosses
 
-# The graph is optimised again when it has grown by this fraction and by this number of key scans,
+# The graph is optimised again when it has grown by this fraction and by this number of keyframes,
 # so that the work stays linear in its size. Set by hand.
 _GROWTH_MIN = 0.3
-_KEY_SCANS_MIN = 100
+_KEYFRAMES_MIN = 100
 # Relative error tolerance of the optimiser, during the search and at the end. Set by hand.
 _TOLERANCE_SEARCH, _TOLERANCE_FINAL = 1e-2, 1e-4
 # The search for a confirming match, and how near to the predicted place it must lie; empirical.
@@ -70,7 +70,7 @@ def close_loops(
 ) -> LoopClosureResult:
     """Search along the trajectory, optimise as the graph grows, then drop inconsistent loops.
 
-    ``steps``: the K - 1 edges from each key scan to the next.
+    ``steps``: the K - 1 edges from each keyframe to the next.
     """
     closure = _LoopClosure(local, steps, loop_settings, graph_settings, observer)
     closure.run(progress)
@@ -116,7 +116,7 @@ class _LoopClosure:
             progress(node, count, "closing loops")
             self._extend_poses(node)
             is_far = self._search_loops(node)
-            is_due = node - solved >= max(_KEY_SCANS_MIN, _GROWTH_MIN * node)
+            is_due = node - solved >= max(_KEYFRAMES_MIN, _GROWTH_MIN * node)
             if (is_due and len(self.loops) > loops_solved) or is_far:
                 self._optimise(node + 1, "closing loops", _TOLERANCE_SEARCH)
                 solved, loops_solved = node, len(self.loops)
@@ -153,8 +153,8 @@ class _LoopClosure:
                 self._add_loop(edge, submap)
                 continue
             confirming = self._confirming_matches(edge, self.search.score_min(window))
-            is_broken = window.is_across_loss or window.is_across_bridged_loss
-            enough = _CONFIRMING_MIN_LOSS if is_broken else _CONFIRMING_MIN
+            is_across_any = window.is_across_loss or window.is_across_bridged_loss
+            enough = _CONFIRMING_MIN_LOSS if is_across_any else _CONFIRMING_MIN
             if len(confirming) < enough:
                 self.dropped += 1
                 continue
@@ -187,7 +187,7 @@ class _LoopClosure:
         pose = compose_poses(self.poses[found.first], found.pose_first_second)
         confirming = []
         for away in (2, -2, 4, -4, 6, -6):
-            other = NodeId(node + away * self._loop_settings.window_key_scans)
+            other = NodeId(node + away * self._loop_settings.window_keyframes)
             if not 0 <= other < len(self.poses) or local.segment[other] != local.segment[node]:
                 continue
             before = self.search.submaps_before(min(node, other))

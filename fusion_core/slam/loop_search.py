@@ -1,6 +1,6 @@
-"""Loop search: a local window of key scans, matched with submaps of other visits.
+"""Loop search: a local window of keyframes, matched with submaps of other visits.
 
-A single scan of a corridor fits at many places. The points of a local window of key scans, joined
+A single scan of a corridor fits at many places. The points of a local window of keyframes, joined
 by their local poses, are a small map with corners and doors: branch and bound finds where it fits
 a finished submap best (Hess et al. 2016, V.B, eq. BBS), and Gauss-Newton refines that. The search
 is as wide as the drift over the path between the two along the graph.
@@ -47,11 +47,11 @@ _TRIES_OVER_LOSS = 3
 class LoopSettings(StageSettings):
     """Search for places seen before."""
 
-    every: int = setting(5, "Key scans between two searches", unit="key scans", ge=1, le=1000)
-    window_key_scans: int = setting(
+    every: int = setting(5, "Keyframes between two searches", unit="keyframes", ge=1, le=1000)
+    window_keyframes: int = setting(
         10,
-        "Key scans before and after that are matched together, the local window",
-        unit="key scans",
+        "Keyframes before and after that are matched together, the local window",
+        unit="keyframes",
         ge=0,
         le=500,
         formerly="stretch",
@@ -85,7 +85,7 @@ class LoopSettings(StageSettings):
     )
     score_min_loss: float = setting(
         0.7,
-        "Least score across a tracking loss, where the prior says nothing",
+        "Least score across a tracking loss, where no prior limits the search",
         ge=0.1,
         le=1.0,
         formerly="score_min_break",
@@ -110,7 +110,7 @@ class LoopSettings(StageSettings):
 
     @property
     def widest_window(self) -> "LoopWindow":
-        """As far as any search goes."""
+        """The largest window of any search."""
         return LoopWindow(self.window_max_m, float(np.pi))
 
 
@@ -133,12 +133,12 @@ class LoopWindow:
 
     @property
     def step_rad(self) -> float:
-        """Between two yaws that are tried."""
+        """Step between two yaws that are tried."""
         return 2.0 * _HEADING_STEP_RAD if self.is_wide else _HEADING_STEP_RAD
 
 
 class LoopSearch:
-    """Finds edges between key scans and submaps of a local trajectory."""
+    """Finds edges between keyframes and submaps of a local trajectory."""
 
     def __init__(self, local: LocalTrajectory, settings: LoopSettings) -> None:
         self._local, self._settings = local, settings
@@ -172,7 +172,7 @@ class LoopSearch:
 
     def submaps_before(self, node: int) -> int:
         """How many submaps ended before a local window; they end in the order of their numbers."""
-        return int(np.searchsorted(self._end, node - 3 * self._settings.window_key_scans))
+        return int(np.searchsorted(self._end, node - 3 * self._settings.window_keyframes))
 
     def candidates(
         self,
@@ -182,12 +182,12 @@ class LoopSearch:
         distances_m: FloatArray,
         is_connected: BoolArray,
     ) -> list[tuple[SubmapId, LoopWindow]]:
-        """Submaps that key scan ``node`` may overlap, with the window of each, the nearest first.
+        """Submaps that keyframe ``node`` may overlap, with the window of each, the nearest first.
 
         ``centres_m``: (S, 2) of the submaps in the map; ``place_m``: (2,) of the node;
         ``distances_m``: (S,) from it to each along the graph; ``is_connected``: (S,) whether loops
         or confirmed odometry connect them. A submap near the estimate is tried with local windows
-        that have no key scan in common, since their matches would not be independent. Wide windows
+        that have no keyframe in common, since their matches would not be independent. Wide windows
         are searched every other time, one submap after the other.
         """
         settings = self._settings
@@ -203,7 +203,7 @@ class LoopSearch:
         is_wide = window_m > WIDE_M
         near = np.flatnonzero(~is_wide & (away_m < settings.distance_m))
         near = near[np.argsort(away_m[near], kind="stable")[: settings.submaps]]
-        chosen = near[self._searched_from[near] < node - 2 * settings.window_key_scans].tolist()
+        chosen = near[self._searched_from[near] < node - 2 * settings.window_keyframes].tolist()
         self._searched_from[chosen] = node
         far = np.flatnonzero(is_wide & (away_m < settings.distance_m + window_m))
         if far.size and search_round % 2 == 0:
@@ -235,9 +235,9 @@ class LoopSearch:
         window: LoopWindow,
         score_min: float | None = None,
     ) -> Edge | None:
-        """The edge from submap ``number`` to key scan ``node``, None where it does not fit well.
+        """The edge from submap ``number`` to keyframe ``node``, None where it does not fit well.
 
-        ``pose_first_node``: (3,) the estimate, in the frame of the submap's first key scan.
+        ``pose_first_node``: (3,) the estimate, in the frame of the submap's first keyframe.
         ``score_min``: instead of the window's.
         """
         settings = self._settings
@@ -323,7 +323,7 @@ class LoopSearch:
     def _local_window_points(self, node: NodeId) -> FloatArray:
         """(n, 2) points of the local window in the node's frame, subsampled to one in a cell."""
         if self._window_points is None or self._window_points[0] != node:
-            half, segment = self._settings.window_key_scans, self._local.segment
+            half, segment = self._settings.window_keyframes, self._local.segment
             nodes = np.arange(
                 max(node - half, 0), min(node + half + 1, len(self._local.poses_local_node))
             )

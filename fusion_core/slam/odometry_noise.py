@@ -23,7 +23,7 @@ _WINDOW_STEPS = 10
 _WINDOWS_INITIAL, _WINDOWS_MAX = 2.0, 30.0
 # In standard deviations: the usual bound beyond which a difference is a slip or a false match.
 _OUTLIER_SIGMAS = 3.0
-# A scan with less than this fraction of the information says nothing of the error. Empirical.
+# A match with less than this fraction of the information does not measure the error. Empirical.
 _GAIN_MIN = 0.1
 # Factor of the deviation in a match's prior: an overconfident prior is worse than a weak one.
 _PRIOR_FACTOR = 2.0

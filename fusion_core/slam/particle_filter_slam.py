@@ -40,17 +40,17 @@ class ParticleResult:
     ``stamps_ns``: (N,). ``poses_map_scan``: (N, 3) x, y, yaw of the LiDAR. ``trusted``: (N,) False
     where the scan did not fit the map or has no points, where nothing determines its place, and
     after a tracking loss if the map did not contain the place where the trajectory continues.
-    ``key``: (K,) the scans that updated the filter, with, of each: ``effective`` (K,) the effective
-    number of particles, ``resampled`` (K,) whether the particles were resampled, ``unmatched`` (K,)
-    how many found no match and moved by odometry alone. ``particles``: (P, 3) and ``weights``: (P,)
-    after the last update. ``tiles``: the largest number of map tiles in use. ``seconds``: of each
-    stage, on the wall clock.
+    ``keyframes``: (K,) numbers of the scans that updated the filter. Of each update: ``effective``
+    (K,) the effective number of particles, ``resampled`` (K,) whether the particles were resampled,
+    ``unmatched`` (K,) how many found no match and moved by odometry alone. ``particles``: (P, 3)
+    and ``weights``: (P,) after the last update. ``tiles``: the largest number of map tiles in use.
+    ``seconds``: of each stage, on the wall clock.
     """
 
     stamps_ns: IntArray
     poses_map_scan: FloatArray
     trusted: BoolArray
-    key: IntArray
+    keyframes: IntArray
     effective: FloatArray
     resampled: BoolArray
     unmatched: IntArray
@@ -64,7 +64,7 @@ class ParticleResult:
             self.stamps_ns,
             self.poses_map_scan,
             self.trusted,
-            self.key,
+            self.keyframes,
             self.effective,
             self.resampled,
             self.unmatched,
@@ -115,7 +115,7 @@ class _Run:
         self.stamps_ns: list[int] = []
         self._poses_local_scan: list[FloatArray] = []
         # Of each update.
-        self._key: list[int] = []
+        self._keyframes: list[int] = []
         self._updates: list[FilterUpdate] = []
         # (2,) of the motion since the last update, of place and heading.
         self._variance = np.zeros(2)
@@ -136,7 +136,7 @@ class _Run:
         self.is_view_due = False
         if self._is_due(tracked):
             self._update(tracked)
-            self.is_view_due = len(self._key) % _OBSERVED_EVERY == 0
+            self.is_view_due = len(self._keyframes) % _OBSERVED_EVERY == 0
             self._tiles = max(self._tiles, self._filter.maps.tiles)
         self._seconds["particles"] += time.perf_counter() - matched_s
 
@@ -157,9 +157,9 @@ class _Run:
 
     def _is_due(self, tracked: TrackedScan) -> bool:
         """Whether the filter is updated; never by a scan without points, which says nothing."""
-        if tracked.points_m.shape[0] < (POINTS_MIN if self._key else 1):
+        if tracked.points_m.shape[0] < (POINTS_MIN if self._keyframes else 1):
             return False
-        if not self._key:
+        if not self._keyframes:
             return True
         step = self._step_since_update(tracked)
         return bool(
@@ -168,11 +168,11 @@ class _Run:
         )
 
     def _step_since_update(self, tracked: TrackedScan) -> FloatArray:
-        return relative_pose(self._poses_local_scan[self._key[-1]], tracked.pose_local_scan)
+        return relative_pose(self._poses_local_scan[self._keyframes[-1]], tracked.pose_local_scan)
 
     def _update(self, tracked: TrackedScan) -> None:
         densified_m = densified_points(tracked.points_m, self._settings.resolution_m)
-        if not self._key:
+        if not self._keyframes:
             update = self._filter.initialise(tracked.pose_local_scan, tracked.points_m, densified_m)
         else:
             motion = MotionModel(
@@ -182,7 +182,7 @@ class _Run:
             step = self._step_since_update(tracked)
             update = self._filter.update(step, motion, tracked.points_m, densified_m)
         self._variance[:] = 0.0
-        self._key.append(len(self.stamps_ns) - 1)
+        self._keyframes.append(len(self.stamps_ns) - 1)
         self._updates.append(update)
 
     def finish(self) -> ParticleResult:
@@ -190,18 +190,20 @@ class _Run:
         count = len(self.stamps_ns)
         if count == 0:
             raise MappingFailed("there is no scan to place.")
-        if not self._key:
+        if not self._keyframes:
             raise MappingFailed(
                 f"none of {count} scans has a point within {self._settings.max_range_m:g} m.",
                 advice="Check the ranges' limits, or set a larger max_range_m.",
             )
         best = self._filter.best_trajectory()
-        key = np.array(self._key, dtype=np.int64)
+        keyframes = np.array(self._keyframes, dtype=np.int64)
         return ParticleResult(
             stamps_ns=np.array(self.stamps_ns, dtype=np.int64),
-            poses_map_scan=interpolate_poses(np.array(self._poses_local_scan), key, best[:, :3]),
-            trusted=self._trusted(key, best[:, 3]),
-            key=key,
+            poses_map_scan=interpolate_poses(
+                np.array(self._poses_local_scan), keyframes, best[:, :3]
+            ),
+            trusted=self._trusted(keyframes, best[:, 3]),
+            keyframes=keyframes,
             effective=np.array([update.effective for update in self._updates]),
             resampled=np.array([update.is_resampled for update in self._updates], dtype=np.bool_),
             unmatched=np.array([update.unmatched for update in self._updates], dtype=np.int64),
@@ -211,7 +213,7 @@ class _Run:
             seconds=dict(self._seconds),
         )
 
-    def _trusted(self, key: IntArray, occupancy: FloatArray) -> BoolArray:
+    def _trusted(self, keyframes: IntArray, occupancy: FloatArray) -> BoolArray:
         """(N,) by local SLAM, and where the filter was updated (K,) by the particle's map, too.
 
         After a tracking loss, the map must contain the place where the next segment begins: else
@@ -222,24 +224,24 @@ class _Run:
         matches = occupancy >= self._settings.occupancy_min
         matches[0] = True
         trusted = local.is_trusted.copy()
-        trusted[key] &= matches
+        trusted[keyframes] &= matches
         segment = local.segment[np.maximum(local.nodes_before(np.arange(trusted.size)), 0)]
         for lost in np.unique(segment[segment > 0]):
-            updates = np.flatnonzero(segment[key] == lost)
+            updates = np.flatnonzero(segment[keyframes] == lost)
             if updates.size == 0 or not matches[updates[0]]:
                 trusted &= segment != lost
         return trusted
 
     def view(self) -> SlamView:
         """The estimate so far."""
-        key = np.array(self._key, dtype=np.int64)
+        keyframes = np.array(self._keyframes, dtype=np.int64)
         effective = np.full(len(self.stamps_ns), np.nan)
-        effective[key] = [update.effective for update in self._updates]
+        effective[keyframes] = [update.effective for update in self._updates]
         return SlamView(
             stage="weighing particles",
             stamps_ns=np.array(self.stamps_ns, dtype=np.int64),
             poses_map_scan=interpolate_poses(
-                np.array(self._poses_local_scan), key, self._filter.best_trajectory()[:, :3]
+                np.array(self._poses_local_scan), keyframes, self._filter.best_trajectory()[:, :3]
             ),
             particles=self._filter.poses.copy(),
             weights=self._filter.weights.copy(),

@@ -1,4 +1,4 @@
-"""The pose graph: constraints between key scans, and the poses that satisfy them best.
+"""The pose graph: constraints between keyframes, and the poses that satisfy them best.
 
 Sparse pose adjustment (Hess et al. 2016, V.A, eq. SPA) with gtsam.
 """
@@ -42,7 +42,7 @@ class GraphSettings(StageSettings):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Edge:
-    """A measured relation between two key scans.
+    """A measured relation between two keyframes.
 
     ``pose_first_second``: (3,). ``information``: (3, 3) of its x, y, yaw in the second's axes.
     ``is_loop``: a loop closure, which may be a false match.
@@ -98,7 +98,7 @@ def optimise(
 
 
 def residuals(poses_map_node: FloatArray, edges: Sequence[Edge]) -> FloatArray:
-    """(M, 3) how far each edge is from the poses: x, y in metres, yaw in radians."""
+    """(M, 3) residual of each edge at the poses: x, y in metres, yaw in radians."""
     if not edges:
         return np.zeros((0, 3))
     measured = np.array([edge.pose_first_second for edge in edges])

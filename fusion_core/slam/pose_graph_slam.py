@@ -70,8 +70,8 @@ class SlamResult:
 
     ``stamps_ns``: (N,). ``poses_map_scan``: (N, 3) x, y, yaw of the LiDAR. ``trusted``: (N,) False
     where the scan did not fit the map or has no points, where nothing determines its place, and
-    after a tracking loss over which no loop connects. ``key``: (K,) the key scans, which are the
-    nodes of ``graph``. ``residuals``: (M, 3) x, y in metres, yaw in radians of its edges.
+    after a tracking loss over which no loop connects. ``keyframes``: (K,) numbers of the scans that
+    are the nodes of ``graph``. ``residuals``: (M, 3) x, y in metres, yaw in radians of its edges.
     ``loops_tried``, ``loops_dropped``: matches tried, and loops found but left out of the graph as
     inconsistent with the others. ``seconds``: of each stage, on the wall clock.
     """
@@ -79,7 +79,7 @@ class SlamResult:
     stamps_ns: IntArray
     poses_map_scan: FloatArray
     trusted: BoolArray
-    key: IntArray
+    keyframes: IntArray
     graph: PoseGraph
     residuals: FloatArray
     loops_tried: int
@@ -87,7 +87,13 @@ class SlamResult:
     seconds: Mapping[str, float]
 
     def __post_init__(self) -> None:
-        for array in (self.stamps_ns, self.poses_map_scan, self.trusted, self.key, self.residuals):
+        for array in (
+            self.stamps_ns,
+            self.poses_map_scan,
+            self.trusted,
+            self.keyframes,
+            self.residuals,
+        ):
             read_only(array)
 
     @property
@@ -108,7 +114,7 @@ def pose_graph_slam(
     ``scans``: stamps strictly increasing; read once, and not kept. ``prior``: odometry; without
     it, and where it has no pose, velocity is taken to be constant. The first scan lies where the
     prior has it, else at the origin. ``observer``: called about every twenty scans, when the graph
-    is solved (with the key scans alone), and at the end.
+    is solved (with the keyframes alone), and at the end.
 
     Raises MappingFailed where there is no scan, or none has a point within range.
     """
@@ -135,7 +141,7 @@ def pose_graph_slam(
 
     def show(stage: str, poses_map_node: FloatArray, loops: list[Edge]) -> None:
         if observer is not no_observer:
-            stamps_ns = local.stamps_ns[local.key_scans[: len(poses_map_node)]]
+            stamps_ns = local.stamps_ns[local.keyframes[: len(poses_map_node)]]
             observer(_make_view(stage, stamps_ns, poses_map_node, loops))
 
     # Global SLAM: constraints (V.A), loops by branch and bound (V.B), eq. SPA (V.A).
@@ -148,7 +154,7 @@ def pose_graph_slam(
         show,
     )
     closed_s = time.perf_counter()
-    # Poses and map together (Wang et al. 2025), then all scans between the key scans.
+    # Poses and map together (Wang et al. 2025), then all scans between the keyframes.
     poses_map_node = refine(
         closed.poses_map_node,
         local.node_points_m,
@@ -158,7 +164,7 @@ def pose_graph_slam(
         progress,
     )
     end_s = time.perf_counter()
-    poses_map_scan = interpolate_poses(local.poses_local_scan, local.key_scans, poses_map_node)
+    poses_map_scan = interpolate_poses(local.poses_local_scan, local.keyframes, poses_map_node)
     loops = [edge for edge in closed.edges if edge.is_loop]
     if observer is not no_observer:
         observer(_make_view("done", local.stamps_ns, poses_map_scan, loops, poses_map_node))
@@ -166,7 +172,7 @@ def pose_graph_slam(
         stamps_ns=local.stamps_ns,
         poses_map_scan=poses_map_scan,
         trusted=local.is_trusted & _find_connected_scans(local, closed.is_connected),
-        key=local.key_scans,
+        keyframes=local.keyframes,
         graph=_make_graph(poses_map_node, closed.edges),
         residuals=residuals(poses_map_node, closed.edges),
         loops_tried=closed.candidates_tried,
@@ -203,19 +209,19 @@ def _make_view(
 
 
 def _find_connected_scans(local: LocalTrajectory, is_connected: BoolArray) -> BoolArray:
-    """(N,) whether the last key scan before each scan is connected with the first one."""
+    """(N,) whether the last keyframe before each scan is connected with the first one."""
     connected: BoolArray = is_connected[local.nodes_before(np.arange(len(local.stamps_ns)))]
     return connected
 
 
 def _odometry_edges(local: LocalTrajectory, settings: GraphSettings) -> list[Edge]:
-    """The edge from each key scan to the next, weaker where a scan between them is untrusted."""
+    """The edge from each keyframe to the next, weaker where a scan between them is untrusted."""
     sigmas = np.array([settings.local_sigma_m, settings.local_sigma_m, settings.local_sigma_rad])
     poses = local.poses_local_node
     untrusted_before = np.concatenate([[0], np.cumsum(~local.is_trusted)])
     edges = []
     for node in range(len(poses) - 1):
-        begin, end = local.key_scans[node] + 1, local.key_scans[node + 1] + 1
+        begin, end = local.keyframes[node] + 1, local.keyframes[node + 1] + 1
         is_untrusted = untrusted_before[end] > untrusted_before[begin]
         sigma = sigmas * (settings.untrusted_factor if is_untrusted else 1.0)
         if local.segment[node + 1] != local.segment[node]:

@@ -33,9 +33,9 @@ def densified_points(points_m: FloatArray, resolution_m: float) -> FloatArray:
     gap_m = np.hypot(*step_m.T)
     range_m = np.hypot(*points_m.T)
     azimuth = np.arctan2(points_m[:, 1], points_m[:, 0])
-    turn = np.abs(wrap_angle(np.diff(azimuth)))
+    angle = np.abs(wrap_angle(np.diff(azimuth)))
     nearest_m = np.minimum(range_m[:-1], range_m[1:])
-    is_wall = (gap_m < _SLANT_MAX * nearest_m * turn) & (turn < _BEAM_GAP_MAX_RAD)
+    is_wall = (gap_m < _SLANT_MAX * nearest_m * angle) & (angle < _BEAM_GAP_MAX_RAD)
     pieces = np.ceil(gap_m / resolution_m).astype(np.int64)
     pieces[~is_wall] = 1
     first = np.repeat(np.arange(pieces.size), pieces)

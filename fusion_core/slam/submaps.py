@@ -1,4 +1,4 @@
-"""Submaps: small occupancy grids, each from consecutive key scans (Hess et al. 2016, IV.B).
+"""Submaps: small occupancy grids, each from consecutive keyframes (Hess et al. 2016, IV.B).
 
 Two grow at a time, the younger begun when the older is half full, so that neighbours overlap and
 no scan is matched with an empty map. All lie in the local frame; a finished one is cut to the
@@ -31,7 +31,7 @@ class SubmapSettings(StageSettings):
     """Submaps. Hits and passes weigh less than in a final map, so that it takes several scans."""
 
     resolution_m: float = setting(0.05, "Side of a cell", unit="m", ge=0.01, le=1.0)
-    key_scans: int = setting(60, "Key scans in a submap", ge=4, le=1000)
+    keyframes: int = setting(60, "Keyframes in a submap", ge=4, le=1000, formerly="key_scans")
     max_range_m: float = setting(
         30.0, "Points farther away are not used", unit="m", ge=1.0, le=200.0, formerly="reach_m"
     )
@@ -57,7 +57,7 @@ def check_grid_size(max_range_m: float, resolution_m: float) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Submap:
-    """A finished submap of the key scans from ``first`` to ``end``, the latter not included.
+    """A finished submap of the keyframes from ``first`` to ``end``, the latter not included.
 
     ``grid``: in the local frame, its cells read-only.
     """
@@ -166,8 +166,8 @@ class ActiveSubmaps:
 
     def __init__(self, settings: SubmapSettings, keyframe_distance_m: float) -> None:
         self._settings = settings
-        # A margin of one half: key scans taken for their rotation add distance, too. Set by hand.
-        self._travel_m = 1.5 * settings.key_scans * keyframe_distance_m
+        # A margin of one half: keyframes taken for their rotation add distance, too. Set by hand.
+        self._travel_m = 1.5 * settings.keyframes * keyframe_distance_m
         self._growing: list[GrowingSubmap] = []
         self.finished: list[Submap] = []
 
@@ -177,8 +177,8 @@ class ActiveSubmaps:
         return self._growing[0].grid if self._growing else None
 
     def insert(self, node: NodeId, pose_local_scan: FloatArray, points_m: FloatArray) -> None:
-        """Add a key scan to the growing submaps, finish the older and begin a younger in time."""
-        full = self._settings.key_scans
+        """Add a keyframe to the growing submaps, finish the older and begin a younger in time."""
+        full = self._settings.keyframes
         if self._growing and self._growing[0].scans >= full:
             self.finished.append(self._growing.pop(0).finish(node))
         if not self._growing or (len(self._growing) == 1 and self._growing[0].scans >= full // 2):
@@ -189,12 +189,12 @@ class ActiveSubmaps:
             submap.add_scan(pose_local_scan, points_m)
 
     def end_segment(self, node: NodeId) -> None:
-        """Finish the growing submaps: key scan ``node`` and those after it have others."""
+        """Finish the growing submaps: keyframe ``node`` and those after it have others."""
         self.finished += [submap.finish(node) for submap in self._growing]
         self._growing = []
 
     def all_until(self, node: NodeId) -> tuple[Submap, ...]:
-        """All submaps, of the key scans before ``node``."""
+        """All submaps, of the keyframes before ``node``."""
         return (*self.finished, *(submap.finish(node) for submap in self._growing))
 
 

@@ -14,15 +14,15 @@ from fusion_core.slam.local_trajectory import LocalTrajectory
 from fusion_core.slam.pose_graph import Edge
 
 # A shorter segment may consist of false scans, such as the floor on a ramp. Empirical.
-_SEGMENT_KEY_SCANS_MIN = 10
+_SEGMENT_KEYFRAMES_MIN = 10
 
 
 class TrackingLosses:
-    """The L tracking losses of a trajectory of L + 1 segments, and what is known of each.
+    """The L tracking losses of a trajectory of L + 1 segments, and whether odometry bridges each.
 
-    ``node_after``: (L,) the first key scan after each loss. ``is_bridged``: (L,) odometry has
+    ``node_after``: (L,) the first keyframe after each loss. ``is_bridged``: (L,) odometry has
     measured the motion over it, and no loop has refuted that. ``is_confirmed``: (L,) a loop has
-    confirmed it. A loop over a loss that is not bridged says nothing of the others.
+    confirmed it. A loop over a loss that is not bridged says nothing about the others.
     """
 
     def __init__(self, local: LocalTrajectory) -> None:
@@ -55,14 +55,14 @@ class TrackingLosses:
         self._component[self._component == high] = low
 
     def are_connected(self, nodes: IntArray, node: int) -> BoolArray:
-        """(n,) whether loops or confirmed odometry connect key scans with another one."""
+        """(n,) whether loops or confirmed odometry connect keyframes with another one."""
         connected: BoolArray = (
             self._component[self._segment[nodes]] == self._component[self._segment[node]]
         )
         return connected
 
     def connected_by(self, loops: Sequence[Edge]) -> BoolArray:
-        """(K,) whether these loops, and odometry they confirm, connect key scans with the first.
+        """(K,) whether these loops, and odometry they confirm, connect keyframes with the first.
 
         Odometry alone does not connect a short segment: its scans may be the false ones.
         """
@@ -71,7 +71,7 @@ class TrackingLosses:
         for edge, agrees in self._loops:
             if id(edge) in kept:
                 kept_alone.add_loop(edge, agrees_with_odometry=agrees)
-        is_short = np.bincount(self._segment) < _SEGMENT_KEY_SCANS_MIN
+        is_short = np.bincount(self._segment) < _SEGMENT_KEYFRAMES_MIN
         is_short[[self._segment[node] for edge in loops for node in (edge.first, edge.second)]] = (
             False
         )

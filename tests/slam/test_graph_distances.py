@@ -18,7 +18,7 @@ NODES = PER_SUBMAP * SUBMAPS
 
 
 def trajectory(steps_m):
-    """Key scans on a straight line, a submap begun with every fifth."""
+    """Keyframes on a straight line, a submap begun with every fifth."""
     places_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     poses = np.stack([places_m, np.zeros(NODES), np.zeros(NODES)], axis=1)
     submaps = [SimpleNamespace(first=PER_SUBMAP * number) for number in range(SUBMAPS)]

@@ -7,7 +7,7 @@ from fusion_core.slam.submaps import SubmapSettings
 from fusion_core.slam.tracking import TrackingState
 from tests.slam.ring import drive
 
-SUBMAPS = SubmapSettings(key_scans=10)
+SUBMAPS = SubmapSettings(keyframes=10)
 
 
 def test_dropping_the_map_does_not_change_the_poses():
@@ -22,7 +22,7 @@ def test_dropping_the_map_does_not_change_the_poses():
     poses = np.array([tracked.pose_local_scan for tracked in placed])
     np.testing.assert_array_equal(poses, local.poses_local_scan)
     assert all(tracked.fits for tracked in placed)
-    for node, points_m in zip(local.key_scans, local.node_points_m, strict=True):
+    for node, points_m in zip(local.keyframes, local.node_points_m, strict=True):
         np.testing.assert_array_equal(placed[node].points_m, points_m)
     # What is left are the two submaps that still grow.
     assert len(local.submaps) >= 10
@@ -61,7 +61,7 @@ def test_a_contradicted_scan_is_not_inserted_and_many_begin_a_segment():
     first = next(n for n, scan in enumerate(tracked) if scan.segment == 1)
     assert 50 <= first <= 55
     local = slam.finish()
-    assert not np.isin(np.arange(40, first), local.key_scans).any()
-    assert local.key_scans[np.flatnonzero(local.segment == 1)[0]] == first
+    assert not np.isin(np.arange(40, first), local.keyframes).any()
+    assert local.keyframes[np.flatnonzero(local.segment == 1)[0]] == first
     assert not local.is_trusted[40:first].any()
     np.testing.assert_array_equal(local.is_trusted, [scan.is_trusted for scan in tracked])

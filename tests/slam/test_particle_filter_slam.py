@@ -65,10 +65,10 @@ def test_a_loop_closes(ring, closed):
 
 def test_the_result_is_consistent(closed):
     count = ParticleSettings().particles
-    assert closed.key[0] == 0
-    assert (np.diff(closed.key) > 0).all()
+    assert closed.keyframes[0] == 0
+    assert (np.diff(closed.keyframes) > 0).all()
     for array in (closed.effective, closed.resampled, closed.unmatched):
-        assert array.shape == closed.key.shape
+        assert array.shape == closed.keyframes.shape
     assert closed.effective[0] == pytest.approx(count)
     assert ((closed.effective >= 1.0) & (closed.effective <= count + 1e-9)).all()
     np.testing.assert_array_equal(closed.resampled, closed.effective < 0.5 * count)
@@ -77,13 +77,13 @@ def test_the_result_is_consistent(closed):
     if not closed.resampled[-1]:
         assert effective_number(closed.weights) == pytest.approx(closed.effective[-1])
         best = closed.particles[closed.weights.argmax()]
-        np.testing.assert_allclose(closed.poses_map_scan[closed.key[-1]], best, atol=1e-12)
+        np.testing.assert_allclose(closed.poses_map_scan[closed.keyframes[-1]], best, atol=1e-12)
 
 
 def test_filter_updates_are_a_step_from_each_other(closed):
     settings = ParticleSettings()
     steps = relative_pose(
-        closed.poses_map_scan[closed.key[:-1]], closed.poses_map_scan[closed.key[1:]]
+        closed.poses_map_scan[closed.keyframes[:-1]], closed.poses_map_scan[closed.keyframes[1:]]
     )
     way_m, turn = np.hypot(*steps[:, :2].T), np.abs(steps[:, 2])
     # The particles' own steps differ a little from those of odometry.
@@ -94,7 +94,7 @@ def test_filter_updates_are_a_step_from_each_other(closed):
 def test_an_observer_sees_the_trajectory_grow(closed, views):
     lengths = [view.stamps_ns.size for view in views]
     assert lengths == sorted(lengths)
-    assert len(views) == closed.key.size // 20 + 1
+    assert len(views) == closed.keyframes.size // 20 + 1
     for view in views:
         assert view.poses_map_scan.shape == (view.stamps_ns.size, 3)
         assert view.effective.shape == view.stamps_ns.shape
@@ -102,8 +102,8 @@ def test_an_observer_sees_the_trajectory_grow(closed, views):
         assert view.loops_m.shape == (0, 4)
     last = views[-1]
     assert last.poses_map_scan.tobytes() == closed.poses_map_scan.tobytes()
-    np.testing.assert_array_equal(last.effective[closed.key], closed.effective)
-    assert np.isfinite(last.effective).sum() == closed.key.size
+    np.testing.assert_array_equal(last.effective[closed.keyframes], closed.effective)
+    assert np.isfinite(last.effective).sum() == closed.keyframes.size
 
 
 def room_drive(scans, rounds=1):
@@ -121,7 +121,7 @@ def test_maps_follow_the_area_and_not_time():
     settings = FEW.model_copy(update={"resample_fraction": 0.99})
     once = particle_filter_slam(room_drive(100)[0], None, settings)
     twice = particle_filter_slam(room_drive(200, 2)[0], None, settings)
-    assert twice.key.size > 1.7 * once.key.size
+    assert twice.keyframes.size > 1.7 * once.keyframes.size
     assert twice.resampled.sum() > once.resampled.sum() > 5
     assert twice.tiles <= 1.1 * once.tiles
 
@@ -148,16 +148,16 @@ def test_scans_between_updates_keep_the_local_trajectory():
     rng = np.random.default_rng(2)
     local = np.cumsum(rng.normal(0.0, 0.1, (12, 3)), axis=0)
     local[:, 2] += 3.0
-    key = np.array([2, 5, 10])
+    keyframes = np.array([2, 5, 10])
     moved = np.array([4.0, -2.0, 1.3])
     poses = compose_poses(moved, local)
     # A single rigid motion: there is no error to distribute.
-    found = interpolate_poses(local, key, poses[key])
+    found = interpolate_poses(local, keyframes, poses[keyframes])
     np.testing.assert_allclose(relative_pose(found, poses), 0.0, atol=1e-9)
     # Otherwise each scan lies between the poses by its two neighbours.
-    bent = poses[key] + rng.normal(0.0, 0.1, (3, 3))
-    found = interpolate_poses(local, key, bent)
-    np.testing.assert_allclose(relative_pose(found[key], bent), 0.0, atol=1e-9)
+    bent = poses[keyframes] + rng.normal(0.0, 0.1, (3, 3))
+    found = interpolate_poses(local, keyframes, bent)
+    np.testing.assert_allclose(relative_pose(found[keyframes], bent), 0.0, atol=1e-9)
     by_before = compose_poses(bent[1], relative_pose(local[5], local[7]))
     by_after = compose_poses(bent[2], relative_pose(local[10], local[7]))
     np.testing.assert_allclose(found[7], interpolate_pose(by_before, by_after, 0.4), atol=1e-9)
@@ -198,7 +198,7 @@ def test_one_scan_is_a_map(ring):
     result = particle_filter_slam(ring.scans[:1], ring.prior, FEW)
     np.testing.assert_allclose(result.poses_map_scan, ring.truth[:1], atol=1e-9)
     assert result.trusted.all()
-    assert result.key.size == 1
+    assert result.keyframes.size == 1
     np.testing.assert_allclose(result.particles, np.repeat(ring.truth[:1], 6, axis=0), atol=1e-9)
 
 
@@ -222,7 +222,7 @@ def test_scans_without_points_are_untrusted_and_bridged_by_odometry(ring, first)
     assert result.trusted[:first].all()
     # A corridor does not constrain the pose along it: for a while the pose is uncertain.
     assert result.trusted[-10:].all()
-    assert not np.isin(result.key, np.arange(first, first + 10)).any()
+    assert not np.isin(result.keyframes, np.arange(first, first + 10)).any()
     assert error_m(result.poses_map_scan, ring.truth[:100]) < 0.3
 
 
@@ -235,9 +235,9 @@ def test_a_kidnapped_robot_is_untrusted(ring):
     assert result.trusted[:100].all()
     assert not result.trusted[100]
     # The first update there finds no match in any particle's map.
-    first = np.flatnonzero(result.key >= 100)[0]
+    first = np.flatnonzero(result.keyframes >= 100)[0]
     assert result.unmatched[first] == FEW.particles
-    assert not result.trusted[result.key[first]]
+    assert not result.trusted[result.keyframes[first]]
 
 
 def test_a_match_that_fails_is_counted(ring):
@@ -245,7 +245,7 @@ def test_a_match_that_fails_is_counted(ring):
     result = particle_filter_slam(ring.scans[:40], ring.prior, strict)
     assert result.unmatched[0] == 0
     assert (result.unmatched[1:] == 6).all()
-    assert not result.trusted[result.key[1:]].any()
+    assert not result.trusted[result.keyframes[1:]].any()
     # Odometry moves them on.
     assert error_m(result.poses_map_scan, ring.truth[:40]) < 0.3
     assert result.particles.std(axis=0)[:2].max() > 0.01

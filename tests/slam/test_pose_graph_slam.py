@@ -55,14 +55,15 @@ def test_a_loop_closes(seed):
 
 def test_loops_join_scans_of_one_place(ring, closed):
     graph = closed.graph
-    places = ring.truth[closed.key, :2]
+    places = ring.truth[closed.keyframes, :2]
     loops = np.flatnonzero(graph.is_loop)
     away_m = np.hypot(*(places[graph.first[loops]] - places[graph.second[loops]]).T)
-    # An edge leads to a submap's first key scan, not to its nearest.
+    # An edge leads to a submap's first keyframe, not to its nearest.
     assert away_m.max() < 14.0
     assert np.hypot(*closed.residuals[loops, :2].T).max() < 0.5
     assert (
-        closed.stamps_ns[closed.key[graph.second]] > closed.stamps_ns[closed.key[graph.first]]
+        closed.stamps_ns[closed.keyframes[graph.second]]
+        > closed.stamps_ns[closed.keyframes[graph.first]]
     ).all()
 
 
@@ -152,7 +153,9 @@ def test_scans_without_points_are_untrusted_and_bridged_by_odometry(ring):
     assert error_m(result.poses_map_scan, ring.truth[:120]) < 0.3
     # Only the edge over it has less information.
     steps = ~result.graph.is_loop
-    over = (result.key[result.graph.second] >= 40) & (result.key[result.graph.first] < 50)
+    over = (result.keyframes[result.graph.second] >= 40) & (
+        result.keyframes[result.graph.first] < 50
+    )
     doubt = result.graph.information[:, 0, 0] ** -0.5
     assert (doubt[steps & over] > 0.29).all()
     assert (doubt[steps & ~over] < 0.031).all()
@@ -178,12 +181,12 @@ def test_stamps_must_increase(ring):
 
 
 def test_submaps_overlap_and_cover_the_trajectory(ring):
-    slam = LocalSlam(LocalSlamSettings(), SubmapSettings(key_scans=20))
+    slam = LocalSlam(LocalSlamSettings(), SubmapSettings(keyframes=20))
     for scan, pose in zip(ring.scans[:200], ring.odometry, strict=False):
         slam.add_scan(scan, pose)
     local = slam.finish()
     assert local.submaps[0].first == 0
-    assert local.submaps[-1].end == local.key_scans.size
+    assert local.submaps[-1].end == local.keyframes.size
     for submap, following in zip(local.submaps[:-2], local.submaps[1:], strict=False):
         assert submap.end - submap.first == 20
         assert following.first - submap.first == 10

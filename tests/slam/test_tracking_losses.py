@@ -10,14 +10,14 @@ STARTS = (10, 20, 30)
 
 
 def trajectory(segment, is_bridged=()):
-    """Forty key scans; ``is_bridged``: of each loss, by default all."""
+    """Forty keyframes; ``is_bridged``: of each loss, by default all."""
     node_is_bridged = np.ones(40, dtype=np.bool_)
     node_is_bridged[list(STARTS[: len(is_bridged)])] = is_bridged
     return LocalTrajectory(
         stamps_ns=np.arange(40),
         poses_local_scan=np.zeros((40, 3)),
         is_trusted=np.ones(40, dtype=np.bool_),
-        key_scans=np.arange(40),
+        keyframes=np.arange(40),
         node_points_m=[np.zeros((1, 2))] * 40,
         segment=segment,
         is_bridged=node_is_bridged,
@@ -26,7 +26,7 @@ def trajectory(segment, is_bridged=()):
 
 
 def losses(is_bridged=(True, True, True)):
-    """Four segments of ten key scans."""
+    """Four segments of ten keyframes."""
     return TrackingLosses(trajectory(np.arange(40) // 10, is_bridged))
 
 

@@ -46,7 +46,7 @@ class MapSummary:
         ]
         if "loops" in report:
             lines.append(
-                f"graph      {report['key_scans']} key scans, {report['edges']} edges, "
+                f"graph      {report['key_scans']} keyframes, {report['edges']} edges, "
                 f"{report['loops']} loops ({report['loops_dropped']} dropped)"
             )
         if "particles" in report:
@@ -98,9 +98,9 @@ def build_report(
 
 
 def _particle_report(stamps_ns: IntArray, result: ParticleResult) -> dict[str, Any]:
-    times_s = stamps_ns[result.key] / NS_PER_S
+    times_s = stamps_ns[result.keyframes] / NS_PER_S
     return {
-        "key_scans": int(result.key.size),
+        "key_scans": int(result.keyframes.size),
         "particles": int(result.weights.size),
         "resamplings": int(result.resampled.sum()),
         "unmatched": int(result.unmatched.sum()),
@@ -119,15 +119,15 @@ def _graph_report(stamps_ns: IntArray, result: SlamResult) -> dict[str, Any]:
     graph = result.graph
     residual_norm_m = np.hypot(*result.residuals[:, :2].T)
     return {
-        "key_scans": int(result.key.size),
+        "key_scans": int(result.keyframes.size),
         "edges": int(graph.first.size),
         "loops": result.loops,
         "loops_tried": result.loops_tried,
         "loops_dropped": result.loops_dropped,
         "loop_closures": [
             {
-                "first_s": float(stamps_ns[result.key[graph.first[edge]]]) / 1e9,
-                "second_s": float(stamps_ns[result.key[graph.second[edge]]]) / 1e9,
+                "first_s": float(stamps_ns[result.keyframes[graph.first[edge]]]) / 1e9,
+                "second_s": float(stamps_ns[result.keyframes[graph.second[edge]]]) / 1e9,
                 "residual_m": float(residual_norm_m[edge]),
                 "residual_rad": float(result.residuals[edge, 2]),
             }

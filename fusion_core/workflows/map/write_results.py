@@ -49,7 +49,7 @@ def write_trajectory(
         write_effective_particles(
             folder / "effective.png",
             heading,
-            stamps_ns[result.key],
+            stamps_ns[result.keyframes],
             result.effective,
             result.resampled,
             result.weights.size,
