@@ -1,1 +1,1 @@
-"""Measures against truth, one definition each, for tests and commands alike."""
+"""Accuracy measures against the truth, each defined once for tests and commands."""

@@ -1,9 +1,9 @@
-"""How well the offset u, the mount and the clock were found, against the truth.
+"""Errors of the estimated offset u, mount and clock against the truth.
 
 The true u of a frame is the median, over its good pairs, of the offset of the row on the LiDAR
-curve, lever arm included. Its pairs come from the truth alone: the true point of each good beam is
-projected through the true mount, and the pair is good where the true pixel it falls on is good and
-has, seen from the LiDAR's origin, a horizontal range within 10 cm of the beam's.
+curve, lever arm included. The pairs are found with the truth only: the true point of each good beam
+is projected through the true mount; the pair is good where the true pixel that it hits is good and
+its horizontal range, seen from the LiDAR's origin, is within 10 cm of the beam's.
 """
 
 from collections.abc import Sequence
@@ -31,22 +31,22 @@ from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import FloatArray, IntArray, read_only, wrap_angle
 from fusion_core.model.geometry import invert_transform, make_transform, transform_points
 
-# The measure's own definition: a hit is within two samples (2 degrees at the paper's sampling), of
-# the frames in which at least half of the row overlaps the curve.
+# The definition of a hit: u within two samples (2 degrees at the paper's sampling) of the truth,
+# counted over the frames in which at least half of the row overlaps the curve.
 U_TOLERANCE_SAMPLES = 2.0
-LEAST_OVERLAP = 0.5
+OVERLAP_MIN = 0.5
 CLOCK_INTERVAL_SD = 2.0
 """Half width of the clock's interval in standard deviations, about 95 %."""
 
 METRICS = ("pearson", "cosine", "inverse_cosine", "euclidean")
 
-# Where the panorama's ends are looked at: beyond the baselines of a rig, within a room.
+# The distance at which the panorama's ends are taken: beyond a rig's baselines, within a room.
 _PANORAMA_END_M = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OffsetHits:
-    """Of the frames that count, how many have u within 2 samples of the truth."""
+    """How many of the ``frames`` that count have u within 2 samples of the truth."""
 
     frames: int
     within: int
@@ -59,7 +59,7 @@ class OffsetHits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlignmentReport:
-    """Alignment of one recording.
+    """Alignment errors of one recording.
 
     ``u_true``: (F,) true u of each row of frames.csv, NaN where a frame has no good pair.
     ``hits``: for each column of offsets ("u", "u_alone", "u_<metric>", "u_alone_<metric>"), over
@@ -93,7 +93,7 @@ class AlignmentReport:
         return low <= self.clock_offset_true_ms <= high
 
     def to_json(self) -> dict[str, Any]:
-        """Shares with their counts, errors of the mount and the clock's interval."""
+        """Hit fractions with their counts, errors of the mount and the clock's interval."""
         known = self.u_true[np.isfinite(self.u_true)]
         return {
             "u_true_median": float(np.median(known)) if known.size else None,
@@ -117,22 +117,22 @@ def _hits_json(hits: OffsetHits) -> dict[str, Any]:
 def evaluate_alignment(fuse_dir: Path, truth: Truth) -> AlignmentReport:
     """Compare frames.csv and alignment.json in ``fuse_dir`` with ``truth``.
 
-    Raises ScanLoomError where a file is unfit, the two do not belong together, or the truth knows
-    no mount.
+    Raises ScanLoomError where a file is invalid, folder and truth are of different recordings, or
+    the truth has no mount.
     """
     folder = open_fuse_folder(fuse_dir)
-    scene = associate_truth(truth, folder)
+    associated = associate_truth(truth, folder)
     frames = read_frames(folder)
     u_true = np.full(frames.stamp_ns.shape, np.nan)
     paired = np.flatnonzero(frames.scan_stamp_ns != MISSING)
-    scan = scene.scan_index(frames.scan_stamp_ns[paired])
-    image = scene.image_index(frames.camera[paired], frames.stamp_ns[paired])
-    T_lidar_rig = _true_rig(scene)
-    left_rad = _row_left_rad(scene, T_lidar_rig, folder.lidar)
+    scan = associated.scan_index(frames.scan_stamp_ns[paired])
+    image = associated.image_index(frames.camera[paired], frames.stamp_ns[paired])
+    T_lidar_rig = _true_rig(associated)
+    left_rad = _row_left_rad(associated, T_lidar_rig, folder.lidar)
     for frame, scan_index, image_index in zip(paired, scan, image, strict=True):
         offsets = _good_pair_offsets(
-            scene,
-            scene.cameras[frames.camera[frame]],
+            associated,
+            associated.cameras[frames.camera[frame]],
             (int(scan_index), int(image_index)),
             T_lidar_rig,
             left_rad,
@@ -143,7 +143,7 @@ def evaluate_alignment(fuse_dir: Path, truth: Truth) -> AlignmentReport:
     return AlignmentReport(
         u_true=u_true,
         hits=_count_hits(folder, frames.number, u_true),
-        mount_error=_mount_error(folder, scene),
+        mount_error=_mount_error(folder, associated),
         clock_offset_true_ms=truth.clock_offset_ms,
         clock_interval_ms=_clock_interval_ms(folder),
     )
@@ -162,7 +162,7 @@ def pool_hits(reports: Sequence[AlignmentReport]) -> dict[str, OffsetHits]:
 
 
 def _good_pair_offsets(
-    scene: AssociatedTruth,
+    associated: AssociatedTruth,
     camera: TrueCamera,
     scan_and_image: tuple[int, int],
     T_lidar_rig: FloatArray,
@@ -171,9 +171,9 @@ def _good_pair_offsets(
 ) -> FloatArray:
     """LiDAR sample of the beam - row sample of the pixel, of each good pair of a frame."""
     scan, image = scan_and_image
-    beam = np.flatnonzero(scene.truth.kind[scan] == NoiseClass.GOOD)
-    range_m = scene.truth.range_m[scan, beam]
-    angle_rad = scene.beam_angle_rad[beam]
+    beam = np.flatnonzero(associated.truth.kind[scan] == NoiseClass.GOOD)
+    range_m = associated.truth.range_m[scan, beam]
+    angle_rad = associated.beam_angle_rad[beam]
     points = np.stack([np.cos(angle_rad), np.sin(angle_rad), np.zeros(beam.size)], axis=-1)
     row, column, inside = camera.project(points * range_m[:, np.newaxis])
     shown: IntArray = np.full(beam.shape, image)
@@ -186,30 +186,30 @@ def _good_pair_offsets(
     in_rig = transform_points(invert_transform(T_lidar_rig), in_lidar)
     azimuth_rad = np.arctan2(in_rig[:, 1], in_rig[:, 0])
     step_rad = _step_rad(lidar)
-    from_left_rad = _curve_left_rad(scene, step_rad) - angle_rad[good]
+    from_left_rad = _curve_left_rad(associated, step_rad) - angle_rad[good]
     offsets: FloatArray = (from_left_rad - (left_rad - azimuth_rad)) / step_rad
     return offsets
 
 
 def _step_rad(lidar: RecordedLidar) -> float:
-    """Angle of one LiDAR sample: Psi of them tile the beams' field of view."""
+    """Angular width of one LiDAR sample: Psi of them cover the beams' field of view."""
     return abs(lidar.angle_increment_rad) * lidar.beams / lidar.samples
 
 
-def _curve_left_rad(scene: AssociatedTruth, step_rad: float) -> float:
+def _curve_left_rad(associated: AssociatedTruth, step_rad: float) -> float:
     """Azimuth of LiDAR sample 0: half a sample inside the left end of the field of view."""
-    angles = scene.beam_angle_rad
+    angles = associated.beam_angle_rad
     half_beam_rad = 0.5 * abs(angles[1] - angles[0])
     return float(angles.max() + half_beam_rad - 0.5 * step_rad)
 
 
-def _true_rig(scene: AssociatedTruth) -> FloatArray:
+def _true_rig(associated: AssociatedTruth) -> FloatArray:
     """(4, 4) T_lidar_rig, about whose origin the row's azimuths are taken.
 
     One camera is its own rig, x along its optical axis. Several have theirs at the mean optical
     centre, level, x along their mean heading.
     """
-    mounts = [camera.T_lidar_camera for camera in scene.cameras]
+    mounts = [camera.T_lidar_camera for camera in associated.cameras]
     forward = np.sum([mount[:3, 2] for mount in mounts], axis=0)
     if len(mounts) > 1:
         forward[2] = 0.0
@@ -219,10 +219,12 @@ def _true_rig(scene: AssociatedTruth) -> FloatArray:
     return make_transform(axes, np.mean([mount[:3, 3] for mount in mounts], axis=0))
 
 
-def _row_left_rad(scene: AssociatedTruth, T_lidar_rig: FloatArray, lidar: RecordedLidar) -> float:
+def _row_left_rad(
+    associated: AssociatedTruth, T_lidar_rig: FloatArray, lidar: RecordedLidar
+) -> float:
     """Azimuth in the rig of row sample 0: half a sample inside the image's left edge."""
     edges = []
-    for camera in scene.cameras:
+    for camera in associated.cameras:
         _, _, cx, cy = camera.intrinsics
         _, height, width = camera.truth.depth_mm.shape
         column = np.array([-0.5, width - 0.5, cx, cx])
@@ -236,7 +238,7 @@ def _row_left_rad(scene: AssociatedTruth, T_lidar_rig: FloatArray, lidar: Record
 def _count_hits(
     folder: FuseFolder, number: dict[str, FloatArray], u_true: FloatArray
 ) -> dict[str, OffsetHits]:
-    counts = np.isfinite(u_true) & (number["overlap"] >= LEAST_OVERLAP)
+    counts = np.isfinite(u_true) & (number["overlap"] >= OVERLAP_MIN)
     names = [
         f"{column}{suffix}"
         for suffix in ("", *(f"_{metric}" for metric in METRICS))
@@ -252,8 +254,8 @@ def _count_hits(
     }
 
 
-def _mount_error(folder: FuseFolder, scene: AssociatedTruth) -> dict[str, float | None]:
-    true_mounts = [camera.T_lidar_camera for camera in scene.cameras]
+def _mount_error(folder: FuseFolder, associated: AssociatedTruth) -> dict[str, float | None]:
+    true_mounts = [camera.T_lidar_camera for camera in associated.cameras]
     centre_m = np.mean([mount[:3, 3] for mount in true_mounts], axis=0)
     errors: dict[str, float | None] = {}
     for name, true_m in zip(("forward_m", "left_m", "delta_z_m"), centre_m, strict=True):
@@ -263,7 +265,7 @@ def _mount_error(folder: FuseFolder, scene: AssociatedTruth) -> dict[str, float 
         if len(true_mounts) == 1:
             estimates = [folder.alignment.get(name)]
         else:
-            # A rig's own axes are anybody's choice; the headings of its cameras are not.
+            # The axes of a rig are a convention; the headings of its cameras are physical.
             mounts = [camera.T_lidar_camera for camera in folder.cameras]
             estimates = [None if mount is None else angle_rad(mount) for mount in mounts]
         known = [

@@ -1,4 +1,4 @@
-"""The truth joined to a result folder: stamps matched, and the true geometry to compare in."""
+"""The truth associated with a result folder: by stamps, with the true geometry of each camera."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,7 +69,7 @@ class TrueCamera:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssociatedTruth:
-    """The truth of what a folder's results were made of. ``cameras`` are in the folder's order.
+    """The truth of the recording behind a result folder, ``cameras`` in the folder's order.
 
     ``beam_angle_rad``: (N,) azimuth of each beam.
     """
@@ -94,9 +94,9 @@ class AssociatedTruth:
 
 
 def associate_truth(truth: Truth, folder: FuseFolder) -> AssociatedTruth:
-    """Join the two. Angles and intrinsics that the truth lacks are those of the recording.
+    """Find the truth of the folder's cameras. Angles and intrinsics that it lacks are the recorded.
 
-    Raises ScanLoomError where they do not belong together, or where the truth knows no mount.
+    Raises ScanLoomError where the two are of different recordings, or the truth has no mount.
     """
     return AssociatedTruth(
         truth=truth,
@@ -116,14 +116,14 @@ def _true_camera(truth: Truth, recorded: RecordedCamera, folder: FuseFolder) -> 
         )
     if own.T_lidar_camera is None:
         raise ScanLoomError(
-            f"does not say how the camera {recorded.topic} is mounted.",
+            f"has no mount of the camera {recorded.topic}.",
             file=truth.file,
             advice="Give the lever arm and the heights by hand.",
         )
     intrinsics = own.intrinsics if own.intrinsics is not None else recorded.intrinsics
     if intrinsics is None:
         raise ScanLoomError(
-            f"does not say the intrinsics of {recorded.topic}, nor does the recording.",
+            f"has no intrinsics of {recorded.topic}, nor has the recording.",
             file=truth.file,
             advice="Write the truth with its array 'intrinsics'.",
         )
@@ -139,14 +139,14 @@ _OTHER_RECORDING = "Give the truth of this recording."
 
 
 def _truth_of_camera(truth: Truth, recorded: RecordedCamera, *, alone: bool) -> CameraTruth:
-    """By topic; a truth of one camera that names none serves a folder of one camera."""
+    """By topic; a truth of one camera without a topic fits a folder of one camera."""
     for own in truth.cameras:
         if own.topic == recorded.topic:
             return own
     if alone and len(truth.cameras) == 1 and truth.cameras[0].topic is None:
         return truth.cameras[0]
     raise ScanLoomError(
-        f"knows nothing of the camera {recorded.topic}.", file=truth.file, advice=_OTHER_RECORDING
+        f"has no camera {recorded.topic}.", file=truth.file, advice=_OTHER_RECORDING
     )
 
 
@@ -166,7 +166,10 @@ def _beam_angles_rad(truth: Truth, folder: FuseFolder) -> FloatArray:
 
 
 def indices_of_stamps(known_ns: IntArray, stamp_ns: IntArray, what: str, file: Path) -> IntArray:
-    """Index of each stamp in ``known_ns``, which may be in any order; exact matches alone."""
+    """Index of each stamp in ``known_ns``, which may be in any order.
+
+    Raises ScanLoomError for a stamp without an exact match.
+    """
     order = np.argsort(known_ns, kind="stable")
     place = np.searchsorted(known_ns, stamp_ns, sorter=order)
     found = place < known_ns.size
@@ -174,7 +177,7 @@ def indices_of_stamps(known_ns: IntArray, stamp_ns: IntArray, what: str, file: P
     found[found] = known_ns[positions[found]] == stamp_ns[found]
     if not found.all():
         raise ScanLoomError(
-            f"knows no {what} of stamp {stamp_ns[~found][0]} ns.",
+            f"has no {what} with stamp {stamp_ns[~found][0]} ns.",
             file=file,
             advice=_OTHER_RECORDING,
         )

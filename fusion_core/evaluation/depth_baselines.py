@@ -10,7 +10,7 @@ _MM_PER_M = 1000.0
 # The radius in OpenCV's own example of Telea 2004.
 _TELEA_RADIUS_PX = 3.0
 _MARGIN_ROWS = 32
-"""Rows above and below the wanted ones that inpainting reads: it works inwards from the rim."""
+"""Context rows above and below, since inpainting works inwards from the edge of a hole."""
 
 BASELINES = ("inpaint", "nearest")
 
@@ -18,9 +18,10 @@ BASELINES = ("inpaint", "nearest")
 def fill_by_baselines(
     depth_m: Float32Array, row: IntArray, column: IntArray
 ) -> dict[str, FloatArray]:
-    """Depth that each of BASELINES gives at pixels (row, column) of a raw image, NaN for missing.
+    """Depth (m) that each of BASELINES gives at pixels (row, column) of a raw image.
 
-    A pixel with a raw value keeps it: the baselines know no labels. NaN where nothing is valid.
+    ``depth_m``: (H, W), NaN for missing; ``row``, ``column`` and the results: (n,). A pixel with a
+    raw value keeps it: the baselines use no labels. NaN where no pixel nearby is valid.
     """
     missing = ~np.isfinite(depth_m)
     if missing.all():
@@ -36,12 +37,12 @@ def _inpaint(
     depth_m: Float32Array, missing: BoolArray, row: IntArray, column: IntArray
 ) -> FloatArray:
     top = max(0, int(row.min()) - _MARGIN_ROWS)
-    part = slice(top, int(row.max()) + 1 + _MARGIN_ROWS)
-    if missing[part].all():
+    band = slice(top, int(row.max()) + 1 + _MARGIN_ROWS)
+    if missing[band].all():
         return np.full(row.shape, np.nan)
-    mask = missing[part].astype(np.uint8)
+    mask = missing[band].astype(np.uint8)
     # OpenCV's Telea rounds by a half whatever the type: in metres that is an error of decimetres.
-    known_mm = np.where(missing[part], np.float32(0.0), depth_m[part] * np.float32(_MM_PER_M))
+    known_mm = np.where(missing[band], np.float32(0.0), depth_m[band] * np.float32(_MM_PER_M))
     filled_mm = cv2.inpaint(known_mm, mask, _TELEA_RADIUS_PX, cv2.INPAINT_TELEA)
     values_m: FloatArray = filled_mm[row - top, column].astype(np.float64) / _MM_PER_M
     return values_m

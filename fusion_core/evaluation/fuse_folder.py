@@ -20,7 +20,7 @@ from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
 
 MISSING = -1
-"""Stands for null in integer columns, which have no NaN."""
+"""Null in integer columns, which have no NaN."""
 
 _BATCH_ROWS = 1 << 16
 _SOURCES = [source.name.lower() for source in RepairSource]
@@ -64,13 +64,13 @@ class FuseFolder:
 
     @property
     def topics(self) -> list[str]:
-        """Topics of the cameras, in the order that camera codes count."""
+        """Topics of the cameras, in the order of the camera codes."""
         return [camera.topic for camera in self.cameras]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frames:
-    """frames.csv as columns of equal length F; ``camera`` counts in the folder's cameras.
+    """frames.csv as columns of equal length F; ``camera`` indexes the folder's cameras.
 
     ``scan_stamp_ns`` is MISSING where the image found no scan. ``number`` holds every other
     numeric column, NaN for null; u, u_alone, overlap and mean_error_m are always there.
@@ -179,7 +179,7 @@ def read_frames_table(folder: FuseFolder) -> pa.Table:
     """frames.csv as it is: one row for each depth image, in the file's order."""
     file = folder.path / "frames.csv"
     try:
-        # Streams, since Arrow takes no path that is no UTF-8.
+        # As a stream: Arrow rejects paths that are not UTF-8.
         with open_regular(file) as stream:
             table = pyarrow.csv.read_csv(stream)
     except (OSError, pa.ArrowInvalid) as error:
@@ -209,8 +209,8 @@ def read_frames(folder: FuseFolder) -> Frames:
 def read_samples(folder: FuseFolder) -> Iterator[Samples]:
     """samples.parquet in batches of bounded size, in the file's order.
 
-    Raises ScanLoomError for a file that cannot be read, lacks a column, or names a class, source,
-    beam or pixel that is not there.
+    Raises ScanLoomError for a file that cannot be read, lacks a column, or has a class, source,
+    beam or pixel that does not exist.
     """
     file = folder.path / "samples.parquet"
     wanted = tuple(field.name for field in fields(Samples))
@@ -218,12 +218,13 @@ def read_samples(folder: FuseFolder) -> Iterator[Samples]:
         with open_regular(file) as stream, pq.ParquetFile(stream) as parquet:
             _require_columns(parquet.schema_arrow.names, wanted, file)
             for batch in parquet.iter_batches(batch_size=_BATCH_ROWS, columns=list(wanted)):
-                yield _samples(folder, dict(zip(wanted, batch.select(wanted), strict=True)), file)
+                columns = dict(zip(wanted, batch.select(wanted), strict=True))
+                yield _parse_samples(folder, columns, file)
     except (OSError, pa.ArrowInvalid) as error:
         raise ScanLoomError(f"cannot be read: {error}.", file=file, advice=_ADVICE) from error
 
 
-def _samples(folder: FuseFolder, columns: dict[str, Any], file: Path) -> Samples:
+def _parse_samples(folder: FuseFolder, columns: dict[str, Any], file: Path) -> Samples:
     samples = Samples(
         camera=_as_codes(columns["camera"], folder.topics, "camera", file),
         stamp_ns=_as_integers(columns["stamp_ns"]),
@@ -264,7 +265,7 @@ def _require_within(
     bad = (values < low) | (values >= below)
     if bad.any():
         raise ScanLoomError(
-            f"{name} holds {values[bad][0]}, which is not there.", file=file, advice=_ADVICE
+            f"{name} holds {values[bad][0]}, which is out of range.", file=file, advice=_ADVICE
         )
 
 

@@ -1,10 +1,10 @@
 """Lengths and angles measured in a map, and their errors: Table 4 of Li 2022.
 
-Where the paper measures by hand, here a line is fitted to the occupied cells near each face, and
-what is measured lies between the lines. Of a wall that is several cells thick those count that
-border on free space: returns that noise has put behind a wall are never cleared away, so that its
-back says nothing. The paper's relative error of lines is the sum of the absolute errors over the
-sum of the lengths.
+The paper measures by hand. Here a line is fitted to the occupied cells near each face, and lengths
+and angles are taken between the lines. Of a wall that is several cells thick only the cells that
+border on free space are used: noisy returns behind a wall are never cleared, so its back is
+unreliable. The paper's relative error of lines is the sum of the absolute errors over the sum of
+the lengths.
 """
 
 from collections.abc import Sequence
@@ -18,9 +18,9 @@ from fusion_core.model.conventions import FloatArray
 from fusion_core.model.world_outline import MeasuredAngle, MeasuredLine, WorldOutline
 
 BAND_M = 0.15
-"""Cells nearer than this to where a face should be are taken for its own."""
+"""Cells nearer than this to a face's true line are taken as cells of the face."""
 
-# At a face's ends the cells of what joins it there begin.
+# Left out at both ends of a face: cells there may belong to an adjoining face.
 _END_M = 0.1
 _END_FRACTION = 0.2
 # Two more than a line needs, so that there is a residual.
@@ -31,13 +31,13 @@ _SPAN_FRACTION_MIN = 0.3
 _ITERATIONS = 30
 # A face's free side is the one with more free cells within this distance.
 _SIDE_M = 0.3
-# Free cells this near to the place next to a cell are its neighbour, whatever the map's turn.
+# A point in free space has the middle of a free cell within 0.71 cells, at any rotation of the map.
 _NEXT_CELLS = 0.75
 
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """A true value and the one in the map, NaN where the map does not show what it needs."""
+    """A true value and the one measured in the map, NaN where the map shows too little of it."""
 
     name: str
     true: float
@@ -108,13 +108,13 @@ def _measure_length(line: MeasuredLine, cells: MapCells) -> Measurement:
     first, second = fits
     if first is None or second is None:
         return Measurement(line.name, line.length_m, float("nan"))
-    # From the middle of the shorter face straight across to the other, whose direction is the
-    # better known; of two alike neither is preferred.
-    apart = second[0] - first[0]
-    off_m = [abs(float(d[0] * apart[1] - d[1] * apart[0])) for _, d in (first, second)]
+    # The distance across, perpendicular to either face. The direction of the longer one is better
+    # determined, so that its distance weighs more.
+    between = second[0] - first[0]
+    distances_m = [abs(float(d[0] * between[1] - d[1] * between[0])) for _, d in (first, second)]
     lengths_m = np.linalg.norm(line.faces_m[:, 1] - line.faces_m[:, 0], axis=1)
     weights = lengths_m**2 / (lengths_m**2).sum()
-    return Measurement(line.name, line.length_m, float(weights @ off_m))
+    return Measurement(line.name, line.length_m, float(weights @ distances_m))
 
 
 def _measure_angle(angle: MeasuredAngle, cells: MapCells) -> Measurement:
@@ -131,41 +131,42 @@ def fit_face(face_m: FloatArray, cells: MapCells) -> tuple[FloatArray, FloatArra
     """A point (2,) and the unit direction (2,) of the line through the cells of a face (2, 2).
 
     The direction runs as the face does. None where too few cells lie near it, or too close
-    together. Least squares across the line, each cell weighted by 1 / (1 + (2 r / cell)²)²,
-    from where most cells lie on; of two alike, as the faces of a thin wall, the one expected.
+    together. Iteratively reweighted least squares: a cell with residual r weighs
+    1 / (1 + (2 r / cell size)²)². It starts from the offset with the most cells; of two alike, as
+    of the faces of a thin wall, from the one nearer to the expected face.
     """
     length_m = float(np.linalg.norm(face_m[1] - face_m[0]))
     along = (face_m[1] - face_m[0]) / length_m
     normal = np.array([-along[1], along[0]])
     end_m = min(_END_M, _END_FRACTION * length_m)
 
-    def beside(points_m: FloatArray, band_m: float) -> tuple[FloatArray, FloatArray]:
-        """Those of the points (N, 2) near the face, and how far they are to its left."""
-        along_m, off = (points_m - face_m[0]) @ along, (points_m - face_m[0]) @ normal
-        near = (np.abs(off) <= band_m) & (along_m >= end_m) & (along_m <= length_m - end_m)
-        return points_m[near], off[near]
+    def points_near_face(points_m: FloatArray, band_m: float) -> tuple[FloatArray, FloatArray]:
+        """The points, of (N, 2), near the face, and their offsets from it, positive to its left."""
+        along_m, offset_m = (points_m - face_m[0]) @ along, (points_m - face_m[0]) @ normal
+        near = (np.abs(offset_m) <= band_m) & (along_m >= end_m) & (along_m <= length_m - end_m)
+        return points_m[near], offset_m[near]
 
-    occupied_m, off_m = beside(cells.occupied_m, BAND_M)
-    free_m, free_off_m = beside(cells.free_m, _SIDE_M)
+    occupied_m, offset_m = points_near_face(cells.occupied_m, BAND_M)
+    free_m, free_offset_m = points_near_face(cells.free_m, _SIDE_M)
     if len(free_m):
-        side = 1.0 if np.sign(free_off_m).sum() > 0.0 else -1.0
+        side = 1.0 if np.sign(free_offset_m).sum() > 0.0 else -1.0
         next_m = occupied_m + side * cells.resolution_m * normal
         gap_m, _ = cKDTree(free_m).query(next_m)
         is_front = np.asarray(gap_m) <= _NEXT_CELLS * cells.resolution_m
-        occupied_m, off_m = occupied_m[is_front], off_m[is_front]
+        occupied_m, offset_m = occupied_m[is_front], offset_m[is_front]
     along_m = (occupied_m - face_m[0]) @ along
     if len(occupied_m) < _CELLS_MIN or np.ptp(along_m) < _SPAN_FRACTION_MIN * length_m:
         return None
-    point = face_m[0] + _mode_m(off_m, cells.resolution_m) * normal
+    point = face_m[0] + _mode_m(offset_m, cells.resolution_m) * normal
     direction: FloatArray = along
     for _ in range(_ITERATIONS):
         residual = (occupied_m - point) @ np.array([-direction[1], direction[0]])
         weights = (1.0 + (2.0 * residual / cells.resolution_m) ** 2) ** -2
         weights /= weights.sum()
         point = weights @ occupied_m
-        offset = occupied_m - point
+        centred_m = occupied_m - point
         # The eigenvector of the larger eigenvalue.
-        _, vectors = np.linalg.eigh((weights[:, None] * offset).T @ offset)
+        _, vectors = np.linalg.eigh((weights[:, None] * centred_m).T @ centred_m)
         before, direction = direction, vectors[:, 1]
         direction = direction if direction @ along >= 0.0 else -direction
         if abs(before[0] * direction[1] - before[1] * direction[0]) < 1e-9:
@@ -174,11 +175,12 @@ def fit_face(face_m: FloatArray, cells: MapCells) -> tuple[FloatArray, FloatArra
     return (point, direction) if direction @ along > np.sqrt(0.5) else None
 
 
-def _mode_m(off_m: FloatArray, resolution_m: float) -> float:
-    """The offset (of one of the cells) about which most cells lie, nearer ones preferred."""
-    beside = np.abs(off_m[:, None] - off_m[None, :]) / resolution_m
-    crowd = np.maximum(1.0 - beside, 0.0).sum(axis=1) * (1.0 - 0.5 * np.abs(off_m) / BAND_M)
-    return float(off_m[np.argmax(crowd)])
+def _mode_m(offset_m: FloatArray, resolution_m: float) -> float:
+    """The offset, of those of the cells, with the highest density; nearer offsets weigh more."""
+    distance_cells = np.abs(offset_m[:, None] - offset_m[None, :]) / resolution_m
+    density = np.maximum(1.0 - distance_cells, 0.0).sum(axis=1)
+    density = density * (1.0 - 0.5 * np.abs(offset_m) / BAND_M)
+    return float(offset_m[np.argmax(density)])
 
 
 def _mean(errors: Sequence[float]) -> float | None:

@@ -1,8 +1,9 @@
 """How much of a world's obstacles a map shows: the detection rate f = S1 / S2 of Li 2022, eq. (10).
 
 S2 is the length of the obstacles' outlines, sampled every centimetre; S1 is that of the samples
-which are found: an occupied cell's middle lies within one cell and 2 cm of them. The paper counts
-by hand in a picture; its rate is given over all outlines, and over what the sensors could see.
+that are found: the middle of an occupied cell lies within one cell and 2 cm of them. The paper
+counts by hand in a picture. The rate is given over all outlines, and over those that the sensors
+could see.
 """
 
 from collections.abc import Sequence
@@ -17,14 +18,14 @@ from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.world_outline import SENSORS, ObstacleOutline, WorldOutline
 
 TOLERANCE_M = 0.02
-"""Beside one cell: the outline is sampled every centimetre, a wall's edge is no sharper."""
+"""In addition to one cell: the outline is sampled every centimetre, a wall's edge is no sharper."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ObstacleDetection:
-    """Of one obstacle: its length (m), the samples found and those that could be seen.
+    """The length of one obstacle's outline, the samples found and those that could be seen.
 
-    ``found``: (S,). ``seen``: (sensors, S) in the order of SENSORS.
+    ``found``: (S,). ``visible``: (sensors, S) in the order of SENSORS.
     """
 
     name: str
@@ -72,7 +73,7 @@ def evaluate_outlines(
     """
     if not world.obstacles:
         raise ScanLoomError(
-            "The world has no obstacles, so that nothing could be found.",
+            "The world has no obstacles to detect.",
             advice="Name the world file of the recording that the map was made of.",
         )
     tolerance_m = resolution_m + TOLERANCE_M
@@ -112,8 +113,9 @@ def _is_near(points_m: FloatArray, others_m: FloatArray, tolerance_m: float) -> 
 
 
 def _detection_rates(obstacles: Sequence[ObstacleDetection]) -> dict[str, Any]:
-    """Lengths of all, seen and found outline, and (10) over each of them."""
-    # The weight of a sample is its part of its outline's length.
+    """Outline length, found length and rate (10): of all samples, of those visible to any sensor,
+    and of those visible to each."""
+    # The weight of a sample is the length of outline that it stands for.
     weights = np.concatenate([np.full(o.found.size, o.length_m / o.found.size) for o in obstacles])
     found = np.concatenate([o.found for o in obstacles])
     seen = np.concatenate([o.visible for o in obstacles], axis=1)

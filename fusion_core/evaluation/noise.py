@@ -23,7 +23,8 @@ class NoiseReport:
     """Counts over pairs, from which every measure follows; the counts of recordings add up.
 
     ``pairs``: (5, 4, 4) pairs by kind in truth, class given to the beam, class given to the pixel.
-    ``holes`` are true holes among the beams in view and among the paired pixels.
+    ``lidar_holes``, ``depth_holes``: true holes among the beams in view, and among the pixels that
+    are paired with a beam.
     """
 
     pairs: IntArray
@@ -89,7 +90,7 @@ class NoiseReport:
 
     @property
     def depth_hole_recall(self) -> float | None:
-        """The same for the pixels that are paired with a beam."""
+        """Pixels that are holes in truth and labelled so / holes among the paired pixels."""
         return _fraction(self.depth_holes_labelled, self.depth_holes)
 
     @property
@@ -99,7 +100,7 @@ class NoiseReport:
         return int(noise[burr].sum() + noise[:, burr].sum() - noise[burr, burr])
 
     def to_json(self) -> dict[str, Any]:
-        """Shares (None where there is nothing to count), and the counts behind them."""
+        """Fractions (None where there is nothing to count), and the counts behind them."""
         classes = [label.name.lower() for label in NoiseClass]
         return {
             "xi": self.good_recall,
@@ -131,17 +132,17 @@ class NoiseReport:
 def evaluate_noise(fuse_dir: Path, truth: Truth) -> NoiseReport:
     """Compare the classes in ``fuse_dir`` with ``truth``.
 
-    Raises ScanLoomError where a file is unfit, the two do not belong together, or the truth knows
-    no mount.
+    Raises ScanLoomError where a file is invalid, folder and truth are of different recordings, or
+    the truth has no mount.
     """
     folder = open_fuse_folder(fuse_dir)
-    scene = associate_truth(truth, folder)
+    associated = associate_truth(truth, folder)
     counts = np.zeros((5, 4, 4), dtype=np.int64)
     changed = 0
     holes = np.zeros((2, 2), dtype=np.int64)
     for samples in read_samples(folder):
         row = samples.paired
-        pairs = true_pairs(samples, scene)
+        pairs = true_pairs(samples, associated)
         kind = pairs.kind
         known = kind != PairKind.OTHER
         np.add.at(
@@ -151,7 +152,7 @@ def evaluate_noise(fuse_dir: Path, truth: Truth) -> NoiseReport:
         )
         conflict = row[kind == PairKind.CONFLICT]
         changed += int(_is_changed(samples, conflict).sum())
-        scan = scene.scan_index(samples.scan_stamp_ns)
+        scan = associated.scan_index(samples.scan_stamp_ns)
         lidar_hole = truth.kind[scan, samples.lidar_beam] == NoiseClass.HOLE
         depth_hole = pairs.depth_true == NoiseClass.HOLE
         holes[0] += lidar_hole.sum(), (samples.lidar_class[lidar_hole] == NoiseClass.HOLE).sum()

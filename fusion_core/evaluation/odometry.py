@@ -1,7 +1,7 @@
-"""How far odometry drifts, relative to the path: what a person expects of a metre travelled.
+"""Drift of odometry relative to the distance travelled.
 
-Over straight segments as Li 2022 has it (Table 5: the sum of |estimated - true distance| over the
-sum of true distances), over the whole path, and over all its segments of one length (Geiger et al.
+Over straight segments as in Li 2022 (Table 5: the sum of |estimated - true distance| over the sum
+of true distances), over the whole path, and over all its segments of one length (Geiger et al.
 2012, "Are we ready for autonomous driving?"), which one early error of heading does not spoil.
 """
 
@@ -27,7 +27,7 @@ from fusion_core.model.trajectory import Trajectory
 SEGMENT_M = 1.0
 STRAIGHT_MIN_M = 1.0
 """On a shorter segment millimetres of noise weigh much, and every curve looks straight."""
-# A robot steered by hand goes no straighter.
+# A robot steered by hand does not drive straighter.
 _LATERAL_MAX_M = 0.1
 _LATERAL_RATIO_MAX = 0.06
 _DETOUR_RATIO_MAX = 0.05
@@ -57,7 +57,7 @@ class StraightSegments:
         return float(np.abs(self.estimated_m - self.true_m).sum() / self.true_m.sum())
 
     def to_json(self) -> dict[str, Any]:
-        """The error and the distances it is of."""
+        """The error and the distances it is computed from."""
         return {
             "error": self.error,
             "stretches": int(self.true_m.size),
@@ -88,7 +88,7 @@ class OdometryReport:
         return abs(self.estimated_path_m - self.path_m) / self.path_m
 
     def to_json(self) -> dict[str, Any]:
-        """Errors as shares of the path, and in degrees a metre."""
+        """Errors as fractions of the path, and in degrees per metre."""
         return {
             "path_m": self.path_m,
             "estimated_path_m": self.estimated_path_m,
@@ -110,8 +110,8 @@ def evaluate_odometry(
 ) -> OdometryReport:
     """Drift of ``estimate`` against ``reference``, both as x, y, yaw.
 
-    Distances are summed from pose to pose of the estimate: a reference with noise should not be
-    much finer than its noise.
+    Distances are summed from pose to pose at the estimate's stamps, so that noise of the reference
+    adds to its path where the poses are dense.
 
     Raises SettingsError for a segment or gap that is not positive, ScanLoomError where no poses can
     be compared, or the reference is shorter than a segment.
@@ -139,13 +139,13 @@ def evaluate_odometry(
 
 
 def find_straight_segments(
-    pairs: PosePairs, *, least_m: float = STRAIGHT_MIN_M
+    pairs: PosePairs, *, length_min_m: float = STRAIGHT_MIN_M
 ) -> StraightSegments:
     """The reference's straight segments, from one turn to the next, measured end to end.
 
     A segment grows as long as it stays within 10 cm of the line between its ends and is at most
-    5 % longer. It counts if that line has ``least_m`` and what it strays is at most 6 % of it, so
-    that a piece of a circle does not. ``pairs`` hold planar poses.
+    5 % longer. It counts if that line has at least ``length_min_m`` and the deviation from it is at
+    most 6 % of its length, which excludes arcs. ``pairs`` hold planar poses.
     """
     positions = pairs.T_map_reference[:, :2, 3]
     path_m = pairs.reference_path_m
@@ -153,14 +153,14 @@ def find_straight_segments(
     begin = 0
     for end in range(1, path_m.size + 1):
         if end < path_m.size:
-            line_m, aside_m = _chord_and_deviation_m(positions[begin : end + 1])
-            longer_m = path_m[end] - path_m[begin] - line_m
-            if aside_m <= _LATERAL_MAX_M and longer_m <= max(
-                _DETOUR_RATIO_MAX * line_m, _DETOUR_FLOOR_M
+            chord_m, deviation_m = _chord_and_deviation_m(positions[begin : end + 1])
+            detour_m = path_m[end] - path_m[begin] - chord_m
+            if deviation_m <= _LATERAL_MAX_M and detour_m <= max(
+                _DETOUR_RATIO_MAX * chord_m, _DETOUR_FLOOR_M
             ):
                 continue
-        line_m, aside_m = _chord_and_deviation_m(positions[begin:end])
-        if line_m >= least_m and aside_m <= _LATERAL_RATIO_MAX * line_m:
+        chord_m, deviation_m = _chord_and_deviation_m(positions[begin:end])
+        if chord_m >= length_min_m and deviation_m <= _LATERAL_RATIO_MAX * chord_m:
             chosen.append((begin, end - 1))
         begin = end - 1
     first = np.array([pair[0] for pair in chosen], dtype=np.int64)
@@ -173,7 +173,8 @@ def find_straight_segments(
 
 
 def _chord_and_deviation_m(positions: FloatArray) -> tuple[float, float]:
-    """Length of the line between the ends of (M, 2) positions, and how far they stray from it."""
+    """Length of the line between the ends of (M, 2) positions, and their greatest distance from
+    it."""
     chord = positions[-1] - positions[0]
     chord_m = float(np.linalg.norm(chord))
     away = positions - positions[0]

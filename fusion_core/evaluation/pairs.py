@@ -41,17 +41,17 @@ class TruePairs:
     depth_true: ByteArray
 
 
-def true_pairs(samples: Samples, scene: AssociatedTruth) -> TruePairs:
+def true_pairs(samples: Samples, associated: AssociatedTruth) -> TruePairs:
     """Look up both sides of each row of ``samples.paired``, in that order."""
     row = samples.paired
-    scan = scene.scan_index(samples.scan_stamp_ns[row])
+    scan = associated.scan_index(samples.scan_stamp_ns[row])
     beam = samples.lidar_beam[row]
-    lidar_true = scene.truth.kind[scan, beam]
-    lidar_range_m = scene.truth.range_m[scan, beam]
-    image = scene.image_index(samples.camera[row], samples.stamp_ns[row])
+    lidar_true = associated.truth.kind[scan, beam]
+    lidar_range_m = associated.truth.range_m[scan, beam]
+    image = associated.image_index(samples.camera[row], samples.stamp_ns[row])
     depth_true = np.zeros(row.shape, dtype=np.uint8)
     depth_range_m = np.full(row.shape, np.nan)
-    for code, camera in enumerate(scene.cameras):
+    for code, camera in enumerate(associated.cameras):
         mine = samples.camera[row] == code
         pixel = image[mine], samples.depth_row[row][mine], samples.depth_column[row][mine]
         depth_true[mine] = camera.truth.kind[pixel]

@@ -1,6 +1,6 @@
-"""Stacks of rigid transforms (N, 4, 4): how they differ, and a trajectory's poses at many instants.
+"""Arrays of rigid transforms (N, 4, 4): inverses, differences, projection and interpolation.
 
-``Trajectory.at`` answers for one instant; these answer for all relations or poses in one go.
+``Trajectory.at`` interpolates at one instant; here all instants are done at once.
 """
 
 import numpy as np
@@ -24,14 +24,14 @@ def relative_poses(T_map_a: FloatArray, T_map_b: FloatArray) -> FloatArray:
     rotations = np.swapaxes(T_map_a[:, :3, :3], 1, 2)
     result = np.tile(np.eye(4), (len(T_map_a), 1, 1))
     result[:, :3, :3] = rotations @ T_map_b[:, :3, :3]
-    # Of the difference: positions far from the map's origin would lose their last digits.
+    # From the difference, which keeps the digits of positions far from the map's origin.
     step_m = T_map_b[:, :3, 3] - T_map_a[:, :3, 3]
     result[:, :3, 3] = np.einsum("nij,nj->ni", rotations, step_m)
     return result
 
 
 def translation_norms_m(T_a_b: FloatArray) -> FloatArray:
-    """(N,) how far each moves the origin."""
+    """(N,) length of each translation."""
     return np.asarray(np.linalg.norm(T_a_b[:, :3, 3], axis=1))
 
 
@@ -41,7 +41,7 @@ def rotation_angles_rad(T_a_b: FloatArray) -> FloatArray:
 
 
 def project_to_plane(T_map_body: FloatArray) -> FloatArray:
-    """(N, 4, 4) with x, y and yaw alone; height, pitch and roll are dropped."""
+    """(N, 4, 4) with x, y and yaw only; height, pitch and roll are dropped."""
     yaw_rad = np.arctan2(T_map_body[:, 1, 0], T_map_body[:, 0, 0])
     result = np.tile(np.eye(4), (len(T_map_body), 1, 1))
     result[:, :3, :3] = Rotation.from_euler("z", yaw_rad[:, np.newaxis]).as_matrix()
@@ -52,23 +52,23 @@ def project_to_plane(T_map_body: FloatArray) -> FloatArray:
 def interpolate_poses(
     trajectory: Trajectory, stamps_ns: IntArray, max_gap_ns: int | None = None
 ) -> tuple[FloatArray, BoolArray]:
-    """Poses interpolated at (N,) instants in any order: (K, 4, 4), and (N,) which K are known.
+    """Poses at (N,) instants in any order: (K, 4, 4) of the known ones, and (N,) which are known.
 
-    Position along the line, rotation along the shorter arc, between the two neighbours in time.
-    Unknown is what lies outside the trajectory, or between neighbours farther apart than
-    ``greatest_gap_ns``; an instant that has a pose of its own is always known.
+    Between the two neighbours in time the position is interpolated linearly, the rotation along the
+    shorter arc. Unknown are instants outside the trajectory, or between neighbours farther apart
+    than ``max_gap_ns``; an instant that has a pose of its own is always known.
     """
     own_ns = trajectory.stamps_ns
     known: BoolArray = (stamps_ns >= own_ns[0]) & (stamps_ns <= own_ns[-1])
-    asked_ns = stamps_ns[known]
-    after = np.searchsorted(own_ns, asked_ns)
-    before = np.where(own_ns[after] == asked_ns, after, after - 1)
+    query_ns = stamps_ns[known]
+    after = np.searchsorted(own_ns, query_ns)
+    before = np.where(own_ns[after] == query_ns, after, after - 1)
     gap_ns = own_ns[after] - own_ns[before]
     if max_gap_ns is not None:
         near = gap_ns <= max_gap_ns
         known[known] = near
-        asked_ns, before, after, gap_ns = (a[near] for a in (asked_ns, before, after, gap_ns))
-    fraction = (asked_ns - own_ns[before]) / np.maximum(gap_ns, 1)
+        query_ns, before, after, gap_ns = (a[near] for a in (query_ns, before, after, gap_ns))
+    fraction = (query_ns - own_ns[before]) / np.maximum(gap_ns, 1)
     return _interpolate_between(
         trajectory.T_map_body[before], trajectory.T_map_body[after], fraction
     ), known

@@ -24,7 +24,7 @@ PAPER_BAND = (1.0, float(np.sqrt(2.0)))
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecallCurve:
-    """Both recalls over epsilon / E, as counts, so that recordings add up.
+    """Both recalls over epsilon / E, as counts, so that recordings can be pooled.
 
     ``factors``: (K,) values of epsilon / E. ``good_kept``, ``noise_found``: (K,) counts.
     """
@@ -54,22 +54,22 @@ class RecallCurve:
 
 
 def recall_over_epsilon(fuse_dir: Path, truth: Truth, factors: FloatArray) -> RecallCurve:
-    """Threshold the recorded residuals anew at ``factors`` times each frame's own E.
+    """Threshold the recorded residuals at ``factors`` times each frame's own E.
 
     A good pair is kept where residual <= epsilon, a noise pair found where residual > epsilon: the
-    paper's rule (6) alone, without what the classes add from neighbours and other frames. E is
+    paper's eq. (6) only, without what the classes take from neighbours and other frames. E is
     ``mean_error_m`` of the frame. A pair without a residual, or in a frame without an E, counts as
     neither. Raises as ``evaluate_noise``.
     """
     folder = open_fuse_folder(fuse_dir)
-    scene = associate_truth(truth, folder)
-    mean_error_m = _mean_errors_m(folder, scene)
+    associated = associate_truth(truth, folder)
+    mean_error_m = _mean_errors_m(folder, associated)
     kept = np.zeros(factors.shape, dtype=np.int64)
     found = np.zeros(factors.shape, dtype=np.int64)
     good_pairs = noise_pairs = 0
     for samples in read_samples(folder):
         row = samples.paired
-        pairs = true_pairs(samples, scene)
+        pairs = true_pairs(samples, associated)
         epsilon_m = mean_error_m[samples.camera[row], pairs.image][:, np.newaxis] * factors
         residual_m = np.abs(samples.residual_m[row])[:, np.newaxis]
         good = pairs.kind == PairKind.GOOD
@@ -101,12 +101,12 @@ def pool_recall(curves: Sequence[RecallCurve]) -> RecallCurve:
     )
 
 
-def _mean_errors_m(folder: FuseFolder, scene: AssociatedTruth) -> FloatArray:
+def _mean_errors_m(folder: FuseFolder, associated: AssociatedTruth) -> FloatArray:
     """(cameras, images) E of each depth image in the truth's order, NaN where it has none."""
     frames = read_frames(folder)
-    longest = max(camera.truth.stamp_ns.size for camera in scene.cameras)
-    errors_m = np.full((len(scene.cameras), longest), np.nan)
-    image = scene.image_index(frames.camera, frames.stamp_ns)
+    longest = max(camera.truth.stamp_ns.size for camera in associated.cameras)
+    errors_m = np.full((len(associated.cameras), longest), np.nan)
+    image = associated.image_index(frames.camera, frames.stamp_ns)
     errors_m[frames.camera, image] = frames.number["mean_error_m"]
     return errors_m
 

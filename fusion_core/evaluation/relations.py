@@ -28,8 +28,8 @@ class RelationReport:
     """Errors over the relations whose two instants lie in the trajectory's time span.
 
     ``translation_m``, ``rotation_rad``: (K,), K >= 1, size of expected⁻¹ · measured.
-    ``cartographer_translation_m``: (K,) of measured · expected⁻¹, as the tool of Cartographer
-    (Hess et al. 2016) has it; its rotation is the same angle.
+    ``cartographer_translation_m``: (K,) of measured · expected⁻¹, as Cartographer's tool computes
+    it (Hess et al. 2016); the angle of its rotation is the same.
     """
 
     relations: int
@@ -48,7 +48,7 @@ class RelationReport:
 
     @property
     def coverage(self) -> float:
-        """Share of the relations inside the trajectory."""
+        """Fraction of the relations inside the trajectory."""
         return self.covered / self.relations
 
     def to_json(self) -> dict[str, Any]:
@@ -74,9 +74,9 @@ def evaluate_relations(trajectory: Trajectory, relations: Relations) -> Relation
     if not inside.any():
         raise ScanLoomError(
             f"No relation lies within the trajectory, {start_ns / NS_PER_S:.3f} s to "
-            f"{end_ns / NS_PER_S:.3f} s; they are of {stamps_ns.min() / NS_PER_S:.3f} s to "
+            f"{end_ns / NS_PER_S:.3f} s; they span {stamps_ns.min() / NS_PER_S:.3f} s to "
             f"{stamps_ns.max() / NS_PER_S:.3f} s.",
-            advice="Check that both are of one recording and count time alike.",
+            advice="Check that both are of one recording and use the same clock.",
         )
     first, second = (interpolate_poses(trajectory, own_ns[inside])[0] for own_ns in stamps_ns)
     measured = relative_poses(first, second)

@@ -11,7 +11,7 @@ from fusion_core.model.errors import ScanLoomError, SettingsError
 StepUnit = Literal["s", "m", "frames"]
 
 STEP_TOLERANCE = 0.1
-"""How far a pair may be from the step, as a fraction of it. A gap in an estimate is no step."""
+"""How far a pair may be from the step, as a fraction of it: pairs across gaps are left out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +44,7 @@ def pairs_of_step(stamps_ns: IntArray, path_m: FloatArray, step: Step) -> tuple[
     """
     count = stamps_ns.size
     if step.unit == "frames":
-        # More frames than there are make no pair; int() of any more would be large for nothing.
+        # A step longer than the trajectory gives no pair; the bound keeps int() small.
         offset = int(min(step.delta, count))
         first = np.arange(count - offset)
         second = first + offset
@@ -61,7 +61,7 @@ def pairs_of_step(stamps_ns: IntArray, path_m: FloatArray, step: Step) -> tuple[
 
 def _nearest_pairs(place: FloatArray, delta: float) -> tuple[IntArray, IntArray]:
     target = place + delta
-    # The first of equal places on either side of the target, as of a robot that does not move.
+    # Of equal values, as while the robot stands, the first is taken.
     after = np.minimum(np.searchsorted(place, target), place.size - 1)
     before = np.searchsorted(place, place[np.maximum(after - 1, 0)])
     is_before = np.abs(place[before] - target) <= np.abs(place[after] - target)

@@ -3,15 +3,15 @@
 *LiDAR*: beams inside the camera's view (the rows of samples.parquet) with a true range within
 ``range_max_m`` that are holes or burrs in truth. The baseline is linear interpolation over the
 scan's own raw valid beams; it has no labels, so a burr is valid to it. The folder has raw ranges
-inside the view alone; outside of it the baseline reads the true ranges of the good beams, which can
+only inside the view; outside of it the baseline reads the true ranges of the good beams, which can
 only improve it.
 
 *Depth*: paired pixels that are holes or burrs in truth, along the optical axis. The baselines are
-``cv2.inpaint`` (Telea) and the nearest valid pixel, on the raw image that the caller hands in.
+``cv2.inpaint`` (Telea) and the nearest valid pixel, on the raw image that the caller passes.
 
 Errors are taken over the samples that were repaired, a sample once for each frame that shows it,
-apart for gaps (runs of samples that are not good in truth) of 3 degrees and more, and for narrower
-ones. The baselines' errors are over the same samples.
+separately for gaps (runs of samples that are not good in truth) of 3 degrees and more, and for
+narrower ones. The baselines' errors are over the same samples.
 """
 
 from collections.abc import Iterable, Sequence
@@ -30,7 +30,7 @@ from fusion_core.evaluation.fuse_folder import (
     read_samples,
 )
 from fusion_core.evaluation.repair_errors import (
-    JudgedSamples,
+    ComparedSamples,
     RepairErrors,
     pool_errors,
     repair_errors,
@@ -42,7 +42,7 @@ from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import BoolArray, Float32Array, FloatArray, IntArray
 from fusion_core.model.errors import ScanLoomError
 
-# The measure's own definition: three samples of the paper's sampling, one a degree.
+# By definition of the measure: three samples at the paper's sampling of one per degree.
 WIDE_GAP_DEG = 3.0
 
 DepthImages = Iterable[tuple[str, int, Float32Array]]
@@ -69,22 +69,22 @@ def evaluate_repair(
     ``depth_images`` are the recording's raw images, in any order; without them the depth repairs
     have no baselines.
 
-    Raises ScanLoomError where a file is unfit, the two do not belong together, or a raw image
-    that holds a repair is missing.
+    Raises ScanLoomError where a file is invalid, folder and truth are of different recordings, or
+    the raw image of a repaired pixel is missing.
     """
     folder = open_fuse_folder(fuse_dir)
-    scene = associate_truth(truth, folder)
-    linear_m = _linear_interpolation_m(folder, scene)
+    associated = associate_truth(truth, folder)
+    linear_m = _linear_interpolation_m(folder, associated)
     lidar, depth, pixels = [], [], []
     for samples in read_samples(folder):
-        lidar.append(_lidar_errors(samples, folder, scene, linear_m))
-        depth_errors, repaired_pixels = _depth_errors(samples, scene)
+        lidar.append(_lidar_errors(samples, folder, associated, linear_m))
+        depth_errors, repaired_pixels = _depth_errors(samples, associated)
         depth.append(depth_errors)
         pixels.append(repaired_pixels)
     report = RepairReport(lidar=pool_errors(lidar, ("linear",)), depth=pool_errors(depth, ()))
     if depth_images is None or not pixels:
         return report
-    baselines = _depth_baseline_errors(_concatenate_pixels(pixels), scene, depth_images)
+    baselines = _depth_baseline_errors(_concatenate_pixels(pixels), associated, depth_images)
     return replace(report, depth=replace(report.depth, baseline_error_m=baselines))
 
 
@@ -101,17 +101,17 @@ def pool_repair(reports: Sequence[RepairReport]) -> RepairReport:
     )
 
 
-def _linear_interpolation_m(folder: FuseFolder, scene: AssociatedTruth) -> FloatArray:
-    """(S, N) what linear interpolation gives at each beam of each scan that samples name.
-
-    NaN in scans without any valid beam.
-    """
-    truth = scene.truth
+def _linear_interpolation_m(folder: FuseFolder, associated: AssociatedTruth) -> FloatArray:
+    """(S, N) range that linear interpolation gives at each beam of each scan, NaN in scans without
+    any valid beam."""
+    truth = associated.truth
     raw_m = np.where(truth.kind == NoiseClass.GOOD, truth.range_m, np.nan)
     for samples in read_samples(folder):
-        raw_m[scene.scan_index(samples.scan_stamp_ns), samples.lidar_beam] = samples.lidar_raw_m
-    order = np.argsort(scene.beam_angle_rad)
-    angle_rad = scene.beam_angle_rad[order]
+        raw_m[associated.scan_index(samples.scan_stamp_ns), samples.lidar_beam] = (
+            samples.lidar_raw_m
+        )
+    order = np.argsort(associated.beam_angle_rad)
+    angle_rad = associated.beam_angle_rad[order]
     filled_m = np.full(raw_m.shape, np.nan)
     for filled, raw in zip(filled_m, raw_m, strict=True):
         valid = np.isfinite(raw[order])
@@ -121,19 +121,19 @@ def _linear_interpolation_m(folder: FuseFolder, scene: AssociatedTruth) -> Float
 
 
 def _lidar_errors(
-    samples: Samples, folder: FuseFolder, scene: AssociatedTruth, linear_m: FloatArray
+    samples: Samples, folder: FuseFolder, associated: AssociatedTruth, linear_m: FloatArray
 ) -> RepairErrors:
-    truth = scene.truth
-    scan, beam = scene.scan_index(samples.scan_stamp_ns), samples.lidar_beam
+    truth = associated.truth
+    scan, beam = associated.scan_index(samples.scan_stamp_ns), samples.lidar_beam
     kind = truth.kind[scan, beam]
     true_m = truth.range_m[scan, beam]
     scans, which = np.unique(scan, return_inverse=True)
     first, last = run_bounds(truth.kind[scans] != NoiseClass.GOOD)
-    beam_step_deg = np.degrees(abs(scene.beam_angle_rad[1] - scene.beam_angle_rad[0]))
+    beam_step_deg = np.degrees(abs(associated.beam_angle_rad[1] - associated.beam_angle_rad[0]))
     gap_deg = (last - first + 1)[which, beam] * beam_step_deg
     wanted = (kind != NoiseClass.GOOD) & (true_m <= folder.lidar.range_max_m)
     good = kind == NoiseClass.GOOD
-    judged = JudgedSamples(
+    compared = ComparedSamples(
         wanted=wanted,
         repaired=wanted & was_repaired(samples.lidar_source, samples.lidar_repaired_m),
         wide=_is_wide(gap_deg),
@@ -143,7 +143,7 @@ def _lidar_errors(
         returns=good & np.isfinite(samples.lidar_raw_m),
         raw_m=samples.lidar_raw_m,
     )
-    return repair_errors(judged, {"linear": linear_m[scan, beam]})
+    return repair_errors(compared, {"linear": linear_m[scan, beam]})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,15 +168,17 @@ def _concatenate_pixels(parts: Sequence[_RepairedPixels]) -> _RepairedPixels:
     )
 
 
-def _depth_errors(samples: Samples, scene: AssociatedTruth) -> tuple[RepairErrors, _RepairedPixels]:
+def _depth_errors(
+    samples: Samples, associated: AssociatedTruth
+) -> tuple[RepairErrors, _RepairedPixels]:
     paired = samples.paired
     camera = samples.camera[paired]
     row, column = samples.depth_row[paired], samples.depth_column[paired]
-    image = scene.image_index(camera, samples.stamp_ns[paired])
+    image = associated.image_index(camera, samples.stamp_ns[paired])
     kind = np.zeros(paired.shape, dtype=np.int64)
     true_m = np.full(paired.shape, np.nan)
     gap_deg = np.zeros(paired.shape)
-    for code, own in enumerate(scene.cameras):
+    for code, own in enumerate(associated.cameras):
         mine = camera == code
         pixel = image[mine], row[mine], column[mine]
         kind[mine] = own.truth.kind[pixel]
@@ -186,7 +188,7 @@ def _depth_errors(samples: Samples, scene: AssociatedTruth) -> tuple[RepairError
     source, repaired_m = samples.depth_source[paired], samples.depth_repaired_m[paired]
     raw_m = samples.depth_raw_m[paired]
     repaired = wanted & was_repaired(source, repaired_m)
-    judged = JudgedSamples(
+    compared = ComparedSamples(
         wanted=wanted,
         repaired=repaired,
         wide=_is_wide(gap_deg),
@@ -203,7 +205,7 @@ def _depth_errors(samples: Samples, scene: AssociatedTruth) -> tuple[RepairError
         column=column[repaired],
         true_m=true_m[repaired],
     )
-    return repair_errors(judged, {}), pixels
+    return repair_errors(compared, {}), pixels
 
 
 def _is_wide(gap_deg: FloatArray) -> BoolArray:
@@ -233,16 +235,16 @@ def _depth_gap_deg(
 
 
 def _depth_baseline_errors(
-    pixels: _RepairedPixels, scene: AssociatedTruth, depth_images: DepthImages
+    pixels: _RepairedPixels, associated: AssociatedTruth, depth_images: DepthImages
 ) -> dict[str, FloatArray]:
     """Errors of the baselines at the repaired pixels, one image in memory at a time."""
     errors = {name: np.full(pixels.image.shape, np.nan) for name in BASELINES}
     missing = np.ones(pixels.image.shape, dtype=np.bool_)
-    codes = {camera.topic: code for code, camera in enumerate(scene.cameras)}
+    codes = {camera.topic: code for code, camera in enumerate(associated.cameras)}
     for topic, stamp_ns, depth_m in depth_images:
         if topic not in codes:
             continue
-        stamps = scene.cameras[codes[topic]].truth.stamp_ns[pixels.image]
+        stamps = associated.cameras[codes[topic]].truth.stamp_ns[pixels.image]
         mine = np.flatnonzero((pixels.camera == codes[topic]) & (stamps == stamp_ns))
         if mine.size == 0:
             continue
@@ -252,11 +254,11 @@ def _depth_baseline_errors(
             errors[name][mine] = np.abs(value_m - pixels.true_m[mine])
     if missing.any():
         first = int(np.flatnonzero(missing)[0])
-        camera = scene.cameras[pixels.camera[first]]
+        camera = associated.cameras[pixels.camera[first]]
         raise ScanLoomError(
-            f"no raw image of {camera.topic} of stamp "
+            f"no raw image of {camera.topic} with stamp "
             f"{camera.truth.stamp_ns[pixels.image[first]]} ns was given.",
-            file=scene.truth.file,
+            file=associated.truth.file,
             advice="Give the recording that was fused.",
         )
     return errors

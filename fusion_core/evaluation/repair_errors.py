@@ -9,7 +9,7 @@ import numpy as np
 from fusion_core.model.classes import RepairSource
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 
-# The measure's own definition: a fixed part, and one that grows with range as depth noise does.
+# By definition of the measure: a fixed part, and one that grows with range as depth noise does.
 MOVED_FARTHER_M = 0.05
 MOVED_FARTHER_RATIO = 0.02
 
@@ -77,15 +77,15 @@ class RepairErrors:
 
 
 def was_repaired(source: IntArray, repaired_m: FloatArray) -> BoolArray:
-    """Whether each sample got a value that is not its own."""
+    """Whether each sample was filled from the other sensor or from neighbours."""
     filled = (source == RepairSource.OTHER_SENSOR) | (source == RepairSource.NEIGHBOURS)
     repaired: BoolArray = filled & np.isfinite(repaired_m)
     return repaired
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class JudgedSamples:
-    """Samples of one sensor with what is true of them; all arrays are (n,).
+class ComparedSamples:
+    """Samples of one sensor with their true and repaired values; all arrays are (n,).
 
     ``wanted``: holes and burrs in truth. ``repaired``: those of them with a repair. ``wide``: in a
     wide gap. ``source``: codes of RepairSource. ``true_m``, ``raw_m``, ``repaired_m``: values of
@@ -102,7 +102,7 @@ class JudgedSamples:
     returns: BoolArray
 
 
-def repair_errors(samples: JudgedSamples, baseline_m: dict[str, FloatArray]) -> RepairErrors:
+def repair_errors(samples: ComparedSamples, baseline_m: dict[str, FloatArray]) -> RepairErrors:
     """Errors over the samples that were repaired. ``baseline_m``: (n,) values of each baseline."""
     true_m, repaired = samples.true_m, samples.repaired
     farthest_m = np.fmax(true_m, samples.raw_m)

@@ -1,4 +1,4 @@
-"""The seven figures by which trajectory errors are reported everywhere."""
+"""The seven statistics in which trajectory errors are usually reported."""
 
 from dataclasses import asdict, dataclass
 from typing import Self
@@ -10,7 +10,10 @@ from fusion_core.model.conventions import FloatArray
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ErrorStatistics:
-    """Of errors in one unit; ``variance`` in its square. Both spreads divide by N, not N - 1."""
+    """Statistics in the unit of the errors, ``variance`` in its square.
+
+    ``variance`` and ``std`` divide by N, not N - 1.
+    """
 
     min: float
     max: float
@@ -22,7 +25,7 @@ class ErrorStatistics:
 
     @classmethod
     def of(cls, errors: FloatArray) -> Self:
-        """The figures of (N,) errors, N >= 1."""
+        """The statistics of (N,) errors, N >= 1."""
         return cls(
             min=float(errors.min()),
             max=float(errors.max()),
@@ -34,5 +37,5 @@ class ErrorStatistics:
         )
 
     def to_json(self) -> dict[str, float]:
-        """The figures by name."""
+        """The statistics by name."""
         return asdict(self)

@@ -71,8 +71,10 @@ class PoseErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectoryReport:
-    """Errors of one estimate.
+    """Errors of one estimate, and how much of the reference it covers.
 
+    ``time_coverage``: fraction of the reference's time between the first and the last pose
+    compared; ``longest_gap_s``: longest time between two of them.
     ``ape``: absolute pose errors (eq. 4) without any alignment, ``ape_aligned`` those after it,
     None for the alignment "none". ``rpe``: relative pose errors (eq. 1) over ``step``, in the
     reference's scale where the scale was estimated.
@@ -92,7 +94,7 @@ class TrajectoryReport:
     rpe: PoseErrors
 
     def to_json(self) -> dict[str, Any]:
-        """Every figure; rotations in degrees."""
+        """All values; rotations in degrees."""
         return {
             "estimate_poses": self.estimate_poses,
             "reference_poses": self.reference_poses,
@@ -124,10 +126,9 @@ def evaluate_trajectory(
 ) -> TrajectoryReport:
     """Absolute and relative pose errors of ``estimate``; relative ones over a second by default.
 
-    ``alignment`` lays the estimate's positions on the reference's: ``se3`` in space, ``sim3`` with
+    ``alignment`` fits the estimate's positions to the reference's: ``se3`` in space, ``sim3`` with
     a scale (for a monocular estimate), ``se2`` in the plane, where height, pitch and roll of both
-    are dropped from every error. ``time_coverage`` is the fraction of the reference's time between
-    the first and the last pose compared, ``longest_gap_s`` the longest time between two of them.
+    are dropped from every error.
 
     Raises SettingsError for a gap that is not positive, ScanLoomError where no poses can be
     compared, the alignment is not determined, or no two poses are a step apart.
@@ -153,7 +154,7 @@ def evaluate_trajectory(
         estimate_poses=estimate.stamps_ns.size,
         reference_poses=reference.stamps_ns.size,
         associated=pairs.stamps_ns.size,
-        # A reference of one pose, hit, is covered.
+        # A reference of one pose is covered, since a pose was compared with it.
         time_coverage=compared_ns / span_ns if span_ns else 1.0,
         longest_gap_s=float(gaps_ns.max() / NS_PER_S) if gaps_ns.size else 0.0,
         path_m=float(pairs.reference_path_m[-1]),
@@ -176,14 +177,14 @@ def associate(estimate: Trajectory, reference: Trajectory, max_gap_s: float) -> 
     """
     if not 0.0 < max_gap_s < np.inf:
         raise SettingsError(f"the greatest gap must be positive and finite, got {max_gap_s}.")
-    # No two stamps are farther apart than int64 reaches.
+    # Bounded, so that it fits an int64.
     gap_ns = round(min(max_gap_s * NS_PER_S, 2.0**62))
     T_map_reference, known = interpolate_poses(reference, estimate.stamps_ns, gap_ns)
     if not known.any():
         raise ScanLoomError(
             f"No pose of the estimate ({_format_span(estimate)}) lies between two of the reference "
             f"({_format_span(reference)}) that are at most {max_gap_s:g} s apart.",
-            advice="Check that both count time alike, or allow a greater gap.",
+            advice="Check that both use the same clock, or allow a longer gap.",
         )
     return PosePairs(
         stamps_ns=estimate.stamps_ns[known],
@@ -208,7 +209,7 @@ def relative_pose_errors(
 ) -> PoseErrors:
     """E = (reference motion)⁻¹ (estimated motion) over each step (eq. 1).
 
-    ``T_reference_estimate``: (K, 4, 4) the pairs' estimates, in any map, at the scale to judge.
+    ``T_reference_estimate``: (K, 4, 4) the pairs' estimates, in any map, at the reference's scale.
     Raises ScanLoomError where no two poses are a step apart.
     """
     first, second = pairs_of_step(pairs.stamps_ns, pairs.reference_path_m, step)

@@ -1,4 +1,4 @@
-"""What a simulator knows of a recording: true ranges, true depths, and which samples are noise."""
+"""Ground truth of a recording: true ranges, true depths, and which samples are noise."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +27,7 @@ _TRUE_CLASSES = (NoiseClass.GOOD, NoiseClass.HOLE, NoiseClass.BURR)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeverArm:
-    """A mount measured by hand, for a truth that knows the camera's yaw alone.
+    """A mount measured by hand, for a truth that has only the camera's yaw.
 
     ``forward_m`` and ``left_m``: the camera's origin seen from the LiDAR's. A pitch of 0 is a
     level camera, positive looks down.
@@ -75,7 +75,7 @@ class CameraTruth:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Truth:
-    """The truth of a recording, as its file has it.
+    """The truth of a recording, as in its file.
 
     ``scan_stamp_ns``: (S,). ``range_m``: (S, N), NaN where there is none; it may exceed what the
     LiDAR can measure. ``kind``: (S, N) class codes. Angles and clock are None where unknown.
@@ -100,8 +100,8 @@ def load_truth(
 ) -> Truth:
     """Read and check a truth file.
 
-    ``lever_arm`` and ``clock_offset_ms`` (camera stamp - LiDAR stamp of the same instant) serve
-    where the file has no ``T_lidar_camera`` and no ``clock_offset_ms``; the file's own win.
+    ``lever_arm`` and ``clock_offset_ms`` (camera stamp - LiDAR stamp of the same instant) are used
+    only where the file has no ``T_lidar_camera`` and no ``clock_offset_ms``.
 
     Raises ScanLoomError where the file cannot be read, lacks an array, or has one of a wrong shape.
     """
@@ -129,7 +129,7 @@ def _read_arrays(path: Path) -> Arrays:
     except (OSError, *UNREADABLE_ARRAYS) as error:
         problem = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise ScanLoomError(
-            f"cannot be read as a truth: {problem}.", file=path, advice=_ADVICE
+            f"cannot be read as a truth file: {problem}.", file=path, advice=_ADVICE
         ) from error
 
 
@@ -181,7 +181,7 @@ def _require_array(arrays: Arrays, name: str, path: Path, *, ndim: int) -> npt.N
     array = arrays[name]
     if array.ndim != ndim or array.dtype.kind not in "iuf":
         raise ScanLoomError(
-            f"{name} must be numbers of {ndim} dimensions, is {array.dtype} {array.shape}.",
+            f"{name} must be a numeric array of {ndim} dimensions, is {array.dtype} {array.shape}.",
             file=path,
             advice=_ADVICE,
         )
@@ -192,7 +192,7 @@ def _read_stamps(arrays: Arrays, name: str, path: Path) -> IntArray:
     stamps = _require_array(arrays, name, path, ndim=1)
     if stamps.dtype.kind not in "iu":
         raise ScanLoomError(
-            f"{name} must be whole nanoseconds, is {stamps.dtype}.", file=path, advice=_ADVICE
+            f"{name} must be integer nanoseconds, is {stamps.dtype}.", file=path, advice=_ADVICE
         )
     return stamps.astype(np.int64)
 
@@ -213,7 +213,7 @@ def _read_classes(arrays: Arrays, name: str, shape: tuple[int, ...], path: Path)
 def _require_shape(shape: tuple[int, ...], wanted: tuple[int, ...], name: str, path: Path) -> None:
     if shape != wanted:
         raise ScanLoomError(
-            f"{name} has {shape} entries where {wanted} belong.", file=path, advice=_ADVICE
+            f"{name} has shape {shape}, expected {wanted}.", file=path, advice=_ADVICE
         )
 
 

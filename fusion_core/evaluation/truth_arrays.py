@@ -1,4 +1,4 @@
-"""The arrays of a truth file (.npz), within limits: what names it may be a stranger."""
+"""The arrays of a truth file (.npz), with limits on its size, since it may come from anywhere."""
 
 import zipfile
 import zlib
@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from fusion_core.files.regular_file import open_regular
 
-# Ten minutes of 640 x 480 pixels at 15 images a second, their depth and their kind, unpack to 8 GB.
+# Depths and classes of ten minutes of 640 x 480 pixels at 15 images a second unpack to 8 GB.
 _MAX_PACKED_BYTES = 4 << 30
 _MAX_UNPACKED_BYTES = 8 << 30
-# What numpy, zipfile and zlib raise for a file that is damaged, or no archive of arrays.
+# What numpy, zipfile and zlib raise for a file that is damaged or not an archive of arrays.
 UNREADABLE_ARRAYS = (
     ValueError,
     EOFError,
@@ -28,9 +28,9 @@ UNREADABLE_ARRAYS = (
 def read_arrays(
     path: Path, names: Collection[str] | None = None
 ) -> dict[str, npt.NDArray[np.generic]]:
-    """The arrays of those names, without any all of them; one that is not there is left out.
+    """The arrays of the file by name: all of them, or those of ``names`` that it has.
 
-    Raises OSError where the file cannot be read, is no regular file or is too large, and one of
+    Raises OSError where the file cannot be read, is not a regular file or is too large, and one of
     ``UNREADABLE_ARRAYS`` where it holds no arrays.
     """
     with open_regular(path, _MAX_PACKED_BYTES) as file:

@@ -1,4 +1,4 @@
-"""The rigid motion or similarity that lays positions on others with the least squared distance.
+"""The rigid motion or similarity that aligns positions with others by least squares.
 
 Umeyama 1991, "Least-squares estimation of transformation parameters between two point patterns",
 eqs. (34)-(42).
@@ -15,7 +15,7 @@ from fusion_core.model.errors import ScanLoomError
 Group = Literal["se2", "se3", "sim3"]
 
 # Ratio of the spread across a path to that along it (as variances) below which it is a line:
-# the rotation about it would be made of rounding.
+# the rotation about it would be determined by rounding errors.
 _COLLINEAR_RATIO_MAX = 1e-9
 
 
@@ -35,7 +35,7 @@ class Similarity:
         read_only(self.translation_m)
 
     def apply(self, T_b_body: FloatArray) -> FloatArray:
-        """(N, 4, 4) T_a_body: positions are scaled, rotations only turned."""
+        """(N, 4, 4) T_a_body; the scale applies to the positions only."""
         result = T_b_body.copy()
         result[:, :3, :3] = self.rotation @ T_b_body[:, :3, :3]
         result[:, :3, 3] = self.scale * T_b_body[:, :3, 3] @ self.rotation.T + self.translation_m
@@ -51,10 +51,10 @@ class Similarity:
 
 
 def align_positions(moving_m: FloatArray, fixed_m: FloatArray, group: Group) -> Similarity:
-    """What lays (N, 3) ``moving_m`` on (N, 3) ``fixed_m``, N >= 1.
+    """The similarity that moves (N, 3) ``moving_m`` onto (N, 3) ``fixed_m``, N >= 1.
 
-    ``se2`` turns about z and leaves the height alone. Raises ScanLoomError where the positions do
-    not determine it: all one point, or, in space, all on one line.
+    ``se2`` rotates about z and keeps the height. Raises ScanLoomError where the positions do not
+    determine it: all at one point, or, in space, all on one line.
     """
     size = 2 if group == "se2" else 3
     moving, fixed = moving_m[:, :size], fixed_m[:, :size]

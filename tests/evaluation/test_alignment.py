@@ -44,7 +44,7 @@ def _results(by_hand: Any, *frames: dict[str, Any], **alignment: Any) -> Path:
 
 
 @pytest.mark.parametrize("yaw_deg", [-30.0, 0.0, 7.0])
-def test_true_u_of_a_camera_at_the_lidars_place_is_the_angle_between_their_left_ends(
+def test_true_u_of_a_camera_at_the_lidars_origin_is_the_angle_between_their_left_ends(
     by_hand: Any, yaw_deg: float
 ) -> None:
     truth = _round_room(by_hand, yaw_deg)
@@ -251,7 +251,7 @@ def test_a_frame_without_good_pairs_has_no_true_u(by_hand: Any) -> None:
     assert report.to_json()["u_true_median"] is None
 
 
-def test_errors_of_the_mount_are_estimate_less_truth(by_hand: Any) -> None:
+def test_mount_errors_are_estimate_minus_truth(by_hand: Any) -> None:
     truth = load_truth(
         by_hand.truth(
             scan_true=np.full((1, BEAMS), 2.0),
@@ -297,7 +297,7 @@ def test_errors_of_the_mount_are_estimate_less_truth(by_hand: Any) -> None:
         (30.0, 5.0, None, None),
     ],
 )
-def test_the_clocks_interval_is_two_deviations_wide(
+def test_the_clock_interval_spans_two_standard_deviations(
     by_hand: Any, offset_ms: float, sd_ms: float | None, true_ms: float | None, contains: Any
 ) -> None:
     clock = {} if true_ms is None else {"clock_offset_ms": np.float64(true_ms)}

@@ -1,4 +1,4 @@
-"""Joining truth and results: stamps in any order, and what does not belong together."""
+"""Associating truth and results: stamps in any order, and truths of other recordings."""
 
 from typing import Any
 
@@ -20,16 +20,16 @@ from fusion_core.model.geometry import transform_points
 
 @given(st.lists(st.integers(-(2**62), 2**62), unique=True, max_size=30), st.randoms())
 def test_positions_find_every_stamp_in_any_order(known: list[int], random: Any) -> None:
-    asked = random.choices(known, k=10) if known else []
-    positions = indices_of_stamps(np.array(known, np.int64), np.array(asked, np.int64), "scan", "t")
-    assert [known[position] for position in positions] == asked
+    query = random.choices(known, k=10) if known else []
+    positions = indices_of_stamps(np.array(known, np.int64), np.array(query, np.int64), "scan", "t")
+    assert [known[position] for position in positions] == query
 
 
 @pytest.mark.parametrize("known", [[], [1, 3], [3, 1, 7]])
-@pytest.mark.parametrize("asked", [0, 2, 9])
-def test_a_stamp_that_is_not_there_is_an_error(known: list[int], asked: int) -> None:
-    with pytest.raises(ScanLoomError, match=f"no scan of stamp {asked} ns"):
-        indices_of_stamps(np.array(known, np.int64), np.array([asked]), "scan", "truth.npz")
+@pytest.mark.parametrize("query", [0, 2, 9])
+def test_a_stamp_without_a_match_is_an_error(known: list[int], query: int) -> None:
+    with pytest.raises(ScanLoomError, match=f"no scan with stamp {query} ns"):
+        indices_of_stamps(np.array(known, np.int64), np.array([query]), "scan", "truth.npz")
 
 
 def _join(by_hand: Any, camera: dict[str, Any] | None = None, **arrays: Any) -> AssociatedTruth:
@@ -48,33 +48,33 @@ def _join(by_hand: Any, camera: dict[str, Any] | None = None, **arrays: Any) -> 
 
 
 @pytest.mark.parametrize(
-    ("camera", "arrays", "said"),
+    ("camera", "arrays", "message"),
     [
-        ({}, {"T_lidar_camera": None}, "how the camera /camera/depth/image_raw is mounted"),
+        ({}, {"T_lidar_camera": None}, "no mount of the camera /camera/depth/image_raw"),
         ({"fx": None}, {}, "intrinsics"),
         ({"width": 6}, {}, "5 x 3"),
-        ({}, {"camera_topics": np.array(["/other"])}, "knows nothing of the camera"),
+        ({}, {"camera_topics": np.array(["/other"])}, "has no camera"),
         ({}, {"scan_true": np.ones((1, 5)), "scan_kind": np.zeros((1, 5))}, "5 beams"),
     ],
 )
-def test_what_does_not_belong_together_is_said(
-    by_hand: Any, camera: dict[str, Any], arrays: dict[str, Any], said: str
+def test_truth_of_another_recording_is_refused(
+    by_hand: Any, camera: dict[str, Any], arrays: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(ScanLoomError, match=said) as caught:
+    with pytest.raises(ScanLoomError, match=message) as caught:
         _join(by_hand, camera, **arrays)
     assert caught.value.advice
 
 
-def test_the_truths_own_angles_and_intrinsics_win(by_hand: Any) -> None:
-    scene = _join(
+def test_angles_and_intrinsics_of_the_truth_take_precedence(by_hand: Any) -> None:
+    associated = _join(
         by_hand,
         {"fx": None},
         intrinsics=np.array([3.0, 4.0, 2.5, 1.5]),
         lidar_angle_min=np.float64(-1.0),
         lidar_angle_increment=np.float64(0.5),
     )
-    assert scene.cameras[0].intrinsics == (3.0, 4.0, 2.5, 1.5)
-    np.testing.assert_allclose(scene.beam_angle_rad, [-1.0, -0.5, 0.0, 0.5])
+    assert associated.cameras[0].intrinsics == (3.0, 4.0, 2.5, 1.5)
+    np.testing.assert_allclose(associated.beam_angle_rad, [-1.0, -0.5, 0.0, 0.5])
 
 
 def test_a_pixels_point_projects_back_onto_the_pixel(by_hand: Any) -> None:

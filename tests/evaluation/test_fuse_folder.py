@@ -1,4 +1,4 @@
-"""Reading results: nulls, batches, and what does not belong."""
+"""Reading results: nulls, batches, and invalid content."""
 
 from typing import Any
 
@@ -58,7 +58,7 @@ def test_large_stamps_and_empty_columns_of_frames_survive(by_hand: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"lidar_beam": 3}, "lidar_beam holds 3"),
         ({"lidar_class": 4}, "lidar_class holds 4"),
@@ -69,9 +69,11 @@ def test_large_stamps_and_empty_columns_of_frames_survive(by_hand: Any) -> None:
         ({"camera": "/other"}, "camera '/other'"),
     ],
 )
-def test_what_is_not_there_is_named(by_hand: Any, change: dict[str, Any], said: str) -> None:
+def test_unknown_classes_sources_and_pixels_are_named(
+    by_hand: Any, change: dict[str, Any], message: str
+) -> None:
     folder = open_fuse_folder(by_hand.results([by_hand.row(**change)], **_layout(by_hand)))
-    with pytest.raises(ScanLoomError, match=said) as caught:
+    with pytest.raises(ScanLoomError, match=message) as caught:
         list(read_samples(folder))
     assert caught.value.file is not None
     assert caught.value.file.endswith("samples.parquet")
@@ -94,7 +96,7 @@ def test_missing_columns_and_files_are_typed_errors(by_hand: Any) -> None:
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{}", '{"lidar": {"beams": "x"}, "cameras": []}'])
-def test_an_alignment_that_is_none_is_a_typed_error(by_hand: Any, content: str) -> None:
+def test_an_invalid_alignment_is_a_typed_error(by_hand: Any, content: str) -> None:
     path = by_hand.results([], **_layout(by_hand))
     (path / "alignment.json").write_text(content)
     with pytest.raises(ScanLoomError, match=r"alignment\.json"):

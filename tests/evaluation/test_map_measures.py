@@ -52,7 +52,7 @@ def test_scattered_cells_pull_less_than_those_of_the_face():
     assert abs(fit[1][1] / fit[1][0]) < 0.4 * abs(slope)
 
 
-def test_what_the_map_does_not_show_is_not_measured():
+def test_faces_missing_in_the_map_are_not_measured():
     def without_west(points):
         return points[points[:, 0] > 0.5]
 
@@ -87,7 +87,7 @@ def test_the_published_sums():
 
 
 @pytest.mark.parametrize("turn_rad", [0.0, 0.4])
-def test_what_lies_behind_a_wall_does_not_move_it(turn_rad):
+def test_cells_behind_a_wall_do_not_move_its_face(turn_rad):
     """Two faces 2 m apart, each with a second layer of cells at its back."""
     x = np.arange(0.0, 3.0, 0.05) + 0.025
 

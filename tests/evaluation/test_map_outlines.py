@@ -36,7 +36,7 @@ def test_half_of_the_map_finds_half():
     assert report["visible"] == {"outline_m": 0.0, "found_m": 0.0, "rate": None}
 
 
-def test_what_stands_nowhere_is_a_false_obstacle():
+def test_cells_far_from_any_outline_are_false_obstacles():
     world = room()
     drawn = occupied_by(world, 0.05)
     stray = np.array([[2.0, 2.0], [4.0, 0.5], [-1.0, 1.0]])
@@ -65,7 +65,7 @@ points = st.tuples(st.floats(-1.0, 3.0), st.floats(-1.0, 3.0))
     st.sampled_from([0.05, 0.3]),
     st.integers(0, 2**16),
 )
-def test_the_shares_are_those_of_a_loop(polylines, occupied, resolution_m, seed):
+def test_the_rates_equal_those_of_a_loop(polylines, occupied, resolution_m, seed):
     rng = np.random.default_rng(seed)
     world = WorldOutline(
         robot_height_m=0.55,

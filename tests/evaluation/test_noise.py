@@ -131,7 +131,7 @@ def test_an_inverted_labeller_scores_zero(by_hand: Any) -> None:
         ("conflict", (BURR, BURR), "conflict_recall_either", 2 / 3),
     ],
 )
-def test_one_other_label_moves_each_measure_by_its_share(
+def test_one_wrong_label_changes_each_measure_by_its_fraction(
     by_hand: Any, kind: str, label: tuple[int, int], measure: str, expected: float
 ) -> None:
     report = evaluate_noise(_fused(by_hand, {FIRST[kind]: label}), _truth(by_hand))
@@ -237,7 +237,7 @@ def test_neither_order_nor_batches_change_anything(
         assert evaluate_noise(shuffled, truth).to_json() == as_written
 
 
-def test_pooling_adds_pairs_and_not_shares(by_hand: Any) -> None:
+def test_pooling_adds_pairs_and_not_fractions(by_hand: Any) -> None:
     truth = _truth(by_hand)
     parts = _random_rows(by_hand, 2, 30), _random_rows(by_hand, 3, 90)
     reports = [evaluate_noise(_written(by_hand, rows), truth) for rows in parts]
@@ -295,7 +295,7 @@ def test_curves_pool_over_equal_factors_only(by_hand: Any) -> None:
 
 def test_a_stamp_that_the_truth_lacks_is_an_error(by_hand: Any) -> None:
     truth = _truth(by_hand)
-    with pytest.raises(ScanLoomError, match="no scan of stamp 99"):
+    with pytest.raises(ScanLoomError, match="no scan with stamp 99"):
         evaluate_noise(_written(by_hand, [by_hand.row(scan_stamp_ns=99)]), truth)
-    with pytest.raises(ScanLoomError, match="no depth image of stamp 99"):
+    with pytest.raises(ScanLoomError, match="no depth image with stamp 99"):
         evaluate_noise(_written(by_hand, [by_hand.row(stamp_ns=99)]), truth)

@@ -55,7 +55,7 @@ def test_a_wheel_that_turns_too_far_is_an_error_of_angle() -> None:
     assert figures["over_stretches"]["rotation_deg_per_m"] == pytest.approx(per_m, rel=0.1)
 
 
-def test_where_the_map_lies_counts_for_nothing() -> None:
+def test_drift_does_not_depend_on_the_map_frame() -> None:
     path = Trajectory.from_planar(
         STAMPS_NS.copy(), random_walk(STAMPS_NS.copy(), seed=1).planar_poses
     )
@@ -70,7 +70,7 @@ def test_where_the_map_lies_counts_for_nothing() -> None:
         assert figures[name]["rotation_deg_per_m"] < 1e-5
 
 
-def test_a_path_shorter_than_a_stretch_is_refused() -> None:
+def test_a_path_shorter_than_a_segment_is_refused() -> None:
     with pytest.raises(ScanLoomError, match="are 50 m apart"):
         evaluate_odometry(circle(1.0, 1.0), circle(1.0, 1.0), segment_m=50.0)
     with pytest.raises(SettingsError, match="step must be positive"):
@@ -83,14 +83,14 @@ def polyline(corners: list[tuple[float, float]], factor: float = 1.0) -> Traject
     poses = []
     for (x, y), (to_x, to_y) in pairwise(corners):
         heading = np.arctan2(to_y - y, to_x - x)
-        for share in np.linspace(0.0, 1.0, 1 + round(np.hypot(to_x - x, to_y - y) / 0.05)):
-            poses.append((x + share * (to_x - x), y + share * (to_y - y), heading))
+        for fraction in np.linspace(0.0, 1.0, 1 + round(np.hypot(to_x - x, to_y - y) / 0.05)):
+            poses.append((x + fraction * (to_x - x), y + fraction * (to_y - y), heading))
     planar = np.array(poses)
     planar[:, :2] *= factor
     return Trajectory.from_planar(np.arange(len(planar), dtype=np.int64) * 100_000_000, planar)
 
 
-def test_straight_stretches_are_those_of_table_5() -> None:
+def test_straight_segments_are_those_of_table_5() -> None:
     """Ways of 3.13 m, 2.05 m and 3 m as Li drove them, of which the odometry makes 1 % more; the
     half metre between two of them is too short to count."""
     corners = [(0.0, 0.0), (3.13, 0.0), (3.13, 2.05), (2.63, 2.05), (2.63, 5.05)]
@@ -111,7 +111,7 @@ def test_errors_of_either_sign_do_not_cancel() -> None:
         assert round(100.0 * straight.error, 2) == percent
 
 
-def test_a_circle_has_no_straight_stretch() -> None:
+def test_a_circle_has_no_straight_segment() -> None:
     report = evaluate_odometry(circle(1.5, 4.0), circle(1.5, 4.0))
     assert report.straight.error is None
     assert report.to_json()["straight"]["error"] is None

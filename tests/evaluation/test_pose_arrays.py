@@ -1,4 +1,4 @@
-"""Stacks of poses against the same for one pose, which the model offers."""
+"""Arrays of poses against the same operation of the model on one pose."""
 
 import numpy as np
 import pytest
@@ -58,11 +58,11 @@ def test_planar_drops_height_pitch_and_roll(seed: int) -> None:
     st.lists(st.integers(0, 1000), min_size=1, max_size=6, unique=True),
     st.lists(st.integers(-10, 1010), min_size=1, max_size=8),
 )
-def test_poses_are_those_of_the_trajectory_one_by_one(own: list[int], asked: list[int]) -> None:
+def test_poses_are_those_of_the_trajectory_one_by_one(own: list[int], query: list[int]) -> None:
     trajectory = random_walk(START_NS + np.array(sorted(own), dtype=np.int64), seed=len(own))
-    stamps_ns = START_NS + np.array(asked, dtype=np.int64)
+    stamps_ns = START_NS + np.array(query, dtype=np.int64)
     poses, known = interpolate_poses(trajectory, stamps_ns)
-    assert known.tolist() == [min(own) <= stamp <= max(own) for stamp in asked]
+    assert known.tolist() == [min(own) <= stamp <= max(own) for stamp in query]
     expected = [trajectory.pose_at(int(stamp_ns)) for stamp_ns in stamps_ns[known]]
     assert poses.shape == (known.sum(), 4, 4)
     assert np.allclose(poses, np.reshape(expected, (-1, 4, 4)))

@@ -1,4 +1,4 @@
-"""Errors over relations: closed forms, and the known figures of the raw odometry of Intel."""
+"""Errors over relations: closed forms, and the published errors of the raw odometry of Intel."""
 
 from pathlib import Path
 
@@ -47,7 +47,7 @@ def one_relation(T_first_second: FloatArray) -> Relations:
     st.integers(0, 2**32 - 1),
     st.lists(st.tuples(*[st.integers(0, 1_900_000_000)] * 2), min_size=1, max_size=5),
 )
-def test_the_place_of_the_map_counts_for_nothing(seed: int, between: list[tuple[int, int]]) -> None:
+def test_errors_do_not_depend_on_the_map_frame(seed: int, between: list[tuple[int, int]]) -> None:
     trajectory = random_walk(STAMPS_NS.copy(), seed)
     start_ns = int(STAMPS_NS[0])
     relations = relations_of(trajectory, [(start_ns + a, start_ns + b) for a, b in between])
@@ -114,12 +114,12 @@ def test_relations_beyond_the_trajectory_cost_coverage() -> None:
 
 def test_relations_of_another_recording_are_refused() -> None:
     trajectory = Trajectory.from_planar(np.array([0, 10**9]), np.zeros((2, 3)))
-    with pytest.raises(ScanLoomError, match=r"trajectory, 0\.000 s to 1\.000 s; they are of 17"):
+    with pytest.raises(ScanLoomError, match=r"trajectory, 0\.000 s to 1\.000 s; they span 17"):
         evaluate_relations(trajectory, one_relation(np.eye(4)))
 
 
 @pytest.mark.data
-def test_raw_odometry_of_intel_scores_what_it_is_known_for(data_folder: Path) -> None:
+def test_raw_odometry_of_intel_has_its_published_error(data_folder: Path) -> None:
     """7.370 +- 14.349 m and 39.17 +- 53.79 degrees."""
     carmen = data_folder / "real" / "carmen"
     stamps_ns, poses = [], []

@@ -61,6 +61,6 @@ def test_frames_are_counted_whatever_their_time() -> None:
         (1.5, "frames", "whole number, got 1.5"),
     ],
 )
-def test_a_step_that_is_none_is_refused(delta: float, unit: str, words: str) -> None:
+def test_an_invalid_step_is_refused(delta: float, unit: str, words: str) -> None:
     with pytest.raises(SettingsError, match=words):
         Step(delta=delta, unit=unit)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Repairs against truth and rivals: exact on a wall with gaps of known width."""
+"""Repairs against truth and baselines: exact on a wall with gaps of known width."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -66,12 +66,12 @@ def test_lidar_errors_by_width_of_the_gap_and_those_of_linear_interpolation(by_h
     linear = lidar["wide"]["linear"]
     assert (linear["median_m"], linear["p90_m"], linear["rms_m"]) == pytest.approx((0.5,) * 3)
     assert linear["own_to_median"] == pytest.approx(0.4)
-    # The burr at beam 8 is valid to the rival: 3 m itself, and 3.5 m at beam 7.
+    # The burr at beam 8 is valid to the baseline: 3 m itself, and 3.5 m at beam 7.
     assert lidar["narrow"]["linear"]["median_m"] == pytest.approx(0.75)
     assert lidar["narrow"]["own"]["median_m"] == pytest.approx(0.02)
 
 
-def test_what_was_not_repaired_lowers_the_share_alone(by_hand: Any) -> None:
+def test_unrepaired_samples_lower_only_the_repaired_fraction(by_hand: Any) -> None:
     rows = [
         _beam(by_hand, 2, 2.6),
         _beam(by_hand, 3, None, lidar_source="none"),
@@ -86,13 +86,13 @@ def test_what_was_not_repaired_lowers_the_share_alone(by_hand: Any) -> None:
     assert lidar["by_source"]["neighbours"]["median_m"] == 0.0
 
 
-def test_a_beam_beyond_the_range_is_not_asked_for(by_hand: Any) -> None:
+def test_a_beam_beyond_the_maximum_range_is_not_counted(by_hand: Any) -> None:
     path = _results(by_hand, _all_beams(by_hand, {}), range_max_m=3.5)
     wide = evaluate_repair(path, _truth(by_hand)).to_json()["lidar"]["wide"]
     assert (wide["wanted"], wide["own"]["count"]) == (2, 2)
 
 
-def test_outside_the_view_the_rival_reads_true_ranges_of_good_beams(by_hand: Any) -> None:
+def test_outside_the_view_the_baseline_reads_true_ranges_of_good_beams(by_hand: Any) -> None:
     rows = [_beam(by_hand, beam, RANGE[beam]) for beam in (2, 3, 4)]
     lidar = evaluate_repair(_results(by_hand, rows), _truth(by_hand)).lidar
     np.testing.assert_allclose(lidar.baseline_error_m["linear"], 0.5)
@@ -176,7 +176,7 @@ def test_gaps_of_a_camera_on_its_side_run_along_columns(by_hand: Any) -> None:
         assert report.depth.wanted_wide == wide
 
 
-def test_rivals_of_depth_repairs_fill_the_raw_image(by_hand: Any) -> None:
+def test_depth_baselines_fill_the_raw_image(by_hand: Any) -> None:
     kind = _depth_kind(wide=slice(10, 20), narrow=slice(30, 31))
     raw_m = np.full((HEIGHT, WIDTH), 2.0, np.float32)
     raw_m[:, :11] = 1.0
@@ -191,11 +191,11 @@ def test_rivals_of_depth_repairs_fill_the_raw_image(by_hand: Any) -> None:
     depth = evaluate_repair(path, truth, images).depth
     np.testing.assert_allclose(depth.baseline_error_m["nearest"], [0.0, 0.5])
     np.testing.assert_allclose(depth.baseline_error_m["inpaint"], [0.0, 0.5], atol=2e-3)
-    with pytest.raises(ScanLoomError, match=r"no raw image of .* of stamp 0"):
+    with pytest.raises(ScanLoomError, match=r"no raw image of .* with stamp 0"):
         evaluate_repair(path, truth, images[:2])
 
 
-def test_a_recording_without_rows_has_nothing_to_judge(by_hand: Any) -> None:
+def test_a_recording_without_rows_has_no_repairs(by_hand: Any) -> None:
     report = evaluate_repair(_results(by_hand, []), _truth(by_hand), []).to_json()
     assert report["lidar"]["wide"]["own"]["median_m"] is None
     assert report["depth"]["moved_farther"] is None

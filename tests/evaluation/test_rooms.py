@@ -36,8 +36,8 @@ def _projected(truth: Truth, scan: int) -> Any:
     angle_rad = ANGLE_MIN_RAD + STEP_RAD * np.arange(BEAMS)
     points = np.stack([np.cos(angle_rad), np.sin(angle_rad), np.zeros(BEAMS)], axis=-1)
     in_camera = (points * truth.range_m[scan][:, np.newaxis] - mount[:3, 3]) @ mount[:3, :3]
-    lens = np.array([[FOCAL, 0, (WIDTH - 1) / 2], [0, FOCAL, (HEIGHT - 1) / 2], [0, 0, 1]])
-    pixels, _ = cv2.projectPoints(in_camera, np.zeros(3), np.zeros(3), lens, None)
+    K = np.array([[FOCAL, 0, (WIDTH - 1) / 2], [0, FOCAL, (HEIGHT - 1) / 2], [0, 0, 1]])
+    pixels, _ = cv2.projectPoints(in_camera, np.zeros(3), np.zeros(3), K, None)
     return np.where(in_camera[:, 2:] > 0.0, pixels[:, 0], np.nan)
 
 
@@ -118,7 +118,7 @@ def test_labels_from_the_truth_score_one(fused: Path, truth: Truth) -> None:
 
 def test_true_offset_lies_where_yaw_and_lever_arm_put_it(fused: Path, truth: Truth) -> None:
     report = evaluate_alignment(fused, truth)
-    # 7 degrees left of straight ahead, where a level lens of 58.1 degrees starts at u = 90.9;
+    # 7 degrees left of straight ahead, where a level camera of 58.1 degrees starts at u = 90.9;
     # the lever arm turns that by 0.4 (at 3.5 m) to 1.2 degrees (at 1 m).
     assert np.nanmin(report.u_true) > 82.5
     assert np.nanmax(report.u_true) < 84.0
@@ -126,7 +126,7 @@ def test_true_offset_lies_where_yaw_and_lever_arm_put_it(fused: Path, truth: Tru
     assert report.yaw_error_deg == pytest.approx(0.0, abs=1e-6)
 
 
-def test_repairs_from_the_truth_have_no_error_and_rivals_have(fused: Path, truth: Truth) -> None:
+def test_repairs_from_the_truth_have_no_error_and_baselines_have(fused: Path, truth: Truth) -> None:
     camera = truth.cameras[0]
 
     def images(topic: str) -> Iterator[tuple[str, int, Float32Array]]:
@@ -136,9 +136,9 @@ def test_repairs_from_the_truth_have_no_error_and_rivals_have(fused: Path, truth
             yield topic, int(stamp_ns), depth_m
 
     report = evaluate_repair(fused, truth, images("/camera/depth/image_raw")).to_json()
-    for sensor, rivals in (("lidar", ("linear",)), ("depth", ("inpaint", "nearest"))):
+    for sensor, baselines in (("lidar", ("linear",)), ("depth", ("inpaint", "nearest"))):
         wide = report[sensor]["wide"]
         assert wide["repaired"] == 1.0
         assert wide["own"]["rms_m"] == pytest.approx(0.0, abs=1e-9)
         assert report[sensor]["moved_farther"] == 0.0
-        assert all(wide[rival]["median_m"] > 1e-4 for rival in rivals)
+        assert all(wide[baseline]["median_m"] > 1e-4 for baseline in baselines)

@@ -1,4 +1,4 @@
-"""Runs of samples that are not good, against a walk by hand."""
+"""Runs of samples that are not good, against a walk sample by sample."""
 
 import numpy as np
 from hypothesis import given
@@ -8,7 +8,7 @@ from fusion_core.evaluation.runs import run_bounds
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=40))
-def test_bounds_are_those_of_a_walk_in_both_directions(in_gap: list[bool]) -> None:
+def test_bounds_equal_those_of_a_scan_in_both_directions(in_gap: list[bool]) -> None:
     first, last = run_bounds(np.array(in_gap))
     for position, gap in enumerate(in_gap):
         if not gap:
@@ -22,7 +22,7 @@ def test_bounds_are_those_of_a_walk_in_both_directions(in_gap: list[bool]) -> No
         assert (first[position], last[position]) == (low, high)
 
 
-def test_lines_do_not_see_each_other() -> None:
+def test_lines_are_independent() -> None:
     first, last = run_bounds(np.array([[False, True, True], [True, True, False]]))
     assert first[0].tolist()[1:] == [1, 1]
     assert last[0].tolist()[1:] == [2, 2]

@@ -27,7 +27,7 @@ def moved(trajectory: Trajectory, T_other_map: FloatArray, scale: float = 1.0) -
     return Trajectory(stamps_ns=trajectory.stamps_ns.copy(), T_map_body=T_other_map @ poses)
 
 
-def test_the_seven_figures() -> None:
+def test_the_seven_statistics() -> None:
     figures = ErrorStatistics.of(np.array([1.0, 2.0, 6.0, 3.0]))
     assert figures.to_json() == {
         "min": 1.0,
@@ -42,7 +42,7 @@ def test_the_seven_figures() -> None:
 
 @pytest.mark.parametrize("alignment", ["se3", "sim3"])
 @given(seed=st.integers(0, 2**32 - 1))
-def test_alignment_takes_out_where_the_map_lies(alignment: Alignment, seed: int) -> None:
+def test_alignment_removes_the_pose_of_the_map(alignment: Alignment, seed: int) -> None:
     reference = random_walk(STAMPS_NS, seed)
     scale = 3.0 if alignment == "sim3" else 1.0
     estimate = moved(reference, random_transforms(1, seed + 1, spread_m=20.0)[0], scale)
@@ -68,7 +68,7 @@ def test_without_alignment_the_offset_is_the_error() -> None:
     assert figures["absolute"]["translation_m"]["rmse"] == pytest.approx(5.0)
 
 
-def test_a_turned_body_is_an_error_of_rotation_alone() -> None:
+def test_a_rotated_body_is_an_error_of_rotation_only() -> None:
     reference = random_walk(STAMPS_NS, seed=3)
     turn = transform_from_planar(np.array([0.0, 0.0, np.radians(10.0)]))
     estimate = Trajectory(
@@ -105,7 +105,7 @@ def test_relative_errors_of_a_drift_grow_with_the_step(unit: StepUnit, delta: fl
         assert report.rpe.translation_m == pytest.approx(expected)
 
 
-def test_in_the_plane_height_pitch_and_roll_count_for_nothing() -> None:
+def test_in_the_plane_height_pitch_and_roll_are_ignored() -> None:
     reference = random_walk(STAMPS_NS, seed=4)
     flat = Trajectory.from_planar(STAMPS_NS.copy(), reference.planar_poses)
     estimate = moved(flat, transform_from_planar(np.array([5.0, -2.0, 1.2])))
@@ -153,7 +153,7 @@ def test_poses_of_other_times_are_refused() -> None:
 
 
 @pytest.mark.parametrize("gap_s", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_gap_that_is_none_is_refused(gap_s: float) -> None:
+def test_an_invalid_gap_is_refused(gap_s: float) -> None:
     one = Trajectory.from_planar(np.array([0]), np.zeros((1, 3)))
     with pytest.raises(SettingsError, match="the greatest gap must be positive"):
         evaluate_trajectory(one, one, max_gap_s=gap_s)

@@ -1,4 +1,4 @@
-"""Reading a truth: what is in the file comes out, and what cannot be used is said."""
+"""Reading a truth file: its values come out, and invalid files are refused."""
 
 from pathlib import Path
 from typing import Any
@@ -61,7 +61,7 @@ def test_pitch_of_the_lever_arm_looks_down() -> None:
     np.testing.assert_allclose(arm.mount(0.0)[:3, 2], [np.cos(0.1), 0.0, -np.sin(0.1)], atol=1e-12)
 
 
-def test_own_mount_and_clock_win_over_those_by_hand(tmp_path: Path) -> None:
+def test_mount_and_clock_of_the_file_take_precedence(tmp_path: Path) -> None:
     own = np.eye(4)[np.newaxis] * [[[2.0], [2.0], [2.0], [1.0]]]
     arrays = _arrays() | {"T_lidar_camera": own, "clock_offset_ms": np.float64(40.0)}
     arm = LeverArm(forward_m=1.0, left_m=1.0, lidar_height_m=0.0, camera_height_m=1.0)
@@ -70,7 +70,7 @@ def test_own_mount_and_clock_win_over_those_by_hand(tmp_path: Path) -> None:
     np.testing.assert_array_equal(truth.cameras[0].T_lidar_camera, own[0])
 
 
-def test_clock_by_hand_serves_where_the_file_has_none(tmp_path: Path) -> None:
+def test_a_clock_by_hand_is_used_where_the_file_has_none(tmp_path: Path) -> None:
     assert load_truth(_written(tmp_path, _arrays()), clock_offset_ms=-3.0).clock_offset_ms == -3.0
 
 
@@ -98,12 +98,12 @@ def test_several_cameras_and_all_optional_arrays(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"scan_true": None}, "scan_true"),
         ({"depth_true": None}, "depth_true"),
         ({"scan_stamp": np.array([5], np.int64)}, "scan_true"),
-        ({"scan_stamp": np.array([5.0, 15.0])}, "whole nanoseconds"),
+        ({"scan_stamp": np.array([5.0, 15.0])}, "integer nanoseconds"),
         ({"scan_kind": np.full((2, 3), 3, np.uint8)}, "scan_kind"),
         ({"scan_kind": np.zeros((2, 4), np.uint8)}, "scan_kind"),
         ({"depth_true": np.zeros((1, 2), np.uint16)}, "depth_true"),
@@ -112,15 +112,15 @@ def test_several_cameras_and_all_optional_arrays(tmp_path: Path) -> None:
         ({"intrinsics": np.zeros((2, 4))}, "intrinsics"),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path: Path, change: dict[str, Any], said: str) -> None:
+def test_an_invalid_array_is_named(tmp_path: Path, change: dict[str, Any], message: str) -> None:
     arrays = {key: array for key, array in (_arrays() | change).items() if array is not None}
     path = _written(tmp_path, arrays)
-    with pytest.raises(ScanLoomError, match=said) as caught:
+    with pytest.raises(ScanLoomError, match=message) as caught:
         load_truth(path)
     assert caught.value.file == str(path)
 
 
-def test_what_is_no_npz_is_a_typed_error(tmp_path: Path) -> None:
+def test_a_file_that_is_not_npz_is_a_typed_error(tmp_path: Path) -> None:
     text, single = tmp_path / "text.npz", tmp_path / "single.npy"
     text.write_text("not a truth")
     np.save(single, np.zeros(3))
@@ -130,11 +130,11 @@ def test_what_is_no_npz_is_a_typed_error(tmp_path: Path) -> None:
 
 
 def test_an_array_without_end_is_a_typed_error(tmp_path: Path) -> None:
-    with pytest.raises(ScanLoomError, match="cannot be read as a truth"):
+    with pytest.raises(ScanLoomError, match="cannot be read as a truth file"):
         load_truth(write_huge_array(tmp_path / "huge.npz"))
 
 
-def test_what_unpacks_beyond_the_limit_is_refused(
+def test_an_archive_larger_than_the_limit_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = _written(tmp_path, _arrays())

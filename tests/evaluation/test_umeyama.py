@@ -67,7 +67,7 @@ def test_no_motion_nearby_is_better(group: Group, seed: int) -> None:
         assert squared(moving_m, fixed_m, other) >= least
 
 
-def test_a_flat_path_is_no_line() -> None:
+def test_a_flat_path_is_not_a_line() -> None:
     positions_m = random_transforms(6, seed=3)[:, :3, 3]
     positions_m[:, 2] = 0.0
     true = motion(4, "se3")

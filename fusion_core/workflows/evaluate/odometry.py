@@ -114,7 +114,7 @@ def _read_reference(file: Path) -> Trajectory:
         poses: FloatArray = np.asarray(arrays["pose"], dtype=np.float64)
     except (OSError, KeyError, *UNREADABLE_ARRAYS) as error:
         raise ScanLoomError(
-            f"cannot be read as a truth: {error}.",
+            f"cannot be read as a truth file: {error}.",
             file=file,
             advice="It must hold scan_stamp and pose; or give a TUM file.",
         ) from error
