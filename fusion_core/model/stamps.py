@@ -1,7 +1,8 @@
-"""Stamps of streams: outliers by the order and times of the log, and the nearest to an instant."""
+"""Stamps of streams: outliers by the order and times of the log, and those around an instant."""
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -109,3 +110,30 @@ def nearest_stamps(stamps_ns: IntArray, at_ns: IntArray) -> IntArray:
     after = np.minimum(after, stamps_ns.size - 1)
     is_before = np.abs(at_ns - stamps_ns[before]) <= np.abs(at_ns - stamps_ns[after])
     return np.where(is_before, before, after)
+
+
+class StampNeighbours(NamedTuple):
+    """Indices of the stamps before and after an instant; at a stamp both are its own.
+
+    ``fraction``: of the gap between the two that lies before the instant, in [0, 1).
+    """
+
+    before: int
+    after: int
+    gap_ns: int
+    fraction: float
+
+
+def find_neighbours(stamps_ns: IntArray, stamp_ns: int) -> StampNeighbours | None:
+    """The neighbours of an instant among (N,) strictly increasing stamps; None outside of them."""
+    after = int(np.searchsorted(stamps_ns, stamp_ns))
+    if after == stamps_ns.size:
+        return None
+    after_ns = int(stamps_ns[after])
+    if after_ns == stamp_ns:
+        return StampNeighbours(after, after, 0, 0.0)
+    if after == 0:
+        return None
+    before_ns = int(stamps_ns[after - 1])
+    gap_ns = after_ns - before_ns
+    return StampNeighbours(after - 1, after, gap_ns, (stamp_ns - before_ns) / gap_ns)

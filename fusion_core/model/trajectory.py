@@ -8,6 +8,7 @@ from fusion_core.model.conventions import FloatArray, IntArray, read_only
 from fusion_core.model.errors import StampOutsideRange
 from fusion_core.model.geometry import planar_from_transform, transform_from_planar
 from fusion_core.model.interpolation import interpolate_transform
+from fusion_core.model.stamps import find_neighbours
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,17 +55,16 @@ class Trajectory:
 
         Raises StampOutsideRange before the first and after the last stamp.
         """
-        after = int(np.searchsorted(self.stamps_ns, stamp_ns))
-        if after < self.stamps_ns.size and self.stamps_ns[after] == stamp_ns:
-            exact: FloatArray = self.T_map_body[after].copy()
-            return exact
-        if after == 0 or after == self.stamps_ns.size:
+        neighbours = find_neighbours(self.stamps_ns, stamp_ns)
+        if neighbours is None:
             raise StampOutsideRange(
                 "no pose",
                 stamp_ns=stamp_ns,
                 start_ns=int(self.stamps_ns[0]),
                 end_ns=int(self.stamps_ns[-1]),
             )
-        start_ns, end_ns = (int(stamp) for stamp in self.stamps_ns[after - 1 : after + 1])
-        fraction = (stamp_ns - start_ns) / (end_ns - start_ns)
-        return interpolate_transform(self.T_map_body[after - 1], self.T_map_body[after], fraction)
+        before, after, _, fraction = neighbours
+        if before == after:
+            exact: FloatArray = self.T_map_body[after].copy()
+            return exact
+        return interpolate_transform(self.T_map_body[before], self.T_map_body[after], fraction)

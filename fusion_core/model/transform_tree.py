@@ -9,6 +9,7 @@ from fusion_core.model.errors import FramesNotConnected, StampOutsideRange
 from fusion_core.model.geometry import invert_transform
 from fusion_core.model.interpolation import interpolate_transform
 from fusion_core.model.sensors import Transform
+from fusion_core.model.stamps import StampNeighbours, find_neighbours
 
 _Pair = tuple[str, str]
 
@@ -208,32 +209,21 @@ class _Samples:
         self._stamps_ns[: self._size] = self._stamps_ns[dropped:].copy()
         self._poses[: self._size] = self._poses[dropped:].copy()
 
-    def _bracket(self, stamp_ns: int) -> tuple[int, int] | None:
-        """Indices of the samples at or around an instant; one index twice at a recorded stamp."""
-        after = self._place(stamp_ns)
-        if after < self._size and self._stamps_ns[after] == stamp_ns:
-            return after, after
-        if after == 0 or after == self._size:
-            return None
-        return after - 1, after
+    def _find_neighbours(self, stamp_ns: int) -> StampNeighbours | None:
+        return find_neighbours(self._stamps_ns[: self._size], stamp_ns)
 
     def gap_ns(self, stamp_ns: int) -> int | None:
-        """Time between the samples around an instant, None outside of the known range."""
-        bracket = self._bracket(stamp_ns)
-        if bracket is None:
-            return None
-        before, after = bracket
-        return int(self._stamps_ns[after]) - int(self._stamps_ns[before])
+        """Time between the samples around an instant, 0 at a sample, None outside of them."""
+        neighbours = self._find_neighbours(stamp_ns)
+        return None if neighbours is None else neighbours.gap_ns
 
     def at(self, stamp_ns: int) -> FloatArray:
         """(4, 4) at an instant inside the known range."""
-        bracket = self._bracket(stamp_ns)
-        if bracket is None:
+        neighbours = self._find_neighbours(stamp_ns)
+        if neighbours is None:
             raise ValueError(f"{stamp_ns} ns is not between {self.start_ns} and {self.end_ns} ns")
-        before, after = bracket
+        before, after, _, fraction = neighbours
         if before == after:
-            exact: FloatArray = self._poses[before].copy()
+            exact: FloatArray = self._poses[after].copy()
             return exact
-        start_ns, end_ns = int(self._stamps_ns[before]), int(self._stamps_ns[after])
-        fraction = (stamp_ns - start_ns) / (end_ns - start_ns)
         return interpolate_transform(self._poses[before], self._poses[after], fraction)

@@ -7,6 +7,7 @@ import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.planar_poses import interpolate_pose
+from fusion_core.model.stamps import find_neighbours
 from fusion_core.motion.steps import steps_between
 
 
@@ -69,21 +70,20 @@ class OdometryTrajectory:
 
         At one of the stamps it is the pose there, unless neither of its steps was measured.
         """
-        after = int(np.searchsorted(self.stamps_ns, stamp_ns))
-        if after == self.stamps_ns.size:
+        neighbours = find_neighbours(self.stamps_ns, stamp_ns)
+        if neighbours is None:
             return None
-        if self.stamps_ns[after] == stamp_ns:
+        before, after, _, fraction = neighbours
+        if before == after:
             beside = self.measured[max(after - 1, 0) : after + 1]
             if beside.size and not beside.any():
                 return None
             exact: FloatArray = self.poses_odom_lidar[after].copy()
             return exact
-        if after == 0 or not self.measured[after - 1]:
+        if not self.measured[before]:
             return None
-        begin_ns, end_ns = (int(stamp) for stamp in self.stamps_ns[after - 1 : after + 1])
-        fraction = (stamp_ns - begin_ns) / (end_ns - begin_ns)
-        before = self.poses_odom_lidar[after - 1]
-        return interpolate_pose(before, self.poses_odom_lidar[after], fraction)
+        poses = self.poses_odom_lidar
+        return interpolate_pose(poses[before], poses[after], fraction)
 
 
 def mask_unmeasured(covariance: FloatArray, measured: BoolArray) -> FloatArray:

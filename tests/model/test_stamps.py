@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from fusion_core.model.conventions import NS_PER_S
 from fusion_core.model.stamps import (
     NO_STAMP,
+    find_neighbours,
     longest_ascending,
     nearest_stamp,
     nearest_stamps,
@@ -136,3 +137,22 @@ def test_the_nearest_stamp_is_that_of_a_search_of_all(stamps: list[int], at: int
 
 def test_without_stamps_none_is_nearest() -> None:
     assert nearest_stamp([], 0, 1000.0) is None
+
+
+@given(st.lists(st.integers(-50, 50), min_size=1, unique=True), st.integers(-60, 60))
+def test_the_neighbours_are_those_of_a_search_of_all(stamps: list[int], at: int) -> None:
+    ordered = sorted(stamps)
+    found = find_neighbours(np.array(ordered), at)
+    if not ordered[0] <= at <= ordered[-1]:
+        assert found is None
+        return
+    assert found is not None
+    assert ordered[found.before] == max(stamp for stamp in ordered if stamp <= at)
+    assert ordered[found.after] == min(stamp for stamp in ordered if stamp >= at)
+    assert found.gap_ns == ordered[found.after] - ordered[found.before]
+    assert 0.0 <= found.fraction < 1.0
+    assert ordered[found.before] + found.fraction * found.gap_ns == pytest.approx(at)
+
+
+def test_without_stamps_there_are_no_neighbours() -> None:
+    assert find_neighbours(np.empty(0, dtype=np.int64), 0) is None

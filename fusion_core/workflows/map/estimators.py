@@ -11,6 +11,7 @@ from fusion_core.model.errors import MappingFailed
 from fusion_core.model.planar_poses import PosePrior, interpolate_pose
 from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import SlamObserver
+from fusion_core.model.stamps import find_neighbours
 from fusion_core.slam.particle_filter_slam import ParticleResult, particle_filter_slam
 from fusion_core.slam.pose_graph_slam import SlamResult, pose_graph_slam
 from fusion_core.workflows.map.scan_source import ScanSource
@@ -45,18 +46,14 @@ class PlacedScans:
 
     def pose_at(self, stamp_ns: int) -> FloatArray | None:
         """(3,) the pose at an instant, interpolated; None outside and in gaps."""
-        stamps_ns, poses = self.stamps_ns, self.poses_map_scan
-        after = int(np.searchsorted(stamps_ns, stamp_ns))
-        if after < stamps_ns.size and stamps_ns[after] == stamp_ns:
-            exact: FloatArray = poses[after]
+        neighbours = find_neighbours(self.stamps_ns, stamp_ns)
+        if neighbours is None or neighbours.gap_ns > _POSE_GAP_MAX_NS:
+            return None
+        before, after, _, fraction = neighbours
+        if before == after:
+            exact: FloatArray = self.poses_map_scan[after]
             return exact
-        if after in (0, stamps_ns.size):
-            return None
-        gap_ns = int(stamps_ns[after] - stamps_ns[after - 1])
-        if gap_ns > _POSE_GAP_MAX_NS:
-            return None
-        fraction = (stamp_ns - int(stamps_ns[after - 1])) / gap_ns
-        return interpolate_pose(poses[after - 1], poses[after], fraction)
+        return interpolate_pose(self.poses_map_scan[before], self.poses_map_scan[after], fraction)
 
 
 def place_scans(
