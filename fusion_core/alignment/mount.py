@@ -24,11 +24,13 @@ from fusion_core.model.conventions import FloatArray, wrap_angle
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.rig import Mount
 
-# Beyond these standard deviations (in the order of MOUNT_PARAMETERS) a value is not observable:
-# it could not be told from its neighbours by the classes and repairs that use it.
+# Beyond these standard deviations (in the order of MOUNT_PARAMETERS) a value is not observable: its
+# error would change the noise classes and repairs that use it. Set by hand.
 _OBSERVABLE_SD = np.array([np.deg2rad(1.5), 0.15, 0.10, 0.10, np.deg2rad(2.0), 25.0])
-# Weak priors keep what the data do not show near zero: a rig is compact and nearly level.
+# Weak priors keep what the data do not show near zero: a rig is compact and nearly level. Set by
+# hand.
 _PRIOR_SD = np.array([np.deg2rad(10.0), 1.0, 0.15, 0.15, np.deg2rad(5.0), 80.0])
+# How far a recorded mount, from a CAD drawing or a calibration, may be off. It has no clock offset.
 _RECORDED_SD = np.array([np.deg2rad(0.3), 0.01, 0.01, 0.01, np.deg2rad(0.3), 80.0])
 # One standard deviation of a prior weighs as much as this many blocks of frames.
 _PRIOR_BLOCKS = 20.0
@@ -44,7 +46,7 @@ _SAME_YAW_RAD = np.deg2rad(5.0)
 _SAME_HEIGHT_M = 0.15
 # Steps of the search and of the finite differences: large against a pixel, small against a mode.
 _STEP = np.array([np.deg2rad(0.6), 0.04, 0.04, 0.04, np.deg2rad(0.8), 20.0])
-# Noise in one sensor makes the costs of two heights differ by this much.
+# Costs per point that differ by less are equal; set by hand.
 _RIVAL_COST = 0.01
 
 
@@ -76,10 +78,10 @@ def estimate_mount(
 ) -> MountEstimate:
     """Refine the mount from the yaw of the recording's offset u.
 
-    Where the plane of the LiDAR lies far from any one row, the rows can favour a wrong yaw: other
-    yaws are tried as well, and taken only where they agree significantly better.
+    Where the LiDAR's plane follows no single row, the rows can favour a wrong yaw: other yaws are
+    tried as well, and taken only where they agree significantly better.
     ``recorded``: extrinsics that the recording itself gives; used as a prior where they explain
-    what is seen (``refusal_of``), unless too few points agree and another mount explains them
+    what is seen (``find_refusal``), unless too few points agree and another mount explains them
     significantly. ``on_step`` is called before each mount that is tried, and may raise to end the
     search.
 
@@ -122,11 +124,11 @@ def estimate_mount(
             sd = np.maximum(sd, np.abs(rival - best))
             sd[[1, 4]] = np.inf
     elif cost.tallies_per_frame(best)[:, 2].sum() < MIN_POINTS:
-        # It is used as it stands, and the recording shows nothing of it.
+        # The recording does not constrain it: it is used as recorded.
         sd[:] = np.inf
     if is_yaw_ambiguous:
         sd[0] = np.inf
-    # Pairs need the turn of yaw and delay together, which is known even where neither is.
+    # Pairs need only the sum of yaw and delay, which is known even where neither alone is.
     is_yaw_observable = bool(sd[0] <= _OBSERVABLE_SD[0])
     sd = _widen_for_clock_offset(sd, cost.turn_rates_rad_s, prior_sd[5], settings)
     mount = Mount.from_vector(
@@ -151,12 +153,12 @@ def estimate_mount(
 def _fit_without_recorded(
     problem: MountCost, yaw_rad: float, heights_m: FloatArray, highest_m: float
 ) -> list[FloatArray]:
-    """Refined mounts of which nothing but the rows' yaw is known, and of the yaws that rival it."""
+    """Refined mounts, starting from the rows' yaw and from the yaws that rival it."""
     fits = []
     for yaw in [yaw_rad, *_find_rival_yaws(problem.subsampled(), yaw_rad, heights_m[::3])]:
         centre = _level_mount(yaw)
         cost = _add_prior(problem, centre, _PRIOR_SD, highest_m)
-        # A rival yaw must only show how well it can agree; the rows' own is refined fully.
+        # The best start is enough to compare a rival; the rows' own yaw gets several.
         count = _MAX_STARTS if yaw == yaw_rad else 1
         for start in _local_minima(_delta_z_profile(problem, centre, heights_m), centre, count):
             fits.append(_minimize(cost, start))
@@ -167,9 +169,9 @@ def _reason_to_prefer_free_fit(
     problem: MountCost, stated: FloatArray, free: FloatArray, settings: MountSettings
 ) -> str:
     """Why the fit of a recorded mount, under which too few points agree, is not to be used: the
-    points agree under a free one, which is better with significance; "" where that is not so.
+    points agree under a free fit, which is significantly better; "" where that is not so.
 
-    Points that no image shows under it do not contradict it: at another height walls agree as well.
+    Points that fall on no valid depth do not contradict a mount: walls agree at other heights, too.
     """
     agreement, visible = problem.agreement_and_visibility(stated)
     free_agreement, _ = problem.agreement_and_visibility(free)
@@ -314,9 +316,11 @@ def _minimize(cost: Callable[[FloatArray], float], start: FloatArray) -> FloatAr
 
 
 def _sandwich_sd(problem: MountCost, values: FloatArray, spread: FloatArray) -> FloatArray:
-    """One standard deviation of each parameter: H^-1 G H^-1 over blocks of frames, G the spread of
-    the blocks' gradients, H the curvature of their mean with the prior's. One block has no spread:
-    nothing is known then."""
+    """(6,) standard deviations, inf where unknown, by the sandwich estimator H^-1 G H^-1.
+
+    G is the covariance of the gradients of blocks of frames, H the Hessian of their mean with the
+    prior's. A single block has no covariance: nothing is known then.
+    """
     count = values.size
     if problem.blocks < 2:
         return np.full(count, np.inf)
@@ -343,7 +347,7 @@ def _sandwich_sd(problem: MountCost, values: FloatArray, spread: FloatArray) -> 
     curvature = scale @ hessian @ scale + np.diag(
         (_STEP / spread) ** 2 / (problem.blocks * _PRIOR_BLOCKS)
     )
-    # A prior's centre is off by its own spread: where the data say nothing, that is the answer.
+    # The prior's centre is uncertain by its own spread: without data that is the result.
     prior = (_STEP / spread) ** 2 / (problem.blocks * _PRIOR_BLOCKS) ** 2
     noise = np.cov(scale @ gradients) / problem.blocks + np.diag(prior)
     eigenvalues, vectors = np.linalg.eigh(curvature)
@@ -361,8 +365,9 @@ def _sandwich_sd(problem: MountCost, values: FloatArray, spread: FloatArray) -> 
 def _widen_for_clock_offset(
     sd: FloatArray, rates_rad_s: FloatArray, delay_spread_ms: float, settings: MountSettings
 ) -> FloatArray:
-    """The deviations where a delay looks like a yaw: only changes of the turn rate tell the two
-    apart (a line fitted to the frames' yaws over their rates, each ``frame_yaw_sd_deg`` off)."""
+    """The standard deviations of yaw and clock offset, widened for their ambiguity: only changes of
+    the turn rate separate the two (as the slope of a line through the frames' yaws over their turn
+    rates, each yaw off by ``frame_yaw_sd_deg``)."""
     changes_rad_s = np.std(rates_rad_s) * np.sqrt(rates_rad_s.size)
     delay_ms = 1e3 * np.deg2rad(settings.frame_yaw_sd_deg) / max(float(changes_rad_s), 1e-6)
     widened = sd.copy()

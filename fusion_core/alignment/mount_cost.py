@@ -1,9 +1,9 @@
 """The cost that the mount minimises: how well it projects LiDAR points onto the depth images.
 
-Three ways to disagree are not the same. A camera that sees *through* a LiDAR point (depth beyond
-it) contradicts the mount; one that sees something *nearer* may just be occluded; a point above or
-below the image says little, but must cost something, since a large Delta z would otherwise hide
-every near point that could disagree. Points to the side of the image cost nothing.
+Disagreements differ in weight. A camera that sees *through* a LiDAR point (depth beyond it)
+contradicts the mount; one that sees something *nearer* may just be occluded. A point above or below
+the image says little, but must cost something: a large Delta z would otherwise move every near
+point that could disagree out of the image. Points to the side of the image cost nothing.
 """
 
 from collections.abc import Callable, Sequence
@@ -80,11 +80,12 @@ class MountSettings(StageSettings):
 
 
 MIN_POINTS = 100
-"""Of fewer LiDAR points nothing is concluded."""
+"""From fewer LiDAR points nothing is concluded: an agreement of one half is then known to 10 % (two
+standard deviations)."""
 
 # Neighbouring frames see the same walls: they count as one observation.
 _FRAMES_PER_BLOCK = 4
-# The usual depth cameras measure nothing nearer.
+# The least depth of an Intel D435 at its lowest resolution, by its data sheet (105 mm), rounded.
 _MIN_DEPTH_M = 0.1
 # Within so many tolerances a point agrees with the depth: where the loss is about a half.
 _AGREE_TOLERANCES = 2.5
@@ -94,7 +95,7 @@ _WELSCH = 0.125
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MountObservation:
-    """One scan and one image of the subset that the refinement keeps.
+    """A paired scan and image of the subset that the refinement uses.
 
     ``points_m``: (N, 2) valid LiDAR points in the LiDAR frame at the scan's stamp.
     ``raw_depth_m``: (H, W) upright view, ``depth_m`` the same without speckle.
@@ -121,8 +122,8 @@ def mount_observation(
     image_stamp_ns: int,
     turn_rate_rad_s: float,
 ) -> MountObservation:
-    """Keep what the agreement needs of one pair. Without neighbours in time the turn rate (rad/s)
-    is NaN, and no turn between the two stamps can be taken out."""
+    """The observation of one pair. ``turn_rate_rad_s`` is NaN where the scan has no neighbours in
+    time; the turn between the two stamps is then not compensated."""
     valid = np.isfinite(scan.ranges_m)
     angles = scan.angles_rad[valid]
     ranges = scan.ranges_m[valid]
@@ -141,7 +142,7 @@ def remove_speckle(depth_m: Float32Array) -> Float32Array:
     """The depth image without lone values, by a 3 x 3 median, and without lone holes.
 
     A hole among at least four valid pixels of one surface in the 5 x 5 around becomes their mean
-    (dark furniture answers in every other pixel); other holes stay.
+    (dark furniture may return every other pixel only); other holes stay.
     """
     zeroed = np.where(np.isfinite(depth_m), depth_m, np.float32(0.0))
     filtered = cv2.medianBlur(zeroed, 3)
@@ -160,8 +161,8 @@ def remove_speckle(depth_m: Float32Array) -> Float32Array:
 class MountCost:
     """The kept frames as flat arrays, and the cost of a mount on each of them.
 
-    ``farthest_m``: the longest range of the LiDAR. ``on_step`` is called before each mount that is
-    tried, and may raise to end the search.
+    ``max_range_m``: the longest measured range of the LiDAR. ``on_step`` is called before each
+    mount that is tried, and may raise to end the search.
     """
 
     def __init__(
@@ -201,7 +202,7 @@ class MountCost:
         self.blocks = max(1, len(frames) // _FRAMES_PER_BLOCK)
 
     def subsampled(self) -> "MountCost":
-        """Every third frame, to look far around."""
+        """The same cost over every third frame, for a wide search."""
         return MountCost(self._frames[::3], self._settings, self._on_step)
 
     def lowest_surface_m(self) -> float:
@@ -224,7 +225,7 @@ class MountCost:
         return float(np.median(lowest)) if lowest else float("-inf")
 
     def tallies_per_frame(self, values: FloatArray) -> FloatArray:
-        """(F, 4): cost, points in front of the camera, points on valid depth, points in accord."""
+        """(F, 4): cost, points in front of the camera, points on valid depth, points that agree."""
         mount = Mount.from_vector(values)
         return self._tallies(invert_transform(mount.T_lidar_rig), mount)
 
@@ -256,6 +257,7 @@ class MountCost:
         return tallies
 
     def mean_cost(self, values: FloatArray) -> float:
+        """Cost per point in front of a camera."""
         tallies = self.tallies_per_frame(values)
         return float(tallies[:, 0].sum() / max(tallies[:, 1].sum(), 1.0))
 
@@ -270,6 +272,8 @@ class MountCost:
         )
 
     def agreement_and_visibility(self, values: FloatArray) -> tuple[float, float]:
+        """Fraction of the points on valid depth that agree, and fraction of the points in front of
+        a camera that fall on valid depth."""
         tallies = self.tallies_per_frame(values).sum(axis=0)
         return float(tallies[3] / max(tallies[2], 1.0)), float(tallies[2] / max(tallies[1], 1.0))
 
@@ -292,9 +296,9 @@ def _tally_points(
     intrinsics: FloatArray,
     T_camera_lidar: FloatArray,
     tolerance_m: float,
-    tolerance_share: float,
-    nearer_cost: float,
-    hidden_cost: float,
+    tolerance_fraction: float,
+    occlusion_cost: float,
+    no_depth_cost: float,
 ) -> FloatArray:
     """Per frame: cost, points in front, points on valid depth, points within 2.5 tolerances."""
     frames = intrinsics.shape[0]
@@ -313,18 +317,18 @@ def _tally_points(
             v = cy + fy * (T[1, 0] * x + T[1, 1] * y + T[1, 3]) / depth
             out[frame, 1] += 1.0
             if v < -0.5 or v >= height - 0.5:
-                out[frame, 0] += hidden_cost
+                out[frame, 0] += no_depth_cost
                 continue
             column = int(np.floor(u + 0.5))
             row = int(np.floor(v + 0.5))
             seen = pixels[first_pixel[frame] + row * int(width) + column]
             if np.isnan(seen):
-                out[frame, 0] += hidden_cost
+                out[frame, 0] += no_depth_cost
                 continue
             out[frame, 2] += 1.0
-            off = (seen - depth) / (tolerance_m + tolerance_share * depth)
+            off = (seen - depth) / (tolerance_m + tolerance_fraction * depth)
             loss = 1.0 - np.exp(-_WELSCH * off * off)
-            out[frame, 0] += loss if off > 0.0 else nearer_cost * loss
+            out[frame, 0] += loss if off > 0.0 else occlusion_cost * loss
             if abs(off) < _AGREE_TOLERANCES:
                 out[frame, 3] += 1.0
     return out

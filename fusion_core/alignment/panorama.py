@@ -27,7 +27,7 @@ class Panorama:
         self._rays = []
         azimuths: list[float] = []
         for camera in self._cameras:
-            # Every pixel column nearest to half a sample is enough for one value a sample.
+            # Columns half a sample apart give at least one value a sample.
             intrinsics = camera.intrinsics
             stride = max(1, int(0.5 * step_rad * intrinsics.fx))
             columns = np.arange(0, intrinsics.width, stride)

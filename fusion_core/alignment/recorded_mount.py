@@ -8,9 +8,9 @@ from fusion_core.alignment.mount_cost import MIN_POINTS, MountCost, MountSetting
 from fusion_core.model.conventions import wrap_angle
 from fusion_core.model.rig import Mount
 
-# A recorded yaw this near to that of the rows speaks for a mount.
+# Tolerance between a recorded yaw and that of the rows; set by hand.
 _SAME_YAW_RAD = np.deg2rad(5.0)
-# Turned by each of these a right mount would be wrong, but for a room that repeats itself.
+# Turned by each of these a right mount becomes wrong, unless the room repeats itself.
 _TURNS_RAD = np.deg2rad(np.arange(10.0, 360.0, 10.0))
 # Significance level: the fraction of turned mounts that may agree as well as the recorded one.
 _CHANCE = 0.05
@@ -21,11 +21,11 @@ def find_refusal(
 ) -> str:
     """Why a recorded mount is not to be used, as part of a sentence; "" where it is.
 
-    It is where points agree under it. Where too few do, its yaw must be that of the rows
-    (``yaw_rad``, where they were searched), the camera nearer than the farthest that the LiDAR
-    sees, and of the points that fall on a valid depth more must agree than do by chance: than where
-    the same camera is turned to look elsewhere. Of a camera that looks past the LiDAR's plane,
-    with fewer than LEAST_POINTS on a valid depth, there is no verdict.
+    It is used where enough points agree under it. Where too few do, three tests must pass: its yaw
+    is that of the rows (``yaw_rad``, None where they were not searched); the camera is nearer to
+    the LiDAR than the longest measured range; and more points agree than by chance, which is how
+    many agree with the same camera turned elsewhere. A camera that hardly sees the LiDAR's plane,
+    with fewer than MIN_POINTS on a valid depth, is not tested.
     """
     agreement, _ = problem.agreement_and_visibility(recorded.vector())
     if agreement >= settings.min_agreement:

@@ -67,7 +67,7 @@ def find_peak(
     allowed = np.isfinite(best_of_offset)
     if prior_u is not None:
         offsets = field.u_first + np.arange(best_of_offset.size)
-        # Half a sample: with no reach at all the nearest whole offset still counts.
+        # Half a sample: with prior_samples = 0 the nearest whole offset is still allowed.
         allowed &= np.abs(offsets - prior_u) <= max(settings.prior_samples, 0.5)
     if not allowed.any():
         raise AlignmentFailed(

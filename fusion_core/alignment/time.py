@@ -1,8 +1,8 @@
 """Xu 2024 §2.1: which scan belongs to a depth image, and how the LiDAR turned between the two.
 
 The paper pairs by sampling rates, t = f(i) / g(j); with stamps the nearest scan is the same where
-the rates are constant and right where they are not. A robot that turns at 0.5 rad/s moves 1.4
-degrees within half a scan period, so the turn between the two stamps is taken out, with a rate
+the rates are constant and right where they are not. A robot that turns at 0.5 rad/s turns by 1.4
+degrees within half a scan period, so the turn between the two stamps is compensated, with a rate
 measured from consecutive scans: no odometry is needed.
 """
 
@@ -15,7 +15,7 @@ from fusion_core.model.conventions import NS_PER_S, FloatArray
 from fusion_core.model.sensors import LaserScan
 from fusion_core.settings import StageSettings, setting
 
-# A range difference beyond this belongs to another surface and says nothing about the turn.
+# A range difference beyond this is between two surfaces and does not measure the turn; set by hand.
 _MAX_DIFFERENCE_M = 0.3
 
 

@@ -1,7 +1,7 @@
-"""A camera's image as the stages want it: upright and without distortion.
+"""A camera's image as the stages take it: upright and without distortion.
 
-Robot@Home's cameras stand on their side, and some drivers publish distorted depth. Both are taken
-out by one index map, so that every stage works on an ideal upright image and every result can name
+Robot@Home's cameras are mounted in portrait, and some drivers publish distorted depth. One index
+map corrects both, so that every stage works on an ideal upright image and every result can name
 the pixel in the stored one. No depth is interpolated.
 """
 
@@ -16,9 +16,12 @@ from fusion_core.model.sensors import CameraIntrinsics
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UprightView:
-    """``stored_index``: (H', W') flat index into the stored image, -1 where it has no pixel; None
-    for an image that is upright and undistorted already. ``intrinsics`` are the view's;
-    ``R_stored_view`` turns the view's optical axes into the stored image's."""
+    """An ideal upright view (H', W') of a stored image.
+
+    ``intrinsics``: of the view. ``stored_index``: (H', W') flat index into the stored image, -1
+    where that has no pixel; None where the stored image is upright and undistorted already.
+    ``R_stored_view``: (3, 3) from the view's optical axes to the stored image's.
+    """
 
     intrinsics: CameraIntrinsics
     stored_shape: tuple[int, int]
@@ -54,15 +57,15 @@ def upright_view(intrinsics: CameraIntrinsics, up_in_camera: FloatArray | None) 
     turns = 0 if up_in_camera is None else _quarter_turns(up_in_camera)
     shape = (intrinsics.height, intrinsics.width)
     index = np.arange(shape[0] * shape[1], dtype=np.int64).reshape(shape)
-    lens = intrinsics
+    undistorted = intrinsics
     if any(intrinsics.distortion):
-        index, lens = _undistort_index(index, intrinsics)
+        index, undistorted = _undistort_index(index, intrinsics)
     index = np.rot90(index, turns)
-    plain = turns == 0 and lens is intrinsics
+    is_identity = turns == 0 and undistorted is intrinsics
     return UprightView(
-        intrinsics=_rotate_intrinsics(lens, turns),
+        intrinsics=_rotate_intrinsics(undistorted, turns),
         stored_shape=shape,
-        stored_index=None if plain else np.ascontiguousarray(index),
+        stored_index=None if is_identity else np.ascontiguousarray(index),
         R_stored_view=_R_STORED_VIEW[turns].copy(),
     )
 
@@ -85,34 +88,41 @@ def _quarter_turns(up_in_camera: FloatArray) -> int:
     return 2 if down > 0.0 else 0
 
 
-def _rotate_intrinsics(lens: CameraIntrinsics, turns: int) -> CameraIntrinsics:
+def _rotate_intrinsics(intrinsics: CameraIntrinsics, turns: int) -> CameraIntrinsics:
+    """The intrinsics after quarter turns of the image counter-clockwise."""
     for _ in range(turns):
-        lens = replace(
-            lens,
-            width=lens.height,
-            height=lens.width,
-            fx=lens.fy,
-            fy=lens.fx,
-            cx=lens.cy,
-            cy=lens.width - 1 - lens.cx,
+        intrinsics = replace(
+            intrinsics,
+            width=intrinsics.height,
+            height=intrinsics.width,
+            fx=intrinsics.fy,
+            fy=intrinsics.fx,
+            cx=intrinsics.cy,
+            cy=intrinsics.width - 1 - intrinsics.cx,
         )
-    return lens
+    return intrinsics
 
 
-def _undistort_index(index: IntArray, lens: CameraIntrinsics) -> tuple[IntArray, CameraIntrinsics]:
-    K = np.array([[lens.fx, 0.0, lens.cx], [0.0, lens.fy, lens.cy], [0.0, 0.0, 1.0]])
-    size = (lens.width, lens.height)
-    coefficients = np.array(lens.distortion)
-    if lens.distortion_model in ("equidistant", "fisheye"):
+def _undistort_index(
+    index: IntArray, intrinsics: CameraIntrinsics
+) -> tuple[IntArray, CameraIntrinsics]:
+    """The (H, W) indices under the pixels of the undistorted image, -1 outside, and its
+    intrinsics."""
+    K = np.array(
+        [[intrinsics.fx, 0.0, intrinsics.cx], [0.0, intrinsics.fy, intrinsics.cy], [0.0, 0.0, 1.0]]
+    )
+    size = (intrinsics.width, intrinsics.height)
+    coefficients = np.array(intrinsics.distortion)
+    if intrinsics.distortion_model in ("equidistant", "fisheye"):
         u, v = cv2.fisheye.initUndistortRectifyMap(
             K, coefficients[:4], np.eye(3), K, size, cv2.CV_32FC1
         )
     else:
         u, v = cv2.initUndistortRectifyMap(K, coefficients, np.eye(3), K, size, cv2.CV_32FC1)
     column, row = np.rint(u), np.rint(v)
-    # In floats first: what a strong distortion throws out of the image overflows an integer.
-    inside = (column >= 0) & (column < lens.width) & (row >= 0) & (row < lens.height)
+    # In floats first: strong distortion maps to pixels whose numbers overflow an integer.
+    inside = (column >= 0) & (column < intrinsics.width) & (row >= 0) & (row < intrinsics.height)
     taken = index[
         np.where(inside, row, 0).astype(np.int64), np.where(inside, column, 0).astype(np.int64)
     ]
-    return np.where(inside, taken, -1), replace(lens, distortion=())
+    return np.where(inside, taken, -1), replace(intrinsics, distortion=())

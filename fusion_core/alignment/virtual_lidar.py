@@ -1,8 +1,8 @@
 """A LiDAR curve cut from a row of the depth image, to inspect recordings with depth alone.
 
-The curve is the row's full width as depthimage_to_laserscan makes it. So that alignment has
-something to find, the depth rows are then cropped to their middle and lose the rows around the
-cut. Results made of it are labelled virtual: both curves are one sensor's.
+The curve is the row's full width, as depthimage_to_laserscan makes it. So that alignment has
+offsets to search, the depth rows are then cropped to their middle, and the rows around the cut are
+removed. Results are labelled virtual: both curves are from one sensor.
 """
 
 from dataclasses import replace
@@ -21,7 +21,7 @@ FRAME_ID = "virtual_lidar"
 _KEPT_WIDTH_FRACTION = 0.6
 # Rows beside the cut that show the same surface would match it trivially.
 _ROWS_LEFT_OUT = 3
-# Consumer depth cameras are hardly usable beyond.
+# The maximum range of Intel's D400 cameras, by their data sheet ("approximately 10 m").
 _RANGE_MAX_M = 10.0
 
 

@@ -1,10 +1,11 @@
-"""Which depth pixel belongs to which LiDAR beam, and what each sensor says of the other.
+"""Which depth pixel belongs to which LiDAR beam, and what each sensor predicts for the other.
 
 Every beam inside the camera's view is kept: nothing is decimated. Along the projected curve (the
-default, where the mount is known) a beam with a range meets the pixel onto which its point falls.
-Every beam, with a range or without, is also followed through the depth image as a ray: where it
-first meets the surface that the camera sees is the camera's answer for that beam. In the row
-(where the mount is not known, and in the paper) a beam meets the row's pixel of the same azimuth.
+default, where the mount is known) a beam with a range is paired with the pixel onto which its point
+projects. Every beam, with a range or without, is also cast as a ray through the depth image: the
+range at which it first meets the surface that the camera sees is the camera's prediction for it. In
+the row (where the mount is not known, and in the paper) a beam is paired with the row's pixel of
+the same azimuth.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -32,7 +33,7 @@ RowModel = Literal["curve", "row"]
 _EDGE_M = 0.25
 # About the noise of a LiDAR at 2 m; the crossing is interpolated within a step.
 _RAY_STEP_M = 0.03
-# The usual depth cameras measure nothing nearer.
+# The least depth of an Intel D435 at 640 x 360 pixels, by its data sheet; a Kinect's is greater.
 _MIN_DEPTH_M = 0.15
 # Beams that leave the camera's plane too slowly gain almost no depth per step: 78 degrees off axis.
 _MIN_FORWARD = 0.2
@@ -45,11 +46,11 @@ class Correspondence:
     """One scan against one image: arrays over the B beams inside the camera's view.
 
     ``beam``: index in the scan. ``row``, ``column``: pixel in the upright view, -1 where the
-    beam's point lies outside the image (or nothing tells where it lies).
+    beam's point lies outside the image or is not known.
     ``lidar_range_m``: the beam's own range; ``depth_m``: the pixel's own depth along the optical
     axis; ``depth_as_range_m``: that pixel's point as a horizontal range from the LiDAR's origin;
     ``lidar_as_depth_m``: the beam's point as a depth along the optical axis;
-    ``camera_range_m``: the range at which the beam, followed as a ray, meets what the camera sees.
+    ``camera_range_m``: the range at which the beam, cast as a ray, meets what the camera sees.
     ``azimuth_rad``: the beam in the LiDAR frame. ``residual_m``: what eq. (6) compares with
     epsilon, signed depth - LiDAR where both are ranges. NaN where missing.
     """
@@ -85,13 +86,13 @@ def match_along_curve(
     it). ``T_lidar_camera``: (4, 4) optical frame at the image's stamp to the LiDAR frame at the
     scan's stamp.
     """
-    lens = camera.intrinsics
+    intrinsics = camera.intrinsics
     T_camera_lidar = invert_transform(T_lidar_camera)
     camera_range = _cast_rays(
         scan.angles_rad,
         smooth_depth_m,
         T_camera_lidar,
-        np.array([lens.fx, lens.fy, lens.cx, lens.cy]),
+        np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy]),
         scan.range_max_m,
     )
     guess = np.where(np.isfinite(scan.ranges_m), scan.ranges_m, camera_range)
@@ -100,9 +101,9 @@ def match_along_curve(
     lidar = scan.ranges_m[beam]
     in_camera = transform_points(T_camera_lidar, _points_at_range(azimuth_rad, guess[beam]))
     scale = np.where(in_camera[:, 2] > _MIN_DEPTH_M, in_camera[:, 2], np.nan)
-    u = lens.cx + lens.fx * in_camera[:, 0] / scale
-    v = lens.cy + lens.fy * in_camera[:, 1] / scale
-    row, column = _nearest_pixel(u, v, lens.height, lens.width)
+    u = intrinsics.cx + intrinsics.fx * in_camera[:, 0] / scale
+    v = intrinsics.cy + intrinsics.fy * in_camera[:, 1] / scale
+    row, column = _nearest_pixel(u, v, intrinsics.height, intrinsics.width)
     depth = np.where(row >= 0, depth_m[row, column], np.nan).astype(np.float64)
     seen = transform_points(T_lidar_camera, depth[:, np.newaxis] * camera.rays(row, column))
     depth_as_range = np.hypot(seen[:, 0], seen[:, 1])
@@ -129,17 +130,19 @@ def match_in_row(
     T_lidar_camera: FloatArray,
     row: int,
 ) -> Correspondence:
-    """Pair beams with the pixels of one row that have the same azimuth (the paper's way).
+    """Pair beams with the pixels of one row that have the same azimuth, as the paper does.
 
-    The camera counts as standing in the LiDAR's axis, level: only the yaw of ``T_lidar_camera``
-    is used, and a row's horizontal range is compared as it is.
+    The camera is assumed level and on the LiDAR's axis: only the yaw of ``T_lidar_camera`` is used,
+    and a row's horizontal range is compared with the beam's as it is.
     """
-    lens = camera.intrinsics
+    intrinsics = camera.intrinsics
     yaw_rad = float(np.arctan2(T_lidar_camera[1, 2], T_lidar_camera[0, 2]))
     relative = np.angle(np.exp(1j * (scan.angles_rad - yaw_rad)))
     ahead = np.abs(relative) < _MAX_OFF_AXIS_RAD
-    u = np.where(ahead, lens.cx - lens.fx * np.tan(np.where(ahead, relative, 0.0)), np.nan)
-    beam = np.flatnonzero((u >= -0.5) & (u < lens.width - 0.5))
+    u = np.where(
+        ahead, intrinsics.cx - intrinsics.fx * np.tan(np.where(ahead, relative, 0.0)), np.nan
+    )
+    beam = np.flatnonzero((u >= -0.5) & (u < intrinsics.width - 0.5))
     column = np.floor(u[beam] + 0.5).astype(np.int64)
     range_per_depth = 1.0 / np.cos(relative[beam])
     lidar = scan.ranges_m[beam]
@@ -212,7 +215,8 @@ def compare_samples(
     A_inverse: FloatArray,
     residual_m: FloatArray,
 ) -> Correspondence:
-    """The paper's pairs with what A makes of them: D A^-1 (7) for beams, L A (8) for pixels."""
+    """The paper's pairs with the values predicted through A: D A^-1 (7) for beams, L A (8) for
+    pixels."""
     has_lidar, has_depth = np.isfinite(pairs.lidar_range_m), np.isfinite(pairs.depth_m)
     as_range = np.where(has_depth, apply_transform(A_inverse, D)[:, 1], np.nan)
     return replace(
@@ -275,7 +279,8 @@ def _nearest_pixel(
 def _is_column_in_view(
     azimuth_rad: FloatArray, range_m: FloatArray, T_camera_lidar: FloatArray, camera: Camera
 ) -> BoolArray:
-    """Beams whose column lies in the image; without any range, at the range of its neighbours."""
+    """(N,) beams whose column lies in the image; a beam without any range is taken at the range
+    interpolated between its neighbours."""
     known = np.isfinite(range_m)
     if not known.any():
         return np.zeros(range_m.size, dtype=np.bool_)
@@ -283,9 +288,9 @@ def _is_column_in_view(
     filled = np.interp(index, index[known], range_m[known])
     in_camera = transform_points(T_camera_lidar, _points_at_range(azimuth_rad, filled))
     ahead = in_camera[:, 2] > _MIN_DEPTH_M
-    lens = camera.intrinsics
-    u = lens.cx + lens.fx * in_camera[:, 0] / np.where(ahead, in_camera[:, 2], np.nan)
-    in_view: BoolArray = (u >= -0.5) & (u < lens.width - 0.5)
+    intrinsics = camera.intrinsics
+    u = intrinsics.cx + intrinsics.fx * in_camera[:, 0] / np.where(ahead, in_camera[:, 2], np.nan)
+    in_view: BoolArray = (u >= -0.5) & (u < intrinsics.width - 0.5)
     return in_view
 
 
@@ -299,7 +304,7 @@ def _cast_rays(
 ) -> FloatArray:
     """(N,) range at which each beam first meets the seen surface, NaN where it never does.
 
-    A ray that disappears behind something nearer (a table top) goes on: it may come out again.
+    A ray that passes behind something nearer (a table top) is followed further: it may reappear.
     """
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
@@ -324,7 +329,7 @@ def _cast_rays(
             distance += _RAY_STEP_M
             if depth < _MIN_DEPTH_M:
                 continue
-            # One step behind all that is seen, nothing can be met any more.
+            # One step behind the farthest depth no surface is left to meet.
             if depth > farthest + _RAY_STEP_M:
                 break
             u = cx + fx * (T[0, 3] + (distance - _RAY_STEP_M) * dx) / depth

@@ -33,7 +33,7 @@ _OUTLIER_SPAN_M = 4.0
 _OUTLIER_FRACTION = 0.05
 # Below this fraction of supporting neighbours a pixel may be of a speckle; set by hand.
 _SPECKLE_SUPPORT = 0.6
-# The image before must show this much of a pixel's surroundings to deny it; set by hand.
+# Least fraction of valid depths around a pixel in the image before, to reject it; set by hand.
 _MIN_SEEN_BEFORE = 0.8
 # A robot at 0.5 m/s comes this much nearer between two images at 10 Hz.
 _APPROACH_M = 0.05
@@ -97,10 +97,10 @@ class NoiseSettings(StageSettings):
 class FrameWindow:
     """What classes need: the pair, and each sensor's own neighbourhood.
 
-    ``scan_before``, ``scan_after``: neighbours in time, or None; what beam b of the scan meets,
-    their beam b + ``shift_before`` or b + ``shift_after`` met. ``depth_m``: (H, W) upright view;
-    ``depth_before_m`` that of the image before, in which a surface lay ``columns_before`` to the
-    right, or None.
+    ``scan_before``, ``scan_after``: neighbours in time, or None. What beam b of the scan hits is
+    hit by their beam b + ``shift_before`` or b + ``shift_after``. ``depth_m``: (H, W) upright view.
+    ``depth_before_m``: that of the image before, or None; a surface lies ``columns_before`` columns
+    farther to the right in it.
     """
 
     pairs: Correspondence
@@ -119,13 +119,13 @@ class Classification:
     """Codes of NoiseClass for the B beams of the pairs and for their pixels.
 
     ``depth_class`` is -1 where the beam has no pixel. Confidences in [0, 1]. ``epsilon_m``: (B,).
-    ``lidar_steady``: beams whose value the scans before and after have in the same place.
+    ``lidar_steady``: beams whose value the scans before and after both confirm.
 
-    What the classes rest on: ``beam_support`` (B, 3), how many adjacent beams, beams two and three
-    away, and scans before and after support a beam (none beside one that lies between two
+    The evidence behind the classes: ``beam_support`` (B, 3), how many adjacent beams, beams two and
+    three away, and scans before and after support a beam (no beams where it lies between two
     surfaces); ``pixel_support`` (B, 2), how many of the 5 x 5 pixels around support a pixel, and
-    how many of them have a depth; ``pixel_unconfirmed`` (B,), pixels in a disagreement
-    of which the image before shows nothing.
+    how many of them have a depth; ``pixel_unconfirmed`` (B,), pixels of a disagreeing pair whose
+    depth the image before does not have.
     """
 
     lidar_class: IntArray
@@ -162,7 +162,8 @@ def classify(
     beam_support, beam_neighbours = _beam_support(window, settings, scale)
     pixel_support, pixel_neighbours = _pixel_support(window, settings)
     near, beyond, in_time = beam_support.T
-    # An edge may part a beam from both adjacent ones; then the next and other scans must vouch.
+    # At edges both adjacent beams may be on other surfaces: then farther beams and other scans must
+    # support it.
     lone_beam = (near == 0) & ((beyond < 2) | (in_time < 2))
     lone_beam |= (near + beyond < 2) & (in_time == 0)
     lone_pixel = pixel_support < np.maximum(
@@ -174,7 +175,7 @@ def classify(
     if settings.burr_criterion == "rougher":
         rougher = _roughness(pairs.lidar_range_m) >= _roughness(pairs.depth_m)
         lone_beam, lone_pixel = rougher, ~rougher
-    # Without a counterpart, e.g. behind glass, most neighbours must be of the beam's own surface.
+    # Without a pixel to compare, e.g. behind glass, most neighbours must be on the beam's surface.
     beside = near + beyond
     unseen = has_lidar & ~has_depth & (settings.burr_criterion == "support")
     unseen &= (beside < 2) | (2 * beside < beam_neighbours[:, 0])
@@ -183,24 +184,24 @@ def classify(
     depth_class = np.full(pairs.beam.size, int(NoiseClass.GOOD))
     conflict = disagree & ~lone_beam & ~lone_pixel
     lidar_class[conflict] = depth_class[conflict] = NoiseClass.CONFLICT
-    # At one edge both sensors may mix the same two surfaces, and agree on a point that is on none.
-    astray = disagree | (settings.burr_criterion == "support") & (
+    # At an edge both sensors may mix the same two surfaces, and agree on a point on neither.
+    suspect = disagree | (settings.burr_criterion == "support") & (
         lone_beam & lone_pixel & has_lidar & has_depth
     )
-    lidar_class[(astray & lone_beam) | unseen] = NoiseClass.BURR
-    depth_class[astray & lone_pixel] = NoiseClass.BURR
+    lidar_class[(suspect & lone_beam) | unseen] = NoiseClass.BURR
+    depth_class[suspect & lone_pixel] = NoiseClass.BURR
     lidar_class[~has_lidar] = NoiseClass.HOLE
     depth_class[~has_depth] = NoiseClass.HOLE
     depth_class[~has_pixel] = -1
 
     agreement = _probability_good(residual_m, sigma_m)
-    beam_share = beam_support.sum(axis=1) / np.maximum(beam_neighbours.sum(axis=1), 1)
-    pixel_share = pixel_support / np.maximum(pixel_neighbours, 1)
+    beam_fraction = beam_support.sum(axis=1) / np.maximum(beam_neighbours.sum(axis=1), 1)
+    pixel_fraction = pixel_support / np.maximum(pixel_neighbours, 1)
     return Classification(
         lidar_class=lidar_class,
         depth_class=depth_class,
-        lidar_confidence=_confidence(lidar_class, agreement, beam_share, has_depth),
-        depth_confidence=_confidence(depth_class, agreement, pixel_share, has_lidar),
+        lidar_confidence=_confidence(lidar_class, agreement, beam_fraction, has_depth),
+        depth_confidence=_confidence(depth_class, agreement, pixel_fraction, has_lidar),
         epsilon_m=epsilon_m,
         lidar_steady=in_time == 2,
         beam_support=beam_support,
@@ -212,8 +213,10 @@ def classify(
 def _find_unconfirmed_pixels(
     window: FrameWindow, wanted: BoolArray, settings: NoiseSettings
 ) -> BoolArray:
-    """(B,) pixels of which the image before shows nothing at their place: a speckle of several
-    pixels vouches for itself in its own image, but not in another."""
+    """(B,) pixels whose depth the image before does not have at their place.
+
+    The pixels of a speckle support each other within one image, but no speckle is in two.
+    """
     gone = np.zeros(wanted.size, dtype=np.bool_)
     before = window.depth_before_m
     if before is None:
@@ -236,7 +239,7 @@ def _find_unconfirmed_pixels(
 def _roughness(values_m: FloatArray) -> FloatArray:
     """(B,) distance of each value from the mean of its two neighbours, 0 where one is missing.
 
-    The first and the last stand in for the neighbour that they lack.
+    At either end the value itself replaces the missing neighbour.
     """
     padded = np.concatenate([values_m[:1], values_m, values_m[-1:]])
     rough: FloatArray = np.abs(values_m - 0.5 * (padded[:-2] + padded[2:]))
@@ -264,7 +267,8 @@ def _confidence(
     support: FloatArray,
     has_other: BoolArray,
 ) -> FloatArray:
-    """Evidence for the class given: agreement of the pair times what the neighbours say."""
+    """(B,) confidence in the class: agreement or disagreement of the pair, combined with the
+    fraction of neighbours that support the sample."""
     disagreement = np.where(has_other, 1.0 - agreement, _UNPAIRED_BURR_CONFIDENCE)
     good = np.where(has_other, agreement + (1.0 - agreement) * support, 0.5 + 0.5 * support)
     by_class = {

@@ -1,8 +1,8 @@
 """How much LiDAR and depth differ where nothing is wrong, as a function of range.
 
-Both sensors grow noisier with range, so one threshold for all pairs is too wide near and too
-narrow far. The scale is learned from the recording's own agreeing pairs; epsilon is a multiple of
-it. The paper's E is inflated by the very noise that it should judge.
+The noise of both sensors grows with range, so one threshold for all pairs is too wide at short
+range and too narrow at long range. The scale is learned from the recording's own agreeing pairs;
+epsilon is a multiple of it. The paper's E is inflated by the very noise that it should detect.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,8 @@ from fusion_core.model.robust import robust_sigma
 
 # No pair of sensors agrees better; a scale of zero would make each rounding a disagreement.
 _MIN_FLOOR_M = 1e-3
-# Beyond so many stated standard deviations a pair is an outlier (a normal one in two million).
+# Beyond so many standard deviations of DATASHEET_SCALE a pair is an outlier: of normal residuals
+# one in two million is.
 _OUTLIER_SIGMA = 5.0
 # 25 pairs in each of eight bins: a median absolute deviation is then good to about a quarter.
 _MIN_PAIRS = 200
@@ -25,7 +26,7 @@ _BINS = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseScale:
-    """Standard deviation of a good pair's residual: sqrt(floor² + (share · range)²)."""
+    """Standard deviation of a good pair's residual: sqrt(floor² + (fraction · range)²)."""
 
     floor_m: float
     fraction: float
@@ -55,7 +56,7 @@ def learn_noise_scale(range_m: FloatArray, residual_m: FloatArray) -> NoiseScale
     Returns DATASHEET_SCALE where fewer than 200 pairs are valid.
     """
     valid = np.isfinite(residual_m)
-    # A first cut at the stated scale keeps conflicts and burrs out of the bins.
+    # Outliers by the data sheets' scale are dropped first: conflicts and burrs are not noise.
     valid &= np.abs(residual_m) < _OUTLIER_SIGMA * DATASHEET_SCALE.sigma_at(
         np.where(valid, range_m, 0.0)
     )
@@ -72,16 +73,16 @@ def learn_noise_scale(range_m: FloatArray, residual_m: FloatArray) -> NoiseScale
 
 
 def _fit_line(squares: Sequence[Sequence[float]]) -> NoiseScale:
-    """sd² = floor² + share² range², both terms kept physical."""
+    """Fit sd² = floor² + fraction² range² with neither term negative."""
     square_m2, variance_m2 = np.array(squares).T
     slope = offset = 0.0
-    # Pairs of one range alone say nothing of the growth.
+    # Pairs at a single range do not determine the growth with range.
     if np.ptp(square_m2) > 1e-6 * square_m2.max():
         slope, offset = map(float, np.polyfit(square_m2, variance_m2, 1))
     if slope <= 0.0:
-        floor_m, share = np.sqrt(variance_m2.mean()), 0.0
+        floor_m, fraction = np.sqrt(variance_m2.mean()), 0.0
     elif offset <= 0.0:
-        floor_m, share = 0.0, np.sqrt((square_m2 @ variance_m2) / (square_m2 @ square_m2))
+        floor_m, fraction = 0.0, np.sqrt((square_m2 @ variance_m2) / (square_m2 @ square_m2))
     else:
-        floor_m, share = np.sqrt(offset), np.sqrt(slope)
-    return NoiseScale(floor_m=max(float(floor_m), _MIN_FLOOR_M), fraction=float(share))
+        floor_m, fraction = np.sqrt(offset), np.sqrt(slope)
+    return NoiseScale(floor_m=max(float(floor_m), _MIN_FLOOR_M), fraction=float(fraction))

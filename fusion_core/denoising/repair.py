@@ -1,9 +1,9 @@
 """Xu 2024 §2.3.2, eqs. (7), (8): holes and burrs of one sensor repaired from the other.
 
-A LiDAR sample can be had from the camera (the range at which the beam meets what the camera sees,
+A LiDAR sample is repaired from the camera (the range at which the beam meets what the camera sees,
 or the paired pixel mapped back) or from its own good neighbours; a pixel from the LiDAR or from the
-plane through its good neighbours in the image. Each takes the source with the smaller expected
-error, and says which. Nothing is filled across a depth edge or over too wide a gap.
+plane through its good neighbours in the image. The source with the smaller expected error is used,
+and recorded. Nothing is filled across a depth edge or over too wide a gap.
 
 A repair never removes an obstacle: a valid return is moved farther only where it is a burr of at
 least a set confidence, and conflicts are left as they are.
@@ -141,7 +141,7 @@ def _repair_lidar(
     neighbours = np.where(gap_rad <= np.deg2rad(settings.max_gap_deg), neighbours, np.nan)
     camera = pairs.camera_range_m
     camera_error = settings.camera_noise_fraction * scale.sigma_at(camera)
-    # Unseen structure grows with the width of the gap; the sides are means of three beams.
+    # A wider gap hides larger structures; its sides are means of three beams.
     neighbour_error = _GAP_SIDE_NOISE * scale.sigma_at(neighbours) + (
         _STRUCTURE_PER_GAP * gap_rad * neighbours
     )

@@ -5,10 +5,10 @@ import numpy as np
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import Float32Array, FloatArray, IntArray
 
-# Within so many beams the camera must see an edge for a beam to be its mixed pixel. How far off
-# both of its sides the beam must lie, as a share of what supports it: an edge that is seen needs
-# less than one that is guessed.
+# A beam can be a mixed pixel of an edge that the camera sees within this many beams.
 _EDGE_BEAMS = 2
+# How far a mixed pixel lies from both sides of such an edge, as a fraction of the tolerance of
+# support: less than without a camera, since the edge is seen and not inferred. Set by hand.
 _OFF_EDGE_FRACTION = 0.7
 # Seen by the camera, a surface that changes its range faster from beam to beam is an edge: 80
 # degrees off the beam at a quarter of a degree a beam.
@@ -36,7 +36,8 @@ def count_beam_support(
     ``ranges``: (N,) of the scan. ``in_time``: (2, N) of the scans before and after, in which what
     beam b meets is met by b + ``shifts``. ``camera``: (B,) range at which the camera sees what a
     beam meets. Metres, NaN where missing. Values differ by at most the tolerance
-    hypot(``floor_m``, ``share`` * range), and ``slope`` * range more a beam where no camera tells.
+    hypot(``floor_m``, ``fraction`` * range), plus ``slope`` * range a beam where the camera sees
+    nothing.
     """
     support = np.zeros((beams.size, 3), dtype=np.int64)
     neighbours = np.zeros((beams.size, 2), dtype=np.int64)
@@ -88,7 +89,7 @@ def count_beam_support(
 def _is_between_surfaces(ranges: FloatArray, beam: int, tolerance: float) -> bool:
     """Whether a beam, alone or with one like it beside it, steps from one surface to another.
 
-    Mixed pixels do; a separate thin object is nearer than both.
+    Mixed pixels do; a separate thin object is nearer than both surfaces.
     """
     for width in (1, 2):
         for first in range(beam - width + 1, beam + 1):
@@ -122,8 +123,8 @@ def _is_between_seen_surfaces(seen: FloatArray, beam: int, own: float, tolerance
 def count_pixel_support(
     depth: Float32Array, rows: IntArray, columns: IntArray, fraction: float
 ) -> tuple[IntArray, IntArray]:
-    """(B,) supporters among the 5 x 5 pixels around each of B, within 3 cm and ``share`` of its
-    depth, and how many of those had a value.
+    """(B,) supporters among the 5 x 5 pixels around each of B, within 3 cm plus ``fraction`` of its
+    depth; and (B,) how many of those pixels have a value.
 
     ``depth``: (H, W) metres, NaN where missing. ``rows``: (B,), below 0 where there is no pixel.
     """

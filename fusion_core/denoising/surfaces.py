@@ -1,4 +1,4 @@
-"""Straight surfaces through the good samples around one: what repairs are taken from.
+"""Flat surfaces through the good samples around a sample, from which repairs are made.
 
 A straight wall's inverse range is linear in the angle, and a plane's inverse depth is linear in
 the pixel, so each fit is linear.

@@ -36,12 +36,20 @@ _REFITS = 4
 _TRIANGLE_MIN_M2 = 0.01
 # Tolerance of a local slope, which depth noise between neighbouring samples makes inexact.
 _SLOPE_SLACK_RAD = np.deg2rad(12.0)
-# A lower plane with this fraction of the upper one's patches is the floor, and the upper furniture.
+# Level planes that may lie above the floor, each below the one before: shelf, table, seat, step.
+_PLANES_ABOVE_FLOOR = 4
+# What lies this far below a plane is not on it: twice the inlier distance at _FAR_M.
+_BELOW_M = 2.0 * (_TOLERANCE_M + _TOLERANCE_PER_M * _FAR_M)
+# Patches that a plane needs to be the floor, as a fraction of those of the plane above it, which is
+# then furniture, or of all level patches of an image.
 _LARGE_FRACTION = 0.15
 # Ten images of fifteen patches each, 0.3 % of an image's samples.
 _PATCHES_MIN = 150
 _PATCHES_OF_IMAGE = 15
 _IMAGES_MIN = 3
+# Patches of an image to which a plane of its own is fitted: depth noise of 1 cm over half a metre
+# then tilts it by 0.15 degrees, a tenth of what is tolerated.
+_PATCHES_OF_FIT = 60
 # Patches below the floor (reflections, depth edges) as a fraction of those on it.
 _BELOW_FRACTION_MAX = 0.1
 # Largest median deviation of the floor in single images from the common one: a robot pitches a
@@ -98,9 +106,9 @@ def find_floor(
     if plane is None:
         raise _no_floor_error(f"{len(points_m)} level patches in {len(depths_m)} images")
     # The largest plane may be a table top: look for the floor below it.
-    for _ in range(4):
+    for _ in range(_PLANES_ABOVE_FLOOR):
         on_plane = int(_is_near(points_m, plane).sum())
-        below = points_m @ plane[:3] + plane[3] < -4.0 * _TOLERANCE_M
+        below = points_m @ plane[:3] + plane[3] < -_BELOW_M
         lower = _ransac_plane(points_m[below], up, tilt_max_rad, rng)
         if lower is None or _is_near(points_m, lower).sum() < _LARGE_FRACTION * on_plane:
             break
@@ -110,7 +118,7 @@ def find_floor(
     heights_m = points_m @ plane[:3] + plane[3]
     images = int((np.bincount(image_of[near], minlength=1) >= _PATCHES_OF_IMAGE).sum())
     tilt_rad = float(np.arccos(np.clip(plane[:3] @ up, -1.0, 1.0)))
-    below_fraction = float((heights_m < -4.0 * _TOLERANCE_M).sum()) / max(int(near.sum()), 1)
+    below_fraction = float((heights_m < -_BELOW_M).sum()) / max(int(near.sum()), 1)
     if near.sum() < _PATCHES_MIN or images < min(_IMAGES_MIN, len(depths_m)):
         raise _no_floor_error(f"its best plane has {near.sum()} patches in {images} images")
     if tilt_rad > tilt_max_rad:
@@ -145,12 +153,12 @@ def _require_fixed_camera(
     near = _is_near(points_m, plane)
     seen = np.bincount(image_of, minlength=images)
     agreeing = np.bincount(image_of[near], minlength=images)
-    rich = seen >= 10 * _PATCHES_OF_IMAGE
+    rich = seen >= _PATCHES_MIN
     elsewhere = False
     if rich.any():
         elsewhere = bool(np.median(agreeing[rich] / seen[rich]) < _LARGE_FRACTION)
     tilts_rad, heights_m = [], []
-    for image in np.flatnonzero(agreeing >= 4 * _PATCHES_OF_IMAGE):
+    for image in np.flatnonzero(agreeing >= _PATCHES_OF_FIT):
         own = _refit_plane(points_m[image_of == image], plane)
         tilts_rad.append(np.arccos(np.clip(own[:3] @ plane[:3], -1.0, 1.0)))
         heights_m.append(abs(own[3] - plane[3]))

@@ -11,13 +11,13 @@ The paper's six steps, and where they are:
 
 A cloud here is (N, 3): x and y in the LiDAR's frame, height above the floor.
 
-The default differs from the paper where the map gains. Points are averages of small voxels, not
-every 64th row, which misses thin furniture. The lower height limit rises with the distance: one
+The default differs from the paper where that improves the map. Points are averages of small voxels,
+not every 64th row, which misses thin furniture. The lower height limit rises with the distance: one
 pixel in ten of a Kinect's floor lies 1 cm above its plane at 1 m and 5 cm at 2.5 m, and a tilt
 error of half a degree lifts the floor 4 m away by 3 cm. The LiDAR keeps all its beams: its far
 points are too sparse for a radius that suits the camera. The nearest of many noisy depths is biased
-towards the sensor, so an angle takes the mean over the surface of its nearest point; where the
-LiDAR measured that surface, its range is kept.
+towards the sensor, so the range of an angle is the mean over the surface of its nearest point;
+where the LiDAR measured that surface, its range is kept.
 
 Space before the nearest point of an angle counts as free, although a camera does not see the floor
 just before its robot. An angle without any point is NaN.
@@ -99,8 +99,8 @@ class VirtualScanSettings(StageSettings):
 
     @property
     def half_width_m(self) -> float:
-        """Half of what a point of the cloud covers: neighbouring voxels on a surface must leave no
-        gap between them. A single pixel is taken as a point, as published."""
+        """Half of the width that a point of the cloud covers: half of a voxel's diagonal, so that
+        neighbouring voxels leave no gap between them. A pixel has no width, as published."""
         return float(np.sqrt(0.5)) * self.voxel_m if self.sampling == "voxel" else 0.0
 
 
@@ -154,8 +154,8 @@ def merge_camera_cloud(
     added_m = _nearest_on_scan_m(
         scan, cloud_m[~_is_seen_by_lidar(cloud_m, lidar_m[kept_lidar], settings)], settings
     )
-    # Where the LiDAR measured the surface nearest to the camera, points behind it are dropped; a
-    # beam without a return takes the range of that surface.
+    # Where the nearest surface that the camera saw was measured by the LiDAR, points behind it are
+    # dropped; a beam without a return takes that surface's range from the camera.
     met = ranges_m <= scan.range_max_m
     limit_m = settings.same_surface_m + settings.same_surface_per_m2 * seen_m**2
     added_m[added_m > seen_m + limit_m] = np.nan

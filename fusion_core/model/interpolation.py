@@ -1,7 +1,7 @@
 """Interpolation of one pair of rigid transforms: translation linearly, rotation by slerp.
 
-Every look-up of a recorded transform comes here. For a single pair this takes half the time of
-scipy's Rotation and a sixth of its Slerp, which the tests compare it with.
+Every look-up of a recorded transform ends here. For a single pair this takes half the time of
+scipy's Rotation and a sixth of its Slerp; the tests compare the results.
 """
 
 import numpy as np

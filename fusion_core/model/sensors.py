@@ -21,9 +21,9 @@ _MAX_DISTORTION = 1e9
 class LaserScan:
     """One sweep of a 2D LiDAR, in its own frame (x forward, angles counter-clockwise).
 
-    ``ranges_m``: (N,) float64, NaN where the beam gave nothing (0, inf, out of limits), at least
-    one beam. ``intensities``: (N,) float64 or None. ``angle_increment_rad`` may be negative. Beams
-    and angles are those of ``sweep.require_sweep``.
+    ``ranges_m``: (N,) float64, N >= 1, NaN where a beam has no valid range (0, inf, out of limits).
+    ``intensities``: (N,) float64 or None. ``angle_increment_rad`` may be negative. Beams and angles
+    are those that ``sweep.require_plausible_sweep`` accepts.
     """
 
     stamp_ns: int
