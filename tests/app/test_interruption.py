@@ -145,7 +145,9 @@ def test_pressed_as_soon_as_the_address_is_printed(small_scene: Path, delay_s: f
     assert re.fullmatch(r"http://127\.0\.0\.1:\d+", address)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)]
+)
 def test_a_build_that_is_ended_with_its_server_leaves_nothing(
     small_scene: Path, tmp_path: Path, number: signal.Signals
 ) -> None:

@@ -76,6 +76,7 @@ def test_a_run_moves_and_ends_on_its_map(newcomer: Person, fake: FakeMap) -> Non
     }
 
 
+@pytest.mark.slow
 def test_two_runs_are_compared(newcomer: Person, fake: FakeMap) -> None:
     person = newcomer
     person.press("Run")
@@ -94,6 +95,7 @@ def test_two_runs_are_compared(newcomer: Person, fake: FakeMap) -> None:
     expect(person.text("0.0 cm in the median, at most 0.0 cm")).to_be_visible()
 
 
+@pytest.mark.slow
 def test_after_a_failure_the_page_works_on(
     newcomer: Person, fake: FakeMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:

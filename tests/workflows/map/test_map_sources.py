@@ -15,12 +15,18 @@ from fusion_core.recordings.tum_trajectory import read_tum_trajectory
 from fusion_core.simulation.truth import truth_path
 from scanloom.cli import main
 
+# The first two hold each option of the others but one: every source is in a quick test of its own.
 COMBINATIONS = [
     ("lidar", "laser", "pose-graph"),
-    ("camera", "wheel", "none"),
     ("merged", "fused", "particle-filter"),
-    ("repaired", "recorded", "pose-graph"),
-    ("merged", "visual", "none"),
+    *(
+        pytest.param(*names, marks=pytest.mark.slow)
+        for names in (
+            ("camera", "wheel", "none"),
+            ("repaired", "recorded", "pose-graph"),
+            ("merged", "visual", "none"),
+        )
+    ),
 ]
 
 
@@ -72,6 +78,7 @@ def test_the_way_is_that_of_the_truth(recording, tmp_path):
     np.testing.assert_allclose(np.hypot(*away.T), np.hypot(*true.T), atol=0.03)
 
 
+@pytest.mark.slow
 def test_one_thread_or_two_give_the_same_bytes(recording, mapped, tmp_path):
     # This process has as many threads as there are processors.
     threads = "2" if os.cpu_count() == 1 else "1"
