@@ -162,10 +162,10 @@ def latency(name: str, times_ms: Sequence[float], aim_ms: float) -> Figure:
 
 def searching(browser: Browser, where: str, aim_ms: float) -> Iterator[Figure]:
     """Settings of sampling and search against the heatmap."""
-    for label, values in (("Least overlap", _OVERLAPS), ("Degrees a sample", _STEPS_DEG)):
+    for label, values in (("Minimum overlap", _OVERLAPS), ("Sampling step (°)", _STEPS_DEG)):
         times_ms = browser.answers_ms(label, values, CHANGES)
         yield latency(f"{where}: {label.lower()} to heatmap", times_ms, aim_ms)
-    browser.answer_ms("Degrees a sample", 1.0)
+    browser.answer_ms("Sampling step (°)", 1.0)
     browser.settle()
 
 
@@ -173,7 +173,7 @@ def together(address: str, aim_ms: float) -> Figure:
     """Four people who do the same at once, in frames of their own."""
 
     def one(browser: Browser) -> list[float]:
-        return browser.answers_ms("Least overlap", _OVERLAPS, CHANGES // PEOPLE)
+        return browser.answers_ms("Minimum overlap", _OVERLAPS, CHANGES // PEOPLE)
 
     with ExitStack() as stack:
         browsers = [
@@ -182,7 +182,7 @@ def together(address: str, aim_ms: float) -> Figure:
         ]
         with ThreadPoolExecutor(PEOPLE) as pool:
             all_ms = [time_ms for times_ms in pool.map(one, browsers) for time_ms in times_ms]
-    return latency(f"sample, {PEOPLE} browsers: least overlap to heatmap", all_ms, aim_ms)
+    return latency(f"sample, {PEOPLE} browsers: minimum overlap to heatmap", all_ms, aim_ms)
 
 
 def judging(address: str, where: str, aim_ms: float) -> Figure:
@@ -211,7 +211,7 @@ def playing(browser: Browser, where: str, aim_hz: float) -> Figure:
 
 def dragging(browser: Browser) -> Figure:
     """A slider dragged wildly must end in its last value's picture, and stay where it is."""
-    label, client = "Least overlap", browser.client
+    label, client = "Minimum overlap", browser.client
     slider = client.find(label, within="Match").uuid
     is_picture = browser.picture()
     right = pictures = moved = 0

@@ -59,7 +59,7 @@ def explain_pixel_class(facts: BeamFacts, settings: ChainSettings) -> str:
             rough = "it deviates more from its neighbours than its beam does"
             return f"Burr: {_disagrees(facts, 'the LiDAR')}, and {rough}."
         case NoiseClass.BURR if facts.pixel_gone:
-            gone = "the image before shows nothing like it at its place"
+            gone = "the image before shows no such surface there"
             return f"Burr: {_disagrees(facts, 'the LiDAR')}, and {gone}; {support}."
         case NoiseClass.BURR:
             return f"Burr: {_disagrees(facts, 'the LiDAR')}, and too few pixels agree: {support}."
@@ -75,12 +75,12 @@ def explain_beam_repair(facts: BeamFacts, settings: ChainSettings) -> str:
     """How the beam was repaired, or why it was not."""
     lidar = facts.lidar
     if lidar.noise_class == NoiseClass.BURR and math.isnan(lidar.from_other_m):
-        return "Kept: the scans before and after have it in the same place."
-    refused = "the camera offers nothing"
+        return "Kept: the scans before and after show it at the same place."
+    refused = "the camera gives no value"
     if facts.camera_range_m > 0.0:
         refused = (
-            f"the camera's answer, {length(facts.camera_range_m)}, contradicts the sides of "
-            "this narrow gap and is not believed"
+            f"the camera's range, {length(facts.camera_range_m)}, contradicts both sides of this "
+            "narrow gap and is rejected"
         )
     return _repair_text(lidar, "the camera", refused, settings)
 
@@ -92,18 +92,19 @@ def explain_pixel_repair(facts: BeamFacts, settings: ChainSettings) -> str:
         return ""
     if pixel.noise_class == NoiseClass.BURR and math.isnan(pixel.from_other_m):
         least = settings.repair.depth_burr_confidence
-        return f"Kept: its confidence as a burr, {_share(pixel.confidence)}, is below {least:.2f}."
+        confidence = _rounded_down(pixel.confidence)
+        return f"Kept: its confidence as a burr, {confidence}, is below {least:.2f}."
     least = settings.repair.lidar_confidence
     if beam.noise_class == NoiseClass.HOLE:
         refused = "the LiDAR has no range here"
     elif beam.noise_class != NoiseClass.GOOD:
-        refused = f"the beam is no source, being a {beam.noise_class.name.lower()}"
+        refused = f"the beam is a {beam.noise_class.name.lower()} and not used as a source"
     elif beam.confidence < least:
-        refused = f"the beam's confidence, {_share(beam.confidence)}, is below {least:.2f}"
+        refused = f"the beam's confidence, {_rounded_down(beam.confidence)}, is below {least:.2f}"
     elif not facts.lidar_as_depth_m > 0.0:
-        refused = "the LiDAR offers nothing"
+        refused = "the LiDAR gives no value"
     else:
-        refused = "what the image shows around it is nearer and may hide the LiDAR's point"
+        refused = "the pixels around it are nearer and may occlude the LiDAR's point"
     return _repair_text(pixel, "the LiDAR", refused, settings)
 
 
@@ -119,7 +120,7 @@ def _repair_text(
 ) -> str:
     """``other_refused``: why the other sensor gives no value, if so."""
     if sample.noise_class == NoiseClass.GOOD:
-        return "Kept: a good value stays."
+        return "Kept: good values are not changed."
     if sample.noise_class == NoiseClass.CONFLICT:
         return "Kept: in a conflict both values stay, so that no obstacle is lost."
     done = "Filled" if sample.noise_class == NoiseClass.HOLE else "Replaced"
@@ -133,7 +134,7 @@ def _repair_text(
             least = settings.repair.farther_confidence
             return (
                 "Kept: a repair would move it farther away, and its confidence as a burr, "
-                f"{_share(sample.confidence)}, is below {least:.2f}."
+                f"{_rounded_down(sample.confidence)}, is below {least:.2f}."
             )
         case RepairSource.OTHER_SENSOR:
             against = f"{length(from_neighbours)} from its neighbours"
@@ -185,18 +186,18 @@ def _nothing_to_compare(facts: BeamFacts) -> str:
 
 def _mixed_alike(other: str) -> str:
     return (
-        f"it and its {other} do not disagree, but neither has support enough. "
+        f"it and its {other} do not disagree, but neither has enough support. "
         "At an edge both sensors may mix the same two surfaces."
     )
 
 
 def _two_surfaces() -> str:
-    return "Each measures a surface of its own."
+    return "Each sensor sees another surface."
 
 
 def _beam_support(facts: BeamFacts) -> str:
     near, beyond, in_time = facts.supporters
-    farther = f"of those two or three away {beyond}, of the scans before and after {in_time}"
+    farther = f"beams two or three away: {beyond}, scans before and after: {in_time}"
     return f"{_ADJACENT[near]} ({farther})"
 
 
@@ -209,6 +210,6 @@ def _capital(text: str) -> str:
     return text[0].upper() + text[1:]
 
 
-def _share(confidence: float) -> str:
-    """Rounded down: a value below a limit of two digits must not read as the limit."""
+def _rounded_down(confidence: float) -> str:
+    """To two digits: a value below a limit must not read as the limit."""
     return f"{math.floor(100.0 * confidence) / 100.0:.2f}"

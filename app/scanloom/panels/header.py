@@ -26,7 +26,7 @@ class HeaderPanel(Panel):
             "Preset",
             presets,
             initial_value=session.view.preset,
-            hint="Default, or what Xu 2024 does",
+            hint="ScanLoom's own settings, or those of Xu 2024",
         )
         self._differs = gui.add_html("")
         buttons = gui.add_button_group("Settings", ("Undo", "Redo", "Reset", "Link", "Keys"))

@@ -213,7 +213,7 @@ class MapPanel(Panel):
         if options.settings_file is not None and not options.settings_file.exists():
             notes.append("The settings file is written by Build.")
         if view.picked_offset is not None:
-            notes.append("An offset picked by hand is for looking; a build finds its own.")
+            notes.append("A build does not use the offset picked by hand; it finds its own.")
         self._command.content = text_box(command) + "".join(map(paragraph, notes))
 
     def _show_built(self, view: View, built: Build | None) -> None:
@@ -284,7 +284,7 @@ def _why_no_maps(built: Build) -> str:
         why = "The recording has no poses of the LiDAR: no TF, odometry or pose topic."
     else:
         why = "No scan could be placed."
-    return f"No maps. {why} All other results are there."
+    return f"No maps. {why} All other results were written."
 
 
 def _export_text(exported: CloudExport) -> str:

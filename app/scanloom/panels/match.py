@@ -76,10 +76,10 @@ class MatchPanel(Panel):
             (dots("depth row", color_of("depth")), dots("LiDAR curve", color_of("lidar"))),
         )
         with gui.add_folder("Sampling and masks"):
-            controls.slider("sampling", "step_deg", "Degrees a sample", 0.25, 4.0, 0.25)
-            controls.slider("sampling", "row_band", "Rows used, from below", 0.1, 1.0, 0.05)
-            controls.slider("search", "min_overlap", "Least overlap", 0.1, 1.0, 0.05)
-            controls.checkbox("search", "mask_holes", "Leave holes out")
+            controls.slider("sampling", "step_deg", "Sampling step (°)", 0.25, 4.0, 0.25)
+            controls.slider("sampling", "row_band", "Rows used, from the bottom", 0.1, 1.0, 0.05)
+            controls.slider("search", "min_overlap", "Minimum overlap", 0.1, 1.0, 0.05)
+            controls.checkbox("search", "mask_holes", "Mask holes")
             controls.checkbox("search", "allow_partial", "Row may reach beyond the curve")
             controls.checkbox("search", "use_prior", "Search around the recording's u")
         with gui.add_folder("Mount"):
@@ -182,10 +182,10 @@ def _peak_text(frame_view: FrameView, match: FrameMatch) -> str:
     metric = frame_view.view.settings.search.metric
     peak = match.search.peaks.get(metric)
     if peak is None:
-        return "No offset has enough samples valid on both sides: lower the least overlap."
+        return "No offset has enough samples valid on both sides: lower the minimum overlap."
     lines = [
         f"Peak **u = {peak.u:.2f}**, **v = {peak.v:.1f}**, score {peak.score:.3f}, "
-        f"{_times(peak.ratio)} the runner-up, overlap {peak.overlap:.0%}."
+        f"{_runner_up(peak.ratio)}, overlap {peak.overlap:.0%}."
     ]
     alone = match.search.peaks_without_prior.get(metric)
     if alone is not None and abs(alone.u - peak.u) > 0.5:
@@ -199,5 +199,5 @@ def _peak_text(frame_view: FrameView, match: FrameMatch) -> str:
     return "  \n".join(lines)
 
 
-def _times(ratio: float) -> str:
-    return f"{ratio:.2f} times" if np.isfinite(ratio) else "without"
+def _runner_up(ratio: float) -> str:
+    return f"{ratio:.2f} times the runner-up" if np.isfinite(ratio) else "no runner-up"

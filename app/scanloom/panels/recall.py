@@ -43,7 +43,7 @@ class RecallPanel:
         self._truth: Path | None = None
         # The plotted curve, and the marked epsilon.
         self._plotted: tuple[RecallCurve | None, float] = None, 0.0
-        self._folder = gui.add_folder("Recall over ε, by the truth", visible=False)
+        self._folder = gui.add_folder("Recall over ε, by ground truth", visible=False)
         with self._folder:
             self._plot = add_line_plot(
                 gui,
@@ -62,7 +62,7 @@ class RecallPanel:
             )
             self._summary = gui.add_markdown("", visible=False)
             self._button = gui.add_button(
-                _COMPUTE, hint="Compares every frame with the truth, as in Fig. 6 of Xu 2024"
+                _COMPUTE, hint="Compares every frame with the ground truth, as in Fig. 6 of Xu 2024"
             )
             self._progress_text = gui.add_html("", visible=False)
             self._progress = gui.add_progress_bar(0.0, visible=False)
@@ -220,19 +220,19 @@ def _fractions(counts: IntArray, whole: int) -> FloatArray:
 
 
 def _summary_text(curve: RecallCurve, factor: float) -> str:
-    counts = f"{curve.good_pairs} good and {curve.noise_pairs} noise pairs by the truth."
+    counts = f"{curve.good_pairs} good and {curve.noise_pairs} noise pairs by ground truth."
     if not np.isfinite(factor):
         return f"{counts} This frame has no E, so its ε is not marked."
     there = f"This frame's ε is **{factor:.2f} E**"
     if not _is_in_plot(curve, factor):
-        return f"{counts} {there}, outside of the plot."
-    shares = []
+        return f"{counts} {there}, outside the plot."
+    parts = []
     for verb, found, whole, what in (
         ("keeps", curve.good_kept, curve.good_pairs, "good"),
         ("finds", curve.noise_found, curve.noise_pairs, "noise"),
     ):
         if whole:
             percent = 100.0 * np.interp(factor, curve.factors, _fractions(found, whole))
-            shares.append(f"{verb} **{percent:.1f} %** of the {what} pairs")
-    alone = f" ε alone {' and '.join(shares)}; the classes look at neighbours, too."
-    return f"{counts} {there}.{alone if shares else ''}"
+            parts.append(f"{verb} **{percent:.1f} %** of the {what} pairs")
+    alone = f" ε alone {' and '.join(parts)}; the classes look at neighbours, too."
+    return f"{counts} {there}.{alone if parts else ''}"

@@ -145,4 +145,4 @@ def _clock_offset_text(mount: Mount) -> str:
     if sd_ms is not None:
         low_ms, high_ms = mount.clock_offset_ms - 2.0 * sd_ms, mount.clock_offset_ms + 2.0 * sd_ms
         offset = f"**{mount.clock_offset_ms:.1f} ms**, 95 % in [{low_ms:.1f}, {high_ms:.1f}] ms"
-    return f"Camera stamp − LiDAR stamp of one instant: {offset}.".replace("-", "−")
+    return f"Camera stamp − LiDAR stamp of the same instant: {offset}.".replace("-", "−")

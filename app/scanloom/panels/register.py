@@ -1,4 +1,4 @@
-"""The Register panel: the map A, its draws one by one, the residuals and the threshold epsilon."""
+"""The Register panel: the transform A, its draws, the residuals and the threshold epsilon."""
 
 import numpy as np
 import viser
@@ -44,7 +44,7 @@ class RegisterPanel(Panel):
         self._drawn_draw: tuple[Registration | None, int] = (None, -1)
         controls = Controls(gui, session)
         self._controls = controls
-        controls.dropdown("registration", "model", "Map A", _MODELS)
+        controls.dropdown("registration", "model", "Model of A", _MODELS)
         self._epsilon = EpsilonControls(gui, session)
         self._residuals = ResidualPlot(gui)
         self._recall = RecallPanel(gui, session)
@@ -56,8 +56,8 @@ class RegisterPanel(Panel):
             self._draw_text = gui.add_markdown("")
             self._draw_picture = gui.add_image(_blank(_DRAW_PX), format="png")
             self._consensus = gui.add_markdown("")
-        with gui.add_folder("How it draws", expand_by_default=False):
-            controls.slider("registration", "sample_size", "Pairs a draw", 2, 20, 1)
+        with gui.add_folder("RANSAC settings", expand_by_default=False):
+            controls.slider("registration", "sample_size", "Pairs per draw", 2, 20, 1)
             controls.slider(
                 "registration", "inlier_threshold_m", "Inlier within (m)", 0.01, 0.5, 0.01
             )
@@ -67,8 +67,8 @@ class RegisterPanel(Panel):
                 "registration", "confidence", "Confidence", 0.5, 0.999, 0.001
             )
             controls.slider("registration", "seed", "Seed", 0, 99, 1)
-            controls.checkbox("registration", "guards", "Guard A")
-        with gui.add_folder("The matrix", expand_by_default=False):
+            controls.checkbox("registration", "guards", "Check A")
+        with gui.add_folder("Matrix of A", expand_by_default=False):
             self._matrix = gui.add_markdown("")
 
         controls.bind_field(self._draw, "draw_index", int, lambda draw: min(draw, self._last_draw))
@@ -106,7 +106,7 @@ class RegisterPanel(Panel):
         else:
             self._drawn_draw = (None, -1)
             update_widget(self._matrix, content="There is none.")
-            update_widget(self._draw_text, content="Without an A there is no draw to show.")
+            update_widget(self._draw_text, content="No draw to show: this frame has no A.")
 
     def close(self) -> None:
         """Cancel the recall computation: the browser has disconnected."""

@@ -39,21 +39,21 @@ def transform_text(found: Registration, meaning: TransformDecomposition) -> str:
     if found.model == "homography":
         right, ahead = 100.0 * meaning.perspective_per_m
         lines.append(
-            f"tilts: w′ grows by **{_signed(right, 2)} %** a metre to the right and by "
-            f"**{_signed(ahead, 2)} %** a metre ahead; what lies there shrinks as much"
+            f"has a perspective: w′ grows by **{_signed(right, 2)} %** per metre to the right and "
+            f"by **{_signed(ahead, 2)} %** per metre ahead; distances there shrink as much"
         )
     if meaning.is_mirrored:
         lines.append("**mirrors**: left becomes right")
     if meaning.scale_min < _FLATTENS:
         lines.append(
             f"**flattens**: one direction keeps {_percent(meaning.scale_min, 1)} of its length, "
-            f"so that A⁻¹ makes errors up to {1.0 / meaning.scale_min:.3g} times as long"
+            f"so that A⁻¹ multiplies errors by up to {1.0 / meaning.scale_min:.3g}"
         )
     near = " near the centroid of the inliers" if found.model == "homography" else ""
-    settled = "" if found.has_converged else ", not settled"
+    settled = "" if found.has_converged else ", not converged"
     quality = (
         f"Mean error **E = {_length(found.mean_error_m)}** over {found.valid} pairs; σ = "
-        f"{_length(found.sigma_m)} an axis over {int(found.inliers.sum())} inliers. Condition "
+        f"{_length(found.sigma_m)} per axis over {int(found.inliers.sum())} inliers. Condition "
         f"{found.condition:.3g}; {_counted(found.refits, 'refit')}{settled}."
     )
     return f"A ({found.model}){near}:\n\n" + _listed(lines) + f"\n\n{quality}" + _refused(found)
@@ -68,8 +68,9 @@ def matrix_text(A: FloatArray) -> str:
 def failure_text(refusal: str) -> str:
     """Why there is no A."""
     return (
-        f"**There is no A for this frame:** {refusal}\n\nClasses and repairs go on without it: "
-        "where pairs lie along the curve the mount ties them, in the row their own values do."
+        f"**There is no A for this frame:** {refusal}\n\nClasses and repairs do not need it: pairs "
+        "along the curve are compared through the mount, pairs in a row by their ranges. Only the "
+        "published pairing compares nothing without A."
     )
 
 
@@ -89,7 +90,7 @@ def draw_text(draw: RansacDraw, found: Registration) -> str:
     after = ""
     if draw.index == best:
         after = (
-            f" {_counted(found.refits, 'refit').capitalize()} to the inliers made them "
+            f" After {_counted(found.refits, 'refit')} to its inliers, A agrees with "
             f"{int(found.inliers.sum())}."
         )
     return f"Draw **{draw.index}** of 0…{count - 1}{mark}: {outcome}.{after} Pairs {numbers}."
@@ -100,9 +101,9 @@ def consensus_text(found: Registration, consensus: Consensus) -> str:
     n, count = found.draws.sample_size, len(found.draws)
     return (
         f"{_percent(consensus.inlier_fraction, 0)} of the pairs are inliers (c), so a draw of "
-        f"n = {n} holds nothing else with probability cⁿ = "
-        f"{_probability(consensus.clean_probability)}; at least one of {count} draws did with "
-        f"{_probability(consensus.any_clean_probability)}. Best is draw {found.best_draw}."
+        f"n = {n} has only inliers with probability cⁿ = "
+        f"{_probability(consensus.clean_probability)}; at least one of {count} draws has with "
+        f"{_probability(consensus.any_clean_probability)}. The best is draw {found.best_draw}."
     )
 
 
@@ -111,7 +112,7 @@ def epsilon_text(measured: EpsilonInFrame, epsilon: float, unit: EpsilonUnit) ->
     if measured.compared == 0:
         return "No pair of this frame has both values."
     if not np.isfinite(measured.middle_m):
-        return "This frame has no E, so ε is not known in its multiples: no pair counts as beyond."
+        return "This frame has no E, so ε in multiples of E has no value: no pair counts as beyond."
     spread = ""
     if measured.greatest_m > 1.01 * measured.least_m:
         spread = f" ({measured.least_m:.3f} to {measured.greatest_m:.3f} m, growing with range)"

@@ -65,7 +65,7 @@ class RepairPanel(Panel):
                 _NO_BEAM,
                 min=_NO_BEAM,
                 step=1,
-                hint="Of the scan, from 0; -1: none. A click in the scene chooses one too",
+                hint="Of the scan, from 0; -1: none. A click in the scene selects one too",
             )
             self._beam_details = gui.add_html("")
         with gui.add_folder("Settings", expand_by_default=False):
@@ -76,7 +76,9 @@ class RepairPanel(Panel):
             controls.dropdown("repair", "prefer", "Prefer", sources)
             controls.slider("repair", "max_gap_deg", "Widest gap (°)", 0.0, 30.0, 0.5)
             controls.slider("repair", "max_gap_pixels", "Farthest pixel", 1, 100, 1)
-            controls.slider("repair", "farther_confidence", "Sure to move farther", 0.0, 1.0, 0.05)
+            controls.slider(
+                "repair", "farther_confidence", "Confidence to move farther", 0.0, 1.0, 0.05
+            )
         controls.bind_field(
             beam,
             "selected_beam",

@@ -30,7 +30,7 @@ from scanloom.scene.layers import LAYERS, Layer
 from scanloom.scene.nodes import MapPlane, PickResult, SceneNodes
 
 _VIEWS = ("3D", "Curve", "From above", "Heatmap", "Depth")
-_BOARD_PX = (560, 470)
+_PLANE_PX = (560, 470)
 
 
 class ScenePanel(Panel):
@@ -57,7 +57,7 @@ class ScenePanel(Panel):
         # The frame and options of the last drawing.
         self._depth_of: tuple[object, object] = None, None
         self._are_planes_visible = True
-        self._views = gui.add_button_group("View", _VIEWS, hint="From where the scene is looked at")
+        self._views = gui.add_button_group("View", _VIEWS, hint="Viewpoint of the scene")
         with gui.add_folder("Shown in 3D", expand_by_default=False):
             rows = gui.add_slider(
                 "Every k-th row", min=1, max=40, step=1, initial_value=session.view.row_step
@@ -263,5 +263,5 @@ def _depth(frame_view: FrameView) -> DepthPicture | None:
     overlay = None
     if pairs is not None:
         overlay = PairOverlay(pixels=pairs, classes=view.visible_classes, beam=view.selected_beam)
-    width_px, height_px = _BOARD_PX
+    width_px, height_px = _PLANE_PX
     return depth_picture(title, depth_m, overlay, width_px=width_px, height_px=height_px)

@@ -13,7 +13,7 @@ from scanloom.frame_view import FrameView
 from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.state.view import PANELS
 
-# Frames a second at speed 1 if the recording has no rate; set by hand.
+# Frames per second at speed 1 if the recording has no rate; set by hand.
 _DEFAULT_HZ = 10.0
 _MAX_HZ = 30.0
 _SPEEDS = ("0.25", "0.5", "1", "2", "4")

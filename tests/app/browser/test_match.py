@@ -14,7 +14,7 @@ def test_the_sampling_slider_changes_heatmap_and_peak(person: Person) -> None:
     first = peak_of(frame_view, person.session.view)
     assert person.peak() == first
     before = person.picture()
-    step_deg = person.drag("Degrees a sample", 60.0)
+    step_deg = person.drag("Sampling step (°)", 60.0)
     assert step_deg > 1.0
     person.wait_until(lambda: person.frame_view.view.settings.sampling.step_deg == step_deg)
     second = peak_of(frame_view, person.frame_view.view)

@@ -82,7 +82,7 @@ def test_each_draw_is_shown_as_it_was_drawn(person: Person) -> None:
         person.wait_for_picture(picture_of_draw(found, index, person.picture(1)), 1)
         expect(person.thumb("Draw")).to_have_attribute("aria-valuenow", str(index))
         assert person.text("★ the best draw").count() == (index == best)
-    expect(person.text(f"made them {int(found.inliers.sum())}.")).to_be_visible()
+    expect(person.text(f"A agrees with {int(found.inliers.sum())}.")).to_be_visible()
 
 
 def agreeing(found: Registration, index: int) -> np.ndarray:

@@ -121,15 +121,15 @@ def test_a_pair_that_agrees() -> None:
     assert explain_pixel_class(said, SETTINGS) == (
         "Good: it differs from the LiDAR by 3.0 cm, within epsilon (6.0 cm)."
     )
-    assert explain_beam_repair(said, SETTINGS) == "Kept: a good value stays."
-    assert explain_pixel_repair(said, SETTINGS) == "Kept: a good value stays."
+    assert explain_beam_repair(said, SETTINGS) == "Kept: good values are not changed."
+    assert explain_pixel_repair(said, SETTINGS) == "Kept: good values are not changed."
 
 
 def test_a_lone_beam_is_a_burr_and_its_pixel_good() -> None:
     said = facts(with_values(wall(), 1.69, 20), wall_image())
     assert explain_beam_class(said, SETTINGS) == (
         "Burr: it disagrees with the camera by 31.0 cm, more than epsilon (6.0 cm), and no "
-        "adjacent beam supports it (of those two or three away 0, of the scans before and after 0)."
+        "adjacent beam supports it (beams two or three away: 0, scans before and after: 0)."
     )
     assert explain_pixel_class(said, SETTINGS) == (
         "Good: it disagrees with the LiDAR by 31.0 cm, more than epsilon (6.0 cm), but 24 of the "
@@ -147,13 +147,13 @@ def test_the_smaller_expected_error_is_told_with_the_greater() -> None:
     no_camera = facts(with_values(wall(), np.nan, 20), wall_image(), camera=np.full(BEAMS, np.nan))
     words = explain_beam_repair(no_camera, SETTINGS)
     assert re.fullmatch(
-        r"Filled from its neighbours: expected error 1\.\d cm; the camera offers nothing\.", words
+        r"Filled from its neighbours: expected error 1\.\d cm; the camera gives no value\.", words
     )
 
 
 def test_a_camera_that_contradicts_a_narrow_gap_is_named() -> None:
     said = facts(with_values(wall(), np.nan, 20), wall_image(), camera=with_values(wall(), 3.0, 20))
-    assert "the camera's answer, 3.00 m, contradicts the sides of this narrow gap" in (
+    assert "the camera's answer, 3.00 m, contradicts both sides of this narrow gap" in (
         explain_beam_repair(said, SETTINGS)
     )
 
@@ -161,7 +161,7 @@ def test_a_camera_that_contradicts_a_narrow_gap_is_named() -> None:
 def test_a_hole_that_nothing_fills() -> None:
     everything = facts(np.full(BEAMS, np.nan), np.full_like(wall_image(), np.nan))
     assert explain_beam_repair(everything, SETTINGS) == (
-        "Left empty: the camera offers nothing, and its neighbours give no value."
+        "Left empty: the camera gives no value, and its neighbours give no value."
     )
     assert explain_pixel_class(everything, SETTINGS) == "Hole: the camera gave no depth."
     assert explain_pixel_repair(everything, SETTINGS) == (
@@ -173,8 +173,8 @@ def test_a_conflict_keeps_both() -> None:
     said = facts(with_values(wall(), 1.2, slice(15, 26)), wall_image())
     assert explain_beam_class(said, SETTINGS) == (
         "Conflict: it disagrees with the camera by 80.0 cm, more than epsilon (6.0 cm), but both "
-        "adjacent beams support it (of those two or three away 4, of the scans before and after "
-        "0). Each measures a surface of its own."
+        "adjacent beams support it (beams two or three away: 4, scans before and after: 0). "
+        "Each sensor sees another surface."
     )
     assert explain_pixel_class(said, SETTINGS).startswith(
         "Conflict: it disagrees with the LiDAR by 80"
@@ -203,7 +203,7 @@ def test_a_burr_that_the_other_scans_have_too_is_kept() -> None:
     said = facts(with_values(wall(), 1.2, 20), wall_image(), steady=True, camera=wall())
     assert explain_beam_class(said, SETTINGS).startswith("Burr: it disagrees")
     assert explain_beam_repair(said, SETTINGS) == (
-        "Kept: the scans before and after have it in the same place."
+        "Kept: the scans before and after show it at the same place."
     )
 
 
@@ -213,10 +213,10 @@ def test_a_burr_with_nothing_to_take_from() -> None:
     said = facts(lidar, np.full_like(wall_image(), np.nan))
     assert explain_beam_class(said, SETTINGS) == (
         "Burr: the camera has no depth here to compare it with, and too few support it: no "
-        "adjacent beam supports it (of those two or three away 0, of the scans before and after 0)."
+        "adjacent beam supports it (beams two or three away: 0, scans before and after: 0)."
     )
     assert explain_beam_repair(said, SETTINGS) == (
-        "Kept: the camera offers nothing, and its neighbours give no value."
+        "Kept: the camera gives no value, and its neighbours give no value."
     )
 
 
@@ -250,7 +250,7 @@ def test_a_speckle_that_the_image_before_lacks() -> None:
     image = wall_image()
     image[ROW - 1 : ROW + 2, 19:22] = 1.2
     said = facts(wall(), image, camera=wall(), before=wall_image())
-    assert "and the image before shows nothing like it at its place; 8 of the 24" in (
+    assert "and the image before shows no such surface there; 8 of the 24" in (
         explain_pixel_class(said, SETTINGS)
     )
 
@@ -270,7 +270,7 @@ def test_a_pixel_that_is_no_sure_burr_is_kept() -> None:
 @pytest.mark.parametrize(
     ("lidar_m", "settings", "refused"),
     [
-        (1.2, SETTINGS, "the beam is no source, being a burr"),
+        (1.2, SETTINGS, "the beam is a burr and not used as a source"),
         (np.nan, SETTINGS, "the LiDAR has no range here"),
     ],
 )
@@ -302,7 +302,7 @@ def test_a_table_top_that_hides_the_beams_end() -> None:
     image[ROW - 1 : ROW + 2, 19:22] = np.nan
     said = facts(wall(), image, camera=wall())
     assert explain_pixel_repair(said, SETTINGS).endswith(
-        "; what the image shows around it is nearer and may hide the LiDAR's point."
+        "; the pixels around it are nearer and may occlude the LiDAR's point."
     )
 
 
@@ -311,7 +311,7 @@ def test_at_an_edge_both_may_mix_alike() -> None:
     edge[20] = 2.5
     said = facts(edge, np.tile(edge, (ROWS, 1)).astype(np.float32))
     assert explain_beam_class(said, SETTINGS).startswith(
-        "Burr: it and its pixel do not disagree, but neither has support enough."
+        "Burr: it and its pixel do not disagree, but neither has enough support."
     )
     assert explain_pixel_class(said, SETTINGS).startswith("Burr: it and its beam do not disagree")
 

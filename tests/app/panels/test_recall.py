@@ -23,7 +23,7 @@ from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, Widget, connect
 
 LONG_S = 30.0
-FOLDER = "Recall over ε, by the truth"
+FOLDER = "Recall over ε, by ground truth"
 
 
 class Bench:
@@ -225,7 +225,7 @@ def test_epsilon_moves_the_mark_and_computes_nothing(bench: Bench, computed: Com
     assert bench.panel._recall._plot.data is plots[1]
     assert len(computed.calls) == 1
     bench.epsilon(0.1)
-    bench.until(lambda: "outside of the plot" in bench.words)
+    bench.until(lambda: "outside the plot" in bench.words)
     assert np.isnan(bench.panel._recall._plot.data[-1]).all()
 
 

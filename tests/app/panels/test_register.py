@@ -81,16 +81,16 @@ def test_a_flat_map_is_warned_of():
     flat = register(LIDAR_M, LIDAR_M * (1.0, 0.01) + (0.0, 2.0), PUBLISHED)
     said = words_of(flat)
     assert "**flattens**: one direction keeps 1.0 % of its length" in said
-    assert "errors up to 100 times as long" in said
+    assert "multiplies errors by up to 100" in said
 
 
 def test_a_tilt_as_text():
     w = 1.0 + LIDAR_M @ (0.0, 0.02)
     found = registered(LIDAR_M / w[:, np.newaxis], model="homography", condition_max=1e5)
-    assert "tilts: w′ grows by **" in words_of(found)
+    assert "has a perspective: w′ grows by **" in words_of(found)
     # w' grows by 2 % of what it is at z = 0.
     middle_z_m = LIDAR_M[:, 1].mean()
-    assert f"{2.0 / (1.0 + 0.02 * middle_z_m):+.2f} %** a metre ahead" in words_of(found)
+    assert f"{2.0 / (1.0 + 0.02 * middle_z_m):+.2f} %** per metre ahead" in words_of(found)
 
 
 def test_refused_models_are_named_with_their_reason():
@@ -147,7 +147,7 @@ def test_the_papers_band_as_text(middle_m, where):
 
 def test_epsilon_without_an_E_as_text():
     assert "the paper's band [E, √2 E] is not known" in epsilon_said(0.1, float("nan"))
-    assert "ε is not known" in epsilon_said(float("nan"), float("nan"), "E", 1.2)
+    assert "ε in multiples of E has no value" in epsilon_said(float("nan"), float("nan"), "E", 1.2)
 
 
 class RecordingSession:

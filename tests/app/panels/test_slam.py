@@ -245,7 +245,7 @@ def test_a_failure_is_told_with_advice_and_the_panel_goes_on(
 def test_a_run_that_does_not_fit_is_shown_with_a_warning(seat: Seat, fake: FakeMap) -> None:
     fake.fits = False
     seat.run(FIRST)
-    seat.until_says("Not to be relied on:")
+    seat.until_says("Not reliable:")
     seat.client.wait_for(lambda got: got.type == "NotificationShowMessage", LONG_S)
     seat.until(lambda: seat.frame_view()[2])
 
