@@ -7,7 +7,6 @@ from fusion_core.model.conventions import NS_PER_S, FloatArray
 from fusion_core.workflows.fuse.pairing_gaps import PairingGaps, PairingStamps
 from scanloom.frame_view import FrameView, clock_offset_ms
 from scanloom.panels.widgets.controls import update_widget
-from scanloom.plots.lettering import INK
 from scanloom.plots.line_plot import (
     NEUTRAL,
     PlotLabels,
@@ -18,6 +17,7 @@ from scanloom.plots.line_plot import (
     with_vertical_line,
 )
 from scanloom.plots.palette import color_of
+from scanloom.plots.text import INK
 
 # Margin of the plot beyond the largest gap of a pair; set by hand.
 _MARGIN_FRACTION = 0.12

@@ -17,9 +17,9 @@ from scanloom.frame_view import FrameView, as_failure, clock_offset_ms, failure_
 from scanloom.jobs.long_job import LongJob
 from scanloom.panels.widgets.controls import update_widget
 from scanloom.panels.widgets.markup import paragraph
-from scanloom.plots.lettering import INK
 from scanloom.plots.line_plot import PlotLabels, add_line_plot, area, line, with_vertical_line
 from scanloom.plots.palette import Color, color_of
+from scanloom.plots.text import INK
 from scanloom.state.open_recording import OpenRecording
 
 _BAND_COLOR: Color = (225, 229, 233)

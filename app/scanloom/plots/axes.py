@@ -8,8 +8,8 @@ import numpy as np
 
 from fusion_core.model.conventions import ByteArray, FloatArray, IntArray
 from scanloom.plots.canvas import GREY, GRID, LINE_PX, TITLE_PX, Box
-from scanloom.plots.lettering import shortened, width_of, write
 from scanloom.plots.palette import Color
+from scanloom.plots.text import draw_text, draw_vertical_text, shorten, text_width
 from scanloom.plots.ticks import number_label, ticks_between, whole_ticks_between
 
 LEFT_PX = 54
@@ -72,8 +72,8 @@ class Axes:
 
     def draw_title(self, title: str) -> None:
         """Write above the box, cut to its width."""
-        text = shortened(title, self.box.width, size_px=TITLE_PX)
-        write(self.rgb, text, self.box.left, self.box.top - 13, size_px=TITLE_PX)
+        text = shorten(title, self.box.width, size_px=TITLE_PX)
+        draw_text(self.rgb, text, (self.box.left, self.box.top - 13), size_px=TITLE_PX)
 
     def x_ticks(self, *, whole: bool = False) -> list[float]:
         """Round values of x, as many as fit."""
@@ -91,9 +91,9 @@ class Axes:
             x = round(self.to_pixel(value, 0.0)[0])
             bottom = self.box.bottom
             cv2.line(self.rgb, (x, bottom + 1), (x, bottom + _TICK_PX), GREY)
-            write(self.rgb, number_label(value), x, bottom + _TICK_PX + 8, align="middle")
+            draw_text(self.rgb, number_label(value), (x, bottom + _TICK_PX + 8), align="middle")
         middle = self.box.left + 0.5 * self.box.width
-        write(self.rgb, label, middle, self.box.bottom + 28, align="middle")
+        draw_text(self.rgb, label, (middle, self.box.bottom + 28), align="middle")
 
     def draw_top_axis(self, label: str, ticks: Iterable[tuple[float, str]]) -> None:
         """A second x axis above the box; ``ticks``: x with what is written there."""
@@ -101,9 +101,9 @@ class Axes:
             x = round(self.to_pixel(value, 0.0)[0])
             top = self.box.top
             cv2.line(self.rgb, (x, top - 2), (x, top - 1 - _TICK_PX), GREY)
-            write(self.rgb, text, x, top - _TICK_PX - 8, align="middle")
+            draw_text(self.rgb, text, (x, top - _TICK_PX - 8), align="middle")
         middle = self.box.left + 0.5 * self.box.width
-        write(self.rgb, label, middle, self.box.top - 29, align="middle")
+        draw_text(self.rgb, label, (middle, self.box.top - 29), align="middle")
 
     def draw_y_axis(self, label: str, ticks: Iterable[float]) -> None:
         """Ticks with their values left of the box, and the axis' label left of those."""
@@ -111,13 +111,13 @@ class Axes:
             y = round(self.to_pixel(0.0, value)[1])
             left = self.box.left
             cv2.line(self.rgb, (left - 2, y), (left - 1 - _TICK_PX, y), GREY)
-            write(self.rgb, number_label(value), left - _TICK_PX - 3, y, align="right")
+            draw_text(self.rgb, number_label(value), (left - _TICK_PX - 3, y), align="right")
         middle = self.box.top + 0.5 * self.box.height
-        write(self.rgb, label, self.box.left - 41, middle, align="middle", turned=True)
+        draw_vertical_text(self.rgb, label, (self.box.left - 41, middle))
 
     def fitting(self, label: str, short: str) -> str:
         """``label``, or the shorter one where that is wider than the box."""
-        return label if width_of(label) <= self.box.width else short
+        return label if text_width(label) <= self.box.width else short
 
     # Within the box
 

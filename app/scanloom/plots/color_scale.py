@@ -8,8 +8,8 @@ import numpy as np
 
 from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray, IntArray
 from scanloom.plots.canvas import GREY, Box
-from scanloom.plots.lettering import write
 from scanloom.plots.palette import Color
+from scanloom.plots.text import draw_text, draw_vertical_text
 from scanloom.plots.ticks import number_label, ticks_between
 
 COLOR_BAR_PX = 76
@@ -71,16 +71,16 @@ class ColorScale:
         for value in ticks_between(low, high, max(2, min(6, bar.height // _TICK_ROOM_PX))):
             y = round(bar.bottom - 0.5 - (value - low) / (high - low) * bar.height)
             cv2.line(rgb, (bar.right + 1, y), (bar.right + _TICK_PX - 1, y), GREY)
-            write(rgb, number_label(value), x, y)
+            draw_text(rgb, number_label(value), (x, y))
         middle = bar.left + 0.5 * bar.width
         for exists, y, sign in (
             (beyond[0], bar.bottom + 6, "▼"),
             (beyond[1], bar.top - 7, "▲"),
         ):
             if exists:
-                write(rgb, sign, middle, y, align="middle", size_px=8, color=GREY)
+                draw_text(rgb, sign, (middle, y), align="middle", size_px=8, color=GREY)
         middle = box.top + 0.5 * box.height
-        write(rgb, label, box.right + COLOR_BAR_PX - 11, middle, align="middle", turned=True)
+        draw_vertical_text(rgb, label, (box.right + COLOR_BAR_PX - 11, middle))
 
 
 def cells_of_pixels(cells: int, pixels: int) -> IntArray:

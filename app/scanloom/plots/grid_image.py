@@ -12,7 +12,7 @@ from fusion_core.workflows.map.colors import FREE, UNKNOWN, scale_bar_m
 from scanloom.plots.axes import Axes
 from scanloom.plots.canvas import BLACK
 from scanloom.plots.legend import LegendEntry, swatch
-from scanloom.plots.lettering import INK, write
+from scanloom.plots.text import INK, draw_text
 from scanloom.plots.ticks import number_label
 
 _UNKNOWN_SHADE = 0
@@ -71,7 +71,7 @@ def draw_scale_bar(axes: Axes, y_px: int) -> None:
     left = axes.box.left
     right = left + round(bar_m * axes.px_per_unit[0])
     cv2.rectangle(axes.rgb, (left, y_px - 2), (right - 1, y_px + 2), INK, -1)
-    write(axes.rgb, f"{number_label(bar_m)} m", right + 8, y_px)
+    draw_text(axes.rgb, f"{number_label(bar_m)} m", (right + 8, y_px))
 
 
 def draw_metric_grid(axes: Axes, step_m: float) -> None:

@@ -19,9 +19,9 @@ from scanloom.plots.canvas import (
 )
 from scanloom.plots.color_scale import COLOR_BAR_PX, ColorScale
 from scanloom.plots.legend import Legend, LegendEntry, Symbol, hatch_symbol, padded
-from scanloom.plots.lettering import shortened, write
 from scanloom.plots.palette import Color, color_map
 from scanloom.plots.score_field import AzimuthAxis, Mark, MarkKind, ScoreField
+from scanloom.plots.text import draw_text, shorten
 from scanloom.plots.ticks import distinct_limits, number_label, ticks_between
 
 _LABELS: dict[MarkKind, str] = {
@@ -83,15 +83,15 @@ def heatmap(
     rows, columns = field.scores.shape
     axes = image_axes(rgb, box, (rows, columns), first_column=field.u_first)
     if title:
-        text = shortened(title, width_px - 2 * MARGIN_PX, size_px=TITLE_PX)
-        write(rgb, text, MARGIN_PX, MARGIN_PX + LINE_PX // 2, size_px=TITLE_PX)
+        text = shorten(title, width_px - 2 * MARGIN_PX, size_px=TITLE_PX)
+        draw_text(rgb, text, (MARGIN_PX, MARGIN_PX + LINE_PX // 2), size_px=TITLE_PX)
     scale = ColorScale(colors=color_map("viridis"), limits=_limits_of(field.scores))
     scale.paint(axes.inside, field.scores)
     axes.draw_frame()
     _draw_axes(axes, azimuths)
     if scale.limits is None:
         middle = box.left + 0.5 * box.width, box.top + 0.5 * box.height
-        write(rgb, _NO_SCORE, *middle, align="middle")
+        draw_text(rgb, _NO_SCORE, middle, align="middle")
     scale.draw_bar(rgb, box, "similarity")
     for mark in sorted(marks, key=lambda mark: _DRAWING_ORDER.index(mark.kind)):
         if _is_in_field(field, mark):

@@ -8,8 +8,8 @@ import cv2
 from fusion_core.model.conventions import ByteArray
 from scanloom.plots.canvas import GREY, LINE_PX
 from scanloom.plots.color_scale import hatch
-from scanloom.plots.lettering import width_of, write
 from scanloom.plots.palette import Color
+from scanloom.plots.text import draw_text, text_width
 
 SYMBOL_PX = 20
 """Width of a symbol, which is LINE_PX high."""
@@ -43,7 +43,7 @@ class Legend:
         lines: list[list[LegendEntry]] = []
         used = width_px
         for entry in entries:
-            entry_px = SYMBOL_PX + 4 + width_of(entry.label) + _GAP_PX
+            entry_px = SYMBOL_PX + 4 + text_width(entry.label) + _GAP_PX
             if used + entry_px - _GAP_PX > width_px:
                 lines.append([])
                 used = 0
@@ -63,8 +63,8 @@ class Legend:
             for entry in line:
                 entry.symbol(rgb[y : y + LINE_PX, x : x + SYMBOL_PX])
                 x += SYMBOL_PX + 4
-                write(rgb, entry.label, x, y + _MIDDLE_Y)
-                x += width_of(entry.label) + _GAP_PX
+                draw_text(rgb, entry.label, (x, y + _MIDDLE_Y))
+                x += text_width(entry.label) + _GAP_PX
 
 
 def padded(label: str, length: int) -> str:

@@ -17,8 +17,8 @@ from scanloom.plots.canvas import LINE_PX, MARGIN_PX, WHITE, blank_canvas, box_b
 from scanloom.plots.color_scale import COLOR_BAR_PX, ColorScale
 from scanloom.plots.grid_image import draw_metric_grid, draw_scale_bar, grid_step_m
 from scanloom.plots.legend import Legend, LegendEntry, line_symbol, padded
-from scanloom.plots.lettering import INK, write
 from scanloom.plots.palette import Color, color_map, color_of
+from scanloom.plots.text import INK, draw_text
 from scanloom.plots.ticks import number_label
 
 TRAJECTORY: Color = color_of("depth")
@@ -158,7 +158,7 @@ def _draw_close_up(rgb: ByteArray, view: SlamView, top: int) -> None:
         f"lines every {number_label(step_m)} m",
     ]
     for number, text in enumerate(lines):
-        write(rgb, text, box.right + COLOR_BAR_PX + 16, box.top + 10 + number * LINE_PX)
+        draw_text(rgb, text, (box.right + COLOR_BAR_PX + 16, box.top + 10 + number * LINE_PX))
 
 
 def _round_up(length_m: float) -> float:

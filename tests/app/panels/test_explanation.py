@@ -153,7 +153,7 @@ def test_the_smaller_expected_error_is_told_with_the_greater() -> None:
 
 def test_a_camera_that_contradicts_a_narrow_gap_is_named() -> None:
     said = facts(with_values(wall(), np.nan, 20), wall_image(), camera=with_values(wall(), 3.0, 20))
-    assert "the camera's answer, 3.00 m, contradicts both sides of this narrow gap" in (
+    assert "the camera's range, 3.00 m, contradicts both sides of this narrow gap" in (
         explain_beam_repair(said, SETTINGS)
     )
 

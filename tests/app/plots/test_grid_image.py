@@ -14,7 +14,7 @@ from scanloom.plots.grid_image import (
     grid_texture,
     paint_grid,
 )
-from scanloom.plots.lettering import INK
+from scanloom.plots.text import INK
 
 SURE = 30.0
 BOX = Box(10, 20, 320, 320)
