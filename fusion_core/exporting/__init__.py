@@ -1,1 +1,1 @@
-"""Results to files: tables, maps, MCAP, manifest. Everything is written aside and renamed."""
+"""Results to files: tables, maps, figures, point clouds, manifest; every file atomically."""

@@ -20,7 +20,7 @@ def write_cloud(path: Path, points_m: FloatArray, rgb: ByteArray | None = None) 
 
     if path.suffix not in (".ply", ".pcd"):
         raise ExportError(
-            f"{path.suffix!r} is no cloud format.", file=path, advice="Use .ply or .pcd."
+            f"{path.suffix!r} is not a point cloud format.", file=path, advice="Use .ply or .pcd."
         )
     if points_m.shape[0] == 0:
         raise ExportError("the cloud has no points.", file=path)
@@ -29,6 +29,6 @@ def write_cloud(path: Path, points_m: FloatArray, rgb: ByteArray | None = None) 
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_m))
     if rgb is not None:
         cloud.colors = o3d.utility.Vector3dVector(rgb.astype(np.float64) / 255.0)
-    with atomic_path(path) as aside:
-        if not o3d.io.write_point_cloud(aside, cloud):
+    with atomic_path(path) as temporary:
+        if not o3d.io.write_point_cloud(temporary, cloud):
             raise ExportError("cannot be written.", file=path, advice="Free space on the disk.")

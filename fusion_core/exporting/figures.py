@@ -1,4 +1,4 @@
-"""What all figures share: one look, one way to draw an image, and the same bytes each time."""
+"""What all figures share: style, images, colour bars, legends, and reproducible bytes."""
 
 import io
 from collections.abc import Iterable, Iterator
@@ -38,7 +38,7 @@ _STYLE = {
     "axes.linewidth": 0.6,
     "axes.grid": False,
     "image.interpolation": "nearest",
-    # A dollar sign in a name is no mathematics.
+    # A dollar sign in a name does not begin a formula.
     "text.parse_math": False,
 }
 NO_VALUE_COLOR = "#d9d9d9"
@@ -72,8 +72,8 @@ def png_figure(path: Path, heading: str, *, width_px: int, height_px: int) -> It
 
 
 def _freeze_layout(figure: "Figure") -> None:
-    """Lay out the panels once, and round where they stand: the layout's solver orders its terms by
-    memory address, so that its last digits are not the same in every run."""
+    """Lay out the panels once and round their positions: the layout's solver orders its terms by
+    memory address, so that its last digits differ between runs."""
     engine = figure.get_layout_engine()
     assert engine is not None, "png_figure makes figures with one"
     if figure.get_axes():
@@ -117,7 +117,7 @@ def add_color_bar(
     beyond: Literal["neither", "max"] = "neither",
     left: float = 1.02,
 ) -> None:
-    """A colour bar as high as ``axes``, from ``left`` of their width on."""
+    """A colour bar as high as ``axes``, its left edge at ``left`` in units of their width."""
     figure = axes.get_figure()
     assert figure is not None, "axes are made by a figure"
     place = axes.inset_axes((left, 0.0, 0.04, 1.0))
@@ -127,7 +127,7 @@ def add_color_bar(
 def add_legend_below(
     figure: "Figure | SubFigure", panels: "Iterable[Axes]", *, columns: int, caption: str = ""
 ) -> None:
-    """One legend for all panels, below them, each entry once, under the lines of ``caption``."""
+    """One legend for all panels below them, each entry once, with ``caption`` above it."""
     entries: dict[str, Artist] = {}
     for axes in panels:
         handles, labels = axes.get_legend_handles_labels()
@@ -173,7 +173,7 @@ def far_limit_m(depth_m: Float32Array) -> float:
 
 
 def continuous_deg(azimuth_rad: FloatArray, middle_rad: float) -> FloatArray:
-    """Azimuths in degrees without a jump near ``middle_rad``."""
+    """Azimuths in degrees, within 180 of ``middle_rad``, so that they do not jump there."""
     degrees: FloatArray = np.rad2deg(middle_rad + wrap_angle(azimuth_rad - middle_rad))
     return degrees
 
@@ -184,17 +184,17 @@ def middle_of_view_rad(azimuth_rad: FloatArray) -> float:
 
 
 def label_azimuth(axes: "Axes") -> None:
-    """Label an axis of azimuths; they rise to the left, as seen."""
+    """Label an axis of azimuths; they increase to the left, as in the image."""
     axes.set_xlabel("azimuth in the LiDAR frame (°)")
     if not axes.xaxis_inverted():
         axes.invert_xaxis()
 
 
-def describe_delay(delay_ms: float, than: str) -> str:
-    """How long after ``than``, in words."""
+def describe_delay(delay_ms: float, reference: str) -> str:
+    """How long after ``reference`` (negative: before), as text."""
     if delay_ms == 0.0:
-        return f"at the stamp of {than}"
-    return f"{abs(delay_ms):.1f} ms {'after' if delay_ms > 0.0 else 'before'} {than}"
+        return f"at the stamp of {reference}"
+    return f"{abs(delay_ms):.1f} ms {'after' if delay_ms > 0.0 else 'before'} {reference}"
 
 
 def format_stamp(stamp_ns: int) -> str:

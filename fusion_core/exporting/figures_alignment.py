@@ -98,12 +98,12 @@ def _show_scan(axes: "Axes", scan: LaserScan, beams_in_view: IntArray) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldPanel:
-    """Scores over (u, v) with what names them.
+    """Scores over (u, v), their peaks, and the scales of the axes.
 
     ``scores``: (H, U), NaN where there is none, columns from offset ``u_first``. ``peak`` and
     ``runner_up``: (u, v) or None. The camera's yaw on the LiDAR is ``yaw_at_zero_deg`` for u = 0
-    and falls by ``step_deg`` a sample; row ``middle_row`` looks level, ``focal_px`` the vertical
-    focal length.
+    and decreases by ``step_deg`` per sample. ``middle_row``: the row at elevation 0; ``focal_px``:
+    the vertical focal length.
     """
 
     scores: FloatArray
@@ -127,10 +127,8 @@ class CurvePair:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricColumn:
-    """One score: its name, the field of a frame, the recording's, and the frame's curves.
-
-    None where the recording gives no such thing.
-    """
+    """One score: its name, the field of a frame, the recording's mean field, and the frame's
+    curves; None where the recording does not give them."""
 
     name: str
     frame: FieldPanel | None
@@ -143,7 +141,7 @@ def write_similarity(
 ) -> None:
     """Fig. 4: distributions of the scores, and the two curves at the frame's peaks.
 
-    ``mean_of`` says what the recording's mean field is made of ("90 frames").
+    ``mean_of``: what the recording's mean field is the mean of ("90 frames").
     """
     with png_figure(path, heading, width_px=385 * len(columns), height_px=1150) as figure:
         parts = figure.subfigures(2, 1, height_ratios=(2.1, 1.0), squeeze=False)
@@ -182,7 +180,7 @@ def _show_field(axes: "Axes", panel: FieldPanel | None, title: str, last: bool) 
         aspect="auto",
         extent=(panel.u_first - 0.5, panel.u_first + offsets - 0.5, rows - 0.5, -0.5),
     )
-    # The last column tells the elevations, between the field and its colour bar.
+    # The last column has the axis of elevations between the field and its colour bar.
     add_color_bar(axes, image, "score" if last else "", left=1.25 if last else 1.02)
     for place, marker, size in ((panel.runner_up, "o", 7), (panel.peak, "X", 8)):
         if place is not None:

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion_core.exporting.figures import add_color_bar, png_figure
-from fusion_core.exporting.palette import BURR, FUSED, LIDAR
+from fusion_core.exporting.palette import BURR, FUSED, LIDAR, UNKNOWN
 from fusion_core.model.grids import MapDifference, OccupancyGrid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.patches import Patch
 
-_UNKNOWN = "#c4ccd6"
 _NAMES = {
     "lidar": "LiDAR map",
     "repaired": "repaired map",
@@ -43,7 +42,7 @@ def write_maps(
         for axes in every[panels:]:
             axes.set_axis_off()
         for axes in every[:panels]:
-            axes.set_facecolor(_UNKNOWN)
+            axes.set_facecolor(UNKNOWN)
             axes.set_aspect("equal")
             axes.set_xlabel("x in the map frame (m)")
             axes.set_ylabel("y in the map frame (m)")
@@ -51,7 +50,7 @@ def write_maps(
         for letter, axes, name in zip("abc", every, shown, strict=False):
             _show_map(axes, grids[name])
             axes.set_title(f"({letter}) {_NAMES[name]}, {_SOURCES[name]}")
-        handles = [Patch(facecolor=_UNKNOWN, label="unknown")]
+        handles = [Patch(facecolor=UNKNOWN, label="unknown")]
         if difference is not None:
             handles += _show_difference(every[panels - 1], difference)
             first, second = (_NAMES[name] for name in difference.names)
@@ -79,7 +78,7 @@ def _show_map(axes: "Axes", grid: OccupancyGrid) -> None:
     shades = mpl.colormaps["gray_r"].resampled(_SHADES)
     image = axes.imshow(
         grid.probability,
-        cmap=shades.with_extremes(bad=_UNKNOWN),
+        cmap=shades.with_extremes(bad=UNKNOWN),
         vmin=0.0,
         vmax=1.0,
         origin="lower",
@@ -89,7 +88,7 @@ def _show_map(axes: "Axes", grid: OccupancyGrid) -> None:
 
 
 def _show_difference(axes: "Axes", difference: MapDifference) -> "list[Patch]":
-    """Draw it and say what the colours mean."""
+    """Draw the difference; returns the legend of its colours."""
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
@@ -98,7 +97,7 @@ def _show_difference(axes: "Axes", difference: MapDifference) -> "list[Patch]":
     common = np.select([difference.states == both, difference.states >= free], [2, 1], 0)
     axes.imshow(
         common,
-        cmap=ListedColormap([_UNKNOWN, "white", FUSED]),
+        cmap=ListedColormap([UNKNOWN, "white", FUSED]),
         vmin=-0.5,
         vmax=2.5,
         origin="lower",

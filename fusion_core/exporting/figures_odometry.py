@@ -1,4 +1,4 @@
-"""The weights of fused odometry over time, and how far each source was from the result."""
+"""The weights of fused odometry over time, and the difference of each source from the result."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SOURCE_COLORS: Mapping[str, str] = {"wheel": GOOD, "laser": LIDAR, "visual": DEPTH}
-# More columns than the figure has pixels would be drawn for nothing.
+# No more columns than the figure has pixels.
 _COLUMNS_MAX = 1200
 
 
 class OdometryWeights(Protocol):
-    """What each of S sources has to do with N - 1 fused steps.
+    """The part of each of S sources in N - 1 fused steps.
 
     ``stamps_ns``: (N,). ``translation``, ``rotation``: (N - 1, S) weights, ``residual_m``,
     ``residual_rad``: (N - 1, S) difference from the fused step, NaN where there is none.
@@ -51,13 +51,13 @@ def write_odometry_weights(path: Path, heading: str, weights: OdometryWeights) -
     seconds = (stamps_ns - stamps_ns[0]) / 1e9
     with png_figure(path, heading, width_px=1200, height_px=900) as figure:
         panels = figure.subplots(4, 1, sharex=True)
-        for axes, shares, title in (
-            (panels[0], weights.translation, "share in the translation"),
-            (panels[1], weights.rotation, "share in the turn"),
+        for axes, values, title in (
+            (panels[0], weights.translation, "weight of the translation"),
+            (panels[1], weights.rotation, "weight of the rotation"),
         ):
-            _plot_stacked(axes, seconds, shares, sources)
+            _plot_stacked(axes, seconds, values, sources)
             axes.set_title(title)
-            axes.set_ylabel("share")
+            axes.set_ylabel("weight")
             axes.set_ylim(0.0, 1.0)
         for axes, residual, unit in (
             (panels[2], 1e3 * weights.residual_m, "mm"),
@@ -76,7 +76,7 @@ def write_odometry_weights(path: Path, heading: str, weights: OdometryWeights) -
             axes.set_ylim(bottom=0.0)
             axes.yaxis.set_major_formatter("{x:g}")
             axes.grid(lw=0.3, color="0.85")
-        panels[2].set_title("difference of each source's step from the fused one; x: not believed")
+        panels[2].set_title("difference of each source's step from the fused one; x: rejected")
         for source, _ in enumerate(sources):
             out = weights.rejected[:, source]
             panels[2].plot(
@@ -85,7 +85,7 @@ def write_odometry_weights(path: Path, heading: str, weights: OdometryWeights) -
                 "x",
                 color=BURR,
                 ms=4,
-                label="step not believed",
+                label="rejected step",
             )
         panels[-1].set_xlabel("time since the first scan (s)")
         panels[-1].set_xlim(0.0, float(max(seconds[-1], 1e-9)))
@@ -93,15 +93,16 @@ def write_odometry_weights(path: Path, heading: str, weights: OdometryWeights) -
 
 
 def _plot_stacked(
-    axes: "Axes", seconds: FloatArray, shares: FloatArray, sources: Sequence[str]
+    axes: "Axes", seconds: FloatArray, weights: FloatArray, sources: Sequence[str]
 ) -> None:
-    """Shares one upon another; of long recordings the mean of each column of the figure."""
-    pieces = np.array_split(np.arange(len(shares)), max(1, min(len(shares), _COLUMNS_MAX)))
+    """Stacked areas of (N - 1, S) weights; of long recordings the mean over each column of the
+    figure."""
+    pieces = np.array_split(np.arange(len(weights)), max(1, min(len(weights), _COLUMNS_MAX)))
     pieces = [piece for piece in pieces if piece.size]
     if not pieces:
         return
     edges = np.array([seconds[piece[0]] for piece in pieces] + [seconds[-1]])
-    means = np.stack([shares[piece].mean(axis=0) for piece in pieces])
+    means = np.stack([weights[piece].mean(axis=0) for piece in pieces])
     below = np.zeros(len(means) + 1)
     for source, name in enumerate(sources):
         above = below + np.append(means[:, source], means[-1, source])
@@ -118,6 +119,6 @@ def _plot_stacked(
 
 
 def _threshold(residual: FloatArray) -> float:
-    """Where the scale turns from linear to logarithmic: the usual residual."""
+    """Where the scale changes from linear to logarithmic: the median residual."""
     known = residual[np.isfinite(residual) & (residual > 0.0)]
     return float(np.median(known)) if known.size else 1.0

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RansacPairs:
-    """The pairs of a frame as RANSAC has them, and what it finds.
+    """The pairs of a frame that RANSAC is given, and its result.
 
     ``lidar_points_m``, ``depth_points_m``: (m, 2), NaN where missing. ``inliers``: (m,), within
-    ``threshold_m`` under the model of the best of ``draws``. ``axis_names`` say what x and z are.
+    ``threshold_m`` under the model of the best of ``draws``. ``axis_names``: labels of x and z.
     """
 
     lidar_points_m: FloatArray

@@ -42,7 +42,8 @@ class RepairedCurve:
     """The beams in view with their pixels, raw and repaired: arrays over the B beams.
 
     ``row``, ``column``: -1 where a beam has no pixel. ``lidar_m``: ranges, ``depth_m``: depths
-    along the optical axis, ``depth_as_range_m``: as horizontal ranges. NaN where missing.
+    along the optical axis, ``depth_as_range_m``: as horizontal ranges. ``camera_range_m``: the
+    range at which the beam meets what the camera sees. NaN where missing.
     Classes are codes of NoiseClass (-1 without a pixel), sources of RepairSource.
     """
 
@@ -67,7 +68,7 @@ class RepairedCurve:
 
     @property
     def depth_changed(self) -> BoolArray:
-        """(B,) pixels that have another value than before."""
+        """(B,) whether the pixel was repaired."""
         return _is_repaired(self.depth_source)
 
 
@@ -187,8 +188,8 @@ def _show_band(
 
 
 def rectify_band_m(depth_m: Float32Array, curve: RepairedCurve) -> tuple[FloatArray, BoolArray]:
-    """Depths of the rows around the curve, (2 k + 1, 2 B) with equal angles from left to right,
-    NaN where missing, and where there is no pixel at all."""
+    """Depths of the ``_BAND_ROWS`` k rows above and below the curve: (2 k + 1, 2 B), columns at
+    equal angles from left to right, NaN where missing; and the mask of places without a pixel."""
     azimuth_deg = curve.azimuth_deg
     step_deg = float(np.median(np.abs(np.diff(np.sort(azimuth_deg)))))
     shown_deg = np.linspace(azimuth_deg.max(), azimuth_deg.min(), 2 * azimuth_deg.size)
@@ -201,7 +202,7 @@ def rectify_band_m(depth_m: Float32Array, curve: RepairedCurve) -> tuple[FloatAr
 
 
 def _nearest(values: FloatArray, wanted: FloatArray) -> IntArray:
-    """(M,) index of the value nearest to each that is wanted, the first of two equally near.
+    """(M,) index of the value nearest to each ``wanted`` one, the first of two equally near.
 
     ``values``: (N,) in any order, all different, at least two.
     """
@@ -249,7 +250,7 @@ def _show_lidar(axes: "Axes", curve: RepairedCurve, *, after: bool) -> None:
 def _label_noise(
     axes: "Axes", curve: RepairedCurve, own: IntArray, other: IntArray, heights: tuple[float, ...]
 ) -> None:
-    """A, B and C, each at its height, over the longest stretch of each noise type."""
+    """Label the longest run of each noise type with A, B or C, each at its height."""
     hole = own == NoiseClass.HOLE
     types = {
         "A": hole & (other == NoiseClass.HOLE),
@@ -258,15 +259,20 @@ def _label_noise(
     }
     azimuth_deg = curve.azimuth_deg
     for (letter, mask), y in zip(types.items(), heights, strict=True):
-        stretch = longest_run(mask)
-        if stretch.size == 0:
+        run = longest_run(mask)
+        if run.size == 0:
             continue
-        ends = azimuth_deg[stretch]
+        run_deg = azimuth_deg[run]
         axes.axvspan(
-            ends.min() - 0.2, ends.max() + 0.2, facecolor="none", edgecolor="black", ls="--", lw=0.9
+            run_deg.min() - 0.2,
+            run_deg.max() + 0.2,
+            facecolor="none",
+            edgecolor="black",
+            ls="--",
+            lw=0.9,
         )
         axes.text(
-            float(ends.mean()),
+            float(run_deg.mean()),
             y,
             letter,
             ha="center",

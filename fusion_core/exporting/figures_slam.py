@@ -5,11 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from fusion_core.exporting.figures import png_figure
-from fusion_core.exporting.palette import BURR, DEPTH, LIDAR
+from fusion_core.exporting.palette import BURR, DEPTH, LIDAR, UNKNOWN
 from fusion_core.model.conventions import NS_PER_S, BoolArray, FloatArray, IntArray
 from fusion_core.model.grids import OccupancyGrid
 
-_UNKNOWN = "#c4ccd6"
 _SIDE_PX = 900
 _SMALLEST_PX = 420
 _LEGEND_PX = 110
@@ -34,7 +33,7 @@ def write_trajectory_figure(
     width_px, height_px = (max(_SMALLEST_PX, round(_SIDE_PX * fraction)) for fraction in shape)
     with png_figure(path, heading, width_px=width_px, height_px=height_px + _LEGEND_PX) as figure:
         axes = figure.subplots()
-        axes.set_facecolor(_UNKNOWN)
+        axes.set_facecolor(UNKNOWN)
         axes.set_aspect("equal")
         axes.set_xlabel("x in the map frame (m)")
         axes.set_ylabel("y in the map frame (m)")
@@ -74,7 +73,7 @@ def write_effective_particles(
     resampled: BoolArray,
     particles: int,
 ) -> None:
-    """N_eff (Grisetti 2007, eq. 20) of K weighed scans.
+    """N_eff (Grisetti 2007, eq. 20) over K scans by which the particles were weighted.
 
     ``stamps_ns``, ``effective``, ``resampled``: (K,), K >= 1. Raises ExportError.
     """
@@ -100,8 +99,8 @@ def write_effective_particles(
 
 
 def _downsampled_probability(grid: OccupancyGrid) -> FloatArray:
-    """(rows, columns) probability with no more cells than the picture can show, each the highest
-    of those that it stands for, so that thin walls stay."""
+    """(rows, columns) probability at about the picture's resolution, each cell the maximum of those
+    that it covers, so that thin walls stay."""
     stride = -(-max(grid.log_odds.shape) // (2 * _SIDE_PX))
     log_odds = grid.log_odds
     for axis in (0, 1):
@@ -116,8 +115,8 @@ def _bounds_m(
 ) -> tuple[FloatArray, FloatArray]:
     """(2,) and (2,): the map's corners, or those of the trajectory where there is no map."""
     if grid is None:
-        places_m = poses_map_scan[:, :2]
-        return places_m.min(axis=0) - 1.0, places_m.max(axis=0) + 1.0
+        positions_m = poses_map_scan[:, :2]
+        return positions_m.min(axis=0) - 1.0, positions_m.max(axis=0) + 1.0
     rows, columns = grid.log_odds.shape
     low = np.array(grid.origin_m)
     return low, low + grid.resolution_m * np.array([columns, rows])

@@ -1,8 +1,8 @@
-"""``manifest.json``: what the results in a folder were made of, and what they were when written.
+"""``manifest.json``: what the results in a folder were computed from, and their digests.
 
 It names the command, the project's version, the libraries' versions, the seed, the digest of the
 settings, and the SHA-256 of every input and result. Names only: no absolute path, clock or host. A
-file that is not as its manifest says is no result: whoever reads results asks
+file that differs from its manifest is not a result: code that reads results calls
 ``require_intact`` first.
 """
 
@@ -39,7 +39,7 @@ class InputDigest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunIdentity:
-    """What decides a run's results: two runs of equal work give the same bytes."""
+    """What determines a run's results: runs of equal identity give the same bytes."""
 
     command: str
     inputs: tuple[InputDigest, ...]
@@ -60,8 +60,8 @@ class RunIdentity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Manifest:
-    """A folder's manifest. ``content`` is None where there is none; ``document`` is empty there,
-    and where a file of this name is nobody's manifest of results."""
+    """A folder's manifest. ``content`` is None where there is none; ``document`` is empty then, and
+    where a file of this name is not a manifest of this project."""
 
     folder: Path
     content: bytes | None
@@ -85,13 +85,13 @@ class Manifest:
 
     @property
     def command(self) -> str | None:
-        """What made the results; None where that is not known."""
+        """The command that wrote the results; None where it is not known."""
         command = self.document.get("command")
         return command if isinstance(command, str) else None
 
     @property
     def results(self) -> dict[str, str]:
-        """SHA-256 of each result. A name that leads out of the folder is not one."""
+        """SHA-256 of each result. Names that lead out of the folder are ignored."""
         files = self.document.get("files")
         if not isinstance(files, dict):
             return {}
@@ -104,7 +104,7 @@ class Manifest:
         }
 
     def matches(self, run: RunIdentity) -> bool:
-        """Whether the folder holds the results of this work, all as written."""
+        """Whether the folder holds the results of this run, all as written."""
         own = self.document
         return (
             bool(self.results)
@@ -131,11 +131,11 @@ def manifest_text(run: RunIdentity, results: Path, names: Sequence[str]) -> str:
 
 
 def require_intact(folder: Path, names: Collection[str], command: str | None = None) -> None:
-    """Raise ScanLoomError where a file in ``folder`` is not as the folder's manifest says, or the
-    folder's results are not those of ``command``.
+    """Raise ScanLoomError where one of the files ``names`` differs from the folder's manifest, or
+    the folder's results are not those of ``command``.
 
     A run that was killed while it put its results in place leaves such files. Names that the
-    manifest lacks, and folders without one, are not judged.
+    manifest lacks, and folders without a manifest, are not checked.
     """
     manifest = Manifest.read(folder)
     if command is not None and manifest.command not in (None, command):
@@ -154,7 +154,7 @@ def require_intact(folder: Path, names: Collection[str], command: str | None = N
 
 
 def project_version() -> str:
-    """The installed version; a source tree that is not installed says so."""
+    """The installed version, "0+not-installed" of a source tree that is not installed."""
     try:
         return version(_PROJECT)
     except PackageNotFoundError:

@@ -12,7 +12,7 @@ from fusion_core.model.grids import MapDifference, OccupancyGrid
 
 Color = tuple[int, int, int]
 
-# Okabe & Ito 2008, which deuteranopes and protanopes can tell apart, darkest for what all maps
+# Okabe & Ito 2008, distinguishable by deuteranopes and protanopes, darkest for what all maps
 # share. By the bit mask of MapDifference, for two and for three maps.
 _OBSTACLES: dict[int, tuple[Color, ...]] = {
     2: ((0, 114, 178), (213, 94, 0), (0, 0, 0)),
@@ -41,7 +41,7 @@ _FONT_SCALE = 0.45
 
 
 def write_grid_picture(path: Path, grid: OccupancyGrid) -> None:
-    """A map: the darker a cell, the surer an obstacle; unknown cells are blue-grey."""
+    """A map: the darker a cell, the more probable an obstacle; unknown cells are blue-grey."""
     rgb = np.empty((*grid.log_odds.shape, 3), dtype=np.uint8)
     # Row by row: a large map's arrays of floats would be several times the map.
     for row, log_odds in zip(rgb, grid.log_odds, strict=True):
@@ -57,7 +57,7 @@ def write_difference_picture(path: Path, difference: MapDifference) -> None:
     """The difference of two or three maps, each state in its colour."""
     colors = difference_colors(len(difference.names))
     rgb = np.array(colors, dtype=np.uint8)[difference.states]
-    legend = [(colors[state], words) for state, words in difference.legend.items()]
+    legend = [(colors[state], label) for state, label in difference.legend.items()]
     _write(path, _compose(rgb, difference.resolution_m, legend))
 
 
@@ -93,11 +93,11 @@ def _compose(rgb: ByteArray, resolution_m: float, legend: list[tuple[Color, str]
         canvas, (_MARGIN_PX, top + 4), (_MARGIN_PX + bar_px - 1, top + 9), _FOREGROUND, -1
     )
     _put_text(canvas, f"{bar_m:g} m", _MARGIN_PX + bar_px + 8, top + 11)
-    for i, (color, words) in enumerate(legend):
+    for i, (color, label) in enumerate(legend):
         y = top + _LINE_PX * (i + 1)
         cv2.rectangle(canvas, (_MARGIN_PX, y), (_MARGIN_PX + 14, y + 14), color, -1)
         cv2.rectangle(canvas, (_MARGIN_PX, y), (_MARGIN_PX + 14, y + 14), _FOREGROUND, 1)
-        _put_text(canvas, words, _MARGIN_PX + 24, y + 12)
+        _put_text(canvas, label, _MARGIN_PX + 24, y + 12)
     return canvas
 
 

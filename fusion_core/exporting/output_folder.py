@@ -1,4 +1,4 @@
-"""A folder of results: when a run into it may be skipped, replaces what is there, or is refused."""
+"""A folder of results: a run into it is skipped, replaces earlier results, or is refused."""
 
 import hashlib
 import os
@@ -40,7 +40,7 @@ class OutputPlan:
 class RunRequest:
     """What a run is to compute, and from what.
 
-    ``also_read``: files that are read but are no inputs of their own: settings, whose content is
+    ``also_read``: files that are read besides the inputs: the settings file, whose content is
     ``settings_text``, or the data set around the inputs; None for what was not given.
     """
 
@@ -59,33 +59,33 @@ def plan_output(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> OutputPlan:
-    """Decide about an output folder, without changing its files.
+    """Decide what a run does with an output folder, without changing its files.
 
     A folder whose manifest has the same version, command, settings, seed and inputs, and whose
     files are still as written, is skipped unless ``force``.
 
-    Raises ExportError for a folder that is an input, lies inside one or holds one; unless
-    ``overwrite``, for one with the results of another command, or with files of which its manifest
-    knows nothing. With it the former are replaced, and the latter stay.
+    Raises ExportError for a folder that is an input, lies inside one or holds one. Without
+    ``overwrite`` also for one with the results of another command, or with files that its manifest
+    does not list; with it, the former are replaced, and the latter stay.
     """
     if (folder.exists() or folder.is_symlink()) and not folder.is_dir():
         raise ExportError("is not a folder.", file=folder, advice="Name another output folder.")
     require_apart(folder, request.inputs)
-    work = RunIdentity(
+    run = RunIdentity(
         command=request.command,
         inputs=tuple(digest_input(path, progress) for path in request.inputs),
         settings_sha256=hashlib.sha256(request.settings_text.encode("utf-8")).hexdigest(),
         seed=request.seed,
     )
     manifest = Manifest.read(folder)
-    skip = not force and manifest.matches(work)
+    skip = not force and manifest.matches(run)
     if skip:
         clear_abandoned(folder)
     else:
         require_apart(folder, [path for path in request.also_read if path is not None])
         if not overwrite:
             _require_replaceable(manifest, request.command)
-    return OutputPlan(folder=folder, run=work, is_done=skip, earlier_manifest=manifest)
+    return OutputPlan(folder=folder, run=run, is_done=skip, earlier_manifest=manifest)
 
 
 @contextmanager
@@ -95,13 +95,13 @@ def results_folder(plan: OutputPlan) -> Iterator[Path]:
     Enter it before the work begins: it keeps other runs out of ``plan.folder``. When the block
     ends, the files of the last run that are no longer results are removed, the manifest is written
     and the new files are moved to ``plan.folder``. When it raises, the earlier results stay as they
-    were. Raises ExportError where the folder cannot be made or another run is at work in it, and
-    before anything is touched where a result cannot be put in its place.
+    were. Raises ExportError where the folder cannot be created or another run works in it, and,
+    before any file is changed, where a result cannot be put in its place.
     """
     with work_folder(plan.folder) as work:
         if Manifest.read(plan.folder).content != plan.earlier_manifest.content:
             raise ExportError(
-                "was written by another run just now.",
+                "was written by another run in the meantime.",
                 file=plan.folder,
                 advice="Call again, or name another output folder.",
             )
@@ -165,7 +165,8 @@ def _publish(plan: OutputPlan, results: Path) -> None:
 
 
 def _require_writable(plan: OutputPlan, name: str) -> None:
-    """Raise ExportError where a result cannot be put or removed, or what is there is no result."""
+    """Raise ExportError where a result cannot be written or removed, or would replace a file that
+    is not a result."""
     target = plan.folder / name
     parent = target.parent
     while not parent.exists() and not parent.is_symlink():
@@ -180,7 +181,7 @@ def _require_writable(plan: OutputPlan, name: str) -> None:
     elif target.is_dir() and not target.is_symlink():
         problem = "is a folder where a result must go"
     elif not is_own and (target.exists() or target.is_symlink()):
-        problem = "is no result of a run here, and stands where one must go"
+        problem = "was not written by a run, and has the name of a result"
     else:
         return
     raise ExportError(f"{problem}.", file=target, advice="Name another output folder.")

@@ -1,6 +1,6 @@
-"""Colours of the figures: those of Okabe and Ito (2008), which stay apart for colour-blind readers.
+"""Colours of the figures: those of Okabe and Ito (2008), distinct for colour-blind readers.
 
-``static/palette.json`` gives the interface the same ones. LiDAR is warm and depth blue, as in
+``static/palette.json`` gives the workbench the same ones. LiDAR is warm and depth blue, as in
 Xu 2024.
 """
 
@@ -11,6 +11,8 @@ CONFLICT = "#CC79A7"
 LIDAR = "#E69F00"
 DEPTH = "#0072B2"
 FUSED = "#000000"
+UNKNOWN = "#c4ccd6"
+"""Unknown cells of maps."""
 
 PALETTE = {
     "good": GOOD,

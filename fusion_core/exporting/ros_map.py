@@ -13,8 +13,8 @@ FREE_PIXEL = 254
 UNKNOWN_PIXEL = 205
 
 # The reader compares (255 - pixel) / 255 with the thresholds of the YAML file, and pixel 205 gives
-# 0.19608: with 0.25 it would read unknown cells as free. 0.65 and 0.196 tell the three pixels
-# apart, whatever the thresholds by which the cells were judged.
+# 0.19608: with 0.25 it would read unknown cells as free. 0.65 and 0.196 separate the three pixel
+# values, whatever the thresholds by which the cells were classified.
 _YAML_OCCUPIED_THRESH = 0.65
 _YAML_FREE_THRESH = 0.196
 

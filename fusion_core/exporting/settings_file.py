@@ -59,10 +59,10 @@ def load_toml(
 ) -> dict[str, StageSettings]:
     """The settings of every stage in ``stages``; what the file leaves out comes from ``base``.
 
-    Without ``base``, or for a stage it lacks, that is the default. A key that had another name in
-    earlier versions is read, and a warning logged that gives the new name. Raises SettingsError,
-    naming the file, key, value and allowed range, for unknown stages and keys, wrong types and
-    values out of range.
+    Without ``base``, or for a stage it lacks, the defaults are used. A key under its name of an
+    earlier version is read, with a logged warning that gives the new name. Raises SettingsError,
+    with the file, key, value and allowed range, for unknown stages and keys, wrong types and values
+    out of range.
     """
     document = _read(path)
     document.pop(_PRESET_KEY, None)
@@ -86,8 +86,8 @@ def load_toml(
                 raise SettingsError(
                     f"{stage}.{name} = {_abbreviate(value)}: {_TOO_MUCH}.", file=path
                 )
-        # JSON, since there a list may become a tuple and text an enum member while text is
-        # still no number.
+        # Strict validation of JSON accepts a list for a tuple and text for an enum member, but
+        # not text for a number.
         text = json.dumps(start | given, default=str)
         try:
             result[stage] = settings_class.model_validate_json(text, strict=True)
@@ -104,12 +104,12 @@ def _read(path: Path) -> dict[str, Any]:
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise SettingsError(f"is not TOML: {error}.", file=path) from error
     except ValueError as error:
-        # What Python says of a decimal number of thousands of digits.
+        # Python refuses a decimal number of thousands of digits.
         raise SettingsError(f"{_TOO_MUCH}.", file=path) from error
 
 
 def _to_json(value: object) -> str | None:
-    """A value as JSON, None for one that has no text: too long a number, too deep a nesting."""
+    """A value as JSON, None where its number is too long or its nesting too deep."""
     try:
         return json.dumps(value, default=str)
     except (ValueError, RecursionError):
@@ -117,13 +117,13 @@ def _to_json(value: object) -> str | None:
 
 
 def _abbreviate(value: object) -> str:
-    """A value for a message of one line."""
+    """A value as text that fits a message of one line."""
     text = "..." if _to_json(value) is None else repr(value)
     return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
 
 
 def first_problem(error: ValidationError) -> str:
-    """The first thing that is wrong, without pydantic's word before a message of ours."""
+    """The first problem, without the prefix that pydantic puts before our own messages."""
     return error.errors(include_url=False)[0]["msg"].removeprefix("Value error, ")
 
 
@@ -154,7 +154,7 @@ def _settings_error(
 
 
 def _describe_range(field: FieldInfo) -> str:
-    """The choices or the range of a field in words, empty where anything of its type goes."""
+    """The choices or the range of a field as text, empty where any value of its type is allowed."""
     if get_origin(field.annotation) is Literal:
         return " | ".join(str(choice) for choice in get_args(field.annotation))
     bounds = [

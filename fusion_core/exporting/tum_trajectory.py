@@ -14,11 +14,11 @@ _HEADER = "# timestamp tx ty tz qx qy qz qw\n"
 
 
 def write_tum_trajectory(file: Path, trajectory: Trajectory) -> None:
-    """Write ``stamp x y z qx qy qz qw`` a line: seconds, metres, nine digits after each point.
+    """Write ``stamp x y z qx qy qz qw`` a line: seconds, metres, nine decimals each.
 
-    The nine digits of a stamp are its nanoseconds. Of the two quaternions of a rotation it is the
+    The nine decimals of a stamp are its nanoseconds. Of the two quaternions of a rotation it is the
     one with w >= 0, and no number is written as -0. Raises ExportError where the folder cannot be
-    written, or for stamps below 0, which the format's readers do not take.
+    written, or for stamps below 0, which readers of the format refuse.
     """
     if trajectory.stamps_ns[0] < 0:
         raise ExportError(

@@ -1,1 +1,1 @@
-"""Files as such: written whole or not at all, held by one process alone, and inputs kept."""
+"""File handling: atomic writes, locks, bounded reads, and inputs that are never overwritten."""

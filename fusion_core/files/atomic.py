@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all: written aside, flushed to disk, renamed."""
+"""Atomic writes: a file is written under a temporary name, flushed to disk and renamed."""
 
 import errno
 import os
@@ -12,16 +12,16 @@ from typing import BinaryIO
 from fusion_core.files.lock import acquire_lock
 from fusion_core.model.errors import ExportError
 
-# Failures of writing itself. Any other OSError in the caller's block is not about this file.
+# Failures of the write itself. Any other OSError in the caller's block is not about this file.
 _WRITING_FAILED = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG}
 _TOKEN_BYTES = 4
 
 
 class AtomicFile:
-    """A file in the making: ``aside`` is written to, and ``publish`` gives it its name.
+    """A file being written: the caller writes to ``temporary``, and ``publish`` renames it.
 
-    ``aside`` lies in the same folder and has the same suffix. It is locked while it is in the
-    making: files aside that nobody holds were left by killed processes, and are removed first.
+    ``temporary`` is a path in the same folder with the same suffix. It is locked until ``close``:
+    temporary files without a lock were left by killed processes, and are removed first.
     Raises ExportError where the folder cannot be written.
     """
 
@@ -30,16 +30,16 @@ class AtomicFile:
         try:
             _remove_abandoned(path)
             # Created here, not by the caller, so that an unwritable folder fails before any work.
-            self.aside, descriptor = _new_aside(path)
+            self.temporary, descriptor = _create_temporary(path)
         except OSError as error:
             raise cannot_write(path, error) from error
         self._descriptor: int | None = descriptor
 
     def publish(self) -> None:
         """Flush what was written to disk and rename it to ``path``; the caller has closed it."""
-        _flush_to_disk(self.aside)
+        _flush_to_disk(self.temporary)
         try:
-            self.aside.replace(self.path)
+            self.temporary.replace(self.path)
         except OSError as error:
             raise cannot_write(self.path, error) from error
         # The rename itself is durable only when the folder is flushed.
@@ -50,7 +50,7 @@ class AtomicFile:
         if self._descriptor is None:
             return
         with suppress(FileNotFoundError):
-            self.aside.unlink()
+            self.temporary.unlink()
         os.close(self._descriptor)
         self._descriptor = None
 
@@ -64,7 +64,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """
     file = AtomicFile(path)
     try:
-        yield file.aside
+        yield file.temporary
         file.publish()
     except OSError as error:
         if error.errno in _WRITING_FAILED:
@@ -77,9 +77,9 @@ def atomic_path(path: Path) -> Iterator[Path]:
 @contextmanager
 def atomic_stream(path: Path) -> Iterator[BinaryIO]:
     """Yield a binary stream whose content becomes ``path`` when the block ends."""
-    with atomic_path(path) as aside, aside.open("wb") as stream:
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
         yield stream
-        # Closed before the rename, so that the file is whole when it gets its name.
+        # Closed before the rename, so that the file is complete when it gets its name.
         stream.close()
 
 
@@ -95,7 +95,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def cannot_write(path: Path, error: OSError) -> ExportError:
-    """The failure of writing a file, in one line."""
+    """The error for a file that cannot be written."""
     return ExportError(
         f"cannot be written: {error.strerror or error}.",
         file=path,
@@ -103,25 +103,26 @@ def cannot_write(path: Path, error: OSError) -> ExportError:
     )
 
 
-def _new_aside(path: Path) -> tuple[Path, int]:
+def _create_temporary(path: Path) -> tuple[Path, int]:
+    """A new temporary file beside ``path``, and the descriptor of its lock."""
     while True:
         token = secrets.token_hex(_TOKEN_BYTES)
-        aside = path.with_name(f".{path.stem}.{token}.partial{path.suffix}")
-        os.close(os.open(aside, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-        # In between another process may have taken it for an abandoned one.
-        descriptor = acquire_lock(aside, create=False)
+        temporary = path.with_name(f".{path.stem}.{token}.partial{path.suffix}")
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        # Another process may have taken it for an abandoned one in between.
+        descriptor = acquire_lock(temporary, create=False)
         if descriptor is not None:
-            return aside, descriptor
+            return temporary, descriptor
 
 
 def _remove_abandoned(path: Path) -> None:
-    """Remove what killed processes have left beside ``path`` when they wrote it."""
+    """Remove temporary files that killed processes have left beside ``path``."""
     stem, suffix = re.escape(path.stem), re.escape(path.suffix)
     name = re.compile(rf"\.{stem}\.[0-9a-f]{{{2 * _TOKEN_BYTES}}}\.partial{suffix}")
     for beside in path.parent.iterdir():
         if not name.fullmatch(beside.name) or beside.is_symlink() or not beside.is_file():
             continue
-        # What is not ours to lock is not ours to remove.
+        # A file that we may not lock belongs to another user.
         with suppress(PermissionError):
             descriptor = acquire_lock(beside, create=False)
             if descriptor is not None:

@@ -1,4 +1,4 @@
-"""What a command reads is never written over, moved or removed."""
+"""A command's inputs are never overwritten, moved or removed."""
 
 import os
 from collections.abc import Collection, Iterator
@@ -9,7 +9,7 @@ from fusion_core.model.errors import ExportError
 
 def require_apart(output: Path, inputs: Collection[Path]) -> None:
     """Raise ExportError where ``output``, a file or folder to be written, is an input, lies inside
-    one or holds one, by whatever names and links."""
+    one or holds one, with links followed."""
     target = real_path(output)
     for given in inputs:
         for place in _real_paths(given):
@@ -29,7 +29,7 @@ def require_apart(output: Path, inputs: Collection[Path]) -> None:
 
 
 def _real_paths(given: Path) -> Iterator[Path]:
-    """Where an input really is, where it is named, and where links inside of it lead."""
+    """Where an input is with links followed, where it is named, and where links inside it lead."""
     yield real_path(given)
     yield real_path(given.parent) / given.name
     for folder, folders, files in os.walk(given):
@@ -40,5 +40,5 @@ def _real_paths(given: Path) -> Iterator[Path]:
 
 
 def real_path(path: Path) -> Path:
-    """The path without links; of a loop of links, or a missing end, as far as it goes."""
+    """The path with links resolved, as far as it exists and its links do not form a loop."""
     return Path(os.path.realpath(path))

@@ -1,4 +1,4 @@
-"""Files that one process alone holds, until it lets go or ends, however it ends.
+"""File locks, each held by one process until it releases it or ends.
 
 The lock is the system's own (``flock``), so that a killed process leaves none behind.
 """
@@ -13,8 +13,8 @@ except ImportError as error:
 
 
 def acquire_lock(path: Path, *, create: bool = True) -> int | None:
-    """Open a file and lock it: its descriptor, to be closed in the end. None where another holds
-    it, or where it is not there and ``create`` is False.
+    """Open a file and lock it. Returns its descriptor, which the caller closes to release the lock;
+    None where another process holds it, or where it does not exist and ``create`` is False.
 
     Raises OSError where it cannot be opened.
     """
@@ -36,7 +36,7 @@ def acquire_lock(path: Path, *, create: bool = True) -> int | None:
             raise
         if _is_still_at(path, descriptor):
             return descriptor
-        # Who held it before has removed it in between.
+        # The previous holder has removed the file in between.
         os.close(descriptor)
 
 

@@ -1,6 +1,6 @@
-"""Files that somebody names are read only where they are regular files, and up to a limit.
+"""Bounded reads of files that a user names: regular files only.
 
-A pipe waits for its other end, a device may have none, and neither has a size to check.
+A pipe waits for its other end, a device may never end, and neither has a size to check.
 """
 
 import errno
@@ -9,22 +9,22 @@ import stat
 from pathlib import Path
 from typing import BinaryIO
 
-# Both are missing on some platforms. Without waiting, a pipe opens at once and is then refused.
+# Some flags are missing on some platforms. O_NONBLOCK: a pipe opens at once and is then refused.
 _FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 _FLAGS |= getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
 
 
 def open_regular(path: Path, max_bytes: int | None = None) -> BinaryIO:
-    """Open a regular file for reading, which never waits.
+    """Open a regular file for reading, without blocking.
 
-    Raises OSError where it cannot be opened, is no regular file or is larger than ``max_bytes``.
+    Raises OSError where it cannot be opened, is not a regular file or is larger than ``max_bytes``.
     """
     descriptor = os.open(path, _FLAGS)
     try:
         state = os.fstat(descriptor)
         if not stat.S_ISREG(state.st_mode):
             number = errno.EISDIR if stat.S_ISDIR(state.st_mode) else errno.EINVAL
-            raise OSError(number, "it is no regular file", str(path))
+            raise OSError(number, "it is not a regular file", str(path))
         if max_bytes is not None and state.st_size > max_bytes:
             raise _too_large(path, max_bytes)
         return os.fdopen(descriptor, "rb")
@@ -36,10 +36,10 @@ def open_regular(path: Path, max_bytes: int | None = None) -> BinaryIO:
 def read_regular(path: Path, max_bytes: int) -> bytes:
     """The bytes of a regular file.
 
-    Raises OSError where it cannot be read, is no regular file or is larger than ``max_bytes``.
+    Raises OSError where it cannot be read, is not a regular file or is larger than ``max_bytes``.
     """
     with open_regular(path, max_bytes) as file:
-        # A file may grow meanwhile, and those of the system state no size.
+        # A file may grow meanwhile, and files of the system (/proc) report no size.
         content = file.read(max_bytes + 1) or b""
     if len(content) > max_bytes:
         raise _too_large(path, max_bytes)
@@ -49,7 +49,7 @@ def read_regular(path: Path, max_bytes: int) -> bytes:
 def read_head(path: Path, count: int) -> bytes:
     """The first ``count`` bytes of a regular file, fewer of a shorter one. Raises OSError."""
     with open_regular(path) as file:
-        # None of a file of the system that has nothing to say yet.
+        # read() gives None for a file of the system that has no data yet.
         return file.read(count) or b""
 
 

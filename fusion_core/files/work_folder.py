@@ -1,4 +1,4 @@
-"""The hidden folder in which a run makes its results, held by that run alone."""
+"""The hidden folder in which a run builds its results, locked by that run."""
 
 import os
 import shutil
@@ -15,11 +15,11 @@ _LOCK_NAME = "lock"
 
 @contextmanager
 def work_folder(folder: Path) -> Iterator[Path]:
-    """Yield an empty folder inside ``folder``, which is made where it is not there.
+    """Yield an empty folder inside ``folder``, which is created if it does not exist.
 
-    Another run into ``folder`` is refused meanwhile. What a killed run has left is cleared first,
-    and nothing is left in the end: a ``folder`` that was made here and is still empty is removed.
-    Raises ExportError where another run holds it, or it cannot be made.
+    Another run into ``folder`` is refused meanwhile. What a killed run has left is removed first.
+    At the end the work folder is removed, and ``folder`` too if it was created here and is still
+    empty. Raises ExportError where another run holds the lock, or a folder cannot be created.
     """
     is_new = not folder.exists()
     work = folder / WORK_NAME
@@ -51,7 +51,7 @@ def work_folder(folder: Path) -> Iterator[Path]:
 
 
 def clear_abandoned(folder: Path) -> None:
-    """Remove what a killed run has left in ``folder``, where it can be removed."""
+    """Remove what a killed run has left in ``folder``, if nothing prevents it."""
     work = folder / WORK_NAME
     if work.is_dir() and not work.is_symlink():
         with suppress(OSError):
@@ -62,7 +62,7 @@ def clear_abandoned(folder: Path) -> None:
 
 def _release(work: Path, descriptor: int) -> None:
     _clear(work)
-    # The lock goes last: until then nobody else works in here.
+    # The lock goes last: until then no other run starts here.
     (work / _LOCK_NAME).unlink(missing_ok=True)
     _remove_empty(work)
     os.close(descriptor)

@@ -366,7 +366,7 @@ ROWS = {
         calls=two_at_once,
         tests=[
             "files/test_work_folder.py",
-            "exporting/test_output_folder.py::test_a_second_run_into_the_folder_is_told_to_wait",
+            "exporting/test_output_folder.py::test_a_second_run_into_the_folder_is_refused",
         ],
     ),
     8: Row(what="a user without a home", calls=nobodys_home, tests=["test_compiled.py"]),
@@ -377,8 +377,8 @@ ROWS = {
         calls=killed,
         tests=[
             "exporting/test_output_folder.py::test_a_run_killed_while_it_publishes_is_simply_repeated",
-            "exporting/test_output_folder.py::test_a_mix_of_two_runs_is_no_result",
-            "files/test_atomic.py::test_a_killed_process_holds_nothing",
+            "exporting/test_output_folder.py::test_a_mix_of_two_runs_is_not_a_result",
+            "files/test_atomic.py::test_a_killed_process_leaves_no_lock",
         ],
     ),
     14: Row(

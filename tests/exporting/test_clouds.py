@@ -30,9 +30,9 @@ def test_round_trip_and_same_bytes(tmp_path: Path, suffix: str, with_color: bool
 
 @pytest.mark.parametrize(
     ("name", "points_m", "words"),
-    [("a.xyz", POINTS_M, "no cloud format"), ("a.ply", np.empty((0, 3)), "no points")],
+    [("a.xyz", POINTS_M, "not a point cloud format"), ("a.ply", np.empty((0, 3)), "no points")],
 )
-def test_what_cannot_be_written_is_refused(
+def test_an_empty_cloud_or_unknown_suffix_is_refused(
     tmp_path: Path, name: str, points_m: np.ndarray, words: str
 ) -> None:
     with pytest.raises(ExportError, match=words):

@@ -234,7 +234,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_interface_has_the_same_colours() -> None:
+def test_the_workbench_has_the_same_colours() -> None:
     static = json.loads((ROOT / "static" / "palette.json").read_text(encoding="utf-8"))
     assert static == PALETTE
 
@@ -249,7 +249,7 @@ def test_the_bytes_are_the_same_whatever_the_users_settings(drawn: Path, tmp_pat
 
 
 @pytest.mark.parametrize("number", range(3, 10))
-def test_pictures_hold_pixels_alone_and_fit_a_page(drawn: Path, number: int) -> None:
+def test_figures_hold_only_pixels_and_fit_a_page(drawn: Path, number: int) -> None:
     path = drawn / f"fig{number}.png"
     png = path.read_bytes()
     assert set(chunks(png)) == {b"IHDR", b"IDAT", b"IEND"}
@@ -258,7 +258,7 @@ def test_pictures_hold_pixels_alone_and_fit_a_page(drawn: Path, number: int) -> 
         assert 1000 <= pixels(path).shape[1] <= 1600
 
 
-def test_panels_stand_on_rounded_places(tmp_path: Path) -> None:
+def test_panel_positions_are_rounded(tmp_path: Path) -> None:
     # The solver of the layout differs in the last digits; see the reason beside the rounding.
     with png_figure(tmp_path / "a.png", "heading", width_px=700, height_px=300) as figure:
         panels = figure.subplots(1, 3)
@@ -280,13 +280,13 @@ def test_a_missing_folder_is_an_export_error(tmp_path: Path) -> None:
         write_maps(tmp_path / "none" / "fig9.png", "heading", grids(), None)
 
 
-def test_names_with_dollars_are_no_mathematics(tmp_path: Path) -> None:
+def test_dollars_in_names_do_not_begin_formulas(tmp_path: Path) -> None:
     with png_figure(tmp_path / "a.png", r"room $\frac$ 1", width_px=300, height_px=200):
         pass
     assert (tmp_path / "a.png").exists()
 
 
-def test_outliers_are_joined_in_their_own_colour_in_the_middle_panel_alone(drawn: Path) -> None:
+def test_outlier_pairs_are_drawn_in_their_colour_in_the_middle_panel_only(drawn: Path) -> None:
     third = pixels(drawn / "fig5.png").shape[1] / 3
 
     def panels(color: str) -> list[np.ndarray]:
@@ -317,7 +317,7 @@ def test_lidar_lies_below_depth_where_it_is_nearer(drawn: Path) -> None:
 
 
 def obstacle(path: Path) -> tuple[float, float]:
-    """Height and width, as shares from the lower left, at which a picture has its black block."""
+    """Height and width, as fractions from the lower left, of the black block in a picture."""
     dark = (pixels(path).max(axis=2) < 50).astype(np.uint8)
     # Text and axes are thinner than 9 pixels; the colour bar stands in the right fifth.
     rows, columns = np.nonzero(cv2.erode(dark, np.ones((9, 9), dtype=np.uint8)))
@@ -341,7 +341,7 @@ def test_maps_have_y_upwards_and_x_to_the_right(row: int, column: int, tmp_path:
         assert (right > 0.5) == (column > 20), name
 
 
-def test_cells_of_one_map_alone_are_drawn_where_they_are(drawn: Path) -> None:
+def test_cells_of_one_map_only_are_drawn_at_their_place(drawn: Path) -> None:
     # LiDAR cells on the left, fused ones on the right of the lower right panel, both above.
     height, width = pixels(drawn / "fig9.png").shape[:2]
     places = []
@@ -384,7 +384,7 @@ def test_only_repaired_pixels_change_in_the_fused_image() -> None:
     assert (fused_m == 3.25).sum() > 5
 
 
-def test_the_straightened_band_has_the_rows_around_each_pixel() -> None:
+def test_the_rectified_band_has_the_rows_around_each_pixel() -> None:
     depth_m = depth_image()
     curve = curve_of(depth_m)
     band_m, outside = rectify_band_m(depth_m, curve)
@@ -403,7 +403,7 @@ def test_the_straightened_band_has_the_rows_around_each_pixel() -> None:
                 )
 
 
-def test_the_band_takes_memory_by_its_beams_alone() -> None:
+def test_memory_of_the_band_grows_only_with_its_beams() -> None:
     """Angles of each column and each beam would be gigabytes."""
     depth_m, beams = depth_image(), 20_000
     curve = curve_of(depth_m)
@@ -430,7 +430,7 @@ def test_the_band_is_empty_where_beams_are_missing() -> None:
 
 
 @given(st.lists(st.booleans(), max_size=30))
-def test_the_longest_stretch_is_the_first_longest_run(mask: list[bool]) -> None:
+def test_of_equal_runs_the_first_is_the_longest(mask: list[bool]) -> None:
     best: list[int] = []
     run: list[int] = []
     for i, chosen in enumerate(mask):
@@ -460,7 +460,7 @@ def test_stamps_are_rounded_to_milliseconds(stamp_ns: int, text: str) -> None:
     assert format_stamp(stamp_ns) == text
 
 
-def test_gaps_are_told_in_words() -> None:
+def test_delays_are_described_as_text() -> None:
     assert describe_delay(46.3, "the scan") == "46.3 ms after the scan"
     assert describe_delay(-2.0, "the scan") == "2.0 ms before the scan"
     assert describe_delay(0.0, "the scan") == "at the stamp of the scan"

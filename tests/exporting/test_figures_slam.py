@@ -1,4 +1,4 @@
-"""The way over the map and N_eff over time."""
+"""The trajectory on the map and N_eff over time."""
 
 from pathlib import Path
 
@@ -35,8 +35,10 @@ def count(path: Path, color: str) -> int:
 
 
 @pytest.mark.parametrize("trusted", [True, False])
-def test_way_loops_and_lost_scans_have_their_colours(tmp_path: Path, trusted: bool) -> None:
-    path = tmp_path / "way.png"
+def test_trajectory_loops_and_untrusted_scans_have_their_colours(
+    tmp_path: Path, trusted: bool
+) -> None:
+    path = tmp_path / "trajectory.png"
     write_trajectory_figure(
         path, "a room", grid(), POSES, np.array([True, True, trusted, True]), LOOPS
     )
@@ -45,8 +47,8 @@ def test_way_loops_and_lost_scans_have_their_colours(tmp_path: Path, trusted: bo
     assert has(path, BURR) is not trusted
 
 
-def test_way_without_map_or_loops(tmp_path: Path) -> None:
-    path = tmp_path / "way.png"
+def test_trajectory_without_map_or_loops(tmp_path: Path) -> None:
+    path = tmp_path / "trajectory.png"
     write_trajectory_figure(
         path, "a room", None, POSES[:1], np.ones(1, dtype=np.bool_), np.zeros((0, 4))
     )

@@ -6,7 +6,7 @@ from fusion_core.exporting.g2o import write_g2o
 from fusion_core.model.pose_graph import PoseGraph
 
 
-def test_each_number_stands_where_g2o_reads_it(tmp_path):
+def test_each_number_is_where_g2o_reads_it(tmp_path):
     information = np.array([[4.0, 1.0, 2.0], [1.0, 5.0, 3.0], [2.0, 3.0, 6.0]])
     graph = PoseGraph(
         poses_map_node=np.array([[0.0, -0.0, 0.0], [1.5, -2.0, 0.25]]),

@@ -26,7 +26,7 @@ def cell_color(picture: np.ndarray, row: int, column: int, rows: int) -> tuple[i
     return tuple(picture[y, MARGIN_PX + column * ZOOM + ZOOM // 2].tolist())
 
 
-def test_the_surer_an_obstacle_the_darker(tmp_path: Path) -> None:
+def test_more_probable_obstacles_are_darker(tmp_path: Path) -> None:
     p = np.array([[0.9, 0.5, 0.1], [np.nan, 0.1, 0.1]])
     grid = OccupancyGrid(resolution_m=0.05, origin_m=(0.0, 0.0), log_odds=np.log(p / (1 - p)))
     write_grid_picture(tmp_path / "map.png", grid)

@@ -65,7 +65,7 @@ def content(folder: Path) -> dict[str, str]:
     }
 
 
-def test_the_manifest_names_all_and_nothing_of_this_machine(out: Path, recording: Path) -> None:
+def test_the_manifest_names_the_run_and_nothing_of_this_machine(out: Path, recording: Path) -> None:
     run(plan(out, recording, seed=7))
     text = (out / "manifest.json").read_text()
     manifest = json.loads(text)
@@ -198,7 +198,7 @@ def test_what_a_killed_run_left_is_cleared(out: Path, recording: Path) -> None:
     assert content(out) == RESULTS
 
 
-def test_a_run_killed_as_it_cleared_up_is_done_and_cleared(out: Path, recording: Path) -> None:
+def test_a_run_killed_while_clearing_up_is_done_and_cleared(out: Path, recording: Path) -> None:
     run(plan(out, recording))
     left = out / ".scanloom-unfinished"
     left.mkdir()
@@ -227,7 +227,7 @@ def test_a_damaged_manifest_is_refused(out: Path, recording: Path, text: str) ->
 
 
 @pytest.mark.parametrize("text", ["[]", "{}", '{"files": [1]}', '{"files": {"frames.csv": 1}}'])
-def test_a_manifest_that_says_nothing_knows_no_files(out: Path, recording: Path, text: str) -> None:
+def test_a_manifest_without_content_lists_no_files(out: Path, recording: Path, text: str) -> None:
     out.mkdir()
     (out / "manifest.json").write_text(text)
     (out / FRAMES).write_text("mine")
@@ -244,7 +244,7 @@ def test_an_input_is_never_written_into(recording: Path) -> None:
         plan(recording, recording.parent / "other")
 
 
-def test_what_is_read_beside_the_inputs_is_never_written_over(out: Path, recording: Path) -> None:
+def test_files_read_besides_the_inputs_are_never_overwritten(out: Path, recording: Path) -> None:
     run(plan(out, recording))
     settings = out / FRAMES
     # Nothing would be written, so nothing is in danger.
@@ -290,7 +290,7 @@ def test_results_do_not_leave_the_folder_by_a_link(out: Path, recording: Path) -
 
 
 @pytest.mark.parametrize("name", ["figures", FRAMES, "manifest.json"])
-def test_a_link_that_leads_to_itself_is_no_place_for_a_result(
+def test_a_link_to_itself_is_refused_as_a_place_for_a_result(
     out: Path, recording: Path, name: str
 ) -> None:
     out.mkdir()
@@ -300,7 +300,7 @@ def test_a_link_that_leads_to_itself_is_no_place_for_a_result(
     assert [path.name for path in out.iterdir()] == [name]
 
 
-def test_a_second_run_into_the_folder_is_told_to_wait(out: Path, recording: Path) -> None:
+def test_a_second_run_into_the_folder_is_refused(out: Path, recording: Path) -> None:
     first, second = plan(out, recording), plan(out, recording, seed=1)
     with results_folder(first) as work:
         (work / FRAMES).write_text("1")
@@ -308,12 +308,12 @@ def test_a_second_run_into_the_folder_is_told_to_wait(out: Path, recording: Path
             run(second)
     assert content(out) == {FRAMES: "1"}
     # It was planned for another folder than the one that is there now.
-    with pytest.raises(ExportError, match="was written by another run just now"):
+    with pytest.raises(ExportError, match="was written by another run in the meantime"):
         run(second)
     assert content(out) == {FRAMES: "1"}
 
 
-def test_a_mix_of_two_runs_is_no_result(out: Path, recording: Path) -> None:
+def test_a_mix_of_two_runs_is_not_a_result(out: Path, recording: Path) -> None:
     run(plan(out, recording))
     (out / FIGURE).write_text("of another run")
     require_intact(out, [FRAMES, "never written.csv"], "fuse")
@@ -323,7 +323,7 @@ def test_a_mix_of_two_runs_is_no_result(out: Path, recording: Path) -> None:
         require_intact(out, [FRAMES], "map")
 
 
-def test_a_place_that_cannot_be_written_is_found_before_anything_is_touched(
+def test_an_unwritable_place_is_found_before_any_file_is_changed(
     out: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run(plan(out, recording))

@@ -83,7 +83,7 @@ def test_round_trip(
     assert load_toml(path, STAGES) == stages
 
 
-def test_what_is_left_out_comes_from_the_base_or_the_default(path: Path) -> None:
+def test_missing_keys_come_from_the_base_or_the_default(path: Path) -> None:
     path.write_text("[search]\noverlap = 1\n")
     assert read_preset(path) is None
     assert load_toml(path, STAGES) == {"search": Search(overlap=1.0), "repair": Repair()}
@@ -116,7 +116,7 @@ def test_what_is_left_out_comes_from_the_base_or_the_default(path: Path) -> None
         ("x = " + "[" * 10_000, "is not TOML"),
     ],
 )
-def test_what_is_wrong_is_named(path: Path, text: str, words: str) -> None:
+def test_an_invalid_key_or_value_is_named(path: Path, text: str, words: str) -> None:
     path.write_text(text)
     with pytest.raises(SettingsError) as error:
         load_toml(path, STAGES)
@@ -140,9 +140,7 @@ def test_what_is_wrong_is_named(path: Path, text: str, words: str) -> None:
     ],
     ids=lambda text: text[:20],
 )
-def test_numbers_and_names_without_end_are_named_in_short(
-    path: Path, text: str, words: str
-) -> None:
+def test_endless_numbers_and_names_are_abbreviated(path: Path, text: str, words: str) -> None:
     path.write_text(text)
     read = read_preset if text.startswith("preset") else partial(load_toml, stages=STAGES)
     with pytest.raises(SettingsError) as error:
@@ -152,7 +150,7 @@ def test_numbers_and_names_without_end_are_named_in_short(
 
 
 def test_a_pipe_is_refused_at_once(tmp_path: Path) -> None:
-    with pytest.raises(SettingsError, match="cannot be read: it is no regular file"):
+    with pytest.raises(SettingsError, match="cannot be read: it is not a regular file"):
         read_preset(write_pipe(tmp_path / "pipe"))
 
 

@@ -19,12 +19,12 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_the_old_file_stays_until_the_new_one_is_whole(tmp_path: Path) -> None:
+def test_the_old_file_stays_until_the_new_one_is_complete(tmp_path: Path) -> None:
     path = tmp_path / "map.pgm"
     path.write_bytes(b"old")
-    with atomic_path(path) as aside:
-        assert (aside.parent, aside.suffix) == (path.parent, ".pgm")
-        aside.write_bytes(b"new")
+    with atomic_path(path) as temporary:
+        assert (temporary.parent, temporary.suffix) == (path.parent, ".pgm")
+        temporary.write_bytes(b"new")
         assert path.read_bytes() == b"old"
     assert path.read_bytes() == b"new"
     assert names(tmp_path) == ["map.pgm"]
@@ -63,7 +63,7 @@ def test_it_has_the_permissions_of_any_new_file(tmp_path: Path) -> None:
     assert (tmp_path / "a").stat().st_mode == (tmp_path / "b").stat().st_mode
 
 
-def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+def test_an_unwritable_place_is_named(tmp_path: Path) -> None:
     with pytest.raises(ExportError, match=r"nowhere.*cannot be written: No such file"):
         write_bytes(tmp_path / "nowhere" / "a", b"")
     (tmp_path / "folder").mkdir()
@@ -111,12 +111,12 @@ def test_what_a_killed_process_left_is_removed_and_work_in_progress_is_not(tmp_p
     assert names(tmp_path) == sorted([*others, "map.pgm"])
 
 
-def test_a_killed_process_holds_nothing(tmp_path: Path) -> None:
+def test_a_killed_process_leaves_no_lock(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     script = (
         "import os, signal, sys; from pathlib import Path\n"
         "from fusion_core.files.atomic import AtomicFile\n"
-        "AtomicFile(Path(sys.argv[1])).aside.write_bytes(b'half')\n"
+        "AtomicFile(Path(sys.argv[1])).temporary.write_bytes(b'half')\n"
         "os.kill(os.getpid(), signal.SIGKILL)"
     )
     ended = subprocess.run([sys.executable, "-c", script, str(path)], cwd=ROOT)

@@ -1,4 +1,4 @@
-"""Only regular files of a bounded size are read, and opening never waits."""
+"""Only regular files of a bounded size are read, and opening never blocks."""
 
 import os
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from fusion_core.files.regular_file import open_regular, read_head, read_regular
 from tests.hostile.files import write_loop, write_pipe
 
 
-def test_what_is_in_a_file(tmp_path: Path) -> None:
+def test_the_content_of_a_file_is_read(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"12345")
     assert read_regular(path, 5) == b"12345"
@@ -36,7 +36,7 @@ def test_a_larger_file_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="there is no /proc")
-def test_a_file_that_states_no_size_is_read_up_to_the_limit() -> None:
+def test_a_file_that_reports_no_size_is_read_up_to_the_limit() -> None:
     path = Path("/proc/self/status")
     assert path.stat().st_size == 0
     assert read_regular(path, 1 << 20)
@@ -45,11 +45,11 @@ def test_a_file_that_states_no_size_is_read_up_to_the_limit() -> None:
 
 
 @pytest.mark.parametrize("read", [read_regular, read_head])
-def test_what_is_no_file_is_refused_at_once(
+def test_pipes_devices_and_folders_are_refused_at_once(
     tmp_path: Path, read: Callable[[Path, int], bytes]
 ) -> None:
     for path in (write_pipe(tmp_path / "pipe"), tmp_path, Path(os.devnull)):
-        with pytest.raises(OSError, match="no regular file"):
+        with pytest.raises(OSError, match="not a regular file"):
             read(path, 9)
     with pytest.raises(OSError, match="symbolic links"):
         read(write_loop(tmp_path / "loop"), 9)

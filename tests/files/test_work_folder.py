@@ -8,21 +8,21 @@ from fusion_core.files.work_folder import WORK_NAME, work_folder
 from fusion_core.model.errors import ExportError
 
 
-def test_a_new_folder_is_gone_if_nothing_came_of_it(tmp_path: Path) -> None:
+def test_a_new_folder_without_results_is_removed(tmp_path: Path) -> None:
     with work_folder(tmp_path / "out") as work:
         assert work.is_dir()
         (work / "a").write_text("half")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_was_there_stays(tmp_path: Path) -> None:
+def test_existing_files_stay(tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("1")
     with work_folder(tmp_path):
         pass
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 
-def test_a_second_one_is_refused_and_disturbs_nothing(tmp_path: Path) -> None:
+def test_a_second_run_is_refused_and_changes_nothing(tmp_path: Path) -> None:
     with work_folder(tmp_path / "out") as work:
         (work / "a").write_text("1")
         with pytest.raises(ExportError, match="is being written by another run"):
@@ -58,7 +58,7 @@ def test_links_in_it_are_not_followed(tmp_path: Path) -> None:
     assert (kept / "a").read_text() == "1"
 
 
-def test_a_place_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_created_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     (tmp_path / "loop").symlink_to("loop")
     for name in ("file/out", "loop", "loop/out"):

@@ -455,7 +455,7 @@ def test_a_folder_and_a_pipe_in_place_of_images(folder: Path) -> None:
     (folder / "camera.json").write_text(json.dumps(CAMERA))
     with open_recording(folder) as recording:
         assert [m.index for m in recording.messages([DEPTH])] == [1]
-        assert any("no regular file" in warning for warning in recording.warnings)
+        assert any("not a regular file" in warning for warning in recording.warnings)
         assert INFO in {topic.name for topic in recording.topics}
 
 

@@ -39,7 +39,7 @@ class McapOutput:
         self._channels: dict[tuple[str, str, str, str], int] = {}
         self._schemas: dict[tuple[str, str, str], int] = {}
         self._making = AtomicFile(path)
-        self._file = self._making.aside.open("wb")
+        self._file = self._making.temporary.open("wb")
         self._open = True
         self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._call(self._writer.start, profile="ros2", library="scanloom")
