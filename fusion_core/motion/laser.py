@@ -193,9 +193,9 @@ class _LaserOdometry:
         match = self._match(self._keyframe, scan, pose)
         if isinstance(match, str) and self._last is not None:
             # The scan before may still overlap where the keyframe no longer does.
-            key = self._last
-            self._set_keyframe(key)
-            match = self._match(key, scan, pose)
+            keyframe = self._last
+            self._set_keyframe(keyframe)
+            match = self._match(keyframe, scan, pose)
         if isinstance(match, str):
             if self._misses >= self._settings.unmatched_scans_max:
                 self._start_segment(scan, pose, match)
@@ -236,12 +236,14 @@ class _LaserOdometry:
             back += 1
         return back
 
-    def _match(self, key: _Keyframe, scan: LaserScan, predicted: FloatArray) -> ScanMatch | str:
+    def _match(
+        self, keyframe: _Keyframe, scan: LaserScan, predicted: FloatArray
+    ) -> ScanMatch | str:
         """The match to a keyframe, or why there is none."""
-        guess = relative_pose(key.pose, predicted)
+        guess = relative_pose(keyframe.pose, predicted)
         try:
             match = match_to_reference(
-                key.reference,
+                keyframe.reference,
                 scan.ranges_m,
                 angle_min_rad=scan.angle_min_rad,
                 angle_increment_rad=scan.angle_increment_rad,
@@ -300,8 +302,8 @@ class _LaserOdometry:
         self._chain.start_segment(pose, reason)
         self._misses = 0
 
-    def _set_keyframe(self, key: _Keyframe) -> None:
-        self._keyframe, self._last = key, None
+    def _set_keyframe(self, keyframe: _Keyframe) -> None:
+        self._keyframe, self._last = keyframe, None
         self._chain.keyframe += 1
 
     def trajectory(self) -> OdometryTrajectory:

@@ -216,7 +216,7 @@ class _VisualOdometry:
         self._matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
         self._stamps_ns: list[int] = []
         self._chain = KeyframeChain()
-        self._key: _Features | None = None
+        self._keyframe: _Features | None = None
         self._last: _Features | None = None
         self._misses = self._found_most = 0
 
@@ -228,14 +228,14 @@ class _VisualOdometry:
         if isinstance(features, str):
             self._add_unmatched(pose, features)
             return
-        if self._key is None:
+        if self._keyframe is None:
             self._start_segment(features)
             return
-        found = self._match(self._key, features)
+        found = self._match(self._keyframe, features)
         if isinstance(found, str) and self._last is not None:
-            key = self._last
-            self._set_keyframe(key)
-            found = self._match(key, features)
+            keyframe = self._last
+            self._set_keyframe(keyframe)
+            found = self._match(keyframe, features)
         if isinstance(found, str):
             if self._misses >= self._settings.unmatched_images_max:
                 self._start_segment(features, found)
@@ -277,19 +277,19 @@ class _VisualOdometry:
             ideal = cv2.undistortPoints(stacked, K, coefficients)
         return np.asarray(ideal, dtype=np.float64).reshape(-1, 2)
 
-    def _match(self, key: _Features, now: _Features) -> tuple[PlanarStepEstimate, int] | str:
+    def _match(self, keyframe: _Features, now: _Features) -> tuple[PlanarStepEstimate, int] | str:
         """The step from a keyframe and its number of inliers, or why there is none."""
         settings = self._settings
-        first, second = self._match_descriptors(key, now)
-        has_depth = np.isfinite(key.points_in_lidar_m[first, 2])
+        first, second = self._match_descriptors(keyframe, now)
+        has_depth = np.isfinite(keyframe.points_in_lidar_m[first, 2])
         first, second = first[has_depth], second[has_depth]
         if first.size < settings.inliers_min:
             return "too few matches"
-        pixels, kept = self._refine_pixels(key, now, first, second)
+        pixels, kept = self._refine_pixels(keyframe, now, first, second)
         first, pixels = first[kept], pixels[kept]
         if first.size < settings.inliers_min:
             return "too few matches"
-        points, seen = key.points_in_lidar_m[first], self._normalised_coordinates(pixels)
+        points, seen = keyframe.points_in_lidar_m[first], self._normalised_coordinates(pixels)
         start, inliers = self._estimate_by_pnp(points, seen)
         enough = max(settings.inliers_min, round(settings.inlier_ratio_min * first.size))
         if start is None or np.count_nonzero(inliers) < enough:
@@ -311,10 +311,10 @@ class _VisualOdometry:
             return "matches that do not determine the motion"
         return fit, int(np.count_nonzero(fit.is_inlier))
 
-    def _match_descriptors(self, key: _Features, now: _Features) -> tuple[IntArray, IntArray]:
+    def _match_descriptors(self, keyframe: _Features, now: _Features) -> tuple[IntArray, IntArray]:
         """Indices of matching features: Lowe's ratio test, and one match per feature of the
         image."""
-        pairs = self._matcher.knnMatch(key.descriptors, now.descriptors, k=2)
+        pairs = self._matcher.knnMatch(keyframe.descriptors, now.descriptors, k=2)
         ratio = self._settings.match_ratio
         good = [p[0] for p in pairs if len(p) == 2 and p[0].distance < ratio * p[1].distance]
         best_of: dict[int, cv2.DMatch] = {}
@@ -328,13 +328,13 @@ class _VisualOdometry:
         return first, second
 
     def _refine_pixels(
-        self, key: _Features, now: _Features, first: IntArray, second: IntArray
+        self, keyframe: _Features, now: _Features, first: IntArray, second: IntArray
     ) -> tuple[Float32Array, BoolArray]:
         """(M, 2) refined pixels of the keyframe's features in the image, (M,) which were
         refined."""
-        begin, guess = key.pixels[first], now.pixels[second]
+        begin, guess = keyframe.pixels[first], now.pixels[second]
         found, status, _ = cv2.calcOpticalFlowPyrLK(
-            key.gray,
+            keyframe.gray,
             now.gray,
             begin[:, np.newaxis, :],
             guess[:, np.newaxis, :].copy(),
@@ -377,18 +377,18 @@ class _VisualOdometry:
             return None, none
         mask = none.copy()
         mask[np.asarray(inliers).reshape(-1)] = True
-        T_now_key = make_transform(
+        T_now_keyframe = make_transform(
             np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(shift, np.float64).reshape(3)
         )
         step = planar_from_transform(
-            self._T @ invert_transform(T_now_key) @ invert_transform(self._T)
+            self._T @ invert_transform(T_now_keyframe) @ invert_transform(self._T)
         )
         return (step if np.isfinite(step).all() else None), mask
 
     def _accept_match(self, features: _Features, fit: PlanarStepEstimate, found: int) -> None:
-        assert self._key is not None, "a match has a keyframe"
+        assert self._keyframe is not None, "a match has a keyframe"
         settings, step = self._settings, fit.step
-        pose = compose_poses(self._key.pose, step)
+        pose = compose_poses(self._keyframe.pose, step)
         noise = fit.covariance * settings.sigma_inflation**2
         self._chain.append(pose, rotate_covariance(float(step[2]), noise), matched=True)
         self._misses = 0
@@ -410,8 +410,8 @@ class _VisualOdometry:
         self._chain.start_segment(features.pose, reason)
         self._misses = 0
 
-    def _set_keyframe(self, key: _Features) -> None:
-        self._key, self._last = key, None
+    def _set_keyframe(self, keyframe: _Features) -> None:
+        self._keyframe, self._last = keyframe, None
         self._chain.keyframe += 1
         self._found_most = 0
 

@@ -1,1 +1,1 @@
-"""Xu 2024 §2.3.1: the map A between paired points."""
+"""Xu 2024 §2.3.1: the transform A between paired points."""

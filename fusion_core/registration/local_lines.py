@@ -78,9 +78,9 @@ def _second_differences_m(scan: PolarScan) -> FloatArray:
     found = 0
     for i in range(1, count - 1):
         if abs(scan.beam[i + 1] - scan.beam[i - 1]) == 2:
-            turn = 2.0 * np.cos(scan.step_rad)
+            two_cos = 2.0 * np.cos(scan.step_rad)
             here = scan.range_m[i]
-            bend = here / scan.range_m[i - 1] + here / scan.range_m[i + 1] - turn
+            bend = here / scan.range_m[i - 1] + here / scan.range_m[i + 1] - two_cos
             bends[found] = abs(bend) * here
             found += 1
     return bends[:found].copy()

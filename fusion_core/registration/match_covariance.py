@@ -98,8 +98,8 @@ def match_covariance(
             for a in range(3):
                 by_reference_range[beam, a] += influence * row[a]
             beam = beam + 1 if beam + 1 < count else 0
-        turn = (sigmas_m[0] * incidence_cos(reference, lines, j, j)) ** 2 / lines.spread_m2[j]
-        add_spurious_information(spurious, x, y, normal_x, normal_y, weight * turn)
+        variance = (sigmas_m[0] * incidence_cos(reference, lines, j, j)) ** 2 / lines.spread_m2[j]
+        add_spurious_information(spurious, x, y, normal_x, normal_y, weight * variance)
     for beam in range(count):
         _add_square(gradient_covariance, by_reference_range[beam], 1.0)
 
