@@ -1,4 +1,4 @@
-"""ScanLoom: a 2D LiDAR curve laid over the rows of a depth image.
+"""ScanLoom: a 2D LiDAR aligned with the rows of a depth image.
 
     import scanloom
 
@@ -8,8 +8,8 @@
     room.maps["fused"].to_numpy()
 
 ``open``, ``info``, ``fuse``, ``build_map`` and ``match_scans`` do what the commands of the same
-names do; ``load`` reads a folder of results that a command wrote. Whatever fails raises
-``ScanLoomError``, with the file and what to do about it.
+names do; ``load`` reads a folder of results that a command wrote. Failures raise
+``ScanLoomError`` with the file and advice.
 """
 
 from importlib import import_module

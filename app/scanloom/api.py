@@ -1,4 +1,4 @@
-"""What a notebook calls: the commands as functions, and their results as values.
+"""The Python API: the commands as functions, and their results as values.
 
 The workflows are imported inside the functions, so that ``import scanloom`` and the command line's
 ``--help`` are quick.
@@ -37,7 +37,7 @@ class RecordingInfo:
     """What is inside a recording.
 
     ``duration_s`` is None where the format has no clock. ``topics``: a table with a row for each
-    stream. ``can``: what can be done with the recording; ``warnings``: what of it cannot be read.
+    stream. ``can``: what can be done with the recording; ``warnings``: what cannot be read.
     ``document``: all that ``scanloom info --json`` prints.
     """
 
@@ -53,9 +53,9 @@ class RecordingInfo:
 class FuseResult:
     """What ``fuse`` found and wrote.
 
-    ``mount``: where the camera sits on the LiDAR, each value with its standard deviation or None
-    where the recording does not show it. ``frames``: a table with a row for each depth image.
-    ``notes``: what to know before the numbers are believed. ``alignment``: alignment.json.
+    ``mount``: the camera's pose on the LiDAR, each value with its standard deviation, None where it
+    is not observable. ``frames``: a table with a row for each depth image. ``notes``: caveats of
+    the results. ``alignment``: alignment.json.
     """
 
     folder: Path
@@ -142,19 +142,19 @@ def fuse(
     options: "FuseOptions | None" = None,
     progress: Progress = silent,
 ) -> FuseResult:
-    """Align LiDAR and depth, find the noise, repair both, and build the maps of a recording.
+    """Align LiDAR and depth, classify the noise, repair both, and build the maps of a recording.
 
-    ``output``: the folder for the results, which is left alone where it holds them already;
-    without one they live as long as the returned value. ``options``: a ``scanloom.FuseOptions``
+    ``output``: the folder for the results, which is not recomputed if it holds them already;
+    without one they are deleted with the returned value. ``options``: a ``scanloom.FuseOptions``
     with the preset, the settings file, the topics and what else ``scanloom fuse`` takes.
-    Raises ScanLoomError, AlignmentFailed where LiDAR and depth cannot be laid on each other.
+    Raises ScanLoomError, AlignmentFailed where LiDAR and depth cannot be aligned.
     """
     from fusion_core.workflows.fuse.fuse import fuse as fuse_into
     from fusion_core.workflows.fuse.session import FuseOptions
 
     with _results_folder(output) as folder:
         fuse_into(Path(recording), folder, options or FuseOptions(), progress)
-        return _kept_with(_fuse_result(folder), output)
+        return _delete_folder_with(_fuse_result(folder), output)
 
 
 def build_map(
@@ -163,18 +163,18 @@ def build_map(
     options: "MapOptions | None" = None,
     progress: Progress = silent,
 ) -> MapResult:
-    """Where the LiDAR was, and the map of what it saw, with loops closed.
+    """Estimate the LiDAR's trajectory and build a map, with loop closure.
 
     ``output`` as for ``fuse``. ``options``: a ``scanloom.MapOptions`` with the scans, the motion,
     the estimator and what else ``scanloom map`` takes. Raises ScanLoomError, MappingFailed where
-    most scans cannot be trusted: then the results are in ``output`` all the same.
+    most scans cannot be trusted; the results are written to ``output`` nevertheless.
     """
     from fusion_core.workflows.map.build_map import build_map as build_into
     from fusion_core.workflows.map.options import MapOptions
 
     with _results_folder(output) as folder:
         build_into(Path(recording), folder, options or MapOptions(), progress)
-        return _kept_with(_map_result(folder), output)
+        return _delete_folder_with(_map_result(folder), output)
 
 
 def load(folder: str | Path) -> FuseResult | MapResult:
@@ -235,8 +235,8 @@ def _results_folder(output: str | Path | None) -> Iterator[Path]:
         raise
 
 
-def _kept_with(result: _Result, output: str | Path | None) -> _Result:
-    """``result``, whose folder goes with it unless it is the named ``output``."""
+def _delete_folder_with(result: _Result, output: str | Path | None) -> _Result:
+    """``result``, whose folder is deleted with it unless it is the named ``output``."""
     if output is None:
         weakref.finalize(result, shutil.rmtree, result.folder, ignore_errors=True)
     return result

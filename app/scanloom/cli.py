@@ -1,8 +1,8 @@
-"""The command line: parses, runs a command, and says how it ended.
+"""The command line: parses, runs a command, and returns its exit code.
 
 Exit codes: 0 done, 1 bad input or failed work (one line on stderr; under ``--json`` an object with
 ``error``, ``file`` and ``advice`` on stdout) or damage that a check found (its whole report), 2
-wrong usage, 130 interrupted, 141 when the reader of the output has gone, 143 and 129 ended by
+wrong usage, 130 interrupted, 141 when the reader of the output has closed it, 143 and 129 ended by
 SIGTERM and SIGHUP.
 """
 
@@ -28,8 +28,8 @@ from scanloom.commands.subcommands import Scanloom
 from scanloom.commands.terminal import printable, progress_on_stderr
 
 # As long as a path may be; longer numbers Python refuses to read.
-_LONGEST_ARGUMENT = 4096
-_DONE, _FAILED, _WRONG_USAGE, _INTERRUPTED, _READER_GONE = 0, 1, 2, 130, 141
+_ARGUMENT_MAX = 4096
+_DONE, _FAILED, _WRONG_USAGE, _INTERRUPTED, _BROKEN_PIPE = 0, 1, 2, 130, 141
 _ENDED_BY_SIGNAL = 128
 
 
@@ -55,7 +55,7 @@ def main(args: Sequence[str] | None = None) -> int:
         # and must not fail a second time.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if isinstance(error, BrokenPipeError):
-            return _READER_GONE
+            return _BROKEN_PIPE
         sys.stderr.write(f"stdout: {error.strerror}\n")
         return _FAILED
     return code
@@ -65,8 +65,8 @@ def _run(args: Sequence[str]) -> int:
     if list(args) == ["--version"]:
         sys.stdout.write(f"scanloom {importlib.metadata.version('scanloom')}\n")
         return _DONE
-    if any(len(arg) > _LONGEST_ARGUMENT for arg in args):
-        sys.stderr.write(f"an argument is longer than {_LONGEST_ARGUMENT} characters\n")
+    if any(len(arg) > _ARGUMENT_MAX for arg in args):
+        sys.stderr.write(f"an argument is longer than {_ARGUMENT_MAX} characters\n")
         return _WRONG_USAGE
     config = (conf.OmitArgPrefixes, conf.FlagCreatePairsOff, conf.DisallowNone)
     parsed = tyro.cli(Scanloom, prog="scanloom", args=args, config=config).command
@@ -78,7 +78,7 @@ def _run(args: Sequence[str]) -> int:
         sys.stderr.write(f"{error}\n")
         return _WRONG_USAGE
     except (ScanLoomError, OSError) as error:
-        _say_failure(error, as_json=command.json)
+        _print_failure(error, as_json=command.json)
         return _FAILED
     if report is None:
         return _DONE
@@ -91,7 +91,7 @@ def _run(args: Sequence[str]) -> int:
     return _FAILED if report.failed else _DONE
 
 
-def _say_failure(error: ScanLoomError | OSError, *, as_json: bool) -> None:
+def _print_failure(error: ScanLoomError | OSError, *, as_json: bool) -> None:
     if isinstance(error, OSError):
         file = None if error.filename is None else str(error.filename)
         error = ScanLoomError(f"{error.strerror or error}.", file=file)

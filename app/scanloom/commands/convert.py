@@ -12,8 +12,10 @@ from scanloom.commands.options import (
     TIME_MAX_S,
     Flag,
     HomeOption,
+    JsonFlag,
     RecordingArgument,
     RoomOption,
+    SubsessionOption,
     WrongUsage,
     require_in_range,
     room_choice,
@@ -34,17 +36,14 @@ class Convert:
     home: HomeOption = None
     """A session of a Robot@Home data set, such as alma-s1, with --room."""
     room: RoomOption = None
-    """A room of that session, such as bedroom1."""
-    subsession: int = 1
-    """Which of several passes through that room."""
+    subsession: SubsessionOption = 1
     start: Annotated[float | None, conf.arg(metavar="S", help_behavior_hint="")] = None
     """Skip messages logged less than S seconds after the first one."""
     end: Annotated[float | None, conf.arg(metavar="S", help_behavior_hint="")] = None
     """Skip messages logged S seconds after the first one, or later."""
     overwrite: Flag = False
     """Replace an existing file."""
-    json: Flag = False
-    """Print one JSON object on stdout."""
+    json: JsonFlag = False
 
     def run(self, progress: Progress) -> Report:
         start_s = 0.0 if self.start is None else self.start

@@ -8,7 +8,9 @@ from typing import Annotated, Any, Literal
 from tyro import conf
 
 from fusion_core.model.progress import Progress
-from scanloom.commands.options import Flag
+from scanloom.commands.options import (
+    JsonFlag,
+)
 from scanloom.commands.reports import (
     Report,
     map_lines,
@@ -33,8 +35,7 @@ class _Evaluation:
     """The camera's pitch, positive downwards; used with --lever-arm."""
     clock_offset_ms: Annotated[float | None, conf.arg(metavar="MS", help_behavior_hint="")] = None
     """Camera stamp minus LiDAR stamp of the same instant, if the truth file lacks it."""
-    json: Flag = False
-    """Print one JSON object on stdout."""
+    json: JsonFlag = False
 
     def _report(self, measure: Callable[..., dict[str, Any]], **more: Any) -> Report:
         result = measure(
@@ -98,8 +99,7 @@ class EvaluateTrajectory:
     """Unit of --delta: seconds, metres along the reference, or poses of the estimate."""
     greatest_gap: Annotated[float, conf.arg(metavar="S")] = 0.2
     """Skip poses where the reference has a gap longer than S seconds."""
-    json: Flag = False
-    """Print one JSON object on stdout."""
+    json: JsonFlag = False
 
     def run(self, progress: Progress) -> Report:
         from fusion_core.workflows.evaluate import evaluate
@@ -123,8 +123,7 @@ class EvaluateRelations:
     """A TUM file, lines of: stamp x y z qx qy qz qw (s, m)."""
     relations: Annotated[conf.Positional[Path], conf.arg(metavar="RELATIONS")]
     """Lines of: t1 t2 x y z roll pitch yaw (s, m, rad)."""
-    json: Flag = False
-    """Print one JSON object on stdout."""
+    json: JsonFlag = False
 
     def run(self, progress: Progress) -> Report:
         from fusion_core.workflows.evaluate import evaluate
@@ -149,8 +148,7 @@ class EvaluateMap:
     ] = None
     """Pose of the map's frame in the world (m, m, rad): exact with --align none, else an initial
     guess to within 1 m and 20 degrees; without it the whole world is searched."""
-    json: Flag = False
-    """Print one JSON object on stdout."""
+    json: JsonFlag = False
 
     def run(self, progress: Progress) -> Report:
         from fusion_core.workflows.evaluate import evaluate
@@ -167,8 +165,7 @@ class EvaluateOdometry:
     """An output folder of map, with its odometry_*.tum and trajectory.tum."""
     reference: Annotated[conf.Positional[Path], conf.arg(metavar="REFERENCE")]
     """A TUM file, or the ground truth (.npz) of a synthetic recording."""
-    json: Flag = False
-    """Print one JSON object on stdout."""
+    json: JsonFlag = False
 
     def run(self, progress: Progress) -> Report:
         from fusion_core.workflows.evaluate.odometry import odometry, odometry_lines

@@ -11,10 +11,14 @@ from fusion_core.model.seeds import SEED_MAX
 from scanloom.commands.options import (
     ROW_MAX,
     Flag,
+    ForceFlag,
     HomeOption,
+    JsonFlag,
+    OverwriteFolderFlag,
     RecordingArgument,
     RoomOption,
     SettingsOption,
+    SubsessionOption,
     TopicOption,
     require_integer,
     room_choice,
@@ -38,9 +42,7 @@ class Fuse:
     home: HomeOption = None
     """A session of the data set, such as alma-s1: all its rooms, and Table 1, unless --room."""
     room: RoomOption = None
-    """A room of that session, such as bedroom1."""
-    subsession: int = 1
-    """Which of several passes through that room."""
+    subsession: SubsessionOption = 1
     lidar: TopicOption = None
     """The LaserScan topic (default: found by type)."""
     depth: Annotated[conf.UseAppendAction[tuple[str, ...]], conf.arg(metavar="TOPIC")] = ()
@@ -59,12 +61,9 @@ class Fuse:
     """The ground truth of a simulated recording, for the figure of noise recall."""
     seed: Annotated[int | None, conf.arg(help_behavior_hint="")] = None
     """Seed of the random draws, overriding the settings'."""
-    force: Flag = False
-    """Recompute even if the folder already holds this result."""
-    overwrite: Flag = False
-    """Write into a folder that holds other files or results of another command."""
-    json: Flag = False
-    """Print one JSON object on stdout."""
+    force: ForceFlag = False
+    overwrite: OverwriteFolderFlag = False
+    json: JsonFlag = False
 
     def run(self, progress: Progress) -> Report:
         require_integer("--seed", self.seed, SEED_MAX)

@@ -3,7 +3,15 @@
 from dataclasses import dataclass
 
 from fusion_core.model.progress import Progress
-from scanloom.commands.options import Flag, HomeOption, RecordingArgument, RoomOption, room_choice
+from scanloom.commands.options import (
+    Flag,
+    HomeOption,
+    JsonFlag,
+    RecordingArgument,
+    RoomOption,
+    SubsessionOption,
+    room_choice,
+)
 from scanloom.commands.reports import Report, info_lines
 
 
@@ -16,14 +24,11 @@ class Info:
     home: HomeOption = None
     """A session of the data set, such as alma-s1."""
     room: RoomOption = None
-    """A room of that session, such as bedroom1."""
-    subsession: int = 1
-    """Which of several passes through that room."""
+    subsession: SubsessionOption = 1
     check: Flag = False
     """Read every message and verify every checksum, not just the index. Exit code 1 if anything
     is damaged or unreadable."""
-    json: Flag = False
-    """Print one JSON object on stdout."""
+    json: JsonFlag = False
 
     def run(self, progress: Progress) -> Report:
         from fusion_core.workflows.info import info

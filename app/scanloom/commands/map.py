@@ -10,11 +10,14 @@ from fusion_core.model.progress import Progress
 from fusion_core.model.seeds import SEED_MAX
 from scanloom.commands.options import (
     OFFSET_MAX_MS,
-    Flag,
+    ForceFlag,
     HomeOption,
+    JsonFlag,
+    OverwriteFolderFlag,
     RecordingArgument,
     RoomOption,
     SettingsOption,
+    SubsessionOption,
     TopicOption,
     WrongUsage,
     require_in_range,
@@ -53,19 +56,14 @@ class Map:
     home: HomeOption = None
     """A session of a Robot@Home data set, such as alma-s1, with --room."""
     room: RoomOption = None
-    """A room of that session, such as bedroom1."""
-    subsession: int = 1
-    """Which of several passes through that room."""
+    subsession: SubsessionOption = 1
     lidar: TopicOption = None
     """The LaserScan topic (default: found by type)."""
     pose: TopicOption = None
     """The topic of recorded poses (default: TF, else odometry)."""
-    force: Flag = False
-    """Recompute even if the folder already holds this result."""
-    overwrite: Flag = False
-    """Write into a folder that holds other files or results of another command."""
-    json: Flag = False
-    """Print one JSON object on stdout."""
+    force: ForceFlag = False
+    overwrite: OverwriteFolderFlag = False
+    json: JsonFlag = False
 
     def run(self, progress: Progress) -> Report:
         if self.slam == "none" and self.motion == "none":

@@ -19,8 +19,27 @@ RecordingArgument = Annotated[conf.Positional[Path], conf.arg(metavar="RECORDING
 SettingsOption = Annotated[Path | None, conf.arg(metavar="FILE", help_behavior_hint="")]
 TopicOption = Annotated[str | None, conf.arg(metavar="TOPIC", help_behavior_hint="")]
 HomeOption = Annotated[str | None, conf.arg(metavar="SESSION", help_behavior_hint="")]
-RoomOption = Annotated[str | None, conf.arg(metavar="ROOM", help_behavior_hint="")]
-
+RoomOption = Annotated[
+    str | None,
+    conf.arg(
+        metavar="ROOM",
+        help="A room of that session, such as bedroom1.",
+        help_behavior_hint="",
+    ),
+]
+SubsessionOption = Annotated[int, conf.arg(help="Which of several passes through that room.")]
+ForceFlag = Annotated[
+    bool,
+    conf.arg(help="Recompute even if the folder already holds this result.", help_behavior_hint=""),
+]
+OverwriteFolderFlag = Annotated[
+    bool,
+    conf.arg(
+        help="Write into a folder that holds other files or results of another command.",
+        help_behavior_hint="",
+    ),
+]
+JsonFlag = Annotated[bool, conf.arg(help="Print one JSON object on stdout.", help_behavior_hint="")]
 
 # The largest side of an image in the formats that are read.
 ROW_MAX = 65_535

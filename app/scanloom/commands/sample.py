@@ -8,7 +8,13 @@ from tyro import conf
 
 from fusion_core.model.progress import Progress
 from fusion_core.model.seeds import SEED_MAX
-from scanloom.commands.options import Flag, SettingsOption, WrongUsage, require_integer
+from scanloom.commands.options import (
+    Flag,
+    JsonFlag,
+    SettingsOption,
+    WrongUsage,
+    require_integer,
+)
 from scanloom.commands.reports import Report, scene_lines
 from scanloom.resources import sample_path
 
@@ -33,8 +39,7 @@ class Sample:
     """Replace existing files."""
     list: Flag = False
     """List the scenes and the built-in recording."""
-    json: Flag = False
-    """Print one JSON object on stdout."""
+    json: JsonFlag = False
 
     def run(self, progress: Progress) -> Report:
         from fusion_core.workflows import sample

@@ -20,8 +20,8 @@ from scanloom.commands.view import View
 
 @dataclass(frozen=True, kw_only=True)
 class Scanloom:
-    """Lay a 2D LiDAR curve over the rows of a depth image, judge the noise, repair each sensor
-    from the other, export the fused map. `scanloom --version` prints the version.
+    """Align a 2D LiDAR with the rows of a depth image, classify the noise, repair each sensor from
+    the other, and build the fused map. `scanloom --version` prints the version.
     """
 
     command: conf.OmitSubcommandPrefixes[

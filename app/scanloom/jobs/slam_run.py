@@ -93,9 +93,9 @@ def run_slam(
 ) -> SlamRun:
     """Run what a view asks for, into a new folder below ``root``.
 
-    A run that fails or is cancelled leaves nothing behind, but for one whose scans do not fit the
-    map: that is there to be looked at. What ``progress`` raises ends it at the next moment that is
-    watched, too. Raises what ``build_map`` raises.
+    A run that fails or is cancelled leaves no files. One whose scans do not fit the map is kept, to
+    be inspected. An exception of ``progress`` also ends the run at the next call of ``observer``.
+    Raises what ``build_map`` raises.
     """
     last: list[tuple[int, int | None, str]] = []
 
@@ -103,8 +103,8 @@ def run_slam(
         last[:] = [(done, total, what)]
         progress(done, total, what)
 
-    def look(seen: SlamView) -> None:
-        # Says nothing new, and raises where the run is to end.
+    def observe(seen: SlamView) -> None:
+        # The last report again: it raises if the run was cancelled.
         for step in last:
             progress(*step)
         observer(seen)
@@ -118,9 +118,9 @@ def run_slam(
         summary: MapSummary | None = None
         problem: ScanLoomError | None = None
         try:
-            summary = build_map(request.recording, results_in(folder), options, advance, look)
+            summary = build_map(request.recording, results_in(folder), options, advance, observe)
         except MappingFailed as error:
-            # Most of its scans do not fit, yet it was written.
+            # Most of its scans do not fit, but the results were written.
             if not (results_in(folder) / "trajectory.tum").exists():
                 raise
             problem = error
