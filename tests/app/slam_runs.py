@@ -1,5 +1,5 @@
-"""Stands for ``build_map``: a known way round a room, watched as a run is, in files as it writes
-them."""
+"""Replaces ``build_map``: a known trajectory round a room, with the observer's views and the files
+of a run."""
 
 import json
 from collections.abc import Callable
@@ -59,17 +59,17 @@ def effective() -> FloatArray:
 
 def view_at(count: int, stage: str, options: MapOptions) -> SlamView:
     """A moment of the run when so many scans are placed."""
-    way = poses()
+    trajectory = poses()
     many = PARTICLES if options.slam == "particle-filter" else 0
     rng = np.random.default_rng(count)
-    particles = way[count - 1] + rng.normal(scale=0.03, size=(many, 3))
+    particles = trajectory[count - 1] + rng.normal(scale=0.03, size=(many, 3))
     weights = np.arange(1.0, many + 1.0)
     closed = LOOPS if stage == "closing loops" else ()
-    ends = [[*way[first, :2], *way[second, :2]] for first, second in closed]
+    ends = [[*trajectory[first, :2], *trajectory[second, :2]] for first, second in closed]
     return SlamView(
         stage=stage,
         stamps_ns=stamps_ns()[:count],
-        poses_map_scan=way[:count],
+        poses_map_scan=trajectory[:count],
         particles=particles,
         weights=weights / weights.sum() if many else weights,
         effective=effective()[:count] if many else np.empty(0),
@@ -80,7 +80,7 @@ def view_at(count: int, stage: str, options: MapOptions) -> SlamView:
 class FakeMap:
     """``build_map``, of which each call gets an ``at_scan(number)`` to wait in, or to fail in.
 
-    ``shift_m``: how far the way drifts; ``fits``: whether the scans fit the map at the end.
+    ``shift_m``: how far the trajectory drifts; ``fits``: whether the scans fit the map at the end.
     """
 
     def __init__(self) -> None:
@@ -115,13 +115,13 @@ class FakeMap:
 def write_results(output: Path, options: MapOptions, shift_m: float = 0.0) -> dict[str, Any]:
     """The files of a run; returns what is in report.json."""
     output.mkdir(parents=True)
-    way, stamps = poses(shift_m), stamps_ns()
+    trajectory, stamps = poses(shift_m), stamps_ns()
     write_ros_map(output, f"map_{options.scan}", room())
-    write_tum_trajectory(output / "trajectory.tum", Trajectory.from_planar(stamps, way))
+    write_tum_trajectory(output / "trajectory.tum", Trajectory.from_planar(stamps, trajectory))
     trusted = np.ones(SCANS, dtype=np.bool_)
     trusted[LOST] = False
     write_trajectory_figure(
-        output / "trajectory.png", "a room", room(), way, trusted, np.empty((0, 4))
+        output / "trajectory.png", "a room", room(), trajectory, trusted, np.empty((0, 4))
     )
     report: dict[str, Any] = {
         "scan": options.scan,
@@ -162,21 +162,21 @@ def write_results(output: Path, options: MapOptions, shift_m: float = 0.0) -> di
         kinds = "translation", "rotation", "rejected"
         names = [f"{source}_{kind}" for source in sources for kind in kinds]
         # Nothing is known of the third step.
-        shares = [i / SCANS if i != 2 else None for i in range(SCANS - 1)]
+        weights = [i / SCANS if i != 2 else None for i in range(SCANS - 1)]
         rows = [
             ["from_ns", "to_ns", *names],
             *(
                 [
                     begin,
                     end,
-                    share,
+                    weight,
                     0.25,
                     "false",
-                    None if share is None else 1.0 - share,
+                    None if weight is None else 1.0 - weight,
                     0.75,
                     "true",
                 ]
-                for begin, end, share in zip(stamps, stamps[1:], shares, strict=False)
+                for begin, end, weight in zip(stamps, stamps[1:], weights, strict=False)
             ),
         ]
         text = "".join(

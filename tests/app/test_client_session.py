@@ -1,4 +1,4 @@
-"""One person's desk without a browser: the view, what is computed for it, and what is told."""
+"""A client session without a browser: the view, its results, and what is reported."""
 
 import os
 import shutil
@@ -27,8 +27,8 @@ from scanloom.state.view import View, view_of_link
 ENOUGH_S = 60.0
 
 
-class Told:
-    """A client as far as a desk needs one: it keeps what it is told and what it is to store."""
+class FakeClient:
+    """A client as far as a session needs one: it keeps notifications and stored items."""
 
     client_id = 0
 
@@ -104,8 +104,8 @@ def view(library: Library, small_scene: Path) -> View:
 
 
 @pytest.fixture
-def client() -> Told:
-    return Told()
+def client() -> FakeClient:
+    return FakeClient()
 
 
 @pytest.fixture
@@ -114,8 +114,10 @@ def panel() -> Recorder:
 
 
 @pytest.fixture
-def session(library: Library, view: View, client: Told, panel: Recorder) -> Iterator[ClientSession]:
-    """A desk that shows its first view."""
+def session(
+    library: Library, view: View, client: FakeClient, panel: Recorder
+) -> Iterator[ClientSession]:
+    """A session that shows its first view."""
     made = ClientSession(client, library, view)  # type: ignore[arg-type]  # as far as it is needed
     made.panels = [panel]
     made.refresh()
@@ -125,7 +127,7 @@ def session(library: Library, view: View, client: Told, panel: Recorder) -> Iter
 
 
 def shown_by(session: ClientSession) -> FrameView:
-    """What the desk shows of its latest view."""
+    """What the session shows of its latest view."""
     assert session.wait(ENOUGH_S)
     assert session.frame_view is not None
     return session.frame_view
@@ -135,11 +137,11 @@ def frames_of(session: ClientSession) -> int:
     return len(shown_by(session).open_recording.frames)
 
 
-# The desk
+# The session
 
 
-def test_a_desk_shows_its_first_view_and_has_the_browser_keep_it(
-    session: ClientSession, view: View, client: Told, panel: Recorder
+def test_a_session_shows_its_first_view_and_has_the_browser_keep_it(
+    session: ClientSession, view: View, client: FakeClient, panel: Recorder
 ) -> None:
     assert [frame_view.view for frame_view in panel.frame_view] == [view]
     assert panel.frame_view[0].fused is not None
@@ -148,7 +150,7 @@ def test_a_desk_shows_its_first_view_and_has_the_browser_keep_it(
 
 
 def test_of_many_changes_the_last_is_shown_and_kept(
-    session: ClientSession, client: Told, panel: Recorder
+    session: ClientSession, client: FakeClient, panel: Recorder
 ) -> None:
     for tenths in range(1, 41):
         session.change_setting("noise", "epsilon", tenths / 10)
@@ -171,8 +173,8 @@ def test_epsilon_decides_what_is_shown(session: ClientSession) -> None:
     assert found[0] > found[1]
 
 
-def test_a_refused_value_is_told_each_time_and_the_view_stays(
-    session: ClientSession, view: View, client: Told, panel: Recorder
+def test_a_refused_value_is_reported_each_time_and_the_view_stays(
+    session: ClientSession, view: View, client: FakeClient, panel: Recorder
 ) -> None:
     for count in (1, 2):
         before = len(panel.frame_view)
@@ -263,8 +265,8 @@ def test_a_step_comes_in_again_from_the_other_end_or_stops(
     assert session.view.frame_index == end % count
 
 
-def test_a_failure_is_told_once_until_it_is_over(
-    session: ClientSession, client: Told, panel: Recorder
+def test_a_failure_is_reported_once_until_it_is_over(
+    session: ClientSession, client: FakeClient, panel: Recorder
 ) -> None:
     # No scan lies so near that it would not be too far.
     session.change_setting("time", "max_gap_ms", 0.001)
@@ -279,8 +281,8 @@ def test_a_failure_is_told_once_until_it_is_over(
     panel.until(lambda frame_view: frame_view.fused is not None)
 
 
-def test_a_panel_that_fails_is_told_and_the_desk_goes_on(
-    session: ClientSession, client: Told, panel: Recorder
+def test_a_panel_that_fails_is_reported_and_the_session_goes_on(
+    session: ClientSession, client: FakeClient, panel: Recorder
 ) -> None:
     panel.failure = ZeroDivisionError("by zero")
     session.change(frame_index=3)
@@ -293,8 +295,8 @@ def test_a_panel_that_fails_is_told_and_the_desk_goes_on(
     assert shown_by(session).view.frame_index == panel.frame_view[-1].view.frame_index == 4
 
 
-def test_a_recording_that_is_none_is_told_and_the_desk_goes_on(
-    session: ClientSession, client: Told
+def test_a_recording_that_is_none_is_reported_and_the_session_goes_on(
+    session: ClientSession, client: FakeClient
 ) -> None:
     session.change(lidar_topic="/none")
     assert session.wait(ENOUGH_S)
@@ -303,7 +305,7 @@ def test_a_recording_that_is_none_is_told_and_the_desk_goes_on(
     assert shown_by(session).view.frame_index == 2
 
 
-def test_a_closed_desk_shows_nothing_any_more(session: ClientSession, panel: Recorder) -> None:
+def test_a_closed_session_shows_nothing_any_more(session: ClientSession, panel: Recorder) -> None:
     before = len(panel.frame_view)
     session.close()
     session.change(frame_index=5)
@@ -311,8 +313,8 @@ def test_a_closed_desk_shows_nothing_any_more(session: ClientSession, panel: Rec
     assert len(panel.frame_view) == before
 
 
-def test_a_desk_looks_at_what_it_shows_until_it_is_closed(
-    view: View, small_scene: Path, client: Told, monkeypatch: pytest.MonkeyPatch
+def test_a_session_looks_at_what_it_shows_until_it_is_closed(
+    view: View, small_scene: Path, client: FakeClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     library = Library([small_scene], [])
     seen: list[object] = []
@@ -331,8 +333,8 @@ def test_a_desk_looks_at_what_it_shows_until_it_is_closed(
     library.close()
 
 
-def test_a_desk_that_is_closed_while_its_recording_opens_looks_at_nothing(
-    view: View, small_scene: Path, client: Told, monkeypatch: pytest.MonkeyPatch
+def test_a_session_that_is_closed_while_its_recording_opens_looks_at_nothing(
+    view: View, small_scene: Path, client: FakeClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("scanloom.client_session._CLOSE_TIMEOUT_S", 0.0)
     library = Library([small_scene], [])
@@ -368,9 +370,9 @@ def test_a_desk_that_is_closed_while_its_recording_opens_looks_at_nothing(
         (KeyError("row"), "Something failed: KeyError: 'row'.", "Go to another frame"),
     ],
 )
-def test_an_alignment_that_fails_is_told_and_the_streams_are_shown(
+def test_an_alignment_that_fails_is_reported_and_the_streams_are_shown(
     small_scene: Path,
-    client: Told,
+    client: FakeClient,
     panel: Recorder,
     monkeypatch: pytest.MonkeyPatch,
     error: Exception,
@@ -398,8 +400,8 @@ def test_an_alignment_that_fails_is_told_and_the_streams_are_shown(
     library.close()
 
 
-def test_a_recording_that_is_cut_while_it_is_open_is_told_so(
-    tmp_path: Path, client: Told, panel: Recorder
+def test_a_recording_that_is_cut_while_it_is_open_is_reported(
+    tmp_path: Path, client: FakeClient, panel: Recorder
 ) -> None:
     path = tmp_path / "room.mcap"
     # Longer than what is read ahead.
@@ -485,14 +487,14 @@ def test_a_picked_row_that_the_image_lacks_is_a_failure_as_text(
 
 
 def test_a_stage_that_fails_on_one_frame_leaves_what_came_before_it(
-    session: ClientSession, client: Told, monkeypatch: pytest.MonkeyPatch
+    session: ClientSession, client: FakeClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(match: FrameMatch, *_: Any) -> None:
         raise ZeroDivisionError("in the classes")
 
     with monkeypatch.context() as patched:
         patched.setattr("fusion_core.workflows.fuse.cached_chain.classify_and_repair", fail)
-        # No other test has judged it so.
+        # With settings of no other test, so that nothing is cached.
         session.change(frame_index=5)
         session.change_setting("noise", "epsilon", 3.21)
         frame_view = shown_by(session)
@@ -511,7 +513,7 @@ def test_a_stage_that_fails_on_one_frame_leaves_what_came_before_it(
 
 
 def test_a_colour_image_that_cannot_be_read_hides_no_frame(
-    session: ClientSession, client: Told, monkeypatch: pytest.MonkeyPatch
+    session: ClientSession, client: FakeClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     frames = shown_by(session).open_recording.frames
 

@@ -44,7 +44,7 @@ ENOUGH_S = 60.0
 
 
 class Served:
-    """A guarded server without any desk, and what is said of its browsers."""
+    """A guarded server without any session, and what is said of its browsers."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -215,7 +215,7 @@ def test_what_is_let_in_is_what_viser_reads(name: str, value: object) -> None:
         assert message.image_height >= 0
 
 
-def test_a_page_of_another_version_is_told_so_and_stdout_keeps_silent(
+def test_a_page_of_another_version_is_reported_and_stdout_keeps_silent(
     served: Served, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with connect(served.address, version="0.0", with_camera=False) as client:
@@ -255,7 +255,7 @@ def test_no_message_prints_a_traceback(small_scene: Path) -> None:
     assert errors.replace("\n", "").isprintable()
 
 
-def test_beside_forty_silent_pages_another_has_its_desk_at_once(
+def test_beside_forty_silent_pages_another_has_its_session_at_once(
     small_scene: Path, tmp_path: Path
 ) -> None:
     storage: dict[str, str] = {}
@@ -266,5 +266,5 @@ def test_beside_forty_silent_pages_another_has_its_desk_at_once(
         connect(workbench.address, storage=storage) as client,
     ):
         client.wait_until(lambda: STORED_VIEW in storage, ENOUGH_S)
-        # It waited for none of them, and none has a desk.
+        # It waited for none of them, and none has a session.
         assert len(workbench.sessions) == 1

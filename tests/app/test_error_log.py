@@ -12,7 +12,7 @@ class Clock:
         return self.now_s
 
 
-def test_the_first_is_told_at_once_and_the_rest_are_counted() -> None:
+def test_the_first_is_reported_at_once_and_the_rest_are_counted() -> None:
     lines: list[str] = []
     clock = Clock()
     error_log = ErrorLog(lines.append, clock)
@@ -34,7 +34,7 @@ def test_a_line_is_one_line_and_steers_no_terminal() -> None:
     assert len(line) < 400
 
 
-def test_a_librarys_error_is_told_without_its_traceback() -> None:
+def test_a_librarys_error_is_reported_without_its_traceback() -> None:
     lines: list[str] = []
     log = websockets_logger(ErrorLog(lines.append))
     try:

@@ -89,7 +89,7 @@ def test_alignment_and_scale_are_named(capsys: pytest.CaptureFixture[str]) -> No
     assert sum(line.startswith("absolute, aligned ") for line in lines) == 2
 
 
-def test_what_was_put_right_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_was_put_right_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
     Path("estimate.tum").write_text(ESTIMATE + "10.1 9 9 9 0 0 0 1\n", encoding="utf-8")
     for args in ([*TRAJECTORY, "--delta", "0.1"], RELATION):
         lines = table(capsys, args)

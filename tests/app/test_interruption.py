@@ -190,7 +190,7 @@ def test_pressed_again_and_again_while_it_closes(small_scene: Path) -> None:
         assert server.stdout is not None
         try:
             address = json.loads(server.stdout.readline())["address"]
-            # A desk that is being aligned, whose closing takes its time.
+            # A session that is being aligned, whose closing takes its time.
             with connect(address) as client:
                 client.find("Frame", timeout=ENOUGH_S)
                 deadline_s = time.monotonic() + ENDS_S

@@ -78,7 +78,7 @@ def test_wait_says_whether_all_is_done(gate: Gate, worker: LatestOnlyWorker[int]
     assert worker.wait(LONG_S)
 
 
-def test_a_failure_is_told_and_the_next_request_is_done(
+def test_a_failure_is_reported_and_the_next_request_is_done(
     gate: Gate, worker: LatestOnlyWorker[int]
 ) -> None:
     gate.may_go_on.release(2)
@@ -176,7 +176,7 @@ def test_cancelling_a_job_that_has_ended_changes_nothing() -> None:
     assert ends.ended == [("done", 7)]
 
 
-def test_work_that_is_cancelled_is_told_to_nobody(gate: Gate) -> None:
+def test_work_that_is_cancelled_is_reported_to_nobody(gate: Gate) -> None:
     done: list[int] = []
 
     def work(request: int, is_newest: Callable[[], bool]) -> None:

@@ -1,4 +1,4 @@
-"""A browser and its desk: the view it gets, what it is told, and how it ends."""
+"""A browser and its session: the view it gets, what is reported, and how it ends."""
 
 import base64
 import json
@@ -75,7 +75,7 @@ def test_a_link_goes_before_what_was_kept_and_is_followed_once(
         (View(recording="a\x00b").to_link(), "is not among the recordings"),
     ],
 )
-def test_a_link_that_cannot_be_followed_is_told_and_the_kept_view_is_shown(
+def test_a_link_that_cannot_be_followed_is_reported_and_the_kept_view_is_shown(
     workbench: Workbench, view: View, link: str, words: str
 ) -> None:
     storage = {STORED_VIEW: view.changed(frame_index=4).to_link(), LINK_KEY: link}
@@ -135,11 +135,11 @@ def test_a_frame_that_cannot_be_read_takes_the_one_before_out_of_sight(
 
 @pytest.mark.filterwarnings("ignore:Queued a")
 @pytest.mark.parametrize("last_seen", ["Preset", "Frame", "v (row)"])
-def test_a_desk_ends_with_its_browser_even_half_furnished(
+def test_a_session_ends_with_its_browser_even_half_built(
     workbench: Workbench, last_seen: str
 ) -> None:
     def threads() -> set[str]:
-        return {t.name for t in threading.enumerate() if t.name.startswith(("desk", "play"))}
+        return {t.name for t in threading.enumerate() if t.name.startswith(("session", "play"))}
 
     def ended() -> bool:
         return not workbench.sessions and not threads()
@@ -174,7 +174,7 @@ def within(condition: Callable[[], bool]) -> bool:
 
 
 def desk_of(workbench: Workbench) -> ClientSession:
-    """The one browser's desk; that of the test before may still be going."""
+    """The one browser's session; that of the test before may still be going."""
     assert within(lambda: len(workbench.sessions) == 1)
     return workbench.sessions[0]
 

@@ -63,13 +63,13 @@ def test_a_run_reads_back_what_was_written(tmp_path: Path) -> None:
     assert made.name == "1: lidar, recorded, pose-graph"
     # To the nanosecond, for two runs are compared at their stamps.
     assert np.array_equal(files.trajectory.stamps_ns, slam_runs.stamps_ns())
-    way = slam_runs.poses()
-    assert np.allclose(files.trajectory.planar_poses[:, :2], way[:, :2], atol=1e-8)
+    poses = slam_runs.poses()
+    assert np.allclose(files.trajectory.planar_poses[:, :2], poses[:, :2], atol=1e-8)
     assert np.allclose(
-        np.exp(1j * files.trajectory.planar_poses[:, 2]), np.exp(1j * way[:, 2]), atol=1e-8
+        np.exp(1j * files.trajectory.planar_poses[:, 2]), np.exp(1j * poses[:, 2]), atol=1e-8
     )
     assert np.flatnonzero(~files.trusted).tolist() == list(range(LOST.start, LOST.stop))
-    ends = [[*way[first, :2], *way[second, :2]] for first, second in LOOPS]
+    ends = [[*poses[first, :2], *poses[second, :2]] for first, second in LOOPS]
     assert np.allclose(files.loops_m, ends, atol=1e-8)
     assert files.grid is not None
     room = slam_runs.room()
@@ -99,13 +99,13 @@ def test_the_poses_of_a_run_are_those_of_its_scans_and_none_beyond(
     fake: FakeMap, tmp_path: Path
 ) -> None:
     found = TrajectoryPoses("a run", run(tmp_path).files.trajectory)
-    stamps_ns, way = slam_runs.stamps_ns(), slam_runs.poses()
+    stamps_ns, poses = slam_runs.stamps_ns(), slam_runs.poses()
     pose = found.at(int(stamps_ns[7]))
     assert pose is not None
-    assert pose[:2] == pytest.approx(way[7, :2])
+    assert pose[:2] == pytest.approx(poses[7, :2])
     between = found.at(int(stamps_ns[7] + stamps_ns[8]) // 2)
     assert between is not None
-    assert between[:2] == pytest.approx((way[7, :2] + way[8, :2]) / 2)
+    assert between[:2] == pytest.approx((poses[7, :2] + poses[8, :2]) / 2)
     assert found.at(int(stamps_ns[0]) - 1) is None
     assert found.at(int(stamps_ns[-1]) + 1) is None
 
@@ -220,7 +220,7 @@ def test_a_run_that_wrote_nothing_fails(monkeypatch: pytest.MonkeyPatch, tmp_pat
 
 
 @pytest.mark.usefixtures("fake")
-def test_a_damaged_result_is_told(tmp_path: Path) -> None:
+def test_a_damaged_result_is_reported(tmp_path: Path) -> None:
     results = run(tmp_path).folder / "results"
     (results / "report.json").write_text("{}")
     with pytest.raises(ExportError, match=r"KeyError.*'scan'"):

@@ -33,7 +33,7 @@ from scanloom.cli import main as scanloom
 from tests.benchmarks.odd_recordings import ODD
 from tests.recordings.samples.formats import SAMPLE_BUILDERS
 
-SHARES = (0.01, 0.5, 0.99)
+FRACTIONS = (0.01, 0.5, 0.99)
 MOST_SECONDS = 10.0
 MOST_BYTES = 256 << 20
 MIB = 1 << 20
@@ -89,7 +89,7 @@ def read_whole(path: Path) -> dict[str, Any]:
 
 
 def peak_bytes() -> int:
-    """Of this process's own memory; what wait4 tells begins with the parent's."""
+    """Of this process's own memory; what wait4 reports begins with the parent's."""
     status = Path("/proc/self/status").read_text()
     return int(status.partition("VmHWM:")[2].split()[0]) * 1024
 
@@ -203,13 +203,13 @@ def largest_file(path: Path) -> Path:
 def cuts(table: Table, name: str, source: Path, work: Path) -> None:
     """The intact input, and it cut at 1, 50 and 99 % of the bytes of its largest file."""
     intact = table.add(f"{name}, intact", source)
-    for share in SHARES:
-        copied = copy_of(source, work / f"{name}-{share}".replace("/", "_"))
+    for fraction in FRACTIONS:
+        copied = copy_of(source, work / f"{name}-{fraction}".replace("/", "_"))
         file = largest_file(copied)
         size = file.stat().st_size
         with file.open("r+b") as opened:
-            opened.truncate(int(share * size))
-        outcome = table.add(f"{name}, cut at {share:.0%}", copied, intact)
+            opened.truncate(int(fraction * size))
+        outcome = table.add(f"{name}, cut at {fraction:.0%}", copied, intact)
         recovered = outcome.read / intact.read if intact.read else 0.0
         print(f"{'':<44}                   {recovered:.1%} of the messages")
 

@@ -42,7 +42,7 @@ def main() -> None:
     parser.add_argument("--slam", default="particle-filter")
     asked = parser.parse_args()
     maps: dict[str, list[tuple[float, ...]]] = {kind: [] for kind in KINDS}
-    ways: dict[str, list[float]] = {}
+    odometry_errors: dict[str, list[float]] = {}
     for seed in range(asked.first, asked.first + asked.seeds):
         with tempfile.TemporaryDirectory() as folder:
             recording = Path(folder) / "arena.mcap"
@@ -53,13 +53,13 @@ def main() -> None:
                 maps[kind].append(row)
                 if kind == "merged":
                     for name, error in tracks.items():
-                        ways.setdefault(name, []).append(error)
+                        odometry_errors.setdefault(name, []).append(error)
                 print(
                     f"seed {seed} {kind:<8}", " ".join(f"{value:8.2f}" for value in row), flush=True
                 )
     _print_maps(maps)
-    print(f"\nTable 5, straight stretches: error (%)\n{'':<12}{'ours':>8}{'worst':>8}{'paper':>8}")
-    for name, errors in ways.items():
+    print(f"\nTable 5, straight segments: error (%)\n{'':<12}{'ours':>8}{'worst':>8}{'paper':>8}")
+    for name, errors in odometry_errors.items():
         paper = f"{PAPER_ODOMETRY[name]:.2f}" if name in PAPER_ODOMETRY else "-"
         print(f"{name:<12}{np.mean(errors):>8.2f}{np.max(errors):>8.2f}{paper:>8}")
 

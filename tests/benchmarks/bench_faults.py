@@ -1,11 +1,11 @@
-"""What faults do to the pose graph, and whether its report names every stretch that is off.
+"""What faults do to the pose graph, and whether its report names every interval that is off.
 
     python -m tests.benchmarks.bench_faults
 
-Each fault is recorded in the two-room loop with odometry that drifts; the estimate is laid on the
-truth by its first pose alone. A stretch is off where it is more than 0.3 m from the truth for two
-scans or more; it is named where report.json calls any of its scans untrusted. Exits with 1 where
-one is not named.
+Each fault is recorded in the two-room loop with odometry that drifts; the estimate is aligned to
+the truth by its first pose alone. An interval is off where it is more than 0.3 m from the truth for
+two scans or more; it is named where report.json calls any of its scans untrusted. Exits with 1
+where one is not named.
 """
 
 import json
@@ -59,7 +59,7 @@ def main() -> None:
                     flush=True,
                 )
     if missed:
-        sys.exit(f"{missed} stretches are off and not named")
+        sys.exit(f"{missed} intervals are off and not named")
 
 
 def _judged(recording: Path, folder: Path, options: MapOptions) -> tuple[float, ...]:
@@ -73,12 +73,12 @@ def _judged(recording: Path, folder: Path, options: MapOptions) -> tuple[float, 
     stamps_ns, poses = truth["scan_stamp"], truth["pose"]
     _, own, theirs = np.intersect1d(estimate.stamps_ns, stamps_ns, return_indices=True)
     found, true = estimate.planar_poses[own], poses[theirs]
-    laid = compose_poses(true[0], relative_pose(found[0], found))
-    away_m: FloatArray = np.hypot(*(laid - true)[:, :2].T)
+    aligned = compose_poses(true[0], relative_pose(found[0], found))
+    away_m: FloatArray = np.hypot(*(aligned - true)[:, :2].T)
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     untrusted = _within(estimate.stamps_ns[own], report["untrusted"])
-    stretches = _runs(away_m > OFF_M)
-    unnamed = sum(not untrusted[a:b].any() for a, b in stretches if b - a > 1)
+    intervals = _runs(away_m > OFF_M)
+    unnamed = sum(not untrusted[a:b].any() for a, b in intervals if b - a > 1)
     return (
         float(np.median(away_m)),
         float(away_m.max()),
@@ -88,11 +88,11 @@ def _judged(recording: Path, folder: Path, options: MapOptions) -> tuple[float, 
     )
 
 
-def _within(stamps_ns: IntArray, stretches: list[dict[str, float]]) -> BoolArray:
+def _within(stamps_ns: IntArray, intervals: list[dict[str, float]]) -> BoolArray:
     inside: BoolArray = np.zeros(stamps_ns.size, dtype=np.bool_)
-    for stretch in stretches:
+    for interval in intervals:
         # Stamps in seconds are rounded.
-        first, last = (round(stretch[end] * NS_PER_S) for end in ("from_s", "to_s"))
+        first, last = (round(interval[end] * NS_PER_S) for end in ("from_s", "to_s"))
         inside |= (stamps_ns >= first - 1000) & (stamps_ns <= last + 1000)
     return inside
 

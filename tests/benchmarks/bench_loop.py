@@ -26,7 +26,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=3)
     asked = parser.parse_args()
-    columns = ("wheel", "without", "pose graph", "particles", "share")
+    columns = ("wheel", "without", "pose graph", "particles", "ratio")
     print(f"{'seed':<6}" + "".join(f"{name:>12}" for name in columns))
     for seed in range(asked.seeds):
         with tempfile.TemporaryDirectory() as name:
@@ -46,19 +46,19 @@ def main() -> None:
             for run, options in runs.items():
                 build_map(recording, folder / run.replace(" ", "_"), options)
                 errors_m[run] = error_m(folder / run.replace(" ", "_"), recording)
-            share = errors_m["pose graph"] / errors_m["without"]
-            figures = [*errors_m.values(), share]
+            ratio = errors_m["pose graph"] / errors_m["without"]
+            figures = [*errors_m.values(), ratio]
             print(f"{seed:<6}" + "".join(f"{figure:>12.3f}" for figure in figures), flush=True)
 
 
 def error_m(folder: Path, recording: Path) -> float:
-    """RMSE of the way against the truth, the two laid on each other at the first scan."""
+    """RMSE of the trajectory against the truth, aligned at the first scan."""
     estimate = read_tum_trajectory(folder / "trajectory.tum").trajectory
     truth = np.load(truth_path(recording))
     _, own, theirs = np.intersect1d(estimate.stamps_ns, truth["scan_stamp"], return_indices=True)
     found, true = estimate.planar_poses[own], truth["pose"][theirs]
-    laid = compose_poses(true[0], relative_pose(found[0], found))
-    return float(np.sqrt(((laid - true)[:, :2] ** 2).sum(axis=1).mean()))
+    aligned = compose_poses(true[0], relative_pose(found[0], found))
+    return float(np.sqrt(((aligned - true)[:, :2] ** 2).sum(axis=1).mean()))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The map A by this project and by OpenCV: time and error on the same pairs, in one run.
+"""The transform A by this project and by OpenCV: time and error on the same pairs, in one run.
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python tests/benchmarks/bench_ransac.py
 

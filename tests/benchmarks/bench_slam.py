@@ -6,10 +6,10 @@
 The measure is Kümmerle's (2009), without alignment; anchors: Cartographer 0.0229 m, 0.453 deg;
 Graph FLIRT 0.02 m, 0.3 deg; GMapping 0.070 m. Seconds are of one process, on the wall clock and on
 its own; reading the log is not in them. The exponent is the slope of log CPU seconds over log
-scans: 1 is linear. Each share of the log is placed five times, in turn, after a first quarter that
-compiles all there is to compile, and the least seconds of the five count: what else the machine
-does only adds. The log's first eighth sees no place twice; the last doubling tells how the work
-grows once loops are there.
+scans: 1 is linear. Each fraction of the log is placed five times, in turn, after a first quarter
+that compiles everything, and the least seconds of the five count: other load on the machine only
+adds. The log's first eighth sees no place twice; the last doubling shows how the work grows once
+loops are there.
 """
 
 import argparse
@@ -31,7 +31,7 @@ from fusion_core.slam.pose_graph_slam import SlamResult, pose_graph_slam
 from fusion_core.workflows.recorded_poses import recorded_poses
 
 ESTIMATORS = {"pose-graph": pose_graph_slam, "particle-filter": particle_filter_slam}
-SHARES = (1 / 8, 1 / 4, 1 / 2, 1)
+FRACTIONS = (1 / 8, 1 / 4, 1 / 2, 1)
 COMPILED_BY = 1 / 4
 REPEATS = 5
 
@@ -48,7 +48,7 @@ def main() -> None:
         odometry = recorded_poses(recording, streams, "flaser")
         assert odometry is not None
         scans = [message.value for message in recording.messages(["/flaser"])]
-    parts = [scans[: round(share * len(scans))] for share in SHARES]
+    parts = [scans[: round(fraction * len(scans))] for fraction in FRACTIONS]
     estimate(scans[: round(COMPILED_BY * len(scans))], odometry.at)
     wall = np.full((REPEATS, len(parts)), np.inf)
     cpu = np.full((REPEATS, len(parts)), np.inf)

@@ -1,4 +1,4 @@
-"""Whether the workbench's memory stays where it is while four people watch for a long time.
+"""Whether the workbench's memory stays constant while four people watch for a long time.
 
     python -m tests.benchmarks.endurance [--minutes 30]
 

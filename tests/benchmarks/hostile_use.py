@@ -1,4 +1,4 @@
-"""What hostile use makes of the commands and of the workbench: a row for each way to do harm.
+"""What hostile use makes of the commands and of the workbench: a row for each attack.
 
     python -m tests.benchmarks.hostile_use [--only 3 16]
 
@@ -56,7 +56,7 @@ class Ended:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One way to do harm: what is called in an empty folder, and the tests that hold it."""
+    """One attack: what is called in an empty folder, and the tests that hold it."""
 
     what: str
     calls: Callable[[Path], Iterator[tuple[str, Ended]]]

@@ -1,4 +1,4 @@
-"""What visitors that mean no good cost the others, and the server of the workbench."""
+"""What hostile clients cost the other browsers and the workbench's server."""
 
 import base64
 import json
@@ -26,7 +26,7 @@ from tests.hostile.visitors import (
 
 ROOT = Path(__file__).parents[2]
 ENOUGH_S = 120.0
-# Something is told soon, or not at all.
+# A report comes soon or not at all.
 PATIENCE_S = 5.0
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
@@ -48,16 +48,16 @@ class Server:
         return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
 
     def said(self, link: str) -> str:
-        """What a page that follows a link is told of it."""
+        """What a page that follows a link reports."""
         with connect(self.address, storage={LINK_KEY: link}) as client:
             try:
-                told = client.wait_for(
+                reported = client.wait_for(
                     lambda received: received.type == "NotificationShowMessage", PATIENCE_S
                 ).message["props"]
             except TimeoutError:
-                return "nothing is told"
+                return "nothing is reported"
             client.find(LAST_WIDGET, timeout=ENOUGH_S)
-            return f"the page is served and says: {told['title']} {told['body']}"
+            return f"the page is served and says: {reported['title']} {reported['body']}"
 
 
 @contextmanager
@@ -111,12 +111,17 @@ def endless_links(folder: Path) -> Iterator[tuple[str, float, float, str]]:
     """The same, of links to settings that make the work endless."""
     with served(folder) as server:
         begun_s = time.perf_counter()
-        told = [server.said(link_with("settings.mount.delta_z_min_m", -1e7)) for _ in range(6)]
+        reported = [server.said(link_with("settings.mount.delta_z_min_m", -1e7)) for _ in range(6)]
         seconds = time.perf_counter() - begun_s
         before_s = server.cpu_s()
         time.sleep(3.0)
         idle = f"{server.cpu_s() - before_s:.2f} s of work in the 3 s after the last has left"
-        yield "six links with delta_z_min_m -1e7", seconds, server.peak_mib(), f"{told[0]}; {idle}"
+        yield (
+            "six links with delta_z_min_m -1e7",
+            seconds,
+            server.peak_mib(),
+            f"{reported[0]}; {idle}",
+        )
 
 
 def odd_links(folder: Path) -> Iterator[tuple[str, float, float, str]]:
@@ -124,13 +129,13 @@ def odd_links(folder: Path) -> Iterator[tuple[str, float, float, str]]:
     with served(folder) as server:
         for value in (2**64, -(2**70), 10**400):
             begun_s = time.perf_counter()
-            told = server.said(link_with("beam", value))
+            reported = server.said(link_with("beam", value))
             seconds = time.perf_counter() - begun_s
             yield (
                 f"a link with beam {value:.0e}" if value < 2**80 else "a link with beam 1e400",
                 (seconds),
                 server.peak_mib(),
-                told,
+                reported,
             )
 
 

@@ -70,7 +70,7 @@ def frames(path: Path) -> dict[str, float]:
 
 
 def peak_mib() -> float:
-    """Of this process's own memory; what wait4 tells begins with the parent's."""
+    """Of this process's own memory; what wait4 reports begins with the parent's."""
     status = Path("/proc/self/status").read_text()
     return int(status.partition("VmHWM:")[2].split()[0]) / 1024.0
 

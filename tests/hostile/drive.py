@@ -58,25 +58,25 @@ def write_drive(
     camera=True,
     color=False,
     odometry=True,
-    T_told=T_BASE_CAMERA,
+    T_recorded=T_BASE_CAMERA,
 ):
     """Write ``SCANS`` scans, images and poses of odometry, one of each in ``STEP_MS``.
 
     ``change``: (topic, number on the topic, value) to the value that is logged in its place, or
-    None for none. ``tf``: poses from /tf and not from /odom. ``T_told``: (4, 4) T_base_camera in
-    /tf_static. Returns ``path``.
+    None for none. ``tf``: poses from /tf and not from /odom. ``T_recorded``: (4, 4) T_base_camera
+    in /tf_static. Returns ``path``.
     """
     with Ros2McapWriter(path) as writer:
-        for topic, number, value in _values(tf, camera, color, odometry, T_told):
+        for topic, number, value in _values(tf, camera, color, odometry, T_recorded):
             logged = change(topic, number, value)
             if logged is not None:
                 writer.write(topic, logged)
     return path
 
 
-def _values(tf, camera, color, odometry, T_told):
+def _values(tf, camera, color, odometry, T_recorded):
     T_base_lidar = make_transform(np.eye(3), np.array([0.0, 0.0, LIDAR_HEIGHT_M]))
-    mounts = {"laser": T_base_lidar, "camera_optical": T_told}
+    mounts = {"laser": T_base_lidar, "camera_optical": T_recorded}
     static = tuple(
         Transform(stamp_ns=START_NS, parent="base", child=child, T_parent_child=T.copy())
         for child, T in mounts.items()

@@ -1,4 +1,4 @@
-"""Paths that are no plain files: what waits, what has no end, what leads to itself."""
+"""Paths that are no plain files: pipes, huge arrays, links to themselves."""
 
 import io
 import os
@@ -9,7 +9,7 @@ import numpy as np
 
 
 def write_pipe(path: Path) -> Path:
-    """A named pipe without a writer: who opens it to read waits."""
+    """A named pipe without a writer: a reader blocks."""
     os.mkfifo(path)
     return path
 

@@ -1,4 +1,4 @@
-"""Recordings whose /tf_static puts the camera where it is not."""
+"""Recordings whose /tf_static has a wrong pose of the camera."""
 
 import numpy as np
 
@@ -7,14 +7,14 @@ from tests.hostile.drive import T_BASE_CAMERA, write_drive
 
 
 def moved_mount(
-    path, *, forward_m=0.0, left_m=0.0, up_m=0.0, turned_rad=0.0, raised_rad=0.0, **drive
+    path, *, forward_m=0.0, left_m=0.0, up_m=0.0, yaw_error_rad=0.0, pitch_error_rad=0.0, **drive
 ):
-    """The camera is said to be moved from where it is, turned about the vertical, and to look
-    higher than it does."""
-    T_told = T_BASE_CAMERA.copy()
-    turn = rotation_from_yaw_pitch_roll(turned_rad, 0.0, 0.0)
+    """A drive whose recorded mount differs from the true one: by a translation in the base frame,
+    a yaw and an upward pitch."""
+    T_recorded = T_BASE_CAMERA.copy()
+    turn = rotation_from_yaw_pitch_roll(yaw_error_rad, 0.0, 0.0)
     # About the optical axes' x, which points to the right.
-    raised = rotation_from_yaw_pitch_roll(0.0, 0.0, raised_rad)
-    T_told[:3, :3] = turn @ T_told[:3, :3] @ raised
-    T_told[:3, 3] += np.array([forward_m, left_m, up_m])
-    return write_drive(path, T_told=T_told, **drive)
+    raised = rotation_from_yaw_pitch_roll(0.0, 0.0, pitch_error_rad)
+    T_recorded[:3, :3] = turn @ T_recorded[:3, :3] @ raised
+    T_recorded[:3, 3] += np.array([forward_m, left_m, up_m])
+    return write_drive(path, T_recorded=T_recorded, **drive)

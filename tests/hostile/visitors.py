@@ -1,4 +1,4 @@
-"""Visitors that mean no good, and how long another one's page takes beside them.
+"""Hostile clients, and how long another browser's page takes beside them.
 
 Each opens connections to a server at ``http://host:port`` and holds them for a ``with`` block.
 """
@@ -18,7 +18,7 @@ import websockets.sync.client
 
 from tests.app.viser_client import CAMERA, connect, unpacked
 
-# The one that a desk is furnished with last.
+# The one that a session builds last.
 LAST_WIDGET = "Save to the output folder"
 _PATIENCE_S = 120.0
 
@@ -32,7 +32,7 @@ def place_of(address: str) -> tuple[str, int]:
 
 
 def upgrade_request(address: str) -> bytes:
-    """What a page asks to have its socket."""
+    """The request of a page for its socket."""
     host, port = place_of(address)
     return (
         f"GET / HTTP/1.1\r\nHost: {host}:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
@@ -55,7 +55,7 @@ def frame_of(payload: bytes) -> bytes:
 
 @contextmanager
 def open_silent_sockets(address: str, count: int) -> Iterator[None]:
-    """Pages that are shown and read, and answer nothing that they are asked."""
+    """Pages that read everything and answer no request."""
     host, port = place_of(address)
     camera = msgspec.msgpack.encode(CAMERA)
     with ExitStack() as stack:
@@ -76,7 +76,7 @@ def open_silent_sockets(address: str, count: int) -> Iterator[None]:
 
 @contextmanager
 def open_unreading_sockets(address: str, count: int) -> Iterator[list[socket.socket]]:
-    """Pages that get a desk, ask for pictures, and then read nothing any more."""
+    """Pages that get a session, ask for pictures, and then read nothing any more."""
     with ExitStack() as stack:
         yield [_unreading(address, stack) for _ in range(count)]
 

@@ -54,7 +54,7 @@ FORMULAS = {
                 "(4)",
             ),
         ),
-        "u and v are where the similarity of depth row D v and LiDAR stretch L u is greatest. "
+        "u and v are where the similarity of depth row D v and LiDAR segment L u is greatest. "
         "Pearson: their covariance over the root of the product of their variances. Cosine: their "
         "dot product over the product of their lengths. Euclidean: one less the length of their "
         "difference over the greater of their lengths.",

@@ -32,7 +32,7 @@ FETCH = """async image => {
 
 @dataclass
 class Person:
-    """Somebody before a browser, and the desk that the server gave them."""
+    """A person at a browser, with its client session on the server."""
 
     page: Page
     session: ClientSession
@@ -44,12 +44,12 @@ class Person:
 
     @property
     def frame_view(self) -> FrameView:
-        """What the desk has shown last."""
+        """What the session has shown last."""
         assert self.session.frame_view is not None
         return self.session.frame_view
 
     def reload(self, workbench: Workbench) -> None:
-        """Load the page again, once the browser has kept the view, and wait for the new desk."""
+        """Load the page again, once the browser has kept the view, and wait for the new session."""
         self.wait_until(lambda: self.kept() == self.session.view.to_link())
         known = workbench.sessions
         self.page.reload()
@@ -158,7 +158,7 @@ class Person:
 
 
 def at_session(page: Page, workbench: Workbench, known: list[ClientSession]) -> Person:
-    """The person at a page whose desk is none of those known; their recording is aligned."""
+    """The person at a page whose session is none of those known; their recording is aligned."""
     deadline_s = time.monotonic() + ALIGNED_S
     while time.monotonic() < deadline_s:
         for session in workbench.sessions:
@@ -170,7 +170,7 @@ def at_session(page: Page, workbench: Workbench, known: list[ClientSession]) -> 
                 return Person(page, session)
         page.wait_for_timeout(50)
     shown = [session.frame_view and session.frame_view.failure for session in workbench.sessions]
-    raise AssertionError(f"no desk was aligned: {shown}")
+    raise AssertionError(f"no session was aligned: {shown}")
 
 
 def decoded(png: bytes) -> np.ndarray:

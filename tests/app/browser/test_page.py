@@ -15,10 +15,10 @@ def test_the_page_shows_the_scene_and_the_panel(person: Person, small_scene: Pat
     assert canvas is not None
     assert canvas["width"] > 400
     # Rows, pairs and boards are drawn over a white ground.
-    person.wait_until(lambda: 0.01 < coloured_share(person, canvas["width"]) < 0.9)
+    person.wait_until(lambda: 0.01 < coloured_fraction(person, canvas["width"]) < 0.9)
 
 
-def coloured_share(person: Person, width_px: float) -> float:
+def coloured_fraction(person: Person, width_px: float) -> float:
     """How much of the scene is neither ground nor grid."""
     return float(colourful(person.screen()[:, : int(width_px / 2)]).mean())
 

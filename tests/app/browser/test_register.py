@@ -8,7 +8,7 @@ from fusion_core.registration.ransac import Registration
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.registration_details import draw_at
 from scanloom.plots.pair_plot import PairPlot, pair_picture
-from tests.app.browser.judged import NUMBER, judged, repaired_picture
+from tests.app.browser.expected_frame import NUMBER, expected_frame, repaired_picture
 from tests.app.browser.person import Person, match_of
 
 Counts = dict[str, tuple[int, int]]
@@ -16,7 +16,7 @@ Counts = dict[str, tuple[int, int]]
 
 def test_a_dragged_epsilon_judges_every_pair_again(person: Person) -> None:
     person.look_at(person.session.view.changed(frame_index=NUMBER, panel="Repair"))
-    before = judged(person.frame_view, person.session.view)
+    before = expected_frame(person.frame_view, person.session.view)
     person.wait_until(lambda: counts_on(person) == counts_of(before))
     frame_view = person.picture(1)
     person.wait_for_picture(repaired_picture(before, person.session.view, frame_view).rgb, 1)
@@ -25,7 +25,7 @@ def test_a_dragged_epsilon_judges_every_pair_again(person: Person) -> None:
     epsilon = person.drag("ε (σ)", -25.0)
     person.wait_until(lambda: person.frame_view.view.settings.noise.epsilon == epsilon)
     expect(person.text(f"differs: noise.epsilon = {epsilon}")).to_be_visible()
-    after = judged(person.frame_view, person.session.view)
+    after = expected_frame(person.frame_view, person.session.view)
     assert threshold_in(after)[0] < threshold_in(before)[0]
     assert threshold_in(after)[1] > threshold_in(before)[1]
     person.wait_until(lambda: threshold_on(person) == threshold_in(after))

@@ -6,7 +6,7 @@ from playwright.sync_api import expect
 from fusion_core.model.classes import NoiseClass
 from scanloom.plots.canvas import Box
 from scanloom.plots.palette import class_color
-from tests.app.browser.judged import NUMBER, judged, repaired_picture
+from tests.app.browser.expected_frame import NUMBER, expected_frame, repaired_picture
 from tests.app.browser.person import Person
 
 # Once holes are hidden, what fills them is seen.
@@ -15,7 +15,7 @@ HIDDEN = (NoiseClass.CONFLICT, NoiseClass.BURR, NoiseClass.HOLE)
 
 def test_a_class_that_is_filtered_loses_its_colour_and_the_others_stay(person: Person) -> None:
     person.look_at(person.session.view.changed(frame_index=NUMBER, panel="Repair"))
-    frame = judged(person.frame_view, person.session.view)
+    frame = expected_frame(person.frame_view, person.session.view)
     expect(person.text("of the holes and burrs")).to_be_visible()
     frame_view = person.picture(1)
     first = repaired_picture(frame, person.session.view, frame_view)

@@ -137,7 +137,7 @@ def test_a_lone_beam_is_a_burr_and_its_pixel_good() -> None:
     )
 
 
-def test_the_smaller_expected_error_is_told_with_the_greater() -> None:
+def test_the_smaller_expected_error_is_named_with_the_greater() -> None:
     said = facts(with_values(wall(), np.nan, slice(15, 26)), wall_image())
     assert explain_beam_class(said, SETTINGS) == "Hole: the LiDAR returned no range."
     # Half the noise of 2 cm; over a gap of 12 beams 0.6 of it and a tenth of its width.
@@ -339,7 +339,7 @@ def test_in_the_paper_the_rougher_side_is_the_burr_and_the_other_sensor_is_prefe
     )
 
 
-def test_a_frame_without_a_map_a_compares_nothing() -> None:
+def test_a_frame_without_an_a_compares_nothing() -> None:
     said = facts(wall(), wall_image(), compared=False, settings=PUBLISHED)
     assert explain_beam_class(said, PUBLISHED) == (
         "Good: this frame has no A, so that nothing is compared."

@@ -25,7 +25,7 @@ LONG_S = 60.0
 
 
 class Bench:
-    """A server whose one browser has a desk with the Map panel alone."""
+    """A server whose one browser has a session with the Map panel alone."""
 
     def __init__(self, recording: Path, root: Path) -> None:
         self.root = root

@@ -49,7 +49,7 @@ def heatmaps() -> list[Any]:
 
 @pytest.fixture
 def panel(server: viser.ViserServer, view: View, heatmaps: list[Any]) -> MatchPanel:
-    return MatchPanel(server.gui, SimpleNamespace(view=view), heatmaps.append)  # type: ignore[arg-type]  # a desk as far as it is needed
+    return MatchPanel(server.gui, SimpleNamespace(view=view), heatmaps.append)  # type: ignore[arg-type]  # a session as far as it is needed
 
 
 def seen(panel: MatchPanel) -> list[bool]:

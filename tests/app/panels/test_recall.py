@@ -1,4 +1,4 @@
-"""The recall curve on a real server: computed when asked, kept, and out of epsilon's way."""
+"""The recall curve on a real server: computed when asked, and once for all epsilons."""
 
 import shutil
 import threading
@@ -27,7 +27,7 @@ FOLDER = "Recall over ε, by ground truth"
 
 
 class Bench:
-    """A server whose browsers have a desk with the Register panel alone."""
+    """A server whose browsers have a session with the Register panel alone."""
 
     def __init__(self, library: Library, first: View) -> None:
         self.library = library
@@ -214,10 +214,10 @@ def test_epsilon_moves_the_mark_and_computes_nothing(bench: Bench, computed: Com
     for epsilon in (2.0, 4.0):
         bench.epsilon(epsilon)
         bench.until(lambda: f"**{epsilon:.2f} E**" in bench.words)  # noqa: B023  # called at once
-        # The factors rise by 0.2 and the shares by 1/29.
-        share = 100.0 * (epsilon - 0.2) / 0.2 / 29.0
-        assert f"keeps **{share:.1f} %**" in bench.words
-        assert f"finds **{100.0 - share:.1f} %**" in bench.words
+        # The factors rise by 0.2 and the fractions by 1/29.
+        percent = 100.0 * (epsilon - 0.2) / 0.2 / 29.0
+        assert f"keeps **{percent:.1f} %**" in bench.words
+        assert f"finds **{100.0 - percent:.1f} %**" in bench.words
         plots.append(bench.panel._recall._plot.data)
     for (factors, *_, here), epsilon in zip(plots, (2.0, 4.0), strict=True):
         assert factors[np.isfinite(here)] == pytest.approx([epsilon, epsilon])
@@ -285,7 +285,7 @@ def test_another_recording_cancels_what_is_computed(bench: Bench, computed: Comp
         (ZeroDivisionError("by zero"), "ZeroDivisionError: by zero"),
     ],
 )
-def test_a_failure_is_said_and_can_be_tried_again(
+def test_a_failure_is_reported_and_can_be_tried_again(
     bench: Bench, computed: Computed, failure: Exception, words: str
 ) -> None:
     computed.failure = failure

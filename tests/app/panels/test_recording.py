@@ -25,7 +25,7 @@ LONG_S = 30.0
 
 
 class Bench:
-    """A server whose one browser has a desk with the Recording panel alone."""
+    """A server whose one browser has a session with the Recording panel alone."""
 
     def __init__(self, recordings: list[Path]) -> None:
         self.library = Library(recordings, [])
@@ -272,7 +272,7 @@ def test_a_virtual_lidar_has_no_gaps(bench: Bench, small_scene: Path) -> None:
     bench.until(lambda: not bench._plot().props["visible"])
 
 
-def test_nothing_of_the_recording_before_is_said_while_another_is_aligned(
+def test_nothing_of_the_recording_before_is_reported_while_another_is_aligned(
     bench: Bench, small_scene: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench.words("averaged in the recording's field")

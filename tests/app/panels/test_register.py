@@ -77,14 +77,14 @@ def test_stretch_and_shear_as_text():
     assert "flattens" not in said
 
 
-def test_a_flat_map_is_warned_of():
+def test_a_flattening_transform_is_warned_of():
     flat = register(LIDAR_M, LIDAR_M * (1.0, 0.01) + (0.0, 2.0), PUBLISHED)
     said = words_of(flat)
     assert "**flattens**: one direction keeps 1.0 % of its length" in said
     assert "multiplies errors by up to 100" in said
 
 
-def test_a_tilt_as_text():
+def test_a_perspective_as_text():
     w = 1.0 + LIDAR_M @ (0.0, 0.02)
     found = registered(LIDAR_M / w[:, np.newaxis], model="homography", condition_max=1e5)
     assert "has a perspective: w′ grows by **" in words_of(found)
@@ -151,7 +151,7 @@ def test_epsilon_without_an_E_as_text():
 
 
 class RecordingSession:
-    """A desk that shows nothing and remembers its view."""
+    """A session that shows nothing and remembers its view."""
 
     def __init__(self) -> None:
         self.view = View(recording="a room", panel="Register")

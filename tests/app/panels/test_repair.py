@@ -29,7 +29,7 @@ ALL = frozenset(NoiseClass)
 
 @dataclass(frozen=True)
 class Bench:
-    """A browser at a desk with nothing but this panel."""
+    """A browser at a session with nothing but this panel."""
 
     session: ClientSession
     panel: RepairPanel
@@ -222,7 +222,7 @@ def test_a_number_tells_of_that_beam(bench: Bench) -> None:
     bench.html("Choose a conflict or a number")
 
 
-def test_beams_out_of_view_and_beams_that_are_none_are_said_so(bench: Bench) -> None:
+def test_beams_out_of_view_and_beams_that_are_none_are_reported(bench: Bench) -> None:
     bench.change(selected_beam=0)
     bench.html("Beam 0 lies outside the camera")
     bench.change(selected_beam=9999)

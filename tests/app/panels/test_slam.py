@@ -34,8 +34,8 @@ LONG_S = 60.0
 FIRST = "1: lidar, recorded, pose-graph"
 
 
-class Seat:
-    """One browser with a desk that has the Map panel alone, in its mode SLAM."""
+class Page:
+    """One browser with a session that has the Map panel alone, in its mode SLAM."""
 
     def __init__(self, client: viser.ClientHandle, library: Library, root: Path) -> None:
         self.floor: list[tuple[OccupancyGrid | None, PoseLookup | None]] = []
@@ -102,30 +102,30 @@ class Seat:
 
 
 class Bench:
-    """A server; each browser that connects gets a seat of its own."""
+    """A server; each browser that connects gets a page of its own."""
 
     def __init__(self, recording: Path, root: Path) -> None:
         self.root = root
         self.library = Library([recording], [])
-        self.seats: list[Seat] = []
+        self.pages: list[Page] = []
         self.furnished = threading.Semaphore(0)
         self.server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         self.server.on_client_connect(self._welcome)
 
     def _welcome(self, client: viser.ClientHandle) -> None:
-        self.seats.append(Seat(client, self.library, self.root))
+        self.pages.append(Page(client, self.library, self.root))
         self.furnished.release()
 
-    def arrive(self) -> Seat:
+    def arrive(self) -> Page:
         client = connect(f"http://127.0.0.1:{self.server.get_port()}")
         assert self.furnished.acquire(timeout=LONG_S)
-        self.seats[-1].client = client
-        self.seats[-1].until_says("scanloom map")
-        return self.seats[-1]
+        self.pages[-1].client = client
+        self.pages[-1].until_says("scanloom map")
+        return self.pages[-1]
 
     def close(self) -> None:
-        for seat in self.seats:
-            seat.close()
+        for page in self.pages:
+            page.close()
         self.server.stop()
         self.library.close()
 
@@ -145,7 +145,7 @@ def bench(small_scene: Path, tmp_path: Path, fake: FakeMap) -> Iterator[Bench]:
 
 
 @pytest.fixture
-def seat(bench: Bench) -> Seat:
+def page(bench: Bench) -> Page:
     return bench.arrive()
 
 
@@ -163,143 +163,143 @@ class Gate:
             assert self.go_on.wait(LONG_S)
 
 
-def test_a_run_shows_its_map_its_report_and_its_floor(seat: Seat, bench: Bench) -> None:
-    assert not any(seat.frame_view())
-    assert len(seat.frame_view()) == 8
-    assert not seat.widget("Result").props["visible"]
-    seat.run(FIRST)
-    seat.until_says("83.3 % of the scans")
-    seat.until_says("2.0 s to 2.9 s: 10 scans do not fit the map")
-    seat.until_says("2 closed, 1 dropped")
-    seat.until_says("local slam 2.2 s")
+def test_a_run_shows_its_map_its_report_and_its_floor(page: Page, bench: Bench) -> None:
+    assert not any(page.frame_view())
+    assert len(page.frame_view()) == 8
+    assert not page.widget("Result").props["visible"]
+    page.run(FIRST)
+    page.until_says("83.3 % of the scans")
+    page.until_says("2.0 s to 2.9 s: 10 scans do not fit the map")
+    page.until_says("2 closed, 1 dropped")
+    page.until_says("local slam 2.2 s")
     # What a recording has in its names is no markup.
-    assert not any("<b>& more" in str(w.props.get("content")) for w in seat.client.widgets.values())
-    assert seat.widget("Result").props["visible"]
-    assert not seat.widget("Two runs side by side").props["visible"]
-    seat.until(lambda: seat.frame_view() == [False, False, True, *[False] * 5])
-    seat.until(lambda: len(seat.floor) == 1)
-    grid, poses = seat.floor[-1]
+    assert not any("<b>& more" in str(w.props.get("content")) for w in page.client.widgets.values())
+    assert page.widget("Result").props["visible"]
+    assert not page.widget("Two runs side by side").props["visible"]
+    page.until(lambda: page.frame_view() == [False, False, True, *[False] * 5])
+    page.until(lambda: len(page.floor) == 1)
+    grid, poses = page.floor[-1]
     assert grid is not None
     assert isinstance(poses, TrajectoryPoses)
     assert poses.source == FIRST
     # Fusing has no map yet.
-    seat.client.set_value("Mode", "Fuse")
-    seat.until(lambda: seat.floor[-1] == (None, None))
-    assert seat.command()[:2] == ["scanloom", "map"]
+    page.client.set_value("Mode", "Fuse")
+    page.until(lambda: page.floor[-1] == (None, None))
+    assert page.command()[:2] == ["scanloom", "map"]
 
 
-def test_the_panel_moves_while_it_runs(seat: Seat, fake: FakeMap) -> None:
+def test_the_panel_moves_while_it_runs(page: Page, fake: FakeMap) -> None:
     gate = Gate(fake, SCANS // 2)
-    seat.client.set_value("SLAM", "particle-filter")
-    seat.until(lambda: seat.widget("Particles").props["visible"])
-    seat.client.click("Run")
+    page.client.set_value("SLAM", "particle-filter")
+    page.until(lambda: page.widget("Particles").props["visible"])
+    page.client.click("Run")
     assert gate.begun.wait(LONG_S)
-    seat.until(lambda: seat.frame_view()[0] and seat.frame_view()[1])
-    assert seat.widget("Run").props["disabled"]
-    seat.until_says("Matching scans")
+    page.until(lambda: page.frame_view()[0] and page.frame_view()[1])
+    assert page.widget("Run").props["disabled"]
+    page.until_says("Matching scans")
     gate.go_on.set()
-    seat.until(
+    page.until(
         lambda: (
-            "1: lidar, recorded, particle-filter (30)" in seat.widget("Run shown").props["options"]
+            "1: lidar, recorded, particle-filter (30)" in page.widget("Run shown").props["options"]
         )
     )
-    seat.until(lambda: seat.frame_view()[:4] == [False, False, True, True])
-    seat.until_says("least effective number 3.0 at 1.5 s")
+    page.until(lambda: page.frame_view()[:4] == [False, False, True, True])
+    page.until_says("least effective number 3.0 at 1.5 s")
 
 
-def test_cancel_and_run_again(seat: Seat, fake: FakeMap) -> None:
+def test_cancel_and_run_again(page: Page, fake: FakeMap) -> None:
     gate = Gate(fake, 10)
-    seat.client.click("Run")
+    page.client.click("Run")
     assert gate.begun.wait(LONG_S)
     # What a browser sends all the same begins no second run.
-    seat.panel._slam._begin()
-    seat.client.click("Cancel run")
-    seat.until_says("Stopping at the next step")
+    page.panel._slam._begin()
+    page.client.click("Cancel run")
+    page.until_says("Stopping at the next step")
     gate.go_on.set()
-    seat.until_says("Cancelled; nothing was saved.")
-    seat.until(lambda: not seat.widget("Run").props["disabled"])
-    assert not seat.widget("Cancel run").props["visible"]
+    page.until_says("Cancelled; nothing was saved.")
+    page.until(lambda: not page.widget("Run").props["disabled"])
+    assert not page.widget("Cancel run").props["visible"]
     assert len(fake.calls) == 1
-    seat.run("2: lidar, recorded, pose-graph")
-    assert list(seat.widget("Run shown").props["options"]) == ["2: lidar, recorded, pose-graph"]
+    page.run("2: lidar, recorded, pose-graph")
+    assert list(page.widget("Run shown").props["options"]) == ["2: lidar, recorded, pose-graph"]
 
 
-def test_a_failure_is_told_with_advice_and_the_panel_goes_on(
-    seat: Seat, fake: FakeMap, monkeypatch: pytest.MonkeyPatch
+def test_a_failure_is_reported_with_advice_and_the_panel_goes_on(
+    page: Page, fake: FakeMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*args: Any) -> Any:
         raise MissingStream("<i>holds no scan.", file="a/room", advice="Take another one.")
 
     monkeypatch.setattr(job, "build_map", fail)
-    seat.client.click("Run")
-    seat.until_says("Failed: room: <i>holds no scan. Take another one.")
-    told = seat.client.wait_for(lambda got: got.type == "NotificationShowMessage", LONG_S)
+    page.client.click("Run")
+    page.until_says("Failed: room: <i>holds no scan. Take another one.")
+    told = page.client.wait_for(lambda got: got.type == "NotificationShowMessage", LONG_S)
     assert told.message["props"]["title"] == "room: <i>holds no scan."
     assert told.message["props"]["body"] == "Take another one."
-    assert not any("<i>" in str(w.props.get("content")) for w in seat.client.widgets.values())
+    assert not any("<i>" in str(w.props.get("content")) for w in page.client.widgets.values())
     monkeypatch.setattr(job, "build_map", fake)
-    seat.run("2: lidar, recorded, pose-graph")
-    assert not seat.says("Failed")
+    page.run("2: lidar, recorded, pose-graph")
+    assert not page.says("Failed")
 
 
-def test_a_run_that_does_not_fit_is_shown_with_a_warning(seat: Seat, fake: FakeMap) -> None:
+def test_a_run_that_does_not_fit_is_shown_with_a_warning(page: Page, fake: FakeMap) -> None:
     fake.fits = False
-    seat.run(FIRST)
-    seat.until_says("Not reliable:")
-    seat.client.wait_for(lambda got: got.type == "NotificationShowMessage", LONG_S)
-    seat.until(lambda: seat.frame_view()[2])
+    page.run(FIRST)
+    page.until_says("Not reliable:")
+    page.client.wait_for(lambda got: got.type == "NotificationShowMessage", LONG_S)
+    page.until(lambda: page.frame_view()[2])
 
 
-def test_what_cannot_be_done_is_said_and_not_begun(seat: Seat, fake: FakeMap) -> None:
-    seat.client.set_value("Motion", "none")
-    seat.client.set_value("SLAM", "none")
-    seat.until_says("Without SLAM and without motion there are no poses")
-    seat.until(lambda: bool(seat.widget("Run").props["disabled"]))
-    seat.panel._slam._begin()
-    assert not seat.panel._slam._job.is_running
-    seat.client.set_value("SLAM", "pose-graph")
-    seat.until(lambda: not seat.says("there are no poses"))
-    seat.until(lambda: not seat.widget("Run").props["disabled"])
+def test_what_cannot_be_done_is_reported_and_not_begun(page: Page, fake: FakeMap) -> None:
+    page.client.set_value("Motion", "none")
+    page.client.set_value("SLAM", "none")
+    page.until_says("Without SLAM and without motion there are no poses")
+    page.until(lambda: bool(page.widget("Run").props["disabled"]))
+    page.panel._slam._begin()
+    assert not page.panel._slam._job.is_running
+    page.client.set_value("SLAM", "pose-graph")
+    page.until(lambda: not page.says("there are no poses"))
+    page.until(lambda: not page.widget("Run").props["disabled"])
     assert fake.calls == []
 
 
-def test_two_runs_side_by_side(seat: Seat, fake: FakeMap) -> None:
-    seat.run(FIRST)
+def test_two_runs_side_by_side(page: Page, fake: FakeMap) -> None:
+    page.run(FIRST)
     fake.shift_m = 0.3
-    seat.run("2: lidar, fused, particle-filter (30)", SLAM="particle-filter", Motion="fused")
-    seat.until(lambda: all(seat.frame_view()[2:]))
-    # It drifts steadily: half of the way has half of the most.
-    seat.until_says("15.0 cm in the median, at most 30.0 cm, 5.9 s later")
+    page.run("2: lidar, fused, particle-filter (30)", SLAM="particle-filter", Motion="fused")
+    page.until(lambda: all(page.frame_view()[2:]))
+    # It drifts steadily: half of the path has half of the most.
+    page.until_says("15.0 cm in the median, at most 30.0 cm, 5.9 s later")
     # Each with itself.
-    seat.client.set_value("A", "2: lidar, fused, particle-filter (30)")
-    seat.until_says("0.0 cm in the median, at most 0.0 cm")
-    seat.client.set_value("Run shown", FIRST)
-    seat.until_says("2 closed, 1 dropped")
-    seat.until(lambda: seat.frame_view()[2:6] == [True, False, False, False])
-    seat.until(
-        lambda: isinstance(seat.floor[-1][1], TrajectoryPoses) and seat.floor[-1][1].source == FIRST
+    page.client.set_value("A", "2: lidar, fused, particle-filter (30)")
+    page.until_says("0.0 cm in the median, at most 0.0 cm")
+    page.client.set_value("Run shown", FIRST)
+    page.until_says("2 closed, 1 dropped")
+    page.until(lambda: page.frame_view()[2:6] == [True, False, False, False])
+    page.until(
+        lambda: isinstance(page.floor[-1][1], TrajectoryPoses) and page.floor[-1][1].source == FIRST
     )
 
 
-def test_the_oldest_goes_with_a_note(seat: Seat, fake: FakeMap) -> None:
+def test_the_oldest_goes_with_a_note(page: Page, fake: FakeMap) -> None:
     for number in range(1, MAX_RUNS + 2):
-        seat.run(f"{number}: lidar, recorded, pose-graph")
-    seat.until_says(f"Run 1 was deleted: the last {MAX_RUNS} are kept.")
-    offered = seat.widget("Run shown").props["options"]
+        page.run(f"{number}: lidar, recorded, pose-graph")
+    page.until_says(f"Run 1 was deleted: the last {MAX_RUNS} are kept.")
+    offered = page.widget("Run shown").props["options"]
     assert [int(name.split(":")[0]) for name in offered] == list(range(2, MAX_RUNS + 2))
     folders = [call[1].parent for call in fake.calls]
     assert [folder.exists() for folder in folders] == [False, *[True] * MAX_RUNS]
 
 
-def test_download_save_and_command(seat: Seat, bench: Bench) -> None:
-    seat.run("1: lidar, recorded, particle-filter (31)", SLAM="particle-filter", Particles=31)
+def test_download_save_and_command(page: Page, bench: Bench) -> None:
+    page.run("1: lidar, recorded, particle-filter (31)", SLAM="particle-filter", Particles=31)
     folder = bench.root / "small_room"
     expected = ["--scan=lidar", "--motion=recorded", "--slam=particle-filter"]
-    seat.until(lambda: seat.command()[5:8] == expected)
-    assert seat.command()[4] == str(folder / "results")
-    seat.client.drain()
-    seat.client.click("Download run (.zip)")
-    part = seat.client.wait_for(lambda got: got.type == "FileTransferPart", LONG_S)
+    page.until(lambda: page.command()[5:8] == expected)
+    assert page.command()[4] == str(folder / "results")
+    page.client.drain()
+    page.client.click("Download run (.zip)")
+    part = page.client.wait_for(lambda got: got.type == "FileTransferPart", LONG_S)
     with zipfile.ZipFile(io.BytesIO(part.message["content"])) as archive:
         names = {Path(name).name for name in archive.namelist()}
     assert names == {
@@ -309,16 +309,16 @@ def test_download_save_and_command(seat: Seat, bench: Bench) -> None:
         "trajectory.tum",
         "report.json",
     }
-    seat.client.click("Save to the output folder")
-    seat.until_says(str(folder))
-    seat.until(lambda: (folder / "results" / "trajectory.tum").exists())
+    page.client.click("Save to the output folder")
+    page.until_says(str(folder))
+    page.until(lambda: (folder / "results" / "trajectory.tum").exists())
     # Once is enough.
-    seat.client.click("Save to the output folder")
-    seat.until(lambda: seat.command()[4] == str(folder / "results"))
+    page.client.click("Save to the output folder")
+    page.until(lambda: page.command()[4] == str(folder / "results"))
     assert [path.name for path in bench.root.iterdir()] == ["small_room"]
-    seat.client.set_value("Scan", "merged")
-    seat.until(lambda: "--scan=merged" in seat.command())
-    assert seat.command()[4] == str(bench.root / "small_room-2" / "results")
+    page.client.set_value("Scan", "merged")
+    page.until(lambda: "--scan=merged" in page.command())
+    assert page.command()[4] == str(bench.root / "small_room-2" / "results")
 
 
 def test_each_browser_has_its_own_runs_and_takes_them_along(bench: Bench, fake: FakeMap) -> None:
@@ -334,49 +334,49 @@ def test_each_browser_has_its_own_runs_and_takes_them_along(bench: Bench, fake: 
     assert not folders[1].parent.exists()
 
 
-def test_closing_cancels_and_clears_away(seat: Seat, fake: FakeMap) -> None:
+def test_closing_cancels_and_clears_away(page: Page, fake: FakeMap) -> None:
     gate = Gate(fake, 10)
-    seat.client.click("Run")
+    page.client.click("Run")
     assert gate.begun.wait(LONG_S)
-    with seat.panel._slam._lock:
-        job_at_work, folder = seat.panel._slam._job._job, seat.panel._slam._folder
+    with page.panel._slam._lock:
+        job_at_work, folder = page.panel._slam._job._job, page.panel._slam._folder
     assert job_at_work is not None
     assert folder is not None
-    closing = threading.Thread(target=seat.panel.close)
+    closing = threading.Thread(target=page.panel.close)
     closing.start()
     assert job_at_work._stop.wait(LONG_S)
     gate.go_on.set()
     closing.join(LONG_S)
     assert not folder.exists()
-    seat.panel._slam._begin()
-    assert not seat.panel._slam._job.is_running, "who has gone begins nothing"
+    page.panel._slam._begin()
+    assert not page.panel._slam._job.is_running, "who has gone begins nothing"
 
 
 def test_pictures_come_a_few_times_a_second(
-    seat: Seat, fake: FakeMap, monkeypatch: pytest.MonkeyPatch
+    page: Page, fake: FakeMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = iter(range(10_000))
     # Each look at the clock is 10 ms after the one before.
     monkeypatch.setattr(slam_panel, "time", SimpleNamespace(monotonic=lambda: 0.01 * next(clock)))
     asked: list[int] = []
-    panel = seat.panel._slam
+    panel = page.panel._slam
 
     class Noted:
         def submit(self, seen: Any) -> None:
             asked.append(len(seen.stamps_ns))
 
     monkeypatch.setattr(panel, "_live", Noted())
-    options = job.map_options(seat.session.view, Path("settings.toml"))
+    options = job.map_options(page.session.view, Path("settings.toml"))
     for number in range(1, SCANS + 1):
         panel._observe(view_at(number, "matching scans", options))
     assert asked == [21, 41]
 
 
-def test_choices_are_in_the_link_of_the_view(seat: Seat) -> None:
-    seat.client.set_value("Scan", "repaired")
-    seat.client.set_value("SLAM", "particle-filter")
-    seat.client.set_value("Particles", 50)
+def test_choices_are_in_the_link_of_the_view(page: Page) -> None:
+    page.client.set_value("Scan", "repaired")
+    page.client.set_value("SLAM", "particle-filter")
+    page.client.set_value("Particles", 50)
     chosen = SlamChoices(scan="repaired", estimator="particle-filter", particles=50)
-    seat.until(lambda: seat.session.view.slam == chosen)
-    restored = view_of_link(seat.session.view.to_link())
+    page.until(lambda: page.session.view.slam == chosen)
+    restored = view_of_link(page.session.view.to_link())
     assert (restored.slam, restored.map_mode) == (chosen, "SLAM")

@@ -40,15 +40,15 @@ def colored(picture: Axes) -> tuple[np.ndarray, np.ndarray]:
 
 @given(limits, limits, st.tuples(st.floats(0.001, 0.999), st.floats(0.001, 0.999)))
 def test_a_pixel_and_its_point_undo_each_other(
-    x_limits: tuple[float, float], y_limits: tuple[float, float], share: tuple[float, float]
+    x_limits: tuple[float, float], y_limits: tuple[float, float], fraction: tuple[float, float]
 ) -> None:
     picture = axes(x_limits, y_limits)
     x, y = (
         low + part * (high - low)
-        for part, (low, high) in zip(share, (x_limits, y_limits), strict=True)
+        for part, (low, high) in zip(fraction, (x_limits, y_limits), strict=True)
     )
     place = picture.to_pixel(x, y)
-    assert place == pytest.approx((49.5 + share[0] * 200, 119.5 - share[1] * 100), abs=1e-6)
+    assert place == pytest.approx((49.5 + fraction[0] * 200, 119.5 - fraction[1] * 100), abs=1e-6)
     assert picture.to_data(*place) == pytest.approx((x, y), abs=1e-6)
 
 

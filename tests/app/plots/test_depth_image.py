@@ -76,7 +76,7 @@ def test_missing_depth_is_hatched() -> None:
     assert np.array_equal(inside[:height, :width], hatch(*inside.shape[:2])[:height, :width])
 
 
-def test_an_image_keeps_its_proportions_and_leaves_no_paper_below() -> None:
+def test_an_image_keeps_its_proportions_and_leaves_no_canvas_below() -> None:
     picture = depth_picture("wide", slope(20, 200), width_px=420, height_px=800)
     box = picture.axes.box
     assert box.width / box.height == pytest.approx(10.0, rel=0.05)
@@ -144,12 +144,12 @@ def test_a_beam_without_a_pixel_draws_nothing_in_the_image(beam: int) -> None:
 @given(
     rows=st.integers(1, 400),
     columns=st.integers(1, 400),
-    share=st.tuples(st.floats(0, 1), st.floats(0, 1)),
+    fraction=st.tuples(st.floats(0, 1), st.floats(0, 1)),
 )
-def test_picking_undoes_drawing(rows: int, columns: int, share: tuple[float, float]) -> None:
+def test_picking_undoes_drawing(rows: int, columns: int, fraction: tuple[float, float]) -> None:
     depth_m = np.ones((rows, columns), dtype=np.float32)
     picture = depth_picture("Frame 5", depth_m, width_px=500, height_px=300)
-    row, column = round(share[0] * (rows - 1)), round(share[1] * (columns - 1))
+    row, column = round(fraction[0] * (rows - 1)), round(fraction[1] * (columns - 1))
     assert picture.pixel_at(*picture.axes.to_pixel(column, row)) == (row, column)
 
 

@@ -68,13 +68,13 @@ def test_cells_without_a_score_are_hatched() -> None:
     rows=st.integers(1, 300),
     columns=st.integers(1, 300),
     u_first=st.integers(-50, 50),
-    share=st.tuples(st.floats(0, 1), st.floats(0, 1)),
+    fraction=st.tuples(st.floats(0, 1), st.floats(0, 1)),
 )
 def test_picking_undoes_drawing(
-    rows: int, columns: int, u_first: int, share: tuple[float, float]
+    rows: int, columns: int, u_first: int, fraction: tuple[float, float]
 ) -> None:
     picture = drawn(Field(np.zeros((rows, columns)), u_first), width_px=300, height_px=260)
-    u, v = u_first + share[0] * (columns - 1), share[1] * (rows - 1)
+    u, v = u_first + fraction[0] * (columns - 1), fraction[1] * (rows - 1)
     assert picture.offset_at(*picture.axes.to_pixel(u, v)) == pytest.approx((u, v), abs=1e-9)
 
 
@@ -192,7 +192,7 @@ def test_fields_of_little_are_drawn(field: Field) -> None:
     assert field.u_first <= middle[0] <= field.u_first + field.scores.shape[1] - 1
 
 
-def test_a_picture_has_its_own_paper_and_is_not_shared() -> None:
+def test_a_picture_has_its_own_canvas_and_is_not_shared() -> None:
     picture = drawn(ramp())
     assert picture.rgb[3, 3].tolist() == [255, 255, 255]
     picture.rgb[:] = 0

@@ -75,7 +75,7 @@ def test_an_outlier_is_a_cross():
     assert dotted.rgb[y - 2, x].min() < 150 < crossed.rgb[y - 2, x].min()
 
 
-def test_before_any_map_all_pairs_are_joined():
+def test_without_an_a_all_pairs_are_joined():
     picture = drawn(plot())
     assert max(halfway(picture, 1)) < 200
     assert max(halfway(drawn(plot(is_inlier=AGREE)), 1)) > 230
@@ -120,7 +120,7 @@ def test_a_few_stray_points_do_not_take_the_scale():
     assert px_per_m(strayed) > 0.5 * px_per_m(clean)
 
 
-def test_a_map_that_sends_points_far_away_is_drawn():
+def test_a_transform_that_sends_points_far_away_is_drawn():
     wild_m = LIDAR_M * 1e12
     wild_m[2] = np.inf, -np.inf
     picture = drawn(plot(is_inlier=AGREE), plot(lidar_m=wild_m, is_inlier=AGREE), height_px=600)

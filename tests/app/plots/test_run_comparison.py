@@ -29,15 +29,15 @@ frames = st.builds(
 )
 
 
-def laid(poses: np.ndarray, frame: np.ndarray) -> np.ndarray:
+def in_frame(poses: np.ndarray, frame: np.ndarray) -> np.ndarray:
     """(N, 3) poses by complex numbers."""
     points = (poses[:, 0] + 1j * poses[:, 1]) * np.exp(1j * frame[2]) + frame[0] + 1j * frame[1]
     return np.column_stack([points.real, points.imag, poses[:, 2] + frame[2]])
 
 
-def way(poses: np.ndarray, first_ns: int = 0, step_ns: int = 10**8) -> RunOnMap:
+def run_of(poses: np.ndarray, first_ns: int = 0, step_ns: int = 10**8) -> RunOnMap:
     stamps_ns = first_ns + step_ns * np.arange(len(poses), dtype=np.int64)
-    return RunOnMap(title="way", stamps_ns=stamps_ns, poses=poses, grid=None)
+    return RunOnMap(title="run", stamps_ns=stamps_ns, poses=poses, grid=None)
 
 
 def spiral(count: int = 80) -> np.ndarray:
@@ -46,35 +46,35 @@ def spiral(count: int = 80) -> np.ndarray:
 
 
 @given(frame=frames)
-def test_the_same_way_in_another_frame_is_not_apart(frame: np.ndarray) -> None:
-    found = compare_trajectories(way(laid(spiral(), frame)), way(spiral()))
+def test_the_same_trajectory_in_another_frame_has_no_distance(frame: np.ndarray) -> None:
+    found = compare_trajectories(run_of(in_frame(spiral(), frame)), run_of(spiral()))
     assert found is not None
     assert found.distances_m.max() < 1e-9
     assert np.allclose(
-        transform_points(spiral(), found.second_in_first), laid(spiral(), frame)[:, :2]
+        transform_points(spiral(), found.second_in_first), in_frame(spiral(), frame)[:, :2]
     )
 
 
 @given(frame=frames, seed=st.integers(0, 99))
-def test_only_what_drifts_is_apart(frame: np.ndarray, seed: int) -> None:
+def test_only_drift_is_a_distance(frame: np.ndarray, seed: int) -> None:
     drift_m = np.random.default_rng(seed).normal(size=(80, 2)).cumsum(axis=0)
     drift_m -= drift_m[0]
     drifted = spiral() + np.column_stack([drift_m, np.zeros(80)])
-    found = compare_trajectories(way(spiral()), way(laid(drifted, frame)))
+    found = compare_trajectories(run_of(spiral()), run_of(in_frame(drifted, frame)))
     assert found is not None
     assert np.allclose(found.distances_m, np.linalg.norm(drift_m, axis=1), atol=1e-9)
     assert np.allclose(found.times_s, 0.1 * np.arange(80))
 
 
-def test_ways_of_other_stamps_are_compared_where_both_are() -> None:
+def test_trajectories_of_other_stamps_are_compared_where_both_are() -> None:
     line = straight((0.0, 0.0), (7.9, 0.0), 80)
     # Each third of a step, from the tenth on.
     between = straight((1.0, 0.0), (6.0, 0.0), 151)
-    found = compare_trajectories(way(line), way(between, 10**9, 10**8 // 3))
+    found = compare_trajectories(run_of(line), run_of(between, 10**9, 10**8 // 3))
     assert found is not None
     assert found.times_s.size == 50
     assert found.distances_m.max() < 1e-6
-    assert compare_trajectories(way(line), way(line, 10**12)) is None
+    assert compare_trajectories(run_of(line), run_of(line, 10**12)) is None
 
 
 @settings(max_examples=30)
@@ -92,7 +92,7 @@ def test_a_moved_map_has_each_obstacle_where_it_belongs(
         np.column_stack([columns, rows]).mean(axis=0) + 0.5
     )
     middle = np.array([[-3.0 + 0.5 * (column + 0.5), 4.0 + 0.5 * (row + 0.5), 0.0]])
-    assert at_m == pytest.approx(laid(middle, frame)[0, :2], abs=0.15)
+    assert at_m == pytest.approx(in_frame(middle, frame)[0, :2], abs=0.15)
 
 
 def test_two_runs_stand_side_by_side_on_one_scale() -> None:

@@ -65,7 +65,7 @@ def scale_bar_px(picture: np.ndarray) -> int:
     return longest
 
 
-def test_a_way_is_to_scale_and_y_upwards() -> None:
+def test_a_trajectory_is_to_scale_and_y_upwards() -> None:
     # 5 m, as long as the bar is for a window of 20 m.
     along = drawn(view(straight((-4.0, 0.0), (1.0, 0.0))))
     x, y = pixels_of(along, TRAJECTORY, PLOT).T
@@ -119,4 +119,4 @@ def test_the_window_stays_until_something_leaves_it() -> None:
     assert grown[1][0] > 40.0
     assert (grown[0] <= begin[0]).all()
     strayed = np.array([[0.0, 99.0, 0.0]])
-    assert window_around(view(straight((0.0, 0.0), (4.0, 0.0)), strayed), begin)[1][1] > 99.0  # type: ignore[index]  # a way gives a window
+    assert window_around(view(straight((0.0, 0.0), (4.0, 0.0)), strayed), begin)[1][1] > 99.0  # type: ignore[index]  # a trajectory gives a window

@@ -580,7 +580,7 @@ def test_exactly_what_may_be_opened_is_listed(odd_root: Path, small_scene: Path)
         ("to inner/.cache/e.mcap", None),
     ],
 )
-def test_what_a_link_names_is_judged_by_where_it_leads(
+def test_a_link_is_checked_by_where_it_leads(
     odd_root: Path, small_scene: Path, name: str, leads_to: str | None
 ) -> None:
     library = Library([small_scene], [odd_root])

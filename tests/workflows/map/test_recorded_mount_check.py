@@ -39,7 +39,7 @@ def test_fuse_does_not_claim_a_mount_that_explains_nothing(tmp_path):
 
 
 def test_a_mount_that_is_dropped_for_its_yaw_is_named(tmp_path):
-    path = moved_mount(tmp_path / "turned.mcap", turned_rad=0.7)
+    path = moved_mount(tmp_path / "turned.mcap", yaw_error_rad=0.7)
     summary = fuse(path, tmp_path / "out", FuseOptions(figures=False, maps=False))
     assert any(
         note.startswith(NOT_USED) and "past where scans and images fit best" in note
@@ -62,7 +62,9 @@ def test_a_camera_that_looks_over_the_lidar_keeps_its_mount_but_no_uncertainty(t
 
 
 def test_a_camera_that_is_said_to_look_up_is_named(tmp_path):
-    with open_recording(moved_mount(tmp_path / "up.mcap", raised_rad=0.5 * np.pi)) as recording:
+    with open_recording(
+        moved_mount(tmp_path / "up.mcap", pitch_error_rad=0.5 * np.pi)
+    ) as recording:
         rig = build_camera_rig(recording, choose_streams(recording), ChainSettings().sampling)
     assert rig.recorded_mount is None
     assert any(note.startswith(NOT_USED) for note in rig.notes)

@@ -1,4 +1,4 @@
-"""A frame judged by the core alone, and the picture of it that the Repair panel should show."""
+"""A frame as the core alone computes it, and the picture that the Repair panel should show."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ NUMBER = 8
 _ROOM_PX = 1000
 
 
-def judged(frame_view: FrameView, view: View) -> FusedFrame:
+def expected_frame(frame_view: FrameView, view: View) -> FusedFrame:
     """The frame of a view, whatever the server has kept of it."""
     assert frame_view.chain is not None
     return classify_and_repair(
