@@ -73,14 +73,14 @@ def test_people_are_told_what_was_checked(
     assert "\nchecked   no: --check reads every message, and verifies the checksums" in shown
     assert main(["info", str(path), "--check"]) == 0
     shown = capsys.readouterr().out
-    assert "\nchecked   whole: 16 messages read, 0 unreadable; checksums right: 5\n" in shown
+    assert "\nchecked   whole: 16 messages read, 0 unreadable; checksums correct: 5\n" in shown
     write_mcap(path, with_checksums=False)
     assert main(["info", str(path), "--check"]) == 0
-    assert "no checksums, so that a changed value does not show" in capsys.readouterr().out
+    assert "no checksums, so changed values are not detected" in capsys.readouterr().out
     write_flipped_mcap(path, 0.5)
     assert main(["info", str(path), "--check"]) == 1
     shown = capsys.readouterr().out
-    assert "\nchecked   damaged: 10 messages read, 6 unreadable; checksums right: 4\n" in shown
+    assert "\nchecked   damaged: 10 messages read, 6 unreadable; checksums correct: 4\n" in shown
     assert "/scan  lidar  8      3           10.00" in shown
 
 

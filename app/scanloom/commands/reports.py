@@ -56,14 +56,14 @@ def info_lines(info: Mapping[str, Any]) -> list[str]:
 
 def _check_outcome(check: Mapping[str, Any] | None) -> str:
     if check is None:
-        return "no: --check reads every message, and verifies the checksums that there are"
+        return "no: --check reads every message and verifies all checksums in the file"
     outcome = "damaged" if check["damaged"] else "whole"
     messages = f"{check['read']} messages read, {check['unreadable']} unreadable"
     if not check["checksums"] and not check["unguarded"]:
         return f"{outcome}: {messages}"
-    guarded = f"checksums right: {check['checksums']}"
+    guarded = f"checksums correct: {check['checksums']}"
     if not check["checksums"]:
-        guarded = "no checksums, so that a changed value does not show"
+        guarded = "no checksums, so changed values are not detected"
     elif check["unguarded"]:
         guarded += f", parts without one: {check['unguarded']}"
     return f"{outcome}: {messages}; {guarded}"

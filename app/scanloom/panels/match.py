@@ -115,11 +115,11 @@ class MatchPanel(Panel):
         view = frame_view.view
         # A match is kept as long as its settings are: a new epsilon makes no new one.
         frame = match if view.field_scope != "recording" else None
-        looked_at = (view.field_scope, view.settings.search.metric, view.picked_offset)
+        inputs = (view.field_scope, view.settings.search.metric, view.picked_offset)
         of, chain, before = self._drawn_of
-        is_same = of is frame and chain is frame_view.chain and before == looked_at
+        is_same = of is frame and chain is frame_view.chain and before == inputs
         if self._drawn is None or not is_same:
-            self._drawn_of = frame, frame_view.chain, looked_at
+            self._drawn_of = frame, frame_view.chain, inputs
             self._drawn = self._draw(frame_view, match)
         return self._drawn
 

@@ -157,7 +157,7 @@ class RepairPanel(Panel):
             curves.repaired_m,
             curves.raw_m,
             curves.camera_m,
-            curves.looked_at_m,
+            curves.selected_m,
         )
         set_y_limits(self._curve, *curves.limits_m)
         update_widget(self._curve, visible=bool(curves.azimuth_deg.size))

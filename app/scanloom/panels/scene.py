@@ -136,9 +136,9 @@ class ScenePanel(Panel):
         if self._layout is None or not self._are_planes_visible:
             return
         view, frame = frame_view.view, frame_view.frame or frame_view.paired
-        looked_at = (view.frame_index, view.show_repaired, view.visible_classes, view.selected_beam)
-        if self._depth_of[0] is not frame or self._depth_of[1] != looked_at:
-            self._depth_of = frame, looked_at
+        inputs = (view.frame_index, view.show_repaired, view.visible_classes, view.selected_beam)
+        if self._depth_of[0] is not frame or self._depth_of[1] != inputs:
+            self._depth_of = frame, inputs
             self._depth = _depth(frame_view)
         self._heatmap = None if self._draw_heatmap is None else self._draw_heatmap()
         image_planes = {}

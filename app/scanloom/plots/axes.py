@@ -20,7 +20,7 @@ ABOVE_PX = LINE_PX + 10
 """Room for a title above a box."""
 
 _TICK_PX = 4
-# A label of four figures with its gap.
+# A label of four digits with its gap.
 _X_TICK_ROOM_PX, _Y_TICK_ROOM_PX = 52, 34
 # OpenCV draws to a sixteenth of a pixel; far beyond the picture its integers would overflow.
 FRACTION_BITS = 4
@@ -96,7 +96,7 @@ class Axes:
         draw_text(self.rgb, label, (middle, self.box.bottom + 28), align="middle")
 
     def draw_top_axis(self, label: str, ticks: Iterable[tuple[float, str]]) -> None:
-        """A second x axis above the box; ``ticks``: x with what is written there."""
+        """A second x axis above the box; ``ticks``: x with its label."""
         for value, text in ticks:
             x = round(self.to_pixel(value, 0.0)[0])
             top = self.box.top

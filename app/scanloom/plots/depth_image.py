@@ -1,4 +1,4 @@
-"""Upright depth images as pictures to look at and pick in, with the pixels of the pairs on them."""
+"""Upright depth images as pictures in which pixels can be picked, with the pairs marked."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from scanloom.plots.ticks import distinct_limits
 _LARGE_PX = 480
 # The scale ends beyond nearly all depths: a few stray pixels must not take its colours.
 _BEYOND_FRACTION = 0.005
-# What is looked for goes on top.
+# Burrs and holes on top.
 _DRAWING_ORDER = (NoiseClass.GOOD, NoiseClass.CONFLICT, NoiseClass.HOLE, NoiseClass.BURR)
 
 
@@ -45,7 +45,7 @@ class DepthPicture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairOverlay:
-    """What is drawn of the pairs: the pixels of ``classes``, and a ring around that of ``beam``, an
+    """The pairs that are drawn: the pixels of ``classes``, and a ring around that of ``beam``, an
     index in the scan."""
 
     pixels: PairPixels
@@ -150,7 +150,7 @@ def _draw_squares(part: ByteArray, x: IntArray, y: IntArray, color: Color, size_
 
 
 def _draw_beam(axes: Axes, overlay: PairOverlay) -> None:
-    """A ring around the pixel of the beam that is looked at."""
+    """A ring around the pixel of the selected beam."""
     for place in overlay.beam_places[:1]:
         pairs = overlay.pixels
         x, y = axes.to_pixel(pairs.column[place], pairs.row[place])

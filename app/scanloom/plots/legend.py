@@ -16,7 +16,7 @@ SYMBOL_PX = 20
 
 _GAP_PX = 12
 _MIDDLE_Y = LINE_PX // 2
-# As wide as a figure.
+# As wide as a digit.
 _FIGURE_SPACE = "\u2007"
 
 Symbol = Callable[[ByteArray], None]
@@ -57,7 +57,7 @@ class Legend:
         return len(self.lines) * LINE_PX
 
     def draw(self, rgb: ByteArray, left: int, top: int) -> None:
-        """Draw it with its upper left corner there."""
+        """Draw it with its upper left corner at this pixel."""
         for number, line in enumerate(self.lines):
             x, y = left, top + number * LINE_PX
             for entry in line:
@@ -68,8 +68,8 @@ class Legend:
 
 
 def padded(label: str, length: int) -> str:
-    """``label`` with invisible figures after it up to a length: a legend whose numbers change from
-    frame to frame then keeps its lines."""
+    """``label`` padded with spaces as wide as digits: a legend whose numbers change from frame to
+    frame then keeps its lines."""
     return label.ljust(length, _FIGURE_SPACE)
 
 

@@ -34,7 +34,7 @@ Limits = tuple[float, float] | dict[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlotLabels:
-    """What a plot says around its curves: the axes' labels have their units.
+    """The labels of a plot, with units.
 
     ``x_short`` names the value of x under the cursor. ``x_falls``: azimuth, which is positive to
     the left, falls to the right.
@@ -72,7 +72,7 @@ def add_line_plot(
 
 
 def set_y_limits(plot: viser.GuiUplotHandle, low: float, high: float) -> None:
-    """Other limits set the plot up anew in the browser, so they should seldom change."""
+    """New limits recreate the plot in the browser, so they should seldom change."""
     x_falls = plot.scales is not None and plot.scales["x"].get("dir") == -1
     scales = _scales((low, high), x_falls=x_falls)
     if plot.scales != scales:
@@ -80,7 +80,7 @@ def set_y_limits(plot: viser.GuiUplotHandle, low: float, high: float) -> None:
 
 
 def no_data(series: int) -> tuple[FloatArray, ...]:
-    """Data of nothing for so many series."""
+    """Empty data for this number of series."""
     return (np.arange(2.0), *(np.full(2, np.nan) for _ in range(series)))
 
 
@@ -101,7 +101,7 @@ def dots(label: str, color: Color, size_px: float = 4.0, *, hollow: bool = False
         width=1,
         fill="transparent" if hollow else css(color),
     )
-    # Without a line between them, and without a say in the range of y.
+    # Without a line between them, and ignored by the automatic range of y.
     return uplot.Series(label=label, stroke=css(color), width=0, auto=False, points=points)
 
 
@@ -113,7 +113,7 @@ def area(label: str, color: Color) -> uplot.Series:
 
 
 def css(color: Color) -> str:
-    """A colour as CSS has it."""
+    """A colour in CSS syntax."""
     return f"rgb({color[0]},{color[1]},{color[2]})"
 
 

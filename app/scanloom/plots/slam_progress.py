@@ -175,7 +175,7 @@ def _legend(view: SlamView) -> list[LegendEntry]:
     ]
     if len(view.particles):
         entries.append(LegendEntry(_particle_symbol, "particle"))
-    # Always there: a legend that grows would move the picture.
+    # Always shown: a legend that grows would move the picture.
     label = padded(f"loop closures: {len(view.loops_m)}", 19)
     return [*entries, LegendEntry(_loop_symbol, label)]
 

@@ -21,9 +21,9 @@ _LEAST_ASPECT = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraView:
-    """A place to look from. ``up``: (3,) what is up on the screen; ``fov_rad`` is vertical.
+    """A viewpoint. ``up``: (3,) the direction that is up on the screen; ``fov_rad`` is vertical.
 
-    ``hides``: layers that are not readable from there.
+    ``hides``: layers that are unreadable from this viewpoint.
     """
 
     position_m: FloatArray
@@ -95,9 +95,9 @@ def face_plane(shown: ImagePlane) -> CameraView:
 
 
 def apply(camera: ViewerCamera, view: CameraView) -> None:
-    """Move a browser's camera there."""
+    """Move a browser's camera to a viewpoint."""
     camera.fov = view.fov_rad
-    # The viewer's camera takes its point along when it is moved, and so that point comes after.
+    # Setting the position moves the look-at point, too, so that is set afterwards.
     camera.position = view.position_m
     camera.look_at = view.look_at_m
     camera.up_direction = view.up
@@ -106,7 +106,7 @@ def apply(camera: ViewerCamera, view: CameraView) -> None:
 def _above(
     middle_m: FloatArray, height_m: float, *, up: FloatArray, hides: frozenset[Layer]
 ) -> CameraView:
-    """Straight down on ``height_m`` of the screen's height."""
+    """Straight down; the screen's height shows ``height_m``."""
     away_m = np.array([0.0, 0.0, _distance_m(height_m, _ABOVE_FOV_RAD)])
     return CameraView(
         position_m=middle_m + away_m,
@@ -118,5 +118,5 @@ def _above(
 
 
 def _distance_m(height_m: float, fov_rad: float) -> float:
-    """From where ``height_m`` fills the screen."""
+    """Distance at which ``height_m`` fills the screen's height."""
     return 0.5 * height_m / float(np.tan(0.5 * fov_rad))

@@ -1,5 +1,5 @@
-"""What of a frame stands where: everything that is drawn of it, in the LiDAR's frame at the scan's
-stamp. Nothing here knows what it is drawn with.
+"""The geometry of a frame that the scene draws, in the LiDAR's frame at the scan's stamp. It does
+not depend on the viewer.
 """
 
 from dataclasses import dataclass, fields
@@ -191,8 +191,8 @@ def pixel_points(
 ) -> FloatArray:
     """(B, 3) points of the pairs' pixels at ``depth_m`` (B,), NaN where there is no pixel or depth.
 
-    Along the curve they stand where the camera sees them. Pairs in a row compare horizontal ranges
-    on a beam; their pixels stand on the beam, at the range to which A carries them.
+    Pairs along the curve: where the camera sees them. Pairs in a row compare horizontal ranges on a
+    beam: on the beam, at the range to which A maps them.
     """
     pairs = frame.correspondence
     if frame.row_model == "curve":
@@ -230,7 +230,7 @@ def repairs(
     T_lidar_camera: FloatArray,
     classes: frozenset[NoiseClass],
 ) -> tuple[Segments, IntArray, Float32Array, IntArray]:
-    """What was repaired, of beams and pixels alike: (N, 2, 3) from raw to repaired where there was
+    """Repairs of beams and pixels: (N, 2, 3) from raw to repaired where there was
     a value, (M, 3) points where there was none, each with its classes."""
     pairs, repair, noise = frame.match.correspondence, frame.repair, frame.classes
     before = [

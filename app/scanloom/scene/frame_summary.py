@@ -26,7 +26,7 @@ class Counts:
 class ConflictRun:
     """Adjacent beams in conflict: ``first`` to ``last`` in the scan, ``middle`` the one to look at.
 
-    ``lidar_m`` and ``camera_m``: medians of what the sensors say of the range.
+    ``lidar_m`` and ``camera_m``: medians of the ranges by each sensor.
     """
 
     first: int
@@ -55,16 +55,15 @@ class SampleFacts:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BeamFacts:
-    """Everything that a fused frame says of one beam in view and of its pixel.
+    """All values of a fused frame for one beam in view and for its pixel.
 
     ``pixel`` is None where the beam's point lies outside the image, and then ``row`` and ``column``
-    are -1. ``residual_m``: what epsilon is compared with,
-    NaN without a pair. ``camera_range_m``: where the beam, followed as a ray, meets what
-    the camera sees; ``pixel_range_m``: the pixel's depth as a range; ``lidar_as_depth_m``: the
-    beam's point as a depth. ``supporters``: adjacent beams, beams two and three away, scans
-    before and after; ``pixel_supporters``: of the 5 x 5 around, and how many of these have a depth.
-    ``steady``: the scans before and after have the beam's value too; ``pixel_gone``: the image
-    before has nothing like the pixel's.
+    are -1. ``residual_m``: compared with epsilon, NaN without a pair. ``camera_range_m``: where the
+    beam meets the surface that the camera sees; ``pixel_range_m``: the pixel's depth as a range;
+    ``lidar_as_depth_m``: the beam's point as a depth. ``supporters``: among adjacent beams, beams
+    two and three away, scans before and after; ``pixel_supporters``: of the 5 x 5 around, and how
+    many of these have a depth. ``steady``: the scans before and after have the same range there;
+    ``pixel_gone``: the image before has no such surface there.
     """
 
     beam: int

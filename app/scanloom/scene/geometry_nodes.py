@@ -26,8 +26,7 @@ class SceneGeometry:
         self._filled, self._allowed = False, True
 
     def draw(self, points_m: Float32Array, colors: ByteArray | None = None) -> None:
-        """New points; ``colors`` of their number, or those from before where there is one for
-        all."""
+        """Set the points; ``colors``: one for each, None keeps those of a node in one colour."""
         self._filled = len(points_m) > 0
         if self._filled:
             self._handle.points = points_m

@@ -64,7 +64,7 @@ class Plane:
         return None if np.isnan(distance) else (x_px, y_px)
 
     def at_pixel(self, x_px: float, y_px: float) -> FloatArray:
-        """(3,) where a pixel stands."""
+        """(3,) the position of a pixel."""
         m_per_px = self.width_m / self.width_px
         in_plane = np.array(
             [

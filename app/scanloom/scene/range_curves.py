@@ -17,8 +17,7 @@ class RangeCurves:
 
     ``azimuth_deg`` rises. Ranges in metres, NaN where missing: ``raw_m`` and ``repaired_m`` of the
     chosen classes, ``pixel_m`` of the pixels that the beams are compared with, ``camera_m`` where
-    each beam, followed as a ray, meets what the camera sees, ``looked_at_m`` the one beam that is
-    looked at.
+    each beam meets the surface that the camera sees, ``selected_m`` that of the selected beam.
     """
 
     azimuth_deg: FloatArray
@@ -26,7 +25,7 @@ class RangeCurves:
     raw_m: FloatArray
     pixel_m: FloatArray
     camera_m: FloatArray
-    looked_at_m: FloatArray
+    selected_m: FloatArray
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -41,7 +40,7 @@ class RangeCurves:
 def range_curves(
     frame: FusedFrame, classes: frozenset[NoiseClass], beam: int | None
 ) -> RangeCurves:
-    """The curves of a frame. ``classes``: whose beams are shown; ``beam``: the one looked at."""
+    """The curves of a frame. ``classes``: whose beams are shown; ``beam``: the selected one."""
     pairs = frame.match.correspondence
     raw_m, repaired_m, camera_m = (
         pairs.lidar_range_m,
@@ -51,7 +50,7 @@ def range_curves(
     shown = np.isin(frame.classes.lidar_class, [int(noise_class) for noise_class in classes])
     first_known_m = np.where(np.isfinite(repaired_m), repaired_m, camera_m)
     first_known_m = np.where(np.isfinite(raw_m), raw_m, first_known_m)
-    looked_at = pairs.beam == (-1 if beam is None else beam)
+    is_selected = pairs.beam == (-1 if beam is None else beam)
     azimuth_deg = unwrapped_deg(pairs.azimuth_rad)
     order = np.argsort(azimuth_deg, kind="stable")
     return RangeCurves(
@@ -60,5 +59,5 @@ def range_curves(
         raw_m=np.where(shown, raw_m, np.nan)[order],
         pixel_m=np.where(shown, pairs.depth_as_range_m, np.nan)[order],
         camera_m=camera_m[order],
-        looked_at_m=np.where(looked_at, first_known_m, np.nan)[order],
+        selected_m=np.where(is_selected, first_known_m, np.nan)[order],
     )

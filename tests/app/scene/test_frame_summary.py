@@ -142,10 +142,10 @@ def test_curves_rise_in_azimuth_and_show_the_chosen_classes() -> None:
         curves.pixel_m[::-1], frame().match.correspondence.depth_as_range_m
     )
     # A hole is pointed at where it was filled.
-    np.testing.assert_array_equal(curves.looked_at_m[::-1], [NAN, 2.2, *[NAN] * 5])
+    np.testing.assert_array_equal(curves.selected_m[::-1], [NAN, 2.2, *[NAN] * 5])
     assert curves.limits_m == (1.0, 4.0)
     burrs = range_curves(frame(), frozenset({BURR}), None)
     np.testing.assert_array_equal(burrs.raw_m[::-1], [NAN, NAN, 1.2, *[NAN] * 4])
     np.testing.assert_array_equal(burrs.repaired_m[::-1], [NAN, NAN, 2.3, *[NAN] * 4])
     np.testing.assert_array_equal(burrs.camera_m, curves.camera_m)
-    assert np.isnan(burrs.looked_at_m).all()
+    assert np.isnan(burrs.selected_m).all()
