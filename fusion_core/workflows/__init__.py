@@ -1,4 +1,4 @@
-"""What commands and workbench call: the only folder that composes readers, stages and files.
+"""The workflows of commands and workbench: the only folder that composes readers, stages, files.
 
 - ``fuse/``, ``map/``, ``evaluate/``: a folder for each large command; its docstring is its guide.
 - ``info.py``, ``convert.py``, ``sample.py``, ``scan_matching.py``: the small commands.

@@ -7,11 +7,11 @@ import numpy as np
 from fusion_core.model.conventions import NS_PER_S
 from fusion_core.model.recording import Recording, Role
 
-LEAST_TIMES = 3.0
+GAP_RATIO_MIN = 3.0
 """A gap is longer than this many median intervals: two lost messages in a row."""
 
 # The median of fewer intervals is no estimate of the rate.
-_LEAST_INTERVALS = 3
+_INTERVALS_MIN = 3
 # Several senders at rates of their own, or sent once: no interval is usual.
 _WITHOUT_RATE: frozenset[Role] = frozenset({"tf", "tf_static", "other"})
 
@@ -34,7 +34,7 @@ def stream_gaps(recording: Recording) -> dict[str, StreamGaps]:
         return {}
     found = {}
     for topic in recording.topics:
-        if topic.role in _WITHOUT_RATE or topic.count <= _LEAST_INTERVALS:
+        if topic.role in _WITHOUT_RATE or topic.count <= _INTERVALS_MIN:
             continue
         # Files may hold what was logged at one time in any order.
         times_ns = np.sort(recording.received_ns(topic.name))
@@ -44,7 +44,7 @@ def stream_gaps(recording: Recording) -> dict[str, StreamGaps]:
         edges_ns = np.concatenate([[start_ns], times_ns, [end_ns]])
         intervals_ns = np.diff(edges_ns)
         longest = int(np.argmax(intervals_ns))
-        count = int((intervals_ns > LEAST_TIMES * usual_ns).sum())
+        count = int((intervals_ns > GAP_RATIO_MIN * usual_ns).sum())
         found[topic.name] = StreamGaps(count=0)
         if count:
             found[topic.name] = StreamGaps(

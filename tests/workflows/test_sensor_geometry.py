@@ -10,7 +10,7 @@ from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import choose_streams
 from fusion_core.workflows.fuse.camera_rig import build_camera_rig
 from fusion_core.workflows.fuse.pairing import PairedImage, paired_images
-from fusion_core.workflows.fuse.session import fitting_for
+from fusion_core.workflows.fuse.session import make_geometry_filter
 from fusion_core.workflows.sensor_geometry import ScanGeometry, most_common_geometry
 
 
@@ -18,7 +18,7 @@ def run(log):
     with log.open() as recording:
         streams = choose_streams(recording)
         rig = build_camera_rig(recording, streams, SamplingSettings())
-        fitting = fitting_for(recording, rig)
+        fitting = make_geometry_filter(recording, rig)
         passes = [
             list(paired_images(recording, streams, rig, fitting, TimeSettings())) for _ in range(2)
         ]

@@ -110,7 +110,7 @@ class EvaluateTrajectory:
             alignment=self.align,
             delta=self.delta,
             unit=self.unit,
-            greatest_gap_s=self.greatest_gap,
+            max_gap_s=self.greatest_gap,
         )
         return Report(result=result, lines=trajectory_lines(result))
 

@@ -176,7 +176,7 @@ class RecallPanel:
         factor = (
             float("nan")
             if measured is None or not measured.E_m > 0.0
-            else measured.middle_m / measured.E_m
+            else measured.median_m / measured.E_m
         )
         marked = factor if _is_in_plot(curve, factor) else float("nan")
         before, at = self._plotted

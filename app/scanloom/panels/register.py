@@ -9,8 +9,8 @@ from fusion_core.workflows.fuse.registration_details import (
     PlanarPairs,
     Registration,
     consensus_probabilities,
+    decompose_registration,
     draw_at,
-    meaning_of_registration,
     planar_pairs,
 )
 from scanloom.client_session import ClientSession, Panel
@@ -137,7 +137,7 @@ class RegisterPanel(Panel):
             return
         update_widget(
             self._summary,
-            content=registration_text.transform_text(found, meaning_of_registration(found)),
+            content=registration_text.transform_text(found, decompose_registration(found)),
         )
         update_widget(self._matrix, content=registration_text.matrix_text(found.A))
         update_widget(
@@ -154,7 +154,7 @@ class RegisterPanel(Panel):
             title=f"Draw {index}: LiDAR through its own A, and depth",
             lidar_m=draw.mapped_m,
             depth_m=found.draws.depth_points_m,
-            is_inlier=draw.agree,
+            is_inlier=draw.is_inlier,
             sample=draw.pairs,
         )
         drawn = pair_picture([plot], width_px=_WIDTH_PX, height_px=_DRAW_PX, axis_labels=axes)

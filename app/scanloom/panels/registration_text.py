@@ -111,24 +111,24 @@ def epsilon_text(measured: EpsilonInFrame, epsilon: float, unit: EpsilonUnit) ->
     """The threshold in metres, the pairs beyond it, and the paper's band."""
     if measured.compared == 0:
         return "No pair of this frame has both values."
-    if not np.isfinite(measured.middle_m):
+    if not np.isfinite(measured.median_m):
         return "This frame has no E, so ε in multiples of E has no value: no pair counts as beyond."
     spread = ""
-    if measured.greatest_m > 1.01 * measured.least_m:
-        spread = f" ({measured.least_m:.3f} to {measured.greatest_m:.3f} m, growing with range)"
+    if measured.max_m > 1.01 * measured.min_m:
+        spread = f" ({measured.min_m:.3f} to {measured.max_m:.3f} m, growing with range)"
     own = "" if unit == "m" else f" = {epsilon:g}{_UNIT_SIGNS[unit]}"
     lines = [
-        f"ε = **{measured.middle_m:.3f} m**{own}{spread}; **{measured.beyond}** of "
+        f"ε = **{measured.median_m:.3f} m**{own}{spread}; **{measured.beyond}** of "
         f"{measured.compared} pairs disagree by more."
     ]
     if np.isfinite(measured.E_m):
         low_m, high_m = measured.band_m
         where = "inside"
-        if measured.middle_m < low_m * (1.0 - 1e-9):
+        if measured.median_m < low_m * (1.0 - 1e-9):
             where = "below"
-        elif measured.middle_m > high_m * (1.0 + 1e-9):
+        elif measured.median_m > high_m * (1.0 + 1e-9):
             where = "above"
-        ratio = "" if measured.E_m <= 0.0 else f", {measured.middle_m / measured.E_m:.2f} E"
+        ratio = "" if measured.E_m <= 0.0 else f", {measured.median_m / measured.E_m:.2f} E"
         lines.append(
             f"The paper's band [E, √2 E] is [{low_m:.3f}, {high_m:.3f}] m here: ε lies **{where}** "
             f"it{ratio}."

@@ -4,7 +4,7 @@ import html
 from collections.abc import Mapping
 from typing import Any
 
-from fusion_core.workflows.stream_gaps import LEAST_TIMES, StreamGaps
+from fusion_core.workflows.stream_gaps import GAP_RATIO_MIN, StreamGaps
 
 _CELL = "<td style='padding:0.1em 0.5em 0.1em 0;vertical-align:top;overflow-wrap:anywhere'>"
 _GAP_ROW = "<tr><td colspan='4' style='padding:0 0 0.2em 1em;vertical-align:top;font-style:italic'>"
@@ -45,7 +45,7 @@ def _gap_row(found: StreamGaps | None) -> str:
 def _about_gaps(gaps: Mapping[str, StreamGaps]) -> list[str]:
     if not gaps:
         return []
-    what = f"more than {LEAST_TIMES:g} times the stream's usual interval"
+    what = f"more than {GAP_RATIO_MIN:g} times the stream's usual interval"
     if any(found.count for found in gaps.values()):
         return [f"A gap is {what}, by log time."]
     return [f"No stream has a gap, which would be {what}."]

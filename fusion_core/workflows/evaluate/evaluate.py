@@ -1,10 +1,10 @@
 """The measures of a result against the truth, a reference or relations, ready for JSON.
 
-Where a truth does not know how the camera is mounted, ``lever_arm_m`` gives its origin seen from
-the LiDAR's (forward, left, up) and ``pitch_rad`` how far it looks down; ``clock_offset_ms`` is
-camera stamp - LiDAR stamp of one instant. What the truth itself knows wins.
+Where a truth has no mount of the camera, ``lever_arm_m`` gives its origin seen from the LiDAR's
+(forward, left, up) and ``pitch_rad`` how far it looks down; ``clock_offset_ms`` is camera stamp -
+LiDAR stamp of one instant. Values in the truth take precedence.
 
-Each function raises ScanLoomError where a file is unfit or the two do not belong together.
+Each function raises ScanLoomError where a file is invalid or the two are of different recordings.
 """
 
 from collections.abc import Iterator
@@ -100,9 +100,9 @@ def trajectory(
     alignment: Alignment = "se3",
     delta: float = 1.0,
     unit: StepUnit = "s",
-    greatest_gap_s: float = MAX_GAP_S,
+    max_gap_s: float = MAX_GAP_S,
 ) -> dict[str, Any]:
-    """Absolute and relative pose errors between two TUM files, as ``evaluate_trajectory`` has it.
+    """Absolute and relative pose errors between two TUM files, by ``evaluate_trajectory``.
 
     ``delta`` and ``unit`` are the step of the relative errors.
     """
@@ -115,7 +115,7 @@ def trajectory(
         true.trajectory,
         alignment=alignment,
         step=step,
-        max_gap_s=greatest_gap_s,
+        max_gap_s=max_gap_s,
     )
     return {**report.to_json(), "warnings": [*own.warnings, *true.warnings]}
 
@@ -137,9 +137,9 @@ def ros_map(
 ) -> dict[str, Any]:
     """Detection rate (10), line and angle errors (Table 4 of Li 2022) of a map.
 
-    ``file`` is a map's YAML file, ``world`` the world file of its recording. ``pose`` (x, y, yaw)
-    is where the map's frame lies in the world: with ``align`` a first guess, without it what is
-    used, and no motion at all where it is None.
+    ``file`` is a map's YAML file, ``world`` the world file of its recording. ``pose``: (x, y, yaw)
+    of the map's frame in the world; with ``align`` it is the initial guess, without it the pose
+    that is used, the identity where it is None.
     """
     if pose is not None and not np.isfinite(pose).all():
         raise SettingsError(f"the pose must be finite, got {pose}.")

@@ -1,4 +1,4 @@
-"""Where a map lies in the world: its occupied cells laid over the outlines, in SE(2).
+"""The pose of a map in the world: its occupied cells registered with the outlines, in SE(2).
 
 A map has a frame of its own, which starts wherever the robot did. Every pose is tried first
 (correlative search), then the best ones are refined by point-to-line ICP (Censi 2008's metric).
@@ -31,7 +31,7 @@ _INLIER_LIMITS_M = (0.5, 0.3, 0.15)
 _HALF_WEIGHT_M = 0.03
 # A bound: each round ends once its step is below 1e-7.
 _ITERATIONS = 30
-# Some times the three parameters of a pose, so that chance makes no fit.
+# A few times the three parameters of a pose, so that a fit is not by chance.
 _PAIRS_MIN = 10
 
 
@@ -50,7 +50,7 @@ class MapAlignment:
         read_only(self.pose_world_map)
 
     def to_json(self) -> dict[str, Any]:
-        """Shift in metres, turn in degrees."""
+        """Translation in metres, rotation in degrees."""
         x, y, yaw = (float(value) for value in self.pose_world_map)
         return {
             "x_m": x,
@@ -63,14 +63,14 @@ class MapAlignment:
 def align_map(
     occupied_m: FloatArray, world: WorldOutline, guess: FloatArray | None
 ) -> MapAlignment:
-    """Lay occupied cells (N, 2) over the outlines that a sensor could see (all, where none).
+    """Align occupied cells (N, 2) with the outlines that a sensor could see (all, where none).
 
     ``guess``: (x, y, yaw) of the map's frame in the world, good to 1 m and 20°; without it the
     whole world is searched. Raises RegistrationFailed where they do not fit anywhere.
     """
     if len(occupied_m) < _PAIRS_MIN:
         raise RegistrationFailed(
-            f"the map has {len(occupied_m)} occupied cells, too few to lay it over the world.",
+            f"the map has {len(occupied_m)} occupied cells, too few to align it with the world.",
             advice="Use --align none, or map the whole recording.",
         )
     target = _OutlineSamples(world)
@@ -110,7 +110,7 @@ class _OutlineSamples:
         self._points_m = np.concatenate(points)
         self._normals = np.concatenate(normals)
         if len(self._points_m) == 0:
-            raise RegistrationFailed("the world has no outline to lay a map over.")
+            raise RegistrationFailed("the world has no outline to align a map with.")
         self._tree = cKDTree(self._points_m)
         self._middle_m = 0.5 * (self._points_m.min(axis=0) + self._points_m.max(axis=0))
         # A map of a part of the world may lie anywhere in it.
@@ -121,7 +121,7 @@ class _OutlineSamples:
     ) -> FloatArray:
         """The best of all poses near (x, y, yaw), or anywhere where None."""
         points_m = _subsample(occupied_m, _SEARCH_POINTS)
-        # Turned about their own middle, points need not be shifted as far.
+        # Rotated about their own middle, the points need a smaller translation window.
         middle_m = 0.5 * (points_m.min(axis=0) + points_m.max(axis=0))
         if about is None:
             centre, rotation_rad = np.array([*self._middle_m, 0.0]), np.pi
@@ -174,21 +174,21 @@ class _OutlineSamples:
             pose_world_map=pose, inlier_fraction=float(np.mean(distance_m < _INLIER_LIMITS_M[-1]))
         )
 
-    def _gauss_newton_step(self, points_m: FloatArray, cut_m: float) -> FloatArray:
-        """(3,) shift and turn about the middle of the world; zero without inliers."""
+    def _gauss_newton_step(self, points_m: FloatArray, inlier_limit_m: float) -> FloatArray:
+        """(3,) translation and rotation about the middle of the world; zero without inliers."""
         distance_m, index = map(np.asarray, self._tree.query(points_m))
-        near = distance_m < cut_m
+        near = distance_m < inlier_limit_m
         points_m, target_m = points_m[near], self._points_m[index[near]]
         normals = self._normals[index[near]]
         offset = points_m - self._middle_m
-        turning = normals[:, 1] * offset[:, 0] - normals[:, 0] * offset[:, 1]
-        slope = np.column_stack([normals, turning])
+        by_rotation = normals[:, 1] * offset[:, 0] - normals[:, 0] * offset[:, 1]
+        jacobian = np.column_stack([normals, by_rotation])
         residual = ((points_m - target_m) * normals).sum(axis=1)
         weights = 1.0 / (1.0 + (residual / _HALF_WEIGHT_M) ** 2)
-        system = (weights[:, None] * slope).T @ slope
+        system = (weights[:, None] * jacobian).T @ jacobian
         # Along unobservable directions, as that of a corridor, the pose stays.
         step: FloatArray = -np.linalg.lstsq(
-            system, (weights[:, None] * slope).T @ residual, rcond=1e-9
+            system, (weights[:, None] * jacobian).T @ residual, rcond=1e-9
         )[0]
         return step
 

@@ -23,14 +23,14 @@ def odometry(
     map_dir: Path,
     reference: Path,
     *,
-    stretch_m: float = SEGMENT_M,
-    greatest_gap_s: float = MAX_GAP_S,
+    segment_m: float = SEGMENT_M,
+    max_gap_s: float = MAX_GAP_S,
 ) -> dict[str, Any]:
     """Drift of every ``odometry_NAME.tum`` of a folder, and of its trajectory.tum.
 
     ``reference``: a TUM file, or a truth (.npz) with ``scan_stamp`` in ns and ``pose``, x, y, yaw
-    of the LiDAR. Only what was measured is in a file: a track of few ``poses`` was lost for long.
-    Tracks under ``failed`` have no errors, for the reason given there.
+    of the LiDAR. A file holds only measured poses: a track of few ``poses`` was lost for long.
+    ``failed`` has the tracks that could not be compared, with the reason.
 
     Raises ScanLoomError where the folder holds no trajectory, the reference cannot be read, or no
     trajectory can be compared with it.
@@ -46,7 +46,7 @@ def odometry(
         warnings += own.warnings
         try:
             report = evaluate_odometry(
-                own.trajectory, true, segment_m=stretch_m, max_gap_s=greatest_gap_s
+                own.trajectory, true, segment_m=segment_m, max_gap_s=max_gap_s
             )
         except ScanLoomError as error:
             failed[name] = str(error)
@@ -64,7 +64,7 @@ def odometry(
 
 
 def odometry_lines(result: Mapping[str, Any]) -> list[str]:
-    """The same for people: a line for each source, errors in percent of the way."""
+    """The same for people: a line for each source, errors in percent of the path."""
     rows = [("", "Table 5 (%)", "length (%)", "at end (%)", "mean (%)", "mean (deg/m)")]
     for name, report in result["tracks"].items():
         straight = report["straight"]["error"]
@@ -88,8 +88,8 @@ def odometry_lines(result: Mapping[str, Any]) -> list[str]:
         for row in rows
     ]
     lines.append(
-        f"{first['path_m']:.2f} m path, {first['straight']['stretches']} straight stretches of "
-        f"{sum(first['straight']['true_m']):.2f} m, mean over stretches of {first['stretch_m']:g} m"
+        f"{first['path_m']:.2f} m path, {first['straight']['stretches']} straight segments of "
+        f"{sum(first['straight']['true_m']):.2f} m, mean over segments of {first['stretch_m']:g} m"
     )
     lines += [f"{name}: {problem}" for name, problem in result["failed"].items()]
     return lines + [f"warning: {warning}" for warning in result["warnings"]]

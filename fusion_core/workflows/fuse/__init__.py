@@ -26,5 +26,5 @@ what is written
 what the workbench shows of a frame
     epsilon.py          the threshold epsilon in its three units
     registration_details.py   RANSAC's pairs, draws and residuals
-    recall.py           Fig. 6 for the settings of the moment
+    recall.py           Fig. 6 for the current settings
 """

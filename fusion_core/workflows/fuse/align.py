@@ -87,7 +87,7 @@ class RecordingAlignment:
 
 
 def mount_not_used(refusal: str) -> str:
-    """What people are told of a recorded mount that is refused."""
+    """The note for people on a recorded mount that is refused."""
     return f"The recorded mount is not used: {refusal}."
 
 
@@ -121,11 +121,12 @@ def search_rows(
         min_overlap=settings.search.min_overlap,
         partial=settings.search.allow_partial or rows_m.shape[1] > curve_m.size,
     )
-    return {metric: _below(field, first) for metric, field in fields.items()}
+    return {metric: _pad_rows_above(field, first) for metric, field in fields.items()}
 
 
-def _below(field: SimilarityField, first: int) -> SimilarityField:
-    """The field with ``first`` unsearched rows above it, so that v counts from the image's top."""
+def _pad_rows_above(field: SimilarityField, first: int) -> SimilarityField:
+    """The field with ``first`` rows without scores above it, so that v counts from the image's
+    top."""
     if first == 0:
         return field
     above = np.full((first, field.scores.shape[1]), np.nan)
@@ -141,8 +142,8 @@ def align_recording(
 ) -> RecordingAlignment:
     """Pass 1: search the offset (u, v) over the recording, then refine the mount around it.
 
-    ``stamps`` takes note of the stamps that pass by. The mount of a virtual LiDAR is the camera's
-    own and is not refined.
+    ``stamps`` collects the stamps of all scans and images. The mount of a virtual LiDAR is the
+    camera's own and is not refined.
 
     Raises AlignmentFailed where nothing pairs in time or no offset has a score, and RecordingError
     where most of a sensor's stamps are out of order.
@@ -150,7 +151,7 @@ def align_recording(
     rig, settings = session.rig, session.settings
     lidar = session.streams.lidar if session.virtual_row is None else None
     cameras = [camera.topic for camera in rig.cameras]
-    session.fitting.require_most_in_order(cameras if lidar is None else [lidar, *cameras])
+    session.geometry_filter.require_most_in_order(cameras if lidar is None else [lidar, *cameras])
     pairs = session.pairs() if stamps is None else stamps.observe(session.pairs())
     collected = _collect(pairs, session, progress)
     if collected.scan is not None and not collected.with_returns:
@@ -188,7 +189,7 @@ def align_recording(
         mount = estimate.mount
         u = offset_of_yaw(mount.yaw_rad, collected.curve, collected.row.left_rad)
         peak = _peak_at(fields[metric], peak, u, settings.search)
-        scale = _scale_of(collected.kept, mount, settings, on_step)
+        scale = _learn_scale(collected.kept, mount, settings, on_step)
     return RecordingAlignment(
         fields=fields,
         peaks=known,
@@ -205,7 +206,7 @@ def align_recording(
 
 
 def _peak_at(field: SimilarityField, peak: Peak, u: float, search: SearchSettings) -> Peak:
-    """The field's peak at the refined mount's ``u``, if the rows alone favoured another place."""
+    """The field's peak near the refined mount's ``u``, where the highest one lies elsewhere."""
     if abs(u - peak.u) <= search.runner_up_distance:
         return peak
     try:
@@ -214,8 +215,8 @@ def _peak_at(field: SimilarityField, peak: Peak, u: float, search: SearchSetting
         return peak
 
 
-class _Collected:
-    """What one pass over the recording keeps: mean fields and a bounded subset of pairs."""
+class _AlignmentData:
+    """What one pass over the recording collects: mean fields and a bounded subset of pairs."""
 
     def __init__(self, row: RowSampling) -> None:
         self.mean = MeanField()
@@ -232,12 +233,12 @@ class _Collected:
 
 def _collect(
     pairs: Iterable[LaserScan | PairedImage], session: Session, progress: Progress
-) -> _Collected:
+) -> _AlignmentData:
     rig, settings, image_count = session.rig, session.settings, session.image_count
     several = len(rig.cameras) > 1
     panorama = Panorama(rig.cameras, settings.sampling) if several else None
     row = panorama.sampling if panorama else sample_row(rig.cameras[0], settings.sampling)
-    collected = _Collected(row)
+    collected = _AlignmentData(row)
     # The time span of the subset is the recording's, however long it is.
     field_every = max(1, image_count // len(rig.cameras) // _FIELD_FRAMES)
     keep_every = max(1, image_count // settings.mount.frames)
@@ -246,10 +247,10 @@ def _collect(
     views = 0
     for entry in pairs:
         if isinstance(entry, LaserScan):
-            # Nothing new, yet work may be ended here: there may be no images for long.
+            # The callback may cancel the run: there may be no images for long.
             progress(sum(seen), image_count, "searching (u, v)")
             continue
-        # Counted for each camera, so that a steady order of the cameras leaves none out.
+        # Counted per camera, so that a regular order of the cameras leaves none out.
         seen[entry.camera] += 1
         progress(sum(seen), image_count, "searching (u, v)")
         if entry.window is None:
@@ -263,7 +264,7 @@ def _collect(
             assert pair is not None, "the image has a scan"
             collected.kept.append(observe_mount(pair, settings))
         latest[entry.camera] = entry.image
-        if not _together(latest, len(rig.cameras), settings.time.max_gap_ms):
+        if not _are_synchronized(latest, len(rig.cameras), settings.time.max_gap_ms):
             continue
         views += 1
         if views % field_every == 0 and scan.ranges_m.size == collected.scan_size:
@@ -275,7 +276,7 @@ def _collect(
 
 
 def observe_mount(pair: FramePair, settings: ChainSettings) -> MountObservation:
-    """What a pair shows of the mount."""
+    """The observation of the mount by one pair."""
     return mount_observation(
         pair.camera,
         pair.scan,
@@ -285,7 +286,7 @@ def observe_mount(pair: FramePair, settings: ChainSettings) -> MountObservation:
     )
 
 
-def _together(latest: dict[int, DepthImage], cameras: int, max_gap_ms: float) -> bool:
+def _are_synchronized(latest: dict[int, DepthImage], cameras: int, max_gap_ms: float) -> bool:
     """Whether every camera has an image of nearly the same instant."""
     stamps = [image.stamp_ns for image in latest.values()]
     return len(latest) == cameras and max(stamps) - min(stamps) <= max_gap_ms * NS_PER_MS
@@ -314,12 +315,12 @@ def turned_rad(frame: MountObservation, mount: Mount, settings: ChainSettings) -
         stamped = 0.0
     if settings.mount.frame_yaw_sd_deg == 0.0:
         return stamped
-    # The clock offset is applied to the stamps where it is asked for, and only there.
+    # A clock offset, where the user applies it, is in the stamps already.
     applied = replace(mount, clock_offset_ms=0.0)
     return stamped + frame_yaw_offset_rad(frame, applied, settings.mount)
 
 
-def _scale_of(
+def _learn_scale(
     kept: list[MountObservation],
     mount: Mount,
     settings: ChainSettings,

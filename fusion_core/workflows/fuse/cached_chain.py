@@ -1,7 +1,7 @@
-"""The chain on single frames, as a person moves through a recording: nothing is computed twice.
+"""The chain on single frames with caches, for browsing a recording.
 
-A result is kept under what its stage read and the settings of that stage and those before it, so a
-new epsilon classifies and repairs again and searches nothing.
+A result is cached by its input and the settings of its stage and those before it, so that a new
+epsilon repeats classification and repair, but no search.
 """
 
 from collections.abc import Hashable, Iterator
@@ -29,7 +29,7 @@ _FRAMES_KEPT = 48
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameChoice:
-    """What of a recording is looked at. ``picked``: an offset (u, v) chosen by hand."""
+    """A frame of a recording. ``picked_offset``: an offset (u, v) chosen by hand."""
 
     number: int
     clock_offset_ms: float = 0.0
@@ -37,7 +37,7 @@ class FrameChoice:
 
 
 class CachedChain:
-    """The chain of one session with one alignment. Safe for threads; people may share it."""
+    """The chain of one session with one alignment. Thread-safe, so that clients may share it."""
 
     def __init__(
         self, session: Session, frames: FrameReader, alignment: RecordingAlignment
@@ -67,7 +67,7 @@ class CachedChain:
         )
 
     def fused(self, choice: FrameChoice, settings: ChainSettings) -> FusedFrame:
-        """Classes and repairs of a frame. Raises as ``matched``."""
+        """Classes and repairs of a frame. Raises as ``match``."""
         match = self.match(choice, settings)
         return self._fused.get_or_compute(
             (choice, settings.read_by("repair")),
@@ -77,7 +77,7 @@ class CachedChain:
     def fuse_all(
         self, settings: ChainSettings, clock_offset_ms: float = 0.0
     ) -> Iterator[FusedFrame | PairedImage]:
-        """All frames in turn, those that could not be fused as they are; none of them is kept.
+        """All frames in order, those that could not be fused as they are; none of them is cached.
 
         A frame that cannot be read is left out: reading it has left its own warning.
         """

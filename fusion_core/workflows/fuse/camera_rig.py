@@ -1,4 +1,4 @@
-"""The rig of a recording: its cameras, and what its own transforms say of their mount."""
+"""The rig of a recording: its cameras, and their mount by the recording's own transforms."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,8 +27,9 @@ from fusion_core.workflows.sensor_geometry import (
     most_common_geometry,
 )
 
-# A base in which a camera looks straight up or down is another optical frame: it is not level.
-_STEEPEST = 0.95
+# Greatest z of a viewing direction in a level base: where a camera seems to look straight up or
+# down, the base is another optical frame.
+_VIEW_Z_MAX = 0.95
 _T_LEVEL = make_transform(R_BODY_OPTICAL, np.zeros(3))
 
 
@@ -51,7 +52,9 @@ class CameraRig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Lens:
+class _StoredCamera:
+    """A camera as the recording has it, its images not yet upright."""
+
     topic: str
     frame_id: str
     intrinsics: CameraIntrinsics
@@ -85,26 +88,28 @@ def build_camera_rig(
     if virtual and len(topics) > 1:
         notes.append(f"The virtual LiDAR is cut from {topics[0][0]}; other cameras are left out.")
         topics = topics[:1]
-    lenses = [_lens(recording, topic, info, sampling, notes) for topic, info in topics]
+    stored = [
+        _read_stored_camera(recording, topic, info, sampling, notes) for topic, info in topics
+    ]
     transforms = RecordedTransforms(recording, streams.tf_static)
     lidar_frame = ""
     geometry = None
     if streams.lidar is not None and not virtual:
         lidar_frame = first_scan(recording, streams.lidar).frame_id
         geometry = most_common_geometry(recording, streams.lidar)
-    T_base_camera, base = _poses(transforms, lenses, lidar_frame, notes)
+    T_base_camera, base = _find_camera_poses(transforms, stored, lidar_frame, notes)
     if T_base_camera is None:
-        if len(lenses) > 1:
-            left_out = ", ".join(lens.topic for lens in lenses[1:])
+        if len(stored) > 1:
+            left_out = ", ".join(camera.topic for camera in stored[1:])
             notes.append(
-                f"No static transforms connect the cameras: {lenses[0].topic} alone is used, not "
+                f"No static transforms connect the cameras: {stored[0].topic} alone is used, not "
                 f"{left_out}."
             )
-        lenses = lenses[:1]
+        stored = stored[:1]
         T_base_camera = [_T_LEVEL]
-    cameras, views, recorded = _assemble(lenses, T_base_camera, base == "lidar" and not virtual)
+    cameras, views, recorded = _assemble(stored, T_base_camera, base == "lidar" and not virtual)
     full_views = tuple(views)
-    quanta = [lens.quantum_m for lens in lenses if lens.quantum_m is not None]
+    quanta = [camera.quantum_m for camera in stored if camera.quantum_m is not None]
     if virtual:
         views = [crop_view(view) for view in views]
         cameras = [
@@ -120,7 +125,7 @@ def build_camera_rig(
         cameras=tuple(cameras),
         views=tuple(views),
         full_views=full_views,
-        stored_intrinsics=tuple(lens.intrinsics for lens in lenses),
+        stored_intrinsics=tuple(camera.intrinsics for camera in stored),
         lidar_frame=lidar_frame,
         scan_geometry=geometry,
         depth_quantum_m=max(quanta, default=None),
@@ -129,13 +134,13 @@ def build_camera_rig(
     )
 
 
-def _lens(
+def _read_stored_camera(
     recording: Recording,
     topic: str,
     info_topic: str | None,
     sampling: SamplingSettings,
     notes: list[str],
-) -> _Lens:
+) -> _StoredCamera:
     image = first_value(recording, topic)
     if not isinstance(image, DepthImage):
         raise MissingStream(
@@ -146,12 +151,12 @@ def _lens(
     height, width = image.depth_m.shape
     if info_topic is not None:
         info = first_value(recording, info_topic)
-        lens = info.intrinsics if isinstance(info, CameraInfo) else None
-        if lens is not None and (lens.height, lens.width) == (height, width):
-            return _Lens(
+        intrinsics = info.intrinsics if isinstance(info, CameraInfo) else None
+        if intrinsics is not None and (intrinsics.height, intrinsics.width) == (height, width):
+            return _StoredCamera(
                 topic=topic,
                 frame_id=image.frame_id,
-                intrinsics=lens,
+                intrinsics=intrinsics,
                 calibrated=True,
                 quantum_m=image.quantum_m,
             )
@@ -168,7 +173,7 @@ def _lens(
         cx=0.5 * (width - 1),
         cy=0.5 * (height - 1),
     )
-    return _Lens(
+    return _StoredCamera(
         topic=topic,
         frame_id=image.frame_id,
         intrinsics=assumed,
@@ -177,14 +182,14 @@ def _lens(
     )
 
 
-def _poses(
+def _find_camera_poses(
     transforms: RecordedTransforms,
-    lenses: Sequence[_Lens],
+    cameras: Sequence[_StoredCamera],
     lidar_frame: str,
     notes: list[str],
 ) -> tuple[list[FloatArray] | None, str]:
     """Each camera's (4, 4) pose on a level base, and which base: the LiDAR, or a common root."""
-    frames = [frame_name(lens.frame_id) for lens in lenses]
+    frames = [frame_name(camera.frame_id) for camera in cameras]
     root = transforms.root_of(frames[0])
     for base, name in ((frame_name(lidar_frame), "lidar"), (root, "root")):
         if not base or base == frames[0]:
@@ -193,7 +198,7 @@ def _poses(
             poses = [transforms.tree.lookup(base, frame, 0) for frame in frames]
         except ScanLoomError:
             continue
-        if all(abs(T_base_camera[2, 2]) < _STEEPEST for T_base_camera in poses):
+        if all(abs(T_base_camera[2, 2]) < _VIEW_Z_MAX for T_base_camera in poses):
             return poses, name
         if name == "lidar":
             notes.append(
@@ -204,29 +209,29 @@ def _poses(
 
 
 def _assemble(
-    lenses: Sequence[_Lens], T_base_camera: Sequence[FloatArray], base_is_lidar: bool
+    stored: Sequence[_StoredCamera], T_base_camera: Sequence[FloatArray], base_is_lidar: bool
 ) -> tuple[list[Camera], list[UprightView], Mount | None]:
     """Cameras on a rig frame whose origin is the mean optical centre. One camera looks along the
     rig's x; several keep the axes of the base that their poses share."""
     centre = np.mean([T[:3, 3] for T in T_base_camera], axis=0)
     yaw_rad = 0.0
-    if len(lenses) == 1:
+    if len(stored) == 1:
         yaw_rad = float(np.arctan2(T_base_camera[0][1, 2], T_base_camera[0][0, 2]))
     R_rig_base = rotation_from_yaw_pitch_roll(-yaw_rad, 0.0, 0.0)
     cameras = []
     views = []
-    for lens, T in zip(lenses, T_base_camera, strict=True):
+    for camera, T in zip(stored, T_base_camera, strict=True):
         R_rig_stored = R_rig_base @ T[:3, :3]
-        view = upright_view(lens.intrinsics, R_rig_stored[2, :])
+        view = upright_view(camera.intrinsics, R_rig_stored[2, :])
         views.append(view)
         cameras.append(
             Camera(
-                topic=lens.topic,
+                topic=camera.topic,
                 intrinsics=view.intrinsics,
                 T_rig_camera=make_transform(
                     R_rig_stored @ view.R_stored_view, R_rig_base @ (T[:3, 3] - centre)
                 ),
-                calibrated=lens.calibrated,
+                calibrated=camera.calibrated,
             )
         )
     recorded = None

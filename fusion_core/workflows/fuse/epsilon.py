@@ -13,7 +13,7 @@ from fusion_core.workflows.fuse.settings import PRESETS
 EpsilonUnit = Literal["sigma", "E", "m"]
 EPSILON_UNITS: tuple[EpsilonUnit, ...] = get_args(EpsilonUnit)
 
-# Where a unit has no length in a frame: the presets' own, and 10 cm.
+# For a unit whose length is not known in a frame: the presets' values, and 10 cm.
 _DEFAULT_EPSILON: dict[EpsilonUnit, float] = {
     "m": 0.10,
     **{preset.noise.epsilon_unit: preset.noise.epsilon for preset in PRESETS.values()},
@@ -22,13 +22,13 @@ _DEFAULT_EPSILON: dict[EpsilonUnit, float] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpsilonInFrame:
-    """``middle_m``: median threshold over the pairs with both values, between ``least_m`` and
-    ``greatest_m``; ``beyond`` of these ``compared`` pairs disagree by more than theirs. ``E_m``: E.
-    NaN where the frame has none."""
+    """``median_m``, ``min_m``, ``max_m``: threshold over the ``compared`` pairs with both values;
+    ``beyond`` of these disagree by more than their threshold. ``E_m``: E. NaN where the frame has
+    none."""
 
-    middle_m: float
-    least_m: float
-    greatest_m: float
+    median_m: float
+    min_m: float
+    max_m: float
     beyond: int
     compared: int
     E_m: float
@@ -57,7 +57,7 @@ def unit_lengths_m(match: FrameMatch, alignment: RecordingAlignment) -> dict[Eps
 def convert_epsilon(
     epsilon: float, old: EpsilonUnit, new: EpsilonUnit, lengths_m: dict[EpsilonUnit, float]
 ) -> float:
-    """Epsilon in another unit with about the same length; the usual one where a unit has none."""
+    """Epsilon in another unit with about the same length; the default where a unit has none."""
     if old == new:
         return epsilon
     if old not in lengths_m or new not in lengths_m:
@@ -66,7 +66,7 @@ def convert_epsilon(
 
 
 def measure_epsilon(frame: FusedFrame) -> EpsilonInFrame:
-    """What the threshold is in a frame, and how many pairs disagree by more."""
+    """The threshold in a frame, and how many pairs exceed it."""
     compared = np.isfinite(frame.match.correspondence.residual_m)
     epsilon_m: FloatArray = frame.classes.epsilon_m[compared]
     E_m = (
@@ -74,9 +74,9 @@ def measure_epsilon(frame: FusedFrame) -> EpsilonInFrame:
     )
     known = bool(epsilon_m.size)
     return EpsilonInFrame(
-        middle_m=frame.epsilon_m,
-        least_m=float(epsilon_m.min()) if known else float("nan"),
-        greatest_m=float(epsilon_m.max()) if known else float("nan"),
+        median_m=frame.epsilon_m,
+        min_m=float(epsilon_m.min()) if known else float("nan"),
+        max_m=float(epsilon_m.max()) if known else float("nan"),
         beyond=int((np.abs(frame.match.correspondence.residual_m[compared]) > epsilon_m).sum()),
         compared=int(compared.sum()),
         E_m=E_m,

@@ -117,7 +117,7 @@ def export_clouds(
 def _raw_scans(session: Session) -> Iterator[LaserScan]:
     """The recording's scans as the results have them, each once and in the same order."""
     messages = session.recording.messages([str(session.streams.lidar)])
-    for message in session.fitting.accepted(messages):
+    for message in session.geometry_filter.accepted(messages):
         if isinstance(message.value, LaserScan):
             yield message.value
 

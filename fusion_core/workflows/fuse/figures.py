@@ -67,7 +67,7 @@ TABLE_1_COLUMNS = (
     "not_positive",
     "missing",
 )
-# The log may order colour and depth images otherwise than their stamps, by a few messages.
+# In the log, colour and depth images may be out of the order of their stamps by a few messages.
 _COLOR_NEIGHBOURS = 3
 
 
@@ -160,15 +160,15 @@ def write_figures(folder: Path, data: FigureData) -> list[str]:
 
 
 def printable(name: str) -> str:
-    """A name in letters that the figures' font has."""
+    """A name in characters that the figures' font has."""
     return escape_undecodable(name).encode("latin-1", errors="replace").decode("latin-1")
 
 
 def table_1_row(room: str, scores: dict[str, int]) -> dict[str, Any]:
     """A row of Table 1: frames by their own greatest Pearson score."""
     scored = scores["low"] + scores["middle"] + scores["high"]
-    share = 100.0 * scores["high"] / scored if scored else float("nan")
-    return {"room": room, "high_percent": round(share, 2), **scores}
+    high_percent = 100.0 * scores["high"] / scored if scored else float("nan")
+    return {"room": room, "high_percent": round(high_percent, 2), **scores}
 
 
 def write_table_1(path: Path, rows: Iterable[dict[str, Any]]) -> None:
@@ -251,7 +251,7 @@ def _frame_name(session: "Session", frame: FusedFrame) -> str:
 def _write_showcase(folder: Path, heading: str, session: "Session", frame: FusedFrame) -> None:
     match = frame.match
     about = f"{heading}\n{_frame_name(session, frame)}"
-    found = _color_near(session, frame)
+    found = _nearest_color_image(session, frame)
     color = (
         None
         if found is None
@@ -325,7 +325,7 @@ def _write_showcase(folder: Path, heading: str, session: "Session", frame: Fused
     )
 
 
-def _color_near(session: "Session", frame: FusedFrame) -> ColorImage | None:
+def _nearest_color_image(session: "Session", frame: FusedFrame) -> ColorImage | None:
     """The colour image nearest in stamp among the few that were logged around the depth image."""
     match = frame.match
     topic = session.streams.color[
@@ -343,7 +343,7 @@ def _color_near(session: "Session", frame: FusedFrame) -> ColorImage | None:
         try:
             value = session.recording.read(topic, index).value
         except RecordingError:
-            # A damaged picture is no reason to fail; reading it has left its own warning.
+            # A damaged image is no reason to fail; reading it has left its own warning.
             continue
         if isinstance(value, ColorImage) and (
             nearest is None
@@ -354,8 +354,8 @@ def _color_near(session: "Session", frame: FusedFrame) -> ColorImage | None:
 
 
 def remap_color(rgb: ByteArray, view: UprightView) -> ByteArray:
-    """A colour image as the depth view shows it: pixel by pixel where both have one size, else
-    only turned upright."""
+    """A colour image in the depth image's upright view: pixel by pixel where both have one size,
+    else only turned upright."""
     if rgb.shape[:2] != view.stored_shape:
         right_x, right_y = np.rint(view.R_stored_view[:2, 0]).astype(int)
         turns = {(1, 0): 0, (0, 1): 1, (-1, 0): 2, (0, -1): 3}[int(right_x), int(right_y)]

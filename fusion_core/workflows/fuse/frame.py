@@ -46,14 +46,14 @@ from fusion_core.workflows.fuse.settings import ChainSettings
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameMatch:
-    """What pairs a depth image with its scan: everything before the classes.
+    """A depth image matched with its scan: the results of all stages before classification.
 
-    ``curve`` and ``row`` sample the fields of
-    ``search``. ``registration`` is None where it failed, and ``refusal`` says why.
-    ``u_of_rig``: what to add to a peak's u, which is the camera's own, to get that of the
+    ``curve`` and ``row`` sample the fields of ``search``. ``registration`` is None where it failed,
+    for the reason in ``refusal``.
+    ``u_of_rig``: added to a peak's u, which counts on the camera's own row, it gives the u of the
     recording's field; not 0 where several cameras make a panorama.
     ``turned_rad``: the turn from scan to image that the pairs were corrected by.
-    ``turn_rate_rad_s``: how fast the LiDAR turns, NaN where its scans do not tell.
+    ``turn_rate_rad_s``: of the LiDAR, NaN where it cannot be estimated from its scans.
     """
 
     pair: FramePair
@@ -107,7 +107,7 @@ class FusedFrame:
 
     @property
     def pixel_changed(self) -> BoolArray:
-        """(B,): pairs whose pixel the repair gave another value."""
+        """(B,): pairs whose pixel was changed by the repair."""
         repaired_m = self.repair.depth_m
         changed: BoolArray = (self.match.correspondence.row >= 0) & np.isfinite(repaired_m)
         changed &= repaired_m != self.match.correspondence.depth_m
@@ -177,7 +177,8 @@ def match_frame(
         turned = turned_rad(kept, alignment.mount, settings)
         T_lidar_camera = T_lidar_camera_at(model, alignment.mount, turned)
         pairs = match_along_curve(scan, depth_m, kept.depth_m, model, T_lidar_camera)
-        # The rows are searched at rest: what the LiDAR turned meanwhile is no part of the offset.
+        # The search does not correct the turn between the stamps: it is removed from the offset
+        # that is expected.
         prior_u = _offset_of_pairs(pairs, curve, row, model, prior_u - turned / curve.step_rad)
         prior_u += turned / curve.step_rad
     found = search_offset(scan, depth_m, curve, row, prior_u, settings)
@@ -185,11 +186,13 @@ def match_frame(
     if pairs is not None:
         registration, refusal = _register(pairs, settings)
     elif settings.pairing == "frame":
-        chosen = picked if picked is not None else _place_of(peak)
-        pairs, registration, refusal = _by_own_peak(scan, depth_m, curve, row, chosen, settings)
+        chosen = picked if picked is not None else _offset_of_peak(peak)
+        pairs, registration, refusal = _match_by_own_peak(
+            scan, depth_m, curve, row, chosen, settings
+        )
     else:
         mount = Mount(yaw_rad=alignment.mount.yaw_rad)
-        chosen = picked if picked is not None else _place_of(peak)
+        chosen = picked if picked is not None else _offset_of_peak(peak)
         if chosen is not None:
             mount = Mount(yaw_rad=yaw_of_offset_rad(chosen[0], curve, row.left_rad))
         v = round(chosen[1] if chosen is not None else alignment.peak.v)
@@ -247,13 +250,13 @@ def classify_and_repair(
 
 
 def curves_at(
-    match: FrameMatch, place: tuple[float, float], *, masked: bool = True
+    match: FrameMatch, offset: tuple[float, float], *, masked: bool = True
 ) -> tuple[FloatArray, FloatArray]:
     """(W,) samples of the LiDAR's curve and of the depth row that are compared at an offset (u, v)
     of the frame's own row. ``masked``: holes are NaN, else 0."""
-    v = int(np.clip(round(place[1]), 0, match.depth_m.shape[0] - 1))
+    v = int(np.clip(round(offset[1]), 0, match.depth_m.shape[0] - 1))
     depth_m = row_samples_m(match.depth_m[v : v + 1], match.row)[0]
-    index = round(place[0]) + np.arange(depth_m.size)
+    index = round(offset[0]) + np.arange(depth_m.size)
     inside = (index >= 0) & (index < match.curve.beams.size)
     lidar_m = np.full(depth_m.size, np.nan)
     lidar_m[inside] = curve_samples_m(match.scan, match.curve)[index[inside]]
@@ -263,7 +266,7 @@ def curves_at(
     return lidar_m, depth_m
 
 
-def _place_of(peak: Peak | None) -> tuple[float, float] | None:
+def _offset_of_peak(peak: Peak | None) -> tuple[float, float] | None:
     return None if peak is None else (peak.u, peak.v)
 
 
@@ -274,8 +277,8 @@ def _offset_of_pairs(
     camera: Camera,
     otherwise: float,
 ) -> float:
-    """The offset u that the mount expects in this frame: the median over the pairs, so with the
-    lever arm at the ranges that are there. ``otherwise`` where nothing pairs."""
+    """The offset u of this frame by the mount: the median over the pairs, which includes the effect
+    of the lever arm at their ranges. ``otherwise`` where there is no pair."""
     paired = np.isfinite(pairs.residual_m)
     if not paired.any():
         return otherwise
@@ -288,8 +291,8 @@ def _offset_of_pairs(
 def _offset_to_rig(
     pairs: Correspondence, row: RowSampling, camera: Camera, rig_row: RowSampling
 ) -> float:
-    """What a camera's own u lacks to the recording's: the median over the pairs of how much
-    further left their pixels lie on its own row than on the rig's, whose origin is elsewhere."""
+    """The recording's u minus a camera's own: the median over the pairs of how much further left
+    their pixels lie on the camera's row than on the rig's, whose origin is elsewhere."""
     paired = np.isfinite(pairs.residual_m) & (pairs.row >= 0)
     if not camera.T_rig_camera[:3, 3].any() or not paired.any():
         return (row.left_rad - rig_row.left_rad) / rig_row.step_rad
@@ -311,18 +314,18 @@ def _register(pairs: Correspondence, settings: ChainSettings) -> tuple[Registrat
         return None, error.problem
 
 
-def _by_own_peak(
+def _match_by_own_peak(
     scan: LaserScan,
     depth_m: Float32Array,
     curve: CurveSampling,
     row: RowSampling,
-    place: tuple[float, float] | None,
+    offset: tuple[float, float] | None,
     settings: ChainSettings,
 ) -> tuple[Correspondence, Registration | None, str]:
-    """The paper's way: samples of the frame's own (u, v), tied by A alone."""
-    if place is None:
+    """The paper's method: samples paired at the frame's own (u, v) and related only by A."""
+    if offset is None:
         raise AlignmentFailed("the frame's field has no peak.")
-    pairs, lidar, depth = match_by_sample(scan, depth_m, curve.beams, row.columns, *place)
+    pairs, lidar, depth = match_by_sample(scan, depth_m, curve.beams, row.columns, *offset)
     try:
         registration = register(lidar, depth, settings.registration)
     except RegistrationFailed as error:
@@ -336,7 +339,7 @@ def _by_own_peak(
 def _columns_turned(
     previous: UprightDepth | None, stamp_ns: int, rate_rad_s: float, camera: Camera
 ) -> float:
-    """Columns to the right by which a surface lay in the image before."""
+    """Shift of a surface from this image to the one before, in columns to the right."""
     if previous is None or not np.isfinite(rate_rad_s):
         return 0.0
     turned = rate_rad_s * (stamp_ns - previous.stamp_ns) / NS_PER_S

@@ -1,4 +1,4 @@
-"""Any depth image of a session with the scans around it, without reading what lies before."""
+"""Random access to the depth images of a session, each with the scans around it."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from fusion_core.model.sensors import ColorImage, DepthImage, LaserScan
 from fusion_core.workflows.fuse.pairing import PairedImage, UprightDepth, pair_with, virtual_pair
 from fusion_core.workflows.fuse.session import Session
 
-# Scans are looked for among those logged next to the image, so many to either side.
+# Scans that are read to either side of an image, in the order of the log.
 _SCANS_BESIDE = 6
 _SCANS_KEPT = 64
 
@@ -121,8 +121,8 @@ class FrameReader:
         return self._scans.get_or_compute(index, lambda: self._read_scan(lidar, index))
 
     def _read_scan(self, topic: str, index: int) -> LaserScan | None:
-        # As in a pass over the recording, the next one nearest takes the place of what is left out.
-        if not self._session.fitting.is_in_order(topic, index):
+        # As in a pass over the recording: where a scan is left out, the next nearest is taken.
+        if not self._session.geometry_filter.is_in_order(topic, index):
             return None
         try:
             value = self._session.recording.read(topic, index).value

@@ -37,7 +37,7 @@ def fuse(
     """Fuse a recording into a folder of results.
 
     Raises ScanLoomError: RecordingError and MissingStream for the input, SettingsError,
-    AlignmentFailed where LiDAR and depth cannot be laid on each other, ExportError for the folder.
+    AlignmentFailed where LiDAR and depth cannot be aligned, ExportError for the folder.
     """
     preset, settings = chain_settings(options.preset, options.settings_file, options.seed)
     settings_text = settings_toml(preset, settings)

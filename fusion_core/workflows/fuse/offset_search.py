@@ -18,7 +18,7 @@ from fusion_core.workflows.fuse.settings import ChainSettings
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OffsetSearch:
     """The fields of one frame, and each metric's peak with the prior (``peaks``) and without it
-    (``peaks_alone``). A metric without a peak is absent."""
+    (``peaks_without_prior``). A metric without a peak is absent."""
 
     fields: dict[Metric, SimilarityField]
     peaks: dict[Metric, Peak]
@@ -42,23 +42,24 @@ def search_offset(
     metric = settings.search.metric
     expected = False
     if settings.search.use_prior:
-        reach = settings.search.prior_samples
+        half_width = settings.search.prior_samples
+        window = (prior_u - half_width, prior_u + half_width)
         near = _peaks(fields, settings, prior_u)
-        near = _refine_below_sample(
-            near, scan, rows_m, (prior_u - reach, prior_u + reach), METRICS, settings
+        near = _refine_to_subsample(near, scan, rows_m, window, METRICS, settings)
+        expected = (
+            metric in alone and metric in near and abs(alone[metric].u - prior_u) <= half_width
         )
-        expected = metric in alone and metric in near and abs(alone[metric].u - prior_u) <= reach
     if expected:
-        # The frame found by itself what the recording expects: one refinement serves both.
+        # The peak without the prior lies where the prior expects it: one refinement serves both.
         alone[metric] = max(alone[metric], near[metric], key=lambda peak: peak.score)
     elif metric in alone:
         u = alone[metric].u
-        alone = _refine_below_sample(alone, scan, rows_m, (u - 1.0, u + 1.0), (metric,), settings)
+        alone = _refine_to_subsample(alone, scan, rows_m, (u - 1.0, u + 1.0), (metric,), settings)
     peaks = near if settings.search.use_prior else alone
     return OffsetSearch(fields=fields, peaks=peaks, peaks_without_prior=alone)
 
 
-def _refine_below_sample(
+def _refine_to_subsample(
     peaks: dict[Metric, Peak],
     scan: LaserScan,
     rows_m: FloatArray,
@@ -69,8 +70,8 @@ def _refine_below_sample(
     """The peaks, or better ones at offsets between two whole samples.
 
     An offset of half a sample blurs every edge of the curve against the row's, and rows far from
-    the true one may then fit as well: so the curve is sampled again a share of a sample further
-    right, over the few samples that matter.
+    the true one may then fit as well: so the curve is sampled again a fraction of a sample further
+    right, over the few samples of the window.
     """
     best = dict(peaks)
     if settings.sampling.by == "index":

@@ -15,7 +15,7 @@ from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.fuse.camera_rig import CameraRig
 from fusion_core.workflows.sensor_geometry import GeometryFilter
 
-# Streams of a log arrive a little out of step; what lies farther apart belongs to no pair.
+# Streams of a log may be interleaved out of the order of their stamps by this many messages.
 SCANS_KEPT = 64
 _IMAGES_WAITING = 32
 
@@ -43,7 +43,7 @@ class UprightDepth:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FramePair:
-    """A depth image and its scan as they travel through the chain.
+    """A depth image and its scan: the input of the chain for one frame.
 
     ``camera`` is the rig's camera number ``camera_index``. ``image`` is as stored, ``depth_m`` its
     upright view (H', W'), without the rows that a virtual LiDAR is cut from. ``window``: the scan
@@ -92,19 +92,16 @@ def paired_images(
             yield value
         elif isinstance(value, DepthImage):
             waiting.append((topics.index(message.topic), value))
-        while waiting and _settled(waiting[0][1].stamp_ns - offset_ns, scans, max_gap_ns, waiting):
+        while waiting and _is_settled(waiting[0][1].stamp_ns - offset_ns, scans, waiting):
             yield pair_with(*waiting.popleft(), scans, offset_ns, max_gap_ns)
     while waiting:
         yield pair_with(*waiting.popleft(), scans, offset_ns, max_gap_ns)
 
 
-def _settled(
-    stamp_ns: int,
-    scans: deque[LaserScan],
-    max_gap_ns: int,
-    waiting: deque[tuple[int, DepthImage]],
+def _is_settled(
+    stamp_ns: int, scans: deque[LaserScan], waiting: deque[tuple[int, DepthImage]]
 ) -> bool:
-    """No later scan can be nearer, and the one after the nearest has come."""
+    """Whether no later scan can be nearer, and the one after the nearest has come."""
     after = sum(scan.stamp_ns > stamp_ns for scan in scans)
     return after >= 2 or len(waiting) > _IMAGES_WAITING
 

@@ -17,8 +17,8 @@ class PairingGaps:
     """The n depth images of a recording, in the order in which they were paired.
 
     ``time_ns``: (n,) log times. ``gap_ms``: (n,) image stamp, less the applied clock offset, less
-    the stamp of the nearest scan; NaN where there is no scan. ``paired``: (n,) whether that scan is
-    near enough. ``scan_period_ms``: median time between scans, NaN for fewer than two.
+    the stamp of the nearest scan; NaN where there is no scan. ``is_paired``: (n,) whether that scan
+    is near enough. ``scan_period_ms``: median time between scans, NaN for fewer than two.
     """
 
     time_ns: IntArray
@@ -28,15 +28,15 @@ class PairingGaps:
 
     def __post_init__(self) -> None:
         if not self.time_ns.shape == self.gap_ms.shape == self.is_paired.shape:
-            raise ValueError("time_ns, gap_ms and paired must have one length")
+            raise ValueError("time_ns, gap_ms and is_paired must have one length")
         for array_ in (self.time_ns, self.gap_ms, self.is_paired):
             read_only(array_)
 
 
 class PairingStamps:
-    """The stamps of all scans and depth images that pass by in a pass over a recording.
+    """The stamps of all scans and depth images, collected in a pass over a recording.
 
-    One pass serves every clock offset: gaps follow from the stamps alone.
+    One pass serves every clock offset, since the gaps follow from the stamps only.
     """
 
     def __init__(self) -> None:
@@ -48,7 +48,7 @@ class PairingStamps:
     def observe(
         self, entries: Iterable[LaserScan | PairedImage]
     ) -> Iterator[LaserScan | PairedImage]:
-        """The entries as they are, noted. ``complete`` once they have all passed."""
+        """Pass the entries on and collect their stamps; ``is_complete`` after the last one."""
         for entry in entries:
             if isinstance(entry, LaserScan):
                 self._scan_ns.append(entry.stamp_ns)

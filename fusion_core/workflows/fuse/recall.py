@@ -1,4 +1,4 @@
-"""Fig. 6 of Xu 2024 for an aligned recording and the settings of the moment, with its truth."""
+"""Fig. 6 of Xu 2024 for an aligned recording with its truth, under the current settings."""
 
 import json
 from pathlib import Path
@@ -28,7 +28,7 @@ __all__ = ["PAPER_BAND", "RecallCurve", "recall_of", "truth_beside"]
 
 
 def truth_beside(recording: Path) -> Path | None:
-    """The truth that stands beside a recording under its name, None where there is none."""
+    """The truth file beside a recording, under its name; None where there is none."""
     truth = truth_path(recording)
     return truth if truth.is_file() else None
 
@@ -40,9 +40,9 @@ def recall_of(
     clock_offset_ms: float = 0.0,
     progress: Progress = silent,
 ) -> RecallCurve:
-    """The recalls of a whole recording; they depend on no setting of the classes.
+    """The recalls of a whole recording; they do not depend on the settings of the classes.
 
-    Raises ScanLoomError where the truth is unfit, or another recording's.
+    Raises ScanLoomError where the truth is invalid, or of another recording.
     """
     known = load_truth(truth)
     with TemporaryDirectory(prefix="scanloom-") as name:
@@ -58,7 +58,7 @@ def _write_alignment(chain: CachedChain, folder: Path, known: Truth) -> None:
         chain.alignment, session.rig, "", virtual=session.virtual_row is not None, notes=[]
     )
     (folder / "alignment.json").write_text(json.dumps(document), encoding="utf-8")
-    # What does not belong together is told before the frames are gone through.
+    # Fails before any frame is read where the truth is of another recording.
     associate_truth(known, open_fuse_folder(folder))
 
 
@@ -69,7 +69,7 @@ def _write_frames(
     folder: Path,
     progress: Progress,
 ) -> None:
-    """The tables of ``fuse``, which hold what is compared with the truth."""
+    """The tables of ``fuse`` that are compared with the truth."""
     rig = chain.session.rig
     with (
         CsvTable(folder / "frames.csv", FRAME_COLUMNS) as frames,

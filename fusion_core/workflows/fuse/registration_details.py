@@ -1,5 +1,5 @@
-"""What there is to see of a frame's registration: its pairs in the plane, its draws, what A means,
-and the residuals along the curve.
+"""Details of a frame's registration for display: its pairs in the plane, RANSAC's draws, A as
+rotation, scale and translation, and the residuals along the curve.
 """
 
 from dataclasses import dataclass
@@ -25,8 +25,8 @@ __all__ = [
     "ResidualCurve",
     "TransformDecomposition",
     "consensus_probabilities",
+    "decompose_registration",
     "draw_at",
-    "meaning_of_registration",
     "planar_pairs",
     "residual_curve",
 ]
@@ -36,8 +36,8 @@ __all__ = [
 class PlanarPairs:
     """The m pairs of a frame as (m, 2) points, x to the right and z ahead, NaN where missing.
 
-    ``mapped_m``: the LiDAR's points through A, ``inliers``: (m,) who agrees with it; None where
-    there is no A.
+    ``mapped_m``: the LiDAR's points mapped by A, ``inliers``: (m,) pairs that agree with it; None
+    where there is no A.
     """
 
     lidar_m: FloatArray
@@ -48,28 +48,30 @@ class PlanarPairs:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RansacDraw:
-    """One draw of RANSAC: ``pairs`` (n,) of the m pairs, their own ``A`` (3, 3), the pairs that
-    agree with it, ``agree`` (m,), and the LiDAR's points through it, ``mapped_m`` (m, 2).
+    """One draw of RANSAC.
 
-    A is NaN where the pairs do not determine it; nothing agrees then.
+    ``pairs``: (n,) the drawn ones of the m pairs. ``A``: (3, 3) fitted to them, NaN where they do
+    not determine it. ``is_inlier``: (m,) pairs that agree with A, none where it is NaN.
+    ``mapped_m``: (m, 2) the LiDAR's points mapped by A.
     """
 
     index: int
     pairs: IntArray
     A: FloatArray
-    agree: BoolArray
+    is_inlier: BoolArray
     mapped_m: FloatArray
 
     @property
     def inliers(self) -> int:
         """Number of pairs that agree."""
-        return int(self.agree.sum())
+        return int(self.is_inlier.sum())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Consensus:
-    """``share``: c, inliers of A among the valid pairs; ``clean``: probability cⁿ that a draw holds
-    inliers alone; ``clean_once``: that one of the N draws did, 1 - (1 - cⁿ)^N."""
+    """``inlier_fraction``: c, inliers of A among the valid pairs; ``clean_probability``: cⁿ that a
+    draw of n pairs holds inliers only; ``any_clean_probability``: that at least one of the N draws
+    did, 1 - (1 - cⁿ)^N."""
 
     inlier_fraction: float
     clean_probability: float
@@ -96,7 +98,7 @@ class ResidualCurve:
 
 
 def planar_pairs(match: FrameMatch) -> PlanarPairs:
-    """The pairs as registration had them."""
+    """The pairs that registration was given."""
     found = match.registration
     if found is not None:
         lidar_m = found.draws.lidar_points_m
@@ -116,30 +118,32 @@ def planar_pairs(match: FrameMatch) -> PlanarPairs:
 
 
 def draw_at(registration: Registration, index: int) -> RansacDraw:
-    """A draw of the model that was taken, as it was at first. Raises IndexError."""
+    """A draw of the chosen model, before refinement. Raises IndexError."""
     draw = registration.draws[index]
     lidar_m = registration.draws.lidar_points_m
     return RansacDraw(
         index=draw.index,
         pairs=draw.pairs,
         A=draw.A,
-        agree=draw.is_inlier,
+        is_inlier=draw.is_inlier,
         mapped_m=apply_transform(draw.A, lidar_m),
     )
 
 
 def consensus_probabilities(registration: Registration) -> Consensus:
     """How likely the draws were to hold a clean one, by the inliers of A."""
-    share = int(registration.inliers.sum()) / registration.valid
-    clean = share**registration.draws.sample_size
+    inlier_fraction = int(registration.inliers.sum()) / registration.valid
+    clean = inlier_fraction**registration.draws.sample_size
     missed = (1.0 - clean) ** len(registration.draws)
     return Consensus(
-        inlier_fraction=share, clean_probability=clean, any_clean_probability=1.0 - missed
+        inlier_fraction=inlier_fraction,
+        clean_probability=clean,
+        any_clean_probability=1.0 - missed,
     )
 
 
-def meaning_of_registration(registration: Registration) -> TransformDecomposition:
-    """What A does in the middle of its inliers."""
+def decompose_registration(registration: Registration) -> TransformDecomposition:
+    """A as rotation, scale and translation, at the mean of its inliers."""
     middle_m = registration.draws.lidar_points_m[registration.inliers].mean(axis=0)
     return decompose_transform(registration.A, middle_m)
 

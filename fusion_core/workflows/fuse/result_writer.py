@@ -30,7 +30,7 @@ from fusion_core.workflows.fuse.tables import (
 )
 from fusion_core.workflows.recorded_poses import PoseLookup
 
-# Small row groups: what waits for one counts in the memory of every run.
+# Small row groups, since the rows of an unfinished one are held in memory.
 _SAMPLES_PER_GROUP = 8192
 
 

@@ -23,7 +23,7 @@ _TABLE_NAME = "table1.csv"
 
 @dataclass(frozen=True, kw_only=True)
 class RoomsSummary:
-    """What became of each room: rows of Table 1, and why a room is left out."""
+    """The result of each room: rows of Table 1, and why other rooms were left out."""
 
     output: Path
     rows: tuple[dict[str, Any], ...]
@@ -95,7 +95,7 @@ def _check_output(root: Path, output: Path) -> None:
     table = output / _TABLE_NAME
     if (output / MANIFEST_NAME).exists() or (table.exists() and not is_table_1(table)):
         raise ExportError(
-            "holds files that are no rooms of a session.",
+            "holds files that are not rooms of a session.",
             file=output,
             advice="Name another output folder.",
         )

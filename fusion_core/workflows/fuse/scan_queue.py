@@ -1,4 +1,4 @@
-"""Each input scan once, with what the images paired with it have repaired."""
+"""Each input scan once, with the repairs of all images paired with it."""
 
 from collections.abc import Iterator
 
@@ -24,7 +24,7 @@ class _WaitingScan:
 class RepairedScanQueue:
     """Scans wait until no image can be paired with them any more, so memory stays bounded.
 
-    Where two images judge the same beam, the one nearer in time decides.
+    Where two images repair the same beam, the one nearer in time decides.
     """
 
     def __init__(self) -> None:
@@ -32,11 +32,11 @@ class RepairedScanQueue:
         self._pending: dict[int, _WaitingScan] = {}
 
     def push(self, scan: LaserScan) -> None:
-        """A scan as it comes from the recording."""
+        """Add a scan of the recording."""
         self._pending[id(scan)] = _WaitingScan(scan)
 
     def apply_repairs(self, frame: FusedFrame) -> None:
-        """The repairs of one image, whose scan must still wait."""
+        """Apply the repairs of one image, whose scan must still wait."""
         pending = self._pending[id(frame.match.scan)]
         beam = frame.match.correspondence.beam
         nearer = abs(frame.match.pair.gap_ns) < pending.gap_ns[beam]
@@ -58,3 +58,10 @@ class RepairedScanQueue:
     def _pop_oldest(self) -> tuple[LaserScan, LaserScan]:
         pending = self._pending.pop(next(iter(self._pending)))
         return pending.scan, pending.scan.with_ranges(pending.ranges_m, pending.codes)
+
+
+def ranges_without_burrs_m(raw: LaserScan, repaired: LaserScan) -> FloatArray:
+    """(N,) repaired ranges of a scan from the queue, NaN where a burr could not be repaired: it is
+    not an obstacle, and the space before it need not be free."""
+    unrepaired = (repaired.intensities == NoiseClass.BURR) & (repaired.ranges_m == raw.ranges_m)
+    return np.where(unrepaired, np.nan, repaired.ranges_m)

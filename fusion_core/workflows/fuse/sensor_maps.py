@@ -9,20 +9,20 @@ from fusion_core.exporting.map_picture import write_difference_picture, write_gr
 from fusion_core.exporting.ros_map import write_ros_map
 from fusion_core.mapping.difference import compare_maps
 from fusion_core.mapping.grid import GridBuilder, GridSettings
-from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import MappingFailed
 from fusion_core.model.grids import MapDifference, OccupancyGrid
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.scan_queue import ranges_without_burrs_m
 from fusion_core.workflows.recorded_poses import PoseLookup
 
 
 class SensorMaps:
     """Three grids that grow with the mapped area only.
 
-    A range longer than the largest map is wide is in none of them. A grid that would grow larger
-    is given up, and the others go on.
+    A range longer than the side of the largest map is in none of them. A grid that would grow
+    larger than that is given up, and the others go on.
     """
 
     def __init__(self, poses: PoseLookup, settings: GridSettings) -> None:
@@ -34,7 +34,7 @@ class SensorMaps:
         self.scans_without_pose = 0
 
     def add_camera(self, frame: FusedFrame) -> None:
-        """What the camera alone says along the LiDAR's plane."""
+        """Add the camera's ranges in the LiDAR's plane."""
         pose = self._poses.at(frame.match.scan.stamp_ns)
         if pose is not None:
             self._add(
@@ -46,16 +46,14 @@ class SensorMaps:
             )
 
     def add_scan(self, raw: LaserScan, repaired: LaserScan) -> None:
-        """A scan as it came, and as it was repaired."""
+        """Add a scan, raw to the LiDAR's map and repaired to the fused one."""
         pose = self._poses.at(raw.stamp_ns)
         if pose is None:
             self.scans_without_pose += 1
             return
         self._add("lidar", pose, raw.angles_rad, raw.ranges_m, raw)
-        # A burr that nothing could repair is no obstacle, and what lies before it need not be free.
-        left = (repaired.intensities == NoiseClass.BURR) & (repaired.ranges_m == raw.ranges_m)
-        trusted = np.where(left, np.nan, repaired.ranges_m)
-        self._add("fused", pose, repaired.angles_rad, trusted, raw)
+        trusted_m = ranges_without_burrs_m(raw, repaired)
+        self._add("fused", pose, repaired.angles_rad, trusted_m, raw)
 
     def _add(
         self, name: str, pose: FloatArray, angles: FloatArray, ranges: FloatArray, scan: LaserScan
@@ -88,7 +86,7 @@ class SensorMaps:
                 notes.append(f"No {name} map: {self._failed[name]}")
                 continue
             try:
-                # One at a time is let go: what it grew in is larger than the map.
+                # Popped one by one to free their memory: a builder is larger than its map.
                 grids[name] = self._builders.pop(name).build()
             except MappingFailed as error:
                 notes.append(f"No {name} map: {error.problem}")

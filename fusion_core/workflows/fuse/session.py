@@ -24,9 +24,9 @@ from fusion_core.workflows.source import RoomChoice
 
 @dataclass(frozen=True, kw_only=True)
 class FuseOptions:
-    """What a person asks of a run; the chain's own settings are in the preset and the file.
+    """The options of a run; the chain's own settings are in the preset and the file.
 
-    ``seed`` goes over theirs; None leaves it to them. ``room`` is a room of a data set.
+    ``seed`` overrides theirs unless None. ``room`` is a room of a data set.
     """
 
     preset: PresetName = "default"
@@ -47,24 +47,24 @@ class FuseOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class Session:
-    """An opened recording with all that its frames need: the rig and a way to run over it."""
+    """An opened recording with its streams, its rig and its settings."""
 
     recording: Recording
     streams: Streams
     rig: CameraRig
-    fitting: GeometryFilter
+    geometry_filter: GeometryFilter
     settings: ChainSettings
     virtual_row: int | None
 
     def pairs(self, clock_offset_ms: float = 0.0) -> Iterator[LaserScan | PairedImage]:
         """A new pass over scans and images."""
         if self.virtual_row is not None:
-            return virtual_pairs(self.recording, self.rig, self.fitting, self.virtual_row)
+            return virtual_pairs(self.recording, self.rig, self.geometry_filter, self.virtual_row)
         return paired_images(
             self.recording,
             self.streams,
             self.rig,
-            self.fitting,
+            self.geometry_filter,
             self.settings.time,
             clock_offset_ms,
         )
@@ -122,14 +122,14 @@ def session_of(
         recording=recording,
         streams=streams,
         rig=rig,
-        fitting=fitting_for(recording, rig),
+        geometry_filter=make_geometry_filter(recording, rig),
         settings=settings,
         virtual_row=virtual_row,
     )
 
 
-def fitting_for(recording: Recording, rig: CameraRig) -> GeometryFilter:
-    """What tells the messages that fit a rig from the others."""
+def make_geometry_filter(recording: Recording, rig: CameraRig) -> GeometryFilter:
+    """A filter that passes only the messages of a rig's geometry."""
     shapes = {
         camera.topic: view.stored_shape for camera, view in zip(rig.cameras, rig.views, strict=True)
     }

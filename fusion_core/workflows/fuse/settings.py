@@ -1,9 +1,9 @@
 """The settings of the whole chain, and its two presets.
 
-``default`` is what is right; ``published`` is Xu 2024 as far as its text decides. Where it does
-not, the reading is ours: pairs by nearest stamp, samples by index, values as they come with holes
-as zeros, rows of the lower half, Pearson, each frame's own peak, an affine A from 84 draws of 6,
-epsilon 1.2 E (the middle of [E, sqrt 2 E]), the rougher side at fault, repairs by (7) and (8).
+``default`` works best; ``published`` is Xu 2024 as far as its text specifies it. Where it does not,
+the choice is ours: pairs by nearest stamp, samples by index, raw values with holes as zeros, rows
+of the lower half, Pearson, each frame's own peak, an affine A from 84 draws of 6, epsilon 1.2 E
+(the middle of [E, sqrt 2 E]), the rougher side at fault, repairs by (7) and (8).
 """
 
 from collections.abc import Mapping
@@ -41,7 +41,7 @@ _READ_BY: dict[ChainStage, tuple[str, ...]] = {
     "maps": (*_REPAIR, "grid"),
 }
 """The fields of ChainSettings that the result of a stage depends on, with those of the stages
-before it. Caches and "align again" go by it."""
+before it. It decides what is computed again after a change."""
 
 
 class ChainSettings(SettingsGroup):

@@ -1,4 +1,4 @@
-"""What a run of ``fuse`` has to report, for people and machines, and as it is kept in a folder."""
+"""The summary of a run of ``fuse``: as text, as JSON, and as stored in the folder of results."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -17,9 +17,9 @@ _KEPT = ("frames", "paired", "classes", "scores", "notes")
 
 @dataclass(frozen=True, kw_only=True)
 class FuseSummary:
-    """What a run has to report. ``document`` is alignment.json's content; ``scores`` counts the
-    frames in the columns of Table 1; ``pose_source`` says where the maps' poses come from, None
-    without; ``grids`` are the maps by name. Both are left out where a run is skipped."""
+    """The summary of a run. ``document`` is alignment.json's content; ``scores`` counts the frames
+    in the columns of Table 1; ``pose_source`` says where the maps' poses come from, None without;
+    ``grids`` are the maps by name. The last two are not set where a run is skipped."""
 
     output: Path
     skipped: bool

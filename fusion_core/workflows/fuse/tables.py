@@ -64,7 +64,7 @@ _SOURCE_NAMES = np.array([source.name.lower() for source in RepairSource])
 
 
 def unpaired_row(topic: str, entry: PairedImage) -> dict[str, object]:
-    """The row of an image that found no scan, or no place on its curve."""
+    """The row of an image without a scan near in time, or without an offset of its own."""
     row: dict[str, object] = dict.fromkeys(FRAME_COLUMNS)
     row.update(camera=topic, stamp_ns=entry.image.stamp_ns)
     if entry.window is not None:
@@ -96,8 +96,8 @@ def frame_row(
         mean_error_m=None if registration is None else registration.mean_error_m,
         sigma_m=match.sigma_m,
         epsilon_m=frame.epsilon_m,
-        repaired_lidar=_repaired(frame.repair.lidar_source),
-        repaired_depth=_repaired(frame.repair.depth_source[stored]),
+        repaired_lidar=_count_repaired(frame.repair.lidar_source),
+        repaired_depth=_count_repaired(frame.repair.depth_source[stored]),
         registration_refused=match.refusal or None,
     )
     if peak is not None:
@@ -122,14 +122,14 @@ def frame_row(
     return row
 
 
-def _repaired(sources: npt.NDArray[np.int64]) -> int:
+def _count_repaired(sources: npt.NDArray[np.int64]) -> int:
     return int(np.isin(sources, (RepairSource.OTHER_SENSOR, RepairSource.NEIGHBOURS)).sum())
 
 
 def sample_columns(topic: str, frame: FusedFrame, rig: CameraRig) -> dict[str, npt.NDArray[Any]]:
-    """The rows of a fused image's beams, pixels named in the stored image."""
+    """The rows of a fused image's beams, with pixels of the stored image."""
     match = frame.match
-    pairs, classes, mended = match.correspondence, frame.classes, frame.repair
+    pairs, classes, repaired = match.correspondence, frame.classes, frame.repair
     count = pairs.beam.size
     row, column = rig.views[match.pair.camera_index].stored_pixels(pairs.row, pairs.column)
     outside = row < 0
@@ -150,12 +150,12 @@ def sample_columns(topic: str, frame: FusedFrame, rig: CameraRig) -> dict[str, n
         "depth_confidence": np.where(outside, np.nan, classes.depth_confidence),
         "residual_m": pairs.residual_m,
         "lidar_raw_m": pairs.lidar_range_m,
-        "lidar_repaired_m": mended.lidar_range_m,
-        "lidar_source": _SOURCE_NAMES[mended.lidar_source],
+        "lidar_repaired_m": repaired.lidar_range_m,
+        "lidar_source": _SOURCE_NAMES[repaired.lidar_source],
         "depth_raw_m": pairs.depth_m,
-        "depth_repaired_m": np.where(outside, np.nan, mended.depth_m),
+        "depth_repaired_m": np.where(outside, np.nan, repaired.depth_m),
         "depth_source": _SOURCE_NAMES[
-            np.where(outside, int(RepairSource.NONE), mended.depth_source)
+            np.where(outside, int(RepairSource.NONE), repaired.depth_source)
         ],
     }
 
@@ -163,7 +163,7 @@ def sample_columns(topic: str, frame: FusedFrame, rig: CameraRig) -> dict[str, n
 def alignment_document(
     alignment: RecordingAlignment, rig: CameraRig, preset: str, *, virtual: bool, notes: list[str]
 ) -> dict[str, Any]:
-    """alignment.json: offsets, mount with uncertainties, and the geometry that results rest on."""
+    """alignment.json: offsets, mount with uncertainties, and the geometry behind the results."""
     peak, mount = alignment.peak, alignment.mount
     estimate = alignment.estimate
     scan = alignment.lidar
@@ -218,15 +218,15 @@ def _camera_entry(rig: CameraRig, index: int, mount: Mount) -> dict[str, Any]:
     height, width = view.stored_shape
     T_rig_stored = camera.T_rig_camera.copy()
     T_rig_stored[:3, :3] = camera.T_rig_camera[:3, :3] @ view.R_stored_view.T
-    lens = rig.stored_intrinsics[index]
+    intrinsics = rig.stored_intrinsics[index]
     return {
         "topic": camera.topic,
         "width": width,
         "height": height,
-        "fx": lens.fx,
-        "fy": lens.fy,
-        "cx": lens.cx,
-        "cy": lens.cy,
+        "fx": intrinsics.fx,
+        "fy": intrinsics.fy,
+        "cx": intrinsics.cx,
+        "cy": intrinsics.cy,
         "calibrated": camera.calibrated,
         "T_rig_camera": T_rig_stored.tolist(),
         "T_lidar_camera": (mount.T_lidar_rig @ T_rig_stored).tolist(),

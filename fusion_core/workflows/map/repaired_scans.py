@@ -1,17 +1,14 @@
-"""Each scan of a recording as Xu's chain repairs it."""
+"""Each scan of a recording as repaired by Xu's chain."""
 
 from collections.abc import Iterator
 
-import numpy as np
-
-from fusion_core.model.classes import NoiseClass
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.align import align_recording
 from fusion_core.workflows.fuse.camera_rig import build_camera_rig
 from fusion_core.workflows.fuse.frame import FusedFrame, fuse_frames
-from fusion_core.workflows.fuse.scan_queue import RepairedScanQueue
+from fusion_core.workflows.fuse.scan_queue import RepairedScanQueue, ranges_without_burrs_m
 from fusion_core.workflows.fuse.session import (
     session_of,
 )
@@ -22,8 +19,8 @@ from fusion_core.workflows.map.recorded_sensors import RecordedSensors
 class RepairedScans:
     """Scans with the ranges that the images paired with them have repaired.
 
-    A scan without an image stays as it was. A burr that nothing could repair is NaN: it is no
-    obstacle, and what lies before it need not be free. ``intensities`` are None.
+    A scan without an image stays as it is. A burr that could not be repaired is NaN.
+    ``intensities`` are None.
     """
 
     def __init__(
@@ -51,29 +48,28 @@ class RepairedScans:
         rig_notes = self._session.rig.notes
         notes = [*rig_notes, *self._alignment.notes, *self._sensors.clock_note]
         if self._with_image < self._scans:
-            left = self._scans - self._with_image
-            notes.append(f"{left} of {self._scans} scans have no image and stay as they were.")
+            without = self._scans - self._with_image
+            notes.append(f"{without} of {self._scans} scans have no image and stay as they were.")
         return tuple(notes)
 
     def __iter__(self) -> Iterator[LaserScan]:
-        merge = RepairedScanQueue()
+        queue = RepairedScanQueue()
         self._scans = self._with_image = 0
-        for raw, repaired in self._repaired_pairs(merge):
+        for raw, repaired in self._repaired_pairs(queue):
             self._scans += 1
-            left = (repaired.intensities == NoiseClass.BURR) & (repaired.ranges_m == raw.ranges_m)
-            yield raw.with_ranges(np.where(left, np.nan, repaired.ranges_m), None)
+            yield raw.with_ranges(ranges_without_burrs_m(raw, repaired), None)
 
-    def _repaired_pairs(self, merge: RepairedScanQueue) -> Iterator[tuple[LaserScan, LaserScan]]:
+    def _repaired_pairs(self, queue: RepairedScanQueue) -> Iterator[tuple[LaserScan, LaserScan]]:
         paired: set[int] = set()
         for entry in fuse_frames(self._session, self._alignment, self._sensors.clock_offset_ms):
             if isinstance(entry, LaserScan):
-                merge.push(entry)
-                for raw, repaired in merge.pop_settled():
+                queue.push(entry)
+                for raw, repaired in queue.pop_settled():
                     paired.discard(id(raw))
                     yield raw, repaired
             elif isinstance(entry, FusedFrame):
                 # Two images of one scan count once.
                 self._with_image += id(entry.match.scan) not in paired
                 paired.add(id(entry.match.scan))
-                merge.apply_repairs(entry)
-        yield from merge.flush()
+                queue.apply_repairs(entry)
+        yield from queue.flush()

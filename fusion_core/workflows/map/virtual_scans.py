@@ -52,7 +52,7 @@ class CameraScans:
     def __iter__(self) -> Iterator[LaserScan]:
         clouds = self._clouds
         messages = GeometryFilter(clouds.sensors.recording, None, clouds.image_shapes)
-        for image, window in clouds.triggers(None, clouds.cameras[0].topic, messages):
+        for image, window in clouds.iterate_triggers(None, clouds.cameras[0].topic, messages):
             assert isinstance(image, DepthImage), "the trigger is a camera's topic"
             stamp_ns = image.stamp_ns - clouds.sensors.clock_offset_ns
             yield make_camera_scan(
@@ -95,7 +95,7 @@ class MergedScans:
     def __iter__(self) -> Iterator[LaserScan]:
         clouds = self._clouds
         messages = GeometryFilter(clouds.sensors.recording, self._geometry, clouds.image_shapes)
-        for scan, window in clouds.triggers(self._lidar, self._lidar, messages):
+        for scan, window in clouds.iterate_triggers(self._lidar, self._lidar, messages):
             assert isinstance(scan, LaserScan), "the trigger is the LiDAR's topic"
             yield merge_camera_cloud(
                 scan,
@@ -185,7 +185,7 @@ class _CloudReader:
             f"{count} scans {what}" for count, what in counted if count
         )
 
-    def triggers(
+    def iterate_triggers(
         self, lidar: str | None, trigger: str, messages: GeometryFilter
     ) -> Iterator[tuple[LaserScan | DepthImage, ScanWindow | None]]:
         """Every message of topic ``trigger`` once the images around it have been read, with its

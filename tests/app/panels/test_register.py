@@ -14,8 +14,8 @@ from fusion_core.registration.ransac import PUBLISHED, RegistrationSettings, reg
 from fusion_core.workflows.fuse.epsilon import EpsilonInFrame
 from fusion_core.workflows.fuse.registration_details import (
     consensus_probabilities,
+    decompose_registration,
     draw_at,
-    meaning_of_registration,
     planar_pairs,
     residual_curve,
 )
@@ -50,7 +50,7 @@ def registered(depth_m, model="rigid", **values):
 
 
 def words_of(found):
-    return registration_text.transform_text(found, meaning_of_registration(found))
+    return registration_text.transform_text(found, decompose_registration(found))
 
 
 def test_a_turn_and_a_shift_as_text():
@@ -115,7 +115,7 @@ def test_a_draw_as_text():
 def test_a_draw_that_determines_nothing_says_so():
     found = registered(LIDAR_M)
     draw = SimpleNamespace(
-        index=3, pairs=np.array([1, 2]), A=np.full((3, 3), np.nan), inliers=0, agree=None
+        index=3, pairs=np.array([1, 2]), A=np.full((3, 3), np.nan), inliers=0, is_inlier=None
     )
     assert "its pairs do not determine a transform" in registration_text.draw_text(draw, found)
 
@@ -129,7 +129,7 @@ def test_the_number_of_draws_is_explained():
 
 def epsilon_said(middle_m, E_m=0.05, unit="sigma", epsilon=2.6):
     said = EpsilonInFrame(
-        middle_m=middle_m, least_m=middle_m, greatest_m=middle_m, beyond=3, compared=40, E_m=E_m
+        median_m=middle_m, min_m=middle_m, max_m=middle_m, beyond=3, compared=40, E_m=E_m
     )
     return registration_text.epsilon_text(said, epsilon, unit)
 
@@ -375,4 +375,4 @@ def test_the_panels_draws_are_those_of_the_registration(panel, session):
     panel.show(frame_view(session, frame_of(found)))
     panel._go("Best")
     best = draw_at(found, session.view.draw_index)
-    np.testing.assert_array_equal(best.agree, planar_pairs(frame_of(found).match).inliers)
+    np.testing.assert_array_equal(best.is_inlier, planar_pairs(frame_of(found).match).inliers)

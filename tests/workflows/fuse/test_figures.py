@@ -184,7 +184,7 @@ def color_near(log: ColorLog, stamp_ns: int, received_ns: int | None, topic: str
     )
     pair = SimpleNamespace(camera_index=0, image=SimpleNamespace(received_ns=received_ns))
     shown: Any = SimpleNamespace(match=SimpleNamespace(stamp_ns=stamp_ns, pair=pair))
-    return figures._color_near(session, shown)
+    return figures._nearest_color_image(session, shown)
 
 
 def test_the_colour_image_is_the_nearest_in_stamp_and_few_are_decoded() -> None:
@@ -281,7 +281,7 @@ def test_the_recall_table_is_what_evaluate_measures(run: SimpleNamespace) -> Non
         assert [float(row[name]) for row in rows] == over[name]
 
 
-def test_a_truth_that_does_not_serve_costs_its_figure_alone(
+def test_a_truth_without_a_mount_leaves_out_only_its_figure(
     run: SimpleNamespace, tmp_path: Path
 ) -> None:
     with np.load(run.truth) as arrays:
@@ -300,7 +300,7 @@ def test_a_truth_that_does_not_serve_costs_its_figure_alone(
         )
         notes = write_figures(tmp_path / "figures", data)
     assert [note.split(":")[0] for note in notes] == ["No frame to show", "Fig. 6 is left out"]
-    assert "mounted" in notes[1]
+    assert "no mount" in notes[1]
     assert str(tmp_path) not in notes[1]
     written = {path.name for path in (tmp_path / "figures").iterdir()}
     assert written == {"fig4_similarity.png", "table1.csv"}

@@ -15,7 +15,7 @@ from fusion_core.recordings.topics import choose_streams
 from fusion_core.workflows.fuse import pairing
 from fusion_core.workflows.fuse.camera_rig import build_camera_rig
 from fusion_core.workflows.fuse.pairing import PairedImage, paired_images
-from fusion_core.workflows.fuse.session import fitting_for
+from fusion_core.workflows.fuse.session import make_geometry_filter
 
 
 def entries(log, *, max_gap_ms=60.0, clock_offset_ms=0.0):
@@ -28,7 +28,7 @@ def entries(log, *, max_gap_ms=60.0, clock_offset_ms=0.0):
                 recording,
                 streams,
                 rig,
-                fitting_for(recording, rig),
+                make_geometry_filter(recording, rig),
                 wanted,
                 clock_offset_ms=clock_offset_ms,
             )

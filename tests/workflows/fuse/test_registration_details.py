@@ -17,8 +17,8 @@ from fusion_core.workflows.fuse.epsilon import (
 )
 from fusion_core.workflows.fuse.registration_details import (
     consensus_probabilities,
+    decompose_registration,
     draw_at,
-    meaning_of_registration,
     planar_pairs,
     residual_curve,
 )
@@ -44,7 +44,7 @@ def test_each_draw_is_that_of_the_registration():
         assert shown.index == index
         np.testing.assert_array_equal(shown.pairs, draw.pairs)
         np.testing.assert_array_equal(shown.A, draw.A)
-        np.testing.assert_array_equal(shown.agree, draw.is_inlier)
+        np.testing.assert_array_equal(shown.is_inlier, draw.is_inlier)
         assert shown.inliers == draw.inliers
         counts.append(shown.inliers)
     assert counts[found.best_draw] == max(counts)
@@ -53,7 +53,7 @@ def test_each_draw_is_that_of_the_registration():
 def test_the_best_draws_inliers_are_those_that_the_refits_began_with():
     found = registered(refits_max=1)
     best = draw_at(found, found.best_draw)
-    np.testing.assert_array_equal(best.agree, found.inliers)
+    np.testing.assert_array_equal(best.is_inlier, found.inliers)
     np.testing.assert_array_equal(
         best.mapped_m, apply_transform(best.A, found.draws.lidar_points_m)
     )
@@ -82,7 +82,7 @@ def test_pairs_before_and_after_are_those_of_the_registration():
     np.testing.assert_allclose(after_m, found.residual_m)
     assert np.median(after_m[pairs.inliers]) < np.median(before_m[pairs.inliers])
     np.testing.assert_allclose(
-        meaning_of_registration(found).displacement_m, (0.02, 0.01), atol=0.01
+        decompose_registration(found).displacement_m, (0.02, 0.01), atol=0.01
     )
 
 

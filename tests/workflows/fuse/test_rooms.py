@@ -157,7 +157,7 @@ def test_nothing_is_written_into_the_data_set_or_over_a_foreign_table(versions, 
     with pytest.raises(ExportError, match="lies inside the input"):
         fuse(root, root / "out", replace(QUICK, room=KITCHEN))
     (tmp_path / "table1.csv").write_text("mine")
-    with pytest.raises(ExportError, match="no rooms of a session"):
+    with pytest.raises(ExportError, match="not rooms of a session"):
         fuse_rooms(root, "alma-s1", tmp_path, QUICK)
     assert (tmp_path / "table1.csv").read_text() == "mine"
 
