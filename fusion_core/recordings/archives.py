@@ -2,7 +2,6 @@
 
 import bz2
 import gzip
-import shutil
 import tempfile
 import zlib
 from collections.abc import Callable
@@ -11,7 +10,11 @@ from pathlib import Path
 from typing import BinaryIO
 
 from fusion_core.files.regular_file import read_head
-from fusion_core.model.errors import RecordingError
+from fusion_core.recordings.decompression import (
+    BoundedOutput,
+    describe_damage,
+    free_temporary_bytes,
+)
 
 # Where an archive is damaged, at most one step is lost.
 _STEP_BYTES = 4 << 10
@@ -19,8 +22,6 @@ _STEP_BYTES = 4 << 10
 _MAX_DECOMPRESSED_BYTES = 8 << 30
 _MAX_RATIO = 100
 _SMALLEST_LIMIT_BYTES = 256 << 20
-# Left free for other programs.
-_DISK_RESERVE_BYTES = 256 << 20
 # gzip and bz2 raise OSError for damage, EOFError for truncation; zlib has its own error.
 _DAMAGE = (OSError, EOFError, zlib.error)
 
@@ -83,10 +84,10 @@ def decompress_to_temporary_file(path: Path, compression: Compression) -> Decomp
     The limits are 8 GiB, 100 times the compressed size and the free space of the disk.
     Raises RecordingError where the temporary file cannot be written.
     """
-    limit, reason = _size_limit(path)
+    max_bytes, reason = _size_limit(path)
     file = tempfile.TemporaryFile()  # noqa: SIM115  # The caller closes it.
     try:
-        lost = _decompress(path, compression, file, limit, reason)
+        lost = _decompress(path, compression, BoundedOutput(file, path, max_bytes), reason)
         file.seek(0)
     except BaseException:
         file.close()
@@ -99,37 +100,27 @@ def _size_limit(path: Path) -> tuple[int, str]:
     most = min(
         _MAX_DECOMPRESSED_BYTES, max(_SMALLEST_LIMIT_BYTES, _MAX_RATIO * path.stat().st_size)
     )
-    room = max(0, shutil.disk_usage(tempfile.gettempdir()).free - _DISK_RESERVE_BYTES)
+    room = free_temporary_bytes()
     if room < most:
         return room, f"the disk of temporary files has room for no more than {room} bytes of it"
     return most, f"the archive unpacks to more than {most} bytes"
 
 
-def _decompress(
-    path: Path, compression: Compression, file: BinaryIO, limit: int, reason: str
-) -> str:
-    """Decompress into ``file``; returns why that is incomplete, or an empty text."""
-    size = 0
+def _decompress(path: Path, compression: Compression, output: BoundedOutput, reason: str) -> str:
+    """Decompress into ``output``; returns why that is incomplete, or an empty text.
+
+    ``reason``: the text where the archive exceeds the limit.
+    """
     with compression.open(path) as packed:
         while True:
             try:
                 piece = packed.read1(_STEP_BYTES)
             except _DAMAGE as error:
-                cause = " ".join(str(error).split()).rstrip(".")
                 return (
-                    f"the {compression.name} archive breaks off after {size} unpacked bytes "
-                    f"({cause})"
+                    f"the {compression.name} archive breaks off after {output.written_bytes} "
+                    f"unpacked bytes ({describe_damage(error)})"
                 )
             if not piece:
                 return ""
-            if size + len(piece) > limit:
+            if not output.write(piece):
                 return reason
-            try:
-                file.write(piece)
-            except OSError as error:
-                raise RecordingError(
-                    f"cannot be unpacked: {error.strerror or error}.",
-                    file=path,
-                    advice="Free space for temporary files, or name another folder in TMPDIR.",
-                ) from error
-            size += len(piece)

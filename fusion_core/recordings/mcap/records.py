@@ -17,6 +17,7 @@ import zstandard
 from mcap.opcode import Opcode
 
 from fusion_core.recordings.containers import ENTRY, MAX_CHUNK_BYTES, Entries
+from fusion_core.recordings.decompression import decompress_pieces
 
 RECORD_HEADER = struct.Struct("<BQ")
 # Opcode, length, channel, sequence, log time, publish time; the payload follows.
@@ -325,19 +326,16 @@ def _decompress_zstd(packed: bytes, size: int) -> tuple[bytes, str]:
 
 
 def _decompress_lz4(packed: bytes, size: int, step: int = _PIECE_BYTES) -> tuple[bytes, str]:
-    decompressor = lz4.frame.LZ4FrameDecompressor()
-    content = BytesIO()
-    place = 0
+    stream, content = BytesIO(packed), BytesIO()
+    pieces = decompress_pieces(
+        lz4.frame.LZ4FrameDecompressor(), lambda: stream.read(step), min(step, size + 1)
+    )
     try:
-        while not decompressor.eof and content.tell() <= size:
-            piece = packed[place : place + step] if decompressor.needs_input else b""
-            if decompressor.needs_input and not piece:
-                break
-            place += len(piece)
-            room = min(size + 1 - content.tell(), step)
-            content.write(decompressor.decompress(piece, room))
+        while content.tell() <= size and (piece := next(pieces, None)) is not None:
+            content.write(piece)
     except RuntimeError as error:
         if step > _STEP_BYTES:
             return _decompress_lz4(packed, size, _STEP_BYTES)
         return content.getvalue(), f"it does not unpack, {error}"
+    content.truncate(size + 1)
     return content.getvalue(), ""

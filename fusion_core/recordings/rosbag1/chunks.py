@@ -8,6 +8,7 @@ from typing import BinaryIO
 import lz4.frame  # type: ignore[import-untyped]  # Ships no type information.
 
 from fusion_core.recordings.containers import MAX_CHUNK_BYTES
+from fusion_core.recordings.decompression import decompress_pieces
 from fusion_core.recordings.rosbag1.records import BagRecord
 
 # Size of input and output pieces, small because the decompressors copy unused input.
@@ -68,18 +69,21 @@ def decompress_chunk(stream: BinaryIO, chunk: BagRecord, end: int) -> Decompress
         return DecompressedChunk(stream.read(left), "it breaks off" if end < chunk.end else "")
     decompressor = _DECOMPRESSORS[chunk.fields[b"compression"]]()
     content = BytesIO()
+
+    def read() -> bytes:
+        nonlocal left
+        packed = stream.read(min(left, _STEP_BYTES))
+        left -= len(packed)
+        return packed
+
     try:
-        while not decompressor.eof:
-            packed = b""
-            if decompressor.needs_input:
-                packed = stream.read(min(left, _STEP_BYTES))
-                left -= len(packed)
-                if not packed:
-                    problem = f"it breaks off after {content.tell()} of {size} bytes"
-                    return DecompressedChunk(content.getvalue(), problem)
-            content.write(decompressor.decompress(packed, _STEP_BYTES))
+        for piece in decompress_pieces(decompressor, read, _STEP_BYTES):
+            content.write(piece)
             if content.tell() > size:
                 return DecompressedChunk(b"", f"it holds more than the {size} bytes that it claims")
     except (OSError, RuntimeError, ValueError, EOFError) as error:
         return DecompressedChunk(b"", f"it does not unpack, {error}")
+    if not decompressor.eof:
+        problem = f"it breaks off after {content.tell()} of {size} bytes"
+        return DecompressedChunk(content.getvalue(), problem)
     return DecompressedChunk(content.getvalue(), "", left + len(decompressor.unused_data or b""))

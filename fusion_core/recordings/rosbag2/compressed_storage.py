@@ -1,16 +1,16 @@
-"""Storage files of rosbag2 as they stand on disk: plain, packed whole, or with packed messages.
+"""Storage files of rosbag2 as they are on disk: plain, compressed, or with compressed messages.
 
 rosbag2 compresses by file (each storage file is one zstd frame) or by message (the data of each
-message is). Both are recognised by the magic number of a frame, which no storage file and no CDR or
-ROS 1 message begins with. A packed file is unpacked to a temporary one that has no name.
+message is). Both are recognised by the magic number of a frame, with which no storage file and no
+CDR or ROS 1 message begins. A compressed file is unpacked to a temporary one that has no name.
 """
 
-import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
+from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import BinaryIO
 
 import lz4.frame  # type: ignore[import-untyped]  # Ships no type information.
 
@@ -23,6 +23,13 @@ from fusion_core.recordings.containers import (
     Entries,
     Payload,
     damaged_file_error,
+)
+from fusion_core.recordings.decompression import (
+    BoundedOutput,
+    Decompressor,
+    decompress_pieces,
+    describe_damage,
+    free_temporary_bytes,
 )
 from fusion_core.recordings.mcap import file as mcap_file
 from fusion_core.recordings.mcap.file import McapFile
@@ -49,25 +56,8 @@ _PIECE_BYTES = 1 << 20
 # Depth images of nothing but holes pack a hundredfold, hostile files 30,000-fold.
 _MAX_COMPRESSION_RATIO = 1000
 _ALWAYS_DECOMPRESSED_BYTES = 256 << 20
-_DISK_RESERVE_BYTES = 256 << 20
 
-
-class _Decompressor(Protocol):
-    """What the standard library's decompressors and lz4's have in common."""
-
-    @property
-    def eof(self) -> bool: ...
-
-    @property
-    def needs_input(self) -> bool: ...
-
-    @property
-    def unused_data(self) -> bytes | None: ...
-
-    def decompress(self, data: bytes, max_length: int = -1) -> bytes: ...
-
-
-_DECOMPRESSORS: Mapping[bytes, Callable[[], _Decompressor]] = {
+_DECOMPRESSORS: Mapping[bytes, Callable[[], Decompressor]] = {
     ZSTD_MAGIC: zstd.ZstdDecompressor,
     LZ4_MAGIC: lz4.frame.LZ4FrameDecompressor,
 }
@@ -75,7 +65,7 @@ _DAMAGE = (zstd.ZstdError, RuntimeError, EOFError, ValueError)
 
 
 class StorageFile:
-    """One storage file with its index, unpacked where it is packed.
+    """One storage file with its index, unpacked if it is compressed.
 
     ``kind`` is MCAP or SQLite, by content. Raises RecordingError where nothing can be read.
     """
@@ -124,7 +114,8 @@ class StorageFile:
                 file=self.path,
                 advice="Unpack it, and name what is in it.",
             )
-        # The name goes at once, the open file lives on: nothing is left however the process ends.
+        # The folder is deleted at once while the file stays open: nothing is left behind, however
+        # the process ends.
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
             unpacked = Path(folder) / self.path.name
             lost = _decompress_to(self.path, packing, unpacked)
@@ -137,7 +128,7 @@ class StorageFile:
 
 
 def is_storage_file(path: Path) -> bool:
-    """Whether a file of a folder is a storage file: by its name, or by what it is packed around."""
+    """Whether a file of a folder is a storage file, by its name or by its decompressed content."""
     if not path.is_file():
         return False
     return _has_storage_name(path) or (
@@ -168,7 +159,7 @@ def _contains_storage(path: Path) -> bool:
 def _open_uncompressed(path: Path) -> tuple[str, _Container, Entries]:
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
-    # A damaged head leaves the name to tell by.
+    # Where the first bytes are damaged the name decides.
     kind = _KIND_OF_SUFFIX.get(Path(uncompressed_name(path.name)).suffix, "")
     for name, (magic, _) in _KINDS.items():
         if head.startswith(magic):
@@ -183,53 +174,57 @@ def _open_uncompressed(path: Path) -> tuple[str, _Container, Entries]:
         raise
 
 
-def _decompress_to(path: Path, packing: Callable[[], _Decompressor], target: Path) -> str:
+def _decompress_to(path: Path, packing: Callable[[], Decompressor], target: Path) -> str:
     """Unpack as much as can be; returns what is lost. Raises RecordingError beyond the limits."""
-    free = shutil.disk_usage(target.parent).free - _DISK_RESERVE_BYTES
+    free = free_temporary_bytes()
     sane = max(_MAX_COMPRESSION_RATIO * path.stat().st_size, _ALWAYS_DECOMPRESSED_BYTES)
-    written = 0
-    try:
-        with path.open("rb") as packed, target.open("wb") as plain:
-            for piece in _decompressed_pieces(packed, packing):
-                written += len(piece)
-                if written > sane:
-                    raise RecordingError(
-                        f"unpacks to more than {sane} bytes.",
-                        file=path,
-                        advice="No recording packs so well; check where the file comes from.",
-                    )
-                if written > free:
-                    raise RecordingError(
-                        f"unpacks to more than the {max(free, 0)} bytes that are free.",
-                        file=path,
-                        advice=f"Make room in {target.parent.parent}, or set TMPDIR.",
-                    )
-                plain.write(piece)
-    except _DAMAGE as error:
-        problem = " ".join(str(error).split()).rstrip(".")
-        return f"{written} bytes could be unpacked ({problem})"
-    except OSError as error:
-        raise RecordingError(
-            f"cannot be unpacked: {error.strerror or error}.",
-            file=path,
-            advice=f"Make room in {target.parent.parent}, or set TMPDIR.",
-        ) from error
+    with target.open("wb") as plain:
+        output = BoundedOutput(plain, path, min(free, sane))
+        try:
+            with path.open("rb") as packed:
+                for piece in _decompressed_frames(packed, packing):
+                    if not output.write(piece):
+                        raise _too_large_error(path, sane, free)
+        except _DAMAGE as error:
+            return f"{output.written_bytes} bytes could be unpacked ({describe_damage(error)})"
+        except OSError as error:
+            raise RecordingError(
+                f"cannot be read: {error.strerror or error}.",
+                file=path,
+                advice="Check the disk or the network that holds the file.",
+            ) from error
     return ""
 
 
-def _decompressed_pieces(packed: BinaryIO, packing: Callable[[], _Decompressor]) -> Iterator[bytes]:
+def _too_large_error(path: Path, sane: int, free: int) -> RecordingError:
+    if sane <= free:
+        return RecordingError(
+            f"unpacks to more than {sane} bytes.",
+            file=path,
+            advice="No recording packs so well; check where the file comes from.",
+        )
+    return RecordingError(
+        f"unpacks to more than the {free} bytes that are free.",
+        file=path,
+        advice=f"Free space in {tempfile.gettempdir()}, or name another folder in TMPDIR.",
+    )
+
+
+def _decompressed_frames(packed: BinaryIO, packing: Callable[[], Decompressor]) -> Iterator[bytes]:
     """The content of one frame or several, a piece at a time. Raises one of _DAMAGE."""
-    content = packed.read(_PIECE_BYTES)
-    while content:
+    ahead = b""
+
+    def read() -> bytes:
+        nonlocal ahead
+        content, ahead = ahead or packed.read(_PIECE_BYTES), b""
+        return content
+
+    while ahead := ahead or packed.read(_PIECE_BYTES):
         decompressor = packing()
-        while not decompressor.eof:
-            if decompressor.needs_input and not content:
-                content = packed.read(_PIECE_BYTES)
-                if not content:
-                    raise EOFError("its end is missing")
-            yield decompressor.decompress(content, _PIECE_BYTES)
-            content = b""
-        content = decompressor.unused_data or packed.read(_PIECE_BYTES)
+        yield from decompress_pieces(decompressor, read, _PIECE_BYTES)
+        if not decompressor.eof:
+            raise EOFError("its end is missing")
+        ahead = decompressor.unused_data or b""
 
 
 def _decompress_message(packed: Payload, path: Path) -> Payload:
@@ -238,11 +233,12 @@ def _decompress_message(packed: Payload, path: Path) -> Payload:
     content = bytes(packed)
     try:
         claimed = zstd.get_frame_info(content).decompressed_size or 0
+        pieces = decompress_pieces(decompressor, BytesIO(content).read, _PIECE_BYTES)
         while not decompressor.eof and max(claimed, len(message)) <= MAX_CHUNK_BYTES:
-            if decompressor.needs_input and not content:
+            piece = next(pieces, None)
+            if piece is None:
                 raise EOFError("its end is missing")
-            message += decompressor.decompress(content, _PIECE_BYTES)
-            content = b""
+            message += piece
     except _DAMAGE as error:
         raise damaged_file_error(path, f"a compressed message ({error})") from error
     if max(claimed, len(message)) > MAX_CHUNK_BYTES:
@@ -251,5 +247,5 @@ def _decompress_message(packed: Payload, path: Path) -> Payload:
 
 
 def _with_file(error: RecordingError, path: Path) -> RecordingError:
-    """The same failure, of the file that the person knows."""
+    """The same failure, naming the file that the user opened."""
     return RecordingError(error.problem, file=path, advice=error.advice)
