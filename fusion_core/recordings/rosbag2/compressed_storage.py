@@ -233,15 +233,18 @@ def _decompress_message(packed: Payload, path: Path) -> Payload:
     content = bytes(packed)
     try:
         claimed = zstd.get_frame_info(content).decompressed_size or 0
-        pieces = decompress_pieces(decompressor, BytesIO(content).read, _PIECE_BYTES)
-        while not decompressor.eof and max(claimed, len(message)) <= MAX_CHUNK_BYTES:
-            piece = next(pieces, None)
-            if piece is None:
-                raise EOFError("its end is missing")
-            message += piece
+        is_too_large = claimed > MAX_CHUNK_BYTES
+        if not is_too_large:
+            for piece in decompress_pieces(decompressor, BytesIO(content).read, _PIECE_BYTES):
+                message += piece
+                is_too_large = len(message) > MAX_CHUNK_BYTES
+                if is_too_large:
+                    break
+        if not (decompressor.eof or is_too_large):
+            raise EOFError("its end is missing")
     except _DAMAGE as error:
         raise damaged_file_error(path, f"a compressed message ({error})") from error
-    if max(claimed, len(message)) > MAX_CHUNK_BYTES:
+    if is_too_large:
         raise damaged_file_error(path, f"a message unpacks to more than {MAX_CHUNK_BYTES} bytes")
     return memoryview(message)
 
