@@ -1,1 +1,1 @@
-"""Files to model values and back: one file per format, and a table of formats."""
+"""Readers of recordings in every format, and writers: files to model values and back."""

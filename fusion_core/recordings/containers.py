@@ -43,8 +43,8 @@ class Channel:
 class ChecksumReport:
     """Result of checking a whole container.
 
-    ``checksums`` were right; ``unguarded`` parts have none: chunks, or all that is in no chunk.
-    ``damage`` has a line for each thing that is wrong, other than messages that cannot be read.
+    ``checksums``: how many were right. ``unguarded``: how many parts have none: chunks, and as one
+    part all that is in no chunk. ``damage``: a line for each defect other than unreadable messages.
     """
 
     checksums: int = 0
@@ -76,16 +76,17 @@ class Container(Protocol):
         ...
 
     def published_ns(self, block: int, offset: int) -> int | None:
-        """When the message at an entry's place was published, None where the format has no such
-        time. Its payload can be read.
+        """The publish time of the message at an entry's place, None where the format has none.
+
+        Only for entries whose payload can be read.
         """
         ...
 
     def verify(self, entries: Entries) -> ChecksumReport:
-        """Compare all that the file holds with its checksums, and with its index.
+        """Compare the content of the file with its checksums and with its index.
 
         ``entries`` are those that ``index`` gave, in any order. A chunk that cannot be read is
-        passed over: its messages tell.
+        skipped: its messages are reported when they are read.
         """
         ...
 
@@ -106,7 +107,7 @@ class ChunkCache:
             self._chunks.move_to_end(block)
             return chunk
         if self._size > _CACHED_CHUNK_BYTES:
-            # An outsized chunk is not held while the next one takes its memory.
+            # An oversized chunk is freed before the next one is decompressed.
             self._chunks.clear()
             self._size = 0
         chunk = self._unpack(block)

@@ -4,7 +4,7 @@ from decimal import Decimal, InvalidOperation
 
 from fusion_core.model.conventions import NS_PER_S
 
-# Text of a time is never longer; digits by the million would take their time.
+# The text of a time is never longer; parsing millions of digits would take long.
 _MAX_DIGITS = 40
 # int64 holds fewer nanoseconds; a larger exponent would take memory before that shows.
 _END_S = 10_000_000_000

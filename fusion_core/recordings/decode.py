@@ -1,7 +1,7 @@
 """ROS 1 and ROS 2 messages to model values, in SI units and nanoseconds.
 
-Ranges and depths are converted by ``units``. Values that are missing by the rule of a layout are
-NaN before: the inverse depth 0 of ``compressed_image``, the point 0 0 0 of ``point_cloud``.
+Ranges and depths are converted by ``units``. Values that a message type marks as missing are NaN
+before: the inverse depth 0 in ``compressed_image``, the point 0 0 0 in ``point_cloud``.
 """
 
 import struct
@@ -80,8 +80,8 @@ def stamp_of_value_ns(value: SensorValue) -> int | None:
 
 
 def header_stamp_ns(raw: RawMessage) -> int:
-    """The sensor's stamp of a raw message, without a look at the rest of it; NO_STAMP where its
-    header is out of all bounds, and for a batch of transforms, which has no header of its own."""
+    """The sensor's stamp of a raw message, without decoding the rest of it; NO_STAMP where its
+    header is invalid, and for a batch of transforms, which has no header of its own."""
     try:
         if isinstance(raw, tuple):
             seconds, nanoseconds = raw[:2]

@@ -39,7 +39,7 @@ from fusion_core.recordings.skipped import SkippedMessages
 from fusion_core.recordings.topics import role_from_encoding, role_from_type, unknown_topic_error
 
 _BATCH = 1024
-# An image topic is an image topic by its first message, or by one of the next if that is broken.
+# The encoding of an image topic is read from its first message, or the next if that is damaged.
 _PEEKED_MESSAGES = 5
 _UNKNOWN_TYPE = "messages of its type are not read"
 
@@ -50,7 +50,7 @@ _Entry = tuple[int, int, int, int]
 
 @dataclass(slots=True)
 class _IndexedTopic:
-    """What is known of a topic: where its messages stand in the index, and how to read them."""
+    """A topic: the positions of its messages in the index, and how to read them."""
 
     name: str
     message_type: str
@@ -77,9 +77,9 @@ class SerializedMessage:
 class IndexedRecording:
     """Recording over one or more containers, in the order of log time, then of the files.
 
-    A topic that cannot be read keeps its place in ``topics`` with role "other" and costs a
-    warning, one of ``unread``; so does a message, which iteration passes over and ``read``
-    refuses. ``serialized_messages`` passes over no topic.
+    A topic that cannot be read is listed in ``topics`` with role "other", and has a line in
+    ``unreadable_topic_warnings``. A message that cannot be read is skipped by iteration with a
+    warning; ``read`` raises RecordingError. ``serialized_messages`` reads any topic.
     """
 
     stamps_are_nominal = False
@@ -125,7 +125,7 @@ class IndexedRecording:
         if stream.stamps_ns is None:
             stamps_ns = np.full(len(stream.positions), NO_STAMP, dtype=np.int64)
             for index, position in enumerate(stream.positions):
-                # Iteration warns of what is broken.
+                # Iteration warns of damaged messages.
                 with suppress(RecordingError):
                     stamps_ns[index] = header_stamp_ns(
                         self._deserialize(stream, self._entries[position].item())
@@ -141,7 +141,8 @@ class IndexedRecording:
         start_ns: int | None = None,
         end_ns: int | None = None,
     ) -> Iterator[Message]:
-        """Messages with start <= received < end, in order; broken ones cost a warning."""
+        """Messages with start <= received < end, in order; damaged ones are skipped with a
+        warning."""
         self._require_open()
         if topics is None:
             streams = [s for s in self._streams.values() if not s.unreadable_reason]
@@ -346,7 +347,7 @@ class IndexedRecording:
                 raw = self._deserialize(stream, self._entries[position].item())
                 role = role_from_encoding(image_encoding(raw), stream.name)
             except (RecordingError, AttributeError, TypeError):
-                # Broken, or the file's own definition has other fields: reading it will say so.
+                # Damaged, or the file's own definition has other fields: reading it reports that.
                 continue
             if role != "other":
                 return role

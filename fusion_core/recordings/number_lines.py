@@ -84,5 +84,5 @@ def read_numeric_lines(file: Path, columns: str) -> Iterator[NumericLine]:
 
 
 def _split_fields(text: bytes) -> list[str]:
-    # Undecodable bytes become a field that is no number, and are refused as such.
+    # Undecodable bytes become a field that is no number, which raises an error.
     return text.decode(errors="replace").split()

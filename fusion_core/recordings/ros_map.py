@@ -1,4 +1,4 @@
-"""Maps as ROS's map_server and nav2 write them: a YAML file and a grey picture beside it.
+"""Maps as ROS's map_server and nav2 write them: a YAML file and a greyscale image.
 
 Source: the documentation of map_server. p = (255 - grey) / 255, or grey / 255 where negated; a
 cell is occupied where p > occupied_thresh, free where p < free_thresh.
@@ -40,14 +40,14 @@ class RosMap:
         read_only(self.free)
 
     def occupied_m(self) -> FloatArray:
-        """(N, 2) middles of the occupied cells in the map's frame, row by row."""
-        return self._middles_m(self.occupied)
+        """(N, 2) centres of the occupied cells in the map's frame, row by row."""
+        return self._centres_m(self.occupied)
 
     def free_m(self) -> FloatArray:
-        """(M, 2) middles of the free cells, in the same way."""
-        return self._middles_m(self.free)
+        """(M, 2) centres of the free cells, in the same way."""
+        return self._centres_m(self.free)
 
-    def _middles_m(self, cells: BoolArray) -> FloatArray:
+    def _centres_m(self, cells: BoolArray) -> FloatArray:
         rows, columns = np.nonzero(cells)
         x = (columns + 0.5) * self.resolution_m
         y = (rows + 0.5) * self.resolution_m
@@ -57,7 +57,7 @@ class RosMap:
 
 
 def read_ros_map(file: Path) -> RosMap:
-    """Read a map by its YAML file; the picture's path is relative to it.
+    """Read a map by its YAML file; the image's path is relative to it.
 
     Raises RecordingError for what is no such map, and where one of the two cannot be read.
     """
@@ -84,7 +84,7 @@ def read_ros_map(file: Path) -> RosMap:
         raise RecordingError(f"{error}.", file=file, advice=_ADVICE) from error
     grey = read_image(file.parent / image, cv2.IMREAD_GRAYSCALE).astype(np.float64)
     probability = (grey if negated else 255.0 - grey) / 255.0
-    # A picture's first row is the map's largest y.
+    # An image's first row is the map's largest y.
     probability = np.flipud(probability)
     return RosMap(
         resolution_m=resolution_m,

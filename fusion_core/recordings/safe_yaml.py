@@ -1,4 +1,4 @@
-"""Small YAML files from strangers, read within bounds of size and depth."""
+"""Small YAML files from untrusted sources, read within bounds of size and depth."""
 
 from math import isfinite
 from typing import Any

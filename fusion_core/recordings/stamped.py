@@ -81,7 +81,7 @@ class StampedRecording:
         start_ns: int | None = None,
         end_ns: int | None = None,
     ) -> Iterator[Message]:
-        """Messages with start <= time < end, in order; broken ones give a warning."""
+        """Messages with start <= time < end, in order; damaged ones are skipped with a warning."""
         self._require_open()
         names = sorted(self._streams if topics is None else set(topics))
         return self._iterate([self._stream(name) for name in names], start_ns, end_ns)

@@ -85,8 +85,8 @@ def choose_streams(
     """The topics to work with: those named, else those that the recording offers.
 
     Not named: the LaserScan topic with the most messages; every depth topic, each with the colour
-    topic nearest by name and its own CameraInfo; the odometry with the most messages that is not
-    called a truth. ``pose`` may name a PoseStamped or an Odometry topic and is never guessed.
+    topic nearest by name and its own CameraInfo; the odometry with the most messages, ground truth
+    by its name excluded. ``pose`` may name a PoseStamped or an Odometry topic and is never guessed.
 
     Raises MissingStream for a name that is not there or is of another kind.
     """
@@ -157,7 +157,7 @@ class _StreamChooser:
         return [t.name for t in self._topics.values() if t.role == role and t.count > 0]
 
     def one_topic_per_camera(self, role: Role) -> list[str]:
-        """One topic for each camera: its images as such, else the first of their packed copies."""
+        """One topic for each camera: its raw images, else the first of their compressed copies."""
         chosen: dict[str, str] = {}
         for name in sorted(self.topics_with_messages(role)):
             camera = _strip_transport(name)
@@ -178,7 +178,7 @@ class _StreamChooser:
         return best
 
     def color_of(self, depth: str, depth_count: int) -> str | None:
-        """The colour topic that shares most of the depth topic's name."""
+        """The colour topic whose name has most leading parts in common with the depth topic's."""
         names = self.one_topic_per_camera("color")
         if not names:
             return None
@@ -189,7 +189,7 @@ class _StreamChooser:
     def camera_info_of(self, depth: str) -> str | None:
         """The CameraInfo beside the depth topic, else one of the same frame and image size.
 
-        A nearer guess could be the colour camera's, whose intrinsics would bend the depth.
+        Another guess could be the colour camera's, whose intrinsics would distort the cloud.
         """
         names = self.topics_with_messages("camera_info")
         folder = _parent(_strip_transport(depth))
@@ -242,7 +242,7 @@ def _parent(name: str) -> str:
 
 
 def _count_shared_parts(first: str, second: str) -> int:
-    """How many leading parts two topic names share."""
+    """How many leading parts two topic names have in common."""
     count = 0
     for a, b in zip(first.strip("/").split("/"), second.strip("/").split("/"), strict=False):
         if a != b:

@@ -24,7 +24,7 @@ _LENGTH_TOLERANCE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryFile:
-    """A trajectory, and what of its file had to be put right."""
+    """A trajectory, and warnings of what was corrected in its file."""
 
     trajectory: Trajectory
     warnings: tuple[str, ...]
@@ -33,9 +33,9 @@ class TrajectoryFile:
 def read_tum_trajectory(file: Path) -> TrajectoryFile:
     """Read a trajectory; stamps are exact to the nanosecond.
 
-    Lines are sorted by stamp, and the first of several lines of one stamp is kept; each with a
-    warning, for files of the benchmark itself need it. Raises RecordingError for any other line
-    that is no pose, OSError where the file cannot be read.
+    Lines are sorted by stamp, and of several lines with one stamp the first is kept, each with a
+    warning: files of the benchmark itself need both. Raises RecordingError for any other line that
+    is no pose, OSError where the file cannot be read.
     """
     stamps = array("q")
     poses = array("d")

@@ -21,12 +21,11 @@ def ranges_m(
 ) -> FloatArray:
     """(N,) ranges with NaN where the beam gave nothing.
 
-    A range of ``range_max`` or more is a driver's way to say "no return"; REP 117 says it by
-    infinities.
+    Drivers report "no return" as a range of ``range_max`` or more; REP 117 as an infinity.
     """
-    # The copy first: in a message the ranges may stand at any byte, which makes all else slow.
+    # The copy first: in a message the ranges may be unaligned, which slows every operation.
     found_m = ranges.astype(np.float64)
-    # What is not above zero is below the smallest number there is. NaN, as neither, stays.
+    # Not above zero means below the smallest positive number. NaN compares false, and stays.
     missing = found_m < max(range_min_m, _SMALLEST_M)
     missing |= found_m >= range_max_m
     np.putmask(found_m, missing, np.nan)
@@ -37,8 +36,8 @@ def depth_m_from_units(depth: np.ndarray[Any, Any], units_per_metre: float) -> F
     """(H, W) uint16 in parts of a metre to float32 metres, NaN for 0 and 65535."""
     depth_m = depth.astype(np.float32)
     depth_m /= np.float32(units_per_metre)
-    # One mask at a time: a camera's image may have tens of millions of pixels. That of the holes
-    # is divided by, 0 / 0 being NaN: to write NaN through it would take up to ten times as long.
+    # One mask at a time: an image may have tens of millions of pixels. Dividing by the mask of the
+    # holes makes them 0 / 0 = NaN; assigning NaN by the mask would take up to ten times as long.
     with np.errstate(invalid="ignore"):
         depth_m /= depth != 0
     if depth.max(initial=0) == SATURATED_DEPTH:

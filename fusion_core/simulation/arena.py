@@ -22,7 +22,7 @@ _BOARD_HEIGHT_M = 0.6
 
 
 def arena(seed: int) -> World:
-    """The site, the same for every seed: who compares maps needs one world."""
+    """The site, the same for every seed, so that maps can be compared."""
     width, depth = SIZE_M
     lane = np.array([(0.85, 0.85), (4.75, 0.85), (4.75, 2.33), (0.85, 2.33)])
     route = round_corners(lane, 0.5)

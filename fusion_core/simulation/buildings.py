@@ -15,12 +15,12 @@ from fusion_core.simulation.worlds import CEILING_M, World, build_world
 _DOOR_HEIGHT_M = 2.05
 _WALL_M = 0.1
 _HALF_DOOR_M = 0.6
-# How much of the walls is left bare in two corners, for their measures.
+# Length of wall kept free of furniture in the corners where lines and angles are measured.
 _BARE_M = 2.2
 
 
 def two_room_loop(seed: int) -> World:
-    """Two rooms of 6 m x 7 m; a round leads through one door and back through the other."""
+    """Two rooms of 6 m x 7 m; the route leads through one door and back through the other."""
     size = (12.0, 7.0)
     doors_y = (1.6, 5.4)
     lane = np.array([(1.6, 1.6), (10.4, 1.6), (10.4, 5.4), (1.6, 5.4)])
@@ -81,7 +81,7 @@ def whole_floor(seed: int) -> World:
 
 
 def _keep_corners_bare(plan: FloorPlan) -> None:
-    """Let nothing stand by the walls that ``_corner_measures`` names."""
+    """Keep furniture away from the walls that ``_corner_measures`` measures."""
     width, depth = plan.size_m
     bare, off = _BARE_M, 0.7
     plan.keep_free((0.0, 0.0, bare, off))
@@ -118,7 +118,7 @@ def _floor_route(middles_x: tuple[float, ...]) -> FloatArray:
     """
 
     def visit(x: float, lane_y: float, near_y: float, far_y: float) -> FloatArray:
-        # The way east has its rooms in the south; half a turn makes the way west of it.
+        # The eastward part has its rooms in the south; rotated by 180° it is the westward part.
         side = 0.2
         return np.array(
             [

@@ -25,11 +25,11 @@ _FINE_CONTRAST = 0.6
 
 
 def shade(points_m: FloatArray, hits: Hits, *, fine: bool = False) -> ByteArray:
-    """(N, 3) uint8 RGB of the surface points (N, 3) that were met.
+    """(N, 3) uint8 RGB of the surface points (N, 3) that rays hit.
 
-    The pattern gives features to follow from image to image: random greys, one for each cell of
-    a lattice of 12 cm. With ``fine`` half of the contrast comes from a lattice of 4 cm, whose
-    corners a feature detector finds close by, too.
+    The pattern gives features to track from image to image: random greys, one for each cell of a
+    grid of 12 cm. With ``fine`` half of the contrast comes from a grid of 4 cm, which gives a
+    feature detector corners at short range, too.
     """
     # Just inside the surface: a wall may lie on the border of two cells.
     inside_m = points_m - 0.002 * hits.normals
@@ -45,9 +45,9 @@ def shade(points_m: FloatArray, hits: Hits, *, fine: bool = False) -> ByteArray:
 
 
 def _grey(points_m: FloatArray, cell_m: float) -> FloatArray:
-    """(N,) in [0, 1): the grey of the lattice's cell that a point lies in."""
+    """(N,) in [0, 1): the grey of the grid cell that a point lies in."""
     cells = np.floor(points_m / cell_m).astype(np.int64)
-    # Teschner et al. 2003: a hash of lattice cells.
+    # Teschner et al. 2003: a hash of grid cells.
     mixed = (cells[:, 0] * 73856093) ^ (cells[:, 1] * 19349663) ^ (cells[:, 2] * 83492791)
     grey: FloatArray = ((mixed * 2654435761) % 65536) / 65536.0
     return grey

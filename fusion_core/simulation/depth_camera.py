@@ -1,4 +1,4 @@
-"""A structured-light depth camera (Kinect, Xtion): its truth, its report, and why they differ."""
+"""Noise model of a structured-light depth camera (Kinect, Xtion): from true to reported depths."""
 
 from dataclasses import dataclass
 
@@ -13,9 +13,9 @@ from fusion_core.settings import StageSettings, setting
 class DepthNoise(StageSettings):
     """The errors of a depth camera.
 
-    Khoshelham & Elberink 2012 measured, on a Kinect, one step of disparity to be
-    2.85e-3 z² metres and the standard deviation 1.425e-3 z² with the quantisation in it. Taken
-    apart: 2.85e-3 / sqrt(12) = 0.82e-3 from the steps, 1.16e-3 before them.
+    Khoshelham & Elberink 2012 measured on a Kinect that one step of disparity is 2.85e-3 z² metres,
+    and the standard deviation 1.425e-3 z² including quantisation. The steps contribute
+    2.85e-3 / sqrt(12) = 0.82e-3 of it, so the noise before quantisation is 1.16e-3.
     """
 
     sigma_per_m: float = setting(
@@ -110,7 +110,7 @@ class NoisyDepth:
 
 
 def sigma_m(true_m: FloatArray, noise: DepthNoise) -> FloatArray:
-    """The ordinary noise of a depth: before the quantisation, and of both quantisations."""
+    """The ordinary noise of a depth, with the quantisations of inverse depth and of depth."""
     disparity = noise.sigma_per_m**2 + noise.disparity_step_per_m**2 / 12.0
     return np.sqrt(disparity * true_m**4 + noise.step_m**2 / 12.0)
 
@@ -119,8 +119,8 @@ def add_noise(view: DepthView, noise: DepthNoise, rng: np.random.Generator) -> N
     """A depth image as the sensor reports it, and each pixel's kind.
 
     A pixel is a burr where something other than ordinary noise formed its value *and* the value
-    lies beyond three standard deviations of the truth and beyond BURR_LEAST_M; at an edge it may
-    well be good.
+    is off the truth by more than three standard deviations and by more than SAME_SURFACE_M: a mixed
+    pixel at a low edge may be good.
     """
     true_m = view.true_m
     shape = true_m.shape

@@ -9,11 +9,12 @@ from fusion_core.simulation.random_streams import RandomStream, make_generator
 class FaultSettings(StageSettings):
     """Faults to inject; times count from the start of the recording. None by default."""
 
-    scan_loss_share: float = setting(
+    scan_loss_fraction: float = setting(
         0.0,
         "Fraction of the scans lost at random",
         ge=0.0,
         le=1.0,
+        formerly="scan_loss_share",
     )
     silence_at_s: float = setting(
         0.0,
@@ -55,7 +56,7 @@ class FaultSettings(StageSettings):
     def has_any(self) -> bool:
         """Whether there is any fault."""
         lengths_s = (self.silence_s, self.slip_s, self.dark_s)
-        return self.scan_loss_share > 0.0 or max(lengths_s) > 0.0 or self.kidnap_at_s is not None
+        return self.scan_loss_fraction > 0.0 or max(lengths_s) > 0.0 or self.kidnap_at_s is not None
 
     def is_dropout(self, time_s: float) -> bool:
         """Whether all sensors are silent at an instant; the end is excluded."""
@@ -71,10 +72,10 @@ class FaultSettings(StageSettings):
 
     def is_scan_lost(self, seed: int, index: int) -> bool:
         """Whether the ``index``-th scan of the recording with that seed is lost."""
-        if self.scan_loss_share == 0.0:
+        if self.scan_loss_fraction == 0.0:
             return False
         draw = make_generator(seed, RandomStream.FAULTS, index).random()
-        return bool(draw < self.scan_loss_share)
+        return bool(draw < self.scan_loss_fraction)
 
 
 class KidnappedPath:

@@ -14,7 +14,7 @@ _GAP_M = 0.08
 
 
 class FloorPlan:
-    """Collects the furniture of a room while it is planned.
+    """Places the furniture of a room.
 
     ``route_m``: (W, 2) waypoints of the route. ``clearance_m``: the least distance between the
     route and any furniture.

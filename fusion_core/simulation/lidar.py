@@ -134,9 +134,9 @@ def add_noise(
 ) -> NoisySweep:
     """A sweep as the sensor reports it, and each beam's kind.
 
-    A beam is a burr where something other than ordinary noise formed its value *and* the value
-    lies beyond three standard deviations of the truth and beyond BURR_LEAST_M; at an edge it may
-    well be good.
+    A beam is a burr where something other than ordinary noise formed its value *and* the value is
+    off the truth by more than three standard deviations and by more than SAME_SURFACE_M: a mixed
+    beam at a low edge may be good.
     """
     true_m = view.true_m
     count = true_m.size

@@ -20,7 +20,7 @@ ROBOT_HEIGHT_M = 0.55
 MIN_OBSTACLE_HEIGHT_M = 0.01
 """Li 2022, section 2.2: lower objects belong to the floor."""
 
-# How far beside an edge the floor is probed: nearer than any gap between two objects.
+# How far beside an edge the floor is probed: less than any gap between two objects.
 _PROBE_OFFSET_M = 1e-4
 # Nearer points are one: far above rounding at the size of a building.
 _COINCIDENCE_TOLERANCE_M = 1e-6

@@ -46,9 +46,9 @@ class DriftingOdometry:
         self._before = (time_s, transform_from_planar(pose))
 
     def step(self, time_s: float, pose: FloatArray, slip: float = 1.0) -> FloatArray:
-        """(4, 4) T_odom_base at ``time_s``, from the true (x, y, yaw); times must rise.
+        """(4, 4) T_odom_base at ``time_s``, from the true (x, y, yaw); times must increase.
 
-        ``slip``: how far the wheels turn over how far they come, 1 where they do not slip.
+        ``slip``: ratio of the distance by the wheels' rotation to the true one, 1 without slip.
         """
         T_map_base = transform_from_planar(pose)
         if self._before is not None:

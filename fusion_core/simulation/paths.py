@@ -45,7 +45,7 @@ def round_corners(corners_m: FloatArray, radius_m: float) -> FloatArray:
         u, v = back / lengths[0], ahead / lengths[1]
         half = 0.5 * np.arccos(np.clip(u @ v, -1.0, 1.0))
         cut_m = min(radius_m / np.tan(half), 0.49 * min(lengths))
-        # Seen from the arc's middle the two ends of the arc are pi - 2 half apart.
+        # Seen from the arc's centre its two ends are pi - 2 * half apart.
         middle = (u + v) / np.linalg.norm(u + v) * (cut_m / np.cos(half))
         start, end = u * cut_m - middle, v * cut_m - middle
         opening = np.pi - 2.0 * half

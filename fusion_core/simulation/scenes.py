@@ -33,7 +33,7 @@ RPLIDAR_A1 = LidarNoise(
     spurious_fraction=0.0005,
 )
 # Li 2022, Table 2: within 1-3 mm at 1 m, growing with z². Read as three standard deviations of
-# 1 mm, shared between the quantisation of the inverse depth and what is before it.
+# 1 mm, split between the quantisation of the inverse depth and the noise before it.
 ASTRA_PRO = DepthNoise(
     sigma_per_m=0.87e-3, disparity_step_per_m=1.7e-3, near_m=0.6, far_m=8.0, speckles=8.0
 )

@@ -14,7 +14,7 @@ from fusion_core.model.conventions import ByteArray, FloatArray, read_only
 
 
 class Material(IntEnum):
-    """What a surface is made of; the sensor models treat DARK and GLASS apart."""
+    """What a surface is made of; the sensor models treat DARK and GLASS specially."""
 
     WALL = 0
     FLOOR = 1

@@ -1,4 +1,4 @@
-"""The truth beside a recording: one .npz, written as frames come, the same bytes each time."""
+"""Ground truth of a recording: one .npz beside it, written frame by frame, the same each time."""
 
 import tempfile
 import zipfile
@@ -20,7 +20,7 @@ def truth_path(recording: Path) -> Path:
 
 
 class TruthWriter:
-    """Collects stacks of equal frames on disk, not in memory, and zips them at the end.
+    """Collects stacks of equally shaped frames on disk, and zips them at the end.
 
     The file appears under its name when the ``with`` block ends well; after an error nothing is
     left behind. Dates inside the zip are those of 1980.

@@ -1,8 +1,8 @@
 """Worlds to record in: rooms with doors, glass, furniture and people, each made from a seed.
 
-The floor of a world spans 0…size in x and y. Every world is closed: behind its glass lies a yard
-with walls and a roof of its own. A pane of glass is a true obstacle: the truth of a ray that meets
-it is the pane, whatever the sensor sees behind it.
+The floor of a world spans 0…size in x and y. Every world is closed: outside its windows and doors
+lies a yard with walls and a roof. A pane of glass is an obstacle: the true range of a ray that hits
+it is that of the pane, whatever the sensor sees behind it.
 """
 
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ _YARD_M = 3.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Walker:
-    """A person who walks to and fro between two points."""
+    """A person who walks back and forth between two points."""
 
     start_m: tuple[float, float]
     end_m: tuple[float, float]
@@ -65,7 +65,7 @@ class Walker:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class World:
-    """A static place, the people who move in it, and a route that is free of both.
+    """A static place, the people who move in it, and a route that collides with neither.
 
     ``blocks_m``: (B, 4) footprints x0, y0, x1, y1 of the furniture and inner walls.
     ``route_m``: (W, 2) waypoints of a closed curve on which a robot touches nothing.
@@ -209,7 +209,7 @@ def build_world(
     obstacles = obstacle_outlines(
         outer_wall_edges(plan.size_m, openings, CEILING_M), plan.objects, plan.size_m
     )
-    # What lies behind glass is out of the robot's way.
+    # The yard is an obstacle only where an open door leads to it.
     if any(not opening.glazed for side in openings for opening in side):
         fence_m = np.array([*_yard(plan.size_m), _yard(plan.size_m)[0]])
         fence = ObstacleOutline(

@@ -28,7 +28,7 @@ from fusion_core.workflows.map.options import MapOptions
 OFF_M = 0.3
 FAULTS = {
     "none": FaultSettings(),
-    "a tenth of the scans lost": FaultSettings(scan_loss_share=0.1),
+    "a tenth of the scans lost": FaultSettings(scan_loss_fraction=0.1),
     "a second of no data": FaultSettings(silence_at_s=40.0, silence_s=1.0),
     "wheels slip for 3 s": FaultSettings(slip_at_s=40.0, slip_s=3.0, slip_factor=3.0),
     "camera dark for 20 s": FaultSettings(dark_at_s=30.0, dark_s=20.0),

@@ -58,7 +58,7 @@ def test_without_faults_nothing_is_said_of_them(sound):
 
 
 def test_scans_are_lost_at_random_and_alone(sound, tmp_path):
-    lossy = record(tmp_path, "lossy", FaultSettings(scan_loss_share=0.3))
+    lossy = record(tmp_path, "lossy", FaultSettings(scan_loss_fraction=0.3))
     whole, left = raw(sound), raw(lossy)
     missing = [message for message in whole if message not in left]
     assert {topic for topic, _, _ in missing} == {"/scan"}
@@ -71,7 +71,7 @@ def test_scans_are_lost_at_random_and_alone(sound, tmp_path):
 
 @pytest.mark.parametrize("fraction", [0.1, 0.5])
 def test_the_fraction_of_lost_scans_is_the_one_asked(fraction):
-    faults = FaultSettings(scan_loss_share=fraction)
+    faults = FaultSettings(scan_loss_fraction=fraction)
     lost = [faults.is_scan_lost(7, index) for index in range(4000)]
     assert np.mean(lost) == pytest.approx(
         fraction, abs=4 * np.sqrt(fraction * (1 - fraction) / 4000)
@@ -168,7 +168,7 @@ def test_a_kidnapped_robot_goes_on_along_its_route():
 
 
 def test_the_same_faults_give_the_same_bytes(tmp_path):
-    faults = FaultSettings(scan_loss_share=0.2, dark_at_s=1.0, dark_s=0.5, kidnap_at_s=2.0)
+    faults = FaultSettings(scan_loss_fraction=0.2, dark_at_s=1.0, dark_s=0.5, kidnap_at_s=2.0)
     short = SETTINGS.model_copy(update={"duration_s": 2.5})
     for name in ("a", "b"):
         write_scene("arena", tmp_path / f"{name}.mcap", settings=short, faults=faults)

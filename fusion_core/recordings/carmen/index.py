@@ -1,5 +1,4 @@
-"""One pass over a CARMEN log: where each message stands, its clocks, and what the log says of
-itself."""
+"""Index of a CARMEN log in one pass: position and both times of each message; parameters."""
 
 import re
 from array import array
@@ -23,12 +22,12 @@ from fusion_core.recordings.carmen.lines import (
 MAX_LINE_BYTES = 1 << 20
 # Below any time: a log may begin before its zero.
 _NO_STAMP = -(1 << 63)
-# Kinds of messages that are known of but not read; more names than these are noise.
+# Keywords of messages that are not read. A log with more kinds than this is damaged.
 _KEYWORD = re.compile(rb"[A-Z][A-Z0-9_-]{1,31}")
 _MAX_OTHER_KINDS = 20
 # Counts of readings for which the angles are a guess: the first few are named.
 _MAX_UNUSUAL_COUNTS = 5
-# A laser is bolted on: what the rounding of a log's numbers may move it.
+# x, y (m) and yaw (rad) of a fixed laser may differ by this much, from the log's rounding.
 _RIGID_TOLERANCE = np.array([0.01, 0.01, 0.01])
 
 PARAMETERS = (
@@ -47,10 +46,10 @@ PARAMETERS = (
 class KeywordIndex:
     """The messages of one keyword, in the order of their log time once the index is complete.
 
-    ``places``: (N,) the byte at which each line begins. ``stamp_ns`` and ``received_ns``: (N,);
-    without a logger's clock the latter are the former. ``with_poses``: (K,) the messages that
-    hold a laser pose and a robot pose. ``laser_on_robot`` is the first laser pose in robot
-    coordinates (x, y, yaw), and ``is_rigid`` says that all others equal it.
+    ``byte_offsets``: (N,) where each line begins. ``stamp_ns``, ``received_ns``: (N,); without a
+    logger's clock the two are equal. ``with_poses``: (K,) indices of the messages that hold a laser
+    pose and a robot pose. ``laser_on_robot``: the first laser pose (x, y, yaw) in the robot's
+    frame, or None; ``is_rigid``: whether all others equal it.
     """
 
     byte_offsets: IntArray
@@ -63,8 +62,12 @@ class KeywordIndex:
 
 @dataclass(frozen=True, slots=True)
 class CarmenIndex:
-    """``rows`` by keyword; ``parameters`` hold those of PARAMETERS that are numbers; ``odd_counts``
-    are numbers of readings, of lasers without angles, for which no SICK stands."""
+    """The index of a whole log.
+
+    ``parameters``: values of those PARAMETERS that it sets. ``unusual_counts``: by keyword the
+    numbers of readings that no SICK has, of lasers whose lines give no angles. ``has_log``: whether
+    any line has a logger's timestamp.
+    """
 
     by_keyword: dict[str, KeywordIndex]
     parameters: dict[str, float]
@@ -174,15 +177,15 @@ class _Indexer:
         unlogged = sum(rows.received.count(_NO_STAMP) for rows in self._rows.values())
         shift_ns = self._shift_ns() if self._has_log else 0
         rows = {
-            keyword.decode(): _sort_by_log_time(growing, shift_ns)
-            for keyword, growing in sorted(self._rows.items())
+            keyword.decode(): _sort_by_log_time(columns, shift_ns)
+            for keyword, columns in sorted(self._rows.items())
         }
         self._warn(unlogged, shift_ns)
         return CarmenIndex(
             by_keyword=rows,
             parameters=self._parameters,
             unusual_counts={
-                keyword.decode(): growing.unusual_counts for keyword, growing in self._rows.items()
+                keyword.decode(): columns.unusual_counts for keyword, columns in self._rows.items()
             },
             has_log=self._has_log,
             end_ns=max((int(r.received_ns[-1]) for r in rows.values()), default=0),
@@ -313,16 +316,16 @@ def _note_unusual_count(rows: _KeywordColumns, count: int) -> None:
         rows.unusual_counts.append(count)
 
 
-def _sort_by_log_time(growing: _KeywordColumns, shift_ns: int) -> KeywordIndex:
-    stamp_ns = np.array(growing.stamps, dtype=np.int64)
-    received_ns = np.array(growing.received, dtype=np.int64)
+def _sort_by_log_time(columns: _KeywordColumns, shift_ns: int) -> KeywordIndex:
+    stamp_ns = np.array(columns.stamps, dtype=np.int64)
+    received_ns = np.array(columns.received, dtype=np.int64)
     received_ns = np.where(received_ns == _NO_STAMP, stamp_ns + shift_ns, received_ns)
     order = np.argsort(received_ns, kind="stable")
     return KeywordIndex(
-        byte_offsets=np.array(growing.byte_offsets, dtype=np.int64)[order],
+        byte_offsets=np.array(columns.byte_offsets, dtype=np.int64)[order],
         stamp_ns=stamp_ns[order],
         received_ns=received_ns[order],
-        with_poses=np.flatnonzero(np.array(growing.has_poses, dtype=np.bool_)[order]),
-        laser_on_robot=growing.laser_on_robot,
-        is_rigid=growing.is_rigid,
+        with_poses=np.flatnonzero(np.array(columns.has_poses, dtype=np.bool_)[order]),
+        laser_on_robot=columns.laser_on_robot,
+        is_rigid=columns.is_rigid,
     )

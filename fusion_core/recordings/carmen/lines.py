@@ -85,7 +85,7 @@ class CarmenLine:
 
 @dataclass(frozen=True, slots=True)
 class LaserDefaults:
-    """What PARAM lines say of a laser whose lines do not; None where they are silent."""
+    """A laser's values from PARAM lines, for lines without them; None where PARAM has none."""
 
     resolution_deg: float | None = None
     range_max_m: float | None = None
@@ -201,7 +201,8 @@ def _take_counted_list(fields: list[bytes], position: int, what: str) -> tuple[l
 def _split_stamps(tail: list[bytes], body_fields: int) -> tuple[bytes, bytes | None, list[bytes]]:
     """The ipc stamp, the logger's if there is one, and the body before them.
 
-    The host between the two stamps tells them from a body that an old logger wrote shorter.
+    The host name between the two stamps, which is no number, shows where a shorter body of an old
+    logger ends.
     """
     extra = len(tail) - body_fields
     if extra == _STAMP_FIELDS:
@@ -225,7 +226,7 @@ def _time_ns(text: bytes, what: str) -> int:
 
 
 def _log_time_ns(text: bytes) -> int:
-    """Nanoseconds since the logger's start: what it caught while it started is negative."""
+    """Nanoseconds since the logger's start; negative for messages sent before it was ready."""
     time_ns = _time_ns(text.removeprefix(b"-"), "logger timestamp")
     return -time_ns if text.startswith(b"-") else time_ns
 

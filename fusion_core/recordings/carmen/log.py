@@ -257,7 +257,8 @@ def _pose_decoder(first: int, parent: str, child: str) -> _Decoder:
 
 
 def _laser_defaults(index: CarmenIndex, keyword: str, warnings: list[str]) -> LaserDefaults:
-    """What PARAM says of a laser; a warning where neither it nor a SICK gives the angles."""
+    """The laser's values from PARAM; a warning where the angles follow from neither PARAM nor a
+    SICK's number of readings."""
     names = {
         "FLASER": ("laser_front_laser_resolution", "robot_front_laser_max", "robot_frontlaser_max"),
         "RLASER": ("laser_rear_laser_resolution", "robot_rear_laser_max"),
@@ -276,7 +277,7 @@ def _laser_defaults(index: CarmenIndex, keyword: str, warnings: list[str]) -> La
 
 
 def _laser_mount(index: CarmenIndex, keyword: str, rows: KeywordIndex) -> FloatArray | None:
-    """The laser on the robot (x, y, yaw), where the log says it.
+    """The laser's pose on the robot (x, y, yaw), None where the log does not give it.
 
     ROBOTLASER lines have both poses. For FLASER there are PARAM lines; the unit of its angular
     offset differs between loggers, so that only zero is understood.

@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from fusion_core.model.conventions import NS_PER_S, FloatArray
+from fusion_core.model.conventions import NS_PER_S, FloatArray, IntArray
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.geometry import POSITION_MAX_M
 from fusion_core.model.recording import Recording, Role
@@ -43,7 +43,7 @@ CAMERA_INFO_TOPIC = "/camera/depth/camera_info"
 POSE_TOPIC = "/camera/pose"
 CAMERA_FRAME = "camera"
 WORLD_FRAME = "world"
-FRAMES_PER_S = 30
+_FRAMES_PER_S = 30
 
 _SEVEN_SCENES_NAME = re.compile(r"frame-(\d{6})\.(depth\.png|color\.(?:png|jpg)|pose\.txt)$")
 _NUMBERED_IMAGE = re.compile(r"(\d{1,12})\.(png|jpg|jpeg)$", re.IGNORECASE)
@@ -95,6 +95,11 @@ def open_frame_folder(path: Path) -> Recording:
     return _recording(path, layout)
 
 
+def frame_stamps_ns(numbers: IntArray, first: int) -> IntArray:
+    """(count,) nominal stamps of frame numbers, 0 at the number ``first``."""
+    return (numbers - first) * NS_PER_S // _FRAMES_PER_S
+
+
 def _recording(path: Path, layout: FrameLayout) -> Recording:
     first = min(min(layout.depth), min(layout.color, default=min(layout.depth)))
     warnings = list(layout.warnings)
@@ -107,7 +112,7 @@ def _recording(path: Path, layout: FrameLayout) -> Recording:
         value: Callable[[int, int], SensorValue],
     ) -> StampedStream:
         numbers = np.array(sorted(files), dtype=np.int64)
-        stamps = (numbers - first) * NS_PER_S // FRAMES_PER_S
+        stamps = frame_stamps_ns(numbers, first)
         return StampedStream(
             name=name,
             type=kind,

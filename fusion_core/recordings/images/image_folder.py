@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion_core.model.conventions import NS_PER_S, IntArray
+from fusion_core.model.conventions import IntArray
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording, Role
 from fusion_core.model.sensors import (
@@ -40,7 +40,7 @@ from fusion_core.recordings.images.frame_folder import (
     CAMERA_INFO_TOPIC,
     COLOR_TOPIC,
     DEPTH_TOPIC,
-    FRAMES_PER_S,
+    frame_stamps_ns,
 )
 from fusion_core.recordings.stamped import StampedRecording, StampedStream
 from fusion_core.recordings.units import MILLIMETRES_PER_METRE
@@ -187,11 +187,6 @@ def camera_streams(
     if color is not None:
         streams.append(_stream(COLOR_TOPIC, "image", "color", color, lambda i: _color(color, i)))
     return streams
-
-
-def frame_stamps_ns(numbers: IntArray, first: int) -> IntArray:
-    """(count,) nominal stamps of frame numbers, 0 at the number ``first``."""
-    return (numbers - first) * NS_PER_S // FRAMES_PER_S
 
 
 def _stream(

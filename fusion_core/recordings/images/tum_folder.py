@@ -27,13 +27,16 @@ from fusion_core.model.geometry import POSITION_MAX_M, make_transform, rotation_
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import CameraIntrinsics, PoseSample
 from fusion_core.recordings.decimal_time import ns_from_decimal_seconds
-from fusion_core.recordings.images.frame_folder import CAMERA_FRAME, WORLD_FRAME
+from fusion_core.recordings.images.frame_folder import (
+    CAMERA_FRAME,
+    WORLD_FRAME,
+    frame_stamps_ns,
+)
 from fusion_core.recordings.images.image_folder import (
     MAX_FILES,
     ImageSeries,
     camera_streams,
     find_camera_parameters,
-    frame_stamps_ns,
     read_first_shape,
 )
 from fusion_core.recordings.quoting import quote_clipped

@@ -27,8 +27,8 @@ _Definition = TypeVar("_Definition", Schema, ChannelRecord)
 class McapChannels:
     """Channels in the order in which the file names them, each once.
 
-    The summary repeats the definitions, and damaged chunks may still contain them.
-    Such spare records serve where there is no other.
+    The summary repeats the definitions, and damaged chunks may still contain some. Such records are
+    kept as fallbacks, used where a definition is not found elsewhere.
     """
 
     def __init__(self) -> None:
@@ -39,7 +39,7 @@ class McapChannels:
         self._fallback_channels: dict[int, ChannelRecord] = {}
 
     def define(self, opcode: int, content: bytes) -> None:
-        """Take a schema or a channel. Raises ValueError for one that cannot be read."""
+        """Add a schema or a channel. Raises ValueError for one that cannot be read."""
         record = _parse(opcode, content)
         if isinstance(record, Schema):
             if len(self._schemas) == _MAX_CHANNELS:
@@ -51,7 +51,7 @@ class McapChannels:
             self._add(record)
 
     def define_fallback(self, opcode: int, content: bytes) -> None:
-        """Keep a schema or a channel in case there is no other. Raises ValueError as ``define``."""
+        """Add a schema or a channel as a fallback. Raises ValueError as ``define``."""
         record = _parse(opcode, content)
         if max(len(self._fallback_schemas), len(self._fallback_channels)) == _MAX_CHANNELS:
             raise ValueError(f"there are more than {_MAX_CHANNELS} channels")
@@ -61,9 +61,9 @@ class McapChannels:
             self._fallback_channels.setdefault(record.id, record)
 
     def contradicts(self, opcode: int, content: bytes) -> bool:
-        """Whether a schema or a channel means something else than the spare one of its number.
+        """Whether a schema or a channel differs from the fallback with its number.
 
-        What it says besides, of its publishers, a writer may know better at the end.
+        A channel's metadata (its publishers) may differ: a writer can complete it at the end.
         """
         try:
             record = _parse(opcode, content)
@@ -75,7 +75,7 @@ class McapChannels:
         return replace(fallback, metadata={}) != replace(record, metadata={})
 
     def add_fallbacks(self) -> None:
-        """Add the spare channels, of which some may have no message."""
+        """Add the fallback channels, of which some may have no message."""
         for channel_id in self._fallback_channels:
             self.channel_number(channel_id)
 

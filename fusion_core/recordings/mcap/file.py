@@ -58,7 +58,7 @@ class _ChunkPlace:
 
 @dataclass(slots=True)
 class _Summary:
-    """What the summary says; ``problem`` says why it is not to be relied on.
+    """Contents of the summary; ``problem`` says why it is not reliable, empty if it is.
 
     ``start`` is where it begins, or the file's footer where there is no summary.
     """
@@ -77,7 +77,7 @@ class McapFile:
         self.path = path
         self.warnings: list[str] = []
         self._channels = McapChannels()
-        # A buffer would be filled anew at every record of a walk.
+        # Unbuffered: a walk seeks at every record, which would refill a buffer each time.
         self._file = path.open("rb", buffering=0)
         self._records = RecordFile(self._file)
         self._chunks = ChunkCache(self._decompress_chunk)
@@ -88,9 +88,9 @@ class McapFile:
         return self._channels.channels
 
     def index(self) -> Entries:
-        """Every message that can be found; ``warnings`` then name what a damaged file has lost.
+        """Every message that can be found; ``warnings`` then name the lost parts of a damaged file.
 
-        Raises RecordingError where the file is damaged and nothing can be found.
+        Raises RecordingError where the file is damaged and no message can be found.
         """
         self._summary = summary = self._read_summary()
         if not summary.problem:
@@ -270,7 +270,7 @@ class McapFile:
         return np.concatenate(parts)
 
     def _is_contradicted(self, entries: Entries) -> bool:
-        """Whether the chunks where channels begin define them otherwise than the summary."""
+        """Whether the chunk of a channel's first message defines it differently than the summary."""
         _, rows = np.unique(entries["channel"], return_index=True)
         first = entries[rows]
         for block in np.unique(first["block"]).tolist():
@@ -279,7 +279,7 @@ class McapFile:
             try:
                 content = self._chunks[block][:last]
             except RecordingError:
-                # Reading its messages will tell.
+                # Reading its messages reports that.
                 continue
             for opcode, start, end in records_in(content):
                 is_definition = opcode in DEFINING

@@ -1,4 +1,4 @@
-"""One MCAP file of ROS 2 messages, written aside: it appears whole or not at all."""
+"""Writer of one MCAP file of ROS 2 messages, which appears complete or not at all."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -95,7 +95,7 @@ class McapOutput:
         """Leave nothing behind."""
         if self._open:
             self._open = False
-            # What could not be written is to be thrown away in any case.
+            # The file is discarded in any case.
             with suppress(OSError):
                 self._file.close()
             self._making.close()
@@ -115,7 +115,7 @@ class McapOutput:
         self._making.publish()
 
     def _call(self, write: Any, *args: Any, **kwargs: Any) -> Any:
-        """Each call may write out a chunk, and then fail as writing does."""
+        """Call the writer: any call may write a chunk to disk, and fail with an OSError."""
         if not self._open:
             raise ValueError(f"{self.path} is closed")
         try:

@@ -53,17 +53,17 @@ _FIELDS: dict[int, tuple[int | str, ...]] = {
 # Opcodes from here on belong to applications; those between are reserved.
 _FIRST_PRIVATE_OPCODE = 0x80
 
-# Enough for what a walk looks at in a record, and for many small records at once.
+# Enough for the header of a message, and for many small records in one read.
 _HEAD_BYTES = MESSAGE_HEADER.size
 _BLOCK_BYTES = 1 << 12
 _PIECE_BYTES = 1 << 20
-# Small steps towards the place where a stream is damaged.
+# Small steps, to recover the content up to close before the damage of a stream.
 _STEP_BYTES = 1 << 14
 # What a zstd frame may ask for besides its content.
 _MAX_WINDOW_BYTES = 64 << 20
 # The opcodes that carry messages or what is needed to read them, with a length below 4 GiB.
 _CANDIDATE = re.compile(rb"[\x03-\x07\x0f](?=[\s\S]{4}\0{4})")
-# Enough to find the way out of many damaged chunks, little enough to end soon.
+# Enough to find the record after many damaged chunks, and few enough to end within seconds.
 _SEARCHED_BYTES = 512 << 20
 _SEARCHED_CANDIDATES = 300_000
 
@@ -83,7 +83,7 @@ class Record(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class DecompressedChunk:
-    """The content of a chunk, up to where ``problem`` is if that is not empty."""
+    """The content of a chunk; up to the damage that ``problem`` describes if that is not empty."""
 
     content: bytes
     problem: str
@@ -124,8 +124,8 @@ class RecordFile:
         return self._file.read(size)
 
     def record(self, position: int) -> Record | None:
-        """The record at a place, None where none can stand. It may be cut by the file's end."""
-        # Asked whether a record follows, then for that record.
+        """The record at a position, None where none can be. The file's end may truncate it."""
+        # Kept, since ``follows`` is usually called before the record itself is needed.
         if position != self._last[0]:
             self._last = position, self._read_record(position)
         return self._last[1]
@@ -190,7 +190,7 @@ class RecordFile:
         )
 
     def decompress_chunk(self, chunk: Chunk) -> DecompressedChunk:
-        """A chunk's content. What the file's end cuts off is no problem of the rest."""
+        """A chunk's content. One that the file's end truncates is not reported as a problem."""
         end = min(chunk.data_end, self.size)
         packed = self.read(chunk.data_start, end - chunk.data_start)
         content, problem = _decompress(packed, chunk.compression, chunk.size)
@@ -202,7 +202,7 @@ class RecordFile:
         return DecompressedChunk(content, problem)
 
     def find_record(self, start: int) -> int | None:
-        """The next place where one record follows another, or the file ends behind one."""
+        """The next position of a record that another record or the file's end follows."""
         while start < self.size and self._searchable_bytes > 0:
             block = self.read(start, min(_PIECE_BYTES, self.size - start))
             self._searchable_bytes -= len(block)
@@ -233,7 +233,7 @@ class RecordFile:
             return record.end > self.size or self.follows(record.end)
         if record.opcode != Opcode.MESSAGE:
             return record.end == record.fields_end and self.follows(record.end)
-        # Nothing within a message's header contradicts itself: a second record must follow.
+        # A message's header has nothing to check it by: two more records must follow.
         second = self.record(record.end)
         return record.end == self.size or (second is not None and self.follows(second.end))
 
@@ -262,8 +262,8 @@ def index_entries(
 ) -> Entries:
     """Entries, in the order of the chunk at ``block``, from the message index records behind it.
 
-    ``number`` gives the place of a channel by its id. Raises ValueError where they cannot be
-    true of a chunk of ``size`` bytes with log times from ``start_ns`` to ``end_ns``.
+    ``number`` gives the place of a channel by its id. Raises ValueError where they contradict a
+    chunk of ``size`` bytes with log times from ``start_ns`` to ``end_ns``.
     """
     position = 0
     numbers, counts, indexes = [], [], []

@@ -29,8 +29,8 @@ Deserializer = Callable[[Payload], Any]
 # Supported serialisations, and the definitions used for files without any.
 _DEFAULT_STORES = {"cdr": Stores.ROS2_HUMBLE, "ros1": Stores.ROS1_NOETIC}
 READABLE_ENCODINGS = frozenset(_DEFAULT_STORES)
-# Bags from before 2011 have the header in the package that REP 100 took it from. In a field
-# without a package, "Header header", it is the same type by either name.
+# Bags from before 2011 have the header in the package roslib, from which REP 100 moved it. In a
+# field without a package, "Header header", it is the same type by either name.
 _OLD_HEADER = re.compile(r"\broslib/(?:msg/)?Header\b")
 _HEADER = "std_msgs/Header"
 

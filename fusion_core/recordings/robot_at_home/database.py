@@ -1,11 +1,11 @@
 """Robot@Home2: the tables of rh.db, and the images below files/rgbd that they name.
 
-The images were turned upright and their depth was cut to 8 bits. Of the labelled images the poses
-are places in a map; the raw data has the mounts. A laser observation's subsession is the number
-of its sequence in the first version, so that sequences are distinguished by their times here too.
+The published images are rotated upright, and their depth has 8 bits. The poses of labelled images
+are poses in a map; those of the raw data are the mounts. A laser observation's subsession is the
+number of its sequence in the first version; whether a sequence belongs to the images of a room is
+decided by its times, as there.
 """
 
-import sqlite3
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
@@ -14,6 +14,7 @@ import numpy as np
 
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import RecordingError
+from fusion_core.recordings.robot_at_home.database_file import DatabaseFile
 from fusion_core.recordings.robot_at_home.rig import (
     URG_APERTURE_RAD,
     URG_MAX_RANGE_M,
@@ -33,49 +34,16 @@ from fusion_core.recordings.robot_at_home.room import (
 )
 
 FORMAT: Final = "Robot@Home2 room"
-DATABASE: Final = "rh.db"
-_MAGIC: Final = b"SQLite format 3\0"
-_NAMES: Final = frozenset({"rh_home_sessions", "rh_rooms", "rh_sensors"})
 # Of two tables that hold a room the first is read.
 _CAMERA_TABLES: Final = ("rh_lblrgbd", "rh_raw")
 _LIDAR_TABLES: Final = ("rh_lsrscan", "rh_raw")
 _FILES: Final = "rh2_old2new_rgbd_files"
 # The raw observations' numbers end below this; their beams are in rh_raw_scans.
 _FIRST_PROCESSED_ID: Final = 200_000
-_ROWS_AT_A_TIME: Final = 4096
-# No text of this database is longer than a path.
-_MAX_VALUE_BYTES: Final = 1 << 16
 _MAX_NAME: Final = 255
 _MAX_ROOMS: Final = 100_000
-# A damaged table may lead in circles. The largest query on the published data takes some million
-# steps of SQLite's machine; this many take seconds.
-_STEPS_AT_A_TIME: Final = 1_000_000
-_MAX_STEPS: Final = 200 * _STEPS_AT_A_TIME
 _POSE: Final = ", ".join(f"sensor_pose_{name}" for name in ("x", "y", "z", "yaw", "pitch", "roll"))
 _WRONG: Final = (ValueError, TypeError, OverflowError, KeyError)
-# A damaged name in the schema is no text, and SQLite's own message quotes it.
-DATABASE_ERRORS: Final = (sqlite3.Error, UnicodeDecodeError)
-
-
-def find_database(path: Path) -> Path | None:
-    """rh.db, for itself or the folder that holds it: a database with the tables of this data set.
-
-    Raises OSError where it cannot be read.
-    """
-    database = path / DATABASE if path.is_dir() else path
-    if not database.is_file():
-        return None
-    with database.open("rb") as file:
-        if file.read(len(_MAGIC)) != _MAGIC:
-            return None
-    try:
-        connection = _connect(database)
-        try:
-            return database if _tables(connection) >= _NAMES else None
-        finally:
-            connection.close()
-    except DATABASE_ERRORS:
-        return database if database.name == DATABASE else None
 
 
 class Database:
@@ -83,11 +51,8 @@ class Database:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._connection = _connect(path)
-        self._steps = 0
-        self._connection.set_progress_handler(self._exceeds_step_limit, _STEPS_AT_A_TIME)
+        self.file = DatabaseFile(path)
         try:
-            self.tables = _tables(self._connection)
             self._sessions = self._by_id("rh_home_sessions")
             self._rooms = self._by_id("rh_rooms")
             self._sensors = self._by_id("rh_sensors")
@@ -98,27 +63,27 @@ class Database:
                 str(number) for number, name in self._sensors.items() if is_camera(name)
             )
         except BaseException:
-            self._connection.close()
+            self.file.close()
             raise
 
     def close(self) -> None:
         """Refuse further queries."""
-        self._connection.close()
+        self.file.close()
 
     def room_keys(self) -> tuple[RoomKey, ...]:
         """Every room, sorted; rooms that only the LiDAR saw have the subsession 1."""
         columns = "DISTINCT home_session_id, room_id, home_subsession_id"
         found: set[tuple[Any, Any, Any]] = set()
         for table in self._present(_CAMERA_TABLES):
-            rows = self.query_rows(f"SELECT {columns} FROM {table} WHERE {self._is_camera}")
-            # Opening a room says what is lost.
-            found |= set(self._until_damage(rows, table, []))
+            rows = self.file.query_rows(f"SELECT {columns} FROM {table} WHERE {self._is_camera}")
+            # Opening a room reports what is lost.
+            found |= set(self.file.until_damage(rows, table, []))
         seen = {(session, room) for session, room, _ in found}
         for table in self._present(_LIDAR_TABLES):
-            rows = self.query_rows(f"SELECT {columns} FROM {table} WHERE {self._is_lidar}")
+            rows = self.file.query_rows(f"SELECT {columns} FROM {table} WHERE {self._is_lidar}")
             found |= {
                 (session, room, 0)
-                for session, room, _ in self._until_damage(rows, table, [])
+                for session, room, _ in self.file.until_damage(rows, table, [])
                 if (session, room) not in seen
             }
         return tuple(
@@ -182,10 +147,10 @@ class Database:
         return f"sensor_id IN ({self._scanners})"
 
     def _present(self, tables: tuple[str, ...]) -> Iterator[str]:
-        return (table for table in tables if table in self.tables)
+        return (table for table in tables if table in self.file.tables)
 
     def _by_id(self, table: str) -> dict[int, str]:
-        rows = self.query_rows(f"SELECT id, name FROM {table} ORDER BY id LIMIT {_MAX_ROOMS}")
+        rows = self.file.query_rows(f"SELECT id, name FROM {table} ORDER BY id LIMIT {_MAX_ROOMS}")
         return {
             number: name
             for number, name in rows
@@ -200,10 +165,10 @@ class Database:
     def _camera_tracks(
         self, table: str, where: str, place: tuple[int, ...], warnings: list[str]
     ) -> list[SensorTrack]:
-        if _FILES not in self.tables:
+        if _FILES not in self.file.tables:
             warnings.append(f"{self.path.name} has no {_FILES}: the images cannot be found.")
             return []
-        rows = self.query_rows(
+        rows = self.file.query_rows(
             f"SELECT o.id, o.time_stamp, o.sensor_id, 0, f.id IS NOT NULL, {_POSE} "
             f"FROM {table} o LEFT JOIN {_FILES} f ON f.id = o.id "
             f"WHERE o.home_session_id = ? AND o.room_id = ? AND {where}",
@@ -215,7 +180,7 @@ class Database:
         self, table: str, place: tuple[int, int], warnings: list[str]
     ) -> dict[str, SensorTrack]:
         """{number from 1: sequence}."""
-        rows = self.query_rows(
+        rows = self.file.query_rows(
             f"SELECT id, time_stamp, sensor_id, home_subsession_id, 1, {_POSE} FROM {table} "
             f"WHERE home_session_id = ? AND room_id = ? AND {self._is_lidar}",
             place,
@@ -233,7 +198,7 @@ class Database:
         """One track for each sensor, of rows id, ticks, sensor, sequence, has files, pose."""
         builders: dict[str, SensorTrackBuilder] = {}
         unread, without, first, count = 0, 0, "", 0
-        for identifier, ticks, sensor, sequence, has_files, *pose in self._until_damage(
+        for identifier, ticks, sensor, sequence, has_files, *pose in self.file.until_damage(
             rows, table, warnings
         ):
             count += 1
@@ -258,32 +223,6 @@ class Database:
         return {
             label: builders[label].track() for label in sorted(builders) if len(builders[label])
         }
-
-    def query_rows(self, query: str, values: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-        """The rows of a query, a few at a time. Raises RecordingError."""
-        self._steps = 0
-        try:
-            cursor = self._connection.execute(query, values)
-            while rows := cursor.fetchmany(_ROWS_AT_A_TIME):
-                yield from rows
-        except DATABASE_ERRORS as error:
-            raise damaged_database_error(self.path, error) from error
-
-    def _exceeds_step_limit(self) -> bool:
-        self._steps += _STEPS_AT_A_TIME
-        return self._steps > _MAX_STEPS
-
-    def _until_damage(
-        self, rows: Iterator[tuple[Any, ...]], table: str, warnings: list[str]
-    ) -> Iterator[tuple[Any, ...]]:
-        """What can be read of ``rows``, and a warning where that is not all."""
-        count = 0
-        try:
-            for row in rows:
-                count += 1
-                yield row
-        except RecordingError as error:
-            warnings.append(f"{table}: only {count} rows can be read: {error}")
 
 
 class _DatabaseFiles:
@@ -317,7 +256,7 @@ class _DatabaseFiles:
         count = checked_beam_count(float(beams))
         ranges, valid = np.full(count, np.nan), np.zeros(count, dtype=np.bool_)
         found = 0
-        for shot, range_m, flag in self._database.query_rows(
+        for shot, range_m, flag in self._database.file.query_rows(
             f"SELECT shot_id, scan, valid_scan FROM {table}_scans "
             "WHERE sensor_observation_id = ? ORDER BY shot_id",
             (number,),
@@ -339,9 +278,9 @@ class _DatabaseFiles:
         return f"{self._database.path}: laser observation {track.ids[index]}"
 
     def raw_poses(self) -> Mapping[str, FloatArray]:
-        if "rh_raw" not in self._database.tables:
+        if "rh_raw" not in self._database.file.tables:
             return {}
-        rows = self._database.query_rows(
+        rows = self._database.file.query_rows(
             f"SELECT id, time_stamp, sensor_id, 0, 1, {_POSE} FROM rh_raw "
             "WHERE home_session_id = ? AND room_id = ?",
             self._place,
@@ -357,7 +296,7 @@ class _DatabaseFiles:
         return _resolve_image_path(self._database.path, folder, name)
 
     def _one(self, query: str, number: int) -> tuple[Any, ...]:
-        row = next(self._database.query_rows(query, (number,)), None)
+        row = next(self._database.file.query_rows(query, (number,)), None)
         if row is None:
             raise RecordingError(
                 f"has lost observation {number}.",
@@ -368,7 +307,7 @@ class _DatabaseFiles:
 
 
 def _resolve_image_path(database: Path, folder: object, name: object) -> Path:
-    """The image that a row names. Refuses what is no plain path below files/rgbd."""
+    """The path of the image that a row names. Raises RecordingError if not below files/rgbd."""
     if isinstance(folder, str) and isinstance(name, str) and folder and name:
         inner = PurePosixPath(folder, name)
         plain = not inner.is_absolute() and ".." not in inner.parts
@@ -381,14 +320,6 @@ def _resolve_image_path(database: Path, folder: object, name: object) -> Path:
     )
 
 
-def damaged_database_error(database: Path, error: Exception) -> RecordingError:
-    """The error for a database that SQLite gives up on."""
-    problem = " ".join(str(error).split())[:_MAX_NAME]
-    return RecordingError(
-        f"is damaged: {problem}.", file=database, advice="Unpack it again from the archive."
-    )
-
-
 def _select_sequence(track: SensorTrack, sequence: int) -> SensorTrack:
     kept = track.sequences == sequence
     return SensorTrack(
@@ -398,23 +329,3 @@ def _select_sequence(track: SensorTrack, sequence: int) -> SensorTrack:
         poses=track.poses[kept],
         sequences=track.sequences[kept],
     )
-
-
-def _connect(database: Path) -> sqlite3.Connection:
-    # Immutable: SQLite then makes no lock and no journal beside the data.
-    connection = sqlite3.connect(
-        f"{database.resolve().as_uri()}?mode=ro&immutable=1", uri=True, check_same_thread=False
-    )
-    try:
-        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MAX_VALUE_BYTES)
-        # Without it SQLite refuses a file that is cut short, whatever is still there.
-        connection.execute("PRAGMA writable_schema = ON")
-    except BaseException:
-        connection.close()
-        raise
-    return connection
-
-
-def _tables(connection: sqlite3.Connection) -> frozenset[str]:
-    rows = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
-    return frozenset(name for (name,) in rows)

@@ -1,40 +1,28 @@
-"""Robot@Home (2017) as plain text: sequence files, scans as text, images as PNG.
+"""Robot@Home (2017) as plain text: the folders of units, sessions and rooms.
 
     Robot@Home-dataset_<unit>-all/Robot@Home-dataset_<unit>-<session>/<session>/
         <room>[_<subsession>]_rgbd.txt   and _rgbd/<id>_depth.png, <id>_intensity.png
         <room>/<k>_hokuyo_processed.txt  and _hokuyo_processed/<id>_scan.txt
 
 The unit of raw data has <room>[_<subsession>].txt with all sensors in one sequence. A session's
-folder may also stand alone. A line of a sequence file is
-"id label x y z yaw pitch roll ticks": metres, radians, 100 ns since 1601.
+folder may also be opened alone.
 """
 
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
-from fusion_core.files.regular_file import read_head
-from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import RecordingError
-from fusion_core.recordings.robot_at_home.rig import (
-    RawScan,
-    checked_beam_count,
-    is_camera,
-    is_lidar,
-)
+from fusion_core.recordings.robot_at_home.rig import is_camera, is_lidar
 from fusion_core.recordings.robot_at_home.room import (
-    MAX_OBSERVATIONS,
     Room,
     RoomKey,
     SensorTrack,
-    SensorTrackBuilder,
-    get_track_builder,
     select_lidar_scans,
 )
+from fusion_core.recordings.robot_at_home.text_files import TextFiles, is_sequence_file, read_tracks
 
 FORMAT: Final = "Robot@Home room"
 # Of two units with the same room the earlier one is read.
@@ -48,11 +36,6 @@ _RAW_UNIT: Final = _UNITS[3]
 _SESSION = re.compile(r"(?:^|[-_])([A-Za-z0-9]+-s\d{1,3})$")
 _ROOM_SEQUENCE = re.compile(r"([A-Za-z]+\d*)((?:_[A-Za-z0-9]+)*)$")
 _LIDAR_SEQUENCE = re.compile(r"(\d{1,6})_hokuyo(?:_[A-Za-z0-9]+)*$")
-_MAX_SEQUENCE_BYTES: Final = 256 << 20
-_MAX_SCAN_BYTES: Final = 64 << 20
-_MAX_LINE: Final = 4096
-_HEAD_BYTES: Final = 65536
-_FIELDS: Final = 9
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +47,7 @@ class _Session:
 
 
 class PlainTextTree:
-    """The rooms that a path means: those of a root, of one session, or a single one."""
+    """The rooms that a path names: those of a root, of one session, or a single one."""
 
     def __init__(
         self,
@@ -74,7 +57,7 @@ class PlainTextTree:
         subsession: int | None = None,
     ) -> None:
         self._sessions = {session.name: session for session in sessions}
-        self._meant = (session, room, subsession)
+        self._named = (session, room, subsession)
 
     def room_keys(self) -> tuple[RoomKey, ...]:
         """Every room, sorted; rooms that only the LiDAR saw have the subsession 1."""
@@ -82,9 +65,9 @@ class PlainTextTree:
             key
             for key in sorted(self._all_keys())
             if all(
-                meant is None or meant == own
-                for meant, own in zip(
-                    self._meant, (key.session, key.room, key.subsession), strict=True
+                named is None or named == own
+                for named, own in zip(
+                    self._named, (key.session, key.room, key.subsession), strict=True
                 )
             )
         )
@@ -115,7 +98,7 @@ class PlainTextTree:
         cameras: list[SensorTrack] = []
         lidars: dict[str, SensorTrack] = {}
         if own is not None:
-            tracks = _read_tracks(own, _add(folders, own), warnings)
+            tracks = read_tracks(own, _add(folders, own), warnings)
             cameras = [track for track in tracks if is_camera(track.label)]
             scans = [track for track in tracks if is_lidar(track.label)]
             lidars = {own.stem: scans[0]} if scans else {}
@@ -123,7 +106,7 @@ class PlainTextTree:
         if sequences:
             lidars = {}
             for name, file in sequences:
-                for track in _read_tracks(file, _add(folders, file), warnings):
+                for track in read_tracks(file, _add(folders, file), warnings):
                     if is_lidar(track.label):
                         lidars[name] = track
         lidar = select_lidar_scans(lidars, cameras, warnings)
@@ -140,7 +123,7 @@ class PlainTextTree:
             format=FORMAT,
             cameras=tuple(cameras),
             lidar=lidar,
-            files=_TextFiles(tuple(folders), _raw_sequence(session, key, own)),
+            files=TextFiles(tuple(folders), _raw_sequence(session, key, own)),
             warnings=tuple(warnings),
         )
 
@@ -164,7 +147,7 @@ def find_plain_text(path: Path) -> PlainTextTree | None:
             return PlainTextTree(_sessions_around(folder), folder.name)
     # The root of a disk has no name.
     sequence = path.parent / f"{path.name}.txt"
-    if _is_sequence(sequence):
+    if is_sequence_file(sequence):
         return _tree_of_sequence(sequence)
     match = _ROOM_SEQUENCE.match(path.name)
     if match is not None and next(_lidar_files(path), None) is not None:
@@ -173,7 +156,7 @@ def find_plain_text(path: Path) -> PlainTextTree | None:
 
 
 def _tree_of_sequence(file: Path) -> PlainTextTree | None:
-    if not _is_sequence(file):
+    if not is_sequence_file(file):
         return None
     if _LIDAR_SEQUENCE.match(file.stem):
         return find_plain_text(file.parent)
@@ -218,14 +201,14 @@ def _inner_session(child: Path) -> Iterator[Path]:
 def _sequence_files(session: Path) -> Iterator[Path]:
     """Every sequence file of a session's folder."""
     for _, _, file in _room_sequences(session):
-        if _is_sequence(file):
+        if is_sequence_file(file):
             yield file
     for _, folder in _lidar_rooms(session):
         yield from _lidar_files(folder)
 
 
 def _room_sequences(session: Path) -> Iterator[tuple[str, int, Path]]:
-    """Room, subsession and sequence file, by name: each stands beside a folder of its name."""
+    """Room, subsession and sequence file, by name: each is beside a folder of the same name."""
     for file in sorted(session.glob("*.txt")):
         match = _ROOM_SEQUENCE.match(file.stem)
         if match is not None and file.is_file() and file.with_suffix("").is_dir():
@@ -246,7 +229,7 @@ def _lidar_rooms(session: Path) -> Iterator[tuple[str, Path]]:
 
 def _lidar_files(room: Path) -> Iterator[Path]:
     for file in room.glob("*.txt"):
-        if _LIDAR_SEQUENCE.match(file.stem) and _is_sequence(file):
+        if _LIDAR_SEQUENCE.match(file.stem) and is_sequence_file(file):
             yield file
 
 
@@ -280,132 +263,3 @@ def _add(folders: list[Path], sequence: Path) -> int:
     """The number under which a sequence's folder is kept."""
     folders.append(sequence.with_suffix(""))
     return len(folders) - 1
-
-
-def _is_sequence(file: Path) -> bool:
-    """Whether the first line that is no comment is an observation."""
-    if not file.is_file():
-        return False
-    head = read_head(file, _HEAD_BYTES)
-    for line in head.decode("utf-8", errors="replace").splitlines():
-        if line.strip() and not line.lstrip().startswith("#"):
-            try:
-                _add_observation({}, line.split(), 0)
-            except (ValueError, TypeError, OverflowError):
-                return False
-            return True
-    return False
-
-
-def _add_observation(
-    builders: dict[str, SensorTrackBuilder], fields: list[str], sequence: int
-) -> None:
-    if len(fields) != _FIELDS:
-        raise ValueError(f"{len(fields)} fields, not {_FIELDS}")
-    get_track_builder(builders, fields[1]).add(fields[0], fields[8], fields[2:8], sequence)
-
-
-def _read_tracks(file: Path, sequence: int, warnings: list[str]) -> list[SensorTrack]:
-    """One track for each sensor of a sequence file; lines that are cut or wrong cost a warning."""
-    builders: dict[str, SensorTrackBuilder] = {}
-    unread, first, count = 0, "", 0
-    try:
-        if file.stat().st_size > _MAX_SEQUENCE_BYTES:
-            raise RecordingError(
-                "is too large for a sequence file.", file=file, advice="Check what it holds."
-            )
-        with file.open(encoding="utf-8", errors="replace") as stream:
-            while line := stream.readline(_MAX_LINE):
-                if not line.strip() or line.lstrip().startswith("#"):
-                    continue
-                count += 1
-                if count > MAX_OBSERVATIONS:
-                    warnings.append(
-                        f"{file.name}: only the first {MAX_OBSERVATIONS} observations are read."
-                    )
-                    break
-                try:
-                    _add_observation(builders, line.split(), sequence)
-                except (ValueError, TypeError, OverflowError) as error:
-                    unread += 1
-                    first = first or f"{line.strip()[:40]!r} ({error})"
-    except OSError as error:
-        raise RecordingError(
-            f"cannot be read: {error.strerror or error}.",
-            file=file,
-            advice="Check the path and its permissions.",
-        ) from error
-    if unread:
-        warnings.append(
-            f"{file.name}: {unread} of {count} lines are no observations; the first: {first}."
-        )
-    return [builders[label].track() for label in sorted(builders) if len(builders[label])]
-
-
-@dataclass(frozen=True, slots=True)
-class _TextFiles:
-    """``folders``: one for each sequence. ``raw``: the raw data's sequence file of the room."""
-
-    folders: tuple[Path, ...]
-    raw: Path | None = field(default=None)
-
-    def depth_file(self, track: SensorTrack, index: int) -> Path:
-        return self._file(track, index, "depth.png")
-
-    def color_file(self, track: SensorTrack, index: int) -> Path:
-        return self._file(track, index, "intensity.png")
-
-    def scan(self, track: SensorTrack, index: int) -> RawScan:
-        return read_scan(self._file(track, index, "scan.txt"))
-
-    def scan_name(self, track: SensorTrack, index: int) -> str:
-        return str(self._file(track, index, "scan.txt"))
-
-    def raw_poses(self) -> Mapping[str, FloatArray]:
-        if self.raw is None:
-            return {}
-        return {track.label: track.poses for track in _read_tracks(self.raw, 0, [])}
-
-    def close(self) -> None:
-        """Nothing is held open."""
-
-    def _file(self, track: SensorTrack, index: int, kind: str) -> Path:
-        return self.folders[int(track.sequences[index])] / f"{track.ids[index]}_{kind}"
-
-
-def read_scan(file: Path) -> RawScan:
-    """A scan file: comments, then aperture, maximum range, N, N ranges and N flags.
-
-    Raises RecordingError where it cannot be read, ValueError where its numbers are wrong.
-    """
-    try:
-        # Opening a pipe would wait for its other end.
-        if not file.is_file():
-            raise RecordingError(
-                "is no file, or missing.", file=file, advice="Copy it again from its source."
-            )
-        size = file.stat().st_size
-        if size > _MAX_SCAN_BYTES:
-            raise ValueError(f"{size} bytes are too many")
-        lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError as error:
-        raise RecordingError(
-            f"cannot be read: {error.strerror or error}.",
-            file=file,
-            advice="Copy it again from its source.",
-        ) from error
-    rows = [line.split() for line in lines if line.strip() and not line.lstrip().startswith("#")]
-    if len(rows) != 5 or any(len(row) != 1 for row in rows[:3]):
-        raise ValueError(
-            f"{len(rows)} lines of values, not aperture, maximum range, N, ranges and flags"
-        )
-    count = checked_beam_count(float(rows[2][0]))
-    if len(rows[3]) != count or len(rows[4]) != count:
-        raise ValueError(f"{len(rows[3])} ranges and {len(rows[4])} flags for {count} beams")
-    flags = np.array(rows[4], dtype=np.float64)
-    return RawScan(
-        aperture_rad=float(rows[0][0]),
-        max_range_m=float(rows[1][0]),
-        ranges_m=np.array(rows[3], dtype=np.float64),
-        valid=flags == 1.0,
-    )

@@ -1,7 +1,7 @@
-"""The sensors of Robot@Home: what its numbers mean, in either version of the data set.
+"""The sensors of Robot@Home: the meaning of its numbers, in either version of the data set.
 
 A LiDAR (Hokuyo URG-04LX) and four Xtions in portrait, whose images are stored landscape: their
-columns run upwards. Poses are MRPT's: yaw, pitch and roll of a body frame (x forward).
+columns run upwards. Poses follow MRPT: yaw, pitch and roll of a body frame (x forward).
 """
 
 import re
@@ -33,7 +33,7 @@ INTRINSICS: Final = CameraIntrinsics(
 )
 URG_APERTURE_RAD: Final = 4.1847
 URG_MAX_RANGE_M: Final = 5.6
-# A sweep takes a turn of the mirror at 600 rpm. No observation tells it.
+# One turn of the URG-04LX's mirror at 600 rpm; the observations do not contain it.
 _SCAN_TIME_S: Final = 0.1
 
 BeamSpacing = Literal["aperture/N", "aperture/(N-1)"]
@@ -128,8 +128,8 @@ def laser_scan(raw: RawScan, stamp_ns: int, spacing: BeamSpacing) -> LaserScan:
 
 
 def stored_landscape(pixels: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """The image as the camera stores it. Robot@Home2 has turned its files upright, by 90 degrees
-    counter-clockwise; the poses still tell of the rolled camera."""
+    """The image as the camera stores it. Robot@Home2 has rotated its files upright, by 90 degrees
+    counter-clockwise; its poses are still those of the rolled camera."""
     upright = pixels.shape[0] > pixels.shape[1]
     return np.ascontiguousarray(np.rot90(pixels, k=-1)) if upright else pixels
 
@@ -160,10 +160,9 @@ def depth_m_from_pixels(
 
 
 def most_frequent_pose(poses: FloatArray) -> tuple[FloatArray, int] | None:
-    """Of (n, 6) poses of a sensor the (6,) that most observations share, and how many they are.
+    """The most frequent (6,) of (n, 6) poses of a sensor, and how many observations have it.
 
-    None where less than half of them share one. A mount stays as it is; poses that move with the
-    robot are places in a map.
+    None where fewer than half have it: a mount is constant, poses that change are poses in a map.
     """
     if not len(poses):
         return None

@@ -37,7 +37,7 @@ class RoomKey:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoomSummary:
     """What a room holds. ``images`` counts RGB-D images of all cameras; ``depth_bits`` is None
-    where none of them could be looked at."""
+    where none of them could be read."""
 
     home: str
     session: str
@@ -75,8 +75,8 @@ class SensorTrackBuilder:
         return len(self._ids)
 
     def add(self, identifier: Any, ticks: Any, pose: Sequence[Any], sequence: int) -> None:
-        """Take an observation, text or numbers. Raises ValueError, TypeError or OverflowError for
-        what is none, and takes nothing then."""
+        """Add an observation, text or numbers. Raises ValueError, TypeError or OverflowError, and
+        adds nothing, where it is invalid."""
         number, stamp_ns = int(identifier), stamp_ns_of_ticks(int(ticks))
         values = [float(value) for value in pose]
         if len(values) != 6 or not np.isfinite(values).all():
@@ -144,7 +144,7 @@ def select_lidar_scans(
 ) -> SensorTrack | None:
     """The scans of the sequences that ran while the cameras did; all where there are no images.
 
-    A room's first sequence is usually another passage. What is left out goes into ``warnings``.
+    A room's first sequence is usually of an earlier visit. ``warnings`` names what is left out.
     """
     chosen = {name: track for name, track in sequences.items() if len(track.ids)}
     if cameras and chosen:

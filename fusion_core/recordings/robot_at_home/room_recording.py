@@ -40,7 +40,7 @@ from fusion_core.recordings.stamped import StampedRecording, StampedStream
 
 _PNG_HEAD = struct.Struct(">8s4x4sIIB")
 _PNG_START = (b"\x89PNG\r\n\x1a\n", b"IHDR")
-# Where the first images are missing, one of these tells what the others are.
+# Where the first images are missing, the format is read from one of these many.
 _MAX_ATTEMPTS = 32
 
 

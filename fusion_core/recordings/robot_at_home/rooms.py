@@ -6,9 +6,9 @@ from typing import Protocol
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording
-from fusion_core.recordings.robot_at_home.database import (
+from fusion_core.recordings.robot_at_home.database import Database
+from fusion_core.recordings.robot_at_home.database_file import (
     DATABASE_ERRORS,
-    Database,
     damaged_database_error,
     find_database,
 )

@@ -1,7 +1,7 @@
 """metadata.yaml of rosbag2 folders: which files belong together, and how many messages they had.
 
-The files themselves are what is read. This is a cross-check, so that what is wrong with it is a
-sentence for the warnings and no error.
+Recordings are read from the files themselves. metadata.yaml is a cross-check only, so problems with
+it are warnings and no errors.
 """
 
 from collections import Counter
@@ -16,7 +16,7 @@ from ruamel.yaml.error import YAMLError
 from ruamel.yaml.nodes import MappingNode
 
 METADATA = "metadata.yaml"
-# A thousand parts and some hundred topics; the parser takes seconds for it.
+# Enough for a thousand parts and some hundred topics; parsing that takes seconds.
 _MAX_BYTES = 1 << 20
 _MAX_NAME_CHARS = 1024
 _MERGE = "tag:yaml.org,2002:merge"
@@ -24,9 +24,10 @@ _MERGE = "tag:yaml.org,2002:merge"
 
 @dataclass(frozen=True, slots=True)
 class Metadata:
-    """``files`` in order and by name alone. ``packing`` is the format of compressed messages.
+    """``files``: names without folders, in order. ``counts``: messages by topic.
 
-    ``problem`` is empty where the file is read, and where there is none.
+    ``message_compression``: the format of compressed messages, empty if they are not compressed.
+    ``problem``: why the file cannot be read, empty if it can or if there is none.
     """
 
     files: tuple[str, ...] = ()
@@ -88,7 +89,7 @@ def _parse(information: Any) -> Metadata:
 
 
 def _require_name(value: Any) -> str:
-    """A text that can stand in a line. Anything else may be a tree of aliases without end."""
+    """A printable text on one line. Anything else may be an endless tree of aliases."""
     if not isinstance(value, str) or len(value) > _MAX_NAME_CHARS or not value.isprintable():
         raise ValueError("a name is no name")
     return value

@@ -34,7 +34,7 @@ _COLUMNS: Mapping[str, frozenset[str]] = {
     "messages": frozenset({"id", "topic_id", "timestamp", "data"}),
     "message_definitions": frozenset({"topic_type", "encoding", "encoded_message_definition"}),
 }
-# Steps of SQLite's machine that opening may take: some for each byte that there is.
+# Steps of SQLite's virtual machine that opening may take, in proportion to the file's size.
 _STEPS_AT_A_TIME = 1_000_000
 _LEAST_STEPS = 50_000_000
 _STEPS_PER_BYTE = 10
@@ -46,11 +46,11 @@ Topics = dict[int, tuple[str, str, str]]
 
 @dataclass(frozen=True, slots=True)
 class DatabaseContent:
-    """What stands in a database.
+    """Contents of a database.
 
-    Topics are (name, type, serialization) by id; a channel is the place of a topic by rising id,
-    or -1 for a topic that is not there. Definitions are (encoding, text) by type. ``losses`` are
-    parts of a sentence.
+    ``topics``: (name, type, serialization) by id. ``definitions``: (encoding, text) by type. The
+    channel of an entry is the rank of its topic's id, or -1 for a topic that is missing.
+    ``losses``: what is lost, as parts of a sentence.
     """
 
     topics: Topics
@@ -94,7 +94,7 @@ class Database:
         return bytes(row[1])
 
     def problems(self) -> list[str]:
-        """What SQLite finds wrong with its own structure, the first things of it."""
+        """The first problems that SQLite's integrity check finds."""
         try:
             rows = self._connection.execute(f"PRAGMA integrity_check({_MAX_LISTED})").fetchall()
         except _DAMAGE as error:
@@ -103,10 +103,10 @@ class Database:
         return [] if lines == ["ok"] else lines
 
     def _next_row(self, row_id: int) -> tuple[int, object] | None:
-        """The row with this id where it is the one behind the last, else None.
+        """The row with this id if it follows the row that was read last, else None.
 
-        Iteration goes from row to row, which one query serves. It reads one row ahead, and so is
-        no way to read a single one; nor is what fails there always about the row that is asked.
+        Iteration reads row after row with one query. That query reads one row ahead, so it is not
+        used for single rows, and an error of it may be about another row: None then, too.
         """
         forward, self._forward = self._forward, None
         if row_id != self._next_id:
@@ -129,7 +129,7 @@ class Database:
         self._connection.close()
 
     def _guard(self) -> None:
-        """What SQLite advises for files from strangers (sqlite.org/security.html)."""
+        """Settings that SQLite advises for untrusted files (sqlite.org/security.html)."""
         connection = self._connection
         connection.execute("PRAGMA trusted_schema = OFF")
         connection.execute("PRAGMA cell_size_check = ON")
@@ -143,7 +143,7 @@ class Database:
         with self._path.open("rb") as file:
             claimed = read_header(file.read(HEADER_BYTES)).claimed_bytes
         if claimed not in (0, self._path.stat().st_size):
-            # A recorder that was killed leaves rows behind the end that the header names.
+            # A recorder that was killed leaves rows after the end that the header states.
             raise sqlite3.DatabaseError("its size is not the one that its header says")
         if not (self._has_table("topics") and self._has_table("messages")):
             raise RecordingError(
@@ -153,15 +153,15 @@ class Database:
             )
         definitions = self._definitions() if self._has_table("message_definitions") else {}
         topics = self._topics()
-        entries, odd_rows = self._messages(topics)
-        if odd_rows:
-            losses = [f"rows without a time or a topic: {odd_rows}"]
+        entries, invalid_rows = self._messages(topics)
+        if invalid_rows:
+            losses = [f"rows without a time or a topic: {invalid_rows}"]
         else:
             losses = _missing_ids(entries["offset"], entries["received_ns"])
         return DatabaseContent(topics, definitions, entries, losses)
 
     def _has_table(self, name: str) -> bool:
-        """Whether a table of rosbag2 is there: no view, no virtual table, no computed column."""
+        """Whether there is this table of rosbag2, with stored columns: no view or virtual table."""
         there = self._connection.execute(
             "SELECT 1 FROM sqlite_master WHERE type = 'table' AND rootpage > 0 AND name = ?",
             (name,),
@@ -190,25 +190,25 @@ class Database:
     def _messages(self, topics: Topics) -> tuple[Entries, int]:
         """The entries of all messages, and how many rows have no time or no topic."""
         cursor = self._connection.execute(
-            # By the table itself: an index could hide rows, or be in another order.
+            # Not by an index, which could lack rows or have another order.
             "SELECT id, topic_id, timestamp FROM messages NOT INDEXED ORDER BY id"
         )
         parts = [np.empty(0, dtype=ENTRY)]
-        odd_rows, last = 0, -(1 << 63)
+        invalid_rows, last = 0, -(1 << 63)
         while rows := cursor.fetchmany(_ROWS_AT_A_TIME):
             try:
                 part = _columns(rows)
             except TypeError:
                 right = [row for row in rows if all(isinstance(value, int) for value in row)]
-                odd_rows += len(rows) - len(right)
+                invalid_rows += len(rows) - len(right)
                 part = _columns(right)
             ids, topic_ids, stamps_ns = part
-            # A tree that is tied to itself would give rows for ever.
+            # A damaged tree with a cycle would give rows for ever.
             if len(ids) and (ids[0] <= last or np.any(np.diff(ids) <= 0)):
                 raise sqlite3.DatabaseError("its rows are not in order")
             last = int(ids[-1]) if len(ids) else last
             parts.append(make_entries(stamps_ns, _channels(topics, topic_ids), 0, ids))
-        return np.concatenate(parts), odd_rows
+        return np.concatenate(parts), invalid_rows
 
 
 class DamagedDatabase:
@@ -265,7 +265,7 @@ def _channels(topics: Topics, topic_ids: IntArray) -> IntArray:
 
 
 def _named_topics(path: Path, rows: Iterable[tuple[int, tuple[object, ...]]]) -> Topics:
-    """Topics by id. One without proper names is left out; its messages will tell."""
+    """Topics by id. One with invalid names is left out; its messages are reported as lost."""
     topics: Topics = {}
     for number, (row_id, names) in enumerate(rows):
         if number >= _MAX_TOPICS:
@@ -301,9 +301,9 @@ def _readable_definitions(rows: Iterable[tuple[object, ...]]) -> dict[str, tuple
 
 
 def _missing_ids(ids: IntArray, stamps_ns: IntArray, cut: Rows | None = None) -> list[str]:
-    """Which ids are missing between the first that a recorder gives, 1, and the last known one.
+    """A text on the ids missing between 1, a recorder's first, and the last known one; or none.
 
-    ``cut`` are rows that are known and lost.
+    ``cut``: rows whose id is known and whose data is lost.
     """
     known, times = ids, stamps_ns
     lost_ids = np.empty(0, dtype=np.int64)
@@ -340,7 +340,7 @@ def _seconds(time_ns: np.int64) -> str:
 
 def _columns(rows: list[tuple[int, int, int]]) -> IntArray:
     """(3, N) of rows of integers. Raises TypeError for any other value."""
-    # An array takes integers alone, where numpy would round floats and read texts.
+    # An array accepts integers only; numpy would round floats and parse texts.
     columns: Iterator[tuple[int, ...]] = zip(*rows, strict=True) if rows else iter([(), (), ()])
     return np.array([np.frombuffer(array("q", column), dtype=np.int64) for column in columns])
 

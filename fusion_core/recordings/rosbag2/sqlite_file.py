@@ -24,7 +24,7 @@ MAGIC = b"SQLite format 3\0"
 class SqliteFile:
     """A ROS 2 database. ``offset`` of an entry is the row's id.
 
-    Raises RecordingError for a database of something else and for one of which nothing is left.
+    Raises RecordingError for any other database, and for one without readable topics.
     """
 
     def __init__(self, path: Path) -> None:
@@ -49,7 +49,7 @@ class SqliteFile:
             self.warnings.append(f"{path.name}: {'; '.join(losses)}.")
 
     def index(self) -> Entries:
-        """Handed over once: a second copy would be as large as the index of the recording."""
+        """The entries, once: a second copy would be as large as the recording's index."""
         entries, self._entries = self._entries, None
         if entries is None:
             raise ValueError("a file is indexed once")
@@ -62,7 +62,7 @@ class SqliteFile:
         """The tables have no such time."""
 
     def verify(self, entries: Entries) -> ChecksumReport:
-        """SQLite has no checksums; of its structure it says itself what is wrong."""
+        """SQLite has no checksums, but checks its own structure."""
         damage = [f"{self.path.name}: Damaged: {line}." for line in self._rows.problems()]
         return ChecksumReport(unguarded=1, damage=damage)
 
@@ -83,7 +83,7 @@ def _channel(content: DatabaseContent, topic_id: int) -> Channel:
 
 
 def _warnings_of_files_beside(path: Path) -> list[str]:
-    """SQLite keeps the last rows of a recorder that was killed in files of their own."""
+    """SQLite keeps the last rows of a recorder that was killed in separate files."""
     warnings = []
     for ending in ("-wal", "-journal"):
         beside = path.with_name(path.name + ending)

@@ -1,8 +1,8 @@
 """ROS 2 recordings: a folder of storage files with or without metadata.yaml, or one file.
 
 The files themselves are scanned. ``metadata.yaml`` gives the order of split files and is a
-cross-check: where it disagrees, the files are right and a warning says so. A file of a folder
-that is missing or cannot be read costs its own messages.
+cross-check: where it disagrees, the files are used and a warning is given. If a file of a folder is
+missing or cannot be read, only its own messages are lost.
 """
 
 import re
@@ -26,12 +26,12 @@ _MAX_LISTED = 20
 
 
 def is_rosbag2_folder(path: Path) -> bool:
-    """Whether a folder holds storage files of ROS 2, plain or packed."""
+    """Whether a folder holds storage files of ROS 2, plain or compressed."""
     return any(is_storage_file(child) for child in path.iterdir())
 
 
 def open_storage_file(path: Path) -> Recording:
-    """One .mcap or .db3 file, plain or packed by zstd or lz4. Raises RecordingError."""
+    """One .mcap or .db3 file, plain or compressed by zstd or lz4. Raises RecordingError."""
     file = StorageFile(path)
     format = "MCAP file" if file.kind == "MCAP" else f"ROS 2 {file.kind} file"
     return IndexedRecording(path, format, [file])
@@ -81,11 +81,11 @@ def _order_files(path: Path, metadata: Metadata) -> tuple[list[Path], list[str]]
         parts = sorted(there, key=_split_order)
         _require_one_recording(path, [there[name] for name in parts])
     else:
-        # A recorder that was killed did not name its last parts.
+        # A recorder that was killed has not listed its last parts.
         stems = {_split_order(name)[0] for name in named}
-        forgotten = [name for name in there if name not in named]
-        extra = sorted(name for name in forgotten if _split_order(name)[0] not in stems)
-        joined = sorted(set(forgotten) - set(extra), key=_split_order)
+        unlisted = [name for name in there if name not in named]
+        extra = sorted(name for name in unlisted if _split_order(name)[0] not in stems)
+        joined = sorted(set(unlisted) - set(extra), key=_split_order)
         if joined:
             warnings.append(f"{METADATA} does not name {_join_names(joined)}, read all the same.")
         if extra:
@@ -102,11 +102,11 @@ def _order_files(path: Path, metadata: Metadata) -> tuple[list[Path], list[str]]
 
 
 def _storage_files(path: Path) -> dict[str, Path]:
-    """The storage files of a folder by the names they have unpacked."""
+    """The storage files of a folder by their names without compression."""
     there: dict[str, Path] = {}
     for child in sorted(path.iterdir()):
-        # `ros2 bag play` leaves a part unpacked beside the packed one: the same part twice, and
-        # the unpacked one comes first.
+        # `ros2 bag play` leaves a decompressed part beside the compressed one: of the two the
+        # decompressed one comes first, and is used.
         if is_storage_file(child):
             there.setdefault(uncompressed_name(child.name), child)
     return there
@@ -133,7 +133,7 @@ def _split_order(name: str) -> tuple[str, int]:
 
 
 def _find_missing_parts(orders: list[tuple[str, int]]) -> list[str]:
-    """Parts that are missing between others, as their numbers tell."""
+    """Warnings of parts that are missing between others, by their numbers."""
     warnings = []
     for (stem, before), (next_stem, after) in pairwise(orders):
         if stem == next_stem and before >= 0 and after > before + 1:
