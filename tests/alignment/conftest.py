@@ -39,10 +39,17 @@ class BoxRoom:
         rays = np.stack([np.cos(azimuths), np.sin(azimuths), np.zeros_like(azimuths)], axis=-1)
         return self.lengths(np.array([x, y, height]), rays)
 
-    def depth_m(self, T_room_camera: np.ndarray, lens: CameraIntrinsics) -> np.ndarray:
+    def depth_m(self, T_room_camera: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
         """(H, W) depths along the optical axis of a camera at any pose."""
-        u, v = np.meshgrid(np.arange(lens.width), np.arange(lens.height))
-        rays = np.stack([(u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, np.ones(u.shape)], -1)
+        u, v = np.meshgrid(np.arange(intrinsics.width), np.arange(intrinsics.height))
+        rays = np.stack(
+            [
+                (u - intrinsics.cx) / intrinsics.fx,
+                (v - intrinsics.cy) / intrinsics.fy,
+                np.ones(u.shape),
+            ],
+            -1,
+        )
         return self.lengths(T_room_camera[:3, 3], rays @ T_room_camera[:3, :3].T)
 
 

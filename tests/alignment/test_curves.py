@@ -43,8 +43,8 @@ def scan_of(angle_min_deg: float, increment_deg: float, beams: int) -> LaserScan
     )
 
 
-def level_camera(yaw_deg: float = 0.0, width: int = 640, **lens: float) -> Camera:
-    values = {"fx": 525.0, "fy": 525.0, "cx": 0.5 * (width - 1), "cy": 3.5} | lens
+def level_camera(yaw_deg: float = 0.0, width: int = 640, **intrinsics: float) -> Camera:
+    values = {"fx": 525.0, "fy": 525.0, "cx": 0.5 * (width - 1), "cy": 3.5} | intrinsics
     yaw = rotation_from_yaw_pitch_roll(float(np.deg2rad(yaw_deg)), 0.0, 0.0)
     return Camera(
         topic="depth",
@@ -79,7 +79,7 @@ def test_each_sample_is_the_beam_nearest_to_its_azimuth(name: str) -> None:
 
 
 @pytest.mark.parametrize("shift", [0.25, 0.5, 0.75])
-def test_a_shifted_curve_lies_a_share_of_a_sample_to_the_right(shift: float) -> None:
+def test_a_shifted_curve_lies_a_fraction_of_a_sample_to_the_right(shift: float) -> None:
     scan = SCANS["off centre"]
     plain, shifted = sample_curve(scan, BY_ANGLE), sample_curve(scan, BY_ANGLE, shift=shift)
     assert shifted.beams.size == plain.beams.size
@@ -100,7 +100,7 @@ def test_curves_run_left_to_right(name: str, settings: SamplingSettings) -> None
     assert azimuths[0] > azimuths[-1]
 
 
-def test_both_senses_of_rotation_give_the_same_curve() -> None:
+def test_both_directions_of_rotation_give_the_same_curve() -> None:
     left = SCANS["counter-clockwise"]
     right = LaserScan(
         stamp_ns=0,
@@ -147,22 +147,24 @@ def test_sample_of_azimuth_inverts_the_azimuth_of_a_sample(azimuth: float) -> No
 def test_each_row_sample_is_the_column_nearest_to_its_azimuth(yaw_deg: float, cx: float) -> None:
     camera = level_camera(yaw_deg, cx=cx)
     sampling = sample_row(camera, BY_ANGLE)
-    lens = camera.intrinsics
+    intrinsics = camera.intrinsics
     for index, column in enumerate(sampling.columns):
         wanted = sampling.left_rad - index * sampling.step_rad - np.deg2rad(yaw_deg)
-        place = lens.cx - lens.fx * np.tan(wanted)
+        place = intrinsics.cx - intrinsics.fx * np.tan(wanted)
         assert abs(column - place) <= 0.5 + 1e-9
-        assert -0.5 <= place <= lens.width - 0.5
+        assert -0.5 <= place <= intrinsics.width - 0.5
     assert (np.diff(sampling.columns) > 0).all()
     # No further sample would fit: less than one and a quarter steps are left over.
-    fov = np.arctan((lens.cx + 0.5) / lens.fx) + np.arctan((lens.width - 0.5 - lens.cx) / lens.fx)
+    fov = np.arctan((intrinsics.cx + 0.5) / intrinsics.fx) + np.arctan(
+        (intrinsics.width - 0.5 - intrinsics.cx) / intrinsics.fx
+    )
     assert -0.25 <= fov / sampling.step_rad - sampling.columns.size < 0.75
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 35.0])
 def test_row_samples_are_horizontal_ranges_of_the_pixels(yaw_deg: float) -> None:
     camera = level_camera(yaw_deg)
-    lens = camera.intrinsics
+    intrinsics = camera.intrinsics
     depth_m = np.random.default_rng(0).uniform(0.5, 6.0, (8, 640)).astype(np.float32)
     depth_m[2, 50:90] = np.nan
     sampling = sample_row(camera, BY_ANGLE)
@@ -170,7 +172,10 @@ def test_row_samples_are_horizontal_ranges_of_the_pixels(yaw_deg: float) -> None
     for v in range(8):
         z = depth_m[v, sampling.columns].astype(np.float64)
         u = sampling.columns
-        points = np.stack([z * (u - lens.cx) / lens.fx, z * (v - lens.cy) / lens.fy, z], axis=-1)
+        points = np.stack(
+            [z * (u - intrinsics.cx) / intrinsics.fx, z * (v - intrinsics.cy) / intrinsics.fy, z],
+            axis=-1,
+        )
         in_rig = transform_points(camera.T_rig_camera, points)
         # The azimuth is the sample's, the depth the pixel's: half a pixel of tangent apart.
         np.testing.assert_allclose(found[v], np.hypot(*in_rig[:, :2].T), rtol=0.5 / 525.0 * 0.62)
@@ -216,11 +221,11 @@ def offset_in_room(yaw_rad: float, settings: SamplingSettings = BY_ANGLE) -> tup
     scan = scan_of(-135.0, 0.25, 1081)
     scan = scan.with_ranges(room_range_m(scan.angles_rad), None)
     camera = level_camera()
-    lens = camera.intrinsics
-    azimuths = np.arctan((lens.cx - np.arange(lens.width)) / lens.fx)
+    intrinsics = camera.intrinsics
+    azimuths = np.arctan((intrinsics.cx - np.arange(intrinsics.width)) / intrinsics.fx)
     depth_m = (room_range_m(yaw_rad + azimuths) * np.cos(azimuths)).astype(np.float32)
     curve, row = sample_curve(scan, settings), sample_row(camera, settings)
-    rows_m = row_samples_m(np.tile(depth_m, (lens.height, 1)), row)
+    rows_m = row_samples_m(np.tile(depth_m, (intrinsics.height, 1)), row)
     field = similarity_field(curve_samples_m(scan, curve), rows_m, metric="euclidean")
     found = field.u_first + int(np.nanargmax(field.scores[3]))
     return found, offset_of_yaw(yaw_rad, curve, row.left_rad)

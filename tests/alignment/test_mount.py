@@ -180,7 +180,7 @@ def test_the_profile_is_lowest_near_the_height(trials: list[Trial]) -> None:
         assert abs(heights_m[costs.argmin()] - one.estimate.mount.delta_z_m) <= 0.06
 
 
-def test_a_plain_room_does_not_show_height_and_pitch(box_room) -> None:
+def test_height_and_pitch_are_unobservable_in_a_plain_room(box_room) -> None:
     for seed in (0, 1, 2, 3):
         truth = random_mount(100 + seed)
         found = trial(drive(box_room(), truth, seed), truth)
@@ -190,7 +190,9 @@ def test_a_plain_room_does_not_show_height_and_pitch(box_room) -> None:
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.4], ids=["standing still", "turning steadily"])
-def test_only_changing_turns_show_the_clock(furnished_room, rate: float) -> None:
+def test_the_clock_offset_is_observable_only_under_changing_turn_rates(
+    furnished_room, rate: float
+) -> None:
     for seed in (0, 1):
         truth = random_mount(100 + seed)
         found = trial(drive(furnished_room, truth, seed, rate=rate), truth)
@@ -293,7 +295,7 @@ def test_a_right_mount_is_better_than_chance(furnished_room, seed: int) -> None:
         assert find_refusal(problem, recorded, strict, None) == ""
 
 
-def test_a_recorded_mount_that_contradicts_the_data_is_left_out(short_drive: ShortDrive) -> None:
+def test_a_recorded_mount_that_contradicts_the_data_is_not_used(short_drive: ShortDrive) -> None:
     wrong = Mount(yaw_rad=short_drive.truth.yaw_rad + np.deg2rad(40.0), delta_z_m=0.2)
     with_wrong = short_drive.estimate(wrong)
     assert not with_wrong.is_from_recorded
@@ -310,7 +312,7 @@ def test_the_same_frames_give_the_same_mount(furnished_room) -> None:
     np.testing.assert_array_equal(one.delta_z_profile, other.delta_z_profile)
 
 
-def test_a_handful_of_frames_shows_no_uncertainty(furnished_room) -> None:
+def test_few_frames_do_not_determine_an_uncertainty(furnished_room) -> None:
     """One block of frames has no spread: a mount is found, and is not trusted."""
     truth = random_mount(4)
     frames = drive(furnished_room, truth, 4, count=7)
@@ -355,7 +357,7 @@ def test_a_frame_keeps_its_valid_points_and_stamps(furnished_room) -> None:
 def test_an_extra_turn_of_one_frame_is_found(furnished_room, extra_deg: float) -> None:
     """Partly: the prior holds it back, but never pulls it beyond the truth."""
     mount = Mount(yaw_rad=0.2, delta_z_m=0.25, forward_m=0.05, left_m=-0.04)
-    shares = []
+    fractions = []
     for seed, yaw in enumerate(np.arange(0.0, 6.0, 1.0)):
         frame = frame_at(
             furnished_room,
@@ -364,12 +366,12 @@ def test_an_extra_turn_of_one_frame_is_found(furnished_room, extra_deg: float) -
             extra_turn=np.deg2rad(extra_deg),
             rng=np.random.default_rng(seed),
         )
-        shares.append(frame_yaw_offset_rad(frame, mount, SETTINGS) / np.deg2rad(extra_deg))
-    assert 0.4 < np.median(shares) < 1.1
-    assert np.min(shares) > -0.2
+        fractions.append(frame_yaw_offset_rad(frame, mount, SETTINGS) / np.deg2rad(extra_deg))
+    assert 0.4 < np.median(fractions) < 1.1
+    assert np.min(fractions) > -0.2
 
 
-def test_a_plain_wall_ahead_does_not_pull(box_room) -> None:
+def test_a_plain_wall_does_not_change_a_frames_yaw(box_room) -> None:
     """A wall right ahead looks the same under a small turn, to first order."""
     mount = Mount(yaw_rad=0.0, delta_z_m=0.25)
     wall = box_room(size_m=(6.0, 40.0, 2.6))
@@ -384,7 +386,7 @@ def plane() -> np.ndarray:
     return np.tile(np.linspace(2.0, 2.3, 32, dtype=np.float32), (24, 1))
 
 
-def test_lone_values_go_and_lone_holes_are_filled() -> None:
+def test_isolated_values_are_removed_and_isolated_holes_filled() -> None:
     depth_m = plane()
     depth_m[5, 6], depth_m[15, 20] = 0.9, 4.0
     depth_m[10, 10] = np.nan
@@ -401,13 +403,13 @@ def test_every_other_pixel_is_filled() -> None:
     np.testing.assert_allclose(remove_speckle(depth_m)[2:-2, 2:-2], plane()[2:-2, 2:-2], atol=0.03)
 
 
-def test_a_lone_value_among_holes_goes() -> None:
+def test_an_isolated_value_among_holes_is_removed() -> None:
     depth_m = np.full((24, 32), np.nan, dtype=np.float32)
     depth_m[12, 12] = 1.5
     assert np.isnan(remove_speckle(depth_m)).all()
 
 
-def test_big_holes_stay() -> None:
+def test_large_holes_stay() -> None:
     depth_m = plane()
     depth_m[6:18, 8:24] = np.nan
     clean = remove_speckle(depth_m)
@@ -415,7 +417,7 @@ def test_big_holes_stay() -> None:
     np.testing.assert_allclose(clean[:5], plane()[:5], atol=0.02)
 
 
-def test_no_value_between_two_surfaces_is_made_up() -> None:
+def test_no_value_between_two_surfaces_is_interpolated() -> None:
     rng = np.random.default_rng(0)
     depth_m = np.where(np.arange(32) < 16, np.float32(1.2), np.float32(2.9))
     depth_m = np.tile(depth_m, (24, 1))
@@ -426,7 +428,7 @@ def test_no_value_between_two_surfaces_is_made_up() -> None:
     assert np.minimum(np.abs(known - 1.2), np.abs(known - 2.9)).max() < 1e-5
 
 
-def test_the_image_is_left_as_it_was() -> None:
+def test_the_image_is_unchanged() -> None:
     depth_m = plane()
     depth_m[3, 3] = np.nan
     before = depth_m.copy()

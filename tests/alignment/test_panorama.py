@@ -53,7 +53,7 @@ def walls_m(azimuths: np.ndarray) -> np.ndarray:
 
 
 def expected_bounds(values: Callable[[np.ndarray], np.ndarray], azimuths: np.ndarray):
-    """Lowest and highest of a closed form within each sample's share of azimuth."""
+    """Lowest and highest of a closed form within each sample's interval of azimuth."""
     around = azimuths + np.linspace(-HALF_STEP, HALF_STEP, 21)[:, np.newaxis]
     return values(around).min(axis=0), values(around).max(axis=0)
 
@@ -95,11 +95,11 @@ def test_rows_are_elevations_of_the_first_camera(box_room) -> None:
     ]
     samples_m = Panorama(cameras, SETTINGS).samples_m(depths_m)
     for v in (45, 50, 55):
-        share = [(v - 0.5 - LENS.cy) / LENS.fy, (v + 0.5 - LENS.cy) / LENS.fy]
+        slopes = [(v - 0.5 - LENS.cy) / LENS.fy, (v + 0.5 - LENS.cy) / LENS.fy]
         values = samples_m[v][np.isfinite(samples_m[v])]
         assert values.size > 40
-        assert (values >= 1.2 / share[1] - 1e-3).all()
-        assert (values <= 1.2 / share[0] + 1e-3).all()
+        assert (values >= 1.2 / slopes[1] - 1e-3).all()
+        assert (values <= 1.2 / slopes[0] + 1e-3).all()
 
 
 def test_the_nearest_surface_wins() -> None:

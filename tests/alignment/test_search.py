@@ -68,7 +68,7 @@ def test_no_ratio_without_a_positive_runner_up() -> None:
     assert np.isnan(find_peak(field_of(negative), SETTINGS).ratio)
 
 
-def test_prior_confines_the_peak_to_its_window() -> None:
+def test_the_prior_limits_the_peak_to_its_window() -> None:
     scores = hill(8.0, 10.0, height=0.6)
     scores[:, 25:] = hill(30.0, 10.0, height=0.9)[:, 25:]
     field = field_of(scores, -3)
@@ -94,7 +94,7 @@ def test_peak_stays_within_the_window_and_half_a_sample(
 
 
 @pytest.mark.parametrize("prior", [10.0, 30.0])
-def test_window_on_a_slope_gives_its_own_edge(prior: float) -> None:
+def test_on_a_slope_the_peak_is_the_edge_of_the_window(prior: float) -> None:
     """The parabola through an edge and the higher cell beyond it has no maximum to move to."""
     top = 20.0
     scores = np.exp(-np.abs(np.arange(41.0) - top) / 5.0)[np.newaxis] * np.ones((3, 1))
@@ -132,7 +132,7 @@ def mean_of(frames: list[np.ndarray]) -> SimilarityField:
 @given(
     seed=st.integers(0, 1000), count=st.integers(1, 9), missing=st.floats(0.0, 0.9), data=st.data()
 )
-def test_mean_field_is_numpys_over_half_of_the_frames(
+def test_the_mean_field_equals_numpys_where_half_of_the_frames_have_a_score(
     seed: int, count: int, missing: float, data: st.DataObject
 ) -> None:
     frames = frames_of(seed, count, missing)

@@ -79,12 +79,12 @@ def room(seed: int, height: int, width: int, length: int) -> tuple[np.ndarray, n
     return curve, rows
 
 
-def with_holes(values: np.ndarray, seed: int, share: float, longest: int) -> np.ndarray:
-    """A copy with runs of NaN of 1 to ``longest`` samples over at least ``share`` of each line."""
+def with_holes(values: np.ndarray, seed: int, fraction: float, longest: int) -> np.ndarray:
+    """A copy with runs of NaN of 1 to ``longest`` samples over at least ``fraction`` of a line."""
     rng = np.random.default_rng(seed)
     result = values.copy()
     for line in result.reshape(-1, values.shape[-1]):
-        while np.isnan(line).mean() < share:
+        while np.isnan(line).mean() < fraction:
             start = rng.integers(-longest, line.size)
             line[max(0, start) : max(0, start + rng.integers(1, longest + 1))] = np.nan
     return result
@@ -134,10 +134,12 @@ def test_field_is_the_papers_formula_on_the_common_samples(
         )
 
 
-@pytest.mark.parametrize(("share", "longest"), [(0.0, 1), (0.1, 30), (0.3, 3), (0.6, 40)], ids=str)
-def test_pearson_equals_dense_masked_products(share: float, longest: int) -> None:
+@pytest.mark.parametrize(
+    ("fraction", "longest"), [(0.0, 1), (0.1, 30), (0.3, 3), (0.6, 40)], ids=str
+)
+def test_pearson_equals_dense_masked_products(fraction: float, longest: int) -> None:
     curve, rows = room(1, 40, 180, 240)
-    curve, rows = with_holes(curve, 2, share, longest), with_holes(rows, 3, share, longest)
+    curve, rows = with_holes(curve, 2, fraction, longest), with_holes(rows, 3, fraction, longest)
     field = similarity_field(curve, rows, metric="pearson", min_overlap=0.1)
     expected = np.where(field.overlap >= 0.1, dense_pearson(curve, rows), np.nan)
     assert np.isfinite(expected).any()
@@ -289,7 +291,7 @@ def test_nothing_valid_gives_no_score_and_no_overlap() -> None:
             assert not field.overlap.any()
 
 
-def test_partial_overlap_finds_a_row_that_juts_out_of_the_curve() -> None:
+def test_partial_overlap_finds_a_row_that_extends_beyond_the_curve() -> None:
     rng = np.random.default_rng(25)
     wide = 3.0 + 0.2 * rng.normal(size=140).cumsum()
     curve = wide[20:120]
@@ -310,7 +312,7 @@ def test_an_equal_row_has_the_best_score_of_each_metric() -> None:
     assert int(np.argmin(fields["inverse_cosine"].scores)) == 17
 
 
-def test_inputs_are_left_alone_and_results_are_read_only() -> None:
+def test_inputs_are_unchanged_and_results_read_only() -> None:
     curve, rows = room(27, 4, 30, 50)
     curve, rows = with_holes(curve, 28, 0.1, 5), with_holes(rows, 29, 0.1, 5)
     before = curve.tobytes(), rows.tobytes()

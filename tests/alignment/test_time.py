@@ -29,8 +29,8 @@ def range_to_walls_m(x: float, y: float, azimuths: np.ndarray) -> np.ndarray:
         det = dy * ex - dx * ey
         with np.errstate(divide="ignore", invalid="ignore"):
             length = ((ay - y) * ex - (ax - x) * ey) / det
-            share = (dx * (ay - y) - dy * (ax - x)) / det
-        hit = (length > 0.0) & (share >= 0.0) & (share <= 1.0)
+            fraction = (dx * (ay - y) - dy * (ax - x)) / det
+        hit = (length > 0.0) & (fraction >= 0.0) & (fraction <= 1.0)
         nearest = np.where(hit & (length < nearest), length, nearest)
     return nearest
 
@@ -83,7 +83,7 @@ def test_turn_rate_is_that_of_the_lidar(rate_rad_s: float, increment_deg: float)
 
 
 @pytest.mark.parametrize("rate_rad_s", [-0.7, 0.25, 0.7])
-def test_turn_rate_stands_noise_and_holes(rate_rad_s: float) -> None:
+def test_turn_rate_is_robust_to_noise_and_holes(rate_rad_s: float) -> None:
     window = turning(rate_rad_s, noise_m=0.02, holes=0.15)
     assert estimate_turn_rate_rad_s(window, SETTINGS) == pytest.approx(rate_rad_s, abs=0.04)
 

@@ -51,11 +51,13 @@ UPS = {
 }
 
 
-def stored_projection(points: np.ndarray, lens: CameraIntrinsics) -> np.ndarray:
+def stored_projection(points: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
     """(N, 2) stored pixels (u, v) of points in the stored image's optical axes, by OpenCV."""
-    K = np.array([[lens.fx, 0.0, lens.cx], [0.0, lens.fy, lens.cy], [0.0, 0.0, 1.0]])
-    zero, coefficients = np.zeros(3), np.array(lens.distortion or (0.0, 0.0, 0.0, 0.0))
-    if lens.distortion_model == "equidistant":
+    K = np.array(
+        [[intrinsics.fx, 0.0, intrinsics.cx], [0.0, intrinsics.fy, intrinsics.cy], [0.0, 0.0, 1.0]]
+    )
+    zero, coefficients = np.zeros(3), np.array(intrinsics.distortion or (0.0, 0.0, 0.0, 0.0))
+    if intrinsics.distortion_model == "equidistant":
         return cv2.fisheye.projectPoints(points[:, np.newaxis], zero, zero, K, coefficients)[0][
             :, 0
         ]
@@ -65,8 +67,8 @@ def stored_projection(points: np.ndarray, lens: CameraIntrinsics) -> np.ndarray:
 @pytest.mark.parametrize("turns", UPS)
 @pytest.mark.parametrize("name", LENSES)
 def test_a_point_seen_in_the_view_names_its_stored_pixel(name: str, turns: int) -> None:
-    lens = LENSES[name]
-    view = upright_view(lens, UPS[turns])
+    intrinsics = LENSES[name]
+    view = upright_view(intrinsics, UPS[turns])
     seen = view.intrinsics
     # Points on the centres of the view's pixels, at random depths.
     row, column = (axis.ravel() for axis in np.mgrid[: seen.height, : seen.width])
@@ -74,15 +76,19 @@ def test_a_point_seen_in_the_view_names_its_stored_pixel(name: str, turns: int) 
     in_view = np.stack(
         [z * (column - seen.cx) / seen.fx, z * (row - seen.cy) / seen.fy, z], axis=-1
     )
-    expected = stored_projection(in_view @ view.R_stored_view.T, lens)
+    expected = stored_projection(in_view @ view.R_stored_view.T, intrinsics)
     stored_row, stored_column = view.stored_pixels(row, column)
     inside = stored_row >= 0
     assert inside.mean() > 0.5
     np.testing.assert_allclose(stored_column[inside], expected[inside, 0], atol=0.51)
     np.testing.assert_allclose(stored_row[inside], expected[inside, 1], atol=0.51)
     u, v = expected.T
-    clearly_inside = (u > -0.4) & (u < lens.width - 0.6) & (v > -0.4) & (v < lens.height - 0.6)
-    clearly_outside = (u < -0.6) | (u > lens.width - 0.4) | (v < -0.6) | (v > lens.height - 0.4)
+    clearly_inside = (
+        (u > -0.4) & (u < intrinsics.width - 0.6) & (v > -0.4) & (v < intrinsics.height - 0.6)
+    )
+    clearly_outside = (
+        (u < -0.6) | (u > intrinsics.width - 0.4) | (v < -0.6) | (v > intrinsics.height - 0.4)
+    )
     assert inside[clearly_inside].all()
     assert not inside[clearly_outside].any()
 
@@ -90,8 +96,8 @@ def test_a_point_seen_in_the_view_names_its_stored_pixel(name: str, turns: int) 
 @pytest.mark.parametrize("turns", UPS)
 @pytest.mark.parametrize("name", LENSES)
 def test_the_view_holds_the_stored_pixels_values(name: str, turns: int) -> None:
-    lens = LENSES[name]
-    view = upright_view(lens, UPS[turns])
+    intrinsics = LENSES[name]
+    view = upright_view(intrinsics, UPS[turns])
     depth_m = np.random.default_rng(1).uniform(0.3, 8.0, (48, 64)).astype(np.float32)
     depth_m[10:14, 20:30] = np.nan
     seen = view.remap(depth_m)
@@ -119,7 +125,7 @@ def test_turns_are_rotations_that_bring_up_to_the_top(turns: int) -> None:
     np.testing.assert_array_equal(view.remap(depth_m), np.rot90(depth_m, turns))
 
 
-def test_an_upright_image_is_handed_through() -> None:
+def test_an_upright_image_is_passed_through() -> None:
     for up in (None, UPS[0]):
         view = upright_view(PLAIN, up)
         depth_m = np.ones((48, 64), dtype=np.float32)
@@ -129,11 +135,11 @@ def test_an_upright_image_is_handed_through() -> None:
         np.testing.assert_array_equal(view.stored_pixels(row, column), [row, column])
 
 
-def test_a_distortion_of_zeros_is_none() -> None:
-    lens = CameraIntrinsics(
+def test_a_distortion_of_zeros_counts_as_none() -> None:
+    intrinsics = CameraIntrinsics(
         width=64, height=48, fx=55.0, fy=57.0, cx=30.2, cy=25.1, distortion=(0.0,) * 5
     )
-    assert upright_view(lens, None).stored_index is None
+    assert upright_view(intrinsics, None).stored_index is None
 
 
 @pytest.mark.parametrize("name", LENSES)
@@ -151,8 +157,8 @@ def test_stored_pixels_undo_a_quarter_turn(row: int, column: int) -> None:
     assert (stored_row[0], stored_column[0]) == (column, 63 - row)
 
 
-def test_what_a_distortion_throws_far_out_has_no_pixel() -> None:
-    lens = CameraIntrinsics(
+def test_points_that_a_distortion_moves_far_outside_have_no_pixel() -> None:
+    intrinsics = CameraIntrinsics(
         width=64,
         height=48,
         fx=0.05,
@@ -161,6 +167,6 @@ def test_what_a_distortion_throws_far_out_has_no_pixel() -> None:
         cy=24.0,
         distortion=(1e9, 1e9, 0.0, 0.0, 1e9),
     )
-    index = upright_view(lens, None).stored_index
+    index = upright_view(intrinsics, None).stored_index
     assert index is not None
     assert (index < 0).mean() > 0.9

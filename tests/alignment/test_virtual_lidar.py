@@ -87,8 +87,8 @@ def test_rows_around_the_cut_are_left_out(row: int, missing: range) -> None:
 def test_the_crop_is_the_middle_of_the_view_under_the_same_rays(
     up: np.ndarray | None, width: int
 ) -> None:
-    lens = CameraIntrinsics(width=width, height=240, fx=260.0, fy=250.0, cx=150.3, cy=118.0)
-    full = upright_view(lens, up)
+    intrinsics = CameraIntrinsics(width=width, height=240, fx=260.0, fy=250.0, cx=150.3, cy=118.0)
+    full = upright_view(intrinsics, up)
     cropped = crop_view(full)
     depth_m = np.random.default_rng(2).uniform(1.0, 4.0, (240, width)).astype(np.float32)
     whole, middle = full.remap(depth_m), cropped.remap(depth_m)
@@ -120,7 +120,7 @@ def test_the_scan_is_wider_than_the_cropped_rows() -> None:
 
 @pytest.mark.parametrize("width", [1, 40_001])
 def test_an_image_whose_rows_are_no_sweep_is_refused(width: int) -> None:
-    lens = CameraIntrinsics(width=width, height=1, fx=260.0, fy=260.0, cx=0.0, cy=0.0)
-    camera = Camera(topic="depth", intrinsics=lens, T_rig_camera=CAMERA.T_rig_camera)
+    intrinsics = CameraIntrinsics(width=width, height=1, fx=260.0, fy=260.0, cx=0.0, cy=0.0)
+    camera = Camera(topic="depth", intrinsics=intrinsics, T_rig_camera=CAMERA.T_rig_camera)
     with pytest.raises(SettingsError, match=f"of the depth image {width} pixels"):
         cut_scan(image_of(np.ones((1, width))), camera, 0)

@@ -159,7 +159,7 @@ def smooth(patch, step_m=0.1):
 
 
 @pytest.mark.parametrize("missing", ["none", "every other", "all"])
-def test_a_followed_beam_meets_what_the_camera_sees_of_its_own_surface(missing):
+def test_a_cast_beam_meets_its_own_surface_as_the_camera_sees_it(missing):
     """Where the camera sees the beam's end, it answers the true range; where a table top hides
     it, nothing; whether the beam has a range of its own or not."""
     boxes = (*ROOM, TABLE_TOP, CABINET)
@@ -214,7 +214,7 @@ def test_a_wall_across_the_axis_is_met_exactly():
     assert pairs.beam.size > 40
 
 
-def test_a_beam_that_disappears_behind_something_may_come_out_again():
+def test_a_ray_that_passes_behind_something_may_reappear():
     shelf = ((1.5, -0.5, 0.25), (1.8, 0.5, 0.30))
     T = T_lidar_camera_of(Mount(yaw_rad=0.0, delta_z_m=0.6))
     boxes = (FLOOR, WALL, shelf)
@@ -230,7 +230,7 @@ def test_a_beam_that_disappears_behind_something_may_come_out_again():
     assert depth[round(pixels[0, 1]), round(pixels[0, 0])] < ahead[0], "the shelf must hide a part"
 
 
-def test_a_hole_in_the_image_answers_nothing_and_says_no_pixel_value():
+def test_a_hole_in_the_image_predicts_no_range_and_has_no_pixel_value():
     T = T_lidar_camera_of()
     depth = depth_of(ROOM, T)
     whole = match_along_curve(scan_of(beams_of(ROOM)), depth, depth, CAMERA, T)
@@ -247,7 +247,7 @@ def test_a_hole_in_the_image_answers_nothing_and_says_no_pixel_value():
         np.testing.assert_array_equal(values[away], before[away], err_msg=name)
 
 
-def test_a_beam_that_nothing_tells_of_keeps_its_place_without_a_pixel():
+def test_a_beam_of_unknown_range_is_kept_without_a_pixel():
     """Neither a range nor a seen surface: it is inside the view where its neighbours are."""
     T = T_lidar_camera_of()
     depth = depth_of(ROOM, T)
@@ -272,7 +272,7 @@ def test_without_any_value_no_beam_is_in_view():
 
 
 @pytest.mark.parametrize("range_max_m", [1e9, np.inf])
-def test_rays_end_behind_all_that_is_seen_whatever_the_lidar_reaches(range_max_m):
+def test_rays_end_behind_the_farthest_depth_whatever_the_lidars_range(range_max_m):
     """Converted point clouds state an unlimited range."""
     T = T_lidar_camera_of()
     depth = depth_of((*ROOM, TABLE_TOP), T)
@@ -317,9 +317,11 @@ def test_a_level_camera_in_the_lidars_axis_pairs_alike_along_the_curve_and_in_it
     yaw_rad, seed
 ):
     rng = np.random.default_rng(seed)
-    lens = CameraIntrinsics(width=160, height=7, fx=120.0, fy=120.0, cx=79.3, cy=3.0)
+    intrinsics = CameraIntrinsics(width=160, height=7, fx=120.0, fy=120.0, cx=79.3, cy=3.0)
     camera = Camera(
-        topic="/depth", intrinsics=lens, T_rig_camera=make_transform(R_BODY_OPTICAL, np.zeros(3))
+        topic="/depth",
+        intrinsics=intrinsics,
+        T_rig_camera=make_transform(R_BODY_OPTICAL, np.zeros(3)),
     )
     T = Mount(yaw_rad=yaw_rad).T_lidar_rig @ camera.T_rig_camera
     column = np.arange(160.0)
@@ -347,9 +349,11 @@ def test_a_level_camera_in_the_lidars_axis_pairs_alike_along_the_curve_and_in_it
 
 def test_in_row_by_hand():
     """Three beams at the azimuths of three pixel centres of a camera that looks 0.1 to the left."""
-    lens = CameraIntrinsics(width=3, height=2, fx=10.0, fy=10.0, cx=1.0, cy=0.5)
+    intrinsics = CameraIntrinsics(width=3, height=2, fx=10.0, fy=10.0, cx=1.0, cy=0.5)
     camera = Camera(
-        topic="/depth", intrinsics=lens, T_rig_camera=make_transform(R_BODY_OPTICAL, np.zeros(3))
+        topic="/depth",
+        intrinsics=intrinsics,
+        T_rig_camera=make_transform(R_BODY_OPTICAL, np.zeros(3)),
     )
     T = Mount(yaw_rad=0.1, delta_z_m=0.4, forward_m=0.2).T_lidar_rig @ camera.T_rig_camera
     step = float(np.arctan(0.1))
@@ -371,9 +375,11 @@ def test_in_row_by_hand():
 
 
 def test_in_row_has_no_beam_from_behind():
-    lens = CameraIntrinsics(width=40, height=1, fx=20.0, fy=20.0, cx=19.5, cy=0.0)
+    intrinsics = CameraIntrinsics(width=40, height=1, fx=20.0, fy=20.0, cx=19.5, cy=0.0)
     camera = Camera(
-        topic="/depth", intrinsics=lens, T_rig_camera=make_transform(R_BODY_OPTICAL, np.zeros(3))
+        topic="/depth",
+        intrinsics=intrinsics,
+        T_rig_camera=make_transform(R_BODY_OPTICAL, np.zeros(3)),
     )
     T = Mount(yaw_rad=3.0).T_lidar_rig @ camera.T_rig_camera
     scan = scan_of(np.ones(720), first_rad=-np.pi)
@@ -425,7 +431,7 @@ def test_the_papers_pairs_and_points_equal_a_loop(u):
     assert np.isnan(pairs.residual_m).all()
 
 
-def test_what_a_makes_of_the_papers_pairs_equals_a_loop():
+def test_the_papers_pairs_mapped_through_a_equal_a_loop():
     scan, depth, curve_beams, row_columns, u = paper_frame()
     pairs, L, D = match_by_sample(scan, depth, curve_beams, row_columns, u, 3.0)
     inverse = np.linalg.inv(AFFINE)
@@ -459,9 +465,11 @@ def test_without_a_single_range_the_papers_points_keep_an_axis():
 def row_pairs(seed=0, count=41):
     """Pairs in the row with random values, some missing."""
     rng = np.random.default_rng(seed)
-    lens = CameraIntrinsics(width=60, height=3, fx=50.0, fy=50.0, cx=29.5, cy=1.0)
+    intrinsics = CameraIntrinsics(width=60, height=3, fx=50.0, fy=50.0, cx=29.5, cy=1.0)
     camera = Camera(
-        topic="/depth", intrinsics=lens, T_rig_camera=make_transform(R_BODY_OPTICAL, np.zeros(3))
+        topic="/depth",
+        intrinsics=intrinsics,
+        T_rig_camera=make_transform(R_BODY_OPTICAL, np.zeros(3)),
     )
     depth = rng.uniform(1.0, 4.0, (3, 60)).astype(np.float32)
     depth[rng.random(depth.shape) < 0.1] = np.nan

@@ -153,7 +153,7 @@ def test_at_an_edge_both_may_mix_alike_and_agree_on_a_point_that_is_on_neither_s
 
 
 @pytest.mark.parametrize(("alike", "code"), [(0, BURR), (1, BURR), (2, CONFLICT)])
-def test_a_pixel_among_holes_needs_so_many_of_its_kind_whatever_their_share(alike, code):
+def test_a_pixel_among_holes_needs_a_number_of_supporters_whatever_their_fraction(alike, code):
     image = wall_image()
     image[:, 17:24] = np.nan
     image[ROW, 20] = 1.2
@@ -190,7 +190,7 @@ def test_behind_glass_scattered_returns_are_burrs():
     assert_classes(classes, lidar={pane: HOLE, (16, 20, 25): BURR}, depth={pane: HOLE})
 
 
-def test_behind_glass_two_returns_of_a_kind_among_six_others_vouch_for_nothing():
+def test_behind_glass_two_similar_returns_among_six_others_give_no_support():
     lidar, image = wall(), wall_image()
     image[:, 12:29] = np.nan
     lidar[12:29] = np.nan
@@ -201,7 +201,7 @@ def test_behind_glass_two_returns_of_a_kind_among_six_others_vouch_for_nothing()
     assert classes_of(window_of(lidar, image)).lidar_class[20] == GOOD
 
 
-def test_a_dark_thing_seen_by_a_few_beams_that_agree_is_good():
+def test_a_dark_object_seen_by_a_few_agreeing_beams_is_good():
     lidar, image = wall(), wall_image()
     dark = range(16, 25)
     image[:, 16:25] = np.nan
@@ -242,7 +242,7 @@ def class_of_the_middle_bar(**neighbours):
     ]
 
 
-def test_other_scans_vouch_for_a_thin_thing_where_the_lidar_turns():
+def test_other_scans_support_a_thin_object_while_the_lidar_turns():
     turning = {"scan_before": scan_of(grille(6)), "scan_after": scan_of(grille(-7))}
     assert class_of_the_middle_bar(**turning, shift_before=6, shift_after=-7) == CONFLICT
     assert class_of_the_middle_bar() == BURR
@@ -250,7 +250,7 @@ def test_other_scans_vouch_for_a_thin_thing_where_the_lidar_turns():
     assert class_of_the_middle_bar(**turning, shift_before=-6, shift_after=7) == BURR
 
 
-def test_two_beams_side_by_side_need_another_scan_that_vouches_for_them():
+def test_two_adjacent_beams_need_the_support_of_another_scan():
     lidar = wall()
     lidar[20:22] = 1.2
 
@@ -263,7 +263,7 @@ def test_two_beams_side_by_side_need_another_scan_that_vouches_for_them():
     assert classes_with(scan_before=scan_of(lidar)) == [CONFLICT, CONFLICT]
 
 
-def test_steady_is_what_both_other_scans_have_in_the_same_place():
+def test_a_steady_beam_is_confirmed_by_both_other_scans():
     lidar, once = wall(), wall()
     lidar[20] = once[20] = 1.2
     lidar[30] = np.nan
@@ -282,7 +282,7 @@ def test_steady_is_what_both_other_scans_have_in_the_same_place():
     assert steady(scan_before=scan_of(once)) == list(range(BEAMS))
 
 
-def test_a_scan_of_another_kind_vouches_for_nothing():
+def test_a_scan_with_another_number_of_beams_gives_no_support():
     other = scan_of(np.tile(grille(), 2))
     assert class_of_the_middle_bar(scan_before=other, scan_after=other) == BURR
 
@@ -314,7 +314,7 @@ def test_a_speckle_that_the_image_before_lacks_is_a_burr():
 
 @given(seed=st.integers(0, 500), before=st.integers(-9, 9), after=st.integers(-9, 9))
 @settings(max_examples=30)
-def test_a_turn_that_is_told_changes_nothing(seed, before, after):
+def test_a_known_turn_changes_nothing(seed, before, after):
     """Neighbours in time moved by their shifts against neighbours that stood still."""
     rng = np.random.default_rng(seed)
     lidar, image = random_frame(rng)
@@ -352,7 +352,7 @@ def random_frame(rng, beams=BEAMS, noise=0.01):
     return lidar, image.astype(np.float32)
 
 
-def test_what_the_classes_rest_on_is_told():
+def test_the_evidence_for_the_classes_is_reported():
     lidar, image = wall(), speckled(15)
     lidar[30] = 1.2
     classes = classes_of(
@@ -463,7 +463,7 @@ def test_confidence_falls_with_the_residual_for_good_and_grows_for_noise(case):
     assert kinds == expected.get(case, [CONFLICT, CONFLICT])
 
 
-def test_a_burr_that_other_scans_have_too_is_less_sure():
+def test_a_burr_that_other_scans_confirm_has_less_confidence():
     lidar = wall()
     lidar[20] = 1.2
 
@@ -511,16 +511,16 @@ def test_the_support_of_beams_equals_a_loop(seed, shifts):
     beams = np.sort(rng.choice(BEAMS, 30, replace=False))
     camera = ranges[beams] + rng.normal(0.0, 0.05, 30)
     camera[rng.random(30) < 0.3] = np.nan
-    floor_m, share, slope = 0.04, 0.02, 0.01
+    floor_m, fraction, slope = 0.04, 0.02, 0.01
     support, neighbours = count_beam_support(
-        ranges, in_time, np.array(shifts), beams, camera, floor_m, share, slope
+        ranges, in_time, np.array(shifts), beams, camera, floor_m, fraction, slope
     )
     seen = dict(zip(beams.tolist(), camera.tolist(), strict=True))
     for i, beam in enumerate(beams.tolist()):
         own = ranges[beam]
         near = beyond = later = valid = valid_in_time = 0
         if not np.isnan(own):
-            tolerance = (floor_m**2 + (share * own) ** 2) ** 0.5
+            tolerance = (floor_m**2 + (fraction * own) ** 2) ** 0.5
             for step in (-3, -2, -1, 1, 2, 3):
                 if not 0 <= beam + step < BEAMS or np.isnan(ranges[beam + step]):
                     continue
@@ -613,10 +613,10 @@ def mirrored_frames(seed):
     before = np.roll(smooth, 3, axis=1)
     for sign in (1, -1):
         cx = 33.3 if sign == 1 else 69.0 - 33.3
-        lens = CameraIntrinsics(width=70, height=50, fx=60.0, fy=60.0, cx=cx, cy=23.1)
+        intrinsics = CameraIntrinsics(width=70, height=50, fx=60.0, fy=60.0, cx=cx, cy=23.1)
         camera = Camera(
             topic="/depth",
-            intrinsics=lens,
+            intrinsics=intrinsics,
             T_rig_camera=make_transform(R_BODY_OPTICAL, np.zeros(3)),
         )
         mount = Mount(
@@ -640,7 +640,7 @@ def mirrored_frames(seed):
 
 @pytest.mark.parametrize("noise", [SETTINGS, PUBLISHED], ids=["support", "rougher"])
 @pytest.mark.parametrize("seed", range(8))
-def test_in_a_mirror_the_classes_are_mirrored(seed, noise):
+def test_mirrored_input_gives_mirrored_classes(seed, noise):
     window, mirror = mirrored_frames(seed)
     classes, reflected = classes_of(window, noise), classes_of(mirror, noise)
     assert window.pairs.beam.size > 60

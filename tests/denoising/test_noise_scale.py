@@ -26,9 +26,9 @@ def test_the_scale_is_the_root_of_two_squares():
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("floor_m", [0.008, 0.02])
-@pytest.mark.parametrize("share", [0.004, 0.015])
-def test_floor_and_share_are_recovered_among_outliers(floor_m, share, seed):
-    truth = NoiseScale(floor_m=floor_m, fraction=share)
+@pytest.mark.parametrize("fraction", [0.004, 0.015])
+def test_floor_and_fraction_are_recovered_among_outliers(floor_m, fraction, seed):
+    truth = NoiseScale(floor_m=floor_m, fraction=fraction)
     learned = learn_noise_scale(*simulated(truth, seed=seed))
     range_m = np.array([1.0, 2.0, 3.5, 5.0])
     # Outliers within the first cut pass for noise: a few percent more than the truth.
@@ -49,7 +49,7 @@ def test_conflicts_far_beyond_the_noise_do_not_count():
     assert learn_noise_scale(ranges, with_conflicts) == learn_noise_scale(range_m, residual_m)
 
 
-def test_noise_that_does_not_grow_has_no_share_and_noise_in_proportion_no_floor():
+def test_constant_noise_has_no_fraction_and_proportional_noise_no_floor():
     rng = np.random.default_rng(4)
     range_m = rng.uniform(1.0, 5.0, 5000)
     shrinking = rng.normal(0.0, 0.03 - 0.004 * range_m)
@@ -99,7 +99,7 @@ def test_a_room_without_noise_keeps_a_positive_floor():
     assert learn_noise_scale(range_m, np.zeros(400)).floor_m > 0.0
 
 
-def test_one_range_alone_gives_its_own_deviation():
+def test_a_single_range_gives_its_own_deviation():
     residual_m = np.random.default_rng(1).normal(0.0, 0.02, 2000)
     learned = learn_noise_scale(np.full(2000, 2.0), residual_m)
     assert float(learned.sigma_at(np.array([2.0]))[0]) == pytest.approx(0.02, rel=0.1)

@@ -224,7 +224,7 @@ def test_wide_holes_are_filled_from_the_camera_within_its_noise():
 
 @pytest.mark.parametrize("width", [3, 11])
 @pytest.mark.parametrize("prefer", ["smaller_error", "other_sensor"])
-def test_of_two_sources_the_one_with_the_smaller_error_or_always_the_other_sensor(width, prefer):
+def test_the_source_is_the_one_with_the_smaller_error_or_always_the_other_sensor(width, prefer):
     """The error of a gap's own sides grows with its width; at 2 m they tie at about 2.3 degrees."""
     lidar, classes = holes(np.full(60, 2.0), slice(25, 25 + width))
     camera = np.full(60, 2.03)
@@ -297,7 +297,7 @@ def test_a_value_behind_the_sensor_repairs_nothing(behind_m):
 
 
 @pytest.mark.parametrize("prefer", ["smaller_error", "other_sensor"])
-def test_the_expected_errors_tell_why_a_source_was_taken(prefer):
+def test_the_expected_errors_explain_the_choice_of_source(prefer):
     lidar, classes = holes(np.full(60, 2.0), np.r_[10:13, 25:40])
     camera = np.full(60, 2.0)
     camera[[11, 30]] = np.nan
@@ -363,7 +363,7 @@ def test_a_hole_in_a_plane_is_filled_exactly(a, slope, seed, hole):
     assert source == NEIGHBOURS
 
 
-def test_a_burr_has_no_say_in_its_own_repair():
+def test_a_burr_does_not_influence_its_own_repair():
     image = plane_image(0.5, 0.001, -0.001)
     image[30, 40] = 1.9
     value, source = depth_repair(image, raw_m=1.9)
@@ -374,7 +374,7 @@ def test_a_burr_has_no_say_in_its_own_repair():
 @pytest.mark.parametrize(
     ("expected_m", "found_m"), [(np.nan, np.nan), (2.02, 2.0), (3.02, 3.0), (1.0, np.nan)]
 )
-def test_a_hole_at_an_edge_is_filled_only_on_the_side_that_the_lidar_names(expected_m, found_m):
+def test_a_hole_at_an_edge_is_filled_from_the_surface_at_the_lidars_depth(expected_m, found_m):
     """As many pixels at 2 m as at 3 m: neither surface is the hole's."""
     image = np.full((61, 81), 2.0, dtype=np.float32)
     image[:, 41:] = 3.0
@@ -408,7 +408,7 @@ def test_a_few_scattered_pixels_are_no_surface():
     assert depth_repair(image, expected_m=2.02) == (2.02, OTHER)
 
 
-def test_a_slanted_wall_is_not_prolonged_far_from_what_is_seen_of_it():
+def test_a_slanted_wall_is_not_extrapolated_far():
     image = plane_image(1.0 / 2.6, -0.03, 0.0)
     image[:, 36:] = np.nan
     value, source = depth_repair(image)
@@ -493,7 +493,7 @@ def test_a_pixel_is_repaired_from_a_good_beam_alone(lidar_class):
     assert source == NONE
 
 
-def test_a_beam_in_doubt_repairs_no_pixel_and_a_burr_in_doubt_stays():
+def test_an_uncertain_beam_repairs_no_pixel_and_an_uncertain_burr_stays():
     image = np.full((61, 81), np.nan, dtype=np.float32)
     doubt = np.array([0.4])
     assert depth_repair(image, expected_m=2.0, lidar_confidence=doubt)[1] == NONE
@@ -542,7 +542,7 @@ def random_frame(seed):
     farther=st.floats(0.0, 1.0),
 )
 @settings(max_examples=80)
-def test_what_no_repair_may_do(seed, prefer, farther):
+def test_invariants_of_every_repair(seed, prefer, farther):
     image, pairs, classes = random_frame(seed)
     image_before = image.copy()
     result = repair(
@@ -595,7 +595,7 @@ def test_what_no_repair_may_do(seed, prefer, farther):
 
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=25)
-def test_in_a_mirror_the_lidar_is_repaired_alike(seed):
+def test_mirrored_input_gives_a_mirrored_repair_of_the_lidar(seed):
     image, pairs, classes = random_frame(seed)
     result = repair(pairs, classes, image, SCALE, SETTINGS)
     value, source = lidar_repair(

@@ -105,7 +105,7 @@ def _values(beams: int) -> list[tuple[str, SensorValue]]:
                     stamp_ns=stamp_ns,
                     received_ns=None,
                     frame_id="camera_optical",
-                    depth_m=_ROOM.depth(pose, T_base_camera, lens=LENS),
+                    depth_m=_ROOM.depth(pose, T_base_camera, intrinsics=LENS),
                 ),
             )
         )

@@ -56,15 +56,20 @@ class BoxRoom:
             ranges_m=np.where(ranges <= range_max_m, ranges, np.nan),
         )
 
-    def depth(self, pose, T_base_camera, *, lens=INTRINSICS, noise=None):
+    def depth(self, pose, T_base_camera, *, intrinsics=INTRINSICS, noise=None):
         """(H, W) depth image; ``noise``: a generator for a Kinect's standard deviation."""
         base = make_transform(
             rotation_from_yaw_pitch_roll(pose[2], 0.0, 0.0), np.array([pose[0], pose[1], 0.0])
         )
         T = base @ T_base_camera
-        v, u = np.mgrid[: lens.height, : lens.width]
+        v, u = np.mgrid[: intrinsics.height, : intrinsics.width]
         rays = np.stack(
-            [(u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, np.ones(u.shape)], axis=-1
+            [
+                (u - intrinsics.cx) / intrinsics.fx,
+                (v - intrinsics.cy) / intrinsics.fy,
+                np.ones(u.shape),
+            ],
+            axis=-1,
         ).reshape(-1, 3)
         depth = self.distances(T[:3, 3], rays @ T[:3, :3].T)
         if noise is not None:

@@ -36,7 +36,7 @@ def cells(grid: OccupancyGrid) -> dict[tuple[int, int], float]:
 
 
 @given(grids, grids)
-def test_the_obstacle_wins_two_is_that_of_each_cell(
+def test_the_merge_keeps_obstacles_in_each_cell(
     first: OccupancyGrid, second: OccupancyGrid
 ) -> None:
     expected = cells(first)

@@ -72,7 +72,7 @@ def oracle(scans: list[Scan], resolution_m: float) -> dict[tuple[int, int], floa
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12))
-def test_against_the_rules_in_plain_python(seed: int, count: int) -> None:
+def test_the_grid_equals_plain_python(seed: int, count: int) -> None:
     scans = random_scans(seed, count)
     ours, expected = cells_of(built(scans)), oracle(scans, RESOLUTION_M)
     assert ours.keys() == expected.keys()
@@ -106,7 +106,7 @@ def test_missing_beams_add_nothing() -> None:
         GridBuilder(SETTINGS).build()
 
 
-def test_beyond_the_greatest_range_it_frees_and_hits_nothing() -> None:
+def test_beyond_the_maximum_range_a_beam_frees_and_hits_nothing() -> None:
     grid = built([(np.zeros(3), np.array([0.0]), np.array([9.0]), 0.5)])
     assert np.allclose(grid.log_odds, [[MISS] * 4])
 
@@ -117,7 +117,7 @@ def test_probabilities_stay_within_their_limits() -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(-90, 90), st.integers(-90, 90))
-def test_moved_by_whole_cells(seed: int, rows: int, columns: int) -> None:
+def test_moving_by_whole_cells_moves_the_map(seed: int, rows: int, columns: int) -> None:
     scans = random_scans(seed, 4)
     # Poses on a fine binary raster, so that the sums are exact.
     scans = [(np.round(pose * 1024) / 1024, *rest) for pose, *rest in scans]
@@ -132,7 +132,9 @@ def test_moved_by_whole_cells(seed: int, rows: int, columns: int) -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.randoms(use_true_random=False))
-def test_the_order_of_scans_is_no_matter_where_nothing_clamps(seed: int, random: object) -> None:
+def test_the_order_of_scans_does_not_matter_where_nothing_is_clamped(
+    seed: int, random: object
+) -> None:
     scans = random_scans(seed, 4)
     wide = GridSettings(resolution_m=RESOLUTION_M, p_lowest=0.001, p_highest=0.999)
     shuffled = scans.copy()
@@ -142,7 +144,7 @@ def test_the_order_of_scans_is_no_matter_where_nothing_clamps(seed: int, random:
     assert np.allclose(first.log_odds, second.log_odds, equal_nan=True)
 
 
-def test_a_room_looks_the_same_in_its_four_quarters() -> None:
+def test_a_symmetric_room_gives_four_equal_quarters() -> None:
     angles_rad = (np.arange(360) + 0.5) * np.pi / 180
     ranges_m = 2.0 / np.maximum(np.abs(np.cos(angles_rad)), np.abs(np.sin(angles_rad)))
     centre = np.array([RESOLUTION_M / 2, RESOLUTION_M / 2, 0.0])
@@ -164,7 +166,7 @@ def test_memory_follows_the_area_and_not_the_number_of_scans() -> None:
 
 
 @pytest.mark.parametrize("x_m", [2e4, 1e30, -1e300])
-def test_a_wild_pose_is_refused_and_the_map_stays(x_m: float) -> None:
+def test_an_implausible_pose_is_refused_and_the_map_stays(x_m: float) -> None:
     builder = GridBuilder(GridSettings(resolution_m=RESOLUTION_M, cells_max=100_000))
     scan = (np.array([0.0]), np.array([0.5]), 4.0)
     builder.add_scan(np.zeros(3), *scan)

@@ -34,7 +34,7 @@ def test_a_large_cloud_agrees_with_a_tree():
     np.testing.assert_array_equal(has_neighbours(cloud, cloud, 0.25, 3), expected)
 
 
-def test_no_points_have_no_answer():
+def test_no_points_give_an_empty_result():
     assert has_neighbours(np.empty((0, 3)), np.empty((0, 3)), 0.1, 3).shape == (0,)
 
 

@@ -60,7 +60,7 @@ def test_exactly_the_cells_that_the_segment_crosses(
 
 
 @given(coordinates, coordinates, coordinates, coordinates)
-def test_it_leads_from_start_to_end_through_neighbours(
+def test_the_cells_lead_from_start_to_end_through_neighbours(
     x0: float, y0: float, x1: float, y1: float
 ) -> None:
     cells = traced(x0, y0, x1, y1)
@@ -71,12 +71,14 @@ def test_it_leads_from_start_to_end_through_neighbours(
 
 
 @given(coordinates, coordinates, coordinates, coordinates)
-def test_mirrored_at_the_diagonal(x0: float, y0: float, x1: float, y1: float) -> None:
+def test_mirroring_at_the_diagonal_mirrors_the_cells(
+    x0: float, y0: float, x1: float, y1: float
+) -> None:
     assert traced(y0, x0, y1, x1) == [(c, r) for r, c in traced(x0, y0, x1, y1)]
 
 
 @pytest.mark.parametrize(("dx", "dy"), [(1, 1), (-1, 1), (1, -1), (-1, -1)])
-def test_through_corners_it_goes_straight_across(dx: int, dy: int) -> None:
+def test_a_segment_through_corners_crosses_them_diagonally(dx: int, dy: int) -> None:
     cells = traced(0.5, 0.5, 0.5 + 4 * dx, 0.5 + 4 * dy)
     assert cells == [(k * dy, k * dx) for k in range(5)]
 

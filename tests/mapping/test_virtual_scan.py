@@ -136,9 +136,9 @@ WIDE = CameraIntrinsics(width=1280, height=1024, fx=1145.0, fy=1145.0, cx=639.5,
 
 
 def seen(room, settings):
-    lens = INTRINSICS if settings is DEFAULT else WIDE
-    depth_m = room.depth(POSE, camera_pose(), lens=lens, noise=np.random.default_rng(5))
-    return project_to_cloud(depth_m, lens, camera_pose()[:3], settings)
+    intrinsics = INTRINSICS if settings is DEFAULT else WIDE
+    depth_m = room.depth(POSE, camera_pose(), intrinsics=intrinsics, noise=np.random.default_rng(5))
+    return project_to_cloud(depth_m, intrinsics, camera_pose()[:3], settings)
 
 
 def in_view(angles):
@@ -206,7 +206,7 @@ def test_noise_on_the_floor_is_no_obstacle():
     assert np.isnan(scan.ranges_m).all()
 
 
-def test_a_lone_depth_is_dropped_and_a_thin_post_is_not():
+def test_an_isolated_depth_is_dropped_and_a_thin_post_is_not():
     room = BoxRoom(boxes=((2.5, 2.6, 0.0, 2.53, 2.63, 1.0),))
     depth = room.depth(POSE, camera_pose()).copy()
     depth[150, 60] = 1.1
@@ -215,7 +215,7 @@ def test_a_lone_depth_is_dropped_and_a_thin_post_is_not():
     assert np.nanmin(scan.ranges_m) == pytest.approx(np.hypot(1.5, 0.1), abs=0.03)
 
 
-def test_a_beam_that_met_nothing_stays_unless_something_lies_before_it():
+def test_a_beam_without_a_return_stays_unless_the_camera_saw_something_nearer():
     scan = replace(ROOM.scan(POSE), ranges_m=np.full(360, 81.9))
     merged = merge_camera_cloud(scan, np.empty((0, 3)), DEFAULT, LIDAR_HEIGHT_M)
     np.testing.assert_array_equal(merged.ranges_m, 81.9)

@@ -36,7 +36,7 @@ def test_the_mean_of_the_points_in_each_voxel(sizes, voxel_m, waiting, seed):
     assert np.array_equal(found, cloud.points_m())
 
 
-def test_memory_is_bounded_and_what_is_added_is_not_kept_by_reference():
+def test_memory_is_bounded_and_added_points_are_copied():
     cloud = VoxelCloud(1.0, voxels_max=3)
     points_m = np.array([[0.5, 0.5, 0.5], [1.5, 0.5, 0.5], [2.5, 0.5, 0.5]])
     cloud.add(points_m)

@@ -5,7 +5,7 @@ import pytest
 from fusion_core.model.bounded_cache import BoundedCache
 
 
-def test_a_value_is_computed_once_while_it_is_held() -> None:
+def test_a_value_is_computed_once_while_it_is_cached() -> None:
     cache: BoundedCache[str, int] = BoundedCache(2)
     computed: list[str] = []
 

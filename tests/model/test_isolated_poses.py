@@ -17,7 +17,7 @@ def track():
 
 
 @given(st.sets(st.sampled_from(range(0, 40, 5)), max_size=4), st.floats(20.0, 1e308))
-def test_lone_jumps_are_found_and_nothing_else(wrong, away_m):
+def test_isolated_jumps_are_found_and_nothing_else(wrong, away_m):
     positions_m = track()
     positions_m[list(wrong), 1] = away_m
     assert set(np.flatnonzero(find_isolated_poses(STAMPS_NS, positions_m))) == wrong
@@ -49,5 +49,5 @@ def test_stamps_in_bursts_are_no_jumps():
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
-def test_of_two_poses_nobody_can_tell(count):
+def test_of_two_poses_neither_is_isolated(count):
     assert not find_isolated_poses(STAMPS_NS[:count], 1e6 * track()[:count]).any()

@@ -39,7 +39,7 @@ def test_a_relative_pose_leads_from_one_to_the_other(a, b):
     assert_same(compose_poses(a, relative_pose(a, b)), b)
 
 
-def test_many_are_as_each():
+def test_many_poses_equal_each_alone():
     rng = np.random.default_rng(1)
     a, b = rng.normal(0.0, 2.0, (2, 20, 3))
     together = compose_poses(a, b)

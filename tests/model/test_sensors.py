@@ -16,7 +16,7 @@ from fusion_core.model.sensors import CameraIntrinsics
         ({"fx": float("nan")}, "must be finite"),
     ],
 )
-def test_a_camera_that_cannot_be_is_refused_by_name(change: dict, named: str) -> None:
+def test_impossible_intrinsics_are_refused_by_name(change: dict, named: str) -> None:
     values = {"width": 64, "height": 48, "fx": 55.0, "fy": 57.0, "cx": 30.2, "cy": 25.1}
     assert CameraIntrinsics(**values)
     with pytest.raises(ValueError, match=named):

@@ -93,7 +93,7 @@ def test_the_order_in_which_far_stamps_come_makes_no_difference():
     assert order[~kept].tolist() == [7]
 
 
-def test_what_the_log_shows_as_well_is_no_jump():
+def test_a_jump_that_the_log_has_too_is_a_pause():
     """A pause of a night, a replay at ten times the speed, a clock that is years off."""
     paused = regular(20)
     paused[12:] += 8 * 3600 * NS_PER_S
@@ -103,13 +103,13 @@ def test_what_the_log_shows_as_well_is_no_jump():
     assert plausible_stamps(regular(20), START_NS + (regular(20) - START_NS) // 10).all()
 
 
-def test_a_log_of_one_time_tells_nothing():
+def test_a_log_with_one_time_for_all_is_not_used():
     stamps_ns = regular(20)
     stamps_ns[19] += YEAR_NS
     assert plausible_stamps(stamps_ns, np.full(20, START_NS)).all()
 
 
-def test_what_cannot_be_read_is_not_judged():
+def test_unreadable_messages_are_kept():
     stamps_ns = regular(6)
     stamps_ns[[1, 4]] = NO_STAMP
     stamps_ns[2] += YEAR_NS

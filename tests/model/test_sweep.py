@@ -39,7 +39,7 @@ def scan_of(beams: int, angle_min_rad: float, angle_increment_rad: float) -> Las
 
 
 @pytest.mark.parametrize("sweep", SCANNERS.values(), ids=SCANNERS.keys())
-def test_what_scanners_send_is_a_sweep(sweep: tuple[int, float, float]) -> None:
+def test_real_scanners_sweeps_are_accepted(sweep: tuple[int, float, float]) -> None:
     assert scan_of(*sweep).angles_rad.size == sweep[0]
 
 
@@ -60,14 +60,14 @@ def test_what_scanners_send_is_a_sweep(sweep: tuple[int, float, float]) -> None:
         ((360, 1e30, 0.01), r"angle_min 1e\+30 rad is beyond a turn"),
     ],
 )
-def test_what_no_scanner_sends_is_named(sweep: tuple[int, float, float], named: str) -> None:
+def test_implausible_sweeps_are_named(sweep: tuple[int, float, float], named: str) -> None:
     with pytest.raises(ImplausibleSweep, match=named) as caught:
         scan_of(*sweep)
     assert caught.value.advice
 
 
 @given(st.integers(-5, 2 * MAX_BEAMS), st.floats(), st.floats())
-def test_what_is_a_sweep_is_bounded(beams: int, first_rad: float, step_rad: float) -> None:
+def test_accepted_sweeps_are_bounded(beams: int, first_rad: float, step_rad: float) -> None:
     try:
         require_plausible_sweep(beams, first_rad, step_rad)
     except ImplausibleSweep:

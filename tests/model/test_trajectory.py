@@ -43,7 +43,7 @@ def test_large_stamps_keep_their_nanoseconds() -> None:
 
 
 @pytest.mark.parametrize("stamp_ns", [9, 41])
-def test_outside_it_refuses_and_names_the_range(stamp_ns: int) -> None:
+def test_outside_of_the_stamps_the_error_names_the_range(stamp_ns: int) -> None:
     path = trajectory([[0, 0, 0], [1, 2, 0.5]], [10, 40])
     with pytest.raises(StampOutsideRange, match=f"at {stamp_ns} ns: known from 10 to 40 ns") as e:
         path.pose_at(stamp_ns)

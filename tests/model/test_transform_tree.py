@@ -97,7 +97,7 @@ def test_unconnected_frames_are_named_with_all_that_is_known() -> None:
 
 
 @pytest.mark.parametrize("stamp_ns", [99, 201])
-def test_outside_of_the_known_time_it_refuses(stamp_ns: int) -> None:
+def test_outside_of_the_known_time_a_lookup_fails(stamp_ns: int) -> None:
     tree = TransformTree()
     add(tree, "base", "lidar", None, pose(0.2))
     add(tree, "odom", "base", 100, pose(1.0))
@@ -120,7 +120,7 @@ def test_a_new_parent_takes_over() -> None:
         tree.lookup("old", "base", 30)
 
 
-def test_back_to_an_earlier_parent_the_closer_samples_count() -> None:
+def test_of_two_parents_the_one_with_closer_samples_counts() -> None:
     """A, then B, then A: A's two samples around B's time are far apart."""
     tree = TransformTree()
     add(tree, "map", "a", None, pose(0.0))
@@ -143,7 +143,7 @@ def test_cycles_end_and_the_shortest_chain_counts() -> None:
         tree.lookup("a", "elsewhere", 0)
 
 
-def test_what_is_no_pose_is_left_out_and_counted() -> None:
+def test_invalid_transforms_are_rejected_and_counted() -> None:
     tree = TransformTree()
     mirrored = np.diag([1.0, 1.0, -1.0, 1.0])
     for bad in (np.full((4, 4), np.nan), 2.0 * np.eye(4), mirrored, np.zeros((4, 4))):

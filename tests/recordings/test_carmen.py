@@ -125,7 +125,7 @@ def test_a_written_line_gives_its_numbers(
     assert (line.stamp_ns, line.received_ns) == (stamp_us * 1000, logged_us * 1000)
 
 
-def test_codes_of_a_sick_are_no_returns(log: Callable[..., Log]) -> None:
+def test_error_codes_of_a_sick_are_no_returns(log: Callable[..., Log]) -> None:
     """81.83 m is one, whatever maximum range the line names; another laser may measure it."""
     config = "-1.5 3.0 1.5 81.9 0.01 0 3 81.82 81.83 81.91 0"
     found = log(f"RAWLASER1 0 {config} {STAMPS}", f"RAWLASER2 2 {config} {STAMPS}")
@@ -239,7 +239,7 @@ def test_the_mount_is_the_laser_pose_on_the_robot(tmp_path: Path) -> None:
         assert found.at((100 + i) * 10**9) == pytest.approx(expected)
 
 
-def test_a_laser_pose_that_wanders_is_no_mount(log: Callable[..., Log]) -> None:
+def test_a_changing_laser_pose_is_no_mount(log: Callable[..., Log]) -> None:
     found = log(
         robotlaser("0.25 0 0", "0 0 0", "100 h 1"), robotlaser("1.5 0 0", "1 0 0", "101 h 2")
     )
@@ -264,7 +264,7 @@ def test_the_mount_of_an_old_front_laser_is_a_parameter(log: Callable[..., Log])
     assert mounted(log(offset, turned, scan)) == {}
 
 
-def test_a_truth_is_never_taken_for_odometry(log: Callable[..., Log], tmp_path: Path) -> None:
+def test_ground_truth_is_never_taken_for_odometry(log: Callable[..., Log], tmp_path: Path) -> None:
     log(flaser(), f"TRUEPOS 5 6 0.5 1 2 0.25 {STAMPS}")
     with open_recording(tmp_path / "log") as recording:
         streams = choose_streams(recording)
@@ -301,7 +301,7 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("line", DAMAGED, ids=range(len(DAMAGED)))
-def test_a_damaged_line_costs_itself(log: Callable[..., Log], line: str) -> None:
+def test_a_damaged_line_loses_only_itself(log: Callable[..., Log], line: str) -> None:
     whole = [flaser("1.0 " * 181, stamps=f"{100 + i} host {i}") for i in range(4)]
     found = log(*whole[:2], line, *whole[2:])
     assert found.topics == {"/flaser": 4, "/flaser/odom": 4}
@@ -324,7 +324,9 @@ UNDECODABLE = {
 
 
 @pytest.mark.parametrize("line", UNDECODABLE, ids=range(len(UNDECODABLE)))
-def test_a_scan_that_cannot_be_decoded_costs_itself(log: Callable[..., Log], line: str) -> None:
+def test_a_scan_that_cannot_be_decoded_loses_only_itself(
+    log: Callable[..., Log], line: str
+) -> None:
     found = log(flaser(), line)
     topic = "/" + line.split()[0].lower()
     scans = found.of(topic)
@@ -398,17 +400,17 @@ def many_scans(count: int) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-# Scans that must survive of 600, cut at a share of the bytes: gzip loses what its decoder holds
+# Scans that must survive of 600, cut at a fraction of the bytes: gzip loses what its decoder holds
 # back, bzip2 the block of 100 kB that is cut.
 LEAST = {"plain": (299, 593), "gz": (225, 560), "bz2": (225, 500)}
 
 
 @pytest.mark.parametrize("packing", PACKINGS)
-def test_a_cut_log_gives_what_came_before(tmp_path: Path, packing: str) -> None:
+def test_a_truncated_log_gives_what_precedes_the_cut(tmp_path: Path, packing: str) -> None:
     whole = PACKINGS[packing](many_scans(600))
     file = tmp_path / "cut"
-    for share, least in zip((0.5, 0.99), LEAST[packing], strict=True):
-        file.write_bytes(whole[: int(len(whole) * share)])
+    for fraction, least in zip((0.5, 0.99), LEAST[packing], strict=True):
+        file.write_bytes(whole[: int(len(whole) * fraction)])
         found = read(file)
         scans = found.of("/flaser")
         assert least <= len(scans) < 600
@@ -436,7 +438,7 @@ def test_the_last_line_is_left_out_where_a_number_is_cut(log: Callable[..., Log]
 
 
 @pytest.mark.parametrize("packing", PACKINGS)
-def test_mutations_cost_a_warning_or_the_file(
+def test_mutated_logs_give_a_warning_or_are_refused(
     tmp_path: Path, carmen_logs: Any, packing: str
 ) -> None:
     """Flipped, removed and repeated bytes, cuts: nothing but RecordingError."""

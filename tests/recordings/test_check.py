@@ -63,7 +63,7 @@ def test_a_flipped_byte_in_a_chunk_is_found(
         assert all("the chunk at byte" in line and str(path) in line for line in told)
 
 
-def test_people_are_told_what_was_checked(
+def test_the_report_says_what_was_checked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "a.mcap"
@@ -85,7 +85,7 @@ def test_people_are_told_what_was_checked(
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_whole_recordings_of_every_format_are_whole(
+def test_undamaged_recordings_of_every_format_pass(
     build: Callable[[str], Any], capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
     sample = build(name)
@@ -163,9 +163,7 @@ def test_a_database_whose_index_disagrees_with_its_rows(
     assert checked["check"]["unreadable"] == 0
 
 
-def test_an_image_that_is_cut(
-    build: Callable[[str], Any], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_truncated_image(build: Callable[[str], Any], capsys: pytest.CaptureFixture[str]) -> None:
     sample = build("TUM RGB-D")
     image = sorted((sample.path / "depth").iterdir())[1]
     image.write_bytes(image.read_bytes()[:40])

@@ -252,7 +252,7 @@ def test_an_image_without_any_depth() -> None:
 @pytest.mark.parametrize(
     ("encoding", "codec"), [("16UC1", "png"), ("16UC1", "rvl"), ("32FC1", "png"), ("32FC1", "rvl")]
 )
-def test_depth_cut_anywhere(encoding: str, codec: str) -> None:
+def test_depth_truncated_anywhere(encoding: str, codec: str) -> None:
     data = config(A, B) + (png(DEPTH_MM) if codec == "png" else rvl(DEPTH_MM))
     for size in [*range(40), *range(40, len(data) - 3, 37), len(data) - 4, len(data) - 1]:
         with pytest.raises(RecordingError, match="/packed") as caught:
@@ -262,7 +262,7 @@ def test_depth_cut_anywhere(encoding: str, codec: str) -> None:
 
 
 @pytest.mark.parametrize("pack", [png, jpeg])
-def test_colour_cut_anywhere(pack: Callable[[np.ndarray], bytes]) -> None:
+def test_colour_truncated_anywhere(pack: Callable[[np.ndarray], bytes]) -> None:
     data = pack(RGB)
     for size in [*range(40), *range(40, len(data) - 3, 37), len(data) - 1]:
         with pytest.raises(RecordingError, match="/packed"):
@@ -347,7 +347,7 @@ PACKED = [
 
 
 @given(st.sampled_from(PACKED), st.data())
-def test_damage_costs_the_message_at_most(packed: tuple[str, bytes], data: st.DataObject) -> None:
+def test_damage_loses_the_message_at_most(packed: tuple[str, bytes], data: st.DataObject) -> None:
     format, content = packed
     damaged = bytearray(content)
     for _ in range(data.draw(st.integers(1, 4))):

@@ -194,7 +194,7 @@ def test_threads_share_a_recording(sample: Any) -> None:
     assert [clocks(found, sample.has_log) for found in results] == [expected] * 4
 
 
-def test_the_file_is_left_as_it_was(sample: Any) -> None:
+def test_the_file_is_unchanged(sample: Any) -> None:
     before = digest(sample.path)
     with open_recording(sample.path) as recording:
         describe_recording(recording)

@@ -46,7 +46,7 @@ def mutations(content: bytes, count: int, seed: int) -> Iterator[bytes]:
 
 
 @pytest.mark.parametrize("name", SINGLE_FILES)
-def test_mutated_files_never_surprise(build: Callable[[str], Any], name: str) -> None:
+def test_mutated_files_are_read_or_refused(build: Callable[[str], Any], name: str) -> None:
     sample = build(name)
     content = sample.path.read_bytes()
     for data in mutations(content, 60, seed=3):
@@ -57,7 +57,7 @@ def test_mutated_files_never_surprise(build: Callable[[str], Any], name: str) ->
 
 
 @pytest.mark.parametrize("name", ["mcap zstd", "rosbag1 lz4"])
-def test_a_broken_chunk_costs_its_messages_and_a_warning(
+def test_a_damaged_chunk_loses_its_messages_with_a_warning(
     build: Callable[[str], Any], name: str
 ) -> None:
     sample = build(name)
@@ -121,7 +121,7 @@ def test_messages_that_are_too_short_are_left_out() -> None:
     assert any("4 of 4 messages" in warning for warning in recording.warnings)
 
 
-def test_a_definition_that_does_not_parse_costs_its_topic() -> None:
+def test_a_definition_that_does_not_parse_loses_only_its_topic() -> None:
     recording = IndexedRecording(
         Path("zeros"), "test", [Zeros("nav_msgs/msg/Odometry", "int32 a\n---\n???")]
     )

@@ -46,7 +46,7 @@ def read_scan(ranges: list[float], **changes: Any) -> Any:
     return read(scan_message(ranges, **changes), "sensor_msgs/msg/LaserScan")
 
 
-def test_what_a_beam_without_return_says() -> None:
+def test_values_of_a_beam_without_return() -> None:
     inf, nan = np.inf, np.nan
     # 0.1 and 5.6 as float32: the limit itself is a value at the near end, a sentinel at the far.
     scan = read_scan([0.0, inf, -inf, nan, -1.0, 0.099, 0.1, 5.599, 5.6, 5.601, 81.9])
@@ -109,7 +109,7 @@ def test_stamps(sec: int, nanosec: int, expected: int) -> None:
     assert read_scan([1.0], header=header(sec, nanosec)).stamp_ns == expected
 
 
-def test_as_many_beams_and_letters_as_are_read() -> None:
+def test_limits_of_beams_and_name_lengths() -> None:
     name = "x" * 4096
     scan = read_scan([1.0] * 40_000, header=header(frame_id=name), angle_increment=1.5e-4)
     assert (scan.ranges_m.size, scan.frame_id) == (40_000, name)
@@ -366,7 +366,7 @@ def test_rotation_equals_scipy(q: list[float]) -> None:
         ([0.0, 0.0, 0.0], [0.0, np.inf, 0.0, 1.0]),
     ],
 )
-def test_poses_that_are_none(xyz: list[float], q: list[float]) -> None:
+def test_invalid_poses(xyz: list[float], q: list[float]) -> None:
     with pytest.raises(RecordingError, match=r"/topic: (position|quaternion)"):
         read(stamped(xyz, q), "geometry_msgs/msg/PoseStamped")
 

@@ -55,7 +55,9 @@ def test_intrinsics_of_another_image_size(build: Callable[[str], Any]) -> None:
         ("-1.#IND 0 0 0\n" * 4, "no table of numbers"),
     ],
 )
-def test_a_bad_pose_costs_its_frame(build: Callable[[str], Any], row: str, problem: str) -> None:
+def test_a_bad_pose_loses_only_its_frame(
+    build: Callable[[str], Any], row: str, problem: str
+) -> None:
     sample = build("7-Scenes")
     (sample.path / "frame-000004.pose.txt").write_text(row)
     with open_recording(sample.path) as recording:
@@ -66,7 +68,7 @@ def test_a_bad_pose_costs_its_frame(build: Callable[[str], Any], row: str, probl
             recording.read(POSE, 1)
 
 
-def test_a_cut_image_costs_its_frame(build: Callable[[str], Any]) -> None:
+def test_a_truncated_image_loses_only_its_frame(build: Callable[[str], Any]) -> None:
     sample = build("7-Scenes")
     file = sample.path / "frame-000006.depth.png"
     file.write_bytes(file.read_bytes()[:40])
@@ -137,7 +139,7 @@ def test_a_pose_file_of_another_kind(build: Callable[[str], Any], name: str, fil
 @pytest.mark.parametrize(
     ("name", "file", "whole"), [("slambook", "pose.txt", 7), ("Redwood", "trajectory.log", 19)]
 )
-def test_a_pose_file_that_is_cut_keeps_its_whole_poses(
+def test_a_truncated_pose_file_keeps_its_whole_poses(
     build: Callable[[str], Any], name: str, file: str, whole: int
 ) -> None:
     sample = build(name)

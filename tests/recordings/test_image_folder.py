@@ -63,7 +63,7 @@ def first_depth(folder: Path) -> Any:
         return recording.read(DEPTH, 0).value
 
 
-def test_millimetres_where_nothing_says_the_unit(folder: Path) -> None:
+def test_millimetres_where_no_unit_is_stated(folder: Path) -> None:
     with open_recording(folder) as recording:
         assert "millimetres" in recording.warnings[0]
         image = recording.read(DEPTH, 1).value
@@ -239,7 +239,7 @@ def test_swapped_bytes_are_refused(folder: Path) -> None:
         open_recording(folder)
 
 
-def test_rotated_bits_are_refused_or_doubted(folder: Path) -> None:
+def test_rotated_bits_are_refused_or_give_a_warning(folder: Path) -> None:
     for file in (folder / "depth").iterdir():
         values = millimetres()
         cv2.imwrite(str(file), (values << 3) | (values >> 13))
@@ -273,7 +273,7 @@ def test_odd_encodings_are_refused(folder: Path, data_folder: Path, name: str, s
 
 
 @pytest.mark.data
-def test_a_usual_depth_image_raises_no_doubt(folder: Path, data_folder: Path) -> None:
+def test_a_usual_depth_image_gives_no_warning(folder: Path, data_folder: Path) -> None:
     file = data_folder / "real/rgbd/redwood_and_odd_encodings/depth/00000.png"
     shutil.copy(file, only_depth(folder, ".png"))
     with open_recording(folder) as recording:
@@ -378,7 +378,7 @@ def test_hostile_camera_files(tmp_path: Path, name: str, text: str) -> None:
     assert len(str(caught.value)) < 1000
 
 
-def test_negative_focal_lengths_cost_the_intrinsics(folder: Path) -> None:
+def test_negative_focal_lengths_lose_only_the_intrinsics(folder: Path) -> None:
     (folder / "camera.json").write_text(json.dumps(CAMERA | {"fy": -13.0}))
     with open_recording(folder) as recording:
         assert "positive focal lengths" in recording.warnings[0]
@@ -410,7 +410,7 @@ def test_names_of_two_kinds_are_not_mixed(folder: Path) -> None:
         open_recording(folder)
 
 
-def test_names_that_say_nothing_are_counted(folder: Path) -> None:
+def test_names_without_a_number_are_counted(folder: Path) -> None:
     rename(folder / "rgb", ["7.png", "left.png", "1305031102.png"])
     cv2.imwrite(str(folder / "rgb/007.png"), np.full((*SHAPE, 3), 77, np.uint8))
     (folder / "rgb/notes.txt").write_text("no image")
@@ -476,7 +476,7 @@ def test_more_files_than_are_indexed(folder: Path, monkeypatch: pytest.MonkeyPat
         open_recording(folder)
 
 
-def test_eight_bit_depth_costs_itself(folder: Path) -> None:
+def test_eight_bit_depth_loses_only_itself(folder: Path) -> None:
     cv2.imwrite(str(folder / "depth/1.png"), millimetres().astype(np.uint8))
     with open_recording(folder) as recording, pytest.raises(RecordingError, match="uint8"):
         recording.read(DEPTH, 1)

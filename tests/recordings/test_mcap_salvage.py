@@ -161,7 +161,7 @@ def reference(content: bytes) -> list[Found]:
 
 
 @pytest.mark.parametrize("kind", WRITERS)
-def test_a_cut_file_gives_what_stands_before_the_cut(kind: str, read_bytes: Read) -> None:
+def test_a_truncated_file_gives_what_precedes_the_cut(kind: str, read_bytes: Read) -> None:
     content, messages = FILES[kind]
     for cut in range(len(START), len(content), 487):
         expected = reference(content[:cut])
@@ -173,7 +173,7 @@ def test_a_cut_file_gives_what_stands_before_the_cut(kind: str, read_bytes: Read
 
 
 @pytest.mark.parametrize("kind", ["zstd", "lz4", "plain"])
-def test_a_cut_chunk_gives_its_whole_messages(kind: str, read_bytes: Read) -> None:
+def test_a_truncated_chunk_gives_its_whole_messages(kind: str, read_bytes: Read) -> None:
     rng = random.Random(2)
     messages = [message(1, i, rng.randbytes(5000)) for i in range(200)]
     content = DEFINITIONS + b"".join(messages)
@@ -198,7 +198,7 @@ def test_a_cut_chunk_gives_its_whole_messages(kind: str, read_bytes: Read) -> No
         assert any(w.startswith(lost) and f"{len(found)} messages" in w for w in warnings)
 
 
-def test_a_chunk_with_a_wrong_checksum_costs_itself_alone(read_bytes: Read) -> None:
+def test_a_chunk_with_a_wrong_checksum_loses_only_itself(read_bytes: Read) -> None:
     chunks = [chunk(message(1, t * S) * 3, (t * S, t * S)) for t in range(1, 5)]
     spoiled = bytearray(chunks[2])
     spoiled[-1] ^= 1
@@ -226,7 +226,7 @@ def test_definitions_are_saved_from_a_damaged_chunk(kind: str, read_bytes: Read)
 
 
 @pytest.mark.parametrize("kind", ["plain", "unchunked"])
-def test_a_broken_record_header_costs_its_record(kind: str, read_bytes: Read) -> None:
+def test_a_damaged_record_header_loses_only_its_record(kind: str, read_bytes: Read) -> None:
     records = [message(1, t * S) for t in range(1, 9)]
     if kind == "plain":
         records = [chunk(m, (t * S, t * S)) for t, m in enumerate(records, start=1)]
@@ -246,7 +246,7 @@ def test_a_broken_record_header_costs_its_record(kind: str, read_bytes: Read) ->
 
 
 @given(at=st.integers(0, 10**6), data=st.binary(min_size=1, max_size=40))
-def test_a_damaged_summary_costs_nothing(
+def test_a_damaged_summary_loses_no_message(
     at: int, data: bytes, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     content, messages = FILES["zstd"]
@@ -272,7 +272,7 @@ def test_a_summary_replaces_definitions_that_are_lost(read_bytes: Read) -> None:
     assert "no record can be read there" in warnings[0]
 
 
-def test_a_channel_that_is_lost_costs_its_topic(read_bytes: Read) -> None:
+def test_a_lost_channel_loses_only_its_topic(read_bytes: Read) -> None:
     other = bytearray(channel(2, "/b"))
     other[13] = 0xFF
     messages = b"".join(message(1 + i % 2, i * S) for i in range(6))
@@ -281,7 +281,7 @@ def test_a_channel_that_is_lost_costs_its_topic(read_bytes: Read) -> None:
     assert any("3 messages from 1.000 s to 5.000 s are left out" in w for w in warnings)
 
 
-def test_a_schema_that_is_lost_costs_its_topic(tmp_path: Path) -> None:
+def test_a_lost_schema_loses_only_its_topic(tmp_path: Path) -> None:
     other = bytearray(schema(2, "sensor_msgs/msg/LaserScan"))
     other[11] = 0xFF
     path = tmp_path / "a.mcap"
@@ -305,7 +305,7 @@ def test_other_encodings_are_left_out_by_name(encoding: str, tmp_path: Path) -> 
             )
 
 
-def test_a_service_event_costs_its_topic_alone(build: Callable[[str], Any], tmp_path: Path) -> None:
+def test_a_service_event_loses_only_its_topic(build: Callable[[str], Any], tmp_path: Path) -> None:
     service = schema(1, "sensor_msgs/msg/LaserScan", "float32 a\n---\nfloat32 b\n---\n")
     path = tmp_path / "a.mcap"
     pose = schema(2, "geometry_msgs/msg/PoseStamped", "int32 a")
@@ -316,7 +316,7 @@ def test_a_service_event_costs_its_topic_alone(build: Callable[[str], Any], tmp_
         assert any(w.startswith("/service is left out") for w in recording.warnings)
 
 
-def test_a_chunk_is_not_unpacked_where_its_index_stands_behind_it(read_bytes: Read) -> None:
+def test_a_chunk_followed_by_its_index_is_not_decompressed(read_bytes: Read) -> None:
     body = message(1, S) + message(1, 2 * S)
     index = message_index(1, [(S, 0), (2 * S, len(message(1, S)))])
     spoiled = chunk(body, (S, 2 * S), packed=bytes(len(body)))
@@ -348,7 +348,7 @@ def bomb(compression: str, size: int) -> bytes:
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
 @pytest.mark.parametrize("claimed", [1 << 20, MAX_CHUNK_BYTES + 1, 4 << 30, (1 << 64) - 1])
-def test_a_chunk_that_unpacks_to_too_much_costs_itself_alone(
+def test_a_chunk_that_unpacks_to_too_much_loses_only_itself(
     compression: str, claimed: int, read_bytes: Read
 ) -> None:
     packed = bomb(compression, 64 << 20)
@@ -365,7 +365,7 @@ def test_a_chunk_that_unpacks_to_too_much_costs_itself_alone(
     assert peak < 16 << 20
 
 
-def test_messages_cost_no_more_memory_than_their_file(read_bytes: Read) -> None:
+def test_messages_take_no_more_memory_than_their_file(read_bytes: Read) -> None:
     # A million equal messages in a few kilobytes: a bomb of records.
     content = message(1, S, b"") * 1_000_000
     packed = chunk(content, (S, S), compression="zstd", packed=zstandard.compress(content))
@@ -390,7 +390,7 @@ def test_names_and_numbers_of_channels_are_bounded(read_bytes: Read) -> None:
     assert sum("1 messages" in w for w in warnings) == 3
 
 
-def test_a_hostile_summary_is_not_believed(read_bytes: Read) -> None:
+def test_a_hostile_summary_is_not_used(read_bytes: Read) -> None:
     body = DEFINITIONS + message(1, S)
     only = chunk(body, (S, S))
     index = message_index(1, [(S, len(DEFINITIONS))])
@@ -452,7 +452,7 @@ def mutations(content: bytes, count: int, seed: int) -> Iterator[bytes]:
 
 
 @pytest.mark.parametrize("kind", ["zstd", "plain without checksums", "unchunked"])
-def test_mutated_files_never_surprise(kind: str, tmp_path: Path) -> None:
+def test_mutated_files_are_read_or_refused(kind: str, tmp_path: Path) -> None:
     content, messages = FILES[kind]
     path = tmp_path / "a.mcap"
     recovered = 0
@@ -477,15 +477,15 @@ def test_mutated_files_never_surprise(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.data
-def test_other_peoples_files_cut_and_whole(data_folder: Path, read_bytes: Read) -> None:
+def test_real_files_truncated_and_whole(data_folder: Path, read_bytes: Read) -> None:
     files = sorted((data_folder / "real").rglob("*.mcap"))
     assert len(files) > 20
     for path in files:
         content = path.read_bytes()
         whole = reference(content)
         assert read(path) == (whole, []), path
-        for share in (0.01, 0.5, 0.99):
-            cut = content[: int(share * len(content))]
+        for fraction in (0.01, 0.5, 0.99):
+            cut = content[: int(fraction * len(content))]
             found, _ = readable(read_bytes, cut)
-            assert len(found) >= len(reference(cut)), (path, share)
-            assert found == whole[: len(found)], (path, share)
+            assert len(found) >= len(reference(cut)), (path, fraction)
+            assert found == whole[: len(found)], (path, fraction)

@@ -168,7 +168,7 @@ def test_a_camera_whose_intrinsics_cannot_be_used(tmp_path: Path, focal: float) 
     assert streams.notes[0] in can
 
 
-def test_one_unusable_camera_info_costs_itself(tmp_path: Path) -> None:
+def test_an_unusable_camera_info_loses_only_itself(tmp_path: Path) -> None:
     topics = {
         "/cam/depth": [packed("16UC1; png compressed", DEPTH)],
         "/cam/camera_info": [camera_info(np.nan), camera_info(30.0)],

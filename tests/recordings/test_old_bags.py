@@ -68,7 +68,7 @@ def test_index_data_are_as_long_as_their_count(tmp_path: Path, entry_bytes: int)
     assert found == expected
 
 
-def test_a_count_that_leads_to_no_record_is_not_believed() -> None:
+def test_a_count_that_leads_to_no_record_is_not_used() -> None:
     data = b"".join(ros_time(T0_NS + step) + u32(step) for step in range(3))
     header = {"op": b"\x04", "ver": u32(1), "conn": u32(0)}
     behind = record(b"", **header, count=u32(0))

@@ -151,7 +151,7 @@ def test_row_step_of_a_single_row_is_not_needed() -> None:
     assert read(cloud([1, 2, 3, 4, 5, 6], row_step=0)).xyz_m.shape == (2, 3)
 
 
-def test_values_let_go_of_the_message() -> None:
+def test_values_do_not_hold_the_messages_buffer() -> None:
     raw = cloud([1, 2, 3], fields=[*XYZ, field("intensity", 8)])
     value = read(raw)
     assert not np.shares_memory(value.xyz_m, raw.data)

@@ -88,7 +88,9 @@ def test_a_root_of_several_rooms_names_them(trees: Any, write: Callable[..., Pat
     assert "--home SESSION --room ROOM" in text
 
 
-def test_what_is_not_there_is_answered_with_what_is(trees: Any, write: Callable[..., Path]) -> None:
+def test_unknown_names_are_refused_with_the_known_ones(
+    trees: Any, write: Callable[..., Path]
+) -> None:
     root = write(*several(trees))
     assert "alma-s1, sarmis-s2" in refused(lambda: open_room(root, "pare-s1", "bedroom1"))
     assert "bedroom1, kitchen1" in refused(lambda: open_room(root, "alma-s1", "hall1"))
@@ -96,7 +98,7 @@ def test_what_is_not_there_is_answered_with_what_is(trees: Any, write: Callable[
     assert "no room" in refused(lambda: list_rooms(root / f"{RGBD}-all" / "nothing"))
 
 
-def test_rooms_and_subsessions_are_told_apart(trees: Any, write: Callable[..., Path]) -> None:
+def test_rooms_and_subsessions_are_distinguished(trees: Any, write: Callable[..., Path]) -> None:
     root = write(*several(trees))
     with open_room(root, "sarmis-s2", "bedroom1", 2) as recording:
         assert recording.start_ns == trees.T0 + MINUTE_NS
@@ -132,7 +134,7 @@ def test_a_room_opens_by_its_own_paths(
         assert [t.count for t in recording.topics if t.name == "/laser"] == [5]
 
 
-def test_a_session_folder_may_stand_alone(write: Callable[..., Path], room: Any) -> None:
+def test_a_session_folder_can_be_opened_alone(write: Callable[..., Path], room: Any) -> None:
     root = write(room)
     alone = root.parent / "copied" / "alma-s1"
     shutil.copytree(root / f"{RGBD}-all/{RGBD}-alma-s1/alma-s1", alone)
@@ -159,8 +161,13 @@ def test_the_rig_stands_upright_as_published(trees: Any, write: Callable[..., Pa
     yaws = [round(np.rad2deg(camera.yaw_rad), 2) for camera in rig.cameras]
     assert yaws == [-45.0, -90.0, 45.0, 0.0]
     for camera in rig.cameras:
-        lens = camera.intrinsics
-        assert (lens.width, lens.height, lens.fx, lens.fy) == (240, 320, 271.36999, 286.441384)
+        intrinsics = camera.intrinsics
+        assert (intrinsics.width, intrinsics.height, intrinsics.fx, intrinsics.fy) == (
+            240,
+            320,
+            271.36999,
+            286.441384,
+        )
         # Down in the upright view is down in the rig.
         assert camera.T_rig_camera[2, 1] < -0.99
     assert rig.recorded_mount is not None
@@ -264,7 +271,7 @@ def mapped(room: Any, mounts: dict[str, tuple[float, ...]]) -> Any:
     return replace(room, sights=sights, mounts=mounts)
 
 
-def test_places_in_a_map_are_no_mounts(trees: Any, write: Callable[..., Path], room: Any) -> None:
+def test_poses_in_a_map_are_no_mounts(trees: Any, write: Callable[..., Path], room: Any) -> None:
     with open_recording(write(mapped(room, {}))) as recording:
         (warning,) = recording.warnings
         assert "/rgbd_1/pose, /rgbd_4/pose" in warning
@@ -276,7 +283,7 @@ def test_places_in_a_map_are_no_mounts(trees: Any, write: Callable[..., Path], r
         assert place.T_parent_child[:3, 3] == pytest.approx([0.5, 0.5, 1.045])
 
 
-def test_mounts_of_the_raw_data_beside_places_in_a_map(
+def test_mounts_of_the_raw_data_beside_poses_in_a_map(
     trees: Any, write: Callable[..., Path], room: Any
 ) -> None:
     with open_recording(write(mapped(room, trees.MOUNTS))) as recording:
@@ -290,7 +297,7 @@ def test_mounts_of_the_raw_data_beside_places_in_a_map(
     }
 
 
-def test_a_mount_that_changes_is_told(write: Callable[..., Path], room: Any) -> None:
+def test_a_changing_mount_is_reported(write: Callable[..., Path], room: Any) -> None:
     moved = replace(room.sights[2], pose=(0.271, -0.031, 1.065, -0.785398, 0.0, -1.55334))
     sights = [*room.sights[:2], moved, *room.sights[3:]]
     with open_recording(write(replace(room, sights=sights))) as recording:
@@ -318,7 +325,7 @@ def scan_file(root: Path, number: int) -> Path:
     return root / folder / f"{number}_scan.txt"
 
 
-def test_missing_files_cost_their_messages(write: Callable[..., Path], room: Any) -> None:
+def test_missing_files_lose_only_their_messages(write: Callable[..., Path], room: Any) -> None:
     root = write(room)
     (rgbd_folder(root) / "0_depth.png").unlink()
     (rgbd_folder(root) / "3_intensity.png").unlink()
@@ -362,7 +369,7 @@ def test_scans_that_contradict_themselves(
         assert len(list(recording.messages(["/laser"]))) == 4
 
 
-def test_comments_may_stand_anywhere_in_a_scan(write: Callable[..., Path], room: Any) -> None:
+def test_comments_may_be_anywhere_in_a_scan(write: Callable[..., Path], room: Any) -> None:
     root = write(room)
     lines = scan_file(root, 0).read_text().splitlines()
     lines = ["# one more", *lines[:8], "", "# and here", *lines[8:]]
@@ -391,7 +398,7 @@ def test_a_depth_image_of_another_kind(write: Callable[..., Path], room: Any) ->
         assert "other images" in refused(lambda: recording.read("/rgbd_1/depth", 1))
 
 
-def test_a_cut_sequence_keeps_its_whole_lines(write: Callable[..., Path], room: Any) -> None:
+def test_a_truncated_sequence_keeps_its_whole_lines(write: Callable[..., Path], room: Any) -> None:
     root = write(room)
     file = rgbd_folder(root).with_suffix(".txt")
     content = file.read_text()

@@ -145,7 +145,7 @@ def test_rooms_are_listed(trees: Any, write: Callable[..., Path]) -> None:
     ]
 
 
-def test_rooms_are_named_and_told_apart(trees: Any, write: Callable[..., Path]) -> None:
+def test_rooms_are_named_and_distinguished(trees: Any, write: Callable[..., Path]) -> None:
     root = write(*several(trees))
     text = refused(lambda: open_recording(root))
     assert "sarmis-s2 bedroom1 (subsession 2)" in text
@@ -167,7 +167,7 @@ def test_the_database_alone_names_its_room(write: Callable[..., Path], room: Any
             assert choose_streams(recording).depth == ("/rgbd_1/depth", "/rgbd_4/depth")
 
 
-def test_places_in_a_map_take_their_mounts_from_the_raw_data(
+def test_poses_in_a_map_take_their_mounts_from_the_raw_data(
     trees: Any, write: Callable[..., Path], room: Any
 ) -> None:
     sights = [
@@ -259,7 +259,7 @@ def test_rows_that_are_no_observations(write: Callable[..., Path], room: Any) ->
         assert recording.warnings[1].startswith("rh_lblrgbd: 1 of 6 rows have no files")
 
 
-def test_missing_files_cost_their_messages(write: Callable[..., Path], room: Any) -> None:
+def test_missing_files_lose_only_their_messages(write: Callable[..., Path], room: Any) -> None:
     root = write(room)
     next(root.rglob("100000_depth.png")).unlink()
     with open_recording(root) as recording:
@@ -277,7 +277,7 @@ def test_a_table_that_is_not_there(write: Callable[..., Path], room: Any, table:
         assert ("lidar" in kinds) is (table != "rh_lsrscan")
 
 
-def test_a_view_in_place_of_a_table_is_not_asked(write: Callable[..., Path], room: Any) -> None:
+def test_a_view_in_place_of_a_table_is_not_queried(write: Callable[..., Path], room: Any) -> None:
     root = write(room)
     endless = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
     change(
@@ -286,14 +286,14 @@ def test_a_view_in_place_of_a_table_is_not_asked(write: Callable[..., Path], roo
     assert "SQLite database" in refused(lambda: open_recording(root / "rh.db"))
 
 
-def test_a_cut_database_gives_what_is_there(write: Callable[..., Path], room: Any) -> None:
+def test_a_truncated_database_gives_what_is_left(write: Callable[..., Path], room: Any) -> None:
     """The beams are the last rows and nearly all bytes."""
     root = write(room)
     database = root / "rh.db"
     intact = database.read_bytes()
     counts = []
-    for share in (0.01, 0.5, 0.99):
-        database.write_bytes(intact[: int(share * len(intact))])
+    for fraction in (0.01, 0.5, 0.99):
+        database.write_bytes(intact[: int(fraction * len(intact))])
         try:
             with open_recording(root) as recording:
                 counts.append(len(list(recording.messages(["/laser", "/rgbd_1/depth"]))))

@@ -197,7 +197,7 @@ def test_joints(tmp_path: Path, positions: np.ndarray | None) -> None:
     assert (value.names, value.stamp_ns) == (sample.names, 5)
 
 
-def test_a_value_that_its_message_cannot_hold_costs_itself(tmp_path: Path) -> None:
+def test_a_value_that_its_message_cannot_hold_loses_only_itself(tmp_path: Path) -> None:
     def at(stamp_ns: int, received_ns: int | None, child: str = "b") -> TransformBatch:
         entry = Transform(stamp_ns=stamp_ns, parent="a", child=child, T_parent_child=np.eye(4))
         return TransformBatch(received_ns=received_ns, transforms=(entry,))

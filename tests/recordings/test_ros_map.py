@@ -52,14 +52,14 @@ def test_a_written_map_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("image", ["map.pgm", "map.png"])
-def test_the_first_row_of_the_picture_is_the_largest_y(tmp_path: Path, image: str) -> None:
+def test_the_first_row_of_the_image_is_the_largest_y(tmp_path: Path, image: str) -> None:
     pixels = np.full((2, 3), 254, dtype=np.uint8)
     pixels[0, 2] = 0
     read = read_ros_map(stated(tmp_path, pixels, image=image))
     np.testing.assert_allclose(read.occupied_m(), [[1.125, 2.075]])
 
 
-def test_the_origin_may_be_turned_and_the_picture_negated(tmp_path: Path) -> None:
+def test_the_origin_may_be_rotated_and_the_image_negated(tmp_path: Path) -> None:
     pixels = np.zeros((2, 3), dtype=np.uint8)
     pixels[1, 2] = 255
     file = stated(tmp_path, pixels, origin="[1.0, 2.0, 1.5707963267948966]", negate="true")
@@ -100,7 +100,7 @@ def test_what_is_no_map_is_named(tmp_path: Path, changes: dict[str, str], words:
     assert "\n" not in str(caught.value)
 
 
-def test_pictures_that_are_cut_or_claim_too_much_are_named(tmp_path: Path) -> None:
+def test_images_that_are_truncated_or_claim_too_much_are_named(tmp_path: Path) -> None:
     file = stated(tmp_path)
     for content in (b"P5\n200 200\n255\n" + bytes(9), b"P5\n99999999 99999999\n255\n", b"", b"GIF"):
         (tmp_path / "map.pgm").write_bytes(content)

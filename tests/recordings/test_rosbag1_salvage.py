@@ -202,7 +202,7 @@ def test_the_bags_of_these_tests_are_whole(read: Read, tmp_path: Path, compressi
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_a_recorder_that_did_not_finish_costs_nothing(read: Read, compression: bytes) -> None:
+def test_an_unfinished_recording_loses_nothing(read: Read, compression: bytes) -> None:
     found = read(three_chunks(compression).content(finished=False))
     assert found.steps == list(range(30))
     assert len(found.warnings) == 1
@@ -233,7 +233,7 @@ def bag_end(bag: Bag) -> int:
 
 
 @pytest.mark.parametrize("compression", [b"bz2", b"lz4"])
-def test_a_compressed_chunk_that_is_cut_gives_its_first_messages(
+def test_a_truncated_compressed_chunk_gives_its_first_messages(
     read: Read, compression: bytes
 ) -> None:
     # Blocks of 64 and of 100 KB: of 400 KB in the last chunk, some are whole.
@@ -246,7 +246,7 @@ def test_a_compressed_chunk_that_is_cut_gives_its_first_messages(
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_a_cut_at_the_end_of_a_chunk_costs_its_successors_alone(
+def test_a_cut_at_the_end_of_a_chunk_loses_only_its_successors(
     read: Read, compression: bytes
 ) -> None:
     bag = three_chunks(compression)
@@ -257,7 +257,7 @@ def test_a_cut_at_the_end_of_a_chunk_costs_its_successors_alone(
         assert found.tells("Of 3 chunks and 2 connections in its header, 2 and 2 are found")
 
 
-def test_a_cut_in_the_index_at_the_end_costs_no_message(read: Read) -> None:
+def test_a_cut_in_the_index_at_the_end_loses_no_message(read: Read) -> None:
     content = three_chunks().content()
     for lost in (1, 100, 500):
         found = read(content[:-lost])
@@ -267,7 +267,9 @@ def test_a_cut_in_the_index_at_the_end_costs_no_message(read: Read) -> None:
 
 @pytest.mark.parametrize("compression", [b"bz2", b"lz4"])
 @pytest.mark.parametrize("finished", [True, False])
-def test_a_chunk_of_garbage_costs_itself(read: Read, compression: bytes, finished: bool) -> None:
+def test_a_chunk_of_garbage_loses_only_itself(
+    read: Read, compression: bytes, finished: bool
+) -> None:
     bag = three_chunks(compression)
     content = bytearray(bag.content(finished=finished))
     start, end = bag.packed[1]
@@ -299,7 +301,7 @@ def test_a_chunk_without_its_header(read: Read, compression: bytes, finished: bo
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
 @pytest.mark.parametrize("length", [0, 1000, 1 << 30, 0xFFFFFFFF])
-def test_a_chunk_of_a_wrong_length_is_read_all_the_same(
+def test_a_chunk_with_a_wrong_length_is_still_read(
     read: Read, compression: bytes, length: int
 ) -> None:
     bag = three_chunks(compression)
@@ -326,7 +328,7 @@ def test_a_record_in_a_chunk_without_its_header(read: Read) -> None:
         assert found.tells(f"{size} of the", "bytes in its chunk are no records")
 
 
-def test_index_data_that_contradict_the_index_at_the_end_are_not_believed(read: Read) -> None:
+def test_index_data_that_contradict_the_index_at_the_end_are_not_used(read: Read) -> None:
     bag = three_chunks()
     content = bag.content()
     index = bag.packed[1][1]
@@ -346,7 +348,7 @@ def test_connections_are_found_in_the_chunks_where_the_end_is_lost(read: Read) -
     assert found.steps == [*range(0, 20, 2), *range(21, 41, 2)]
 
 
-def test_a_lost_connection_costs_its_topic(read: Read) -> None:
+def test_a_lost_connection_loses_only_its_topic(read: Read) -> None:
     bag = Bag(b"lz4").add_chunk(range(10), connections=connection(1, "/b"))
     found = read(bag.content(finished=False))
     assert found.steps == [1, 3, 5, 7, 9]
@@ -370,7 +372,7 @@ def test_chunks_in_any_order(read: Read) -> None:
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(junk=st.lists(st.binary(max_size=40), min_size=9, max_size=9))
-def test_junk_between_records_costs_no_record(read: Read, junk: list[bytes]) -> None:
+def test_junk_between_records_loses_no_record(read: Read, junk: list[bytes]) -> None:
     # Two whole messages follow each other, so that each is found.
     pairs = [message(0, step) + message(1, step + 1) for step in range(0, 18, 2)]
     body = b"".join(junk_bytes + pair for junk_bytes, pair in zip(junk, pairs, strict=True))
@@ -392,7 +394,7 @@ def test_records_that_show_in_compressed_data_are_not_taken_for_records(read: Re
     assert not found.tells("cannot be read")
 
 
-def test_a_search_ends() -> None:
+def test_a_search_is_bounded() -> None:
     record_bytes = message(0, 1)
     stream, end = BytesIO(bytes(99) + record_bytes), 99 + len(record_bytes)
     assert find_record(stream, 0, end, SearchBudget()) == 99
@@ -414,7 +416,9 @@ def zeros(compression: bytes) -> bytes:
 @pytest.mark.parametrize(
     ("claimed", "told"), [(0xFFFFFFFF, "it claims 4294967295 bytes"), (5000, "holds more than")]
 )
-def test_a_bomb_costs_itself(read: Read, compression: bytes, claimed: int, told: str) -> None:
+def test_a_decompression_bomb_loses_only_itself(
+    read: Read, compression: bytes, claimed: int, told: str
+) -> None:
     bag = three_chunks(compression)
     header = {"op": b"\x05", "compression": compression, "size": u32(claimed)}
     bomb = record(zeros(compression), **header)
@@ -444,7 +448,7 @@ def test_a_bomb_costs_itself(read: Read, compression: bytes, claimed: int, told:
         ),
     ],
 )
-def test_hostile_records_cost_themselves(read: Read, hostile: bytes) -> None:
+def test_hostile_records_lose_only_themselves(read: Read, hostile: bytes) -> None:
     found = read(three_chunks().content(finished=False) + hostile)
     assert found.steps == list(range(30))
     assert found.tells("Bytes", "are lost")
@@ -506,28 +510,28 @@ def mutations(content: bytes, count: int, seed: int) -> Iterator[bytes]:
 def test_mutated_bags_give_what_is_left(build: Callable[[str], Any], name: str) -> None:
     sample = build(name)
     content = sample.path.read_bytes()
-    shares = []
+    fractions = []
     for data in mutations(content, 80, seed=5):
         sample.path.write_bytes(data)
         found = 0
         with contextlib.suppress(RecordingError), open_rosbag1(sample.path) as recording:
             found = sum(1 for _ in recording.messages())
             assert found >= len(sample.written) or recording.warnings
-        shares.append(found / len(sample.written))
+        fractions.append(found / len(sample.written))
     # One mutation costs a message, a chunk or a topic, not the bag.
-    assert sum(shares) / len(shares) > 0.9
+    assert sum(fractions) / len(fractions) > 0.9
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("share", [0.5, 0.99])
-def test_a_real_bag_that_is_cut(data_folder: Path, tmp_path: Path, share: float) -> None:
+@pytest.mark.parametrize("fraction", [0.5, 0.99])
+def test_a_truncated_real_bag(data_folder: Path, tmp_path: Path, fraction: float) -> None:
     whole = data_folder / "real/bags/guardian_3.bag"
     with Reader(whole) as reader:
         count = reader.message_count
         largest = max(sum(info.connection_counts.values()) for info in reader.chunk_infos)
     content = whole.read_bytes()
     cut = tmp_path / "cut.bag"
-    cut.write_bytes(content[: int(share * len(content))])
+    cut.write_bytes(content[: int(fraction * len(content))])
     with open_rosbag1(cut) as recording:
         found = sum(topic.count for topic in recording.topics)
-    assert found >= share * count - largest
+    assert found >= fraction * count - largest

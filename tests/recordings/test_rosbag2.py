@@ -78,7 +78,7 @@ def metadata_of(folder: Path, files: list[str], more: str = "") -> None:
 
 
 @pytest.mark.parametrize("named", [True, False])
-def test_a_part_that_is_missing_costs_its_own_messages(
+def test_a_missing_part_loses_only_its_own_messages(
     build: Callable[[str], Any], named: bool
 ) -> None:
     sample = build("split mcap, no metadata")
@@ -103,7 +103,7 @@ def test_parts_that_are_missing_are_named_from_to(build: Callable[[str], Any]) -
 
 
 @pytest.mark.parametrize("content", [b"", b"text", bytes(5000)])
-def test_a_part_that_is_broken_costs_its_own_messages(
+def test_a_damaged_part_loses_only_its_own_messages(
     build: Callable[[str], Any], content: bytes
 ) -> None:
     sample = build("split mcap, no metadata")
@@ -122,7 +122,7 @@ def test_a_folder_of_broken_parts_is_refused(build: Callable[[str], Any]) -> Non
         open_recording(sample.path)
 
 
-def test_parts_that_metadata_forgot(build: Callable[[str], Any]) -> None:
+def test_parts_that_metadata_does_not_list(build: Callable[[str], Any]) -> None:
     sample = build("split mcap, no metadata")
     metadata_of(sample.path, ["split_0.mcap", "split_1.mcap"])
     (sample.path / "another_3.mcap").write_bytes((sample.path / "split_3.mcap").read_bytes())
@@ -171,7 +171,7 @@ HOSTILE_METADATA = {
 
 
 @pytest.mark.parametrize("name", HOSTILE_METADATA)
-def test_hostile_metadata_costs_itself(build: Callable[[str], Any], name: str) -> None:
+def test_hostile_metadata_is_ignored_with_a_warning(build: Callable[[str], Any], name: str) -> None:
     sample = build("rosbag2 mcap")
     text = HOSTILE_METADATA[name]
     (sample.path / "metadata.yaml").write_bytes(text.encode(errors="surrogateescape"))

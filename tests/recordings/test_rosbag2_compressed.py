@@ -84,7 +84,9 @@ def pack(content: bytes, packing: str) -> bytes:
 
 @pytest.mark.parametrize("suffix", ["", ".zst", ".odd"])
 @pytest.mark.parametrize("packing", ["lz4", "zstd in frames", "zstd without size"])
-def test_packings(build: Callable[[str], Any], same_value: Any, packing: str, suffix: str) -> None:
+def test_compression_formats(
+    build: Callable[[str], Any], same_value: Any, packing: str, suffix: str
+) -> None:
     sample = build("rosbag2 sqlite, no metadata")
     (file,) = sample.path.iterdir()
     packed = file.with_name(file.name + suffix)
@@ -96,7 +98,9 @@ def test_packings(build: Callable[[str], Any], same_value: Any, packing: str, su
         same_messages(sample.path, sample, same_value)
 
 
-def test_an_unpacked_part_beside_the_packed_one_is_read_once(build: Any, same_value: Any) -> None:
+def test_a_decompressed_part_beside_the_compressed_one_is_read_once(
+    build: Any, same_value: Any
+) -> None:
     sample = build("rosbag2 sqlite3 packed by file")
     (file,) = sample.path.glob("*.zstd")
     # rosbags' frame does not say how long it is.
@@ -105,28 +109,28 @@ def test_an_unpacked_part_beside_the_packed_one_is_read_once(build: Any, same_va
     same_messages(sample.path, sample, same_value)
 
 
-@pytest.mark.parametrize("share", [0.001, 0.3, 0.5, 0.99])
-def test_a_packed_part_that_is_cut_short(tmp_path: Path, share: float) -> None:
-    # Noise, so that a share of the packed bytes is that share of the rows.
+@pytest.mark.parametrize("fraction", [0.001, 0.3, 0.5, 0.99])
+def test_a_truncated_compressed_part(tmp_path: Path, fraction: float) -> None:
+    # Noise, so that a fraction of the packed bytes is that fraction of the rows.
     file = tmp_path / "a_0.db3"
     rng = np.random.default_rng(1)
     write_messages(file, [rng.bytes(3000) for _ in range(500)])
     packed = zstandard.ZstdCompressor().compress(file.read_bytes())
     file.unlink()
-    (tmp_path / "a_0.db3.zstd").write_bytes(packed[: int(share * len(packed))])
-    if share < 0.1:
+    (tmp_path / "a_0.db3.zstd").write_bytes(packed[: int(fraction * len(packed))])
+    if fraction < 0.1:
         # zstd packs 128 KiB at a time.
         with pytest.raises(RecordingError, match="0 bytes could be unpacked"):
             StorageFile(tmp_path / "a_0.db3.zstd")
         return
     with closing(StorageFile(tmp_path / "a_0.db3.zstd")) as storage:
-        assert len(storage.index()) / 500 >= share - 0.1
+        assert len(storage.index()) / 500 >= fraction - 0.1
         assert "a_0.db3.zstd is cut short or damaged: " in storage.warnings[0]
         assert "bytes could be unpacked" in storage.warnings[0]
         assert "a_0.db3.zstd: it is cut short: " in storage.warnings[1]
 
 
-def test_a_broken_part_costs_its_own_messages(build: Any) -> None:
+def test_a_damaged_part_loses_only_its_own_messages(build: Any) -> None:
     sample = build("rosbag2 mcap packed by file")
     path = sample.path
     (path / "metadata.yaml").unlink()
@@ -139,7 +143,7 @@ def test_a_broken_part_costs_its_own_messages(build: Any) -> None:
         assert any(w.startswith("part_1.mcap.zstd is left out: ") for w in recording.warnings)
 
 
-def test_a_bomb_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_decompression_bomb_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compressed_storage, "_ALWAYS_DECOMPRESSED_BYTES", 8 << 20)
     content = b"SQLite format 3\0" + bytes(64 << 20)
     (tmp_path / "a_0.db3.zstd").write_bytes(zstandard.ZstdCompressor().compress(content))
@@ -180,7 +184,9 @@ def write_messages(path: Path, payloads: list[bytes]) -> None:
         connection.commit()
 
 
-def test_messages_unpack_within_bounds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_messages_are_decompressed_within_bounds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(compressed_storage, "MAX_CHUNK_BYTES", 3 << 20)
     fits, long = bytes(range(256)) * (3 << 12), bytes((3 << 20) + 1)
     with_size = zstandard.ZstdCompressor()

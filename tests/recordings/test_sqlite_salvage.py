@@ -32,7 +32,7 @@ INSERT INTO topics VALUES (1, '/a', 'std_msgs/msg/String', 'cdr', ''),
 INSERT INTO message_definitions VALUES (1, 'std_msgs/msg/String', 'ros2msg', 'string data', '');
 """
 Row = tuple[int, int, int, bytes]
-SHARES = (0.01, 0.1, 0.5, 0.9, 0.99)
+FRACTIONS = (0.01, 0.1, 0.5, 0.9, 0.99)
 
 
 def rows_of(count: int, size: int, seed: int = 1) -> list[Row]:
@@ -85,24 +85,26 @@ def seconds(row: Row) -> str:
 
 
 @pytest.mark.parametrize(
-    ("share", "size"),
+    ("fraction", "size"),
     [
-        *((share, 1000) for share in SHARES),
+        *((fraction, 1000) for fraction in FRACTIONS),
         *((0.5, size) for size in (60, 9000)),
         *(
-            pytest.param(share, size, marks=pytest.mark.slow)
-            for share in SHARES
+            pytest.param(fraction, size, marks=pytest.mark.slow)
+            for fraction in FRACTIONS
             for size in (60, 9000)
-            if share != 0.5
+            if fraction != 0.5
         ),
     ],
 )
-def test_a_cut_file_gives_its_share_of_the_rows(tmp_path: Path, size: int, share: float) -> None:
+def test_a_truncated_file_gives_its_fraction_of_the_rows(
+    tmp_path: Path, size: int, fraction: float
+) -> None:
     # Large enough for inner pages, which stand behind the first of their leaves.
     written = rows_of(min(3_000_000 // size, 25_000), size)
     path = write(tmp_path / "a.db3", written)
     content = path.read_bytes()
-    kept = int(share * len(content))
+    kept = int(fraction * len(content))
     path.write_bytes(content[:kept])
     with closing(sqlite3.connect(path)) as connection, pytest.raises(sqlite3.DatabaseError):
         connection.execute("SELECT count(*) FROM messages").fetchone()
@@ -111,7 +113,7 @@ def test_a_cut_file_gives_its_share_of_the_rows(tmp_path: Path, size: int, share
     assert set(found) <= set(written)
     assert [row[0] for row in found] == sorted({row[0] for row in found})
     # What is not a row: the empty pages of the schema, the index, the row at the cut.
-    assert len(found) / len(written) >= share - 0.015
+    assert len(found) / len(written) >= fraction - 0.015
     assert len(warnings) == 1
     assert f"{len(content) - kept} of {len(content)} bytes are lost" in warnings[0]
     assert f"messages found: {len(found)}" in warnings[0]
@@ -123,7 +125,7 @@ def test_a_cut_file_gives_its_share_of_the_rows(tmp_path: Path, size: int, share
         assert f"messages missing: {after - len(found)} (" in warnings[0] or after == len(found)
 
 
-def test_a_lost_page_costs_only_its_own_rows(tmp_path: Path) -> None:
+def test_a_lost_page_loses_only_its_own_rows(tmp_path: Path) -> None:
     written = rows_of(160, 300) + [(i, *row[1:]) for i, row in enumerate(rows_of(6, 9000), 161)]
     path = write(tmp_path / "a.db3", written, page_bytes=1024)
     with closing(apsw.Connection(str(path), flags=apsw.SQLITE_OPEN_READONLY)) as connection:
@@ -205,7 +207,7 @@ def test_pages_hold_what_sqlite_wrote(
 
 
 @pytest.mark.parametrize("page_bytes", [512, 4096])
-def test_every_way_to_share_a_row_among_pages(tmp_path: Path, page_bytes: int) -> None:
+def test_rows_split_among_pages_in_every_way(tmp_path: Path, page_bytes: int) -> None:
     lengths = range(page_bytes - 60, 3 * page_bytes, 1 if page_bytes == 512 else 7)
     # Ids of up to nine bytes.
     ids = [i if i < 50 else i << 56 for i in range(1, 101)] + [2**62 + i for i in lengths]
@@ -229,7 +231,7 @@ def test_a_schema_that_is_no_text(tmp_path: Path) -> None:
     assert warnings == ["a.db3: it is damaged (its schema is no text); messages found: 20."]
 
 
-def test_data_that_is_tied_to_itself_is_lost(tmp_path: Path) -> None:
+def test_data_on_a_cycle_of_pages_is_lost(tmp_path: Path) -> None:
     written = rows_of(5, 20_000)
     path = write(tmp_path / "a.db3", written)
     content = bytearray(path.read_bytes())
@@ -244,7 +246,7 @@ def test_data_that_is_tied_to_itself_is_lost(tmp_path: Path) -> None:
     assert "messages missing: 1 (id 3)" in warning
 
 
-def test_rows_behind_the_end_that_the_header_names(tmp_path: Path) -> None:
+def test_rows_after_the_end_that_the_header_states(tmp_path: Path) -> None:
     written = rows_of(300, 500)
     path = write(tmp_path / "a.db3", written)
     content = bytearray(path.read_bytes())
@@ -276,7 +278,7 @@ def test_a_tree_that_repeats_itself_ends(tmp_path: Path) -> None:
     assert warnings
 
 
-def test_mutated_files_never_surprise(tmp_path: Path) -> None:
+def test_mutated_files_are_read_or_refused(tmp_path: Path) -> None:
     written = rows_of(120, 300)
     path = write(tmp_path / "a.db3", written)
     content = path.read_bytes()
@@ -315,7 +317,7 @@ def test_no_file_is_changed_or_added(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ending", ["-wal", "-journal"])
-def test_rows_in_a_file_beside_are_told(tmp_path: Path, ending: str) -> None:
+def test_rows_in_a_wal_file_are_reported(tmp_path: Path, ending: str) -> None:
     path = write(tmp_path / "a.db3", rows_of(3, 10))
     (tmp_path / f"a.db3{ending}").write_bytes(b"")
     assert read(path)[1] == []
@@ -325,7 +327,7 @@ def test_rows_in_a_file_beside_are_told(tmp_path: Path, ending: str) -> None:
     assert f"a.db3{ending} holds 100 bytes that are not read" in warning
 
 
-def test_rows_that_are_not_there_are_told(tmp_path: Path) -> None:
+def test_missing_rows_are_reported(tmp_path: Path) -> None:
     written = rows_of(20, 10)
     path = write(tmp_path / "a.db3", written, more="DELETE FROM messages WHERE id IN (1, 2, 8, 9)")
     found, (warning,) = read(path)
@@ -333,7 +335,7 @@ def test_rows_that_are_not_there_are_told(tmp_path: Path) -> None:
     assert f"messages missing: 4 (ids 1 to 9), before {seconds(written[9])}" in warning
 
 
-def test_rows_without_time_or_topic_cost_themselves(tmp_path: Path) -> None:
+def test_rows_without_time_or_topic_are_left_out(tmp_path: Path) -> None:
     odd = """
     INSERT INTO messages VALUES (50, 1, 'noon', x'00'), (51, 1, 1.5, x'00');
     INSERT INTO messages VALUES (52, 3, 5, x'00'), (53, 1, 6, x'01');
@@ -381,7 +383,7 @@ def test_too_many_topics(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("cut", [0, 1])
-def test_names_beyond_measure_cost_their_topic(tmp_path: Path, cut: int) -> None:
+def test_too_long_names_lose_only_their_topic(tmp_path: Path, cut: int) -> None:
     more = f"""INSERT INTO topics VALUES (8, '{"x" * 2000}', 'a/msg/B', 'cdr', ''),
     (9, 'two\nlines', 'a/msg/B', 'cdr', '');
     INSERT INTO messages VALUES (4, 8, 5, x'00'), (5, 9, 6, x'00')"""
@@ -393,7 +395,7 @@ def test_names_beyond_measure_cost_their_topic(tmp_path: Path, cut: int) -> None
 
 
 @pytest.mark.parametrize("cut", [0, 1])
-def test_data_beyond_measure_is_refused(
+def test_too_large_data_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cut: int
 ) -> None:
     written = [*rows_of(3, 10), (4, 1, T0, bytes(50_000)), (5, 1, T0, b"end")]
@@ -412,7 +414,7 @@ def test_data_beyond_measure_is_refused(
                 file.payload(0, 4)
 
 
-def test_queries_that_take_for_ever_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_endless_queries_are_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written = rows_of(3000, 20)
     path = write(tmp_path / "a.db3", written)
     monkeypatch.setattr(sqlite_database, "_STEPS_AT_A_TIME", 100)

@@ -118,7 +118,9 @@ def test_roles_of_images(encoding: str, name: str, role: str) -> None:
     assert role_from_encoding(encoding, name) == role
 
 
-def test_the_busiest_lidar_is_taken_and_the_others_named(record: Callable[..., Any]) -> None:
+def test_the_lidar_with_most_messages_is_chosen_and_the_others_named(
+    record: Callable[..., Any],
+) -> None:
     with record(a_scan=[scan(1)], b_scan=[scan(1), scan(2)], c_scan=[scan(3)]) as recording:
         streams = choose_streams(recording)
         assert streams.lidar == "/b_scan"
@@ -128,7 +130,7 @@ def test_the_busiest_lidar_is_taken_and_the_others_named(record: Callable[..., A
 
 
 @pytest.mark.parametrize("name", ["base_pose_ground_truth", "groundtruth__odom"])
-def test_a_truth_is_taken_only_if_named(record: Callable[..., Any], name: str) -> None:
+def test_ground_truth_is_used_only_if_named(record: Callable[..., Any], name: str) -> None:
     truth = "/" + name.replace("__", "/")
     values = {name: [pose(), pose()], "odom": [pose()]}
     with record(scan=[scan(1)], pose=[pose("")], **values) as recording:
@@ -140,7 +142,7 @@ def test_a_truth_is_taken_only_if_named(record: Callable[..., Any], name: str) -
         assert choose_streams(recording, pose="/pose").pose == "/pose"
 
 
-def test_only_a_truth_is_no_odometry(record: Callable[..., Any]) -> None:
+def test_ground_truth_alone_is_no_odometry(record: Callable[..., Any]) -> None:
     with record(scan=[scan(1)], truth=[pose()]) as recording:
         assert choose_streams(recording).odometry is None
 
@@ -222,7 +224,9 @@ def test_depth_topics_can_be_named(record: Callable[..., Any]) -> None:
         ({"scan": [scan(1)], "p": [pose("")]}, "only if a pose topic is named: /p"),
     ],
 )
-def test_what_can_be_done(record: Callable[..., Any], topics: dict[str, Any], said: str) -> None:
+def test_capabilities_of_recordings(
+    record: Callable[..., Any], topics: dict[str, Any], said: str
+) -> None:
     with record(**topics) as recording:
         assert any(said in sentence for sentence in describe_recording(recording)["can"])
 

@@ -78,7 +78,7 @@ def test_depth_is_what_open3d_reads(folder: Path) -> None:
     np.testing.assert_array_equal(depth_m, theirs)
 
 
-def test_the_truth_is_never_taken_for_odometry(folder: Path) -> None:
+def test_ground_truth_is_never_taken_for_odometry(folder: Path) -> None:
     with open_recording(folder) as recording:
         streams = choose_streams(recording)
     assert streams.odometry is None
@@ -103,7 +103,7 @@ def test_the_truth_is_never_taken_for_odometry(folder: Path) -> None:
         ("1.5 depth/a.png b", "no stamp and file"),
     ],
 )
-def test_a_bad_line_costs_itself(folder: Path, line: str, said: str) -> None:
+def test_a_bad_line_loses_only_itself(folder: Path, line: str, said: str) -> None:
     add_line(folder / "depth.txt", line)
     (told,) = warnings(folder)
     assert said in told
@@ -112,7 +112,7 @@ def test_a_bad_line_costs_itself(folder: Path, line: str, said: str) -> None:
     assert counts(folder) == {DEPTH: 5, COLOR: 5, INFO: 5, TRUTH: 12}
 
 
-def test_bytes_that_are_no_text_cost_their_line(folder: Path) -> None:
+def test_bytes_that_are_no_text_lose_only_their_line(folder: Path) -> None:
     file = folder / "groundtruth.txt"
     file.write_bytes(file.read_bytes() + b"\xff\xfe\n")
     assert "it is no text" in warnings(folder)[0]
@@ -122,7 +122,7 @@ def test_bytes_that_are_no_text_cost_their_line(folder: Path) -> None:
 @pytest.mark.parametrize(
     "line", ["1.5 0 0 0 0 0 0 0", "1.5 nan 0 0 0 0 0 1", "1.5 0 0 0 1e200 0 0 1", "1.5 0 0 0"]
 )
-def test_a_bad_pose_costs_itself(folder: Path, line: str) -> None:
+def test_a_bad_pose_loses_only_itself(folder: Path, line: str) -> None:
     add_line(folder / "groundtruth.txt", line)
     assert warnings(folder)[0].startswith("groundtruth.txt: 1 lines are left out; the first, line")
     assert counts(folder)[TRUTH] == 12
@@ -143,12 +143,14 @@ def test_unsorted_lists_are_sorted(folder: Path) -> None:
         ]
 
 
-@pytest.mark.parametrize("share", [0.01, 0.5, 0.9, 0.99])
+@pytest.mark.parametrize("fraction", [0.01, 0.5, 0.9, 0.99])
 @pytest.mark.parametrize("name", ["depth.txt", "rgb.txt", "groundtruth.txt", "calibration.txt"])
-def test_a_cut_list_gives_what_stands_before_the_cut(folder: Path, name: str, share: float) -> None:
+def test_a_truncated_list_gives_what_precedes_the_cut(
+    folder: Path, name: str, fraction: float
+) -> None:
     whole = counts(folder)
     content = (folder / name).read_bytes()
-    kept = content[: int(len(content) * share)]
+    kept = content[: int(len(content) * fraction)]
     (folder / name).write_bytes(kept)
     found = counts(folder)
     topic = {"depth.txt": DEPTH, "rgb.txt": COLOR, "groundtruth.txt": TRUTH}.get(name, INFO)
@@ -161,7 +163,7 @@ def test_a_cut_list_gives_what_stands_before_the_cut(folder: Path, name: str, sh
         }
 
 
-def test_a_cut_image_costs_itself(folder: Path) -> None:
+def test_a_truncated_image_loses_only_itself(folder: Path) -> None:
     file = sorted((folder / "depth").iterdir())[2]
     file.write_bytes(file.read_bytes()[:60])
     with open_recording(folder) as recording:
@@ -274,7 +276,7 @@ def test_a_file_in_place_of_the_images(folder: Path) -> None:
     assert counts(folder) == {COLOR: 5, TRUTH: 12}
 
 
-def test_lists_of_images_that_are_all_gone(folder: Path) -> None:
+def test_lists_of_missing_images(folder: Path) -> None:
     for kind in ("depth", "rgb"):
         shutil.rmtree(folder / kind)
         (folder / kind).mkdir()
@@ -283,7 +285,7 @@ def test_lists_of_images_that_are_all_gone(folder: Path) -> None:
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_a_list_without_permission_costs_its_topic(folder: Path) -> None:
+def test_a_list_without_permission_loses_only_its_topic(folder: Path) -> None:
     (folder / "rgb.txt").chmod(0)
     assert "Permission denied" in warnings(folder)[0]
     assert counts(folder) == {DEPTH: 5, INFO: 5, TRUTH: 12}

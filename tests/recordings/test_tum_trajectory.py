@@ -49,7 +49,7 @@ def test_lines_are_sorted_and_the_first_of_one_stamp_is_kept(tmp_path: Path) -> 
     assert "because another has their stamp: 1." in repeated
 
 
-def test_a_repeated_stamp_alone_is_no_disorder(tmp_path: Path) -> None:
+def test_a_repeated_stamp_alone_does_not_count_as_unsorted(tmp_path: Path) -> None:
     read = read_tum_trajectory(written(tmp_path, f"1 {ORIGIN}", f"1 {ORIGIN}", f"2 {ORIGIN}"))
     assert read.warnings == ("trajectory.tum: lines left out because another has their stamp: 1.",)
 

@@ -53,7 +53,7 @@ def sound(tmp_path_factory) -> Path:
     return record(tmp_path_factory.mktemp("sound"), "sound", FaultSettings())
 
 
-def test_without_faults_nothing_is_said_of_them(sound):
+def test_without_faults_the_truth_has_no_fault_entries(sound):
     assert not any(name.startswith("fault") or name == "scan_lost" for name in truth_of(sound))
 
 
@@ -70,7 +70,7 @@ def test_scans_are_lost_at_random_and_alone(sound, tmp_path):
 
 
 @pytest.mark.parametrize("fraction", [0.1, 0.5])
-def test_the_fraction_of_lost_scans_is_the_one_asked(fraction):
+def test_the_fraction_of_lost_scans_is_as_set(fraction):
     faults = FaultSettings(scan_loss_fraction=fraction)
     lost = [faults.is_scan_lost(7, index) for index in range(4000)]
     assert np.mean(lost) == pytest.approx(
@@ -80,7 +80,7 @@ def test_the_fraction_of_lost_scans_is_the_one_asked(fraction):
     assert lost != [faults.is_scan_lost(8, index) for index in range(4000)]
 
 
-def test_no_sensor_is_heard_in_the_silence(sound, tmp_path):
+def test_no_sensor_reports_during_a_dropout(sound, tmp_path):
     path = record(tmp_path, "silent", FaultSettings(silence_at_s=2.0, silence_s=1.5))
     whole, left = raw(sound), raw(path)
     start, end = truth_of(path)["fault_silence_ns"] - START_NS
@@ -134,7 +134,7 @@ def test_a_dark_camera_reports_black_and_holes(sound, tmp_path):
     np.testing.assert_array_equal(first["depth_kind"][~blind], second["depth_kind"][~blind])
 
 
-def test_the_wheels_notice_no_kidnapping(sound, tmp_path):
+def test_the_odometry_does_not_notice_a_kidnapping(sound, tmp_path):
     faults = FaultSettings(kidnap_at_s=3.02, kidnap_ahead_m=2.5)
     path = record(tmp_path, "kidnapped", faults)
     truth = truth_of(path)
@@ -158,7 +158,7 @@ def test_the_wheels_notice_no_kidnapping(sound, tmp_path):
     np.testing.assert_array_equal(truth["pose"][:16], truth_of(sound)["pose"][:16])
 
 
-def test_a_kidnapped_robot_goes_on_along_its_route():
+def test_a_kidnapped_robot_continues_along_its_route():
     route = np.array([[1.0, 1.0], [4.0, 1.2], [4.2, 3.0], [1.1, 2.8]])
     path = WeavingPath(route, speed_m_s=0.5, start=0.0)
     carried = KidnappedPath(path, at_s=2.0, ahead_m=1.5)
@@ -176,7 +176,7 @@ def test_the_same_faults_give_the_same_bytes(tmp_path):
         assert (tmp_path / f"a.{end}").read_bytes() == (tmp_path / f"b.{end}").read_bytes()
 
 
-def test_what_was_never_shown_was_not_seen(sound, tmp_path):
+def test_lost_sensor_data_makes_nothing_visible(sound, tmp_path):
     """In the dark the camera sees no outline, and the world file says so."""
     path = record(tmp_path, "night", FaultSettings(dark_s=100.0))
     worlds = [json.loads(p.with_name(f"{p.stem}.world.json").read_text()) for p in (sound, path)]
@@ -186,7 +186,7 @@ def test_what_was_never_shown_was_not_seen(sound, tmp_path):
     assert not any(own["camera"] for own in runs[1])
 
 
-def test_a_settings_file_asks_for_faults(tmp_path):
+def test_faults_are_read_from_a_settings_file(tmp_path):
     settings = tmp_path / "s.toml"
     settings.write_text(
         "[scene]\nduration_s = 1.0\nimage_scale = 0.1\n[faults]\nsilence_at_s = 0.5\n"

@@ -89,7 +89,7 @@ def test_only_the_camera_meets_a_table_top(plain_room, standing):
     assert differs.mean() > 0.02
 
 
-def test_the_pane_is_the_truth_of_glass(plain_room, standing):
+def test_the_true_range_of_glass_is_the_pane(plain_room, standing):
     pane = quad((4.0, 0.0, 0.0), (0, 4.0, 0), (0, 0, 2.5), Material.GLASS)
     watching = simulator(plain_room([pane]), sensor_mounts.home_robot(), standing(2.0, 2.0, 0.0))
     sweep = watching.simulate_sweep(0.0, 0)
@@ -154,7 +154,7 @@ def test_scaling_an_image_keeps_its_rays():
     np.testing.assert_allclose(half, blocks, atol=1e-12)
 
 
-def test_a_person_walks_to_and_fro():
+def test_a_person_walks_back_and_forth():
     walker = worlds.Walker(start_m=(1.0, 1.0), end_m=(3.0, 1.0), speed_m_s=1.0)
     middles = [walker.mesh_at(t).corners_m[..., 0].mean() for t in (0.0, 1.0, 2.0, 3.0, 4.0)]
     np.testing.assert_allclose(middles, [1.0, 2.0, 3.0, 2.0, 1.0], atol=0.02)

@@ -134,7 +134,7 @@ def test_mixed_beams_lie_between_their_surfaces():
     assert not burr[~beside].any()
 
 
-def test_glass_answers_only_head_on():
+def test_glass_returns_only_near_normal_incidence():
     count = 4000
     quiet = LidarNoise(spurious_fraction=0.0, lost_runs=0.0)
     view = lidar_view(

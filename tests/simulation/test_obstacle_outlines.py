@@ -57,7 +57,7 @@ def test_the_outlines_border_the_free_floor(drawn, as_one):
     assert len({obstacle.name for obstacle in found}) == len(found)
 
 
-def test_only_what_is_in_the_robots_way_counts():
+def test_only_obstacles_below_the_robots_height_count():
     shelf = block(1, 1, 2, 2, z=(0.55, 0.8), name="shelf")
     mat = block(2.5, 1, 3, 2, z=(0.0, 0.01), name="mat")
     bench = block(1, 2.2, 2, 2.6, z=(0.3, 0.5), name="bench")
@@ -69,7 +69,7 @@ def test_only_what_is_in_the_robots_way_counts():
     assert outline.shape == (5, 2)
 
 
-def test_feet_are_parts_and_turning_keeps_lengths():
+def test_legs_are_separate_parts_and_rotation_keeps_lengths():
     legs = [((x, 1.0, 0.0), (x + 0.05, 1.05, 0.7), Material.WOOD) for x in (1.0, 2.0)]
     top = ((1.0, 1.0, 0.7), (2.05, 1.05, 0.75), Material.WOOD)
     table = make_object("table", [*legs, top])

@@ -215,12 +215,12 @@ def test_a_folder_that_is_not_there_is_named(tmp_path):
         write_scene("bedroom", tmp_path / "nowhere" / "a.mcap", settings=small("bedroom"))
 
 
-def test_an_unknown_scene_is_named_with_those_there_are():
+def test_an_unknown_scene_is_refused_with_the_known_names():
     with pytest.raises(SettingsError, match=r"'kitchen'.*furnished_room"):
         find_scene("kitchen")
 
 
-def test_progress_ends_at_the_whole(tmp_path):
+def test_progress_ends_at_the_total(tmp_path):
     seen: list[tuple[int, int | None]] = []
     write_scene(
         "corridor",

@@ -124,7 +124,7 @@ def test_a_camera_sees_between_its_distances_and_borders(plain_room, standing):
     assert not any(o.seen_samples("camera").any() for o in near.outline().obstacles)
 
 
-def test_a_pane_shows_to_the_lidar_head_on_alone(plain_room, standing):
+def test_the_lidar_sees_a_pane_only_near_normal_incidence(plain_room, standing):
     pane = thing("pane", (4.0, 0.5, 0.0), (4.01, 3.5, 1.0), Material.GLASS)
     seen = tracker(plain_room, standing, [pane], sensor_mounts.turtlebot2())
     for number in (0, 1):
@@ -139,7 +139,7 @@ def test_a_pane_shows_to_the_lidar_head_on_alone(plain_room, standing):
     assert not glass.seen_samples("camera").any()
 
 
-def test_a_low_world_of_no_outline_is_none(plain_room, standing):
+def test_a_world_without_outlines_has_none_visible(plain_room, standing):
     room = plain_room([box((1, 1, 1), (2, 2, 2), Material.WOOD)])
     seen = VisibilityTracker(
         SimulationSetup(world=room, mounts=sensor_mounts.turtlebot2(), path=standing(*POSE), seed=1)

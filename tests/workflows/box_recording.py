@@ -86,7 +86,7 @@ def write_boxes(
         messages.append((at_ms, lambda writer, scan=scan: writer.write_laser_scan("/scan", scan)))
     rng = np.random.default_rng(1)
     for at_ms in range(first_image_ms, round(1e3 * duration_s), image_ms):
-        depth_m = room.depth(drive(1e-3 * at_ms), T_base_camera, lens=LENS, noise=rng)
+        depth_m = room.depth(drive(1e-3 * at_ms), T_base_camera, intrinsics=LENS, noise=rng)
         image = DepthImage(
             stamp_ns=START_NS + at_ms * NS_PER_MS,
             received_ns=None,

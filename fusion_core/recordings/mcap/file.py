@@ -270,7 +270,7 @@ class McapFile:
         return np.concatenate(parts)
 
     def _is_contradicted(self, entries: Entries) -> bool:
-        """Whether the chunk of a channel's first message defines it differently than the summary."""
+        """Whether the chunk of a channel's first message defines it unlike the summary."""
         _, rows = np.unique(entries["channel"], return_index=True)
         first = entries[rows]
         for block in np.unique(first["block"]).tolist():

@@ -89,8 +89,8 @@ def build_split_folder(path: Path) -> Sample:
     folder.mkdir()
     # Ten parts and more: part 10 follows part 9, not part 1.
     for part in range(12):
-        share = MESSAGES[part * 9 : (part + 1) * 9 if part < 11 else None]
-        build_mcap(folder / f"split_{part}.mcap", share)
+        part_messages = MESSAGES[part * 9 : (part + 1) * 9 if part < 11 else None]
+        build_mcap(folder / f"split_{part}.mcap", part_messages)
     return Sample(folder, MESSAGES, types=TYPES)
 
 
