@@ -18,7 +18,7 @@ class BoxRoom:
     boxes: tuple[Box, ...] = ()
 
     def lengths(self, origin: np.ndarray, rays: np.ndarray) -> np.ndarray:
-        """How often each of the (..., 3) rays fits between origin and the first surface: the slab
+        """Distance to the first surface, in lengths of each of the (..., 3) rays: the slab
         method, ray by ray and box by box."""
         with np.errstate(divide="ignore", invalid="ignore"):
             leaving = np.where(rays > 0.0, np.array(self.size_m) - origin, -origin) / rays
@@ -34,7 +34,7 @@ class BoxRoom:
     def scan_m(
         self, x: float, y: float, height: float, yaw: float, angles: np.ndarray
     ) -> np.ndarray:
-        """Ranges of a level LiDAR that stands at (x, y, height) and looks along yaw."""
+        """Ranges of a level LiDAR at (x, y, height) that looks along yaw."""
         azimuths = yaw + angles
         rays = np.stack([np.cos(azimuths), np.sin(azimuths), np.zeros_like(azimuths)], axis=-1)
         return self.lengths(np.array([x, y, height]), rays)

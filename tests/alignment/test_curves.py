@@ -217,7 +217,7 @@ def room_range_m(azimuths: np.ndarray) -> np.ndarray:
 
 
 def offset_in_room(yaw_rad: float, settings: SamplingSettings = BY_ANGLE) -> tuple[float, float]:
-    """(u found by similarity, u by the yaw) of a camera that stands in the LiDAR."""
+    """(u found by similarity, u by the yaw) of a camera at the LiDAR's origin."""
     scan = scan_of(-135.0, 0.25, 1081)
     scan = scan.with_ranges(room_range_m(scan.angles_rad), None)
     camera = level_camera()

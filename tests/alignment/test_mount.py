@@ -88,7 +88,7 @@ def frame_at(
 def drive(
     room, mount: Mount, seed: int, *, rate: float | None = None, count: int = 16, **values: float
 ) -> list[MountObservation]:
-    """A tour around the middle of the room that turns at ``rate``, or ever differently."""
+    """A drive around the middle of the room that turns at ``rate``, or at changing rates."""
     rng = np.random.default_rng(seed)
     frames = []
     for angle in 2.0 * np.pi * np.arange(count) / count:
@@ -132,7 +132,7 @@ class Trial:
 
 
 def trial(frames: list[MountObservation], truth: Mount, yaw_error_deg: float = 0.6) -> Trial:
-    """From a yaw that is off by as much as an offset of one sample a degree may be."""
+    """An estimate that starts at a yaw with the error of an offset at one sample a degree."""
     yaw_rad = truth.yaw_rad + np.deg2rad(yaw_error_deg)
     return Trial(truth, estimate_mount(frames, SETTINGS, yaw_rad=float(yaw_rad)))
 
@@ -236,7 +236,7 @@ def test_a_recorded_mount_is_the_prior(furnished_room) -> None:
 def test_a_recorded_yaw_is_compared_across_the_seam(furnished_room) -> None:
     truth = Mount(yaw_rad=np.pi - 0.01, delta_z_m=0.3)
     frames = drive(furnished_room, truth, 1, count=8, field_of_view_deg=360.0)
-    # Its lever arm is wrong, so that too few points agree and the yaw must speak for it.
+    # Its lever arm is wrong, so that too few points agree and the yaw decides.
     recorded = Mount(yaw_rad=truth.yaw_rad, delta_z_m=0.3, left_m=0.3)
     problem = MountCost(frames, SETTINGS)
     assert problem.agreement_and_visibility(recorded.vector())[0] < SETTINGS.min_agreement
@@ -286,7 +286,7 @@ def test_a_recorded_mount_that_explains_nothing_is_not_used(
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_right_mount_is_better_than_chance(furnished_room, seed: int) -> None:
-    """However few points must agree beyond doubt: only then is it compared with chance."""
+    """``min_agreement`` is out of reach here, so that the mount is compared with chance."""
     truth = random_mount(seed)
     problem = MountCost(drive(furnished_room, truth, seed, count=8), SETTINGS)
     strict = SETTINGS.model_copy(update={"min_agreement": 1.0})
@@ -313,7 +313,7 @@ def test_the_same_frames_give_the_same_mount(furnished_room) -> None:
 
 
 def test_few_frames_do_not_determine_an_uncertainty(furnished_room) -> None:
-    """One block of frames has no spread: a mount is found, and is not trusted."""
+    """One block of frames has no covariance: a mount is found, and is not confident."""
     truth = random_mount(4)
     frames = drive(furnished_room, truth, 4, count=7)
     estimate = estimate_mount(frames, SETTINGS, yaw_rad=truth.yaw_rad)
@@ -355,7 +355,7 @@ def test_a_frame_keeps_its_valid_points_and_stamps(furnished_room) -> None:
 
 @pytest.mark.parametrize("extra_deg", [-1.0, -0.5, 0.5, 1.0])
 def test_an_extra_turn_of_one_frame_is_found(furnished_room, extra_deg: float) -> None:
-    """Partly: the prior holds it back, but never pulls it beyond the truth."""
+    """Only partly: the prior reduces it, but never beyond the truth."""
     mount = Mount(yaw_rad=0.2, delta_z_m=0.25, forward_m=0.05, left_m=-0.04)
     fractions = []
     for seed, yaw in enumerate(np.arange(0.0, 6.0, 1.0)):

@@ -75,7 +75,7 @@ def test_the_prior_limits_the_peak_to_its_window() -> None:
     assert find_peak(field, SETTINGS).u == pytest.approx(27.0)
     near = find_peak(field, SETTINGS, prior_u=4.6)
     assert near.u == pytest.approx(5.0)
-    # The rival outside of the window is still the runner-up, and says how doubtful the prior is.
+    # The peak outside of the window is still the runner-up, and shows how uncertain the prior is.
     assert near.runner_up_u == 27.0
     assert near.ratio == pytest.approx(0.6 / 0.9)
 
@@ -86,7 +86,7 @@ def test_peak_stays_within_the_window_and_half_a_sample(
 ) -> None:
     scores = np.random.default_rng(seed).uniform(0.0, 1.0, (8, 40))
     peak = find_peak(field_of(scores), SearchSettings(prior_samples=reach), prior_u=prior)
-    # Without any reach the nearest whole offset still counts.
+    # With prior_samples = 0 the nearest whole offset is still allowed.
     reach_or_nearest = max(reach, 0.5)
     within = [u for u in range(40) if abs(u - prior) <= reach_or_nearest]
     assert abs(peak.u - prior) <= reach_or_nearest + 0.5

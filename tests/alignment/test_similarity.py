@@ -16,7 +16,7 @@ from fusion_core.model.errors import AlignmentFailed
 METRICS: tuple[Metric, ...] = ("pearson", "cosine", "inverse_cosine", "euclidean")
 
 # Squares lose half of the digits: of the difference in eq. (4) where a row equals the curve, of
-# the variance in eq. (2) where a millimetre stands beside metres.
+# the variance in eq. (2) where there are millimetres beside metres.
 TOLERANCE = {"pearson": 1e-7, "cosine": 1e-12, "inverse_cosine": 1e-12, "euclidean": 2e-6}
 
 

@@ -1,4 +1,4 @@
-"""Views of cameras on their side or with distortion, against OpenCV's projection."""
+"""Upright views of rotated or distorted cameras, against OpenCV's projection."""
 
 import cv2
 import numpy as np

@@ -160,8 +160,8 @@ def smooth(patch, step_m=0.1):
 
 @pytest.mark.parametrize("missing", ["none", "every other", "all"])
 def test_a_cast_beam_meets_its_own_surface_as_the_camera_sees_it(missing):
-    """Where the camera sees the beam's end, it answers the true range; where a table top hides
-    it, nothing; whether the beam has a range of its own or not."""
+    """Where the camera sees the beam's end, it predicts the true range; where a table top hides it,
+    nothing; whether the beam has a range of its own or not."""
     boxes = (*ROOM, TABLE_TOP, CABINET)
     T = T_lidar_camera_of()
     depth = depth_of(boxes, T)
@@ -191,7 +191,7 @@ def test_a_cast_beam_meets_its_own_surface_as_the_camera_sees_it(missing):
     assert np.median(error_m) < 0.01
     assert np.isnan(pairs.camera_range_m[hidden]).all()
     if missing == "all":
-        # The camera's answer is all that tells where such a beam's pixel is.
+        # The pixel of such a beam is known only from the camera's prediction.
         assert (pairs.row >= 0)[visible].all()
         assert np.abs(pairs.row - row)[visible].max() <= 1
         assert np.abs(pairs.column - column)[visible].max() <= 1
@@ -551,7 +551,7 @@ def test_a_rigid_map_is_undone_by_its_inverse(A, seed):
         ]
     )
     seen = Correspondence(model="row", **fields_of)
-    # ``turn`` carries points of the middle beam's axes to those of the camera, or back.
+    # ``turn`` transforms points from the middle beam's axes to the camera's, or back.
     for to_axes in (turn, turn.T):
         ahead = np.array([0.0, 1.0, 1.0]) @ to_axes
         if np.allclose(-np.arctan2(ahead[0], ahead[1]), middle):

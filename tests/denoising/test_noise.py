@@ -148,7 +148,7 @@ def test_at_an_edge_both_may_mix_alike_and_agree_on_a_point_that_is_on_neither_s
     image = np.tile(edge, (2 * ROW + 1, 1)).astype(np.float32)
     classes = classes_of(window_of(edge, image))
     assert_classes(classes, lidar={20: BURR}, depth={20: BURR})
-    # Eq. (6) alone has nothing against a pair that agrees.
+    # By eq. (6) alone a pair that agrees is good.
     assert_classes(classes_of(window_of(edge, image), PUBLISHED))
 
 
@@ -230,7 +230,7 @@ def test_holes_of_either_and_of_both_and_beams_without_a_pixel():
 
 
 def grille(offset=0):
-    """Bars of one beam each, two beams apart: nothing adjacent vouches for them."""
+    """Bars of one beam each, two beams apart: no adjacent beam supports them."""
     lidar = wall()
     lidar[np.array([18, 20, 22]) + offset] = 1.2
     return lidar
@@ -288,7 +288,7 @@ def test_a_scan_with_another_number_of_beams_gives_no_support():
 
 
 def speckled(first):
-    """A speckle of 3 x 3 pixels: large enough to vouch for itself in one image."""
+    """A speckle of 3 x 3 pixels: large enough to support itself within one image."""
     image = wall_image()
     image[ROW - 1 : ROW + 2, first : first + 3] = 1.2
     return image
@@ -307,7 +307,7 @@ def test_a_speckle_that_the_image_before_lacks_is_a_burr():
     assert class_of_the_speckle(wall_image()) == (GOOD, BURR)
     assert class_of_the_speckle(speckled(25), 10.3) == (CONFLICT, CONFLICT)
     assert class_of_the_speckle(speckled(25), -10.3) == (GOOD, BURR)
-    # An image before that shows nothing there, or not that place, says nothing.
+    # An image before without depths there, or without that place, is no evidence.
     assert class_of_the_speckle(np.full_like(wall_image(), np.nan)) == (CONFLICT, CONFLICT)
     assert class_of_the_speckle(wall_image(), 30.0) == (CONFLICT, CONFLICT)
 
@@ -321,7 +321,7 @@ def test_a_known_turn_changes_nothing(seed, before, after):
     still = [random_frame(rng)[0] for _ in range(2)]
     for ranges in still:
         ranges[:12] = ranges[-12:] = np.nan
-    told = classes_of(
+    shifted = classes_of(
         window_of(
             lidar,
             image,
@@ -334,8 +334,8 @@ def test_a_known_turn_changes_nothing(seed, before, after):
     standing = classes_of(
         window_of(lidar, image, scan_before=scan_of(still[0]), scan_after=scan_of(still[1]))
     )
-    for field in fields(told):
-        np.testing.assert_array_equal(getattr(told, field.name), getattr(standing, field.name))
+    for field in fields(shifted):
+        np.testing.assert_array_equal(getattr(shifted, field.name), getattr(standing, field.name))
 
 
 def random_frame(rng, beams=BEAMS, noise=0.01):
@@ -425,7 +425,7 @@ def test_confidences_lie_in_0_to_1_and_classes_are_those_of_their_values(seed, c
     np.testing.assert_array_equal(classes.lidar_class == HOLE, np.isnan(lidar))
     np.testing.assert_array_equal(classes.depth_class == -1, row < 0)
     np.testing.assert_array_equal(classes.depth_class == HOLE, np.isnan(depth) & (row >= 0))
-    # A conflict is one of both sides; a burr beside a valid pixel has a counterpart in doubt.
+    # A conflict is on both sides; a burr beside a valid pixel makes that less confident.
     np.testing.assert_array_equal(classes.lidar_class == CONFLICT, classes.depth_class == CONFLICT)
     beyond = np.abs(window.pairs.residual_m) > classes.epsilon_m
     named = (classes.lidar_class >= BURR) | (classes.depth_class >= BURR)

@@ -31,7 +31,7 @@ def test_floor_and_fraction_are_recovered_among_outliers(floor_m, fraction, seed
     truth = NoiseScale(floor_m=floor_m, fraction=fraction)
     learned = learn_noise_scale(*simulated(truth, seed=seed))
     range_m = np.array([1.0, 2.0, 3.5, 5.0])
-    # Outliers within the first cut pass for noise: a few percent more than the truth.
+    # Outliers below the first threshold count as noise: a few percent more than the truth.
     np.testing.assert_allclose(learned.sigma_at(range_m), truth.sigma_at(range_m), rtol=0.15)
 
 

@@ -1,4 +1,4 @@
-"""Repairs: walls and planes in closed form, and what no repair may do, over random frames."""
+"""Repairs: walls and planes in closed form, and invariants over random frames."""
 
 from dataclasses import fields
 
@@ -120,7 +120,7 @@ def test_a_gap_in_a_straight_wall_is_filled_exactly(distance_m, turn_rad, first,
 
 
 def test_the_ends_of_a_gap_are_means_of_three_beams_of_one_surface():
-    """Three noisy beams each side; the fourth and a beam of another surface have no say."""
+    """Three noisy beams each side; the fourth and a beam of another surface are not used."""
     lidar = np.full(21, 2.0)
     lidar[7:10] = 2.03, 2.00, 1.97
     lidar[11:14] = 1.96, 2.01, 2.03
@@ -384,7 +384,7 @@ def test_a_hole_at_an_edge_is_filled_from_the_surface_at_the_lidars_depth(expect
         assert np.isnan(value)
         assert source == NONE
     elif np.isnan(found_m):
-        # Nothing of the image lies there: what remains is the LiDAR's word.
+        # The image has no surface there: only the LiDAR's value remains.
         assert value == 1.0
         assert source == OTHER
     else:
@@ -401,7 +401,7 @@ def test_beside_an_edge_a_hole_is_filled_from_the_surface_of_most():
 
 
 def test_a_few_scattered_pixels_are_no_surface():
-    """What they would say must be of the surface that the LiDAR names, and it is not theirs."""
+    """Their plane must be at the LiDAR's depth, and is not."""
     image = np.full((61, 81), 3.0, dtype=np.float32)
     image[::3, ::3] = 2.0
     image[28:33, 38:43] = np.nan
@@ -501,7 +501,7 @@ def test_an_uncertain_beam_repairs_no_pixel_and_an_uncertain_burr_stays():
     assert depth_repair(image, expected_m=2.0, raw_m=2.5, depth_confidence=doubt) == (2.5, RAW)
 
 
-# What no repair may do.
+# Invariants of every repair.
 
 
 def random_frame(seed):

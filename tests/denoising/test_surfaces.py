@@ -55,5 +55,5 @@ def test_noise_shrinks_on_a_wall_and_an_edge_stays_sharp() -> None:
         before.append(noisy - truth)
         after.append(smooth_ranges(ANGLES_RAD, noisy, sigma).range_m - truth)
     assert np.std(after) < 0.6 * np.std(before)
-    # Nothing of the wall behind reaches the one in front: no error is of the size of the step.
+    # The wall behind does not influence the one in front: no error is as large as the step.
     assert np.abs(after).max() < 0.1

@@ -1,4 +1,4 @@
-"""A room of boxes along the axes, whose every distance has a closed form."""
+"""A room of axis-aligned boxes, in which every distance has a closed form."""
 
 from dataclasses import dataclass
 

@@ -178,7 +178,7 @@ def test_an_implausible_pose_is_refused_and_the_map_stays(x_m: float) -> None:
 
 
 def test_padding_does_not_count_as_map() -> None:
-    """A map that just fits is drawn as one with room for more is, however it has grown."""
+    """A map that just fits is the same as one with spare cells, however it has grown."""
     scans = random_scans(3, 20)
     free = GridBuilder(SETTINGS)
     for scan in scans:

@@ -21,7 +21,7 @@ def traced(x0: float, y0: float, x1: float, y1: float) -> list[Cell]:
     return [(int(row), int(column)) for row, column in cells[:count]]
 
 
-def share_inside(x0: float, y0: float, x1: float, y1: float, cell: Cell) -> Fraction:
+def fraction_inside(x0: float, y0: float, x1: float, y1: float, cell: Cell) -> Fraction:
     """Fraction of a segment inside a cell (Liang & Barsky 1984), exact; negative where outside."""
     low, high = Fraction(0), Fraction(1)
     for start, end, first in ((x0, x1, cell[1]), (y0, y1, cell[0])):
@@ -44,14 +44,14 @@ def test_exactly_the_cells_that_the_segment_crosses(
     cells = traced(x0, y0, x1, y1)
     assert len(set(cells)) == len(cells)
     for cell in cells:
-        assert share_inside(x0, y0, x1, y1, cell) > -1e-12
+        assert fraction_inside(x0, y0, x1, y1, cell) > -1e-12
     rows = range(math.floor(min(y0, y1)), math.floor(max(y0, y1)) + 1)
     columns = range(math.floor(min(x0, x1)), math.floor(max(x0, x1)) + 1)
     crossed = {
         (row, column)
         for row in rows
         for column in columns
-        if share_inside(x0, y0, x1, y1, (row, column)) > 1e-12
+        if fraction_inside(x0, y0, x1, y1, (row, column)) > 1e-12
     }
     # Along a border between two cells the fraction in both is the same; one of them is traced.
     along_border = (x0 == x1 and x0 == round(x0)) or (y0 == y1 and y0 == round(y0))

@@ -161,7 +161,7 @@ def test_the_merged_scan_has_the_true_obstacles_of_the_band(settings):
     assert (merged.ranges_m < scan.ranges_m - 0.3)[low & shown].sum() >= 3
     assert np.nanmin(error) > -4.0 * 1.4e-3 * 4.5**2
     if settings is DEFAULT:
-        # The published rows step over a part of what is low, and its filter drops far walls.
+        # The published rows miss some low obstacles, and the filter drops far walls.
         assert np.abs(error).max() < 0.02
     # The shelf at 0.7 m lets the robot pass.
     passed = np.abs(angles - np.arctan2(1.0, 2.2)) < 0.1
@@ -169,7 +169,7 @@ def test_the_merged_scan_has_the_true_obstacles_of_the_band(settings):
         merged.ranges_m[passed], scan.ranges_m[passed], atol=0.0 if settings is DEFAULT else 0.15
     )
     if settings is DEFAULT:
-        # What the LiDAR measured is no less precise for the camera.
+        # The camera does not make the LiDAR's own ranges less precise.
         np.testing.assert_array_equal(merged.ranges_m[~low & shown], scan.ranges_m[~low & shown])
 
 

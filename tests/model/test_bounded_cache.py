@@ -17,7 +17,7 @@ def test_a_value_is_computed_once_while_it_is_cached() -> None:
         return cache.get_or_compute(key, compute)
 
     assert [value_of(key) for key in "aba"] == [1, 2, 1]
-    # "b" was used longest ago, so it makes room.
+    # "b" was used longest ago, so it is dropped.
     assert value_of("c") == 3
     assert value_of("a") == 1
     assert value_of("b") == 4

@@ -1,4 +1,4 @@
-"""Poses that jump away and back, against tracks that may do what they do."""
+"""Poses that jump away and back, and trajectories that only look like it."""
 
 import numpy as np
 import pytest

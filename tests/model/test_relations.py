@@ -1,4 +1,4 @@
-"""Relations check themselves."""
+"""Relations check their arrays."""
 
 from typing import Any
 

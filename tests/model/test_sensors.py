@@ -1,4 +1,4 @@
-"""Cameras that cannot be."""
+"""Impossible camera intrinsics are refused."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Outliers among stamps: each costs itself, wherever it lies."""
+"""Outliers among stamps are removed alone, wherever they are; neighbours of an instant."""
 
 from itertools import combinations
 

@@ -1,4 +1,4 @@
-"""Which sweeps are a scanner's."""
+"""Which beam counts and angles are plausible for a scanner."""
 
 from math import inf, nan, pi, radians, tau
 

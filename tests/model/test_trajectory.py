@@ -36,7 +36,7 @@ def test_between_two_stamps_it_is_the_planar_interpolation(values: list[float], 
 
 
 def test_large_stamps_keep_their_nanoseconds() -> None:
-    """Unix stamps exceed what a float64 can tell apart."""
+    """Unix stamps in nanoseconds exceed the precision of a float64."""
     start_ns = 1_700_000_000_000_000_001
     path = trajectory([[0, 0, 0], [10, 0, 0]], [start_ns, start_ns + 10])
     assert path.pose_at(start_ns + 3)[0, 3] == pytest.approx(3.0)

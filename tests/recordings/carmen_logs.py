@@ -91,7 +91,7 @@ def small_log(steps: int = 6) -> tuple[str, list[tuple[str, SensorValue]]]:
     for i in range(steps):
         robot = planar(1.0 + i, -0.5 * i, 0.25 * i)
         true = planar(2.0 + i, -0.5 * i, 0.125 * i)
-        # As a log that SLAM has corrected: the rear laser's pose wanders off odometry.
+        # As a log that SLAM has corrected: the rear laser's pose departs from odometry.
         corrected = planar(1.0 + 1.5 * i, -0.25 * i, 0.25 * i)
         ns = 100 * MS * i
         odometry = text_of(numbers_of(robot))

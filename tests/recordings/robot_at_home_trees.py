@@ -49,9 +49,9 @@ class Sweep:
 
 @dataclass(frozen=True)
 class RoomSource:
-    """One passage through a room. ``sweeps``: by the number k of the laser sequence.
+    """One visit to a room. ``sweeps``: by the number k of the laser sequence.
 
-    ``mounts``: what the raw data holds, where the poses of ``sights`` are places in a map.
+    ``mounts``: what the raw data holds, where the poses of ``sights`` are poses in a map.
     """
 
     session: str
@@ -142,7 +142,7 @@ def _write_sweeps(folder: Path, name: str, sweeps: Sequence[Sweep]) -> None:
             f"{APERTURE_RAD:.6g}",
             f"{MAX_RANGE_M:.6g}",
             f"{sweep.ranges_m.size}",
-            # What the driver writes at an invalid beam is any number.
+            # The driver may write any number for an invalid beam.
             "".join(f"{r:.6g} " for r in np.where(valid, sweep.ranges_m, 1.25)),
             "".join(f"{int(flag)} " for flag in valid),
         ]
@@ -267,7 +267,7 @@ class _Tables:
         return number
 
     def _write_images(self, folder: Path, names: Sequence[str], sight: Sight) -> None:
-        """The cruncher reads as 8-bit colour, which drops the lower byte, and turns upright."""
+        """The cruncher reads as 8-bit colour, which drops the lower byte, and rotates upright."""
         folder.mkdir(parents=True, exist_ok=True)
         depth = stored_depth(sight.depth_m)
         if self._bits == 8:
@@ -343,7 +343,7 @@ def small_room(
         for k, label in enumerate(labels):
             depth_m = 0.8 + 0.01 * columns + 0.02 * rows + 0.1 * i + 0.3 * k
             depth_m[rng.random(shape) < 0.1] = np.nan
-            # A blocky picture, as PNG packs noise badly.
+            # An image of blocks, since PNG hardly compresses noise.
             rgb = np.kron(
                 rng.integers(0, 256, (shape[0] // 8, shape[1] // 8, 3), dtype=np.uint8),
                 np.ones((8, 8, 1), dtype=np.uint8),

@@ -1,4 +1,4 @@
-"""CARMEN logs: angles, limits, clocks, poses and mounts, and what damage costs."""
+"""CARMEN logs: angles, limits, clocks, poses, mounts, and what is lost by damage."""
 
 import bz2
 import gzip
@@ -259,7 +259,7 @@ def test_the_mount_of_an_old_front_laser_is_a_parameter(log: Callable[..., Log])
     with_offset = log(offset, scan)
     assert mounted(with_offset)["flaser"][:3, 3].tolist() == [0.25, 0.0, 0.0]
     assert "/flaser/pose" not in with_offset.topics
-    # A parameter counts wherever it stands.
+    # A parameter counts wherever it is in the log.
     assert mounted(log(scan, offset, side))["flaser"][:3, 3].tolist() == [0.25, -0.5, 0.0]
     assert mounted(log(offset, turned, scan)) == {}
 
@@ -400,8 +400,8 @@ def many_scans(count: int) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-# Scans that must survive of 600, cut at a fraction of the bytes: gzip loses what its decoder holds
-# back, bzip2 the block of 100 kB that is cut.
+# Scans that must survive of 600, cut at a fraction of the bytes: gzip loses what its decoder
+# buffers, bzip2 the block of 100 kB that is cut.
 LEAST = {"plain": (299, 593), "gz": (225, 560), "bz2": (225, 500)}
 
 
@@ -465,7 +465,7 @@ def test_mutated_logs_give_a_warning_or_are_refused(
             read(file)
         except RecordingError as error:
             refusals.append(str(error))
-    # A flipped bit of a bzip2 block, of which this log has one, costs the block.
+    # A flipped bit loses its whole bzip2 block, and this log has only one.
     assert len(refusals) <= {"plain": 20, "gz": 120, "bz2": 200}[packing]
     assert not any("\n" in refusal for refusal in refusals)
 

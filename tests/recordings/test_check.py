@@ -58,9 +58,11 @@ def test_a_flipped_byte_in_a_chunk_is_found(
     assert 1 <= sum(lost.values()) == found["unreadable"] <= 6
     assert found["read"] + found["unreadable"] == 16
     for name, count in lost.items():
-        told = [line for line in checked["warnings"] if line.startswith(f"{name}: {count} of 8")]
-        assert bool(told) == bool(count)
-        assert all("the chunk at byte" in line and str(path) in line for line in told)
+        reported = [
+            line for line in checked["warnings"] if line.startswith(f"{name}: {count} of 8")
+        ]
+        assert bool(reported) == bool(count)
+        assert all("the chunk at byte" in line and str(path) in line for line in reported)
 
 
 def test_the_report_says_what_was_checked(
@@ -176,7 +178,7 @@ def test_a_truncated_image(build: Callable[[str], Any], capsys: pytest.CaptureFi
 
 
 def test_the_checksum_of_all_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    # What is flipped is in no chunk and of no use to a reader.
+    # The flipped byte is in no chunk and not used by a reader.
     path = tmp_path / "a.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream, enable_data_crcs=True)

@@ -1,4 +1,4 @@
-"""CompressedImage: every way of packing, against encoders of others and the published RVL."""
+"""CompressedImage: every compression, against other libraries and the published RVL."""
 
 import io
 import struct

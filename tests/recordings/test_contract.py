@@ -1,4 +1,4 @@
-"""One contract for every reader: what any recording promises, whatever its format."""
+"""The contract of every reader, tested on every format."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""Cut and mutated files: an error of one line or what can be read, never anything else."""
+"""Truncated and mutated files: what can be read, or an error of one line, never anything else."""
 
 import random
 from collections.abc import Callable, Iterator
@@ -72,11 +72,11 @@ def test_a_damaged_chunk_loses_its_messages_with_a_warning(
         found = list(recording.messages())
         lost = len(sample.written) - len(found)
         assert 0 < lost < len(sample.written)
-        told = [int(warning.split(": ")[1].split(" of ")[0]) for warning in recording.warnings]
-        assert sum(told) == lost
-        # Iterating again tells the same, and random access refuses what iteration left out.
+        reported = [int(warning.split(": ")[1].split(" of ")[0]) for warning in recording.warnings]
+        assert sum(reported) == lost
+        # Iterating again gives the same warnings; random access refuses what iteration left out.
         assert len(list(recording.messages())) == len(found)
-        assert len(recording.warnings) == len(told)
+        assert len(recording.warnings) == len(reported)
         kept = {(m.topic, m.index) for m in found}
         counts = {t.name: t.count for t in recording.topics}
         missing = [(t, i) for t, n in counts.items() for i in range(n) if (t, i) not in kept]

@@ -1,4 +1,4 @@
-"""What opens is told by content; what is no recording is refused in one line."""
+"""Formats are recognised by content; what is no recording is refused in one line."""
 
 import os
 import sqlite3

@@ -1,4 +1,4 @@
-"""Folders of images: what is wrong with one file costs that file, or the intrinsics."""
+"""Folders of images: a bad file loses only itself, or the intrinsics."""
 
 import zlib
 from collections.abc import Callable
@@ -95,7 +95,7 @@ def test_a_chunk_that_claims_to_be_huge(build: Callable[[str], Any]) -> None:
     sample = build("7-Scenes")
     file = sample.path / "frame-000006.depth.png"
     content = bytearray(file.read_bytes())
-    # The length of the chunk stands before its name.
+    # The length of the chunk precedes its name.
     at = content.index(b"IDAT") - 4
     content[at : at + 4] = (2**31 - 1).to_bytes(4, "big")
     file.write_bytes(content)

@@ -86,7 +86,7 @@ def test_the_stated_unit(folder: Path, key: str, value: float, units: float) -> 
         assert recording.warnings == []
     image = first_depth(folder)
     np.testing.assert_array_equal(image.depth_m, metres(millimetres(0), units))
-    # A finer unit than millimetres must not be promised to be one.
+    # Depth in a finer unit must not be labelled as millimetres.
     assert image.encoding == ("16UC1" if units == 1000 else "32FC1")
 
 

@@ -148,7 +148,7 @@ FILES = {kind: written(kind) for kind in WRITERS}
 
 
 def reference(content: bytes) -> list[Found]:
-    """What the mcap package's own reader gives before it gives up."""
+    """The messages that the mcap package's own reader gives before it fails."""
     found = []
     try:
         for _, topic, m in NonSeekingReader(io.BytesIO(content)).iter_messages(
@@ -165,11 +165,11 @@ def test_a_truncated_file_gives_what_precedes_the_cut(kind: str, read_bytes: Rea
     content, messages = FILES[kind]
     for cut in range(len(START), len(content), 487):
         expected = reference(content[:cut])
-        found, told = readable(read_bytes, content[:cut])
+        found, reported = readable(read_bytes, content[:cut])
         assert len(found) >= len(expected)
         assert found == messages[: len(found)]
-        assert "its end is missing" in told[0]
-        assert found or "no message of it can be read" in told[0]
+        assert "its end is missing" in reported[0]
+        assert found or "no message of it can be read" in reported[0]
 
 
 @pytest.mark.parametrize("kind", ["zstd", "lz4", "plain"])
@@ -177,7 +177,7 @@ def test_a_truncated_chunk_gives_its_whole_messages(kind: str, read_bytes: Read)
     rng = random.Random(2)
     messages = [message(1, i, rng.randbytes(5000)) for i in range(200)]
     content = DEFINITIONS + b"".join(messages)
-    # Neither compressor finds anything in random bytes, so the blocks are as long as the content.
+    # Random bytes do not compress, so the blocks are as long as the content.
     packed = {
         "zstd": zstandard.ZstdCompressor().compress(content),
         "lz4": lz4.frame.compress(content, block_size=lz4.frame.BLOCKSIZE_MAX64KB),
@@ -232,14 +232,14 @@ def test_a_damaged_record_header_loses_only_its_record(kind: str, read_bytes: Re
         records = [chunk(m, (t * S, t * S)) for t, m in enumerate(records, start=1)]
     place = len(START + DEFINITIONS + b"".join(records[:4]))
     whole = START + DEFINITIONS + b"".join(records) + END
-    # Opcodes that are reserved or of other records, and lengths that lead astray.
+    # Opcodes that are reserved or of other records, and wrong lengths.
     for at, byte in [(0, 0), (0, 0x44), (0, 0x0A), (1, 0xFF), (1, 3), (4, 0xFF), (8, 0x80)]:
         broken = bytearray(whole)
         broken[place + at] = byte
         found, warnings = read_bytes(bytes(broken))
         kept = [time // S for _, time, _ in found]
         assert set(kept) | {5} == set(range(1, 9)), (at, byte)
-        # A chunk whose record says a wrong length is as whole as its data.
+        # A chunk whose record states a wrong length is still complete.
         assert warnings or kept == list(range(1, 9))
         if len(kept) < 8:
             assert "after 3.000 s and before 5.000 s" in warnings[0], warnings
@@ -322,7 +322,7 @@ def test_a_chunk_followed_by_its_index_is_not_decompressed(read_bytes: Read) -> 
     spoiled = chunk(body, (S, 2 * S), packed=bytes(len(body)))
     with pytest.raises(RecordingError, match="checksum"):
         read_bytes(START + DEFINITIONS + spoiled + index + END)
-    # An index that contradicts its chunk is not believed.
+    # An index that contradicts its chunk is not used.
     for entries in ([(S, 0), (3 * S, 39)], [(S, 0), (2 * S, 900)], [(S, 0), (S, 0)]):
         good = chunk(body, (S, 2 * S))
         content = START + DEFINITIONS + good + message_index(1, entries) + END
@@ -380,7 +380,7 @@ def test_names_and_numbers_of_channels_are_bounded(read_bytes: Read) -> None:
     control = channel(3, "/a\n/b")
     many = b"".join(channel(n, f"/t{n}", schema_id=1) for n in range(10, 5000))
     messages = b"".join(message(n, S) for n in (1, 2, 3, 10, 4999))
-    # Whatever stands behind the data is taken for the summary.
+    # Anything after the data is read as the summary.
     again = (
         record(15, bytes(4)) + channel(4999, "/t4999", schema_id=1) + record(2, bytes(20)) + MAGIC
     )
@@ -459,20 +459,20 @@ def test_mutated_files_are_read_or_refused(kind: str, tmp_path: Path) -> None:
     for data in mutations(content, 200, seed=11):
         path.write_bytes(data)
         file = McapFile(path)
-        told, good = file.warnings, 0
+        reported, good = file.warnings, 0
         try:
             for _, _, block, offset in file.index().tolist():
                 with suppress(RecordingError):
                     file.payload(block, offset)
                     good += 1
         except RecordingError as error:
-            told = [str(error)]
+            reported = [str(error)]
         finally:
             file.close()
         recovered += good
-        # The index of an undamaged summary may lead to a damaged chunk, which its reader tells.
-        assert told or good == len(messages) or kind != "unchunked"
-        assert all("\n" not in line for line in told)
+        # An undamaged summary may index a damaged chunk, which is reported when it is read.
+        assert reported or good == len(messages) or kind != "unchunked"
+        assert all("\n" not in line for line in reported)
     assert recovered > 0.7 * 200 * len(messages)
 
 

@@ -1,4 +1,4 @@
-"""What becomes of a recording's topics when its messages are packed, new or unusable."""
+"""A recording's topics when its messages are compressed, of new types or unusable."""
 
 from pathlib import Path
 from typing import Any

@@ -59,7 +59,7 @@ def test_plain_cloud() -> None:
 
 
 def test_points_without_a_position_keep_their_place() -> None:
-    """Whatever is_dense promises; 0 0 0 is some drivers' way to say that nothing was seen."""
+    """Whatever is_dense says; some drivers write 0 0 0 for a missing point."""
     nan, inf = math.nan, math.inf
     value = read(cloud([1, 2, 3, nan, 5, 6, 7, inf, 9, 0, 0, 0, 0, 0, 1]))
     assert np.isfinite(value.xyz_m).all(axis=1).tolist() == [True, False, False, False, True]

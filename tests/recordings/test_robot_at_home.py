@@ -1,4 +1,4 @@
-"""Robot@Home as plain text: rooms, their own paths, poses, and what damage costs."""
+"""Robot@Home as plain text: rooms, their own paths, poses, and what is lost by damage."""
 
 import os
 import random
@@ -402,7 +402,7 @@ def test_a_truncated_sequence_keeps_its_whole_lines(write: Callable[..., Path], 
     root = write(room)
     file = rgbd_folder(root).with_suffix(".txt")
     content = file.read_text()
-    # The last time loses a digit: it would be centuries ago.
+    # The last time loses a digit, and would be centuries ago.
     file.write_text(content[: len(content) - 2])
     with open_recording(root) as recording:
         assert recording.warnings[0].startswith("bedroom1_rgbd.txt: 1 of 6 lines")

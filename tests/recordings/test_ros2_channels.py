@@ -1,4 +1,4 @@
-"""Channels in ROS 2, on definitions and bytes put together by hand."""
+"""Conversion of channels to ROS 2, with definitions and bytes written by hand."""
 
 import struct
 

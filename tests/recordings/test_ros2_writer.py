@@ -209,7 +209,7 @@ def test_a_value_that_its_message_cannot_hold_loses_only_itself(tmp_path: Path) 
         writer.write_transforms("/tf", at(-1, 7))
     with (tmp_path / "t.mcap").open("rb") as stream:
         ((_, _, message),) = make_reader(stream).iter_messages()
-    # The message has its stamp before 1970, which the file has no room for.
+    # The message has its stamp before 1970, which the file cannot hold.
     assert (message.log_time, message.publish_time) == (7, 7)
     _, _, seen = rosbags_messages(tmp_path / "t.mcap")[0]
     stamp = seen.transforms[0].header.stamp

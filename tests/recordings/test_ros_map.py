@@ -1,4 +1,4 @@
-"""Maps of map_server: what is written is read, and one clear line for each that is none."""
+"""Maps of map_server: round trips, and a clear error for what is no map."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Connections of ROS 1 bags that are told twice, and told differently after damage."""
+"""Connections of ROS 1 bags are recorded twice, and differ after damage."""
 
 import random
 from collections.abc import Callable
@@ -78,7 +78,7 @@ def test_a_consistent_record_is_preferred_to_an_inconsistent_one(read: Read) -> 
     end = whole.content[whole.index_start :]
     definition = transforms_as("/tf").definition.encode()
     type_name = b"type=tf/tfMessage"
-    for told, changed in (
+    for reported, changed in (
         (
             "/tf, of which",
             end.replace(definition, definition.replace(b"time stamp", b"time ttamp")),
@@ -89,7 +89,7 @@ def test_a_consistent_record_is_preferred_to_an_inconsistent_one(read: Read) -> 
         found, warnings = read(with_end(whole, changed))
         assert found == expected
         (warning,) = warnings
-        assert told in warning
+        assert reported in warning
         assert warning.endswith("that in the chunk at byte 4109 is taken.")
     # The same damage in the chunk: now the end is right.
     found, (warning,) = read(whole.content.replace(b"topic=/tf", b"topic=/t\xff", 1))
@@ -209,7 +209,7 @@ def test_connections_that_no_chunk_repeats_are_used(read: Read) -> None:
     expected, _ = read(whole.content)
     content = whole.content
     for own in (scans_as("/scan").record(0), transforms_as("/tf").record(1)):
-        # In its place, the same bytes are a message of nobody, of a connection that is not there.
+        # Of a connection that does not exist, the same bytes are a message without a topic.
         other = record(b" " * (len(own) - 46), op=b"\x02", conn=u32(9), time=bytes(8))
         assert len(other) == len(own)
         content = content.replace(own, other, 1)

@@ -1,4 +1,4 @@
-"""ROS 1 bags that are cut, unfinished, damaged or hostile: what is left of them, and what is told.
+"""Truncated, unfinished, damaged and hostile ROS 1 bags: what can be read, and the warnings.
 
 The bags are put together byte by byte after wiki.ros.org/Bags/Format/2.0, or by rosbags' writer.
 """
@@ -87,7 +87,7 @@ def connection(number: int, topic: str) -> bytes:
 
 def pose(step: int, padding: int = 0) -> bytes:
     """A PoseStamped at x = ``step``; the padding is in the name of its frame."""
-    # Letters without a pattern, so that compressing does not make them vanish.
+    # Random letters, so that they hardly compress.
     frame = random.Random(step).choices(range(97, 123), k=padding)
     return (
         struct.pack("<IIII", step, T0_S, step, padding)
@@ -166,7 +166,7 @@ class Found:
     steps: list[int]
     warnings: list[str]
 
-    def tells(self, *parts: str) -> bool:
+    def warns_of(self, *parts: str) -> bool:
         return any(all(part in warning for part in parts) for warning in self.warnings)
 
 
@@ -206,7 +206,7 @@ def test_an_unfinished_recording_loses_nothing(read: Read, compression: bytes) -
     found = read(three_chunks(compression).content(finished=False))
     assert found.steps == list(range(30))
     assert len(found.warnings) == 1
-    assert found.tells("did not finish")
+    assert found.warns_of("did not finish")
 
 
 def test_plain_chunks_are_read_up_to_the_last_whole_message(read: Read) -> None:
@@ -221,11 +221,13 @@ def test_plain_chunks_are_read_up_to_the_last_whole_message(read: Read) -> None:
                 continue
             found = read(content[:cut])
             assert found.steps == list(range(count))
-            assert found.tells("cut short", f"ends at byte {cut}", f"index at byte {bag_end(bag)}")
+            assert found.warns_of(
+                "cut short", f"ends at byte {cut}", f"index at byte {bag_end(bag)}"
+            )
     # Cut within a message: the bytes and the time from which on all is lost.
     start = ends[14]
     found = read(content[: start + 30])
-    assert found.tells(f"Bytes {start} to {start + 30} of", f"logged after {T0_S + 14}.000 s")
+    assert found.warns_of(f"Bytes {start} to {start + 30} of", f"logged after {T0_S + 14}.000 s")
 
 
 def bag_end(bag: Bag) -> int:
@@ -242,7 +244,7 @@ def test_a_truncated_compressed_chunk_gives_its_first_messages(
     found = read(bag.content()[: start + (end - start) * 3 // 4])
     assert found.steps == list(range(len(found.steps)))
     assert 60 <= len(found.steps) < 100
-    assert found.tells(f"Bytes {bag.starts[2]} to", "breaks off after", "logged after")
+    assert found.warns_of(f"Bytes {bag.starts[2]} to", "breaks off after", "logged after")
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
@@ -254,7 +256,7 @@ def test_a_cut_at_the_end_of_a_chunk_loses_only_its_successors(
     for cut in (bag.packed[1][1], bag.packed[1][1] + 70, bag.packed[1][1] + 55 + 5 * 12):
         found = read(bag.content()[:cut])
         assert found.steps == list(range(20))
-        assert found.tells("Of 3 chunks and 2 connections in its header, 2 and 2 are found")
+        assert found.warns_of("Of 3 chunks and 2 connections in its header, 2 and 2 are found")
 
 
 def test_a_cut_in_the_index_at_the_end_loses_no_message(read: Read) -> None:
@@ -262,7 +264,7 @@ def test_a_cut_in_the_index_at_the_end_loses_no_message(read: Read) -> None:
     for lost in (1, 100, 500):
         found = read(content[:-lost])
         assert found.steps == list(range(30))
-        assert found.tells(f"to {len(content) - lost} of {len(content) - lost} are lost")
+        assert found.warns_of(f"to {len(content) - lost} of {len(content) - lost} are lost")
 
 
 @pytest.mark.parametrize("compression", [b"bz2", b"lz4"])
@@ -276,14 +278,14 @@ def test_a_chunk_of_garbage_loses_only_itself(
     content[start:end] = random.Random(1).randbytes(end - start)
     found = read(bytes(content))
     assert found.steps == [*range(10), *range(20, 30)]
-    # The index data behind the chunk still tell how many there were.
-    assert found.tells("/a: 5 of 15 messages are left out", f"chunk at byte {bag.starts[1]}")
+    # The index data after the chunk still hold the number of its messages.
+    assert found.warns_of("/a: 5 of 15 messages are left out", f"chunk at byte {bag.starts[1]}")
     # Without them the bytes are all that is known.
     behind = bag.starts[2] - end
     found = read(bytes(content[:end] + bytes(behind) + content[end + behind :]))
     assert found.steps == [*range(10), *range(20, 30)]
-    assert found.tells(f"Bytes {bag.starts[1]} to", f"between {T0_S + 9}.000 s and {T0_S + 20}")
-    assert found.tells("10 of the 30 messages in its index", f"to {T0_S + 19}.000 s") is finished
+    assert found.warns_of(f"Bytes {bag.starts[1]} to", f"between {T0_S + 9}.000 s and {T0_S + 20}")
+    assert found.warns_of("10 of the 30 messages in its index", f"to {T0_S + 19}.000 s") is finished
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
@@ -295,8 +297,8 @@ def test_a_chunk_without_its_header(read: Read, compression: bytes, finished: bo
     found = read(bytes(content))
     kept = compression == b"none"
     assert found.steps == ([*range(30)] if kept else [*range(10), *range(20, 30)])
-    assert found.tells(f"Bytes {bag.starts[1]} to", "no whole record")
-    assert found.tells("10 of the 30 messages in its index are lost") is (finished and not kept)
+    assert found.warns_of(f"Bytes {bag.starts[1]} to", "no whole record")
+    assert found.warns_of("10 of the 30 messages in its index are lost") is (finished and not kept)
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
@@ -319,13 +321,13 @@ def test_a_record_in_a_chunk_without_its_header(read: Read) -> None:
         content[at] ^= 0xFF
         found = read(bytes(content))
         assert found.steps == [*range(13), *range(14, 30)]
-        assert found.tells("/b: 1 of 15 messages are left out")
+        assert found.warns_of("/b: 1 of 15 messages are left out")
         # Without index data its neighbours are found by themselves.
         end = bag.packed[1][1]
         found = read(bytes(content[:end] + content[bag.starts[2] :]))
         assert found.steps == [*range(13), *range(14, 30)]
         size = len(message(1, 13))
-        assert found.tells(f"{size} of the", "bytes in its chunk are no records")
+        assert found.warns_of(f"{size} of the", "bytes in its chunk are no records")
 
 
 def test_index_data_that_contradict_the_index_at_the_end_are_not_used(read: Read) -> None:
@@ -352,7 +354,7 @@ def test_a_lost_connection_loses_only_its_topic(read: Read) -> None:
     bag = Bag(b"lz4").add_chunk(range(10), connections=connection(1, "/b"))
     found = read(bag.content(finished=False))
     assert found.steps == [1, 3, 5, 7, 9]
-    assert found.tells("5 messages are left out: the records of their topics are lost")
+    assert found.warns_of("5 messages are left out: the records of their topics are lost")
 
 
 def test_a_bag_without_chunks(read: Read) -> None:
@@ -391,7 +393,7 @@ def test_records_that_show_in_compressed_data_are_not_taken_for_records(read: Re
     bag.body += record(packed, op=b"?", compression=b"lz4", size=u32(len(content)))
     found = read(bag.add_chunk(range(20, 30)).content())
     assert found.steps == [*range(10), *range(20, 30)]
-    assert not found.tells("cannot be read")
+    assert not found.warns_of("cannot be read")
 
 
 def test_a_search_is_bounded() -> None:
@@ -414,10 +416,10 @@ def zeros(compression: bytes) -> bytes:
 
 @pytest.mark.parametrize("compression", [b"bz2", b"lz4"])
 @pytest.mark.parametrize(
-    ("claimed", "told"), [(0xFFFFFFFF, "it claims 4294967295 bytes"), (5000, "holds more than")]
+    ("claimed", "warning"), [(0xFFFFFFFF, "it claims 4294967295 bytes"), (5000, "holds more than")]
 )
 def test_a_decompression_bomb_loses_only_itself(
-    read: Read, compression: bytes, claimed: int, told: str
+    read: Read, compression: bytes, claimed: int, warning: str
 ) -> None:
     bag = three_chunks(compression)
     header = {"op": b"\x05", "compression": compression, "size": u32(claimed)}
@@ -429,7 +431,7 @@ def test_a_decompression_bomb_loses_only_itself(
     finally:
         tracemalloc.stop()
     assert found.steps == list(range(30))
-    assert found.tells(told)
+    assert found.warns_of(warning)
     assert peak < BOMB_BYTES // 4
 
 
@@ -451,7 +453,7 @@ def test_a_decompression_bomb_loses_only_itself(
 def test_hostile_records_lose_only_themselves(read: Read, hostile: bytes) -> None:
     found = read(three_chunks().content(finished=False) + hostile)
     assert found.steps == list(range(30))
-    assert found.tells("Bytes", "are lost")
+    assert found.warns_of("Bytes", "are lost")
     assert len(found.warnings) < 10
 
 
@@ -518,7 +520,7 @@ def test_mutated_bags_give_what_is_left(build: Callable[[str], Any], name: str) 
             found = sum(1 for _ in recording.messages())
             assert found >= len(sample.written) or recording.warnings
         fractions.append(found / len(sample.written))
-    # One mutation costs a message, a chunk or a topic, not the bag.
+    # One mutation loses a message, a chunk or a topic, not the bag.
     assert sum(fractions) / len(fractions) > 0.9
 
 

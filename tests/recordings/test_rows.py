@@ -1,4 +1,4 @@
-"""Messages read straight from their bytes, against rosbags' reader of any type."""
+"""Row readers of frequent message types, against rosbags' reader of any type."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -254,7 +254,7 @@ def test_scans_are_the_same(
 @KINDS
 def test_bytes_that_do_not_fit(wire: Wire, name: str) -> None:
     payload = bytes(wire.serialize(Builder(wire.store).any_of(name), name))
-    # Of what is cut off at the end, CDR cannot tell up to three bytes of padding.
+    # Up to three missing bytes at the end may be CDR's padding.
     for end in range(len(payload)):
         with pytest.raises(ValueError, match="do not fit"):
             wire.read(payload[:end], name)

@@ -64,7 +64,7 @@ def read(path: Path) -> tuple[list[Row], list[str]]:
 
 
 def readable_rows(path: Path) -> list[Row]:
-    """The rows whose data can be read when it is asked for; topics are left as channels."""
+    """The rows whose data can be read; topics are left as channels."""
     rows = []
     with closing(SqliteFile(path)) as file:
         for stamp, channel, block, row_id in file.index().tolist():
@@ -100,7 +100,7 @@ def seconds(row: Row) -> str:
 def test_a_truncated_file_gives_its_fraction_of_the_rows(
     tmp_path: Path, size: int, fraction: float
 ) -> None:
-    # Large enough for inner pages, which stand behind the first of their leaves.
+    # Large enough for interior pages, which come after the first of their leaves.
     written = rows_of(min(3_000_000 // size, 25_000), size)
     path = write(tmp_path / "a.db3", written)
     content = path.read_bytes()
@@ -134,7 +134,7 @@ def test_a_lost_page_loses_only_its_own_rows(tmp_path: Path) -> None:
     costs = []
     for number, name, kind, cells in pages:
         start = (number - 1) * 1024
-        # The last page of a row's data holds nothing but data: its loss shows nowhere.
+        # The last page of a row's data holds only data: its loss cannot be noticed.
         ends = kind == "overflow" and content[start : start + 4] == bytes(4)
         if name not in ("messages", "timestamp_idx") or ends:
             continue
@@ -186,7 +186,7 @@ def test_pages_hold_what_sqlite_wrote(
         (i, topic, stamp, bytes([i]) * size)
         for i, (size, stamp, topic) in enumerate(zip(sizes, stamps, topic_ids, strict=False), 1)
     ]
-    # Rows that take the pages of others, so that they stand on pages out of sequence.
+    # Rows that take the pages of others, so that they are on pages out of sequence.
     later = [(100 + i, 1, i, bytes([200 + i]) * 7000) for i in range(4)]
     write(path, rows, page_bytes)
     with closing(sqlite3.connect(path)) as connection:
@@ -238,7 +238,7 @@ def test_data_on_a_cycle_of_pages_is_lost(tmp_path: Path) -> None:
     # The second page of the third row's data: it names itself as the next one.
     at = content.index(written[2][3][9000:9100]) // 4096 * 4096
     content[at : at + 4] = (at // 4096 + 1).to_bytes(4, "big")
-    # Through SQLite alone the row would fail only when it is asked for.
+    # By SQLite alone the row would fail only when it is read.
     content[28:32] = (1).to_bytes(4, "big")
     path.write_bytes(content)
     found, (warning,) = read(path)
@@ -296,7 +296,7 @@ def test_mutated_files_are_read_or_refused(tmp_path: Path) -> None:
                 case 2:
                     data[at : at + 100] = data[at + 100 : at + 200]
                 case 3:
-                    # The places where page headers stand.
+                    # The positions of page headers.
                     data[at // 4096 * 4096 + rng.randrange(12)] = rng.randrange(256)
         path.write_bytes(data)
         try:
@@ -420,7 +420,7 @@ def test_endless_queries_are_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(sqlite_database, "_STEPS_AT_A_TIME", 100)
     monkeypatch.setattr(sqlite_database, "_LEAST_STEPS", 1000)
     monkeypatch.setattr(sqlite_database, "_STEPS_PER_BYTE", 0)
-    # What SQLite does not get done, the pages tell.
+    # Where SQLite exceeds the limit, the pages are read.
     found, warnings = read(path)
     assert found == written
     assert "interrupted" in warnings[0]

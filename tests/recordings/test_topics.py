@@ -1,4 +1,4 @@
-"""Roles, and the choice of topics where nobody names them."""
+"""Roles of topics, and which are chosen where none is named."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""TUM RGB-D folders: lists, their damages, and the benchmark's own cameras."""
+"""TUM RGB-D folders: image lists, damaged ones, and the benchmark's own cameras."""
 
 import os
 import shutil
@@ -105,10 +105,10 @@ def test_ground_truth_is_never_taken_for_odometry(folder: Path) -> None:
 )
 def test_a_bad_line_loses_only_itself(folder: Path, line: str, said: str) -> None:
     add_line(folder / "depth.txt", line)
-    (told,) = warnings(folder)
-    assert said in told
-    assert told.startswith("depth.txt: ")
-    assert "line 8" in told
+    (warning,) = warnings(folder)
+    assert said in warning
+    assert warning.startswith("depth.txt: ")
+    assert "line 8" in warning
     assert counts(folder) == {DEPTH: 5, COLOR: 5, INFO: 5, TRUTH: 12}
 
 

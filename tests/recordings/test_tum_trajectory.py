@@ -1,4 +1,4 @@
-"""Trajectory files: what is read exactly, what is put right, and what is refused."""
+"""Trajectory files: what is read exactly, what is corrected, and what is refused."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Definitions without bounds cost their topic before any memory or time is taken."""
+"""Excessive definitions are refused before they take memory or time, and lose their topic."""
 
 import pytest
 

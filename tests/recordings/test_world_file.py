@@ -1,4 +1,4 @@
-"""World files: round trips, and one clear line for each that is no world."""
+"""World files: round trips, and a clear error for what is no world file."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A plain room whose every distance has a closed form."""
+"""An empty room in which every distance has a closed form."""
 
 from collections.abc import Sequence
 

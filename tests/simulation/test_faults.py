@@ -1,4 +1,4 @@
-"""Faults are in the recording as asked, and nowhere else; the truth is the same with them."""
+"""Faults are in the recording as set, and nowhere else; they do not change the ground truth."""
 
 import json
 from pathlib import Path
@@ -193,7 +193,7 @@ def test_faults_are_read_from_a_settings_file(tmp_path):
         "silence_s = 10.0\n"
     )
     output = tmp_path / "a.mcap"
-    told = write(
+    summary = write(
         "arena",
         output,
         settings_file=settings,
@@ -201,6 +201,6 @@ def test_faults_are_read_from_a_settings_file(tmp_path):
         overwrite=False,
         progress=lambda *_: None,
     )
-    assert told["faults"]["silence_s"] == 10.0
-    assert told["world"] == str(tmp_path / "a.world.json")
+    assert summary["faults"]["silence_s"] == 10.0
+    assert summary["world"] == str(tmp_path / "a.world.json")
     assert max(t for topic, t, _ in messages(output) if topic != "/ground_truth") < 0.5

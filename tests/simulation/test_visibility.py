@@ -71,7 +71,7 @@ def test_the_lidar_sees_what_no_box_hides(plain_room, standing):
 
 
 def test_each_sensor_has_its_heights(plain_room, standing):
-    """Ahead of the robot stand a low box, a bench over the LiDAR's plane, and a post."""
+    """Ahead of the robot are a low box, a bench over the LiDAR's plane, and a post."""
     pieces = [
         thing("low", (3.4, 2.5, 0.0), (3.6, 2.7, 0.2)),
         thing("bench", (3.4, 1.9, 0.4), (3.6, 2.2, 0.5)),

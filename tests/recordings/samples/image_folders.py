@@ -21,7 +21,7 @@ FRAME_COUNT = 5
 
 
 def frame_messages(numbers: Sequence[int], intrinsics: bool) -> list[Written]:
-    """What a folder of frames gives, in the order of iteration; the stamp stands for the log."""
+    """What a folder of frames gives, in the order of iteration; the stamp is used as log time."""
     written = []
     for number in numbers:
         stamp = (number - numbers[0]) * 10**9 // 30
