@@ -58,8 +58,8 @@ def convert(
     Messages in CDR keep their bytes, those of ROS 1 are rewritten in CDR, both whatever their
     type; the values of formats without messages become messages of their kind. Static transforms
     from before ``start_s`` are kept and logged at the start, as a recorder that was started there
-    would have received them. A message or topic that cannot be converted costs itself alone and is
-    named in the result.
+    would have received them. A message or topic that cannot be converted is left out and named in
+    the result.
 
     Raises ExportError where ``output`` is refused or cannot be written, RecordingError where the
     recording cannot be read or gives no message, MissingStream for an unknown topic.
@@ -149,7 +149,7 @@ def _time_ns(first_ns: int, after_s: float | None) -> int | None:
 
 
 class _Account:
-    """What became of the selected messages."""
+    """Counts of the selected messages: written, left out, and why."""
 
     def __init__(self, selection: _Selection, progress: Progress) -> None:
         self.notes: list[str] = []
@@ -278,7 +278,7 @@ def _copy(
 def _channels(
     recording: IndexedRecording, selection: _Selection, account: _Account
 ) -> dict[int, Ros2Channel]:
-    """Those channels of the selected topics that can be written, by their place."""
+    """The channels of the selected topics that can be written, by their number."""
     chosen = {topic.name for topic in selection.topics}
     channels: dict[int, Ros2Channel] = {}
     reasons: dict[str, str] = {}
@@ -324,7 +324,7 @@ def _write_values(
 
 
 def _losses(topic: str, role: Role, value: SensorValue) -> Iterator[str]:
-    """What the message of a value has no place for."""
+    """What of a value its message cannot hold."""
     if isinstance(value, DepthImage) and value.quantum_m is not None:
         yield f"{topic}: that depth comes in steps of {value.quantum_m:g} m is not in the file."
     if isinstance(value, PoseSample) and value.child and role != "odometry":

@@ -1,7 +1,7 @@
 """The geometry of scans and images, and a filter for messages that do not have it.
 
-A driver that is reconfigured in mid recording changes the size of its images or the beams of its
-scans. What follows is of another geometry, and is left out with a warning.
+A driver that is reconfigured during a recording changes the size of its images or the beams of its
+scans. Messages of another geometry are left out with a warning.
 """
 
 from collections import Counter

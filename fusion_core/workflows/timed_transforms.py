@@ -16,7 +16,7 @@ from fusion_core.workflows.stamp_filter import warn_once
 
 @dataclass(slots=True)
 class _Samples:
-    """Of one pair of frames: stamps, log times, and 16 numbers a pose."""
+    """The samples of one pair of frames: stamps, log times, and 16 numbers per pose."""
 
     stamps_ns: "array[int]" = field(default_factory=lambda: array("q"))
     received_ns: "array[int]" = field(default_factory=lambda: array("q"))
@@ -37,7 +37,7 @@ class TimedTransforms:
         samples.poses.frombytes(sample.T_parent_child.tobytes())
 
     def add_inliers_to(self, tree: TransformTree, topic: str, recording: Recording) -> None:
-        """Add them to a tree; what is left out costs a warning of the recording."""
+        """Add the inliers to a tree; outliers are left out with a warning of the recording."""
         for (parent, child), samples in self._pairs.items():
             stamps_ns, received_ns = np.array(samples.stamps_ns), np.array(samples.received_ns)
             poses = np.frombuffer(samples.poses).reshape(-1, 4, 4)

@@ -1,4 +1,4 @@
-"""How maps are coloured and measured, for pictures on the screen: as in the files."""
+"""Colours and scale bar of maps on the screen, the same as in the files."""
 
 from fusion_core.exporting.map_picture import FREE, UNKNOWN, difference_colors, scale_bar_m
 

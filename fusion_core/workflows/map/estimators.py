@@ -19,7 +19,7 @@ from fusion_core.workflows.map.settings import MapSettings
 
 SlamKind = Literal["none", "particle-filter", "pose-graph"]
 
-# A robot's speed changes within a second: across a longer gap interpolation says nothing.
+# A robot's speed changes within a second: across a longer gap interpolation is unreliable.
 _POSE_GAP_MAX_NS = NS_PER_S
 
 
@@ -27,9 +27,9 @@ _POSE_GAP_MAX_NS = NS_PER_S
 class PlacedScans:
     """N scans with a pose.
 
-    ``poses_map_scan``: (N, 3) x, y, yaw. ``trusted``: (N,) whether each can be. ``graph``,
-    ``particles``: of the estimator that has them. ``seconds``: of each stage, on the wall clock.
-    ``notes``: for people.
+    ``poses_map_scan``: (N, 3) x, y, yaw. ``trusted``: (N,) whether each pose is. ``graph``,
+    ``particles``: the result of the estimator that was used. ``seconds``: wall-clock time of each
+    stage. ``notes``: for people.
     """
 
     stamps_ns: IntArray
@@ -64,7 +64,7 @@ def place_scans(
     progress: Progress,
     observer: SlamObserver,
 ) -> PlacedScans:
-    """Place the scans; ``prior`` is all there is without SLAM.
+    """Place the scans; without SLAM by ``prior`` only.
 
     Raises MappingFailed where no scan can be placed.
     """

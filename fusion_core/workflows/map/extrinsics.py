@@ -179,7 +179,7 @@ def _extrinsics_from_file(
     file: Path, rig: CameraRig, streams: Streams, mounting: _LidarMounting
 ) -> CameraExtrinsics:
     given = read_extrinsics(file)
-    lenses = {
+    intrinsics = {
         camera.topic: stored
         for camera, stored in zip(rig.cameras, rig.stored_intrinsics, strict=True)
     }
@@ -191,15 +191,15 @@ def _extrinsics_from_file(
                 advice=f'Name one with --depth, or write a table cameras."{streams.depth[0]}".',
             )
         given = {rig.cameras[0].topic: given[None]}
-    known: dict[str, FloatArray] = {t: T for t, T in given.items() if t in lenses}
+    known: dict[str, FloatArray] = {t: T for t, T in given.items() if t in intrinsics}
     if not known:
         raise SettingsError(
-            f"names none of the depth topics {', '.join(lenses)}.", file=file, advice=_GIVE_FILE
+            f"names none of the depth topics {', '.join(intrinsics)}.", file=file, advice=_GIVE_FILE
         )
     cameras = []
     for topic, T_camera_lidar in known.items():
         up = -T_camera_lidar[:3, 2] if mounting.is_upside_down else T_camera_lidar[:3, 2]
-        view = upright_view(lenses[topic], up)
+        view = upright_view(intrinsics[topic], up)
         cameras.append(
             MountedCamera(
                 topic=topic,
@@ -231,7 +231,7 @@ def _extrinsics_from_alignment(
     mount = alignment.mount
     if alignment.estimate is None:
         raise AlignmentFailed(
-            "the alignment pairs rows only, which does not tell where the camera stands.",
+            "the alignment pairs rows only, which does not determine the camera's position.",
             file=recording.path,
             advice=_GIVE_FILE,
         )

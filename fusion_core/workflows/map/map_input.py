@@ -25,7 +25,7 @@ class MapInput:
     """``scans``: those that SLAM places, with ``motion`` as its prior, None for none.
 
     ``drawn``: the scans of each map, by its name. ``has_camera_layer``: whether the merged map is
-    drawn of the camera's beams alone, to be laid over the LiDAR's map.
+    drawn of the camera's beams only, to be overlaid on the LiDAR's map.
     """
 
     streams: Streams

@@ -25,8 +25,8 @@ def build_maps(
 ) -> tuple[dict[str, OccupancyGrid], list[str]]:
     """A grid of each source of scans, by name, and notes on missing or coarser maps.
 
-    ``reach_m``: a far beam that strays would make a map of the whole range, so that points beyond
-    only free the cells up to there.
+    ``range_max_m``: farther points only free the cells up to it, so that a stray far beam does not
+    enlarge the map.
     """
     grids: dict[str, OccupancyGrid] = {}
     notes = []
@@ -49,7 +49,8 @@ def build_maps(
 def _affordable_resolution_m(
     poses_map_scan: FloatArray, settings: GridSettings, range_max_m: float
 ) -> float:
-    """The set side of a cell, doubled until all that can be reached from (N, 3) poses has room."""
+    """The configured cell size, doubled until a map of all within range of the (N, 3) poses is not
+    larger than ``cells_max``."""
     sides_m = np.ptp(poses_map_scan[:, :2], axis=0) + 2.0 * range_max_m
     too_many = float(sides_m.prod()) / settings.resolution_m**2 / settings.cells_max
     doublings = int(np.ceil(0.5 * np.log2(too_many))) if too_many > 1.0 else 0
@@ -76,7 +77,7 @@ class CameraBeams:
 
 
 def overlay_camera_map(grids: dict[str, OccupancyGrid]) -> dict[str, OccupancyGrid]:
-    """The merged map, drawn of what the camera met alone, over that of the LiDAR's plane."""
+    """The map of the camera's beams ("merged") overlaid on that of the LiDAR's plane."""
     if "lidar" not in grids or "merged" not in grids:
         return grids
     return {**grids, "merged": merge_keeping_obstacles(grids["lidar"], grids["merged"])}

@@ -17,9 +17,9 @@ class MapOptions:
     """The choices of a run.
 
     ``scan``: which scans are mapped. ``motion``: the odometry that predicts them, or that places
-    them where there is no SLAM. ``slam``: the estimator. ``seed``: of the particle filter; it goes
-    before the settings'. ``clock_offset_ms``: camera stamp - LiDAR stamp of one instant, which is
-    subtracted from the camera's stamps.
+    them where there is no SLAM. ``slam``: the estimator. ``seed``: of the particle filter; it
+    overrides the settings'. ``clock_offset_ms``: camera stamp - LiDAR stamp of one instant, which
+    is subtracted from the camera's stamps.
     """
 
     scan: ScanKind = "lidar"
@@ -52,7 +52,7 @@ class MapOptions:
         return self.has_virtual_scans or self.motion in ("visual", "fused")
 
     def identity(self) -> str:
-        """The options that decide the results beside settings and input files, as JSON."""
+        """The options that determine the results, besides settings and input files, as JSON."""
         identity: dict[str, str | None] = {
             **self.choices,
             "lidar": self.lidar_topic,

@@ -1,4 +1,4 @@
-"""A recorded mount against the first scans and images, where no alignment is to be made of all."""
+"""A check of the recorded mount with the first scans and images, without a full alignment."""
 
 from itertools import islice
 

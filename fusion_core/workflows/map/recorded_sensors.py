@@ -1,4 +1,4 @@
-"""The sensors of a recording, and how their frames and clocks lie to each other."""
+"""The sensors of a recording, and how their frames and clocks relate."""
 
 from dataclasses import dataclass
 
@@ -23,7 +23,7 @@ class RecordedSensors:
 
     @property
     def clock_offset_ns(self) -> int:
-        """The clock offset as stamps count."""
+        """The clock offset in the unit of stamps."""
         return round(self.clock_offset_ms * NS_PER_MS)
 
     @property

@@ -1,4 +1,4 @@
-"""What a run of ``map`` wrote, read back for pictures: its own files, in the form they have."""
+"""What a run of ``map`` wrote, read back as values for display."""
 
 import csv
 import json
@@ -149,7 +149,7 @@ def _columns_with_suffix(columns: Mapping[str, FloatArray], ending: str) -> dict
 
 
 def read_grid(file: Path) -> OccupancyGrid:
-    """A map from its YAML file, as sure of each cell as the picture is. Raises RecordingError."""
+    """A map from its YAML file; each cell is occupied, free or unknown. Raises RecordingError."""
     drawn = read_ros_map(file)
     log_odds = np.full(drawn.occupied.shape, np.nan)
     log_odds[drawn.occupied] = _SURE_LOG_ODDS

@@ -25,7 +25,7 @@ from fusion_core.workflows.recorded_transforms import frame_name
 from fusion_core.workflows.sensor_geometry import first_value
 from fusion_core.workflows.stamp_filter import StampFilter
 
-# A little over one period of a 30 Hz camera: unsynchronised colour and depth are no farther apart.
+# A little over one period of a 30 Hz camera: the largest gap of unsynchronised colour and depth.
 _COLOR_GAP_MAX_NS = 40 * NS_PER_MS
 # A depth image waits for a colour image that is logged after it, so many images at most.
 _DEPTH_WAITING = 8
@@ -143,7 +143,7 @@ class RgbdFrames:
 
 
 def _scaled_shape(height: int, width: int) -> tuple[int, int]:
-    """The size at which an image is looked at."""
+    """The (height, width) to which an image is reduced."""
     if width <= _WIDTH_MAX_PX:
         return height, width
     return round(height * _WIDTH_MAX_PX / width), _WIDTH_MAX_PX

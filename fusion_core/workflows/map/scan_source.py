@@ -1,4 +1,4 @@
-"""The scans that motion and SLAM work on, read anew each time they are needed."""
+"""The scans that motion and SLAM work on, read again in each pass."""
 
 from collections.abc import Iterator
 from typing import Literal, Protocol
@@ -22,10 +22,10 @@ ScanKind = Literal["lidar", "camera", "repaired", "merged"]
 
 
 class ScanSource(Protocol):
-    """Scans with stamps that increase, any number of times.
+    """Scans with increasing stamps, which can be iterated any number of times.
 
-    ``frame_id``: the frame in which they lie. ``recorded``: how many the recording holds, be they
-    left out or not. ``notes``: for people, complete once the scans were read to their end.
+    ``frame_id``: the frame in which they lie. ``recorded_count``: how many the recording holds,
+    with those that are left out. ``notes``: for people, complete after the last scan was read.
     """
 
     frame_id: str
