@@ -156,7 +156,7 @@ class _Run:
             self._variance += unmatched**2
 
     def _is_due(self, tracked: TrackedScan) -> bool:
-        """Whether the filter is updated; never by a scan without points, which says nothing."""
+        """Whether the filter is updated; never by a scan without points."""
         if tracked.points_m.shape[0] < (POINTS_MIN if self._keyframes else 1):
             return False
         if not self._keyframes:

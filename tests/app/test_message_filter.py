@@ -349,8 +349,8 @@ def _setting(event: threading.Event) -> Callable[[object], None]:
     return lambda _: event.set()
 
 
-def test_viser_takes_the_messages_that_were_thought_of(server: viser.ViserServer) -> None:
-    """A kind that is new in viser has to be thought of before it is let in."""
+def test_viser_has_no_message_type_that_was_not_reviewed(server: viser.ViserServer) -> None:
+    """A new message type of viser must be reviewed before it is accepted."""
     taken = set(server._websock_server._incoming_handlers)
     assert taken == {
         messages.GuiUpdateMessage,
@@ -369,7 +369,7 @@ def test_viser_takes_the_messages_that_were_thought_of(server: viser.ViserServer
     }
 
 
-def test_viser_still_has_what_the_guard_stands_on(server: viser.ViserServer) -> None:
+def test_viser_still_has_the_names_that_the_filter_uses(server: viser.ViserServer) -> None:
     """viser's own names: where one has moved, ``scanloom.server.message_filter`` has to follow."""
     gui = server.gui
     handlers = server._websock_server._incoming_handlers

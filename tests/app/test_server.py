@@ -101,12 +101,12 @@ def test_a_widget_that_holds_a_refused_value_is_set_back(workbench: Workbench, v
 def test_a_frame_that_cannot_be_read_takes_the_one_before_out_of_sight(
     workbench: Workbench, view: View, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    boards = {"/images/depth", "/images/heatmap"}
+    image_planes = {"/images/depth", "/images/heatmap"}
     storage = {STORED_VIEW: view.changed(frame_index=2).to_link()}
     with connect(workbench.address, storage=storage) as client:
-        for _ in boards:
+        for _ in image_planes:
             client.wait_for(
-                lambda r: r.type == "ImageMessage" and r.message["name"] in boards, ENOUGH_S
+                lambda r: r.type == "ImageMessage" and r.message["name"] in image_planes, ENOUGH_S
             )
         session = desk_of(workbench)
         assert session.wait(ENOUGH_S)
@@ -122,14 +122,14 @@ def test_a_frame_that_cannot_be_read_takes_the_one_before_out_of_sight(
         title, body = next(notes_of(client))
         assert (title, body) == ("message 7 is damaged.", "Go on.")
         removed = set()
-        while removed != boards:
+        while removed != image_planes:
             gone = client.wait_for(lambda r: r.type == "RemoveSceneNodeMessage", ENOUGH_S)
             removed.add(gone.message["name"])
         monkeypatch.undo()
         session.change(frame_index=14)
-        for _ in boards:
+        for _ in image_planes:
             client.wait_for(
-                lambda r: r.type == "ImageMessage" and r.message["name"] in boards, ENOUGH_S
+                lambda r: r.type == "ImageMessage" and r.message["name"] in image_planes, ENOUGH_S
             )
 
 

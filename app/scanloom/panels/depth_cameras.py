@@ -54,7 +54,7 @@ class DepthCameras:
                 hint="Each camera once: packed copies of its images are left out",
             )
             self._boxes = [by_type]
-            self._controls.bind(by_type, lambda v: not v.depth_topics, self._take_found)
+            self._controls.bind(by_type, lambda v: not v.depth_topics, self._choose_by_type)
             for topic, label in zip(self._topics, distinct_labels(self._topics), strict=True):
                 self._boxes.append(self._add_box(topic, label, view))
 
@@ -63,17 +63,17 @@ class DepthCameras:
         self._controls.bind(
             box,
             lambda v: topic in self._chosen(v),
-            lambda checked: self._take(topic, checked),
+            lambda checked: self._toggle(topic, checked),
         )
         return box
 
     def _chosen(self, view: View) -> tuple[str, ...]:
         return view.depth_topics or self._used
 
-    def _take_found(self, checked: bool) -> None:
+    def _choose_by_type(self, checked: bool) -> None:
         self._choose(() if checked else self._used)
 
-    def _take(self, topic: str, checked: bool) -> None:
+    def _toggle(self, topic: str, checked: bool) -> None:
         others = set(self._chosen(self._session.view)) - {topic}
         chosen = others | {topic} if checked else others
         if not chosen:

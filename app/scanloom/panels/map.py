@@ -36,7 +36,7 @@ from scanloom.panels.widgets.result_figures import ResultFigures
 from scanloom.state.view import MAP_MODES, View
 
 
-class TakeMap(Protocol):
+class MapCallback(Protocol):
     """Receives the map for the scene's floor; ``poses``: the LiDAR's, None: the recorded ones."""
 
     def __call__(self, grid: OccupancyGrid | None, poses: PoseLookup | None = None, /) -> None: ...
@@ -55,7 +55,7 @@ class MapPanel(Panel):
         gui: viser.GuiApi,
         session: ClientSession,
         output_root: Path,
-        on_map: TakeMap,
+        on_map: MapCallback,
     ) -> None:
         self._session = session
         # The command may be run in another working directory.
@@ -66,8 +66,8 @@ class MapPanel(Panel):
         self._clouds = ""
         # What the widgets display; most changes of the view leave it unchanged.
         self._drawn: Build | None = None
-        self._on_floor: OccupancyGrid | None = None
-        self._commanded: object = None
+        self._floor_grid: OccupancyGrid | None = None
+        self._command_inputs: object = None
 
         mode = gui.add_dropdown(
             "Mode",
@@ -130,7 +130,7 @@ class MapPanel(Panel):
             built = self._built
             if built is not None and built.view.recording != frame_view.view.recording:
                 built = None
-            self._lay_floor(frame_view.view, built)
+            self._update_floor(frame_view.view, built)
             if frame_view.view.panel != "Map":
                 return
             mode = frame_view.view.map_mode
@@ -148,7 +148,7 @@ class MapPanel(Panel):
         self._job.close()
         self._slam.close()
 
-    def _lay_floor(self, view: View, built: Build | None) -> None:
+    def _update_floor(self, view: View, built: Build | None) -> None:
         """Pass the map of the mode to the scene, if it has changed."""
         run = self._slam.chosen(view.recording) if view.map_mode == "SLAM" else None
         poses: PoseLookup | None = None
@@ -157,9 +157,9 @@ class MapPanel(Panel):
             poses = TrajectoryPoses(run.name, run.files.trajectory)
         else:
             grid = None if built is None else built.summary.grids.get("fused")
-        if grid is self._on_floor:
+        if grid is self._floor_grid:
             return
-        self._on_floor = grid
+        self._floor_grid = grid
         if grid is None or poses is None:
             self._on_map(grid)
         else:
@@ -193,15 +193,15 @@ class MapPanel(Panel):
         self._job.begin("export", lambda progress: export(built, voxel_m, progress), done)
 
     def _show_working(self, is_at_work: bool) -> None:
-        self._commanded = None
+        self._command_inputs = None
         update_widget(self._build_button, disabled=is_at_work)
         update_widget(self._export_button, disabled=is_at_work)
 
     def _show_command(self, view: View, built: Build | None) -> None:
         key = (_build_inputs(view), self._figures.value, built)
-        if key == self._commanded:
+        if key == self._command_inputs:
             return
-        self._commanded = key
+        self._command_inputs = key
         recording = self._session.recording_path(view.recording)
         if built is not None and _build_inputs(view) == _build_inputs(built.view):
             folder, options = built.folder, built.options

@@ -194,9 +194,9 @@ class ScenePanel(Panel):
         with self._drawing:
             picked = self._nodes.pick(origin, direction)
         if picked is not None:
-            self._take(picked)
+            self._apply_pick(picked)
 
-    def _take(self, picked: PickResult) -> None:
+    def _apply_pick(self, picked: PickResult) -> None:
         if picked.beam is not None:
             self._session.change(selected_beam=picked.beam)
         elif picked.plane == "heatmap" and self._heatmap is not None and picked.pixel is not None:

@@ -64,7 +64,7 @@ class SlamPanel:
         self._submitted_s = 0.0
         self._why_not: str | None = None
         self._clock_offset_ms = 0.0
-        self._commanded: object = None
+        self._command_inputs: object = None
 
         gui.add_html(paragraph(_ABOUT))
         choices = session.view.slam
@@ -147,7 +147,7 @@ class SlamPanel:
     def close(self) -> None:
         """Cancel the run and delete the session's runs: the browser has disconnected."""
         self._job.close()
-        self._clear_away()
+        self._delete_folder()
 
     def _bind(self, handle: object, name: str) -> None:
         def change(value: object) -> None:
@@ -232,14 +232,14 @@ class SlamPanel:
             self._session.show_failure(run.problem)
 
     def _show_working(self, is_at_work: bool) -> None:
-        self._commanded = None
+        self._command_inputs = None
         update_widget(self._run_button, disabled=is_at_work)
         for widget in (self._picture, self._effective):
             update_widget(widget, visible=False)
         if not is_at_work and self._live is not None:
             self._live.close()
         if not is_at_work and self._job.is_closed:
-            self._clear_away()
+            self._delete_folder()
 
     def _show_command(self, view: View) -> None:
         recording = self._session.recording_path(view.recording)
@@ -247,9 +247,9 @@ class SlamPanel:
         is_same = run is not None and slam_inputs(run.view) == slam_inputs(view)
         saved = self._results.saved(run) if run is not None and is_same else None
         key = (slam_inputs(view), self._clock_offset_ms, saved)
-        if key == self._commanded:
+        if key == self._command_inputs:
             return
-        self._commanded = key
+        self._command_inputs = key
         folder = saved or free_folder(self._root, recording)
         options = map_options(view, settings_in(folder), self._clock_offset_ms)
         notes = []
@@ -258,7 +258,7 @@ class SlamPanel:
         command = map_command(recording, results_in(folder), options)
         self._command.content = text_box(command) + "".join(map(paragraph, notes))
 
-    def _clear_away(self) -> None:
+    def _delete_folder(self) -> None:
         with self._lock:
             folder, self._folder = self._folder, None
         if folder is not None:

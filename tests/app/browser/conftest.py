@@ -1,4 +1,4 @@
-"""One server and one browser for all tests of this folder, and the people before it."""
+"""One server and one browser for all tests of this folder, and its persons."""
 
 import os
 import shutil
@@ -85,7 +85,7 @@ def workbench(
 
 @pytest.fixture(scope="package")
 def arrive(browser: Browser, workbench: Workbench) -> Iterator[Callable[..., Person]]:
-    """Somebody opens a path of the server in a browser of their own."""
+    """A person opens a path of the server in a browser of their own."""
     # Few pixels: they are drawn by the processor.
     contexts = []
 

@@ -1,4 +1,4 @@
-"""What a person does before a browser, and what they see."""
+"""What a person does in a browser, and what they see."""
 
 import re
 import time

@@ -38,7 +38,7 @@ def test_a_reload_brings_everything_back(person: Person, workbench: Workbench) -
 
 @pytest.fixture(scope="module")
 def friend(arrive: Callable[..., Person], small_scene: Path) -> Iterator[Person]:
-    """Somebody who followed a link, in a browser that had never seen the workbench."""
+    """A person who followed a link, in a browser that had never seen the workbench."""
     friend = arrive(f"/go?view={changed(View(recording=small_scene.name)).to_link()}")
     yield friend
     friend.page.context.close()

@@ -37,7 +37,7 @@ def test_a_click_on_the_heatmap_picks_the_offset_under_it(person: Person) -> Non
     canvas = person.page.locator("canvas[data-engine]").bounding_box()
     assert canvas is not None
     person.press("Heatmap")
-    # The board stands straight before the camera and fills the screen's height but for a tenth.
+    # The image plane faces the camera and fills the screen's height but for a tenth.
     picture_per_screen_px = 1.1 * picture.shape[1] / canvas["height"]
     x = canvas["x"] + canvas["width"] / 2
     y = canvas["y"] + canvas["height"] / 2

@@ -14,7 +14,7 @@ def test_the_page_shows_the_scene_and_the_panel(person: Person, small_scene: Pat
     canvas = person.page.locator("canvas[data-engine]").bounding_box()
     assert canvas is not None
     assert canvas["width"] > 400
-    # Rows, pairs and boards are drawn over a white ground.
+    # Rows, pairs and image_planes are drawn over a white ground.
     person.wait_until(lambda: 0.01 < coloured_fraction(person, canvas["width"]) < 0.9)
 
 

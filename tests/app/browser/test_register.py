@@ -14,7 +14,7 @@ from tests.app.browser.person import Person, match_of
 Counts = dict[str, tuple[int, int]]
 
 
-def test_a_dragged_epsilon_judges_every_pair_again(person: Person) -> None:
+def test_a_dragged_epsilon_classifies_every_pair_again(person: Person) -> None:
     person.look_at(person.session.view.changed(frame_index=NUMBER, panel="Repair"))
     before = expected_frame(person.frame_view, person.session.view)
     person.wait_until(lambda: counts_on(person) == counts_of(before))
@@ -86,7 +86,7 @@ def test_each_draw_is_shown_as_it_was_drawn(person: Person) -> None:
 
 
 def agreeing(found: Registration, index: int) -> np.ndarray:
-    """(m,) the pairs that agree with a draw's own map, by its definition."""
+    """(m,) the pairs that agree with a draw's own transform, by its definition."""
     draws = found.draws
     mapped = np.column_stack([draws.lidar_points_m, np.ones(len(draws.lidar_points_m))])
     mapped = mapped @ draws[index].A

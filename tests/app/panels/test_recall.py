@@ -135,7 +135,7 @@ def a_curve(**values: Any) -> RecallCurve:
 
 
 class Computed:
-    """Stands for ``recall_of``: counts its calls and may be held."""
+    """Replaces ``recall_of``: counts its calls and may be held."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.calls: list[tuple[Any, ...]] = []
@@ -299,7 +299,7 @@ def test_a_failure_is_reported_and_can_be_tried_again(
     assert not bench.sees("GuiHtmlMessage")
 
 
-def test_pairs_that_there_are_none_of_are_not_spoken_of(bench: Bench, computed: Computed) -> None:
+def test_missing_kinds_of_pairs_are_not_mentioned(bench: Bench, computed: Computed) -> None:
     computed.curve = a_curve(noise_pairs=0)
     computed.go_on.set()
     bench.press()

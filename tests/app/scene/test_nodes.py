@@ -238,7 +238,7 @@ def test_the_map_lies_on_the_floor_around_the_lidar(scene):
     assert not shown.visible
 
 
-def test_a_board_takes_a_new_picture_in_place(scene, sent):
+def test_an_image_plane_takes_a_new_picture_in_place(scene, sent):
     nodes = SceneNodes(scene)
     nodes.show_image_plane(LAYOUT.depth_plane(np.zeros((30, 40, 3), dtype=np.uint8)))
     shown = node(scene, "/images/depth")
@@ -250,7 +250,7 @@ def test_a_board_takes_a_new_picture_in_place(scene, sent):
     assert shown.render_width == pytest.approx(shown.render_height)
 
 
-def test_a_click_means_the_board_before_the_beam_behind_it(scene):
+def test_a_click_means_the_image_plane_before_the_beam_behind_it(scene):
     nodes = SceneNodes(scene)
     image_plane = LAYOUT.heatmap_plane(np.zeros((30, 40, 3), dtype=np.uint8))
     nodes.show_image_plane(image_plane)
@@ -304,7 +304,7 @@ def test_a_hidden_frame_leaves_floor_and_map_until_the_next(scene):
     assert all(node(scene, name).visible for name in names)
 
 
-def test_a_hidden_board_is_neither_seen_nor_picked_until_the_next(scene):
+def test_a_hidden_image_plane_is_neither_seen_nor_picked_until_the_next(scene):
     nodes = SceneNodes(scene)
     image_plane = LAYOUT.depth_plane(np.zeros((30, 40, 3), dtype=np.uint8))
     nodes.show_image_plane(image_plane)

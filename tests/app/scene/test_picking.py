@@ -1,4 +1,4 @@
-"""Clicks on boards and beams, there and back."""
+"""Clicks on image planes and beams, there and back."""
 
 from itertools import product
 from types import SimpleNamespace
@@ -187,7 +187,7 @@ def test_a_wide_screen_is_seen_from_the_usual_place():
     )
 
 
-def test_board_view_shows_a_board_upright():
+def test_plane_view_shows_an_image_plane_upright():
     shown = LAYOUT.heatmap_plane(PICTURE)
     view = face_plane(shown)
     x, y = on_screen(view, shown.plane.at_pixel(0, 0))

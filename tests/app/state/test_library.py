@@ -1,4 +1,4 @@
-"""What all browsers share: opened once, aligned once, and closed when nobody looks at it."""
+"""What all browsers share: opened once, aligned once, and closed when it has no viewer."""
 
 import os
 import random
@@ -99,7 +99,7 @@ def test_people_share_a_recording_and_its_alignment(library: Library, view: View
     assert library.open(published.changed(alignment_settings=PRESETS["published"])) is not opened
 
 
-def test_all_who_wait_for_an_alignment_hear_of_it_until_they_leave(small_scene: Path) -> None:
+def test_all_viewers_are_notified_of_an_alignment_until_they_leave(small_scene: Path) -> None:
     library = Library([small_scene], [])
     opened = library.open(View(recording=small_scene.name))
     ended = [threading.Event(), threading.Event()]
@@ -149,7 +149,7 @@ def test_a_library_that_closes_stops_the_alignment(
 
 @pytest.fixture
 def shelves(tmp_path: Path, small_scene: Path) -> Library:
-    """A library with one root; beside the root lies what is none of its business."""
+    """A library with one root, and files beside it that may not be opened."""
     root = tmp_path / "root"
     (root / "inner").mkdir(parents=True)
     (tmp_path / "outside.mcap").write_bytes(small_scene.read_bytes())
@@ -212,7 +212,7 @@ def test_a_topic_that_is_not_there_is_refused(library: Library, view: View) -> N
 # Closed when nobody looks at it
 
 
-def test_of_what_nobody_looks_at_the_last_few_stay_open(
+def test_the_last_few_recordings_without_viewers_stay_open(
     library: Library, views: list[View]
 ) -> None:
     every = [library.open(view) for view in views]
@@ -233,7 +233,7 @@ def test_what_is_asked_for_again_is_kept_longer(library: Library, views: list[Vi
     assert open_of(every) == [True, False, *[True] * (UNSEEN - 2)]
 
 
-def test_what_somebody_looks_at_stays_until_they_leave(library: Library, views: list[View]) -> None:
+def test_a_recording_stays_open_while_it_has_viewers(library: Library, views: list[View]) -> None:
     seen = library.open(views[0], viewer="ann")
     assert library.open(views[0], viewer="ben") is seen
     for view in views[1:]:
@@ -248,13 +248,17 @@ def test_what_somebody_looks_at_stays_until_they_leave(library: Library, views: 
     library.release("nobody")
 
 
-def test_who_opens_another_looks_at_that_one(library: Library, views: list[View]) -> None:
+def test_a_viewer_who_opens_another_recording_leaves_the_first(
+    library: Library, views: list[View]
+) -> None:
     every = [library.open(view, viewer="ann") for view in views]
     older = len(views) - 1 - UNSEEN
     assert open_of(every) == [False] * older + [True] * (UNSEEN + 1)
 
 
-def test_who_cannot_open_another_stays_where_they_are(library: Library, views: list[View]) -> None:
+def test_a_viewer_who_cannot_open_another_keeps_the_first(
+    library: Library, views: list[View]
+) -> None:
     seen = library.open(views[0], viewer="ann")
     with pytest.raises(MissingStream):
         library.open(views[0].changed(lidar_topic="/none"), viewer="ann")
@@ -327,7 +331,7 @@ def test_a_recording_that_cannot_be_used_is_closed(
 
 
 class Gate:
-    """Stands for ``open_session``: lets nobody through a recording's gate before it is opened."""
+    """Replaces ``open_session``: lets nobody through a recording's gate before it is opened."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
         self.reached, self.go_on = threading.Event(), threading.Event()
@@ -358,7 +362,7 @@ def opening(library: Library, view: View, into: list[Any]) -> threading.Thread:
     return thread
 
 
-def test_two_who_ask_at_once_get_one(
+def test_two_simultaneous_requests_open_one_recording(
     library: Library, views: list[View], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gate = Gate(monkeypatch, views[0].recording)
@@ -405,7 +409,7 @@ def test_what_is_opened_while_the_library_closes_is_closed(
     assert [is_open(recording) for recording in sources.opened] == [False]
 
 
-def test_many_who_come_and_go_find_open_what_they_look_at(
+def test_recordings_of_many_viewers_stay_open(
     library: Library, views: list[View], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sources = Sources(monkeypatch)
@@ -443,7 +447,7 @@ def test_many_who_come_and_go_find_open_what_they_look_at(
 
 
 class Endless:
-    """Stands for ``align_session``: aligns until it is stopped. Counts those at work."""
+    """Replaces ``align_session``: aligns until it is stopped. Counts those at work."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.changed = threading.Condition()
