@@ -19,7 +19,7 @@ from fusion_core.recordings.ros2_writer import Ros2McapWriter
 from tests.mapping.box_room import LIDAR_HEIGHT_M, BoxRoom, camera_pose
 
 START_NS = 1_700_000_000 * NS_PER_S
-LENS = CameraIntrinsics(width=160, height=120, fx=144.0, fy=144.0, cx=79.5, cy=59.5)
+INTRINSICS = CameraIntrinsics(width=160, height=120, fx=144.0, fy=144.0, cx=79.5, cy=59.5)
 TOPIC = "/camera/depth/image_raw"
 # A box that only the camera sees, as D in Li's arena, and one that both see.
 ROOM = BoxRoom(
@@ -86,7 +86,7 @@ def write_boxes(
         messages.append((at_ms, lambda writer, scan=scan: writer.write_laser_scan("/scan", scan)))
     rng = np.random.default_rng(1)
     for at_ms in range(first_image_ms, round(1e3 * duration_s), image_ms):
-        depth_m = room.depth(drive(1e-3 * at_ms), T_base_camera, intrinsics=LENS, noise=rng)
+        depth_m = room.depth(drive(1e-3 * at_ms), T_base_camera, intrinsics=INTRINSICS, noise=rng)
         image = DepthImage(
             stamp_ns=START_NS + at_ms * NS_PER_MS,
             received_ns=None,
@@ -95,7 +95,7 @@ def write_boxes(
         )
         messages.append((at_ms, lambda writer, image=image: writer.write_depth(TOPIC, image)))
     info = CameraInfo(
-        stamp_ns=START_NS, received_ns=START_NS, frame_id="camera_optical", intrinsics=LENS
+        stamp_ns=START_NS, received_ns=START_NS, frame_id="camera_optical", intrinsics=INTRINSICS
     )
     messages.append(
         (-1, lambda writer: writer.write_camera_info("/camera/depth/camera_info", info))

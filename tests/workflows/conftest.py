@@ -27,7 +27,7 @@ from fusion_core.workflows.fuse.session import FuseOptions
 
 START_NS = 1_700_000_000 * NS_PER_S
 OPTICAL = rotation_from_yaw_pitch_roll(-np.pi / 2, 0.0, -np.pi / 2)
-LENS = CameraIntrinsics(width=16, height=12, fx=14.0, fy=13.0, cx=7.2, cy=5.6)
+INTRINSICS = CameraIntrinsics(width=16, height=12, fx=14.0, fy=13.0, cx=7.2, cy=5.6)
 
 
 class Log:
@@ -36,7 +36,7 @@ class Log:
     Times are in ms after a start; ``late_ms`` is how much later than its stamp a message is logged.
     """
 
-    lens = LENS
+    lens = INTRINSICS
     start_ns = START_NS
 
     def __init__(self, path: Path) -> None:
@@ -77,7 +77,7 @@ class Log:
         late_ms: float = 0.0,
         name: str = "camera",
         frame: str | None = None,
-        shape: tuple[int, int] = (LENS.height, LENS.width),
+        shape: tuple[int, int] = (INTRINSICS.height, INTRINSICS.width),
     ):
         """A depth image, by default of 16 x 12 pixels, on ``/NAME/depth/image_raw``."""
         stamp_ns, received_ns = _stamps(at_ms, late_ms)
@@ -91,7 +91,7 @@ class Log:
         topic = f"/{name}/depth/image_raw"
         self._add(received_ns, lambda writer: writer.write_depth(topic, image))
 
-    def info(self, name: str = "camera", lens: CameraIntrinsics | None = LENS):
+    def info(self, name: str = "camera", lens: CameraIntrinsics | None = INTRINSICS):
         info = CameraInfo(
             stamp_ns=START_NS, received_ns=START_NS, frame_id=f"{name}_optical", intrinsics=lens
         )

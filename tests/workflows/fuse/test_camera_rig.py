@@ -192,7 +192,7 @@ def test_a_rolled_camera_is_seen_upright_pixel_by_pixel(one_camera, pose_of, qua
 @pytest.mark.parametrize(
     "lens", [None, "uncalibrated", "of another size"], ids=["missing", "empty", "size"]
 )
-def test_without_usable_intrinsics_a_field_of_view_is_assumed_and_said(log, lens):
+def test_without_usable_intrinsics_a_field_of_view_is_assumed_and_noted(log, lens):
     log.scan(0.0)
     log.image(0.0)
     if lens == "uncalibrated":

@@ -73,7 +73,7 @@ def test_a_damaged_image_leaves_the_next_one_whole(filled, monkeypatch):
     assert frames.pair(8).window is not None
 
 
-def test_a_damaged_scan_gives_way_to_the_next_nearest(filled, monkeypatch):
+def test_for_a_damaged_scan_the_next_nearest_is_taken(filled, monkeypatch):
     session, frames = reader_of(filled)
     assert frames.pair(2).gap_ns == 20 * NS_PER_MS
     session, frames = reader_of(filled)

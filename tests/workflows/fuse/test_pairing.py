@@ -170,7 +170,7 @@ def test_a_lidar_that_pauses_leaves_images_unpaired_and_is_found_again(log):
             assert entry.window.scan.stamp_ns == log.start_ns + round(nearest * NS_PER_MS)
 
 
-def test_two_cameras_are_told_apart(log, pose_of):
+def test_two_cameras_are_distinguished(log, pose_of):
     for name, y in (("left", 0.1), ("right", -0.1)):
         log.info(name)
         log.transform("base", f"{name}_optical", pose_of(y=y, optical=True))

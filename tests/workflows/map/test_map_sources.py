@@ -53,7 +53,7 @@ def mapped(recording, tmp_path_factory) -> Callable[[str, str, str], Path]:
 
 
 @pytest.mark.parametrize(("scan", "motion", "slam"), COMBINATIONS)
-def test_each_way_to_map_gives_a_trajectory_and_its_maps(mapped, scan, motion, slam):
+def test_each_kind_of_mapping_gives_a_trajectory_and_its_maps(mapped, scan, motion, slam):
     folder = mapped(scan, motion, slam)
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     assert (report["scan"], report["motion"], report["slam"]) == (scan, motion, slam)
@@ -66,7 +66,7 @@ def test_each_way_to_map_gives_a_trajectory_and_its_maps(mapped, scan, motion, s
     assert (f"odometry_{motion}.tum" in written) == (motion != "recorded")
 
 
-def test_the_way_is_that_of_the_truth(recording, tmp_path):
+def test_the_trajectory_is_that_of_the_truth(recording, tmp_path):
     folder = tmp_path / "map"
     assert run(recording, folder, "--scan", "merged", "--motion", "fused") == 0
     estimate = read_tum_trajectory(folder / "trajectory.tum").trajectory

@@ -129,7 +129,7 @@ def test_without_extrinsics_it_is_fused_without_the_camera(recording: Recording)
     assert any("without the camera" in note for note in motion.notes)
 
 
-def test_one_source_alone_is_said_to_be_alone(recording: Recording) -> None:
+def test_a_single_source_is_noted(recording: Recording) -> None:
     """No odometry, no extrinsics: the laser is all there is, and the notes say why."""
     streams = choose_streams(recording)
     bare = type(streams)(

@@ -67,7 +67,7 @@ def test_each_source_gives_a_map_on_one_raster(tmp_path):
     assert {"map_lidar.yaml", "map_merged.yaml", "map_difference.png", "maps.png"} <= names
 
 
-def test_a_source_that_no_pose_places_is_told():
+def test_a_source_without_poses_is_noted():
     sources = {"lidar": Walls([0]), "camera": Walls([5 * SECOND])}
     grids, notes = build_maps(sources, placed(), GridSettings(), 20.0, silent)
     assert list(grids) == ["lidar"]

@@ -61,7 +61,7 @@ def test_a_camera_that_looks_over_the_lidar_keeps_its_mount_but_no_uncertainty(t
     assert note.startswith("The recorded mount is used, but scans and images do not confirm it: 0%")
 
 
-def test_a_camera_that_is_said_to_look_up_is_named(tmp_path):
+def test_a_camera_recorded_as_looking_up_is_named(tmp_path):
     with open_recording(
         moved_mount(tmp_path / "up.mcap", pitch_error_rad=0.5 * np.pi)
     ) as recording:

@@ -271,7 +271,7 @@ def test_a_file_needs_its_camera_and_a_lidar(tmp_path):
 UP = camera_pose(0.8, pitch=-0.45)
 
 
-def test_without_a_floor_the_height_must_be_told(tmp_path):
+def test_without_a_floor_the_height_must_be_given(tmp_path):
     path = write_boxes(tmp_path / "up.mcap", T_base_camera=UP, duration_s=0.4)
     with pytest.raises(AlignmentFailed, match="no floor plane") as caught:
         read(path, "camera")
