@@ -35,7 +35,7 @@ class DepthNoise(StageSettings):
     far_m: float = setting(8.0, "Farther surfaces give nothing", unit="m", ge=1e-6, le=1_000.0)
     projector_baseline_m: float = setting(
         0.075,
-        "The projector's place to the right of the camera: what it does not light is a hole",
+        "How far the projector is to the right of the camera: what it does not light is a hole",
         unit="m",
         ge=-1.0,
         le=1.0,
@@ -79,7 +79,7 @@ class DepthNoise(StageSettings):
     )
     patches: float = setting(
         1.5,
-        "Mean number of patches without depth in an image: glare, other light",
+        "Mean number of patches without depth in an image: glare, ambient light",
         ge=0.0,
         le=1_000.0,
     )

@@ -36,7 +36,7 @@ class LidarNoise(StageSettings):
     )
     glass_front_rad: float = setting(
         0.14,
-        "A pane answers only within this angle of its normal, where its mirror image of the"
+        "A pane returns a beam only within this angle of its normal, where the reflection of the"
         " emitter meets the receiver",
         unit="rad",
         ge=0.0,
@@ -66,7 +66,7 @@ class LidarNoise(StageSettings):
     )
     lost_runs: float = setting(
         3.0,
-        "Mean number of runs of lost beams in a sweep, as other light and cables make them",
+        "Mean number of runs of lost beams in a sweep, as by ambient light or cables",
         ge=0.0,
         le=1_000.0,
     )
