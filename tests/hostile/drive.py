@@ -106,7 +106,7 @@ def _values(tf, camera, color, odometry, T_recorded):
         yield SCAN, number, _ROOM.scan(pose, stamp_ns=stamp_ns)
         if camera:
             depth_m = _ROOM.depth(
-                pose, T_BASE_CAMERA, lens=LENS, noise=np.random.default_rng(number)
+                pose, T_BASE_CAMERA, intrinsics=LENS, noise=np.random.default_rng(number)
             )
             image = DepthImage(
                 stamp_ns=stamp_ns,

@@ -172,10 +172,10 @@ def test_a_press_draws_the_curve_with_this_frames_epsilon(bench: Bench) -> None:
     fused = bench.session.frame_view.fused
     assert fused is not None
     said = measure_epsilon(fused)
-    assert f"**{said.middle_m / said.E_m:.2f} E**" in bench.words
+    assert f"**{said.median_m / said.E_m:.2f} E**" in bench.words
     (curve,) = bench.session.frame_view.open_recording.recalls.values()
     assert curve.good_pairs > 100
-    at = said.middle_m / said.E_m
+    at = said.median_m / said.E_m
     factors, _, xi, eta, here = bench.panel._recall._plot.data
     np.testing.assert_allclose(
         np.interp(curve.factors, factors, xi), curve.good_kept / curve.good_pairs
