@@ -1,6 +1,10 @@
-"""What all figures share: style, images, colour bars, legends, and reproducible bytes."""
+"""What all figures share: style, images, colour bars, legends, and reproducible bytes.
+
+Each is as wide as one column of a printed page, with letters that can be read there.
+"""
 
 import io
+import textwrap
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -27,16 +31,44 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
     from matplotlib.image import AxesImage
 
-_DPI = 100
+COLUMN_IN = 3.5
+"""Width of every figure: one column of a journal's page (IEEE: 3.5 in)."""
+# What journals ask for in print.
+_DPI = 300
+# Letters of a heading that fit the width of a figure.
+_HEADING_LETTERS = 68
 _STYLE = {
     "font.family": "DejaVu Sans",
-    "font.size": 9.0,
-    "axes.titlesize": 9.5,
-    "figure.titlesize": 11.5,
-    "legend.fontsize": 8.5,
+    "font.size": 6.5,
+    "axes.titlesize": 6.5,
+    "axes.titlepad": 3.0,
+    "axes.labelsize": 6.0,
+    "axes.labelpad": 1.5,
+    "xtick.labelsize": 5.5,
+    "ytick.labelsize": 5.5,
+    "xtick.major.size": 2.0,
+    "ytick.major.size": 2.0,
+    "xtick.major.pad": 1.5,
+    "ytick.major.pad": 1.5,
+    "xtick.major.width": 0.4,
+    "ytick.major.width": 0.4,
+    "figure.titlesize": 7.0,
+    "figure.constrained_layout.h_pad": 0.02,
+    "figure.constrained_layout.w_pad": 0.02,
+    "legend.fontsize": 6.0,
     "legend.framealpha": 0.9,
-    "axes.linewidth": 0.6,
+    "legend.handlelength": 1.2,
+    "legend.handletextpad": 0.5,
+    "legend.columnspacing": 1.2,
+    "legend.labelspacing": 0.3,
+    "legend.borderpad": 0.3,
+    "axes.linewidth": 0.4,
     "axes.grid": False,
+    "grid.linewidth": 0.3,
+    "grid.color": "0.85",
+    "hatch.linewidth": 0.4,
+    "lines.markeredgewidth": 0.2,
+    "patch.linewidth": 0.4,
     "image.interpolation": "nearest",
     # A dollar sign in a name does not begin a formula.
     "text.parse_math": False,
@@ -47,18 +79,21 @@ _DEPTH_SHADES = 64
 
 
 @contextmanager
-def png_figure(path: Path, heading: str, *, width_px: int, height_px: int) -> Iterator["Figure"]:
-    """A figure that is written as PNG when the block ends without error.
+def png_figure(path: Path, heading: str, *, height_in: float) -> Iterator["Figure"]:
+    """A figure of width ``COLUMN_IN`` that is written as PNG when the block ends without error.
 
-    The bytes do not depend on the clock or on the user's matplotlib settings. Raises ExportError
-    where the file cannot be written.
+    Lines of ``heading`` that are too long are broken. The bytes do not depend on the clock or on
+    the user's matplotlib settings. Raises ExportError where the file cannot be written.
     """
     import matplotlib.style
     from matplotlib.figure import Figure
 
     with matplotlib.style.context(["default", _STYLE]):
-        figure = Figure(figsize=(width_px / _DPI, height_px / _DPI), dpi=_DPI, layout="constrained")
-        figure.suptitle(heading)
+        width_px, height_px = round(_DPI * COLUMN_IN), round(_DPI * height_in)
+        size_in = (width_px / _DPI, height_px / _DPI)
+        figure = Figure(figsize=size_in, dpi=_DPI, layout="constrained")
+        lines = (textwrap.fill(line, _HEADING_LETTERS) for line in heading.splitlines())
+        figure.suptitle("\n".join(lines))
         yield figure
         _freeze_layout(figure)
         drawn = io.BytesIO()
@@ -101,7 +136,7 @@ def show_depth(axes: "Axes", depth_m: Float32Array, *, far_m: float) -> None:
     """A depth image with a colour bar."""
     image = axes.imshow(depth_m, cmap=depth_shades(), vmin=0.0, vmax=far_m)
     _label_pixels(axes)
-    add_color_bar(axes, image, "depth along the optical axis (m)", beyond="max")
+    add_color_bar(axes, image, "depth (m)", beyond="max")
 
 
 def _label_pixels(axes: "Axes") -> None:
@@ -120,7 +155,7 @@ def add_color_bar(
     """A colour bar as high as ``axes``, its left edge at ``left`` in units of their width."""
     figure = axes.get_figure()
     assert figure is not None, "axes are made by a figure"
-    place = axes.inset_axes((left, 0.0, 0.04, 1.0))
+    place = axes.inset_axes((left, 0.0, 0.05, 1.0))
     figure.colorbar(image, cax=place, label=label, extend=beyond, extendfrac=0.03)
 
 
@@ -140,7 +175,8 @@ def add_legend_below(
         ncols=columns,
         frameon=False,
         title=caption or None,
-        title_fontsize=9.0,
+        title_fontsize=6.0,
+        alignment="left",
     )
 
 
@@ -159,8 +195,8 @@ def show_holes(axes: "Axes", azimuth_deg: FloatArray, range_m: FloatArray) -> No
             np.zeros(empty.sum()),
             "|",
             color=HOLE,
-            ms=10,
-            mew=1.2,
+            ms=4,
+            mew=0.5,
             clip_on=False,
             label="hole: beam without a value",
         )

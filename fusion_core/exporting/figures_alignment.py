@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -60,23 +60,24 @@ class SynchronizedFrame:
 def write_aligned(path: Path, heading: str, frame: SynchronizedFrame) -> None:
     """Fig. 3: colour image, depth image and LiDAR curve nearest in time."""
     clock = " (from the frame number)" if frame.has_nominal_stamps else ""
-    panels = 2 if frame.color is None else 3
-    with png_figure(path, heading, width_px=530 * panels, height_px=490) as figure:
-        axes = figure.subplots(1, panels, squeeze=False)[0]
+    images: Any = ["depth"] if frame.color is None else ["color", "depth"]
+    with png_figure(path, heading, height_in=3.4) as figure:
+        axes = figure.subplot_mosaic([images, ["scan"] * len(images)])
         letters = iter("abc")
         if frame.color is not None:
             assert frame.color_after_ms is not None, "a colour image has a stamp"
-            show_color(axes[0], frame.color)
+            show_color(axes["color"], frame.color)
             delay = describe_delay(frame.color_after_ms, "the depth image")
-            axes[0].set_title(f"({next(letters)}) colour image\n{delay}")
-        show_depth(axes[-2], frame.depth_m, far_m=far_limit_m(frame.depth_m))
-        axes[-2].set_title(
+            axes["color"].set_title(f"({next(letters)}) colour image\n{delay}")
+        show_depth(axes["depth"], frame.depth_m, far_m=far_limit_m(frame.depth_m))
+        axes["depth"].set_title(
             f"({next(letters)}) depth image, holes in blue\n"
-            f"stamp {format_stamp(frame.depth_stamp_ns)}{clock}"
+            f"{format_stamp(frame.depth_stamp_ns)}{clock}"
         )
-        _show_scan(axes[-1], frame.scan, frame.beams_in_view)
-        axes[-1].set_title(
-            f"({next(letters)}) LiDAR curve, stamp {format_stamp(frame.scan.stamp_ns)}{clock}\n"
+        _show_scan(axes["scan"], frame.scan, frame.beams_in_view)
+        add_legend_below(figure, [axes["scan"]], columns=2)
+        axes["scan"].set_title(
+            f"({next(letters)}) LiDAR curve, {format_stamp(frame.scan.stamp_ns)}{clock}; "
             f"depth image {describe_delay(frame.gap_ns / NS_PER_MS, 'the scan')}"
         )
 
@@ -88,12 +89,11 @@ def _show_scan(axes: "Axes", scan: LaserScan, beams_in_view: IntArray) -> None:
         (outside, "0.6", "beam outside the camera's view"),
         (beams_in_view, LIDAR, "beam in the camera's view"),
     ):
-        axes.plot(azimuth_deg[beams], scan.ranges_m[beams], ".", color=color, ms=4, label=label)
+        axes.plot(azimuth_deg[beams], scan.ranges_m[beams], ".", color=color, ms=2.6, label=label)
     show_holes(axes, azimuth_deg, scan.ranges_m)
     label_azimuth(axes)
     axes.set_ylabel("LiDAR range (m)")
-    start_at_zero(axes, headroom=0.35)
-    axes.legend(loc="upper right")
+    start_at_zero(axes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,8 +102,8 @@ class FieldPanel:
 
     ``scores``: (H, U), NaN where there is none, columns from offset ``u_first``. ``peak`` and
     ``runner_up``: (u, v) or None. The camera's yaw on the LiDAR is ``yaw_at_zero_deg`` for u = 0
-    and decreases by ``step_deg`` per sample. ``middle_row``: the row at elevation 0; ``focal_px``:
-    the vertical focal length.
+    and decreases by ``step_deg`` per sample; ``mount_u`` is where it is the mount's.
+    ``middle_row``: the row at elevation 0; ``focal_px``: the vertical focal length.
     """
 
     scores: FloatArray
@@ -113,6 +113,7 @@ class FieldPanel:
     peak_score: float
     yaw_at_zero_deg: float
     step_deg: float
+    mount_u: float
     middle_row: float
     focal_px: float
 
@@ -143,26 +144,24 @@ def write_similarity(
 
     ``mean_of``: what the recording's mean field is the mean of ("90 frames").
     """
-    with png_figure(path, heading, width_px=385 * len(columns), height_px=1150) as figure:
-        parts = figure.subfigures(2, 1, height_ratios=(2.1, 1.0), squeeze=False)
+    with png_figure(path, heading, height_in=5.2) as figure:
+        parts = figure.subfigures(2, 1, height_ratios=(2.0, 1.0), squeeze=False)
         above, below = parts[:, 0]
         fields = above.subplots(2, len(columns), squeeze=False)
         curves = below.subplots(1, len(columns), squeeze=False)[0]
         for i, column in enumerate(columns):
             last = i == len(columns) - 1
-            _show_field(fields[0, i], column.frame, f"{column.name}, this frame", last)
-            mean = f"{column.name}, mean of {mean_of}"
+            _show_field(fields[0, i], column.frame, f"{column.name},\nthis frame", last)
+            mean = f"{column.name},\nmean of {mean_of}"
             _show_field(fields[1, i], column.recording, mean, last)
             _show_curves(curves[i], column)
         add_legend_below(
             below,
             curves,
             columns=2,
-            caption="u: LiDAR sample that falls on the leftmost sample of the depth row, counted "
-            "from the left. v: depth row, counted from the top.\n"
-            "Yaw: how far the camera (its rig) looks to the left of the LiDAR at this u. Grey: no "
-            "score (not searched, or too few samples valid on both sides).\n"
-            "Curves: the samples that were compared at the peak.",
+            caption="✕ score at the peak (u, v), ○ runner-up; dotted: u of the mount's yaw.\n"
+            "u: LiDAR sample on the leftmost sample of depth row v; yaw: left of the LiDAR.\n"
+            "Grey: no score (not searched, or too few samples valid on both sides).",
         )
 
 
@@ -181,17 +180,22 @@ def _show_field(axes: "Axes", panel: FieldPanel | None, title: str, last: bool) 
         extent=(panel.u_first - 0.5, panel.u_first + offsets - 0.5, rows - 0.5, -0.5),
     )
     # The last column has the axis of elevations between the field and its colour bar.
-    add_color_bar(axes, image, "score" if last else "", left=1.25 if last else 1.02)
-    for place, marker, size in ((panel.runner_up, "o", 7), (panel.peak, "X", 8)):
-        if place is not None:
-            # White around black stands out on every shade.
-            axes.plot(*place, marker, ms=size + 1, mfc="none", mec="white", mew=3.0, clip_on=False)
-            axes.plot(*place, marker, ms=size, mfc="none", mec="black", mew=1.2, clip_on=False)
+    add_color_bar(axes, image, "", left=1.36 if last else 1.03)
+    # White around black stands out on every shade.
+    for color, width, style in (("white", 1.2, "-"), ("black", 0.6, ":")):
+        axes.axvline(panel.mount_u, color=color, lw=width, ls=style)
+    for color, more, width in (("white", 0.6, 1.6), ("black", 0.0, 0.7)):
+        for place, marker, size in ((panel.runner_up, "o", 3.5), (panel.peak, "X", 4.0)):
+            if place is not None:
+                axes.plot(
+                    *place, marker, ms=size + more, mfc="none", mec=color, mew=width, clip_on=False
+                )
+    axes.set_xlim(panel.u_first - 0.5, panel.u_first + offsets - 0.5)
     found = ""
     if panel.peak is not None:
-        found = f"\n✕ peak {panel.peak_score:.3f} at u {panel.peak[0]:.1f}, v {panel.peak[1]:.0f}"
+        found = f"\n✕ {panel.peak_score:.3f} ({panel.peak[0]:.1f}, {panel.peak[1]:.0f})"
     if panel.runner_up is not None:
-        found += f"\n○ runner-up at u {panel.runner_up[0]:.0f}, v {panel.runner_up[1]:.0f}"
+        found += f"   ○ ({panel.runner_up[0]:.0f}, {panel.runner_up[1]:.0f})"
     axes.set_title(title + found)
     axes.set_xlabel("u (samples)")
     axes.set_ylabel("v (rows)")
@@ -221,7 +225,7 @@ def _add_elevation_axis(axes: "Axes", panel: FieldPanel) -> None:
         rows: FloatArray = panel.middle_row - panel.focal_px * np.tan(np.deg2rad(np.asarray(deg)))
         return rows
 
-    axes.secondary_yaxis("right", functions=(elevation_deg, row)).set_ylabel("elevation (°)")
+    axes.secondary_yaxis("right", functions=(elevation_deg, row)).set_ylabel("elevation (°)", labelpad=0.0)
 
 
 def _show_curves(axes: "Axes", column: MetricColumn) -> None:
@@ -233,9 +237,9 @@ def _show_curves(axes: "Axes", column: MetricColumn) -> None:
         (column.curves.lidar_m, LIDAR, "LiDAR curve"),
         (column.curves.depth_m, DEPTH, "depth row"),
     ):
-        axes.plot(samples, values_m, ".-", color=color, ms=5, lw=0.8, label=label)
+        axes.plot(samples, values_m, ".-", color=color, ms=2.8, lw=0.5, label=label)
     u, v = column.frame.peak
-    axes.set_title(f"{column.name}\nthis frame's curves at u {u:.0f}, v {v:.0f}")
+    axes.set_title(f"{column.name}:\ncurves compared at u {u:.0f}, v {v:.0f}")
     axes.set_xlabel(f"sample of the row ({column.frame.step_deg:.2f}° each)")
     axes.set_ylabel("range (m)")
     start_at_zero(axes)

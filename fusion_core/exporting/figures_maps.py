@@ -2,11 +2,18 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fusion_core.exporting.figures import add_color_bar, png_figure
+from fusion_core.exporting.figures import COLUMN_IN, png_figure
+from fusion_core.exporting.map_axes import (
+    Extent,
+    grid_extent,
+    prepare_map_axes,
+    seen_extent,
+    show_grid,
+)
 from fusion_core.exporting.palette import BURR, FUSED, LIDAR, UNKNOWN
 from fusion_core.model.grids import MapDifference, OccupancyGrid
 
@@ -21,7 +28,19 @@ _NAMES = {
     "fused": "fused map",
     "camera": "camera map",
 }
-_SHADES = 32
+_SOURCES = {
+    "lidar": "raw scans",
+    "repaired": "repaired scans",
+    "merged": "scans and camera",
+    "fused": "repaired scans",
+    "camera": "what the camera saw",
+}
+# Room for heading and legend, and for the title of a row of maps, in inches.
+_AROUND_IN, _TITLE_IN = 0.85, 0.2
+# Room for the labels of a map's axes.
+_LABELS_IN = 0.35
+# A map that is higher than wide fills no more than this.
+_HEIGHT_MAX_IN = 4.0
 
 
 def write_maps(
@@ -30,61 +49,59 @@ def write_maps(
     grids: Mapping[str, OccupancyGrid],
     difference: MapDifference | None,
 ) -> None:
-    """Fig. 9: maps by name ("lidar", "fused", ...), and where two of them differ."""
+    """Fig. 9: maps by name ("lidar", "fused", ...) side by side, and below them, as wide as the
+    figure, where two of them differ."""
     from matplotlib.patches import Patch
 
     shown = [name for name in _NAMES if name in grids]
-    panels = len(shown) + (difference is not None)
-    columns = 2 if panels > 1 else 1
-    rows = -(-panels // columns)
-    with png_figure(path, heading, width_px=700 * columns, height_px=600 * rows) as figure:
-        every = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
-        for axes in every[panels:]:
-            axes.set_axis_off()
-        for axes in every[:panels]:
-            axes.set_facecolor(UNKNOWN)
-            axes.set_aspect("equal")
-            axes.set_xlabel("x in the map frame (m)")
-            axes.set_ylabel("y in the map frame (m)")
-            axes.tick_params(labelbottom=True, labelleft=True)
-        for letter, axes, name in zip("abc", every, shown, strict=False):
-            _show_map(axes, grids[name])
-            axes.set_title(f"({letter}) {_NAMES[name]}, {_SOURCES[name]}")
-        handles = [Patch(facecolor=UNKNOWN, label="unknown")]
-        if difference is not None:
-            handles += _show_difference(every[panels - 1], difference)
+    extent = _extent_of(grids, difference)
+    columns = 1 if len(shown) < 2 else 2
+    places = [*shown, *[f"empty {i}" for i in range(-len(shown) % columns)]]
+    rows: list[Any] = [places[i : i + columns] for i in range(0, len(places), columns)]
+    wide = COLUMN_IN - _LABELS_IN
+    small_in, wide_in = (_height_in(extent, wide / count) for count in (columns, 1))
+    heights_in = [small_in] * len(rows)
+    if difference is not None:
+        rows.append(["difference"] * columns)
+        heights_in.append(wide_in)
+    height_in = _AROUND_IN + sum(heights_in) + _TITLE_IN * len(rows)
+    with png_figure(path, heading, height_in=height_in) as figure:
+        panels = figure.subplot_mosaic(rows, height_ratios=heights_in)
+        for letter, name in zip("abc", shown, strict=False):
+            prepare_map_axes(panels[name], extent, ticks=columns == 1)
+            show_grid(panels[name], grids[name])
+            panels[name].set_title(f"({letter}) {_NAMES[name]}: {_SOURCES[name]}")
+        handles = [
+            Patch(facecolor=UNKNOWN, label="unknown"),
+            Patch(facecolor="white", edgecolor="0.6", linewidth=0.3, label="free"),
+        ]
+        if difference is None:
+            handles.append(Patch(facecolor="black", label="occupied"))
+        else:
+            axes = panels["difference"]
+            prepare_map_axes(axes, extent, ticks=True)
+            handles += _show_difference(axes, difference)
             first, second = (_NAMES[name] for name in difference.names)
-            every[panels - 1].set_title(
-                f"({'abcd'[panels - 1]}) obstacles of {first} and {second}, "
-                "differences drawn enlarged"
+            axes.set_title(
+                f"({'abcd'[len(shown)]}) obstacles of {first} and {second}, differences enlarged"
             )
-        figure.legend(
-            handles=handles, loc="outside lower center", ncols=len(handles), frameon=False
-        )
+        empty = places[len(shown) :]
+        if empty:
+            panels[empty[0]].set_axis_off()
+            panels[empty[0]].legend(handles=handles, loc="center", frameon=False)
+        else:
+            figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
 
 
-_SOURCES = {
-    "lidar": "raw scans",
-    "repaired": "repaired scans",
-    "merged": "scans and what the camera met",
-    "fused": "repaired scans",
-    "camera": "what the camera met",
-}
+def _extent_of(grids: Mapping[str, OccupancyGrid], difference: MapDifference | None) -> Extent:
+    if grids or difference is None:
+        return seen_extent(grids.values())
+    return grid_extent(difference.origin_m, difference.resolution_m, difference.states.shape)
 
 
-def _show_map(axes: "Axes", grid: OccupancyGrid) -> None:
-    import matplotlib as mpl
-
-    shades = mpl.colormaps["gray_r"].resampled(_SHADES)
-    image = axes.imshow(
-        grid.probability,
-        cmap=shades.with_extremes(bad=UNKNOWN),
-        vmin=0.0,
-        vmax=1.0,
-        origin="lower",
-        extent=_extent(grid.origin_m, grid.resolution_m, grid.log_odds.shape),
-    )
-    add_color_bar(axes, image, "probability of an obstacle")
+def _height_in(extent: Extent, width_in: float) -> float:
+    left, right, bottom, top = extent
+    return min(width_in * (top - bottom) / (right - left), _HEIGHT_MAX_IN)
 
 
 def _show_difference(axes: "Axes", difference: MapDifference) -> "list[Patch]":
@@ -92,7 +109,7 @@ def _show_difference(axes: "Axes", difference: MapDifference) -> "list[Patch]":
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
-    extent = _extent(difference.origin_m, difference.resolution_m, difference.states.shape)
+    extent = grid_extent(difference.origin_m, difference.resolution_m, difference.states.shape)
     free, both = MapDifference.FREE, MapDifference.FREE + 3
     common = np.select([difference.states == both, difference.states >= free], [2, 1], 0)
     axes.imshow(
@@ -111,15 +128,8 @@ def _show_difference(axes: "Axes", difference: MapDifference) -> "list[Patch]":
             extent[2] + (rows + 0.5) * difference.resolution_m,
             "s",
             color=color,
-            ms=3.5,
+            ms=2.2,
         )
         name = _NAMES[difference.names[mask - 1]]
         handles.append(Patch(facecolor=color, label=f"only in the {name}: {rows.size} cells"))
     return handles
-
-
-def _extent(
-    origin_m: tuple[float, float], resolution_m: float, shape: tuple[int, ...]
-) -> tuple[float, float, float, float]:
-    x_m, y_m = origin_m
-    return x_m, x_m + shape[1] * resolution_m, y_m, y_m + shape[0] * resolution_m

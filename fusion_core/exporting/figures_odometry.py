@@ -49,7 +49,7 @@ def write_odometry_weights(path: Path, heading: str, weights: OdometryWeights) -
     """
     stamps_ns, sources = weights.stamps_ns, weights.sources
     seconds = (stamps_ns - stamps_ns[0]) / 1e9
-    with png_figure(path, heading, width_px=1200, height_px=900) as figure:
+    with png_figure(path, heading, height_in=4.4) as figure:
         panels = figure.subplots(4, 1, sharex=True)
         for axes, values, title in (
             (panels[0], weights.translation, "weight of the translation"),
@@ -68,14 +68,14 @@ def write_odometry_weights(path: Path, heading: str, weights: OdometryWeights) -
                     seconds[1:],
                     residual[:, source],
                     "-",
-                    lw=0.8,
+                    lw=0.5,
                     color=SOURCE_COLORS.get(name, "0.4"),
                 )
-            axes.set_ylabel(f"|step - fused| ({unit})")
+            axes.set_ylabel(f"difference ({unit})")
             axes.set_yscale("symlog", linthresh=_threshold(residual))
             axes.set_ylim(bottom=0.0)
             axes.yaxis.set_major_formatter("{x:g}")
-            axes.grid(lw=0.3, color="0.85")
+            axes.grid(visible=True)
         panels[2].set_title("difference of each source's step from the fused one; x: rejected")
         for source, _ in enumerate(sources):
             out = weights.rejected[:, source]
@@ -84,7 +84,8 @@ def write_odometry_weights(path: Path, heading: str, weights: OdometryWeights) -
                 1e3 * weights.residual_m[out, source],
                 "x",
                 color=BURR,
-                ms=4,
+                ms=2,
+                mew=0.5,
                 label="rejected step",
             )
         panels[-1].set_xlabel("time since the first scan (s)")

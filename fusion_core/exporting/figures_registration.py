@@ -8,11 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion_core.exporting.figures import add_legend_below, png_figure
+from fusion_core.exporting.map_picture import scale_bar_m
 from fusion_core.exporting.palette import BURR, DEPTH, GOOD, LIDAR
 from fusion_core.model.conventions import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+
+# Curves of a flat wall are parted as if they were as deep as this.
+_EXTENT_MIN_M = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,46 +39,38 @@ class RansacPairs:
 
 
 def write_pairs(path: Path, heading: str, pairs: RansacPairs) -> None:
-    """Fig. 5: points of both curves, lines between all pairs, and between RANSAC's inliers."""
+    """Fig. 5: points of both curves, lines between all pairs, and between RANSAC's inliers.
+
+    Where pairs are joined, the depth curve is drawn farther away, since both lie on each other.
+    """
     lidar_points_m, depth_points_m = pairs.lidar_points_m, pairs.depth_points_m
     paired = np.isfinite(lidar_points_m).all(axis=1) & np.isfinite(depth_points_m).all(axis=1)
-    kept = paired & pairs.inliers
-    with png_figure(path, heading, width_px=1560, height_px=660) as figure:
-        panels = figure.subplots(1, 3)
+    inlier, outlier = paired & pairs.inliers, paired & ~pairs.inliers
+    extent_m = float(np.ptp(lidar_points_m[paired, 1])) if paired.any() else 0.0
+    gap_m = scale_bar_m(max(extent_m, _EXTENT_MIN_M))
+    drawn_depth_m = depth_points_m + np.array([0.0, gap_m])
+    with png_figure(path, heading, height_in=5.2) as figure:
+        panels = figure.subplots(3, 1)
         titles = (
             f"(a) {_count(lidar_points_m)} LiDAR points, {_count(depth_points_m)} depth points",
-            f"(b) all {paired.sum()} pairs, mean error under A: E = {pairs.mean_error_m:.3f} m",
-            f"(c) {kept.sum()} inliers: within {pairs.threshold_m:g} m under A ({pairs.model}), "
+            f"(b) all {paired.sum()} pairs, E = {pairs.mean_error_m:.3f} m; "
+            f"depth drawn {gap_m:g} m farther",
+            f"(c) {inlier.sum()} inliers: within {pairs.threshold_m:g} m under A ({pairs.model}), "
             f"{pairs.draws} draws",
         )
-        x_limits, z_limits = _square_limits(np.vstack([lidar_points_m, depth_points_m]))
         for axes, title in zip(panels, titles, strict=True):
             axes.set_title(title)
-            axes.set_aspect("equal")
-            axes.set_xlim(*x_limits)
-            axes.set_ylim(*z_limits)
             axes.set_xlabel(pairs.axis_names[0])
             axes.set_ylabel(pairs.axis_names[1])
-            axes.grid(lw=0.3, color="0.85")
+            axes.grid(visible=True)
         _show_points(panels[0], lidar_points_m, depth_points_m)
-        _show_points(panels[1], lidar_points_m[paired], depth_points_m[paired])
-        _show_points(panels[2], lidar_points_m[kept], depth_points_m[kept])
-        outlier = paired & ~pairs.inliers
-        _connect_pairs(panels[1], lidar_points_m[kept], depth_points_m[kept], GOOD, "inlier")
-        _connect_pairs(panels[1], lidar_points_m[outlier], depth_points_m[outlier], BURR, "outlier")
-        _connect_pairs(panels[2], lidar_points_m[kept], depth_points_m[kept], GOOD, "inlier")
+        _show_points(panels[1], lidar_points_m[paired], drawn_depth_m[paired])
+        _show_points(panels[2], lidar_points_m[inlier], drawn_depth_m[inlier])
+        _connect_pairs(panels[1], lidar_points_m[inlier], drawn_depth_m[inlier], GOOD, "inlier")
+        _connect_pairs(panels[1], lidar_points_m[outlier], drawn_depth_m[outlier], BURR, "outlier")
+        _connect_pairs(panels[2], lidar_points_m[inlier], drawn_depth_m[inlier], GOOD, "inlier")
+        panels[2].set(xlim=panels[1].get_xlim(), ylim=panels[1].get_ylim())
         add_legend_below(figure, panels, columns=4)
-
-
-def _square_limits(points_m: FloatArray) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Limits of x and z of one length around all (m, 2) points."""
-    points_m = points_m[np.isfinite(points_m).all(axis=1)]
-    if points_m.size == 0:
-        return (-1.0, 1.0), (-1.0, 1.0)
-    low, high = points_m.min(axis=0), points_m.max(axis=0)
-    half = 0.54 * max(float((high - low).max()), 0.1)
-    (x, z) = 0.5 * (low + high)
-    return (x - half, x + half), (z - half, z + half)
 
 
 def _count(points_m: FloatArray) -> int:
@@ -81,8 +78,8 @@ def _count(points_m: FloatArray) -> int:
 
 
 def _show_points(axes: "Axes", lidar_m: FloatArray, depth_m: FloatArray) -> None:
-    axes.plot(*lidar_m.T, ".", color=LIDAR, ms=5, label="LiDAR", zorder=3)
-    axes.plot(*depth_m.T, ".", color=DEPTH, ms=3, label="depth", zorder=3)
+    axes.plot(*lidar_m.T, ".", color=LIDAR, ms=3.2, label="LiDAR", zorder=3)
+    axes.plot(*depth_m.T, ".", color=DEPTH, ms=2.4, label="depth", zorder=3)
 
 
 def _connect_pairs(
@@ -93,7 +90,7 @@ def _connect_pairs(
     lines = np.stack([lidar_m, depth_m], axis=1)
     if len(lines):
         axes.add_collection(
-            LineCollection(list(lines), colors=color, linewidths=0.9, label=f"{label} pair")
+            LineCollection(list(lines), colors=color, linewidths=0.4, label=f"{label} pair")
         )
 
 
@@ -118,14 +115,14 @@ class RecallCurves:
 def write_recall(path: Path, heading: str, curves: RecallCurves) -> None:
     """Fig. 6: fraction of good pairs kept (xi) and of noise pairs found (eta) over epsilon / E."""
     epsilon_over_E, own_epsilon_over_E = curves.epsilon_over_E, curves.own_epsilon_over_E
-    with png_figure(path, heading, width_px=1000, height_px=700) as figure:
+    with png_figure(path, heading, height_in=2.7) as figure:
         axes = figure.subplots()
         axes.axvspan(*curves.band, color="0.88", label="band of Xu 2024: E to √2 E")
         if np.isfinite(own_epsilon_over_E):
             axes.axvline(
                 own_epsilon_over_E,
                 color="black",
-                lw=1.0,
+                lw=0.7,
                 ls="--",
                 label=f"this run's median ε = {own_epsilon_over_E:.2f} E",
             )
@@ -134,21 +131,29 @@ def write_recall(path: Path, heading: str, curves: RecallCurves) -> None:
             (curves.eta, curves.own_eta, BURR, "η: noise pairs found"),
         ):
             if recall is not None:
-                axes.plot(epsilon_over_E, recall, ".-", color=color, label=f"{label}, by ε alone")
+                axes.plot(
+                    epsilon_over_E,
+                    recall,
+                    ".-",
+                    color=color,
+                    ms=2.5,
+                    lw=0.8,
+                    label=f"{label}, by ε alone",
+                )
             if own is not None and np.isfinite(own_epsilon_over_E):
                 axes.plot(
                     own_epsilon_over_E,
                     own,
                     "*",
                     color=color,
-                    ms=15,
+                    ms=6,
                     mec="black",
-                    mew=0.6,
+                    mew=0.4,
                     label=f"{label}, by this run's classes: {own:.3f}",
                 )
         axes.set_xlabel("threshold ε in multiples of the frame's mean error E")
         axes.set_ylabel("recall")
         axes.set_xlim(0.0, float(max(epsilon_over_E[-1], np.nan_to_num(own_epsilon_over_E))) + 0.2)
         axes.set_ylim(-0.02, 1.04)
-        axes.grid(lw=0.3, color="0.85")
-        add_legend_below(figure, [axes], columns=2)
+        axes.grid(visible=True)
+        add_legend_below(figure, [axes], columns=1)

@@ -88,13 +88,13 @@ def write_repair(path: Path, heading: str, depth_m: Float32Array, curve: Repaire
     """Fig. 7: depth image, the band around the curve enlarged, and the LiDAR curve, before and
     after."""
     far_m = far_limit_m(depth_m)
-    with png_figure(path, heading, width_px=1500, height_px=1320) as figure:
-        grid = figure.subplots(3, 2, height_ratios=(1.6, 0.6, 1.1))
+    with png_figure(path, heading, height_in=4.6) as figure:
+        grid = figure.subplots(3, 2, height_ratios=(1.3, 0.75, 1.2))
         for i, (when, image_m) in enumerate(
             (("before", depth_m), ("after", fused_depth_m(depth_m, curve)))
         ):
             show_depth(grid[0, i], image_m, far_m=far_m)
-            grid[0, i].set_title(f"({'ab'[i]}) depth image {when} denoising, holes in blue")
+            grid[0, i].set_title(f"({'ab'[i]}) {when} denoising, holes in blue")
             _show_curve_in_image(grid[0, i], curve, after=i == 1)
             _show_band(grid[1, i], image_m, curve, far_m, after=i == 1)
             _show_lidar(grid[2, i], curve, after=i == 1)
@@ -103,10 +103,9 @@ def write_repair(path: Path, heading: str, depth_m: Float32Array, curve: Repaire
         add_legend_below(
             figure,
             grid.ravel(),
-            columns=5,
-            caption="Noise types of Xu 2024 §2.3.2, framed where each has its longest stretch. A: "
-            "hole on both sensors. B: hole on this sensor alone. C: burr. Hatched: beams that "
-            "meet no pixel.",
+            columns=2,
+            caption="Framed: the longest stretch of each noise type of Xu 2024 §2.3.2. A: hole on\n"
+            "both sensors. B: hole on this sensor alone. C: burr. Hatched: beams without a pixel.",
         )
 
 
@@ -117,7 +116,7 @@ def _show_curve_in_image(axes: "Axes", curve: RepairedCurve, *, after: bool) -> 
         curve.row[inside],
         ".",
         color=LIDAR,
-        ms=2.5,
+        ms=1.4,
         label="pixel on the LiDAR's curve",
     )
     if after:
@@ -143,9 +142,9 @@ def _mark_sources(
                 y[mine],
                 "o",
                 color=face,
-                ms=3.5,
+                ms=1.6,
                 mec="black",
-                mew=0.25,
+                mew=0.1,
                 label=label,
                 zorder=4,
             )
@@ -176,14 +175,14 @@ def _show_band(
         ),
     )
     for edge in (-0.5, 0.5):
-        axes.axhline(edge, color=LIDAR, lw=0.6)
+        axes.axhline(edge, color=LIDAR, lw=0.4)
     if after:
-        above = np.full(azimuth_deg.size, -1.6)
-        _mark_sources(axes, azimuth_deg, above, curve.depth_source, "LiDAR", LIDAR)
+        on_curve = np.zeros(azimuth_deg.size)
+        _mark_sources(axes, azimuth_deg, on_curve, curve.depth_source, "LiDAR", LIDAR)
     else:
         _label_noise(axes, curve, curve.depth_class, curve.lidar_class, (-5.8, -3.2, 4.5))
-    axes.set_ylabel("rows from\nthe curve (px)")
-    axes.set_title("the band around the curve, straightened and enlarged")
+    axes.set_ylabel("rows from\ncurve (px)")
+    axes.set_title("band around the curve")
     label_azimuth(axes)
 
 
@@ -221,19 +220,19 @@ def _show_lidar(axes: "Axes", curve: RepairedCurve, *, after: bool) -> None:
         curve.camera_range_m,
         ".",
         color=DEPTH,
-        ms=2,
+        ms=1.4,
         label="what the camera sees there",
     )
     repaired = _is_repaired(curve.lidar_source) & after
     shown_m = curve.lidar_repaired_m if after else curve.lidar_m
-    for noise, color, marker, label in (
-        (NoiseClass.GOOD, LIDAR, ".", "good beam"),
-        (NoiseClass.BURR, BURR, "X", "burr"),
-        (NoiseClass.CONFLICT, CONFLICT, "D", "conflict: two real surfaces"),
+    for noise, color, marker, size, label in (
+        (NoiseClass.GOOD, LIDAR, ".", 2.6, "good beam"),
+        (NoiseClass.BURR, BURR, "X", 2.4, "burr"),
+        (NoiseClass.CONFLICT, CONFLICT, "D", 2.0, "conflict: two real surfaces"),
     ):
         mine = ~repaired & (curve.lidar_class == noise)
         if mine.any():
-            axes.plot(azimuth_deg[mine], shown_m[mine], marker, color=color, ms=5, label=label)
+            axes.plot(azimuth_deg[mine], shown_m[mine], marker, color=color, ms=size, label=label)
     show_holes(axes, azimuth_deg, shown_m)
     if after:
         _mark_sources(axes, azimuth_deg, shown_m, curve.lidar_source, "depth image", DEPTH)
@@ -242,7 +241,7 @@ def _show_lidar(axes: "Axes", curve: RepairedCurve, *, after: bool) -> None:
         heights_m = (1.32 * top_m, 1.20 * top_m, 1.08 * top_m)
         _label_noise(axes, curve, curve.lidar_class, curve.depth_class, heights_m)
     start_at_zero(axes, headroom=0.4)
-    axes.set_ylabel("horizontal range (m)")
+    axes.set_ylabel("range (m)")
     axes.set_title(f"LiDAR curve {'after' if after else 'before'} denoising")
     label_azimuth(axes)
 
@@ -269,7 +268,7 @@ def _label_noise(
             facecolor="none",
             edgecolor="black",
             ls="--",
-            lw=0.9,
+            lw=0.5,
         )
         axes.text(
             float(run_deg.mean()),
@@ -278,7 +277,8 @@ def _label_noise(
             ha="center",
             va="center",
             weight="bold",
-            bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "linewidth": 0.5},
+            size=5.5,
+            bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "linewidth": 0.3},
         )
 
 
@@ -300,7 +300,7 @@ def write_fused_depth(
     """Fig. 8: colour and depth image, LiDAR and depth curve, and the fused depth image."""
     far_m = far_limit_m(depth_m)
     fused_m = fused_depth_m(depth_m, curve)
-    with png_figure(path, heading, width_px=1240, height_px=960) as figure:
+    with png_figure(path, heading, height_in=3.3) as figure:
         axes = _four_panels(figure, color)
         letters = iter("abcd")
         if color is not None:
@@ -309,7 +309,7 @@ def write_fused_depth(
         show_depth(axes["depth"], depth_m, far_m=far_m)
         axes["depth"].set_title(f"({next(letters)}) depth image, holes in blue")
         _show_both_curves(axes["curves"], curve)
-        axes["curves"].set_title(f"({next(letters)}) LiDAR curve and depth curve, raw")
+        axes["curves"].set_title(f"({next(letters)}) LiDAR and depth curve, raw")
         show_depth(axes["fused"], fused_m, far_m=far_m)
         changed = curve.depth_changed
         axes["fused"].scatter(
@@ -320,13 +320,12 @@ def write_fused_depth(
             vmin=0.0,
             vmax=far_m,
             marker="s",
-            s=16,
+            s=2.5,
             edgecolor=LIDAR,
-            linewidth=0.5,
+            linewidth=0.25,
         )
         axes["fused"].set_title(
-            f"({next(letters)}) fused depth image: {changed.sum()} repaired pixels,\n"
-            "drawn enlarged with an orange edge"
+            f"({next(letters)}) fused: {changed.sum()} repaired pixels,\nenlarged, edged in orange"
         )
 
 
@@ -338,10 +337,10 @@ def _four_panels(figure: "Figure", color: ByteArray | None) -> "dict[str, Axes]"
 
 def _show_both_curves(axes: "Axes", curve: RepairedCurve) -> None:
     azimuth_deg = curve.azimuth_deg
-    axes.plot(azimuth_deg, curve.lidar_m, ".", color=LIDAR, ms=5, label="LiDAR")
-    axes.plot(azimuth_deg, curve.depth_as_range_m, ".", color=DEPTH, ms=3, label="depth")
+    axes.plot(azimuth_deg, curve.lidar_m, ".", color=LIDAR, ms=3.0, label="LiDAR")
+    axes.plot(azimuth_deg, curve.depth_as_range_m, ".", color=DEPTH, ms=2.0, label="depth")
     axes.set_ylabel("horizontal range (m)")
     start_at_zero(axes)
     label_azimuth(axes)
-    axes.grid(lw=0.3, color="0.85")
-    axes.legend(loc="lower right")
+    axes.grid(visible=True)
+    axes.legend(loc="lower right", markerscale=2.0)

@@ -1,5 +1,6 @@
 """The figures: right places, the same bytes each time, and nothing that fails on poor data."""
 
+import itertools
 import json
 import struct
 import tracemalloc
@@ -14,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion_core.exporting.figures import (
+    COLUMN_IN,
     continuous_deg,
     describe_delay,
     far_limit_m,
@@ -43,6 +45,7 @@ from fusion_core.exporting.figures_repair import (
     write_fused_depth,
     write_repair,
 )
+from fusion_core.exporting.map_axes import seen_extent
 from fusion_core.exporting.palette import BURR, DEPTH, FUSED, GOOD, LIDAR, PALETTE
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.conventions import ByteArray, Float32Array
@@ -71,9 +74,9 @@ def pixels(path: Path) -> ByteArray:
 
 
 def where(path: Path, color: str) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of the pixels that have exactly a colour."""
+    """Rows and columns of the pixels that have a colour, or one close to it at a thin line."""
     wanted = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
-    return np.nonzero((pixels(path) == wanted).all(axis=2))
+    return np.nonzero((np.abs(pixels(path).astype(int) - wanted) < 24).all(axis=2))
 
 
 def depth_image(seed: int = 0) -> Float32Array:
@@ -134,6 +137,7 @@ def panel(scores: np.ndarray, peak: tuple[float, float] | None = (3.0, 5.0)) -> 
         peak_score=0.9,
         yaw_at_zero_deg=40.0,
         step_deg=1.0,
+        mount_u=4.5,
         middle_row=12.0,
         focal_px=30.0,
     )
@@ -249,18 +253,27 @@ def test_the_bytes_are_the_same_whatever_the_users_settings(drawn: Path, tmp_pat
 
 
 @pytest.mark.parametrize("number", range(3, 10))
-def test_figures_hold_only_pixels_and_fit_a_page(drawn: Path, number: int) -> None:
+def test_figures_hold_only_pixels_and_fit_a_column(drawn: Path, number: int) -> None:
     path = drawn / f"fig{number}.png"
     png = path.read_bytes()
     assert set(chunks(png)) == {b"IHDR", b"IDAT", b"IEND"}
     assert len(png) < 300 * 1024
-    if number != 4:  # As wide as it has scores; here two instead of four.
-        assert 1000 <= pixels(path).shape[1] <= 1600
+    height, width = pixels(path).shape[:2]
+    # At 300 dots an inch, on a page of 9 inches.
+    assert width == round(300 * COLUMN_IN)
+    assert height <= 300 * 9
+
+
+@pytest.mark.parametrize("number", range(3, 10))
+def test_no_letter_reaches_the_edge(drawn: Path, number: int) -> None:
+    picture = pixels(drawn / f"fig{number}.png")
+    for edge in (picture[0], picture[-1], picture[:, 0], picture[:, -1]):
+        assert (edge == 255).all()
 
 
 def test_panel_positions_are_rounded(tmp_path: Path) -> None:
     # The solver of the layout differs in the last digits; see the reason beside the rounding.
-    with png_figure(tmp_path / "a.png", "heading", width_px=700, height_px=300) as figure:
+    with png_figure(tmp_path / "a.png", "heading", height_in=1.0) as figure:
         panels = figure.subplots(1, 3)
     for axes in panels:
         assert all(round(value, 5) == value for value in axes.get_position(True).extents[:2])
@@ -269,7 +282,7 @@ def test_panel_positions_are_rounded(tmp_path: Path) -> None:
 def test_a_failed_drawing_leaves_no_file(tmp_path: Path) -> None:
     with (
         pytest.raises(ZeroDivisionError),
-        png_figure(tmp_path / "a.png", "heading", width_px=300, height_px=200),
+        png_figure(tmp_path / "a.png", "heading", height_in=0.7),
     ):
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
@@ -281,49 +294,51 @@ def test_a_missing_folder_is_an_export_error(tmp_path: Path) -> None:
 
 
 def test_dollars_in_names_do_not_begin_formulas(tmp_path: Path) -> None:
-    with png_figure(tmp_path / "a.png", r"room $\frac$ 1", width_px=300, height_px=200):
+    with png_figure(tmp_path / "a.png", r"room $\frac$ 1", height_in=0.7):
         pass
     assert (tmp_path / "a.png").exists()
 
 
+def rows_by_panel(path: Path, color: str) -> list[np.ndarray]:
+    """Rows of the pixels that have a colour, in each of the three panels; the legend is below."""
+    height = pixels(path).shape[0]
+    rows, _ = where(path, color)
+    ends = [0.0, 0.36 * height, 0.65 * height, 0.93 * height]
+    return [rows[(rows >= low) & (rows < high)] for low, high in itertools.pairwise(ends)]
+
+
 def test_outlier_pairs_are_drawn_in_their_colour_in_the_middle_panel_only(drawn: Path) -> None:
-    third = pixels(drawn / "fig5.png").shape[1] / 3
-
-    def panels(color: str) -> list[np.ndarray]:
-        rows, columns = where(drawn / "fig5.png", color)
-        # Above the legend, which names all colours.
-        columns = columns[rows < 590]
-        return [columns[(columns // third) == panel] for panel in range(3)]
-
-    left, outliers, right = panels(BURR)
-    assert left.size == right.size == 0
-    left, inliers, right = panels(GOOD)
-    assert left.size == 0
-    assert right.size > 0
+    first, outliers, last = rows_by_panel(drawn / "fig5.png", BURR)
+    assert first.size == last.size == 0
+    assert outliers.size > 0
+    first, inliers, last = rows_by_panel(drawn / "fig5.png", GOOD)
+    assert first.size == 0
+    assert inliers.size > 0
+    assert last.size > 0
     # The made-up outliers stand at both ends of the curve.
-    ends = outliers.min(), outliers.max()
-    assert ends[0] < inliers.min()
-    assert inliers.max() < ends[1]
+    rows, columns = where(drawn / "fig5.png", BURR)
+    good_rows, good_columns = where(drawn / "fig5.png", GOOD)
+    outliers = columns[np.isin(rows, outliers)]
+    inliers = good_columns[np.isin(good_rows, inliers)]
+    assert outliers.min() < inliers.min()
+    assert inliers.max() < outliers.max()
     assert not ((outliers > inliers.min()) & (outliers < inliers.max())).any()
 
 
 def test_lidar_lies_below_depth_where_it_is_nearer(drawn: Path) -> None:
-    rows, columns = where(drawn / "fig5.png", LIDAR)
-    first_panel = (columns < pixels(drawn / "fig5.png").shape[1] / 3) & (rows < 590)
-    lidar_row = rows[first_panel].mean()
-    rows, columns = where(drawn / "fig5.png", DEPTH)
-    first_panel = (columns < pixels(drawn / "fig5.png").shape[1] / 3) & (rows < 590)
-    assert rows[first_panel].mean() < lidar_row
+    lidar, depth = (rows_by_panel(drawn / "fig5.png", color) for color in (LIDAR, DEPTH))
+    assert depth[0].mean() < lidar[0].mean()
+    # Joined pairs have the depth drawn farther: more of the panel lies between the two.
+    assert lidar[1].mean() - depth[1].mean() > lidar[0].mean() - depth[0].mean()
 
 
 def obstacle(path: Path) -> tuple[float, float]:
     """Height and width, as fractions from the lower left, of the black block in a picture."""
     dark = (pixels(path).max(axis=2) < 50).astype(np.uint8)
-    # Text and axes are thinner than 9 pixels; the colour bar stands in the right fifth.
-    rows, columns = np.nonzero(cv2.erode(dark, np.ones((9, 9), dtype=np.uint8)))
+    # Text, axes and the scale bar are thinner than 17 pixels.
+    rows, columns = np.nonzero(cv2.erode(dark, np.ones((17, 17), dtype=np.uint8)))
     height, width = dark.shape
-    inside = columns < 0.8 * width
-    return 1.0 - float(rows[inside].mean()) / height, float(columns[inside].mean()) / width
+    return 1.0 - float(rows.mean()) / height, float(columns.mean()) / width
 
 
 @pytest.mark.parametrize(("row", "column"), [(30, 5), (5, 25)])
@@ -342,15 +357,39 @@ def test_maps_have_y_upwards_and_x_to_the_right(row: int, column: int, tmp_path:
 
 
 def test_cells_of_one_map_only_are_drawn_at_their_place(drawn: Path) -> None:
-    # LiDAR cells on the left, fused ones on the right of the lower right panel, both above.
+    # LiDAR cells on the left, fused ones on the right of the lowest panel, both above its middle.
     height, width = pixels(drawn / "fig9.png").shape[:2]
     places = []
     for color in (LIDAR, BURR):
         rows, columns = where(drawn / "fig9.png", color)
-        shown = rows < 0.94 * height
+        shown = rows > 0.55 * height
         assert rows[shown].max() < 0.75 * height
         places.append(columns[shown].mean())
-    assert 0.5 * width < places[0] < places[1] - 0.1 * width
+    assert places[0] < 0.5 * width < places[1]
+
+
+@pytest.mark.parametrize("cells", [(0, 0), (3, 5), (10, 30)])
+def test_maps_are_cropped_to_what_was_seen(cells: tuple[int, int]) -> None:
+    row, column = cells
+    log_odds = np.full((40, 60), np.nan)
+    log_odds[row : row + 4, column : column + 8] = -1.0
+    grid = OccupancyGrid(resolution_m=0.1, origin_m=(-2.0, 1.0), log_odds=log_odds)
+    left, right, bottom, top = seen_extent([grid])
+    margin_m = 0.1
+    assert (left, right) == pytest.approx(
+        (-2.0 + 0.1 * column - margin_m, -2.0 + 0.1 * (column + 8) + margin_m)
+    )
+    assert (bottom, top) == pytest.approx(
+        (1.0 + 0.1 * row - margin_m, 1.0 + 0.1 * (row + 4) + margin_m)
+    )
+
+
+def test_a_long_heading_is_broken(tmp_path: Path) -> None:
+    with png_figure(tmp_path / "a.png", "letters " * 40, height_in=2.0) as figure:
+        figure.subplots()
+    heading = figure.get_suptitle()
+    assert heading.count("\n") > 2
+    assert max(map(len, heading.splitlines())) < 80
 
 
 def test_the_difference_counts_its_cells_by_mask() -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from fusion_core.alignment.curves import (
     CurveSampling,
     RowSampling,
+    offset_of_yaw,
     yaw_of_offset_rad,
 )
 from fusion_core.alignment.search import Peak
@@ -57,6 +58,10 @@ _METRIC_NAMES: dict[Metric, str] = {
     "inverse_cosine": "1 − cosine, eq. (3) as printed",
     "cosine": "cosine",
     "euclidean": "inverse Euclidean, eq. (4)",
+}
+_FIG_4_SHEETS: dict[str, tuple[Metric, Metric]] = {
+    "fig4_similarity.png": ("pearson", "euclidean"),
+    "fig4_similarity_cosine.png": ("inverse_cosine", "cosine"),
 }
 TABLE_1_COLUMNS = (
     "room",
@@ -193,7 +198,7 @@ def _write_similarity(
     frame: FusedFrame | None,
 ) -> None:
     cameras = session.rig.cameras
-    columns = []
+    columns = {}
     for metric, name in _METRIC_NAMES.items():
         recording = _field_panel(
             alignment.fields[metric],
@@ -201,26 +206,38 @@ def _write_similarity(
             alignment.curve,
             alignment.row,
             cameras[0],
+            alignment.mount.yaw_rad,
         )
         panel = curves = None
         if frame is not None:
             match = frame.match
             camera = cameras[match.pair.camera_index]
             peak = match.search.peaks_without_prior.get(metric)
-            panel = _field_panel(match.search.fields[metric], peak, match.curve, match.row, camera)
+            panel = _field_panel(
+                match.search.fields[metric],
+                peak,
+                match.curve,
+                match.row,
+                camera,
+                alignment.mount.yaw_rad,
+            )
             if peak is not None:
                 lidar_m, depth_m = curves_at(
                     match, (peak.u, peak.v), masked=session.settings.search.mask_holes
                 )
                 curves = CurvePair(lidar_m=lidar_m, depth_m=depth_m)
-        columns.append(MetricColumn(name=name, frame=panel, recording=recording, curves=curves))
-    shown = f"Fig. 4, scores over (u, v): {heading}"
+        columns[metric] = MetricColumn(name=name, frame=panel, recording=recording, curves=curves)
+    shown = f"Fig. 4, scores over (u, v)\n{heading}"
     if frame is not None:
-        shown += f"\n{_frame_name(session, frame)}, its own peaks, without the recording's"
+        shown += f"\n{_frame_name(session, frame)}, its own peaks"
     kind = "frames" if len(cameras) == 1 else "panoramas"
-    write_similarity(
-        folder / "fig4_similarity.png", shown, columns, mean_of=f"{alignment.frames} {kind}"
-    )
+    for file_name, metrics in _FIG_4_SHEETS.items():
+        write_similarity(
+            folder / file_name,
+            shown,
+            [columns[metric] for metric in metrics],
+            mean_of=f"{alignment.frames} {kind}",
+        )
 
 
 def _field_panel(
@@ -229,6 +246,7 @@ def _field_panel(
     curve: CurveSampling,
     row: RowSampling,
     camera: Camera,
+    mount_yaw_rad: float,
 ) -> FieldPanel:
     return FieldPanel(
         scores=field.scores,
@@ -238,6 +256,7 @@ def _field_panel(
         peak_score=float("nan") if peak is None else peak.score,
         yaw_at_zero_deg=float(np.rad2deg(yaw_of_offset_rad(0.0, curve, row.left_rad))),
         step_deg=float(np.rad2deg(curve.step_rad)),
+        mount_u=offset_of_yaw(mount_yaw_rad, curve, row.left_rad),
         middle_row=camera.intrinsics.cy,
         focal_px=camera.intrinsics.fy,
     )
@@ -260,7 +279,7 @@ def _write_showcase(folder: Path, heading: str, session: "Session", frame: Fused
     after_ms = None if found is None else (found.stamp_ns - match.stamp_ns) / NS_PER_MS
     write_aligned(
         folder / "fig3_aligned.png",
-        f"Fig. 3, aligned in time: {about}",
+        f"Fig. 3, aligned in time\n{about}",
         SynchronizedFrame(
             color=color,
             color_after_ms=after_ms,
@@ -276,7 +295,7 @@ def _write_showcase(folder: Path, heading: str, session: "Session", frame: Fused
     if match.registration is not None:
         write_pairs(
             folder / "fig5_pairs.png",
-            f"Fig. 5, pairs before and after RANSAC: {about}",
+            f"Fig. 5, pairs before and after RANSAC\n{about}",
             RansacPairs(
                 lidar_points_m=match.registration.draws.lidar_points_m,
                 depth_points_m=match.registration.draws.depth_points_m,
@@ -287,11 +306,11 @@ def _write_showcase(folder: Path, heading: str, session: "Session", frame: Fused
                 draws=match.registration.draws.count,
                 axis_names=(
                     (
-                        "x: sample number × median arc of a sample (m)",
-                        "range or depth, holes as 0 (m)",
+                        "x: sample × median arc of a sample (m)",
+                        "range, holes as 0 (m)",
                     )
                     if by_sample
-                    else ("x: to the right (m)", "z: ahead, in the middle of the view (m)")
+                    else ("x to the right (m)", "z ahead (m)")
                 ),
             ),
         )
@@ -312,13 +331,13 @@ def _write_showcase(folder: Path, heading: str, session: "Session", frame: Fused
     )
     write_repair(
         folder / "fig7_repair.png",
-        f"Fig. 7, before and after denoising: {about}",
+        f"Fig. 7, before and after denoising\n{about}",
         match.depth_m,
         curve,
     )
     write_fused_depth(
         folder / "fig8_fused_depth.png",
-        f"Fig. 8, fused depth image: {about}",
+        f"Fig. 8, fused depth image\n{about}",
         color=color,
         depth_m=match.depth_m,
         curve=curve,
@@ -377,7 +396,7 @@ def _write_recall(folder: Path, heading: str, fuse_dir: Path, truth: Path) -> No
     own = own[np.isfinite(own)]
     write_recall(
         folder / "fig6_recall.png",
-        f"Fig. 6, recall over the threshold: {heading}\n"
+        f"Fig. 6, recall over the threshold\n{heading}; "
         f"{over['good_pairs']} good pairs, {over['noise_pairs']} noise pairs",
         RecallCurves(
             epsilon_over_E=factors,
@@ -401,7 +420,7 @@ def _write_maps(folder: Path, heading: str, grids: dict[str, OccupancyGrid]) -> 
     pair = {name: grid for name, grid in grids.items() if name != "camera"}
     write_maps(
         folder / "fig9_maps.png",
-        f"Fig. 9, maps from the same poses: {heading}",
+        f"Fig. 9, maps from the same poses\n{heading}",
         grids,
         compare_maps(pair) if len(pair) == 2 else None,
     )
