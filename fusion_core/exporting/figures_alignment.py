@@ -180,7 +180,7 @@ def _show_field(axes: "Axes", panel: FieldPanel | None, title: str, last: bool) 
         extent=(panel.u_first - 0.5, panel.u_first + offsets - 0.5, rows - 0.5, -0.5),
     )
     # The last column has the axis of elevations between the field and its colour bar.
-    add_color_bar(axes, image, "", left=1.36 if last else 1.03)
+    add_color_bar(axes, image, "", left=1.31 if last else 1.03)
     # White around black stands out on every shade.
     for color, width, style in (("white", 1.2, "-"), ("black", 0.6, ":")):
         axes.axvline(panel.mount_u, color=color, lw=width, ls=style)

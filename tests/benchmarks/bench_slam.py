@@ -95,9 +95,9 @@ def _print_errors(result: SlamResult | ParticleResult, relations: Path) -> None:
 
 
 def _plot(path: Path, slam: str, counts: list[int], spent: list[float], exponent: float) -> None:
-    with png_figure(path, f"{slam} on the Intel log", width_px=800, height_px=600) as figure:
+    with png_figure(path, f"{slam} on the Intel log", height_in=2.6) as figure:
         axes = figure.subplots()
-        axes.loglog(counts, spent, "o", color=DEPTH, label="CPU seconds, one process")
+        axes.loglog(counts, spent, "o", color=DEPTH, ms=3.0, label="CPU seconds, one process")
         # The fitted line goes through the mean of the logarithms.
         middle = np.exp(np.mean(np.log(counts))), np.exp(np.mean(np.log(spent)))
         fitted = middle[1] * (np.array(counts) / middle[0]) ** exponent

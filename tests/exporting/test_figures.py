@@ -76,7 +76,7 @@ def pixels(path: Path) -> ByteArray:
 def where(path: Path, color: str) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns of the pixels that have a colour, or one close to it at a thin line."""
     wanted = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
-    return np.nonzero((np.abs(pixels(path).astype(int) - wanted) < 24).all(axis=2))
+    return np.nonzero((np.abs(pixels(path).astype(int) - wanted) < 48).all(axis=2))
 
 
 def depth_image(seed: int = 0) -> Float32Array:

@@ -120,14 +120,15 @@ def _repaired_count(frame: FusedFrame) -> int:
 class FigureData:
     """The results of a run that the figures show.
 
-    ``grids``: maps by name, empty without poses. ``fuse_dir``: the result folder that ``truth``, if
-    given, is compared with.
+    ``grids``: maps by name, empty without poses, which come from ``pose_source``. ``fuse_dir``: the
+    result folder that ``truth``, if given, is compared with.
     """
 
     session: "Session"
     alignment: RecordingAlignment
     collected: FigureCollector
     grids: dict[str, OccupancyGrid]
+    pose_source: str | None
     preset: str
     fuse_dir: Path
     truth: Path | None
@@ -160,7 +161,7 @@ def write_figures(folder: Path, data: FigureData) -> list[str]:
         except ScanLoomError as error:
             notes.append(f"Fig. 6 is left out: {truth.name} {error.problem}")
     if data.grids:
-        _write_maps(folder, heading, data.grids)
+        _write_maps(folder, f"{heading}\nposes of {data.pose_source}", data.grids)
     return notes
 
 
@@ -420,7 +421,7 @@ def _write_maps(folder: Path, heading: str, grids: dict[str, OccupancyGrid]) -> 
     pair = {name: grid for name, grid in grids.items() if name != "camera"}
     write_maps(
         folder / "fig9_maps.png",
-        f"Fig. 9, maps from the same poses\n{heading}",
+        f"Fig. 9, maps of one trajectory\n{heading}",
         grids,
         compare_maps(pair) if len(pair) == 2 else None,
     )

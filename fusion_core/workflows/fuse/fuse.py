@@ -115,6 +115,7 @@ def _run_chain(
                 alignment=alignment,
                 collected=results.figures,
                 grids=grids,
+                pose_source=None if poses is None else poses.source,
                 preset=options.preset,
                 fuse_dir=folder,
                 truth=options.truth,

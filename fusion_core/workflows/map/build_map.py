@@ -97,7 +97,10 @@ def _map_into(
     # The results as files.
     notes = [*inputs.notes, *placed.notes, *map_notes, *recording.warnings]
     report = build_report(placed, inputs.scans.recorded_count, options.choices, notes)
-    heading = printable(recording.path.resolve().name)
+    heading = (
+        f"{printable(recording.path.resolve().name)}, preset {options.preset}\n"
+        f"SLAM {options.slam}, scan {options.scan}, motion {options.motion}"
+    )
     write_maps(folder, grids, heading)
     write_trajectory(folder, placed, grids.get(options.scan), heading)
     if inputs.motion is not None:
