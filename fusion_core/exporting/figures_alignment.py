@@ -225,7 +225,8 @@ def _add_elevation_axis(axes: "Axes", panel: FieldPanel) -> None:
         rows: FloatArray = panel.middle_row - panel.focal_px * np.tan(np.deg2rad(np.asarray(deg)))
         return rows
 
-    axes.secondary_yaxis("right", functions=(elevation_deg, row)).set_ylabel("elevation (°)", labelpad=0.0)
+    elevations = axes.secondary_yaxis("right", functions=(elevation_deg, row))
+    elevations.set_ylabel("elevation (°)", labelpad=0.0)
 
 
 def _show_curves(axes: "Axes", column: MetricColumn) -> None:

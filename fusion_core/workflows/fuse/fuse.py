@@ -115,7 +115,8 @@ def _run_chain(
                 alignment=alignment,
                 collected=results.figures,
                 grids=grids,
-                pose_source=None if poses is None else poses.source,
+                # Which topic; how it was joined to the LiDAR is in the notes.
+                pose_source=None if poses is None else poses.source.split(" (")[0],
                 preset=options.preset,
                 fuse_dir=folder,
                 truth=options.truth,

@@ -36,6 +36,7 @@ PICTURES = {
     for number, name in (
         (3, "aligned"),
         (4, "similarity"),
+        (4, "similarity_cosine"),
         (5, "pairs"),
         (6, "recall"),
         (7, "repair"),
@@ -303,7 +304,7 @@ def test_a_truth_without_a_mount_leaves_out_only_its_figure(
     assert "no mount" in notes[1]
     assert str(tmp_path) not in notes[1]
     written = {path.name for path in (tmp_path / "figures").iterdir()}
-    assert written == {"fig4_similarity.png", "table1.csv"}
+    assert written == {"fig4_similarity.png", "fig4_similarity_cosine.png", "table1.csv"}
 
 
 def test_the_headings_say_preset_frame_and_virtual_lidar(

@@ -14,6 +14,7 @@ from scanloom.plots.png import show_png
 _TITLES = {
     "fig3_aligned": "Fig. 3: aligned in time",
     "fig4_similarity": "Fig. 4: similarity",
+    "fig4_similarity_cosine": "Fig. 4: similarity by cosine",
     "fig5_pairs": "Fig. 5: pairs before and after RANSAC",
     "fig6_recall": "Fig. 6: recall over the threshold",
     "fig7_repair": "Fig. 7: before and after denoising",
