@@ -327,7 +327,7 @@ def test_the_headings_say_preset_frame_and_virtual_lidar(
     with opened(run, sessions.FuseOptions(virtual_lidar_row=60)) as session:
         data = replace(run.data, session=session, preset="published", truth=None)
         write_figures(tmp_path / "figures", data)
-    assert len(headings) == 6
+    assert len(headings) == 7
     for heading in headings:
         assert "room.mcap, preset published, virtual LiDAR, row 60" in heading
     assert (
