@@ -33,8 +33,8 @@ class Streams:
     """The topics to read.
 
     ``color`` and ``camera_info`` belong to the depth topic at the same index; None where a depth
-    camera has none. ``pose`` is set only where the user names a topic. ``notes`` report choices
-    among several topics.
+    camera has none. ``pose`` is set only where the user names a topic, ``pose_frame`` where the
+    user names a frame of ``tf`` instead. ``notes`` report choices among several topics.
     """
 
     lidar: str | None
@@ -45,6 +45,7 @@ class Streams:
     tf: str | None
     tf_static: str | None
     pose: str | None
+    pose_frame: str | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -86,7 +87,8 @@ def choose_streams(
 
     Not named: the LaserScan topic with the most messages; every depth topic, each with the colour
     topic nearest by name and its own CameraInfo; the odometry with the most messages, ground truth
-    by its name excluded. ``pose`` may name a PoseStamped or an Odometry topic and is never guessed.
+    by its name excluded. ``pose`` may name a PoseStamped or an Odometry topic, or a frame of TF, and
+    is never guessed.
 
     Raises MissingStream for a name that is not there or is of another kind.
     """
@@ -103,6 +105,7 @@ def choose_streams(
                 file=recording.path,
                 advice="Name one for each depth topic, in the same order.",
             )
+    pose_frame = pose if chooser.may_be_frame(pose) else None
     return Streams(
         lidar=chooser.require_topic(lidar, "lidar")
         or chooser.topic_with_most_messages("lidar", "LaserScan"),
@@ -113,7 +116,8 @@ def choose_streams(
         or chooser.topic_with_most_messages("odometry", "odometry"),
         tf=chooser.topic_with_most_messages("tf", "TF"),
         tf_static=chooser.topic_with_most_messages("tf_static", "static TF"),
-        pose=chooser.require_topic(pose, "pose", "odometry"),
+        pose=None if pose_frame else chooser.require_topic(pose, "pose", "odometry"),
+        pose_frame=pose_frame,
         notes=tuple(chooser.notes),
     )
 
@@ -138,6 +142,11 @@ class _StreamChooser:
                 advice=f"Topics that can: {', '.join(fitting) or 'none'}.",
             )
         return name
+
+    def may_be_frame(self, name: str | None) -> bool:
+        """Whether a name can only be a frame's: tf2 allows no leading slash, and it is no topic."""
+        is_topic = name is None or name in self._topics or name.startswith("/")
+        return not is_topic and bool(self.topics_with_messages("tf"))
 
     def require_topics(self, names: str | Sequence[str] | None, role: Role) -> list[str] | None:
         if names is None:

@@ -1,7 +1,11 @@
-"""Where the LiDAR was: recorded poses from TF, else odometry, else a topic named by hand.
+"""Where the LiDAR was: odometry by TF, else by its topic, else what is named by hand.
 
-A ground truth is never used unless it is named. A pose that is stamped outside of the recording, or
-jumps away and back, is left out with a warning.
+Recorded motion is odometry, which REP 105 gives in the frame ``odom``: continuous, and drifting.
+Poses in ``map`` or ``earth`` are a localisation's own result, near to the truth, and ``world`` is
+most often a simulator's or a motion capture's: a map or an error made of them says nothing of the
+estimator. They serve only where they are named, as does a topic that is called a ground truth.
+
+A pose that is stamped outside of the recording, or jumps away and back, is left out with a warning.
 """
 
 from typing import Protocol
@@ -14,11 +18,12 @@ from fusion_core.model.sensors import PoseSample, Transform, TransformBatch
 from fusion_core.model.transform_tree import TransformTree
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.recorded_transforms import RecordedTransforms, frame_name
-from fusion_core.workflows.stamp_filter import StampFilter
+from fusion_core.workflows.stamp_filter import StampFilter, warn_once
 from fusion_core.workflows.timed_transforms import TimedTransforms
 
-# The fixed frame (REP 105), best first.
-_MAP_FRAMES = ("map", "odom", "world")
+# The fixed frames of REP 105: odometry's, and those in which a robot is localised.
+_ODOM_FRAME = "odom"
+_LOCALISED_FRAMES = frozenset({"map", "earth", "world"})
 _POSE_FRAME = "scanloom_pose_parent"
 
 
@@ -48,22 +53,64 @@ class _TransformLookup:
 def recorded_poses(recording: Recording, streams: Streams, lidar_frame: str) -> PoseLookup | None:
     """The recorded poses of the LiDAR, None where the recording has none.
 
-    Raises MissingStream where a pose topic is named and holds no pose.
+    Poses by a localisation cost a warning where they are not named.
+    Raises MissingStream where a topic or a frame is named and gives no pose of the LiDAR.
     """
     lidar = frame_name(lidar_frame)
     transforms = RecordedTransforms(recording, streams.tf_static)
     tree = transforms.tree
     if streams.pose is not None:
         return _poses_of_topic(recording, streams.pose, tree, lidar)
+    if streams.pose_frame is not None:
+        return _poses_in_named_frame(recording, streams, transforms, lidar)
     if streams.tf is not None:
-        transforms.add_timed(streams.tf)
-    if streams.tf is not None and lidar in tree.frames:
-        for frame in _MAP_FRAMES:
-            if frame in tree.frames and _ever_connected(tree, recording, streams.tf, frame, lidar):
-                return _TransformLookup(tree, frame, lidar, f"{streams.tf} ({frame} to {lidar})")
+        # Even to odom, a chain by way of the map would be the localisation's.
+        for frame in sorted(transforms.add_timed(streams.tf, without=_LOCALISED_FRAMES)):
+            _warn_of_localised(recording, streams.tf, frame, named_by=frame)
+        if _ever_connected(tree, recording, streams.tf, _ODOM_FRAME, lidar):
+            return _TransformLookup(tree, _ODOM_FRAME, lidar, _source(streams.tf, "odom", lidar))
     if streams.odometry is not None:
-        return _poses_of_topic(recording, streams.odometry, tree, lidar)
+        frame = _frame_of_poses(recording, streams.odometry)
+        if frame not in _LOCALISED_FRAMES:
+            return _poses_of_topic(recording, streams.odometry, tree, lidar)
+        _warn_of_localised(recording, streams.odometry, frame, named_by=streams.odometry)
     return None
+
+
+def _warn_of_localised(recording: Recording, topic: str, frame: str, *, named_by: str) -> None:
+    warn_once(
+        recording,
+        f"{topic}: poses in the frame {frame} are a localisation's result or a truth, not odometry "
+        f"(REP 105), and are not used; --pose {named_by} would use them",
+    )
+
+
+def _source(topic: str, frame: str, lidar: str) -> str:
+    return f"{topic} ({frame} to {lidar})"
+
+
+def _poses_in_named_frame(
+    recording: Recording, streams: Streams, transforms: RecordedTransforms, lidar: str
+) -> PoseLookup:
+    tf, frame = streams.tf, streams.pose_frame
+    assert tf is not None and frame is not None, "a frame is named only where there is TF"
+    transforms.add_timed(tf)
+    if not _ever_connected(transforms.tree, recording, tf, frame, lidar):
+        there = ", ".join(transforms.tree.frames) or "none"
+        raise MissingStream(
+            f"{frame!r} is no topic, and no frame from which {tf} leads to {lidar!r}.",
+            file=recording.path,
+            advice=f"Name a topic or a frame. The frames: {there}.",
+        )
+    return _TransformLookup(transforms.tree, frame, lidar, _source(tf, frame, lidar))
+
+
+def _frame_of_poses(recording: Recording, topic: str) -> str:
+    """The frame in which a topic gives its poses, by its first readable message."""
+    for message in recording.messages([topic]):
+        if isinstance(message.value, PoseSample):
+            return frame_name(message.value.parent)
+    return ""
 
 
 def _ever_connected(

@@ -41,12 +41,20 @@ class RecordedTransforms:
             seen.add(frame)
         return frame
 
-    def add_timed(self, topic: str) -> None:
-        """Add the transforms of a topic to the tree, without outliers, which cost a warning."""
+    def add_timed(self, topic: str, *, without: frozenset[str] = frozenset()) -> frozenset[str]:
+        """Add the transforms of a topic to the tree, without outliers, which cost a warning.
+
+        Transforms from or to a frame of ``without`` are left out. Returns those that there are.
+        """
         timed = TimedTransforms()
+        left_out: set[str] = set()
         for sample, received_ns in self._read(topic, None):
-            timed.add(sample, received_ns)
+            excluded = without & {sample.parent, sample.child}
+            left_out |= excluded
+            if not excluded:
+                timed.add(sample, received_ns)
         timed.add_inliers_to(self.tree, topic, self._recording)
+        return frozenset(left_out)
 
     def _read(self, topic: str, messages_max: int | None) -> Iterator[tuple[Transform, int | None]]:
         """Each transform with the log time of its message, None where there is no log."""

@@ -110,13 +110,15 @@ class Log:
         topic = "/tf_static" if at_ms is None else "/tf"
         self._add(received_ns, lambda writer: writer.write_transforms(topic, batch))
 
-    def pose(self, topic: str, at_ms: float, T: np.ndarray, *, child: str = ""):
+    def pose(
+        self, topic: str, at_ms: float, T: np.ndarray, *, child: str = "", parent: str = "odom"
+    ):
         """Odometry where there is a child frame, else a PoseStamped."""
         stamp_ns, received_ns = _stamps(at_ms, 0.0)
         sample = PoseSample(
             stamp_ns=stamp_ns,
             received_ns=received_ns,
-            parent="odom",
+            parent=parent,
             child=child,
             T_parent_child=T.copy(),
         )

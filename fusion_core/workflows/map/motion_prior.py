@@ -107,13 +107,14 @@ def require_recorded_poses(
     Raises MissingStream where that is not there.
     """
     if wheel_only:
-        streams = replace(streams, tf=None, pose=None)
+        streams = replace(streams, tf=None, pose=None, pose_frame=None)
     poses = recorded_poses(recording, streams, lidar_frame)
     if poses is None:
-        what = "odometry" if wheel_only else "recorded pose"
-        raise MissingStream(
-            f"holds no {what}.", file=recording.path, advice="Use --motion none with SLAM."
-        )
+        what, advice = "odometry", "Use --motion none with SLAM"
+        if not wheel_only:
+            what = "recorded odometry"
+            advice += ", or name by --pose a topic of poses or a frame of TF, such as map"
+        raise MissingStream(f"holds no {what}.", file=recording.path, advice=f"{advice}.")
     return poses
 
 
