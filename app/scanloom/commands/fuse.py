@@ -48,7 +48,8 @@ class Fuse:
     depth: Annotated[conf.UseAppendAction[tuple[str, ...]], conf.arg(metavar="TOPIC")] = ()
     """A depth image topic (default: found by type)."""
     pose: TopicOption = None
-    """The topic of the poses for the maps (default: TF, else odometry)."""
+    """The topic of the poses for the maps, or a frame of TF such as map (default: the odom frame of
+    TF, else odometry)."""
     virtual_lidar: Annotated[int | None, conf.arg(metavar="ROW", help_behavior_hint="")] = None
     """Use this row (0-based) of the depth images as a virtual LiDAR."""
     apply_clock_offset: Flag = False

@@ -26,6 +26,7 @@ from fusion_core.workflows.map.motion_prior import (
     MotionSettings,
     choose_map_streams,
     open_motion_prior,
+    require_recorded_poses,
 )
 from fusion_core.workflows.map.recorded_sensors import RecordedSensors
 from fusion_core.workflows.map.rgbd_frames import RgbdFrames, first_camera_extrinsics
@@ -266,3 +267,20 @@ def test_a_folder_or_a_reference_that_is_none_is_refused(
     np.savez(tmp_path / "other.npz", scan_stamp=np.arange(3))
     with pytest.raises(ScanLoomError, match="must hold scan_stamp and pose"):
         odometry(tmp_path, tmp_path / "other.npz")
+
+
+def test_localisation_alone_is_refused_and_the_remedy_named(log, pose_of) -> None:
+    log.scan(0.0)
+    log.transform("base", "laser", pose_of())
+    for at_ms in (0.0, 100.0):
+        log.transform("map", "base", pose_of(1.0), at_ms=at_ms)
+    recording = log.open()
+    streams = choose_streams(recording)
+    with pytest.raises(MissingStream, match="holds no recorded odometry") as refused:
+        require_recorded_poses(recording, streams, "laser", wheel_only=False)
+    assert "--pose" in str(refused.value)
+    named = choose_streams(recording, pose="map")
+    poses = require_recorded_poses(recording, named, "laser", wheel_only=False)
+    assert poses.source == "/tf (map to laser)"
+    with pytest.raises(MissingStream, match="holds no odometry"):
+        require_recorded_poses(recording, named, "laser", wheel_only=True)
