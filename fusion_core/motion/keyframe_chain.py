@@ -43,11 +43,18 @@ class KeyframeChain:
         self.append(pose, np.zeros((3, 3)), matched=False)
 
     def to_trajectory(
-        self, name: str, stamps_ns: Sequence[int], *, scale_sigma: float = 0.0
+        self,
+        name: str,
+        stamps_ns: Sequence[int],
+        *,
+        scale_sigma: float = 0.0,
+        is_scan_to_scan: bool = False,
     ) -> OdometryTrajectory:
         """The poses at (N,) stamps.
 
         ``scale_sigma``: standard deviation of the scale, in m/m, which matches do not observe.
+        ``is_scan_to_scan``: each pose was matched to the one before, so that a step is one match
+        and all of it accumulates.
         """
         noise = np.array(self._noise)
         matched = np.array(self.matched, dtype=np.bool_)
@@ -57,8 +64,12 @@ class KeyframeChain:
         steps = steps_between(poses)
         at_start = noise.copy()
         at_start[1:] = rotate_covariance(-steps[:, 2], noise[1:])
-        single = noise[:-1] + at_start[1:]
-        drift = _drift_covariances(single, np.array(self._keyframes, dtype=np.int64))
+        if is_scan_to_scan:
+            single = at_start[1:]
+            drift = single.copy()
+        else:
+            single = noise[:-1] + at_start[1:]
+            drift = _drift_covariances(single, np.array(self._keyframes, dtype=np.int64))
         # The error of the scale is the same in every step: a random walk over steps of 1 m.
         distance_m = np.hypot(steps[:, 0], steps[:, 1])
         drift[:, :2, :2] += (scale_sigma**2 * distance_m)[:, np.newaxis, np.newaxis] * np.eye(2)

@@ -1,12 +1,13 @@
 """Laser odometry: each scan matched by PL-ICP (Li 2022 §2.3, eq. 4) to a keyframe.
 
 Li 2022 §3.1 matches each scan to the one before, so the error of every match accumulates, even at
-standstill. Against keyframes only one match per keyframe accumulates.
+standstill: ``PUBLISHED``. Against keyframes only one match per keyframe accumulates.
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -33,6 +34,11 @@ _VELOCITY_STEPS = 4
 class LaserOdometrySettings(StageSettings):
     """Settings of ``laser_odometry``."""
 
+    reference: Literal["keyframe", "previous_scan"] = setting(
+        "keyframe",
+        "What a scan is matched with: a keyframe, fused with the prediction, or the scan before, "
+        "by the match alone (Li 2022)",
+    )
     keyframe_distance_m: float = setting(
         1.0,
         "Distance at which a new keyframe is taken",
@@ -121,13 +127,16 @@ class LaserOdometrySettings(StageSettings):
     )
 
 
+PUBLISHED = LaserOdometrySettings(reference="previous_scan")
+
+
 def laser_odometry(
     scans: Iterable[LaserScan],
     settings: LaserOdometrySettings | None = None,
     predicted: PosePrior | None = None,
     progress: Progress = silent,
 ) -> OdometryTrajectory:
-    """The LiDAR's trajectory from its scans, whose stamps increase; one keyframe is kept at a time.
+    """The LiDAR's trajectory from its scans, whose stamps increase.
 
     ``predicted``: poses of another source, such as wheel odometry, whose steps give the initial
     guess and the gate of each match; without it, constant velocity. A scan without a match takes
@@ -165,6 +174,7 @@ class _LaserOdometry:
     def __init__(self, settings: LaserOdometrySettings, predicted: PosePrior | None) -> None:
         self._settings = settings
         self._predicted = predicted
+        self._is_scan_to_scan = settings.reference == "previous_scan"
         self._icp = PlIcpSettings(
             beams_min=settings.beams_min,
             inlier_ratio_sufficient=settings.inlier_ratio_sufficient,
@@ -263,16 +273,18 @@ class _LaserOdometry:
         assert self._keyframe is not None, "a match has a keyframe"
         settings = self._settings
         noise = match.covariance * settings.sigma_inflation**2
-        step = self._fuse_with_prediction(
-            match.pose_first_second, noise, relative_pose(self._keyframe.pose, predicted)
-        )
+        step = match.pose_first_second
+        if not self._is_scan_to_scan:
+            predicted_step = relative_pose(self._keyframe.pose, predicted)
+            step = self._fuse_with_prediction(step, noise, predicted_step)
         pose = compose_poses(self._keyframe.pose, step)
         # The covariance of the match alone: the prediction is another source's information.
         self._chain.append(pose, rotate_covariance(float(step[2]), noise), matched=True)
         self._misses = 0
         self._last = _Keyframe(scan, pose, self._icp)
         if (
-            np.hypot(step[0], step[1]) > settings.keyframe_distance_m
+            self._is_scan_to_scan
+            or np.hypot(step[0], step[1]) > settings.keyframe_distance_m
             or abs(step[2]) > settings.keyframe_rotation_rad
             or match.inlier_ratio < settings.keyframe_inlier_ratio
         ):
@@ -310,4 +322,6 @@ class _LaserOdometry:
         """The trajectory over all scans so far."""
         if not self._stamps_ns:
             raise MissingStream("laser odometry needs a scan.")
-        return self._chain.to_trajectory("laser", self._stamps_ns)
+        return self._chain.to_trajectory(
+            "laser", self._stamps_ns, is_scan_to_scan=self._is_scan_to_scan
+        )

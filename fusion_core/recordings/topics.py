@@ -87,8 +87,8 @@ def choose_streams(
 
     Not named: the LaserScan topic with the most messages; every depth topic, each with the colour
     topic nearest by name and its own CameraInfo; the odometry with the most messages, ground truth
-    by its name excluded. ``pose`` may name a PoseStamped or an Odometry topic, or a frame of TF, and
-    is never guessed.
+    by its name excluded. ``pose`` may name a PoseStamped or an Odometry topic, or a frame of TF,
+    and is never guessed.
 
     Raises MissingStream for a name that is not there or is of another kind.
     """

@@ -8,7 +8,7 @@ in particle_maps.py, their trajectories in trajectory_tree.py.
 """
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from pydantic import model_validator
@@ -32,8 +32,12 @@ _PRIOR_WEIGHT = (1.0, 1.0)
 
 
 class ParticleSettings(StageSettings):
-    """The particle filter. The motion noise is that of scan-matched odometry, not of wheels."""
+    """The particle filter. The motion noise is that of ``prediction``: scan-matched odometry's."""
 
+    prediction: Literal["scan_matching", "odometry"] = setting(
+        "scan_matching",
+        "Motion between updates: scan-matched once for all particles, or odometry as it comes",
+    )
     particles: int = setting(30, "Number of particles", ge=1, le=1000)
     seed: int = setting(0, "Seed of all that is drawn", ge=0, le=SEED_MAX)
     resolution_m: float = setting(0.05, "Side of a map's cell", unit="m", ge=0.01, le=1.0)
@@ -118,6 +122,20 @@ class ParticleSettings(StageSettings):
     def _bounded_cells(self) -> Self:
         check_grid_size(self.max_range_m, self.resolution_m)
         return self
+
+
+PUBLISHED = ParticleSettings(
+    prediction="odometry",
+    likelihood_gain=1.0,
+    sigma_m_per_m=0.1,
+    sigma_rad_per_m=0.2,
+    sigma_m_per_rad=0.1,
+    sigma_rad_per_rad=0.2,
+)
+"""Algorithm 1 as printed: u is odometry's, which each particle improves by its own match alone, and
+weights are multiplied by the whole of η. The paper has no values of the motion noise: these are the
+defaults of GMapping, its implementation, in the units of ours. Particles, steps between updates and
+the measurement model are ours in both."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

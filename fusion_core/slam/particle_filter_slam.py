@@ -1,8 +1,9 @@
 """GMapping: SLAM with a Rao-Blackwellised particle filter (Grisetti, Stachniss, Burgard 2007).
 
-Odometry is first improved by scan matching, once for all particles (local_slam.py). After each
-step of ``step_m`` or ``step_rad``, the filter is updated by the scan (particle_filter.py, algorithm
-1). Where a loop closes, the particles whose map is consistent outweigh the others.
+Odometry is first improved by scan matching, once for all particles (local_slam.py), unless the
+settings have it taken as it comes (``particle_filter.PUBLISHED``). After each step of ``step_m`` or
+``step_rad``, the filter is updated by the scan (particle_filter.py, algorithm 1). Where a loop
+closes, the particles whose map is consistent outweigh the others.
 
     result = particle_filter_slam(scans, odometry.at, ParticleSettings())
     result.poses_map_scan, result.effective, result.trusted
@@ -16,7 +17,7 @@ import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.errors import MappingFailed
-from fusion_core.model.planar_poses import PosePrior, relative_pose
+from fusion_core.model.planar_poses import PosePrior, compose_poses, relative_pose
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import LaserScan
 from fusion_core.model.slam_view import SlamObserver, SlamView, no_observer
@@ -111,9 +112,12 @@ class _Run:
             SubmapSettings(resolution_m=settings.resolution_m, max_range_m=settings.max_range_m),
         )
         self._filter = ParticleFilter(settings)
-        # Of each scan.
+        # Of each scan: its stamp, and where the motion u_1:t alone has it.
         self.stamps_ns: list[int] = []
-        self._poses_local_scan: list[FloatArray] = []
+        self._poses_dead_reckoned: list[FloatArray] = []
+        # Of the last scan: its pose by local SLAM and by odometry.
+        self._pose_local_last: FloatArray | None = None
+        self._pose_odom_last: FloatArray | None = None
         # Of each update.
         self._keyframes: list[int] = []
         self._updates: list[FilterUpdate] = []
@@ -130,9 +134,8 @@ class _Run:
         self._local_slam.drop_map()
         matched_s = time.perf_counter()
         self._seconds["scan_matching"] += matched_s - start_s
-        self._add_noise(tracked)
+        self._add_motion(tracked, pose_odom_scan)
         self.stamps_ns.append(scan.stamp_ns)
-        self._poses_local_scan.append(tracked.pose_local_scan)
         self.is_view_due = False
         if self._is_due(tracked):
             self._update(tracked)
@@ -140,18 +143,33 @@ class _Run:
             self._tiles = max(self._tiles, self._filter.maps.tiles)
         self._seconds["particles"] += time.perf_counter() - matched_s
 
-    def _add_noise(self, tracked: TrackedScan) -> None:
-        """Add the variance of a step of scan-matched odometry."""
-        if not self._poses_local_scan:
+    def _add_motion(self, tracked: TrackedScan, pose_odom_scan: FloatArray | None) -> None:
+        """Add a step of the motion and its variance."""
+        pose_odom_last, self._pose_odom_last = self._pose_odom_last, pose_odom_scan
+        pose_local_last, self._pose_local_last = self._pose_local_last, tracked.pose_local_scan
+        if pose_local_last is None:
+            self._poses_dead_reckoned.append(tracked.pose_local_scan)
             return
         settings = self._settings
-        step = relative_pose(self._poses_local_scan[-1], tracked.pose_local_scan)
+        is_by_odometry = settings.prediction == "odometry"
+        if is_by_odometry and pose_odom_last is not None and pose_odom_scan is not None:
+            step, is_measured = relative_pose(pose_odom_last, pose_odom_scan), True
+        else:
+            step, is_measured = (
+                relative_pose(pose_local_last, tracked.pose_local_scan),
+                tracked.fits,
+            )
+        self._poses_dead_reckoned.append(
+            compose_poses(self._poses_dead_reckoned[-1], step)
+            if is_by_odometry
+            else tracked.pose_local_scan
+        )
         distance_m, rotation_rad = float(np.hypot(step[0], step[1])), abs(float(step[2]))
         self._variance += [
             distance_m * settings.sigma_m_per_m**2 + rotation_rad * settings.sigma_m_per_rad**2,
             distance_m * settings.sigma_rad_per_m**2 + rotation_rad * settings.sigma_rad_per_rad**2,
         ]
-        if not tracked.fits:
+        if not is_measured:
             unmatched = np.array([settings.unmatched_sigma_m, settings.unmatched_sigma_rad])
             self._variance += unmatched**2
 
@@ -161,14 +179,16 @@ class _Run:
             return False
         if not self._keyframes:
             return True
-        step = self._step_since_update(tracked)
+        step = self._step_since_update()
         return bool(
             np.hypot(step[0], step[1]) > self._settings.step_m
             or abs(step[2]) > self._settings.step_rad
         )
 
-    def _step_since_update(self, tracked: TrackedScan) -> FloatArray:
-        return relative_pose(self._poses_local_scan[self._keyframes[-1]], tracked.pose_local_scan)
+    def _step_since_update(self) -> FloatArray:
+        return relative_pose(
+            self._poses_dead_reckoned[self._keyframes[-1]], self._poses_dead_reckoned[-1]
+        )
 
     def _update(self, tracked: TrackedScan) -> None:
         densified_m = densified_points(tracked.points_m, self._settings.resolution_m)
@@ -179,7 +199,7 @@ class _Run:
                 sigma_m=float(np.sqrt(self._variance[0])),
                 sigma_rad=float(np.sqrt(self._variance[1])),
             )
-            step = self._step_since_update(tracked)
+            step = self._step_since_update()
             update = self._filter.update(step, motion, tracked.points_m, densified_m)
         self._variance[:] = 0.0
         self._keyframes.append(len(self.stamps_ns) - 1)
@@ -200,7 +220,7 @@ class _Run:
         return ParticleResult(
             stamps_ns=np.array(self.stamps_ns, dtype=np.int64),
             poses_map_scan=interpolate_poses(
-                np.array(self._poses_local_scan), keyframes, best[:, :3]
+                np.array(self._poses_dead_reckoned), keyframes, best[:, :3]
             ),
             trusted=self._trusted(keyframes, best[:, 3]),
             keyframes=keyframes,
@@ -241,7 +261,9 @@ class _Run:
             stage="weighing particles",
             stamps_ns=np.array(self.stamps_ns, dtype=np.int64),
             poses_map_scan=interpolate_poses(
-                np.array(self._poses_local_scan), keyframes, self._filter.best_trajectory()[:, :3]
+                np.array(self._poses_dead_reckoned),
+                keyframes,
+                self._filter.best_trajectory()[:, :3],
             ),
             particles=self._filter.poses.copy(),
             weights=self._filter.weights.copy(),

@@ -93,7 +93,8 @@ def _poses_in_named_frame(
     recording: Recording, streams: Streams, transforms: RecordedTransforms, lidar: str
 ) -> PoseLookup:
     tf, frame = streams.tf, streams.pose_frame
-    assert tf is not None and frame is not None, "a frame is named only where there is TF"
+    assert frame is not None
+    assert tf is not None, "a frame is named only where there is TF"
     transforms.add_timed(tf)
     if not _ever_connected(transforms.tree, recording, tf, frame, lidar):
         there = ", ".join(transforms.tree.frames) or "none"

@@ -5,9 +5,13 @@
 
 The measure is Kümmerle's (2009), without alignment; GMapping's own is 0.070 m. ``whole``: every
 scan. ``half``: every second scan. ``starts``: ten minutes of it, from ten instants evenly spread
-over the log, each with every scan and odometry of its own. A start is one line; the last line has
-the mean and the worst of the starts' means. ``p95``: the error below which 95 % of the relations
-lie.
+over the log. A start is one line; the last line has the mean and the worst of the starts' means.
+``p95``: the error below which 95 % of the relations lie.
+
+The log's stamps come in bursts with gaps of up to 3 s between, so that a pose at the instant of a
+scan that was left out cannot be interpolated in time: of the raw odometry, half of the scans
+reproduce the relations of the whole to 0.056 m only. So ``half`` is two lines: by the relations
+whose instants are both scans that are left, and by all, interpolated.
 """
 
 import argparse
@@ -18,8 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion_core.evaluation.relations import RelationReport, evaluate_relations
-from fusion_core.model.conventions import NS_PER_S
+from fusion_core.evaluation.relations import evaluate_relations
+from fusion_core.model.conventions import NS_PER_S, IntArray
 from fusion_core.model.planar_poses import PosePrior
 from fusion_core.model.relations import Relations
 from fusion_core.model.sensors import LaserScan
@@ -28,7 +32,7 @@ from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.relation_file import read_relations
 from fusion_core.recordings.topics import choose_streams
 from fusion_core.slam.particle_filter import ParticleSettings
-from fusion_core.slam.particle_filter_slam import ParticleResult, particle_filter_slam
+from fusion_core.slam.particle_filter_slam import particle_filter_slam
 from fusion_core.workflows.map.settings import MAP_PRESETS
 from fusion_core.workflows.recorded_poses import recorded_poses
 
@@ -88,7 +92,8 @@ def _print_run(
     begin_s = time.process_time()
     result = particle_filter_slam(scans, prior, settings)
     spent_s = time.process_time() - begin_s
-    report = relation_report(result, relations)
+    trajectory = Trajectory.from_planar(result.stamps_ns, result.poses_map_scan)
+    report = evaluate_relations(trajectory, relations_between(result.stamps_ns, relations))
     errors_m = report.translation_m
     print(
         f"{preset:<11}{case:<10}{errors_m.mean():>8.4f}{errors_m.std():>8.4f}"
@@ -99,13 +104,25 @@ def _print_run(
         f"{result.trusted.mean():>9.2%}{spent_s:>7.1f}",
         flush=True,
     )
+    if case == "half":
+        interpolated_m = evaluate_relations(trajectory, relations).translation_m
+        print(
+            f"{preset:<11}{'by all':<10}{interpolated_m.mean():>8.4f}{interpolated_m.std():>8.4f}"
+            f"{np.percentile(interpolated_m, 95):>8.4f}{interpolated_m.max():>8.4f}"
+            f"{np.nan:>7}{interpolated_m.size:>11}"
+        )
     return float(errors_m.mean())
 
 
-def relation_report(result: ParticleResult, relations: Relations) -> RelationReport:
-    """The errors of a result over the relations inside of it."""
-    trajectory = Trajectory.from_planar(result.stamps_ns, result.poses_map_scan)
-    return evaluate_relations(trajectory, relations)
+def relations_between(stamps_ns: IntArray, relations: Relations) -> Relations:
+    """Those whose two instants are among the stamps (N,)."""
+    first_ns, second_ns = relations.first_stamps_ns, relations.second_stamps_ns
+    known = np.isin(first_ns, stamps_ns) & np.isin(second_ns, stamps_ns)
+    return Relations(
+        first_stamps_ns=first_ns[known],
+        second_stamps_ns=second_ns[known],
+        T_first_second=relations.T_first_second[known],
+    )
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """Laser odometry in a ray-cast room and corridor, with noise unknown to the method."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -7,8 +9,9 @@ from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.planar_poses import compose_poses, relative_pose
 from fusion_core.model.sensors import LaserScan
-from fusion_core.motion.laser import LaserOdometrySettings, laser_odometry
+from fusion_core.motion.laser import PUBLISHED, LaserOdometrySettings, laser_odometry
 from fusion_core.motion.steps import integrate_steps, steps_between
+from fusion_core.registration.pl_icp import PlIcpSettings, ReferenceScan, match_to_reference
 from tests.benchmarks.scan_matching_room import WALLS, cast, full_turn, rectangle
 from tests.motion.simulated_motion import STEP_NS, stamps, step_errors, weaving
 
@@ -180,3 +183,45 @@ def test_where_the_first_scan_was_does_not_matter(room: list[LaserScan]) -> None
     between = relative_pose(early.poses_odom_lidar[20], early.poses_odom_lidar[-1])
     again = compose_poses(np.zeros(3), late.poses_odom_lidar[-1])
     np.testing.assert_allclose(between, again, atol=0.015)
+
+
+def test_as_published_each_scan_is_matched_with_the_one_before(room: list[LaserScan]) -> None:
+    """Against a loop of matches of neighbours, each from its own guess, chained."""
+    pose = np.zeros(3)
+    poses = [pose]
+    for before, after in pairwise(room[:40]):
+        angles = {"angle_min_rad": ANGLE_MIN, "angle_increment_rad": INCREMENT}
+        reference = ReferenceScan.of(before.ranges_m, settings=PlIcpSettings(), **angles)
+        match = match_to_reference(reference, after.ranges_m, guess=np.zeros(3), **angles)
+        pose = compose_poses(pose, match.pose_first_second)
+        poses.append(pose)
+    chained = np.array(poses)
+    published = laser_odometry(room[:40], PUBLISHED).poses_odom_lidar
+    # The match depends a little on its guess: which points are paired.
+    np.testing.assert_allclose(published, chained, atol=1e-3)
+    by_keyframes = laser_odometry(room[:40]).poses_odom_lidar
+    assert np.abs(by_keyframes - chained).max() > 3e-3
+
+
+def test_as_published_its_covariances_are_those_of_its_errors(room: list[LaserScan]) -> None:
+    trajectory = laser_odometry(room, PUBLISHED)
+    errors = step_errors(trajectory, steps_between(POSES))
+    said = np.sqrt(np.diagonal(trajectory.step_covariance, axis1=1, axis2=2).mean(axis=0))
+    ratio = np.sqrt((errors**2).mean(axis=0)) / said
+    assert (ratio < 1.5).all()
+    assert (ratio > 0.25).all()
+    # Each match accumulates, so that the drift is far greater than by keyframes.
+    np.testing.assert_array_equal(trajectory.drift_covariance, trajectory.step_covariance)
+    drift, by_keyframes = (
+        of.drift_covariance.sum(axis=0)[0, 0] for of in (trajectory, laser_odometry(room))
+    )
+    assert drift > 4.0 * by_keyframes
+
+
+def test_as_published_a_blank_scan_is_bridged_by_the_last_that_saw_something() -> None:
+    trajectory = laser_odometry(sweeps(POSES, blank=slice(40, 44)), PUBLISHED)
+    np.testing.assert_array_equal(np.flatnonzero(~trajectory.measured), np.arange(39, 44))
+    error = relative_pose(
+        relative_pose(POSES[0], POSES[-1]), relative_pose(*trajectory.poses_odom_lidar[[0, -1]])
+    )
+    assert np.hypot(error[0], error[1]) < 0.06

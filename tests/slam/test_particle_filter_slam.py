@@ -13,10 +13,17 @@ from fusion_core.model.trajectory import Trajectory
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.relation_file import read_relations
 from fusion_core.recordings.topics import choose_streams
+from fusion_core.slam import particle_filter
 from fusion_core.slam.interpolate_poses import interpolate_poses
 from fusion_core.slam.local_slam import LocalSlam, LocalSlamSettings
-from fusion_core.slam.particle_filter import ParticleSettings, effective_number
+from fusion_core.slam.particle_filter import (
+    PUBLISHED,
+    ParticleFilter,
+    ParticleSettings,
+    effective_number,
+)
 from fusion_core.slam.particle_filter_slam import particle_filter_slam
+from fusion_core.slam.particle_proposal import propose
 from fusion_core.slam.submaps import SubmapSettings
 from fusion_core.workflows.recorded_poses import recorded_poses
 from tests.benchmarks.scan_matching_room import WALLS as ROOM
@@ -254,6 +261,67 @@ def test_a_match_that_fails_is_counted(ring):
 def test_stamps_must_increase(ring):
     with pytest.raises(ValueError, match="stamps must increase"):
         particle_filter_slam([ring.scans[1], ring.scans[0]], ring.prior, FEW)
+
+
+def test_as_published_the_motion_is_odometrys_own(ring, monkeypatch):
+    """And by default, it is odometry as scan matching has corrected it."""
+    steps = []
+    update = ParticleFilter.update
+    monkeypatch.setattr(
+        ParticleFilter,
+        "update",
+        lambda self, step, *rest: (steps.append(step), update(self, step, *rest))[1],
+    )
+    result = particle_filter_slam(
+        ring.scans[:60], ring.prior, PUBLISHED.model_copy(update={"particles": 2})
+    )
+    by_odometry = ring.odometry[result.keyframes]
+    expected = relative_pose(by_odometry[:-1], by_odometry[1:])
+    np.testing.assert_allclose(steps, expected, atol=1e-9)
+    steps.clear()
+    corrected = particle_filter_slam(ring.scans[:60], ring.prior, FEW)
+    true = ring.truth[corrected.keyframes]
+    by_odometry = ring.odometry[corrected.keyframes]
+    errors = [
+        np.abs(relative_pose(of[:-1], of[1:]) - steps)[:, 2].mean() for of in (true, by_odometry)
+    ]
+    assert errors[0] < 0.7 * errors[1]
+
+
+@pytest.mark.parametrize("settings", [PUBLISHED, ParticleSettings()])
+def test_a_weight_is_the_product_of_its_evidence(ring, monkeypatch, settings):
+    """Eq. 19 as printed multiplies by the whole of each η; the default by its root."""
+    log_evidence = []
+
+    def recorded(*args, **kwargs):
+        proposal = propose(*args, **kwargs)
+        log_evidence.append(proposal.log_evidence)
+        return proposal
+
+    monkeypatch.setattr(particle_filter, "propose", recorded)
+    few = settings.model_copy(update={"particles": 3, "resample_fraction": 0.0})
+    result = particle_filter_slam(ring.scans[:40], ring.prior, few)
+    eta = np.exp(np.array(log_evidence).reshape(-1, 3).sum(axis=0) - np.mean(log_evidence))
+    expected = eta ** (1.0 if settings is PUBLISHED else settings.likelihood_gain)
+    np.testing.assert_allclose(result.weights, expected / expected.sum(), rtol=1e-6)
+
+
+def test_as_published_a_loop_closes_and_particles_are_resampled(ring, closed):
+    result = particle_filter_slam(ring.scans, ring.prior, PUBLISHED)
+    assert result.resampled.sum() > 2 * closed.resampled.sum()
+    assert result.effective.mean() < closed.effective.mean()
+    assert error_m(result.poses_map_scan, ring.truth) < 0.15 * error_m(ring.odometry, ring.truth)
+
+
+def test_as_published_where_odometry_is_missing_scan_matching_bridges(ring):
+    gap = {scan.stamp_ns for scan in ring.scans[30:50]}
+    settings = PUBLISHED.model_copy(update={"particles": 6})
+    result = particle_filter_slam(
+        ring.scans[:80],
+        lambda stamp_ns: None if stamp_ns in gap else ring.prior(stamp_ns),
+        settings,
+    )
+    assert error_m(result.poses_map_scan, ring.truth[:80]) < 0.3
 
 
 @pytest.mark.data

@@ -60,8 +60,8 @@ class Map:
     lidar: TopicOption = None
     """The LaserScan topic (default: found by type)."""
     pose: TopicOption = None
-    """The topic of recorded poses, or a frame of TF such as map (default: the odom frame of TF, else
-    odometry)."""
+    """The topic of recorded poses, or a frame of TF such as map (default: the odom frame of TF,
+    else odometry)."""
     force: ForceFlag = False
     overwrite: OverwriteFolderFlag = False
     json: JsonFlag = False

@@ -1,9 +1,10 @@
 """The settings of ``scanloom map``, and its two presets.
 
-``default`` works best; ``published`` is Li 2022 as far as its text specifies it: clouds by stride
-and cropped scans (§2.2), odometry fused by (6) to (9) as printed, and, where the mount must be
-found or scans repaired, Xu 2024's chain as published. Its pose graph is Cartographer's (Fu 2024):
-the map is not refined with the poses.
+``default`` is what is right; ``published`` is Li 2022 as far as its text decides: clouds by stride
+and cropped scans (§2.2), each scan matched with the one before and odometry fused by (6) to (9) as
+printed (§3), GMapping as Grisetti 2007 prints it, and, where the mount must be found or scans
+repaired, Xu 2024's chain as published. Its pose graph is Cartographer's (Fu 2024): the map is not
+refined with the poses.
 """
 
 from pathlib import Path
@@ -11,7 +12,9 @@ from pathlib import Path
 from fusion_core.exporting.settings_file import dump_toml
 from fusion_core.mapping import virtual_scan
 from fusion_core.mapping.virtual_scan import VirtualScanSettings
+from fusion_core.motion import laser
 from fusion_core.motion.fusion import FusionSettings
+from fusion_core.slam import particle_filter
 from fusion_core.slam.joint_refinement import RefinementSettings
 from fusion_core.slam.particle_filter import ParticleSettings
 from fusion_core.slam.pose_graph_slam import SlamSettings
@@ -37,7 +40,9 @@ MAP_PRESETS: dict[PresetName, MapSettings] = {
     "published": MapSettings(
         **dict(PRESETS["published"]),
         virtual_scan=virtual_scan.PUBLISHED,
+        laser=laser.PUBLISHED,
         fusion=FusionSettings(method="published"),
+        particles=particle_filter.PUBLISHED,
         refinement=RefinementSettings(rounds=0),
     ),
 }
