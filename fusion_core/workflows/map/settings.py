@@ -1,6 +1,6 @@
 """The settings of ``scanloom map``, and its two presets.
 
-``default`` is what is right; ``published`` is Li 2022 as far as its text decides: clouds by stride
+``default`` works best; ``published`` is Li 2022 as far as its text specifies it: clouds by stride
 and cropped scans (§2.2), each scan matched with the one before and odometry fused by (6) to (9) as
 printed (§3), GMapping as Grisetti 2007 prints it, and, where the mount must be found or scans
 repaired, Xu 2024's chain as published. Its pose graph is Cartographer's (Fu 2024): the map is not
