@@ -50,7 +50,9 @@ class Correspondence:
     ``lidar_range_m``: the beam's own range; ``depth_m``: the pixel's own depth along the optical
     axis; ``depth_as_range_m``: that pixel's point as a horizontal range from the LiDAR's origin;
     ``lidar_as_depth_m``: the beam's point as a depth along the optical axis;
-    ``camera_range_m``: the range at which the beam, cast as a ray, meets what the camera sees.
+    ``camera_range_m``: the range at which the beam, cast as a ray, meets what the camera sees;
+    ``camera_blocked``: before that it passes behind something nearer, above or below its plane, so
+    that the camera does not see all of its way.
     ``azimuth_rad``: the beam in the LiDAR frame. ``residual_m``: what eq. (6) compares with
     epsilon, signed depth - LiDAR where both are ranges. NaN where missing.
     """
@@ -65,6 +67,7 @@ class Correspondence:
     depth_as_range_m: FloatArray
     lidar_as_depth_m: FloatArray
     camera_range_m: FloatArray
+    camera_blocked: BoolArray
     residual_m: FloatArray
 
     def __post_init__(self) -> None:
@@ -88,7 +91,7 @@ def match_along_curve(
     """
     intrinsics = camera.intrinsics
     T_camera_lidar = invert_transform(T_lidar_camera)
-    camera_range = _cast_rays(
+    camera_range, blocked = _cast_rays(
         scan.angles_rad,
         smooth_depth_m,
         T_camera_lidar,
@@ -118,6 +121,7 @@ def match_along_curve(
         depth_as_range_m=depth_as_range,
         lidar_as_depth_m=np.where(np.isfinite(lidar), in_camera[:, 2], np.nan),
         camera_range_m=camera_range[beam],
+        camera_blocked=blocked[beam],
         residual_m=depth_as_range - lidar,
     )
 
@@ -158,6 +162,7 @@ def match_in_row(
         depth_as_range_m=depth * range_per_depth,
         lidar_as_depth_m=lidar / range_per_depth,
         camera_range_m=smooth_depth_m[row, column] * range_per_depth,
+        camera_blocked=np.zeros(beam.size, dtype=np.bool_),
         residual_m=depth * range_per_depth - lidar,
     )
 
@@ -200,6 +205,7 @@ def match_by_sample(
         depth_as_range_m=missing,
         lidar_as_depth_m=missing,
         camera_range_m=missing,
+        camera_blocked=np.zeros(beam.size, dtype=np.bool_),
         residual_m=missing,
     )
     L = np.stack([x, np.nan_to_num(lidar, nan=0.0)], axis=1)
@@ -301,15 +307,17 @@ def _cast_rays(
     T_camera_lidar: FloatArray,
     intrinsics: FloatArray,
     range_max_m: float,
-) -> FloatArray:
+) -> tuple[FloatArray, BoolArray]:
     """(N,) range at which each beam first meets the seen surface, NaN where it never does.
 
     A ray that passes behind something nearer (a table top) is followed further: it may reappear.
+    (N,): whether it has passed so.
     """
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
     T = T_camera_lidar
     found = np.full(azimuth_rad.size, np.nan)
+    blocked = np.zeros(azimuth_rad.size, dtype=np.bool_)
     farthest = 0.0
     for value in depth_m.ravel():
         if value > farthest:
@@ -343,6 +351,7 @@ def _cast_rays(
                 fraction = ahead_before / (ahead_before - ahead)
                 found[index] = distance - _RAY_STEP_M * (2.0 - fraction)
                 break
+            blocked[index] |= ahead < -_EDGE_M
             ahead_before = ahead
             seen_before = seen
-    return found
+    return found, blocked

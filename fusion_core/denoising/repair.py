@@ -6,7 +6,10 @@ plane through its good neighbours in the image. The source with the smaller expe
 and recorded. Nothing is filled across a depth edge or over too wide a gap.
 
 A repair never removes an obstacle: a valid return is moved farther only where it is a burr of at
-least a set confidence, and conflicts are left as they are.
+least a set confidence, and conflicts are left as they are. Nor does it invent free space: no beam
+is filled behind what the LiDAR saw about its direction in this scan and the ones before and after,
+or behind what the camera saw before it, and a line across a gap needs those scans' confirmation
+(``nearby_returns``). What cannot be known stays a hole.
 """
 
 from dataclasses import dataclass, fields
@@ -15,7 +18,8 @@ from typing import Literal
 import numpy as np
 
 from fusion_core.denoising.correspondence import Correspondence
-from fusion_core.denoising.noise import Classification
+from fusion_core.denoising.nearby_returns import nearby_returns
+from fusion_core.denoising.noise import Classification, FrameWindow
 from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.denoising.surfaces import fit_image_planes, interpolate_gaps, smooth_ranges
 from fusion_core.model.classes import NoiseClass, RepairSource
@@ -35,6 +39,8 @@ _STRUCTURE_PER_GAP = 0.1
 # Ranges farther apart than this many standard deviations contradict each other: by chance
 # one in 16,000 does.
 _CONTRADICTION_SIGMA = 4.0
+# A robot at 0.5 m/s comes this much nearer between two scans at 10 Hz.
+_APPROACH_M = 0.05
 
 
 class RepairSettings(StageSettings):
@@ -76,6 +82,24 @@ class RepairSettings(StageSettings):
     farther_confidence: float = setting(
         0.7, "Least confidence of a burr that a repair moves farther", ge=0.0, le=1.0
     )
+    check_nearby: bool = setting(
+        True,
+        "Fill no beam behind what either sensor saw about its direction, and none from its own "
+        "neighbours unless the scans before and after confirm it; published: fill them all",
+    )
+    confirm_line: float = setting(
+        0.5,
+        "Of the beams about a direction in the scans before and after, least fraction that must "
+        "return anything, and of those next to it the line across a gap",
+        ge=0.0,
+        le=1.0,
+    )
+    confirm_in_time: float = setting(
+        0.8,
+        "The same for the mean of both scans, which fills the beam where no line crosses the gap",
+        ge=0.0,
+        le=1.0,
+    )
     camera_noise_fraction: float = setting(
         0.5,
         "Fraction of a good pair's noise that is the camera's",
@@ -108,15 +132,13 @@ class Repair:
 
 
 def repair(
-    pairs: Correspondence,
-    classes: Classification,
-    depth_m: Float32Array,
-    scale: NoiseScale,
-    settings: RepairSettings,
+    window: FrameWindow, classes: Classification, scale: NoiseScale, settings: RepairSettings
 ) -> Repair:
-    """Repair the holes and burrs of one frame. ``depth_m``: (H, W) upright view."""
-    lidar, lidar_source, lidar_errors = _repair_lidar(pairs, classes, scale, settings)
-    depth, depth_source, depth_errors = _repair_depth(pairs, classes, depth_m, scale, settings)
+    """Repair the holes and burrs of one frame, whose ``classes`` are those of ``window``."""
+    lidar, lidar_source, lidar_errors = _repair_lidar(window, classes, scale, settings)
+    depth, depth_source, depth_errors = _repair_depth(
+        window.pairs, classes, window.depth_m, scale, settings
+    )
     return Repair(
         lidar_range_m=lidar,
         lidar_source=lidar_source,
@@ -128,8 +150,9 @@ def repair(
 
 
 def _repair_lidar(
-    pairs: Correspondence, classes: Classification, scale: NoiseScale, settings: RepairSettings
+    window: FrameWindow, classes: Classification, scale: NoiseScale, settings: RepairSettings
 ) -> tuple[FloatArray, IntArray, FloatArray]:
+    pairs = window.pairs
     raw = pairs.lidar_range_m
     burr = classes.lidar_class == NoiseClass.BURR
     if settings.prefer == "smaller_error":
@@ -155,7 +178,47 @@ def _repair_lidar(
     )
     from_camera = _Estimate(value=camera, error=camera_error)
     from_neighbours = _Estimate(value=neighbours, error=neighbour_error)
+    if settings.check_nearby:
+        from_camera, from_neighbours = _known_free_before(
+            window, from_camera, from_neighbours, scale, settings
+        )
     return _choose_source(samples, from_camera, from_neighbours, settings)
+
+
+def _known_free_before(
+    window: FrameWindow,
+    camera: "_Estimate",
+    line: "_Estimate",
+    scale: NoiseScale,
+    settings: RepairSettings,
+) -> "tuple[_Estimate, _Estimate]":
+    """The estimates from the camera and from neighbours before which nothing was seen.
+
+    The neighbours are the line across the gap or, where it is not confirmed, the scans before and
+    after.
+    """
+    nearby = nearby_returns(window)
+
+    def confirmed(value_m: FloatArray, least: float) -> FloatArray:
+        tolerance_m = _APPROACH_M + _CONTRADICTION_SIGMA * scale.sigma_at(value_m)
+        enough = nearby.returned_fraction >= least
+        enough &= nearby.confirmed_fraction(value_m, tolerance_m) >= least
+        return np.where(enough, value_m, np.nan)
+
+    line_m = confirmed(line.value, settings.confirm_line)
+    in_time_m = confirmed(nearby.between_scans_m(), settings.confirm_in_time)
+    has_line = np.isfinite(line_m)
+    neighbours_m = np.where(has_line, line_m, in_time_m)
+    neighbour_error = np.where(has_line, line.error, scale.sigma_at(in_time_m))
+
+    def unless_behind(value_m: FloatArray) -> FloatArray:
+        return np.where(nearby.any_before(value_m - settings.edge_m), np.nan, value_m)
+
+    camera_m = np.where(window.pairs.camera_blocked, np.nan, camera.value)
+    return (
+        _Estimate(value=unless_behind(camera_m), error=camera.error),
+        _Estimate(value=unless_behind(neighbours_m), error=neighbour_error),
+    )
 
 
 def _repair_depth(

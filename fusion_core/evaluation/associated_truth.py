@@ -100,7 +100,7 @@ def associate_truth(truth: Truth, folder: FuseFolder) -> AssociatedTruth:
     """
     return AssociatedTruth(
         truth=truth,
-        beam_angle_rad=_beam_angles_rad(truth, folder),
+        beam_angle_rad=beam_angles_rad(truth, folder),
         cameras=tuple(_true_camera(truth, recorded, folder) for recorded in folder.cameras),
     )
 
@@ -150,7 +150,7 @@ def _truth_of_camera(truth: Truth, recorded: RecordedCamera, *, alone: bool) -> 
     )
 
 
-def _beam_angles_rad(truth: Truth, folder: FuseFolder) -> FloatArray:
+def beam_angles_rad(truth: Truth, folder: FuseFolder) -> FloatArray:
     """(N,) azimuth of each beam: the truth's, else the recording's."""
     beams = truth.range_m.shape[1]
     if beams != folder.lidar.beams:

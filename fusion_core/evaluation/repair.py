@@ -12,6 +12,9 @@ only improve it.
 Errors are taken over the samples that were repaired, a sample once for each frame that shows it,
 separately for gaps (runs of samples that are not good in truth) of 3 degrees and more, and for
 narrower ones. The baselines' errors are over the same samples.
+
+What is filled more than 0.3 m behind the true surface is free space that is not there: its fraction
+is given for each source (``behind_surface``), beside the fraction of the holes that were filled.
 """
 
 from collections.abc import Iterable, Sequence
@@ -135,6 +138,7 @@ def _lidar_errors(
     good = kind == NoiseClass.GOOD
     compared = ComparedSamples(
         wanted=wanted,
+        hole=wanted & (kind == NoiseClass.HOLE),
         repaired=wanted & was_repaired(samples.lidar_source, samples.lidar_repaired_m),
         wide=_is_wide(gap_deg),
         source=samples.lidar_source,
@@ -190,6 +194,7 @@ def _depth_errors(
     repaired = wanted & was_repaired(source, repaired_m)
     compared = ComparedSamples(
         wanted=wanted,
+        hole=wanted & (kind == NoiseClass.HOLE),
         repaired=repaired,
         wide=_is_wide(gap_deg),
         source=source,

@@ -78,7 +78,8 @@ class Truth:
     """The truth of a recording, as in its file.
 
     ``scan_stamp_ns``: (S,). ``range_m``: (S, N), NaN where there is none; it may exceed what the
-    LiDAR can measure. ``kind``: (S, N) class codes. Angles and clock are None where unknown.
+    LiDAR can measure. ``kind``: (S, N) class codes. ``pose``: (S, 3) x, y, yaw of the LiDAR in the
+    world. Angles, clock and poses are None where unknown.
     """
 
     file: Path
@@ -89,10 +90,13 @@ class Truth:
     angle_increment_rad: float | None
     clock_offset_ms: float | None
     cameras: tuple[CameraTruth, ...]
+    pose: FloatArray | None = None
 
     def __post_init__(self) -> None:
         for array in (self.scan_stamp_ns, self.range_m, self.kind):
             read_only(array)
+        if self.pose is not None:
+            read_only(self.pose)
 
 
 def load_truth(
@@ -120,7 +124,16 @@ def load_truth(
         angle_increment_rad=_read_scalar(arrays, "lidar_angle_increment"),
         clock_offset_ms=clock_offset_ms if own_clock is None else own_clock,
         cameras=_read_cameras(arrays, path, lever_arm),
+        pose=_read_poses(arrays, scan_stamp_ns.size, path),
     )
+
+
+def _read_poses(arrays: Arrays, scans: int, path: Path) -> FloatArray | None:
+    if "pose" not in arrays:
+        return None
+    pose = _require_array(arrays, "pose", path, ndim=2).astype(np.float64)
+    _require_shape(pose.shape, (scans, 3), "pose", path)
+    return pose
 
 
 def _read_arrays(path: Path) -> Arrays:

@@ -74,6 +74,25 @@ class GridBuilder:
         self._grid.reserve(self._bounds_of(np.vstack([origin[np.newaxis], ends])))
         self._grid.add_scan(origin, ends, ranges_m[valid] <= range_max_m)
 
+    def mark_unconfirmed(
+        self, pose: FloatArray, angles_rad: FloatArray, ranges_m: FloatArray
+    ) -> None:
+        """Mark the cells of returns, of which nobody knows whether something is there.
+
+        Cells that are unknown so far become undecided (log odds of 0), the rest stay; no cell is
+        cleared. Arguments as in ``add_scan``.
+
+        Raises MappingFailed where the map would exceed ``cells_max``.
+        """
+        valid = ranges_m > 0.0
+        if not valid.any():
+            return
+        azimuths_rad = angles_rad[valid] + pose[2]
+        directions = np.stack([np.cos(azimuths_rad), np.sin(azimuths_rad)], axis=1)
+        ends = (pose[:2] + ranges_m[valid, np.newaxis] * directions) / self._settings.resolution_m
+        self._grid.reserve(self._bounds_of(ends))
+        self._grid.mark_undecided(ends)
+
     def build(self) -> OccupancyGrid:
         """The map so far, cut to the known cells.
 

@@ -124,3 +124,8 @@ class GrowingGrid:
             is_hit,
             self._update,
         )
+
+    def mark_undecided(self, points: FloatArray) -> None:
+        """Cells of (n, 2) points x, y in cell units, all reserved, become 0 where unknown."""
+        column, row = (np.floor(points).astype(np.int64) - self.bounds.low).T
+        self.log_odds[row, column] = np.nan_to_num(self.log_odds[row, column], nan=0.0)

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from fusion_core.evaluation.alignment import evaluate_alignment
+from fusion_core.evaluation.false_cells import evaluate_false_cells, true_views
+from fusion_core.evaluation.fuse_folder import open_fuse_folder
 from fusion_core.evaluation.map_measures import MapCells, evaluate_measures
 from fusion_core.evaluation.map_outlines import evaluate_outlines
 from fusion_core.evaluation.noise import evaluate_noise
@@ -161,6 +163,32 @@ def ros_map(
         "alignment": None if alignment is None else alignment.to_json(),
         **evaluate_outlines(cells.occupied_m, drawn.resolution_m, outline).to_json(),
         **evaluate_measures(cells, outline).to_json(),
+    }
+
+
+def map_cells(
+    file: Path, truth: Path, *, pose: tuple[float, float, float] | None = None
+) -> dict[str, Any]:
+    """Cells of a map of ``fuse`` that are free or occupied and are not so in truth.
+
+    ``file`` is a map's YAML file in the folder that ``fuse`` wrote, ``truth`` the ground truth of
+    its recording. ``pose`` (x, y, yaw) is where the map's frame lies in the truth's world; None is
+    that world, as for a map of recorded true poses.
+    """
+    if pose is not None and not np.isfinite(pose).all():
+        raise SettingsError(f"the pose must be finite, got {pose}.")
+    require_intact(file.parent, (file.name, f"{file.stem}.pgm", "alignment.json"))
+    drawn = read_ros_map(file)
+    views = true_views(load_truth(truth), open_fuse_folder(file.parent))
+    pose_world_map = np.zeros(3) if pose is None else np.array(pose, dtype=np.float64)
+    cells = MapCells(
+        occupied_m=transform_planar_points(pose_world_map, drawn.occupied_m()),
+        free_m=transform_planar_points(pose_world_map, drawn.free_m()),
+        resolution_m=drawn.resolution_m,
+    )
+    return {
+        "resolution_m": drawn.resolution_m,
+        **evaluate_false_cells(cells, views).to_json(),
     }
 
 

@@ -224,18 +224,19 @@ def classify_and_repair(
     pair, rate = match.pair, match.turn_rate_rad_s
     window, scan, previous = pair.window, pair.scan, pair.previous
     registration = match.registration
+    seen = FrameWindow(
+        pairs=match.correspondence,
+        scan=scan,
+        depth_m=pair.depth_m,
+        scan_before=window.before,
+        scan_after=window.after,
+        shift_before=_beams_turned(window.before, scan, rate),
+        shift_after=_beams_turned(window.after, scan, rate),
+        depth_before_m=None if previous is None else previous.depth_m,
+        columns_before=_columns_turned(previous, match.stamp_ns, rate, pair.camera),
+    )
     classes = classify(
-        FrameWindow(
-            pairs=match.correspondence,
-            scan=scan,
-            depth_m=pair.depth_m,
-            scan_before=window.before,
-            scan_after=window.after,
-            shift_before=_beams_turned(window.before, scan, rate),
-            shift_after=_beams_turned(window.after, scan, rate),
-            depth_before_m=None if previous is None else previous.depth_m,
-            columns_before=_columns_turned(previous, match.stamp_ns, rate, pair.camera),
-        ),
+        seen,
         settings.noise,
         alignment.scale,
         registration.mean_error_m if registration is not None else float("nan"),
@@ -243,9 +244,7 @@ def classify_and_repair(
     return FusedFrame(
         match=match,
         classes=classes,
-        repair=repair(
-            match.correspondence, classes, pair.depth_m, alignment.scale, settings.repair
-        ),
+        repair=repair(seen, classes, alignment.scale, settings.repair),
     )
 
 

@@ -19,7 +19,7 @@ from fusion_core.workflows.fuse.figures import FigureCollector
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.pairing import PairedImage
 from fusion_core.workflows.fuse.scan_queue import RepairedScanQueue
-from fusion_core.workflows.fuse.sensor_maps import SensorMaps
+from fusion_core.workflows.fuse.sensor_maps import Confirmation, SensorMaps
 from fusion_core.workflows.fuse.session import Session
 from fusion_core.workflows.fuse.tables import (
     FRAME_COLUMNS,
@@ -54,7 +54,7 @@ class ResultWriter:
         self._topics = [camera.topic for camera in session.rig.cameras]
         lidar_topic = session.streams.lidar if session.virtual_row is None else None
         self._lidar_topic = lidar_topic or "/virtual_lidar/scan"
-        self._maps = None if poses is None else SensorMaps(poses, session.settings.grid)
+        self._maps = None if poses is None else _sensor_maps(session, alignment, poses)
         self._queue = RepairedScanQueue()
         self._last_stamp_ns = 0
         self.frames = self.paired = 0
@@ -141,3 +141,10 @@ def repaired_image(frame: FusedFrame, rig: CameraRig) -> DepthImage:
     changed = frame.pixel_changed & (row >= 0)
     depth_m[row[changed], column[changed]] = frame.repair.depth_m[changed]
     return replace(match.pair.image, depth_m=depth_m)
+
+
+def _sensor_maps(session: Session, alignment: RecordingAlignment, poses: PoseLookup) -> SensorMaps:
+    """The maps of a run; as in repairs, returns are confirmed unless the preset is the paper's."""
+    repair = session.settings.repair
+    confirmation = Confirmation(scale=alignment.scale, least=repair.confirm_line)
+    return SensorMaps(poses, session.settings.grid, confirmation if repair.check_nearby else None)

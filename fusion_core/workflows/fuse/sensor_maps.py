@@ -1,15 +1,24 @@
-"""LiDAR-only, camera-only and fused maps of one recording, from the same poses (Xu Fig. 9)."""
+"""LiDAR-only, camera-only and fused maps of one recording, from the same poses (Xu Fig. 9).
 
+In the fused map a return that neither the camera nor the scans before and after confirm clears no
+ray: its cell alone is marked, as not confirmed.
+"""
+
+from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.exporting.map_picture import write_difference_picture, write_grid_picture
 from fusion_core.exporting.ros_map import write_ros_map
+from fusion_core.mapping.confirmation import PlacedScan, confirmed_fraction
 from fusion_core.mapping.difference import compare_maps
 from fusion_core.mapping.grid import GridBuilder, GridSettings
-from fusion_core.model.conventions import FloatArray
+from fusion_core.model.classes import NoiseClass
+from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.model.errors import MappingFailed
 from fusion_core.model.grids import MapDifference, OccupancyGrid
 from fusion_core.model.sensors import LaserScan
@@ -17,15 +26,43 @@ from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.scan_queue import ranges_without_burrs_m
 from fusion_core.workflows.recorded_poses import PoseLookup
 
+# 99 % of the differences between two ranges of one surface: 2.5 of their standard deviations.
+_SAME_RETURN_SIGMA = 2.5 * np.sqrt(2.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Confirmation:
+    """What confirms a return: at least ``least`` of the beams that other scans point at it, to
+    within the noise of ``scale``."""
+
+    scale: NoiseScale
+    least: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _RepairedScan:
+    """A raw scan at its pose, the ranges (N,) to trust of it, and what the camera confirmed."""
+
+    raw: PlacedScan
+    trusted_m: FloatArray
+    seen_by_both: BoolArray
+
 
 class SensorMaps:
     """Three grids that grow with the mapped area only.
 
     A range longer than the side of the largest map is in none of them. A grid that would grow
-    larger than that is given up, and the others go on.
+    larger than that is given up, and the others go on. Without a ``confirmation`` every return of
+    a repaired scan is in the fused map.
     """
 
-    def __init__(self, poses: PoseLookup, settings: GridSettings) -> None:
+    def __init__(
+        self, poses: PoseLookup, settings: GridSettings, confirmation: Confirmation | None
+    ) -> None:
+        self._confirmation = confirmation
+        # By identity: some drivers give two scans one stamp.
+        self._seen_by_both: dict[int, BoolArray] = {}
+        self._recent: deque[_RepairedScan] = deque(maxlen=3)
         self._poses = poses
         self._side_max_m = settings.side_max_m
         self._far = dict.fromkeys(("lidar", "camera", "fused"), 0)
@@ -34,7 +71,11 @@ class SensorMaps:
         self.scans_without_pose = 0
 
     def add_camera(self, frame: FusedFrame) -> None:
-        """Add the camera's ranges in the LiDAR's plane."""
+        """Add the camera's ranges in the LiDAR's plane. Its scan must be added later."""
+        pairs, scan = frame.match.correspondence, frame.match.scan
+        agree = (frame.classes.lidar_class == NoiseClass.GOOD) & np.isfinite(pairs.residual_m)
+        both = self._seen_by_both.setdefault(id(scan), np.zeros(scan.ranges_m.size, dtype=np.bool_))
+        both[pairs.beam[agree]] = True
         pose = self._poses.at(frame.match.scan.stamp_ns)
         if pose is not None:
             self._add(
@@ -46,14 +87,57 @@ class SensorMaps:
             )
 
     def add_scan(self, raw: LaserScan, repaired: LaserScan) -> None:
-        """Add a scan, raw to the LiDAR's map and repaired to the fused one."""
+        """Add a scan, raw to the LiDAR's map and repaired to the fused one; scans come in order."""
         pose = self._poses.at(raw.stamp_ns)
+        nothing = np.zeros(raw.ranges_m.size, dtype=np.bool_)
+        seen_by_both = self._seen_by_both.pop(id(raw), nothing)
         if pose is None:
             self.scans_without_pose += 1
             return
         self._add("lidar", pose, raw.angles_rad, raw.ranges_m, raw)
-        trusted_m = ranges_without_burrs_m(raw, repaired)
-        self._add("fused", pose, repaired.angles_rad, trusted_m, raw)
+        self._recent.append(
+            _RepairedScan(
+                raw=PlacedScan(pose=pose, scan=raw),
+                trusted_m=ranges_without_burrs_m(raw, repaired),
+                seen_by_both=seen_by_both,
+            )
+        )
+        if len(self._recent) == 2:
+            self._fuse(self._recent[0], [self._recent[1]])
+        elif len(self._recent) == 3:
+            self._fuse(self._recent[1], [self._recent[0], self._recent[2]])
+
+    def _fuse_last(self) -> None:
+        if self._recent:
+            *before, last = self._recent
+            self._fuse(last, before[-1:])
+            self._recent.clear()
+
+    def _fuse(self, repaired: _RepairedScan, others: list[_RepairedScan]) -> None:
+        """Add a repaired scan to the fused map. ``others``: the scans before and after."""
+        placed, trusted_m = repaired.raw, repaired.trusted_m
+        pose, scan = placed.pose, placed.scan
+        if self._confirmation is not None and others:
+            # What was repaired is confirmed already.
+            alone = (trusted_m == scan.ranges_m) & ~repaired.seen_by_both
+            tolerance_m = _SAME_RETURN_SIGMA * self._confirmation.scale.sigma_at(scan.ranges_m)
+            fraction = confirmed_fraction(placed, [other.raw for other in others], tolerance_m)
+            alone &= fraction < self._confirmation.least
+            in_range_m = np.where(alone & (scan.ranges_m <= scan.range_max_m), trusted_m, np.nan)
+            trusted_m = np.where(alone, np.nan, trusted_m)
+            self._add("fused", pose, scan.angles_rad, trusted_m, scan)
+            self._mark_unconfirmed(pose, scan.angles_rad, in_range_m)
+        else:
+            self._add("fused", pose, scan.angles_rad, trusted_m, scan)
+
+    def _mark_unconfirmed(self, pose: FloatArray, angles: FloatArray, ranges: FloatArray) -> None:
+        if "fused" in self._failed:
+            return
+        within_m = np.where(ranges <= self._side_max_m, ranges, np.nan)
+        try:
+            self._builders["fused"].mark_unconfirmed(pose, angles, within_m)
+        except MappingFailed as error:
+            self._failed["fused"] = str(error)
 
     def _add(
         self, name: str, pose: FloatArray, angles: FloatArray, ranges: FloatArray, scan: LaserScan
@@ -74,6 +158,7 @@ class SensorMaps:
     def write(self, folder: Path) -> tuple[dict[str, OccupancyGrid], list[str]]:
         """Write each map that has a known cell, and the difference of all; returns the maps and
         why any is missing. Nothing can be added after that."""
+        self._fuse_last()
         grids: dict[str, OccupancyGrid] = {}
         notes = []
         for name in list(self._builders):

@@ -79,6 +79,7 @@ PRESETS: dict[PresetName, ChainSettings] = {
             farther_confidence=0.0,
             depth_burr_confidence=0.0,
             lidar_confidence=0.0,
+            check_nearby=False,
         ),
         pairing="frame",
     ),

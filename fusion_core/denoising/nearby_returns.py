@@ -1,0 +1,105 @@
+"""What the LiDAR saw about a beam's direction: adjacent beams, and the scans before and after.
+
+A value that fills a beam is a claim that all before it is free. It is refused where any of these
+returns is nearer. A line across a gap is believed only where the scans before and after mostly
+returned it in that direction: beams that are lost by chance come back in the next scan, those on
+glass or on a dark surface do not, and then nothing is known of what the gap hides.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.denoising.noise import FrameWindow
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
+from fusion_core.model.sensors import LaserScan
+
+# The turn between scans is known to half a beam, and a mixed pixel covers two.
+_BEAMS_BESIDE = 1
+# As far as beams support each other when they are classified.
+_BEAMS_ABOUT = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NearbyReturns:
+    """Ranges (m) about the directions of B beams, NaN where nothing returned.
+
+    ``beside_m``: (B, 2), the adjacent beams of the scan. ``in_time_m``: (B, 2, 3), the beam and
+    those adjacent to it in the scans before and after, which are turned to the scan's heading.
+    ``looked``: (B,) how many of those six beams there are, with a return or without.
+    ``returned_fraction``: (B,) of the beams up to three away in the scans before and after, those
+    with any return: few on glass, whatever they return from behind it.
+    """
+
+    beside_m: FloatArray
+    in_time_m: FloatArray
+    looked: IntArray
+    returned_fraction: FloatArray
+
+    def __post_init__(self) -> None:
+        for array in (self.beside_m, self.in_time_m, self.looked, self.returned_fraction):
+            read_only(array)
+
+    def any_before(self, range_m: FloatArray) -> BoolArray:
+        """(B,): whether any return is nearer than (B,) ranges."""
+        seen_m = np.hstack([self.beside_m, self.in_time_m[:, 0], self.in_time_m[:, 1]])
+        before: BoolArray = (seen_m < range_m[:, np.newaxis]).any(axis=1)
+        return before
+
+    def confirmed_fraction(self, range_m: FloatArray, tolerance_m: FloatArray) -> FloatArray:
+        """(B,): the fraction of the beams looked at, in the scans before and after, that returned
+        (B,) ranges to within (B,) tolerances; 0 where there is no such scan."""
+        off_m = np.abs(self.in_time_m - range_m[:, np.newaxis, np.newaxis])
+        agreeing = (off_m <= tolerance_m[:, np.newaxis, np.newaxis]).sum(axis=(1, 2))
+        fraction: FloatArray = agreeing / np.maximum(self.looked, 1)
+        return fraction
+
+    def between_scans_m(self) -> FloatArray:
+        """(B,): the mean of the ranges before and after, which takes out a steady approach; NaN
+        where either scan has none."""
+        before_m, after_m = _median_of_three(self.in_time_m).T
+        mean: FloatArray = 0.5 * (before_m + after_m)
+        return mean
+
+
+def nearby_returns(window: FrameWindow) -> NearbyReturns:
+    """Collect the returns about each beam of the window's pairs."""
+    beam = window.pairs.beam
+    beside_m, _ = _returns_at(window.scan, window, beam[:, np.newaxis] + np.array([-1, 1]))
+    about = np.arange(-_BEAMS_ABOUT, _BEAMS_ABOUT + 1)
+    beside = np.abs(about) <= _BEAMS_BESIDE
+    in_time_m = np.full((beam.size, 2, int(beside.sum())), np.nan)
+    looked, looked_about, returned = np.zeros((3, beam.size), dtype=np.int64)
+    scans = ((window.scan_before, window.shift_before), (window.scan_after, window.shift_after))
+    for place, (scan, shift) in enumerate(scans):
+        found_m, exists = _returns_at(scan, window, beam[:, np.newaxis] + shift + about)
+        in_time_m[:, place] = found_m[:, beside]
+        looked += exists[:, beside].sum(axis=1)
+        looked_about += exists.sum(axis=1)
+        returned += np.isfinite(found_m).sum(axis=1)
+    return NearbyReturns(
+        beside_m=beside_m,
+        in_time_m=in_time_m,
+        looked=looked,
+        returned_fraction=returned / np.maximum(looked_about, 1),
+    )
+
+
+def _returns_at(
+    scan: LaserScan | None, window: FrameWindow, beams: IntArray
+) -> tuple[FloatArray, BoolArray]:
+    """(B, K) ranges of a scan's beams, and whether it has such beams."""
+    if scan is None or scan.ranges_m.size != window.scan.ranges_m.size:
+        return np.full(beams.shape, np.nan), np.zeros(beams.shape, dtype=np.bool_)
+    exists = (beams >= 0) & (beams < scan.ranges_m.size)
+    return np.where(exists, scan.ranges_m[np.where(exists, beams, 0)], np.nan), exists
+
+
+def _median_of_three(values: FloatArray) -> FloatArray:
+    """(..., 3) to (...): the median of those that are not NaN, NaN where all are."""
+    ordered = np.sort(values, axis=-1)  # NaN comes last.
+    count = np.isfinite(values).sum(axis=-1)
+    middle: FloatArray = np.where(
+        count == 2, 0.5 * (ordered[..., 0] + ordered[..., 1]), ordered[..., 1]
+    )
+    return np.where(count <= 1, ordered[..., 0], middle)
