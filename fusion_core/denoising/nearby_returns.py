@@ -43,7 +43,7 @@ class NearbyReturns:
     def any_before(self, range_m: FloatArray) -> BoolArray:
         """(B,): whether any return is nearer than (B,) ranges."""
         seen_m = np.hstack([self.beside_m, self.in_time_m[:, 0], self.in_time_m[:, 1]])
-        before: BoolArray = (seen_m < range_m[:, np.newaxis]).any(axis=1)
+        before: BoolArray = np.any(seen_m < range_m[:, np.newaxis], axis=1)
         return before
 
     def confirmed_fraction(self, range_m: FloatArray, tolerance_m: FloatArray) -> FloatArray:

@@ -228,6 +228,10 @@ def test_a_ray_that_passes_behind_something_may_reappear():
     under = np.array([[2.9 * np.cos(0.0), 0.0, 0.0]])
     pixels, ahead = projected(under, T)
     assert depth[round(pixels[0, 1]), round(pixels[0, 0])] < ahead[0], "the shelf must hide a part"
+    assert pairs.camera_blocked[middle].all()
+    beside = np.abs(pairs.azimuth_rad) > np.arctan2(0.55, 1.5)
+    assert beside.any()
+    assert not pairs.camera_blocked[beside].any()
 
 
 def test_a_hole_in_the_image_predicts_no_range_and_has_no_pixel_value():

@@ -81,6 +81,7 @@ def window_of(lidar, image, *, camera=None, row=None, **neighbours):
         depth_as_range_m=depth,
         lidar_as_depth_m=scan.ranges_m,
         camera_range_m=depth.copy() if camera is None else camera,
+        camera_blocked=np.zeros(scan.ranges_m.size, dtype=np.bool_),
         residual_m=depth - scan.ranges_m,
     )
     return FrameWindow(pairs=pairs, scan=scan, depth_m=image, **neighbours)

@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion_core.denoising.correspondence import Correspondence
-from fusion_core.denoising.noise import Classification
+from fusion_core.denoising.noise import Classification, FrameWindow
 from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.denoising.repair import RepairSettings, repair
 from fusion_core.model.classes import NoiseClass, RepairSource
+from fusion_core.model.sensors import LaserScan
 
 GOOD, HOLE, BURR, CONFLICT = NoiseClass
 RAW, OTHER, NEIGHBOURS, NONE = RepairSource
@@ -29,6 +30,8 @@ SETTINGS = RepairSettings(
     camera_noise_fraction=0.5,
     depth_burr_confidence=0.5,
     lidar_confidence=0.5,
+    # What other scans must confirm is tested with those, in test_nearby_returns.py.
+    check_nearby=False,
 )
 
 
@@ -60,6 +63,7 @@ def frame(
         depth_as_range_m=depth.copy(),
         lidar_as_depth_m=nothing(count) if lidar_as_depth is None else lidar_as_depth,
         camera_range_m=nothing(count) if camera is None else camera,
+        camera_blocked=np.zeros(count, dtype=np.bool_),
         residual_m=depth - lidar,
     )
     ones = np.ones(count)
@@ -77,11 +81,27 @@ def frame(
     return pairs, classes
 
 
+def repair_frame(pairs, classes, image, settings=SETTINGS, *, scale=SCALE):
+    """The repair of pairs without a scan before or after, whose scan has one beam more."""
+    scan = LaserScan(
+        stamp_ns=0,
+        received_ns=None,
+        frame_id="lidar",
+        angle_min_rad=0.0,
+        angle_increment_rad=-STEP_RAD,
+        range_min_m=0.05,
+        range_max_m=8.0,
+        ranges_m=np.append(pairs.lidar_range_m, np.nan),
+    )
+    window = FrameWindow(pairs=pairs, scan=scan, depth_m=image)
+    return repair(window, classes, scale, settings)
+
+
 def lidar_repair(lidar, lidar_class, *, settings=SETTINGS, scale=SCALE, **given):
     """(B,) ranges and sources of a frame whose image shows nothing."""
     pairs, classes = frame(lidar, lidar_class=lidar_class, **given)
     image = np.full((60, pairs.beam.size), np.nan, dtype=np.float32)
-    result = repair(pairs, classes, image, scale, settings)
+    result = repair_frame(pairs, classes, image, settings, scale=scale)
     return result.lidar_range_m, result.lidar_source
 
 
@@ -303,7 +323,7 @@ def test_the_expected_errors_explain_the_choice_of_source(prefer):
     camera[[11, 30]] = np.nan
     pairs, given = frame(lidar, lidar_class=classes, camera=camera)
     image = np.full((60, 60), np.nan, dtype=np.float32)
-    errors = repair(pairs, given, image, SCALE, changed(prefer=prefer)).lidar_errors_m
+    errors = repair_frame(pairs, given, image, changed(prefer=prefer)).lidar_errors_m
     asked = classes == HOLE
     np.testing.assert_array_equal(np.isnan(errors).all(axis=1), ~asked)
     # What is not there has no error; a gap of 8 degrees is the widest with sides of its own.
@@ -341,7 +361,7 @@ def depth_repair(
         depth_class=[HOLE if np.isnan(raw_m) else BURR],
         **given,
     )
-    result = repair(pairs, classes, image, SCALE, settings)
+    result = repair_frame(pairs, classes, image, settings)
     return result.depth_m[0], result.depth_source[0]
 
 
@@ -545,9 +565,7 @@ def random_frame(seed):
 def test_invariants_of_every_repair(seed, prefer, farther):
     image, pairs, classes = random_frame(seed)
     image_before = image.copy()
-    result = repair(
-        pairs, classes, image, SCALE, changed(prefer=prefer, farther_confidence=farther)
-    )
+    result = repair_frame(pairs, classes, image, changed(prefer=prefer, farther_confidence=farther))
     np.testing.assert_array_equal(image, image_before)
     # The published preset knows no other scans: it repairs every burr.
     steady = (classes.lidar_class == BURR) & classes.lidar_steady & (prefer == "smaller_error")
@@ -597,7 +615,7 @@ def test_invariants_of_every_repair(seed, prefer, farther):
 @settings(max_examples=25)
 def test_mirrored_input_gives_a_mirrored_repair_of_the_lidar(seed):
     image, pairs, classes = random_frame(seed)
-    result = repair(pairs, classes, image, SCALE, SETTINGS)
+    result = repair_frame(pairs, classes, image)
     value, source = lidar_repair(
         pairs.lidar_range_m[::-1],
         classes.lidar_class[::-1],
@@ -617,7 +635,7 @@ def test_a_frame_without_a_beam_in_view_has_no_repairs():
 
 def test_repairs_cannot_be_changed():
     image, pairs, classes = random_frame(0)
-    result = repair(pairs, classes, image, SCALE, SETTINGS)
+    result = repair_frame(pairs, classes, image)
     for field in fields(result):
         with pytest.raises(ValueError, match="read-only"):
             getattr(result, field.name)[0] = 0

@@ -124,8 +124,39 @@ def test_a_true_return_moved_farther_is_counted(
 ) -> None:
     rows = [_beam(by_hand, 10, repaired_m, lidar_raw_m=raw_m), _beam(by_hand, 11, 4.0)]
     lidar = evaluate_repair(_results(by_hand, rows), _truth(by_hand)).lidar
-    assert (lidar.moved_farther, lidar.returns) == (moved, 2)
+    assert (lidar.returns_moved_farther, lidar.moved_farther, lidar.returns) == (moved, moved, 2)
     assert lidar.moved_farther_fraction == moved / 2
+
+
+def test_what_is_filled_behind_the_true_surface_is_counted_for_each_source(by_hand: Any) -> None:
+    """The true ranges of beams 2, 3, 4, 7, 8 are 2.5, 3.5, 4.5, 4 and 4 m; beam 8 is a burr."""
+    rows = [
+        _beam(by_hand, 2, 2.79),
+        _beam(by_hand, 3, 3.81),
+        _beam(by_hand, 4, 4.0),
+        _beam(by_hand, 7, 4.4, lidar_source="neighbours"),
+        _beam(by_hand, 8, 4.31, lidar_source="neighbours"),
+        _beam(by_hand, 10, 5.0),
+        _beam(by_hand, 11, 4.0),
+    ]
+    lidar = evaluate_repair(_results(by_hand, rows), _truth(by_hand)).to_json()["lidar"]
+    behind = {source: entry["behind_surface"] for source, entry in lidar["by_source"].items()}
+    assert behind == pytest.approx({"all": 3 / 5, "other_sensor": 1 / 3, "neighbours": 1.0})
+    assert lidar["by_source"]["all"]["count"] == 5
+    # One of two true returns, and three of five filled beams.
+    assert lidar["returns_moved_farther"] == 0.5
+    assert lidar["moved_farther"] == pytest.approx(4 / 7)
+
+
+def test_holes_filled_leaves_out_the_burrs(by_hand: Any) -> None:
+    rows = [
+        _beam(by_hand, 2, 2.5),
+        _beam(by_hand, 3, None, lidar_source="none"),
+        _beam(by_hand, 4, None, lidar_source="none"),
+        _beam(by_hand, 8, 4.0),
+    ]
+    lidar = evaluate_repair(_results(by_hand, rows), _truth(by_hand)).to_json()["lidar"]
+    assert (lidar["holes"], lidar["holes_filled"]) == (3, pytest.approx(1 / 3))
 
 
 def _pixel(by_hand: Any, row: int, column: int, **values: Any) -> dict[str, Any]:
@@ -159,7 +190,7 @@ def test_depth_errors_by_width_of_the_gap_in_the_row(by_hand: Any) -> None:
     assert (depth["wide"]["wanted"], depth["wide"]["repaired"]) == (2, 0.5)
     assert depth["wide"]["own"]["median_m"] == pytest.approx(0.3)
     assert depth["narrow"]["own"]["median_m"] == pytest.approx(0.1)
-    assert (depth["returns"], depth["moved_farther"]) == (1, 1.0)
+    assert (depth["returns"], depth["returns_moved_farther"]) == (1, 1.0)
     assert "inpaint" not in depth["wide"]
 
 

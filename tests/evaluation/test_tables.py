@@ -57,13 +57,16 @@ def test_alignment_rows_have_one_score_each() -> None:
 def test_repair_rows_are_in_millimetres() -> None:
     errors = RepairErrors(
         wide=np.array([True]),
+        hole=np.array([True]),
         source=np.array([1]),
         error_m=np.array([0.0123]),
+        behind=np.array([False]),
         baseline_error_m={"linear": np.array([0.1])},
         wanted_wide=2,
         wanted_narrow=0,
-        returns=1000,
-        moved_farther=1,
+        wanted_holes=2,
+        returns=999,
+        returns_moved_farther=1,
     )
     rows = repair_table({"a": RepairReport(lidar=errors, depth=errors)})
     assert rows[1] == (

@@ -206,3 +206,24 @@ def test_wrong_arguments_are_refused() -> None:
         builder.add_scan(np.zeros(3), np.zeros(2), np.ones(3), 4.0)
     with pytest.raises(ValueError, match="pose must be finite"):
         builder.add_scan(np.full(3, np.nan), np.zeros(2), np.ones(2), 4.0)
+
+
+def test_an_unconfirmed_return_marks_an_unknown_cell_as_undecided_and_changes_no_other() -> None:
+    builder = GridBuilder(SETTINGS)
+    builder.add_scan(np.zeros(3), np.zeros(1), np.array([2.0625]), 4.0)
+    before = cells_of(builder.build())
+    pose = np.array([0.0, 0.0, 0.5])
+    # At the hit, at a cell that was passed, and at two that no ray has reached.
+    angles_rad, ranges_m = np.array([-0.5, -0.5, 0.0, 0.3]), np.array([2.0625, 1.0, 3.0, np.nan])
+    builder.mark_unconfirmed(pose, angles_rad, ranges_m)
+    after = cells_of(builder.build())
+    column, row = (math.floor(3.0 * f(0.5) / RESOLUTION_M) for f in (math.cos, math.sin))
+    assert after == before | {(row, column): 0.0}
+    builder.add_scan(pose, np.zeros(1), np.array([3.0]), 4.0)
+    assert cells_of(builder.build())[(row, column)] == pytest.approx(HIT)
+
+
+def test_unconfirmed_returns_cannot_make_a_map_too_large() -> None:
+    builder = GridBuilder(GridSettings(resolution_m=1.0, cells_max=100))
+    with pytest.raises(MappingFailed, match="larger than 100"):
+        builder.mark_unconfirmed(np.zeros(3), np.array([0.0, 1.6]), np.array([50.0, 50.0]))

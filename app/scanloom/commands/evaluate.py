@@ -135,14 +135,16 @@ class EvaluateRelations:
 @dataclass(frozen=True, kw_only=True)
 class EvaluateMap:
     """Obstacle detection rate of a map, and errors of its lengths and angles (Li 2022, eq. 10 and
-    Table 4)."""
+    Table 4); or, against a ground truth, its false free and false occupied cells."""
 
     map: Annotated[conf.Positional[Path], conf.arg(metavar="MAP.yaml")]
     """A map in the format of ROS's map_server; the image lies beside it."""
-    world: Annotated[conf.Positional[Path], conf.arg(metavar="WORLD.json")]
-    """The outline of the world, written beside a synthetic recording."""
+    world: Annotated[conf.Positional[Path], conf.arg(metavar="WORLD.json|TRUTH.npz")]
+    """The outline of the world, written beside a synthetic recording; or its ground truth, for a
+    map in an output folder of fuse."""
     align: Literal["auto", "none"] = "auto"
-    """Align the map to the world first, or assume that it is in the world's frame."""
+    """Align the map to the outlines first, or assume that it is in the world's frame. To a ground
+    truth it is never aligned."""
     pose: Annotated[
         tuple[float, float, float] | None, conf.arg(metavar="X Y YAW", help_behavior_hint="")
     ] = None
@@ -153,6 +155,9 @@ class EvaluateMap:
     def run(self, progress: Progress) -> Report:
         from fusion_core.workflows.evaluate import evaluate
 
+        if self.world.suffix == ".npz":
+            cells = evaluate.map_cells(self.map, self.world, pose=self.pose)
+            return Report(result=cells, lines=measure_lines(cells))
         result = evaluate.ros_map(self.map, self.world, align=self.align == "auto", pose=self.pose)
         return Report(result=result, lines=map_lines(result))
 

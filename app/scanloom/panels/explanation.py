@@ -79,8 +79,8 @@ def explain_beam_repair(facts: BeamFacts, settings: ChainSettings) -> str:
     refused = "the camera gives no value"
     if facts.camera_range_m > 0.0:
         refused = (
-            f"the camera's range, {length(facts.camera_range_m)}, contradicts both sides of this "
-            "narrow gap and is rejected"
+            f"the camera's range, {length(facts.camera_range_m)}, contradicts both sides of a "
+            "narrow gap, or something nearer was seen about this direction, and is rejected"
         )
     return _repair_text(lidar, "the camera", refused, settings)
 

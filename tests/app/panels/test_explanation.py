@@ -13,6 +13,7 @@ from fusion_core.denoising.correspondence import Correspondence
 from fusion_core.denoising.noise import FrameWindow, NoiseSettings, classify
 from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.denoising.repair import RepairSettings, repair
+from fusion_core.model.classes import RepairSource
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.settings import ChainSettings
 from scanloom.panels.explanation import (
@@ -30,12 +31,16 @@ SCALE = NoiseScale(floor_m=0.02, fraction=0.0)
 SETTINGS = ChainSettings(
     noise=NoiseSettings(epsilon=3.0, support_sigma=3.0),
     repair=RepairSettings(
-        farther_confidence=0.7, depth_burr_confidence=0.5, lidar_confidence=0.5, max_gap_deg=8.0
+        farther_confidence=0.7,
+        depth_burr_confidence=0.5,
+        lidar_confidence=0.5,
+        max_gap_deg=8.0,
+        check_nearby=False,
     ),
 )
 PUBLISHED = ChainSettings(
     noise=NoiseSettings(epsilon=0.06, epsilon_unit="m", burr_criterion="rougher"),
-    repair=RepairSettings(prefer="other_sensor", farther_confidence=0.0),
+    repair=RepairSettings(prefer="other_sensor", farther_confidence=0.0, check_nearby=False),
 )
 
 
@@ -88,6 +93,7 @@ def facts(
         depth_as_range_m=depth,
         lidar_as_depth_m=scan.ranges_m.copy(),
         camera_range_m=depth.copy() if camera is None else camera,
+        camera_blocked=np.zeros(BEAMS, dtype=np.bool_),
         residual_m=(depth - scan.ranges_m) if compared else np.full(BEAMS, np.nan),
     )
     window = FrameWindow(
@@ -99,7 +105,7 @@ def facts(
         depth_before_m=before,
     )
     classes = classify(window, settings.noise, SCALE, 0.05)
-    repaired = repair(pairs, classes, image, SCALE, settings.repair)
+    repaired = repair(window, classes, SCALE, settings.repair)
     match = SimpleNamespace(correspondence=pairs)
     found = facts_of_beam(SimpleNamespace(match=match, classes=classes, repair=repaired), beam)
     assert found is not None
@@ -153,9 +159,20 @@ def test_the_smaller_expected_error_is_named_with_the_greater() -> None:
 
 def test_a_camera_that_contradicts_a_narrow_gap_is_named() -> None:
     said = facts(with_values(wall(), np.nan, 20), wall_image(), camera=with_values(wall(), 3.0, 20))
-    assert "the camera's range, 3.00 m, contradicts both sides of this narrow gap" in (
+    assert "the camera's range, 3.00 m, contradicts both sides of a narrow gap" in (
         explain_beam_repair(said, SETTINGS)
     )
+
+
+def test_a_camera_that_looks_past_something_nearer_is_named() -> None:
+    """The box beside the lost beam is for the LiDAR alone."""
+    box = with_values(with_values(wall(), 1.2, slice(21, 30)), np.nan, slice(15, 21))
+    checked = SETTINGS.model_copy(
+        update={"repair": SETTINGS.repair.model_copy(update={"check_nearby": True})}
+    )
+    said = facts(box, wall_image(), settings=checked)
+    assert said.lidar.source == RepairSource.NONE
+    assert "something nearer was seen about this direction" in explain_beam_repair(said, checked)
 
 
 def test_a_hole_that_nothing_fills() -> None:

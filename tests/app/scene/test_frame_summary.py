@@ -40,6 +40,7 @@ def frame(first_rad: float = 0.3) -> SimpleNamespace:
         depth_as_range_m=depth + 0.1,
         lidar_as_depth_m=lidar - 0.1,
         camera_range_m=np.array([2.0, 2.2, 2.3, NAN, NAN, NAN, NAN]),
+        camera_blocked=np.zeros(7, dtype=np.bool_),
         residual_m=depth + 0.1 - lidar,
     )
     classes = Classification(
