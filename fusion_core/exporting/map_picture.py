@@ -28,6 +28,8 @@ _OBSTACLES: dict[int, tuple[Color, ...]] = {
 }
 UNKNOWN: Color = (196, 204, 214)
 FREE: Color = (255, 255, 255)
+# A probability of one half.
+_UNCONFIRMED: Color = (128, 128, 128)
 _FOREGROUND: Color = (0, 0, 0)
 _BACKGROUND: Color = (255, 255, 255)
 
@@ -41,7 +43,8 @@ _FONT_SCALE = 0.45
 
 
 def write_grid_picture(path: Path, grid: OccupancyGrid) -> None:
-    """A map: the darker a cell, the more probable an obstacle; unknown cells are blue-grey."""
+    """A map: the darker a cell, the more probable an obstacle; unknown cells are blue-grey, and
+    middle grey those of which only unconfirmed returns are known."""
     rgb = np.empty((*grid.log_odds.shape, 3), dtype=np.uint8)
     # Row by row: a large map's arrays of floats would be several times the map.
     for row, log_odds in zip(rgb, grid.log_odds, strict=True):
@@ -50,6 +53,8 @@ def write_grid_picture(path: Path, grid: OccupancyGrid) -> None:
         row[known] = np.round(255.0 * (1.0 - occupied)).astype(np.uint8)[:, np.newaxis]
         row[~known] = UNKNOWN
     legend = [((0, 0, 0), "occupied"), (FREE, "free"), (UNKNOWN, "unknown")]
+    if (grid.log_odds == 0.0).any():
+        legend.append((_UNCONFIRMED, "not confirmed"))
     _write(path, _compose(rgb, grid.resolution_m, legend))
 
 

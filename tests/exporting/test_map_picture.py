@@ -38,6 +38,18 @@ def test_more_probable_obstacles_are_darker(tmp_path: Path) -> None:
     assert red < green < blue
 
 
+def test_the_legend_has_unconfirmed_cells_only_where_there_are_any(tmp_path: Path) -> None:
+    for second, line_px in ((0.0, 22), (1.0, 0)):
+        grid = OccupancyGrid(
+            resolution_m=0.05, origin_m=(0.0, 0.0), log_odds=np.array([[-1.0, second]])
+        )
+        write_grid_picture(tmp_path / f"{line_px}.png", grid)
+    with_line, without = (read_rgb(tmp_path / f"{line_px}.png") for line_px in (22, 0))
+    assert with_line.shape[0] == without.shape[0] + 22
+    assert cell_color(with_line, 0, 1, 1) == (128, 128, 128)
+    assert (128, 128, 128) in {tuple(color) for color in with_line[-30:].reshape(-1, 3).tolist()}
+
+
 @pytest.mark.parametrize("names", [("lidar", "camera"), ("lidar", "camera", "fused")])
 def test_each_state_of_a_difference_has_its_own_colour(
     tmp_path: Path, names: tuple[str, ...]
