@@ -42,6 +42,8 @@ PUBLISHED = {
     "repair.farther_confidence": 0.0,
     "repair.depth_burr_confidence": 0.0,
     "repair.lidar_confidence": 0.0,
+    # The paper repairs each frame alone.
+    "repair.check_nearby": False,
 }
 
 
