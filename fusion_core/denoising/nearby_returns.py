@@ -46,6 +46,11 @@ class NearbyReturns:
         before: BoolArray = np.any(seen_m < range_m[:, np.newaxis], axis=1)
         return before
 
+    def any_beside_behind(self, range_m: FloatArray) -> BoolArray:
+        """(B,): whether an adjacent beam of the scan itself returned from beyond (B,) ranges."""
+        behind: BoolArray = np.any(self.beside_m > range_m[:, np.newaxis], axis=1)
+        return behind
+
     def confirmed_fraction(self, range_m: FloatArray, tolerance_m: FloatArray) -> FloatArray:
         """(B,): the fraction of the beams looked at, in the scans before and after, that returned
         (B,) ranges to within (B,) tolerances; 0 where there is no such scan."""

@@ -207,6 +207,8 @@ def _known_free_before(
 
     line_m = confirmed(line.value, settings.confirm_line)
     in_time_m = confirmed(nearby.between_scans_m(), settings.confirm_in_time)
+    # Beside the edge of something nearer, that has moved over this direction since.
+    in_time_m = np.where(nearby.any_beside_behind(in_time_m + settings.edge_m), np.nan, in_time_m)
     has_line = np.isfinite(line_m)
     neighbours_m = np.where(has_line, line_m, in_time_m)
     neighbour_error = np.where(has_line, line.error, scale.sigma_at(in_time_m))

@@ -247,6 +247,20 @@ def test_where_no_line_crosses_the_gap_the_scans_before_and_after_fill_it():
     assert (source[30:39] == NEIGHBOURS).all()
 
 
+def test_scans_before_and_after_fill_no_beam_whose_neighbour_sees_past_them():
+    """Something near has moved over this direction: at its edge the other scans are off."""
+    lost = with_values(wall(), np.nan, slice(29, 41))
+    near = with_values(wall(), 2.0, slice(20, 40))
+    # The gap is too wide for a line, and the wall is seen on its right alone.
+    narrow = SETTINGS.model_copy(update={"max_gap_deg": 1.0})
+    value, source = repaired(window_of(lost, before=near, after=near), narrow)
+    assert (source[29:38] == NEIGHBOURS).tolist() == [False] + [True] * 8
+    lost[34] = 3.0
+    value, source = repaired(window_of(lost, before=near, after=near), narrow)
+    assert (source[[33, 35]] == NONE).all()
+    np.testing.assert_allclose(value[[31, 32, 36, 37]], 2.0)
+
+
 @given(seed=st.integers(0, 100_000))
 @settings(max_examples=60)
 def test_no_beam_is_filled_behind_what_was_seen_about_its_direction(seed):
