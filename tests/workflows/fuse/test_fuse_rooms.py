@@ -44,6 +44,10 @@ def test_repairs(room_3):
     assert narrow["own_to_median"] <= 1.02
     assert narrow["own_to_p90"] <= 1.02
     assert measured["lidar"]["moved_farther"] <= 0.001
+    by_source = measured["lidar"]["by_source"]
+    assert by_source["all"]["behind_surface"] <= 0.002
+    assert by_source["neighbours"]["behind_surface"] <= 0.01
+    assert measured["lidar"]["holes_filled"] >= 0.87
 
 
 @pytest.mark.slow
