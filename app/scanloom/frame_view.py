@@ -7,7 +7,8 @@ from pathlib import Path
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.sensors import ColorImage
 from fusion_core.workflows.fuse.cached_chain import CachedChain, FrameChoice
-from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
+from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.frame_match import FrameMatch
 from fusion_core.workflows.fuse.pairing import PairedImage
 from scanloom.jobs.long_job import Cancelled
 from scanloom.state.open_recording import OpenRecording

@@ -29,7 +29,11 @@ class SearchSettings(StageSettings):
     )
     mask_holes: bool = setting(True, "Leave holes out (published: holes count as zeros)")
     sub_samples: int = setting(
-        4, "Places within a sample at which a frame's u is tried", ge=1, le=8
+        4,
+        "Places within a sample at which a frame's u is tried; 1: whole samples and rows alone "
+        "(published)",
+        ge=1,
+        le=8,
     )
     prior_samples: int = setting(
         1, "How far a frame's u may lie from the recording's", unit="samples", ge=0, le=1_000
@@ -42,7 +46,7 @@ class SearchSettings(StageSettings):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Peak:
-    """The best offset. ``u`` and ``v`` are refined below a sample by a parabola.
+    """The best offset. ``u`` and ``v`` may be refined below a sample by a parabola.
 
     ``ratio`` = score / runner-up's score, NaN where there is no positive runner-up.
     """
@@ -57,9 +61,14 @@ class Peak:
 
 
 def find_peak(
-    field: SimilarityField, settings: SearchSettings, *, prior_u: float | None = None
+    field: SimilarityField,
+    settings: SearchSettings,
+    *,
+    prior_u: float | None = None,
+    refine: bool = True,
 ) -> Peak:
-    """arg max of the field, within ``prior_samples`` of ``prior_u`` where one is given.
+    """arg max of the field, within ``prior_samples`` of ``prior_u`` where one is given; refined
+    below a sample, or as printed in eq. (1) a whole sample and row.
 
     Raises AlignmentFailed where the field has no score there.
     """
@@ -85,9 +94,13 @@ def find_peak(
         runner_u = float(field.u_first + other)
         runner_v = float(np.nanargmax(field.scores[:, other]))
         runner_score = float(best_of_offset[other])
+    u, v = float(field.u_first + column), float(row)
+    if refine:
+        u += parabola_offset(field.scores[row], column)
+        v += parabola_offset(field.scores[:, column], row)
     return Peak(
-        u=field.u_first + column + parabola_offset(field.scores[row], column),
-        v=float(row) + parabola_offset(field.scores[:, column], row),
+        u=u,
+        v=v,
         score=score,
         ratio=score / runner_score if runner_score > 0.0 else float("nan"),
         overlap=float(field.overlap[row, column]),

@@ -75,6 +75,15 @@ class Correspondence:
             if field.name != "model":
                 read_only(getattr(self, field.name))
 
+    def subset(self, own: BoolArray) -> "Correspondence":
+        """Some of the pairs. ``own``: (B,)."""
+        arrays = {
+            field.name: getattr(self, field.name)[own]
+            for field in fields(self)
+            if field.name != "model"
+        }
+        return replace(self, **arrays)
+
 
 def match_along_curve(
     scan: LaserScan,

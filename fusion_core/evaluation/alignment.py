@@ -4,23 +4,26 @@ The true u of a frame is the median, over its good pairs, of the offset of the r
 curve, lever arm included. The pairs are found with the truth only: the true point of each good beam
 is projected through the true mount; the pair is good where the true pixel that it hits is good and
 its horizontal range, seen from the LiDAR's origin, is within 10 cm of the beam's.
+
+Where the images of several cameras make a panorama, a frame is a panorama: its true u is the median
+over the good pairs of all its images, and it counts once.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from fusion_core.evaluation.associated_truth import (
     SAME_SURFACE_M,
     AssociatedTruth,
-    TrueCamera,
     associate_truth,
 )
 from fusion_core.evaluation.fuse_folder import (
     MISSING,
+    Frames,
     FuseFolder,
     RecordedLidar,
     open_fuse_folder,
@@ -39,6 +42,8 @@ CLOCK_INTERVAL_SD = 2.0
 """Half width of the clock's interval in standard deviations, about 95 %."""
 
 METRICS = ("pearson", "cosine", "inverse_cosine", "euclidean")
+
+_SEARCHED = ("u", "v", "score", "u_alone")
 
 # The distance at which the panorama's ends are taken: beyond a rig's baselines, within a room.
 _PANORAMA_END_M = 2.0
@@ -127,22 +132,23 @@ def evaluate_alignment(fuse_dir: Path, truth: Truth) -> AlignmentReport:
     paired = np.flatnonzero(frames.scan_stamp_ns != MISSING)
     scan = associated.scan_index(frames.scan_stamp_ns[paired])
     image = associated.image_index(frames.camera[paired], frames.stamp_ns[paired])
-    T_lidar_rig = _true_rig(associated)
-    left_rad = _row_left_rad(associated, T_lidar_rig, folder.lidar)
+    row = _true_row(associated, folder)
+    offsets_of: dict[int, list[FloatArray]] = {}
+    first_row = _first_rows(frames, folder)
     for frame, scan_index, image_index in zip(paired, scan, image, strict=True):
         offsets = _good_pair_offsets(
-            associated,
-            associated.cameras[frames.camera[frame]],
-            (int(scan_index), int(image_index)),
-            T_lidar_rig,
-            left_rad,
-            folder.lidar,
+            associated, int(frames.camera[frame]), (int(scan_index), int(image_index)), row
         )
+        offsets_of.setdefault(int(first_row[frame]), []).append(offsets)
+    for first, parts in offsets_of.items():
+        offsets = np.concatenate(parts)
         if offsets.size:
-            u_true[frame] = np.median(offsets)
+            u_true[first_row == first] = np.median(offsets)
+    # Rows after a panorama's first repeat it.
+    is_counted = first_row == np.arange(first_row.size)
     return AlignmentReport(
         u_true=u_true,
-        hits=_count_hits(folder, frames.number, u_true),
+        hits=_count_hits(frames.number, np.where(is_counted, u_true, np.nan)),
         mount_error=_mount_error(folder, associated),
         clock_offset_true_ms=truth.clock_offset_ms,
         clock_interval_ms=_clock_interval_ms(folder),
@@ -161,16 +167,118 @@ def pool_hits(reports: Sequence[AlignmentReport]) -> dict[str, OffsetHits]:
     }
 
 
+class _TrueRow(Protocol):
+    """How beams and pixels count as samples of the curve and of the row that was searched."""
+
+    def of_beams(self, angle_rad: FloatArray) -> FloatArray:
+        """Samples of beams at azimuths in the LiDAR frame."""
+
+    def of_pixels(
+        self, camera: int, row: IntArray, column: IntArray, in_lidar: FloatArray
+    ) -> FloatArray:
+        """Samples of a camera's stored pixels, whose points are (N, 3) in the LiDAR frame."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _RowOfAngles:
+    """Samples on equal azimuths about the rig's origin."""
+
+    associated: AssociatedTruth
+    T_lidar_rig: FloatArray
+    left_rad: float
+    step_rad: float
+
+    def of_beams(self, angle_rad: FloatArray) -> FloatArray:
+        left_rad = _curve_left_rad(self.associated, self.step_rad)
+        return (left_rad - angle_rad) / self.step_rad
+
+    def of_pixels(
+        self, camera: int, row: IntArray, column: IntArray, in_lidar: FloatArray
+    ) -> FloatArray:
+        in_rig = transform_points(invert_transform(self.T_lidar_rig), in_lidar)
+        azimuth_rad = np.arctan2(in_rig[:, 1], in_rig[:, 0])
+        return (self.left_rad - azimuth_rad) / self.step_rad
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _RowOfColumns:
+    """Every k-th beam, and every k-th column of the images pasted beside each other.
+
+    ``first_column``: of each camera in the wide image; ``columns`` its width.
+    """
+
+    associated: AssociatedTruth
+    first_column: list[int]
+    columns: int
+    samples: int
+    curve_samples: int
+
+    def of_beams(self, angle_rad: FloatArray) -> FloatArray:
+        angles = self.associated.beam_angle_rad
+        from_left: FloatArray = (angles.max() - angle_rad) / np.ptp(angles)
+        return from_left * (self.curve_samples - 1)
+
+    def of_pixels(
+        self, camera: int, row: IntArray, column: IntArray, in_lidar: FloatArray
+    ) -> FloatArray:
+        upright = self.associated.cameras[camera].upright_column(row, column)
+        step = (self.columns - 1) / (self.samples - 1)
+        return (self.first_column[camera] + upright) / step
+
+
+def _true_row(associated: AssociatedTruth, folder: FuseFolder) -> _TrueRow:
+    panorama = folder.alignment.get("panorama")
+    if panorama is None or panorama["sampled_by"] == "angle":
+        T_lidar_rig = _true_rig(associated)
+        return _RowOfAngles(
+            associated=associated,
+            T_lidar_rig=T_lidar_rig,
+            left_rad=_row_left_rad(associated, T_lidar_rig, folder.lidar),
+            step_rad=_step_rad(folder.lidar),
+        )
+    first_column = [0] * len(associated.cameras)
+    columns = 0
+    for topic in panorama["cameras"]:
+        camera = folder.topics.index(topic)
+        first_column[camera] = columns
+        columns += associated.cameras[camera].upright_width
+    return _RowOfColumns(
+        associated=associated,
+        first_column=first_column,
+        columns=columns,
+        samples=int(panorama["samples"]),
+        curve_samples=folder.lidar.samples,
+    )
+
+
+def _first_rows(frames: Frames, folder: FuseFolder) -> IntArray:
+    """(F,) for each row of frames.csv the first row of its panorama, its own where it is alone.
+
+    The images of a panorama follow each other and have one search.
+    """
+    first = np.arange(frames.stamp_ns.size)
+    if "panorama" not in folder.alignment:
+        return first
+    searched = np.stack([frames.number[name] for name in _SEARCHED if name in frames.number])
+    for row in range(1, first.size):
+        of_panorama = slice(first[row - 1], row)
+        is_same = (searched[:, row] == searched[:, row - 1]) | np.isnan(
+            searched[:, row - 1 : row + 1]
+        ).all(axis=1)
+        if is_same.all() and frames.camera[row] not in frames.camera[of_panorama]:
+            first[row] = first[row - 1]
+    return first
+
+
 def _good_pair_offsets(
     associated: AssociatedTruth,
-    camera: TrueCamera,
+    camera_index: int,
     scan_and_image: tuple[int, int],
-    T_lidar_rig: FloatArray,
-    left_rad: float,
-    lidar: RecordedLidar,
+    true_row: _TrueRow,
 ) -> FloatArray:
-    """LiDAR sample of the beam - row sample of the pixel, of each good pair of a frame."""
+    """LiDAR sample of the beam - row sample of the pixel, of each good pair of an image."""
     scan, image = scan_and_image
+    camera = associated.cameras[camera_index]
     beam = np.flatnonzero(associated.truth.kind[scan] == NoiseClass.GOOD)
     range_m = associated.truth.range_m[scan, beam]
     angle_rad = associated.beam_angle_rad[beam]
@@ -183,12 +291,8 @@ def _good_pair_offsets(
     in_lidar = transform_points(
         camera.T_lidar_camera, camera.back_project(row[good], column[good], depth_m[good])
     )
-    in_rig = transform_points(invert_transform(T_lidar_rig), in_lidar)
-    azimuth_rad = np.arctan2(in_rig[:, 1], in_rig[:, 0])
-    step_rad = _step_rad(lidar)
-    from_left_rad = _curve_left_rad(associated, step_rad) - angle_rad[good]
-    offsets: FloatArray = (from_left_rad - (left_rad - azimuth_rad)) / step_rad
-    return offsets
+    of_pixels = true_row.of_pixels(camera_index, row[good], column[good], in_lidar)
+    return true_row.of_beams(angle_rad[good]) - of_pixels
 
 
 def _step_rad(lidar: RecordedLidar) -> float:
@@ -235,9 +339,7 @@ def _row_left_rad(
     return float(max(edges)) - 0.5 * _step_rad(lidar)
 
 
-def _count_hits(
-    folder: FuseFolder, number: dict[str, FloatArray], u_true: FloatArray
-) -> dict[str, OffsetHits]:
+def _count_hits(number: dict[str, FloatArray], u_true: FloatArray) -> dict[str, OffsetHits]:
     counts = np.isfinite(u_true) & (number["overlap"] >= OVERLAP_MIN)
     names = [
         f"{column}{suffix}"

@@ -29,6 +29,20 @@ class TrueCamera:
         """Whether the image's rows, not its columns, lie along the LiDAR's plane."""
         return bool(abs(self.T_lidar_camera[2, 0]) <= abs(self.T_lidar_camera[2, 1]))
 
+    @property
+    def upright_width(self) -> int:
+        """Columns of the image turned upright."""
+        _, height, width = self.truth.depth_mm.shape
+        return int(width if self.rows_are_level else height)
+
+    def upright_column(self, row: IntArray, column: IntArray) -> IntArray:
+        """Columns of stored pixels in the image turned upright, counted from the left."""
+        ahead = self.T_lidar_camera[:3, 2]
+        right = np.array([ahead[1], -ahead[0], 0.0])
+        along, axis = (column, 0) if self.rows_are_level else (row, 1)
+        runs_right = float(right @ self.T_lidar_camera[:3, axis]) > 0.0
+        return along if runs_right else self.upright_width - 1 - along
+
     def back_project(
         self, row: FloatArray | IntArray, column: FloatArray | IntArray, depth_m: FloatArray
     ) -> FloatArray:

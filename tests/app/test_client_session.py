@@ -15,7 +15,7 @@ import pytest
 
 from fusion_core.model.errors import AlignmentFailed, RecordingError
 from fusion_core.workflows.fuse.cached_chain import FrameChoice
-from fusion_core.workflows.fuse.frame import FrameMatch
+from fusion_core.workflows.fuse.frame_match import FrameMatch
 from fusion_core.workflows.fuse.settings import PRESETS
 from scanloom.client_session import STORED_VIEW, ClientSession, Panel
 from scanloom.frame_view import FrameView, compute_frame_view

@@ -8,7 +8,7 @@ import numpy as np
 import viser
 
 from fusion_core.workflows.fuse.cached_chain import mean_field_around
-from fusion_core.workflows.fuse.frame import FrameMatch, curves_at
+from fusion_core.workflows.fuse.frame_match import FrameMatch, curves_at
 from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView, missing_result_text
 from scanloom.panels.mount_text import mount_text

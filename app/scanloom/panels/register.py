@@ -4,7 +4,7 @@ import numpy as np
 import viser
 
 from fusion_core.model.conventions import ByteArray
-from fusion_core.workflows.fuse.frame import FrameMatch
+from fusion_core.workflows.fuse.frame_match import FrameMatch
 from fusion_core.workflows.fuse.registration_details import (
     PlanarPairs,
     Registration,

@@ -7,7 +7,8 @@ import numpy as np
 
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import BoolArray, Float32Array, IntArray
-from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
+from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.frame_match import FrameMatch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

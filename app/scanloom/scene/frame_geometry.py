@@ -24,7 +24,8 @@ from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.align import RecordingAlignment, T_lidar_camera_at
 from fusion_core.workflows.fuse.camera_rig import CameraRig
-from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
+from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.frame_match import FrameMatch
 from scanloom.scene.geometry import (
     NO_SEGMENTS,
     Frustum,

@@ -1,6 +1,6 @@
 """Pass 1: the offset (u, v), the mount and the noise scale of a whole recording."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import get_args
 
@@ -18,19 +18,19 @@ from fusion_core.alignment.curves import (
 )
 from fusion_core.alignment.mount import MountEstimate, estimate_mount, frame_yaw_offset_rad
 from fusion_core.alignment.mount_cost import MountObservation, mount_observation
-from fusion_core.alignment.panorama import Panorama
+from fusion_core.alignment.panorama import Panorama, PastedPanorama, are_side_by_side
 from fusion_core.alignment.search import MeanField, Peak, SearchSettings, find_peak
 from fusion_core.alignment.similarity import Metric, SimilarityField, similarity_fields
 from fusion_core.alignment.time import estimate_turn_rate_rad_s
 from fusion_core.denoising.correspondence import match_along_curve
 from fusion_core.denoising.noise_scale import DATASHEET_SCALE, NoiseScale, learn_noise_scale
-from fusion_core.model.conventions import NS_PER_MS, FloatArray
+from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import AlignmentFailed, SettingsError
 from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rig import Camera, Mount
-from fusion_core.model.sensors import DepthImage, LaserScan
-from fusion_core.workflows.fuse.pairing import FramePair, PairedImage
+from fusion_core.model.sensors import LaserScan
+from fusion_core.workflows.fuse.pairing import FramePair, ImageGrouper, PairedImage
 from fusion_core.workflows.fuse.pairing_gaps import PairingStamps
 from fusion_core.workflows.fuse.session import Session
 from fusion_core.workflows.fuse.settings import ChainSettings
@@ -48,6 +48,7 @@ class RecordingAlignment:
     ``curve`` and ``row`` sample the recording's field (a panorama's where there are several
     cameras). ``fields`` are the mean fields, ``peaks`` their peaks anywhere; ``peak`` is
     that of the metric that decides, at the mount's yaw. ``lidar``: a scan, for its geometry.
+    ``panorama``: how a frame's images are searched together, None where each is by itself.
     """
 
     fields: dict[Metric, SimilarityField]
@@ -61,6 +62,17 @@ class RecordingAlignment:
     scale: NoiseScale
     lidar: LaserScan
     frames: int
+    panorama: Panorama | PastedPanorama | None = None
+
+    def panorama_for(self, settings: ChainSettings) -> Panorama | PastedPanorama | None:
+        """The panorama of a frame's images with these settings, None where each is by itself."""
+        own = self.panorama
+        if own is None or (
+            own.settings == settings.sampling
+            and isinstance(own, PastedPanorama) == (settings.pairing == "frame")
+        ):
+            return own
+        return make_panorama(own.cameras, settings)
 
     @property
     def along_curve(self) -> bool:
@@ -202,7 +214,20 @@ def align_recording(
         scale=scale.with_quantization(rig.depth_quantum_m),
         lidar=collected.scan,
         frames=collected.mean.frames,
+        panorama=collected.panorama if are_side_by_side(rig.cameras) else None,
     )
+
+
+def make_panorama(
+    cameras: Sequence[Camera], settings: ChainSettings
+) -> Panorama | PastedPanorama | None:
+    """The panorama of a rig, None of one camera. Where each frame is paired by its own (u, v), as
+    published, images side by side are pasted; else they are joined in 3D."""
+    if len(cameras) < 2:
+        return None
+    if settings.pairing == "frame" and are_side_by_side(cameras):
+        return PastedPanorama(cameras, settings.sampling)
+    return Panorama(cameras, settings.sampling)
 
 
 def _peak_at(field: SimilarityField, peak: Peak, u: float, search: SearchSettings) -> Peak:
@@ -218,7 +243,8 @@ def _peak_at(field: SimilarityField, peak: Peak, u: float, search: SearchSetting
 class _AlignmentData:
     """What one pass over the recording collects: mean fields and a bounded subset of pairs."""
 
-    def __init__(self, row: RowSampling) -> None:
+    def __init__(self, row: RowSampling, panorama: Panorama | PastedPanorama | None) -> None:
+        self.panorama = panorama
         self.mean = MeanField()
         self.kept: list[MountObservation] = []
         self.curve: CurveSampling | None = None
@@ -235,15 +261,14 @@ def _collect(
     pairs: Iterable[LaserScan | PairedImage], session: Session, progress: Progress
 ) -> _AlignmentData:
     rig, settings, image_count = session.rig, session.settings, session.image_count
-    several = len(rig.cameras) > 1
-    panorama = Panorama(rig.cameras, settings.sampling) if several else None
+    panorama = make_panorama(rig.cameras, settings)
     row = panorama.sampling if panorama else sample_row(rig.cameras[0], settings.sampling)
-    collected = _AlignmentData(row)
+    collected = _AlignmentData(row, panorama)
     # The time span of the subset is the recording's, however long it is.
     field_every = max(1, image_count // len(rig.cameras) // _FIELD_FRAMES)
     keep_every = max(1, image_count // settings.mount.frames)
     seen = [0] * len(rig.cameras)
-    latest: dict[int, DepthImage] = {}
+    grouper = ImageGrouper(len(rig.cameras), settings.time.max_gap_ms)
     views = 0
     for entry in pairs:
         if isinstance(entry, LaserScan):
@@ -263,15 +288,16 @@ def _collect(
             pair = session.frame_pair(entry)
             assert pair is not None, "the image has a scan"
             collected.kept.append(observe_mount(pair, settings))
-        latest[entry.camera] = entry.image
-        if not _are_synchronized(latest, len(rig.cameras), settings.time.max_gap_ms):
-            continue
-        views += 1
-        if views % field_every == 0 and scan.ranges_m.size == collected.scan_size:
-            depths_m = [session.depth_of(i, latest[i].depth_m) for i in range(len(rig.cameras))]
-            rows_m = panorama.samples_m(depths_m) if panorama else row_samples_m(depths_m[0], row)
-            collected.mean.add(search_rows(scan, collected.curve, rows_m, settings))
-        latest.clear()
+        for group in grouper.push(entry):
+            if len(group) < len(rig.cameras):
+                continue
+            views += 1
+            if views % field_every == 0 and scan.ranges_m.size == collected.scan_size:
+                depths_m = [session.depth_of(own.camera, own.image.depth_m) for own in group]
+                rows_m = (
+                    panorama.samples_m(depths_m) if panorama else row_samples_m(depths_m[0], row)
+                )
+                collected.mean.add(search_rows(scan, collected.curve, rows_m, settings))
     return collected
 
 
@@ -284,12 +310,6 @@ def observe_mount(pair: FramePair, settings: ChainSettings) -> MountObservation:
         pair.scan.stamp_ns + pair.gap_ns,
         estimate_turn_rate_rad_s(pair.window, settings.time),
     )
-
-
-def _are_synchronized(latest: dict[int, DepthImage], cameras: int, max_gap_ms: float) -> bool:
-    """Whether every camera has an image of nearly the same instant."""
-    stamps = [image.stamp_ns for image in latest.values()]
-    return len(latest) == cameras and max(stamps) - min(stamps) <= max_gap_ms * NS_PER_MS
 
 
 def _peak_or_none(field: SimilarityField, settings: SearchSettings) -> Peak | None:

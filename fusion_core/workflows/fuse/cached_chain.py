@@ -4,20 +4,16 @@ A result is cached by its input and the settings of its stage and those before i
 epsilon repeats classification and repair, but no search.
 """
 
-from collections.abc import Hashable, Iterator
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 from fusion_core.alignment.search import MeanField
 from fusion_core.alignment.similarity import SimilarityField
 from fusion_core.model.bounded_cache import BoundedCache
 from fusion_core.model.errors import AlignmentFailed, RecordingError, ScanLoomError
 from fusion_core.workflows.fuse.align import RecordingAlignment
-from fusion_core.workflows.fuse.frame import (
-    FrameMatch,
-    FusedFrame,
-    classify_and_repair,
-    match_frame,
-)
+from fusion_core.workflows.fuse.frame import FusedFrame, classify_and_repair
+from fusion_core.workflows.fuse.frame_match import FrameMatch, match_images
 from fusion_core.workflows.fuse.frame_reader import FrameReader
 from fusion_core.workflows.fuse.pairing import PairedImage
 from fusion_core.workflows.fuse.session import Session
@@ -25,6 +21,8 @@ from fusion_core.workflows.fuse.settings import ChainSettings
 
 # A frame of 320 x 240 with its fields takes about 2 MiB.
 _FRAMES_KEPT = 48
+# The frames of a panorama follow each other.
+_PANORAMAS_KEPT = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +46,9 @@ class CachedChain:
         self._pairs: BoundedCache[Hashable, PairedImage] = BoundedCache(_FRAMES_KEPT)
         self._matches: BoundedCache[Hashable, FrameMatch] = BoundedCache(_FRAMES_KEPT)
         self._fused: BoundedCache[Hashable, FusedFrame] = BoundedCache(_FRAMES_KEPT)
+        self._panoramas: BoundedCache[Hashable, list[FrameMatch] | None] = BoundedCache(
+            _PANORAMAS_KEPT
+        )
 
     def pair(self, choice: FrameChoice) -> PairedImage:
         """The frame and its scan. Raises RecordingError for a frame that cannot be read."""
@@ -102,7 +103,30 @@ class CachedChain:
                 f"no scan lies within {settings.time.max_gap_ms:g} ms of this depth image.",
                 advice="Widen time.max_gap_ms, or go to another frame.",
             )
-        return match_frame(pair, self.alignment, settings, picked=choice.picked_offset)
+        numbers: tuple[int, ...] = (choice.number,)
+        if self.alignment.panorama is not None:
+            numbers = self.frames.panorama(choice.number)
+        if len(numbers) > 1:
+            matches = self._panoramas.get_or_compute(
+                (numbers, replace(choice, number=numbers[0]), settings.read_by("match")),
+                lambda: self._match_panorama(numbers, choice, settings),
+            )
+            if matches is not None:
+                return matches[numbers.index(choice.number)]
+        return match_images((pair,), self.alignment, settings, picked=choice.picked_offset)[0]
+
+    def _match_panorama(
+        self, numbers: Sequence[int], choice: FrameChoice, settings: ChainSettings
+    ) -> list[FrameMatch] | None:
+        """The matches of the frames of one instant, None where one of them has no scan."""
+        pairs = []
+        for number in numbers:
+            paired = self.frames.pair(number, choice.clock_offset_ms)
+            pair = self.session.frame_pair(paired, self.frames.previous(number))
+            if pair is None:
+                return None
+            pairs.append(pair)
+        return match_images(pairs, self.alignment, settings, picked=choice.picked_offset)
 
 
 def mean_field_around(

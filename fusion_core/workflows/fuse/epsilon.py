@@ -7,7 +7,8 @@ import numpy as np
 
 from fusion_core.model.conventions import FloatArray
 from fusion_core.workflows.fuse.align import RecordingAlignment
-from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
+from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.frame_match import FrameMatch
 from fusion_core.workflows.fuse.settings import PRESETS
 
 EpsilonUnit = Literal["sigma", "E", "m"]

@@ -48,7 +48,9 @@ from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import ColorImage
 from fusion_core.workflows.evaluate import evaluate
 from fusion_core.workflows.fuse.align import RecordingAlignment
-from fusion_core.workflows.fuse.frame import FusedFrame, curves_at
+from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.frame_match import curves_at
+from fusion_core.workflows.fuse.offset_search import OffsetSearch
 
 if TYPE_CHECKING:
     from fusion_core.workflows.fuse.session import Session
@@ -78,7 +80,7 @@ _COLOR_NEIGHBOURS = 3
 
 class FigureCollector:
     """Collects from the fused frames, in bounded memory, one frame to show and the counts of
-    Table 1.
+    Table 1, in which a panorama of several images counts once.
 
     ``showcase`` is the frame with most repaired samples among those with an overlap of at least
     half and a registration, the earliest of equal ones; where there is none, the same among all.
@@ -87,12 +89,16 @@ class FigureCollector:
     def __init__(self, alignment: RecordingAlignment) -> None:
         self._alignment = alignment
         self._rank = (False, -1)
+        self._counted: OffsetSearch | None = None
         self.showcase: FusedFrame | None = None
         self.scores = {"low": 0, "middle": 0, "high": 0, "not_positive": 0, "missing": 0}
 
     def add(self, frame: FusedFrame) -> None:
         """Count a frame, and keep it if it ranks first."""
-        self.scores[score_range(frame.match.search.peaks_without_prior.get("pearson"))] += 1
+        # The images of a panorama follow each other and share its search.
+        if frame.match.search is not self._counted:
+            self._counted = frame.match.search
+            self.scores[score_range(self._counted.peaks_without_prior.get("pearson"))] += 1
         peak = frame.match.search.peaks.get(self._alignment.metric)
         is_sound = frame.match.registration is not None and peak is not None and peak.overlap >= 0.5
         rank = (is_sound, _repaired_count(frame))
@@ -212,7 +218,8 @@ def _write_similarity(
         panel = curves = None
         if frame is not None:
             match = frame.match
-            camera = cameras[match.pair.camera_index]
+            is_panorama = alignment.panorama is not None
+            camera = cameras[0 if is_panorama else match.pair.camera_index]
             peak = match.search.peaks_without_prior.get(metric)
             panel = _field_panel(
                 match.search.fields[metric],

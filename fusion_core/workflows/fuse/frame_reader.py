@@ -95,6 +95,34 @@ class FrameReader:
             stamp_ns=value.stamp_ns, depth_m=self._session.depth_of(camera, value.depth_m)
         )
 
+    def panorama(self, number: int) -> tuple[int, ...]:
+        """The frames of all cameras, in their order, that belong to one instant with a frame; the
+        frame alone where a camera has none near enough, or one that cannot be read."""
+        max_gap_ns = round(self._session.settings.time.max_gap_ms * NS_PER_MS)
+        own_ns = self.image(number).stamp_ns
+        numbers, stamps_ns = [], []
+        for camera in range(len(self._topics)):
+            found = number if camera == self.camera_of(number) else self._nearest(camera, number)
+            if found is None:
+                return (number,)
+            numbers.append(found)
+            stamps_ns.append(own_ns if found == number else self.image(found).stamp_ns)
+        together = max(stamps_ns) - min(stamps_ns) <= max_gap_ns
+        return tuple(numbers) if together else (number,)
+
+    def _nearest(self, camera: int, number: int) -> int | None:
+        """The frame of a camera nearest in stamp to another one, among those logged beside it."""
+        own_ns = self.image(number).stamp_ns
+        of_camera = np.flatnonzero(self._owner == camera)
+        place = int(np.searchsorted(of_camera, number))
+        near: list[tuple[int, int]] = []
+        for other in of_camera[max(0, place - 1) : place + 1]:
+            try:
+                near.append((abs(self.image(int(other)).stamp_ns - own_ns), int(other)))
+            except RecordingError:
+                continue
+        return min(near)[1] if near else None
+
     def color(self, number: int) -> ColorImage | None:
         """The colour image of the frame's camera that was logged nearest in time."""
         topic = self._session.streams.color[self.camera_of(number)]

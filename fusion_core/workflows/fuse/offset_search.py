@@ -5,10 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fusion_core.alignment.curves import CurveSampling, RowSampling, row_samples_m, sample_curve
+from fusion_core.alignment.curves import (
+    CurveSampling,
+    curve_samples_m,
+    sample_curve,
+)
 from fusion_core.alignment.search import Peak, find_peak
 from fusion_core.alignment.similarity import Metric, SimilarityField
-from fusion_core.model.conventions import Float32Array, FloatArray
+from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.align import METRICS, search_rows
@@ -18,8 +22,14 @@ from fusion_core.workflows.fuse.settings import ChainSettings
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OffsetSearch:
     """The fields of one frame, and each metric's peak with the prior (``peaks``) and without it
-    (``peaks_without_prior``). A metric without a peak is absent."""
+    (``peaks_without_prior``). A metric without a peak is absent. The images of a
+    panorama share one search.
 
+    ``curve_m``: (Psi,) and ``rows_m``: (H, W) samples that were compared, NaN where missing.
+    """
+
+    curve_m: FloatArray
+    rows_m: FloatArray
     fields: dict[Metric, SimilarityField]
     peaks: dict[Metric, Peak]
     peaks_without_prior: dict[Metric, Peak]
@@ -27,15 +37,12 @@ class OffsetSearch:
 
 def search_offset(
     scan: LaserScan,
-    depth_m: Float32Array,
     curve: CurveSampling,
-    row: RowSampling,
+    rows_m: FloatArray,
     prior_u: float,
     settings: ChainSettings,
 ) -> OffsetSearch:
-    """Search one frame. ``depth_m``: (H, W) upright view; ``prior_u`` counts on this camera's own
-    row."""
-    rows_m = row_samples_m(depth_m, row)
+    """Search one frame. ``rows_m``: (H, W) samples of its rows, on which ``prior_u`` counts."""
     fields = search_rows(scan, curve, rows_m, settings)
     alone = _peaks(fields, settings, None)
     near = alone
@@ -56,7 +63,13 @@ def search_offset(
         u = alone[metric].u
         alone = _refine_to_subsample(alone, scan, rows_m, (u - 1.0, u + 1.0), (metric,), settings)
     peaks = near if settings.search.use_prior else alone
-    return OffsetSearch(fields=fields, peaks=peaks, peaks_without_prior=alone)
+    return OffsetSearch(
+        curve_m=curve_samples_m(scan, curve),
+        rows_m=rows_m,
+        fields=fields,
+        peaks=peaks,
+        peaks_without_prior=alone,
+    )
 
 
 def _refine_to_subsample(
@@ -104,7 +117,9 @@ def _peaks(
     peaks = {}
     for metric, field in fields.items():
         try:
-            peaks[metric] = find_peak(field, settings.search, prior_u=prior_u)
+            peaks[metric] = find_peak(
+                field, settings.search, prior_u=prior_u, refine=settings.search.sub_samples > 1
+            )
         except AlignmentFailed:
             continue
     return peaks

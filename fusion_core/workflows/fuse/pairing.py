@@ -1,7 +1,7 @@
 """Pairs of scan and depth image, streamed from a recording in bounded memory."""
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from fusion_core.alignment.time import ScanWindow, TimeSettings
@@ -131,6 +131,68 @@ def pair_with(
             after=ordered[best + 1] if best + 1 < len(ordered) else None,
         ),
         gap_ns=stamp_ns - ordered[best].stamp_ns,
+    )
+
+
+class ImageGrouper:
+    """Images of all cameras of nearly the same instant, put together as they come.
+
+    Each group holds one image of each camera, in the order of the cameras, stamped within
+    ``max_gap_ms``. An image whose partners do not come is a group of its own, and so is each image
+    of a single camera.
+    """
+
+    def __init__(self, cameras: int, max_gap_ms: float) -> None:
+        self._cameras = cameras
+        self._max_gap_ns = round(max_gap_ms * NS_PER_MS)
+        self._waiting: dict[int, PairedImage] = {}
+        self._scans = 0
+
+    def push(self, entry: PairedImage) -> Iterator[tuple[PairedImage, ...]]:
+        """An image as it comes; the groups that are complete, or can no longer be."""
+        stamp_ns = entry.image.stamp_ns
+        oldest_ns = stamp_ns - self._max_gap_ns
+        yield from self._release(
+            lambda held: held.camera == entry.camera or held.image.stamp_ns < oldest_ns
+        )
+        self._waiting[entry.camera] = entry
+        self._scans = 0
+        stamps_ns = [held.image.stamp_ns for held in self._waiting.values()]
+        is_whole = len(stamps_ns) == self._cameras
+        if is_whole and max(stamps_ns) - min(stamps_ns) <= self._max_gap_ns:
+            group = tuple(self._waiting[camera] for camera in sorted(self._waiting))
+            self._waiting.clear()
+            yield group
+
+    def pass_scan(self) -> Iterator[tuple[PairedImage, ...]]:
+        """A scan has come: images wait no longer than scans do for them."""
+        self._scans += 1
+        if self._scans > SCANS_KEPT // 2:
+            yield from self.flush()
+
+    def flush(self) -> Iterator[tuple[PairedImage, ...]]:
+        """The images that still wait for their partners."""
+        yield from self._release(lambda _: True)
+
+    def _release(
+        self, is_released: Callable[[PairedImage], bool]
+    ) -> Iterator[tuple[PairedImage, ...]]:
+        released = [held for held in self._waiting.values() if is_released(held)]
+        for held in sorted(released, key=lambda held: held.image.stamp_ns):
+            del self._waiting[held.camera]
+            yield (held,)
+
+
+def share_scan(pairs: Sequence[FramePair]) -> tuple[FramePair, ...]:
+    """The images of a panorama with one scan: the one nearest to the middle of their stamps."""
+    stamps_ns = [pair.scan.stamp_ns + pair.gap_ns for pair in pairs]
+    middle_ns = sum(stamps_ns) // len(stamps_ns)
+    window = min(
+        (pair.window for pair in pairs), key=lambda window: abs(window.scan.stamp_ns - middle_ns)
+    )
+    return tuple(
+        replace(pair, window=window, gap_ns=stamp_ns - window.scan.stamp_ns)
+        for pair, stamp_ns in zip(pairs, stamps_ns, strict=True)
     )
 
 

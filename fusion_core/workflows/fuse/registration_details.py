@@ -15,7 +15,8 @@ from fusion_core.registration.transform_decomposition import (
     TransformDecomposition,
     decompose_transform,
 )
-from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
+from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.frame_match import FrameMatch
 
 __all__ = [
     "Consensus",

@@ -80,6 +80,10 @@ PRESETS: dict[PresetName, ChainSettings] = {
             depth_burr_confidence=0.0,
             lidar_confidence=0.0,
             check_nearby=False,
+            # The paper sets no limit to a gap, and a straight line spans less than half a turn.
+            max_gap_deg=180.0,
+            max_gap_pixels=100,
+            edge_m=100.0,
         ),
         pairing="frame",
     ),

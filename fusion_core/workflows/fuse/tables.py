@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from fusion_core.alignment.panorama import PastedPanorama
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.conventions import NS_PER_MS, FloatArray
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
@@ -200,7 +201,24 @@ def alignment_document(
             "samples": alignment.curve.beams.size,
         },
         "cameras": [_camera_entry(rig, index, mount) for index in range(len(rig.cameras))],
+        **_panorama_entry(alignment),
         "notes": notes,
+    }
+
+
+def _panorama_entry(alignment: RecordingAlignment) -> dict[str, Any]:
+    """How the images of several cameras make a panorama; nothing where each is by itself."""
+    panorama = alignment.panorama
+    if panorama is None:
+        return {}
+    by_index = isinstance(panorama, PastedPanorama) and panorama.settings.by == "index"
+    return {
+        "panorama": {
+            "cameras": [camera.topic for camera in panorama.from_left],
+            "samples": panorama.sampling.columns.size,
+            # Columns of the pasted images at equal steps; else azimuths about the rig's origin.
+            "sampled_by": "index" if by_index else "angle",
+        }
     }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from playwright.sync_api import Locator, Page, expect
 
 from fusion_core.workflows.fuse.cached_chain import FrameChoice
-from fusion_core.workflows.fuse.frame import FrameMatch
+from fusion_core.workflows.fuse.frame_match import FrameMatch
 from scanloom.client_session import STORED_VIEW, ClientSession
 from scanloom.frame_view import FrameView
 from scanloom.server.workbench import Workbench

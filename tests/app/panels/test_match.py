@@ -10,7 +10,7 @@ import pytest
 import viser
 
 from fusion_core.model.errors import AlignmentFailed, RecordingError
-from fusion_core.workflows.fuse.frame import curves_at
+from fusion_core.workflows.fuse.frame_match import curves_at
 from scanloom.frame_view import FrameView, compute_frame_view
 from scanloom.panels.match import MatchPanel
 from scanloom.state.library import Library

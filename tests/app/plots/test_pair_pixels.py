@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from fusion_core.model.classes import NoiseClass
-from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
+from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.frame_match import FrameMatch
 from scanloom.plots.pair_pixels import PairPixels, pixels_of_match, repaired_depth_m
 
 

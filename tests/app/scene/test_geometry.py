@@ -17,7 +17,8 @@ from fusion_core.model.geometry import (
 )
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import CameraIntrinsics, LaserScan
-from fusion_core.workflows.fuse.frame import FrameMatch, FusedFrame
+from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.frame_match import FrameMatch
 from fusion_core.workflows.fuse.pairing import FramePair
 from scanloom.scene.frame_geometry import (
     UnmatchedFrame,
