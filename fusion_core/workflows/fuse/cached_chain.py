@@ -13,7 +13,7 @@ from fusion_core.model.bounded_cache import BoundedCache
 from fusion_core.model.errors import AlignmentFailed, RecordingError, ScanLoomError
 from fusion_core.workflows.fuse.align import RecordingAlignment
 from fusion_core.workflows.fuse.frame import FusedFrame, classify_and_repair
-from fusion_core.workflows.fuse.frame_match import FrameMatch, match_images
+from fusion_core.workflows.fuse.frame_match import FrameMatch, match_images, split_into_frames
 from fusion_core.workflows.fuse.frame_reader import FrameReader
 from fusion_core.workflows.fuse.pairing import PairedImage
 from fusion_core.workflows.fuse.session import Session
@@ -97,12 +97,6 @@ class CachedChain:
     def _match(
         self, paired: PairedImage, choice: FrameChoice, settings: ChainSettings
     ) -> FrameMatch:
-        pair = self.session.frame_pair(paired, self.frames.previous(choice.number))
-        if pair is None:
-            raise AlignmentFailed(
-                f"no scan lies within {settings.time.max_gap_ms:g} ms of this depth image.",
-                advice="Widen time.max_gap_ms, or go to another frame.",
-            )
         numbers: tuple[int, ...] = (choice.number,)
         if self.alignment.panorama is not None:
             numbers = self.frames.panorama(choice.number)
@@ -113,18 +107,26 @@ class CachedChain:
             )
             if matches is not None:
                 return matches[numbers.index(choice.number)]
+        pair = self.session.frame_pair(paired, self.frames.previous(choice.number))
+        if pair is None:
+            raise AlignmentFailed(
+                f"no scan lies within {settings.time.max_gap_ms:g} ms of this depth image.",
+                advice="Widen time.max_gap_ms, or go to another frame.",
+            )
         return match_images((pair,), self.alignment, settings, picked=choice.picked_offset)[0]
 
     def _match_panorama(
         self, numbers: Sequence[int], choice: FrameChoice, settings: ChainSettings
     ) -> list[FrameMatch] | None:
-        """The matches of the frames of one instant, None where one of them has no scan."""
+        """The matches of the frames of one instant, None where they make no panorama."""
+        group = [self.frames.pair(number, choice.clock_offset_ms) for number in numbers]
+        frame = split_into_frames(group, settings)[0]
+        if len(frame) < len(group):
+            return None
         pairs = []
-        for number in numbers:
-            paired = self.frames.pair(number, choice.clock_offset_ms)
-            pair = self.session.frame_pair(paired, self.frames.previous(number))
-            if pair is None:
-                return None
+        for number, entry in zip(numbers, frame, strict=True):
+            pair = self.session.frame_pair(entry, self.frames.previous(number))
+            assert pair is not None, "the image has a scan"
             pairs.append(pair)
         return match_images(pairs, self.alignment, settings, picked=choice.picked_offset)
 

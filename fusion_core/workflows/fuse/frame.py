@@ -13,7 +13,7 @@ from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.align import RecordingAlignment
-from fusion_core.workflows.fuse.frame_match import FrameMatch, match_images
+from fusion_core.workflows.fuse.frame_match import FrameMatch, match_images, split_into_frames
 from fusion_core.workflows.fuse.pairing import (
     FramePair,
     ImageGrouper,
@@ -60,9 +60,6 @@ def fuse_frames(
         if isinstance(entry, LaserScan):
             yield entry
             groups = grouper.pass_scan()
-        elif entry.window is None:
-            yield entry
-            continue
         else:
             groups = grouper.push(entry)
         for group in groups:
@@ -77,19 +74,20 @@ def _fuse_group(
     session: Session,
     alignment: RecordingAlignment,
 ) -> Iterator[PairedImage | FusedFrame]:
-    """The fused images of a group, or the images if they have no peak. ``previous``: each camera's
-    image before, which is brought up to date."""
-    pairs = []
-    for entry in group:
-        pair = session.frame_pair(entry, previous.get(entry.camera))
-        assert pair is not None, "the image has a scan"
-        pairs.append(pair)
-    try:
-        yield from fuse_images(pairs, alignment, session.settings)
-    except AlignmentFailed:
-        yield from group
-    for pair in pairs:
-        previous[pair.camera_index] = pair.upright
+    """The fused images of a group, or the images that have no scan or no peak. ``previous``: each
+    camera's image before, which is brought up to date."""
+    for frame in split_into_frames(group, session.settings):
+        pairs = [session.frame_pair(entry, previous.get(entry.camera)) for entry in frame]
+        paired = [pair for pair in pairs if pair is not None]
+        if not paired:
+            yield from frame
+            continue
+        try:
+            yield from fuse_images(paired, alignment, session.settings)
+        except AlignmentFailed:
+            yield from frame
+        for pair in paired:
+            previous[pair.camera_index] = pair.upright
 
 
 def fuse_images(

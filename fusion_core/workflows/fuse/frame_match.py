@@ -42,7 +42,7 @@ from fusion_core.workflows.fuse.align import (
     turned_rad,
 )
 from fusion_core.workflows.fuse.offset_search import OffsetSearch, search_offset
-from fusion_core.workflows.fuse.pairing import FramePair, UprightDepth, share_scan
+from fusion_core.workflows.fuse.pairing import FramePair, PairedImage, UprightDepth, share_scan
 from fusion_core.workflows.fuse.settings import ChainSettings
 
 
@@ -118,6 +118,20 @@ class FrameMatch:
         return robust_sigma(residual_m) if residual_m.size else float("nan")
 
 
+def split_into_frames(
+    group: Sequence[PairedImage], settings: ChainSettings
+) -> list[Sequence[PairedImage]]:
+    """What of a group is searched as one: all of it where its images make a panorama, else each
+    image by itself. Samples of a pasted panorama are compared with a single scan."""
+    if len(group) > 1 and settings.pairing == "frame":
+        shared = share_scan(group, settings.time.max_gap_ms)
+        if shared is not None:
+            return [shared]
+    elif all(entry.window is not None for entry in group):
+        return [group]
+    return [[entry] for entry in group]
+
+
 def match_images(
     pairs: Sequence[FramePair],
     alignment: RecordingAlignment,
@@ -145,7 +159,7 @@ def match_images(
         assert not isinstance(panorama, Panorama), "frames paired by themselves are pasted"
         return _match_by_own_peak(pairs, panorama, alignment, settings, picked)
     mounted = [_pair_by_mount(pair, alignment, settings, picked=picked) for pair in pairs]
-    scan = share_scan(pairs)[0].scan
+    scan = min(pairs, key=lambda pair: abs(pair.gap_ns)).scan
     curve = sample_curve(scan, settings.sampling)
     if panorama is None:
         row = sample_row(pairs[0].camera, settings.sampling)
@@ -327,7 +341,6 @@ def _match_by_own_peak(
     picked: tuple[float, float] | None,
 ) -> list[FrameMatch]:
     """The paper's method: samples paired at the frame's own (u, v) and related only by A."""
-    pairs = share_scan(pairs)
     scan = pairs[0].scan
     curve = sample_curve(scan, settings.sampling)
     if panorama is None:

@@ -183,16 +183,25 @@ class ImageGrouper:
             yield (held,)
 
 
-def share_scan(pairs: Sequence[FramePair]) -> tuple[FramePair, ...]:
-    """The images of a panorama with one scan: the one nearest to the middle of their stamps."""
-    stamps_ns = [pair.scan.stamp_ns + pair.gap_ns for pair in pairs]
-    middle_ns = sum(stamps_ns) // len(stamps_ns)
-    window = min(
-        (pair.window for pair in pairs), key=lambda window: abs(window.scan.stamp_ns - middle_ns)
+def share_scan(group: Sequence[PairedImage], max_gap_ms: float) -> tuple[PairedImage, ...] | None:
+    """The images of a panorama with one scan, the one nearest to the middle of their stamps; None
+    where it is farther away than ``max_gap_ms``."""
+    windows = [entry.window for entry in group if entry.window is not None]
+    if not windows:
+        return None
+    offset_ns = next(
+        entry.image.stamp_ns - entry.window.scan.stamp_ns - entry.gap_ns
+        for entry in group
+        if entry.window is not None
     )
+    stamps_ns = [entry.image.stamp_ns - offset_ns for entry in group]
+    middle_ns = sum(stamps_ns) // len(stamps_ns)
+    window = min(windows, key=lambda window: abs(window.scan.stamp_ns - middle_ns))
+    if abs(window.scan.stamp_ns - middle_ns) > round(max_gap_ms * NS_PER_MS):
+        return None
     return tuple(
-        replace(pair, window=window, gap_ns=stamp_ns - window.scan.stamp_ns)
-        for pair, stamp_ns in zip(pairs, stamps_ns, strict=True)
+        replace(entry, window=window, gap_ns=stamp_ns - window.scan.stamp_ns)
+        for entry, stamp_ns in zip(group, stamps_ns, strict=True)
     )
 
 
