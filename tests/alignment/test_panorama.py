@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fusion_core.alignment.curves import SamplingSettings
-from fusion_core.alignment.panorama import Panorama
+from fusion_core.alignment.panorama import Panorama, PastedPanorama, are_side_by_side
 from fusion_core.model.conventions import R_BODY_OPTICAL
 from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.model.rig import Camera
@@ -134,3 +134,81 @@ def test_each_camera_needs_its_image() -> None:
     cameras = [camera_at(*pose) for pose in POSES["three"]]
     with pytest.raises(ValueError, match="zip"):
         Panorama(cameras, SETTINGS).samples_m([np.ones((60, 120), dtype=np.float32)])
+
+
+def portrait_at(yaw_deg: float) -> Camera:
+    """One of the paper's cameras: 240 columns of 47.7 degrees, upright."""
+    lens = CameraIntrinsics(width=240, height=320, fx=271.4, fy=286.4, cx=119.5, cy=159.5)
+    turn = rotation_from_yaw_pitch_roll(np.deg2rad(yaw_deg), 0.0, 0.0)
+    T_rig_camera = make_transform(turn @ R_BODY_OPTICAL, np.zeros(3))
+    return Camera(topic=f"depth {yaw_deg}", intrinsics=lens, T_rig_camera=T_rig_camera)
+
+
+BY_INDEX = SamplingSettings(by="index")
+
+
+@pytest.mark.parametrize("turned_deg", [0.0, 160.0, -130.0])
+def test_the_pasted_panorama_of_the_papers_rig(turned_deg: float) -> None:
+    """180 of 960 columns, whatever the order of the cameras and where the rig's zero lies."""
+    headings = [0.0, -90.0, 45.0, -45.0]
+    cameras = [portrait_at(turned_deg + heading) for heading in headings]
+    pasted = PastedPanorama(cameras, BY_INDEX)
+    assert [camera.topic for camera in pasted.from_left] == [
+        f"depth {turned_deg + heading}" for heading in (45.0, 0.0, -45.0, -90.0)
+    ]
+    expected = [round(w * 959 / 179) for w in range(180)]
+    np.testing.assert_array_equal(pasted.sampling.columns, expected)
+    # Each image's middle lies at its camera's heading, within a sample.
+    for heading, columns in zip(headings, pasted.columns_of, strict=True):
+        middle = np.abs(pasted.sampling.columns - (columns[0] + 119.5)).argmin()
+        azimuth_deg = np.rad2deg(pasted.sampling.left_rad - pasted.sampling.step_rad * middle)
+        difference = (azimuth_deg - (turned_deg + heading) + 180.0) % 360.0 - 180.0
+        assert abs(difference) <= 1.0
+
+
+def test_each_pasted_pixel_is_one_of_its_cameras() -> None:
+    cameras = [portrait_at(heading) for heading in (0.0, -45.0, 45.0)]
+    pasted = PastedPanorama(cameras, BY_INDEX)
+    depths_m = [np.full((320, 240), camera + 1.0, dtype=np.float32) for camera in range(3)]
+    for camera, depth_m in enumerate(depths_m):
+        depth_m += 0.001 * np.arange(240, dtype=np.float32)
+    wide_m = pasted.paste(depths_m)
+    assert wide_m.shape == (320, 720)
+    columns = pasted.sampling.columns
+    for column, camera in zip(columns, pasted.camera_of(columns), strict=True):
+        own = column - pasted.columns_of[camera][0]
+        assert wide_m[7, column] == depths_m[camera][7, own]
+    np.testing.assert_array_equal(pasted.samples_m(depths_m), wide_m[:, columns])
+
+
+def test_by_angle_the_camera_that_looks_there_gives_the_sample() -> None:
+    """In the middle of a round room every sample has the same range."""
+    cameras = [portrait_at(heading) for heading in (45.0, 0.0, -45.0)]
+    lens = cameras[0].intrinsics
+    along = np.hypot(1.0, (np.arange(240) - lens.cx) / lens.fx)
+    depth_m = np.broadcast_to((3.0 / along).astype(np.float32), (320, 240))
+    pasted = PastedPanorama(cameras, SamplingSettings(by="angle"))
+    samples_m = pasted.samples_m([depth_m] * 3)
+    assert samples_m.shape == (320, 135)
+    assert samples_m == pytest.approx(3.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("headings", "expected"),
+    [
+        ([0.0], False),
+        ([0.0, 45.0], True),
+        ([-170.0, 145.0], True),
+        ([0.0, 60.0], True),
+        ([0.0, 0.0], False),
+        ([0.0, 180.0], False),
+        ([0.0, 45.0, 180.0], False),
+    ],
+)
+def test_cameras_are_side_by_side_where_their_images_about_touch(headings, expected) -> None:
+    assert are_side_by_side([portrait_at(heading) for heading in headings]) is expected
+
+
+def test_images_of_different_heights_are_not_side_by_side() -> None:
+    low = Camera(topic="low", intrinsics=LENS, T_rig_camera=portrait_at(45.0).T_rig_camera)
+    assert not are_side_by_side([portrait_at(0.0), low])

@@ -5,13 +5,15 @@ opening a recording
     session.py          ``Session``: an opened recording with its streams, rig and settings
     camera_rig.py       ``CameraRig``: upright cameras on one frame, and the recorded mount
 pairs of scan and depth image
-    pairing.py          ``FramePair``: image and scan of one frame; pairs streamed in time order
+    pairing.py          ``FramePair``: image and scan of one frame; pairs streamed in time order,
+                        images of several cameras put together
     pairing_gaps.py     how far in time each image of a recording lies from its scan
     frame_reader.py     any frame by its number, without a pass over the recording
 the two passes
     align.py            pass 1: (u, v), mount and noise scale of the recording
-    frame.py            pass 2: match, classify and repair each ``FramePair``
-    offset_search.py    a frame's own (u, v), within ``frame.py``
+    frame.py            pass 2: match, classify and repair an image, or the images of a panorama
+    frame_match.py      the matching within ``frame.py``: offset, pairs and A
+    offset_search.py    a frame's own (u, v), within ``frame_match.py``
     cached_chain.py     pass 2 for one frame at a time, with caches, for the workbench
 what is written
     result_writer.py    tables, repaired recording and maps, as frames come

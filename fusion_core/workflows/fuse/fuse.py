@@ -1,8 +1,9 @@
 """``scanloom fuse``: the chain of Xu 2024 over a whole recording. The entry is ``fuse``.
 
 Pass 1, ``align_recording``: the offset (u, v), the mount and the noise scale of the recording.
-Pass 2, ``fuse_frames``: each depth image with its scan (a FramePair) is matched (``match_frame``:
-search, correspondence, registration), classified and repaired (``classify_and_repair``).
+Pass 2, ``fuse_frames``: each depth image with its scan (a FramePair) is matched (``match_images``:
+search, correspondence, registration), classified and repaired (``classify_and_repair``). The images
+of cameras side by side are searched as one panorama.
 ``ResultWriter`` turns what comes out into tables, a repaired recording and maps; ``write_figures``
 draws the paper's figures.
 """
