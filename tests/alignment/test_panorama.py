@@ -170,7 +170,7 @@ def test_each_pasted_pixel_is_one_of_its_cameras() -> None:
     cameras = [portrait_at(heading) for heading in (0.0, -45.0, 45.0)]
     pasted = PastedPanorama(cameras, BY_INDEX)
     depths_m = [np.full((320, 240), camera + 1.0, dtype=np.float32) for camera in range(3)]
-    for camera, depth_m in enumerate(depths_m):
+    for depth_m in depths_m:
         depth_m += 0.001 * np.arange(240, dtype=np.float32)
     wide_m = pasted.paste(depths_m)
     assert wide_m.shape == (320, 720)

@@ -3,7 +3,8 @@
 ``default`` works best; ``published`` is Xu 2024 as far as its text specifies it. Where it does not,
 the choice is ours: pairs by nearest stamp, samples by index, raw values with holes as zeros, rows
 of the lower half, Pearson, each frame's own peak, an affine A from 84 draws of 6, epsilon 1.2 E
-(the middle of [E, sqrt 2 E]), the rougher side at fault, repairs by (7) and (8).
+(the middle of [E, sqrt 2 E]), the rougher side at fault, repairs by (7) and (8). The images of
+cameras side by side are pasted beside each other; (u, v) of a frame are whole numbers.
 """
 
 from collections.abc import Mapping
