@@ -218,8 +218,7 @@ def _write_similarity(
         panel = curves = None
         if frame is not None:
             match = frame.match
-            is_panorama = alignment.panorama is not None
-            camera = cameras[0 if is_panorama else match.pair.camera_index]
+            camera = cameras[match.pair.camera_index if match.images == 1 else 0]
             peak = match.search.peaks_without_prior.get(metric)
             panel = _field_panel(
                 match.search.fields[metric],
@@ -237,7 +236,11 @@ def _write_similarity(
         columns[metric] = MetricColumn(name=name, frame=panel, recording=recording, curves=curves)
     shown = f"Fig. 4, scores over (u, v)\n{heading}"
     if frame is not None:
-        shown += f"\n{_frame_name(session, frame)}, its own peaks"
+        searched = _frame_name(session, frame)
+        if frame.match.images > 1:
+            stamp = format_stamp(frame.match.stamp_ns)
+            searched = f"panorama of {frame.match.images} images at {stamp}"
+        shown += f"\n{searched}, its own peaks"
     kind = "frames" if len(cameras) == 1 else "panoramas"
     for file_name, metrics in _FIG_4_SHEETS.items():
         write_similarity(

@@ -78,6 +78,7 @@ class FrameMatch:
     of several cameras is searched by itself.
     ``turned_rad``: the turn from scan to image that the pairs were corrected by.
     ``turn_rate_rad_s``: of the LiDAR, NaN where it cannot be estimated from its scans.
+    ``images``: how many were searched together.
     ``pasted``: the panorama whose samples were paired and registered, of which ``correspondence``
     is this image's part; None where the image was paired by itself.
     """
@@ -93,6 +94,7 @@ class FrameMatch:
     registration: Registration | None
     refusal: str
     correspondence: Correspondence
+    images: int = 1
     pasted: PastedPairs | None = None
 
     @property
@@ -204,6 +206,7 @@ def match_images(
                 registration=registration,
                 refusal=refusal,
                 correspondence=pairs_of,
+                images=len(pairs),
             )
         )
     return matches
@@ -392,6 +395,7 @@ def _match_by_own_peak(
                 registration=registration,
                 refusal=refusal,
                 correspondence=own,
+                images=len(pairs),
                 pasted=pasted,
             )
         )

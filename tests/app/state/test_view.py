@@ -448,8 +448,13 @@ def test_links_with_former_field_names_are_read() -> None:
     assert view_of_link(OLD_LINK) == view.with_setting("search", "min_overlap", 0.4)
     published = view_of_link(OLD_PUBLISHED_LINK)
     assert (published.preset, published.panel, published.frame_index) == ("published", "Map", 3)
-    # It was made with the default settings under the preset's name.
-    assert published.settings == PRESETS["default"]
+    # It was made with the default settings under the preset's name, of which it holds those that
+    # differed at that time.
+    expected = published.changed(settings=PRESETS["default"])
+    for name in ("check_nearby", "max_gap_deg", "max_gap_pixels", "edge_m"):
+        value = getattr(PRESETS["published"].repair, name)
+        expected = expected.with_setting("repair", name, value)
+    assert published.settings == expected.settings
 
 
 def test_a_former_name_beside_the_current_one_is_refused() -> None:

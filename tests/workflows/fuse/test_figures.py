@@ -335,5 +335,5 @@ def test_the_headings_say_preset_frame_and_virtual_lidar(
             format_stamp(run.data.collected.showcase.match.stamp_ns) in heading
             for heading in headings
         )
-        == 5
+        == 6
     )

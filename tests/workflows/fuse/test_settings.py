@@ -42,6 +42,10 @@ PUBLISHED = {
     "repair.farther_confidence": 0.0,
     "repair.depth_burr_confidence": 0.0,
     "repair.lidar_confidence": 0.0,
+    # Gaps are closed however wide, and between whatever surfaces.
+    "repair.max_gap_deg": 180.0,
+    "repair.max_gap_pixels": 100,
+    "repair.edge_m": 100.0,
     # The paper repairs each frame alone.
     "repair.check_nearby": False,
 }
