@@ -62,6 +62,13 @@ def test_images_too_far_apart_are_no_group() -> None:
     assert [len(group) for group in groups_of(entries, 2)] == [1, 1, 1, 1]
 
 
+def test_an_image_leaves_as_soon_as_its_partners_are_too_late() -> None:
+    grouper = ImageGrouper(3, MAX_GAP_MS)
+    assert list(grouper.push(entry(0, 0))) == []
+    assert list(grouper.push(entry(1, 60))) == []
+    assert shown(grouper.push(entry(2, 61))) == [[(0, 0)]]
+
+
 def test_an_image_waits_no_longer_than_its_scan() -> None:
     grouper = ImageGrouper(2, MAX_GAP_MS)
     assert list(grouper.push(entry(0, 0))) == []
