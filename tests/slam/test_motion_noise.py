@@ -13,7 +13,7 @@ from tests.slam.ring import drive
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("over_scans", [10, 30])
 def test_the_motion_noise_is_that_of_scan_matched_odometry(seed, over_scans):
-    """Over 1 m and 3 m, with wheels that measure 6 % too much: as large, and not many times so."""
+    """Over 1 m and 3 m, with wheels that measure 6 % too much. The rotation's leaves room for false matches."""
     ring = drive(seed=seed)
     local_slam = LocalSlam(LocalSlamSettings(), SubmapSettings())
     poses = np.array(
@@ -28,4 +28,4 @@ def test_the_motion_noise_is_that_of_scan_matched_odometry(seed, over_scans):
     sigma_m, sigma_rad = np.sqrt((errors[:, [0, 2]] ** 2).mean(axis=0) / distance_m)
     settings = ParticleSettings()
     assert 0.6 * sigma_m < settings.sigma_m_per_m < 1.3 * sigma_m
-    assert sigma_rad < settings.sigma_rad_per_m < 2.0 * sigma_rad
+    assert 3.0 * sigma_rad < settings.sigma_rad_per_m
