@@ -13,7 +13,7 @@ from tests.slam.ring import drive
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("over_scans", [10, 30])
 def test_the_motion_noise_is_that_of_scan_matched_odometry(seed, over_scans):
-    """Over 1 m and 3 m, with wheels that measure 6 % too much. The rotation's leaves room for false matches."""
+    """Over 1 m and 3 m, with wheels that measure 6 % too much; rotation leaves room for errors."""
     ring = drive(seed=seed)
     local_slam = LocalSlam(LocalSlamSettings(), SubmapSettings())
     poses = np.array(
