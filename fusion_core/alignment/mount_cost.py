@@ -15,6 +15,7 @@ import numpy as np
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import (
     NS_PER_S,
+    BoolArray,
     Float32Array,
     FloatArray,
     IntArray,
@@ -74,6 +75,28 @@ class MountSettings(StageSettings):
         ge=0.0,
         le=30.0,
     )
+    prior_delta_z_sd_m: float = setting(
+        1.0, "Doubt of a height of zero, where none is recorded", unit="m", ge=1e-3, le=10.0
+    )
+    prior_arm_sd_m: float = setting(
+        0.15,
+        "Doubt of a camera straight above the LiDAR, where no mount is recorded",
+        unit="m",
+        ge=1e-3,
+        le=10.0,
+    )
+    prior_pitch_sd_deg: float = setting(
+        5.0, "Doubt of a level camera, where no mount is recorded", unit="deg", ge=1e-3, le=45.0
+    )
+    prior_clock_sd_ms: float = setting(
+        80.0, "Doubt of stamps that are of one clock", unit="ms", ge=1e-3, le=1e4
+    )
+    recorded_angle_sd_deg: float = setting(
+        0.3, "Doubt of a recorded mount's yaw and pitch", unit="deg", ge=1e-3, le=45.0
+    )
+    recorded_position_sd_m: float = setting(
+        0.01, "Doubt of a recorded mount's position", unit="m", ge=1e-4, le=10.0
+    )
     min_agreement: float = setting(
         0.8, "Least fraction of visible points that agree, to pair along the curve", ge=1e-6, le=1.0
     )
@@ -83,14 +106,67 @@ MIN_POINTS = 100
 """From fewer LiDAR points nothing is concluded: an agreement of one half is then known to 10 % (two
 standard deviations)."""
 
+PLACE_RAD = float(np.deg2rad(5.0))
+"""A place along the curve: what one piece of furniture or of wall takes up."""
+
 # Neighbouring frames see the same walls: they count as one observation.
 _FRAMES_PER_BLOCK = 4
+# The rows' yaw, which a sample a degree and rows that are not the LiDAR's make uncertain.
+_PRIOR_YAW_SD_RAD = np.deg2rad(10.0)
 # The least depth of an Intel D435 at its lowest resolution, by its data sheet (105 mm), rounded.
 _MIN_DEPTH_M = 0.1
 # Within so many tolerances a point agrees with the depth: where the loss is about a half.
 _AGREE_TOLERANCES = 2.5
 # The loss 1 - exp(-(off / 2)^2 / 2) of Welsch with a scale of two tolerances.
 _WELSCH = 0.125
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MountPriors:
+    """What is held of the mount before the data: ``centre`` and ``sd``, (6,) as MOUNT_PARAMETERS;
+    infinite where nothing is."""
+
+    centre: FloatArray
+    sd: FloatArray
+
+    def __post_init__(self) -> None:
+        read_only(self.centre)
+        read_only(self.sd)
+
+    def with_pitch(self, pitch_rad: float, sd_rad: float) -> "MountPriors":
+        """The same with another doubt of the pitch."""
+        return self._with(4, pitch_rad, sd_rad)
+
+    def with_yaw(self, yaw_rad: float) -> "MountPriors":
+        """The same around another yaw."""
+        return self._with(0, yaw_rad, float(self.sd[0]))
+
+    def _with(self, index: int, centre: float, sd: float) -> "MountPriors":
+        centres, sds = self.centre.copy(), self.sd.copy()
+        centres[index], sds[index] = centre, sd
+        return MountPriors(centre=centres, sd=sds)
+
+    @classmethod
+    def without_recorded(cls, yaw_rad: float, settings: MountSettings) -> "MountPriors":
+        """Around a compact, level rig whose yaw is nearly known."""
+        arm_m = settings.prior_arm_sd_m
+        sd = [
+            _PRIOR_YAW_SD_RAD,
+            settings.prior_delta_z_sd_m,
+            arm_m,
+            arm_m,
+            np.deg2rad(settings.prior_pitch_sd_deg),
+            settings.prior_clock_sd_ms,
+        ]
+        return cls(centre=np.array([yaw_rad, 0.0, 0.0, 0.0, 0.0, 0.0]), sd=np.array(sd))
+
+    @classmethod
+    def from_recorded(cls, recorded: Mount, settings: MountSettings) -> "MountPriors":
+        """Around a mount from a drawing or a calibration, which knows no clock."""
+        angle_rad = float(np.deg2rad(settings.recorded_angle_sd_deg))
+        place_m = settings.recorded_position_sd_m
+        sd = [angle_rad, place_m, place_m, place_m, angle_rad, settings.prior_clock_sd_ms]
+        return cls(centre=recorded.vector(), sd=np.array(sd))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,9 +250,11 @@ class MountCost:
         self._frames = frames
         self._on_step = on_step
         self._settings = settings
-        self._points = np.concatenate([frame.points_m for frame in frames])
-        self.max_range_m = float(np.hypot(*self._points.T).max(initial=0.0))
+        self.frames = len(frames)
+        self.points = np.concatenate([frame.points_m for frame in frames])
+        self.max_range_m = float(np.hypot(*self.points.T).max(initial=0.0))
         sizes = [frame.points_m.shape[0] for frame in frames]
+        self.frame_of_point = np.repeat(np.arange(len(frames), dtype=np.int64), sizes)
         self._first_point = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
         self._pixels = np.concatenate([frame.depth_m.ravel() for frame in frames])
         areas = [frame.depth_m.size for frame in frames]
@@ -194,9 +272,8 @@ class MountCost:
                 for intrinsics in (frame.camera.intrinsics for frame in frames)
             ]
         )
-        self._T_camera_rig = np.stack(
-            [invert_transform(frame.camera.T_rig_camera) for frame in frames]
-        )
+        self.T_rig_camera = np.stack([frame.camera.T_rig_camera for frame in frames])
+        self._T_camera_rig = np.stack([invert_transform(T) for T in self.T_rig_camera])
         self.turn_rates_rad_s = np.array([frame.turn_rate_rad_s for frame in frames])
         self._image_after_scan_s = np.array([frame.image_after_scan_s for frame in frames])
         self.blocks = max(1, len(frames) // _FRAMES_PER_BLOCK)
@@ -226,8 +303,13 @@ class MountCost:
 
     def tallies_per_frame(self, values: FloatArray) -> FloatArray:
         """(F, 4): cost, points in front of the camera, points on valid depth, points that agree."""
+        return self.tallies_per_group(values, self.frame_of_point, self.frames)
+
+    def tallies_per_group(self, values: FloatArray, group: IntArray, groups: int) -> FloatArray:
+        """(groups, 4): the same for any groups of points, (N,) by their numbers; below 0 a point
+        belongs to none."""
         mount = Mount.from_vector(values)
-        return self._tallies(invert_transform(mount.T_lidar_rig), mount)
+        return self._tallies(invert_transform(mount.T_lidar_rig), mount, group, groups)
 
     def costs_at_yaws(self, mount: Mount, yaws_rad: FloatArray) -> FloatArray:
         """(K,) cost of all frames for the mount at other yaws."""
@@ -235,20 +317,100 @@ class MountCost:
         back = np.eye(4)
         back[:3, 3] = -mount.T_lidar_rig[:3, 3]
         T_rig_lidar = invert_transform(pitched.T_lidar_rig) @ _yaw_transforms(-yaws_rad) @ back
-        return np.array([self._tallies(T, mount)[:, 0].sum() for T in T_rig_lidar])
+        group = self.frame_of_point
+        return np.array(
+            [self._tallies(T, mount, group, self.frames)[:, 0].sum() for T in T_rig_lidar]
+        )
 
-    def _tallies(self, T_rig_lidar: FloatArray, mount: Mount) -> FloatArray:
-        self._on_step()
-        turned_rad = self.turn_rates_rad_s * (
+    @property
+    def tolerance_m(self) -> float:
+        """The agreement tolerance at range 0."""
+        return self._settings.tolerance_m
+
+    def tolerance_at(self, range_m: FloatArray) -> FloatArray:
+        """The agreement tolerance at ranges."""
+        return self._settings.tolerance_m + self._settings.tolerance_fraction * range_m
+
+    def turned_rad(self, mount: Mount) -> FloatArray:
+        """(F,) turn of the LiDAR from the scan to the image, whose stamp is late by the offset."""
+        turned: FloatArray = self.turn_rates_rad_s * (
             self._image_after_scan_s - mount.clock_offset_ms * 1e-3
         )
+        return turned
+
+    def headings_rad(self) -> FloatArray:
+        """(F,) heading of the LiDAR at each scan, from the first one's, by the turn rates."""
+        seconds = np.array([frame.scan.stamp_ns for frame in self._frames]) / NS_PER_S
+        order = np.argsort(seconds, kind="stable")
+        rates = self.turn_rates_rad_s[order]
+        turned = np.diff(seconds[order]) * 0.5 * (rates[1:] + rates[:-1])
+        headings = np.empty(seconds.size)
+        headings[order] = np.concatenate([[0.0], np.cumsum(turned)])
+        return headings
+
+    def places(self) -> IntArray:
+        """(N,) the direction of each point in the room, in steps of PLACE_RAD: by the turn rates,
+        from the first frame on. A robot that drives sees a place move on slowly."""
+        x, y = self.points.T
+        azimuths_rad = self.headings_rad()[self.frame_of_point] + np.arctan2(y, x)
+        return np.floor(azimuths_rad / PLACE_RAD).astype(np.int64)
+
+    def is_in_front(self, values: FloatArray) -> BoolArray:
+        """(N,) whether a point lies between the left and the right of its image."""
+        mount = Mount.from_vector(values)
+        points_m = turn_points(self.points, -self.turned_rad(mount)[self.frame_of_point])
+        T_lidar_camera = mount.T_lidar_rig @ self.T_rig_camera
+        return self._project(points_m, self.frame_of_point, T_lidar_camera)[0]
+
+    def look_up(
+        self, points_m: FloatArray, frame: IntArray, T_lidar_camera: FloatArray
+    ) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Which of the points (N, 2) of the LiDAR's plane, at their frame's image stamp, fall on a
+        valid depth: their index (M,), the rays (M, 3) of their pixels at 1 m along the optical axis
+        and the depths there (M,). ``T_lidar_camera``: (F, 4, 4)."""
+        self._on_step()
+        inside, column, row = self._project(points_m, frame, T_lidar_camera)
+        inside &= (row >= 0) & (row < self._intrinsics[frame, 5])
+        index = np.flatnonzero(inside)
+        column, row, frame = column[index], row[index], frame[index]
+        fx, fy, cx, cy, width, _ = self._intrinsics[frame].T
+        flat = self._first_pixel[frame] + (row * width + column).astype(np.int64)
+        seen_m = self._pixels[flat].astype(np.float64)
+        rays = np.stack([(column - cx) / fx, (row - cy) / fy, np.ones(index.size)], axis=1)
+        valid = np.isfinite(seen_m)
+        return index[valid], rays[valid], seen_m[valid]
+
+    def _project(
+        self, points_m: FloatArray, frame: IntArray, T_lidar_camera: FloatArray
+    ) -> tuple[BoolArray, FloatArray, FloatArray]:
+        """(N,) whether points are between the left and the right of the image, and their pixels'
+        columns and rows."""
+        T_camera_lidar = np.array([invert_transform(T) for T in T_lidar_camera])[frame]
+        x, y, depth = (
+            T_camera_lidar[:, i, 0] * points_m[:, 0]
+            + T_camera_lidar[:, i, 1] * points_m[:, 1]
+            + T_camera_lidar[:, i, 3]
+            for i in range(3)
+        )
+        fx, fy, cx, cy, width, _ = self._intrinsics[frame].T
+        ahead = np.maximum(depth, _MIN_DEPTH_M)
+        column, row = np.rint(cx + fx * x / ahead), np.rint(cy + fy * y / ahead)
+        return (depth >= _MIN_DEPTH_M) & (column >= 0) & (column < width), column, row
+
+    def _tallies(
+        self, T_rig_lidar: FloatArray, mount: Mount, group: IntArray, groups: int
+    ) -> FloatArray:
+        self._on_step()
+        turned_rad = self.turned_rad(mount)
         tallies: FloatArray = _tally_points(
-            self._points,
+            self.points,
             self._first_point,
             self._pixels,
             self._first_pixel,
             self._intrinsics,
             self._T_camera_rig @ T_rig_lidar @ _yaw_transforms(-turned_rad),
+            group,
+            groups,
             self._settings.tolerance_m,
             self._settings.tolerance_fraction,
             self._settings.occlusion_cost,
@@ -278,6 +440,13 @@ class MountCost:
         return float(tallies[3] / max(tallies[2], 1.0)), float(tallies[2] / max(tallies[1], 1.0))
 
 
+def turn_points(vectors: FloatArray, angles_rad: FloatArray) -> FloatArray:
+    """(N, 2) vectors, each turned by its angle."""
+    cos, sin = np.cos(angles_rad), np.sin(angles_rad)
+    x, y = vectors.T
+    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
+
+
 def _yaw_transforms(angles_rad: FloatArray) -> FloatArray:
     """(F, 4, 4) rotations about z."""
     turns = np.tile(np.eye(4), (angles_rad.size, 1, 1))
@@ -295,18 +464,24 @@ def _tally_points(
     first_pixel: IntArray,
     intrinsics: FloatArray,
     T_camera_lidar: FloatArray,
+    group: IntArray,
+    groups: int,
     tolerance_m: float,
     tolerance_fraction: float,
     occlusion_cost: float,
     no_depth_cost: float,
 ) -> FloatArray:
-    """Per frame: cost, points in front, points on valid depth, points within 2.5 tolerances."""
+    """Per group of points (none below 0): cost, points in front, points on valid depth, points
+    within 2.5 tolerances."""
     frames = intrinsics.shape[0]
-    out = np.zeros((frames, 4))
+    out = np.zeros((groups, 4))
     for frame in range(frames):
         fx, fy, cx, cy, width, height = intrinsics[frame]
         T = T_camera_lidar[frame]
         for index in range(first_point[frame], first_point[frame + 1]):
+            to = group[index]
+            if to < 0:
+                continue
             x, y = points[index]
             depth = T[2, 0] * x + T[2, 1] * y + T[2, 3]
             if depth < _MIN_DEPTH_M:
@@ -315,20 +490,20 @@ def _tally_points(
             if u < -0.5 or u >= width - 0.5:
                 continue
             v = cy + fy * (T[1, 0] * x + T[1, 1] * y + T[1, 3]) / depth
-            out[frame, 1] += 1.0
+            out[to, 1] += 1.0
             if v < -0.5 or v >= height - 0.5:
-                out[frame, 0] += no_depth_cost
+                out[to, 0] += no_depth_cost
                 continue
             column = int(np.floor(u + 0.5))
             row = int(np.floor(v + 0.5))
             seen = pixels[first_pixel[frame] + row * int(width) + column]
             if np.isnan(seen):
-                out[frame, 0] += no_depth_cost
+                out[to, 0] += no_depth_cost
                 continue
-            out[frame, 2] += 1.0
+            out[to, 2] += 1.0
             off = (seen - depth) / (tolerance_m + tolerance_fraction * depth)
             loss = 1.0 - np.exp(-_WELSCH * off * off)
-            out[frame, 0] += loss if off > 0.0 else occlusion_cost * loss
+            out[to, 0] += loss if off > 0.0 else occlusion_cost * loss
             if abs(off) < _AGREE_TOLERANCES:
-                out[frame, 3] += 1.0
+                out[to, 3] += 1.0
     return out

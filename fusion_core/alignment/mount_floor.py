@@ -1,0 +1,153 @@
+"""The camera's pitch from the floor that it sees: the LiDAR sweeps parallel to it.
+
+The floor is the lowest surface with much of the image on it. On a plane the inverse depth is linear
+in the pixel's ray, so that the rays, which are exact, explain the depths, which are not. A roll of
+the rig, which the mount leaves out, is fitted along.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from fusion_core.alignment.mount_cost import PLACE_RAD, MountObservation, MountSettings
+from fusion_core.alignment.mount_uncertainty import frame_blocks, two_way_covariance
+from fusion_core.model.conventions import BoolArray, FloatArray
+
+# So many frames and every so many rows and columns: more have the same errors.
+_FRAMES = 24
+_STRIDE = 6
+# Tilts tried, and the layers that a floor is looked for in: what half a degree leaves of it.
+_PITCHES_RAD = np.deg2rad(np.arange(-20.0, 20.5, 1.0))
+_LAYER_M = 0.04
+# So much of the images may lie below the floor: mirrors, flying pixels.
+_BELOW = 0.02
+# A floor takes at least so much of the images, over so long a way ahead.
+_LEAST_FRACTION = 0.02
+_LEAST_EXTENT_M = 0.5
+# The first fit takes in what is within so many tolerances; its scale is then the residuals' own.
+_FIRST_NOISE = 0.4
+_ITERATIONS = 12
+_SD_OF_MAD = 1.4826
+# Residuals beyond this many standard deviations are of something else.
+_OUTLIER_SD = 3.0
+# The fit stays near the tilt that it started from, which noise in the depths bends.
+_NEAR_RAD = np.deg2rad(5.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FloorPitch:
+    """Pitch of the rig against the floor, positive looks down, and its standard deviation."""
+
+    pitch_rad: float
+    sd_rad: float
+
+
+def find_floor_pitch(
+    frames: Sequence[MountObservation], headings_rad: FloatArray, settings: MountSettings
+) -> FloorPitch | None:
+    """The pitch; None where no floor is seen, or too little of it to tell a deviation.
+
+    ``headings_rad``: (F,) of the LiDAR at each frame.
+    """
+    kept = range(0, len(frames), max(1, len(frames) // _FRAMES))
+    views = [_View(frames[index]) for index in kept]
+    rays = np.concatenate([view.rays for view in views])
+    depth_m = np.concatenate([view.depth_m for view in views])
+    frame = np.repeat(list(kept), [view.depth_m.size for view in views])
+    start = _lowest_layer(rays * depth_m[:, None])
+    if start is None:
+        return None
+    # Of what is on the plane n . X = -h, the inverse depth is -(n . ray) / h.
+    inverse = 1.0 / depth_m
+    scale = (settings.tolerance_m + settings.tolerance_fraction * depth_m) * inverse**2
+    plane, noise = start, _FIRST_NOISE
+    for _ in range(_ITERATIONS):
+        off = (inverse - rays @ plane) / scale
+        near = _without_rims(views, np.abs(off) < _OUTLIER_SD * noise)
+        design = rays[near] / scale[near, None]
+        information = design.T @ design
+        if near.mean() < _LEAST_FRACTION or np.linalg.cond(information) > 1e8:
+            return None
+        noise = min(noise, _SD_OF_MAD * float(np.median(np.abs(off[near]))))
+        plane = np.linalg.solve(information, design.T @ (inverse[near] / scale[near]))
+    pitch = _pitch_rad(plane)
+    heights_m = (rays * depth_m[:, None]) @ (-plane / np.linalg.norm(plane))
+    below = np.mean(heights_m < np.median(heights_m[near]) - 2.0 * _LAYER_M)
+    ahead_m = np.quantile(rays[near, 0] * depth_m[near], [0.05, 0.95])
+    if (
+        below > _BELOW
+        or ahead_m[1] - ahead_m[0] < _LEAST_EXTENT_M
+        or abs(pitch - _pitch_rad(start)) > _NEAR_RAD
+    ):
+        return None
+    off = (inverse[near] - rays[near] @ plane) / scale[near] / noise
+    design = design / noise
+    scores = off[:, None] * design
+    place = headings_rad[frame[near]] + np.arctan2(rays[near, 1], rays[near, 0])
+    covariance = two_way_covariance(
+        scores,
+        design[:, :, None] * design[:, None, :],
+        np.zeros((3, 3)),
+        frame_blocks(scores, frame[near]),
+        np.floor(place / PLACE_RAD).astype(np.int64),
+    )
+    if covariance is None:
+        return None
+    # Of arctan2(a, -c).
+    slope = np.array([-plane[2], 0.0, plane[0]]) / (plane[0] ** 2 + plane[2] ** 2)
+    return FloorPitch(pitch_rad=pitch, sd_rad=float(np.sqrt(slope @ covariance @ slope)))
+
+
+class _View:
+    """Every _STRIDE-th pixel of an image: ``rays`` (N, 3) in the rig's axes, 1 m long along the
+    optical axis, and ``depth_m`` (N,) of those with a depth."""
+
+    def __init__(self, frame: MountObservation) -> None:
+        depth_m = frame.depth_m[::_STRIDE, ::_STRIDE]
+        self.shape = depth_m.shape
+        self.row, self.column = np.nonzero(np.isfinite(depth_m))
+        rays = frame.camera.rays(self.row * float(_STRIDE), self.column * float(_STRIDE))
+        self.rays = rays @ frame.camera.T_rig_camera[:3, :3].T
+        self.depth_m = depth_m[self.row, self.column].astype(np.float64)
+
+
+def _without_rims(views: list[_View], near: BoolArray) -> BoolArray:
+    """Without the pixels beside others: at the foot of a wall some of its own are near the floor,
+    always on the same side of it."""
+    kept = []
+    first = 0
+    for view in views:
+        mask = np.zeros(view.shape, dtype=np.uint8)
+        last = first + view.depth_m.size
+        mask[view.row, view.column] = near[first:last]
+        inner = cv2.erode(mask, np.ones((3, 3), dtype=np.uint8))
+        kept.append(inner[view.row, view.column] > 0)
+        first = last
+    return np.concatenate(kept)
+
+
+def _pitch_rad(plane: FloatArray) -> float:
+    """``plane`` is the floor's normal over its (negative) height; straight down is -z."""
+    return float(np.arctan2(plane[0], -plane[2]))
+
+
+def _lowest_layer(points: FloatArray) -> FloatArray | None:
+    """(3,) n / -h of the fullest layer with next to nothing below, over the tilts tried."""
+    best, plane = 0, None
+    if points.shape[0] == 0:
+        return None
+    for pitch in _PITCHES_RAD:
+        normal = np.array([-np.sin(pitch), 0.0, np.cos(pitch)])
+        heights_m = points @ normal
+        layer = np.floor(heights_m / _LAYER_M).astype(np.int64)
+        layer -= layer.min()
+        count = np.bincount(layer)
+        under = np.cumsum(count) - count
+        count[under > _BELOW * heights_m.size] = 0
+        fullest = int(count.argmax())
+        height_m = float(np.median(heights_m[layer == fullest]))
+        if count[fullest] > best and height_m < 0.0:
+            best, plane = int(count[fullest]), normal / height_m
+    return plane

@@ -1,0 +1,225 @@
+"""The mount's place in the LiDAR's plane, by the distances of depth pixels from the scan's lines.
+
+Around a mount that is nearly right, the pixel under a projected LiDAR point is of the same surface.
+Walls and furniture are upright: the pixel's point, laid into the LiDAR's plane, is on the line that
+the scan draws there, and its distance from that line is the residual (the metric of Censi 2008). It
+is nearly linear in the mount, so that Gauss-Newton finds the optimum, and symmetric about it:
+occlusion, holes and the edges of the image do not pull.
+
+An upright surface shows neither Delta z nor pitch, only how they move the camera's sight along with
+``forward_m``: both are held here.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.alignment.mount_cost import MountCost, MountPriors, turn_points
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
+from fusion_core.model.rig import Mount
+
+IN_PLANE = np.array([0, 2, 3, 5])
+"""Of MOUNT_PARAMETERS: yaw, forward, left, clock offset."""
+
+# Neighbours on each side that a line is fitted to: eleven points have a third of one's noise.
+_NEIGHBOURS = 5
+# Neighbours farther off than this many tolerances, and lines thicker than one half, are no line.
+_NEIGHBOUR_TOLERANCES = 8.0
+_LINE_TOLERANCES = 0.6
+# Below this cosine between ray and normal a pixel is as wide as the noise on the surface.
+_LEAST_COSINE = 0.2
+# Welsch's weight function has 95 % efficiency at this many standard deviations.
+_WELSCH_SD = 2.985
+_SD_OF_MAD = 1.4826
+# The start is off by more than the noise: its scale is taken wider at first.
+_ANNEALING = (4.0, 2.0)
+_MAX_ITERATIONS = 15
+# A step this small against the deviation changes nothing.
+_LAST_STEP_SD = 0.02
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineResiduals:
+    """What one mount leaves, of the points whose pixel is on the scan's line.
+
+    ``values``: (N,) in tolerances along the camera's ray; ``jacobian``: (N, 4) by IN_PLANE;
+    ``spurious``: (N, 4) standard deviation of it for the error of the line's direction;
+    ``frame``, ``place``: (N,) when and where along the curve.
+    """
+
+    values: FloatArray
+    jacobian: FloatArray
+    spurious: FloatArray
+    frame: IntArray
+    place: IntArray
+
+    def __post_init__(self) -> None:
+        for array in (self.values, self.jacobian, self.spurious, self.frame, self.place):
+            read_only(array)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlaneFit:
+    """A refined mount, (6,) as MOUNT_PARAMETERS, and what its deviations are made from.
+
+    ``scores``: (N, 4) gradients of the points' log likelihoods; ``information``: (N, 4, 4) their
+    curvatures; ``prior``: (4, 4) information of the prior. ``noise``: standard deviation of the
+    residuals in tolerances.
+    """
+
+    values: FloatArray
+    scores: FloatArray
+    information: FloatArray
+    prior: FloatArray
+    frame: IntArray
+    place: IntArray
+    noise: float
+
+
+class ScanLines:
+    """The points of all frames that lie on a line of their scan."""
+
+    def __init__(self, problem: MountCost) -> None:
+        self._problem = problem
+        normals, sd_rad = fit_lines(problem.points, problem.frame_of_point, problem.tolerance_m)
+        on_line = np.isfinite(sd_rad)
+        self._points = problem.points[on_line]
+        self._normals = normals[on_line]
+        self._normal_sd_rad = sd_rad[on_line]
+        self._frame = problem.frame_of_point[on_line]
+        self._place = problem.places()[on_line]
+
+    def residuals(self, values: FloatArray) -> LineResiduals:
+        """The residuals of one mount (6,)."""
+        problem, mount = self._problem, Mount.from_vector(values)
+        turned_rad = problem.turned_rad(mount)[self._frame]
+        points, normals = (
+            turn_points(self._points, -turned_rad),
+            turn_points(self._normals, -turned_rad),
+        )
+        T_lidar_camera = mount.T_lidar_rig @ problem.T_rig_camera
+        index, rays, seen_m = problem.look_up(points, self._frame, T_lidar_camera)
+        frame, point, normal = self._frame[index], points[index], normals[index]
+        R = T_lidar_camera[frame, :2, :3]
+        ray = np.einsum("nij,nj->ni", R, rays)
+        pixel = ray * seen_m[:, None] + T_lidar_camera[frame, :2, 3]
+        cosine = np.abs(_dot(ray, normal))
+        kept = cosine > _LEAST_COSINE * np.linalg.norm(ray, axis=1)
+        index, frame, point, normal = index[kept], frame[kept], point[kept], normal[kept]
+        pixel, cosine, seen_m = pixel[kept], cosine[kept], seen_m[kept]
+        scale = cosine * problem.tolerance_at(seen_m)
+        arm = pixel - [mount.forward_m, mount.left_m]
+        rate = 1e-3 * problem.turn_rates_rad_s[frame]
+
+        def derivative(direction: FloatArray) -> FloatArray:
+            columns = [
+                _cross(direction, arm),
+                direction[:, 0],
+                direction[:, 1],
+                -rate * _cross(direction, point),
+            ]
+            return np.stack(columns, axis=1) / scale[:, None]
+
+        along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
+        return LineResiduals(
+            values=_dot(pixel - point, normal) / scale,
+            jacobian=derivative(normal),
+            spurious=derivative(along) * self._normal_sd_rad[index, None],
+            frame=frame,
+            place=self._place[index],
+        )
+
+
+def refine_in_plane(
+    lines: ScanLines, start: FloatArray, priors: MountPriors, free: BoolArray
+) -> PlaneFit | None:
+    """Iteratively reweighted Gauss-Newton from ``start`` (6,) over the ``free`` of IN_PLANE.
+
+    None where hardly more points than parameters are on lines.
+    """
+    values, prior_sd, centre = start.copy(), priors.sd, priors.centre
+    prior = np.diag(1.0 / prior_sd[IN_PLANE] ** 2)
+    noise = 1.0
+    for iteration in range(_MAX_ITERATIONS):
+        residuals = lines.residuals(values)
+        count = residuals.values.size
+        if count < 4 * IN_PLANE.size:
+            return None
+        noise = _SD_OF_MAD * float(np.median(np.abs(residuals.values)))
+        noise = max(noise, 1e-6)
+        widened = noise * (_ANNEALING[iteration] if iteration < len(_ANNEALING) else 1.0)
+        scores, information = _linearize(residuals, widened)
+        curvature = prior + information.sum(axis=0)
+        gradient = scores.sum(axis=0) - prior @ (values - centre)[IN_PLANE]
+        step = np.zeros(IN_PLANE.size)
+        step[free] = np.linalg.solve(curvature[np.ix_(free, free)], gradient[free])
+        values[IN_PLANE] += step
+        sd = np.sqrt(np.diag(np.linalg.inv(curvature)))
+        if iteration >= len(_ANNEALING) and (np.abs(step) < _LAST_STEP_SD * sd).all():
+            break
+    residuals = lines.residuals(values)
+    scores, information = _linearize(residuals, noise)
+    return PlaneFit(
+        values=values,
+        scores=scores,
+        information=information,
+        prior=prior,
+        frame=residuals.frame,
+        place=residuals.place,
+        noise=noise,
+    )
+
+
+def _linearize(residuals: LineResiduals, noise: float) -> tuple[FloatArray, FloatArray]:
+    """(N, 4) scores and (N, 4, 4) information of Welsch's loss.
+
+    The error of the lines' directions adds squares to the information that are none: they are
+    taken out.
+    """
+    z = residuals.values / noise
+    weight = np.exp(-((z / _WELSCH_SD) ** 2)) / noise**2
+    scores = -(weight * residuals.values)[:, None] * residuals.jacobian
+    J, S = residuals.jacobian, residuals.spurious
+    products = J[:, :, None] * J[:, None, :] - S[:, :, None] * S[:, None, :]
+    return scores, weight[:, None, None] * products
+
+
+def fit_lines(
+    points_m: FloatArray, frame: IntArray, tolerance_m: float
+) -> tuple[FloatArray, FloatArray]:
+    """(N, 2) unit normals of the lines through the points' neighbours in their scan, and (N,) the
+    standard deviation of their directions, NaN where the neighbours are on no line."""
+    count = points_m.shape[0]
+    sums = np.zeros((count, 6))
+    for offset in range(-_NEIGHBOURS, _NEIGHBOURS + 1):
+        other = np.clip(np.arange(count) + offset, 0, count - 1)
+        apart = points_m[other] - points_m
+        near = np.hypot(*apart.T) < _NEIGHBOUR_TOLERANCES * tolerance_m
+        near &= (frame[other] == frame) & (other == np.arange(count) + offset)
+        x, y = apart.T
+        terms = np.stack([np.ones(count), x, y, x * x, x * y, y * y], axis=1)
+        sums += np.where(near[:, None], terms, 0.0)
+    n, x, y, xx, xy, yy = sums.T
+    n = np.maximum(n, 1.0)
+    xx, xy, yy = xx / n - (x / n) ** 2, xy / n - x * y / n**2, yy / n - (y / n) ** 2
+    spread = np.hypot(0.5 * (xx - yy), xy)
+    long, short = 0.5 * (xx + yy) + spread, np.maximum(0.5 * (xx + yy) - spread, 0.0)
+    direction = 0.5 * np.arctan2(2.0 * xy, xx - yy)
+    # The variance of a slope, with two parameters of the line taken from the points.
+    degrees = np.maximum(n - 2.0, 1.0)
+    sd_rad = np.sqrt(short / degrees / np.maximum(long, 1e-12))
+    is_line = (n >= _NEIGHBOURS) & (np.sqrt(short) < _LINE_TOLERANCES * tolerance_m)
+    is_line &= long > 9.0 * short
+    normals = np.stack([-np.sin(direction), np.cos(direction)], axis=1)
+    return normals, np.where(is_line, sd_rad, np.nan)
+
+
+def _dot(first: FloatArray, second: FloatArray) -> FloatArray:
+    total: FloatArray = (first * second).sum(axis=1)
+    return total
+
+
+def _cross(direction: FloatArray, arm: FloatArray) -> FloatArray:
+    """How fast ``arm`` moves along ``direction`` under a turn about the origin."""
+    moved: FloatArray = direction[:, 1] * arm[:, 0] - direction[:, 0] * arm[:, 1]
+    return moved
