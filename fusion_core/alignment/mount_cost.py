@@ -91,6 +91,10 @@ class MountSettings(StageSettings):
     prior_clock_sd_ms: float = setting(
         80.0, "Doubt of stamps that are of one clock", unit="ms", ge=1e-3, le=1e4
     )
+    # "Depth accuracy: <= 2 % at 2 m", Intel RealSense D400 data sheet.
+    depth_scale_sd: float = setting(
+        0.02, "Doubt of the depth images' scale, as a fraction", ge=1e-6, le=0.2
+    )
     recorded_angle_sd_deg: float = setting(
         0.3, "Doubt of a recorded mount's yaw and pitch", unit="deg", ge=1e-3, le=45.0
     )
@@ -124,10 +128,11 @@ _WELSCH = 0.125
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MountPriors:
     """What is held of the mount before the data: ``centre`` and ``sd``, (6,) as MOUNT_PARAMETERS;
-    infinite where nothing is."""
+    infinite where nothing is. ``stretch_sd``: of the fraction by which depths are too long."""
 
     centre: FloatArray
     sd: FloatArray
+    stretch_sd: float
 
     def __post_init__(self) -> None:
         read_only(self.centre)
@@ -144,7 +149,7 @@ class MountPriors:
     def _with(self, index: int, centre: float, sd: float) -> "MountPriors":
         centres, sds = self.centre.copy(), self.sd.copy()
         centres[index], sds[index] = centre, sd
-        return MountPriors(centre=centres, sd=sds)
+        return MountPriors(centre=centres, sd=sds, stretch_sd=self.stretch_sd)
 
     @classmethod
     def without_recorded(cls, yaw_rad: float, settings: MountSettings) -> "MountPriors":
@@ -158,7 +163,8 @@ class MountPriors:
             np.deg2rad(settings.prior_pitch_sd_deg),
             settings.prior_clock_sd_ms,
         ]
-        return cls(centre=np.array([yaw_rad, 0.0, 0.0, 0.0, 0.0, 0.0]), sd=np.array(sd))
+        centre = np.array([yaw_rad, 0.0, 0.0, 0.0, 0.0, 0.0])
+        return cls(centre=centre, sd=np.array(sd), stretch_sd=settings.depth_scale_sd)
 
     @classmethod
     def from_recorded(cls, recorded: Mount, settings: MountSettings) -> "MountPriors":
@@ -166,7 +172,7 @@ class MountPriors:
         angle_rad = float(np.deg2rad(settings.recorded_angle_sd_deg))
         place_m = settings.recorded_position_sd_m
         sd = [angle_rad, place_m, place_m, place_m, angle_rad, settings.prior_clock_sd_ms]
-        return cls(centre=recorded.vector(), sd=np.array(sd))
+        return cls(centre=recorded.vector(), sd=np.array(sd), stretch_sd=settings.depth_scale_sd)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -321,11 +327,6 @@ class MountCost:
         return np.array(
             [self._tallies(T, mount, group, self.frames)[:, 0].sum() for T in T_rig_lidar]
         )
-
-    @property
-    def tolerance_m(self) -> float:
-        """The agreement tolerance at range 0."""
-        return self._settings.tolerance_m
 
     def tolerance_at(self, range_m: FloatArray) -> FloatArray:
         """The agreement tolerance at ranges."""

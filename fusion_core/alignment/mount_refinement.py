@@ -4,7 +4,8 @@ Around a mount that is nearly right, the pixel under a projected LiDAR point is 
 Walls and furniture are upright: the pixel's point, laid into the LiDAR's plane, is on the line that
 the scan draws there, and its distance from that line is the residual (the metric of Censi 2008). It
 is nearly linear in the mount, so that Gauss-Newton finds the optimum, and symmetric about it:
-occlusion, holes and the edges of the image do not pull.
+occlusion, holes and the edges of the image do not pull. Depth cameras measure all lengths a little
+long or short: that factor is found along.
 
 An upright surface shows neither Delta z nor pitch, only how they move the camera's sight along with
 ``forward_m``: both are held here.
@@ -19,12 +20,14 @@ from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_
 from fusion_core.model.rig import Mount
 
 IN_PLANE = np.array([0, 2, 3, 5])
-"""Of MOUNT_PARAMETERS: yaw, forward, left, clock offset."""
+"""Of MOUNT_PARAMETERS: yaw, forward, left, clock offset. The depths' stretch follows them."""
 
-# Neighbours on each side that a line is fitted to: eleven points have a third of one's noise.
-_NEIGHBOURS = 5
+_UNKNOWNS = IN_PLANE.size + 1
+
+# Neighbours on each side that a line is fitted to: some 17 points have a quarter of one's noise.
+_NEIGHBOURS = 8
 # Neighbours farther off than this many tolerances, and lines thicker than one half, are no line.
-_NEIGHBOUR_TOLERANCES = 8.0
+_NEIGHBOUR_TOLERANCES = 5.0
 _LINE_TOLERANCES = 0.6
 # Below this cosine between ray and normal a pixel is as wide as the noise on the surface.
 _LEAST_COSINE = 0.2
@@ -42,8 +45,8 @@ _LAST_STEP_SD = 0.02
 class LineResiduals:
     """What one mount leaves, of the points whose pixel is on the scan's line.
 
-    ``values``: (N,) in tolerances along the camera's ray; ``jacobian``: (N, 4) by IN_PLANE;
-    ``spurious``: (N, 4) standard deviation of it for the error of the line's direction;
+    ``values``: (N,) in tolerances along the camera's ray; ``jacobian``: (N, 5) by IN_PLANE and
+    the stretch; ``spurious``: (N, 5) standard deviation of it for the error of the line's direction;
     ``frame``, ``place``: (N,) when and where along the curve.
     """
 
@@ -62,12 +65,14 @@ class LineResiduals:
 class PlaneFit:
     """A refined mount, (6,) as MOUNT_PARAMETERS, and what its deviations are made from.
 
-    ``scores``: (N, 4) gradients of the points' log likelihoods; ``information``: (N, 4, 4) their
-    curvatures; ``prior``: (4, 4) information of the prior. ``noise``: standard deviation of the
-    residuals in tolerances.
+    ``stretch``: by which depths are too long, as a fraction. ``residuals``: (N,) in tolerances,
+    ``noise`` their standard deviation. ``scores``: (N, 5) gradients of the points' log likelihoods;
+    ``information``: (N, 5, 5) their curvatures; ``prior``: (5, 5) information of the prior.
     """
 
     values: FloatArray
+    stretch: float
+    residuals: FloatArray
     scores: FloatArray
     information: FloatArray
     prior: FloatArray
@@ -81,7 +86,11 @@ class ScanLines:
 
     def __init__(self, problem: MountCost) -> None:
         self._problem = problem
-        normals, sd_rad = fit_lines(problem.points, problem.frame_of_point, problem.tolerance_m)
+        normals, sd_rad = fit_lines(
+            problem.points,
+            problem.frame_of_point,
+            problem.tolerance_at(np.hypot(*problem.points.T)),
+        )
         on_line = np.isfinite(sd_rad)
         self._points = problem.points[on_line]
         self._normals = normals[on_line]
@@ -89,8 +98,8 @@ class ScanLines:
         self._frame = problem.frame_of_point[on_line]
         self._place = problem.places()[on_line]
 
-    def residuals(self, values: FloatArray) -> LineResiduals:
-        """The residuals of one mount (6,)."""
+    def residuals(self, values: FloatArray, stretch: float = 0.0) -> LineResiduals:
+        """The residuals of one mount (6,), with depths that are too long by ``stretch``."""
         problem, mount = self._problem, Mount.from_vector(values)
         turned_rad = problem.turned_rad(mount)[self._frame]
         points, normals = (
@@ -102,11 +111,12 @@ class ScanLines:
         frame, point, normal = self._frame[index], points[index], normals[index]
         R = T_lidar_camera[frame, :2, :3]
         ray = np.einsum("nij,nj->ni", R, rays)
+        seen_m = seen_m / (1.0 + stretch)
         pixel = ray * seen_m[:, None] + T_lidar_camera[frame, :2, 3]
         cosine = np.abs(_dot(ray, normal))
         kept = cosine > _LEAST_COSINE * np.linalg.norm(ray, axis=1)
         index, frame, point, normal = index[kept], frame[kept], point[kept], normal[kept]
-        pixel, cosine, seen_m = pixel[kept], cosine[kept], seen_m[kept]
+        pixel, cosine, seen_m, ray = pixel[kept], cosine[kept], seen_m[kept], ray[kept]
         scale = cosine * problem.tolerance_at(seen_m)
         arm = pixel - [mount.forward_m, mount.left_m]
         rate = 1e-3 * problem.turn_rates_rad_s[frame]
@@ -117,6 +127,7 @@ class ScanLines:
                 direction[:, 0],
                 direction[:, 1],
                 -rate * _cross(direction, point),
+                -seen_m * _dot(ray, direction),
             ]
             return np.stack(columns, axis=1) / scale[:, None]
 
@@ -137,30 +148,32 @@ def refine_in_plane(
 
     None where hardly more points than parameters are on lines.
     """
-    values, prior_sd, centre = start.copy(), priors.sd, priors.centre
-    prior = np.diag(1.0 / prior_sd[IN_PLANE] ** 2)
-    noise = 1.0
+    values, stretch, noise = start.copy(), 0.0, 1.0
+    prior = np.diag(1.0 / np.append(priors.sd[IN_PLANE], priors.stretch_sd) ** 2)
+    moved = np.append(free, True)
     for iteration in range(_MAX_ITERATIONS):
-        residuals = lines.residuals(values)
-        count = residuals.values.size
-        if count < 4 * IN_PLANE.size:
+        residuals = lines.residuals(values, stretch)
+        if residuals.values.size < 4 * _UNKNOWNS:
             return None
-        noise = _SD_OF_MAD * float(np.median(np.abs(residuals.values)))
-        noise = max(noise, 1e-6)
+        noise = _SD_OF_MAD * max(float(np.median(np.abs(residuals.values))), 1e-6)
         widened = noise * (_ANNEALING[iteration] if iteration < len(_ANNEALING) else 1.0)
         scores, information = _linearize(residuals, widened)
-        curvature = prior + information.sum(axis=0)
-        gradient = scores.sum(axis=0) - prior @ (values - centre)[IN_PLANE]
-        step = np.zeros(IN_PLANE.size)
-        step[free] = np.linalg.solve(curvature[np.ix_(free, free)], gradient[free])
-        values[IN_PLANE] += step
+        curvature = (prior + information.sum(axis=0))[np.ix_(moved, moved)]
+        from_prior = np.append((values - priors.centre)[IN_PLANE], stretch)
+        gradient = scores.sum(axis=0) - prior @ from_prior
+        step = np.zeros(_UNKNOWNS)
+        step[moved] = np.linalg.solve(curvature, gradient[moved])
+        values[IN_PLANE] += step[:-1]
+        stretch += float(step[-1])
         sd = np.sqrt(np.diag(np.linalg.inv(curvature)))
-        if iteration >= len(_ANNEALING) and (np.abs(step) < _LAST_STEP_SD * sd).all():
+        if iteration >= len(_ANNEALING) and (np.abs(step[moved]) < _LAST_STEP_SD * sd).all():
             break
-    residuals = lines.residuals(values)
+    residuals = lines.residuals(values, stretch)
     scores, information = _linearize(residuals, noise)
     return PlaneFit(
         values=values,
+        stretch=stretch,
+        residuals=residuals.values,
         scores=scores,
         information=information,
         prior=prior,
@@ -171,7 +184,7 @@ def refine_in_plane(
 
 
 def _linearize(residuals: LineResiduals, noise: float) -> tuple[FloatArray, FloatArray]:
-    """(N, 4) scores and (N, 4, 4) information of Welsch's loss.
+    """(N, 5) scores and (N, 5, 5) information of Welsch's loss.
 
     The error of the lines' directions adds squares to the information that are none: they are
     taken out.
@@ -185,10 +198,13 @@ def _linearize(residuals: LineResiduals, noise: float) -> tuple[FloatArray, Floa
 
 
 def fit_lines(
-    points_m: FloatArray, frame: IntArray, tolerance_m: float
+    points_m: FloatArray, frame: IntArray, tolerance_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """(N, 2) unit normals of the lines through the points' neighbours in their scan, and (N,) the
-    standard deviation of their directions, NaN where the neighbours are on no line."""
+    standard deviation of their directions, NaN where the neighbours are on no line.
+
+    ``frame``: (N,) of each point; ``tolerance_m``: (N,) at each.
+    """
     count = points_m.shape[0]
     sums = np.zeros((count, 6))
     for offset in range(-_NEIGHBOURS, _NEIGHBOURS + 1):

@@ -22,18 +22,21 @@ _LEAST_DEGREES = 3.0
 
 def in_plane_covariance(fit: PlaneFit, free: BoolArray) -> FloatArray | None:
     """(4, 4) covariance of IN_PLANE, zero where not ``free``; None where the frames and places are
-    too few to tell."""
-    unknown = np.flatnonzero(free)
-    pick = np.ix_(unknown, unknown)
+    too few to tell. That of the depths' stretch is counted in."""
+    unknown = np.flatnonzero(np.append(free, True))
     scores = fit.scores[:, unknown]
-    information = fit.information[:, unknown[:, None], unknown[None, :]]
-    block = frame_blocks(scores, fit.frame)
-    found = two_way_covariance(scores, information, fit.prior[pick], block, fit.place)
+    found = two_way_covariance(
+        scores,
+        fit.information[:, unknown[:, None], unknown[None, :]],
+        fit.prior[np.ix_(unknown, unknown)],
+        frame_blocks(scores, fit.frame),
+        fit.place,
+    )
     if found is None:
         return None
-    covariance = np.zeros((IN_PLANE.size, IN_PLANE.size))
-    covariance[pick] = found
-    return covariance
+    covariance = np.zeros((IN_PLANE.size + 1, IN_PLANE.size + 1))
+    covariance[np.ix_(unknown, unknown)] = found
+    return covariance[:-1, :-1]
 
 
 def two_way_covariance(
