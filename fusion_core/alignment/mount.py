@@ -11,15 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.alignment.mount_cost import (
-    MIN_POINTS,
-    MountCost,
-    MountObservation,
-    MountPriors,
-    MountSettings,
-)
+from fusion_core.alignment.mount_cost import MIN_POINTS, MountCost
 from fusion_core.alignment.mount_floor import find_floor_pitch
 from fusion_core.alignment.mount_height import heights_between, sample_heights
+from fusion_core.alignment.mount_observation import MountObservation
 from fusion_core.alignment.mount_refinement import IN_PLANE, ScanLines, refine_in_plane
 from fusion_core.alignment.mount_search import (
     SAME_YAW_RAD,
@@ -29,6 +24,7 @@ from fusion_core.alignment.mount_search import (
     is_significantly_better,
     search_mounts,
 )
+from fusion_core.alignment.mount_settings import MountPriors, MountSettings
 from fusion_core.alignment.mount_uncertainty import in_plane_covariance
 from fusion_core.alignment.recorded_mount import find_refusal
 from fusion_core.alignment.time import parabola_offset
@@ -167,7 +163,9 @@ def _find_mount(
     heights = sample_heights(problem, values, heights_m, priors)
     spread = np.sqrt(np.mean((heights.mounts - heights.best) ** 2, axis=0))
     values = heights.best
-    sd[1] = np.inf if heights.is_at_bound else spread[1]
+    # One block of frames has no spread.
+    is_height_known = problem.blocks > 1 and not heights.is_at_bound
+    sd[1] = spread[1] if is_height_known else np.inf
     sd[4] = np.inf if floor is None else floor.sd_rad
     sd[2] = np.hypot(sd[2], spread[2] if floor is None else abs(values[1]) * floor.sd_rad)
     if is_yaw_ambiguous:

@@ -7,11 +7,12 @@ point that could disagree out of the image. Points to the side of the image cost
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import cv2
 import numpy as np
 
+from fusion_core.alignment.mount_observation import MountObservation
+from fusion_core.alignment.mount_settings import MountSettings
 from fusion_core.compiled import compiled
 from fusion_core.model.conventions import (
     NS_PER_S,
@@ -19,92 +20,9 @@ from fusion_core.model.conventions import (
     Float32Array,
     FloatArray,
     IntArray,
-    read_only,
 )
 from fusion_core.model.geometry import invert_transform
-from fusion_core.model.rig import Camera, Mount
-from fusion_core.model.sensors import LaserScan
-from fusion_core.settings import StageSettings, setting
-
-
-class MountSettings(StageSettings):
-    """How the mount is refined around the recording's offset u."""
-
-    # The images and two copies of them, at 640 x 480 pixels 0.7 GB.
-    frames: int = setting(48, "Depth images kept for the refinement", unit="images", ge=4, le=200)
-    tolerance_m: float = setting(0.03, "Agreement tolerance at range 0", unit="m", ge=1e-6, le=2.0)
-    tolerance_fraction: float = setting(
-        0.02,
-        "Growth of the agreement tolerance with range, as a fraction of it",
-        ge=1e-6,
-        le=0.2,
-        formerly="tolerance_share",
-    )
-    occlusion_cost: float = setting(
-        0.6,
-        "Cost of a LiDAR point that something nearer may occlude (1: depth beyond the point)",
-        ge=0.0,
-        le=1.0,
-        formerly="nearer_cost",
-    )
-    no_depth_cost: float = setting(
-        0.3,
-        "Cost of a LiDAR point above or below the image, or on a hole",
-        ge=0.0,
-        le=1.0,
-        formerly="hidden_cost",
-    )
-    # Every 5 cm between the two is tried, all around; no robot is taller.
-    delta_z_min_m: float = setting(
-        -0.8, "Lowest camera against the LiDAR", unit="m", ge=-5.0, le=5.0
-    )
-    delta_z_max_m: float = setting(
-        1.6, "Highest camera against the LiDAR", unit="m", ge=-5.0, le=5.0
-    )
-    clearance_m: float = setting(
-        0.1,
-        "Least height of the LiDAR's plane over the lowest surface seen",
-        unit="m",
-        ge=0.0,
-        le=5.0,
-    )
-    frame_yaw_sd_deg: float = setting(
-        0.5,
-        "How far a frame's yaw may stray from the mount's (0: not at all)",
-        unit="deg",
-        ge=0.0,
-        le=30.0,
-    )
-    prior_delta_z_sd_m: float = setting(
-        1.0, "Doubt of a height of zero, where none is recorded", unit="m", ge=1e-3, le=10.0
-    )
-    prior_arm_sd_m: float = setting(
-        0.15,
-        "Doubt of a camera straight above the LiDAR, where no mount is recorded",
-        unit="m",
-        ge=1e-3,
-        le=10.0,
-    )
-    prior_pitch_sd_deg: float = setting(
-        5.0, "Doubt of a level camera, where no mount is recorded", unit="deg", ge=1e-3, le=45.0
-    )
-    prior_clock_sd_ms: float = setting(
-        80.0, "Doubt of stamps that are of one clock", unit="ms", ge=1e-3, le=1e4
-    )
-    # "Depth accuracy: <= 2 % at 2 m", Intel RealSense D400 data sheet.
-    depth_scale_sd: float = setting(
-        0.02, "Doubt of the depth images' scale, as a fraction", ge=1e-6, le=0.2
-    )
-    recorded_angle_sd_deg: float = setting(
-        0.3, "Doubt of a recorded mount's yaw and pitch", unit="deg", ge=1e-3, le=45.0
-    )
-    recorded_position_sd_m: float = setting(
-        0.01, "Doubt of a recorded mount's position", unit="m", ge=1e-4, le=10.0
-    )
-    min_agreement: float = setting(
-        0.8, "Least fraction of visible points that agree, to pair along the curve", ge=1e-6, le=1.0
-    )
-
+from fusion_core.model.rig import Mount
 
 MIN_POINTS = 100
 """From fewer LiDAR points nothing is concluded: an agreement of one half is then known to 10 % (two
@@ -115,129 +33,12 @@ PLACE_RAD = float(np.deg2rad(5.0))
 
 # Neighbouring frames see the same walls: they count as one observation.
 _FRAMES_PER_BLOCK = 4
-# The rows' yaw, which a sample a degree and rows that are not the LiDAR's make uncertain.
-_PRIOR_YAW_SD_RAD = np.deg2rad(10.0)
 # The least depth of an Intel D435 at its lowest resolution, by its data sheet (105 mm), rounded.
 _MIN_DEPTH_M = 0.1
 # Within so many tolerances a point agrees with the depth: where the loss is about a half.
 _AGREE_TOLERANCES = 2.5
 # The loss 1 - exp(-(off / 2)^2 / 2) of Welsch with a scale of two tolerances.
 _WELSCH = 0.125
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MountPriors:
-    """What is held of the mount before the data: ``centre`` and ``sd``, (6,) as MOUNT_PARAMETERS;
-    infinite where nothing is. ``stretch_sd``: of the fraction by which depths are too long."""
-
-    centre: FloatArray
-    sd: FloatArray
-    stretch_sd: float
-
-    def __post_init__(self) -> None:
-        read_only(self.centre)
-        read_only(self.sd)
-
-    def with_pitch(self, pitch_rad: float, sd_rad: float) -> "MountPriors":
-        """The same with another doubt of the pitch."""
-        return self._with(4, pitch_rad, sd_rad)
-
-    def with_yaw(self, yaw_rad: float) -> "MountPriors":
-        """The same around another yaw."""
-        return self._with(0, yaw_rad, float(self.sd[0]))
-
-    def _with(self, index: int, centre: float, sd: float) -> "MountPriors":
-        centres, sds = self.centre.copy(), self.sd.copy()
-        centres[index], sds[index] = centre, sd
-        return MountPriors(centre=centres, sd=sds, stretch_sd=self.stretch_sd)
-
-    @classmethod
-    def without_recorded(cls, yaw_rad: float, settings: MountSettings) -> "MountPriors":
-        """Around a compact, level rig whose yaw is nearly known."""
-        arm_m = settings.prior_arm_sd_m
-        sd = [
-            _PRIOR_YAW_SD_RAD,
-            settings.prior_delta_z_sd_m,
-            arm_m,
-            arm_m,
-            np.deg2rad(settings.prior_pitch_sd_deg),
-            settings.prior_clock_sd_ms,
-        ]
-        centre = np.array([yaw_rad, 0.0, 0.0, 0.0, 0.0, 0.0])
-        return cls(centre=centre, sd=np.array(sd), stretch_sd=settings.depth_scale_sd)
-
-    @classmethod
-    def from_recorded(cls, recorded: Mount, settings: MountSettings) -> "MountPriors":
-        """Around a mount from a drawing or a calibration, which knows no clock."""
-        angle_rad = float(np.deg2rad(settings.recorded_angle_sd_deg))
-        place_m = settings.recorded_position_sd_m
-        sd = [angle_rad, place_m, place_m, place_m, angle_rad, settings.prior_clock_sd_ms]
-        return cls(centre=recorded.vector(), sd=np.array(sd), stretch_sd=settings.depth_scale_sd)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MountObservation:
-    """A paired scan and image of the subset that the refinement uses.
-
-    ``points_m``: (N, 2) valid LiDAR points in the LiDAR frame at the scan's stamp.
-    ``raw_depth_m``: (H, W) upright view, ``depth_m`` the same without speckle.
-    ``image_after_scan_s``: image stamp - scan stamp.
-    """
-
-    camera: Camera
-    scan: LaserScan
-    raw_depth_m: Float32Array
-    points_m: FloatArray
-    depth_m: Float32Array
-    turn_rate_rad_s: float
-    image_after_scan_s: float
-
-    def __post_init__(self) -> None:
-        read_only(self.points_m)
-        read_only(self.depth_m)
-
-
-def mount_observation(
-    camera: Camera,
-    scan: LaserScan,
-    depth_m: Float32Array,
-    image_stamp_ns: int,
-    turn_rate_rad_s: float,
-) -> MountObservation:
-    """The observation of one pair. ``turn_rate_rad_s`` is NaN where the scan has no neighbours in
-    time; the turn between the two stamps is then not compensated."""
-    valid = np.isfinite(scan.ranges_m)
-    angles = scan.angles_rad[valid]
-    ranges = scan.ranges_m[valid]
-    return MountObservation(
-        camera=camera,
-        scan=scan,
-        raw_depth_m=depth_m,
-        points_m=np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=1),
-        depth_m=remove_speckle(depth_m),
-        turn_rate_rad_s=turn_rate_rad_s if np.isfinite(turn_rate_rad_s) else 0.0,
-        image_after_scan_s=(image_stamp_ns - scan.stamp_ns) / NS_PER_S,
-    )
-
-
-def remove_speckle(depth_m: Float32Array) -> Float32Array:
-    """The depth image without lone values, by a 3 x 3 median, and without lone holes.
-
-    A hole among at least four valid pixels of one surface in the 5 x 5 around becomes their mean
-    (dark furniture may return every other pixel only); other holes stay.
-    """
-    zeroed = np.where(np.isfinite(depth_m), depth_m, np.float32(0.0))
-    filtered = cv2.medianBlur(zeroed, 3)
-    square = np.ones((5, 5), dtype=np.uint8)
-    valid = (zeroed > 0.0).astype(np.float32)
-    count = cv2.boxFilter(valid, -1, (5, 5), normalize=False)
-    total = cv2.boxFilter(zeroed, -1, (5, 5), normalize=False)
-    highest = cv2.dilate(zeroed, square)
-    lowest = cv2.erode(np.where(valid > 0.0, zeroed, np.float32(1e6)), square)
-    mean = total / np.maximum(count, 1.0)
-    one_surface = (count >= 4.0) & (highest - lowest < 0.05 * mean)
-    filled = np.where((filtered <= 0.0) & one_surface, mean, filtered)
-    return np.where(filled > 0.0, filled, np.float32(np.nan)).astype(np.float32)
 
 
 class MountCost:
@@ -328,6 +129,11 @@ class MountCost:
             [self._tallies(T, mount, group, self.frames)[:, 0].sum() for T in T_rig_lidar]
         )
 
+    @property
+    def turn_rate_sd_rad_s(self) -> float:
+        """Doubt of the frames' turn rates."""
+        return self._settings.turn_rate_sd_rad_s
+
     def tolerance_at(self, range_m: FloatArray) -> FloatArray:
         """The agreement tolerance at ranges."""
         return self._settings.tolerance_m + self._settings.tolerance_fraction * range_m
@@ -354,7 +160,8 @@ class MountCost:
         from the first frame on. A robot that drives sees a place move on slowly."""
         x, y = self.points.T
         azimuths_rad = self.headings_rad()[self.frame_of_point] + np.arctan2(y, x)
-        return np.floor(azimuths_rad / PLACE_RAD).astype(np.int64)
+        place: IntArray = np.floor(azimuths_rad / PLACE_RAD).astype(np.int64)
+        return place
 
     def is_in_front(self, values: FloatArray) -> BoolArray:
         """(N,) whether a point lies between the left and the right of its image."""

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from fusion_core.alignment.mount_cost import PLACE_RAD, MountObservation, MountSettings
+from fusion_core.alignment.mount_cost import PLACE_RAD
+from fusion_core.alignment.mount_observation import MountObservation
+from fusion_core.alignment.mount_settings import MountSettings
 from fusion_core.alignment.mount_uncertainty import frame_blocks, two_way_covariance
 from fusion_core.model.conventions import BoolArray, FloatArray
 
@@ -62,7 +64,8 @@ def find_floor_pitch(
     # Of what is on the plane n . X = -h, the inverse depth is -(n . ray) / h.
     inverse = 1.0 / depth_m
     scale = (settings.tolerance_m + settings.tolerance_fraction * depth_m) * inverse**2
-    plane, noise = start, _FIRST_NOISE
+    plane: FloatArray = start
+    noise = _FIRST_NOISE
     for _ in range(_ITERATIONS):
         off = (inverse - rays @ plane) / scale
         near = _without_rims(views, np.abs(off) < _OUTLIER_SD * noise)
@@ -71,7 +74,7 @@ def find_floor_pitch(
         if near.mean() < _LEAST_FRACTION or np.linalg.cond(information) > 1e8:
             return None
         noise = min(noise, _SD_OF_MAD * float(np.median(np.abs(off[near]))))
-        plane = np.linalg.solve(information, design.T @ (inverse[near] / scale[near]))
+        plane = np.linalg.solve(information, design.T @ (inverse[near] / scale[near])).astype(float)
     pitch = _pitch_rad(plane)
     heights_m = (rays * depth_m[:, None]) @ (-plane / np.linalg.norm(plane))
     below = np.mean(heights_m < np.median(heights_m[near]) - 2.0 * _LAYER_M)
@@ -108,7 +111,7 @@ class _View:
         depth_m = frame.depth_m[::_STRIDE, ::_STRIDE]
         self.shape = depth_m.shape
         self.row, self.column = np.nonzero(np.isfinite(depth_m))
-        rays = frame.camera.rays(self.row * float(_STRIDE), self.column * float(_STRIDE))
+        rays = frame.camera.rays(_STRIDE * self.row, _STRIDE * self.column)
         self.rays = rays @ frame.camera.T_rig_camera[:3, :3].T
         self.depth_m = depth_m[self.row, self.column].astype(np.float64)
 

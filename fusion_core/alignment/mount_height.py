@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.alignment.mount_cost import MountCost, MountPriors
+from fusion_core.alignment.mount_cost import MountCost
 from fusion_core.alignment.mount_search import PRIOR_BLOCKS
+from fusion_core.alignment.mount_settings import MountPriors
 from fusion_core.model.conventions import FloatArray, read_only
 
 _HEIGHT_STEP_M = 0.05

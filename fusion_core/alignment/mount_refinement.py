@@ -15,7 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.alignment.mount_cost import MountCost, MountPriors, turn_points
+from fusion_core.alignment.mount_cost import MountCost, turn_points
+from fusion_core.alignment.mount_settings import MountPriors
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.rig import Mount
 
@@ -46,19 +47,23 @@ class LineResiduals:
     """What one mount leaves, of the points whose pixel is on the scan's line.
 
     ``values``: (N,) in tolerances along the camera's ray; ``jacobian``: (N, 5) by IN_PLANE and
-    the stretch; ``spurious``: (N, 5) standard deviation of it for the error of the line's direction;
-    ``frame``, ``place``: (N,) when and where along the curve.
+    the stretch. ``line_error``, ``rate_error``: (N, 5) standard deviation of the jacobian for the
+    errors of the line's direction and of the turn rate. ``frame``, ``place``: (N,) when and where
+    along the curve.
     """
 
     values: FloatArray
     jacobian: FloatArray
-    spurious: FloatArray
+    line_error: FloatArray
+    rate_error: FloatArray
     frame: IntArray
     place: IntArray
 
     def __post_init__(self) -> None:
-        for array in (self.values, self.jacobian, self.spurious, self.frame, self.place):
+        for array in (self.values, self.jacobian, self.line_error, self.rate_error):
             read_only(array)
+        read_only(self.frame)
+        read_only(self.place)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,6 +125,8 @@ class ScanLines:
         scale = cosine * problem.tolerance_at(seen_m)
         arm = pixel - [mount.forward_m, mount.left_m]
         rate = 1e-3 * problem.turn_rates_rad_s[frame]
+        rate_error = np.zeros((index.size, _UNKNOWNS))
+        rate_error[:, 3] = 1e-3 * problem.turn_rate_sd_rad_s * _cross(normal, point) / scale
 
         def derivative(direction: FloatArray) -> FloatArray:
             columns = [
@@ -129,13 +136,15 @@ class ScanLines:
                 -rate * _cross(direction, point),
                 -seen_m * _dot(ray, direction),
             ]
-            return np.stack(columns, axis=1) / scale[:, None]
+            stacked: FloatArray = np.stack(columns, axis=1) / scale[:, None]
+            return stacked
 
         along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
         return LineResiduals(
             values=_dot(pixel - point, normal) / scale,
             jacobian=derivative(normal),
-            spurious=derivative(along) * self._normal_sd_rad[index, None],
+            line_error=derivative(along) * self._normal_sd_rad[index, None],
+            rate_error=rate_error,
             frame=frame,
             place=self._place[index],
         )
@@ -157,8 +166,9 @@ def refine_in_plane(
             return None
         noise = _SD_OF_MAD * max(float(np.median(np.abs(residuals.values))), 1e-6)
         widened = noise * (_ANNEALING[iteration] if iteration < len(_ANNEALING) else 1.0)
-        scores, information = _linearize(residuals, widened)
-        curvature = (prior + information.sum(axis=0))[np.ix_(moved, moved)]
+        scores, weight = _linearize(residuals, widened)
+        J = residuals.jacobian
+        curvature = (prior + J.T @ (J * weight[:, None]))[np.ix_(moved, moved)]
         from_prior = np.append((values - priors.centre)[IN_PLANE], stretch)
         gradient = scores.sum(axis=0) - prior @ from_prior
         step = np.zeros(_UNKNOWNS)
@@ -169,13 +179,13 @@ def refine_in_plane(
         if iteration >= len(_ANNEALING) and (np.abs(step[moved]) < _LAST_STEP_SD * sd).all():
             break
     residuals = lines.residuals(values, stretch)
-    scores, information = _linearize(residuals, noise)
+    scores, weight = _linearize(residuals, noise)
     return PlaneFit(
         values=values,
         stretch=stretch,
         residuals=residuals.values,
         scores=scores,
-        information=information,
+        information=_information(residuals, weight),
         prior=prior,
         frame=residuals.frame,
         place=residuals.place,
@@ -184,17 +194,20 @@ def refine_in_plane(
 
 
 def _linearize(residuals: LineResiduals, noise: float) -> tuple[FloatArray, FloatArray]:
-    """(N, 5) scores and (N, 5, 5) information of Welsch's loss.
-
-    The error of the lines' directions adds squares to the information that are none: they are
-    taken out.
-    """
+    """(N, 5) scores and (N,) weights of Welsch's loss."""
     z = residuals.values / noise
-    weight = np.exp(-((z / _WELSCH_SD) ** 2)) / noise**2
-    scores = -(weight * residuals.values)[:, None] * residuals.jacobian
-    J, S = residuals.jacobian, residuals.spurious
-    products = J[:, :, None] * J[:, None, :] - S[:, :, None] * S[:, None, :]
-    return scores, weight[:, None, None] * products
+    weight: FloatArray = np.exp(-((z / _WELSCH_SD) ** 2)) / noise**2
+    return -(weight * residuals.values)[:, None] * residuals.jacobian, weight
+
+
+def _information(residuals: LineResiduals, weight: FloatArray) -> FloatArray:
+    """(N, 5, 5) information of each point. What the errors of lines and turn rates add to the
+    squares of the jacobian is none, and is taken out."""
+    J, L, R = residuals.jacobian, residuals.line_error, residuals.rate_error
+    squares = (one[:, :, None] * one[:, None, :] for one in (J, L, R))
+    true, of_lines, of_rates = squares
+    information: FloatArray = weight[:, None, None] * (true - of_lines - of_rates)
+    return information
 
 
 def fit_lines(

@@ -9,7 +9,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import minimize
 
-from fusion_core.alignment.mount_cost import MountCost, MountPriors
+from fusion_core.alignment.mount_cost import MountCost
+from fusion_core.alignment.mount_settings import MountPriors
 from fusion_core.model.conventions import FloatArray, wrap_angle
 
 PRIOR_BLOCKS = 20.0

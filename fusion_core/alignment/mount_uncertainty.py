@@ -16,6 +16,8 @@ from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
 _CORRELATION_SE = 2.0
 # At least so many blocks of frames: fewer say nothing of a deviation.
 _LEAST_BLOCKS = 4
+# Of a scaled information matrix: below, rounding decides.
+_LEAST_EIGENVALUE = 1e-6
 # The variance of Student's t exists from three degrees of freedom on.
 _LEAST_DEGREES = 3.0
 
@@ -82,12 +84,13 @@ def correlation_length(series: FloatArray) -> int:
     if not known.any():
         return 1
     count = series.shape[0]
-    limit = _CORRELATION_SE / np.sqrt(count * known.sum())
+    limit = _CORRELATION_SE / np.sqrt(count * int(known.sum()))
     for lag in range(1, count // _LEAST_BLOCKS + 1):
         products = (centred[lag:] * centred[:-lag]).mean(axis=0)
         if float(np.mean(products[known] / variance[known])) <= limit:
             return lag
-    return max(1, count // _LEAST_BLOCKS)
+    longest: int = max(1, count // _LEAST_BLOCKS)
+    return longest
 
 
 def _label(*groupings: IntArray) -> IntArray:
@@ -110,6 +113,9 @@ def _jackknife(
     np.add.at(score, label, scores)
     np.add.at(own, label, information)
     total = prior + information.sum(axis=0)
+    if not _is_positive(total) or not _is_positive(total - own):
+        # Without one of the groups nothing is known of some direction.
+        return None
     weight = np.einsum("gii->g", np.linalg.solve(total, own))
     effective = float(weight.sum() ** 2 / max((weight**2).sum(), 1e-300))
     degrees = effective - 1.0
@@ -119,6 +125,15 @@ def _jackknife(
     moves -= moves.mean(axis=0)
     covariance: FloatArray = moves.T @ moves * (count - 1) / count
     return covariance * degrees / (degrees - 2.0)
+
+
+def _is_positive(information: FloatArray) -> bool:
+    """Whether all of the (..., K, K) matrices are positive definite, whatever their units."""
+    scale = np.sqrt(np.maximum(np.einsum("...ii->...i", information), 0.0))
+    if not (scale > 0.0).all():
+        return False
+    eigenvalues = np.linalg.eigvalsh(information / scale[..., :, None] / scale[..., None, :])
+    return bool((eigenvalues > _LEAST_EIGENVALUE).all())
 
 
 def _at_least(covariance: FloatArray, least: FloatArray) -> FloatArray:

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fusion_core.alignment.mount_cost import MIN_POINTS, MountCost, MountSettings
+from fusion_core.alignment.mount_cost import MIN_POINTS, MountCost
+from fusion_core.alignment.mount_settings import MountSettings
 from fusion_core.model.conventions import wrap_angle
 from fusion_core.model.rig import Mount
 

@@ -20,14 +20,14 @@ import time
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.stats import chi2
 
 from fusion_core.model.conventions import wrap_angle
 from fusion_core.model.recording import Message, Recording
-from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
+from fusion_core.model.rig import Mount
 from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.fuse.align import RecordingAlignment, align_recording
 from fusion_core.workflows.fuse.session import FuseOptions, Session, open_session
@@ -36,8 +36,14 @@ from fusion_core.workflows.fuse.settings import PRESETS
 # The mount of the rooms whose truth has the yaw alone, and their late clock: by their README.
 README_MOUNT = {"cam_pitch": 0.0, "cam_offset": (0.05, 0.03), "cam_z": 0.92, "lidar_z": 0.31}
 CLOCK_OFFSET_MS = {"room_2": 40.0}
-UNITS = (("yaw", "deg"), ("delta_z", "m"), ("forward", "m"), ("left", "m"), ("pitch", "deg"))
-UNITS = (*UNITS, ("clock", "ms"))
+UNITS = (
+    ("yaw", "deg"),
+    ("delta_z", "m"),
+    ("forward", "m"),
+    ("left", "m"),
+    ("pitch", "deg"),
+    ("clock", "ms"),
+)
 FACTORS = np.array([180.0 / np.pi if unit == "deg" else 1.0 for _, unit in UNITS])
 # Rooms that nothing was chosen on are reported apart.
 HELD_OUT = ("room_6", "room_7", "room_8", "room_9")
@@ -58,9 +64,14 @@ class Piece:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._recording, name)
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+    def messages(
+        self,
+        topics: Collection[str] | None = None,
+        start_ns: int | None = None,
+        end_ns: int | None = None,
+    ) -> Iterator[Message]:
         """The messages of the piece, in order."""
-        for message in self._recording.messages(topics):
+        for message in self._recording.messages(topics, start_ns, end_ns):
             if message.topic != self._depth_topic or message.index in self._images:
                 yield message
 
@@ -82,13 +93,13 @@ def true_mount(path: Path) -> Mount:
     """The mount that the truth beside a recording states."""
     arrays = dict(np.load(path))
     stated = {name: arrays.get(name, value) for name, value in README_MOUNT.items()}
-    forward_m, left_m = map(float, stated["cam_offset"])
+    forward_m, left_m = np.asarray(stated["cam_offset"], dtype=float)
     return Mount(
         yaw_rad=float(arrays["cam_yaw"]),
-        delta_z_m=float(stated["cam_z"] - stated["lidar_z"]),
-        forward_m=forward_m,
-        left_m=left_m,
-        pitch_rad=float(stated["cam_pitch"]),
+        delta_z_m=float(np.subtract(stated["cam_z"], stated["lidar_z"])),
+        forward_m=float(forward_m),
+        left_m=float(left_m),
+        pitch_rad=float(np.asarray(stated["cam_pitch"])),
         clock_offset_ms=CLOCK_OFFSET_MS.get(path.name.split(".")[0], 0.0),
     )
 
@@ -127,7 +138,7 @@ def trials_of(
         count = session.image_count
         pieces = []
         for first in np.linspace(0, count - frames, starts).round().astype(int):
-            piece = Piece(recording, topic, int(first), int(first) + frames)
+            piece = cast(Recording, Piece(recording, topic, int(first), int(first) + frames))
             pieces.append(trial(name, f"{first}", replace(session, recording=piece), truth))
     return whole, pieces
 

@@ -17,7 +17,7 @@ from fusion_core.alignment.curves import (
     yaw_of_offset_rad,
 )
 from fusion_core.alignment.mount import MountEstimate, estimate_mount, frame_yaw_offset_rad
-from fusion_core.alignment.mount_cost import MountObservation, mount_observation
+from fusion_core.alignment.mount_observation import MountObservation, mount_observation
 from fusion_core.alignment.panorama import Panorama, PastedPanorama, are_side_by_side
 from fusion_core.alignment.search import MeanField, Peak, SearchSettings, find_peak
 from fusion_core.alignment.similarity import Metric, SimilarityField, similarity_fields

@@ -14,7 +14,7 @@ from fusion_core.alignment.curves import (
     sample_row,
     yaw_of_offset_rad,
 )
-from fusion_core.alignment.mount_cost import MountObservation
+from fusion_core.alignment.mount_observation import MountObservation
 from fusion_core.alignment.panorama import Panorama, PastedPanorama
 from fusion_core.alignment.search import Peak
 from fusion_core.alignment.time import estimate_turn_rate_rad_s

@@ -14,7 +14,7 @@ from typing import Literal, TypeVar
 from pydantic import ConfigDict, ValidationError
 
 from fusion_core.alignment.curves import SamplingSettings
-from fusion_core.alignment.mount_cost import MountSettings
+from fusion_core.alignment.mount_settings import MountSettings
 from fusion_core.alignment.search import SearchSettings
 from fusion_core.alignment.time import TimeSettings
 from fusion_core.denoising.noise import NoiseSettings

@@ -1,0 +1,144 @@
+"""How the mount is refined, and what is held of it before the data."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.model.conventions import FloatArray, read_only
+from fusion_core.model.rig import Mount
+from fusion_core.settings import StageSettings, setting
+
+# The rows' yaw, which a sample a degree and rows that are not the LiDAR's make uncertain.
+_PRIOR_YAW_SD_RAD = np.deg2rad(10.0)
+
+
+class MountSettings(StageSettings):
+    """How the mount is refined around the recording's offset u."""
+
+    # The images and two copies of them, at 640 x 480 pixels 0.7 GB.
+    frames: int = setting(48, "Depth images kept for the refinement", unit="images", ge=4, le=200)
+    tolerance_m: float = setting(0.03, "Agreement tolerance at range 0", unit="m", ge=1e-6, le=2.0)
+    tolerance_fraction: float = setting(
+        0.02,
+        "Growth of the agreement tolerance with range, as a fraction of it",
+        ge=1e-6,
+        le=0.2,
+        formerly="tolerance_share",
+    )
+    occlusion_cost: float = setting(
+        0.6,
+        "Cost of a LiDAR point that something nearer may occlude (1: depth beyond the point)",
+        ge=0.0,
+        le=1.0,
+        formerly="nearer_cost",
+    )
+    no_depth_cost: float = setting(
+        0.3,
+        "Cost of a LiDAR point above or below the image, or on a hole",
+        ge=0.0,
+        le=1.0,
+        formerly="hidden_cost",
+    )
+    # Every 5 cm between the two is tried, all around; no robot is taller.
+    delta_z_min_m: float = setting(
+        -0.8, "Lowest camera against the LiDAR", unit="m", ge=-5.0, le=5.0
+    )
+    delta_z_max_m: float = setting(
+        1.6, "Highest camera against the LiDAR", unit="m", ge=-5.0, le=5.0
+    )
+    clearance_m: float = setting(
+        0.1,
+        "Least height of the LiDAR's plane over the lowest surface seen",
+        unit="m",
+        ge=0.0,
+        le=5.0,
+    )
+    frame_yaw_sd_deg: float = setting(
+        0.5,
+        "How far a frame's yaw may stray from the mount's (0: not at all)",
+        unit="deg",
+        ge=0.0,
+        le=30.0,
+    )
+    prior_delta_z_sd_m: float = setting(
+        1.0, "Doubt of a height of zero, where none is recorded", unit="m", ge=1e-3, le=10.0
+    )
+    prior_arm_sd_m: float = setting(
+        0.15,
+        "Doubt of a camera straight above the LiDAR, where no mount is recorded",
+        unit="m",
+        ge=1e-3,
+        le=10.0,
+    )
+    prior_pitch_sd_deg: float = setting(
+        5.0, "Doubt of a level camera, where no mount is recorded", unit="deg", ge=1e-3, le=45.0
+    )
+    prior_clock_sd_ms: float = setting(
+        80.0, "Doubt of stamps that are of one clock", unit="ms", ge=1e-3, le=1e4
+    )
+    turn_rate_sd_rad_s: float = setting(
+        0.02, "Doubt of a turn rate that is measured between scans", unit="rad/s", ge=0.0, le=10.0
+    )
+    # "Depth accuracy: <= 2 % at 2 m", Intel RealSense D400 data sheet.
+    depth_scale_sd: float = setting(
+        0.02, "Doubt of the depth images' scale, as a fraction", ge=1e-6, le=0.2
+    )
+    recorded_angle_sd_deg: float = setting(
+        0.3, "Doubt of a recorded mount's yaw and pitch", unit="deg", ge=1e-3, le=45.0
+    )
+    recorded_position_sd_m: float = setting(
+        0.01, "Doubt of a recorded mount's position", unit="m", ge=1e-4, le=10.0
+    )
+    min_agreement: float = setting(
+        0.8, "Least fraction of visible points that agree, to pair along the curve", ge=1e-6, le=1.0
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MountPriors:
+    """What is held of the mount before the data: ``centre`` and ``sd``, (6,) as MOUNT_PARAMETERS;
+    infinite where nothing is. ``stretch_sd``: of the fraction by which depths are too long."""
+
+    centre: FloatArray
+    sd: FloatArray
+    stretch_sd: float
+
+    def __post_init__(self) -> None:
+        read_only(self.centre)
+        read_only(self.sd)
+
+    def with_pitch(self, pitch_rad: float, sd_rad: float) -> "MountPriors":
+        """The same with another doubt of the pitch."""
+        return self._with(4, pitch_rad, sd_rad)
+
+    def with_yaw(self, yaw_rad: float) -> "MountPriors":
+        """The same around another yaw."""
+        return self._with(0, yaw_rad, float(self.sd[0]))
+
+    def _with(self, index: int, centre: float, sd: float) -> "MountPriors":
+        centres, sds = self.centre.copy(), self.sd.copy()
+        centres[index], sds[index] = centre, sd
+        return MountPriors(centre=centres, sd=sds, stretch_sd=self.stretch_sd)
+
+    @classmethod
+    def without_recorded(cls, yaw_rad: float, settings: MountSettings) -> "MountPriors":
+        """Around a compact, level rig whose yaw is nearly known."""
+        arm_m = settings.prior_arm_sd_m
+        sd = [
+            _PRIOR_YAW_SD_RAD,
+            settings.prior_delta_z_sd_m,
+            arm_m,
+            arm_m,
+            np.deg2rad(settings.prior_pitch_sd_deg),
+            settings.prior_clock_sd_ms,
+        ]
+        centre = np.array([yaw_rad, 0.0, 0.0, 0.0, 0.0, 0.0])
+        return cls(centre=centre, sd=np.array(sd), stretch_sd=settings.depth_scale_sd)
+
+    @classmethod
+    def from_recorded(cls, recorded: Mount, settings: MountSettings) -> "MountPriors":
+        """Around a mount from a drawing or a calibration, which knows no clock."""
+        angle_rad = float(np.deg2rad(settings.recorded_angle_sd_deg))
+        place_m = settings.recorded_position_sd_m
+        sd = [angle_rad, place_m, place_m, place_m, angle_rad, settings.prior_clock_sd_ms]
+        return cls(centre=recorded.vector(), sd=np.array(sd), stretch_sd=settings.depth_scale_sd)
