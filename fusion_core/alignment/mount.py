@@ -13,7 +13,12 @@ import numpy as np
 
 from fusion_core.alignment.mount_cost import MIN_POINTS, MountCost
 from fusion_core.alignment.mount_floor import find_floor_pitch
-from fusion_core.alignment.mount_height import heights_between, sample_heights
+from fusion_core.alignment.mount_height import (
+    heights_between,
+    keep_sight,
+    sample_heights,
+    typical_range_m,
+)
 from fusion_core.alignment.mount_observation import MountObservation
 from fusion_core.alignment.mount_refinement import IN_PLANE, ScanLines, refine_in_plane
 from fusion_core.alignment.mount_search import (
@@ -25,7 +30,7 @@ from fusion_core.alignment.mount_search import (
     search_mounts,
 )
 from fusion_core.alignment.mount_settings import MountPriors, MountSettings
-from fusion_core.alignment.mount_uncertainty import in_plane_covariance
+from fusion_core.alignment.mount_uncertainty import choose_optimum, in_plane_covariance
 from fusion_core.alignment.recorded_mount import find_refusal
 from fusion_core.alignment.time import parabola_offset
 from fusion_core.model.conventions import FloatArray
@@ -36,6 +41,8 @@ from fusion_core.model.rig import Mount
 # error would change the noise classes and repairs that use it. Set by hand.
 _OBSERVABLE_SD = np.array([np.deg2rad(1.5), 0.15, 0.10, 0.10, np.deg2rad(2.0), 25.0])
 
+# Of MOUNT_PARAMETERS, the clock offset.
+_CLOCK = 5
 # The search may move the floor's pitch by this, so that it is not caught in a narrow valley.
 _SEARCHED_PITCH_SD_RAD = float(np.deg2rad(0.5))
 
@@ -158,8 +165,13 @@ def _find_mount(
     if floor is not None:
         priors = priors.with_pitch(floor.pitch_rad, floor.sd_rad)
     heights = sample_heights(problem, best, heights_m, priors)
-    same = [fit for fit in fits if angle_between_rad(fit[0], best[0]) < SAME_YAW_RAD]
-    values, sd = _fit_in_plane(lines, [heights.best, *same], priors)
+    range_m = typical_range_m(problem, best)
+    starts = [
+        keep_sight(fit, range_m, float(heights.best[1]), float(heights.best[4]))
+        for fit in fits
+        if angle_between_rad(fit[0], best[0]) < SAME_YAW_RAD
+    ]
+    values, sd = _fit_in_plane(lines, [heights.best, *starts], priors)
     heights = sample_heights(problem, values, heights_m, priors)
     spread = np.sqrt(np.mean((heights.mounts - heights.best) ** 2, axis=0))
     values = heights.best
@@ -182,25 +194,23 @@ def _fit_in_plane(
     The clock offset is part of it where the recording shows it. Otherwise it stays as the priors
     have it, the stamps are believed, and the yaw is that which belongs to them: what pairs need.
     """
-    everything = np.ones(IN_PLANE.size, dtype=bool)
     sd = np.full(starts[0].size, np.inf)
-    fit = refine_in_plane(lines, starts[0], priors, everything)
-    if fit is None:
-        return starts[0], sd
-    covariance = in_plane_covariance(fit, everything)
-    if covariance is None or covariance[3, 3] > _OBSERVABLE_SD[5] ** 2:
-        start = starts[0].copy()
-        start[5] = priors.centre[5]
-        stamps_believed = everything & (IN_PLANE != 5)
-        fit = refine_in_plane(lines, start, priors, stamps_believed)
-        if fit is None:
+    for free in (np.ones(IN_PLANE.size, dtype=bool), IN_PLANE != _CLOCK):
+        begins = [
+            np.where(np.arange(start.size) == _CLOCK, priors.centre, start) for start in starts
+        ]
+        refined = [refine_in_plane(lines, begin, priors, free) for begin in begins]
+        fits = [fit for fit in refined if fit is not None]
+        if not fits:
             return starts[0], sd
-        covariance = in_plane_covariance(fit, stamps_believed)
-        if covariance is not None:
-            covariance[3, 3] = np.inf
-    if covariance is not None:
-        sd[IN_PLANE] = np.sqrt(np.diag(covariance))
-    return fit.values, sd
+        best, apart = choose_optimum(fits)
+        covariance = in_plane_covariance(best, free)
+        if covariance is None:
+            continue
+        sd[IN_PLANE] = np.where(free, np.maximum(np.sqrt(np.diag(covariance)), apart), np.inf)
+        if sd[_CLOCK] <= _OBSERVABLE_SD[_CLOCK]:
+            break
+    return best.values, sd
 
 
 def frame_yaw_offset_rad(frame: MountObservation, mount: Mount, settings: MountSettings) -> float:

@@ -56,6 +56,13 @@ def keep_sight(
     return moved
 
 
+def typical_range_m(problem: MountCost, values: FloatArray) -> float:
+    """The median distance ahead of the points between the sides of the images."""
+    seen = problem.is_in_front(values)
+    ahead_m = problem.points[seen] @ [np.cos(values[0]), np.sin(values[0])]
+    return float(np.median(ahead_m)) if seen.any() else 1.0
+
+
 def pitches_of(priors: MountPriors) -> FloatArray:
     """The pitches to try: one where the prior is sharper than a step."""
     half = int(_PITCH_MAX_SD * priors.sd[4] / _PITCH_STEP_RAD)
@@ -78,8 +85,7 @@ def sample_heights(
     cells = places.size * problem.blocks
     group = np.full(problem.points.shape[0], -1, dtype=np.int64)
     group[seen] = of_place * problem.blocks + block[seen]
-    ahead_m = problem.points[seen] @ [np.cos(values[0]), np.sin(values[0])]
-    range_m = float(np.median(ahead_m)) if seen.any() else 1.0
+    range_m = typical_range_m(problem, values)
     mounts = np.array(
         [
             keep_sight(values, range_m, float(height), float(pitch))

@@ -7,6 +7,8 @@ groupings: of the one plus of the other, minus what both count. Each is a jackkn
 that a block may hold most of the evidence.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from fusion_core.alignment.mount_refinement import IN_PLANE, PlaneFit
@@ -16,10 +18,35 @@ from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
 _CORRELATION_SE = 2.0
 # At least so many blocks of frames: fewer say nothing of a deviation.
 _LEAST_BLOCKS = 4
+# An optimum that fewer points agree on by less than this many standard errors is as good.
+_RIVAL_SE = 2.0
 # Of a scaled information matrix: below, rounding decides.
 _LEAST_EIGENVALUE = 1e-6
 # The variance of Student's t exists from three degrees of freedom on.
 _LEAST_DEGREES = 3.0
+
+
+def choose_optimum(fits: Sequence[PlaneFit]) -> tuple[PlaneFit, FloatArray]:
+    """The optimum that most points agree on, and how far (4,) from it by IN_PLANE others are on
+    which as many do: not significantly fewer, compared place by place."""
+    noise = min(fit.noise for fit in fits)
+    places = np.unique(np.concatenate([fit.place for fit in fits]))
+    agreeing = np.array([_agreement_by_place(fit, noise, places) for fit in fits])
+    best = int(agreeing.sum(axis=1).argmax())
+    apart = np.zeros(IN_PLANE.size)
+    for fit, own in zip(fits, agreeing, strict=True):
+        fewer = agreeing[best] - own
+        if fewer.sum() < _RIVAL_SE * np.sqrt(fewer.size) * np.std(fewer):
+            apart = np.maximum(apart, np.abs(fit.values - fits[best].values)[IN_PLANE])
+    return fits[best], apart
+
+
+def _agreement_by_place(fit: PlaneFit, noise: float, places: IntArray) -> FloatArray:
+    """(P,) points that agree within the noise, each counted by its likelihood."""
+    likelihood = np.exp(-0.5 * (fit.residuals / noise) ** 2)
+    index = np.searchsorted(places, fit.place)
+    sums: FloatArray = np.bincount(index, weights=likelihood, minlength=places.size).astype(float)
+    return sums
 
 
 def in_plane_covariance(fit: PlaneFit, free: BoolArray) -> FloatArray | None:
