@@ -196,10 +196,11 @@ def _fit_in_plane(
     """
     sd = np.full(starts[0].size, np.inf)
     for free in (np.ones(IN_PLANE.size, dtype=bool), IN_PLANE != _CLOCK):
-        begins = [
-            np.where(np.arange(start.size) == _CLOCK, priors.centre, start) for start in starts
-        ]
-        refined = [refine_in_plane(lines, begin, priors, free) for begin in begins]
+        refined = []
+        for start in starts:
+            begin = start.copy()
+            begin[_CLOCK] = priors.centre[_CLOCK]
+            refined.append(refine_in_plane(lines, begin, priors, free))
         fits = [fit for fit in refined if fit is not None]
         if not fits:
             return starts[0], sd
