@@ -17,9 +17,9 @@ from fusion_core.alignment.mount_settings import MountSettings
 from fusion_core.alignment.mount_uncertainty import frame_blocks, two_way_covariance
 from fusion_core.model.conventions import BoolArray, FloatArray
 
-# So many frames and every so many rows and columns: more have the same errors.
+# So many frames, and rows of each with columns as far apart: more have the same errors.
 _FRAMES = 24
-_STRIDE = 6
+_ROWS = 40
 # Tilts tried, and the layers that a floor is looked for in: what half a degree leaves of it.
 _PITCHES_RAD = np.deg2rad(np.arange(-20.0, 20.5, 1.0))
 _LAYER_M = 0.04
@@ -58,6 +58,8 @@ def find_floor_pitch(
     rays = np.concatenate([view.rays for view in views])
     depth_m = np.concatenate([view.depth_m for view in views])
     frame = np.repeat(list(kept), [view.depth_m.size for view in views])
+    # A filled hole has the mean of its neighbours' depths, where their inverse is what is linear.
+    measured = np.concatenate([view.is_measured for view in views])
     start = _lowest_layer(rays * depth_m[:, None])
     if start is None:
         return None
@@ -68,7 +70,7 @@ def find_floor_pitch(
     noise = _FIRST_NOISE
     for _ in range(_ITERATIONS):
         off = (inverse - rays @ plane) / scale
-        near = _without_rims(views, np.abs(off) < _OUTLIER_SD * noise)
+        near = measured & _without_rims(views, np.abs(off) < _OUTLIER_SD * noise)
         design = rays[near] / scale[near, None]
         information = design.T @ design
         if near.mean() < _LEAST_FRACTION or np.linalg.cond(information) > 1e8:
@@ -104,15 +106,19 @@ def find_floor_pitch(
 
 
 class _View:
-    """Every _STRIDE-th pixel of an image: ``rays`` (N, 3) in the rig's axes, 1 m long along the
-    optical axis, and ``depth_m`` (N,) of those with a depth."""
+    """Some of an image's pixels: ``rays`` (N, 3) in the rig's axes, 1 m long along the
+    optical axis, and ``depth_m`` (N,) of those with a depth; ``is_measured`` (N,) where the camera
+    itself gave it."""
 
     def __init__(self, frame: MountObservation) -> None:
-        depth_m = frame.depth_m[::_STRIDE, ::_STRIDE]
+        stride = max(1, frame.depth_m.shape[0] // _ROWS)
+        depth_m = frame.depth_m[::stride, ::stride]
         self.shape = depth_m.shape
         self.row, self.column = np.nonzero(np.isfinite(depth_m))
-        rays = frame.camera.rays(_STRIDE * self.row, _STRIDE * self.column)
+        rays = frame.camera.rays(stride * self.row, stride * self.column)
         self.rays = rays @ frame.camera.T_rig_camera[:3, :3].T
+        raw_m = frame.raw_depth_m[::stride, ::stride]
+        self.is_measured = np.isfinite(raw_m[self.row, self.column])
         self.depth_m = depth_m[self.row, self.column].astype(np.float64)
 
 

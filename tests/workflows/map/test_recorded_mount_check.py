@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from fusion_core.model.errors import AlignmentFailed
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.topics import choose_streams
 from fusion_core.workflows.fuse.align import align_recording
@@ -74,9 +73,9 @@ def test_a_camera_recorded_as_looking_up_is_named(tmp_path):
 def test_map_and_visual_odometry_check_it_too(tmp_path, moved):
     with open_recording(moved_mount(tmp_path / "far.mcap", **moved)) as recording:
         streams = choose_streams(recording)
-        # So short a drive does not show where the camera stands.
-        with pytest.raises(AlignmentFailed, match=NOT_USED):
-            find_extrinsics(recording, streams, ChainSettings())
+        found = find_extrinsics(recording, streams, ChainSettings())
+        assert found.source == "alignment"
+        assert any(note.startswith(NOT_USED) for note in found.notes)
         T, notes = first_camera_extrinsics(recording, streams, None)
         assert T is None
         assert notes[0].startswith(NOT_USED)

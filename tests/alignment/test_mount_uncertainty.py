@@ -1,0 +1,100 @@
+"""Deviations of the mount, where the errors and the surfaces are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fusion_core.alignment.mount import estimate_mount
+from fusion_core.alignment.mount_cost import MountCost
+from fusion_core.alignment.mount_floor import find_floor_pitch
+from fusion_core.alignment.mount_height import keep_sight
+from fusion_core.alignment.mount_uncertainty import correlation_length, two_way_covariance
+from fusion_core.model.rig import Mount
+from tests.alignment.test_mount import SETTINGS, drive, random_mount
+
+
+def test_independent_frames_are_blocks_of_their_own() -> None:
+    rng = np.random.default_rng(0)
+    series = rng.normal(size=(60, 3))
+    assert correlation_length(series) == 1
+    assert correlation_length(np.repeat(series[:20], 3, axis=0)) in (2, 3)
+    assert correlation_length(np.zeros((8, 2))) == 1
+
+
+def test_a_deviation_counts_errors_that_frames_and_places_share() -> None:
+    """A line through points whose errors are drawn by frame and by place: closed form of the fit,
+    its error over many draws against what each draw states."""
+    rng = np.random.default_rng(1)
+    frames, places = 24, 30
+    frame, place = (grid.ravel() for grid in np.mgrid[0:frames, 0:places])
+    design = np.stack([np.ones(frame.size), place / places - 0.5], axis=1)
+    information = design[:, :, None] * design[:, None, :]
+    solve = np.linalg.inv(information.sum(axis=0)) @ design.T
+    normalised, naive = [], []
+    for _ in range(150):
+        noise = rng.normal(size=frame.size) + rng.normal(size=frames)[frame]
+        noise += rng.normal(size=places)[place]
+        fit = solve @ noise
+        scores = (noise - design @ fit)[:, None] * design
+        covariance = two_way_covariance(scores, information, np.zeros((2, 2)), frame, place)
+        assert covariance is not None
+        normalised.append(fit**2 / np.diag(covariance))
+        naive.append(fit**2 / np.diag(np.linalg.inv(information.sum(axis=0))) / 3.0)
+    mean = np.mean(normalised, axis=0)
+    assert ((mean > 0.6) & (mean < 1.5)).all(), mean
+    assert (np.mean(naive, axis=0) > 4.0).all()
+
+
+def test_too_few_groups_state_nothing() -> None:
+    scores, information = np.ones((6, 1)), np.ones((6, 1, 1))
+    label = np.array([0, 0, 1, 1, 2, 2])
+    assert two_way_covariance(scores, information, np.zeros((1, 1)), label, label) is None
+
+
+def test_an_upright_wall_stays_in_sight() -> None:
+    """A wall 3 m ahead of the LiDAR, seen by a pitched camera: under another height and pitch the
+    pixel of its point in the LiDAR's plane is still of that wall."""
+    true = np.array([0.0, 0.5, 0.04, 0.0, 0.06, 0.0])
+    wall_m, range_m = 3.0, 2.96
+    for height, pitch in ((0.2, 0.0), (0.9, -0.05), (0.5, 0.12)):
+        moved = keep_sight(true, range_m, height, pitch)
+        # The ray to the wall's point in the LiDAR's plane under the moved mount, in the camera ...
+        below = np.arctan2(height, wall_m - moved[2]) - pitch
+        # ... which the true camera sees on the wall, at this depth along its axis ...
+        depth_m = (wall_m - true[2]) / np.cos(below + true[4]) * np.cos(below)
+        # ... so that the moved mount puts the wall here.
+        seen_m = moved[2] + depth_m / np.cos(below) * np.cos(below + pitch)
+        assert seen_m == pytest.approx(wall_m, abs=5e-3)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_floor_shows_the_pitch(furnished_room, seed: int) -> None:
+    mount = replace(random_mount(seed), delta_z_m=0.5, pitch_rad=0.02 * seed)
+    frames = drive(furnished_room, mount, seed, count=12)
+    found = find_floor_pitch(frames, MountCost(frames, SETTINGS).headings_rad(), SETTINGS)
+    assert found is not None
+    error = found.pitch_rad - mount.pitch_rad
+    assert abs(error) < np.deg2rad(0.5)
+    assert abs(error) < 4.0 * found.sd_rad
+
+
+def test_a_camera_that_looks_up_sees_no_floor(furnished_room) -> None:
+    mount = Mount(yaw_rad=0.1, delta_z_m=0.4, pitch_rad=-0.45)
+    frames = drive(furnished_room, mount, 0, count=8)
+    headings_rad = MountCost(frames, SETTINGS).headings_rad()
+    assert find_floor_pitch(frames, headings_rad, SETTINGS) is None
+
+
+def test_depths_that_are_too_long_move_no_mount(furnished_room) -> None:
+    """A camera measures all lengths 1.5 % long, of which the method is not told."""
+    truth = replace(random_mount(5), delta_z_m=0.4)
+    frames = [
+        replace(frame, depth_m=np.float32(1.015) * frame.depth_m)
+        for frame in drive(furnished_room, truth, 5)
+    ]
+    estimate = estimate_mount(frames, SETTINGS, yaw_rad=truth.yaw_rad)
+    error = (estimate.mount.vector() - truth.vector())[[0, 2, 3]]
+    sd = np.array([estimate.mount.sd[index] for index in (0, 2, 3)])
+    assert (np.abs(error) < [np.deg2rad(0.5), 0.03, 0.02]).all()
+    assert (np.abs(error) < 4.0 * sd).all()
