@@ -58,8 +58,6 @@ def find_floor_pitch(
     rays = np.concatenate([view.rays for view in views])
     depth_m = np.concatenate([view.depth_m for view in views])
     frame = np.repeat(list(kept), [view.depth_m.size for view in views])
-    # A filled hole has the mean of its neighbours' depths, where their inverse is what is linear.
-    measured = np.concatenate([view.is_measured for view in views])
     start = _lowest_layer(rays * depth_m[:, None])
     if start is None:
         return None
@@ -70,7 +68,7 @@ def find_floor_pitch(
     noise = _FIRST_NOISE
     for _ in range(_ITERATIONS):
         off = (inverse - rays @ plane) / scale
-        near = measured & _without_rims(views, np.abs(off) < _OUTLIER_SD * noise)
+        near = _without_rims(views, np.abs(off) < _OUTLIER_SD * noise)
         design = rays[near] / scale[near, None]
         information = design.T @ design
         if near.mean() < _LEAST_FRACTION or np.linalg.cond(information) > 1e8:
@@ -107,18 +105,16 @@ def find_floor_pitch(
 
 class _View:
     """Some of an image's pixels: ``rays`` (N, 3) in the rig's axes, 1 m long along the
-    optical axis, and ``depth_m`` (N,) of those with a depth; ``is_measured`` (N,) where the camera
-    itself gave it."""
+    optical axis, and ``depth_m`` (N,) of those with a depth, unfiltered: a median of a slanted
+    surface beside holes is none of its own."""
 
     def __init__(self, frame: MountObservation) -> None:
-        stride = max(1, frame.depth_m.shape[0] // _ROWS)
-        depth_m = frame.depth_m[::stride, ::stride]
+        stride = max(1, frame.raw_depth_m.shape[0] // _ROWS)
+        depth_m = frame.raw_depth_m[::stride, ::stride]
         self.shape = depth_m.shape
         self.row, self.column = np.nonzero(np.isfinite(depth_m))
         rays = frame.camera.rays(stride * self.row, stride * self.column)
         self.rays = rays @ frame.camera.T_rig_camera[:3, :3].T
-        raw_m = frame.raw_depth_m[::stride, ::stride]
-        self.is_measured = np.isfinite(raw_m[self.row, self.column])
         self.depth_m = depth_m[self.row, self.column].astype(np.float64)
 
 
@@ -128,7 +124,7 @@ def _without_rims(views: list[_View], near: BoolArray) -> BoolArray:
     kept = []
     first = 0
     for view in views:
-        mask = np.zeros(view.shape, dtype=np.uint8)
+        mask = np.ones(view.shape, dtype=np.uint8)
         last = first + view.depth_m.size
         mask[view.row, view.column] = near[first:last]
         inner = cv2.erode(mask, np.ones((3, 3), dtype=np.uint8))
