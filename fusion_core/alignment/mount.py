@@ -105,6 +105,9 @@ def estimate_mount(
         if found is None or refusal:
             found = free
     sd = np.where(found.sd <= _OBSERVABLE_SD, found.sd, np.inf)
+    if not np.isfinite(sd[0]):
+        # Forward and left are along the yaw.
+        sd[[2, 3]] = np.inf
     mount = Mount.from_vector(
         found.values, tuple(float(value) if np.isfinite(value) else None for value in sd)
     )
