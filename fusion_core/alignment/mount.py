@@ -139,7 +139,7 @@ def _refine_recorded(
 ) -> _Found:
     """A recorded mount, moved in the LiDAR's plane as far as its doubt lets the data move it."""
     priors = MountPriors.from_recorded(recorded, settings)
-    values, sd = _fit_in_plane(lines, [recorded.vector()], priors)
+    values, sd = _fit_in_plane(problem, lines, [recorded.vector()], priors)
     sd[[1, 4]] = priors.sd[[1, 4]]
     # What looks along with the pitch's doubt.
     sd[2] = np.hypot(sd[2], abs(values[1]) * priors.sd[4])
@@ -174,7 +174,7 @@ def _find_mount(
         for fit in fits
         if angle_between_rad(fit[0], best[0]) < SAME_YAW_RAD
     ]
-    values, sd = _fit_in_plane(lines, [heights.best, *starts], priors)
+    values, sd = _fit_in_plane(problem, lines, [heights.best, *starts], priors)
     heights = sample_heights(problem, values, heights_m, priors)
     spread = np.sqrt(np.mean((heights.mounts - heights.best) ** 2, axis=0))
     values = heights.best
@@ -189,7 +189,7 @@ def _find_mount(
 
 
 def _fit_in_plane(
-    lines: ScanLines, starts: list[FloatArray], priors: MountPriors
+    problem: MountCost, lines: ScanLines, starts: list[FloatArray], priors: MountPriors
 ) -> tuple[FloatArray, FloatArray]:
     """The best of the optima in the LiDAR's plane, (6,) with the first start's height and pitch,
     and (6,) its deviations.
@@ -214,6 +214,11 @@ def _fit_in_plane(
         sd[IN_PLANE] = np.where(free, np.maximum(np.sqrt(np.diag(covariance)), apart), np.inf)
         if sd[_CLOCK] <= _OBSERVABLE_SD[_CLOCK]:
             break
+    # Delay and yaw follow from turns: an error of the turn rates grows with the delay.
+    rate_sd, delay_ms = problem.turn_rate_sd_rad_s, abs(float(best.values[_CLOCK]))
+    spread = max(float(np.std(problem.turn_rates_rad_s)), 1e-6)
+    sd[0] = np.hypot(sd[0], 1e-3 * delay_ms * rate_sd)
+    sd[_CLOCK] = np.hypot(sd[_CLOCK], delay_ms * rate_sd / spread)
     return best.values, sd
 
 
