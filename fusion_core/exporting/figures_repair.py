@@ -94,7 +94,7 @@ def write_repair(path: Path, heading: str, depth_m: Float32Array, curve: Repaire
             (("before", depth_m), ("after", fused_depth_m(depth_m, curve)))
         ):
             show_depth(grid[0, i], image_m, far_m=far_m)
-            grid[0, i].set_title(f"({'ab'[i]}) {when} denoising, holes in blue")
+            grid[0, i].set_title(f"({'ab'[i]}) {when}, holes in blue")
             _show_curve_in_image(grid[0, i], curve, after=i == 1)
             _show_band(grid[1, i], image_m, curve, far_m, after=i == 1)
             _show_lidar(grid[2, i], curve, after=i == 1)
