@@ -115,7 +115,7 @@ class SensorMaps:
 
     def _fuse(self, repaired: _RepairedScan, others: list[_RepairedScan]) -> None:
         """Add a repaired scan to the fused map. ``others``: the scans before and after."""
-        placed, trusted_m = repaired.raw, repaired.trusted_m
+        placed, trusted_m = repaired.raw, self._without_far("fused", repaired.trusted_m)
         pose, scan = placed.pose, placed.scan
         if self._confirmation is not None and others:
             # What was repaired is confirmed already.
@@ -133,9 +133,8 @@ class SensorMaps:
     def _mark_unconfirmed(self, pose: FloatArray, angles: FloatArray, ranges: FloatArray) -> None:
         if "fused" in self._failed:
             return
-        within_m = np.where(ranges <= self._side_max_m, ranges, np.nan)
         try:
-            self._builders["fused"].mark_unconfirmed(pose, angles, within_m)
+            self._builders["fused"].mark_unconfirmed(pose, angles, ranges)
         except MappingFailed as error:
             self._failed["fused"] = str(error)
 
@@ -144,16 +143,19 @@ class SensorMaps:
     ) -> None:
         if name in self._failed:
             return
-        far = ranges > self._side_max_m
-        if far.any():
-            self._far[name] += int(np.count_nonzero(far))
-            ranges = np.where(far, np.nan, ranges)
+        ranges = self._without_far(name, ranges)
         try:
             self._builders[name].add_scan(
                 pose, np.ascontiguousarray(angles), np.ascontiguousarray(ranges), scan.range_max_m
             )
         except MappingFailed as error:
             self._failed[name] = str(error)
+
+    def _without_far(self, name: str, ranges_m: FloatArray) -> FloatArray:
+        """(B,) without those that no map can hold, which are counted."""
+        far = ranges_m > self._side_max_m
+        self._far[name] += int(np.count_nonzero(far))
+        return np.where(far, np.nan, ranges_m)
 
     def write(self, folder: Path) -> tuple[dict[str, OccupancyGrid], list[str]]:
         """Write each map that has a known cell, and the difference of all; returns the maps and
