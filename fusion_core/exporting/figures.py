@@ -111,8 +111,7 @@ def _freeze_layout(figure: "Figure") -> None:
     memory address, so that its last digits differ between runs."""
     engine = figure.get_layout_engine()
     assert engine is not None, "png_figure makes figures with one"
-    # What hangs on a panel, such as a colour bar, moves with its width: the second time it fits.
-    for _ in range(2 if figure.get_axes() else 0):
+    if figure.get_axes():
         engine.execute(figure)
     figure.set_layout_engine("none")
     for axes in figure.get_axes():
