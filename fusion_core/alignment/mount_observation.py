@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S, Float32Array, FloatArray, read_only
+from fusion_core.model.polar import points_from_polar
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import LaserScan
 
@@ -42,13 +43,11 @@ def mount_observation(
     """The observation of one pair. ``turn_rate_rad_s`` is NaN where the scan has no neighbours in
     time; the turn between the two stamps is then not compensated."""
     valid = np.isfinite(scan.ranges_m)
-    angles = scan.angles_rad[valid]
-    ranges = scan.ranges_m[valid]
     return MountObservation(
         camera=camera,
         scan=scan,
         raw_depth_m=depth_m,
-        points_m=np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=1),
+        points_m=points_from_polar(scan.ranges_m[valid], scan.angles_rad[valid]),
         depth_m=remove_speckle(depth_m),
         turn_rate_rad_s=turn_rate_rad_s if np.isfinite(turn_rate_rad_s) else 0.0,
         image_after_scan_s=(image_stamp_ns - scan.stamp_ns) / NS_PER_S,

@@ -19,6 +19,7 @@ from fusion_core.evaluation.truth import Truth
 from fusion_core.model.conventions import BoolArray, FloatArray, read_only
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.planar_poses import transform_planar_points
+from fusion_core.model.polar import beams_towards, points_from_polar
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,9 +37,8 @@ class TrueViews:
 
     def surface_m(self) -> FloatArray:
         """(K, 2) the points that the beams meet, in the world."""
-        directions = np.stack([np.cos(self.azimuth_rad), np.sin(self.azimuth_rad)], axis=1)
         points = [
-            transform_planar_points(pose, range_m[:, np.newaxis] * directions)
+            transform_planar_points(pose, points_from_polar(range_m, self.azimuth_rad))
             for pose, range_m in zip(self.pose, self.range_m, strict=True)
         ]
         ends_m = np.concatenate([np.empty((0, 2)), *points])
@@ -48,16 +48,14 @@ class TrueViews:
     def reaches(self, points_m: FloatArray) -> BoolArray:
         """(M,): whether the beam towards any of (M, 2) points passes it in any scan."""
         reached = np.zeros(len(points_m), dtype=np.bool_)
-        step_rad = float(self.azimuth_rad[1] - self.azimuth_rad[0])
+        first_rad, second_rad = (float(azimuth) for azimuth in self.azimuth_rad[:2])
         for pose, range_m in zip(self.pose, self.range_m, strict=True):
             # A point that was reached once need not be looked at again.
             left = np.flatnonzero(~reached)
             x_m, y_m = (points_m[left] - pose[:2]).T
-            turned = (np.arctan2(y_m, x_m) - pose[2] - self.azimuth_rad[0]) * np.sign(step_rad)
-            from_first = np.mod(turned + 0.5 * abs(step_rad), 2.0 * np.pi)
-            beam = np.floor(from_first / abs(step_rad)).astype(np.int64)
-            inside = beam < range_m.size
-            ahead_m = np.where(inside, range_m[np.where(inside, beam, 0)], np.nan)
+            towards_rad = np.arctan2(y_m, x_m) - pose[2]
+            beam = beams_towards(towards_rad, first_rad, second_rad - first_rad, range_m.size)
+            ahead_m = np.where(beam >= 0, range_m[beam], np.nan)
             reached[left] = ahead_m > np.hypot(x_m, y_m)
         return reached
 

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.model.conventions import FloatArray, IntArray
+from fusion_core.model.conventions import FloatArray
 from fusion_core.model.planar_poses import transform_planar_points
+from fusion_core.model.polar import beams_towards, points_from_polar
 from fusion_core.model.sensors import LaserScan
 
 # Beams to either side of the one that points at a return, since its spot covers parts of them.
@@ -35,32 +36,24 @@ def confirmed_fraction(
     points at it, or there is no return.
     """
     scan = placed.scan
-    ends_m = scan.ranges_m[:, np.newaxis] * np.stack(
-        [np.cos(scan.angles_rad), np.sin(scan.angles_rad)], axis=1
-    )
+    ends_m = points_from_polar(scan.ranges_m, scan.angles_rad)
     in_map_m = transform_planar_points(placed.pose, ends_m)
     agreeing = np.zeros(scan.ranges_m.size, dtype=np.int64)
     looked = np.zeros(scan.ranges_m.size, dtype=np.int64)
     for other in others:
         x_m, y_m = (in_map_m - other.pose[:2]).T
         expected_m = np.hypot(x_m, y_m)
-        middle = _beam_towards(other.scan, np.arctan2(y_m, x_m) - other.pose[2])
+        seen = other.scan
+        middle = beams_towards(
+            np.arctan2(y_m, x_m) - other.pose[2],
+            seen.angle_min_rad,
+            seen.angle_increment_rad,
+            seen.ranges_m.size,
+        )
         for beside in range(-_BEAMS_BESIDE, _BEAMS_BESIDE + 1):
             beam = middle + beside
-            exists = (middle >= 0) & (beam >= 0) & (beam < other.scan.ranges_m.size)
-            range_m = np.where(exists, other.scan.ranges_m[np.where(exists, beam, 0)], np.nan)
+            exists = (middle >= 0) & (beam >= 0) & (beam < seen.ranges_m.size)
+            range_m = np.where(exists, seen.ranges_m[np.where(exists, beam, 0)], np.nan)
             agreeing += np.abs(range_m - expected_m) <= tolerance_m
             looked += exists
     return agreeing / np.maximum(looked, 1)
-
-
-def _beam_towards(scan: LaserScan, azimuth_rad: FloatArray) -> IntArray:
-    """(N,) the nearest beam of each azimuth, -1 outside the field of view and for NaN."""
-    step_rad = scan.angle_increment_rad
-    # Half a beam before the first still belongs to it.
-    turned = np.mod(
-        (azimuth_rad - scan.angle_min_rad) * np.sign(step_rad) + 0.5 * abs(step_rad), 2.0 * np.pi
-    )
-    beam = np.floor(turned / abs(step_rad))
-    inside = beam < scan.ranges_m.size  # NaN compares false.
-    return np.where(inside, beam, -1.0).astype(np.int64)

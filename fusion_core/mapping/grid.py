@@ -6,6 +6,7 @@ from fusion_core.mapping.growing_grid import CellBounds, GrowingGrid, LogOddsUpd
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import MappingFailed
 from fusion_core.model.grids import OccupancyGrid
+from fusion_core.model.polar import points_from_polar
 from fusion_core.settings import StageSettings, setting
 
 # Memory: a cell takes 12 bytes (float64, int32), and three grids may exist at once: 2.3 GB.
@@ -65,12 +66,9 @@ class GridBuilder:
         valid = ranges_m > 0.0
         if not valid.any():
             return
-        azimuths_rad = angles_rad[valid] + pose[2]
-        directions = np.stack([np.cos(azimuths_rad), np.sin(azimuths_rad)], axis=1)
         reached_m = np.minimum(ranges_m[valid], range_max_m)
-        resolution_m = self._settings.resolution_m
-        origin = np.ascontiguousarray(pose[:2] / resolution_m, dtype=np.float64)
-        ends = (pose[:2] + reached_m[:, np.newaxis] * directions) / resolution_m
+        origin = np.ascontiguousarray(pose[:2] / self._settings.resolution_m, dtype=np.float64)
+        ends = self._ends_of(pose, angles_rad[valid], reached_m)
         self._grid.reserve(self._bounds_of(np.vstack([origin[np.newaxis], ends])))
         self._grid.add_scan(origin, ends, ranges_m[valid] <= range_max_m)
 
@@ -87,11 +85,17 @@ class GridBuilder:
         valid = ranges_m > 0.0
         if not valid.any():
             return
-        azimuths_rad = angles_rad[valid] + pose[2]
-        directions = np.stack([np.cos(azimuths_rad), np.sin(azimuths_rad)], axis=1)
-        ends = (pose[:2] + ranges_m[valid, np.newaxis] * directions) / self._settings.resolution_m
+        ends = self._ends_of(pose, angles_rad[valid], ranges_m[valid])
         self._grid.reserve(self._bounds_of(ends))
         self._grid.mark_undecided(ends)
+
+    def _ends_of(
+        self, pose: FloatArray, angles_rad: FloatArray, ranges_m: FloatArray
+    ) -> FloatArray:
+        """(n, 2) ends of the beams in cells."""
+        along_m = points_from_polar(ranges_m, angles_rad + pose[2])
+        ends: FloatArray = (pose[:2] + along_m) / self._settings.resolution_m
+        return ends
 
     def build(self) -> OccupancyGrid:
         """The map so far, cut to the known cells.

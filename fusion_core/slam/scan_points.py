@@ -3,6 +3,7 @@
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, wrap_angle
+from fusion_core.model.polar import points_from_polar
 from fusion_core.model.sensors import LaserScan
 
 # Two neighbours are taken as one wall if the beams meet it at more than 18 degrees (1 / tan) and
@@ -19,7 +20,7 @@ def scan_points(scan: LaserScan, max_range_m: float, beams_max: int) -> FloatArr
     # NaN compares false.
     used = (ranges_m > 0.0) & (ranges_m < max_range_m)
     ranges_m, angles_rad = ranges_m[used], angles_rad[used]
-    return np.stack([ranges_m * np.cos(angles_rad), ranges_m * np.sin(angles_rad)], axis=1)
+    return points_from_polar(ranges_m, angles_rad)
 
 
 def densified_points(points_m: FloatArray, resolution_m: float) -> FloatArray:
