@@ -17,7 +17,6 @@ from fusion_core.alignment.mount_height import (
     heights_between,
     keep_sight,
     sample_heights,
-    typical_range_m,
 )
 from fusion_core.alignment.mount_observation import MountObservation
 from fusion_core.alignment.mount_refinement import IN_PLANE, ScanLines, refine_in_plane
@@ -162,15 +161,14 @@ def _find_mount(
     floor = find_floor_pitch(frames, problem.headings_rad(), settings)
     if floor is not None:
         priors = priors.with_pitch(floor.pitch_rad, max(floor.sd_rad, _SEARCHED_PITCH_SD_RAD))
-    fits = search_mounts(problem, priors, heights_m, float(heights_m[-1]))
+    fits = search_mounts(problem, priors, heights_m)
     best, is_yaw_ambiguous = choose_mount(problem, fits, yaw_rad)
     priors = priors.with_yaw(float(best[0]))
     if floor is not None:
         priors = priors.with_pitch(floor.pitch_rad, floor.sd_rad)
     heights = sample_heights(problem, best, heights_m, priors)
-    range_m = typical_range_m(problem, best)
     starts = [
-        keep_sight(fit, range_m, float(heights.best[1]), float(heights.best[4]))
+        keep_sight(fit, heights.range_m, float(heights.best[1]), float(heights.best[4]))
         for fit in fits
         if angle_between_rad(fit[0], best[0]) < SAME_YAW_RAD
     ]

@@ -16,6 +16,7 @@ from fusion_core.alignment.mount_observation import MountObservation
 from fusion_core.alignment.mount_settings import MountSettings
 from fusion_core.alignment.mount_uncertainty import frame_blocks, two_way_covariance
 from fusion_core.model.conventions import BoolArray, FloatArray
+from fusion_core.model.robust import robust_sigma
 
 # So many frames, and rows of each with columns as far apart: more have the same errors.
 _FRAMES = 24
@@ -31,7 +32,6 @@ _LEAST_EXTENT_M = 0.5
 # The first fit takes in what is within so many tolerances; its scale is then the residuals' own.
 _FIRST_NOISE = 0.4
 _ITERATIONS = 12
-_SD_OF_MAD = 1.4826
 # Residuals beyond this many standard deviations are of something else.
 _OUTLIER_SD = 3.0
 # The fit stays near the tilt that it started from, which noise in the depths bends.
@@ -73,7 +73,7 @@ def find_floor_pitch(
         information = design.T @ design
         if near.mean() < _LEAST_FRACTION or np.linalg.cond(information) > 1e8:
             return None
-        noise = min(noise, _SD_OF_MAD * float(np.median(np.abs(off[near]))))
+        noise = min(noise, robust_sigma(off[near]))
         plane = np.linalg.solve(information, design.T @ (inverse[near] / scale[near])).astype(float)
     pitch = _pitch_rad(plane)
     heights_m = (rays * depth_m[:, None]) @ (-plane / np.linalg.norm(plane))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion_core.alignment.mount_cost import MountCost
-from fusion_core.alignment.mount_search import PRIOR_BLOCKS
+from fusion_core.alignment.mount_search import prior_weight
 from fusion_core.alignment.mount_settings import MountPriors
 from fusion_core.model.conventions import FloatArray, read_only
 
@@ -30,12 +30,14 @@ class HeightSamples:
     """Bootstrap of what stands out of the LiDAR's plane.
 
     ``best``: (6,) the best mount of the grid; ``mounts``: (B, 6) the best of each replicate;
-    ``is_at_bound``: whether ``best`` is at the end of the heights.
+    ``is_at_bound``: whether ``best`` is at the end of the heights. ``range_m``: the median distance
+    ahead of the points between the sides of the images, at which the sight line was held.
     """
 
     best: FloatArray
     mounts: FloatArray
     is_at_bound: bool
+    range_m: float
 
     def __post_init__(self) -> None:
         read_only(self.best)
@@ -54,13 +56,6 @@ def keep_sight(
     moved[1], moved[4] = delta_z_m, pitch_rad
     moved[2] += range_m * (1.0 - np.cos(depression) / np.cos(before))
     return moved
-
-
-def typical_range_m(problem: MountCost, values: FloatArray) -> float:
-    """The median distance ahead of the points between the sides of the images."""
-    seen = problem.is_in_front(values)
-    ahead_m = problem.points[seen] @ [np.cos(values[0]), np.sin(values[0])]
-    return float(np.median(ahead_m)) if seen.any() else 1.0
 
 
 def pitches_of(priors: MountPriors) -> FloatArray:
@@ -85,7 +80,7 @@ def sample_heights(
     cells = places.size * problem.blocks
     group = np.full(problem.points.shape[0], -1, dtype=np.int64)
     group[seen] = of_place * problem.blocks + block[seen]
-    range_m = typical_range_m(problem, values)
+    range_m = _median_range_ahead_m(problem.points[seen], float(values[0]))
     mounts = np.array(
         [
             keep_sight(values, range_m, float(height), float(pitch))
@@ -96,13 +91,13 @@ def sample_heights(
     tallies = np.array([problem.tallies_per_group(one, group, cells)[:, :2] for one in mounts])
     costs, counts = tallies[..., 0], tallies[..., 1]
     z = (mounts - priors.centre)[:, [1, 4]] / priors.sd[[1, 4]]
-    prior_weight = 1.0 / (2.0 * problem.blocks * PRIOR_BLOCKS)
+    weight_of_prior = prior_weight(problem)
     rng = np.random.default_rng(_SEED)
 
     def best_of(weight: FloatArray, centre: FloatArray) -> FloatArray:
         mean = costs @ weight / np.maximum(counts @ weight, 1.0)
         chosen: FloatArray = mounts[
-            (mean + prior_weight * ((z - centre) ** 2).sum(axis=1)).argmin()
+            (mean + weight_of_prior * ((z - centre) ** 2).sum(axis=1)).argmin()
         ]
         return chosen
 
@@ -116,7 +111,14 @@ def sample_heights(
         best=best,
         mounts=np.array(samples),
         is_at_bound=bool(best[1] in (heights_m[0], heights_m[-1])),
+        range_m=range_m,
     )
+
+
+def _median_range_ahead_m(points_m: FloatArray, yaw_rad: float) -> float:
+    """Of (N, 2) points, 1 m where there are none."""
+    ahead_m = points_m @ [np.cos(yaw_rad), np.sin(yaw_rad)]
+    return float(np.median(ahead_m)) if ahead_m.size else 1.0
 
 
 def _drawn(rng: np.random.Generator, count: int) -> FloatArray:

@@ -19,6 +19,7 @@ from fusion_core.alignment.mount_cost import MountCost, turn_points
 from fusion_core.alignment.mount_settings import MountPriors
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.rig import Mount
+from fusion_core.model.robust import MAD_TO_SIGMA, robust_sigma
 
 IN_PLANE = np.array([0, 2, 3, 5])
 """Of MOUNT_PARAMETERS: yaw, forward, left, clock offset. The depths' stretch follows them."""
@@ -34,7 +35,8 @@ _LINE_TOLERANCES = 0.6
 _LEAST_COSINE = 0.2
 # Welsch's weight function has 95 % efficiency at this many standard deviations.
 _WELSCH_SD = 2.985
-_SD_OF_MAD = 1.4826
+# Residuals that are all but zero have no scale: it is no smaller, in tolerances.
+_LEAST_NOISE = MAD_TO_SIGMA * 1e-6
 # The start is off by more than the noise: its scale is taken wider at first.
 _ANNEALING = (4.0, 2.0)
 _MAX_ITERATIONS = 15
@@ -164,7 +166,7 @@ def refine_in_plane(
         residuals = lines.residuals(values, stretch)
         if residuals.values.size < 4 * _UNKNOWNS:
             return None
-        noise = _SD_OF_MAD * max(float(np.median(np.abs(residuals.values))), 1e-6)
+        noise = max(robust_sigma(residuals.values), _LEAST_NOISE)
         widened = noise * (_ANNEALING[iteration] if iteration < len(_ANNEALING) else 1.0)
         scores, weight = _linearize(residuals, widened)
         J = residuals.jacobian

@@ -13,8 +13,8 @@ from fusion_core.alignment.mount_cost import MountCost
 from fusion_core.alignment.mount_settings import MountPriors
 from fusion_core.model.conventions import FloatArray, wrap_angle
 
-PRIOR_BLOCKS = 20.0
-"""One standard deviation of a prior weighs as much as this many blocks of frames."""
+# One standard deviation of a prior weighs as much as this many blocks of frames.
+_PRIOR_BLOCKS = 20.0
 
 # Minima of the height profile and yaws that are refined: each costs hundreds of evaluations.
 _MAX_STARTS = 3
@@ -26,15 +26,16 @@ _STEP = np.array([np.deg2rad(0.6), 0.04, 0.04, 0.04, np.deg2rad(0.8), 20.0])
 
 
 def search_mounts(
-    problem: MountCost, priors: MountPriors, heights_m: FloatArray, highest_m: float
+    problem: MountCost, priors: MountPriors, heights_m: FloatArray
 ) -> list[FloatArray]:
-    """Mounts that agree best, starting from the priors' yaw and from the yaws that rival it."""
+    """Mounts no higher than ``heights_m`` that agree best, starting from the priors' yaw and from
+    the yaws that rival it."""
     fits = []
     yaw_rad = float(priors.centre[0])
     rivals = _find_rival_yaws(problem.subsampled(), priors.centre, heights_m[::3])
     for yaw in [yaw_rad, *rivals]:
         centre = _turned_to(priors.centre, yaw)
-        cost = _add_prior(problem, centre, priors.sd, highest_m)
+        cost = _add_prior(problem, centre, priors.sd, float(heights_m[-1]))
         # The best start is enough to compare a rival; the rows' own yaw gets several.
         count = _MAX_STARTS if yaw == yaw_rad else 1
         for start in _local_minima(delta_z_profile(problem, centre, heights_m), centre, count):
@@ -61,6 +62,11 @@ def is_significantly_better(problem: MountCost, fit: FloatArray, other: FloatArr
     return bool(np.mean(gain) > 3.0 * np.std(gain) / np.sqrt(gain.size))
 
 
+def prior_weight(problem: MountCost) -> float:
+    """The cost of a squared deviation from a prior, in units of its variance."""
+    return 1.0 / (2.0 * problem.blocks * _PRIOR_BLOCKS)
+
+
 def delta_z_profile(problem: MountCost, centre: FloatArray, heights_m: FloatArray) -> FloatArray:
     """(K, 3): best yaw, Delta z, cost, over a grid of Delta z with the yaw free by 3 degrees."""
     rows = []
@@ -83,7 +89,7 @@ def _turned_to(values: FloatArray, yaw_rad: float) -> FloatArray:
 def _add_prior(
     problem: MountCost, centre: FloatArray, spread: FloatArray, highest_m: float
 ) -> Callable[[FloatArray], float]:
-    weight = 1.0 / (2.0 * problem.blocks * PRIOR_BLOCKS)
+    weight = prior_weight(problem)
 
     def cost(values: FloatArray) -> float:
         if values[1] > highest_m:
