@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion_core.model.classes import RepairSource
+from fusion_core.model.classes import RepairSource, is_repaired
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 
 # By definition of the measure: a fixed part, and one that grows with range as depth noise does.
@@ -101,8 +101,7 @@ class RepairErrors:
 
 def was_repaired(source: IntArray, repaired_m: FloatArray) -> BoolArray:
     """Whether each sample was filled from the other sensor or from neighbours."""
-    filled = (source == RepairSource.OTHER_SENSOR) | (source == RepairSource.NEIGHBOURS)
-    repaired: BoolArray = filled & np.isfinite(repaired_m)
+    repaired: BoolArray = is_repaired(source) & np.isfinite(repaired_m)
     return repaired
 
 

@@ -20,7 +20,7 @@ from fusion_core.exporting.figures import (
     start_at_zero,
 )
 from fusion_core.exporting.palette import BURR, CONFLICT, DEPTH, GOOD, LIDAR
-from fusion_core.model.classes import NoiseClass, RepairSource
+from fusion_core.model.classes import NoiseClass, RepairSource, is_repaired
 from fusion_core.model.conventions import (
     BoolArray,
     ByteArray,
@@ -69,11 +69,7 @@ class RepairedCurve:
     @property
     def depth_changed(self) -> BoolArray:
         """(B,) whether the pixel was repaired."""
-        return _is_repaired(self.depth_source)
-
-
-def _is_repaired(source: IntArray) -> BoolArray:
-    return np.isin(source, (RepairSource.OTHER_SENSOR, RepairSource.NEIGHBOURS))
+        return is_repaired(self.depth_source)
 
 
 def fused_depth_m(depth_m: Float32Array, curve: RepairedCurve) -> Float32Array:
@@ -223,7 +219,7 @@ def _show_lidar(axes: "Axes", curve: RepairedCurve, *, after: bool) -> None:
         ms=1.4,
         label="what the camera sees there",
     )
-    repaired = _is_repaired(curve.lidar_source) & after
+    repaired = is_repaired(curve.lidar_source) & after
     shown_m = curve.lidar_repaired_m if after else curve.lidar_m
     for noise, color, marker, size, label in (
         (NoiseClass.GOOD, LIDAR, ".", 2.6, "good beam"),

@@ -2,6 +2,10 @@
 
 from enum import IntEnum
 
+import numpy as np
+
+from fusion_core.model.conventions import BoolArray, IntArray
+
 
 class NoiseClass(IntEnum):
     """One class for each sample. The codes are stable: files and labels hold them."""
@@ -23,3 +27,8 @@ class RepairSource(IntEnum):
     OTHER_SENSOR = 1
     NEIGHBOURS = 2
     NONE = 3
+
+
+def is_repaired(source: IntArray) -> BoolArray:
+    """Of codes of RepairSource, which stand for a value that the repair made."""
+    return np.isin(source, (RepairSource.OTHER_SENSOR, RepairSource.NEIGHBOURS))

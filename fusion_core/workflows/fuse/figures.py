@@ -39,7 +39,7 @@ from fusion_core.exporting.figures_registration import (
 from fusion_core.exporting.figures_repair import RepairedCurve, write_fused_depth, write_repair
 from fusion_core.exporting.tables import CsvTable
 from fusion_core.mapping.difference import compare_maps
-from fusion_core.model.classes import RepairSource
+from fusion_core.model.classes import is_repaired
 from fusion_core.model.conventions import NS_PER_MS, ByteArray
 from fusion_core.model.errors import RecordingError, ScanLoomError
 from fusion_core.model.grids import OccupancyGrid
@@ -119,7 +119,7 @@ def score_range(peak: Peak | None) -> str:
 
 def _repaired_count(frame: FusedFrame) -> int:
     sources = np.concatenate([frame.repair.lidar_source, frame.repair.depth_source])
-    return int(np.isin(sources, (RepairSource.OTHER_SENSOR, RepairSource.NEIGHBOURS)).sum())
+    return int(is_repaired(sources).sum())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from fusion_core.alignment.panorama import PastedPanorama
-from fusion_core.model.classes import NoiseClass, RepairSource
+from fusion_core.model.classes import NoiseClass, RepairSource, is_repaired
 from fusion_core.model.conventions import NS_PER_MS, FloatArray
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
 from fusion_core.workflows.fuse.align import METRICS, RecordingAlignment
@@ -97,8 +97,8 @@ def frame_row(
         mean_error_m=None if registration is None else registration.mean_error_m,
         sigma_m=match.sigma_m,
         epsilon_m=frame.epsilon_m,
-        repaired_lidar=_count_repaired(frame.repair.lidar_source),
-        repaired_depth=_count_repaired(frame.repair.depth_source[stored]),
+        repaired_lidar=int(is_repaired(frame.repair.lidar_source).sum()),
+        repaired_depth=int(is_repaired(frame.repair.depth_source[stored]).sum()),
         registration_refused=match.refusal or None,
     )
     if peak is not None:
@@ -121,10 +121,6 @@ def frame_row(
         if metric in match.search.peaks_without_prior:
             row[f"u_alone_{metric}"] = match.search.peaks_without_prior[metric].u + match.u_of_rig
     return row
-
-
-def _count_repaired(sources: npt.NDArray[np.int64]) -> int:
-    return int(np.isin(sources, (RepairSource.OTHER_SENSOR, RepairSource.NEIGHBOURS)).sum())
 
 
 def sample_columns(topic: str, frame: FusedFrame, rig: CameraRig) -> dict[str, npt.NDArray[Any]]:
