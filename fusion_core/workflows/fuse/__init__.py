@@ -12,15 +12,17 @@ pairs of scan and depth image
 the two passes
     align.py            pass 1: (u, v), mount and noise scale of the recording
     frame.py            pass 2: match, classify and repair an image, or the images of a panorama
-    frame_match.py      the matching within ``frame.py``: offset, pairs and A
-    offset_search.py    a frame's own (u, v), within ``frame_match.py``
+    match_images.py     the matching within ``frame.py``: offset, pairs and A
+    frame_match.py      ``FrameMatch``: what it gives for each image
+    offset_search.py    a frame's own (u, v), within ``match_images.py``
     cached_chain.py     pass 2 for one frame at a time, with caches, for the workbench
 what is written
     result_writer.py    tables, repaired recording and maps, as frames come
     tables.py           rows of frames.csv and samples.parquet, and alignment.json
     scan_queue.py       each scan once, with the repairs of all images paired with it
     sensor_maps.py      LiDAR, camera and fused map from the same poses
-    figures.py          the paper's figures and Table 1
+    figures.py          the paper's figures, of one frame and of the recording
+    table_1.py          the paper's Table 1: frames by their score
     summary.py          what a run reports
     rooms.py            the chain over every room of a data set
     result_folder.py    a folder of results, read again

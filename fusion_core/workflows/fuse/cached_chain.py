@@ -13,8 +13,9 @@ from fusion_core.model.bounded_cache import BoundedCache
 from fusion_core.model.errors import AlignmentFailed, RecordingError, ScanLoomError
 from fusion_core.workflows.fuse.align import RecordingAlignment
 from fusion_core.workflows.fuse.frame import FusedFrame, classify_and_repair
-from fusion_core.workflows.fuse.frame_match import FrameMatch, match_images, split_into_frames
+from fusion_core.workflows.fuse.frame_match import FrameMatch
 from fusion_core.workflows.fuse.frame_reader import FrameReader
+from fusion_core.workflows.fuse.match_images import match_images, split_into_frames
 from fusion_core.workflows.fuse.pairing import PairedImage
 from fusion_core.workflows.fuse.session import Session
 from fusion_core.workflows.fuse.settings import ChainSettings

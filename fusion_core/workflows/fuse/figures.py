@@ -1,12 +1,11 @@
-"""The paper's figures and its table for a fused recording.
+"""The paper's figures for a fused recording.
 
 Figs. 3, 4, 5, 7 and 8 show one frame, the showcase; Fig. 6 needs a truth and Fig. 9 maps.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -51,6 +50,7 @@ from fusion_core.workflows.fuse.align import RecordingAlignment
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_match import curves_at
 from fusion_core.workflows.fuse.offset_search import OffsetSearch
+from fusion_core.workflows.fuse.table_1 import score_range, table_1_row, write_table_1
 
 if TYPE_CHECKING:
     from fusion_core.workflows.fuse.session import Session
@@ -65,15 +65,6 @@ _FIG_4_SHEETS: dict[str, tuple[Metric, Metric]] = {
     "fig4_similarity.png": ("pearson", "euclidean"),
     "fig4_similarity_cosine.png": ("inverse_cosine", "cosine"),
 }
-TABLE_1_COLUMNS = (
-    "room",
-    "low",
-    "middle",
-    "high",
-    "high_percent",
-    "not_positive",
-    "missing",
-)
 # In the log, colour and depth images may be out of the order of their stamps by a few messages.
 _COLOR_NEIGHBOURS = 3
 
@@ -104,17 +95,6 @@ class FigureCollector:
         rank = (is_sound, _repaired_count(frame))
         if rank > self._rank:
             self._rank, self.showcase = rank, frame
-
-
-def score_range(peak: Peak | None) -> str:
-    """The column of Table 1 for a frame's greatest Pearson score."""
-    if peak is None:
-        return "missing"
-    if peak.score <= 0.0:
-        return "not_positive"
-    if peak.score <= 0.3:
-        return "low"
-    return "middle" if peak.score <= 0.6 else "high"
 
 
 def _repaired_count(frame: FusedFrame) -> int:
@@ -174,27 +154,6 @@ def write_figures(folder: Path, data: FigureData) -> list[str]:
 def printable(name: str) -> str:
     """A name in characters that the figures' font has."""
     return escape_undecodable(name).encode("latin-1", errors="replace").decode("latin-1")
-
-
-def table_1_row(room: str, scores: dict[str, int]) -> dict[str, Any]:
-    """A row of Table 1: frames by their own greatest Pearson score."""
-    scored = scores["low"] + scores["middle"] + scores["high"]
-    high_percent = 100.0 * scores["high"] / scored if scored else float("nan")
-    return {"room": room, "high_percent": round(high_percent, 2), **scores}
-
-
-def write_table_1(path: Path, rows: Iterable[dict[str, Any]]) -> None:
-    """Table 1 of one or more rooms as CSV."""
-    with CsvTable(path, TABLE_1_COLUMNS) as table:
-        for row in rows:
-            table.append(row)
-
-
-def is_table_1(path: Path) -> bool:
-    """Whether a file begins as Table 1 does."""
-    head = ",".join(TABLE_1_COLUMNS).encode()
-    with path.open("rb") as stream:
-        return stream.read(len(head)) == head
 
 
 def _write_similarity(

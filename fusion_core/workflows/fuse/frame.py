@@ -13,7 +13,8 @@ from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.align import RecordingAlignment
-from fusion_core.workflows.fuse.frame_match import FrameMatch, match_images, split_into_frames
+from fusion_core.workflows.fuse.frame_match import FrameMatch
+from fusion_core.workflows.fuse.match_images import match_images, split_into_frames
 from fusion_core.workflows.fuse.pairing import (
     FramePair,
     ImageGrouper,

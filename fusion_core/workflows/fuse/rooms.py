@@ -8,14 +8,14 @@ from fusion_core.exporting.manifest import MANIFEST_NAME
 from fusion_core.files.inputs import require_apart
 from fusion_core.model.errors import ExportError, RecordingError, ScanLoomError
 from fusion_core.model.progress import Progress, silent
-from fusion_core.workflows.fuse.figures import (
+from fusion_core.workflows.fuse.fuse import fuse
+from fusion_core.workflows.fuse.session import FuseOptions
+from fusion_core.workflows.fuse.table_1 import (
     TABLE_1_COLUMNS,
     is_table_1,
     table_1_row,
     write_table_1,
 )
-from fusion_core.workflows.fuse.fuse import fuse
-from fusion_core.workflows.fuse.session import FuseOptions
 from fusion_core.workflows.source import room_choices, rooms_of
 
 _TABLE_NAME = "table1.csv"

@@ -26,10 +26,10 @@ from fusion_core.workflows.fuse.figures import (
     FigureCollector,
     printable,
     remap_color,
-    score_range,
     write_figures,
 )
 from fusion_core.workflows.fuse.settings import ChainSettings
+from fusion_core.workflows.fuse.table_1 import score_range, table_1_row, write_table_1
 
 PICTURES = {
     f"fig{number}_{name}.png"
@@ -270,7 +270,7 @@ def test_table_1_counts_every_paired_frame_once(run: SimpleNamespace) -> None:
 
 def test_table_1_leaves_the_share_open_where_nothing_is_scored(tmp_path: Path) -> None:
     scores = {"low": 0, "middle": 0, "high": 0, "not_positive": 2, "missing": 1}
-    figures.write_table_1(tmp_path / "t.csv", [figures.table_1_row("room", scores)])
+    write_table_1(tmp_path / "t.csv", [table_1_row("room", scores)])
     assert (tmp_path / "t.csv").read_text().splitlines()[1] == "room,0,0,0,,2,1"
 
 
