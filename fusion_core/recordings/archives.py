@@ -14,6 +14,7 @@ from fusion_core.recordings.decompression import (
     BoundedOutput,
     describe_damage,
     free_temporary_bytes,
+    output_error,
 )
 
 # Where an archive is damaged, at most one step is lost.
@@ -87,11 +88,14 @@ def decompress_to_temporary_file(path: Path, compression: Compression) -> Decomp
     max_bytes, reason = _size_limit(path)
     file = tempfile.TemporaryFile()  # noqa: SIM115  # The caller closes it.
     try:
-        lost = _decompress(path, compression, BoundedOutput(file, path, max_bytes), reason)
-        file.seek(0)
-    except BaseException:
-        file.close()
-        raise
+        try:
+            lost = _decompress(path, compression, BoundedOutput(file, path, max_bytes), reason)
+            file.seek(0)
+        except BaseException:
+            file.close()
+            raise
+    except OSError as error:
+        raise output_error(path, error) from error
     return DecompressedFile(file=file, lost=lost)
 
 

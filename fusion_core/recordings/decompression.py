@@ -68,13 +68,19 @@ class BoundedOutput:
         try:
             self._file.write(piece)
         except OSError as error:
-            raise RecordingError(
-                f"cannot be unpacked: {error.strerror or error}.",
-                file=self._archive,
-                advice=f"Free space in {tempfile.gettempdir()}, or name another folder in TMPDIR.",
-            ) from error
+            raise output_error(self._archive, error) from error
         self.written_bytes += len(piece)
         return True
+
+
+def output_error(archive: Path, error: OSError) -> RecordingError:
+    """The content of ``archive`` cannot be written: as a piece, or when the file is closed, which
+    writes what is left of the last one."""
+    return RecordingError(
+        f"cannot be unpacked: {error.strerror or error}.",
+        file=archive,
+        advice=f"Free space in {tempfile.gettempdir()}, or name another folder in TMPDIR.",
+    )
 
 
 def describe_damage(error: Exception) -> str:

@@ -30,6 +30,7 @@ from fusion_core.recordings.decompression import (
     decompress_pieces,
     describe_damage,
     free_temporary_bytes,
+    output_error,
 )
 from fusion_core.recordings.mcap import file as mcap_file
 from fusion_core.recordings.mcap.file import McapFile
@@ -178,21 +179,33 @@ def _decompress_to(path: Path, packing: Callable[[], Decompressor], target: Path
     """Unpack as much as can be; returns what is lost. Raises RecordingError beyond the limits."""
     free = free_temporary_bytes()
     sane = max(_MAX_COMPRESSION_RATIO * path.stat().st_size, _ALWAYS_DECOMPRESSED_BYTES)
-    with target.open("wb") as plain:
-        output = BoundedOutput(plain, path, min(free, sane))
-        try:
-            with path.open("rb") as packed:
-                for piece in _decompressed_frames(packed, packing):
-                    if not output.write(piece):
-                        raise _too_large_error(path, sane, free)
-        except _DAMAGE as error:
-            return f"{output.written_bytes} bytes could be unpacked ({describe_damage(error)})"
-        except OSError as error:
-            raise RecordingError(
-                f"cannot be read: {error.strerror or error}.",
-                file=path,
-                advice="Check the disk or the network that holds the file.",
-            ) from error
+    try:
+        with target.open("wb") as plain:
+            output = BoundedOutput(plain, path, min(free, sane))
+            return _decompress_into(output, path, packing, _too_large_error(path, sane, free))
+    except OSError as error:
+        raise output_error(path, error) from error
+
+
+def _decompress_into(
+    output: BoundedOutput,
+    path: Path,
+    packing: Callable[[], Decompressor],
+    too_large: RecordingError,
+) -> str:
+    try:
+        with path.open("rb") as packed:
+            for piece in _decompressed_frames(packed, packing):
+                if not output.write(piece):
+                    raise too_large
+    except _DAMAGE as error:
+        return f"{output.written_bytes} bytes could be unpacked ({describe_damage(error)})"
+    except OSError as error:
+        raise RecordingError(
+            f"cannot be read: {error.strerror or error}.",
+            file=path,
+            advice="Check the disk or the network that holds the file.",
+        ) from error
     return ""
 
 
