@@ -29,7 +29,7 @@ def are_side_by_side(cameras: Sequence[Camera]) -> bool:
         return False
     heading_rad = _headings_rad(cameras)
     fov_rad = np.array([_fov_rad(camera) for camera in cameras])
-    order = np.argsort(-heading_rad)
+    order = _order_from_left(cameras)
     step_rad = -np.diff(heading_rad[order])
     seen_rad = 0.5 * (fov_rad[order][:-1] + fov_rad[order][1:])
     # Two images of one direction are no panorama either: each shows most of the other.
@@ -39,9 +39,9 @@ def are_side_by_side(cameras: Sequence[Camera]) -> bool:
     )
 
 
-def cameras_from_left(cameras: Sequence[Camera]) -> tuple[Camera, ...]:
-    """Cameras that are side by side, leftmost first."""
-    return tuple(cameras[int(index)] for index in np.argsort(-_headings_rad(cameras)))
+def _order_from_left(cameras: Sequence[Camera]) -> list[int]:
+    """Numbers of cameras that are side by side, leftmost first."""
+    return [int(index) for index in np.argsort(-_headings_rad(cameras), kind="stable")]
 
 
 def _headings_rad(cameras: Sequence[Camera]) -> FloatArray:
@@ -66,10 +66,10 @@ class PastedPanorama:
 
     def __init__(self, cameras: Sequence[Camera], settings: SamplingSettings) -> None:
         self.cameras = tuple(cameras)
-        self.from_left = cameras_from_left(cameras)
         self.settings = settings
         heading_rad = _headings_rad(cameras)
-        self._order = [int(index) for index in np.argsort(-heading_rad, kind="stable")]
+        self._order = _order_from_left(cameras)
+        self.from_left = tuple(cameras[index] for index in self._order)
         first = 0
         self.columns_of = [range(0)] * len(cameras)
         for index in self._order:
@@ -89,10 +89,11 @@ class PastedPanorama:
             azimuth_rad = left_rad - step_rad * np.arange(count)
             nearest = np.abs(azimuth_rad - heading_rad[:, np.newaxis]).argmin(axis=0)
             for index, camera in enumerate(cameras):
-                own, lens = nearest == index, camera.intrinsics
+                own, intrinsics = nearest == index, camera.intrinsics
                 off_axis_rad = azimuth_rad[own] - heading_rad[index]
-                column = np.rint(lens.cx - lens.fx * np.tan(off_axis_rad)).astype(np.int64)
-                columns[own] = self.columns_of[index][0] + np.clip(column, 0, lens.width - 1)
+                column = np.rint(intrinsics.cx - intrinsics.fx * np.tan(off_axis_rad))
+                inside = np.clip(column.astype(np.int64), 0, intrinsics.width - 1)
+                columns[own] = self.columns_of[index][0] + inside
                 range_per_depth[own] = 1.0 / np.cos(off_axis_rad)
         self.sampling = RowSampling(
             columns=columns, left_rad=left_rad, step_rad=step_rad, range_per_depth=range_per_depth
@@ -120,7 +121,7 @@ class Panorama:
 
     def __init__(self, cameras: Sequence[Camera], settings: SamplingSettings) -> None:
         self.cameras = tuple(cameras)
-        self.from_left = cameras_from_left(cameras)
+        self.from_left = tuple(cameras[index] for index in _order_from_left(cameras))
         self.settings = settings
         step_rad = float(np.deg2rad(settings.step_deg))
         self._rays = []

@@ -10,6 +10,7 @@ from fusion_core.exporting.figures import COLUMN_IN, png_figure
 from fusion_core.exporting.map_axes import (
     Extent,
     grid_extent,
+    map_height_in,
     prepare_map_axes,
     seen_extent,
     show_grid,
@@ -59,7 +60,9 @@ def write_maps(
     places = [*shown, *[f"empty {i}" for i in range(-len(shown) % columns)]]
     rows: list[Any] = [places[i : i + columns] for i in range(0, len(places), columns)]
     wide = COLUMN_IN - _LABELS_IN
-    small_in, wide_in = (_height_in(extent, wide / count) for count in (columns, 1))
+    small_in, wide_in = (
+        map_height_in(extent, wide / count, _HEIGHT_MAX_IN) for count in (columns, 1)
+    )
     heights_in = [small_in] * len(rows)
     if difference is not None:
         rows.append(["difference"] * columns)
@@ -97,11 +100,6 @@ def _extent_of(grids: Mapping[str, OccupancyGrid], difference: MapDifference | N
     if grids or difference is None:
         return seen_extent(grids.values())
     return grid_extent(difference.origin_m, difference.resolution_m, difference.states.shape)
-
-
-def _height_in(extent: Extent, width_in: float) -> float:
-    left, right, bottom, top = extent
-    return min(width_in * (top - bottom) / (right - left), _HEIGHT_MAX_IN)
 
 
 def _show_difference(axes: "Axes", difference: MapDifference) -> "list[Patch]":

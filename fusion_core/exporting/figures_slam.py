@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from fusion_core.exporting.figures import COLUMN_IN, png_figure
-from fusion_core.exporting.map_axes import prepare_map_axes, seen_extent, show_grid
+from fusion_core.exporting.map_axes import map_height_in, prepare_map_axes, seen_extent, show_grid
 from fusion_core.exporting.palette import BURR, DEPTH, LIDAR
 from fusion_core.model.conventions import NS_PER_S, BoolArray, FloatArray, IntArray
 from fusion_core.model.grids import OccupancyGrid
@@ -28,8 +28,7 @@ def write_trajectory_figure(
     ``loops_m``: (L, 4) x, y of both ends of each loop closure. Raises ExportError.
     """
     extent = seen_extent([] if grid is None else [grid], poses_map_scan[:, :2])
-    left, right, bottom, top = extent
-    map_in = min(COLUMN_IN * (top - bottom) / (right - left), _HEIGHT_MAX_IN)
+    map_in = map_height_in(extent, COLUMN_IN, _HEIGHT_MAX_IN)
     with png_figure(path, heading, height_in=_AROUND_IN + map_in) as figure:
         axes = figure.subplots()
         prepare_map_axes(axes, extent, ticks=True)

@@ -53,6 +53,12 @@ def grid_extent(
     return x_m, x_m + shape[1] * resolution_m, y_m, y_m + shape[0] * resolution_m
 
 
+def map_height_in(extent: Extent, width_in: float, height_max_in: float) -> float:
+    """The height at which an extent fills a width, no higher than a limit; inches."""
+    left, right, bottom, top = extent
+    return min(width_in * (top - bottom) / (right - left), height_max_in)
+
+
 def prepare_map_axes(axes: "Axes", extent: Extent, *, ticks: bool) -> None:
     """Equal axes over an extent, unknown where nothing is drawn, with a scale bar.
 

@@ -68,7 +68,9 @@ def recorded_poses(recording: Recording, streams: Streams, lidar_frame: str) -> 
         for frame in sorted(transforms.add_timed(streams.tf, without=_LOCALISED_FRAMES)):
             _warn_of_localised(recording, streams.tf, frame, named_by=frame)
         if _ever_connected(tree, recording, streams.tf, _ODOM_FRAME, lidar):
-            return _TransformLookup(tree, _ODOM_FRAME, lidar, _source(streams.tf, "odom", lidar))
+            return _TransformLookup(
+                tree, _ODOM_FRAME, lidar, _source(streams.tf, _ODOM_FRAME, lidar)
+            )
     if streams.odometry is not None:
         frame = _frame_of_poses(recording, streams.odometry)
         if frame not in _LOCALISED_FRAMES:

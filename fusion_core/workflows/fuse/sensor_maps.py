@@ -117,18 +117,18 @@ class SensorMaps:
         """Add a repaired scan to the fused map. ``others``: the scans before and after."""
         placed, trusted_m = repaired.raw, self._without_far("fused", repaired.trusted_m)
         pose, scan = placed.pose, placed.scan
+        unconfirmed_m = None
         if self._confirmation is not None and others:
             # What was repaired is confirmed already.
             alone = (trusted_m == scan.ranges_m) & ~repaired.seen_by_both
             tolerance_m = _SAME_RETURN_SIGMA * self._confirmation.scale.sigma_at(scan.ranges_m)
             fraction = confirmed_fraction(placed, [other.raw for other in others], tolerance_m)
             alone &= fraction < self._confirmation.least
-            in_range_m = np.where(alone & (scan.ranges_m <= scan.range_max_m), trusted_m, np.nan)
+            unconfirmed_m = np.where(alone & (scan.ranges_m <= scan.range_max_m), trusted_m, np.nan)
             trusted_m = np.where(alone, np.nan, trusted_m)
-            self._add("fused", pose, scan.angles_rad, trusted_m, scan)
-            self._mark_unconfirmed(pose, scan.angles_rad, in_range_m)
-        else:
-            self._add("fused", pose, scan.angles_rad, trusted_m, scan)
+        self._add("fused", pose, scan.angles_rad, trusted_m, scan)
+        if unconfirmed_m is not None:
+            self._mark_unconfirmed(pose, scan.angles_rad, unconfirmed_m)
 
     def _mark_unconfirmed(self, pose: FloatArray, angles: FloatArray, ranges: FloatArray) -> None:
         if "fused" in self._failed:
