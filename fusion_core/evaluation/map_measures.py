@@ -4,7 +4,8 @@ The paper measures by hand. Here a line is fitted to the occupied cells near eac
 and angles are taken between the lines. Of a wall that is several cells thick only the cells that
 border on free space are used: noisy returns behind a wall are never cleared, so its back is
 unreliable. The paper's relative error of lines is the sum of the absolute errors over the sum of
-the lengths.
+the lengths; its maps show every line, so what a map without one of them scores is not defined.
+Here the error is that of the lines found, and how many were not found is stated beside it.
 """
 
 from collections.abc import Sequence
@@ -66,20 +67,24 @@ class MeasureReport:
     angles: tuple[Measurement, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Each line and angle, and the means over those that the map shows."""
+        """Each line and angle, and the means over those that the map shows.
+
+        ``measured`` of ``total`` are shown; ``missed`` names the others. Their errors are unknown,
+        so that means are to be read together with how many were missed.
+        """
         lines = [line for line in self.lines if np.isfinite(line.value)]
         angles = [angle for angle in self.angles if np.isfinite(angle.value)]
         errors_m = [abs(line.error) for line in lines]
         true_m = [line.true for line in lines]
         return {
             "lines": {
-                "measured": len(lines),
+                **_count_measured(self.lines),
                 "mean_absolute_error_m": _mean(errors_m),
                 "relative_error": sum(errors_m) / sum(true_m) if lines else None,
                 "each": [line.to_json("m") for line in self.lines],
             },
             "angles": {
-                "measured": len(angles),
+                **_count_measured(self.angles),
                 "mean_absolute_error_deg": _mean([abs(angle.error) for angle in angles]),
                 "each": [angle.to_json("deg") for angle in self.angles],
             },
@@ -93,6 +98,11 @@ class MapCells:
     occupied_m: FloatArray
     free_m: FloatArray
     resolution_m: float
+
+    @property
+    def mapped_m2(self) -> float:
+        """The area of all of them."""
+        return (len(self.occupied_m) + len(self.free_m)) * self.resolution_m**2
 
 
 def evaluate_measures(cells: MapCells, world: WorldOutline) -> MeasureReport:
@@ -181,6 +191,15 @@ def _mode_m(offset_m: FloatArray, resolution_m: float) -> float:
     density = np.maximum(1.0 - distance_cells, 0.0).sum(axis=1)
     density = density * (1.0 - 0.5 * np.abs(offset_m) / BAND_M)
     return float(offset_m[np.argmax(density)])
+
+
+def _count_measured(measurements: Sequence[Measurement]) -> dict[str, Any]:
+    missed = [own.name for own in measurements if not np.isfinite(own.value)]
+    return {
+        "total": len(measurements),
+        "measured": len(measurements) - len(missed),
+        "missed": missed,
+    }
 
 
 def _mean(errors: Sequence[float]) -> float | None:

@@ -2,8 +2,15 @@
 
 S2 is the length of the obstacles' outlines, sampled every centimetre; S1 is that of the samples
 that are found: the middle of an occupied cell lies within one cell and 2 cm of them. The paper
-counts by hand in a picture. The rate is given over all outlines, and over those that the sensors
-could see.
+measures by hand in a picture, and its S2 is "the total edge length of the actual obstacles": the
+rate over all outlines is the one to set beside the paper's. The rate over what the sensors could
+see shows what mapping alone loses.
+
+(10) does not ask what a map shows that is not there. An occupied cell is false where no outline,
+seen or not, lies within one cell and 2 cm of its middle: beside a noisy return in free space also
+one that lies deeper than that behind a surface. The false cells are given as a fraction of the
+occupied cells, and as a number per square metre mapped, which is the area of all cells that are
+free or occupied.
 """
 
 from collections.abc import Sequence
@@ -13,6 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fusion_core.evaluation.map_measures import MapCells
 from fusion_core.model.conventions import BoolArray, FloatArray, read_only
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.world_outline import SENSORS, ObstacleOutline, WorldOutline
@@ -44,30 +52,38 @@ class ObstacleDetection:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OutlineReport:
-    """Detection of each obstacle, and how many of the map's occupied cells belong to none."""
+    """Detection of each obstacle, and how many of the map's occupied cells belong to none.
+
+    ``mapped_m2``: the area of the free and the occupied cells together.
+    """
 
     obstacles: tuple[ObstacleDetection, ...]
     tolerance_m: float
     occupied_cells: int
     false_cells: int
+    mapped_m2: float
 
     def to_json(self) -> dict[str, Any]:
-        """The rates over all obstacles, the fraction of false obstacles, then each obstacle."""
+        """The rates over all obstacles, those of false obstacles, then each obstacle.
+
+        A rate of nothing is null. ``false_obstacles``: of the occupied cells.
+        """
         return {
             **_detection_rates(self.obstacles),
             "reach_m": self.tolerance_m,
             "occupied_cells": self.occupied_cells,
+            "mapped_m2": self.mapped_m2,
+            "false_cells": self.false_cells,
             "false_obstacles": self.false_cells / self.occupied_cells
             if self.occupied_cells
             else None,
+            "false_cells_per_m2": self.false_cells / self.mapped_m2 if self.mapped_m2 else None,
             "obstacles": [obstacle.to_json() for obstacle in self.obstacles],
         }
 
 
-def evaluate_outlines(
-    occupied_m: FloatArray, resolution_m: float, world: WorldOutline
-) -> OutlineReport:
-    """Compare a map's occupied cells (N, 2), in the world's frame, with the outlines.
+def evaluate_outlines(cells: MapCells, world: WorldOutline) -> OutlineReport:
+    """Compare a map's occupied cells, in the world's frame, with the outlines.
 
     Raises ScanLoomError for a world without obstacles.
     """
@@ -76,19 +92,20 @@ def evaluate_outlines(
             "The world has no obstacles to detect.",
             advice="Name the world file of the recording that the map was made of.",
         )
-    tolerance_m = resolution_m + TOLERANCE_M
+    tolerance_m = cells.resolution_m + TOLERANCE_M
     samples = [obstacle.samples_m() for obstacle in world.obstacles]
-    found = _is_near(np.concatenate(samples), occupied_m, tolerance_m)
+    found = _is_near(np.concatenate(samples), cells.occupied_m, tolerance_m)
     ends = np.cumsum([len(own) for own in samples])
-    is_false = ~_is_near(occupied_m, np.concatenate(samples), tolerance_m)
+    is_false = ~_is_near(cells.occupied_m, np.concatenate(samples), tolerance_m)
     return OutlineReport(
         obstacles=tuple(
             _detect_obstacle(obstacle, found[end - len(own) : end])
             for obstacle, own, end in zip(world.obstacles, samples, ends, strict=True)
         ),
         tolerance_m=tolerance_m,
-        occupied_cells=len(occupied_m),
+        occupied_cells=len(cells.occupied_m),
         false_cells=int(is_false.sum()),
+        mapped_m2=cells.mapped_m2,
     )
 
 

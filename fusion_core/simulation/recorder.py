@@ -28,7 +28,7 @@ from fusion_core.simulation.odometry import DriftingOdometry, OdometryNoise
 from fusion_core.simulation.random_streams import RandomStream, make_generator
 from fusion_core.simulation.sensor_mounts import CameraMount
 from fusion_core.simulation.sensor_simulator import SensorSimulator, SimulatedImage, SimulationSetup
-from fusion_core.simulation.truth import TruthWriter, truth_path
+from fusion_core.simulation.truth import TruthWriter, simulated_errors, truth_path
 from fusion_core.simulation.visibility import VisibilityTracker
 
 START_NS = 1_700_000_000 * NS_PER_S
@@ -249,6 +249,12 @@ class _Recorder:
             "camera_topics": np.array([camera.depth_topic for camera in mounts.cameras]),
             "clock_offset_ms": np.array(run.clock_offset_ms, dtype=np.float64),
             "seed": np.array(run.simulation.seed, dtype=np.int64),
+            "simulated_errors": simulated_errors(
+                wheel=run.odometry_noise,
+                lidar=run.simulation.lidar_noise,
+                camera=run.simulation.depth_noise,
+                **({"faults": run.faults} if run.faults.has_any else {}),
+            ),
             **self._fault_intervals(),
         }
 

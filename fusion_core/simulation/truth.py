@@ -1,5 +1,6 @@
 """Ground truth of a recording: one .npz beside it, written frame by frame, the same each time."""
 
+import json
 import tempfile
 import zipfile
 from collections.abc import Mapping
@@ -10,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fusion_core.files.atomic import atomic_stream, cannot_write
+from fusion_core.settings import StageSettings
 
 _CHUNK_BYTES = 1 << 20
 
@@ -17,6 +19,12 @@ _CHUNK_BYTES = 1 << 20
 def truth_path(recording: Path) -> Path:
     """The path of a recording's ground truth: ``NAME.mcap`` has ``NAME.truth.npz`` beside it."""
     return recording.with_name(f"{recording.stem}.truth.npz")
+
+
+def simulated_errors(**noise: StageSettings) -> npt.NDArray[np.str_]:
+    """What a truth states of the errors that were put in: the noise settings of each source, as
+    one text of JSON, ``{"wheel": {"distance_scale": 1.02, ...}, ...}``."""
+    return np.array(json.dumps({name: settings.model_dump() for name, settings in noise.items()}))
 
 
 class TruthWriter:

@@ -107,8 +107,11 @@ def test_the_lines_for_people(folder: Path, capsys: pytest.CaptureFixture[str]) 
     assert "outline length (m) found (m) rate" in lines
     assert any(line.startswith("east wall 3.18 0.00 0.00%") for line in lines)
     assert "line 2 5.6 - -" in lines
-    assert any(line.startswith("mean absolute error ") and "relative" in line for line in lines)
-    assert any(line.startswith("false 0.") for line in lines)
+    assert any(
+        line.startswith("1 of 3 found; mean absolute error of these ") and "relative" in line
+        for line in lines
+    )
+    assert any(line.startswith("false 0.") and "a square metre" in line for line in lines)
 
 
 @pytest.mark.parametrize(

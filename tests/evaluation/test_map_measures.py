@@ -60,10 +60,32 @@ def test_faces_missing_in_the_map_are_not_measured():
         drawn(occupied_by(room(), 0.05, without_west), 0.05), room()
     ).to_json()
     assert report["lines"]["measured"] == 0
+    assert report["lines"]["total"] == 1
+    assert report["lines"]["missed"] == ["width"]
     assert report["lines"]["mean_absolute_error_m"] is None
     assert report["lines"]["relative_error"] is None
     assert report["lines"]["each"][0]["measured_m"] is None
     assert report["angles"]["measured"] == 0
+    assert report["angles"]["missed"] == ["corner"]
+
+
+def test_the_error_is_that_of_the_lines_found_and_the_others_are_named():
+    """Of three lines, the map shows the first 2 % too long, the second true, and half of the
+    third's faces."""
+    cells, lines = [], []
+    for number, (length, measured) in enumerate([(2.0, 2.04), (3.0, 3.0), (4.0, None)]):
+        y = 10.0 * number
+        run = y + np.arange(0.0, 2.0, 0.01)
+        faces_m = np.array([[(0, y), (0, y + 2)], [(length, y), (length, y + 2)]])
+        lines.append(MeasuredLine(name=f"line {number + 1}", faces_m=faces_m))
+        shown = (0.0,) if measured is None else (0.0, measured)
+        cells += [np.stack([np.full(200, x), run], axis=1) for x in shown]
+    world = WorldOutline(robot_height_m=0.55, obstacles=(), lines=tuple(lines))
+    report = evaluate_measures(drawn(np.concatenate(cells), 0.05), world).to_json()["lines"]
+    assert (report["measured"], report["total"]) == (2, 3)
+    assert report["missed"] == ["line 3"]
+    assert report["relative_error"] == pytest.approx(0.04 / 5.0)
+    assert report["mean_absolute_error_m"] == pytest.approx(0.02)
 
 
 def test_the_published_sums():

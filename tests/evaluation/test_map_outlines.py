@@ -5,16 +5,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fusion_core.evaluation.map_measures import MapCells
 from fusion_core.evaluation.map_outlines import evaluate_outlines
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.world_outline import WorldOutline
 from tests.evaluation.drawn_worlds import DEPTH, WIDTH, obstacle, occupied_by, rectangle, room
 
+NONE = np.zeros((0, 2))
+
+
+def drawn(occupied_m, resolution_m=0.05, free_m=NONE):
+    return MapCells(occupied_m=occupied_m, free_m=free_m, resolution_m=resolution_m)
+
 
 @pytest.mark.parametrize("resolution_m", [0.02, 0.05, 0.1])
 def test_a_map_drawn_from_the_outline_finds_all_of_it(resolution_m):
     world = room()
-    report = evaluate_outlines(occupied_by(world, resolution_m), resolution_m, world).to_json()
+    cells = drawn(occupied_by(world, resolution_m), resolution_m)
+    report = evaluate_outlines(cells, world).to_json()
     for part in ("all", "visible", "visible_to_lidar", "visible_to_camera"):
         assert report[part]["rate"] == 1.0
     assert report["all"]["outline_m"] == pytest.approx(2 * (WIDTH + DEPTH) + 1.8 + 1.0)
@@ -30,30 +38,71 @@ def test_half_of_the_map_finds_half():
         robot_height_m=0.55, obstacles=(obstacle("walls", rectangle(0.0, 0.0, WIDTH, DEPTH)),)
     )
     west = occupied_by(world, 0.05, lambda points: points[points[:, 0] < WIDTH / 2])
-    report = evaluate_outlines(west, 0.05, world).to_json()
+    report = evaluate_outlines(drawn(west), world).to_json()
     beyond = 2 * 0.05 / (2 * (WIDTH + DEPTH))
     assert 0.5 <= report["all"]["rate"] <= 0.5 + beyond + 0.001
     assert report["visible"] == {"outline_m": 0.0, "found_m": 0.0, "rate": None}
 
 
-def test_cells_far_from_any_outline_are_false_obstacles():
-    world = room()
-    drawn = occupied_by(world, 0.05)
-    stray = np.array([[2.0, 2.0], [4.0, 0.5], [-1.0, 1.0]])
-    report = evaluate_outlines(np.concatenate([drawn, stray]), 0.05, world)
-    assert report.false_cells == 3
-    assert report.to_json()["false_obstacles"] == pytest.approx(3 / (len(drawn) + 3))
+def test_a_map_of_found_missing_and_false_parts_has_the_rates_of_their_lengths():
+    """Four walls of 4 m, of which the sensors could see three and the map shows one and a half,
+    and 1 m of wall where there is none. The cells lie on the walls, a cell apart."""
+    both = {"lidar": True, "camera": True}
+    ends = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0), (0.0, 0.0)]
+    world = WorldOutline(
+        robot_height_m=0.55,
+        obstacles=tuple(
+            obstacle(f"wall {number}", [ends[number], ends[number + 1]], both if number else None)
+            for number in range(4)
+        ),
+    )
+    steps_m = np.arange(0.0, 4.0, 0.05) + 0.025
+    found_m = np.concatenate(
+        [
+            np.stack([np.full(80, 4.0), steps_m], axis=1),
+            np.stack([steps_m[:40], np.full(40, 4.0)], axis=1),
+        ]
+    )
+    false_m = np.stack([np.full(20, 2.0), 1.5 + steps_m[:20]], axis=1)
+    middles = np.arange(0.2, 3.8, 0.05) + 0.025
+    free_m = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
+    cells = drawn(np.concatenate([found_m, false_m]), free_m=free_m)
+    report = evaluate_outlines(cells, world).to_json()
+    # Up to 7 cm from a cell a sample is found: 4.5 cm beyond the end of the wall that is drawn
+    # half, and 6.5 cm around the corners to three undrawn ends; a centimetre is a sample. One of
+    # the corners belongs to the wall that no sensor could see.
+    around_m = np.sqrt(0.07**2 - 0.025**2)
+    assert report["all"]["outline_m"] == pytest.approx(16.0)
+    assert report["all"]["found_m"] == pytest.approx(6.045 + 3 * around_m, abs=0.02)
+    assert report["all"]["rate"] == pytest.approx(report["all"]["found_m"] / 16.0)
+    assert report["visible"]["outline_m"] == pytest.approx(12.0)
+    assert report["visible"]["found_m"] == pytest.approx(6.045 + 2 * around_m, abs=0.015)
+    assert report["visible"]["rate"] == pytest.approx(report["visible"]["found_m"] / 12.0)
+    assert report["false_cells"] == 20
+    assert report["false_obstacles"] == pytest.approx(20 / 140)
+    assert report["mapped_m2"] == pytest.approx((140 + 72**2) * 0.05**2)
+    assert report["false_cells_per_m2"] == pytest.approx(20 / report["mapped_m2"])
+
+
+@pytest.mark.parametrize(("away_m", "false"), [(0.069, 0), (0.071, 1)])
+def test_an_outline_that_no_sensor_could_see_makes_a_cell_true_within_the_tolerance(away_m, false):
+    world = WorldOutline(
+        robot_height_m=0.55, obstacles=(obstacle("hidden", [(0.0, 0.0), (2.0, 0.0)]),)
+    )
+    report = evaluate_outlines(drawn(np.array([[1.0, away_m]])), world)
+    assert report.false_cells == false
 
 
 def test_an_empty_map_finds_nothing():
-    report = evaluate_outlines(np.zeros((0, 2)), 0.05, room()).to_json()
+    report = evaluate_outlines(drawn(NONE), room()).to_json()
     assert report["all"]["rate"] == 0.0
     assert report["false_obstacles"] is None
+    assert report["false_cells_per_m2"] is None
 
 
 def test_a_world_without_obstacles_is_refused():
     with pytest.raises(ScanLoomError, match="no obstacles"):
-        evaluate_outlines(np.zeros((1, 2)), 0.05, WorldOutline(robot_height_m=0.5, obstacles=()))
+        evaluate_outlines(drawn(NONE), WorldOutline(robot_height_m=0.5, obstacles=()))
 
 
 points = st.tuples(st.floats(-1.0, 3.0), st.floats(-1.0, 3.0))
@@ -77,7 +126,7 @@ def test_the_rates_equal_those_of_a_loop(polylines, occupied, resolution_m, seed
         or (obstacle("o", [(0, 0), (1, 0)]),),
     )
     cells = np.array(occupied, dtype=float).reshape(-1, 2)
-    report = evaluate_outlines(cells, resolution_m, world).to_json()
+    report = evaluate_outlines(drawn(cells, resolution_m), world).to_json()
     found_m = total_m = visible_m = visible_found_m = 0.0
     for own in world.obstacles:
         samples = own.samples_m()

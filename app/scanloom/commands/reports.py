@@ -158,16 +158,19 @@ def relation_lines(evaluation: Mapping[str, Any]) -> list[str]:
 
 
 def map_lines(evaluation: Mapping[str, Any]) -> list[str]:
-    """Alignment, detection rates by outline and by obstacle, errors of lines and angles."""
+    """Alignment, detection rates by outline and by obstacle, false obstacles, and the errors of
+    lines and angles with how many of them the map shows."""
     alignment = evaluation["alignment"]
     lines = ["aligned    no, taken to be in the world's frame"]
     if alignment is not None:
         moved = "{x_m:.3f} m, {y_m:.3f} m, {yaw_deg:.2f} deg".format(**alignment)
         lines = [f"aligned    by {moved}; {alignment['cells_near']:.1%} of the cells near outlines"]
-    false = evaluation["false_obstacles"]
+    false, per_m2 = evaluation["false_obstacles"], evaluation["false_cells_per_m2"]
     lines += [
         f"found      within {evaluation['reach_m']:.3f} m of an occupied cell",
-        f"false      {_percentage(false)} of {evaluation['occupied_cells']} occupied cells",
+        f"false      {_percentage(false)} of {evaluation['occupied_cells']} occupied cells lie "
+        f"farther from every outline: {_format_value(per_m2)} a square metre "
+        f"of {evaluation['mapped_m2']:.1f} m2 mapped",
         "",
     ]
     parts = ("all", "visible", "visible_to_lidar", "visible_to_camera")
@@ -199,12 +202,14 @@ def map_lines(evaluation: Mapping[str, Any]) -> list[str]:
             for measure in measures["each"]
         ]
         titles = [f"{word} ({unit})" for word in ("true", "measured", "error")]
-        mean = _format_value(measures[f"mean_absolute_error_{unit}"])
+        mean = measures[f"mean_absolute_error_{unit}"]
         relative = (
             f", relative {_percentage(measures['relative_error'])}" if kind == "lines" else ""
         )
         lines += ["", *_table([(kind, *titles), *rows])]
-        lines.append(f"mean absolute error {mean} {unit}{relative}")
+        error = f"; mean absolute error of these {_format_value(mean)} {unit}{relative}"
+        counts = f"{measures['measured']} of {measures['total']} found"
+        lines.append(counts + ("" if mean is None else error))
     return lines
 
 

@@ -161,7 +161,7 @@ def ros_map(
     return {
         "resolution_m": drawn.resolution_m,
         "alignment": None if alignment is None else alignment.to_json(),
-        **evaluate_outlines(cells.occupied_m, drawn.resolution_m, outline).to_json(),
+        **evaluate_outlines(cells, outline).to_json(),
         **evaluate_measures(cells, outline).to_json(),
     }
 

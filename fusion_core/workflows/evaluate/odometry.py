@@ -1,10 +1,16 @@
-"""Each odometry of a map's folder against a reference: Li 2022, Table 5."""
+"""Each odometry of a map's folder against a reference: Li 2022, Table 5.
+
+In a simulation the error of the wheels is a setting, not a result: the table names what was put in
+above it, and the other rows are what the estimators make of that.
+"""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from pydantic import JsonValue, TypeAdapter, ValidationError
 
 from fusion_core.evaluation.odometry import SEGMENT_M, evaluate_odometry
 from fusion_core.evaluation.trajectories import MAX_GAP_S
@@ -17,6 +23,9 @@ from fusion_core.recordings.tum_trajectory import read_tum_trajectory
 
 _PREFIX = "odometry_"
 _SLAM_TRAJECTORY = "trajectory.tum"
+_ERRORS = TypeAdapter(dict[str, dict[str, JsonValue]])
+# Far above what any simulation states.
+_MAX_ERRORS_BYTES = 1 << 20
 
 
 def odometry(
@@ -30,12 +39,13 @@ def odometry(
 
     ``reference``: a TUM file, or a truth (.npz) with ``scan_stamp`` in ns and ``pose``, x, y, yaw
     of the LiDAR. A file holds only measured poses: a track of few ``poses`` was lost for long.
-    ``failed`` has the tracks that could not be compared, with the reason.
+    ``failed`` has the tracks that could not be compared, with the reason. ``put_in`` has the
+    simulated errors by source, as the truth states them; null where it states none.
 
     Raises ScanLoomError where the folder holds no trajectory, the reference cannot be read, or no
     trajectory can be compared with it.
     """
-    true = _read_reference(reference)
+    true, put_in = _read_reference(reference)
     warnings: list[str] = []
     tracks: dict[str, Any] = {}
     failed: dict[str, str] = {}
@@ -60,11 +70,17 @@ def odometry(
         )
     if not tracks:
         raise ScanLoomError(next(iter(failed.values())), file=map_dir)
-    return {"reference": str(reference), "tracks": tracks, "failed": failed, "warnings": warnings}
+    return {
+        "reference": str(reference),
+        "put_in": put_in,
+        "tracks": tracks,
+        "failed": failed,
+        "warnings": warnings,
+    }
 
 
 def odometry_lines(result: Mapping[str, Any]) -> list[str]:
-    """The same for people: a line for each source, errors in percent of the path."""
+    """The same for people: what was put in, then a line for each source, errors in percent."""
     rows = [("", "Table 5 (%)", "length (%)", "at end (%)", "mean (%)", "mean (deg/m)")]
     for name, report in result["tracks"].items():
         straight = report["straight"]["error"]
@@ -80,7 +96,8 @@ def odometry_lines(result: Mapping[str, Any]) -> list[str]:
         )
     first = next(iter(result["tracks"].values()))
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    lines = [
+    lines = put_in_lines(result["put_in"])
+    lines += [
         "  ".join(
             [row[0].ljust(widths[0])]
             + [value.rjust(width) for value, width in zip(row[1:], widths[1:], strict=True)]
@@ -95,6 +112,26 @@ def odometry_lines(result: Mapping[str, Any]) -> list[str]:
     return lines + [f"warning: {warning}" for warning in result["warnings"]]
 
 
+def put_in_lines(put_in: Mapping[str, Mapping[str, Any]] | None) -> list[str]:
+    """The simulated errors that act on odometry: those of the wheels, the standard deviations of
+    the sensors, and the faults where there are any."""
+    if put_in is None:
+        return ["put in: not stated by the reference"]
+    return [
+        f"put in, {name}: "
+        + ", ".join(
+            f"{field} {_short(value)}"
+            for field, value in values.items()
+            if name in ("wheel", "faults") or "sigma" in field
+        )
+        for name, values in put_in.items()
+    ]
+
+
+def _short(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
 def _trajectory_files(map_dir: Path) -> Iterator[tuple[str, Path]]:
     for file in sorted(map_dir.glob(f"{_PREFIX}*.tum")):
         yield file.stem.removeprefix(_PREFIX), file
@@ -102,16 +139,18 @@ def _trajectory_files(map_dir: Path) -> Iterator[tuple[str, Path]]:
         yield "trajectory", map_dir / _SLAM_TRAJECTORY
 
 
-def _read_reference(file: Path) -> Trajectory:
+def _read_reference(file: Path) -> tuple[Trajectory, dict[str, dict[str, Any]] | None]:
+    """The poses of a reference, and the simulated errors that it states."""
     if file.suffix != ".npz":
         try:
-            return read_tum_trajectory(file).trajectory
+            return read_tum_trajectory(file).trajectory, None
         except OSError as error:
             raise ScanLoomError(f"cannot be read: {error.strerror}.", file=file) from error
     try:
-        arrays = read_arrays(file, ("scan_stamp", "pose"))
+        arrays = read_arrays(file, ("scan_stamp", "pose", "simulated_errors"))
         stamps_ns: IntArray = np.asarray(arrays["scan_stamp"])
         poses: FloatArray = np.asarray(arrays["pose"], dtype=np.float64)
+        put_in = _stated_errors(arrays.get("simulated_errors"))
     except (OSError, KeyError, *UNREADABLE_ARRAYS) as error:
         raise ScanLoomError(
             f"cannot be read as a truth file: {error}.",
@@ -119,6 +158,18 @@ def _read_reference(file: Path) -> Trajectory:
             advice="It must hold scan_stamp and pose; or give a TUM file.",
         ) from error
     try:
-        return Trajectory.from_planar(stamps_ns.astype(np.int64), poses)
+        return Trajectory.from_planar(stamps_ns.astype(np.int64), poses), put_in
     except ValueError as error:
         raise ScanLoomError(f"holds no poses of its scans: {error}.", file=file) from error
+
+
+def _stated_errors(text: npt.NDArray[np.generic] | None) -> dict[str, dict[str, Any]] | None:
+    """Raises ValueError where it is not JSON of names and values by source."""
+    if text is None:
+        return None
+    if text.ndim != 0 or text.dtype.kind != "U" or text.nbytes > _MAX_ERRORS_BYTES:
+        raise ValueError("simulated_errors is not a short text")
+    try:
+        return dict(_ERRORS.validate_json(str(text)))
+    except ValidationError as error:
+        raise ValueError("simulated_errors is not JSON of values by source") from error
