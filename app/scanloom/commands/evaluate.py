@@ -134,8 +134,9 @@ class EvaluateRelations:
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateMap:
-    """Obstacle detection rate of a map, and errors of its lengths and angles (Li 2022, eq. 10 and
-    Table 4); or, against a ground truth, its false free and false occupied cells."""
+    """Obstacle detection rate of a map, over all outline as Li 2022 has it (eq. 10) and over what the
+    sensors could see, false obstacles, and errors of lengths and angles (Table 4); or, against a
+    ground truth, its false free and false occupied cells."""
 
     map: Annotated[conf.Positional[Path], conf.arg(metavar="MAP.yaml")]
     """A map in the format of ROS's map_server; the image lies beside it."""
@@ -164,7 +165,8 @@ class EvaluateMap:
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOdometry:
-    """Errors of each odometry over the path and its straight segments (Li 2022, Table 5)."""
+    """Errors of each odometry over the path and its straight segments (Li 2022, Table 5), below the
+    simulated errors that were put in, where the reference states them."""
 
     map_dir: Annotated[conf.Positional[Path], conf.arg(metavar="MAP_DIR")]
     """An output folder of map, with its odometry_*.tum and trajectory.tum."""
