@@ -134,8 +134,8 @@ class EvaluateRelations:
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateMap:
-    """Obstacle detection rate of a map, over all outline as Li 2022 has it (eq. 10) and over what the
-    sensors could see, false obstacles, and errors of lengths and angles (Table 4); or, against a
+    """Obstacle detection rate of a map (over all outline as in Li 2022, eq. 10, and over what the
+    sensors could see), false obstacles, and errors of lengths and angles (Table 4); or, against a
     ground truth, its false free and false occupied cells."""
 
     map: Annotated[conf.Positional[Path], conf.arg(metavar="MAP.yaml")]
