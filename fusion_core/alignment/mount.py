@@ -7,7 +7,7 @@ the image, agree best with the depth found there.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,6 +53,8 @@ class MountEstimate:
     ``agreement``: fraction of visible points within the tolerance; ``visible``: fraction of points
     in front of a camera that fall on a valid depth; ``delta_z_profile``: (K, 2) Delta z and cost.
     ``refusal``: why a recorded mount is not used, as part of a sentence, "" where there is none.
+    ``yaw_per_delay_rad_s``: where the clock offset is not observable, by how much a delay that the
+    stamps do not show would turn the best yaw; the yaw's deviation does not count that.
     """
 
     mount: Mount
@@ -62,6 +64,7 @@ class MountEstimate:
     is_from_recorded: bool
     delta_z_profile: FloatArray
     refusal: str = ""
+    yaw_per_delay_rad_s: float = 0.0
 
 
 def estimate_mount(
@@ -119,15 +122,17 @@ def estimate_mount(
         is_from_recorded=recorded is not None and not refusal,
         delta_z_profile=delta_z_profile(problem, found.values, heights_m)[:, 1:],
         refusal=refusal,
+        yaw_per_delay_rad_s=0.0 if np.isfinite(sd[_CLOCK]) else found.yaw_per_delay_rad_s,
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Found:
-    """A mount (6,) and its deviations, infinite where unknown."""
+    """A mount (6,), its deviations, infinite where unknown, and how a delay turns its yaw."""
 
     values: FloatArray
     sd: FloatArray
+    yaw_per_delay_rad_s: float
 
     def agreement(self, problem: MountCost) -> float:
         return problem.agreement_and_visibility(self.values)[0]
@@ -138,14 +143,15 @@ def _refine_recorded(
 ) -> _Found:
     """A recorded mount, moved in the LiDAR's plane as far as its doubt lets the data move it."""
     priors = MountPriors.from_recorded(recorded, settings)
-    values, sd = _fit_in_plane(problem, lines, [recorded.vector()], priors)
+    found = _fit_in_plane(problem, lines, [recorded.vector()], priors)
+    values, sd = found.values, found.sd
     sd[[1, 4]] = priors.sd[[1, 4]]
     # What looks along with the pitch's doubt.
     sd[2] = np.hypot(sd[2], abs(values[1]) * priors.sd[4])
     if problem.tallies_per_frame(values)[:, 2].sum() < MIN_POINTS:
         # The recording does not constrain it: it is used as recorded.
         sd[:] = np.inf
-    return _Found(values=values, sd=sd)
+    return found
 
 
 def _find_mount(
@@ -172,25 +178,24 @@ def _find_mount(
         for fit in fits
         if angle_between_rad(fit[0], best[0]) < SAME_YAW_RAD
     ]
-    values, sd = _fit_in_plane(problem, lines, [heights.best, *starts], priors)
-    heights = sample_heights(problem, values, heights_m, priors)
+    found = _fit_in_plane(problem, lines, [heights.best, *starts], priors)
+    sd = found.sd
+    heights = sample_heights(problem, found.values, heights_m, priors)
     spread = np.sqrt(np.mean((heights.mounts - heights.best) ** 2, axis=0))
-    values = heights.best
     # One block of frames has no spread.
     is_height_known = problem.blocks > 1 and not heights.is_at_bound
     sd[1] = spread[1] if is_height_known else np.inf
     sd[4] = np.inf if floor is None else floor.sd_rad
-    sd[2] = np.hypot(sd[2], spread[2] if floor is None else abs(values[1]) * floor.sd_rad)
+    sd[2] = np.hypot(sd[2], spread[2] if floor is None else abs(heights.best[1]) * floor.sd_rad)
     if is_yaw_ambiguous:
         sd[0] = np.inf
-    return _Found(values=values, sd=sd)
+    return replace(found, values=heights.best, sd=sd)
 
 
 def _fit_in_plane(
     problem: MountCost, lines: ScanLines, starts: list[FloatArray], priors: MountPriors
-) -> tuple[FloatArray, FloatArray]:
-    """The best of the optima in the LiDAR's plane, (6,) with the first start's height and pitch,
-    and (6,) its deviations.
+) -> _Found:
+    """The best of the optima in the LiDAR's plane, with the first start's height and pitch.
 
     The clock offset is part of it where the recording shows it. Otherwise it stays as the priors
     have it, the stamps are believed, and the yaw is that which belongs to them: what pairs need.
@@ -204,7 +209,7 @@ def _fit_in_plane(
             refined.append(refine_in_plane(lines, begin, priors, free))
         fits = [fit for fit in refined if fit is not None]
         if not fits:
-            return starts[0], sd
+            return _Found(values=starts[0], sd=sd, yaw_per_delay_rad_s=0.0)
         best, apart = choose_optimum(fits)
         covariance = in_plane_covariance(best, free)
         if covariance is None:
@@ -217,7 +222,7 @@ def _fit_in_plane(
     spread = max(float(np.std(problem.turn_rates_rad_s)), 1e-6)
     sd[0] = np.hypot(sd[0], 1e-3 * delay_ms * rate_sd)
     sd[_CLOCK] = np.hypot(sd[_CLOCK], delay_ms * rate_sd / spread)
-    return best.values, sd
+    return _Found(values=best.values, sd=sd, yaw_per_delay_rad_s=best.yaw_per_delay_rad_s)
 
 
 def frame_yaw_offset_rad(frame: MountObservation, mount: Mount, settings: MountSettings) -> float:

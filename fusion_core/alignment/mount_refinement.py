@@ -25,6 +25,8 @@ IN_PLANE = np.array([0, 2, 3, 5])
 """Of MOUNT_PARAMETERS: yaw, forward, left, clock offset. The depths' stretch follows them."""
 
 _UNKNOWNS = IN_PLANE.size + 1
+# Of these, the clock offset, and the others.
+_CLOCK, _NOT_CLOCK = 3, [0, 1, 2, 4]
 
 # Neighbours on each side that a line is fitted to: some 17 points have a quarter of one's noise.
 _NEIGHBOURS = 8
@@ -86,6 +88,13 @@ class PlaneFit:
     frame: IntArray
     place: IntArray
     noise: float
+
+    @property
+    def yaw_per_delay_rad_s(self) -> float:
+        """By how much the best yaw turns with the clock offset, the other parameters following."""
+        total = self.prior + self.information.sum(axis=0)
+        moved = -np.linalg.solve(total[np.ix_(_NOT_CLOCK, _NOT_CLOCK)], total[_NOT_CLOCK, _CLOCK])
+        return 1e3 * float(moved[0])
 
 
 class ScanLines:

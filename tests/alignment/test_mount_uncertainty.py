@@ -98,3 +98,22 @@ def test_depths_that_are_too_long_move_no_mount(furnished_room) -> None:
     sd = np.array([estimate.mount.sd[index] for index in (0, 2, 3)])
     assert (np.abs(error) < [np.deg2rad(0.5), 0.03, 0.02]).all()
     assert (np.abs(error) < 4.0 * sd).all()
+
+
+@pytest.mark.parametrize("rate_rad_s", [0.5, -0.3])
+def test_a_delay_that_cannot_be_seen_turns_the_yaw_as_stated(
+    furnished_room, rate_rad_s: float
+) -> None:
+    """Under a steady turn a late camera looks like a turned one: the yaw errs by the delay times
+    what is stated for a second of it, and the delay is not observable."""
+    truth = replace(random_mount(1), delta_z_m=0.4)
+    yaws_rad = []
+    for delay_ms in (0.0, 60.0):
+        late = replace(truth, clock_offset_ms=delay_ms)
+        frames = drive(furnished_room, late, 1, rate=rate_rad_s)
+        estimate = estimate_mount(frames, SETTINGS, yaw_rad=truth.yaw_rad)
+        assert estimate.mount.sd[5] is None
+        yaws_rad.append(estimate.mount.yaw_rad)
+    turned_rad = 0.060 * estimate.yaw_per_delay_rad_s
+    assert yaws_rad[0] - yaws_rad[1] == pytest.approx(turned_rad, abs=np.deg2rad(0.3))
+    assert abs(turned_rad) == pytest.approx(abs(0.060 * rate_rad_s), rel=0.3)

@@ -1,6 +1,6 @@
 """Pass 1: the offset (u, v), the mount and the noise scale of a whole recording."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import get_args
 
@@ -37,6 +37,8 @@ from fusion_core.workflows.fuse.settings import ChainSettings
 
 METRICS: tuple[Metric, ...] = get_args(Metric)
 
+# Angles are shown to this.
+_SHOWN_DEG = 0.01
 # Fields of this many frames make the mean; evenly spread, they see what all would.
 _FIELD_FRAMES = 400
 
@@ -82,20 +84,36 @@ class RecordingAlignment:
     @property
     def notes(self) -> tuple[str, ...]:
         """For people."""
-        estimate = self.estimate
-        if estimate is None:
+        if self.estimate is None:
             return ()
-        if estimate.refusal:
-            found = "The mount is found from scans and images instead."
-            return (f"{mount_not_used(estimate.refusal)} {found}",)
-        if estimate.is_from_recorded and not estimate.is_confident:
-            yaw = "; its yaw is not observable" if estimate.mount.sd[0] is None else ""
-            return (
-                "The recorded mount is used, but scans and images do not confirm it: "
-                f"{estimate.visible:.0%} of the points in front of the camera are visible, and "
-                f"{estimate.agreement:.0%} of these agree{yaw}.",
+        return tuple(_mount_notes(self.estimate)) + tuple(self._offset_notes())
+
+    def _offset_notes(self) -> Iterator[str]:
+        rows, used = self.peaks[self.metric], self.peak
+        if self.along_curve and rows.u != used.u:
+            yield (
+                f"The offset u = {used.u:.1f} comes from the mount; the rows alone are most similar"
+                f" at u = {rows.u:.1f} (score {rows.score:.3f}, there {used.score:.3f})."
             )
-        return ()
+
+
+def _mount_notes(estimate: MountEstimate) -> Iterator[str]:
+    if estimate.refusal:
+        found = "The mount is found from scans and images instead."
+        yield f"{mount_not_used(estimate.refusal)} {found}"
+    elif estimate.is_from_recorded and not estimate.is_confident:
+        yaw = "; its yaw is not observable" if estimate.mount.sd[0] is None else ""
+        yield (
+            "The recorded mount is used, but scans and images do not confirm it: "
+            f"{estimate.visible:.0%} of the points in front of the camera are visible, and "
+            f"{estimate.agreement:.0%} of these agree{yaw}."
+        )
+    turned_deg = abs(np.rad2deg(0.01 * estimate.yaw_per_delay_rad_s))
+    if estimate.mount.sd[0] is not None and turned_deg >= _SHOWN_DEG:
+        yield (
+            "The clock offset is not observable: the yaw is that of stamps of one clock, and each "
+            f"10 ms between the clocks would turn it by {turned_deg:.2f} deg."
+        )
 
 
 def mount_not_used(refusal: str) -> str:
