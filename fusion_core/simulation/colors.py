@@ -15,6 +15,7 @@ _BASE = {
     Material.DARK: (38, 36, 40),
     Material.GLASS: (170, 190, 205),
     Material.CLOTHES: (150, 60, 60),
+    Material.MIRROR: (205, 210, 212),
 }
 _TABLE: FloatArray = np.array([_BASE[material] for material in Material], dtype=np.float64)
 _LIGHT: FloatArray = np.array([0.4, 0.25, 0.88])
@@ -33,10 +34,10 @@ def shade(points_m: FloatArray, hits: Hits, *, fine: bool = False) -> ByteArray:
     """
     # Just inside the surface: a wall may lie on the border of two cells.
     inside_m = points_m - 0.002 * hits.normals
-    grey = _grey(inside_m, _CELL_M)
+    grey = cell_draw(inside_m, _CELL_M)
     contrast = _CONTRAST
     if fine:
-        grey = 0.5 * (grey + _grey(inside_m, _FINE_CELL_M))
+        grey = 0.5 * (grey + cell_draw(inside_m, _FINE_CELL_M))
         contrast = _FINE_CONTRAST
     lit = 0.6 + 0.4 * np.abs(hits.normals @ _LIGHT)
     brightness = lit * (1.0 - contrast * grey)
@@ -44,10 +45,10 @@ def shade(points_m: FloatArray, hits: Hits, *, fine: bool = False) -> ByteArray:
     return np.rint(np.clip(rgb, 0.0, 255.0)).astype(np.uint8)
 
 
-def _grey(points_m: FloatArray, cell_m: float) -> FloatArray:
-    """(N,) in [0, 1): the grey of the grid cell that a point lies in."""
+def cell_draw(points_m: FloatArray, cell_m: float) -> FloatArray:
+    """(N,) in [0, 1): a random number of the grid cell that a point lies in, the same each time."""
     cells = np.floor(points_m / cell_m).astype(np.int64)
     # Teschner et al. 2003: a hash of grid cells.
     mixed = (cells[:, 0] * 73856093) ^ (cells[:, 1] * 19349663) ^ (cells[:, 2] * 83492791)
-    grey: FloatArray = ((mixed * 2654435761) % 65536) / 65536.0
-    return grey
+    draw: FloatArray = ((mixed * 2654435761) % 65536) / 65536.0
+    return draw

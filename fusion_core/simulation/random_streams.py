@@ -14,6 +14,7 @@ class RandomStream(IntEnum):
     LIDAR = 3
     CAMERA = 4
     FAULTS = 5
+    FEATURES = 6
 
 
 def make_generator(seed: int, stream: RandomStream, *indices: int) -> np.random.Generator:

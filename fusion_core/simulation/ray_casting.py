@@ -101,7 +101,7 @@ class RayCaster:
         )
 
     def blocked(self, origins_m: FloatArray, target_m: FloatArray, time_s: float) -> BoolArray:
-        """(N,): whether something lies between each origin (N, 3) and the target (3,)."""
+        """(N,): whether something lies between each origin (N, 3) and its target (N, 3) or (3,)."""
         directions = target_m - origins_m
         # A centimetre away from the origin's own surface, which float32 could meet again.
         length = np.linalg.norm(directions, axis=1, keepdims=True)

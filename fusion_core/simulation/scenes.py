@@ -16,6 +16,7 @@ from fusion_core.simulation.odometry import OdometryNoise
 from fusion_core.simulation.paths import RobotPath, WeavingPath
 from fusion_core.simulation.random_streams import RandomStream, make_generator
 from fusion_core.simulation.recorder import PublishedMounts, SimulatedRun, record_run
+from fusion_core.simulation.room_features import add_features
 from fusion_core.simulation.sensor_mounts import SensorMounts
 from fusion_core.simulation.sensor_simulator import SimulationSetup
 from fusion_core.simulation.worlds import World
@@ -29,13 +30,28 @@ RPLIDAR_A1 = LidarNoise(
     relative_sigma=0.01 / 3.0,
     relative_sigma_middle=0.02 / 3.0,
     relative_sigma_far=0.025 / 3.0,
-    # Our choice: a tenth of the URG's, since a spurious return may lie as far as 12 m.
+    # Our choice: a tenth of the URG's.
     spurious_fraction=0.0005,
+    spike_fraction=0.0,
+    corner_bias_m=0.0,
 )
 # Li 2022, Table 2: within 1-3 mm at 1 m, growing with z². Read as three standard deviations of
 # 1 mm, split between the quantisation of the inverse depth and the noise before it.
 ASTRA_PRO = DepthNoise(
-    sigma_per_m=0.87e-3, disparity_step_per_m=1.7e-3, near_m=0.6, far_m=8.0, speckles=8.0
+    sigma_per_m=0.87e-3,
+    disparity_step_per_m=1.7e-3,
+    near_m=0.6,
+    far_m=8.0,
+    speckles=8.0,
+    glass_front_fraction=0.0,
+    glass_through_fraction=0.0,
+    spike_fraction=0.0,
+    corner_bias_m=0.0,
+)
+# A LiDAR and a camera in clean air before clean glass, in corners that do not glow.
+CALM_LIDAR = LidarNoise(spike_fraction=0.0, corner_bias_m=0.0)
+CALM_CAMERA = DepthNoise(
+    glass_front_fraction=0.0, glass_through_fraction=0.0, spike_fraction=0.0, corner_bias_m=0.0
 )
 # Li 2022, Table 5: 0.23 % of the distance for the old odometer.
 TURTLEBOT_ODOMETRY = OdometryNoise(
@@ -57,6 +73,18 @@ class SceneSettings(StageSettings):
         15.0, "Images a second, of each camera", unit="Hz", ge=1e-6, le=120.0
     )
     image_scale: float = setting(1.0, "Pixels a side, relative to the camera's own", ge=0.1, le=2.0)
+    mirror: bool = setting(False, "A mirror hangs on a free wall")
+    sunlight: bool = setting(False, "The sun shines through the windows")
+    person: bool = setting(False, "A person walks to and fro where the floor is free")
+    lidar_skew: bool = setting(False, "The robot moves during a sweep")
+    rolling_s: float = setting(
+        0.0,
+        "Time from the first to the last row of a depth image, while the robot moves (the infrared"
+        " imager of a Kinect reads row by row, most of 1/30 s: Ringaby & Forssen 2011)",
+        unit="s",
+        ge=0.0,
+        le=1.0,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,8 +107,8 @@ class SimulatedScene:
     start: float | None = None
     weave_m: float = WeavingPath.WEAVE_M
     wavelength_m: float = WeavingPath.WAVELENGTH_M
-    lidar_noise: LidarNoise = field(default_factory=LidarNoise)
-    depth_noise: DepthNoise = field(default_factory=DepthNoise)
+    lidar_noise: LidarNoise = CALM_LIDAR
+    depth_noise: DepthNoise = CALM_CAMERA
     odometry_noise: OdometryNoise = field(default_factory=OdometryNoise)
 
 
@@ -147,6 +175,17 @@ _SCENES = (
         mounts=sensor_mounts.home_robot,
         settings=SceneSettings(seed=4),
         published_mounts="all",
+    ),
+    SimulatedScene(
+        name="hard_room",
+        description="A living room with a mirror, sunlight and a person; rows exposed in turn",
+        world=worlds.furnished_room,
+        mounts=sensor_mounts.home_robot,
+        settings=SceneSettings(
+            seed=12, mirror=True, sunlight=True, person=True, lidar_skew=True, rolling_s=0.03
+        ),
+        lidar_noise=LidarNoise(),
+        depth_noise=DepthNoise(),
     ),
     SimulatedScene(
         name="arena",
@@ -229,7 +268,13 @@ def write_scene(
 
 def plan_run(scene: SimulatedScene, settings: SceneSettings, faults: FaultSettings) -> SimulatedRun:
     """Everything that determines the recording of a scene."""
-    world = scene.world(settings.seed)
+    world = add_features(
+        scene.world(settings.seed),
+        settings.seed,
+        mirror=settings.mirror,
+        sunlight=settings.sunlight,
+        person=settings.person,
+    )
     start = scene.start
     if start is None:
         start = float(make_generator(settings.seed, RandomStream.PATH).random())
@@ -248,6 +293,8 @@ def plan_run(scene: SimulatedScene, settings: SceneSettings, faults: FaultSettin
         mounts=scene.mounts().scaled(settings.image_scale),
         path=drive,
         seed=settings.seed,
+        lidar_skew=settings.lidar_skew,
+        rolling_s=settings.rolling_s,
         lidar_noise=scene.lidar_noise,
         depth_noise=scene.depth_noise,
     )

@@ -14,7 +14,7 @@ from fusion_core.model.conventions import ByteArray, FloatArray, read_only
 
 
 class Material(IntEnum):
-    """What a surface is made of; the sensor models treat DARK and GLASS specially."""
+    """What a surface is made of; the sensor models treat DARK, GLASS and MIRROR specially."""
 
     WALL = 0
     FLOOR = 1
@@ -24,6 +24,7 @@ class Material(IntEnum):
     DARK = 5
     GLASS = 6
     CLOTHES = 7
+    MIRROR = 8
 
 
 @dataclass(frozen=True, slots=True)

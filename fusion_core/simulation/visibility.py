@@ -56,9 +56,14 @@ class VisibilityTracker:
         inside &= np.abs(azimuth) <= half_rad
         unseen, targets_m = unseen[inside], targets_m[inside]
         reached, hits = self._reaches_targets(T_world_lidar[:3, 3], targets_m, time_s)
-        # A pane returns a beam only near normal incidence (see LidarNoise.glass_front_rad).
-        front = np.cos(self._simulation.lidar_noise.glass_front_rad)
-        reached &= (hits.materials != Material.GLASS) | (hits.incidence_cos >= front)
+        # Panes and mirrors return a beam only near normal incidence.
+        noise = self._simulation.lidar_noise
+        fronts_rad = {
+            Material.GLASS: noise.glass_front_rad,
+            Material.MIRROR: noise.mirror_front_rad,
+        }
+        for material, front_rad in fronts_rad.items():
+            reached &= (hits.materials != material) | (hits.incidence_cos >= np.cos(front_rad))
         self._seen["lidar"][unseen[reached]] = True
 
     def add_image(self, camera: int, T_world_base: FloatArray, time_s: float) -> None:
@@ -81,7 +86,7 @@ class VisibilityTracker:
             inside &= (v >= -0.5) & (v < intrinsics.height - 0.5)
             unseen, targets_m = unseen[inside], targets_m[inside]
             reached, hits = self._reaches_targets(T_world_optical[:3, 3], targets_m, time_s)
-            reached &= hits.materials != Material.GLASS
+            reached &= ~np.isin(hits.materials, (Material.GLASS, Material.MIRROR))
             self._seen["camera"][unseen[reached]] = True
 
     def outline(self) -> WorldOutline:

@@ -25,8 +25,10 @@ from fusion_core.simulation.solids import (
     quad,
     wall,
 )
+from fusion_core.simulation.sunlight import Sunlight
 
 CEILING_M = 2.6
+_NO_OPENINGS: tuple[tuple[Opening, ...], ...] = ((), (), (), ())
 _YARD_M = 3.0
 
 
@@ -71,6 +73,8 @@ class World:
     ``route_m``: (W, 2) waypoints of a closed curve on which a robot touches nothing.
     ``obstacles``: the outlines of all that the robot could run into; ``lines`` and ``angles`` are
     to be measured in a map of it. ``fine_texture``: surfaces have a finer pattern too.
+    ``openings``: those of each outer wall, from the one along y = 0 on, anticlockwise.
+    ``sunlight``: the sun that shines through its windows, or None.
     """
 
     size_m: tuple[float, float]
@@ -82,6 +86,8 @@ class World:
     lines: tuple[MeasuredLine, ...] = ()
     angles: tuple[MeasuredAngle, ...] = ()
     fine_texture: bool = False
+    openings: tuple[tuple[Opening, ...], ...] = _NO_OPENINGS
+    sunlight: Sunlight | None = None
 
     def __post_init__(self) -> None:
         read_only(self.blocks_m)
@@ -198,7 +204,7 @@ def _furnish(plan: FloorPlan) -> None:
 
 def build_world(
     plan: FloorPlan,
-    openings: tuple[tuple[Opening, ...], ...] = ((), (), (), ()),
+    openings: tuple[tuple[Opening, ...], ...] = _NO_OPENINGS,
     walkers: tuple[Walker, ...] = (),
     *,
     lines: tuple[MeasuredLine, ...] = (),
@@ -226,6 +232,7 @@ def build_world(
         lines=lines,
         angles=angles,
         fine_texture=fine_texture,
+        openings=openings,
     )
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from fusion_core.simulation.scenes import find_scene
 from scanloom.cli import main
 from scanloom.resources import sample_path
 
@@ -31,12 +32,8 @@ def test_a_scene_becomes_a_recording_with_its_truth(
     file = tmp_path / "room.mcap"
     command = ["sample", "furnished_room", "-o", str(file), "--settings", str(settings)]
     written = run_json(capsys, *command, "--seed", "5")
-    assert written["settings"] == {
-        "seed": 5,
-        "duration_s": 0.5,
-        "camera_rate_hz": 10.0,
-        "image_scale": 0.1,
-    }
+    given = {"seed": 5, "duration_s": 0.5, "camera_rate_hz": 10.0, "image_scale": 0.1}
+    assert written["settings"] == find_scene("furnished_room").settings.model_dump() | given
     truth = Path(written["truth"])
     assert written["recording"] == str(file)
     assert truth.parent == tmp_path

@@ -5,36 +5,9 @@ import pytest
 
 from fusion_core.model.classes import SAME_SURFACE_M, NoiseClass
 from fusion_core.simulation import depth_camera, lidar
-from fusion_core.simulation.depth_camera import DepthNoise, DepthView
-from fusion_core.simulation.lidar import LidarNoise, LidarView
-
-LIMITS = (0.06, 5.6)
-
-
-def lidar_view(true_m, **changes):
-    true_m = np.asarray(true_m, dtype=np.float64)
-    no = np.zeros(true_m.shape, dtype=bool)
-    parts = {
-        "true_m": true_m,
-        "incidence_cos": np.ones_like(true_m),
-        "glass": no,
-        "dark": no,
-        "behind_m": np.full_like(true_m, np.nan),
-    }
-    return LidarView(**{**parts, **changes})
-
-
-def depth_view(true_m, **changes):
-    true_m = np.asarray(true_m, dtype=np.float64)
-    no = np.zeros(true_m.shape, dtype=bool)
-    parts = {
-        "true_m": true_m,
-        "incidence_cos": np.ones_like(true_m),
-        "glass": no,
-        "dark": no,
-        "shadowed": no,
-    }
-    return DepthView(**{**parts, **changes})
+from fusion_core.simulation.depth_camera import DepthNoise
+from fusion_core.simulation.lidar import LidarNoise
+from tests.simulation.views import LIMITS, depth_view, lidar_view
 
 
 @pytest.mark.parametrize(("true_m", "sigma"), [(0.5, 0.01), (1.0, 0.01), (3.0, 0.03), (5.0, 0.05)])
@@ -112,19 +85,29 @@ def test_kinds_of_pixels_follow_from_their_values(seed):
 
 def test_without_faults_every_sample_is_good():
     calm = LidarNoise(
-        glass_through_fraction=0.0, edge_mixed_fraction=0.0, spurious_fraction=0.0, lost_runs=0.0
+        glass_through_fraction=0.0,
+        edge_mixed_fraction=0.0,
+        spurious_fraction=0.0,
+        spike_fraction=0.0,
+        lost_runs=0.0,
     )
     true_m = np.repeat([1.0, 3.0], 300)
     sweep = lidar.add_noise(lidar_view(true_m), calm, LIMITS, np.random.default_rng(0))
     assert (sweep.kinds == NoiseClass.GOOD).all()
-    still = DepthNoise(edge_lost_fraction=0.0, edge_mixed_fraction=0.0, speckles=0.0, patches=0.0)
+    still = DepthNoise(
+        edge_lost_fraction=0.0,
+        edge_mixed_fraction=0.0,
+        speckles=0.0,
+        patches=0.0,
+        spike_fraction=0.0,
+    )
     truth = np.full((60, 80), 2.0)
     image = depth_camera.add_noise(depth_view(truth), still, np.random.default_rng(0))
     assert (image.kinds == NoiseClass.GOOD).all()
 
 
 def test_mixed_beams_lie_between_their_surfaces():
-    noise = LidarNoise(spurious_fraction=0.0, lost_runs=0.0)
+    noise = LidarNoise(spurious_fraction=0.0, spike_fraction=0.0, lost_runs=0.0)
     true_m = np.tile(np.repeat([1.0, 3.0], 10), 200)
     sweep = lidar.add_noise(lidar_view(true_m), noise, LIMITS, np.random.default_rng(4))
     burr = sweep.kinds == NoiseClass.BURR
@@ -136,7 +119,7 @@ def test_mixed_beams_lie_between_their_surfaces():
 
 def test_glass_returns_only_near_normal_incidence():
     count = 4000
-    quiet = LidarNoise(spurious_fraction=0.0, lost_runs=0.0)
+    quiet = LidarNoise(spurious_fraction=0.0, spike_fraction=0.0, lost_runs=0.0)
     view = lidar_view(
         np.full(count, 2.0),
         glass=np.ones(count, dtype=bool),
