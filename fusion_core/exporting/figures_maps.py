@@ -28,13 +28,15 @@ _NAMES = {
     "merged": "merged map",
     "fused": "fused map",
     "camera": "camera map",
+    "reference": "reference",
 }
 _SOURCES = {
     "lidar": "raw scans",
     "repaired": "repaired scans",
     "merged": "scans and camera",
     "fused": "repaired scans",
-    "camera": "what the camera saw",
+    "camera": "its depth alone",
+    "reference": "true ranges",
 }
 # Room for heading and legend, and for the title of a row of maps, in inches.
 _AROUND_IN, _TITLE_IN = 0.85, 0.2
@@ -70,7 +72,7 @@ def write_maps(
     height_in = _AROUND_IN + sum(heights_in) + _TITLE_IN * len(rows)
     with png_figure(path, heading, height_in=height_in) as figure:
         panels = figure.subplot_mosaic(rows, height_ratios=heights_in)
-        for letter, name in zip("abc", shown, strict=False):
+        for letter, name in zip("abcd", shown, strict=False):
             prepare_map_axes(panels[name], extent, ticks=columns == 1)
             show_grid(panels[name], grids[name])
             panels[name].set_title(f"({letter}) {_NAMES[name]}: {_SOURCES[name]}")
@@ -86,7 +88,7 @@ def write_maps(
             handles += _show_difference(axes, difference)
             first, second = (_NAMES[name] for name in difference.names)
             axes.set_title(
-                f"({'abcd'[len(shown)]}) obstacles of {first} and {second}, differences enlarged"
+                f"({'abcde'[len(shown)]}) obstacles of {first} and {second}, differences enlarged"
             )
         empty = places[len(shown) :]
         if empty:

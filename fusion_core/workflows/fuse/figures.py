@@ -106,8 +106,8 @@ def _repaired_count(frame: FusedFrame) -> int:
 class FigureData:
     """The results of a run that the figures show.
 
-    ``grids``: maps by name, empty without poses, which come from ``pose_source``. ``fuse_dir``: the
-    result folder that ``truth``, if given, is compared with.
+    ``grids``: maps by name, the truth's as "reference", empty without poses, which come from
+    ``pose_source``. ``fuse_dir``: the result folder that ``truth``, if given, is compared with.
     """
 
     session: "Session"
@@ -387,7 +387,7 @@ def _write_recall(folder: Path, heading: str, fuse_dir: Path, truth: Path) -> No
 
 
 def _write_maps(folder: Path, heading: str, grids: dict[str, OccupancyGrid]) -> None:
-    pair = {name: grid for name, grid in grids.items() if name != "camera"}
+    pair = {name: grid for name, grid in grids.items() if name in ("lidar", "fused")}
     write_maps(
         folder / "fig9_maps.png",
         f"Fig. 9, maps of one trajectory\n{heading}",

@@ -14,13 +14,14 @@ from pathlib import Path
 
 from fusion_core.exporting.output_folder import RunRequest, plan_output, results_folder
 from fusion_core.files.atomic import write_text
-from fusion_core.model.errors import AlignmentFailed
+from fusion_core.model.errors import AlignmentFailed, ScanLoomError
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rig import MOUNT_PARAMETERS
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.align import RecordingAlignment, align_recording
 from fusion_core.workflows.fuse.figures import FigureData, write_figures
 from fusion_core.workflows.fuse.frame import fuse_frames
+from fusion_core.workflows.fuse.reference_map import reference_map
 from fusion_core.workflows.fuse.result_writer import ResultWriter
 from fusion_core.workflows.fuse.session import FuseOptions, Session, open_session
 from fusion_core.workflows.fuse.settings import chain_settings, settings_toml
@@ -109,13 +110,23 @@ def _run_chain(
     figure_notes: list[str] = []
     if options.figures:
         progress(0, None, "drawing figures")
-        figure_notes = write_figures(
+        shown = dict(grids)
+        if grids and poses is not None and options.truth is not None:
+            try:
+                shown["reference"] = reference_map(
+                    options.truth, folder, poses, session.settings.grid
+                )
+            except ScanLoomError as error:
+                figure_notes.append(
+                    f"Fig. 9 has no reference: {options.truth.name} {error.problem}"
+                )
+        figure_notes += write_figures(
             folder / "figures",
             FigureData(
                 session=session,
                 alignment=alignment,
                 collected=results.figures,
-                grids=grids,
+                grids=shown,
                 # Which topic; how it was joined to the LiDAR is in the notes.
                 pose_source=None if poses is None else poses.source.split(" (")[0],
                 preset=options.preset,

@@ -253,6 +253,11 @@ def test_every_figure_is_written_and_listed(run: SimpleNamespace) -> None:
     assert all(f"figures/{name}" in manifest for name in written)
 
 
+def test_maps_stand_beside_the_map_of_the_true_ranges(run: SimpleNamespace) -> None:
+    assert set(run.data.grids) == {"lidar", "camera", "fused", "reference"}
+    assert not (run.output / "map_reference.yaml").exists()
+
+
 def test_no_picture_is_large(run: SimpleNamespace) -> None:
     sizes = {path.name: path.stat().st_size for path in (run.output / "figures").iterdir()}
     assert max(sizes.values()) < 330 * 1024, sizes
