@@ -82,7 +82,7 @@ class MountCost:
         self.T_rig_camera = np.stack([frame.camera.T_rig_camera for frame in frames])
         self._T_camera_rig = np.stack([invert_transform(T) for T in self.T_rig_camera])
         self.turn_rates_rad_s = np.array([frame.turn_rate_rad_s for frame in frames])
-        self._image_after_scan_s = np.array([frame.image_after_scan_s for frame in frames])
+        self._image_after_points_s = np.array([frame.image_after_points_s for frame in frames])
         self.blocks = max(1, len(frames) // _FRAMES_PER_BLOCK)
 
     def subsampled(self) -> "MountCost":
@@ -141,7 +141,7 @@ class MountCost:
     def turned_rad(self, mount: Mount) -> FloatArray:
         """(F,) turn of the LiDAR from the scan to the image, whose stamp is late by the offset."""
         turned: FloatArray = self.turn_rates_rad_s * (
-            self._image_after_scan_s - mount.clock_offset_ms * 1e-3
+            self._image_after_points_s - mount.clock_offset_ms * 1e-3
         )
         return turned
 

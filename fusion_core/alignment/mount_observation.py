@@ -15,9 +15,10 @@ from fusion_core.model.sensors import LaserScan
 class MountObservation:
     """A paired scan and image of the subset that the refinement uses.
 
-    ``points_m``: (N, 2) valid LiDAR points in the LiDAR frame at the scan's stamp.
-    ``raw_depth_m``: (H, W) upright view, ``depth_m`` the same without speckle.
-    ``image_after_scan_s``: image stamp - scan stamp.
+    ``points_m``: (N, 2) valid LiDAR points in the LiDAR frame at the scan's stamp, or of a scan
+    that is interpolated nearer to the image. ``raw_depth_m``: (H, W) upright view, ``depth_m`` the
+    same without speckle. ``image_after_scan_s``, ``image_after_points_s``: image stamp - the stamp
+    of the scan, and of the points.
     """
 
     camera: Camera
@@ -27,6 +28,7 @@ class MountObservation:
     depth_m: Float32Array
     turn_rate_rad_s: float
     image_after_scan_s: float
+    image_after_points_s: float
 
     def __post_init__(self) -> None:
         read_only(self.points_m)
@@ -39,18 +41,22 @@ def mount_observation(
     depth_m: Float32Array,
     image_stamp_ns: int,
     turn_rate_rad_s: float,
+    aligned_scan: LaserScan | None = None,
 ) -> MountObservation:
     """The observation of one pair. ``turn_rate_rad_s`` is NaN where the scan has no neighbours in
-    time; the turn between the two stamps is then not compensated."""
-    valid = np.isfinite(scan.ranges_m)
+    time; the turn between the two stamps is then not compensated. ``aligned_scan``: the one that
+    gives the points, where it is another."""
+    source = scan if aligned_scan is None else aligned_scan
+    valid = np.isfinite(source.ranges_m)
     return MountObservation(
         camera=camera,
         scan=scan,
         raw_depth_m=depth_m,
-        points_m=points_from_polar(scan.ranges_m[valid], scan.angles_rad[valid]),
+        points_m=points_from_polar(source.ranges_m[valid], source.angles_rad[valid]),
         depth_m=remove_speckle(depth_m),
         turn_rate_rad_s=turn_rate_rad_s if np.isfinite(turn_rate_rad_s) else 0.0,
         image_after_scan_s=(image_stamp_ns - scan.stamp_ns) / NS_PER_S,
+        image_after_points_s=(image_stamp_ns - source.stamp_ns) / NS_PER_S,
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from fusion_core.alignment.curves import RowSampling, SamplingSettings, row_samples_m
 from fusion_core.model.conventions import Float32Array, FloatArray, IntArray
 from fusion_core.model.geometry import transform_points
+from fusion_core.model.polar import unwrap_towards
 from fusion_core.model.rig import Camera
 
 # Between two neighbours at most this fraction of an image may be unseen: with more, a row of
@@ -140,9 +141,12 @@ class Panorama:
             azimuths.extend(np.arctan2(ends[:, 1], ends[:, 0]))
         intrinsics = self.cameras[0].intrinsics
         self._rows, self._focal, self._middle_row = intrinsics.height, intrinsics.fy, intrinsics.cy
-        fov_rad = float(max(azimuths) - min(azimuths))
+        # A rig may look across the back of its frame, where azimuths change their sign.
+        heading_rad = float(_headings_rad(cameras).mean())
+        ends_rad = unwrap_towards(np.array(azimuths), heading_rad)
+        fov_rad = float(ends_rad.max() - ends_rad.min())
         count = max(2, int(fov_rad / step_rad))
-        middle_rad = 0.5 * float(max(azimuths) + min(azimuths))
+        middle_rad = 0.5 * float(ends_rad.max() + ends_rad.min())
         self.sampling = RowSampling(
             columns=np.arange(count, dtype=np.int64),
             left_rad=middle_rad + 0.5 * (count - 1) * step_rad,
@@ -166,7 +170,7 @@ class Panorama:
             points = points[np.isfinite(depth_m[:, columns])]
             range_m = np.hypot(points[:, 0], points[:, 1])
             azimuth_rad = np.arctan2(points[:, 1], points[:, 0])
-            sample = np.rint((self.sampling.left_rad - azimuth_rad) / self.sampling.step_rad)
+            sample = np.rint(self.sampling.from_left_rad(azimuth_rad) / self.sampling.step_rad)
             row = np.rint(self._middle_row - self._focal * points[:, 2] / range_m)
             inside = (sample >= 0) & (sample < count) & (row >= 0) & (row < self._rows)
             cell = (row[inside] * count + sample[inside]).astype(np.int64)

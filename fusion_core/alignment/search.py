@@ -75,9 +75,8 @@ def find_peak(
     best_of_offset = np.fmax.reduce(field.scores, axis=0)
     allowed = np.isfinite(best_of_offset)
     if prior_u is not None:
-        offsets = field.u_first + np.arange(best_of_offset.size)
         # Half a sample: with prior_samples = 0 the nearest whole offset is still allowed.
-        allowed &= np.abs(offsets - prior_u) <= max(settings.prior_samples, 0.5)
+        allowed &= _distances(field, prior_u) <= max(settings.prior_samples, 0.5)
     if not allowed.any():
         raise AlignmentFailed(
             "no offset (u, v) has enough samples valid on both sides.",
@@ -86,7 +85,7 @@ def find_peak(
     column = int(np.argmax(np.where(allowed, best_of_offset, -np.inf)))
     row = int(np.nanargmax(field.scores[:, column]))
     score = float(field.scores[row, column])
-    away = np.abs(np.arange(best_of_offset.size) - column) >= settings.runner_up_distance
+    away = _distances(field, field.u_first + column) >= settings.runner_up_distance
     away &= np.isfinite(best_of_offset)
     runner_u = runner_v = runner_score = float("nan")
     if away.any():
@@ -96,7 +95,7 @@ def find_peak(
         runner_score = float(best_of_offset[other])
     u, v = float(field.u_first + column), float(row)
     if refine:
-        u += parabola_offset(field.scores[row], column)
+        u += _offset_to_the_side(field, row, column)
         v += parabola_offset(field.scores[:, column], row)
     return Peak(
         u=u,
@@ -107,6 +106,24 @@ def find_peak(
         runner_up_u=runner_u,
         runner_up_v=runner_v,
     )
+
+
+def _distances(field: SimilarityField, u: float) -> FloatArray:
+    """(U,) how far each column's offset is from ``u``, around a full circle."""
+    off = field.u_first + np.arange(field.scores.shape[1]) - u
+    if field.turn_samples is not None:
+        off -= field.turn_samples * np.rint(off / field.turn_samples)
+    return np.abs(off)
+
+
+def _offset_to_the_side(field: SimilarityField, row: int, column: int) -> float:
+    """The parabola's offset in u; of a full circle, the first and the last column are neighbours
+    where a whole number of samples makes the turn."""
+    along_row = field.scores[row]
+    is_closed = field.turn_samples is not None and abs(field.turn_samples - along_row.size) < 1e-6
+    if is_closed and column in (0, along_row.size - 1):
+        return parabola_offset(np.take(along_row, column + np.arange(-1, 2), mode="wrap"), 1)
+    return parabola_offset(along_row, column)
 
 
 class MeanField:
@@ -120,6 +137,7 @@ class MeanField:
         self._counts: dict[Metric, FloatArray] = {}
         self._overlap: FloatArray | None = None
         self._u_first = 0
+        self._turn_samples: float | None = None
         self.frames = 0
 
     def add(self, fields: dict[Metric, SimilarityField]) -> None:
@@ -130,7 +148,7 @@ class MeanField:
             if metric not in self._sums:
                 self._sums[metric] = np.zeros(field.scores.shape)
                 self._counts[metric] = np.zeros(field.scores.shape)
-                self._u_first = field.u_first
+                self._u_first, self._turn_samples = field.u_first, field.turn_samples
             self._sums[metric] += np.where(valid, field.scores, 0.0)
             self._counts[metric] += valid
         overlap = next(iter(fields.values())).overlap
@@ -148,5 +166,8 @@ class MeanField:
         scores = np.full(counts.shape, np.nan)
         np.divide(self._sums[metric], counts, out=scores, where=enough & (counts > 0))
         return SimilarityField(
-            scores=scores, overlap=self._overlap / self.frames, u_first=self._u_first
+            scores=scores,
+            overlap=self._overlap / self.frames,
+            u_first=self._u_first,
+            turn_samples=self._turn_samples,
         )

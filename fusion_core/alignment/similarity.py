@@ -36,11 +36,14 @@ class SimilarityField:
     ``scores``: (H, U), NaN where there is no score; greater is better for every metric.
     ``overlap``: (H, U) fraction of the row's samples valid on both sides.
     ``u_first``: the offset u of column 0: 0, or negative with partial overlaps.
+    ``turn_samples``: where the curve is a full circle, the offsets of one turn: the last column is
+    beside the first.
     """
 
     scores: FloatArray
     overlap: FloatArray
     u_first: int
+    turn_samples: float | None = None
 
     def __post_init__(self) -> None:
         if self.scores.ndim != 2 or self.scores.shape != self.overlap.shape:

@@ -3,15 +3,17 @@
 The paper pairs by sampling rates, t = f(i) / g(j); with stamps the nearest scan is the same where
 the rates are constant and right where they are not. A robot that turns at 0.5 rad/s turns by 1.4
 degrees within half a scan period, so the turn between the two stamps is compensated, with a rate
-measured from consecutive scans: no odometry is needed.
+measured from consecutive scans: no odometry is needed. Interpolation goes one step further: the
+scan of the image's own instant, from its two neighbours in time.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from fusion_core.compiled import compiled
-from fusion_core.model.conventions import NS_PER_S, FloatArray
+from fusion_core.model.conventions import NS_PER_MS, NS_PER_S, FloatArray
 from fusion_core.model.sensors import LaserScan
 from fusion_core.settings import StageSettings, setting
 
@@ -22,8 +24,28 @@ _MAX_DIFFERENCE_M = 0.3
 class TimeSettings(StageSettings):
     """How scans and depth images are paired."""
 
+    pair_by: Literal["nearest", "interpolated", "rates"] = setting(
+        "nearest",
+        "The scan of a depth image: the one nearest in time; interpolated: the same for values, "
+        "classes and repairs, while u, v and the mount are found with a scan made from it and its "
+        "neighbour on the image's other side in time; rates: as the paper, by counting messages "
+        "and the ratio of the two rates, without stamps (the same where the rates are constant, "
+        "so published keeps nearest)",
+    )
     max_gap_ms: float = setting(
-        60.0, "Greatest time between a depth image and its scan", unit="ms", ge=1e-6, le=5_000.0
+        60.0,
+        "Greatest time between a depth image and its scan (not by rates)",
+        unit="ms",
+        ge=1e-6,
+        le=5_000.0,
+    )
+    same_surface_m: float = setting(
+        0.15,
+        "Interpolation mixes two ranges that differ by no more; where they do, one is taken, that "
+        "of the scan nearest in time",
+        unit="m",
+        ge=1e-6,
+        le=10.0,
     )
     max_turn_rate_rad_s: float = setting(
         2.0, "Fastest turn that is looked for between two scans", unit="rad/s", ge=1e-6, le=100.0
@@ -68,7 +90,7 @@ def _rate_between(first: LaserScan, second: LaserScan, settings: TimeSettings) -
     step_rad = first.angle_increment_rad
     reach = int(np.ceil(settings.max_turn_rate_rad_s * seconds / abs(step_rad)))
     reach = min(max(reach, 2), first.ranges_m.size // 4)
-    cost = _shift_costs(first.ranges_m, second.ranges_m, reach)
+    cost = _shift_costs(first.ranges_m, second.ranges_m, reach, first.is_full_circle)
     if not np.isfinite(cost).any():
         return float("nan")
     best = int(np.nanargmin(cost))
@@ -92,8 +114,81 @@ def parabola_offset(values: FloatArray, best: int) -> float:
     return float(np.clip(0.5 * (left - right) / curvature, -0.5, 0.5))
 
 
+def scan_at_image(window: ScanWindow, gap_ns: int, settings: TimeSettings) -> LaserScan:
+    """The scan with which a depth image is aligned: the paired one or, where ``settings`` ask for
+    it and the neighbours allow it, one made for the image's instant.
+
+    ``gap_ns``: image stamp - stamp of the paired scan, on one clock.
+    """
+    if settings.pair_by != "interpolated":
+        return window.scan
+    made = interpolate_scan(window, gap_ns, settings)
+    return window.scan if made is None else made
+
+
+def interpolate_scan(window: ScanWindow, gap_ns: int, settings: TimeSettings) -> LaserScan | None:
+    """The scan that the LiDAR would have taken ``gap_ns`` after ``window.scan``.
+
+    That scan and its neighbour on the other side of the instant are both turned to it by the rate
+    measured between them. A beam's range is their mean by time where they are of one surface, else
+    that of the paired scan: at edges and on moving things nothing is mixed. A range that one scan
+    lacks is the other's; where both lack it, it is NaN.
+
+    None at the scan's own stamp, without that neighbour or with one too far away, and where the
+    rate between the two is not known.
+    """
+    scan, other = window.scan, window.after if gap_ns > 0 else window.before
+    if gap_ns == 0 or other is None:
+        return None
+    interval_ns = abs(other.stamp_ns - scan.stamp_ns)
+    # Within it, either neighbour may be the nearest scan of an image.
+    if not abs(gap_ns) <= interval_ns <= 2.0 * settings.max_gap_ms * NS_PER_MS:
+        return None
+    first, second = (scan, other) if gap_ns > 0 else (other, scan)
+    rate_rad_s = _rate_between(first, second, settings)
+    if not np.isfinite(rate_rad_s):
+        return None
+    stamp_ns = scan.stamp_ns + gap_ns
+    own_m, other_m = (
+        _turned_ranges_m(
+            source,
+            rate_rad_s * (stamp_ns - source.stamp_ns) / NS_PER_S,
+            settings.same_surface_m,
+        )
+        for source in (scan, other)
+    )
+    fraction = abs(gap_ns) / interval_ns
+    ranges_m = _mix_m(own_m, other_m, fraction, settings.same_surface_m)
+    ranges_m = np.where(np.isnan(own_m), other_m, ranges_m)
+    return replace(scan, stamp_ns=stamp_ns, ranges_m=ranges_m, intensities=None)
+
+
+def _turned_ranges_m(scan: LaserScan, turned_rad: float, same_surface_m: float) -> FloatArray:
+    """(N,) what the beams would have met, had the LiDAR turned left by ``turned_rad`` before."""
+    count = scan.ranges_m.size
+    place = np.arange(count) + turned_rad / scan.angle_increment_rad
+    right = np.floor(place).astype(np.int64)
+    right_m, left_m = scan.ranges_at(right), scan.ranges_at(right + 1)
+    fraction = place - right
+    nearest_is_right = fraction < 0.5
+    nearest_m = np.where(nearest_is_right, right_m, left_m)
+    farther_m = np.where(nearest_is_right, left_m, right_m)
+    return _mix_m(nearest_m, farther_m, np.minimum(fraction, 1.0 - fraction), same_surface_m)
+
+
+def _mix_m(
+    own_m: FloatArray, other_m: FloatArray, fraction: FloatArray | float, same_surface_m: float
+) -> FloatArray:
+    """``own_m`` moved by ``fraction`` towards ``other_m`` where both are of one surface."""
+    # NaN compares false.
+    is_same = np.abs(other_m - own_m) <= same_surface_m
+    return np.where(is_same, own_m + fraction * (other_m - own_m), own_m)
+
+
 @compiled()
-def _shift_costs(first: FloatArray, second: FloatArray, reach: int) -> FloatArray:
+def _shift_costs(
+    first: FloatArray, second: FloatArray, reach: int, is_full_circle: bool
+) -> FloatArray:
     """Mean capped range difference of second[i] and first[i + s] for s in -reach..reach."""
     beams = first.size
     cost = np.full(2 * reach + 1, np.nan)
@@ -101,8 +196,11 @@ def _shift_costs(first: FloatArray, second: FloatArray, reach: int) -> FloatArra
         shift = column - reach
         total = 0.0
         count = 0
-        for beam in range(max(0, -shift), min(beams, beams - shift)):
-            difference = abs(second[beam] - first[beam + shift])
+        start, stop = max(0, -shift), min(beams, beams - shift)
+        if is_full_circle:
+            start, stop = 0, beams
+        for beam in range(start, stop):
+            difference = abs(second[beam] - first[(beam + shift) % beams])
             if difference == difference:
                 total += min(difference, _MAX_DIFFERENCE_M)
                 count += 1

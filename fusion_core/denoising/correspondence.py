@@ -53,7 +53,8 @@ class Correspondence:
     ``camera_range_m``: the range at which the beam, cast as a ray, meets what the camera sees;
     ``camera_blocked``: before that it passes behind something nearer, above or below its plane, so
     that the camera does not see all of its way.
-    ``azimuth_rad``: the beam in the LiDAR frame. ``residual_m``: what eq. (6) compares with
+    ``azimuth_rad``: the beam in the LiDAR frame, continuous over the seam of a full circle, as the
+    order of the pairs is. ``residual_m``: what eq. (6) compares with
     epsilon, signed depth - LiDAR where both are ranges. NaN where missing.
     """
 
@@ -99,6 +100,7 @@ def match_along_curve(
     scan's stamp.
     """
     intrinsics = camera.intrinsics
+    scan, first = _with_seam_behind(scan, T_lidar_camera)
     T_camera_lidar = invert_transform(T_lidar_camera)
     camera_range, blocked = _cast_rays(
         scan.angles_rad,
@@ -121,7 +123,7 @@ def match_along_curve(
     depth_as_range = np.hypot(seen[:, 0], seen[:, 1])
     return Correspondence(
         model="curve",
-        beam=beam,
+        beam=(beam + first) % scan.ranges_m.size,
         row=row,
         column=column,
         azimuth_rad=azimuth_rad,
@@ -149,6 +151,7 @@ def match_in_row(
     and a row's horizontal range is compared with the beam's as it is.
     """
     intrinsics = camera.intrinsics
+    scan, first = _with_seam_behind(scan, T_lidar_camera)
     yaw_rad = float(np.arctan2(T_lidar_camera[1, 2], T_lidar_camera[0, 2]))
     relative = np.angle(np.exp(1j * (scan.angles_rad - yaw_rad)))
     ahead = np.abs(relative) < _MAX_OFF_AXIS_RAD
@@ -162,7 +165,7 @@ def match_in_row(
     depth = depth_m[row, column].astype(np.float64)
     return Correspondence(
         model="row",
-        beam=beam,
+        beam=(beam + first) % scan.ranges_m.size,
         row=np.full(beam.size, row, dtype=np.int64),
         column=column,
         azimuth_rad=scan.angles_rad[beam],
@@ -198,7 +201,12 @@ def match_by_sample(
     beam = curve_beams[first + np.flatnonzero(inside)]
     lidar = scan.ranges_m[beam]
     depth = depth_m[round(v), column].astype(np.float64)
-    step_rad = abs(scan.angle_increment_rad) * scan.ranges_m.size / curve_beams.size
+    azimuth_rad = scan.angles_rad[beam]
+    samples = curve_beams.size
+    if scan.is_full_circle:
+        # The curve goes on beyond its seam.
+        azimuth_rad, samples = np.unwrap(azimuth_rad), np.unique(curve_beams).size
+    step_rad = abs(scan.angle_increment_rad) * scan.ranges_m.size / samples
     valid = lidar[np.isfinite(lidar)]
     spacing_m = float(np.median(valid)) * step_rad if valid.size else step_rad
     x = np.arange(beam.size) * spacing_m
@@ -208,7 +216,7 @@ def match_by_sample(
         beam=beam,
         row=np.full(beam.size, round(v), dtype=np.int64),
         column=column,
-        azimuth_rad=scan.angles_rad[beam],
+        azimuth_rad=azimuth_rad,
         lidar_range_m=lidar,
         depth_m=depth,
         depth_as_range_m=missing,
@@ -274,6 +282,13 @@ def map_through_A(pairs: Correspondence, A: FloatArray, A_inverse: FloatArray) -
         lidar_as_depth_m=mapped_range(pairs.lidar_range_m, A) * depth_per_range,
         residual_m=as_range - pairs.lidar_range_m,
     )
+
+
+def _with_seam_behind(scan: LaserScan, T_lidar_camera: FloatArray) -> tuple[LaserScan, int]:
+    """A full circle cut behind the camera, so that the beams in view follow each other in number
+    and azimuth, and the beam that is its first; a scan with ends as it is."""
+    first = scan.beam_behind(float(np.arctan2(T_lidar_camera[1, 2], T_lidar_camera[0, 2])))
+    return scan.with_seam_at(first), first
 
 
 def _points_at_range(azimuth_rad: FloatArray, range_m: FloatArray) -> FloatArray:

@@ -133,6 +133,7 @@ def evaluate_alignment(fuse_dir: Path, truth: Truth) -> AlignmentReport:
     scan = associated.scan_index(frames.scan_stamp_ns[paired])
     image = associated.image_index(frames.camera[paired], frames.stamp_ns[paired])
     row = _true_row(associated, folder)
+    turn = _turn_samples(folder.lidar)
     offsets_of: dict[int, list[FloatArray]] = {}
     first_row = _first_rows(frames, folder)
     for frame, scan_index, image_index in zip(paired, scan, image, strict=True):
@@ -143,12 +144,14 @@ def evaluate_alignment(fuse_dir: Path, truth: Truth) -> AlignmentReport:
     for first, parts in offsets_of.items():
         offsets = np.concatenate(parts)
         if offsets.size:
-            u_true[first_row == first] = np.median(offsets)
+            # A view may lie over the seam of a full circle.
+            unwrapped = offsets[0] + _around_turn(offsets - offsets[0], turn)
+            u_true[first_row == first] = np.median(unwrapped)
     # Rows after a panorama's first repeat it.
     is_counted = first_row == np.arange(first_row.size)
     return AlignmentReport(
         u_true=u_true,
-        hits=_count_hits(frames.number, np.where(is_counted, u_true, np.nan)),
+        hits=_count_hits(frames.number, np.where(is_counted, u_true, np.nan), turn),
         mount_error=_mount_error(folder, associated),
         clock_offset_true_ms=truth.clock_offset_ms,
         clock_interval_ms=_clock_interval_ms(folder),
@@ -204,7 +207,8 @@ class _RowOfAngles:
 class _RowOfColumns:
     """Every k-th beam, and every k-th column of the images pasted beside each other.
 
-    ``first_column``: of each camera in the wide image; ``columns`` its width.
+    ``first_column``: of each camera in the wide image; ``columns`` its width. ``turn_samples``: as
+    of ``_turn_samples``.
     """
 
     associated: AssociatedTruth
@@ -212,11 +216,14 @@ class _RowOfColumns:
     columns: int
     samples: int
     curve_samples: int
+    turn_samples: float
 
     def of_beams(self, angle_rad: FloatArray) -> FloatArray:
         angles = self.associated.beam_angle_rad
-        from_left: FloatArray = (angles.max() - angle_rad) / np.ptp(angles)
-        return from_left * (self.curve_samples - 1)
+        from_left_rad: FloatArray = angles.max() - angle_rad
+        if np.isfinite(self.turn_samples):
+            return from_left_rad * (self.turn_samples / (2.0 * np.pi))
+        return from_left_rad / np.ptp(angles) * (self.curve_samples - 1)
 
     def of_pixels(
         self, camera: int, row: IntArray, column: IntArray, in_lidar: FloatArray
@@ -248,6 +255,7 @@ def _true_row(associated: AssociatedTruth, folder: FuseFolder) -> _TrueRow:
         columns=columns,
         samples=int(panorama["samples"]),
         curve_samples=folder.lidar.samples,
+        turn_samples=_turn_samples(folder.lidar),
     )
 
 
@@ -339,7 +347,21 @@ def _row_left_rad(
     return float(max(edges)) - 0.5 * _step_rad(lidar)
 
 
-def _count_hits(number: dict[str, FloatArray], u_true: FloatArray) -> dict[str, OffsetHits]:
+def _turn_samples(lidar: RecordedLidar) -> float:
+    """Samples of one turn of a LiDAR that sees a full circle; infinite where its curve has ends."""
+    step_rad = abs(lidar.angle_increment_rad)
+    is_full_circle = abs(step_rad * lidar.beams - 2.0 * np.pi) <= 1.5 * step_rad
+    return lidar.samples if is_full_circle else np.inf
+
+
+def _around_turn(difference: FloatArray, turn: float) -> FloatArray:
+    """(N,) differences of offsets, the short way around."""
+    return difference if np.isinf(turn) else difference - turn * np.rint(difference / turn)
+
+
+def _count_hits(
+    number: dict[str, FloatArray], u_true: FloatArray, turn: float
+) -> dict[str, OffsetHits]:
     counts = np.isfinite(u_true) & (number["overlap"] >= OVERLAP_MIN)
     names = [
         f"{column}{suffix}"
@@ -349,7 +371,11 @@ def _count_hits(number: dict[str, FloatArray], u_true: FloatArray) -> dict[str, 
     return {
         name: OffsetHits(
             frames=int(counts.sum()),
-            within=int((np.abs(number[name] - u_true)[counts] <= U_TOLERANCE_SAMPLES).sum()),
+            within=int(
+                (
+                    np.abs(_around_turn(number[name] - u_true, turn))[counts] <= U_TOLERANCE_SAMPLES
+                ).sum()
+            ),
         )
         for name in names
         if name in number

@@ -5,6 +5,13 @@ import numpy as np
 from fusion_core.model.conventions import FloatArray, IntArray
 
 
+def unwrap_towards(azimuth_rad: FloatArray, about_rad: float) -> FloatArray:
+    """Azimuths moved by whole turns to within half a turn of ``about_rad``."""
+    turns = np.rint((azimuth_rad - about_rad) / (2.0 * np.pi))
+    unwrapped: FloatArray = azimuth_rad - 2.0 * np.pi * turns
+    return unwrapped
+
+
 def points_from_polar(ranges_m: FloatArray, azimuths_rad: FloatArray) -> FloatArray:
     """(N, 2) points at (N,) ranges and azimuths, NaN where either is."""
     return np.stack([ranges_m * np.cos(azimuths_rad), ranges_m * np.sin(azimuths_rad)], axis=1)

@@ -1,11 +1,11 @@
 """What the sensors deliver: metres, radians, nanoseconds, NaN for missing."""
 
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import isfinite, remainder, tau
 
 import numpy as np
 
-from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray, read_only
+from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray, IntArray, read_only
 from fusion_core.model.sweep import require_plausible_sweep
 
 # From a fisheye image of a few pixels to pixels of 1 µm at a focal length of 1 m.
@@ -51,6 +51,41 @@ class LaserScan:
         """(N,) azimuth of each beam in the LiDAR's frame."""
         steps = np.arange(self.ranges_m.size, dtype=np.float64)
         return self.angle_min_rad + self.angle_increment_rad * steps
+
+    @property
+    def is_full_circle(self) -> bool:
+        """Whether the last beam is next to the first one, to within a beam and a half: also where
+        one direction is measured twice, and where one is missing."""
+        step_rad = abs(self.angle_increment_rad)
+        return abs(step_rad * self.ranges_m.size - tau) <= 1.5 * step_rad
+
+    def ranges_at(self, beams: IntArray) -> FloatArray:
+        """Ranges of any numbers of beams, which go on around a full circle; NaN where there is no
+        such beam."""
+        count = self.ranges_m.size
+        ranges_m = self.ranges_m[np.mod(beams, count)]
+        if self.is_full_circle:
+            return ranges_m
+        return np.where((beams >= 0) & (beams < count), ranges_m, np.nan)
+
+    def beam_behind(self, azimuth_rad: float) -> int:
+        """The beam of a full circle that looks away from an azimuth; 0 where the scan has ends."""
+        if not self.is_full_circle:
+            return 0
+        behind_rad = (azimuth_rad + np.pi - self.angle_min_rad) * np.sign(self.angle_increment_rad)
+        return round(behind_rad % tau / abs(self.angle_increment_rad)) % self.ranges_m.size
+
+    def with_seam_at(self, beam: int) -> "LaserScan":
+        """The same full circle with its numbers counted from ``beam``: beam k is ``beam`` + k, and
+        the azimuths go on from there."""
+        if beam == 0:
+            return self
+        return replace(
+            self,
+            angle_min_rad=remainder(self.angle_min_rad + beam * self.angle_increment_rad, tau),
+            ranges_m=np.roll(self.ranges_m, -beam),
+            intensities=None if self.intensities is None else np.roll(self.intensities, -beam),
+        )
 
     def with_ranges(self, ranges_m: FloatArray, intensities: FloatArray | None) -> "LaserScan":
         """The same sweep with other values."""

@@ -204,9 +204,21 @@ def test_rows_by_index_are_depths_as_they_come() -> None:
     row_left=st.floats(-3.0, 3.0),
 )
 def test_offset_and_yaw_are_inverse(u: float, left: float, step: float, row_left: float) -> None:
-    curve = CurveSampling(beams=np.arange(3), left_rad=left, step_rad=step)
+    curve = CurveSampling(beams=np.arange(30), left_rad=left, step_rad=step)
+    row = RowSampling(
+        columns=np.arange(10), left_rad=row_left, step_rad=step, range_per_depth=np.ones(10)
+    )
     yaw = yaw_of_offset_rad(u, curve, row_left)
-    assert offset_of_yaw(yaw, curve, row_left) == pytest.approx(u, abs=1e-8)
+    found = offset_of_yaw(yaw, curve, row)
+    turns = (found - u) * step / (2.0 * np.pi)
+    assert turns == pytest.approx(round(turns), abs=1e-6)
+    assert abs(yaw) <= np.pi + 1e-9
+    # Of the offsets whole turns apart, the one at which the row is nearest to the curve's middle.
+    middle = 0.5 * (30 - 10)
+    assert all(
+        abs(found - middle) <= abs(found + turn * 2.0 * np.pi / step - middle) + 1e-6
+        for turn in (-1, 1)
+    )
 
 
 def room_range_m(azimuths: np.ndarray) -> np.ndarray:
@@ -228,7 +240,7 @@ def offset_in_room(yaw_rad: float, settings: SamplingSettings = BY_ANGLE) -> tup
     rows_m = row_samples_m(np.tile(depth_m, (intrinsics.height, 1)), row)
     field = similarity_field(curve_samples_m(scan, curve), rows_m, metric="euclidean")
     found = field.u_first + int(np.nanargmax(field.scores[3]))
-    return found, offset_of_yaw(yaw_rad, curve, row.left_rad)
+    return found, offset_of_yaw(yaw_rad, curve, row)
 
 
 @pytest.mark.parametrize("yaw_deg", [-70.0, -33.3, 0.0, 12.0, 61.7])

@@ -160,7 +160,11 @@ def _gap(frame_view: FrameView) -> str:
     if frame_view.paired.window is None:
         return " · no scan near enough"
     gap_ms = frame_view.paired.gap_ns / 1e6
-    return f" · scan {abs(gap_ms):.1f} ms {'before' if gap_ms >= 0.0 else 'after'} it"
+    gap = f" · scan {abs(gap_ms):.1f} ms {'before' if gap_ms >= 0.0 else 'after'} it"
+    match = frame_view.match
+    if match is not None and match.pair.aligned_scan is not match.scan:
+        gap += ", for u and v interpolated at the image's instant"
+    return gap
 
 
 def _camera(frame_view: FrameView, number: int) -> str:

@@ -21,7 +21,7 @@ from fusion_core.alignment.mount_observation import MountObservation, mount_obse
 from fusion_core.alignment.panorama import Panorama, PastedPanorama, are_side_by_side
 from fusion_core.alignment.search import MeanField, Peak, SearchSettings, find_peak
 from fusion_core.alignment.similarity import Metric, SimilarityField, similarity_fields
-from fusion_core.alignment.time import estimate_turn_rate_rad_s
+from fusion_core.alignment.time import estimate_turn_rate_rad_s, scan_at_image
 from fusion_core.denoising.correspondence import match_along_curve
 from fusion_core.denoising.noise_scale import DATASHEET_SCALE, NoiseScale, learn_noise_scale
 from fusion_core.model.conventions import FloatArray
@@ -149,9 +149,14 @@ def search_rows(
         searched_m,
         metrics=tuple(metrics),
         min_overlap=settings.search.min_overlap,
-        partial=settings.search.allow_partial or rows_m.shape[1] > curve_m.size,
+        # At a full circle no row reaches beyond an end.
+        partial=curve.turn_samples is None
+        and (settings.search.allow_partial or rows_m.shape[1] > curve_m.size),
     )
-    return {metric: _pad_rows_above(field, first) for metric, field in fields.items()}
+    return {
+        metric: replace(_pad_rows_above(field, first), turn_samples=curve.turn_samples)
+        for metric, field in fields.items()
+    }
 
 
 def _pad_rows_above(field: SimilarityField, first: int) -> SimilarityField:
@@ -217,7 +222,7 @@ def align_recording(
             on_step=on_step,
         )
         mount = estimate.mount
-        u = offset_of_yaw(mount.yaw_rad, collected.curve, collected.row.left_rad)
+        u = offset_of_yaw(mount.yaw_rad, collected.curve, collected.row)
         peak = _peak_at(fields[metric], peak, u, settings.search)
         scale = _learn_scale(collected.kept, mount, settings, on_step)
     return RecordingAlignment(
@@ -300,7 +305,8 @@ def _collect(
             continue
         scan = entry.window.scan
         if collected.curve is None:
-            collected.curve, collected.scan = sample_curve(scan, settings.sampling), scan
+            collected.curve = sample_curve(scan, settings.sampling, width=row.columns.size)
+            collected.scan = scan
         collected.with_returns |= bool(np.isfinite(scan.ranges_m).any())
         if seen[entry.camera] % keep_every == 0:
             pair = session.frame_pair(entry)
@@ -315,7 +321,8 @@ def _collect(
                 rows_m = (
                     panorama.samples_m(depths_m) if panorama else row_samples_m(depths_m[0], row)
                 )
-                collected.mean.add(search_rows(scan, collected.curve, rows_m, settings))
+                aligned = scan_at_image(entry.window, entry.gap_ns, settings.time)
+                collected.mean.add(search_rows(aligned, collected.curve, rows_m, settings))
     return collected
 
 
@@ -327,6 +334,7 @@ def observe_mount(pair: FramePair, settings: ChainSettings) -> MountObservation:
         pair.depth_m,
         pair.scan.stamp_ns + pair.gap_ns,
         estimate_turn_rate_rad_s(pair.window, settings.time),
+        pair.aligned_scan,
     )
 
 

@@ -110,6 +110,11 @@ class CachedChain:
                 return matches[numbers.index(choice.number)]
         pair = self.session.frame_pair(paired, self.frames.previous(choice.number))
         if pair is None:
+            if settings.time.pair_by == "rates":
+                raise AlignmentFailed(
+                    "the two rates give no scan for this depth image.",
+                    advice="Set time.pair_by to nearest, or go to another frame.",
+                )
             raise AlignmentFailed(
                 f"no scan lies within {settings.time.max_gap_ms:g} ms of this depth image.",
                 advice="Widen time.max_gap_ms, or go to another frame.",

@@ -226,7 +226,7 @@ def _field_panel(
         peak_score=float("nan") if peak is None else peak.score,
         yaw_at_zero_deg=float(np.rad2deg(yaw_of_offset_rad(0.0, curve, row.left_rad))),
         step_deg=float(np.rad2deg(curve.step_rad)),
-        mount_u=offset_of_yaw(mount_yaw_rad, curve, row.left_rad),
+        mount_u=offset_of_yaw(mount_yaw_rad, curve, row),
         middle_row=camera.intrinsics.cy,
         focal_px=camera.intrinsics.fy,
     )

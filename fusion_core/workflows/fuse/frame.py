@@ -6,6 +6,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from fusion_core.alignment.time import ScanWindow
+from fusion_core.denoising.correspondence import Correspondence
 from fusion_core.denoising.noise import Classification, FrameWindow, classify
 from fusion_core.denoising.repair import Repair, repair
 from fusion_core.model.conventions import NS_PER_S, BoolArray
@@ -119,7 +121,8 @@ def _classify_and_repair(
     pairs, depth_m, previous = match.correspondence, pair.depth_m, pair.previous
     if pasted is not None:
         pairs, depth_m, previous = pasted.correspondence, pasted.depth_m, pasted.previous
-    window, scan = pair.window, pair.scan
+    window, pairs = _with_seam_behind(pair.window, pairs)
+    scan = window.scan
     registration = match.registration
     seen = FrameWindow(
         pairs=pairs,
@@ -139,6 +142,28 @@ def _classify_and_repair(
         registration.mean_error_m if registration is not None else float("nan"),
     )
     return classes, repair(seen, classes, alignment.scale, settings.repair)
+
+
+def _with_seam_behind(
+    window: ScanWindow, pairs: Correspondence
+) -> tuple[ScanWindow, Correspondence]:
+    """Full circles cut opposite to the pairs, whose beams then follow each other, and the pairs by
+    the beams' new numbers; scans with ends as they are."""
+    if not pairs.beam.size or not window.scan.is_full_circle:
+        return window, pairs
+    first = window.scan.beam_behind(float(np.median(pairs.azimuth_rad)))
+
+    def cut(scan: LaserScan | None) -> LaserScan | None:
+        return None if scan is None else scan.with_seam_at(first)
+
+    return (
+        ScanWindow(
+            before=cut(window.before),
+            scan=window.scan.with_seam_at(first),
+            after=cut(window.after),
+        ),
+        replace(pairs, beam=(pairs.beam - first) % window.scan.ranges_m.size),
+    )
 
 
 def _part_of(match: FrameMatch, classes: Classification, repaired: Repair) -> FusedFrame:

@@ -6,7 +6,14 @@ from fusion_core.model.bounded_cache import BoundedCache
 from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.model.sensors import ColorImage, DepthImage, LaserScan
-from fusion_core.workflows.fuse.pairing import PairedImage, UprightDepth, pair_with, virtual_pair
+from fusion_core.workflows.fuse.pairing import (
+    PairedImage,
+    SamplingRates,
+    UprightDepth,
+    pair_by_number,
+    pair_with,
+    virtual_pair,
+)
 from fusion_core.workflows.fuse.session import Session
 
 # Scans that are read to either side of an image, in the order of the log.
@@ -37,6 +44,9 @@ class FrameReader:
             np.empty(0, np.int64) if lidar is None else recording.received_ns(lidar)
         )
         self._scans: BoundedCache[int, LaserScan | None] = BoundedCache(_SCANS_KEPT)
+        self._rates = None
+        if lidar is not None and session.settings.time.pair_by == "rates":
+            self._rates = SamplingRates(recording, lidar, self._topics)
 
     def __len__(self) -> int:
         return int(self.times_ns.size)
@@ -64,14 +74,18 @@ class FrameReader:
         return value
 
     def pair(self, number: int, clock_offset_ms: float = 0.0) -> PairedImage:
-        """A frame and the scan nearest in time, as a pass over the recording pairs them."""
+        """A frame and its scan, as a pass over the recording pairs them."""
         image = self.image(number)
         if self._session.virtual_row is not None:
             return virtual_pair(self._session.rig, image, self._session.virtual_row)
         settings = self._session.settings.time
         offset_ns = round(clock_offset_ms * NS_PER_MS)
+        camera = self.camera_of(number)
+        if self._rates is not None:
+            counted = self._rates.scan_of(camera, int(self._index[number]))
+            return pair_by_number(camera, image, self._scan_or_none, counted, offset_ns)
         return pair_with(
-            self.camera_of(number),
+            camera,
             image,
             self._scans_near(int(self.times_ns[number]) - offset_ns),
             offset_ns,
@@ -140,6 +154,9 @@ class FrameReader:
         first = max(0, place - _SCANS_BESIDE)
         last = min(self._scan_times_ns.size, place + _SCANS_BESIDE)
         return [scan for i in range(first, last) if (scan := self._scan(i)) is not None]
+
+    def _scan_or_none(self, index: int) -> LaserScan | None:
+        return self._scan(index) if 0 <= index < self._scan_times_ns.size else None
 
     def _scan(self, index: int) -> LaserScan | None:
         """A scan, None where it cannot be read, is stamped out of order or is of another geometry

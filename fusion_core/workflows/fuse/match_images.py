@@ -26,7 +26,7 @@ from fusion_core.denoising.correspondence import (
     match_in_row,
     planar_points,
 )
-from fusion_core.model.conventions import BoolArray, FloatArray
+from fusion_core.model.conventions import NS_PER_S, BoolArray, FloatArray
 from fusion_core.model.errors import AlignmentFailed, RegistrationFailed
 from fusion_core.model.geometry import transform_points
 from fusion_core.model.rig import Camera, Mount
@@ -49,7 +49,7 @@ def split_into_frames(
     """What of a group is searched as one: all of it where its images make a panorama, else each
     image by itself. Samples of a pasted panorama are compared with a single scan."""
     if len(group) > 1 and settings.pairing == "frame":
-        shared = share_scan(group, settings.time.max_gap_ms)
+        shared = share_scan(group, settings.time)
         if shared is not None:
             return [shared]
     elif all(entry.window is not None for entry in group):
@@ -148,13 +148,13 @@ def _match_by_mount(
     """Pairs along the LiDAR's curve by the mount; in a row where that is not refined, and at a
     picked offset."""
     mounted = [_pair_by_mount(pair, alignment, settings, picked=picked) for pair in pairs]
-    scan = min(pairs, key=lambda pair: abs(pair.gap_ns)).scan
-    curve = sample_curve(scan, settings.sampling)
+    scan = min(pairs, key=lambda pair: abs(pair.gap_ns)).aligned_scan
     if panorama is None:
         row = sample_row(pairs[0].camera, settings.sampling)
         rows_m = row_samples_m(pairs[0].depth_m, row)
     else:
         row, rows_m = panorama.sampling, panorama.samples_m([pair.depth_m for pair in pairs])
+    curve = sample_curve(scan, settings.sampling, width=row.columns.size)
     prior_u = _expected_offset(mounted, curve, row, alignment, is_panorama=panorama is not None)
     search = search_offset(scan, curve, rows_m, prior_u, settings)
     searched = _Searched(curve=curve, row=row, search=search)
@@ -225,9 +225,19 @@ def _pair_in_row(
     if offset is not None:
         yaw_rad = yaw_of_offset_rad(offset[0], searched.curve, searched.row.left_rad)
         v = offset[1]
-    T_lidar_camera = T_lidar_camera_at(pair.camera, Mount(yaw_rad=yaw_rad), 0.0)
+    # The offset is that of the scan which was searched; the values are the paired one's.
+    turned = (
+        0.0 if offset is None else _turned_to_aligned_rad(pair, paired.observation.turn_rate_rad_s)
+    )
+    T_lidar_camera = T_lidar_camera_at(pair.camera, Mount(yaw_rad=yaw_rad), turned)
     smooth_m = paired.observation.depth_m
     return match_in_row(pair.scan, pair.depth_m, smooth_m, pair.camera, T_lidar_camera, round(v))
+
+
+def _turned_to_aligned_rad(pair: FramePair, turn_rate_rad_s: float) -> float:
+    """The LiDAR's turn from the paired scan to the one that is searched."""
+    seconds = (pair.aligned_scan.stamp_ns - pair.scan.stamp_ns) / NS_PER_S
+    return turn_rate_rad_s * seconds if np.isfinite(turn_rate_rad_s) else 0.0
 
 
 def _paste_previous(panorama: PastedPanorama, pairs: Sequence[FramePair]) -> UprightDepth | None:
@@ -261,15 +271,19 @@ def _expected_offset(
         compared = np.isfinite(pairs.residual_m)
         on_curve = curve.sample_of_azimuth(pairs.azimuth_rad[compared])
         if is_panorama:
-            from_left_rad = row.left_rad - _azimuths_in_rig_rad(pairs, camera, compared)
+            from_left_rad = row.from_left_rad(_azimuths_in_rig_rad(pairs, camera, compared))
         else:
             column = pairs.column[compared].astype(np.float64)
             from_left_rad = row.left_rad - camera.yaw_rad - camera.column_azimuths_rad(column)
         offsets.append(on_curve - from_left_rad / row.step_rad + turned)
     known = np.concatenate(offsets)
-    if known.size:
-        return float(np.median(known))
-    return offset_of_yaw(alignment.mount.yaw_rad, curve, row.left_rad)
+    of_mount = offset_of_yaw(alignment.mount.yaw_rad, curve, row)
+    if not known.size:
+        return of_mount
+    if curve.turn_samples is not None:
+        # Each camera's pairs count on, over the seam.
+        known -= curve.turn_samples * np.rint((known - of_mount) / curve.turn_samples)
+    return float(np.median(known))
 
 
 def _azimuths_in_rig_rad(pairs: Correspondence, camera: Camera, shown: BoolArray) -> FloatArray:
@@ -286,11 +300,11 @@ def _offset_to_rig(
     their pixels lie on the camera's row than on the rig's, whose origin is elsewhere."""
     paired = np.isfinite(pairs.residual_m) & (pairs.row >= 0)
     if not camera.T_rig_camera[:3, 3].any() or not paired.any():
-        return (row.left_rad - rig_row.left_rad) / rig_row.step_rad
+        return -float(rig_row.from_left_rad(np.array(row.left_rad))) / rig_row.step_rad
     column = pairs.column[paired].astype(np.float64)
-    on_rig = rig_row.left_rad - _azimuths_in_rig_rad(pairs, camera, paired)
+    on_rig = rig_row.from_left_rad(_azimuths_in_rig_rad(pairs, camera, paired))
     own_rad = camera.yaw_rad + camera.column_azimuths_rad(column)
-    on_own = row.left_rad - own_rad
+    on_own = row.from_left_rad(own_rad)
     return float(np.median(on_own - on_rig)) / rig_row.step_rad
 
 
@@ -313,18 +327,24 @@ def _match_by_own_peak(
 ) -> tuple[_Searched, list[_RegisteredPair]]:
     """The paper's method: samples paired at the frame's own (u, v) and related only by A."""
     scan = pairs[0].scan
-    curve = sample_curve(scan, settings.sampling)
+    # One scan for all images: its instant is the middle one's.
+    middle = sorted(pairs, key=lambda pair: pair.gap_ns)[len(pairs) // 2]
     if panorama is None:
         row, depth_m = sample_row(pairs[0].camera, settings.sampling), pairs[0].depth_m
     else:
         row, depth_m = panorama.sampling, panorama.paste([pair.depth_m for pair in pairs])
-    prior_u = offset_of_yaw(alignment.mount.yaw_rad, curve, row.left_rad)
-    search = search_offset(scan, curve, row_samples_m(depth_m, row), prior_u, settings)
+    curve = sample_curve(scan, settings.sampling, width=row.columns.size)
+    prior_u = offset_of_yaw(alignment.mount.yaw_rad, curve, row)
+    rows_m = row_samples_m(depth_m, row)
+    search = search_offset(middle.aligned_scan, curve, rows_m, prior_u, settings)
     searched = _Searched(curve=curve, row=row, search=search)
     offset = searched.offset(settings, picked)
     if offset is None:
         raise AlignmentFailed("the frame's field has no peak.")
-    whole, lidar, depth = match_by_sample(scan, depth_m, curve.beams, row.columns, *offset)
+    rate = estimate_turn_rate_rad_s(pairs[0].window, settings.time)
+    # The offset is that of the scan which was searched; the values are the paired one's.
+    u = curve.on_curve(offset[0] - _turned_to_aligned_rad(middle, rate) / curve.step_rad)
+    whole, lidar, depth = match_by_sample(scan, depth_m, curve.beams, row.columns, u, offset[1])
     registration, refusal = _register(lidar, depth, settings)
     if registration is not None:
         whole = compare_samples(
@@ -339,7 +359,6 @@ def _match_by_own_peak(
             correspondence=whole,
             camera=panorama.camera_of(whole.column),
         )
-    rate = estimate_turn_rate_rad_s(pairs[0].window, settings.time)
     return searched, [
         _RegisteredPair(
             pair=pair,

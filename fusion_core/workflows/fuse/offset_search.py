@@ -52,16 +52,19 @@ def search_offset(
         half_width = settings.search.prior_samples
         window = (prior_u - half_width, prior_u + half_width)
         near = _peaks(fields, settings, prior_u)
-        near = _refine_to_subsample(near, scan, rows_m, window, METRICS, settings)
+        near = _refine_to_subsample(near, scan, curve, rows_m, window, METRICS, settings)
         expected = (
-            metric in alone and metric in near and abs(alone[metric].u - prior_u) <= half_width
+            metric in alone
+            and metric in near
+            and abs(curve.difference(alone[metric].u, prior_u)) <= half_width
         )
     if expected:
         # The peak without the prior lies where the prior expects it: one refinement serves both.
         alone[metric] = max(alone[metric], near[metric], key=lambda peak: peak.score)
     elif metric in alone:
         u = alone[metric].u
-        alone = _refine_to_subsample(alone, scan, rows_m, (u - 1.0, u + 1.0), (metric,), settings)
+        window = (u - 1.0, u + 1.0)
+        alone = _refine_to_subsample(alone, scan, curve, rows_m, window, (metric,), settings)
     peaks = near if settings.search.use_prior else alone
     return OffsetSearch(
         curve_m=curve_samples_m(scan, curve),
@@ -75,6 +78,7 @@ def search_offset(
 def _refine_to_subsample(
     peaks: dict[Metric, Peak],
     scan: LaserScan,
+    whole: CurveSampling,
     rows_m: FloatArray,
     between: tuple[float, float],
     metrics: Sequence[Metric],
@@ -89,21 +93,34 @@ def _refine_to_subsample(
     best = dict(peaks)
     if settings.sampling.by == "index":
         return best
+    width = rows_m.shape[1]
     for part in range(1, settings.search.sub_samples):
         shift = part / settings.search.sub_samples
-        curve = sample_curve(scan, settings.sampling, shift=shift)
-        first = max(0, int(np.ceil(between[0] - shift)))
-        last = min(curve.beams.size - rows_m.shape[1], int(np.floor(between[1] - shift)))
+        first, last = int(np.ceil(between[0] - shift)), int(np.floor(between[1] - shift))
+        turn = whole.turn_samples
+        if turn is None:
+            curve = sample_curve(scan, settings.sampling, shift=shift)
+            first, last = max(0, first), min(curve.beams.size - width, last)
+            begin = first
+        else:
+            # A full circle may be sampled from any place on.
+            last = max(first, last)
+            begin, span = 0, last - first + width
+            curve = sample_curve(scan, settings.sampling, shift=first + shift, width=span)
         if last < first:
             continue
-        window = replace(curve, beams=curve.beams[first : last + rows_m.shape[1]].copy())
+        window = replace(
+            curve,
+            beams=curve.beams[begin : begin + last - first + width].copy(),
+            turn_samples=None,
+        )
         fields = search_rows(scan, window, rows_m, settings, metrics)
         for metric, peak in _peaks(fields, settings, None).items():
             if metric not in best or peak.score > best[metric].score:
                 coarse = peaks.get(metric, peak)
                 best[metric] = replace(
                     coarse,
-                    u=peak.u + first + shift,
+                    u=whole.on_curve(peak.u + first + shift),
                     v=peak.v,
                     score=peak.score,
                     overlap=peak.overlap,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from fusion_core.alignment.time import ScanWindow, TimeSettings
 from fusion_core.alignment.virtual_lidar import cut_scan
 from fusion_core.model.conventions import NS_PER_MS, Float32Array
+from fusion_core.model.errors import MissingStream
 from fusion_core.model.recording import Recording
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import DepthImage, LaserScan
@@ -18,11 +19,14 @@ from fusion_core.workflows.sensor_geometry import GeometryFilter
 # Streams of a log may be interleaved out of the order of their stamps by this many messages.
 SCANS_KEPT = 64
 _IMAGES_WAITING = 32
+# A group of images waits for half of the scans that are kept, and its own must still be among them.
+_SCANS_KEPT_BY_RATES = SCANS_KEPT // 2 - 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairedImage:
-    """A depth image and the scan nearest in time; ``window`` is None where none is near enough.
+    """A depth image and its scan, the nearest in time or by the rates; ``window`` is None where
+    there is none, or none near enough.
 
     ``gap_ns``: image stamp - scan stamp, with the applied clock offset taken out.
     """
@@ -48,7 +52,9 @@ class FramePair:
     ``camera`` is the rig's camera number ``camera_index``. ``image`` is as stored, ``depth_m`` its
     upright view (H', W'), without the rows that a virtual LiDAR is cut from. ``window``: the scan
     with its neighbours in time. ``gap_ns``: image stamp - scan stamp, with the applied clock offset
-    taken out. ``previous``: the camera's image before, None for its first.
+    taken out. ``aligned_scan``: the scan that u, v and the mount are found with: the paired one, or
+    one interpolated at the image's instant, whose ranges are no measurements of their own.
+    ``previous``: the camera's image before, None for its first.
     """
 
     camera_index: int
@@ -57,6 +63,7 @@ class FramePair:
     depth_m: Float32Array
     window: ScanWindow
     gap_ns: int
+    aligned_scan: LaserScan
     previous: UprightDepth | None = None
 
     @property
@@ -81,6 +88,9 @@ def paired_images(
     """Every scan as it arrives, and every depth image once the scans around it are known."""
     assert streams.lidar is not None, "build_camera_rig refuses a recording without LiDAR"
     offset_ns = round(clock_offset_ms * NS_PER_MS)
+    if settings.pair_by == "rates":
+        yield from _paired_by_rates(recording, streams.lidar, rig, fitting, offset_ns)
+        return
     max_gap_ns = round(settings.max_gap_ms * NS_PER_MS)
     scans: deque[LaserScan] = deque(maxlen=SCANS_KEPT)
     waiting: deque[tuple[int, DepthImage]] = deque()
@@ -134,6 +144,86 @@ def pair_with(
     )
 
 
+class SamplingRates:
+    """The paper's pairing, t = f(i) / g(j): the rates of the LiDAR and of each camera, and with
+    them the number of an image's scan. Both count from the recording's start.
+
+    A late start or lost messages of a sensor shift all pairs after them, as they must.
+
+    Raises MissingStream where a stream has no rate.
+    """
+
+    def __init__(self, recording: Recording, lidar: str, cameras: Sequence[str]) -> None:
+        self._scans_per_image = [
+            _rate_hz(recording, lidar) / _rate_hz(recording, camera) for camera in cameras
+        ]
+
+    def scan_of(self, camera: int, index: int) -> int:
+        """The number of the scan of a camera's ``index``-th image."""
+        return round(index * self._scans_per_image[camera])
+
+
+def _rate_hz(recording: Recording, name: str) -> float:
+    rate_hz = next(topic.rate_hz for topic in recording.topics if topic.name == name)
+    if rate_hz is None:
+        raise MissingStream(
+            f"{name} has no rate: fewer than two messages, or all of one time.",
+            file=recording.path,
+            advice="Set time.pair_by to nearest.",
+        )
+    return rate_hz
+
+
+def pair_by_number(
+    camera: int,
+    image: DepthImage,
+    scan_at: Callable[[int], LaserScan | None],
+    number: int,
+    offset_ns: int,
+) -> PairedImage:
+    """The pair of an image and the ``number``-th scan, whatever their stamps; ``scan_at`` gives the
+    scans, None where one is missing or of no use."""
+    scan = scan_at(number)
+    if scan is None:
+        return PairedImage(camera=camera, image=image, window=None, gap_ns=0)
+    return PairedImage(
+        camera=camera,
+        image=image,
+        window=ScanWindow(before=scan_at(number - 1), scan=scan, after=scan_at(number + 1)),
+        gap_ns=image.stamp_ns - offset_ns - scan.stamp_ns,
+    )
+
+
+def _paired_by_rates(
+    recording: Recording, lidar: str, rig: CameraRig, fitting: GeometryFilter, offset_ns: int
+) -> Iterator[LaserScan | PairedImage]:
+    """As ``paired_images``, by counting. Scans are read as far as the images ask for them."""
+    topics = [camera.topic for camera in rig.cameras]
+    rates = SamplingRates(recording, lidar, topics)
+    scans = fitting.accepted(recording.messages([lidar]))
+    kept: dict[int, LaserScan] = {}
+    last = -1
+    for message in fitting.accepted(recording.messages(topics)):
+        if not isinstance(message.value, DepthImage):
+            continue
+        camera = topics.index(message.topic)
+        number = rates.scan_of(camera, message.index)
+        while last <= number:
+            following = next(scans, None)
+            if following is None:
+                break
+            last = following.index
+            if isinstance(following.value, LaserScan):
+                kept[last] = following.value
+                yield following.value
+            if len(kept) > _SCANS_KEPT_BY_RATES:
+                del kept[next(iter(kept))]
+        yield pair_by_number(camera, message.value, kept.get, number, offset_ns)
+    for following in scans:
+        if isinstance(following.value, LaserScan):
+            yield following.value
+
+
 class ImageGrouper:
     """Images of all cameras of nearly the same instant, put together as they come.
 
@@ -183,9 +273,11 @@ class ImageGrouper:
             yield (held,)
 
 
-def share_scan(group: Sequence[PairedImage], max_gap_ms: float) -> tuple[PairedImage, ...] | None:
+def share_scan(
+    group: Sequence[PairedImage], settings: TimeSettings
+) -> tuple[PairedImage, ...] | None:
     """The images of a panorama with one scan, the one nearest to the middle of their stamps; None
-    where it is farther away than ``max_gap_ms``."""
+    where it is farther away than ``max_gap_ms``. By rates: the first camera's, however far."""
     windows = [entry.window for entry in group if entry.window is not None]
     if not windows:
         return None
@@ -196,9 +288,11 @@ def share_scan(group: Sequence[PairedImage], max_gap_ms: float) -> tuple[PairedI
     )
     stamps_ns = [entry.image.stamp_ns - offset_ns for entry in group]
     middle_ns = sum(stamps_ns) // len(stamps_ns)
-    window = min(windows, key=lambda window: abs(window.scan.stamp_ns - middle_ns))
-    if abs(window.scan.stamp_ns - middle_ns) > round(max_gap_ms * NS_PER_MS):
-        return None
+    window = windows[0]
+    if settings.pair_by != "rates":
+        window = min(windows, key=lambda window: abs(window.scan.stamp_ns - middle_ns))
+        if abs(window.scan.stamp_ns - middle_ns) > round(settings.max_gap_ms * NS_PER_MS):
+            return None
     return tuple(
         replace(entry, window=window, gap_ns=stamp_ns - window.scan.stamp_ns)
         for entry, stamp_ns in zip(group, stamps_ns, strict=True)

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fusion_core.alignment.time import TimeSettings
 from fusion_core.model.conventions import NS_PER_MS, BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.sensors import LaserScan
-from fusion_core.model.stamps import nearest_stamps
+from fusion_core.model.stamps import NO_STAMP, nearest_stamps
 from fusion_core.workflows.fuse.pairing import PairedImage
 
 
@@ -17,8 +18,9 @@ class PairingGaps:
     """The n depth images of a recording, in the order in which they were paired.
 
     ``time_ns``: (n,) log times. ``gap_ms``: (n,) image stamp, less the applied clock offset, less
-    the stamp of the nearest scan; NaN where there is no scan. ``is_paired``: (n,) whether that scan
-    is near enough. ``scan_period_ms``: median time between scans, NaN for fewer than two.
+    the stamp of the nearest scan, or by rates of the scan that is counted; NaN where there is no
+    scan. ``is_paired``: (n,) whether the image is paired with it: a nearest one may be too far
+    away. ``scan_period_ms``: median time between scans, NaN for fewer than two.
     """
 
     time_ns: IntArray
@@ -42,6 +44,7 @@ class PairingStamps:
     def __init__(self) -> None:
         self._scan_ns = array("q")
         self._image_ns = array("q")
+        self._paired_ns = array("q")
         self._time_ns = array("q")
         self.is_complete = False
 
@@ -56,19 +59,27 @@ class PairingStamps:
                 image = entry.image
                 logged_ns = image.stamp_ns if image.received_ns is None else image.received_ns
                 self._image_ns.append(image.stamp_ns)
+                window = entry.window
+                self._paired_ns.append(NO_STAMP if window is None else window.scan.stamp_ns)
                 self._time_ns.append(logged_ns)
             yield entry
         self.is_complete = True
 
-    def gaps(self, clock_offset_ms: float, max_gap_ms: float) -> PairingGaps:
-        """The gaps with this clock offset taken out of the images' stamps."""
+    def gaps(self, clock_offset_ms: float, settings: TimeSettings) -> PairingGaps:
+        """The gaps with this clock offset taken out of the images' stamps. By rates, ``settings``
+        are those of the pass."""
         scan_ns = np.sort(np.array(self._scan_ns, dtype=np.int64))
         image_ns = np.array(self._image_ns, dtype=np.int64) - round(clock_offset_ms * NS_PER_MS)
         gap_ms = np.full(image_ns.shape, np.nan)
         paired = np.zeros(image_ns.shape, dtype=np.bool_)
-        if scan_ns.size:
+        if settings.pair_by == "rates":
+            paired_ns = np.array(self._paired_ns, dtype=np.int64)
+            paired = paired_ns != NO_STAMP
+            gap_ms[paired] = (image_ns - paired_ns)[paired] / NS_PER_MS
+        elif scan_ns.size:
             gap_ns = image_ns - scan_ns[nearest_stamps(scan_ns, image_ns)]
-            gap_ms, paired = gap_ns / NS_PER_MS, np.abs(gap_ns) <= round(max_gap_ms * NS_PER_MS)
+            paired = np.abs(gap_ns) <= round(settings.max_gap_ms * NS_PER_MS)
+            gap_ms = gap_ns / NS_PER_MS
         period_ms = float(np.median(np.diff(scan_ns))) / NS_PER_MS if scan_ns.size > 1 else np.nan
         return PairingGaps(
             time_ns=np.array(self._time_ns, dtype=np.int64),

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from fusion_core.alignment.time import scan_at_image
 from fusion_core.alignment.virtual_lidar import mask_cut_rows
 from fusion_core.model.conventions import Float32Array
 from fusion_core.model.recording import Recording
@@ -82,6 +83,7 @@ class Session:
             depth_m=self.depth_of(paired.camera, paired.image.depth_m),
             window=paired.window,
             gap_ns=paired.gap_ns,
+            aligned_scan=scan_at_image(paired.window, paired.gap_ns, self.settings.time),
             previous=previous,
         )
 

@@ -194,7 +194,7 @@ def alignment_document(
             "angle_increment_rad": scan.angle_increment_rad,
             "beams": scan.ranges_m.size,
             "range_max_m": _known(scan.range_max_m),
-            "samples": alignment.curve.beams.size,
+            "samples": alignment.curve.samples,
         },
         "cameras": [_camera_entry(rig, index, mount) for index in range(len(rig.cameras))],
         **_panorama_entry(alignment),

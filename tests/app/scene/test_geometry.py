@@ -91,6 +91,7 @@ def frame_of(pairs, scan, depth_m, lidar_class=None, depth_class=None, lidar_m=N
             depth_m=depth_m,
             window=SimpleNamespace(scan=scan),
             gap_ns=2,
+            aligned_scan=scan,
         ),
         turned_rad=0.0,
         turn_rate_rad_s=0.0,

@@ -55,7 +55,7 @@ def test_the_gaps_are_those_of_each_frame(
     with session.recording:
         stamps, _ = noted(session.pairs())
         # The pass took no offset out: what it noted serves any.
-        gaps = stamps.gaps(clock_offset_ms, max_gap_ms)
+        gaps = stamps.gaps(clock_offset_ms, TimeSettings(max_gap_ms=max_gap_ms))
         frames = FrameReader(session)
         assert gaps.time_ns.tolist() == frames.times_ns.tolist()
         for number in range(len(frames)):
@@ -72,7 +72,7 @@ def test_a_frame_without_a_scan_near_enough_still_has_its_gap(log):
     log.image(250.0)
     log.image(900.0)
     stamps, _ = noted(session_of(log).pairs())
-    gaps = stamps.gaps(0.0, 60.0)
+    gaps = stamps.gaps(0.0, TimeSettings())
     assert gaps.gap_ms.tolist() == [50.0, 700.0]
     assert gaps.is_paired.tolist() == [True, False]
     assert gaps.scan_period_ms == 100.0
@@ -99,7 +99,7 @@ def test_no_scan_and_one_scan(scans):
     entry = PairedImage(camera=0, image=image, window=None, gap_ns=0)
     stamps, passed = noted([*[scan] * scans, entry])
     assert passed[-1] is entry
-    gaps = stamps.gaps(0.0, 60.0)
+    gaps = stamps.gaps(0.0, TimeSettings())
     assert gaps.time_ns.tolist() == [image.stamp_ns]
     assert gaps.is_paired.tolist() == [scans == 1]
     assert np.isnan(gaps.gap_ms[0]) == (scans == 0)
@@ -122,4 +122,4 @@ def test_the_alignment_notes_what_it_passes(scenes):
         stamps = PairingStamps()
         align_recording(session, stamps=stamps)
         assert stamps.is_complete
-        assert stamps.gaps(0.0, 60.0).gap_ms.size == session.image_count
+        assert stamps.gaps(0.0, TimeSettings()).gap_ms.size == session.image_count
