@@ -112,7 +112,7 @@ def _distances(field: SimilarityField, u: float) -> FloatArray:
     """(U,) how far each column's offset is from ``u``, around a full circle."""
     off = field.u_first + np.arange(field.scores.shape[1]) - u
     if field.turn_samples is not None:
-        off -= field.turn_samples * np.rint(off / field.turn_samples)
+        off = off - field.turn_samples * np.rint(off / field.turn_samples)
     return np.abs(off)
 
 

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from fusion_core.alignment.curves import (
     CurveSampling,
+    RowSampling,
     SamplingSettings,
     curve_samples_m,
     offset_of_yaw,

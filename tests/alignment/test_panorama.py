@@ -1,11 +1,14 @@
 """A rig of cameras in a room of boxes: the panorama against closed-form ranges."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from fusion_core.alignment.curves import SamplingSettings
+from fusion_core.alignment.curves import CurveSampling, SamplingSettings, offset_of_yaw
 from fusion_core.alignment.panorama import Panorama, PastedPanorama, are_side_by_side
 from fusion_core.model.conventions import R_BODY_OPTICAL
 from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
@@ -73,6 +76,63 @@ def test_walls_lie_at_their_azimuth_and_range_from_the_rig(name: str, box_room) 
     assert np.isfinite(middle).mean() > 0.97
     near, far = middle >= low - 0.001, middle <= high + 0.001
     assert (near & far)[np.isfinite(middle)].all()
+
+
+def turned_rig(cameras: list[Camera], turn_rad: float) -> list[Camera]:
+    """The same rig on a frame from which it looks farther to the left."""
+    turn = make_transform(rotation_from_yaw_pitch_roll(turn_rad, 0.0, 0.0), np.zeros(3))
+    return [replace(camera, T_rig_camera=turn @ camera.T_rig_camera) for camera in cameras]
+
+
+# The rear cameras of a rig stand on either side of 180 degrees.
+ANY_TURN_DEG = st.floats(-180.0, 180.0) | st.floats(130.0, 230.0)
+# Of a full circle, one sample a degree.
+CIRCLE = CurveSampling(
+    beams=np.arange(480), left_rad=3.1, step_rad=float(np.deg2rad(1.0)), turn_samples=360.0
+)
+
+
+@pytest.mark.parametrize("name", POSES)
+@given(turn_deg=ANY_TURN_DEG)
+def test_a_joined_panorama_has_no_tear(name: str, turn_deg: float) -> None:
+    """Against the rig that looks ahead."""
+    cameras = [camera_at(*pose) for pose in POSES[name]]
+    turn_rad = float(np.deg2rad(turn_deg))
+    plain, turned = Panorama(cameras, SETTINGS), Panorama(turned_rig(cameras, turn_rad), SETTINGS)
+    assert [own.topic for own in turned.from_left] == [own.topic for own in plain.from_left]
+    count = plain.sampling.columns.size
+    assert turned.sampling.columns.size == count
+    u = offset_of_yaw(0.4, CIRCLE, plain.sampling)
+    turned_u = offset_of_yaw(0.4 - turn_rad, CIRCLE, turned.sampling)
+    assert (turned_u - u + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-6)
+    depths_m = [
+        np.linspace(1.0 + index, 1.2 + index, LENS.width * LENS.height)
+        .reshape(LENS.height, LENS.width)
+        .astype(np.float32)
+        for index in range(len(cameras))
+    ]
+    one, other = plain.samples_m(depths_m), turned.samples_m(depths_m)
+    # A pixel on the border of two samples may fall to either.
+    assert (np.isfinite(one) == np.isfinite(other)).mean() > 0.99
+    both = np.isfinite(one) & np.isfinite(other)
+    assert (np.abs(one - other)[both] < 1e-9).mean() > 0.98
+
+
+@pytest.mark.parametrize("by", ["angle", "index"])
+@given(turn_deg=ANY_TURN_DEG)
+def test_a_pasted_panorama_has_no_tear(by: str, turn_deg: float) -> None:
+    cameras = [camera_at(*pose) for pose in POSES["four"]]
+    turn_rad = float(np.deg2rad(turn_deg))
+    sampling = SamplingSettings(by=by)
+    plain = PastedPanorama(cameras, sampling)
+    turned = PastedPanorama(turned_rig(cameras, turn_rad), sampling)
+    assert turned.columns_of == plain.columns_of
+    differ = turned.sampling.columns != plain.sampling.columns
+    # Halfway between two pixels rounding decides.
+    assert differ.mean() < 0.02
+    u = offset_of_yaw(0.4, CIRCLE, plain.sampling)
+    turned_u = offset_of_yaw(0.4 - turn_rad, CIRCLE, turned.sampling)
+    assert (turned_u - u + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-6)
 
 
 def test_the_field_of_view_is_that_of_all_cameras() -> None:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion_core.alignment.time import ScanWindow
+from fusion_core.alignment.time import ScanWindow, TimeSettings
 from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.workflows.fuse.pairing import (
     SCANS_KEPT,
@@ -105,14 +105,16 @@ def test_a_panorama_has_the_scan_nearest_to_its_middle() -> None:
         )
         for own in group
     ]
-    shared = share_scan(group, MAX_GAP_MS)
+    shared = share_scan(group, TimeSettings(max_gap_ms=MAX_GAP_MS))
     assert shared is not None
     assert {own.window.scan.stamp_ns for own in shared} == {0}
     assert [own.gap_ns / NS_PER_MS for own in shared] == [-15.0, 15.0, 45.0]
 
 
 def test_an_image_without_a_scan_of_its_own_takes_the_panoramas() -> None:
-    shared = share_scan([entry(0, 50), entry(1, 64, scan_ms=None)], MAX_GAP_MS)
+    shared = share_scan(
+        [entry(0, 50), entry(1, 64, scan_ms=None)], TimeSettings(max_gap_ms=MAX_GAP_MS)
+    )
     assert shared is not None
     assert [own.gap_ns / NS_PER_MS for own in shared] == [50.0, 64.0]
 
@@ -120,4 +122,4 @@ def test_an_image_without_a_scan_of_its_own_takes_the_panoramas() -> None:
 @pytest.mark.parametrize("scan_ms", [None, 0.0])
 def test_a_panorama_too_far_from_any_scan_has_none(scan_ms) -> None:
     group = [entry(0, 58, scan_ms=scan_ms), entry(1, 66, scan_ms=None)]
-    assert share_scan(group, MAX_GAP_MS) is None
+    assert share_scan(group, TimeSettings(max_gap_ms=MAX_GAP_MS)) is None

@@ -10,19 +10,22 @@ from hypothesis import strategies as st
 from fusion_core.alignment.curves import SamplingSettings
 from fusion_core.alignment.time import TimeSettings
 from fusion_core.model.conventions import NS_PER_MS
+from fusion_core.model.errors import MissingStream
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import choose_streams
 from fusion_core.workflows.fuse import pairing
 from fusion_core.workflows.fuse.camera_rig import build_camera_rig
+from fusion_core.workflows.fuse.frame_reader import FrameReader
 from fusion_core.workflows.fuse.pairing import PairedImage, paired_images
-from fusion_core.workflows.fuse.session import make_geometry_filter
+from fusion_core.workflows.fuse.session import FuseOptions, make_geometry_filter, open_session
+from fusion_core.workflows.fuse.settings import PRESETS
 
 
-def entries(log, *, max_gap_ms=60.0, clock_offset_ms=0.0):
+def entries(log, *, max_gap_ms=60.0, clock_offset_ms=0.0, pair_by="nearest"):
     with log.open() as recording:
         streams = choose_streams(recording)
         rig = build_camera_rig(recording, streams, SamplingSettings())
-        wanted = TimeSettings(max_gap_ms=max_gap_ms)
+        wanted = TimeSettings(max_gap_ms=max_gap_ms, pair_by=pair_by)
         found = list(
             paired_images(
                 recording,
@@ -186,6 +189,97 @@ def test_two_cameras_are_distinguished(log, pose_of):
         "/left/depth/image_raw": {10 * NS_PER_MS},
         "/right/depth/image_raw": {-10 * NS_PER_MS},
     }
+
+
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    scan_period_ms=st.integers(20, 160),
+    image_period_ms=st.integers(30, 150),
+    phase_ms=st.integers(-400, 400),
+    lost=st.sets(st.integers(1, 17), max_size=4),
+)
+def test_by_rates_the_paper_counts(new_log, scan_period_ms, image_period_ms, phase_ms, lost):
+    """t = f(i) / g(j): scan j of image i by the ratio of the rates, whatever the stamps are."""
+    log = new_log()
+    log.info()
+    scan_ms = [1000.0 + k * scan_period_ms for k in range(20) if k not in lost]
+    image_ms = [1000.0 + phase_ms + k * image_period_ms for k in range(12)]
+    for at_ms in scan_ms:
+        log.scan(at_ms)
+    for at_ms in image_ms:
+        log.image(at_ms)
+    # By the log: messages but one over the time from the first to the last.
+    scans_per_ms = (len(scan_ms) - 1) / (scan_ms[-1] - scan_ms[0])
+    found, _ = entries(log, pair_by="rates", max_gap_ms=1e-3)
+    assert len(found) == len(scan_ms) + len(image_ms)
+    for index, entry in enumerate(images_of(found)):
+        counted = index * image_period_ms * scans_per_ms
+        if abs(counted % 1.0 - 0.5) < 1e-6:
+            continue
+        number = round(counted)
+        around = [None, *[log.start_ns + round(at * NS_PER_MS) for at in scan_ms], None]
+        if number >= len(scan_ms):
+            assert entry.window is None
+        else:
+            assert stamps_of(entry.window) == tuple(around[number : number + 3])
+            assert entry.gap_ns == entry.image.stamp_ns - around[number + 1]
+
+
+def test_rates_and_stamps_pair_alike_where_the_rates_are_constant(log):
+    log.info()
+    for index in range(40):
+        log.scan(100.0 * index)
+    for index in range(118):
+        log.image(33.0 * index)
+    nearest, counted = (
+        images_of(entries(log, pair_by=pair_by)[0]) for pair_by in ("nearest", "rates")
+    )
+    for one, other in zip(nearest, counted, strict=True):
+        assert stamps_of(one.window) == stamps_of(other.window)
+
+
+def test_a_random_frame_is_paired_by_rates_as_a_pass_pairs_it(log):
+    log.info()
+    for index in range(30):
+        log.scan(100.0 * index if index < 11 else 100.0 * index + 450.0)
+    for index in range(50):
+        log.image(60.0 * index + 130.0)
+    chain = PRESETS["default"].model_copy(update={"time": TimeSettings(pair_by="rates")})
+    with log.open() as recording:
+        session = open_session(recording, FuseOptions(), chain)
+        passed = [entry for entry in session.pairs() if isinstance(entry, PairedImage)]
+        reader = FrameReader(session)
+        assert len(reader) == len(passed) == 50
+        for number, entry in enumerate(passed):
+            own = reader.pair(number)
+            assert stamps_of(own.window) == stamps_of(entry.window)
+            assert own.gap_ns == entry.gap_ns
+
+
+def test_a_single_scan_has_no_rate(log):
+    log.info()
+    log.scan(0.0)
+    for index in range(4):
+        log.image(30.0 * index)
+    with pytest.raises(MissingStream, match="has no rate") as raised:
+        entries(log, pair_by="rates")
+    assert "time.pair_by" in raised.value.advice
+
+
+def test_by_rates_scans_come_before_the_images_that_have_them(log):
+    """Of a LiDAR that starts late, which is far behind in the log."""
+    log.info()
+    for index in range(60):
+        log.scan(4000.0 + 100.0 * index)
+        log.image(100.0 * index)
+    seen = []
+    for entry in entries(log, pair_by="rates")[0]:
+        if isinstance(entry, LaserScan):
+            seen.append(entry)
+        else:
+            assert entry.gap_ns == -4000 * NS_PER_MS
+            assert any(entry.window.scan is scan for scan in seen[-pairing.SCANS_KEPT :])
+    assert len(seen) == 60
 
 
 def test_what_waits_is_bounded_whatever_the_log_does(log, monkeypatch):

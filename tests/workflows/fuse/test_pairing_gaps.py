@@ -22,8 +22,9 @@ from fusion_core.workflows.fuse.settings import PRESETS
 START_NS = 1_700_000_000_000_000_000
 
 
-def session_of(log, *, max_gap_ms=60.0):
-    chain = PRESETS["default"].model_copy(update={"time": TimeSettings(max_gap_ms=max_gap_ms)})
+def session_of(log, *, max_gap_ms=60.0, pair_by="nearest"):
+    chosen = TimeSettings(max_gap_ms=max_gap_ms, pair_by=pair_by)
+    chain = PRESETS["default"].model_copy(update={"time": chosen})
     return open_session(log.open(), FuseOptions(), chain)
 
 
@@ -123,3 +124,18 @@ def test_the_alignment_notes_what_it_passes(scenes):
         align_recording(session, stamps=stamps)
         assert stamps.is_complete
         assert stamps.gaps(0.0, TimeSettings()).gap_ms.size == session.image_count
+
+
+def test_by_rates_the_gaps_are_to_the_scans_that_are_counted(log):
+    log.info()
+    for index in range(12):
+        log.scan(100.0 * index)
+    for index in range(14):
+        log.image(700.0 + 100.0 * index)
+    session = session_of(log, pair_by="rates")
+    with session.recording:
+        stamps, _ = noted(session.pairs())
+        gaps = stamps.gaps(20.0, session.settings.time)
+    assert gaps.is_paired.tolist() == [True] * 12 + [False] * 2
+    np.testing.assert_allclose(gaps.gap_ms[:12], 680.0)
+    assert np.isnan(gaps.gap_ms[12:]).all()
