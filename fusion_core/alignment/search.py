@@ -113,7 +113,8 @@ def _distances(field: SimilarityField, u: float) -> FloatArray:
     off = field.u_first + np.arange(field.scores.shape[1]) - u
     if field.turn_samples is not None:
         off = off - field.turn_samples * np.rint(off / field.turn_samples)
-    return np.abs(off)
+    away: FloatArray = np.abs(off)
+    return away
 
 
 def _offset_to_the_side(field: SimilarityField, row: int, column: int) -> float:

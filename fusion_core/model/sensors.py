@@ -1,7 +1,7 @@
 """What the sensors deliver: metres, radians, nanoseconds, NaN for missing."""
 
 from dataclasses import dataclass, replace
-from math import isfinite, remainder, tau
+from math import copysign, isfinite, pi, remainder, tau
 
 import numpy as np
 
@@ -72,8 +72,11 @@ class LaserScan:
         """The beam of a full circle that looks away from an azimuth; 0 where the scan has ends."""
         if not self.is_full_circle:
             return 0
-        behind_rad = (azimuth_rad + np.pi - self.angle_min_rad) * np.sign(self.angle_increment_rad)
-        return round(behind_rad % tau / abs(self.angle_increment_rad)) % self.ranges_m.size
+        behind_rad = azimuth_rad + pi - self.angle_min_rad
+        step_rad = self.angle_increment_rad
+        return (
+            round(copysign(1.0, step_rad) * behind_rad % tau / abs(step_rad)) % self.ranges_m.size
+        )
 
     def with_seam_at(self, beam: int) -> "LaserScan":
         """The same full circle with its numbers counted from ``beam``: beam k is ``beam`` + k, and
