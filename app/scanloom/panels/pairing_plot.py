@@ -3,9 +3,9 @@
 import numpy as np
 import viser
 
-from fusion_core.alignment.time import TimeSettings
 from fusion_core.model.conventions import NS_PER_S, FloatArray
 from fusion_core.workflows.fuse.pairing_gaps import PairingGaps, PairingStamps
+from fusion_core.workflows.fuse.settings import ChainSettings
 from scanloom.frame_view import FrameView, clock_offset_ms
 from scanloom.panels.widgets.controls import update_widget
 from scanloom.plots.line_plot import (
@@ -77,8 +77,8 @@ class PairingPlot:
         if self._curves is not None and self._of == (stamps, offset_ms):
             return self._curves
         self._of = stamps, offset_ms
-        settings = frame_view.open_recording.fuse_session.settings.time
-        gaps = stamps.gaps(offset_ms, settings)
+        settings = frame_view.open_recording.fuse_session.settings
+        gaps = stamps.gaps(offset_ms, settings.time)
         first_ns = int(frame_view.open_recording.frames.times_ns[0])
         self._curves = curves = GapCurves(gaps, first_ns)
         set_y_limits(self._plot, -curves.limit_ms, curves.limit_ms)
@@ -119,7 +119,7 @@ class GapCurves:
         )
 
 
-def _summary_text(gaps: PairingGaps, offset_ms: float, settings: TimeSettings) -> str:
+def _summary_text(gaps: PairingGaps, offset_ms: float, settings: ChainSettings) -> str:
     without = int((~gaps.is_paired).sum())
     known_ms = gaps.gap_ms[gaps.is_paired]
     lines = []
@@ -129,16 +129,16 @@ def _summary_text(gaps: PairingGaps, offset_ms: float, settings: TimeSettings) -
             f"{np.median(known_ms):.1f} ms in the median.".replace("-", "−")
         )
     if without:
-        missing = f"within {settings.max_gap_ms:g} ms"
-        if settings.pair_by == "rates":
+        missing = f"within {settings.time.max_gap_ms:g} ms"
+        if settings.time.pair_by == "rates":
             missing = "of their number"
         lines.append(
             f"**{without}** of {gaps.is_paired.size} depth images have no scan {missing} and are "
             "not fused."
         )
-    if settings.pair_by == "interpolated":
+    if settings.time.pair_by == "interpolated":
         lines.append("u, v and the mount come from scans interpolated at the images' instants.")
-    elif settings.pair_by == "rates":
+    elif settings.time.pair_by == "rates":
         lines.append("Pairs are counted by the two rates; their stamps are not used.")
     if offset_ms:
         lines.append(f"The clock offset of {offset_ms:.1f} ms is taken out.".replace("-", "−"))
