@@ -155,9 +155,10 @@ class DepthView:
     [0, 1], 1 is head on. ``glass``, ``mirror``, ``dark``: its material. ``behind_m``: z of what
     lies behind a pane, or along the unfolded way over a mirror (NaN where there is neither).
     ``surface_draw``: in [0, 1), random and fixed to the surface, so that the parts of a pane or a
-    mirror that show something stay the same from image to image. ``sunlit``: whether the sun shines
-    on it. ``corner_m``: its distance to the nearest concave corner, may be inf. ``shadowed``: seen
-    by the camera, not lit by the projector.
+    mirror that show something stay the same from image to image. ``sunlit``: whether it is bright
+    where the light comes from: on the surface, behind the pane, over the mirror. ``corner_m``: the
+    surface's distance to the nearest concave corner, may be inf. ``shadowed``: seen by the camera,
+    not lit by the projector.
     """
 
     true_m: FloatArray

@@ -151,8 +151,9 @@ class LidarView:
 
     ``true_m``: range of the first surface, finite. ``incidence_cos`` in [0, 1], 1 is head on.
     ``glass``, ``mirror``, ``dark``: its material. ``behind_m``: range of what lies behind a pane,
-    or length of the way over a mirror (NaN where there is neither). ``sunlit``: whether the sun
-    shines on it. ``corner_m``: its distance to the nearest concave corner, may be inf.
+    or length of the way over a mirror (NaN where there is neither). ``sunlit``: whether it is
+    bright where the light comes from: on the surface, behind the pane, over the mirror.
+    ``corner_m``: the surface's distance to the nearest concave corner, may be inf.
     """
 
     true_m: FloatArray

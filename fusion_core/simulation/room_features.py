@@ -92,7 +92,10 @@ def with_sunlight(world: World, rng: np.random.Generator) -> World:
     flat = np.array([np.cos(azimuth), np.sin(azimuth)])
     direction = np.array([*(np.cos(elevation) * flat), -np.sin(elevation)])
     facing = [window for window, into in zip(windows, inwards_of, strict=True) if flat @ into > 0.0]
-    return replace(world, sunlight=Sunlight(direction=direction, windows_m=np.stack(facing)))
+    return replace(
+        world,
+        sunlight=Sunlight(direction=direction, windows_m=np.stack(facing), size_m=world.size_m),
+    )
 
 
 def with_person(world: World, rng: np.random.Generator) -> World:

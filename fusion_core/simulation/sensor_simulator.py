@@ -113,6 +113,8 @@ class SensorSimulator:
         points_m = origins_m + true_m[:, None] * directions
         second = second_surfaces(self._caster, origins_m, directions, hits, time_s)
         _require_finite(second.distance)
+        sunlit = self._sunlit(points_m, time_s)
+        sunlit[second.rays] = self._sunlit(second.points_m, time_s)
         noisy = lidar.add_noise(
             LidarView(
                 true_m=true_m,
@@ -120,7 +122,7 @@ class SensorSimulator:
                 glass=hits.materials == Material.GLASS,
                 mirror=hits.materials == Material.MIRROR,
                 dark=hits.materials == Material.DARK,
-                sunlit=self._sunlit(points_m, time_s),
+                sunlit=sunlit,
                 behind_m=second.among(mount.beams),
                 corner_m=corner_distance_in_sweep(
                     points_m, _towards_sensor(hits, directions), _is_bright(hits)
@@ -143,6 +145,8 @@ class SensorSimulator:
         shadowed = self._caster.blocked(points_m, projectors_m, time_s)
         second = second_surfaces(self._caster, eyes_m, directions, hits, time_s)
         _require_finite(second.distance)
+        sunlit = self._sunlit(points_m, time_s)
+        sunlit[second.rays] = self._sunlit(second.points_m, time_s)
         surface_draw = np.zeros(depth_m.size)
         surface_draw[second.rays] = cell_draw(points_m[second.rays], _PATCH_M)
         rgb = shade(points_m, hits, fine=simulation.world.fine_texture)
@@ -156,7 +160,7 @@ class SensorSimulator:
                 glass=(hits.materials == Material.GLASS).reshape(shape),
                 mirror=(hits.materials == Material.MIRROR).reshape(shape),
                 dark=(hits.materials == Material.DARK).reshape(shape),
-                sunlit=self._sunlit(points_m, time_s).reshape(shape),
+                sunlit=sunlit.reshape(shape),
                 shadowed=shadowed.reshape(shape),
                 behind_m=second.among(depth_m.size).reshape(shape),
                 surface_draw=surface_draw.reshape(shape),
@@ -216,13 +220,13 @@ class SensorSimulator:
         return eyes_m, rows, projectors_m
 
     def _sunlit(self, points_m: FloatArray, time_s: float) -> BoolArray:
-        """(N,) whether the sun shines on surface points (N, 3)."""
+        """(N,) whether it is day or the sun shines on surface points (N, 3)."""
         sunlight = self._simulation.world.sunlight
         if sunlight is None:
             return np.zeros(len(points_m), dtype=np.bool_)
         lit, source_m = sunlight.source_of_light(points_m)
         lit[lit] = ~self._caster.blocked(points_m[lit], source_m[lit], time_s)
-        return lit
+        return lit | sunlight.is_outside(points_m)
 
     def _T_world_base(self, time_s: float) -> FloatArray:
         return transform_from_planar(self.base_pose(time_s))

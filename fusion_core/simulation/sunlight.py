@@ -1,4 +1,4 @@
-"""Sunlight that falls through the windows of a world: bright patches that stay where they are."""
+"""Daylight outside, and sun through the windows: bright patches that stay where they are."""
 
 from dataclasses import dataclass
 
@@ -8,24 +8,34 @@ from fusion_core.model.conventions import BoolArray, FloatArray, read_only
 
 # A ray towards the sun ends this far inside the window, so that the pane does not block it.
 _INSIDE_M = 0.02
+# Points this near to the plane of an outer wall lie on it.
+_WALL_M = 0.001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sunlight:
-    """Parallel light through rectangular windows.
+    """Parallel light through rectangular windows of a building, outside of which it is day.
 
     ``direction``: (3,) unit, the way that the light travels. ``windows_m``: (W, 3, 3) of each
-    window a corner and its two edges.
+    window a corner and its two edges. ``size_m``: the building spans 0…size in x and y.
     """
 
     direction: FloatArray
     windows_m: FloatArray
+    size_m: tuple[float, float]
 
     def __post_init__(self) -> None:
         if self.direction.shape != (3,) or self.windows_m.shape[1:] != (3, 3):
             raise ValueError("direction must be (3,) and windows_m (W, 3, 3)")
         read_only(self.direction)
         read_only(self.windows_m)
+
+    def is_outside(self, points_m: FloatArray) -> BoolArray:
+        """(N,) whether a point (N, 3) lies outside the building."""
+        flat = points_m[:, :2]
+        beyond = (flat < -_WALL_M) | (flat > np.array(self.size_m) + _WALL_M)
+        outside: BoolArray = beyond[:, 0] | beyond[:, 1]
+        return outside
 
     def source_of_light(self, points_m: FloatArray) -> tuple[BoolArray, FloatArray]:
         """(N,) whether the way from a point (N, 3) to the sun leads through a window, and (N, 3)

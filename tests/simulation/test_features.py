@@ -132,6 +132,7 @@ def sunny_room(plain_room):
     sunlight = Sunlight(
         direction=direction / np.linalg.norm(direction),
         windows_m=np.array([[(2.0, 0.0, 0.9), (1.5, 0.0, 0.0), (0.0, 0.0, 1.0)]]),
+        size_m=(WIDTH, DEPTH),
     )
     room = plain_room([box((2.6, 1.2, 0.0), (2.9, 1.5, 0.6), Material.WOOD)])
     return replace(room, sunlight=sunlight)
@@ -176,6 +177,36 @@ def test_the_sun_takes_beams_away_where_it_shines_at_their_height(sunny_room, st
     lost = sweep.kinds == 1
     assert lit[within].sum() > 20
     assert (lit == lost)[within & (points[:, 1] > 0.02)].mean() > 0.99
+
+
+def test_what_a_pane_or_a_mirror_shows_is_as_bright_as_it_is(plain_room, standing):
+    """Outside it is day: behind a pane there is nothing to measure, nor over a mirror."""
+    dark = SensorSimulator(
+        SimulationSetup(
+            world=plain_room([quad((4.0, 0.01, 0.01), (0, 3.98, 0), (0, 0, 2.48), Material.GLASS)]),
+            mounts=sensor_mounts.home_robot(),
+            path=standing(2.0, 2.0, 0.0),
+            seed=1,
+            depth_noise=EXACT_DEPTH.model_copy(update={"glass_through_fraction": 1.0}),
+        )
+    )
+    seen = dark.simulate_image(0, 0.0, 0)
+    through = seen.kinds == 2
+    assert through.mean() > 0.3
+    day = Sunlight(
+        direction=np.array([0.0, 0.0, -1.0]), windows_m=np.zeros((0, 3, 3)), size_m=(4.5, DEPTH)
+    )
+    setup = dark._simulation
+    bright = SensorSimulator(replace(setup, world=replace(setup.world, sunlight=day)))
+    beyond = bright.simulate_image(0, 0.0, 0)
+    points = pixel_points(setup.mounts.cameras[0], (2.0, 2.0, 0.0), seen.depth_m.astype(float))
+    x = points[:, 0].reshape(through.shape)
+    # The image has steps.
+    outside, inside = through & (x > 4.55), through & (x < 4.45)
+    assert outside.sum() > 1000
+    assert inside.sum() > 1000
+    assert (beyond.kinds[outside] == 1).all()
+    assert (beyond.kinds[inside] == 2).all()
 
 
 def test_corners_of_a_room_are_found_and_those_of_a_box_are_not(plain_room, standing):
