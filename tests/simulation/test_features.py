@@ -123,6 +123,12 @@ def test_a_camera_sees_the_room_behind_a_mirror(plain_room, standing):
     planes = np.abs(np.stack([folded, y, y - DEPTH, z, z - HEIGHT]))
     assert (x > WIDTH).all()
     assert planes.min(axis=0).max() < 0.02
+    # Its colours are those of the room, too: the floor in the mirror is brown.
+    on_floor = ghosts & (reported[:, 2] < 0.02)
+    red, _, blue = image.rgb.reshape(-1, 3)[on_floor].astype(float).T
+    assert on_floor.sum() > 500
+    # But for the foot of a wall.
+    assert (red > 1.5 * blue).mean() > 0.9
 
 
 @pytest.fixture
