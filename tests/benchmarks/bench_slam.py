@@ -1,15 +1,15 @@
 """SLAM on the whole Intel log, against its relations, and its time by the number of scans.
 
     SCANLOOM_TEST_DATA=... OMP_NUM_THREADS=1 python -m tests.benchmarks.bench_slam
-        [--slam pose-graph|particle-filter] [--plot OUT.png]
+        [--slam pose-graph|particle-filter] [--repeats 5] [--plot OUT.png]
 
 The measure is Kümmerle's (2009), without alignment; anchors: Cartographer 0.0229 m, 0.453 deg;
 Graph FLIRT 0.02 m, 0.3 deg; GMapping 0.070 m. Seconds are of one process, on the wall clock and on
 its own; reading the log is not in them. The exponent is the slope of log CPU seconds over log
-scans: 1 is linear. Each fraction of the log is placed five times, in turn, after a first quarter
-that compiles everything, and the least seconds of the five count: other load on the machine only
-adds. The log's first eighth sees no place twice; the last doubling shows how the work grows once
-loops are there.
+scans: 1 is linear. Each fraction of the log is placed ``--repeats`` times, in turn, after a first
+quarter that compiles everything, and the least seconds of each count: other load on the machine
+only adds. The log's first eighth sees no place twice; the last doubling shows how the work grows
+once loops are there.
 """
 
 import argparse
@@ -33,12 +33,12 @@ from fusion_core.workflows.recorded_poses import recorded_poses
 ESTIMATORS = {"pose-graph": pose_graph_slam, "particle-filter": particle_filter_slam}
 FRACTIONS = (1 / 8, 1 / 4, 1 / 2, 1)
 COMPILED_BY = 1 / 4
-REPEATS = 5
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--slam", choices=list(ESTIMATORS), default="pose-graph")
+    parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--plot", type=Path, default=None)
     asked = parser.parse_args()
     estimate = ESTIMATORS[asked.slam]
@@ -50,9 +50,9 @@ def main() -> None:
         scans = [message.value for message in recording.messages(["/flaser"])]
     parts = [scans[: round(fraction * len(scans))] for fraction in FRACTIONS]
     estimate(scans[: round(COMPILED_BY * len(scans))], odometry.at)
-    wall = np.full((REPEATS, len(parts)), np.inf)
-    cpu = np.full((REPEATS, len(parts)), np.inf)
-    for repeat in range(REPEATS):
+    wall = np.full((asked.repeats, len(parts)), np.inf)
+    cpu = np.full((asked.repeats, len(parts)), np.inf)
+    for repeat in range(asked.repeats):
         for index, part in enumerate(parts):
             begin, begin_cpu = time.perf_counter(), time.process_time()
             result = estimate(part, odometry.at)
