@@ -79,13 +79,15 @@ class LaserScan:
         )
 
     def with_seam_at(self, beam: int) -> "LaserScan":
-        """The same full circle with its numbers counted from ``beam``: beam k is ``beam`` + k, and
-        the azimuths go on from there."""
+        """The same full circle with its numbers counted from ``beam``: beam k is ``beam`` + k. The
+        azimuth of the middle one is within half a turn of 0."""
         if beam == 0:
             return self
+        half_rad = 0.5 * self.ranges_m.size * self.angle_increment_rad
+        middle_rad = self.angle_min_rad + beam * self.angle_increment_rad + half_rad
         return replace(
             self,
-            angle_min_rad=remainder(self.angle_min_rad + beam * self.angle_increment_rad, tau),
+            angle_min_rad=remainder(middle_rad, tau) - half_rad,
             ranges_m=np.roll(self.ranges_m, -beam),
             intensities=None if self.intensities is None else np.roll(self.intensities, -beam),
         )

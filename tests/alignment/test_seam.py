@@ -95,6 +95,10 @@ def turned(window: ScanWindow, beams: int) -> ScanWindow:
 def fused(window: ScanWindow, depth_m: np.ndarray, beams: int, preset: str):
     """The frame of a LiDAR that is mounted ``beams`` farther to the left."""
     chain = PRESETS[preset]
+    if preset == "default":
+        # Each third of a sample is a whole beam, so that rounding decides nothing.
+        search = chain.search.model_copy(update={"sub_samples": 3})
+        chain = chain.model_copy(update={"search": search})
     back = rotation_from_yaw_pitch_roll(-beams * STEP_RAD, 0.0, 0.0)
     forward_m, left_m, _ = back @ np.array([MOUNT.forward_m, MOUNT.left_m, 0.0])
     mount = replace(
@@ -174,10 +178,58 @@ def test_a_frame_is_the_same_wherever_the_seam_lies(seen, beams) -> None:
     one, other = plain["default"], fused(window, depth_m, beams, "default")
     assert_same_frame(one, other, beams)
     peak, turned_peak = (own.match.search.peaks["euclidean"] for own in (one, other))
+    assert -0.5 <= turned_peak.u < 359.5
     assert difference(turned_peak.u, peak.u + beams / 3.0) == pytest.approx(0.0, abs=0.3)
     if beams % 3 == 0:
         assert difference(turned_peak.u, peak.u + beams / 3.0) == pytest.approx(0.0, abs=1e-6)
         assert turned_peak.v == pytest.approx(peak.v)
+
+
+def from_zero(scan: LaserScan) -> LaserScan:
+    """The driver counts from straight ahead, in the middle of the view."""
+    return replace(scan, angle_min_rad=0.0, ranges_m=np.roll(scan.ranges_m, -BEAMS // 2))
+
+
+def clockwise(scan: LaserScan) -> LaserScan:
+    """From straight ahead to the right."""
+    ranges_m = np.roll(scan.ranges_m[::-1], BEAMS // 2 + 1)
+    return replace(scan, angle_min_rad=0.0, angle_increment_rad=-STEP_RAD, ranges_m=ranges_m)
+
+
+def ends_meet(scan: LaserScan) -> LaserScan:
+    """The first direction is measured again as the last one."""
+    return replace(scan, ranges_m=np.append(scan.ranges_m, scan.ranges_m[0]))
+
+
+@pytest.mark.parametrize("driver", [from_zero, clockwise, ends_meet])
+def test_a_frame_is_the_same_however_the_driver_counts(seen, driver) -> None:
+    window, depth_m, plain = seen
+    assert all(driver(scan).is_full_circle for scan in (window.before, window.scan))
+    counted = ScanWindow(
+        before=driver(window.before), scan=driver(window.scan), after=driver(window.after)
+    )
+    one, other = plain["default"], fused(counted, depth_m, 0, "default")
+    pairs, counted_pairs = one.match.correspondence, other.match.correspondence
+    order, counted_order = np.argsort(pairs.azimuth_rad), np.argsort(counted_pairs.azimuth_rad)
+    np.testing.assert_allclose(
+        counted_pairs.azimuth_rad[counted_order], pairs.azimuth_rad[order], atol=1e-9
+    )
+    assert counted_pairs.beam.size == pairs.beam.size
+    np.testing.assert_array_equal(
+        counted.scan.ranges_m[counted_pairs.beam], counted_pairs.lidar_range_m
+    )
+    for name in ("lidar_class", "depth_class"):
+        np.testing.assert_array_equal(
+            getattr(other.classes, name)[counted_order], getattr(one.classes, name)[order]
+        )
+    np.testing.assert_allclose(
+        other.repair.lidar_range_m[counted_order], one.repair.lidar_range_m[order], atol=1e-6
+    )
+
+
+def test_a_scan_with_a_gap_behind_has_ends() -> None:
+    assert not scan_of(np.ones(BEAMS - 4)).is_full_circle
+    assert scan_of(np.ones(BEAMS - 4)).beam_behind(0.3) == 0
 
 
 @settings(max_examples=25, deadline=None)

@@ -14,6 +14,7 @@ from scanloom.panels.pairing_plot import PairingPlot
 from scanloom.panels.stream_table import stream_table
 from scanloom.panels.widgets.controls import Controls, update_widget
 
+_PAIR_BY = ("nearest", "interpolated", "rates")
 _NOT_NAMED = "found by type"
 _NO_ROW = -1
 _CLOCK = MOUNT_PARAMETERS.index("clock_offset_ms")
@@ -24,6 +25,7 @@ class RecordingPanel(Panel):
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
         self._session = session
+        self._controls = Controls(gui, session)
         # The listed recording and its number of warnings: further reading may find more.
         self._listed: tuple[object, int] = None, 0
         self._names = tuple(session.recording_names())
@@ -49,8 +51,8 @@ class RecordingPanel(Panel):
             self._pairing = PairingPlot(gui)
         with gui.add_folder("Alignment"):
             self._aligned = gui.add_markdown("")
+            self._controls.dropdown("time", "pair_by", "Scan of a depth image", _PAIR_BY)
             again = gui.add_button("Align again with these settings")
-        self._controls = Controls(gui, session)
         self._controls.bind_field(self._apply, "apply_clock_offset", bool)
         self._controls.bind(self._name, lambda view: view.recording, self._open)
         self._controls.bind_field(

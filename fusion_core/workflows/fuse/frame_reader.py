@@ -1,5 +1,7 @@
 """Random access to the depth images of a session, each with the scans around it."""
 
+from functools import cached_property
+
 import numpy as np
 
 from fusion_core.model.bounded_cache import BoundedCache
@@ -44,9 +46,6 @@ class FrameReader:
             np.empty(0, np.int64) if lidar is None else recording.received_ns(lidar)
         )
         self._scans: BoundedCache[int, LaserScan | None] = BoundedCache(_SCANS_KEPT)
-        self._rates = None
-        if lidar is not None and session.settings.time.pair_by == "rates":
-            self._rates = SamplingRates(recording, lidar, self._topics)
 
     def __len__(self) -> int:
         return int(self.times_ns.size)
@@ -81,7 +80,7 @@ class FrameReader:
         settings = self._session.settings.time
         offset_ns = round(clock_offset_ms * NS_PER_MS)
         camera = self.camera_of(number)
-        if self._rates is not None:
+        if settings.pair_by == "rates":
             counted = self._rates.scan_of(camera, int(self._index[number]))
             return pair_by_number(camera, image, self._scan_or_none, counted, offset_ns)
         return pair_with(
@@ -154,6 +153,11 @@ class FrameReader:
         first = max(0, place - _SCANS_BESIDE)
         last = min(self._scan_times_ns.size, place + _SCANS_BESIDE)
         return [scan for i in range(first, last) if (scan := self._scan(i)) is not None]
+
+    @cached_property
+    def _rates(self) -> SamplingRates:
+        assert self._lidar is not None, "a session without a LiDAR has a virtual one"
+        return SamplingRates(self._session.recording, self._lidar, self._topics)
 
     def _scan_or_none(self, index: int) -> LaserScan | None:
         return self._scan(index) if 0 <= index < self._scan_times_ns.size else None

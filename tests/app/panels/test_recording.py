@@ -255,6 +255,19 @@ def test_frames_without_a_scan_are_counted_as_text(bench: Bench, small_scene: Pa
     assert 0 < without < len(open_recording.frames)
 
 
+def test_how_scans_are_paired_is_chosen_and_shown(bench: Bench, small_scene: Path) -> None:
+    bench.change(recording=small_scene.name)
+    made = bench.first.with_setting("time", "pair_by", "interpolated").settings
+    bench.change(settings=made, alignment_settings=made)
+    bench.words("come from scans interpolated at the images' instants")
+    match = bench.frame_view.match
+    assert match is not None
+    assert match.pair.aligned_scan.stamp_ns == match.stamp_ns
+    counted = bench.first.with_setting("time", "pair_by", "rates").settings
+    bench.change(settings=counted, alignment_settings=counted)
+    bench.words("counted by the two rates")
+
+
 def test_where_nothing_can_be_aligned_the_stamps_show_why(bench: Bench, small_scene: Path) -> None:
     none = bench.first.with_setting("time", "max_gap_ms", 0.001).settings
     bench.change(recording=small_scene.name, settings=none, alignment_settings=none)
