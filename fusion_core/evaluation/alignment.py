@@ -12,7 +12,7 @@ over the good pairs of all its images, and it counts once.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -25,14 +25,14 @@ from fusion_core.evaluation.fuse_folder import (
     MISSING,
     Frames,
     FuseFolder,
-    RecordedLidar,
     open_fuse_folder,
     read_frames,
 )
+from fusion_core.evaluation.true_samples import TrueRow, around_turn, true_row, turn_samples
 from fusion_core.evaluation.truth import Truth
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import FloatArray, IntArray, read_only, wrap_angle
-from fusion_core.model.geometry import invert_transform, make_transform, transform_points
+from fusion_core.model.geometry import transform_points
 
 # The definition of a hit: u within two samples (2 degrees at the paper's sampling) of the truth,
 # counted over the frames in which at least half of the row overlaps the curve.
@@ -44,9 +44,6 @@ CLOCK_INTERVAL_SD = 2.0
 METRICS = ("pearson", "cosine", "inverse_cosine", "euclidean")
 
 _SEARCHED = ("u", "v", "score", "u_alone")
-
-# The distance at which the panorama's ends are taken: beyond a rig's baselines, within a room.
-_PANORAMA_END_M = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,20 +129,20 @@ def evaluate_alignment(fuse_dir: Path, truth: Truth) -> AlignmentReport:
     paired = np.flatnonzero(frames.scan_stamp_ns != MISSING)
     scan = associated.scan_index(frames.scan_stamp_ns[paired])
     image = associated.image_index(frames.camera[paired], frames.stamp_ns[paired])
-    row = _true_row(associated, folder)
-    turn = _turn_samples(folder.lidar)
+    samples = true_row(associated, folder)
+    turn = turn_samples(folder.lidar)
     offsets_of: dict[int, list[FloatArray]] = {}
     first_row = _first_rows(frames, folder)
     for frame, scan_index, image_index in zip(paired, scan, image, strict=True):
         offsets = _good_pair_offsets(
-            associated, int(frames.camera[frame]), (int(scan_index), int(image_index)), row
+            associated, int(frames.camera[frame]), (int(scan_index), int(image_index)), samples
         )
         offsets_of.setdefault(int(first_row[frame]), []).append(offsets)
     for first, parts in offsets_of.items():
         offsets = np.concatenate(parts)
         if offsets.size:
             # A view may lie over the seam of a full circle.
-            unwrapped = offsets[0] + _around_turn(offsets - offsets[0], turn)
+            unwrapped = offsets[0] + around_turn(offsets - offsets[0], turn)
             u_true[first_row == first] = np.median(unwrapped)
     # Rows after a panorama's first repeat it.
     is_counted = first_row == np.arange(first_row.size)
@@ -168,95 +165,6 @@ def pool_hits(reports: Sequence[AlignmentReport]) -> dict[str, OffsetHits]:
         )
         for name in names
     }
-
-
-class _TrueRow(Protocol):
-    """How beams and pixels count as samples of the curve and of the row that was searched."""
-
-    def of_beams(self, angle_rad: FloatArray) -> FloatArray:
-        """Samples of beams at azimuths in the LiDAR frame."""
-
-    def of_pixels(
-        self, camera: int, row: IntArray, column: IntArray, in_lidar: FloatArray
-    ) -> FloatArray:
-        """Samples of a camera's stored pixels, whose points are (N, 3) in the LiDAR frame."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _RowOfAngles:
-    """Samples on equal azimuths about the rig's origin."""
-
-    associated: AssociatedTruth
-    T_lidar_rig: FloatArray
-    left_rad: float
-    step_rad: float
-
-    def of_beams(self, angle_rad: FloatArray) -> FloatArray:
-        left_rad = _curve_left_rad(self.associated, self.step_rad)
-        return (left_rad - angle_rad) / self.step_rad
-
-    def of_pixels(
-        self, camera: int, row: IntArray, column: IntArray, in_lidar: FloatArray
-    ) -> FloatArray:
-        in_rig = transform_points(invert_transform(self.T_lidar_rig), in_lidar)
-        azimuth_rad = np.arctan2(in_rig[:, 1], in_rig[:, 0])
-        return (self.left_rad - azimuth_rad) / self.step_rad
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _RowOfColumns:
-    """Every k-th beam, and every k-th column of the images pasted beside each other.
-
-    ``first_column``: of each camera in the wide image; ``columns`` its width. ``turn_samples``: as
-    of ``_turn_samples``.
-    """
-
-    associated: AssociatedTruth
-    first_column: list[int]
-    columns: int
-    samples: int
-    curve_samples: int
-    turn_samples: float
-
-    def of_beams(self, angle_rad: FloatArray) -> FloatArray:
-        angles = self.associated.beam_angle_rad
-        from_left_rad: FloatArray = angles.max() - angle_rad
-        if np.isfinite(self.turn_samples):
-            return from_left_rad * (self.turn_samples / (2.0 * np.pi))
-        return from_left_rad / np.ptp(angles) * (self.curve_samples - 1)
-
-    def of_pixels(
-        self, camera: int, row: IntArray, column: IntArray, in_lidar: FloatArray
-    ) -> FloatArray:
-        upright = self.associated.cameras[camera].upright_column(row, column)
-        step = (self.columns - 1) / (self.samples - 1)
-        return (self.first_column[camera] + upright) / step
-
-
-def _true_row(associated: AssociatedTruth, folder: FuseFolder) -> _TrueRow:
-    panorama = folder.alignment.get("panorama")
-    if panorama is None or panorama["sampled_by"] == "angle":
-        T_lidar_rig = _true_rig(associated)
-        return _RowOfAngles(
-            associated=associated,
-            T_lidar_rig=T_lidar_rig,
-            left_rad=_row_left_rad(associated, T_lidar_rig, folder.lidar),
-            step_rad=_step_rad(folder.lidar),
-        )
-    first_column = [0] * len(associated.cameras)
-    columns = 0
-    for topic in panorama["cameras"]:
-        camera = folder.topics.index(topic)
-        first_column[camera] = columns
-        columns += associated.cameras[camera].upright_width
-    return _RowOfColumns(
-        associated=associated,
-        first_column=first_column,
-        columns=columns,
-        samples=int(panorama["samples"]),
-        curve_samples=folder.lidar.samples,
-        turn_samples=_turn_samples(folder.lidar),
-    )
 
 
 def _first_rows(frames: Frames, folder: FuseFolder) -> IntArray:
@@ -282,7 +190,7 @@ def _good_pair_offsets(
     associated: AssociatedTruth,
     camera_index: int,
     scan_and_image: tuple[int, int],
-    true_row: _TrueRow,
+    samples: TrueRow,
 ) -> FloatArray:
     """LiDAR sample of the beam - row sample of the pixel, of each good pair of an image."""
     scan, image = scan_and_image
@@ -299,64 +207,8 @@ def _good_pair_offsets(
     in_lidar = transform_points(
         camera.T_lidar_camera, camera.back_project(row[good], column[good], depth_m[good])
     )
-    of_pixels = true_row.of_pixels(camera_index, row[good], column[good], in_lidar)
-    return true_row.of_beams(angle_rad[good]) - of_pixels
-
-
-def _step_rad(lidar: RecordedLidar) -> float:
-    """Angular width of one LiDAR sample: Psi of them cover the beams' field of view."""
-    return abs(lidar.angle_increment_rad) * lidar.beams / lidar.samples
-
-
-def _curve_left_rad(associated: AssociatedTruth, step_rad: float) -> float:
-    """Azimuth of LiDAR sample 0: half a sample inside the left end of the field of view."""
-    angles = associated.beam_angle_rad
-    half_beam_rad = 0.5 * abs(angles[1] - angles[0])
-    return float(angles.max() + half_beam_rad - 0.5 * step_rad)
-
-
-def _true_rig(associated: AssociatedTruth) -> FloatArray:
-    """(4, 4) T_lidar_rig, about whose origin the row's azimuths are taken.
-
-    One camera is its own rig, x along its optical axis. Several have theirs at the mean optical
-    centre, level, x along their mean heading.
-    """
-    mounts = [camera.T_lidar_camera for camera in associated.cameras]
-    forward = np.sum([mount[:3, 2] for mount in mounts], axis=0)
-    if len(mounts) > 1:
-        forward[2] = 0.0
-    forward = forward / np.linalg.norm(forward)
-    left = np.array([-forward[1], forward[0], 0.0]) / np.hypot(forward[0], forward[1])
-    axes = np.stack([forward, left, np.cross(forward, left)], axis=-1)
-    return make_transform(axes, np.mean([mount[:3, 3] for mount in mounts], axis=0))
-
-
-def _row_left_rad(
-    associated: AssociatedTruth, T_lidar_rig: FloatArray, lidar: RecordedLidar
-) -> float:
-    """Azimuth in the rig of row sample 0: half a sample inside the image's left edge."""
-    edges = []
-    for camera in associated.cameras:
-        _, _, cx, cy = camera.intrinsics
-        _, height, width = camera.truth.depth_mm.shape
-        column = np.array([-0.5, width - 0.5, cx, cx])
-        row = np.array([cy, cy, -0.5, height - 0.5])
-        edge = camera.back_project(row, column, np.full(4, _PANORAMA_END_M))
-        in_rig = transform_points(invert_transform(T_lidar_rig) @ camera.T_lidar_camera, edge)
-        edges.append(np.arctan2(in_rig[:, 1], in_rig[:, 0]).max())
-    return float(max(edges)) - 0.5 * _step_rad(lidar)
-
-
-def _turn_samples(lidar: RecordedLidar) -> float:
-    """Samples of one turn of a LiDAR that sees a full circle; infinite where its curve has ends."""
-    step_rad = abs(lidar.angle_increment_rad)
-    is_full_circle = abs(step_rad * lidar.beams - 2.0 * np.pi) <= 1.5 * step_rad
-    return lidar.samples if is_full_circle else np.inf
-
-
-def _around_turn(difference: FloatArray, turn: float) -> FloatArray:
-    """(N,) differences of offsets, the short way around."""
-    return difference if np.isinf(turn) else difference - turn * np.rint(difference / turn)
+    of_pixels = samples.of_pixels(camera_index, row[good], column[good], in_lidar)
+    return samples.of_beams(angle_rad[good]) - of_pixels
 
 
 def _count_hits(
@@ -373,7 +225,7 @@ def _count_hits(
             frames=int(counts.sum()),
             within=int(
                 (
-                    np.abs(_around_turn(number[name] - u_true, turn))[counts] <= U_TOLERANCE_SAMPLES
+                    np.abs(around_turn(number[name] - u_true, turn))[counts] <= U_TOLERANCE_SAMPLES
                 ).sum()
             ),
         )
