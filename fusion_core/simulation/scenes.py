@@ -48,11 +48,6 @@ ASTRA_PRO = DepthNoise(
     spike_fraction=0.0,
     corner_bias_m=0.0,
 )
-# A LiDAR and a camera in clean air before clean glass, in corners that do not glow.
-CALM_LIDAR = LidarNoise(spike_fraction=0.0, corner_bias_m=0.0)
-CALM_CAMERA = DepthNoise(
-    glass_front_fraction=0.0, glass_through_fraction=0.0, spike_fraction=0.0, corner_bias_m=0.0
-)
 # Li 2022, Table 5: 0.23 % of the distance for the old odometer.
 TURTLEBOT_ODOMETRY = OdometryNoise(
     distance_scale=1.0023,
@@ -107,18 +102,18 @@ class SimulatedScene:
     start: float | None = None
     weave_m: float = WeavingPath.WEAVE_M
     wavelength_m: float = WeavingPath.WAVELENGTH_M
-    lidar_noise: LidarNoise = CALM_LIDAR
-    depth_noise: DepthNoise = CALM_CAMERA
+    lidar_noise: LidarNoise = field(default_factory=LidarNoise)
+    depth_noise: DepthNoise = field(default_factory=DepthNoise)
     odometry_noise: OdometryNoise = field(default_factory=OdometryNoise)
 
 
 _SCENES = (
     SimulatedScene(
         name="furnished_room",
-        description="A living room with glass, dark furniture, low boxes and tables; mount unknown",
+        description="A living room with glass, sunlight, low boxes and tables; mount unknown",
         world=worlds.furnished_room,
         mounts=sensor_mounts.home_robot,
-        settings=SceneSettings(seed=173, duration_s=6.0),
+        settings=SceneSettings(seed=173, duration_s=6.0, sunlight=True),
     ),
     SimulatedScene(
         name="corridor",
@@ -156,7 +151,7 @@ _SCENES = (
         description="A living room seen by four cameras in portrait; the LiDAR's mount unknown",
         world=worlds.furnished_room,
         mounts=sensor_mounts.robot_at_home,
-        settings=SceneSettings(seed=6, camera_rate_hz=10.72),
+        settings=SceneSettings(seed=6, camera_rate_hz=10.72, sunlight=True),
         published_mounts="cameras",
     ),
     SimulatedScene(
@@ -184,8 +179,6 @@ _SCENES = (
         settings=SceneSettings(
             seed=12, mirror=True, sunlight=True, person=True, lidar_skew=True, rolling_s=0.03
         ),
-        lidar_noise=LidarNoise(),
-        depth_noise=DepthNoise(),
     ),
     SimulatedScene(
         name="arena",

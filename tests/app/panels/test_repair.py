@@ -23,7 +23,7 @@ from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, connect
 
 # A frame of the sample with several conflicts, and one of a different table.
-FRAME, OTHER_FRAME = 44, 80
+FRAME, OTHER_FRAME = 58, 80
 ALL = frozenset(NoiseClass)
 
 
