@@ -1,11 +1,16 @@
 """Xu 2024 §2.3.2, eq. (6): a class for each beam and each pixel of a frame.
 
 Eq. (6) finds pairs that disagree by more than epsilon; it does not say which sensor is wrong. Here
-the one that breaks its own neighbourhood is: a LiDAR beam that no adjacent beam supports, a pixel
-that stands alone in the 5 x 5 around it. A *burr* is a flying or mixed pixel: a value on no
-surface, as at an edge where a beam meets two. The paper's types follow from the classes:
-① hole on both, ② hole on one, ③ burr. A *conflict*, which the paper lacks, is a pair in which both
-sides measure a surface of their own, e.g. a low cabinet that only the LiDAR meets: no noise.
+the one whose value lies on no surface is: a LiDAR beam against which the evidence of its neighbours
+in the scan, in time and in the image speaks (``evidence``), a pixel that stands alone in the 5 x 5
+around it. A *burr* is a flying or mixed pixel: a value on no surface, as at an edge where a beam
+meets two. The paper's types follow from the classes: ① hole on both, ② hole on one, ③ burr. A
+*conflict*, which the paper lacks, is a pair in which both sides measure a surface of their own,
+e.g. a table top above the LiDAR's plane: no noise.
+
+The camera looks at the point that the beam has met. Where it sees something nearer there, this may
+hide that point. Where it sees something farther, though a surface stands there that the camera
+shows nowhere around, it looks through a pane: the depth is the burr.
 """
 
 from dataclasses import dataclass, fields
@@ -14,8 +19,13 @@ from typing import Literal
 import numpy as np
 
 from fusion_core.denoising.correspondence import Correspondence
+from fusion_core.denoising.evidence import ranges_around, weigh_beams
 from fusion_core.denoising.noise_scale import NoiseScale
-from fusion_core.denoising.support import count_beam_support, count_pixel_support
+from fusion_core.denoising.support import (
+    count_beam_support,
+    count_pixel_support,
+    find_measured_pixels,
+)
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import (
     BoolArray,
@@ -74,6 +84,13 @@ class NoiseSettings(StageSettings):
         "deviates more from its neighbours (published; there are no conflicts then)",
         formerly="fault",
     )
+    burr_odds: float = setting(
+        2.0,
+        "Odds that a beam is a burr, before its neighbours are asked, if it disagrees with a "
+        "camera that sees where it ends; even odds where something hides that from the camera",
+        ge=1e-3,
+        le=1e3,
+    )
     pixel_support: int = setting(
         2, "Pixels of the 5 x 5 around that must support one, else it is a burr", ge=1, le=24
     )
@@ -121,11 +138,12 @@ class Classification:
     ``depth_class`` is -1 where the beam has no pixel. Confidences in [0, 1]. ``epsilon_m``: (B,).
     ``lidar_steady``: beams whose value the scans before and after both confirm.
 
-    The evidence behind the classes: ``beam_support`` (B, 3), how many adjacent beams, beams two and
-    three away, and scans before and after support a beam (no beams where it lies between two
-    surfaces); ``pixel_support`` (B, 2), how many of the 5 x 5 pixels around support a pixel, and
-    how many of them have a depth; ``pixel_unconfirmed`` (B,), pixels of a disagreeing pair whose
-    depth the image before does not have.
+    The evidence behind the classes: ``beam_evidence`` (B, 5), of the witnesses of
+    ``evidence.WITNESSES``; ``beam_support`` (B, 3), how many adjacent beams, beams two and three
+    away, and scans before and after support a beam; ``pixel_support`` (B, 2), how many of the 5 x 5
+    pixels around support a pixel, and how many of them have a depth; ``pixel_unconfirmed`` (B,),
+    pixels of a disagreeing pair whose depth the image before does not have; ``pixel_through`` (B,),
+    pixels that look through what their beam has met.
     """
 
     lidar_class: IntArray
@@ -134,9 +152,11 @@ class Classification:
     depth_confidence: FloatArray
     epsilon_m: FloatArray
     lidar_steady: BoolArray
+    beam_evidence: FloatArray
     beam_support: IntArray
     pixel_support: IntArray
     pixel_unconfirmed: BoolArray
+    pixel_through: BoolArray
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -162,16 +182,16 @@ def classify(
     beam_support, beam_neighbours = _beam_support(window, settings, scale)
     pixel_support, pixel_neighbours = _pixel_support(window, settings)
     near, beyond, in_time = beam_support.T
-    # At edges both adjacent beams may be on other surfaces: then farther beams and other scans must
-    # support it.
-    lone_beam = (near == 0) & ((beyond < 2) | (in_time < 2))
-    lone_beam |= (near + beyond < 2) & (in_time == 0)
-    lone_pixel = pixel_support < np.maximum(
+    around = _weigh_neighbours(window, settings, scale, sigma_m)
+    lone_beam = around.log_odds < 0.0
+    few = pixel_support < np.maximum(
         settings.pixel_support, settings.pixel_support_fraction * pixel_neighbours
     )
     small = pixel_support < _SPECKLE_SUPPORT * pixel_neighbours
     gone = _find_unconfirmed_pixels(window, disagree & small, settings)
-    lone_pixel |= gone
+    through = disagree & around.pixel_through
+    lone_beam &= ~through
+    lone_pixel = (few & ~(around.pixel_measured & (pixel_support > 0))) | gone | through
     if settings.burr_criterion == "rougher":
         rougher = _roughness(pairs.lidar_range_m) >= _roughness(pairs.depth_m)
         lone_beam, lone_pixel = rougher, ~rougher
@@ -185,28 +205,108 @@ def classify(
     conflict = disagree & ~lone_beam & ~lone_pixel
     lidar_class[conflict] = depth_class[conflict] = NoiseClass.CONFLICT
     # At an edge both sensors may mix the same two surfaces, and agree on a point on neither.
-    suspect = disagree | (settings.burr_criterion == "support") & (
-        lone_beam & lone_pixel & has_lidar & has_depth
-    )
-    lidar_class[(suspect & lone_beam) | unseen] = NoiseClass.BURR
-    depth_class[suspect & lone_pixel] = NoiseClass.BURR
+    alike = has_lidar & has_depth & ~disagree & lone_beam & few
+    alike &= settings.burr_criterion == "support"
+    lidar_class[(disagree & lone_beam) | alike | unseen] = NoiseClass.BURR
+    depth_class[(disagree & lone_pixel) | alike] = NoiseClass.BURR
     lidar_class[~has_lidar] = NoiseClass.HOLE
     depth_class[~has_depth] = NoiseClass.HOLE
     depth_class[~has_pixel] = -1
 
     agreement = _probability_good(residual_m, sigma_m)
-    beam_fraction = beam_support.sum(axis=1) / np.maximum(beam_neighbours.sum(axis=1), 1)
-    pixel_fraction = pixel_support / np.maximum(pixel_neighbours, 1)
+    on_surface = _probability(around.log_odds)
+    # Laplace's rule of succession: few neighbours tell little.
+    pixel_fraction = (pixel_support + 1) / (pixel_neighbours + 2)
+    pixel_fraction = np.where(through, 1.0 - _probability(around.log_odds_by_lidar), pixel_fraction)
     return Classification(
         lidar_class=lidar_class,
         depth_class=depth_class,
-        lidar_confidence=_confidence(lidar_class, agreement, beam_fraction, has_depth),
+        lidar_confidence=_confidence(lidar_class, agreement, on_surface, has_depth),
         depth_confidence=_confidence(depth_class, agreement, pixel_fraction, has_lidar),
         epsilon_m=epsilon_m,
         lidar_steady=in_time == 2,
+        beam_evidence=around.evidence,
         beam_support=beam_support,
         pixel_support=np.stack([pixel_support, pixel_neighbours], axis=1),
         pixel_unconfirmed=gone,
+        pixel_through=through,
+    )
+
+
+def _probability(log_odds: FloatArray) -> FloatArray:
+    probability: FloatArray = 1.0 / (1.0 + np.exp(-log_odds))
+    return probability
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Neighbourhood:
+    """What surrounds B pairs.
+
+    ``evidence``: (B, 5). ``log_odds``: (B,) that a beam's value is that of a surface, and
+    ``log_odds_by_lidar`` without the camera's witness. ``pixel_measured``: (B,) whether a beam
+    nearby has met the pixel's surface. ``pixel_through``: (B,) whether the pixel looks through what
+    its beam has met.
+    """
+
+    evidence: FloatArray
+    log_odds: FloatArray
+    log_odds_by_lidar: FloatArray
+    pixel_measured: BoolArray
+    pixel_through: BoolArray
+
+
+def _weigh_neighbours(
+    window: FrameWindow, settings: NoiseSettings, scale: NoiseScale, sigma_m: FloatArray
+) -> _Neighbourhood:
+    pairs, ranges_m = window.pairs, window.scan.ranges_m
+    in_time, shifts = _scans_in_time(window)
+    seen_m = ranges_around(window.depth_m, pairs.row, pairs.column, pairs.depth_as_range_m)
+    # Along the curve, the camera looks at what a beam has met, unless it sees something nearer and
+    # the beam goes on out of its sight. In a row it looks elsewhere.
+    in_sight = (pairs.residual_m >= 0.0) | np.isfinite(pairs.camera_range_m)
+    hidden = ~in_sight | (pairs.model == "row")
+    evidence: FloatArray = weigh_beams(
+        ranges_m,
+        in_time,
+        shifts,
+        pairs.beam,
+        pairs.camera_range_m,
+        seen_m,
+        hidden,
+        (scale.floor_m, scale.fraction, settings.slope_fraction),
+    )
+    # A disagreement is expected of a hidden surface, and speaks against one in sight.
+    against = np.where(hidden, 0.0, np.log(settings.burr_odds))
+    tolerance_m = settings.support_sigma * sigma_m
+    is_seen = np.any(
+        np.abs(seen_m - pairs.lidar_range_m[:, np.newaxis]) <= tolerance_m[:, np.newaxis], axis=1
+    )
+    measured: BoolArray = find_measured_pixels(
+        pairs.depth_as_range_m, tolerance_m, pairs.beam, ranges_m, in_time, shifts
+    )
+    by_lidar = evidence[:, :4].sum(axis=1) - against
+    return _Neighbourhood(
+        evidence=evidence,
+        log_odds=by_lidar + evidence[:, 4],
+        log_odds_by_lidar=by_lidar,
+        pixel_measured=measured,
+        pixel_through=(
+            ~hidden & (pairs.residual_m > 0.0) & ~measured & ~is_seen & (by_lidar > 0.0)
+        ),
+    )
+
+
+def _scans_in_time(window: FrameWindow) -> tuple[FloatArray, IntArray]:
+    """(2, N) ranges of the scans before and after, NaN where there is none, and their shifts."""
+    nothing = np.full(window.scan.ranges_m.size, np.nan)
+
+    def in_time(scan: LaserScan | None) -> FloatArray:
+        same = scan is not None and scan.ranges_m.size == nothing.size
+        return scan.ranges_m if scan is not None and same else nothing
+
+    return (
+        np.stack([in_time(window.scan_before), in_time(window.scan_after)]),
+        np.array([window.shift_before, window.shift_after]),
     )
 
 
@@ -288,16 +388,11 @@ def _beam_support(
 ) -> tuple[IntArray, IntArray]:
     """(B, 3) supporters among adjacent beams, beams two and three away, and the scans before and
     after; (B, 2) how many neighbours in the scan and in time had a value at all."""
-    nothing = np.full(window.scan.ranges_m.size, np.nan)
-
-    def in_time(scan: LaserScan | None) -> FloatArray:
-        same = scan is not None and scan.ranges_m.size == nothing.size
-        return scan.ranges_m if scan is not None and same else nothing
-
+    in_time, shifts = _scans_in_time(window)
     counted: tuple[IntArray, IntArray] = count_beam_support(
         window.scan.ranges_m,
-        np.stack([in_time(window.scan_before), in_time(window.scan_after)]),
-        np.array([window.shift_before, window.shift_after]),
+        in_time,
+        shifts,
         window.pairs.beam,
         window.pairs.camera_range_m,
         settings.support_sigma * scale.floor_m,

@@ -56,6 +56,12 @@ class RepairSettings(StageSettings):
         ge=0.0,
         le=360.0,
     )
+    lidar_burr_confidence: float = setting(
+        0.98,
+        "Least confidence of a beam that is a burr beside its pixel, and repaired",
+        ge=0.0,
+        le=1.0,
+    )
     depth_burr_confidence: float = setting(
         0.8, "Least confidence of a burr in the depth image that is repaired", ge=0.0, le=1.0
     )
@@ -158,6 +164,11 @@ def _repair_lidar(
     if settings.prefer == "smaller_error":
         # A return that three consecutive scans confirm is kept, even if classified as a burr.
         burr &= ~classes.lidar_steady
+        # So is one whose range the camera sees beside it.
+        burr &= classes.beam_evidence[:, -1] <= 0.0
+    # More than even odds name a burr; to change what a sensor measured asks for more.
+    paired = np.isfinite(raw) & np.isfinite(pairs.depth_m)
+    burr &= ~paired | (classes.lidar_confidence >= settings.lidar_burr_confidence)
     noisy = burr | (classes.lidar_class == NoiseClass.HOLE)
     support = np.isin(classes.lidar_class, (NoiseClass.GOOD, NoiseClass.CONFLICT))
     neighbours, gap_rad = interpolate_gaps(pairs.azimuth_rad, raw, support, settings.edge_m)

@@ -3,13 +3,8 @@
 import numpy as np
 
 from fusion_core.compiled import compiled
-from fusion_core.model.conventions import Float32Array, FloatArray, IntArray
+from fusion_core.model.conventions import BoolArray, Float32Array, FloatArray, IntArray
 
-# A beam can be a mixed pixel of an edge that the camera sees within this many beams.
-_EDGE_BEAMS = 2
-# How far a mixed pixel lies from both sides of such an edge, as a fraction of the tolerance of
-# support: less than without a camera, since the edge is seen and not inferred. Set by hand.
-_OFF_EDGE_FRACTION = 0.7
 # Seen by the camera, a surface that changes its range faster from beam to beam is an edge: 80
 # degrees off the beam at a quarter of a degree a beam.
 _EDGE_SLOPE = 0.03
@@ -65,10 +60,6 @@ def count_beam_support(
                 slant = 0.0
             if abs(ranges[other] - own - slant) <= allowed:
                 support[index, 0 if abs(step) == 1 else 1] += 1
-        if _is_between_surfaces(ranges, beam, tolerance) or _is_between_seen_surfaces(
-            seen_by_camera, beam, own, _OFF_EDGE_FRACTION * tolerance
-        ):
-            support[index, 0] = support[index, 1] = 0
         for neighbour in range(2):
             scan, shift = in_time[neighbour], shifts[neighbour]
             # The robot moves between scans: the surface may have come nearer by a little.
@@ -86,37 +77,33 @@ def count_beam_support(
 
 
 @compiled()
-def _is_between_surfaces(ranges: FloatArray, beam: int, tolerance: float) -> bool:
-    """Whether a beam, alone or with one like it beside it, steps from one surface to another.
+def find_measured_pixels(
+    as_range: FloatArray,
+    tolerance: FloatArray,
+    beams: IntArray,
+    ranges: FloatArray,
+    in_time: FloatArray,
+    shifts: IntArray,
+) -> BoolArray:
+    """(B,) pixels whose surface a beam near B ``beams``, other than their own, has measured too.
 
-    Mixed pixels do; a separate thin object is nearer than both surfaces.
+    ``as_range``: (B,) the pixels' depths as ranges; beams of the scan up to three away, and of the
+    scans before and after those adjacent to the same direction, agree within ``tolerance`` (B,).
+    ``ranges``, ``in_time``, ``shifts``: as for ``count_beam_support``.
     """
-    for width in (1, 2):
-        for first in range(beam - width + 1, beam + 1):
-            left, right = first - 1, first + width
-            if left < 0 or right >= ranges.size:
-                continue
-            low = min(ranges[left], ranges[right])
-            high = max(ranges[left], ranges[right])
-            inside = low == low and high == high
-            for index in range(first, first + width):
-                inside = inside and low + tolerance < ranges[index] < high - tolerance
-            if inside:
-                return True
-    return False
-
-
-@compiled()
-def _is_between_seen_surfaces(seen: FloatArray, beam: int, own: float, tolerance: float) -> bool:
-    """Whether the camera sees an edge at a beam whose range lies on neither of its sides."""
-    low, high = np.inf, -np.inf
-    for other in range(max(0, beam - _EDGE_BEAMS), min(seen.size, beam + _EDGE_BEAMS + 1)):
-        if not np.isnan(seen[other]):
-            if abs(seen[other] - own) <= tolerance:
-                return False
-            low = min(low, seen[other])
-            high = max(high, seen[other])
-    return low < own < high
+    measured = np.zeros(beams.size, dtype=np.bool_)
+    for index in range(beams.size):
+        for step in range(-3, 4):
+            other = beams[index] + step
+            if step != 0 and 0 <= other < ranges.size:
+                off = abs(ranges[other] - as_range[index])
+                measured[index] |= off <= tolerance[index]
+            for side in range(2):
+                other = beams[index] + shifts[side] + step
+                if abs(step) <= 1 and 0 <= other < ranges.size:
+                    off = abs(in_time[side, other] - as_range[index])
+                    measured[index] |= off <= tolerance[index]
+    return measured
 
 
 @compiled()

@@ -84,9 +84,11 @@ def repaired(window, settings_=SETTINGS, burr=()):
         depth_confidence=ones.copy(),
         epsilon_m=0.1 * ones,
         lidar_steady=np.zeros(beam.size, dtype=np.bool_),
+        beam_evidence=np.zeros((beam.size, 5)),
         beam_support=np.zeros((beam.size, 3), dtype=np.int64),
         pixel_support=np.zeros((beam.size, 2), dtype=np.int64),
         pixel_unconfirmed=np.zeros(beam.size, dtype=np.bool_),
+        pixel_through=np.zeros(beam.size, dtype=np.bool_),
     )
     result = repair(window, classes, SCALE, settings_)
     value, source = window.scan.ranges_m.copy(), np.full(BEAMS, int(RAW))

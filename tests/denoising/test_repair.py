@@ -28,6 +28,7 @@ SETTINGS = RepairSettings(
     edge_m=0.25,
     farther_confidence=0.7,
     camera_noise_fraction=0.5,
+    lidar_burr_confidence=0.0,
     depth_burr_confidence=0.5,
     lidar_confidence=0.5,
     # What other scans must confirm is tested with those, in test_nearby_returns.py.
@@ -74,9 +75,11 @@ def frame(
         depth_confidence=more.get("depth_confidence", ones.copy()),
         epsilon_m=0.1 * ones,
         lidar_steady=more.get("lidar_steady", np.zeros(ones.size, dtype=np.bool_)),
+        beam_evidence=more.get("beam_evidence", np.zeros((count, 5))),
         beam_support=np.zeros((count, 3), dtype=np.int64),
         pixel_support=np.zeros((count, 2), dtype=np.int64),
         pixel_unconfirmed=np.zeros(count, dtype=np.bool_),
+        pixel_through=np.zeros(count, dtype=np.bool_),
     )
     return pairs, classes
 
@@ -626,6 +629,38 @@ def test_mirrored_input_gives_a_mirrored_repair_of_the_lidar(seed):
     )
     np.testing.assert_array_equal(source[::-1], result.lidar_source)
     np.testing.assert_allclose(value[::-1], result.lidar_range_m, rtol=1e-12)
+
+
+def burr_beside_a_pixel(confidence, seen, settings):
+    """The range of a burr whose pixel and the other beams show a wall two metres ahead."""
+    lidar = np.full(41, 2.0)
+    lidar[20] = 1.6
+    codes = np.where(lidar < 2.0, BURR, GOOD)
+    evidence = np.zeros((41, 5))
+    evidence[20] = -1.0, -1.0, -1.0, -1.0, seen
+    value, _ = lidar_repair(
+        lidar,
+        codes,
+        depth=np.full(41, 2.0),
+        camera=np.full(41, 2.0),
+        lidar_confidence=np.full(41, confidence),
+        beam_evidence=evidence,
+        settings=settings,
+    )
+    return value[20]
+
+
+def test_a_beam_that_disagrees_is_changed_only_by_a_burr_of_enough_confidence():
+    strict = changed(lidar_burr_confidence=0.9)
+    assert burr_beside_a_pixel(0.91, -1.0, strict) == pytest.approx(2.0)
+    assert burr_beside_a_pixel(0.89, -1.0, strict) == 1.6
+    assert burr_beside_a_pixel(0.89, -1.0, changed(lidar_burr_confidence=0.8)) == pytest.approx(2.0)
+
+
+def test_a_beam_whose_range_the_camera_sees_beside_it_is_kept():
+    assert burr_beside_a_pixel(0.99, 0.1, SETTINGS) == 1.6
+    preferring = changed(prefer="other_sensor")
+    assert burr_beside_a_pixel(0.99, 0.1, preferring) == pytest.approx(2.0)
 
 
 def test_a_frame_without_a_beam_in_view_has_no_repairs():

@@ -24,7 +24,8 @@ def explain_beam_class(facts: BeamFacts, settings: ChainSettings) -> str:
         case NoiseClass.HOLE:
             return "Hole: the LiDAR returned no range."
         case NoiseClass.CONFLICT:
-            return f"Conflict: {_disagrees(facts, 'the camera')}, but {support}. {_two_surfaces()}"
+            weighed = f"{_evidence(facts, 'for')}: {support}"
+            return f"Conflict: {_disagrees(facts, 'the camera')}, but {weighed}. {_two_surfaces()}"
         case NoiseClass.BURR if _no_pair(facts):
             return f"Burr: {_nothing_to_compare(facts)}, and too few support it: {support}."
         case NoiseClass.BURR if not _disagree(facts):
@@ -33,11 +34,14 @@ def explain_beam_class(facts: BeamFacts, settings: ChainSettings) -> str:
             rough = "it deviates from its neighbours no less than its pixel does"
             return f"Burr: {_disagrees(facts, 'the camera')}, and {rough}."
         case NoiseClass.BURR:
-            return f"Burr: {_disagrees(facts, 'the camera')}, and {support}."
+            weighed = f"{_evidence(facts, 'against')}: {support}"
+            return f"Burr: {_disagrees(facts, 'the camera')}, and {weighed}."
     if _no_pair(facts):
         return f"Good: {_nothing_to_compare(facts)}" + ("." if published else f", and {support}.")
     if _disagree(facts):
-        own = "its pixel deviates more from its neighbours" if published else support
+        own = f"{_evidence(facts, 'for')}: {support}"
+        if published:
+            own = "its pixel deviates more from its neighbours"
         return f"Good: {_disagrees(facts, 'the camera')}, but {own}. Its pixel is the burr."
     return f"Good: {_agrees(facts, 'the camera')}."
 
@@ -58,6 +62,9 @@ def explain_pixel_class(facts: BeamFacts, settings: ChainSettings) -> str:
         case NoiseClass.BURR if published:
             rough = "it deviates more from its neighbours than its beam does"
             return f"Burr: {_disagrees(facts, 'the LiDAR')}, and {rough}."
+        case NoiseClass.BURR if facts.pixel_through:
+            met = "its beam has met a surface that the camera shows nowhere around"
+            return f"Burr: {_disagrees(facts, 'the LiDAR')}, and {met}: it looks through it."
         case NoiseClass.BURR if facts.pixel_gone:
             gone = "the image before shows no such surface there"
             return f"Burr: {_disagrees(facts, 'the LiDAR')}, and {gone}; {support}."
@@ -75,7 +82,13 @@ def explain_beam_repair(facts: BeamFacts, settings: ChainSettings) -> str:
     """How the beam was repaired, or why it was not."""
     lidar = facts.lidar
     if lidar.noise_class == NoiseClass.BURR and math.isnan(lidar.from_other_m):
-        return "Kept: the scans before and after show it at the same place."
+        if facts.steady:
+            return "Kept: the scans before and after show it at the same place."
+        least = settings.repair.lidar_burr_confidence
+        if lidar.confidence < least:
+            confidence = _rounded_down(lidar.confidence)
+            return f"Kept: its confidence as a burr, {confidence}, is below {least:.2f}."
+        return "Kept: the camera sees its range beside it."
     refused = "the camera gives no value"
     if facts.camera_range_m > 0.0:
         refused = (
@@ -199,6 +212,12 @@ def _beam_support(facts: BeamFacts) -> str:
     near, beyond, in_time = facts.supporters
     farther = f"beams two or three away: {beyond}, scans before and after: {in_time}"
     return f"{_ADJACENT[near]} ({farther})"
+
+
+def _evidence(facts: BeamFacts, direction: str) -> str:
+    beside, in_time, camera = facts.evidence
+    witnesses = f"beside it {beside:+.1f}, in time {in_time:+.1f}, by the camera {camera:+.1f}"
+    return f"the evidence is {direction} a surface ({witnesses})"
 
 
 def _pixel_support(facts: BeamFacts) -> str:

@@ -63,7 +63,9 @@ class BeamFacts:
     ``lidar_as_depth_m``: the beam's point as a depth. ``supporters``: among adjacent beams, beams
     two and three away, scans before and after; ``pixel_supporters``: of the 5 x 5 around, and how
     many of these have a depth. ``steady``: the scans before and after have the same range there;
-    ``pixel_gone``: the image before has no such surface there.
+    ``pixel_gone``: the image before has no such surface there; ``pixel_through``: it looks through
+    what the beam has met. ``evidence``: for a surface at the beam's end, from the beams beside it,
+    the scans before and after, and the camera.
     """
 
     beam: int
@@ -81,6 +83,8 @@ class BeamFacts:
     pixel_supporters: tuple[int, int]
     steady: bool
     pixel_gone: bool
+    pixel_through: bool
+    evidence: tuple[float, float, float]
 
 
 def counts_of_beams(frame: FusedFrame) -> Counts:
@@ -144,6 +148,7 @@ def facts_of_beam(frame: FusedFrame, beam: int) -> BeamFacts | None:
         )
     near, beyond, in_time = classes.beam_support[at].tolist()
     around, valid = classes.pixel_support[at].tolist()
+    evidence = classes.beam_evidence[at]
     return BeamFacts(
         beam=beam,
         azimuth_deg=float(np.rad2deg(pairs.azimuth_rad[at])),
@@ -160,6 +165,8 @@ def facts_of_beam(frame: FusedFrame, beam: int) -> BeamFacts | None:
         pixel_supporters=(around, valid),
         steady=bool(classes.lidar_steady[at]),
         pixel_gone=bool(classes.pixel_unconfirmed[at]),
+        pixel_through=bool(classes.pixel_through[at]),
+        evidence=(float(evidence[:2].sum()), float(evidence[2:4].sum()), float(evidence[4])),
     )
 
 

@@ -78,6 +78,7 @@ PRESETS: dict[PresetName, ChainSettings] = {
         repair=RepairSettings(
             prefer="other_sensor",
             farther_confidence=0.0,
+            lidar_burr_confidence=0.0,
             depth_burr_confidence=0.0,
             lidar_confidence=0.0,
             check_nearby=False,

@@ -32,6 +32,7 @@ SETTINGS = ChainSettings(
     noise=NoiseSettings(epsilon=3.0, support_sigma=3.0),
     repair=RepairSettings(
         farther_confidence=0.7,
+        lidar_burr_confidence=0.0,
         depth_burr_confidence=0.5,
         lidar_confidence=0.5,
         max_gap_deg=8.0,
@@ -40,7 +41,12 @@ SETTINGS = ChainSettings(
 )
 PUBLISHED = ChainSettings(
     noise=NoiseSettings(epsilon=0.06, epsilon_unit="m", burr_criterion="rougher"),
-    repair=RepairSettings(prefer="other_sensor", farther_confidence=0.0, check_nearby=False),
+    repair=RepairSettings(
+        prefer="other_sensor",
+        farther_confidence=0.0,
+        lidar_burr_confidence=0.0,
+        check_nearby=False,
+    ),
 )
 
 
@@ -134,7 +140,8 @@ def test_a_pair_that_agrees() -> None:
 def test_a_lone_beam_is_a_burr_and_its_pixel_good() -> None:
     said = facts(with_values(wall(), 1.69, 20), wall_image())
     assert explain_beam_class(said, SETTINGS) == (
-        "Burr: it disagrees with the camera by 31.0 cm, more than epsilon (6.0 cm), and no "
+        "Burr: it disagrees with the camera by 31.0 cm, more than epsilon (6.0 cm), and the "
+        "evidence is against a surface (beside it -2.4, in time +0.0, by the camera -2.3): no "
         "adjacent beam supports it (beams two or three away: 0, scans before and after: 0)."
     )
     assert explain_pixel_class(said, SETTINGS) == (
@@ -187,9 +194,10 @@ def test_a_hole_that_nothing_fills() -> None:
 
 
 def test_a_conflict_keeps_both() -> None:
-    said = facts(with_values(wall(), 1.2, slice(15, 26)), wall_image())
+    said = facts(wall(), with_values(wall_image(), 1.2, slice(15, 26)))
     assert explain_beam_class(said, SETTINGS) == (
-        "Conflict: it disagrees with the camera by 80.0 cm, more than epsilon (6.0 cm), but both "
+        "Conflict: it disagrees with the camera by 80.0 cm, more than epsilon (6.0 cm), but the "
+        "evidence is for a surface (beside it +4.8, in time +0.0, by the camera -2.3): both "
         "adjacent beams support it (beams two or three away: 4, scans before and after: 0). "
         "Each sensor sees another surface."
     )
@@ -217,10 +225,40 @@ def test_a_burr_that_a_repair_would_move_farther_needs_confidence() -> None:
 
 
 def test_a_burr_that_the_other_scans_have_too_is_kept() -> None:
-    said = facts(with_values(wall(), 1.2, 20), wall_image(), steady=True, camera=wall())
-    assert explain_beam_class(said, SETTINGS).startswith("Burr: it disagrees")
-    assert explain_beam_repair(said, SETTINGS) == (
+    lidar = with_values(wall(), 1.2, 20)
+    strict = SETTINGS.model_copy(
+        update={"noise": SETTINGS.noise.model_copy(update={"burr_odds": 1000.0})}
+    )
+    said = facts(lidar, wall_image(), steady=True, camera=wall(), settings=strict)
+    assert explain_beam_class(said, strict).startswith("Burr: it disagrees")
+    assert explain_beam_repair(said, strict) == (
         "Kept: the scans before and after show it at the same place."
+    )
+
+
+def test_a_burr_of_too_little_confidence_or_seen_beside_is_kept() -> None:
+    strict = SETTINGS.model_copy(
+        update={"repair": SETTINGS.repair.model_copy(update={"lidar_burr_confidence": 1.0})}
+    )
+    said = facts(with_values(wall(), 1.2, 20), wall_image(), settings=strict)
+    words = explain_beam_repair(said, strict)
+    assert re.fullmatch(r"Kept: its confidence as a burr, 0\.9\d, is below 1\.00\.", words)
+    image = wall_image()
+    image[ROW + 1 : ROW + 4, 18:23] = 1.2
+    said = facts(with_values(wall(), 1.2, 20), image)
+    assert explain_beam_class(said, SETTINGS).startswith("Burr: it disagrees")
+    assert explain_beam_repair(said, SETTINGS) == "Kept: the camera sees its range beside it."
+
+
+def test_a_pixel_that_looks_through_a_pane() -> None:
+    pane = slice(15, 26)
+    said = facts(
+        with_values(wall(), 1.2, pane), with_values(wall_image(), 2.8, pane), camera=wall()
+    )
+    assert explain_beam_class(said, SETTINGS).endswith("Its pixel is the burr.")
+    assert explain_pixel_class(said, SETTINGS) == (
+        "Burr: it disagrees with the LiDAR by 1.60 m, more than epsilon (6.0 cm), and its beam has "
+        "met a surface that the camera shows nowhere around: it looks through it."
     )
 
 
@@ -280,7 +318,7 @@ def test_a_pixel_that_is_no_sure_burr_is_kept() -> None:
     )
     said = facts(wall(), image, camera=wall(), before=wall_image(), settings=strict)
     assert explain_pixel_repair(said, strict) == (
-        "Kept: its confidence as a burr, 0.66, is below 0.90."
+        "Kept: its confidence as a burr, 0.65, is below 0.90."
     )
 
 

@@ -50,9 +50,11 @@ def frame(first_rad: float = 0.3) -> SimpleNamespace:
         depth_confidence=np.linspace(0.2, 0.8, 7),
         epsilon_m=np.full(7, 0.2),
         lidar_steady=np.array([True, False, False, True, True, True, False]),
+        beam_evidence=np.arange(35.0).reshape(7, 5),
         beam_support=np.arange(21).reshape(7, 3),
         pixel_support=np.arange(14).reshape(7, 2),
         pixel_unconfirmed=np.zeros(7, dtype=np.bool_),
+        pixel_through=np.zeros(7, dtype=np.bool_),
     )
     repair = Repair(
         lidar_range_m=np.array([2.0, 2.2, 2.3, 3.0, 3.1, 4.0, NAN]),
