@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.denoising.noise import FrameWindow
+from fusion_core.denoising.neighbourhood import FrameWindow
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.sensors import LaserScan
 

@@ -19,7 +19,8 @@ import numpy as np
 
 from fusion_core.denoising.correspondence import Correspondence
 from fusion_core.denoising.nearby_returns import nearby_returns
-from fusion_core.denoising.noise import Classification, FrameWindow
+from fusion_core.denoising.neighbourhood import FrameWindow
+from fusion_core.denoising.noise import Classification
 from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.denoising.surfaces import fit_image_planes, interpolate_gaps, smooth_ranges
 from fusion_core.model.classes import NoiseClass, RepairSource

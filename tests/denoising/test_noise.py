@@ -11,12 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion_core.denoising.correspondence import Correspondence, match_along_curve
-from fusion_core.denoising.noise import (
-    FrameWindow,
-    NoiseSettings,
-    classify,
-)
+from fusion_core.denoising.neighbourhood import FrameWindow
+from fusion_core.denoising.noise import classify
 from fusion_core.denoising.noise_scale import NoiseScale
+from fusion_core.denoising.noise_settings import NoiseSettings
 from fusion_core.denoising.support import count_beam_support, count_pixel_support
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import R_BODY_OPTICAL

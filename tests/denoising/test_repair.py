@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion_core.denoising.correspondence import Correspondence
-from fusion_core.denoising.noise import Classification, FrameWindow
+from fusion_core.denoising.neighbourhood import FrameWindow
+from fusion_core.denoising.noise import Classification
 from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.denoising.repair import RepairSettings, repair
 from fusion_core.model.classes import NoiseClass, RepairSource

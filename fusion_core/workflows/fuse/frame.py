@@ -8,7 +8,8 @@ import numpy as np
 
 from fusion_core.alignment.time import ScanWindow
 from fusion_core.denoising.correspondence import Correspondence
-from fusion_core.denoising.noise import Classification, FrameWindow, classify
+from fusion_core.denoising.neighbourhood import FrameWindow
+from fusion_core.denoising.noise import Classification, classify
 from fusion_core.denoising.repair import Repair, repair
 from fusion_core.model.conventions import NS_PER_S, BoolArray
 from fusion_core.model.errors import AlignmentFailed

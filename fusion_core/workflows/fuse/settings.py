@@ -17,7 +17,7 @@ from fusion_core.alignment.curves import SamplingSettings
 from fusion_core.alignment.mount_settings import MountSettings
 from fusion_core.alignment.search import SearchSettings
 from fusion_core.alignment.time import TimeSettings
-from fusion_core.denoising.noise import NoiseSettings
+from fusion_core.denoising.noise_settings import NoiseSettings
 from fusion_core.denoising.repair import RepairSettings
 from fusion_core.exporting.settings_file import dump_toml, first_problem, load_toml, read_preset
 from fusion_core.mapping.grid import GridSettings

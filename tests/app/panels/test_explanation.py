@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from fusion_core.denoising.correspondence import Correspondence
-from fusion_core.denoising.noise import FrameWindow, NoiseSettings, classify
+from fusion_core.denoising.neighbourhood import FrameWindow
+from fusion_core.denoising.noise import classify
 from fusion_core.denoising.noise_scale import NoiseScale
+from fusion_core.denoising.noise_settings import NoiseSettings
 from fusion_core.denoising.repair import RepairSettings, repair
 from fusion_core.model.classes import RepairSource
 from fusion_core.model.sensors import LaserScan
