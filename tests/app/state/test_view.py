@@ -451,7 +451,13 @@ def test_links_with_former_field_names_are_read() -> None:
     # It was made with the default settings under the preset's name, of which it holds those that
     # differed at that time.
     expected = published.changed(settings=PRESETS["default"])
-    for name in ("check_nearby", "max_gap_deg", "max_gap_pixels", "edge_m"):
+    for name in (
+        "check_nearby",
+        "max_gap_deg",
+        "max_gap_pixels",
+        "edge_m",
+        "lidar_burr_confidence",
+    ):
         value = getattr(PRESETS["published"].repair, name)
         expected = expected.with_setting("repair", name, value)
     assert published.settings == expected.settings

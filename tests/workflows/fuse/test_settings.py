@@ -40,6 +40,7 @@ PUBLISHED = {
     "repair.prefer": "other_sensor",
     # Every burr is repaired and every good value believed, however sure its class.
     "repair.farther_confidence": 0.0,
+    "repair.lidar_burr_confidence": 0.0,
     "repair.depth_burr_confidence": 0.0,
     "repair.lidar_confidence": 0.0,
     # Gaps are closed however wide, and between whatever surfaces.
