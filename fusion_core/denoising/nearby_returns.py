@@ -67,9 +67,8 @@ class NearbyReturns:
         return mean
 
 
-def nearby_returns(window: FrameWindow) -> NearbyReturns:
-    """Collect the returns about each beam of the window's pairs."""
-    beam = window.pairs.beam
+def nearby_returns(window: FrameWindow, beam: IntArray) -> NearbyReturns:
+    """Collect the returns about (B,) beams of the window's scan."""
     beside_m, _ = _returns_at(window.scan, window, beam[:, np.newaxis] + np.array([-1, 1]))
     about = np.arange(-_BEAMS_ABOUT, _BEAMS_ABOUT + 1)
     beside = np.abs(about) <= _BEAMS_BESIDE

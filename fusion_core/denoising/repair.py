@@ -209,7 +209,7 @@ def _known_free_before(
     The neighbours are the line across the gap or, where it is not confirmed, the scans before and
     after.
     """
-    nearby = nearby_returns(window)
+    nearby = nearby_returns(window, window.pairs.beam)
 
     def confirmed(value_m: FloatArray, least: float) -> FloatArray:
         tolerance_m = _APPROACH_M + _CONTRADICTION_SIGMA * scale.sigma_at(value_m)
@@ -228,11 +228,46 @@ def _known_free_before(
     def unless_behind(value_m: FloatArray) -> FloatArray:
         return np.where(nearby.any_before(value_m - settings.edge_m), np.nan, value_m)
 
-    camera_m = np.where(window.pairs.camera_blocked, np.nan, camera.value)
+    hides = window.pairs.camera_blocked | _is_behind_pane(window, camera.value, scale, settings)
+    camera_m = np.where(hides, np.nan, camera.value)
     return (
         _Estimate(value=unless_behind(camera_m), error=camera.error),
         _Estimate(value=unless_behind(neighbours_m), error=neighbour_error),
     )
+
+
+def _is_behind_pane(
+    window: FrameWindow, camera_m: FloatArray, scale: NoiseScale, settings: RepairSettings
+) -> BoolArray:
+    """(B,): whether the camera may see (B,) ranges through a pane in a wall.
+
+    The scans before and after mostly lose the beams of an opening in a surface, and the camera sees
+    farther than the straight line across it, or than both of its sides where they are no straight
+    surface. Few beams go through a pane, and those of an open door return.
+    """
+    scan = window.scan
+    nearby = nearby_returns(window, np.arange(scan.ranges_m.size))
+    returns = nearby.returned_fraction >= settings.confirm_line
+    tolerance_m = _APPROACH_M + _CONTRADICTION_SIGMA * scale.sigma_at(scan.ranges_m)
+    lasting = nearby.confirmed_fraction(scan.ranges_m, tolerance_m) >= settings.confirm_line
+    sides_m = np.where(returns & lasting, scan.ranges_m, np.nan)
+    across_m, _ = interpolate_gaps(scan.angles_rad, sides_m, np.isfinite(sides_m), settings.edge_m)
+    sight_m = np.where(np.isfinite(across_m), across_m, _farther_side_m(sides_m))
+    beam = window.pairs.beam
+    behind: BoolArray = ~returns[beam] & (camera_m > sight_m[beam] + settings.edge_m)
+    return behind
+
+
+def _farther_side_m(range_m: FloatArray) -> FloatArray:
+    """(N,) the farther of the nearest ranges on either side of each beam, NaN at an open end."""
+    index = np.arange(range_m.size)
+    known = np.isfinite(range_m)
+    before = np.maximum.accumulate(np.where(known, index, -1))
+    after = np.minimum.accumulate(np.where(known, index, range_m.size)[::-1])[::-1]
+    ends_m = np.append(range_m, np.nan)
+    # Beyond either end of the scan, both numbers stand for the value that was appended.
+    farther: FloatArray = np.maximum(ends_m[before], ends_m[after])
+    return farther
 
 
 def _repair_depth(

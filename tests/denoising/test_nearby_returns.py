@@ -127,7 +127,7 @@ def test_nearby_returns_equal_a_loop_over_the_beams(seed, shifts, scans):
     window = window_of(
         lidar, before=present[0], after=present[1], shift_before=shifts[0], shift_after=shifts[1]
     )
-    nearby = nearby_returns(window)
+    nearby = nearby_returns(window, window.pairs.beam)
     probe_m = rng.choice([0.9, 1.05, 2.05], window.pairs.beam.size)
     tolerance_m = np.full(probe_m.size, 0.07)
     before_probe = nearby.any_before(probe_m)
@@ -238,6 +238,57 @@ def test_a_camera_whose_way_passed_behind_something_fills_nothing():
     blocked[33:36] = True
     window = window_of(lost, before=lost, after=lost, camera=wall(), blocked=blocked)
     np.testing.assert_array_equal(repaired(window)[1][30:36], [OTHER] * 3 + [NONE] * 3)
+
+
+# A pane in the wall, or in the wall's stead between two boxes of different range.
+OPENING = np.arange(30, 50)
+
+
+def scans_through_opening(sides_m, returning=()):
+    """Scans before, at and after an instant: the opening returns nothing but, in one of the scans,
+    5 m from beyond it."""
+    left_m, right_m = sides_m
+    surface = np.where(np.arange(BEAMS) < 40, left_m, right_m)
+    scans = [with_values(surface, np.nan, OPENING) for _ in range(3)]
+    for scan, beams in zip(scans, np.array_split(np.array(returning, dtype=int), 3), strict=True):
+        scan[beams] = 5.0
+    return scans
+
+
+@pytest.mark.parametrize("sides_m", [(3.0, 3.0), (2.0, 3.5)], ids=["wall", "boxes"])
+@pytest.mark.parametrize("returning", [(), (31, 33, 30, 49, 48, 41)], ids=["none", "few"])
+def test_what_the_camera_sees_through_a_pane_fills_nothing(sides_m, returning):
+    before, lidar, after = scans_through_opening(sides_m, returning)
+    camera = with_values(wall(), 5.0, OPENING)
+    value, _ = repaired(window_of(lidar, before=before, after=after, camera=camera))
+    lost = OPENING[np.isnan(lidar[OPENING])]
+    assert np.isnan(value[lost]).all()
+
+
+def test_what_the_camera_sees_before_a_gap_or_in_it_fills_the_gap():
+    for seen_m in (1.5, 3.0, 3.2):
+        before, lidar, after = scans_through_opening((3.0, 3.0))
+        camera = with_values(wall(), seen_m, OPENING)
+        value, source = repaired(window_of(lidar, before=before, after=after, camera=camera))
+        assert value[OPENING] == pytest.approx(seen_m)
+        assert (source[OPENING] == OTHER).all()
+
+
+def test_beams_lost_once_in_an_open_door_are_filled_from_the_camera():
+    beyond = with_values(wall(), 5.0, OPENING)
+    lidar = with_values(beyond, np.nan, OPENING)
+    value, source = repaired(window_of(lidar, before=beyond, after=beyond, camera=beyond))
+    # The outer beams lie beside the wall.
+    inner = OPENING[1:-1]
+    assert value[inner] == pytest.approx(5.0)
+    assert (source[inner] == OTHER).all()
+
+
+def test_an_opening_at_the_end_of_a_scan_has_no_sides():
+    before, lidar, after = (with_values(wall(), np.nan, np.arange(60, BEAMS)) for _ in range(3))
+    camera = with_values(wall(), 5.0, np.arange(60, BEAMS))
+    value, _ = repaired(window_of(lidar, before=before, after=after, camera=camera))
+    assert value[61:70] == pytest.approx(5.0)
 
 
 def test_where_no_line_crosses_the_gap_the_scans_before_and_after_fill_it():
