@@ -68,7 +68,7 @@ class CurveSampling:
         """``u`` - ``other_u``, around a full circle."""
         if self.turn_samples is None:
             return u - other_u
-        return _unwrapped(u - other_u, 0.0, self.turn_samples)
+        return unwrap_towards(u - other_u, 0.0, self.turn_samples)
 
     def on_curve(self, u: float) -> float:
         """An offset of a full circle as it is counted: from half a sample before 0 on."""
@@ -206,7 +206,7 @@ def row_samples_m(depth_m: Float32Array, sampling: RowSampling) -> FloatArray:
 def yaw_of_offset_rad(u: float, curve: CurveSampling, left_of_row_rad: float) -> float:
     """The rig's yaw on the LiDAR, within half a turn of 0, for which row sample 0 falls on LiDAR
     sample ``u``."""
-    return _unwrapped(curve.left_rad - u * curve.step_rad - left_of_row_rad, 0.0, 2.0 * np.pi)
+    return float(unwrap_towards(curve.left_rad - u * curve.step_rad - left_of_row_rad, 0.0))
 
 
 def offset_of_yaw(yaw_rad: float, curve: CurveSampling, row: RowSampling) -> float:
@@ -214,9 +214,4 @@ def offset_of_yaw(yaw_rad: float, curve: CurveSampling, row: RowSampling) -> flo
     row lies farthest within the curve."""
     u = (curve.left_rad - yaw_rad - row.left_rad) / curve.step_rad
     middle = 0.5 * (curve.beams.size - row.columns.size)
-    return _unwrapped(u, middle, 2.0 * np.pi / curve.step_rad)
-
-
-def _unwrapped(value: float, about: float, turn: float) -> float:
-    """The value moved by whole turns to within half a turn of another."""
-    return value - turn * round((value - about) / turn)
+    return float(unwrap_towards(u, middle, 2.0 * np.pi / curve.step_rad))

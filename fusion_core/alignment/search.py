@@ -12,6 +12,7 @@ from fusion_core.alignment.similarity import Metric, SimilarityField
 from fusion_core.alignment.time import parabola_offset
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import AlignmentFailed
+from fusion_core.model.polar import unwrap_towards
 from fusion_core.settings import StageSettings, setting
 
 
@@ -110,9 +111,9 @@ def find_peak(
 
 def _distances(field: SimilarityField, u: float) -> FloatArray:
     """(U,) how far each column's offset is from ``u``, around a full circle."""
-    off = field.u_first + np.arange(field.scores.shape[1]) - u
+    off = field.u_first + np.arange(field.scores.shape[1], dtype=np.float64) - u
     if field.turn_samples is not None:
-        off = off - field.turn_samples * np.rint(off / field.turn_samples)
+        off = unwrap_towards(off, 0.0, field.turn_samples)
     away: FloatArray = np.abs(off)
     return away
 

@@ -10,6 +10,8 @@ from fusion_core.evaluation.associated_truth import AssociatedTruth
 from fusion_core.evaluation.fuse_folder import FuseFolder, RecordedLidar
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.geometry import invert_transform, make_transform, transform_points
+from fusion_core.model.polar import unwrap_towards
+from fusion_core.model.sweep import is_full_circle
 
 # The distance at which the panorama's ends are taken: beyond a rig's baselines, within a room.
 _PANORAMA_END_M = 2.0
@@ -151,11 +153,9 @@ def _row_left_rad(
 
 def turn_samples(lidar: RecordedLidar) -> float:
     """Samples of one turn of a LiDAR that sees a full circle; infinite where its curve has ends."""
-    step_rad = abs(lidar.angle_increment_rad)
-    is_full_circle = abs(step_rad * lidar.beams - 2.0 * np.pi) <= 1.5 * step_rad
-    return lidar.samples if is_full_circle else np.inf
+    return lidar.samples if is_full_circle(lidar.beams, lidar.angle_increment_rad) else np.inf
 
 
 def around_turn(difference: FloatArray, turn: float) -> FloatArray:
     """(N,) differences of offsets, the short way around."""
-    return difference if np.isinf(turn) else difference - turn * np.rint(difference / turn)
+    return difference if np.isinf(turn) else unwrap_towards(difference, 0.0, turn)

@@ -1,14 +1,18 @@
 """Beams of a scan as points of its plane, and directions as beams."""
 
+from typing import TypeVar
+
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray, IntArray
 
+_Value = TypeVar("_Value", float, FloatArray)
 
-def unwrap_towards(azimuth_rad: FloatArray, about_rad: float) -> FloatArray:
-    """Azimuths moved by whole turns to within half a turn of ``about_rad``."""
-    turns = np.rint((azimuth_rad - about_rad) / (2.0 * np.pi))
-    unwrapped: FloatArray = azimuth_rad - 2.0 * np.pi * turns
+
+def unwrap_towards(values: _Value, about: float, turn: float = 2.0 * np.pi) -> _Value:
+    """Azimuths in radians, or other values of which ``turn`` make a circle, moved by whole turns to
+    within half a turn of ``about``."""
+    unwrapped: _Value = values - turn * np.rint((values - about) / turn)
     return unwrapped
 
 

@@ -6,7 +6,7 @@ from math import copysign, isfinite, pi, remainder, tau
 import numpy as np
 
 from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray, IntArray, read_only
-from fusion_core.model.sweep import require_plausible_sweep
+from fusion_core.model.sweep import is_full_circle, require_plausible_sweep
 
 # From a fisheye image of a few pixels to pixels of 1 µm at a focal length of 1 m.
 _FOCAL_LENGTH_LIMITS_PX = (1e-2, 1e6)
@@ -54,10 +54,8 @@ class LaserScan:
 
     @property
     def is_full_circle(self) -> bool:
-        """Whether the last beam is next to the first one, to within a beam and a half: also where
-        one direction is measured twice, and where one is missing."""
-        step_rad = abs(self.angle_increment_rad)
-        return abs(step_rad * self.ranges_m.size - tau) <= 1.5 * step_rad
+        """Whether the last beam is next to the first one."""
+        return is_full_circle(self.ranges_m.size, self.angle_increment_rad)
 
     def ranges_at(self, beams: IntArray) -> FloatArray:
         """Ranges of any numbers of beams, which go on around a full circle; NaN where there is no

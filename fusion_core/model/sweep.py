@@ -15,6 +15,13 @@ _MIN_STEP_RAD = 1e-7
 _SET_ANGLES = "Set the scanner's angles, in radians, in its driver."
 
 
+def is_full_circle(beams: int, angle_increment_rad: float) -> bool:
+    """Whether the last beam is next to the first one, to within a beam and a half: also where one
+    direction is measured twice, and where one is missing."""
+    step_rad = abs(angle_increment_rad)
+    return abs(step_rad * beams - tau) <= 1.5 * step_rad
+
+
 class ImplausibleSweep(ValueError):
     """``problem`` names the beams or angles that no scanner has, ``advice`` what to do."""
 

@@ -29,6 +29,7 @@ from fusion_core.denoising.correspondence import (
 from fusion_core.model.conventions import NS_PER_S, BoolArray, FloatArray
 from fusion_core.model.errors import AlignmentFailed, RegistrationFailed
 from fusion_core.model.geometry import transform_points
+from fusion_core.model.polar import unwrap_towards
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.registration.ransac import Registration, register
 from fusion_core.workflows.fuse.align import (
@@ -282,7 +283,7 @@ def _expected_offset(
         return of_mount
     if curve.turn_samples is not None:
         # Each camera's pairs count on, over the seam.
-        known -= curve.turn_samples * np.rint((known - of_mount) / curve.turn_samples)
+        known = unwrap_towards(known, of_mount, curve.turn_samples)
     return float(np.median(known))
 
 
