@@ -40,6 +40,15 @@ class NearbyReturns:
         for array in (self.beside_m, self.in_time_m, self.looked, self.returned_fraction):
             read_only(array)
 
+    def about(self, beam: IntArray) -> "NearbyReturns":
+        """Those of some of the beams."""
+        return NearbyReturns(
+            beside_m=self.beside_m[beam],
+            in_time_m=self.in_time_m[beam],
+            looked=self.looked[beam],
+            returned_fraction=self.returned_fraction[beam],
+        )
+
     def any_before(self, range_m: FloatArray) -> BoolArray:
         """(B,): whether any return is nearer than (B,) ranges."""
         seen_m = np.hstack([self.beside_m, self.in_time_m[:, 0], self.in_time_m[:, 1]])
@@ -67,8 +76,9 @@ class NearbyReturns:
         return mean
 
 
-def nearby_returns(window: FrameWindow, beam: IntArray) -> NearbyReturns:
-    """Collect the returns about (B,) beams of the window's scan."""
+def nearby_returns(window: FrameWindow) -> NearbyReturns:
+    """Collect the returns about every beam of the window's scan."""
+    beam = np.arange(window.scan.ranges_m.size)
     beside_m, _ = _returns_at(window.scan, window, beam[:, np.newaxis] + np.array([-1, 1]))
     about = np.arange(-_BEAMS_ABOUT, _BEAMS_ABOUT + 1)
     beside = np.abs(about) <= _BEAMS_BESIDE

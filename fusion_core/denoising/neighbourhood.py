@@ -9,6 +9,7 @@ from fusion_core.denoising.evidence import ranges_around, weigh_beams
 from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.denoising.noise_settings import NoiseSettings
 from fusion_core.denoising.support import (
+    APPROACH_M,
     count_beam_support,
     count_pixel_support,
     find_measured_pixels,
@@ -24,8 +25,6 @@ from fusion_core.model.sensors import LaserScan
 
 # Least fraction of valid depths around a pixel in the image before, to reject it; set by hand.
 _MIN_SEEN_BEFORE = 0.8
-# A robot at 0.5 m/s comes this much nearer between two images at 10 Hz.
-_APPROACH_M = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,7 +147,7 @@ def find_unconfirmed_pixels(
         around = before[row - reach : row + reach + 1, column - reach : column + reach + 1]
         own = window.pairs.depth_m[index]
         valid = np.isfinite(around)
-        near = np.abs(around - own) <= _APPROACH_M + settings.pixel_tolerance_fraction * own
+        near = np.abs(around - own) <= APPROACH_M + settings.pixel_tolerance_fraction * own
         gone[index] = valid.mean() > _MIN_SEEN_BEFORE and not near.any()
     return gone
 

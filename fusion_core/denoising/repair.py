@@ -18,10 +18,11 @@ from typing import Literal
 import numpy as np
 
 from fusion_core.denoising.correspondence import Correspondence
-from fusion_core.denoising.nearby_returns import nearby_returns
+from fusion_core.denoising.nearby_returns import NearbyReturns, nearby_returns
 from fusion_core.denoising.neighbourhood import FrameWindow
 from fusion_core.denoising.noise import Classification
 from fusion_core.denoising.noise_scale import NoiseScale
+from fusion_core.denoising.support import APPROACH_M
 from fusion_core.denoising.surfaces import fit_image_planes, interpolate_gaps, smooth_ranges
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.conventions import (
@@ -40,8 +41,6 @@ _STRUCTURE_PER_GAP = 0.1
 # Ranges farther apart than this many standard deviations contradict each other: by chance
 # one in 16,000 does.
 _CONTRADICTION_SIGMA = 4.0
-# A robot at 0.5 m/s comes this much nearer between two scans at 10 Hz.
-_APPROACH_M = 0.05
 
 
 class RepairSettings(StageSettings):
@@ -209,10 +208,11 @@ def _known_free_before(
     The neighbours are the line across the gap or, where it is not confirmed, the scans before and
     after.
     """
-    nearby = nearby_returns(window, window.pairs.beam)
+    every_beam = nearby_returns(window)
+    nearby = every_beam.about(window.pairs.beam)
 
     def confirmed(value_m: FloatArray, least: float) -> FloatArray:
-        tolerance_m = _APPROACH_M + _CONTRADICTION_SIGMA * scale.sigma_at(value_m)
+        tolerance_m = APPROACH_M + _CONTRADICTION_SIGMA * scale.sigma_at(value_m)
         enough = nearby.returned_fraction >= least
         enough &= nearby.confirmed_fraction(value_m, tolerance_m) >= least
         return np.where(enough, value_m, np.nan)
@@ -228,7 +228,9 @@ def _known_free_before(
     def unless_behind(value_m: FloatArray) -> FloatArray:
         return np.where(nearby.any_before(value_m - settings.edge_m), np.nan, value_m)
 
-    hides = window.pairs.camera_blocked | _is_behind_pane(window, camera.value, scale, settings)
+    hides = window.pairs.camera_blocked | _is_behind_pane(
+        window, every_beam, camera.value, scale, settings
+    )
     camera_m = np.where(hides, np.nan, camera.value)
     return (
         _Estimate(value=unless_behind(camera_m), error=camera.error),
@@ -237,18 +239,22 @@ def _known_free_before(
 
 
 def _is_behind_pane(
-    window: FrameWindow, camera_m: FloatArray, scale: NoiseScale, settings: RepairSettings
+    window: FrameWindow,
+    nearby: NearbyReturns,
+    camera_m: FloatArray,
+    scale: NoiseScale,
+    settings: RepairSettings,
 ) -> BoolArray:
-    """(B,): whether the camera may see (B,) ranges through a pane in a wall.
+    """(B,): whether the camera may see (B,) ranges through a pane in a wall. ``nearby``: of every
+    beam of the scan.
 
     The scans before and after mostly lose the beams of an opening in a surface, and the camera sees
     farther than the straight line across it, or than both of its sides where they are no straight
     surface. Few beams go through a pane, and those of an open door return.
     """
     scan = window.scan
-    nearby = nearby_returns(window, np.arange(scan.ranges_m.size))
     returns = nearby.returned_fraction >= settings.confirm_line
-    tolerance_m = _APPROACH_M + _CONTRADICTION_SIGMA * scale.sigma_at(scan.ranges_m)
+    tolerance_m = APPROACH_M + _CONTRADICTION_SIGMA * scale.sigma_at(scan.ranges_m)
     lasting = nearby.confirmed_fraction(scan.ranges_m, tolerance_m) >= settings.confirm_line
     sides_m = np.where(returns & lasting, scan.ranges_m, np.nan)
     across_m, _ = interpolate_gaps(scan.angles_rad, sides_m, np.isfinite(sides_m), settings.edge_m)

@@ -8,8 +8,10 @@ from fusion_core.model.conventions import BoolArray, Float32Array, FloatArray, I
 # Seen by the camera, a surface that changes its range faster from beam to beam is an edge: 80
 # degrees off the beam at a quarter of a degree a beam.
 _EDGE_SLOPE = 0.03
-# A robot at 0.5 m/s comes this much nearer between two scans at 10 Hz.
-_APPROACH_M = 0.05
+
+APPROACH_M = 0.05
+"""A robot at 0.5 m/s comes this much nearer between two scans or images at 10 Hz."""
+
 # Set by hand: a depth camera's noise at close range, with a margin.
 _PIXEL_FLOOR_M = 0.03
 
@@ -63,7 +65,7 @@ def count_beam_support(
         for neighbour in range(2):
             scan, shift = in_time[neighbour], shifts[neighbour]
             # The robot moves between scans: the surface may have come nearer by a little.
-            allowed = tolerance + _APPROACH_M
+            allowed = tolerance + APPROACH_M
             seen = False
             met = False
             for step in (-1, 0, 1):

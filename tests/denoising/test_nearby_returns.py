@@ -127,7 +127,7 @@ def test_nearby_returns_equal_a_loop_over_the_beams(seed, shifts, scans):
     window = window_of(
         lidar, before=present[0], after=present[1], shift_before=shifts[0], shift_after=shifts[1]
     )
-    nearby = nearby_returns(window, window.pairs.beam)
+    nearby = nearby_returns(window).about(window.pairs.beam)
     probe_m = rng.choice([0.9, 1.05, 2.05], window.pairs.beam.size)
     tolerance_m = np.full(probe_m.size, 0.07)
     before_probe = nearby.any_before(probe_m)
