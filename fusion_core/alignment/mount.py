@@ -144,14 +144,14 @@ def _refine_recorded(
     """A recorded mount, moved in the LiDAR's plane as far as its doubt lets the data move it."""
     priors = MountPriors.from_recorded(recorded, settings)
     found = _fit_in_plane(problem, lines, [recorded.vector()], priors)
-    values, sd = found.values, found.sd
+    values, sd = found.values, found.sd.copy()
     sd[[1, 4]] = priors.sd[[1, 4]]
     # What looks along with the pitch's doubt.
     sd[2] = np.hypot(sd[2], abs(values[1]) * priors.sd[4])
     if problem.tallies_per_frame(values)[:, 2].sum() < MIN_POINTS:
         # The recording does not constrain it: it is used as recorded.
         sd[:] = np.inf
-    return found
+    return replace(found, sd=sd)
 
 
 def _find_mount(
@@ -179,7 +179,7 @@ def _find_mount(
         if angle_between_rad(fit[0], best[0]) < SAME_YAW_RAD
     ]
     found = _fit_in_plane(problem, lines, [heights.best, *starts], priors)
-    sd = found.sd
+    sd = found.sd.copy()
     heights = sample_heights(problem, found.values, heights_m, priors)
     spread = np.sqrt(np.mean((heights.mounts - heights.best) ** 2, axis=0))
     # One block of frames has no spread.
