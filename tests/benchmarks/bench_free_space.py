@@ -14,77 +14,24 @@ Each is fused once, into DIR; what is there already is used again.
 """
 
 import argparse
-import os
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fusion_core.evaluation.repair import evaluate_repair
-from fusion_core.evaluation.truth import LeverArm, load_truth
-from fusion_core.simulation.scenes import write_scene
-from fusion_core.simulation.truth import truth_path
 from fusion_core.workflows.evaluate.evaluate import map_cells
 from fusion_core.workflows.fuse.fuse import fuse
 from fusion_core.workflows.fuse.session import FuseOptions
+from tests.benchmarks.known_recordings import Known, recordings
 
-SAMPLE = Path(__file__).parents[2] / "samples" / "furnished_room.mcap"
-SCENES = {"panorama": "robot_at_home", "floor": "floor"}
 MAPPED = ("room_1", "room_4", "floor")
-# As the README of the rooms states it, where the truth does not hold the mount.
-ROOMS_MOUNT = LeverArm(forward_m=0.05, left_m=0.03, lidar_height_m=0.31, camera_height_m=0.92)
-
-
-@dataclass(frozen=True)
-class Known:
-    """A recording with its truth; ``mount`` where the truth lacks it."""
-
-    name: str
-    recording: Path
-    truth: Path
-    mount: LeverArm | None
-
-
-def recordings(work: Path, wanted: list[str]) -> Iterator[Known]:
-    """The recordings, in the order of the tables."""
-    data = os.environ.get("SCANLOOM_TEST_DATA")
-    rooms = sorted((Path(data) / "rooms").glob("room_*.truth.npz")) if data else []
-    for truth in rooms:
-        name = truth.name.removesuffix(".truth.npz")
-        bag = truth.with_name(f"{name}.bag")
-        recording = bag if bag.exists() else truth.with_name(name)
-        if not wanted or name in wanted:
-            yield Known(name, recording, truth, _mount_of(truth))
-    if not wanted or "sample" in wanted:
-        yield Known("sample", SAMPLE, truth_path(SAMPLE), None)
-    for name, scene in SCENES.items():
-        if wanted and name not in wanted:
-            continue
-        recording = work / f"{name}.mcap"
-        if not recording.exists():
-            write_scene(scene, recording)
-        yield Known(name, recording, truth_path(recording), None)
-
-
-def _mount_of(truth: Path) -> LeverArm:
-    with np.load(truth) as arrays:
-        if "cam_z" not in arrays:
-            return ROOMS_MOUNT
-        forward_m, left_m = map(float, arrays["cam_offset"])
-        return LeverArm(
-            forward_m=forward_m,
-            left_m=left_m,
-            lidar_height_m=float(arrays["lidar_z"]),
-            camera_height_m=float(arrays["cam_z"]),
-            pitch_rad=float(arrays["cam_pitch"]),
-        )
 
 
 def _repair_line(known: Known, folder: Path) -> str:
-    truth = load_truth(known.truth, lever_arm=known.mount)
+    truth = known.load_truth()
     report = evaluate_repair(folder, truth).lidar
     entries = report.to_json()
     sources = entries["by_source"]

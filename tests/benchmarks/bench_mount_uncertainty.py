@@ -32,10 +32,10 @@ from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.fuse.align import RecordingAlignment, align_recording
 from fusion_core.workflows.fuse.session import FuseOptions, Session, open_session
 from fusion_core.workflows.fuse.settings import PRESETS
+from tests.benchmarks.known_recordings import CLOCK_OFFSET_MS
 
-# The mount of the rooms whose truth has the yaw alone, and their late clock: by their README.
+# The mount of the rooms whose truth has the yaw alone, by their README.
 README_MOUNT = {"cam_pitch": 0.0, "cam_offset": (0.05, 0.03), "cam_z": 0.92, "lidar_z": 0.31}
-CLOCK_OFFSET_MS = {"room_2": 40.0}
 UNITS = (
     ("yaw", "deg"),
     ("delta_z", "m"),

@@ -21,14 +21,12 @@ import numpy as np
 from fusion_core.evaluation.alignment import AlignmentReport, evaluate_alignment, pool_hits
 from fusion_core.evaluation.noise import NoiseReport, evaluate_noise, pool_noise
 from fusion_core.evaluation.repair import RepairReport, evaluate_repair, pool_repair
-from fusion_core.evaluation.truth import load_truth
 from fusion_core.workflows.fuse.fuse import fuse
 from fusion_core.workflows.fuse.session import FuseOptions
 from fusion_core.workflows.fuse.settings import PRESETS, ChainSettings, PresetName
-from tests.benchmarks.bench_free_space import Known, recordings
+from tests.benchmarks.known_recordings import ROOMS, Known, recordings
 
 Report = tuple[AlignmentReport, NoiseReport, RepairReport]
-ROOMS = [f"room_{number}" for number in range(1, 10)]
 
 
 def variants() -> Iterator[tuple[str, PresetName, ChainSettings]]:
@@ -44,7 +42,7 @@ def report(known: Known, preset: PresetName, settings: ChainSettings, folder: Pa
     """Fuse one room with these settings, and compare with its truth."""
     with patch.dict(PRESETS, {preset: settings}):
         fuse(known.recording, folder, FuseOptions(preset=preset, maps=False, figures=False))
-    truth = load_truth(known.truth, lever_arm=known.mount)
+    truth = known.load_truth()
     return (
         evaluate_alignment(folder, truth),
         evaluate_noise(folder, truth),

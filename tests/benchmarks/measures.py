@@ -15,16 +15,13 @@ from fusion_core.evaluation.alignment import evaluate_alignment
 from fusion_core.evaluation.noise import evaluate_noise
 from fusion_core.evaluation.repair import evaluate_repair
 from fusion_core.evaluation.tables import Row, alignment_table, noise_table, repair_table
-from fusion_core.evaluation.truth import load_truth
 from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.evaluate.evaluate import depth_images
 from fusion_core.workflows.fuse.fuse import fuse
 from fusion_core.workflows.fuse.session import FuseOptions
-from tests.benchmarks.bench_free_space import recordings
+from tests.benchmarks.known_recordings import ROOMS, recordings
 
-# Late stamps, by the README of the rooms.
-CLOCK_OFFSET_MS = {"room_2": 40.0}
-DEFAULT = (*(f"room_{number}" for number in range(1, 10)), "sample", "panorama")
+DEFAULT = [*ROOMS, "sample", "panorama"]
 
 
 def show(title: str, rows: list[Row]) -> None:
@@ -40,16 +37,12 @@ def show(title: str, rows: list[Row]) -> None:
 def main() -> None:
     """Fuse and measure."""
     with tempfile.TemporaryDirectory() as folder:
-        every = list(recordings(Path(folder), sys.argv[1:] or list(DEFAULT)))
+        every = list(recordings(Path(folder), sys.argv[1:] or DEFAULT))
         for preset in ("default", "published"):
             alignments, noises, repairs = {}, {}, {}
             for known in every:
                 name, output = known.name, Path(folder) / preset / known.name
-                truth = load_truth(
-                    known.truth,
-                    lever_arm=known.mount,
-                    clock_offset_ms=CLOCK_OFFSET_MS.get(name, 0.0),
-                )
+                truth = known.load_truth()
                 options = FuseOptions(preset=preset, maps=False, figures=False)
                 fuse(known.recording, output, options)
                 alignments[name] = evaluate_alignment(output, truth)
