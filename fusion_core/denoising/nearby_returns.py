@@ -1,9 +1,11 @@
 """What the LiDAR saw about a beam's direction: adjacent beams, and the scans before and after.
 
 A value that fills a beam is a claim that all before it is free. It is refused where any of these
-returns is nearer. A line across a gap is believed only where the scans before and after mostly
-returned it in that direction: beams that are lost by chance come back in the next scan, those on
-glass or on a dark surface do not, and then nothing is known of what the gap hides.
+returns is nearer. A line across a gap is believed where the scans before and after mostly returned
+it in that direction: beams that are lost by chance come back in the next scan.
+
+Those on glass, on a dark or a sunlit surface do not, and then nothing is known of what the gap
+hides, unless more of them return the line than a pane would let pass (``openings``).
 """
 
 from dataclasses import dataclass
@@ -79,14 +81,14 @@ class NearbyReturns:
 def nearby_returns(window: FrameWindow) -> NearbyReturns:
     """Collect the returns about every beam of the window's scan."""
     beam = np.arange(window.scan.ranges_m.size)
-    beside_m, _ = _returns_at(window.scan, window, beam[:, np.newaxis] + np.array([-1, 1]))
+    beside_m, _ = returns_at(window.scan, window, beam[:, np.newaxis] + np.array([-1, 1]))
     about = np.arange(-_BEAMS_ABOUT, _BEAMS_ABOUT + 1)
     beside = np.abs(about) <= _BEAMS_BESIDE
     in_time_m = np.full((beam.size, 2, int(beside.sum())), np.nan)
     looked, looked_about, returned = np.zeros((3, beam.size), dtype=np.int64)
     scans = ((window.scan_before, window.shift_before), (window.scan_after, window.shift_after))
     for place, (scan, shift) in enumerate(scans):
-        found_m, exists = _returns_at(scan, window, beam[:, np.newaxis] + shift + about)
+        found_m, exists = returns_at(scan, window, beam[:, np.newaxis] + shift + about)
         in_time_m[:, place] = found_m[:, beside]
         looked += exists[:, beside].sum(axis=1)
         looked_about += exists.sum(axis=1)
@@ -99,7 +101,7 @@ def nearby_returns(window: FrameWindow) -> NearbyReturns:
     )
 
 
-def _returns_at(
+def returns_at(
     scan: LaserScan | None, window: FrameWindow, beams: IntArray
 ) -> tuple[FloatArray, BoolArray]:
     """(B, K) ranges of a scan's beams, and whether it has such beams."""

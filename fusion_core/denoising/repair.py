@@ -9,7 +9,7 @@ A repair never removes an obstacle: a valid return is moved farther only where i
 least a set confidence, and conflicts are left as they are. Nor does it invent free space: no beam
 is filled behind what the LiDAR saw about its direction in this scan and the ones before and after,
 or behind what the camera saw before it, and a line across a gap needs those scans' confirmation
-(``nearby_returns``). What cannot be known stays a hole.
+(``nearby_returns``, ``openings``). What cannot be known stays a hole.
 """
 
 from dataclasses import dataclass, fields
@@ -18,10 +18,11 @@ from typing import Literal
 import numpy as np
 
 from fusion_core.denoising.correspondence import Correspondence
-from fusion_core.denoising.nearby_returns import NearbyReturns, nearby_returns
+from fusion_core.denoising.nearby_returns import nearby_returns
 from fusion_core.denoising.neighbourhood import FrameWindow
 from fusion_core.denoising.noise import Classification
 from fusion_core.denoising.noise_scale import NoiseScale
+from fusion_core.denoising.openings import find_openings, returns_in_openings
 from fusion_core.denoising.support import APPROACH_M
 from fusion_core.denoising.surfaces import fit_image_planes, interpolate_gaps, smooth_ranges
 from fusion_core.model.classes import NoiseClass, RepairSource
@@ -102,7 +103,21 @@ class RepairSettings(StageSettings):
     )
     confirm_in_time: float = setting(
         0.8,
-        "The same for the mean of both scans, which fills the beam where no line crosses the gap",
+        "The same for the mean of both scans, which fills the beam where no line crosses the gap; "
+        "and of all returns in an opening, least fraction from the line across it",
+        ge=0.0,
+        le=1.0,
+    )
+    pane_passes: float = setting(
+        0.17,
+        "Greatest fraction of the beams on a pane that return from behind it, set by hand: a "
+        "surface that loses most beams is told from a pane by returning more",
+        ge=0.0,
+        le=1.0,
+    )
+    pane_doubt: float = setting(
+        0.005,
+        "Greatest probability that a pane passes as many beams as are taken for such a surface",
         ge=0.0,
         le=1.0,
     )
@@ -211,14 +226,38 @@ def _known_free_before(
     every_beam = nearby_returns(window)
     nearby = every_beam.about(window.pairs.beam)
 
-    def confirmed(value_m: FloatArray, least: float) -> FloatArray:
-        tolerance_m = APPROACH_M + _CONTRADICTION_SIGMA * scale.sigma_at(value_m)
-        enough = nearby.returned_fraction >= least
-        enough &= nearby.confirmed_fraction(value_m, tolerance_m) >= least
-        return np.where(enough, value_m, np.nan)
+    def tolerance_m(value_m: FloatArray) -> FloatArray:
+        return APPROACH_M + _CONTRADICTION_SIGMA * scale.sigma_at(value_m)
 
-    line_m = confirmed(line.value, settings.confirm_line)
-    in_time_m = confirmed(nearby.between_scans_m(), settings.confirm_in_time)
+    def confirmed(value_m: FloatArray, least: float) -> BoolArray:
+        enough = nearby.returned_fraction >= least
+        enough &= nearby.confirmed_fraction(value_m, tolerance_m(value_m)) >= least
+        return enough
+
+    openings = find_openings(
+        window,
+        every_beam,
+        tolerance_m(window.scan.ranges_m),
+        settings.confirm_line,
+        settings.edge_m,
+    )
+    across_m, wall_m = openings.across_m[window.pairs.beam], openings.wall_m[window.pairs.beam]
+    # As far to either side as the middle of the widest gap that is filled.
+    in_openings = returns_in_openings(
+        window,
+        openings.across_m,
+        tolerance_m(openings.across_m),
+        np.deg2rad(0.5 * settings.max_gap_deg),
+    ).about(window.pairs.beam)
+    is_surface = in_openings.is_surface(
+        settings.pane_passes, settings.pane_doubt, settings.confirm_in_time
+    )
+    is_surface &= np.abs(line.value - across_m) <= tolerance_m(line.value)
+    is_surface |= confirmed(line.value, settings.confirm_line)
+    line_m = np.where(is_surface, line.value, np.nan)
+    between_m = nearby.between_scans_m()
+    is_steady = confirmed(between_m, settings.confirm_in_time)
+    in_time_m = np.where(is_steady, between_m, np.nan)
     # Beside the edge of something nearer, that has moved over this direction since.
     in_time_m = np.where(nearby.any_beside_behind(in_time_m + settings.edge_m), np.nan, in_time_m)
     has_line = np.isfinite(line_m)
@@ -228,52 +267,15 @@ def _known_free_before(
     def unless_behind(value_m: FloatArray) -> FloatArray:
         return np.where(nearby.any_before(value_m - settings.edge_m), np.nan, value_m)
 
-    hides = window.pairs.camera_blocked | _is_behind_pane(
-        window, every_beam, camera.value, scale, settings
-    )
+    # Few beams go through a pane, and those of an open door return.
+    behind_pane = nearby.returned_fraction < settings.confirm_line
+    behind_pane &= camera.value > wall_m + settings.edge_m
+    hides = window.pairs.camera_blocked | behind_pane
     camera_m = np.where(hides, np.nan, camera.value)
     return (
         _Estimate(value=unless_behind(camera_m), error=camera.error),
         _Estimate(value=unless_behind(neighbours_m), error=neighbour_error),
     )
-
-
-def _is_behind_pane(
-    window: FrameWindow,
-    nearby: NearbyReturns,
-    camera_m: FloatArray,
-    scale: NoiseScale,
-    settings: RepairSettings,
-) -> BoolArray:
-    """(B,): whether the camera may see (B,) ranges through a pane in a wall. ``nearby``: of every
-    beam of the scan.
-
-    The scans before and after mostly lose the beams of an opening in a surface, and the camera sees
-    farther than the straight line across it, or than both of its sides where they are no straight
-    surface. Few beams go through a pane, and those of an open door return.
-    """
-    scan = window.scan
-    returns = nearby.returned_fraction >= settings.confirm_line
-    tolerance_m = APPROACH_M + _CONTRADICTION_SIGMA * scale.sigma_at(scan.ranges_m)
-    lasting = nearby.confirmed_fraction(scan.ranges_m, tolerance_m) >= settings.confirm_line
-    sides_m = np.where(returns & lasting, scan.ranges_m, np.nan)
-    across_m, _ = interpolate_gaps(scan.angles_rad, sides_m, np.isfinite(sides_m), settings.edge_m)
-    sight_m = np.where(np.isfinite(across_m), across_m, _farther_side_m(sides_m))
-    beam = window.pairs.beam
-    behind: BoolArray = ~returns[beam] & (camera_m > sight_m[beam] + settings.edge_m)
-    return behind
-
-
-def _farther_side_m(range_m: FloatArray) -> FloatArray:
-    """(N,) the farther of the nearest ranges on either side of each beam, NaN at an open end."""
-    index = np.arange(range_m.size)
-    known = np.isfinite(range_m)
-    before = np.maximum.accumulate(np.where(known, index, -1))
-    after = np.minimum.accumulate(np.where(known, index, range_m.size)[::-1])[::-1]
-    ends_m = np.append(range_m, np.nan)
-    # Beyond either end of the scan, both numbers stand for the value that was appended.
-    farther: FloatArray = np.maximum(ends_m[before], ends_m[after])
-    return farther
 
 
 def _repair_depth(

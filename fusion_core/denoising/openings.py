@@ -1,0 +1,144 @@
+"""Openings between the walls that the LiDAR measures in scan after scan: what may stand in them.
+
+A pane, a dark and a sunlit surface lose most beams, and few scans tell them apart about one beam.
+Over the whole opening they do: what returns from the straight line between the walls, oftener than
+a pane lets a beam pass to something behind it, is a surface in that line.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.denoising.nearby_returns import NearbyReturns, returns_at
+from fusion_core.denoising.neighbourhood import FrameWindow
+from fusion_core.denoising.surfaces import interpolate_gaps
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
+
+# The outermost beams of an opening may have met what is beside it: the turn between scans is known
+# to half a beam, and a mixed pixel covers two.
+_BEAMS_OF_SIDE = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Openings:
+    """Of each of a scan's N beams, what stands about the opening that it goes through.
+
+    ``across_m``: (N,) range of the straight line between the walls on either side, NaN where these
+    are no straight surface, and outside of any opening. ``wall_m``: the same, or the farther of the
+    two sides where there is no line; NaN where a side is missing.
+    """
+
+    across_m: FloatArray
+    wall_m: FloatArray
+
+    def __post_init__(self) -> None:
+        read_only(self.across_m)
+        read_only(self.wall_m)
+
+
+def find_openings(
+    window: FrameWindow, nearby: NearbyReturns, tolerance_m: FloatArray, least: float, edge_m: float
+) -> Openings:
+    """The openings between beams that last: those whose ranges, to within (N,) tolerances, at least
+    the fraction ``least`` of the beams about them in the scans before and after returned.
+
+    ``nearby``: of every beam of the scan.
+    """
+    scan = window.scan
+    lasts = nearby.returned_fraction >= least
+    lasts &= nearby.confirmed_fraction(scan.ranges_m, tolerance_m) >= least
+    sides_m = np.where(lasts, scan.ranges_m, np.nan)
+    across_m, _ = interpolate_gaps(scan.angles_rad, sides_m, np.isfinite(sides_m), edge_m)
+    return Openings(
+        across_m=across_m,
+        wall_m=np.where(np.isfinite(across_m), across_m, _farther_side_m(sides_m)),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReturnsInOpening:
+    """(N, 3) counts about each of a scan's beams, in the scan before, the scan and the one after:
+    beams that looked through an opening, those that returned, and those that did from the line
+    across it."""
+
+    looked: IntArray
+    returned: IntArray
+    on_line: IntArray
+
+    def __post_init__(self) -> None:
+        for array in (self.looked, self.returned, self.on_line):
+            read_only(array)
+
+    def about(self, beam: IntArray) -> "ReturnsInOpening":
+        """Those of some of the beams."""
+        return ReturnsInOpening(
+            looked=self.looked[beam], returned=self.returned[beam], on_line=self.on_line[beam]
+        )
+
+    def is_surface(self, passed: float, doubt: float, least: float) -> BoolArray:
+        """(N,): whether a surface stands in the line across the opening.
+
+        So many returns would come through a pane before that surface with a probability of at most
+        ``doubt`` (the tail of the binomial distribution), if it lets a beam pass with probability
+        ``passed``. At least the fraction ``least`` of all returns are of the line, and some in each
+        of the scans before and after: where the robot moves, the wall beside the opening enters it
+        in one of them.
+        """
+        from scipy.special import bdtrc
+
+        looked, returned = self.looked.sum(axis=1), self.returned.sum(axis=1)
+        on_line = self.on_line.sum(axis=1)
+        surface: BoolArray = bdtrc(on_line - 1.0, looked, passed) <= doubt
+        surface &= on_line >= least * returned
+        surface &= (self.on_line[:, 0] > 0) & (self.on_line[:, 2] > 0)
+        return surface
+
+
+def returns_in_openings(
+    window: FrameWindow, across_m: FloatArray, tolerance_m: FloatArray, reach_rad: float
+) -> ReturnsInOpening:
+    """Count the returns in openings about each beam, up to ``reach_rad`` to either side.
+
+    ``across_m``, ``tolerance_m``: (N,), as in Openings.
+    """
+    beam = np.arange(across_m.size)
+    known = np.isfinite(np.pad(across_m, _BEAMS_OF_SIDE, constant_values=np.nan))
+    within = np.lib.stride_tricks.sliding_window_view(known, 2 * _BEAMS_OF_SIDE + 1).all(axis=1)
+    scans = (
+        (window.scan_before, window.shift_before),
+        (window.scan, 0),
+        (window.scan_after, window.shift_after),
+    )
+    looked, returned, on_line = np.zeros((3, beam.size, len(scans)), dtype=np.bool_)
+    for place, (scan, shift) in enumerate(scans):
+        range_m, exists = returns_at(scan, window, beam + shift)
+        looked[:, place] = within & exists
+        returned[:, place] = within & np.isfinite(range_m)
+        on_line[:, place] = within & (np.abs(range_m - across_m) <= tolerance_m)
+    reach = int(reach_rad / abs(window.scan.angle_increment_rad))
+    return ReturnsInOpening(
+        looked=_sum_about(looked, reach),
+        returned=_sum_about(returned, reach),
+        on_line=_sum_about(on_line, reach),
+    )
+
+
+def _sum_about(is_counted: BoolArray, reach: int) -> IntArray:
+    """(N, K): how many are counted of the beams about each of (N, K), up to ``reach`` away."""
+    total = np.pad(np.cumsum(is_counted, axis=0), ((1, 0), (0, 0)))
+    index = np.arange(len(is_counted))
+    last = np.minimum(index + reach + 1, index.size)
+    about: IntArray = total[last] - total[np.maximum(index - reach, 0)]
+    return about
+
+
+def _farther_side_m(range_m: FloatArray) -> FloatArray:
+    """(N,) the farther of the nearest ranges on either side of each beam, NaN at an open end."""
+    index = np.arange(range_m.size)
+    known = np.isfinite(range_m)
+    before = np.maximum.accumulate(np.where(known, index, -1))
+    after = np.minimum.accumulate(np.where(known, index, range_m.size)[::-1])[::-1]
+    ends_m = np.append(range_m, np.nan)
+    # Beyond either end of the scan, both numbers stand for the value that was appended.
+    farther: FloatArray = np.maximum(ends_m[before], ends_m[after])
+    return farther
