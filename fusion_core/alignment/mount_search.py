@@ -7,7 +7,6 @@ minima. What it finds is near the truth, and is refined afterwards.
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import minimize
 
 from fusion_core.alignment.mount_cost import MountCost
 from fusion_core.alignment.mount_settings import MountPriors
@@ -140,6 +139,8 @@ def _local_minima(profile: FloatArray, centre: FloatArray, count: int) -> list[F
 
 
 def _minimize(cost: Callable[[FloatArray], float], start: FloatArray) -> FloatArray:
+    from scipy.optimize import minimize
+
     simplex = np.vstack([start, start + np.diag(2.0 * _STEP)])
     # The pixels make the cost piecewise constant at the finest scale: no gradients.
     result = minimize(

@@ -2,7 +2,6 @@
 
 import cv2
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from fusion_core.model.conventions import BoolArray, Float32Array, FloatArray, IntArray
 
@@ -23,6 +22,8 @@ def fill_by_baselines(
     ``depth_m``: (H, W), NaN for missing; ``row``, ``column`` and the results: (n,). A pixel with a
     raw value keeps it: the baselines use no labels. NaN where no pixel nearby is valid.
     """
+    from scipy.ndimage import distance_transform_edt
+
     missing = ~np.isfinite(depth_m)
     if missing.all():
         return {name: np.full(row.shape, np.nan) for name in BASELINES}

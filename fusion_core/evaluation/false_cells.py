@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from fusion_core.evaluation.associated_truth import beam_angles_rad
 from fusion_core.evaluation.fuse_folder import FuseFolder
@@ -99,6 +98,8 @@ def true_views(truth: Truth, folder: FuseFolder) -> TrueViews:
 
 def evaluate_false_cells(cells: MapCells, views: TrueViews) -> FalseCells:
     """Compare a map's cells, in the world's frame, with what the LiDAR truly met."""
+    from scipy.spatial import cKDTree
+
     nearest_m, _ = cKDTree(views.surface_m()).query(cells.occupied_m.reshape(-1, 2))
     false_occupied = np.asarray(nearest_m) > cells.resolution_m + TOLERANCE_M
     return FalseCells(

@@ -5,19 +5,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from math import inf
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.csv
-import pyarrow.parquet as pq
 
 from fusion_core.files.regular_file import open_regular, read_regular
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 MISSING = -1
 """Null in integer columns, which have no NaN."""
@@ -175,8 +174,11 @@ def _recorded_camera(entry: dict[str, Any]) -> RecordedCamera:
     )
 
 
-def read_frames_table(folder: FuseFolder) -> pa.Table:
+def read_frames_table(folder: FuseFolder) -> "pa.Table":
     """frames.csv as it is: one row for each depth image, in the file's order."""
+    import pyarrow as pa
+    import pyarrow.csv
+
     file = folder.path / "frames.csv"
     try:
         # As a stream: Arrow rejects paths that are not UTF-8.
@@ -212,6 +214,9 @@ def read_samples(folder: FuseFolder) -> Iterator[Samples]:
     Raises ScanLoomError for a file that cannot be read, lacks a column, or has a class, source,
     beam or pixel that does not exist.
     """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     file = folder.path / "samples.parquet"
     wanted = tuple(field.name for field in fields(Samples))
     try:
@@ -271,6 +276,9 @@ def _require_within(
 
 def _as_codes(column: Any, names: list[str], what: str, file: Path) -> IntArray:
     """Positions of strings in ``names``, MISSING for null."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
     strings = column.cast(pa.string())
     codes = _as_integers(pc.index_in(strings, value_set=pa.array(names, pa.string())))
     unknown = (codes == MISSING) & strings.is_valid().to_numpy(zero_copy_only=False)
@@ -284,14 +292,20 @@ def _as_codes(column: Any, names: list[str], what: str, file: Path) -> IntArray:
 
 def _is_numeric(kind: Any) -> bool:
     """A column that is empty throughout has the type null."""
+    import pyarrow as pa
+
     return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind))
 
 
 def _as_integers(column: Any) -> IntArray:
+    import pyarrow as pa
+
     values: IntArray = column.cast(pa.int64()).fill_null(MISSING).to_numpy(zero_copy_only=False)
     return values
 
 
 def _as_floats(column: Any) -> FloatArray:
+    import pyarrow as pa
+
     values: FloatArray = column.cast(pa.float64()).to_numpy(zero_copy_only=False)
     return values

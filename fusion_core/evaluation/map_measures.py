@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.world_outline import MeasuredAngle, MeasuredLine, WorldOutline
@@ -145,6 +144,8 @@ def fit_face(face_m: FloatArray, cells: MapCells) -> tuple[FloatArray, FloatArra
     1 / (1 + (2 r / cell size)²)². It starts from the offset with the most cells; of two alike, as
     of the faces of a thin wall, from the one nearer to the expected face.
     """
+    from scipy.spatial import cKDTree
+
     length_m = float(np.linalg.norm(face_m[1] - face_m[0]))
     along = (face_m[1] - face_m[0]) / length_m
     normal = np.array([-along[1], along[0]])

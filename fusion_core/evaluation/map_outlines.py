@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from fusion_core.evaluation.map_measures import MapCells
 from fusion_core.model.conventions import BoolArray, FloatArray, read_only
@@ -120,6 +119,8 @@ def _detect_obstacle(obstacle: ObstacleOutline, found: BoolArray) -> ObstacleDet
 
 def _is_near(points_m: FloatArray, others_m: FloatArray, tolerance_m: float) -> BoolArray:
     """(N,): whether any of the others (M, 2) lies within the tolerance of each point (N, 2)."""
+    from scipy.spatial import cKDTree
+
     if len(others_m) == 0 or len(points_m) == 0:
         return np.zeros(len(points_m), dtype=np.bool_)
     # The tree leaves out what lies at the bound itself.

@@ -4,7 +4,6 @@
 """
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
 from fusion_core.model.trajectory import Trajectory
@@ -37,11 +36,15 @@ def translation_norms_m(T_a_b: FloatArray) -> FloatArray:
 
 def rotation_angles_rad(T_a_b: FloatArray) -> FloatArray:
     """(N,) angle of each rotation, in [0, pi]."""
+    from scipy.spatial.transform import Rotation
+
     return np.asarray(Rotation.from_matrix(T_a_b[:, :3, :3]).magnitude())
 
 
 def project_to_plane(T_map_body: FloatArray) -> FloatArray:
     """(N, 4, 4) with x, y and yaw only; height, pitch and roll are dropped."""
+    from scipy.spatial.transform import Rotation
+
     yaw_rad = np.arctan2(T_map_body[:, 1, 0], T_map_body[:, 0, 0])
     result = np.tile(np.eye(4), (len(T_map_body), 1, 1))
     result[:, :3, :3] = Rotation.from_euler("z", yaw_rad[:, np.newaxis]).as_matrix()
@@ -77,6 +80,8 @@ def interpolate_poses(
 def _interpolate_between(
     T_before: FloatArray, T_after: FloatArray, fraction: FloatArray
 ) -> FloatArray:
+    from scipy.spatial.transform import Rotation
+
     result = T_before.copy()
     step_m = T_after[:, :3, 3] - T_before[:, :3, 3]
     result[:, :3, 3] += fraction[:, np.newaxis] * step_m

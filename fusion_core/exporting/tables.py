@@ -6,15 +6,16 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from fusion_core.files.atomic import atomic_stream
 from fusion_core.model.names import escape_undecodable
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 
 class CsvTable:
@@ -76,8 +77,10 @@ class ParquetTable:
     """
 
     def __init__(
-        self, path: Path, schema: Mapping[str, pa.DataType], *, rows_per_group: int = 65_536
+        self, path: Path, schema: "Mapping[str, pa.DataType]", *, rows_per_group: int = 65_536
     ) -> None:
+        import pyarrow as pa
+
         self._path = path
         self._schema = pa.schema(list(schema.items()))
         self._rows_per_group = rows_per_group
@@ -87,6 +90,8 @@ class ParquetTable:
 
     def __enter__(self) -> Self:
         # A stream, since Arrow takes no path that is no UTF-8.
+        import pyarrow.parquet as pq
+
         stream = self._stack.enter_context(atomic_stream(self._path))
         self._writer = self._stack.enter_context(
             pq.ParquetWriter(stream, self._schema, compression="zstd")
@@ -100,6 +105,8 @@ class ParquetTable:
         Raises ValueError for missing or unknown columns, unequal lengths, or values that the
         column's type cannot hold.
         """
+        import pyarrow as pa
+
         names = self._schema.names
         if columns.keys() != set(names):
             raise ValueError(f"columns and schema differ in {sorted(columns.keys() ^ set(names))}")
@@ -111,6 +118,8 @@ class ParquetTable:
             self._write_group(self._rows_per_group)
 
     def _write_group(self, rows: int) -> None:
+        import pyarrow as pa
+
         pending = pa.concat_tables(self._pending)
         self._writer.write_table(pending.slice(0, rows).combine_chunks(), row_group_size=rows)
         self._pending = [pending.slice(rows)]
@@ -129,6 +138,8 @@ class ParquetTable:
         self._stack.__exit__(kind, error, traceback)
 
 
-def _to_arrow(values: npt.NDArray[Any], column_type: pa.DataType) -> Any:
+def _to_arrow(values: npt.NDArray[Any], column_type: "pa.DataType") -> Any:
     # from_pandas turns NaN to null; the safe cast refuses fractions and overflow.
+    import pyarrow as pa
+
     return pa.array(values, from_pandas=True).cast(column_type)

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fusion_core.files.atomic import write_text
 from fusion_core.model.conventions import NS_PER_S
@@ -20,6 +19,8 @@ def write_tum_trajectory(file: Path, trajectory: Trajectory) -> None:
     one with w >= 0, and no number is written as -0. Raises ExportError where the folder cannot be
     written, or for stamps below 0, which readers of the format refuse.
     """
+    from scipy.spatial.transform import Rotation
+
     if trajectory.stamps_ns[0] < 0:
         raise ExportError(
             f"cannot hold the stamp {trajectory.stamps_ns[0]} ns.",

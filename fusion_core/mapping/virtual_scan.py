@@ -26,7 +26,6 @@ just before its robot. An angle without any point is NaN.
 from typing import Literal
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from fusion_core.compiled import compiled
 from fusion_core.mapping.radius_filter import has_neighbours
@@ -305,6 +304,8 @@ def _is_seen_by_lidar(
     cloud_m: FloatArray, lidar_m: FloatArray, settings: VirtualScanSettings
 ) -> BoolArray:
     """(N,) which points of the camera the LiDAR has measured already, seen from above."""
+    from scipy.spatial import cKDTree
+
     limit_m = _surface_thickness_m(cloud_m, settings)
     if not len(lidar_m) or not limit_m.any():
         return np.zeros(len(cloud_m), dtype=np.bool_)

@@ -8,7 +8,6 @@ from array import array
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fusion_core.model.relations import Relations
 from fusion_core.recordings.number_lines import read_numeric_lines
@@ -21,6 +20,8 @@ def read_relations(file: Path) -> Relations:
 
     Raises RecordingError for a line that is no relation, OSError where the file cannot be read.
     """
+    from scipy.spatial.transform import Rotation
+
     stamps = array("q")
     values = array("d")
     for line in read_numeric_lines(file, COLUMNS):

@@ -1,12 +1,11 @@
 """Model values to one MCAP file of ROS 2 messages, as ROS 2 tools open it."""
 
 import struct
+from functools import cache
 from pathlib import Path
-from typing import Any, assert_never
+from typing import TYPE_CHECKING, Any, assert_never
 
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
-from scipy.spatial.transform import Rotation
 
 from fusion_core.model.conventions import NS_PER_S, Float32Array, FloatArray
 from fusion_core.model.grids import OccupancyGrid
@@ -25,8 +24,18 @@ from fusion_core.recordings.mcap.output import McapOutput
 from fusion_core.recordings.messages.bad_message import BadMessage
 from fusion_core.recordings.units import millimetres_from_depth_m
 
-_TYPESTORE = get_typestore(Stores.ROS2_HUMBLE)
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
 _POINT_FIELD_FLOAT32 = 7
+
+
+@cache
+def _typestore() -> "Typestore":
+    # What only reads and displays does not wait for it.
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_HUMBLE)
 
 
 class Ros2McapWriter:
@@ -298,7 +307,7 @@ class Ros2McapWriter:
                 f"its log time is {log_time_ns} ns, before 1970", "Check the clock of the log."
             )
         try:
-            data = _TYPESTORE.serialize_cdr(message, message_type, little_endian=True)
+            data = _typestore().serialize_cdr(message, message_type, little_endian=True)
         except (struct.error, OverflowError, UnicodeEncodeError) as error:
             problem = f"{message_type} cannot hold it: {error}"
             raise BadMessage(problem, "Check the values that it has.") from error
@@ -310,13 +319,13 @@ class Ros2McapWriter:
         self._output.write(channel, data, log_time_ns=log_time_ns, publish_time_ns=published_ns)
 
     def _register(self, topic: str, message_type: str) -> tuple[int, str]:
-        definition, _ = _TYPESTORE.generate_msgdef(message_type, ros_version=2)
+        definition, _ = _typestore().generate_msgdef(message_type, ros_version=2)
         self._channels[topic] = self._output.channel(topic, message_type, definition), message_type
         return self._channels[topic]
 
 
 def _message(message_type: str, **fields: Any) -> Any:
-    return _TYPESTORE.types[message_type](**fields)
+    return _typestore().types[message_type](**fields)
 
 
 def _float32(values: FloatArray) -> Float32Array:
@@ -340,6 +349,8 @@ def _vector(kind: str, xyz: FloatArray) -> Any:
 
 
 def _quaternion(rotation: FloatArray) -> Any:
+    from scipy.spatial.transform import Rotation
+
     # Canonical: of the two quaternions of a rotation, the one with w >= 0.
     x, y, z, w = (float(v) for v in Rotation.from_matrix(rotation).as_quat(canonical=True))
     return _message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)

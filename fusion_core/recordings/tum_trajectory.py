@@ -10,7 +10,6 @@ from math import hypot
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.trajectory import Trajectory
@@ -68,6 +67,8 @@ def read_tum_trajectory(file: Path) -> TrajectoryFile:
 
 def _transforms(values: FloatArray) -> FloatArray:
     """(N, 4, 4) of (N, 7) positions and quaternions."""
+    from scipy.spatial.transform import Rotation
+
     transforms = np.tile(np.eye(4), (len(values), 1, 1))
     transforms[:, :3, :3] = Rotation.from_quat(values[:, 3:]).as_matrix()
     transforms[:, :3, 3] = values[:, :3]

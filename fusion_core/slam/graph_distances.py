@@ -4,14 +4,17 @@ The nodes of this graph are submaps, in the order of their first keyframe. Each 
 the next by the length of the trajectory between them, and the two of a loop by a short edge.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
 from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.slam.identifiers import NodeId, SubmapId
 from fusion_core.slam.local_trajectory import LocalTrajectory
 from fusion_core.slam.tracking_losses import TrackingLosses
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 # Length of a tracking loss with unknown motion: longer than any trajectory.
 LOSS_DISTANCE_M = 1e5
@@ -57,6 +60,8 @@ class GraphDistances:
 
     def to_submaps(self, node: NodeId) -> FloatArray:
         """(S,) the shortest path from a keyframe to each submap's first one, in metres."""
+        from scipy.sparse.csgraph import dijkstra
+
         if self._graph_m is None:
             self._graph_m = self._adjacency()
             self._from_m.clear()
@@ -68,8 +73,10 @@ class GraphDistances:
     def _submap_of(self, node: NodeId) -> SubmapId:
         return SubmapId(int(np.searchsorted(self._first, node, side="right")) - 1)
 
-    def _adjacency(self) -> csr_array:
+    def _adjacency(self) -> "csr_array":
         """(S, S) edge lengths, in the upper triangle only."""
+        from scipy.sparse import csr_array
+
         chain_m = np.maximum(np.diff(self._path_m[self._first]), _DISTANCE_MIN_M)
         shortest = dict(self._loops_m)
         for number, length_m in enumerate(chain_m.tolist()):

@@ -6,7 +6,6 @@ Sparse pose adjustment (Hess et al. 2016, V.A, eq. SPA) with gtsam.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import gtsam
 import numpy as np
 
 from fusion_core.model.conventions import FloatArray
@@ -73,6 +72,8 @@ def optimise(
     residuals, so that the others outweigh a wrong loop; None for a squared cost. ``tolerance``: the
     relative decrease of the cost at which the optimisation ends.
     """
+    import gtsam
+
     graph = gtsam.NonlinearFactorGraph()
     values = gtsam.Values()
     for node, pose in enumerate(poses_map_node):

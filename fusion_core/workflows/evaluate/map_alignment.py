@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from fusion_core.model.conventions import FloatArray, read_only, wrap_angle
 from fusion_core.model.errors import RegistrationFailed
@@ -92,6 +91,8 @@ class _OutlineSamples:
     """The samples of the outlines, (M, 2), with the outlines' normals there."""
 
     def __init__(self, world: WorldOutline) -> None:
+        from scipy.spatial import cKDTree
+
         points, normals = [np.zeros((0, 2))], [np.zeros((0, 2))]
         for visible_alone in (True, False):
             for obstacle in world.obstacles:
