@@ -1,13 +1,20 @@
 """Functions as machine code, kept on disk from run to run where a place for it can be written."""
 
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from functools import update_wrapper
+from types import CodeType, FunctionType
 from typing import Any
 
-from numba import njit
+# Functions that call each other are prepared by one thread.
+_preparing = threading.RLock()
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """``numba.njit`` with these options and, where there is a place for it, its cache.
+
+    numba is imported when such a function is called first, not when it is defined: what only reads
+    and displays does not wait for it.
 
     The places are the folder NUMBA_CACHE_DIR, beside the source, and the user's own cache. Without
     any, as for a service without a home in an installation of somebody else's, each process
@@ -16,15 +23,58 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        try:
-            dispatcher = njit(cache=True, **options)(function)
-        except RuntimeError:
-            # All that numba says of a cache that it has no place for.
-            return njit(**options)(function)
-        _discard_unreadable_index(dispatcher._cache)
-        return dispatcher
+        assert isinstance(function, FunctionType), "numba compiles plain functions"
+        return _Compiled(function, options)
 
     return decorate
+
+
+class _Compiled:
+    """A function that is handed to numba when it is called first, or asked for an attribute."""
+
+    def __init__(self, function: FunctionType, options: dict[str, Any]) -> None:
+        update_wrapper(self, function)
+        self._function = function
+        self._options = options
+        self._dispatcher: Any = None
+
+    def __call__(self, *values: Any) -> Any:
+        return (self._dispatcher or self._prepare())(*values)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._prepare(), name)
+
+    def _prepare(self) -> Any:
+        """numba's function, which compiles at its first call. Those that it calls are put in their
+        places first: numba knows nothing of this class."""
+        with _preparing:
+            if self._dispatcher is None:
+                self._dispatcher = _dispatcher_of(self._function, self._options)
+                names = self._function.__globals__
+                for name in _names_in(self._function.__code__):
+                    if isinstance(called := names.get(name), _Compiled):
+                        names[name] = called._prepare()
+            return self._dispatcher
+
+
+def _names_in(code: CodeType) -> Iterator[str]:
+    """The global names that a function and those within it may look up."""
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _names_in(constant)
+
+
+def _dispatcher_of(function: FunctionType, options: dict[str, Any]) -> Any:
+    from numba import njit
+
+    try:
+        dispatcher = njit(cache=True, **options)(function)
+    except RuntimeError:
+        # All that numba says of a cache that it has no place for.
+        return njit(**options)(function)
+    _discard_unreadable_index(dispatcher._cache)
+    return dispatcher
 
 
 def _discard_unreadable_index(cache: Any) -> None:

@@ -20,12 +20,12 @@ import tyro
 from tyro import conf
 
 from fusion_core.model.errors import ScanLoomError
-from fusion_core.model.names import escape_undecodable_values
+from fusion_core.model.names import escape_undecodable_values, printable
 from scanloom.commands.evaluate import Evaluate
 from scanloom.commands.interruption import Terminated, termination
 from scanloom.commands.options import WrongUsage
 from scanloom.commands.subcommands import Scanloom
-from scanloom.commands.terminal import printable, progress_on_stderr
+from scanloom.commands.terminal import progress_on_stderr
 
 # As long as a path may be; longer numbers Python refuses to read.
 _ARGUMENT_MAX = 4096

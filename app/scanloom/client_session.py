@@ -7,18 +7,22 @@ to the panels. A failure is shown as a notification, and the session goes on.
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import viser
 
-from fusion_core.model.errors import SettingsError
+from fusion_core.model.errors import ScanLoomError, SettingsError
+from fusion_core.model.names import printable
 from fusion_core.workflows.fuse.settings import PRESETS, PresetName
 from scanloom.frame_view import FrameView, as_failure, compute_frame_view, failure_summary
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.jobs.long_job import Cancelled
+from scanloom.scene.sample_readout import linked
 from scanloom.state.history import History
+from scanloom.state.hover import Hover
 from scanloom.state.library import Library
 from scanloom.state.open_recording import OpenRecording
 from scanloom.state.view import View
@@ -43,6 +47,15 @@ class Panel(Protocol):
         another panel.
         """
 
+    def show_hover(self, frame_view: FrameView, hover: Hover) -> None:
+        """Light up the sample under the pointer. By default nothing is."""
+        return
+
+    def show_progress(self, frame_view: FrameView) -> None:
+        """Display how far the alignment is; all else is as ``show`` had it. By default nothing
+        does."""
+        return
+
     def close(self) -> None:
         """End the panel's background work. By default there is none."""
         return
@@ -51,24 +64,43 @@ class Panel(Protocol):
 class ClientSession:
     """The session of one browser. Thread-safe.
 
-    ``panels``: closed with the session.
+    ``panels``: closed with the session. ``after_drawing``: calls a function once the browser has
+    taken in what it was sent.
     """
 
-    def __init__(self, client: viser.ClientHandle, library: Library, view: View) -> None:
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        library: Library,
+        view: View,
+        after_drawing: Callable[[Callable[[], None]], None] = lambda start: start(),
+    ) -> None:
         self.panels: list[Panel] = []
         self.frame_view: FrameView | None = None
         self._client = client
+        self._after_drawing = after_drawing
+        # The recording whose alignment was asked for last.
+        self._alignment_of: OpenRecording | None = None
         self._library = library
         self._view = view
         self._history = History()
         self._open_recording: OpenRecording | None = None
         self._last_failure = ""
         self._displayed_s = 0.0
+        # How often it was asked to display a view, and how often it had been when it last did.
+        self._asked = self._answered = 0
+        self._prefers_dark = False
+        self._hover = Hover()
         self._closed = threading.Event()
         self._lock = threading.RLock()
         self._worker = LatestOnlyWorker(
             f"session {client.client_id}", self._compute_and_show, self.show_failure
         )
+
+    @property
+    def library(self) -> Library:
+        """The recordings that may be opened."""
+        return self._library
 
     @property
     def view(self) -> View:
@@ -77,6 +109,8 @@ class ClientSession:
 
     def refresh(self) -> None:
         """Compute and display the view again."""
+        with self._lock:
+            self._asked += 1
         self._worker.submit(self._view)
 
     def wait(self, timeout_s: float) -> bool:
@@ -95,6 +129,10 @@ class ClientSession:
     def change_settings(self, **values: Any) -> None:
         """As ``change``, and ``undo`` takes it back."""
         self._replace(lambda view: view.changed(**values), remember=True)
+
+    def show_recording(self, name: str) -> None:
+        """Go to the first frame of another recording."""
+        self._replace(lambda view: view.of_recording(name), remember=False)
 
     def change_setting(self, stage: str, name: str, value: Any) -> None:
         """Change a setting of a stage ("" for the chain itself). Undo takes a drag as one step."""
@@ -115,6 +153,23 @@ class ClientSession:
         """Align the whole recording again, with the current settings."""
         self.change_settings(alignment_settings=self._view.settings)
 
+    def set_prefers_dark(self, prefers_dark: bool) -> None:
+        """Set what the browser asks for where the view leaves the choice to it."""
+        if prefers_dark != self._prefers_dark:
+            self._prefers_dark = prefers_dark
+            self.refresh()
+
+    def hover(self, hover: Hover) -> None:
+        """Light up a sample in all views, without computing the frame again."""
+        frame_view = self.frame_view
+        if frame_view is None or hover == self._hover:
+            return
+        self._hover = hover
+        complete = linked(frame_view, hover)
+        with self.batch_updates():
+            for panel in self.panels:
+                panel.show_hover(frame_view, complete)
+
     def undo(self) -> None:
         """Undo the last change of settings."""
         self._replace(lambda view: self._history.undo(view) or view, remember=False)
@@ -133,16 +188,33 @@ class ClientSession:
             number = number % count if self._view.loop_playback else min(max(number, 0), count - 1)
             self.change(frame_index=number)
 
-    def notify(self, title: str, body: str, *, color: Literal["blue", "red"] = "blue") -> None:
-        """Show a notification that closes by itself."""
-        self._client.add_notification(title, body, auto_close_seconds=_NOTIFICATION_S, color=color)
+    def notify(
+        self,
+        title: str,
+        body: str,
+        *,
+        color: Literal["blue", "red"] = "blue",
+        until_dismissed: bool = False,
+    ) -> None:
+        """Show a notification that closes by itself, or when a person closes it."""
+        self._client.add_notification(
+            printable(title),
+            printable(body),
+            auto_close_seconds=None if until_dismissed else _NOTIFICATION_S,
+            color=color,
+        )
 
-    def show_failure(self, error: Exception) -> None:
+    def show_failure(self, error: Exception, *, until_dismissed: bool = False) -> None:
         """Notify of a failure, unless it is the same as the last one."""
         failure = as_failure(error)
         if str(failure) != self._last_failure:
             self._last_failure = str(failure)
-            self.notify(failure_summary(failure), failure.advice, color="red")
+            self.notify(
+                failure_summary(failure),
+                failure.advice,
+                color="red",
+                until_dismissed=until_dismissed,
+            )
 
     def send_file(self, name: str, content: bytes) -> None:
         """Have the browser save a file."""
@@ -177,8 +249,15 @@ class ClientSession:
         self._worker.close()
         self._worker.join(_CLOSE_TIMEOUT_S)
         if self._open_recording is not None:
-            self._open_recording.remove_listener(self.refresh)
+            self._open_recording.remove_listener(self._hear_of_alignment)
         self._library.release(self)
+
+    def _is_dark(self, view: View) -> bool:
+        is_auto = view.color_scheme == "auto"
+        return self._prefers_dark if is_auto else view.color_scheme == "dark"
+
+    def _hear_of_alignment(self) -> None:
+        self._worker.submit(self._view)
 
     def _replace(
         self, change: Callable[[View], View], *, remember: bool, dragged: str = ""
@@ -197,17 +276,39 @@ class ClientSession:
             self.refresh()
 
     def _compute_and_show(self, view: View, is_newest: Callable[[], bool]) -> None:
-        open_recording = self._library.open(view, viewer=self)
+        with self._library.activity.working():
+            self._compute_and_show_now(view, is_newest)
+
+    def _return_from(self, failed: View, error: ScanLoomError) -> None:
+        """Go back to what is displayed, as a recording or its streams cannot be opened."""
+        self._last_failure = ""
+        self.show_failure(error, until_dismissed=True)
+        with self._lock:
+            shown = self.frame_view
+            if (
+                shown is not None
+                and shown.view.opened_by != failed.opened_by
+                and self._view.opened_by == failed.opened_by
+            ):
+                self._view = shown.view
+                self.refresh()
+
+    def _compute_and_show_now(self, view: View, is_newest: Callable[[], bool]) -> None:
+        try:
+            open_recording = self._library.open(view, viewer=self)
+        except ScanLoomError as error:
+            self._return_from(view, error)
+            return
         if self._closed.is_set():
             self._library.release(self)
             return
         if open_recording is not self._open_recording:
             if self._open_recording is not None:
-                self._open_recording.remove_listener(self.refresh)
-            self._open_recording = open_recording
-        if open_recording.chain is None and open_recording.failure is None:
-            open_recording.align(self.refresh)
+                self._open_recording.remove_listener(self._hear_of_alignment)
+            self._open_recording, self._alignment_of = open_recording, None
+        asked = self._asked
         frame_view = compute_frame_view(view, open_recording, self.raise_if_closed)
+        frame_view = replace(frame_view, is_dark=self._is_dark(view))
         is_overdue = time.monotonic() - self._displayed_s > _MAX_DISPLAY_INTERVAL_S
         if self._closed.is_set() or not (is_newest() or is_overdue):
             return
@@ -215,11 +316,51 @@ class ClientSession:
             self.show_failure(frame_view.failure)
         elif frame_view.fused is not None:
             self._last_failure = ""
-        self.frame_view = frame_view
-        for panel in self.panels:
-            if self._closed.is_set():
-                return
-            with self.batch_updates():
-                panel.show(frame_view)
+        # A refused value leaves the view as it is, and its widget is set back.
+        has_progressed = asked == self._answered and frame_view.differs_in_progress_only(
+            self.frame_view
+        )
+        self._answered = asked
+        before, self.frame_view = self.frame_view, frame_view
+        # No two frames are seen at one time. A setting's effect is seen as soon as it is drawn.
+        is_other_frame = (
+            before is None
+            or before.open_recording is not frame_view.open_recording
+            or before.view.frame_index != frame_view.view.frame_index
+        )
+        try:
+            with self.batch_updates() if is_other_frame else nullcontext():
+                for panel in self.panels:
+                    if self._closed.is_set():
+                        return
+                    with self.batch_updates():
+                        if has_progressed:
+                            panel.show_progress(frame_view)
+                        else:
+                            panel.show(frame_view)
+        finally:
+            # Whatever a panel cannot show yet, it may once the recording is aligned.
+            if frame_view.is_being_aligned:
+                self._align_behind(open_recording)
         self._displayed_s = time.monotonic()
         self._client.local_storage.set_item(STORED_VIEW, view.to_link())
+
+    def _align_behind(self, open_recording: OpenRecording) -> None:
+        """Start the alignment once the browser has taken in the frame as it was recorded: both
+        need the processor, and a person waits for the frame."""
+
+        def start() -> None:
+            with self._lock:
+                if not self._closed.is_set() and self._open_recording is open_recording:
+                    open_recording.align(self._hear_of_alignment)
+                    if not open_recording.is_aligning:
+                        # Another browser's has ended meanwhile.
+                        self._hear_of_alignment()
+
+        if self._alignment_of is open_recording:
+            return
+        self._alignment_of = open_recording
+        if open_recording.is_aligning:
+            start()
+        else:
+            self._after_drawing(start)

@@ -11,7 +11,9 @@ from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_match import FrameMatch
 from fusion_core.workflows.fuse.pairing import PairedImage
 from scanloom.jobs.long_job import Cancelled
+from scanloom.jobs.time_left import time_left_text
 from scanloom.state.open_recording import OpenRecording
+from scanloom.state.raw_frame import LoneFrame, RawFrame
 from scanloom.state.view import View
 
 
@@ -19,8 +21,10 @@ from scanloom.state.view import View
 class FrameView:
     """A view and its results. A result that could not be computed is None; ``failure`` says why.
 
-    ``chain`` is None while the recording is being aligned. ``frame`` is a FrameMatch where the
-    classification or the repair failed.
+    ``chain`` is None while the recording is being aligned, and where that failed: then ``raw`` is
+    the frame as it was recorded. Of a recording without a LiDAR there is never more than ``raw``,
+    of one without depth images never more than ``lone``. ``frame`` is a FrameMatch where the
+    classification or the repair failed. ``is_dark``: whether it is shown on a dark page.
     """
 
     view: View
@@ -30,6 +34,27 @@ class FrameView:
     frame: FusedFrame | FrameMatch | None = None
     color: ColorImage | None = None
     failure: ScanLoomError | None = None
+    is_dark: bool = False
+    raw: RawFrame | None = None
+    lone: LoneFrame | None = None
+
+    @property
+    def is_being_aligned(self) -> bool:
+        """Whether the results of all stages are still to come."""
+        opened = self.open_recording
+        return self.chain is None and opened.failure is None and opened.can_be_fused
+
+    def differs_in_progress_only(self, before: "FrameView | None") -> bool:
+        """Whether it shows the same as ``before``, but for the progress of the alignment."""
+        return (
+            before is not None
+            and self.is_being_aligned
+            and (self.view, self.failure) == (before.view, before.failure)
+            and self.open_recording is before.open_recording
+            and self.raw is before.raw
+            and self.is_dark == before.is_dark
+            and before.chain is None
+        )
 
     @property
     def match(self) -> FrameMatch | None:
@@ -65,18 +90,22 @@ def failure_summary(failure: ScanLoomError) -> str:
 def alignment_progress_text(open_recording: OpenRecording) -> str:
     """The progress of the alignment, as text."""
     step = open_recording.progress
-    count = f", {step.done} of {step.total}" if step.total else ""
+    count = f", {step.done} of {step.total} images" if step.total else ""
     # numba compiles the loops on first use and caches them on disk.
-    patience = "" if step.done else " The first time takes up to a minute."
-    return f"Aligning the recording: {step.what}{count}.{patience}"
+    rest = "" if step.done else " The first time takes up to a minute."
+    if step.remaining_s is not None:
+        rest = f" {time_left_text(step.remaining_s)}"
+    return f"Aligning the recording: {step.what}{count}.{rest}"
 
 
 def missing_result_text(frame_view: FrameView) -> str:
     """Why a stage has no result, and what to do about it."""
     if frame_view.failure is not None:
         return f"{failure_summary(frame_view.failure)} {frame_view.failure.advice}"
+    if not frame_view.open_recording.can_be_fused:
+        return frame_view.open_recording.opened.why_not_fused
     if frame_view.chain is None:
-        return alignment_progress_text(frame_view.open_recording)
+        return "The recording is still being aligned. The bar at the top says how far that is."
     return "This frame could not be classified."
 
 
@@ -89,12 +118,11 @@ def compute_frame_view(
     end, as in an old link, means the last frame.
     """
     view = view.model_copy(
-        update={"frame_index": min(view.frame_index, len(open_recording.frames) - 1)}
+        update={"frame_index": max(min(view.frame_index, len(open_recording.frames) - 1), 0)}
     )
     chain = open_recording.chain
     if chain is None:
-        failure = None if open_recording.failure is None else as_failure(open_recording.failure)
-        return FrameView(view=view, open_recording=open_recording, failure=failure)
+        return _raw_frame_view(view, open_recording)
     choice = FrameChoice(
         number=view.frame_index,
         clock_offset_ms=clock_offset_ms(view, chain),
@@ -115,7 +143,7 @@ def compute_frame_view(
     except Exception as error:  # noqa: BLE001  # results of earlier stages are displayed
         failure = as_failure(open_recording.explain_read_error(error))
     try:
-        color = open_recording.frames.color(choice.number)
+        color = open_recording.color(choice.number)
     except Exception as error:  # noqa: BLE001  # the colour image is only displayed
         failure = failure or as_failure(open_recording.explain_read_error(error))
     return FrameView(
@@ -126,4 +154,26 @@ def compute_frame_view(
         frame=frame,
         color=color,
         failure=failure,
+    )
+
+
+def _raw_frame_view(view: View, open_recording: OpenRecording) -> FrameView:
+    """The frame as it was recorded, with the failure of the alignment if it has failed."""
+    raw = lone = color = failure = None
+    try:
+        lone = open_recording.lone(view.frame_index)
+        raw = open_recording.raw(view.frame_index)
+        color = open_recording.color(view.frame_index)
+    except Exception as error:  # noqa: BLE001  # what could be read is displayed
+        failure = as_failure(open_recording.explain_read_error(error))
+    if open_recording.failure is not None:
+        failure = as_failure(open_recording.failure)
+    return FrameView(
+        view=view,
+        open_recording=open_recording,
+        paired=None if raw is None else raw.paired,
+        color=color,
+        failure=failure,
+        raw=raw,
+        lone=lone,
     )

@@ -8,6 +8,9 @@ from pathlib import Path
 
 from fusion_core.model.errors import ScanLoomError
 
+SAMPLE_FRAME = 40
+"""A frame of the built-in recording with samples of all classes and repairs of both sensors."""
+
 _PACKAGE = Path(__file__).parent
 
 
@@ -24,7 +27,7 @@ def sample_path(name: str = "furnished_room.mcap") -> Path:
 def palette() -> dict[str, str]:
     """Colour (#RRGGBB) of each noise class, each sensor and the fused result.
 
-    The colours are those of Okabe and Ito, which colour-blind readers can distinguish.
+    All but the last can be told apart by colour-blind readers, on white and on dark pages.
     """
     colours: dict[str, str] = json.loads(static_path("palette.json").read_text(encoding="utf-8"))
     return colours

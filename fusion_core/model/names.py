@@ -17,6 +17,18 @@ def escape_undecodable(text: str) -> str:
     return raw.decode("utf-8", "backslashreplace")
 
 
+def printable(text: str) -> str:
+    """``text`` on one line, with control characters and direction marks written as escapes.
+
+    Topic and file names come out of recordings. A terminal obeys escape sequences, and a mark that
+    turns the direction of writing disguises a name.
+    """
+    return "".join(
+        char if char.isprintable() else char.encode("unicode_escape").decode()
+        for char in escape_undecodable(text)
+    )
+
+
 def escape_undecodable_values(value: Any) -> Any:
     """``escape_undecodable`` for every text in nested dictionaries, lists and tuples."""
     if isinstance(value, str):

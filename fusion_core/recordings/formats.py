@@ -8,6 +8,7 @@ from pathlib import Path
 from fusion_core.files.regular_file import read_head
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording
+from fusion_core.recordings.archives import detect_compression
 from fusion_core.recordings.carmen.log import is_carmen_log, open_carmen_log
 from fusion_core.recordings.images.frame_folder import frame_layout, open_frame_folder
 from fusion_core.recordings.images.image_folder import is_image_folder, open_image_folder
@@ -17,6 +18,7 @@ from fusion_core.recordings.robot_at_home.rooms import is_robot_at_home, open_on
 from fusion_core.recordings.rosbag1 import bag
 from fusion_core.recordings.rosbag1.bag import open_rosbag1
 from fusion_core.recordings.rosbag2 import compressed_storage, sqlite_file
+from fusion_core.recordings.rosbag2.metadata import METADATA
 from fusion_core.recordings.rosbag2.storage import (
     is_rosbag2_folder,
     open_rosbag2_folder,
@@ -107,6 +109,34 @@ def open_recording(path: Path) -> Recording:
     raise RecordingError("does not exist.", file=path, advice="Check the path.")
 
 
+def is_recording(path: Path) -> bool:
+    """Whether a path looks like a recording by its first bytes, or by what the folder holds.
+
+    It is not opened: a damaged one looks like a recording, too. What cannot be read is none.
+    """
+    try:
+        if path.is_dir():
+            return any(format.matches(path) for format in _FOLDER_FORMATS)
+        head = read_head(path, _HEAD_BYTES)
+        return bool(head) and any(format.matches(path, head) for format in _FILE_FORMATS)
+    except OSError:
+        return False
+
+
+def is_packed(path: Path) -> bool:
+    """Whether a file must be unpacked as a whole to be opened. Raises OSError."""
+    head = read_head(path, len(compressed_storage.ZSTD_MAGIC))
+    is_storage = head in (compressed_storage.ZSTD_MAGIC, compressed_storage.LZ4_MAGIC)
+    return is_storage or detect_compression(path) is not None
+
+
+def may_hold_recordings(folder: Path) -> bool:
+    """Whether what looks like one recording may be a folder of several: files of ROS 2 without a
+    common description, or rooms of a data set. Raises OSError."""
+    is_described = (folder / METADATA).is_file()
+    return not is_described and (is_rosbag2_folder(folder) or is_robot_at_home(folder))
+
+
 def _open_file(path: Path) -> Recording:
     head = read_head(path, _HEAD_BYTES)
     if not head:
@@ -134,20 +164,9 @@ def _open_folder(path: Path) -> Recording:
         if format.matches(path):
             return format.open(path)
     children = sorted(islice(path.iterdir(), _MAX_CHILDREN))
-    inside = list(islice(filter(_could_be_recording, children), 3))
+    inside = list(islice(filter(is_recording, children), 3))
     if inside:
         names = ", ".join(child.name for child in inside)
         problem = f"is a folder around recordings, such as {names}."
         raise RecordingError(problem, file=path, advice="Name one of them.")
     raise RecordingError("is a folder without a recording.", file=path, advice=READABLE_FORMATS)
-
-
-def _could_be_recording(path: Path) -> bool:
-    try:
-        if path.is_dir():
-            return any(format.matches(path) for format in _FOLDER_FORMATS)
-        head = read_head(path, _HEAD_BYTES)
-        return bool(head) and any(format.matches(path, head) for format in _FILE_FORMATS)
-    except OSError:
-        # What cannot be read is not offered.
-        return False

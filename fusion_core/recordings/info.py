@@ -60,7 +60,7 @@ def _describe_fusion(streams: Streams) -> list[str]:
     if len(without) == len(streams.depth):
         return ["It cannot be fused: there is no 2D LiDAR, and a virtual one needs intrinsics."]
     return [
-        f"It can be fused with --virtual-lidar, a LiDAR cut from {depths}: there is no 2D LiDAR.",
+        f"It can be fused with a virtual LiDAR, cut from a row of {depths}: there is no 2D LiDAR.",
         *lacking,
     ]
 

@@ -6,6 +6,9 @@ from pathlib import Path
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording
+from fusion_core.recordings.formats import is_packed as is_packed
+from fusion_core.recordings.formats import is_recording as is_recording
+from fusion_core.recordings.formats import may_hold_recordings as may_hold_recordings
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.robot_at_home.room import RoomSummary
 from fusion_core.recordings.robot_at_home.rooms import is_robot_at_home, list_rooms, open_room

@@ -20,6 +20,7 @@ from fusion_core.workflows.fuse.settings import PRESETS
 from scanloom.client_session import STORED_VIEW, ClientSession, Panel
 from scanloom.frame_view import FrameView, compute_frame_view
 from scanloom.resources import sample_path
+from scanloom.state import open_recording as open_recording_module
 from scanloom.state.library import Library
 from scanloom.state.open_recording import OpenRecording
 from scanloom.state.view import View, view_of_link
@@ -147,6 +148,72 @@ def test_a_session_shows_its_first_view_and_has_the_browser_keep_it(
     assert panel.frame_view[0].fused is not None
     assert view_of_link(client.stored[STORED_VIEW]) == view
     assert client.notes == []
+
+
+def test_frames_are_shown_as_recorded_until_the_recording_is_aligned(
+    small_scene: Path, view: View, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A person steps through them meanwhile, and a report of progress changes the bar alone."""
+    goes_on, is_counting = threading.Event(), threading.Event()
+
+    def align_later(fuse_session: Any, progress: Any, stamps: Any) -> Any:
+        progress(1, 2, "searching")
+        is_counting.set()
+        assert goes_on.wait(ENOUGH_S)
+        progress(2, 2, "searching")
+        return align_recording(fuse_session, progress, stamps)
+
+    align_recording = open_recording_module.align_recording
+    monkeypatch.setattr(open_recording_module, "align_recording", align_later)
+    own = Library([small_scene], [])
+    panel = Recorder()
+    session = ClientSession(FakeClient(), own, view)  # type: ignore[arg-type]  # as far as it is needed
+    session.panels = [panel]
+    session.refresh()
+    for number in (0, 3, 1):
+        session.change(frame_index=number)
+        shown = panel.until(
+            lambda frame_view, number=number: frame_view.view.frame_index == number  # type: ignore[misc]  # bound now
+        )
+        assert shown.chain is None
+        assert shown.raw is not None
+        assert shown.raw.stamp_ns == shown.open_recording.frames.image(number).stamp_ns
+    assert is_counting.wait(ENOUGH_S)
+    assert session.wait(ENOUGH_S)
+    shows = len(panel.frame_view)
+    session._hear_of_alignment()
+    assert session.wait(ENOUGH_S)
+    assert len(panel.frame_view) == shows
+    # Asked to, it shows all again: a widget may hold a refused value.
+    session.refresh()
+    assert session.wait(ENOUGH_S)
+    assert len(panel.frame_view) == shows + 1
+    goes_on.set()
+    aligned_view = panel.until(lambda frame_view: frame_view.chain is not None)
+    assert aligned_view.raw is None
+    assert aligned_view.view.frame_index == 1
+    session.close()
+    own.close()
+
+
+def test_the_alignment_waits_for_the_browser_to_draw(small_scene: Path, view: View) -> None:
+    started: list[Callable[[], None]] = []
+    own = Library([small_scene], [])
+    panel = Recorder()
+    session = ClientSession(FakeClient(), own, view, after_drawing=started.append)  # type: ignore[arg-type]  # as far as it is needed
+    session.panels = [panel]
+    session.refresh()
+    assert session.wait(ENOUGH_S)
+    session.change(frame_index=2)
+    shown = shown_by(session)
+    assert shown.raw is not None
+    assert len(started) == 1
+    # What another browser has aligned in the meantime is shown as well.
+    assert aligned(own, view) is shown.open_recording
+    started[0]()
+    panel.until(lambda frame_view: frame_view.chain is not None)
+    session.close()
+    own.close()
 
 
 def test_of_many_changes_the_last_is_shown_and_kept(
@@ -452,7 +519,7 @@ def test_the_clock_offset_is_the_mounts_and_only_where_asked_for(
     open_recording = library.open(view)
     chain = open_recording.chain
     assert chain is not None
-    late = OpenRecording(open_recording.fuse_session)
+    late = OpenRecording(open_recording.opened)
     late.chain = type(chain)(
         open_recording.fuse_session,
         open_recording.frames,
@@ -529,7 +596,7 @@ def test_a_colour_image_that_cannot_be_read_hides_no_frame(
 
 
 def test_while_a_recording_is_aligned_its_streams_are_shown(library: Library, view: View) -> None:
-    waiting = OpenRecording(library.open(view).fuse_session)
+    waiting = OpenRecording(library.open(view).opened)
     frame_view = compute_frame_view(view, waiting)
     assert (frame_view.chain, frame_view.match, frame_view.failure) == (None, None, None)
     assert frame_view.open_recording is waiting

@@ -71,10 +71,26 @@ def test_no_file_of_the_help_is_left_over() -> None:
 
 
 @pytest.mark.parametrize(
-    "key", ["Space", "PageUp, PageDown", "Home, End", "J, K", "Alt + 1", "Ctrl + Z", "Ctrl + K"]
+    "key",
+    [
+        "Space",
+        "PageUp, PageDown",
+        "K, J",
+        "Home, End",
+        "M",
+        "N, Shift + N",
+        "Alt + 1",
+        "Ctrl + Z",
+        "Ctrl + Shift + Z",
+        "P",
+        "L",
+        "H",
+        "Esc",
+        "Ctrl + K",
+    ],
 )
 def test_the_keys_are_listed(key: str) -> None:
-    assert re.search(rf"^\| {re.escape(key)}", keys_text(), flags=re.MULTILINE)
+    assert re.search(rf"^\| {re.escape(key)}[ ,]", keys_text(), flags=re.MULTILINE)
 
 
 def test_the_logo_is_a_picture_of_its_own() -> None:

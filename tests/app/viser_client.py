@@ -4,6 +4,7 @@
 sent, and answers from a storage of its own. Every message is kept with the time of its arrival.
 """
 
+import json
 import queue
 import threading
 import time
@@ -77,6 +78,7 @@ class ViserClient:
         self.commands: dict[str, str] = {}
         self.storage = storage
         self.closed_with: websockets.exceptions.ConnectionClosed | None = None
+        self._presses = 0
         self._socket = socket
         self._arrived: queue.Queue[Received | None] = queue.Queue()
         self._changed = threading.Condition()
@@ -155,7 +157,7 @@ class ViserClient:
             return [
                 widget
                 for widget in self.widgets.values()
-                if widget.label == label and (within is None or within in self._around(widget))
+                if widget.label == label and (within is None or within in self.around(widget))
             ]
 
         try:
@@ -165,8 +167,12 @@ class ViserClient:
             raise LookupError(f"no widget {label!r} among {known}") from None
         with self._changed:
             widgets = found()
+            if len(widgets) > 1:
+                widgets = [widget for widget in widgets if self._is_in_sight(widget)]
         if len(widgets) > 1:
-            raise LookupError(f"{len(widgets)} widgets are called {label!r}: name what is around")
+            raise LookupError(
+                f"{len(widgets)} widgets in sight are called {label!r}: name what is around"
+            )
         return widgets[0]
 
     def set_value(self, label: str, value: Any, *, within: str | None = None) -> float:
@@ -179,6 +185,20 @@ class ViserClient:
         """Press a button; return when the message was sent."""
         return self.update(self.find(label, within=within).uuid, {"value": True})
 
+    def press(self, name: str, value: str) -> float:
+        """Press one of the page's own buttons; return when the message was sent."""
+        self._presses += 1
+        action = {"kind": "press", "name": name, "value": value, "number": self._presses}
+        return self.set_value("page events", json.dumps({"actions": [action]}))
+
+    def point(self, picture: str, kind: str, x_px: float, y_px: float) -> float:
+        """Move, click or drag on one of the page's pictures; return when the message was sent."""
+        self._presses += 1
+        event = {"kind": kind, "picture": picture, "x_px": x_px, "y_px": y_px}
+        event["number"] = self._presses
+        events = {"actions": [event]} if kind == "click" else {"pointer": event}
+        return self.set_value("page events", json.dumps(events))
+
     def update(self, uuid: str, updates: Any) -> float:
         """Send a widget's update as it stands; return when it was sent."""
         return self.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": updates})
@@ -190,7 +210,25 @@ class ViserClient:
             uuids = [uuid for uuid, known in self.commands.items() if known == label]
         return self.send({"type": "CommandTriggerMessage", "uuid": uuids[-1]})
 
-    def _around(self, widget: Widget) -> set[str]:
+    def shows_picture(self, name: str) -> bool:
+        """Whether a picture that answers to the pointer is in sight."""
+        with self._changed:
+            return any(
+                f'data-picture="{name}"' in str(widget.props.get("content"))
+                and bool(widget.props["visible"])
+                for widget in self.widgets.values()
+            )
+
+    def _is_in_sight(self, widget: Widget) -> bool:
+        """Whether a widget and all that it stands in are visible."""
+        seen: Widget | None = widget
+        while seen is not None:
+            if not seen.props.get("visible", True):
+                return False
+            seen = next((w for w in self.widgets.values() if w.uuid == seen.container_uuid), None)
+        return True
+
+    def around(self, widget: Widget) -> set[str]:
         """Labels of the folders and tabs that a widget stands in."""
         labels = set()
         uuid = widget.container_uuid
@@ -327,4 +365,6 @@ def _with_arrays(value: Any, buffers: list[bytes]) -> Any:
 
 def _tabs(props: Mapping[str, Any]) -> dict[str, str]:
     """Labels of a tab group's tabs, by the uuid of what they hold."""
-    return dict(zip(props.get("_tab_container_ids", ()), props.get("_tab_labels", ()), strict=True))
+    # An update brings one before the other.
+    ids, labels = props.get("_tab_container_ids", ()), props.get("_tab_labels", ())
+    return dict(zip(ids, labels, strict=False))

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from random import Random
 from typing import Any, Self
@@ -27,6 +28,7 @@ import numpy as np
 from fusion_core.simulation.scenes import SceneSettings, find_scene, write_scene
 from scanloom.resources import sample_path
 from tests.app.viser_client import Received, ViserClient, connect
+from tests.benchmarks.page_agreement import PageContent
 
 CORES = 2
 CHANGES = 100
@@ -34,12 +36,20 @@ PEOPLE = 4
 EVENTS, EVENTS_S, EVENT_ROUNDS = 200, 2.0, 5
 PLAYED_S = 10.0
 PANORAMA_S = 4.0
+# Images a second in the sample.
+OWN_HZ = 15.0
+# Of one frame more or less at both ends.
+_RATE_TOLERANCE = 0.97
+_COUNTED_WITHIN_S = 300.0
 _QUIET_S = 0.2
 _ALIGNED_WITHIN_S = 300.0
 _STEPS_DEG = tuple(0.5 + 0.25 * step for step in range(11))
 # To and fro: a picture that comes out the same is not sent again.
 _OVERLAPS = tuple(low + side for low in (0.2, 0.25, 0.3, 0.35, 0.15) for side in (0.0, 0.6))
 _EPSILONS = tuple(low + side for low in (0.5, 0.7, 0.9, 1.1, 1.3) for side in (0.0, 5.0))
+
+# Where the picture stands that a panel is about.
+_PICTURES = {"Match": "Where do they fit?", "Repair": "Depth image"}
 
 IsPicture = Callable[[Received], bool]
 
@@ -62,9 +72,9 @@ class Browser:
         self._random = Random(first_frame)
         self._frame = first_frame
         self._panel = panel
-        self.client.find("Panel", timeout=60.0)
+        self.client.find("page events", timeout=60.0)
         self.client.wait_until(self._is_aligned, _ALIGNED_WITHIN_S)
-        self.client.set_value("Panel", panel)
+        self.client.press("step", panel)
         self.settle()
 
     def __enter__(self) -> Self:
@@ -76,7 +86,7 @@ class Browser:
     @property
     def frames(self) -> int:
         """How many frames the recording has."""
-        return int(self.client.find("Frame").props["max"]) + 1
+        return int(self.client.find("Frame").props["max"])
 
     def settle(self) -> list[Received]:
         """What comes until nothing has for a while, and a little longer: not in step with the
@@ -93,16 +103,16 @@ class Browser:
     def go_on(self) -> None:
         """To the next frame, until it is shown."""
         self._frame = (self._frame + 1) % self.frames
-        self.client.set_value("Frame", self._frame)
+        self.client.set_value("Frame", self._frame + 1)
         self.settle()
 
     def picture(self) -> IsPicture:
-        """Whether a message brings a new picture of the open panel, which is its first one."""
-        folder = self.client.find(self._panel).uuid
+        """Whether a message brings a new picture of what the open panel is about."""
+        place = _PICTURES[self._panel]
         uuid = next(
             widget.uuid
             for widget in self.client.widgets.values()
-            if widget.type == "GuiImageMessage" and widget.container_uuid == folder
+            if widget.type == "GuiImageMessage" and place in self.client.around(widget)
         )
         return lambda received: (
             received.type == "GuiUpdateMessage"
@@ -110,10 +120,17 @@ class Browser:
             and "_data" in received.message["updates"]
         )
 
+    def says(self, text: str) -> bool:
+        """Whether some line of the page begins or goes on so."""
+        return any(
+            text in str(widget.props.get("content"))
+            for widget in list(self.client.widgets.values())
+        )
+
     def answer_ms(self, label: str, value: Any) -> float:
         """From a change of a widget in the open panel to the picture that comes of it."""
         is_picture = self.picture()
-        sent_s = self.client.set_value(label, value, within=self._panel)
+        sent_s = self.client.set_value(label, value)
         return 1e3 * (self.client.wait_for(is_picture, 20.0).arrived_s - sent_s)
 
     def answers_ms(self, label: str, values: Sequence[float], changes: int) -> list[float]:
@@ -194,25 +211,53 @@ def judging(address: str, where: str, aim_ms: float) -> Figure:
 
 def playing(browser: Browser, where: str, aim_hz: float) -> Figure:
     """Pictures a second while the frames go by as fast as they can."""
-    browser.client.set_value("Speed", "4")
+    browser.client.press("timeline", "speed 4")
     browser.settle()
     is_picture = browser.picture()
-    browser.client.set_value("Go", "Play")
+    browser.client.press("timeline", "play")
     time.sleep(1.0)
     browser.client.drain()
     time.sleep(PLAYED_S)
     pictures = sum(map(is_picture, browser.client.drain()))
-    browser.client.set_value("Go", "Play")
+    browser.client.press("timeline", "play")
     browser.settle()
     rate_hz = pictures / PLAYED_S
     name = f"{where}: playing, heatmap on"
     return Figure(name, f"{rate_hz:.1f} pictures/s", f"{aim_hz:.0f} pictures/s", rate_hz >= aim_hz)
 
 
+def playing_in_step(browser: Browser, where: str) -> Iterator[Figure]:
+    """At the recording's own rate: how many frames are shown, and whether all views agree."""
+    client, content = browser.client, PageContent()
+    client.wait_until(lambda: not browser.says("counting noise"), _COUNTED_WITHIN_S)
+    client.drain()
+    # The first ones again: until then what hidden views hold is not of this round.
+    for index in [*range(1, browser.frames), 0, 1]:
+        client.set_value("Frame", index + 1)
+        client.wait_until(partial(browser.says, f"Frame {index + 1} of"), _COUNTED_WITHIN_S)
+        content.learn(browser.settle(), index)
+    client.press("timeline", "speed 1")
+    browser.settle()
+    client.press("timeline", "play")
+    time.sleep(1.0)
+    content.take(client.drain())
+    time.sleep(PLAYED_S)
+    found = content.judge(client.drain())
+    client.press("timeline", "play")
+    browser.settle()
+    rate_hz = len(found.frames) / PLAYED_S
+    name = f"{where}: playing at its own rate"
+    text = f"{rate_hz:.1f} frames/s, {found.most_messages} messages and "
+    text += f"{found.most_bytes / 1e3:.0f} kB a frame at most"
+    yield Figure(name, text, f"{OWN_HZ:.0f} frames/s", rate_hz >= _RATE_TOLERANCE * OWN_HZ)
+    text = f"{found.worst} frames apart at most, {found.parts} views"
+    yield Figure(f"{where}: views while playing", text, "0 apart", found.worst == 0)
+
+
 def dragging(browser: Browser) -> Figure:
     """A slider dragged wildly must end in its last value's picture, and stay where it is."""
     label, client = "Minimum overlap", browser.client
-    slider = client.find(label, within="Match").uuid
+    slider = client.find(label).uuid
     is_picture = browser.picture()
     right = pictures = moved = 0
     waited_ms = []
@@ -224,7 +269,7 @@ def dragging(browser: Browser) -> Figure:
         begin_s = time.perf_counter()
         for event, value in enumerate([*values[: EVENTS - 1], last]):
             time.sleep(max(begin_s + event * EVENTS_S / EVENTS - time.perf_counter(), 0.0))
-            sent_s = client.set_value(label, value, within="Match")
+            sent_s = client.set_value(label, value)
         time.sleep(0.5)
         received = client.drain()
         found = [one for one in received if is_picture(one)]
@@ -233,7 +278,7 @@ def dragging(browser: Browser) -> Figure:
         waited_ms.append(1e3 * (found[-1].arrived_s - sent_s))
         # The same value again, with nothing else going on.
         for value in (0.5, _OVERLAPS[0], last):
-            client.set_value(label, value, within="Match")
+            client.set_value(label, value)
             fresh = [one for one in browser.settle() if is_picture(one)]
         right += bool(fresh) and _data(found[-1]) == _data(fresh[-1])
     text = (
@@ -270,6 +315,8 @@ def figures(panorama: Path) -> Iterator[Figure]:
             yield from searching(browser, "sample", 100.0)
             yield playing(browser, "sample", 15.0)
             yield dragging(browser)
+        with Browser(server.address, "Repair") as browser:
+            yield from playing_in_step(browser, "sample")
         yield judging(server.address, "sample", 50.0)
         yield together(server.address, 200.0)
     with serving(panorama) as server:

@@ -39,9 +39,9 @@ def is_picture(received: Received) -> bool:
 
 def play(browser: Browser) -> None:
     """Play in a loop, as fast as it goes."""
-    browser.client.set_value("Speed", "4")
+    browser.client.press("timeline", "speed 4")
     browser.client.set_value("Loop", True)
-    browser.client.set_value("Go", "Play")
+    browser.client.press("timeline", "play")
 
 
 def pictures_until(browsers: Sequence[Browser], end_s: float) -> list[int]:

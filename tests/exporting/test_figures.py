@@ -73,10 +73,10 @@ def pixels(path: Path) -> ByteArray:
     return np.asarray(image, dtype=np.uint8)
 
 
-def where(path: Path, color: str) -> tuple[np.ndarray, np.ndarray]:
+def where(path: Path, color: str, *, within: int = 48) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns of the pixels that have a colour, or one close to it at a thin line."""
     wanted = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
-    return np.nonzero((np.abs(pixels(path).astype(int) - wanted) < 48).all(axis=2))
+    return np.nonzero((np.abs(pixels(path).astype(int) - wanted) < within).all(axis=2))
 
 
 def depth_image(seed: int = 0) -> Float32Array:
@@ -299,10 +299,10 @@ def test_dollars_in_names_do_not_begin_formulas(tmp_path: Path) -> None:
     assert (tmp_path / "a.png").exists()
 
 
-def rows_by_panel(path: Path, color: str) -> list[np.ndarray]:
+def rows_by_panel(path: Path, color: str, *, within: int = 48) -> list[np.ndarray]:
     """Rows of the pixels that have a colour, in each of the three panels; the legend is below."""
     height = pixels(path).shape[0]
-    rows, _ = where(path, color)
+    rows, _ = where(path, color, within=within)
     ends = [0.0, 0.36 * height, 0.65 * height, 0.93 * height]
     return [rows[(rows >= low) & (rows < high)] for low, high in itertools.pairwise(ends)]
 
@@ -311,7 +311,8 @@ def test_outlier_pairs_are_drawn_in_their_colour_in_the_middle_panel_only(drawn:
     first, outliers, last = rows_by_panel(drawn / "fig5.png", BURR)
     assert first.size == last.size == 0
     assert outliers.size > 0
-    first, inliers, last = rows_by_panel(drawn / "fig5.png", GOOD)
+    # Where a LiDAR point touches a depth point, the mixture is nearly as green as an inlier.
+    first, inliers, last = rows_by_panel(drawn / "fig5.png", GOOD, within=24)
     assert first.size == 0
     assert inliers.size > 0
     assert last.size > 0

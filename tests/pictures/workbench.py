@@ -1,6 +1,6 @@
 """The README's picture: the workbench on the built-in recording, in a browser without a screen.
 
-    python -m tests.pictures.workbench [FILE.png] [--panel Match] [--frame 60] [RECORDING]
+    python -m tests.pictures.workbench [FILE.png] [--panel Repair] [--frame 40] [RECORDING]
 
 Needs chromium. The picture has few enough colours for a palette, which keeps it small.
 """
@@ -15,11 +15,12 @@ import cv2
 import numpy as np
 from playwright.sync_api import sync_playwright
 
+from scanloom.resources import SAMPLE_FRAME
 from scanloom.server.workbench import ServeOptions, Workbench
 from scanloom.state.view import PANELS
 
 PICTURE = Path(__file__).parents[2] / "samples" / "workbench.png"
-SIZE = {"width": 1500, "height": 940}
+SIZE = {"width": 1600, "height": 900}
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 MOST_BYTES = 500 << 10
 _LOADED_S = 120.0
@@ -31,8 +32,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("picture", nargs="?", type=Path, default=PICTURE)
     parser.add_argument("recording", nargs="*", type=Path)
-    parser.add_argument("--panel", choices=PANELS, default="Match")
-    parser.add_argument("--frame", type=int, default=60)
+    parser.add_argument("--panel", choices=PANELS, default="Repair")
+    parser.add_argument("--frame", type=int, default=SAMPLE_FRAME)
     parser.add_argument("--virtual-lidar", type=int)
     asked = parser.parse_args()
     chromium = shutil.which("chromium")

@@ -79,10 +79,8 @@ def test_a_crowded_folder_is_looked_into_within_limits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looked = []
-    could_be = formats._could_be_recording
-    monkeypatch.setattr(
-        formats, "_could_be_recording", lambda path: looked.append(path) or could_be(path)
-    )
+    could_be = formats.is_recording
+    monkeypatch.setattr(formats, "is_recording", lambda path: looked.append(path) or could_be(path))
     folder = write_crowd(tmp_path / "crowd", pipes=5, files=600)
     assert "is a folder without a recording" in refused(folder)
     assert len(looked) == 500

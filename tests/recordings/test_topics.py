@@ -217,7 +217,7 @@ def test_depth_topics_can_be_named(record: Callable[..., Any]) -> None:
     [
         ({"scan": [scan(1)], "d__image": [depth()]}, "can be fused: /scan with /d/image"),
         ({"scan": [scan(1)]}, "cannot be fused: there is /scan, but no depth camera"),
-        ({"d__image": [depth()], "d__info": [info("depth")]}, "--virtual-lidar"),
+        ({"d__image": [depth()], "d__info": [info("depth")]}, "a virtual LiDAR"),
         ({"d__image": [depth()]}, "a virtual one needs intrinsics"),
         ({"odom": [pose()]}, "neither a 2D LiDAR nor a depth camera"),
         ({"scan": [scan(1)], "odom": [pose()]}, "mapped with the poses of /odom"),

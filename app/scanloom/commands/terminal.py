@@ -1,23 +1,12 @@
-"""Terminal output: progress on stderr, and text without control sequences."""
+"""Terminal output: progress on stderr."""
 
 import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from fusion_core.model.names import escape_undecodable
+from fusion_core.model.names import printable
 from fusion_core.model.progress import Progress
-
-
-def printable(text: str) -> str:
-    """``text`` on one line, with control characters written as escapes.
-
-    Topic and file names come out of recordings, and a terminal obeys escape sequences.
-    """
-    return "".join(
-        char if char.isprintable() else char.encode("unicode_escape").decode()
-        for char in escape_undecodable(text)
-    )
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from scanloom.commands.options import ROW_MAX, Flag, require_integer
 from scanloom.commands.terminal import silence_disconnect_warnings
 from scanloom.server.listening import LAST_PORT
 from scanloom.server.malloc_arenas import limit_arenas
+from scanloom.state.uploads import DEFAULT_LIMIT_MB, MAX_LIMIT_MB
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,12 +33,15 @@ class View:
     """The folder for exports."""
     virtual_lidar: Annotated[int | None, conf.arg(metavar="ROW", help_behavior_hint="")] = None
     """Use this row (0-based) of the first recording's depth images as a virtual LiDAR."""
+    upload_limit: Annotated[int, conf.arg(metavar="MB")] = DEFAULT_LIMIT_MB
+    """The size in MB that a page may upload, of each file and of all together; 0 for none."""
     json: Flag = False
     """Print the address as a JSON object."""
 
     def run(self, progress: Progress) -> None:
         require_integer("--virtual-lidar", self.virtual_lidar, ROW_MAX)
         require_integer("--port", self.port, LAST_PORT)
+        require_integer("--upload-limit", self.upload_limit, MAX_LIMIT_MB)
         # The matrix products are small: more BLAS threads use more cores without being faster.
         # numpy reads this when it is first imported.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -52,6 +56,7 @@ class View:
             port=self.port,
             output_root=self.output,
             virtual_row=self.virtual_lidar,
+            upload_limit_bytes=self.upload_limit * 1_000_000,
         )
         workbench = Workbench(options)
         silence_disconnect_warnings()

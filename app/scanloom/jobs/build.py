@@ -120,7 +120,7 @@ def build(
             text = settings_toml(base_preset(view), view.settings)
             options.settings_file.write_text(text, encoding="utf-8")
         summary = fuse(recording, results_in(folder), options, progress)
-        # Figures are drawn without progress reports: check for cancellation once more.
+        # The last figure is drawn after its report: check for cancellation once more.
         progress(1, 1, "done")
     return Build(view=view, recording=recording, folder=folder, options=options, summary=summary)
 

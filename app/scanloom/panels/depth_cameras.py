@@ -31,21 +31,19 @@ class DepthCameras:
     def show(self, frame_view: FrameView) -> None:
         """Create the boxes of a new recording, and check those of the view."""
         open_recording = frame_view.open_recording
-        if self._recording is not open_recording.fuse_session.recording:
-            self._recording = open_recording.fuse_session.recording
+        if self._recording is not open_recording.recording:
+            self._recording = open_recording.recording
             self._make_boxes(frame_view.view, open_recording)
-        self._used = open_recording.fuse_session.streams.depth
+        self._used = open_recording.opened.streams.depth
         self._controls.show(frame_view.view)
 
     def _make_boxes(self, view: View, open_recording: OpenRecording) -> None:
         for box in self._boxes:
             box.remove()
         self._topics = tuple(
-            topic.name
-            for topic in open_recording.fuse_session.recording.topics
-            if topic.role == "depth"
+            topic.name for topic in open_recording.recording.topics if topic.role == "depth"
         )
-        self._used = open_recording.fuse_session.streams.depth
+        self._used = open_recording.opened.streams.depth
         self._controls = Controls(self._gui, self._session)
         with self._folder:
             by_type = self._gui.add_checkbox(

@@ -176,19 +176,17 @@ def _disagree(facts: BeamFacts) -> bool:
 def _disagrees(facts: BeamFacts, other: str) -> str:
     return (
         f"it disagrees with {other} by {length(abs(facts.residual_m))}, "
-        f"more than epsilon ({length(facts.epsilon_m)})"
+        f"more than ε ({length(facts.epsilon_m)})"
     )
 
 
 def _agrees(facts: BeamFacts, other: str) -> str:
     if math.isnan(facts.residual_m):
-        return "this frame has no A, so that nothing is compared"
+        return "this frame has no transform A, so that nothing is compared"
     difference = length(abs(facts.residual_m))
     if math.isnan(facts.epsilon_m):
-        return (
-            f"epsilon has no value in this frame, so that a difference of {difference} is allowed"
-        )
-    return f"it differs from {other} by {difference}, within epsilon ({length(facts.epsilon_m)})"
+        return f"ε has no value in this frame, so that a difference of {difference} is allowed"
+    return f"it differs from {other} by {difference}, within ε ({length(facts.epsilon_m)})"
 
 
 def _nothing_to_compare(facts: BeamFacts) -> str:

@@ -33,7 +33,8 @@ from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.panels.widgets.markup import paragraph, report_line, text_box
 from scanloom.panels.widgets.panel_job import PanelJob
 from scanloom.panels.widgets.result_figures import ResultFigures
-from scanloom.state.view import MAP_MODES, View
+from scanloom.state.possible_steps import map_mode_of
+from scanloom.state.view import MAP_MODES, MapMode, View
 
 
 class MapCallback(Protocol):
@@ -69,14 +70,15 @@ class MapPanel(Panel):
         self._floor_grid: OccupancyGrid | None = None
         self._command_inputs: object = None
 
-        mode = gui.add_dropdown(
+        self._mode = gui.add_dropdown(
             "Mode",
             MAP_MODES,
             initial_value=session.view.map_mode,
             hint="Maps of both sensors from recorded poses, or poses by SLAM",
         )
         self._controls = Controls(gui, session)
-        self._controls.bind_field(mode, "map_mode", str)
+        self._no_fuse = gui.add_html("", visible=False)
+        self._controls.bind_field(self._mode, "map_mode", str)
         self._fuse = gui.add_folder("Fuse", visible=session.view.map_mode == "Fuse")
         with self._fuse:
             self._add_build_widgets(gui)
@@ -130,11 +132,19 @@ class MapPanel(Panel):
             built = self._built
             if built is not None and built.view.recording != frame_view.view.recording:
                 built = None
-            self._update_floor(frame_view.view, built)
+            opened = frame_view.open_recording
+            mode = map_mode_of(frame_view.view, opened)
+            self._update_floor(frame_view.view, mode, built)
             if frame_view.view.panel != "Map":
                 return
-            mode = frame_view.view.map_mode
             self._controls.show(frame_view.view)
+            # SLAM is the only mode of a recording that cannot be fused.
+            update_widget(self._mode, visible=opened.can_be_fused)
+            update_widget(
+                self._no_fuse,
+                content=paragraph(f"Maps of both sensors are off. {opened.opened.why_not_fused}"),
+                visible=not opened.can_be_fused,
+            )
             update_widget(self._fuse, visible=mode == "Fuse")
             update_widget(self._slam_folder, visible=mode == "SLAM")
             if mode == "SLAM":
@@ -148,9 +158,9 @@ class MapPanel(Panel):
         self._job.close()
         self._slam.close()
 
-    def _update_floor(self, view: View, built: Build | None) -> None:
+    def _update_floor(self, view: View, mode: MapMode, built: Build | None) -> None:
         """Pass the map of the mode to the scene, if it has changed."""
-        run = self._slam.chosen(view.recording) if view.map_mode == "SLAM" else None
+        run = self._slam.chosen(view.recording) if mode == "SLAM" else None
         poses: PoseLookup | None = None
         if run is not None:
             grid = run.files.grid

@@ -14,11 +14,20 @@ _NAMES = {
         "°",
         180.0 / np.pi,
     ),
-    "delta_z_m": ("sits {} {} the LiDAR", "above", "below", " m", 1.0),
+    "delta_z_m": ("sits {} {} the LiDAR (Δz)", "above", "below", " m", 1.0),
     "forward_m": ("sits {} {} it", "in front of", "behind", " m", 1.0),
     "left_m": ("sits {} {} of it", "to the left", "to the right", " m", 1.0),
     "pitch_rad": ("looks {} {}", "down", "up", "°", 180.0 / np.pi),
     "clock_offset_ms": ("stamps {} {}", "later", "earlier", " ms", 1.0),
+}
+
+_UNKNOWN = {
+    "yaw_rad": "where it looks",
+    "delta_z_m": "how far above the LiDAR it sits (Δz)",
+    "forward_m": "how far in front",
+    "left_m": "how far to the left",
+    "pitch_rad": "how far it looks down",
+    "clock_offset_ms": "how late its stamps are",
 }
 
 
@@ -29,12 +38,13 @@ def mount_text(mount: Mount, notes: Sequence[str] = ()) -> str:
     for name, sd in zip(MOUNT_PARAMETERS, mount.sd, strict=True):
         form, positive, negative, unit, factor = _NAMES[name]
         if sd is None:
-            unknown.append(name.rsplit("_", 1)[0].replace("_", " "))
+            unknown.append(_UNKNOWN[name])
             continue
         value = getattr(mount, name) * factor
-        number = f"**{abs(value):.2f} ± {sd * factor:.2f}{unit}**"
+        digits = 2 if unit == " m" else 1
+        number = f"**{abs(value):.{digits}f} ± {sd * factor:.{digits}f}{unit}**"
         lines.append(f"- It {form.format(number, positive if value >= 0.0 else negative)}.")
     if unknown:
-        lines.append(f"- Not observable in this recording: {', '.join(unknown)}.")
+        lines.append(f"- This recording does not tell {', '.join(unknown)}.")
     lines += [f"- {note}" for note in notes]
     return "The camera:\n\n" + "\n".join(lines)

@@ -9,16 +9,18 @@ from fusion_core.workflows.fuse.settings import ChainSettings
 from scanloom.frame_view import FrameView, clock_offset_ms
 from scanloom.panels.widgets.controls import update_widget
 from scanloom.plots.line_plot import (
+    INK,
     NEUTRAL,
     PlotLabels,
     add_line_plot,
     dots,
     line,
+    set_theme,
     set_y_limits,
     with_vertical_line,
 )
 from scanloom.plots.palette import color_of
-from scanloom.plots.text import INK
+from scanloom.plots.theme import theme_of
 
 # Margin of the plot beyond the largest gap of a pair; set by hand.
 _MARGIN_FRACTION = 0.12
@@ -55,9 +57,10 @@ class PairingPlot:
     def show(self, frame_view: FrameView) -> None:
         """Draw the gaps, once the recording's stamps are known."""
         stamps = frame_view.open_recording.pairing
-        is_virtual = frame_view.open_recording.fuse_session.virtual_row is not None
+        is_virtual = frame_view.view.virtual_row is not None
         if is_virtual:
             update_widget(self._summary, content="A virtual LiDAR has the stamps of its images.")
+        set_theme(self._plot, theme_of(is_dark=frame_view.is_dark))
         update_widget(self._plot, visible=stamps is not None and not is_virtual)
         update_widget(self._summary, visible=stamps is not None)
         if stamps is None or is_virtual:

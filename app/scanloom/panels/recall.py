@@ -17,9 +17,17 @@ from scanloom.frame_view import FrameView, as_failure, clock_offset_ms, failure_
 from scanloom.jobs.long_job import LongJob
 from scanloom.panels.widgets.controls import update_widget
 from scanloom.panels.widgets.markup import paragraph
-from scanloom.plots.line_plot import PlotLabels, add_line_plot, area, line, with_vertical_line
+from scanloom.plots.line_plot import (
+    INK,
+    PlotLabels,
+    add_line_plot,
+    area,
+    line,
+    set_theme,
+    with_vertical_line,
+)
 from scanloom.plots.palette import Color, color_of
-from scanloom.plots.text import INK
+from scanloom.plots.theme import theme_of
 from scanloom.state.open_recording import OpenRecording
 
 _BAND_COLOR: Color = (225, 229, 233)
@@ -85,6 +93,7 @@ class RecallPanel:
         with self._lock:
             self._begin = lambda: self._start(work, frame_view.open_recording, key)
             update_widget(self._button, visible=curve is None or self._job is not None)
+        set_theme(self._plot, theme_of(is_dark=frame_view.is_dark))
         update_widget(self._plot, visible=curve is not None)
         update_widget(self._summary, visible=curve is not None)
         if curve is not None:
@@ -107,7 +116,7 @@ class RecallPanel:
             if self._job is not None:
                 self._job.cancel()
             update_widget(self._progress_text, visible=False)
-        self._truth = truth_beside(open_recording.fuse_session.recording.path)
+        self._truth = truth_beside(open_recording.recording.path)
 
     def _press(self) -> None:
         with self._lock:

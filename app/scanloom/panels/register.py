@@ -23,6 +23,7 @@ from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.panels.widgets.markup import escape_markdown
 from scanloom.plots.pair_plot import PairPlot, pair_picture
 from scanloom.plots.png import show_picture
+from scanloom.plots.theme import LIGHT, Theme, theme_of
 
 _WIDTH_PX, _PAIRS_PX, _DRAW_PX = 480, 590, 330
 _MODELS = ("auto", "rigid", "similarity", "affine", "homography")
@@ -40,19 +41,33 @@ class RegisterPanel(Panel):
         # What is drawn; drawn again when the object changes.
         self._registration: Registration | None = None
         self._last_draw = 0
+        self._theme = LIGHT
         self._drawn_pairs: object = None
         self._drawn_draw: tuple[Registration | None, int] = (None, -1)
         controls = Controls(gui, session)
         self._controls = controls
-        controls.dropdown("registration", "model", "Model of A", _MODELS)
+        controls.dropdown("registration", "model", "Transform A", _MODELS)
         self._epsilon = EpsilonControls(gui, session)
-        self._residuals = ResidualPlot(gui)
-        self._recall = RecallPanel(gui, session)
         self._pairs = gui.add_image(_blank(_PAIRS_PX), format="png")
-        self._summary = gui.add_markdown("")
-        with gui.add_folder("Draws, one by one"):
-            self._draw = gui.add_slider("Draw", min=0, max=1, step=1, initial_value=0)
-            self._buttons = gui.add_button_group("Go to", ("Previous", "Next", "Best"))
+        with gui.add_folder("What the transform does", expand_by_default=False):
+            self._summary = gui.add_markdown("")
+        with gui.add_folder("Residuals", expand_by_default=False):
+            self._residuals = ResidualPlot(gui)
+        self._recall = RecallPanel(gui, session)
+        with gui.add_folder("Draws, one by one", expand_by_default=False):
+            self._draw = gui.add_slider(
+                "Draw",
+                min=0,
+                max=1,
+                step=1,
+                initial_value=0,
+                hint="Number of a draw of RANSAC, from 0",
+            )
+            self._buttons = gui.add_button_group(
+                "Go to",
+                ("Previous", "Next", "Best"),
+                hint="Best: the draw with the most inliers, which A is refined from",
+            )
             self._draw_text = gui.add_markdown("")
             self._draw_picture = gui.add_image(_blank(_DRAW_PX), format="png")
             self._consensus = gui.add_markdown("")
@@ -67,7 +82,7 @@ class RegisterPanel(Panel):
                 "registration", "confidence", "Confidence", 0.5, 0.999, 0.001
             )
             controls.slider("registration", "seed", "Seed", 0, 99, 1)
-            controls.checkbox("registration", "guards", "Check A")
+            controls.checkbox("registration", "guards", "Refuse implausible A")
         with gui.add_folder("Matrix of A", expand_by_default=False):
             self._matrix = gui.add_markdown("")
 
@@ -96,6 +111,7 @@ class RegisterPanel(Panel):
         self._residuals.show(frame_view.fused, signed=not by_sample)
         self._recall.show(frame_view)
         axes = _AXES_BY_SAMPLE if by_sample else _AXES
+        self._use_theme(theme_of(is_dark=frame_view.is_dark))
         if match is not None:
             self._show_pairs(match, axes)
         else:
@@ -111,6 +127,13 @@ class RegisterPanel(Panel):
     def close(self) -> None:
         """Cancel the recall computation: the browser has disconnected."""
         self._recall.close()
+
+    def _use_theme(self, theme: Theme) -> None:
+        """Draw the pictures anew where the page has another theme."""
+        if theme is not self._theme:
+            self._theme = theme
+            self._drawn_pairs, self._drawn_draw = None, (None, -1)
+        self._residuals.use_theme(theme)
 
     def _go(self, where: str) -> None:
         """Go to another draw, within the range."""
@@ -130,7 +153,13 @@ class RegisterPanel(Panel):
         found, pairs = match.registration, planar_pairs(match)
         plots = _before_and_after(pairs)
         height_px = _PAIRS_PX if len(plots) > 1 else _DRAW_PX
-        drawn = pair_picture(plots, width_px=_WIDTH_PX, height_px=height_px, axis_labels=axes)
+        drawn = pair_picture(
+            plots,
+            width_px=_WIDTH_PX,
+            height_px=height_px,
+            axis_labels=axes,
+            theme=self._theme,
+        )
         show_picture(self._pairs, drawn.rgb)
         if found is None:
             update_widget(self._summary, content=registration_text.failure_text(match.refusal))
@@ -157,7 +186,13 @@ class RegisterPanel(Panel):
             is_inlier=draw.is_inlier,
             sample=draw.pairs,
         )
-        drawn = pair_picture([plot], width_px=_WIDTH_PX, height_px=_DRAW_PX, axis_labels=axes)
+        drawn = pair_picture(
+            [plot],
+            width_px=_WIDTH_PX,
+            height_px=_DRAW_PX,
+            axis_labels=axes,
+            theme=self._theme,
+        )
         show_picture(self._draw_picture, drawn.rgb)
         update_widget(self._draw_text, content=registration_text.draw_text(draw, found))
 
@@ -165,7 +200,7 @@ class RegisterPanel(Panel):
 def _before_and_after(pairs: PlanarPairs) -> list[PairPlot]:
     """The pairs before and after A; only before if there is no A."""
     before = PairPlot(
-        title="Before A: LiDAR and depth as they are",
+        title="Before the transform A",
         lidar_m=pairs.lidar_m,
         depth_m=pairs.depth_m,
         is_inlier=pairs.inliers,
@@ -173,7 +208,7 @@ def _before_and_after(pairs: PlanarPairs) -> list[PairPlot]:
     if pairs.mapped_m is None:
         return [before]
     after = PairPlot(
-        title="After A: LiDAR through A, and depth",
+        title="After it: LiDAR through A",
         lidar_m=pairs.mapped_m,
         depth_m=pairs.depth_m,
         is_inlier=pairs.inliers,

@@ -115,10 +115,10 @@ def epsilon_text(measured: EpsilonInFrame, epsilon: float, unit: EpsilonUnit) ->
         return "This frame has no E, so ε in multiples of E has no value: no pair counts as beyond."
     spread = ""
     if measured.max_m > 1.01 * measured.min_m:
-        spread = f" ({measured.min_m:.3f} to {measured.max_m:.3f} m, growing with range)"
+        spread = f" ({_cm(measured.min_m)} to {_cm(measured.max_m)} cm, growing with range)"
     own = "" if unit == "m" else f" = {epsilon:g}{_UNIT_SIGNS[unit]}"
     lines = [
-        f"ε = **{measured.median_m:.3f} m**{own}{spread}; **{measured.beyond}** of "
+        f"ε = **{_cm(measured.median_m)} cm**{own}{spread}; **{measured.beyond}** of "
         f"{measured.compared} pairs disagree by more."
     ]
     if np.isfinite(measured.E_m):
@@ -130,12 +130,16 @@ def epsilon_text(measured: EpsilonInFrame, epsilon: float, unit: EpsilonUnit) ->
             where = "above"
         ratio = "" if measured.E_m <= 0.0 else f", {measured.median_m / measured.E_m:.2f} E"
         lines.append(
-            f"The paper's band [E, √2 E] is [{low_m:.3f}, {high_m:.3f}] m here: ε lies **{where}** "
-            f"it{ratio}."
+            f"The paper's band [E, √2 E] is [{_cm(low_m)}, {_cm(high_m)}] cm here: ε lies "
+            f"**{where}** it{ratio}."
         )
     else:
         lines.append("This frame has no E, so the paper's band [E, √2 E] is not known.")
     return "  \n".join(lines)
+
+
+def _cm(length_m: float) -> str:
+    return f"{100.0 * length_m:.1f}"
 
 
 def _refused(found: Registration) -> str:
@@ -155,13 +159,13 @@ def _counted(count: int, noun: str) -> str:
 
 def _turn(angle_rad: float) -> str:
     text = f"{_degrees(abs(angle_rad))}"
-    if text == "0.00°":
+    if text == "0.0°":
         return text
     return text + (" to the left" if angle_rad > 0.0 else " to the right")
 
 
 def _degrees(angle_rad: float) -> str:
-    return f"{np.rad2deg(angle_rad):.2f}°".replace("-", "−")
+    return f"{np.rad2deg(angle_rad):.1f}°".replace("-", "−")
 
 
 def _shift(shift_m: FloatArray) -> str:

@@ -47,15 +47,22 @@ from pathlib import Path
 import viser
 
 from scanloom.client_session import ClientSession, Panel
-from scanloom.panels.header import HeaderPanel
+from scanloom.page.bridge import PageBridge
+from scanloom.page.layout import PageLayout
+from scanloom.panels.alignment_bar import AlignmentBar
+from scanloom.panels.arrangement import ArrangementPanel
+from scanloom.panels.header import HeaderPanel, PresetPanel
 from scanloom.panels.map import MapPanel
 from scanloom.panels.match import MatchPanel
+from scanloom.panels.opening import OpeningDialog
+from scanloom.panels.pictures import DepthImagePanel, SimilarityPanel
+from scanloom.panels.profile import ProfilePanel
 from scanloom.panels.recording import RecordingPanel
 from scanloom.panels.register import RegisterPanel
 from scanloom.panels.repair import RepairPanel
 from scanloom.panels.scene import ScenePanel
+from scanloom.panels.stepper import StepperPanel
 from scanloom.panels.timeline import TimelinePanel
-from scanloom.panels.widgets.panel_switch import PanelSwitch
 from scanloom.state.view import PANELS, PanelName
 
 
@@ -71,9 +78,7 @@ class PanelContext:
 
 _BUILDERS: Mapping[PanelName, Callable[[PanelContext], Panel]] = {
     "Recording": lambda context: RecordingPanel(context.gui, context.session),
-    "Match": lambda context: MatchPanel(
-        context.gui, context.session, context.scene.set_heatmap_source
-    ),
+    "Match": lambda context: MatchPanel(context.gui, context.session),
     "Register": lambda context: RegisterPanel(context.gui, context.session),
     "Repair": lambda context: RepairPanel(context.gui, context.session),
     "Map": lambda context: MapPanel(
@@ -85,14 +90,32 @@ _BUILDERS: Mapping[PanelName, Callable[[PanelContext], Panel]] = {
 def add_panels(client: viser.ClientHandle, session: ClientSession, output_root: Path) -> None:
     """Build a browser's page from top to bottom, and have the session update it."""
     gui = client.gui
-    header = HeaderPanel(gui, session)
-    timeline = TimelinePanel(gui, session)
-    scene = ScenePanel(client, session)
-    switch = PanelSwitch(gui, session)
+    bridge = PageBridge(gui)
+    layout = PageLayout(gui)
+    with layout.depth:
+        depth = DepthImagePanel(gui, bridge, session)
+    with layout.similarity:
+        similarity = SimilarityPanel(gui, bridge, session)
+    with layout.time:
+        timeline = TimelinePanel(gui, bridge, session)
+        profile = ProfilePanel(gui, bridge, session)
+    header = HeaderPanel(gui, bridge, session)
+    bar = AlignmentBar(gui)
+    stepper = StepperPanel(gui, bridge, session)
+    folders = {name: stepper.folder(name) for name in PANELS}
+    with gui.add_folder("Settings and view", expand_by_default=False):
+        preset = PresetPanel(gui, session)
+        scene = ScenePanel(client, bridge, session)
     context = PanelContext(gui=gui, session=session, scene=scene, output_root=output_root)
-    panels: list[Panel] = []
-    for name in PANELS:
-        with switch.folder(name):
-            panels.append(_BUILDERS[name](context))
-    # The scene is updated last: it displays what the panels have just drawn.
-    session.panels = [header, timeline, switch, *panels, scene]
+    steps: list[Panel] = []
+    for name, folder in folders.items():
+        with folder:
+            steps.append(_BUILDERS[name](context))
+        stepper.add_help(name)
+
+    opening = OpeningDialog(client, bridge, session)
+    # The scene displays what the panels have just drawn. The bar goes once all is aligned.
+    pictures = depth, similarity
+    arrangement = ArrangementPanel(bridge, session, layout, pictures, timeline, profile)
+    top = [arrangement, header, stepper, preset]
+    session.panels = [*top, timeline, profile, *pictures, *steps, scene, bar, opening]

@@ -1,4 +1,4 @@
-"""The Repair panel: depth and curve before and after, classes, conflicts, one beam in detail."""
+"""The Repair panel: classes, conflicts, one beam in detail, the depth image before and after."""
 
 import html
 from dataclasses import replace
@@ -14,63 +14,66 @@ from scanloom.panels.epsilon import EpsilonSliders
 from scanloom.panels.repair_tables import beam_table, class_table
 from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.plots.depth_image import PairOverlay, depth_limits_m, depth_picture
-from scanloom.plots.line_plot import PlotLabels, add_line_plot, dots, set_y_limits
 from scanloom.plots.pair_pixels import pixels_of_match, repaired_depth_m
-from scanloom.plots.palette import color_of
 from scanloom.plots.png import show_picture
+from scanloom.plots.theme import Theme, theme_of
 from scanloom.scene.frame_summary import ConflictRun, conflict_runs
-from scanloom.scene.range_curves import range_curves
 from scanloom.state.view import View
 
 # Slightly wider than the panel, so that an enlarged picture stays sharp.
 _WIDTH_PX, _HEIGHT_PX = 480, 420
-_NO_BEAM = -1
 _NO_CONFLICTS = "none in this frame"
 
 
 class RepairPanel(Panel):
-    """Depth image and curve before and after, class filter, conflicts, details of one beam."""
+    """Conflicts, details of one beam, class filter, depth image before and after."""
 
     def __init__(self, gui: viser.GuiApi, session: ClientSession) -> None:
         self._session = session
+        # What the tables and the pictures were drawn from.
         self._drawn: tuple[FusedFrame | None, object] = None, None
+        self._drawn_pictures: tuple[FusedFrame | None, object] = None, None
         # The runs of conflicts by their labels in the list.
         self._runs: dict[str, ConflictRun] = {}
         self._controls = Controls(gui, session)
         self._message = gui.add_html("", visible=False)
-        both = gui.add_checkbox(
-            "Before and after",
-            session.view.show_raw_and_repaired,
-            hint="Show the raw depth image and the repaired one",
-        )
+        controls = self._controls
+        self._epsilon = EpsilonSliders(gui, session, controls)
         repaired = gui.add_checkbox(
             "Repaired",
             session.view.show_repaired,
-            hint="In the scene, and here where there is one image",
+            hint="Show repaired values on the stage and in the depth image, else those recorded",
         )
-        self._controls.bind_field(both, "show_raw_and_repaired", bool)
-        self._controls.bind_field(repaired, "show_repaired", bool)
-        empty = np.full((_HEIGHT_PX, _WIDTH_PX, 3), 255, dtype=np.uint8)
-        self._pictures = [gui.add_image(empty, format="png", visible=False) for _ in range(2)]
-        with gui.add_folder("Classes"):
+        controls.bind_field(repaired, "show_repaired", bool)
+        with gui.add_folder("Why: one beam"):
+            self._conflicts = gui.add_dropdown(
+                "Conflicts",
+                (_NO_CONFLICTS,),
+                hint="Beams of this frame that see another surface than the camera",
+            )
+            self._step = gui.add_button_group(
+                "Go to conflict", ("Previous", "Next"), hint="Among those of this frame"
+            )
+            controls.optional_number(
+                "Beam",
+                "selected_beam",
+                hint="Number of a beam of the scan, from 0; empty: none. A click on a beam or a "
+                "pixel chooses one, too",
+            )
+            self._beam_details = gui.add_html("")
+        with gui.add_folder("Classes, before and after", expand_by_default=False):
             self._classes = gui.add_html("")
             for noise in NoiseClass:
                 self._add_filter(gui, noise)
-        self._curve = _add_range_plot(gui)
-        with gui.add_folder("One beam"):
-            self._conflicts = gui.add_dropdown("Conflicts", (_NO_CONFLICTS,))
-            self._step = gui.add_button_group("Go to conflict", ("Previous", "Next"))
-            beam = gui.add_number(
-                "Beam",
-                _NO_BEAM,
-                min=_NO_BEAM,
-                step=1,
-                hint="Of the scan, from 0; -1: none. A click in the scene selects one too",
+            both = gui.add_checkbox(
+                "Before and after",
+                session.view.show_raw_and_repaired,
+                hint="Show the depth image as recorded and as repaired, one above the other",
             )
-            self._beam_details = gui.add_html("")
-        with gui.add_folder("Settings", expand_by_default=False):
-            controls = self._controls
-            self._epsilon = EpsilonSliders(gui, session, controls)
+            controls.bind_field(both, "show_raw_and_repaired", bool)
+            empty = np.full((_HEIGHT_PX, _WIDTH_PX, 3), 255, dtype=np.uint8)
+            self._pictures = [gui.add_image(empty, format="png", visible=False) for _ in range(2)]
+        with gui.add_folder("More settings", expand_by_default=False):
             controls.slider("noise", "support_sigma", "Support (σ)", 0.5, 10.0, 0.1)
             sources = ("smaller_error", "other_sensor")
             controls.dropdown("repair", "prefer", "Prefer", sources)
@@ -79,12 +82,6 @@ class RepairPanel(Panel):
             controls.slider(
                 "repair", "farther_confidence", "Confidence to move farther", 0.0, 1.0, 0.05
             )
-        controls.bind_field(
-            beam,
-            "selected_beam",
-            lambda value: None if value == _NO_BEAM else int(value),
-            lambda value: _NO_BEAM if value is None else value,
-        )
         # The list depends on the frame, not on the view.
         controls.bind(self._conflicts, lambda _: None, self._select_conflict)
 
@@ -104,26 +101,28 @@ class RepairPanel(Panel):
         if frame_view.fused is None:
             self._hide()
             return
-        inputs = (
-            view.visible_classes,
-            view.show_raw_and_repaired,
-            view.show_repaired,
-            view.selected_beam,
-            view.settings,
-        )
-        if self._drawn[0] is frame_view.fused and self._drawn[1] == inputs:
+        fused = frame_view.fused
+        self._show_pictures(fused, view, theme_of(is_dark=frame_view.is_dark))
+        inputs = view.selected_beam, view.settings
+        if self._drawn[0] is fused and self._drawn[1] == inputs:
             return
-        self._drawn = frame_view.fused, inputs
-        self._show_pictures(frame_view.fused, view)
-        self._show_curve(frame_view.fused, view)
-        update_widget(self._classes, content=class_table(frame_view.fused))
-        self._show_conflicts(frame_view.fused, view)
+        self._drawn = fused, inputs
+        update_widget(self._classes, content=class_table(fused))
+        self._show_conflicts(fused, view)
         update_widget(
-            self._beam_details,
-            content=beam_table(frame_view.fused, view.selected_beam, view.settings),
+            self._beam_details, content=beam_table(fused, view.selected_beam, view.settings)
         )
 
-    def _show_pictures(self, frame: FusedFrame, view: View) -> None:
+    def _show_pictures(self, frame: FusedFrame, view: View, theme: Theme) -> None:
+        """Draw the depth image before and after, only while both are wanted: each takes as long as
+        the picture beside the stage."""
+        for handle in self._pictures:
+            update_widget(handle, visible=view.show_raw_and_repaired)
+        inputs = view.visible_classes, view.selected_beam, theme
+        is_drawn = self._drawn_pictures[0] is frame and self._drawn_pictures[1] == inputs
+        if not view.show_raw_and_repaired or is_drawn:
+            return
+        self._drawn_pictures = frame, inputs
         after = pixels_of_match(frame.match, frame)
         before = replace(after, repaired=np.zeros_like(after.repaired))
         images = (
@@ -131,41 +130,25 @@ class RepairPanel(Panel):
             ("After: repaired", repaired_depth_m(frame), after),
         )
         limits_m = depth_limits_m(frame.match.depth_m)
-        for place, (title, depth_m, pairs) in enumerate(images):
-            handle = self._pictures[place]
-            wanted = view.show_raw_and_repaired or place == int(view.show_repaired)
-            if wanted:
-                overlay = PairOverlay(
-                    pixels=pairs, classes=view.visible_classes, beam=view.selected_beam
-                )
-                drawn = depth_picture(
-                    title,
-                    depth_m,
-                    overlay,
-                    width_px=_WIDTH_PX,
-                    height_px=_HEIGHT_PX,
-                    limits_m=limits_m,
-                )
-                show_picture(handle, drawn.rgb)
-            update_widget(handle, visible=wanted)
-
-    def _show_curve(self, frame: FusedFrame, view: View) -> None:
-        curves = range_curves(frame, view.visible_classes, view.selected_beam)
-        self._curve.data = (
-            curves.azimuth_deg,
-            curves.pixel_m,
-            curves.repaired_m,
-            curves.raw_m,
-            curves.camera_m,
-            curves.selected_m,
-        )
-        set_y_limits(self._curve, *curves.limits_m)
-        update_widget(self._curve, visible=bool(curves.azimuth_deg.size))
+        for handle, (title, depth_m, pairs) in zip(self._pictures, images, strict=True):
+            overlay = PairOverlay(
+                pixels=pairs, classes=view.visible_classes, beam=view.selected_beam
+            )
+            drawn = depth_picture(
+                title,
+                depth_m,
+                overlay,
+                width_px=_WIDTH_PX,
+                height_px=_HEIGHT_PX,
+                limits_m=limits_m,
+                theme=theme,
+            )
+            show_picture(handle, drawn.rgb)
 
     def _show_conflicts(self, frame: FusedFrame, view: View) -> None:
         runs = conflict_runs(frame)
         self._runs = {_conflict_label(run): run for run in runs}
-        heading = f"{len(runs)}: choose one" if runs else _NO_CONFLICTS
+        heading = f"{len(runs)} in this frame: choose one" if runs else _NO_CONFLICTS
         update_widget(self._conflicts, options=(heading, *self._runs))
         chosen = [
             label for label, run in self._runs.items() if _contains_beam(run, view.selected_beam)
@@ -174,8 +157,8 @@ class RepairPanel(Panel):
 
     def _hide(self) -> None:
         """Hide the results: they belong to another frame."""
-        self._drawn = None, None
-        for handle in (*self._pictures, self._curve):
+        self._drawn = self._drawn_pictures = None, None
+        for handle in self._pictures:
             update_widget(handle, visible=False)
         self._runs = {}
         update_widget(self._conflicts, options=(_NO_CONFLICTS,))
@@ -187,7 +170,7 @@ class RepairPanel(Panel):
         box = gui.add_checkbox(
             f"Show {noise.name.lower()}",
             noise in self._session.view.visible_classes,
-            hint="In the images, the curve and the scene",
+            hint="On the stage and in the depth image",
         )
 
         def change(checked: bool) -> None:
@@ -214,27 +197,6 @@ class RepairPanel(Panel):
         ]
         place = at[0] + by if at else (by - 1) // 2
         self._session.change(selected_beam=runs[place % len(runs)].middle)
-
-
-def _add_range_plot(gui: viser.GuiApi) -> viser.GuiUplotHandle:
-    """The plot of ranges over azimuth, left to right as the camera sees it."""
-    return add_line_plot(
-        gui,
-        PlotLabels(
-            title="LiDAR curve and what the camera sees",
-            x="azimuth in the LiDAR frame (°)",
-            x_short="azimuth (°)",
-            y="range (m)",
-            x_falls=True,
-        ),
-        (
-            dots("○ pixel", color_of("depth"), 9.0, hollow=True),
-            dots("● repaired", color_of("fused"), 6.0),
-            dots("● raw", color_of("lidar"), 4.0),
-            dots("• camera", color_of("depth"), 2.0),
-            dots("◯ chosen", color_of("fused"), 14.0, hollow=True),
-        ),
-    )
 
 
 def _conflict_label(run: ConflictRun) -> str:

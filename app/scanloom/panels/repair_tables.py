@@ -59,12 +59,12 @@ def class_table(frame: FusedFrame) -> str:
 def beam_table(frame: FusedFrame, beam: int | None, settings: ChainSettings) -> str:
     """Class, confidence, values and source of a beam and its pixel, with the reasons."""
     if beam is None:
-        return f"{_BOX}Choose a conflict or a number, or click a beam in the scene.</div>"
+        return f"{_BOX}Choose a conflict, type a beam's number, or click a beam or a pixel.</div>"
     facts = facts_of_beam(frame, beam)
     if facts is None:
         return f"{_BOX}{_out_of_view(frame, beam)}</div>"
     beam_side, pixel_side = _side(facts.lidar, "camera"), _side(facts.pixel, "LiDAR")
-    titles = ("", "class", "confidence", "raw", "repaired", "source")
+    titles = ("", "class", "confidence (0 to 1)", "recorded", "repaired", "source")
     heads = (f"beam {facts.beam}, range", "pixel, depth")
     table = "".join(map(_row, titles, (heads[0], *beam_side), (heads[1], *pixel_side)))
     paragraphs = [
@@ -105,9 +105,9 @@ def _measures(facts: BeamFacts) -> str:
             f"its depth as a range: {_metres(facts.pixel_range_m)}",
         ]
     measures += [
-        f"where the beam meets what the camera sees: {_metres(facts.camera_range_m)}",
-        f"residual {length(facts.residual_m)}",
-        f"epsilon {length(facts.epsilon_m)}",
+        f"along the beam the camera sees a surface at {_metres(facts.camera_range_m)}",
+        f"difference {length(facts.residual_m)}",
+        f"tolerance ε {length(facts.epsilon_m)}",
     ]
     return "<b>Measures.</b> " + "; ".join(measures).replace("-", "−") + "."
 
@@ -137,4 +137,4 @@ def _class_label(noise: NoiseClass) -> str:
 
 
 def _metres(value: float) -> str:
-    return f"{value:.3f} m" if math.isfinite(value) else "no value"
+    return f"{value:.2f} m" if math.isfinite(value) else "no value"

@@ -9,8 +9,17 @@ from fusion_core.model.classes import NoiseClass
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.registration_details import ResidualCurve, residual_curve
 from scanloom.panels.widgets.controls import update_widget
-from scanloom.plots.line_plot import NEUTRAL, PlotLabels, add_line_plot, dots, line, no_data
+from scanloom.plots.line_plot import (
+    NEUTRAL,
+    PlotLabels,
+    add_line_plot,
+    dots,
+    line,
+    no_data,
+    set_theme,
+)
 from scanloom.plots.palette import class_color
+from scanloom.plots.theme import Theme
 
 # Set by hand: limit of y in multiples of epsilon; larger residuals are drawn at the edge.
 _Y_LIMIT_IN_EPSILON = 2.5
@@ -44,6 +53,10 @@ class ResidualPlot:
         )
         self._text = gui.add_markdown("")
         self._plotted: FusedFrame | None = None
+
+    def use_theme(self, theme: Theme) -> None:
+        """Draw in the colours of the page's theme."""
+        set_theme(self._plot, theme)
 
     def show(self, fused: FusedFrame | None, *, signed: bool) -> None:
         """Draw a frame's pairs; nothing if fewer than two have both values.

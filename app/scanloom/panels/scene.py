@@ -1,7 +1,6 @@
-"""The 3D scene: the frame, the image planes of heatmap and depth, clicks, and camera presets."""
+"""The 3D scene: the frame, the map, clicks, the legend and the viewpoints of the steps."""
 
 import threading
-from collections.abc import Callable
 
 import numpy as np
 import viser
@@ -12,179 +11,292 @@ from fusion_core.model.grids import OccupancyGrid
 from fusion_core.workflows.recorded_poses import PoseLookup
 from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView
+from scanloom.page.bridge import PageBridge
+from scanloom.panels.scene_legend import LegendEntry, SceneLegend, legend_entries
 from scanloom.panels.widgets.controls import Controls
-from scanloom.plots.depth_image import DepthPicture, PairOverlay, depth_picture
 from scanloom.plots.grid_image import grid_texture
-from scanloom.plots.heatmap import Heatmap
-from scanloom.plots.pair_pixels import pixels_of_match, repaired_depth_m
+from scanloom.plots.theme import LIGHT, Theme, theme_of
 from scanloom.scene import camera_views
-from scanloom.scene.color_picture import upright_color
-from scanloom.scene.frame_geometry import (
-    FrameGeometry,
-    UnmatchedFrame,
-    frame_geometry,
-    unmatched_geometry,
+from scanloom.scene.camera_nodes import TOGETHER_NS
+from scanloom.scene.camera_views import CameraView, StageExtent, stage_extent
+from scanloom.scene.frame_geometry import FrameGeometry
+from scanloom.scene.frame_stage import (
+    StagedCamera,
+    depth_span_m,
+    other_cameras,
+    pose_stamp_ns,
+    pose_stamps_ns,
+    staged_frame,
+    surface_colors,
 )
-from scanloom.scene.image_planes import ImagePlane, Layout, layout_of
-from scanloom.scene.layers import LAYERS, Layer
-from scanloom.scene.nodes import MapPlane, PickResult, SceneNodes
+from scanloom.scene.layers import absent_layers, layers_of_step
+from scanloom.scene.nodes import MapPlane, SceneNodes
+from scanloom.state.hover import Hover
+from scanloom.state.possible_steps import why_not
+from scanloom.state.view import Layer, PanelName
 
-_VIEWS = ("3D", "Curve", "From above", "Heatmap", "Depth")
-_PLANE_PX = (560, 470)
+# A camera that stands nearer than this to where it was put has not been moved by a person.
+_UNMOVED_M = 0.02
+# Screens of about one shape show the same.
+_ASPECT_RATIO = 1.08
+_PATH: frozenset[Layer] = frozenset({"map"})
+_VIEWS = ("Reset view", "From above", "As the camera")
 
 
 class ScenePanel(Panel):
     """Draws each view in the browser's scene and reads its clicks."""
 
-    def __init__(self, client: viser.ClientHandle, session: ClientSession) -> None:
+    def __init__(
+        self, client: viser.ClientHandle, bridge: PageBridge, session: ClientSession
+    ) -> None:
         gui = client.gui
         self._session = session
         self._camera = client.camera
         self._nodes = SceneNodes(client.scene)
-        self._layout: Layout | None = None
-        self._opened: object = None
-        self._planes: dict[str, ImagePlane] = {}
-        self._hidden: frozenset[Layer] = frozenset()
-        # Nodes are drawn in the session's worker, and switched and picked in viser's threads.
+        self._extent: StageExtent | None = None
+        self._geometry: FrameGeometry | None = None
+        self._coloring: tuple[PanelName, bool] | None = None
+        # What each camera saw last.
+        self._seen: dict[int, FrameGeometry] = {}
+        self._depth_span_m = (0.5, 8.0)
+        # The recording and the step that the browser's camera was moved for.
+        self._opened: tuple[object, bool] = None, False
+        self._seen_step: PanelName | None = None
+        # Nodes are drawn in the session's worker, and turned and picked in viser's threads.
         self._drawing = threading.RLock()
-        self._draw_heatmap: Callable[[], Heatmap] | None = None
-        self._heatmap: Heatmap | None = None
+        # The viewpoint of the step as it was applied, and the screen's shape that it was fitted to.
+        self._fitted: tuple[CameraView, float] | None = None
         self._grid: OccupancyGrid | None = None
         self._map_poses: PoseLookup | None = None
+        self._map_theme = LIGHT
         self._T_lidar_map: FloatArray | None = None
         self._path_of: object = None
-        self._depth: DepthPicture | None = None
-        # The frame and options of the last drawing.
-        self._depth_of: tuple[object, object] = None, None
-        self._are_planes_visible = True
-        self._views = gui.add_button_group("View", _VIEWS, hint="Viewpoint of the scene")
-        with gui.add_folder("Shown in 3D", expand_by_default=False):
-            rows = gui.add_slider(
-                "Every k-th row", min=1, max=40, step=1, initial_value=session.view.row_step
-            )
-            switches = {name: gui.add_checkbox(name.capitalize(), True) for name in LAYERS}
+        # (N, 2) the trajectory, in the map.
+        self._path_m: FloatArray = np.empty((0, 2))
+        self._is_of_poses = False
+        self._views = gui.add_button_group(
+            "View",
+            _VIEWS,
+            hint="Back to the step's own viewpoint; straight down; from the depth camera",
+        )
         self._controls = Controls(gui, session)
-        self._controls.bind_field(rows, "row_step", int)
-
-        self._switches = switches
-        for box in switches.values():
-            box.on_update(lambda _: self._show_layers())
-        self._views.on_click(lambda _: self._look(self._views.value))
+        self._rows = gui.add_slider(
+            "Every k-th row",
+            min=1,
+            max=40,
+            step=1,
+            initial_value=session.view.row_step,
+            hint="Rows of the depth image that are drawn in 3D",
+        )
+        self._legend = SceneLegend(gui, bridge, session)
+        self._controls.bind_field(self._rows, "row_step", int)
+        self._views.on_click(lambda _: self._look_by_name(self._views.value))
         client.scene.on_click()(self._clicked)
-
-    def set_heatmap_source(self, draw: Callable[[], Heatmap] | None) -> None:
-        """Set the function that draws the heatmap's image plane when visible; None for none."""
-        self._draw_heatmap = draw
+        client.camera.on_update(self._camera_moved)
 
     def set_map(self, grid: OccupancyGrid | None, poses: PoseLookup | None = None) -> None:
-        """The map on the floor, None for none; from the Map panel. ``poses``: the LiDAR's in that
-        map, where they are not the recorded ones."""
+        """The map, None for none; from the Map panel. ``poses``: the LiDAR's in that map, where
+        they are not the recorded ones."""
+        is_first = self._grid is None and grid is not None
         self._grid, self._map_poses = grid, poses
         with self._drawing:
-            self._nodes.show_map(None if grid is None else _plane_of(grid))
+            self._nodes.show_map(None if grid is None else _plane_of(grid, self._map_theme))
         self._path_of = None
+        if is_first and self._seen_step == "Map":
+            # It is what the step is about: look at it once it is placed.
+            self._seen_step = None
 
     def show(self, frame_view: FrameView) -> None:
         """Draw the frame, without pairs if it could not be matched."""
-        self._controls.show(frame_view.view)
-        geometry = _geometry(frame_view)
+        view, is_dark = frame_view.view, frame_view.is_dark
+        self._controls.show(view)
+        step = self._shown_step(frame_view)
+        self._rows.visible = "rows" in layers_of_step(step, frozenset())
+        layers = layers_of_step(step, view.hidden_layers)
+        staged = staged_frame(frame_view, with_rows="rows" in layers)
+        if _is_of_poses_alone(frame_view):
+            # The trajectory is all there is, in any step.
+            layers |= _PATH - view.hidden_layers
+        absent = frozenset[Layer]() if staged is None else absent_layers(staged.geometry)
+        self._legend.show(step, view, is_dark, absent)
+        theme = theme_of(is_dark=is_dark)
+        if theme is not self._map_theme:
+            self._map_theme = theme
+            if self._grid is not None:
+                self.set_map(self._grid, self._map_poses)
         with self._drawing:
-            if geometry is not None and frame_view.chain is not None:
-                self._draw(frame_view, geometry, frame_view.chain.alignment.mount.yaw_rad)
-            else:
+            self._nodes.set_dark(is_dark)
+            self._nodes.show_layers(layers)
+            if staged is None:
                 # The current nodes belong to another frame.
+                self._geometry = None
                 self._nodes.hide_frame()
-                self._show_planes(frame_view)
+            else:
+                self._draw(frame_view, staged)
 
-    def _draw(self, frame_view: FrameView, geometry: FrameGeometry, yaw_rad: float) -> None:
-        if self._opened is not frame_view.open_recording:
-            self._opened = frame_view.open_recording
+    def show_hover(self, frame_view: FrameView, hover: Hover) -> None:
+        """Light up what is pointed at: its beam, and its pixel's point."""
+        place, match = None, frame_view.match
+        if hover.row is not None and hover.column is not None and match is not None:
+            height, width = match.depth_m.shape
+            place = (hover.row + 0.5) / height, (hover.column + 0.5) / width
+        with self._drawing:
+            self._nodes.mark_hover(hover.beam, place)
+
+    def legend(self, frame_view: FrameView) -> list[LegendEntry]:
+        """The entries of the legend for a view, each with its switch."""
+        step = self._shown_step(frame_view)
+        return legend_entries(self._session, step, frame_view.view, frame_view.is_dark)
+
+    def reset_view(self) -> None:
+        """Look from the viewpoint of the open step at the current frame."""
+        if self._geometry is not None:
+            now_ns = self._geometry.stamp_ns
+            together = [
+                seen
+                for seen in self._seen.values()
+                if abs(seen.stamp_ns - now_ns) <= TOGETHER_NS and seen is not self._geometry
+            ]
+            # The other steps are about the pairs of one camera.
+            shows_all = self._session.view.panel in {"Recording", "Map"}
+            self._extent = stage_extent(self._geometry, together if shows_all else ())
+        aspect, view = self._aspect, self._step_view(self._session.view.panel)
+        self._look(view)
+        self._fitted = None if view is None else (view, aspect)
+
+    def _shown_step(self, frame_view: FrameView) -> PanelName:
+        step = frame_view.view.panel
+        # Until there is a map, its step shows what it is made from. A step that has nothing to work
+        # on shows what there is.
+        has_no_map = step == "Map" and self._grid is None
+        is_off = bool(why_not(step, frame_view.open_recording))
+        return "Recording" if has_no_map or is_off else step
+
+    def _draw(self, frame_view: FrameView, staged: StagedCamera) -> None:
+        geometry = staged.geometry
+        self._is_of_poses = _is_of_poses_alone(frame_view)
+        # A guessed mount may look elsewhere than the one that is found.
+        is_guessed = frame_view.raw is not None and not frame_view.raw.is_mount_recorded
+        if self._opened != (frame_view.open_recording, is_guessed):
+            self._opened = frame_view.open_recording, is_guessed
+            self._seen_step = None
             self._nodes.clear()
-            self._planes = {}
             self.set_map(self._grid, self._map_poses)
-            self._layout = layout_of(geometry, yaw_rad)
-            self._look("3D")
-        self._nodes.show(geometry)
-        if frame_view.color is not None:
-            rgb = upright_color(
-                frame_view.color.rgb, frame_view.open_recording.fuse_session.rig, geometry.camera
-            )
-            self._nodes.show_color(geometry.camera, rgb)
+            self._depth_span_m = depth_span_m(geometry)
+            self._seen = {}
+        coloring = frame_view.view.panel, frame_view.is_dark
+        if coloring != self._coloring:
+            # What other cameras saw is to be coloured anew.
+            self._coloring, self._seen = coloring, {}
+        for other in other_cameras(frame_view, self._is_shown):
+            colors = surface_colors(other, frame_view, self._depth_span_m)
+            self._nodes.show_camera(other.geometry, colors)
+            self._remember(other.geometry)
+        self._geometry = geometry
+        self._remember(geometry)
+        self._nodes.show(geometry, surface_colors(staged, frame_view, self._depth_span_m))
         self._nodes.mark_beam(frame_view.view.selected_beam)
         self._update_map(frame_view)
-        self._show_planes(frame_view)
+        if self._seen_step != frame_view.view.panel:
+            self._seen_step = frame_view.view.panel
+            self.reset_view()
+
+    def _remember(self, geometry: FrameGeometry) -> None:
+        if geometry.camera is not None:
+            self._seen[geometry.camera] = geometry
+
+    def _is_shown(self, camera: int, stamp_ns: int) -> bool:
+        """Whether the scene shows what a camera saw at about an instant."""
+        seen = self._seen.get(camera)
+        return seen is not None and abs(seen.stamp_ns - stamp_ns) <= TOGETHER_NS
 
     def _update_map(self, frame_view: FrameView) -> None:
-        """Place map and trajectory around the LiDAR, if the recording has poses."""
-        poses = None
-        if self._grid is not None:
+        """Place map and trajectory around the LiDAR, if the recording has poses. Of odometry alone
+        the trajectory stays where it is, and the robot moves along it."""
+        poses, stamp_ns = None, pose_stamp_ns(frame_view)
+        is_robot = _is_of_poses_alone(frame_view)
+        if self._grid is not None or is_robot:
             poses = frame_view.open_recording.poses if self._map_poses is None else self._map_poses
-        if poses is None or frame_view.match is None:
+        if poses is None or stamp_ns is None:
             self._nodes.place_map(None)
             return
         if self._path_of is not poses:
             self._path_of = poses
-            found = [poses.at(int(stamp)) for stamp in frame_view.open_recording.frames.times_ns]
+            found = [poses.at(int(stamp)) for stamp in pose_stamps_ns(frame_view)]
             path = [pose for pose in found if pose is not None]
-            self._nodes.show_path(np.array(path).reshape(-1, 3)[:, :2])
-        pose = poses.at(frame_view.match.scan.stamp_ns)
+            self._path_m = np.array(path).reshape(-1, 3)[:, :2]
+            self._nodes.show_path(self._path_m)
+        pose = poses.at(stamp_ns)
+        if is_robot:
+            self._nodes.place_map(np.eye(4))
+            return
         T_map_lidar = None if pose is None else transform_from_planar(pose)
         self._T_lidar_map = None if T_map_lidar is None else invert_transform(T_map_lidar)
         self._nodes.place_map(T_map_lidar)
 
-    def _show_planes(self, frame_view: FrameView) -> None:
-        if self._layout is None or not self._are_planes_visible:
-            return
-        view, frame = frame_view.view, frame_view.frame or frame_view.paired
-        inputs = (view.frame_index, view.show_repaired, view.visible_classes, view.selected_beam)
-        if self._depth_of[0] is not frame or self._depth_of[1] != inputs:
-            self._depth_of = frame, inputs
-            self._depth = _depth(frame_view)
-        self._heatmap = None if self._draw_heatmap is None else self._draw_heatmap()
-        image_planes = {}
-        if self._depth is not None:
-            image_planes["depth"] = self._layout.depth_plane(self._depth.rgb)
-        if self._heatmap is not None:
-            image_planes["heatmap"] = self._layout.heatmap_plane(self._heatmap.rgb)
-        for name in self._planes.keys() - image_planes.keys():
-            self._nodes.hide_image_plane(name)
-        for image_plane in image_planes.values():
-            self._nodes.show_image_plane(image_plane)
-        self._planes = image_planes
-
-    def _look(self, name: str) -> None:
-        if self._layout is None:
+    def _look_by_name(self, name: str) -> None:
+        extent, geometry = self._extent, self._geometry
+        if extent is None or geometry is None:
             return
         match name:
-            case "Curve":
-                view = camera_views.curve(self._layout)
-            case "From above" if self._grid is not None and self._T_lidar_map is not None:
-                plane = _plane_of(self._grid)
-                view = camera_views.map_from_above(self._T_lidar_map, plane.origin_m, plane.size_m)
             case "From above":
-                self._session.notify("There is no map yet", "Build it in the Map panel.")
-                return
-            case "Heatmap" | "Depth" if name.lower() in self._planes:
-                view = camera_views.face_plane(self._planes[name.lower()])
+                self._look(self._view_from_above(extent))
+            case "As the camera" if geometry.frustum is not None:
+                self._look(camera_views.from_camera(geometry.frustum))
             case _:
-                # The size is zero in a minimised window.
-                aspect = max(self._camera.image_width, 1) / max(self._camera.image_height, 1)
-                view = camera_views.perspective(self._layout, aspect)
-        self._hidden = view.hides
-        with self._session.batch_updates():
-            self._show_layers()
+                self.reset_view()
+
+    def _step_view(self, step: PanelName) -> CameraView | None:
+        extent = self._extent
+        if extent is None:
+            return None
+        if self._is_of_poses and len(self._path_m):
+            return camera_views.path_from_above(self._path_m, self._aspect)
+        if step == "Map":
+            return self._view_from_above(extent)
+        return camera_views.step_view(step, extent, self._aspect)
+
+    def _view_from_above(self, extent: StageExtent) -> CameraView:
+        """The whole map in the step of the map, else what the LiDAR sees near the rig."""
+        is_map_shown = self._session.view.panel == "Map" and self._grid is not None
+        if is_map_shown and self._grid is not None and self._T_lidar_map is not None:
+            plane = _plane_of(self._grid, self._map_theme)
+            return camera_views.map_from_above(
+                self._T_lidar_map, plane.origin_m, plane.size_m, self._aspect
+            )
+        return camera_views.from_above(extent, self._aspect)
+
+    @property
+    def _aspect(self) -> float:
+        # The size is zero in a minimised window.
+        return max(self._camera.image_width, 1) / max(self._camera.image_height, 1)
+
+    def _look(self, view: CameraView | None) -> None:
+        if view is None:
+            return
+        with self._drawing, self._session.batch_updates():
+            self._nodes.face(view)
             camera_views.apply(self._camera, view)
 
-    def _show_layers(self) -> None:
-        """Show the layers that are on and visible from the camera preset."""
-        chosen = frozenset(name for name, box in self._switches.items() if box.value)
-        are_visible = "images" in chosen - self._hidden
+    def _camera_moved(self, camera: viser.CameraHandle) -> None:
+        """Turn the shapes to a person who walks around; fit the view anew to a screen of another
+        shape, as when its columns are laid out, unless a person has moved it."""
+        if self._fitted is not None:
+            view, aspect = self._fitted
+            is_ours = np.linalg.norm(np.array(camera.position) - view.position_m) < _UNMOVED_M
+            ratio = self._aspect / aspect
+            if is_ours and max(ratio, 1.0 / ratio) > _ASPECT_RATIO:
+                self.reset_view()
+                return
         with self._drawing:
-            self._nodes.show_layers(chosen - self._hidden)
-            were_visible, self._are_planes_visible = self._are_planes_visible, are_visible
-        if are_visible and not were_visible:
-            # Hidden pictures are not updated.
-            self._session.refresh()
+            self._nodes.face(
+                CameraView(
+                    position_m=np.array(camera.position),
+                    look_at_m=np.array(camera.look_at),
+                    up=np.array(camera.up_direction),
+                    fov_rad=camera.fov,
+                )
+            )
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
         origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
@@ -192,76 +304,18 @@ class ScenePanel(Panel):
         if not (np.isfinite(origin).all() and np.isfinite(direction).all()):
             return
         with self._drawing:
-            picked = self._nodes.pick(origin, direction)
-        if picked is not None:
-            self._apply_pick(picked)
-
-    def _apply_pick(self, picked: PickResult) -> None:
-        if picked.beam is not None:
-            self._session.change(selected_beam=picked.beam)
-        elif picked.plane == "heatmap" and self._heatmap is not None and picked.pixel is not None:
-            place = self._heatmap.offset_at(*picked.pixel)
-            if place is not None:
-                self._session.change_settings(picked_offset=place)
-        elif picked.plane == "depth" and self._depth is not None and picked.pixel is not None:
-            pixel = self._depth.pixel_at(*picked.pixel)
-            if pixel is not None:
-                self._session.change(selected_beam=self._beam_near(*pixel))
-
-    def _beam_near(self, row: int, column: int) -> int | None:
-        match = self._session.frame_view.match if self._session.frame_view is not None else None
-        return None if match is None else pixels_of_match(match).beam_near(row, column)
+            beam = self._nodes.pick(origin, direction)
+        if beam is not None:
+            self._session.change(selected_beam=beam)
 
 
-def _plane_of(grid: OccupancyGrid) -> MapPlane:
+def _is_of_poses_alone(frame_view: FrameView) -> bool:
+    """Whether the recording has neither scans nor depth images, but poses."""
+    return frame_view.lone is not None and frame_view.lone.scan is None
+
+
+def _plane_of(grid: OccupancyGrid, theme: Theme) -> MapPlane:
     x_m, y_m = map(float, grid.origin_m)
-    return MapPlane(picture=grid_texture(grid), resolution_m=grid.resolution_m, origin_m=(x_m, y_m))
-
-
-def _geometry(frame_view: FrameView) -> FrameGeometry | None:
-    chain, view = frame_view.chain, frame_view.view
-    if chain is None or frame_view.paired is None:
-        return None
-    rig = frame_view.open_recording.fuse_session.rig
-    if frame_view.frame is not None:
-        return frame_geometry(
-            frame_view.frame,
-            rig,
-            chain.alignment,
-            row_step=view.row_step,
-            classes=view.visible_classes,
-            repaired=view.show_repaired,
-        )
-    paired = frame_view.paired
-    unmatched = UnmatchedFrame(
-        camera=paired.camera,
-        stamp_ns=paired.image.stamp_ns,
-        depth_m=frame_view.open_recording.fuse_session.depth_of(
-            paired.camera, paired.image.depth_m
-        ),
-        scan=None if paired.window is None else paired.window.scan,
+    return MapPlane(
+        picture=grid_texture(grid, theme), resolution_m=grid.resolution_m, origin_m=(x_m, y_m)
     )
-    return unmatched_geometry(unmatched, rig, chain.alignment, row_step=view.row_step)
-
-
-def _depth(frame_view: FrameView) -> DepthPicture | None:
-    """The depth image, with its pairs if the frame was matched."""
-    view, paired = frame_view.view, frame_view.paired
-    match = frame_view.match
-    title = f"Depth, frame {view.frame_index}"
-    if match is not None:
-        depth_m, pairs = match.depth_m, pixels_of_match(match, frame_view.fused)
-    elif paired is not None:
-        depth_m, pairs = (
-            frame_view.open_recording.fuse_session.depth_of(paired.camera, paired.image.depth_m),
-            None,
-        )
-    else:
-        return None
-    if frame_view.fused is not None and view.show_repaired:
-        depth_m, title = repaired_depth_m(frame_view.fused), f"{title}, repaired"
-    overlay = None
-    if pairs is not None:
-        overlay = PairOverlay(pixels=pairs, classes=view.visible_classes, beam=view.selected_beam)
-    width_px, height_px = _PLANE_PX
-    return depth_picture(title, depth_m, overlay, width_px=width_px, height_px=height_px)

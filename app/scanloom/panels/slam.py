@@ -25,19 +25,24 @@ from scanloom.panels.slam_results import SlamResults
 from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.panels.widgets.markup import paragraph, text_box
 from scanloom.panels.widgets.panel_job import UPDATE_INTERVAL_S, PanelJob
+from scanloom.plots.line_plot import set_theme
 from scanloom.plots.png import show_picture
 from scanloom.plots.slam_progress import Window, slam_progress_picture, window_around
+from scanloom.plots.theme import LIGHT, theme_of
+from scanloom.state.possible_steps import map_mode_of
 from scanloom.state.slam_choices import (
     ESTIMATORS,
     MOTIONS,
     PARTICLES_MAX,
     PARTICLES_MIN,
     SCANS,
+    Stream,
     streams_of,
+    supported_choices,
     unsupported_reason,
 )
 from scanloom.state.slam_runs import MAX_RUNS, SlamRuns
-from scanloom.state.view import View
+from scanloom.state.view import MapMode, View
 
 _WIDTH_PX, _HEIGHT_PX = 480, 430
 # With the particles' close-up below.
@@ -47,6 +52,7 @@ _ABOUT = (
     "Estimates the pose of every scan, builds the map, and keeps the last "
     f"{MAX_RUNS} runs to compare, until this page is closed or loaded again."
 )
+_CHOOSE = "Choose what this recording allows"
 _NO_OFFSET = "The clock offset that is to be applied is known once the recording is aligned."
 
 
@@ -61,8 +67,11 @@ class SlamPanel:
         self._folder: Path | None = None
         self._of_run = session.view
         self._window: Window | None = None
+        self._theme = LIGHT
         self._submitted_s = 0.0
         self._why_not: str | None = None
+        self._held: frozenset[Stream] = frozenset()
+        self._mode: MapMode = session.view.map_mode
         self._clock_offset_ms = 0.0
         self._command_inputs: object = None
 
@@ -98,6 +107,11 @@ class SlamPanel:
             hint="More particles cover more hypotheses, and take longer",
         )
         self._why = gui.add_html("", visible=False)
+        self._choose_button = gui.add_button(
+            _CHOOSE,
+            visible=False,
+            hint="The first of scan and motion that the recording's streams allow",
+        )
         self._run_button = gui.add_button("Run", icon=viser.Icon.ROUTE)
         self._job = PanelJob(
             gui, session, self._lock, self._show_working, cancel_label="Cancel run"
@@ -117,6 +131,7 @@ class SlamPanel:
         ):
             self._bind(handle, name)
         self._run_button.on_click(lambda _: self._begin())
+        self._choose_button.on_click(lambda _: self._choose_supported())
 
     def chosen(self, recording: str) -> SlamRun | None:
         """The displayed run, None if the recording has none."""
@@ -128,8 +143,12 @@ class SlamPanel:
         self._controls.show(view)
         update_widget(self._particles, visible=view.slam.estimator == "particle-filter")
         with self._lock:
-            self._why_not = unsupported_reason(
-                view.slam, streams_of(frame_view.open_recording.fuse_session)
+            self._held = streams_of(frame_view.open_recording.opened)
+            self._mode = map_mode_of(view, frame_view.open_recording)
+            self._why_not = unsupported_reason(view.slam, self._held)
+            can_choose = unsupported_reason(supported_choices(view.slam, self._held), self._held)
+            update_widget(
+                self._choose_button, visible=self._why_not is not None and can_choose is None
             )
             self._clock_offset_ms = 0.0
             if frame_view.chain is not None:
@@ -141,7 +160,9 @@ class SlamPanel:
             update_widget(
                 self._run_button, disabled=self._job.is_running or self._why_not is not None
             )
-            self._results.show(view.recording)
+            self._theme = theme_of(is_dark=frame_view.is_dark)
+            set_theme(self._effective, self._theme)
+            self._results.show(view.recording, self._theme)
             self._show_command(view)
 
     def close(self) -> None:
@@ -155,6 +176,11 @@ class SlamPanel:
             self._session.change(slam=chosen)
 
         self._controls.bind(handle, lambda view: getattr(view.slam, name), change)
+
+    def _choose_supported(self) -> None:
+        with self._lock:
+            chosen = supported_choices(self._session.view.slam, self._held)
+        self._session.change(slam=chosen.model_dump())
 
     def _begin(self) -> None:
         """Start a run unless one is running, it is not possible, or the session is closed."""
@@ -192,14 +218,14 @@ class SlamPanel:
     def _draw(self, slam_view: SlamView, is_newest: Callable[[], bool]) -> None:
         """Draw the current state of the run, if it is visible."""
         view = self._session.view
-        if view.panel != "Map" or view.map_mode != "SLAM":
+        if view.panel != "Map" or self._mode != "SLAM":
             return
         self._window = window_around(slam_view, self._window)
         if self._window is None:
             return
         height_px = _HEIGHT_PX + (_CLOSE_UP_PX if len(slam_view.particles) else 0)
         picture = slam_progress_picture(
-            slam_view, self._window, width_px=_WIDTH_PX, height_px=height_px
+            slam_view, self._window, width_px=_WIDTH_PX, height_px=height_px, theme=self._theme
         )
         run = self._of_run
         times_s = (

@@ -25,8 +25,10 @@ from scanloom.panels.slam_text import run_distance_text, run_report_html
 from scanloom.panels.widgets.controls import update_widget
 from scanloom.panels.widgets.markup import paragraph, text_box
 from scanloom.panels.widgets.result_figures import ResultFigures
+from scanloom.plots.line_plot import set_theme
 from scanloom.plots.png import show_picture
 from scanloom.plots.run_comparison import RunOnMap, compare_trajectories, comparison_picture
+from scanloom.plots.theme import Theme
 from scanloom.state.slam_runs import SlamRuns
 
 _WIDTH_PX, _HEIGHT_PX = 480, 640
@@ -82,11 +84,13 @@ class SlamResults:
         self._saved: dict[SlamRun, Path] = {}
         # What the widgets display.
         self._displayed: SlamRun | None = None
-        self._shown_pair: tuple[SlamRun, SlamRun] | None = None
+        self._shown_pair: tuple[SlamRun, SlamRun, Theme] | None = None
 
         self._result = gui.add_folder("Result", visible=False)
         with self._result:
-            choice = gui.add_dropdown("Run shown", (_NONE_YET,))
+            choice = gui.add_dropdown(
+                "Run shown", (_NONE_YET,), hint="One of this page's runs of this recording"
+            )
             self._figures = ResultFigures(gui, ("trajectory",))
             self._effective = add_effective_plot(gui)
             self._translation = add_weights_plot(gui, "translation")
@@ -101,7 +105,10 @@ class SlamResults:
             self._where = gui.add_html("")
         self._comparison = gui.add_folder("Two runs side by side", visible=False)
         with self._comparison:
-            sides = {name: gui.add_dropdown(name, (_NONE_YET,)) for name in self._compared}
+            sides = {
+                name: gui.add_dropdown(name, (_NONE_YET,), hint=f"The {which} run that is compared")
+                for name, which in zip(self._compared, ("first", "second"), strict=True)
+            }
             self._both = gui.add_image(_EMPTY, format="png", visible=False)
             self._distance = add_distance_plot(gui)
             self._difference = gui.add_html("")
@@ -129,13 +136,15 @@ class SlamResults:
         with self._lock:
             self._chosen = run.name
 
-    def show(self, recording: str) -> None:
+    def show(self, recording: str, theme: Theme) -> None:
         """Display the runs of a recording."""
         with self._lock:
             runs = self._runs.of(recording)
             self._forget()
             update_widget(self._result, visible=bool(runs))
             update_widget(self._comparison, visible=len(runs) > 1)
+            for plot in (self._effective, self._translation, self._rotation, self._distance):
+                set_theme(plot, theme)
             if not runs:
                 return
             run = self.chosen(recording)
@@ -143,7 +152,7 @@ class SlamResults:
             self._choice.offer(runs, run)
             self._show_run(run)
             if len(runs) > 1:
-                self._show_pair(runs)
+                self._show_pair(runs, theme)
 
     def _show_run(self, run: SlamRun) -> None:
         saved = self._saved.get(run)
@@ -157,7 +166,7 @@ class SlamResults:
         show_weights(self._rotation, run, run.files.rotation_weights)
         update_widget(self._report, content=run_report_html(run))
 
-    def _show_pair(self, runs: list[SlamRun]) -> None:
+    def _show_pair(self, runs: list[SlamRun], theme: Theme) -> None:
         by_name = {run.name: run for run in runs}
         fallbacks = {"A": runs[-2], "B": runs[-1]}
         first, second = (
@@ -165,9 +174,9 @@ class SlamResults:
         )
         for side, run in zip(self._sides.values(), (first, second), strict=True):
             side.offer(runs, run)
-        if (first, second) == self._shown_pair:
+        if (first, second, theme) == self._shown_pair:
             return
-        self._shown_pair = first, second
+        self._shown_pair = first, second, theme
         on_maps = _on_map(first), _on_map(second)
         found = compare_trajectories(*on_maps)
         update_widget(self._both, visible=found is not None)
@@ -179,6 +188,7 @@ class SlamResults:
                 second_in_first=found.second_in_first,
                 width_px=_WIDTH_PX,
                 height_px=_HEIGHT_PX,
+                theme=theme,
             )
             show_picture(self._both, picture)
 

@@ -7,9 +7,10 @@ import cv2
 import numpy as np
 
 from fusion_core.model.conventions import ByteArray, FloatArray, IntArray
-from scanloom.plots.canvas import GREY, GRID, LINE_PX, TITLE_PX, Box
+from scanloom.plots.canvas import LINE_PX, TITLE_PX, Box
 from scanloom.plots.palette import Color
-from scanloom.plots.text import draw_text, draw_vertical_text, shorten, text_width
+from scanloom.plots.text import Align, draw_text, draw_vertical_text, shorten, text_width
+from scanloom.plots.theme import LIGHT, Theme
 from scanloom.plots.ticks import number_label, ticks_between, whole_ticks_between
 
 LEFT_PX = 54
@@ -32,13 +33,14 @@ class Axes:
     """``box`` of the picture ``rgb`` shows the plane linearly.
 
     ``x_limits``: x at the left and the right edge of the box; ``y_limits``: y at the bottom and the
-    top edge. Either axis may be reversed. Pixel centres are integers.
+    top edge. Either axis may be reversed. Pixel centres are integers. ``theme``: of the picture.
     """
 
     rgb: ByteArray
     box: Box
     x_limits: tuple[float, float]
     y_limits: tuple[float, float]
+    theme: Theme = LIGHT
 
     @property
     def px_per_unit(self) -> tuple[float, float]:
@@ -68,12 +70,13 @@ class Axes:
 
     def draw_frame(self) -> None:
         """Draw a line around the box, outside of it."""
-        self.box.draw_frame(self.rgb)
+        self.box.draw_frame(self.rgb, self.theme)
 
     def draw_title(self, title: str) -> None:
         """Write above the box, cut to its width."""
         text = shorten(title, self.box.width, size_px=TITLE_PX)
-        draw_text(self.rgb, text, (self.box.left, self.box.top - 13), size_px=TITLE_PX)
+        place_px = self.box.left, self.box.top - 13
+        draw_text(self.rgb, text, place_px, size_px=TITLE_PX, color=self.theme.ink)
 
     def x_ticks(self, *, whole: bool = False) -> list[float]:
         """Round values of x, as many as fit."""
@@ -90,30 +93,33 @@ class Axes:
         for value in ticks:
             x = round(self.to_pixel(value, 0.0)[0])
             bottom = self.box.bottom
-            cv2.line(self.rgb, (x, bottom + 1), (x, bottom + _TICK_PX), GREY)
-            draw_text(self.rgb, number_label(value), (x, bottom + _TICK_PX + 8), align="middle")
+            cv2.line(self.rgb, (x, bottom + 1), (x, bottom + _TICK_PX), self.theme.grey)
+            self._write(number_label(value), (x, bottom + _TICK_PX + 8))
         middle = self.box.left + 0.5 * self.box.width
-        draw_text(self.rgb, label, (middle, self.box.bottom + 28), align="middle")
+        self._write(label, (middle, self.box.bottom + 28))
 
     def draw_top_axis(self, label: str, ticks: Iterable[tuple[float, str]]) -> None:
         """A second x axis above the box; ``ticks``: x with its label."""
         for value, text in ticks:
             x = round(self.to_pixel(value, 0.0)[0])
             top = self.box.top
-            cv2.line(self.rgb, (x, top - 2), (x, top - 1 - _TICK_PX), GREY)
-            draw_text(self.rgb, text, (x, top - _TICK_PX - 8), align="middle")
+            cv2.line(self.rgb, (x, top - 2), (x, top - 1 - _TICK_PX), self.theme.grey)
+            self._write(text, (x, top - _TICK_PX - 8))
         middle = self.box.left + 0.5 * self.box.width
-        draw_text(self.rgb, label, (middle, self.box.top - 29), align="middle")
+        self._write(label, (middle, self.box.top - 29))
 
     def draw_y_axis(self, label: str, ticks: Iterable[float]) -> None:
         """Ticks with their values left of the box, and the axis' label left of those."""
         for value in ticks:
             y = round(self.to_pixel(0.0, value)[1])
             left = self.box.left
-            cv2.line(self.rgb, (left - 2, y), (left - 1 - _TICK_PX, y), GREY)
-            draw_text(self.rgb, number_label(value), (left - _TICK_PX - 3, y), align="right")
+            cv2.line(self.rgb, (left - 2, y), (left - 1 - _TICK_PX, y), self.theme.grey)
+            self._write(number_label(value), (left - _TICK_PX - 3, y), align="right")
         middle = self.box.top + 0.5 * self.box.height
-        draw_vertical_text(self.rgb, label, (self.box.left - 41, middle))
+        draw_vertical_text(self.rgb, label, (self.box.left - 41, middle), color=self.theme.ink)
+
+    def _write(self, text: str, place_px: tuple[float, float], *, align: Align = "middle") -> None:
+        draw_text(self.rgb, text, place_px, align=align, color=self.theme.ink)
 
     def fitting(self, label: str, short: str) -> str:
         """``label``, or the shorter one where that is wider than the box."""
@@ -130,10 +136,10 @@ class Axes:
         """A line through the box at each value."""
         for value in x_values:
             column = round(self.to_pixel(value, 0.0)[0]) - self.box.left
-            self.inside[:, min(max(column, 0), self.box.width - 1)] = GRID
+            self.inside[:, min(max(column, 0), self.box.width - 1)] = self.theme.grid
         for value in y_values:
             row = round(self.to_pixel(0.0, value)[1]) - self.box.top
-            self.inside[min(max(row, 0), self.box.height - 1)] = GRID
+            self.inside[min(max(row, 0), self.box.height - 1)] = self.theme.grid
 
     def to_fixed(self, points: FloatArray) -> IntArray:
         """(N, 2) places inside the box as OpenCV draws them, with FRACTION_BITS.
@@ -200,24 +206,45 @@ def draw_crosses(part: ByteArray, places: IntArray, color: Color, arm_px: float)
         cv2.polylines(part, list(lines), False, color, 1, cv2.LINE_AA, FRACTION_BITS)
 
 
-def image_axes(rgb: ByteArray, box: Box, shape: tuple[int, int], *, first_column: int = 0) -> Axes:
+def image_axes(
+    rgb: ByteArray,
+    box: Box,
+    shape: tuple[int, int],
+    *,
+    first_column: int = 0,
+    theme: Theme = LIGHT,
+) -> Axes:
     """Axes whose x is the column and y the row, downwards, of an image of ``shape`` in the box; its
     first column has the number ``first_column``."""
     rows, columns = shape
     left = first_column - 0.5
-    return Axes(rgb=rgb, box=box, x_limits=(left, left + columns), y_limits=(rows - 0.5, -0.5))
+    return Axes(
+        rgb=rgb,
+        box=box,
+        x_limits=(left, left + columns),
+        y_limits=(rows - 0.5, -0.5),
+        theme=theme,
+    )
 
 
-def metric_axes(rgb: ByteArray, box: Box, middle_m: FloatArray, px_per_m: float) -> Axes:
+def metric_axes(
+    rgb: ByteArray, box: Box, middle_m: FloatArray, px_per_m: float, *, theme: Theme = LIGHT
+) -> Axes:
     """Axes of one scale in x and y around a point."""
     half_x, half_y = 0.5 * box.width / px_per_m, 0.5 * box.height / px_per_m
     x, y = float(middle_m[0]), float(middle_m[1])
     return Axes(
-        rgb=rgb, box=box, x_limits=(x - half_x, x + half_x), y_limits=(y - half_y, y + half_y)
+        rgb=rgb,
+        box=box,
+        x_limits=(x - half_x, x + half_x),
+        y_limits=(y - half_y, y + half_y),
+        theme=theme,
     )
 
 
-def fit_axes(rgb: ByteArray, box: Box, low_m: FloatArray, high_m: FloatArray) -> Axes:
+def fit_axes(
+    rgb: ByteArray, box: Box, low_m: FloatArray, high_m: FloatArray, *, theme: Theme = LIGHT
+) -> Axes:
     """The largest metric axes that show all from ``low_m`` to ``high_m``, (2,) each."""
     px_per_m = float((np.array([box.width, box.height]) / (high_m - low_m)).min())
-    return metric_axes(rgb, box, 0.5 * (low_m + high_m), px_per_m)
+    return metric_axes(rgb, box, 0.5 * (low_m + high_m), px_per_m, theme=theme)

@@ -1,7 +1,4 @@
-"""The canvas of a picture, and boxes of whole pixels on it.
-
-The canvas is white with an edge of its own, so that it reads the same on light and dark pages.
-"""
+"""The canvas of a picture, with an edge of its own, and boxes of whole pixels on it."""
 
 from dataclasses import dataclass
 
@@ -10,19 +7,16 @@ import numpy as np
 
 from fusion_core.model.conventions import ByteArray
 from scanloom.plots.palette import Color
+from scanloom.plots.theme import LIGHT, Theme
 
 WHITE: Color = (255, 255, 255)
 BLACK: Color = (0, 0, 0)
-GREY: Color = (134, 142, 150)
-"""Ticks, frames and guide lines."""
-GRID: Color = (236, 239, 242)
 
 MARGIN_PX = 8
 LINE_PX = 18
 """Height of a line of text with its leading."""
 TITLE_PX = 13
 
-_EDGE: Color = (206, 212, 218)
 # Narrower axes have no room for two ticks.
 _SMALLEST_PX = 16
 
@@ -57,17 +51,18 @@ class Box:
             and self.top - 0.5 <= y_px < self.bottom - 0.5
         )
 
-    def draw_frame(self, rgb: ByteArray) -> None:
+    def draw_frame(self, rgb: ByteArray, theme: Theme = LIGHT) -> None:
         """Draw a line around the box, outside of it."""
-        cv2.rectangle(
-            rgb, (self.left - 1, self.top - 1), (self.right, self.bottom), GREY, 1, cv2.LINE_4
-        )
+        corners = (self.left - 1, self.top - 1), (self.right, self.bottom)
+        cv2.rectangle(rgb, *corners, theme.grey, 1, cv2.LINE_4)
 
 
-def blank_canvas(width_px: int, height_px: int) -> ByteArray:
-    """(height_px, width_px, 3) uint8, white with an edge."""
-    rgb = np.full((height_px, width_px, 3), 255, dtype=np.uint8)
-    cv2.rectangle(rgb, (0, 0), (width_px - 1, height_px - 1), _EDGE, 1)
+def blank_canvas(width_px: int, height_px: int, theme: Theme = LIGHT) -> ByteArray:
+    """(height_px, width_px, 3) uint8: the theme's background with its edge."""
+    rgb = np.empty((height_px, width_px, 3), dtype=np.uint8)
+    corners = (0, 0), (width_px - 1, height_px - 1)
+    cv2.rectangle(rgb, *corners, theme.background, cv2.FILLED)
+    cv2.rectangle(rgb, *corners, theme.edge, 1)
     return rgb
 
 

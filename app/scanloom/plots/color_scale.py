@@ -7,32 +7,32 @@ import cv2
 import numpy as np
 
 from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray, IntArray
-from scanloom.plots.canvas import GREY, Box
-from scanloom.plots.palette import Color
+from scanloom.plots.canvas import Box
 from scanloom.plots.text import draw_text, draw_vertical_text
+from scanloom.plots.theme import LIGHT, Theme
 from scanloom.plots.ticks import number_label, ticks_between
 
 COLOR_BAR_PX = 76
 """Width that a colour bar takes with its numbers and its label."""
 
 _BAR_PX, _TICK_PX, _TICK_ROOM_PX = 12, 4, 34
-_HATCH: tuple[Color, Color] = ((233, 236, 239), (206, 212, 218))
 _HATCH_STEP_PX = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ColorScale:
     """``colors``: (256, 3) uint8; ``limits``: the values of the first and the last of them, None
-    where there is no value."""
+    where there is no value. ``theme``: of the picture."""
 
     colors: ByteArray
     limits: tuple[float, float] | None
+    theme: Theme = LIGHT
 
     def paint(self, target: ByteArray, values: FloatArray | Float32Array) -> None:
         """Fill ``target``, (h, w, 3), with ``values``, (H, W); NaN is hatched."""
         height, width = target.shape[:2]
         if self.limits is None:
-            target[:] = hatch(height, width)
+            target[:] = hatch(height, width, self.theme)
             return
         for axis, pixels in enumerate((height, width)):
             if pixels < values.shape[axis]:
@@ -50,7 +50,7 @@ class ColorScale:
         target[:] = cv2.applyColorMap(shades, self.colors.reshape(256, 1, 3))
         if missing.any():
             stretched = missing.take(columns, axis=1).take(rows, axis=0)
-            cv2.copyTo(hatch(height, width), stretched.view(np.uint8), target)
+            cv2.copyTo(hatch(height, width, self.theme), stretched.view(np.uint8), target)
 
     def draw_bar(
         self, rgb: ByteArray, box: Box, label: str, *, beyond: tuple[bool, bool] = (False, False)
@@ -62,25 +62,26 @@ class ColorScale:
         """
         if self.limits is None:
             return
-        low, high = self.limits
+        (low, high), theme = self.limits, self.theme
         bar = Box(box.right + 9, box.top, _BAR_PX, box.height)
         steps = 255 - cells_of_pixels(256, bar.height)
         bar.view(rgb)[:] = self.colors[steps][:, np.newaxis]
-        bar.draw_frame(rgb)
+        bar.draw_frame(rgb, self.theme)
         x = bar.right + _TICK_PX + 2
         for value in ticks_between(low, high, max(2, min(6, bar.height // _TICK_ROOM_PX))):
             y = round(bar.bottom - 0.5 - (value - low) / (high - low) * bar.height)
-            cv2.line(rgb, (bar.right + 1, y), (bar.right + _TICK_PX - 1, y), GREY)
-            draw_text(rgb, number_label(value), (x, y))
+            cv2.line(rgb, (bar.right + 1, y), (bar.right + _TICK_PX - 1, y), theme.grey)
+            draw_text(rgb, number_label(value), (x, y), color=theme.ink)
         middle = bar.left + 0.5 * bar.width
         for exists, y, sign in (
             (beyond[0], bar.bottom + 6, "▼"),
             (beyond[1], bar.top - 7, "▲"),
         ):
             if exists:
-                draw_text(rgb, sign, (middle, y), align="middle", size_px=8, color=GREY)
+                draw_text(rgb, sign, (middle, y), align="middle", size_px=8, color=theme.grey)
         middle = box.top + 0.5 * box.height
-        draw_vertical_text(rgb, label, (box.right + COLOR_BAR_PX - 11, middle))
+        place_px = box.right + COLOR_BAR_PX - 11, middle
+        draw_vertical_text(rgb, label, place_px, color=theme.ink)
 
 
 def cells_of_pixels(cells: int, pixels: int) -> IntArray:
@@ -89,9 +90,9 @@ def cells_of_pixels(cells: int, pixels: int) -> IntArray:
 
 
 @lru_cache(maxsize=16)
-def hatch(height_px: int, width_px: int) -> ByteArray:
+def hatch(height_px: int, width_px: int, theme: Theme = LIGHT) -> ByteArray:
     """(height_px, width_px, 3) uint8: neutral stripes for "no value". Not writable."""
     stripe = np.add.outer(np.arange(height_px), np.arange(width_px)) % _HATCH_STEP_PX < 2
-    stripes = np.array(_HATCH, dtype=np.uint8)[stripe.astype(np.intp)]
+    stripes = np.array(theme.hatch, dtype=np.uint8)[stripe.astype(np.intp)]
     stripes.setflags(write=False)
     return stripes

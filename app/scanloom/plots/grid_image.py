@@ -1,28 +1,23 @@
 """Occupancy grids as images: on axes in metres, and as a texture for the floor of the scene.
 
-The colours are those of the exported pictures.
+In the light theme the colours are those of the exported pictures.
 """
+
+from functools import cache
 
 import cv2
 import numpy as np
 
 from fusion_core.model.conventions import ByteArray
 from fusion_core.model.grids import OccupancyGrid
-from fusion_core.workflows.map.colors import FREE, UNKNOWN, scale_bar_m
+from fusion_core.workflows.map.colors import scale_bar_m
 from scanloom.plots.axes import Axes
-from scanloom.plots.canvas import BLACK
 from scanloom.plots.legend import LegendEntry, swatch
-from scanloom.plots.text import INK, draw_text
+from scanloom.plots.text import draw_text
+from scanloom.plots.theme import LIGHT, Theme
 from scanloom.plots.ticks import number_label
 
 _UNKNOWN_SHADE = 0
-# By shade: unknown, and then from surely free to surely an obstacle.
-_SHADES = np.vstack(
-    [
-        np.array([UNKNOWN], dtype=np.uint8),
-        np.repeat(np.round(255.0 * np.arange(254, -1, -1)[:, np.newaxis] / 254.0), 3, axis=1),
-    ]
-).astype(np.uint8)
 
 
 def paint_grid(axes: Axes, grid: OccupancyGrid | None) -> None:
@@ -32,7 +27,7 @@ def paint_grid(axes: Axes, grid: OccupancyGrid | None) -> None:
     """
     inside = axes.inside
     if grid is None:
-        inside[:] = UNKNOWN
+        inside[:] = axes.theme.unknown
         return
     padded = np.pad(_shades_of(grid), 1, constant_values=_UNKNOWN_SHADE)
     rows, columns = grid.log_odds.shape
@@ -46,17 +41,17 @@ def paint_grid(axes: Axes, grid: OccupancyGrid | None) -> None:
         # A pixel within a cell has an empty range, for which reduceat gives that cell.
         shades = np.maximum.reduceat(shades, starts, axis=axis)
         shades = shades[:-1] if axis == 0 else shades[:, :-1]
-    inside[:] = _SHADES[np.flipud(shades)]
+    inside[:] = _colors_of_shades(axes.theme)[np.flipud(shades)]
 
 
-def grid_texture(grid: OccupancyGrid) -> ByteArray:
+def grid_texture(grid: OccupancyGrid, theme: Theme = LIGHT) -> ByteArray:
     """(rows, columns, 3) uint8: a pixel for each cell, the first row at the greatest y."""
-    return np.flipud(_SHADES[_shades_of(grid)]).copy()
+    return np.flipud(_colors_of_shades(theme)[_shades_of(grid)]).copy()
 
 
-def grid_legend() -> list[LegendEntry]:
+def grid_legend(theme: Theme = LIGHT) -> list[LegendEntry]:
     """What the colours of a map mean."""
-    known = ((BLACK, "obstacle"), (FREE, "free"), (UNKNOWN, "unknown"))
+    known = (theme.obstacle, "obstacle"), (theme.free, "free"), (theme.unknown, "unknown")
     return [LegendEntry(swatch(color), label) for color, label in known]
 
 
@@ -70,8 +65,8 @@ def draw_scale_bar(axes: Axes, y_px: int) -> None:
     bar_m = grid_step_m(axes)
     left = axes.box.left
     right = left + round(bar_m * axes.px_per_unit[0])
-    cv2.rectangle(axes.rgb, (left, y_px - 2), (right - 1, y_px + 2), INK, -1)
-    draw_text(axes.rgb, f"{number_label(bar_m)} m", (right + 8, y_px))
+    cv2.rectangle(axes.rgb, (left, y_px - 2), (right - 1, y_px + 2), axes.theme.ink, -1)
+    draw_text(axes.rgb, f"{number_label(bar_m)} m", (right + 8, y_px), color=axes.theme.ink)
 
 
 def draw_metric_grid(axes: Axes, step_m: float) -> None:
@@ -88,3 +83,11 @@ def _shades_of(grid: OccupancyGrid) -> ByteArray:
     """(rows, columns) uint8: the greater, the surer an obstacle; least where nothing is known."""
     shade = 1.0 + np.round(254.0 * np.where(grid.known, grid.probability, 0.0))
     return np.where(grid.known, shade, _UNKNOWN_SHADE).astype(np.uint8)
+
+
+@cache
+def _colors_of_shades(theme: Theme) -> ByteArray:
+    """(256, 3) uint8 by shade: unknown, and then from surely free to surely an obstacle."""
+    free, obstacle = np.array(theme.free, dtype=np.float64), np.array(theme.obstacle)
+    known = free + (obstacle - free) * np.arange(255)[:, np.newaxis] / 254.0
+    return np.vstack([np.array([theme.unknown]), np.round(known)]).astype(np.uint8)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -18,21 +19,27 @@ from scanloom.plots.canvas import (
     box_between,
 )
 from scanloom.plots.color_scale import COLOR_BAR_PX, ColorScale
+from scanloom.plots.dock_layout import DockLayout, draw_close_axes
 from scanloom.plots.legend import Legend, LegendEntry, Symbol, hatch_symbol, padded
 from scanloom.plots.palette import Color, color_map
 from scanloom.plots.score_field import AzimuthAxis, Mark, MarkKind, ScoreField
 from scanloom.plots.text import draw_text, shorten
+from scanloom.plots.theme import LIGHT, Theme
 from scanloom.plots.ticks import distinct_limits, number_label, ticks_between
 
 _LABELS: dict[MarkKind, str] = {
-    "peak": "peak",
-    "runner_up": "runner-up",
-    "prior": "recording's u",
+    "peak": "best fit",
+    "runner_up": "second best",
+    "prior": "expected from the recording",
     "picked": "picked by hand",
 }
 _NO_SCORE = "no score: too few samples on both sides"
 # The peak on top: nothing may cover it.
 _DRAWING_ORDER: tuple[MarkKind, ...] = ("prior", "runner_up", "picked", "peak")
+# The colours follow the cube of the score's place between the limits: similarity is high over wide
+# areas, and a linear scale spends its colours there. The peak then stands out, and the steps
+# between the best scores can be seen.
+_COLOR_POWER = 3.0
 # A label such as "-120°" with its gap.
 _DEGREES_PX = 52
 
@@ -60,6 +67,12 @@ class Heatmap:
         u = np.clip(place[0], self.u_first, self.u_first + columns - 1)
         return float(u), float(np.clip(place[1], 0, rows - 1))
 
+    def place_of(self, u: float, v: float) -> tuple[float, float] | None:
+        """x, y in the picture of an offset, None outside the field."""
+        rows, columns = self.shape
+        is_inside = -0.5 <= u - self.u_first <= columns - 0.5 and -0.5 <= v <= rows - 0.5
+        return self.axes.to_pixel(u, v) if is_inside else None
+
 
 def heatmap(
     field: ScoreField,
@@ -69,6 +82,7 @@ def heatmap(
     width_px: int,
     height_px: int,
     title: str = "",
+    theme: Theme = LIGHT,
 ) -> Heatmap:
     """Draw a field with its axes, its marks and their legend.
 
@@ -79,27 +93,85 @@ def heatmap(
     top = MARGIN_PX + (LINE_PX if title else 0) + BELOW_PX
     bottom = height_px - MARGIN_PX // 2 - legend.height_px - BELOW_PX
     box = box_between(LEFT_PX, top, width_px - COLOR_BAR_PX, bottom)
-    rgb = blank_canvas(width_px, height_px)
+    rgb = blank_canvas(width_px, height_px, theme)
     rows, columns = field.scores.shape
-    axes = image_axes(rgb, box, (rows, columns), first_column=field.u_first)
+    axes = image_axes(rgb, box, (rows, columns), first_column=field.u_first, theme=theme)
     if title:
         text = shorten(title, width_px - 2 * MARGIN_PX, size_px=TITLE_PX)
-        draw_text(rgb, text, (MARGIN_PX, MARGIN_PX + LINE_PX // 2), size_px=TITLE_PX)
-    scale = ColorScale(colors=color_map("viridis"), limits=_limits_of(field.scores))
+        place_px = MARGIN_PX, MARGIN_PX + LINE_PX // 2
+        draw_text(rgb, text, place_px, size_px=TITLE_PX, color=theme.ink)
+    scale = _scale_of(field, theme)
     scale.paint(axes.inside, field.scores)
     axes.draw_frame()
     _draw_axes(axes, azimuths)
     if scale.limits is None:
-        middle = box.left + 0.5 * box.width, box.top + 0.5 * box.height
-        draw_text(rgb, _NO_SCORE, middle, align="middle")
+        _explain_no_score(axes)
     scale.draw_bar(rgb, box, "similarity")
-    for mark in sorted(marks, key=lambda mark: _DRAWING_ORDER.index(mark.kind)):
-        if _is_in_field(field, mark):
-            _draw_mark(axes, mark)
-    legend.draw(rgb, MARGIN_PX, box.bottom + BELOW_PX)
+    _draw_marks(axes, field, marks)
+    legend.draw(rgb, MARGIN_PX, box.bottom + BELOW_PX, theme)
     return Heatmap(
         rgb=rgb, axes=axes, u_first=field.u_first, shape=(rows, columns), limits=scale.limits
     )
+
+
+def dock_heatmap(
+    field: ScoreField,
+    marks: Sequence[Mark],
+    *,
+    width_px: int,
+    height_px: int,
+    theme: Theme = LIGHT,
+) -> Heatmap:
+    """Draw a field with its marks for a dock or a phone: as large as the width allows, without a
+    title.
+
+    ``field``, ``marks``, size and errors are those of ``heatmap``. All kinds of marks but one
+    picked by hand have their place in the legend, whether or not they exist.
+    """
+    marks = [mark for mark in marks if mark.exists]
+    layout = DockLayout.of(_dock_legend(marks), width_px, height_px)
+    rgb = blank_canvas(width_px, height_px, theme)
+    rows, columns = field.scores.shape
+    axes = image_axes(rgb, layout.space, (rows, columns), first_column=field.u_first, theme=theme)
+    scale = _scale_of(field, theme)
+    scale.paint(axes.inside, field.scores)
+    draw_close_axes(axes, "offset u", "row")
+    if scale.limits is None:
+        _explain_no_score(axes)
+    _draw_marks(axes, field, marks)
+    low, high = ("", "") if scale.limits is None else (f"{limit:.2f}" for limit in scale.limits)
+    layout.draw_scale(
+        rgb, scale, "similarity", (low.replace("-", "−"), high.replace("-", "−")), none="no score"
+    )
+    layout.draw_legend(axes)
+    return Heatmap(
+        rgb=rgb, axes=axes, u_first=field.u_first, shape=(rows, columns), limits=scale.limits
+    )
+
+
+def _scale_of(field: ScoreField, theme: Theme) -> ColorScale:
+    return ColorScale(colors=_colors(), limits=_limits_of(field.scores), theme=theme)
+
+
+@cache
+def _colors() -> ByteArray:
+    """(256, 3) uint8, from the least to the greatest score. Not writable."""
+    place = np.linspace(0.0, 1.0, 256) ** _COLOR_POWER
+    colors: ByteArray = color_map("viridis")[np.rint(255.0 * place).astype(np.intp)]
+    colors.setflags(write=False)
+    return colors
+
+
+def _explain_no_score(axes: Axes) -> None:
+    box = axes.box
+    middle = box.left + 0.5 * box.width, box.top + 0.5 * box.height
+    draw_text(axes.rgb, _NO_SCORE, middle, align="middle", color=axes.theme.ink)
+
+
+def _draw_marks(axes: Axes, field: ScoreField, marks: Sequence[Mark]) -> None:
+    for mark in sorted(marks, key=lambda mark: _DRAWING_ORDER.index(mark.kind)):
+        if _is_in_field(field, mark):
+            _draw_mark(axes, mark)
 
 
 def _limits_of(scores: FloatArray) -> tuple[float, float] | None:
@@ -150,11 +222,13 @@ def _draw_twice(draw: Callable[[Color, int], object]) -> None:
 
 
 def _draw_cross(part: ByteArray, place: tuple[int, int]) -> None:
+    """A cross with an open middle, so that the peak itself is seen."""
+
     def draw(color: Color, thickness: int) -> None:
-        for sign in (-1, 1):
+        for x, y in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
             start, end = (
-                (place[0] - 5, place[1] - 5 * sign),
-                (place[0] + 5, place[1] + 5 * sign),
+                (place[0] + 3 * x, place[1] + 3 * y),
+                (place[0] + 7 * x, place[1] + 7 * y),
             )
             cv2.line(part, start, end, color, thickness, cv2.LINE_AA)
 
@@ -198,5 +272,11 @@ def _legend(field: ScoreField, marks: Sequence[Mark]) -> list[LegendEntry]:
     return [*entries, LegendEntry(hatch_symbol, "no score")]
 
 
+def _dock_legend(marks: Sequence[Mark]) -> list[LegendEntry]:
+    kinds: list[MarkKind] = ["peak", "runner_up", "prior"]
+    kinds += ["picked"] if any(mark.kind == "picked" for mark in marks) else []
+    return [LegendEntry(_symbol(kind), _LABELS[kind]) for kind in kinds]
+
+
 def _symbol(kind: MarkKind) -> Symbol:
-    return lambda part: _MARKS[kind](part, (part.shape[1] // 2, part.shape[0] // 2))
+    return lambda part, _theme: _MARKS[kind](part, (part.shape[1] // 2, part.shape[0] // 2))

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import cv2
 
 from fusion_core.model.conventions import ByteArray
-from scanloom.plots.canvas import GREY, LINE_PX
+from scanloom.plots.canvas import LINE_PX
 from scanloom.plots.color_scale import hatch
 from scanloom.plots.palette import Color
 from scanloom.plots.text import draw_text, text_width
+from scanloom.plots.theme import LIGHT, Theme
 
 SYMBOL_PX = 20
 """Width of a symbol, which is LINE_PX high."""
@@ -19,8 +20,8 @@ _MIDDLE_Y = LINE_PX // 2
 # As wide as a digit.
 _FIGURE_SPACE = "\u2007"
 
-Symbol = Callable[[ByteArray], None]
-"""Draws into a (LINE_PX, SYMBOL_PX, 3) part of the picture."""
+Symbol = Callable[[ByteArray, Theme], None]
+"""Draws into a (LINE_PX, SYMBOL_PX, 3) part of a picture of a theme."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +57,14 @@ class Legend:
         """What it takes of the picture."""
         return len(self.lines) * LINE_PX
 
-    def draw(self, rgb: ByteArray, left: int, top: int) -> None:
+    def draw(self, rgb: ByteArray, left: int, top: int, theme: Theme = LIGHT) -> None:
         """Draw it with its upper left corner at this pixel."""
         for number, line in enumerate(self.lines):
             x, y = left, top + number * LINE_PX
             for entry in line:
-                entry.symbol(rgb[y : y + LINE_PX, x : x + SYMBOL_PX])
+                entry.symbol(rgb[y : y + LINE_PX, x : x + SYMBOL_PX], theme)
                 x += SYMBOL_PX + 4
-                draw_text(rgb, entry.label, (x, y + _MIDDLE_Y))
+                draw_text(rgb, entry.label, (x, y + _MIDDLE_Y), color=theme.ink)
                 x += text_width(entry.label) + _GAP_PX
 
 
@@ -76,9 +77,9 @@ def padded(label: str, length: int) -> str:
 def swatch(color: Color) -> Symbol:
     """A small square of a colour."""
 
-    def draw(part: ByteArray) -> None:
+    def draw(part: ByteArray, theme: Theme) -> None:
         cv2.rectangle(part, (5, 3), (16, 14), color, -1)
-        cv2.rectangle(part, (5, 3), (16, 14), GREY, 1)
+        cv2.rectangle(part, (5, 3), (16, 14), theme.grey, 1)
 
     return draw
 
@@ -86,13 +87,14 @@ def swatch(color: Color) -> Symbol:
 def line_symbol(color: Color, thickness_px: int = 2) -> Symbol:
     """A line of a colour."""
 
-    def draw(part: ByteArray) -> None:
+    def draw(part: ByteArray, _theme: Theme) -> None:
         cv2.line(part, (2, _MIDDLE_Y), (17, _MIDDLE_Y), color, thickness_px, cv2.LINE_AA)
 
     return draw
 
 
-def hatch_symbol(part: ByteArray) -> None:
+def hatch_symbol(part: ByteArray, theme: Theme) -> None:
     """No value."""
-    part[3:15, 5:17] = hatch(12, 12)[: part[3:15, 5:17].shape[0], : part[3:15, 5:17].shape[1]]
-    cv2.rectangle(part, (5, 3), (16, 14), GREY, 1)
+    stripes = hatch(12, 12, theme)
+    part[3:15, 5:17] = stripes[: part[3:15, 5:17].shape[0], : part[3:15, 5:17].shape[1]]
+    cv2.rectangle(part, (5, 3), (16, 14), theme.grey, 1)

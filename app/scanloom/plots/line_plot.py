@@ -5,7 +5,8 @@ A missing value is NaN. uPlot would draw a line across it, so a series with gaps
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from typing import Any, cast
 
 import numpy as np
 import viser
@@ -13,9 +14,12 @@ from viser import uplot
 
 from fusion_core.model.conventions import FloatArray
 from scanloom.plots.palette import Color
+from scanloom.plots.theme import DARK, LIGHT, Theme
 
-NEUTRAL: Color = (73, 80, 87)
-"""Of what belongs to no sensor and no class; visible on light and dark pages."""
+INK: Color = LIGHT.ink
+"""Of marks of the present place."""
+NEUTRAL: Color = LIGHT.neutral
+"""Of what belongs to no sensor and no class."""
 
 _HEIGHT_PX = 260
 # Room for the ticks and the label of an axis.
@@ -53,17 +57,41 @@ def add_line_plot(
     series: Sequence[uplot.Series],
     *,
     y_limits: Limits = (0.0, 1.0),
+    theme: Theme = LIGHT,
 ) -> viser.GuiUplotHandle:
-    """An empty plot, hidden; its ``data`` are x, rising, and the values of each series."""
+    """An empty plot, hidden; its ``data`` are x, rising, and the values of each series.
+
+    The colours of ``series`` are those of the light theme; ``set_theme`` changes them later.
+    """
+    plot = _add_plot(gui, labels, series, y_limits)
+    set_theme(plot, theme)
+    return plot
+
+
+def set_theme(plot: viser.GuiUplotHandle, theme: Theme) -> None:
+    """Draw a plot of ``add_line_plot`` in the colours of the page's theme.
+
+    Another theme recreates the plot in the browser, the same one sends nothing.
+    """
+    axes = plot.axes
+    assert axes is not None, "add_line_plot sets axes"
+    labels = [str(axis["label"]) for axis in axes]
+    themed = _axes(labels[0], labels[1], theme)
+    if themed == axes:
+        return
+    plot.axes = themed
+    plot.series = tuple(_in_theme(series, theme) for series in plot.series)
+
+
+def _add_plot(
+    gui: viser.GuiApi, labels: PlotLabels, series: Sequence[uplot.Series], y_limits: Limits
+) -> viser.GuiUplotHandle:
     return gui.add_uplot(
         no_data(len(series)),
         (uplot.Series(label=labels.x_short), *series),
         title=labels.title,
         scales=_scales(y_limits, x_falls=labels.x_falls),
-        axes=(
-            uplot.Axis(label=labels.x, labelSize=_LABEL_PX, size=_X_AXIS_PX),
-            uplot.Axis(label=labels.y, labelSize=_LABEL_PX, size=_Y_AXIS_PX),
-        ),
+        axes=_axes(labels.x, labels.y, LIGHT),
         cursor=_CURSOR_ON_FALLING_X if labels.x_falls else _CURSOR,
         height=_HEIGHT_PX,
         padding=_PADDING_PX,
@@ -153,3 +181,46 @@ def _scales(y_limits: Limits, *, x_falls: bool) -> dict[str, uplot.Scale]:
         "x": uplot.Scale(time=False, dir=-1 if x_falls else 1),
         "y": uplot.Scale(range=y_limits),
     }
+
+
+def _axes(x_label: str, y_label: str, theme: Theme) -> tuple[uplot.Axis, uplot.Axis]:
+    x = uplot.Axis(label=x_label, labelSize=_LABEL_PX, size=_X_AXIS_PX)
+    y = uplot.Axis(label=y_label, labelSize=_LABEL_PX, size=_Y_AXIS_PX)
+    if not theme.is_dark:
+        # viser's own colours are for a light page; its dark grid cannot be seen.
+        return x, y
+    grid, ticks = uplot.Axis_Grid(stroke=css(theme.grid)), uplot.Axis_Ticks(stroke=css(theme.grey))
+    text = css(theme.ink)
+    return (
+        uplot.Axis(**x, stroke=text, grid=grid, ticks=ticks),
+        uplot.Axis(**y, stroke=text, grid=grid, ticks=ticks),
+    )
+
+
+def _in_theme(series: uplot.Series, theme: Theme) -> uplot.Series:
+    """A series whose colours of other themes are replaced by those of this one."""
+    colors = _counterparts(theme)
+
+    def themed(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: themed(part) for key, part in value.items()}
+        return colors.get(value, value) if isinstance(value, str) else value
+
+    keys = ("stroke", "fill", "points")
+    changed = {key: themed(value) for key, value in series.items() if key in keys}
+    return cast("uplot.Series", {**series, **changed})
+
+
+@cache
+def _counterparts(theme: Theme) -> dict[str, str]:
+    """The colour of this theme, by that of any theme for the same thing."""
+    return {
+        css(before): css(after)
+        for other in (LIGHT, DARK)
+        for before, after in zip(_own(other), _own(theme), strict=True)
+    }
+
+
+def _own(theme: Theme) -> tuple[Color, ...]:
+    """The colours of data that differ from theme to theme."""
+    return theme.ink, theme.neutral, theme.fused

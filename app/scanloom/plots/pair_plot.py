@@ -18,9 +18,10 @@ from scanloom.plots.axes import (
     draw_ring,
     metric_axes,
 )
-from scanloom.plots.canvas import BLACK, GREY, MARGIN_PX, WHITE, blank_canvas, box_between
+from scanloom.plots.canvas import BLACK, MARGIN_PX, WHITE, blank_canvas, box_between
 from scanloom.plots.legend import SYMBOL_PX, Legend, LegendEntry, Symbol, padded
 from scanloom.plots.palette import Color, color_of
+from scanloom.plots.theme import LIGHT, Theme
 
 _DOT_PX, _UNPAIRED_PX, _CROSS_PX, _RING_PX = 2.0, 1.0, 3.0, 5.5
 # The plot ends where single points stray: so far beyond the middle 96 % of the points.
@@ -68,6 +69,7 @@ def pair_picture(
     width_px: int,
     height_px: int,
     axis_labels: tuple[str, str] = ("x to the right (m)", "z ahead (m)"),
+    theme: Theme = LIGHT,
 ) -> PairPicture:
     """Draw plots one above the other, on one scale around the points of the first.
 
@@ -83,12 +85,12 @@ def pair_picture(
         box_between(LEFT_PX, i * each_px + ABOVE_PX, right, (i + 1) * each_px - BELOW_PX)
         for i in range(len(plots))
     ]
-    rgb = blank_canvas(width_px, height_px)
+    rgb = blank_canvas(width_px, height_px, theme)
     middle_m, span_m = _window(plots[0])
     # Marks at the edge of the window stay whole.
     room_px = np.array([boxes[0].width, boxes[0].height]) - 4.0 * _RING_PX
     px_per_m = float((room_px / span_m).min())
-    every = tuple(metric_axes(rgb, box, middle_m, px_per_m) for box in boxes)
+    every = tuple(metric_axes(rgb, box, middle_m, px_per_m, theme=theme) for box in boxes)
     for axes, plot in zip(every, plots, strict=True):
         x_ticks, z_ticks = axes.x_ticks(), axes.y_ticks()
         axes.draw_grid(x_ticks, z_ticks)
@@ -97,7 +99,7 @@ def pair_picture(
         axes.draw_y_axis(axis_labels[1], z_ticks)
         axes.draw_title(plot.title)
         _draw_pairs(axes, plot)
-    legend.draw(rgb, MARGIN_PX, boxes[-1].bottom + BELOW_PX)
+    legend.draw(rgb, MARGIN_PX, boxes[-1].bottom + BELOW_PX, theme)
     return PairPicture(rgb=rgb, axes=every)
 
 
@@ -116,7 +118,7 @@ def _window(plot: PairPlot) -> tuple[FloatArray, FloatArray]:
 
 def _draw_pairs(axes: Axes, plot: PairPlot) -> None:
     paired, joined = plot.is_paired, plot.is_joined
-    axes.draw_segments(plot.lidar_m[joined], plot.depth_m[joined], GREY)
+    axes.draw_segments(plot.lidar_m[joined], plot.depth_m[joined], axes.theme.grey)
     for points_m, color in (
         (plot.depth_m, color_of("depth")),
         (plot.lidar_m, color_of("lidar")),
@@ -176,28 +178,28 @@ _LINE_ENDS = np.array([[4, 12], [16, 6]], dtype=np.int32) << FRACTION_BITS
 
 
 def _dot_symbol(color: Color) -> Symbol:
-    return lambda part: draw_dot(part, _MIDDLE_PLACE, color, 2.0 * _DOT_PX)
+    return lambda part, _theme: draw_dot(part, _MIDDLE_PLACE, color, 2.0 * _DOT_PX)
 
 
-def _joined_symbol(part: ByteArray) -> None:
+def _joined_symbol(part: ByteArray, theme: Theme) -> None:
     start, end = (
         [4 << FRACTION_BITS, 12 << FRACTION_BITS],
         [16 << FRACTION_BITS, 6 << FRACTION_BITS],
     )
-    cv2.line(part, start, end, GREY, 1, cv2.LINE_AA, FRACTION_BITS)
+    cv2.line(part, start, end, theme.grey, 1, cv2.LINE_AA, FRACTION_BITS)
     draw_dot(part, start, color_of("lidar"), _DOT_PX)
     draw_dot(part, end, color_of("depth"), _DOT_PX)
 
 
-def _cross_symbol(part: ByteArray) -> None:
+def _cross_symbol(part: ByteArray, _theme: Theme) -> None:
     draw_crosses(part, _TWO_PLACES[:1], color_of("lidar"), _CROSS_PX)
     draw_crosses(part, _TWO_PLACES[1:], color_of("depth"), _CROSS_PX)
 
 
-def _unpaired_symbol(part: ByteArray) -> None:
+def _unpaired_symbol(part: ByteArray, _theme: Theme) -> None:
     draw_dot(part, _TWO_PLACES[0].tolist(), color_of("lidar"), _UNPAIRED_PX)
     draw_dot(part, _TWO_PLACES[1].tolist(), color_of("depth"), _UNPAIRED_PX)
 
 
-def _sample_symbol(part: ByteArray) -> None:
+def _sample_symbol(part: ByteArray, _theme: Theme) -> None:
     _draw_rings(part, _MIDDLE_PLACE, _MIDDLE_PLACE)

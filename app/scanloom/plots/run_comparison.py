@@ -26,6 +26,7 @@ from scanloom.plots.grid_image import (
 from scanloom.plots.legend import Legend, LegendEntry, line_symbol
 from scanloom.plots.palette import Color
 from scanloom.plots.slam_progress import Window, draw_start
+from scanloom.plots.theme import LIGHT, Theme
 
 _OVERLAY_PX = 190
 """Height of the plot of both trajectories."""
@@ -126,7 +127,13 @@ def transform_grid(grid: OccupancyGrid, frame: FloatArray) -> OccupancyGrid:
 
 
 def comparison_picture(
-    first: RunOnMap, second: RunOnMap, *, second_in_first: FloatArray, width_px: int, height_px: int
+    first: RunOnMap,
+    second: RunOnMap,
+    *,
+    second_in_first: FloatArray,
+    width_px: int,
+    height_px: int,
+    theme: Theme = LIGHT,
 ) -> ByteArray:
     """Both maps with their trajectories on one scale, in the first map's frame, and the
     trajectories alone, enlarged.
@@ -145,7 +152,7 @@ def comparison_picture(
         [
             LegendEntry(line_symbol(_COLORS[0]), "trajectory of A"),
             LegendEntry(line_symbol(_COLORS[1]), "trajectory of B, aligned at its first pose"),
-            *(grid_legend() if any(grid is not None for grid in grids) else ()),
+            *(grid_legend(theme) if any(grid is not None for grid in grids) else ()),
         ],
         width_px - 2 * MARGIN_PX,
     )
@@ -153,9 +160,9 @@ def comparison_picture(
     below = 2 * (LINE_PX + MARGIN_PX) + ABOVE_PX + _OVERLAY_PX + legend.height_px + MARGIN_PX // 2
     boxes = _two_boxes(high_m - low_m, width_px, height_px - below)
     bar_top = boxes[0].bottom + MARGIN_PX
-    rgb = blank_canvas(width_px, boxes[0].bottom + below)
+    rgb = blank_canvas(width_px, boxes[0].bottom + below, theme)
     for number, run in enumerate((first, second)):
-        axes = fit_axes(rgb, boxes[number], low_m, high_m)
+        axes = fit_axes(rgb, boxes[number], low_m, high_m, theme=theme)
         paint_grid(axes, grids[number])
         axes.draw_line(trajectories[number], _COLORS[number], 1)
         draw_start(axes, trajectories[number][0])
@@ -164,7 +171,7 @@ def comparison_picture(
         draw_scale_bar(axes, bar_top + LINE_PX // 2)
     top = bar_top + LINE_PX + ABOVE_PX
     box = box_between(MARGIN_PX, top, width_px - MARGIN_PX, top + _OVERLAY_PX)
-    axes = fit_axes(rgb, box, *_window(None, np.concatenate(trajectories)))
+    axes = fit_axes(rgb, box, *_window(None, np.concatenate(trajectories)), theme=theme)
     draw_metric_grid(axes, grid_step_m(axes))
     for trajectory, color in zip(trajectories, _COLORS, strict=True):
         axes.draw_line(trajectory, color, 1)
@@ -173,7 +180,7 @@ def comparison_picture(
     axes.draw_title("Trajectories of A and B, enlarged")
     bar_top = box.bottom + MARGIN_PX
     draw_scale_bar(axes, bar_top + LINE_PX // 2)
-    legend.draw(rgb, MARGIN_PX, bar_top + LINE_PX)
+    legend.draw(rgb, MARGIN_PX, bar_top + LINE_PX, theme)
     return rgb
 
 

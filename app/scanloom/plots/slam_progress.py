@@ -13,12 +13,13 @@ from scanloom.plots.axes import (
     draw_ring,
     fit_axes,
 )
-from scanloom.plots.canvas import LINE_PX, MARGIN_PX, WHITE, blank_canvas, box_between
+from scanloom.plots.canvas import LINE_PX, MARGIN_PX, blank_canvas, box_between
 from scanloom.plots.color_scale import COLOR_BAR_PX, ColorScale
 from scanloom.plots.grid_image import draw_metric_grid, draw_scale_bar, grid_step_m
 from scanloom.plots.legend import Legend, LegendEntry, line_symbol, padded
 from scanloom.plots.palette import Color, color_map, color_of
-from scanloom.plots.text import INK, draw_text
+from scanloom.plots.text import draw_text
+from scanloom.plots.theme import LIGHT, Theme
 from scanloom.plots.ticks import number_label
 
 TRAJECTORY: Color = color_of("depth")
@@ -57,19 +58,19 @@ def window_around(view: SlamView, before: Window | None = None) -> Window | None
 
 
 def slam_progress_picture(
-    view: SlamView, window: Window, *, width_px: int, height_px: int
+    view: SlamView, window: Window, *, width_px: int, height_px: int, theme: Theme = LIGHT
 ) -> ByteArray:
     """The trajectory so far, the particles with a close-up, and the loop closures.
 
     Returns (height_px, width_px, 3) uint8. Raises ValueError for too small a picture.
     """
-    rgb = blank_canvas(width_px, height_px)
+    rgb = blank_canvas(width_px, height_px, theme)
     has_particles = len(view.particles) > 0
     legend = Legend.of(_legend(view), width_px - 2 * MARGIN_PX)
     below = LINE_PX + legend.height_px + 2 * MARGIN_PX
     below += _CLOSE_UP_PX + ABOVE_PX - MARGIN_PX if has_particles else 0
     box = box_between(MARGIN_PX, ABOVE_PX, width_px - MARGIN_PX, height_px - below)
-    axes = fit_axes(rgb, box, *window)
+    axes = fit_axes(rgb, box, *window, theme=theme)
     draw_metric_grid(axes, grid_step_m(axes))
     poses = view.poses_map_scan
     axes.draw_line(poses, TRAJECTORY)
@@ -83,9 +84,9 @@ def slam_progress_picture(
     axes.draw_title(f"{view.stage.capitalize()}: {len(poses)} scans placed, path {steps_m:.1f} m")
     line = box.bottom + MARGIN_PX
     draw_scale_bar(axes, line + LINE_PX // 2)
-    legend.draw(rgb, MARGIN_PX, line + LINE_PX)
+    legend.draw(rgb, MARGIN_PX, line + LINE_PX, theme)
     if has_particles:
-        _draw_close_up(rgb, view, line + LINE_PX + legend.height_px + ABOVE_PX)
+        _draw_close_up(rgb, view, line + LINE_PX + legend.height_px + ABOVE_PX, theme)
     return rgb
 
 
@@ -98,8 +99,8 @@ def draw_loop_closures(axes: Axes, loops_m: FloatArray) -> None:
 def draw_start(axes: Axes, pose: FloatArray) -> None:
     """A small circle where a trajectory begins."""
     (place,) = axes.to_fixed(pose[np.newaxis]).tolist()
-    draw_dot(axes.inside, place, WHITE, 5.0)
-    draw_ring(axes.inside, place, INK, 5.0)
+    draw_dot(axes.inside, place, axes.theme.background, 5.0)
+    draw_ring(axes.inside, place, axes.theme.ink, 5.0)
 
 
 def _draw_arrow(axes: Axes, pose: FloatArray) -> None:
@@ -107,8 +108,9 @@ def _draw_arrow(axes: Axes, pose: FloatArray) -> None:
     angles = pose[2] + _ARROW_RAD
     directions = np.column_stack([np.cos(angles), np.sin(angles)])
     corners = [axes.to_fixed(pose[:2] + directions * _ARROW_PX / axes.px_per_unit[0])]
-    cv2.polylines(axes.inside, corners, True, WHITE, 3, cv2.LINE_AA, FRACTION_BITS)
-    cv2.fillPoly(axes.inside, corners, INK, cv2.LINE_AA, FRACTION_BITS)
+    inside, theme = axes.inside, axes.theme
+    cv2.polylines(inside, corners, True, theme.background, 3, cv2.LINE_AA, FRACTION_BITS)
+    cv2.fillPoly(inside, corners, theme.ink, cv2.LINE_AA, FRACTION_BITS)
 
 
 def _draw_particles(
@@ -131,14 +133,14 @@ def _draw_particles(
         draw_dot(axes.inside, place, color, radius_px)
 
 
-def _draw_close_up(rgb: ByteArray, view: SlamView, top: int) -> None:
+def _draw_close_up(rgb: ByteArray, view: SlamView, top: int, theme: Theme) -> None:
     """The particles alone, enlarged, with the scale of their weights."""
     right, bottom = MARGIN_PX + _CLOSE_UP_PX, top + _CLOSE_UP_PX - MARGIN_PX
     box = box_between(MARGIN_PX, top, right, bottom)
     centre_m = np.average(view.particles[:, :2], axis=0, weights=view.weights)
     farthest_m = float(np.abs(view.particles[:, :2] - centre_m).max())
     half_m = _round_up(max(1.3 * farthest_m, _CLOSE_UP_LEAST_M))
-    axes = fit_axes(rgb, box, centre_m - half_m, centre_m + half_m)
+    axes = fit_axes(rgb, box, centre_m - half_m, centre_m + half_m, theme=theme)
     step_m = grid_step_m(axes)
     draw_metric_grid(axes, step_m)
     _draw_particles(axes, view, 3.0, heading_px=11.0)
@@ -146,7 +148,7 @@ def _draw_close_up(rgb: ByteArray, view: SlamView, top: int) -> None:
     axes.draw_title("Particles, close up")
     count = len(view.particles)
     is_beyond = bool((view.weights * count > _HEAVIEST).any())
-    scale = ColorScale(colors=color_map("viridis"), limits=(0.0, _HEAVIEST))
+    scale = ColorScale(colors=color_map("viridis"), limits=(0.0, _HEAVIEST), theme=theme)
     scale.draw_bar(rgb, box, "weight × P", beyond=(False, is_beyond))
     known = view.effective[np.isfinite(view.effective)]
     squared_m2 = ((view.particles[:, :2] - centre_m) ** 2).sum(axis=1)
@@ -158,7 +160,8 @@ def _draw_close_up(rgb: ByteArray, view: SlamView, top: int) -> None:
         f"lines every {number_label(step_m)} m",
     ]
     for number, text in enumerate(lines):
-        draw_text(rgb, text, (box.right + COLOR_BAR_PX + 16, box.top + 10 + number * LINE_PX))
+        place_px = box.right + COLOR_BAR_PX + 16, box.top + 10 + number * LINE_PX
+        draw_text(rgb, text, place_px, color=theme.ink)
 
 
 def _round_up(length_m: float) -> float:
@@ -183,22 +186,22 @@ def _legend(view: SlamView) -> list[LegendEntry]:
 _MIDDLE_Y = LINE_PX // 2
 
 
-def _loop_symbol(part: ByteArray) -> None:
+def _loop_symbol(part: ByteArray, _theme: Theme) -> None:
     cv2.line(part, (3, _MIDDLE_Y), (16, _MIDDLE_Y), LOOP_CLOSURE, 1, cv2.LINE_AA)
     for x in (3, 16):
         cv2.circle(part, (x, _MIDDLE_Y), 2, LOOP_CLOSURE, cv2.FILLED, cv2.LINE_AA)
 
 
-def _start_symbol(part: ByteArray) -> None:
-    cv2.circle(part, (10, _MIDDLE_Y), 5, INK, 1, cv2.LINE_AA)
+def _start_symbol(part: ByteArray, theme: Theme) -> None:
+    cv2.circle(part, (10, _MIDDLE_Y), 5, theme.ink, 1, cv2.LINE_AA)
 
 
-def _arrow_symbol(part: ByteArray) -> None:
+def _arrow_symbol(part: ByteArray, theme: Theme) -> None:
     corners = np.array([(4, _MIDDLE_Y - 5), (4, _MIDDLE_Y + 5), (17, _MIDDLE_Y)])
-    cv2.fillPoly(part, [corners], INK, cv2.LINE_AA)
+    cv2.fillPoly(part, [corners], theme.ink, cv2.LINE_AA)
 
 
-def _particle_symbol(part: ByteArray) -> None:
+def _particle_symbol(part: ByteArray, _theme: Theme) -> None:
     colors = color_map("viridis")
     for x, shade in ((4, 0), (10, 128), (16, 255)):
         cv2.circle(part, (x, _MIDDLE_Y), 2, colors[shade].tolist(), cv2.FILLED, cv2.LINE_AA)

@@ -6,10 +6,12 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+import cv2
 import numpy as np
 
 from fusion_core.model.conventions import ByteArray
 from scanloom.plots.palette import Color
+from scanloom.plots.theme import LIGHT
 
 if TYPE_CHECKING:
     from matplotlib.ft2font import FT2Font
@@ -17,7 +19,6 @@ if TYPE_CHECKING:
 Align = Literal["left", "middle", "right"]
 
 SIZE_PX = 12
-INK: Color = (33, 37, 41)
 
 # Half the height of a digit in multiples of the size, by the font.
 _HALF_DIGIT = 0.36
@@ -32,12 +33,12 @@ def draw_text(
     *,
     align: Align = "left",
     size_px: int = SIZE_PX,
-    color: Color = INK,
+    color: Color = LIGHT.ink,
 ) -> None:
     """Draw a line of text into ``rgb``, (H, W, 3) uint8; what lies outside is clipped.
 
     ``place_px``: x of the text's left end, middle or right end by ``align``, and y of the middle of
-    its digits.
+    its digits. ``color``: the ink of the picture's theme, as a rule.
     """
     coverage, baseline = _render(text, size_px)
     before = {"left": 0.0, "middle": 0.5, "right": 1.0}[align] * coverage.shape[1]
@@ -45,13 +46,15 @@ def draw_text(
     _blend(rgb, coverage, left, top, color)
 
 
-def draw_vertical_text(rgb: ByteArray, text: str, place_px: tuple[float, float]) -> None:
+def draw_vertical_text(
+    rgb: ByteArray, text: str, place_px: tuple[float, float], *, color: Color = LIGHT.ink
+) -> None:
     """Draw a line that reads upwards, with its middle at ``place_px``; else as ``draw_text``."""
     coverage, baseline = _render(text, SIZE_PX)
     coverage = np.rot90(coverage)
     left = round(place_px[0]) - _middle(baseline, SIZE_PX)
     top = round(place_px[1] - coverage.shape[0] + 0.5 * coverage.shape[0])
-    _blend(rgb, coverage, left, top, INK)
+    _blend(rgb, coverage, left, top, color)
 
 
 def _middle(baseline: int, size_px: int) -> int:
@@ -64,9 +67,13 @@ def _blend(rgb: ByteArray, coverage: ByteArray, left: int, top: int, color: Colo
     bottom, right = top + coverage.shape[0], left + coverage.shape[1]
     target = rgb[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
     alpha = coverage[max(-top, 0) :, max(-left, 0) :][: target.shape[0], : target.shape[1]]
-    alpha = alpha[:, :, np.newaxis].astype(np.int32)
-    # uint8 would wrap around in the products.
-    target[:] = (target * (255 - alpha) + np.array(color, dtype=np.int32) * alpha + 127) // 255
+    if not target.size:
+        return
+    # uint8 would wrap around in the products. By OpenCV, for numpy takes several times as long.
+    opaque = cv2.cvtColor(alpha, cv2.COLOR_GRAY2RGB)
+    paper = cv2.multiply(target, cv2.bitwise_not(opaque), dtype=cv2.CV_16U)
+    ink = cv2.multiply(opaque, np.array([*color, 0], dtype=np.float64), dtype=cv2.CV_16U)
+    target[:] = cv2.convertScaleAbs(cv2.add(paper, ink), alpha=1.0 / 255.0)
 
 
 def text_width(text: str, *, size_px: int = SIZE_PX) -> int:

@@ -1,36 +1,44 @@
-"""The presets of the viewer's camera."""
+"""The viewpoints of the steps, chosen so that what a step is about fills the screen."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from fusion_core.model.conventions import FloatArray
+from fusion_core.model.conventions import Float32Array, FloatArray, read_only
+from fusion_core.model.geometry import rotation_from_quaternion, rotation_from_yaw_pitch_roll
 from fusion_core.model.geometry import transform_points as apply_transform
-from scanloom.scene.image_planes import ImagePlane, Layout
-from scanloom.scene.layers import Layer
+from scanloom.scene.frame_geometry import FrameGeometry
+from scanloom.scene.geometry import Frustum
+from scanloom.scene.glyphs import USUAL_FOV_RAD, facing
+from scanloom.state.view import PanelName
 
 # Narrow: from far above, what lies above or below the plane hardly moves sideways.
 _ABOVE_FOV_RAD = float(np.deg2rad(20.0))
-_FOV_RAD = float(np.deg2rad(50.0))
-# A screen of this width over height shows the whole scene from its usual place.
-_USUAL_ASPECT = 1.35
 _LEAST_ASPECT = 0.5
+# Share of the screen's height, at its lower edge, on which the strip of time lies.
+_COVERED_BELOW = 0.4
+# Share of the half screen that is left free at each edge.
+_EDGE = 0.04
+# Set by hand for rooms; the default is for frames without a point.
+_MIN_VIEW_RANGE_M, _DEFAULT_VIEW_RANGE_M, _MAX_VIEW_RANGE_M = 2.0, 4.0, 12.0
+# As many points tell the extent of a surface as well as all.
+_FITTED_POINTS = 800
+# A robot that stands still is seen with its surroundings.
+_LEAST_PATH_M = 4.0
+_UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraView:
-    """A viewpoint. ``up``: (3,) the direction that is up on the screen; ``fov_rad`` is vertical.
-
-    ``hides``: layers that are unreadable from this viewpoint.
-    """
+    """A viewpoint. ``up``: (3,) the direction that is up on the screen; ``fov_rad`` is vertical."""
 
     position_m: FloatArray
     look_at_m: FloatArray
     up: FloatArray
-    fov_rad: float = _FOV_RAD
-    hides: frozenset[Layer] = frozenset()
+    fov_rad: float = USUAL_FOV_RAD
 
 
 class ViewerCamera(Protocol):
@@ -42,56 +50,180 @@ class ViewerCamera(Protocol):
     fov: float
 
 
-def perspective(layout: Layout, aspect: float = _USUAL_ASPECT) -> CameraView:
-    """From behind and above the LiDAR, looking where the rig looks.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StageExtent:
+    """What there is to look at, in the LiDAR's frame.
 
-    ``aspect``: width over height of the screen; before a narrow one, from farther away, so that
-    the image planes at both sides are in sight.
+    ``yaw_rad``: where the camera looks. ``surface_m``: (N, 3) some points of the depth surface;
+    ``view_m``: (V, 3) the field of view at the distance of most of them, with depth there or not;
+    ``matched_m``: (M, 3) the beams' ends in the camera's view; ``near_m``: (K, 3) those anywhere
+    that are not far behind the rest; ``sensors_m``: (1 or 2, 3) the LiDAR and the camera, if any.
+    ``view_range_m``: within it are 90 % of the points.
     """
-    position_m = layout.ahead(-0.95 * layout.view_range_m, 0.0, 0.95 * layout.view_range_m)
-    look_at_m = layout.ahead(0.6 * layout.view_range_m, 0.0, 0.05 * layout.view_range_m)
-    away = max(1.0, _USUAL_ASPECT / max(aspect, _LEAST_ASPECT))
-    return CameraView(
-        position_m=look_at_m + away * (position_m - look_at_m),
-        look_at_m=look_at_m,
-        up=np.array([0.0, 0.0, 1.0]),
+
+    yaw_rad: float
+    surface_m: Float32Array
+    view_m: FloatArray
+    matched_m: Float32Array
+    near_m: Float32Array
+    sensors_m: FloatArray
+    view_range_m: float
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                read_only(value)
+
+    def ahead(self, forward_m: float, left_m: float, up_m: float) -> FloatArray:
+        """(3,) a point given relative to the camera's heading, in the LiDAR frame."""
+        R_lidar_ahead = rotation_from_yaw_pitch_roll(self.yaw_rad, 0.0, 0.0)
+        point: FloatArray = R_lidar_ahead @ np.array([forward_m, left_m, up_m])
+        return point
+
+
+def stage_extent(geometry: FrameGeometry, others: Sequence[FrameGeometry] = ()) -> StageExtent:
+    """The extent of a frame's geometry. ``others``: what other cameras see at the same instant."""
+    seen = [geometry, *others]
+    surface_m = np.concatenate([each.surface.points_m for each in seen])
+    surface_m = surface_m[:: max(1, len(surface_m) // _FITTED_POINTS)]
+    frusta = [each.frustum for each in seen if each.frustum is not None]
+    headings = sum((_ahead(each.wxyz) for each in frusta), np.zeros(3))
+    sensors_m = [np.zeros(3)]
+    if geometry.frustum is not None:
+        sensors_m.append(geometry.frustum.position_m)
+    beams_m = geometry.beams_m[np.isfinite(geometry.beams_m[:, 0])]
+    farthest_m = surface_m if len(surface_m) else beams_m
+    view_range_m = _DEFAULT_VIEW_RANGE_M
+    if len(farthest_m):
+        view_range_m = float(np.percentile(np.linalg.norm(farthest_m, axis=1), 90.0))
+    view_range_m = float(np.clip(view_range_m, _MIN_VIEW_RANGE_M, _MAX_VIEW_RANGE_M))
+    near_m = beams_m[np.linalg.norm(beams_m, axis=1) < 1.2 * view_range_m]
+    pixels_m = geometry.pixels_m[np.isfinite(geometry.pixels_m[:, 0])]
+    return StageExtent(
+        # Zero without a camera.
+        yaw_rad=float(np.arctan2(headings[1], headings[0])),
+        surface_m=surface_m,
+        view_m=np.concatenate([_field_of_view(each) for each in seen]),
+        matched_m=pixels_m,
+        near_m=near_m,
+        sensors_m=np.stack(sensors_m),
+        view_range_m=view_range_m,
     )
 
 
-def curve(layout: Layout) -> CameraView:
+def _field_of_view(geometry: FrameGeometry) -> FloatArray:
+    """(V, 3) a grid over a camera's field of view, at its median depth; empty without depth."""
+    depth_m = geometry.surface.depth_m
+    if not depth_m.size or geometry.frustum is None:
+        return np.empty((0, 3))
+    half = np.tan(0.5 * geometry.frustum.fov_rad)
+    down, right = np.meshgrid(np.linspace(-half, half, 9), np.linspace(-half, half, 9))
+    rays = np.stack([geometry.frustum.aspect * right, down, np.ones_like(down)], axis=-1)
+    w, x, y, z = geometry.frustum.wxyz
+    R_lidar_camera = rotation_from_quaternion(x, y, z, w)
+    view_m: FloatArray = float(np.median(depth_m)) * rays.reshape(-1, 3) @ R_lidar_camera.T
+    return view_m + geometry.frustum.position_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Angle:
+    """From where a step is seen: degrees above the LiDAR's plane, and to the left of the line of
+    sight of the camera. ``inside_percent``: of the surface, so much is within the screen's edges;
+    the rest may be cut off."""
+
+    above_deg: float
+    aside_deg: float
+    inside_percent: float
+    shows_sensors: bool
+
+
+# From high up and the side, the curve's course along the surface is seen; from near the camera's
+# own direction, the surface is seen without gaps.
+_ANGLES: dict[PanelName, _Angle] = {
+    "Recording": _Angle(above_deg=24.0, aside_deg=16.0, inside_percent=88.0, shows_sensors=True),
+    "Match": _Angle(above_deg=14.0, aside_deg=10.0, inside_percent=90.0, shows_sensors=False),
+    "Register": _Angle(above_deg=52.0, aside_deg=8.0, inside_percent=97.0, shows_sensors=False),
+    "Repair": _Angle(above_deg=20.0, aside_deg=12.0, inside_percent=80.0, shows_sensors=False),
+    "Map": _Angle(above_deg=50.0, aside_deg=0.0, inside_percent=80.0, shows_sensors=True),
+}
+
+
+# Of a scan alone the course is seen from high up.
+_SCAN_ANGLE = _Angle(above_deg=55.0, aside_deg=0.0, inside_percent=97.0, shows_sensors=True)
+
+
+def step_view(step: PanelName, extent: StageExtent, aspect: float) -> CameraView:
+    """The viewpoint of a step. ``aspect``: width over height of the screen."""
+    angle = _ANGLES[step]
+    may_m: FloatArray | Float32Array = extent.surface_m
+    if step == "Recording" and len(extent.view_m):
+        # It is opened at a frame that may see little, and stays while others are shown.
+        may_m = extent.view_m
+    elif step == "Register" and len(extent.matched_m):
+        may_m = extent.matched_m
+    elif not len(may_m):
+        may_m, angle = extent.near_m, _SCAN_ANGLE
+    must_m: list[FloatArray | Float32Array] = [extent.sensors_m] if angle.shows_sensors else []
+    if step in {"Match", "Repair"}:
+        must_m.append(extent.matched_m)
+    yaw_rad = extent.yaw_rad - np.deg2rad(angle.aside_deg)
+    ahead = rotation_from_yaw_pitch_roll(yaw_rad, np.deg2rad(angle.above_deg), 0.0)[:, 0]
+    if not len(may_m):
+        may_m = np.array([extent.ahead(extent.view_range_m, 0.0, 0.0)])
+        must_m = [extent.sensors_m]
+    must: FloatArray = np.concatenate([np.empty((0, 3)), *must_m])
+    return _fitted(ahead, may_m, must, aspect=aspect, inside_percent=angle.inside_percent)
+
+
+def from_above(extent: StageExtent, aspect: float) -> CameraView:
     """Straight down, to scale: x to the right and z ahead, as in Xu 2024's figures."""
-    # The rows of a wall coincide, and image planes are edge-on.
-    return _above(
-        layout.ahead(0.5 * layout.view_range_m, 0.0, 0.0),
-        1.3 * layout.view_range_m,
-        up=layout.ahead(1.0, 0.0, 0.0),
-        hides=frozenset({"rows", "images", "map"}),
-    )
+    near_m = extent.near_m if len(extent.near_m) else extent.surface_m
+    ahead, left = extent.ahead(1.0, 0.0, 0.0), extent.ahead(0.0, 1.0, 0.0)
+    seen_m = np.concatenate([near_m, extent.sensors_m])
+    # Beside and behind the rig as far as the camera looks ahead.
+    forward, aside = seen_m @ ahead, seen_m @ left
+    low, high = float(np.percentile(forward, 2.0)), float(np.percentile(forward, 98.0))
+    right, left_most = float(np.percentile(aside, 2.0)), float(np.percentile(aside, 98.0))
+    middle_m = 0.5 * (low + high) * ahead + 0.5 * (right + left_most) * left
+    return _above(middle_m, max(high - low, (left_most - right) / aspect), up=ahead)
 
 
 def map_from_above(
-    T_lidar_map: FloatArray, origin_m: tuple[float, float], size_m: FloatArray
+    T_lidar_map: FloatArray, origin_m: tuple[float, float], size_m: FloatArray, aspect: float = 1.0
 ) -> CameraView:
     """Straight down on a whole map. ``origin_m``: its corner of least x and y in the map frame,
     ``size_m``: (2,) its extent; the map's y is up on the screen."""
     middle_m = np.array([origin_m[0] + 0.5 * size_m[0], origin_m[1] + 0.5 * size_m[1], 0.0])
-    return _above(
-        apply_transform(T_lidar_map, middle_m),
-        1.1 * float(np.max(size_m)),
-        up=T_lidar_map[:3, 1],
-        hides=frozenset({"rows", "images"}),
-    )
+    height_m = max(float(size_m[1]), float(size_m[0]) / max(aspect, _LEAST_ASPECT))
+    return _above(apply_transform(T_lidar_map, middle_m), height_m, up=T_lidar_map[:3, 1])
 
 
-def face_plane(shown: ImagePlane) -> CameraView:
-    """Straight onto an image plane."""
-    plane = shown.plane
-    _, down, away = plane.R_lidar_plane.T
-    middle_m = np.array(plane.position_m)
-    extent_m = 1.1 * max(plane.height_m, plane.width_m)
+def path_from_above(path_m: FloatArray, aspect: float = 1.0) -> CameraView:
+    """Straight down on a whole trajectory, (N, 2) with at least one position."""
+    low_m, high_m = path_m.min(axis=0), path_m.max(axis=0)
+    size_m = np.maximum(high_m - low_m, _LEAST_PATH_M)
+    x_m, y_m = 0.5 * (low_m + high_m - size_m)
+    return map_from_above(np.eye(4), (float(x_m), float(y_m)), size_m, aspect)
+
+
+def from_camera(frustum: Frustum) -> CameraView:
+    """As a depth camera sees."""
+    w, x, y, z = frustum.wxyz
+    down = rotation_from_quaternion(x, y, z, w)[:, 1]
     return CameraView(
-        position_m=middle_m - _distance_m(extent_m, _FOV_RAD) * away, look_at_m=middle_m, up=-down
+        position_m=frustum.position_m,
+        look_at_m=frustum.position_m + 2.0 * _ahead(frustum.wxyz),
+        up=-down,
+        fov_rad=frustum.fov_rad,
     )
+
+
+def _ahead(wxyz: FloatArray) -> FloatArray:
+    """(3,) the optical axis of a camera's orientation."""
+    w, x, y, z = wxyz
+    ahead: FloatArray = rotation_from_quaternion(x, y, z, w)[:, 2]
+    return ahead
 
 
 def apply(camera: ViewerCamera, view: CameraView) -> None:
@@ -103,20 +235,53 @@ def apply(camera: ViewerCamera, view: CameraView) -> None:
     camera.up_direction = view.up
 
 
-def _above(
-    middle_m: FloatArray, height_m: float, *, up: FloatArray, hides: frozenset[Layer]
+def _fitted(
+    ahead: FloatArray,
+    may_m: FloatArray | Float32Array,
+    must_m: FloatArray,
+    *,
+    aspect: float,
+    inside_percent: float,
 ) -> CameraView:
-    """Straight down; the screen's height shows ``height_m``."""
-    away_m = np.array([0.0, 0.0, _distance_m(height_m, _ABOVE_FOV_RAD)])
+    """The nearest viewpoint looking ``ahead`` from which ``inside_percent`` of the points are right
+    of the screen's left edge, and so on for each edge, and the points ``must_m`` are right of all.
+
+    In the screen's axes a point at (x, y, z) is within the right edge where x - x_eye <= k (z -
+    z_eye): linear in the eye's place, whose greatest z the edges at both sides decide together.
+    """
+    half = np.tan(0.5 * USUAL_FOV_RAD)
+    side = (1.0 - _EDGE) * max(aspect, _LEAST_ASPECT) * half
+    top, bottom = (1.0 - _EDGE) * half, (1.0 - 2.0 * _COVERED_BELOW) * half
+    seen_from = facing(np.zeros(3), ahead, _UP)
+    axes = np.stack([seen_from.right, seen_from.up, ahead])
+    may, must = may_m @ axes.T, must_m @ axes.T
+
+    def outermost(axis: int, sign: float, slope: float) -> float:
+        bound = float(np.percentile(sign * may[:, axis] - slope * may[:, 2], inside_percent))
+        if len(must):
+            bound = max(bound, float(np.max(sign * must[:, axis] - slope * must[:, 2])))
+        return bound
+
+    right, left = outermost(0, 1.0, side), outermost(0, -1.0, side)
+    upper, lower = outermost(1, 1.0, top), outermost(1, -1.0, bottom)
+    z = min(-(right + left) / (2.0 * side), -(upper + lower) / (top + bottom))
+    x = 0.5 * (right - left)
+    # What is left of the height lies half above and half below.
+    y = 0.5 * ((upper + top * z) - (lower + bottom * z))
+    position_m = np.array([x, y, z]) @ axes
+    distance_m = float(np.median(may[:, 2])) - z
     return CameraView(
-        position_m=middle_m + away_m,
-        look_at_m=middle_m,
-        up=up,
-        fov_rad=_ABOVE_FOV_RAD,
-        hides=hides,
+        position_m=position_m,
+        look_at_m=position_m + max(distance_m, 0.5) * ahead,
+        up=_UP.copy(),
     )
 
 
-def _distance_m(height_m: float, fov_rad: float) -> float:
-    """Distance at which ``height_m`` fills the screen's height."""
-    return 0.5 * height_m / float(np.tan(0.5 * fov_rad))
+def _above(middle_m: FloatArray, height_m: float, *, up: FloatArray) -> CameraView:
+    """Straight down; the part of the screen that nothing covers shows ``height_m``."""
+    shown_m = 1.06 * height_m / (1.0 - _COVERED_BELOW)
+    middle_m = middle_m - 0.5 * _COVERED_BELOW * shown_m * np.asarray(up)
+    away_m = np.array([0.0, 0.0, 0.5 * shown_m / float(np.tan(0.5 * _ABOVE_FOV_RAD))])
+    return CameraView(
+        position_m=middle_m + away_m, look_at_m=middle_m, up=up, fov_rad=_ABOVE_FOV_RAD
+    )

@@ -2,7 +2,8 @@
 not depend on the viewer.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from typing import Literal
 
 import numpy as np
 
@@ -20,12 +21,13 @@ from fusion_core.model.geometry import (
     rotation_from_yaw_pitch_roll,
     transform_points,
 )
-from fusion_core.model.rig import Camera
+from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.align import RecordingAlignment, T_lidar_camera_at
 from fusion_core.workflows.fuse.camera_rig import CameraRig
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_match import FrameMatch
+from scanloom.scene.depth_surface import NO_SURFACE, DepthSurface, depth_surface
 from scanloom.scene.geometry import (
     NO_SEGMENTS,
     Frustum,
@@ -35,38 +37,52 @@ from scanloom.scene.geometry import (
     points_in_plane,
     polyline,
     ridge_lines,
+    scan_curve,
 )
 
 # Set by hand: shorter arrows are invisible.
 _MIN_MOVE_M = 0.02
 
+_ORIGIN = (0.0, 0.0, 0.0)
 _NO_POINTS: Float32Array = np.empty((0, 3), dtype=np.float32)
 _NO_CODES: IntArray = np.empty(0, dtype=np.int64)
+
+
+Body = Literal["LiDAR", "robot"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameGeometry:
     """The geometry that is drawn for one frame.
 
-    ``rows_m``: (N, 2, 3) with ``rows_depth_m`` (N,) along the optical axis; ``matched_m``: the
-    depth that the LiDAR is compared with; ``curve_m``: segments of the LiDAR's curve;
-    ``beams_m``: (B, 3), one point for each beam of the scan, NaN where it has no value.
-    ``pairs_m``: from a beam's point to its pixel's, with ``pairs_class``; ``moved_m``: from a raw
-    to a repaired sample, ``filled_m``: (M, 3) repaired samples that had no value, each with their
-    codes of NoiseClass. ``lowest_m``: height below which next to nothing is seen, NaN without
-    depth.
+    ``body``: what stands at ``body_m``, the origin unless it moves along a path; None in a
+    recording of depth alone. ``camera`` and ``frustum``: None for a scan alone.
+    ``rows_m``: (N, 2, 3) rows of the depth image; ``matched_m``: the depth that the LiDAR is
+    compared with; ``curve_m``: segments of the LiDAR's curve, ``alone_m`` (A, 3) points of it that
+    none joins; ``beams_m``: (B, 3), one point for each beam of the scan, NaN where it has no value;
+    ``pixels_m``: (B, 3) the point that the camera measures for each beam, NaN where there is none.
+    ``pairs_m``: from a beam's point to its pixel's, with ``pairs_class``; ``marks_m``: (K, 3) where
+    the classes ``marks_class`` stand; ``moved_m``: from a raw to a repaired sample, ``filled_m``:
+    (M, 3) repaired samples that had no value, each with their codes of NoiseClass. ``lowest_m``:
+    height below which next to nothing is seen, NaN without depth.
     """
 
-    camera: int
+    camera: int | None
     stamp_ns: int
-    frustum: Frustum
+    body: Body | None
+    body_m: tuple[float, float, float]
+    frustum: Frustum | None
+    surface: DepthSurface
     rows_m: Segments
-    rows_depth_m: Float32Array
     matched_m: Segments
     curve_m: Segments
+    alone_m: Float32Array
     beams_m: Float32Array
+    pixels_m: Float32Array
     pairs_m: Segments
     pairs_class: IntArray
+    marks_m: Float32Array
+    marks_class: IntArray
     moved_m: Segments
     moved_class: IntArray
     filled_m: Float32Array
@@ -85,7 +101,7 @@ def frame_geometry(
     rig: CameraRig,
     alignment: RecordingAlignment,
     *,
-    row_step: int,
+    row_step: int | None,
     classes: frozenset[NoiseClass] = frozenset(NoiseClass),
     repaired: bool = True,
 ) -> FrameGeometry:
@@ -94,69 +110,141 @@ def frame_geometry(
     fused, match = (frame, frame.match) if isinstance(frame, FusedFrame) else (None, frame)
     camera = rig.cameras[match.pair.camera_index]
     T_lidar_camera = camera_pose(match, rig, alignment)
-    rows_m, rows_depth_m = ridge_lines(match.depth_m, camera, T_lidar_camera, row_step)
+    surface = depth_surface(match.depth_m, camera, T_lidar_camera)
     pixels_m = pixel_points(match, camera, T_lidar_camera, match.correspondence.depth_m)
     pairs_m, pairs_class = NO_SEGMENTS, _NO_CODES
+    marks_m, marks_class = _NO_POINTS, _NO_CODES
     moved_m, moved_class, filled_m, filled_class = NO_SEGMENTS, _NO_CODES, _NO_POINTS, _NO_CODES
     if fused is not None:
         pairs_m, pairs_class = pair_segments(fused, pixels_m, classes)
+        marks_m, marks_class = class_marks(fused, pixels_m, classes)
         moved_m, moved_class, filled_m, filled_class = repairs(
             fused, camera, T_lidar_camera, classes
         )
     beams_m = curve_points(match.scan, _ranges_m(match.scan, fused if repaired else None))
+    curve_m, alone_m = scan_curve(beams_m, match.scan.angle_increment_rad)
+    pixel_of_beam_m = np.full(beams_m.shape, np.nan, dtype=np.float32)
+    pixel_of_beam_m[match.correspondence.beam] = pixels_m
     return FrameGeometry(
         camera=match.pair.camera_index,
         stamp_ns=match.stamp_ns,
+        body="LiDAR",
+        body_m=_ORIGIN,
         frustum=frustum(camera, T_lidar_camera),
-        rows_m=rows_m,
-        rows_depth_m=rows_depth_m,
+        surface=surface,
+        rows_m=_rows(match.depth_m, camera, T_lidar_camera, row_step),
         matched_m=polyline(pixels_m),
-        curve_m=polyline(beams_m),
+        curve_m=curve_m,
+        alone_m=alone_m,
         beams_m=beams_m,
+        pixels_m=pixel_of_beam_m,
         pairs_m=pairs_m,
         pairs_class=pairs_class,
+        marks_m=marks_m,
+        marks_class=marks_class,
         moved_m=moved_m,
         moved_class=moved_class,
         filled_m=filled_m,
         filled_class=filled_class,
-        lowest_m=_lowest_m(rows_m),
+        lowest_m=_lowest_m(surface),
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnmatchedFrame:
-    """An upright depth image (H, W) and its scan, if any, without pairs."""
+    """An upright depth image (H, W) and its scan, if any, without pairs. ``mount``: where the rig
+    sits on the LiDAR, as far as is known. ``has_lidar``: False in a recording of depth alone."""
 
     camera: int
     stamp_ns: int
     depth_m: Float32Array
     scan: LaserScan | None
+    mount: Mount
+    has_lidar: bool = True
 
 
 def unmatched_geometry(
-    frame: UnmatchedFrame, rig: CameraRig, alignment: RecordingAlignment, *, row_step: int
+    frame: UnmatchedFrame, rig: CameraRig, *, row_step: int | None
 ) -> FrameGeometry:
-    """What is drawn of a frame without pairs: its depth, at the recording's mount, and its scan."""
+    """What is drawn of a frame without pairs: its depth, at its mount, and its scan."""
     model = rig.cameras[frame.camera]
-    T_lidar_camera = T_lidar_camera_at(model, alignment.mount, 0.0)
-    rows_m, rows_depth_m = ridge_lines(frame.depth_m, model, T_lidar_camera, row_step)
-    beams_m = _NO_POINTS if frame.scan is None else curve_points(frame.scan, frame.scan.ranges_m)
+    T_lidar_camera = T_lidar_camera_at(model, frame.mount, 0.0)
+    surface = depth_surface(frame.depth_m, model, T_lidar_camera)
+    beams_m, curve_m, alone_m = _NO_POINTS, NO_SEGMENTS, _NO_POINTS
+    if frame.scan is not None:
+        beams_m = curve_points(frame.scan, frame.scan.ranges_m)
+        curve_m, alone_m = scan_curve(beams_m, frame.scan.angle_increment_rad)
     return FrameGeometry(
         camera=frame.camera,
         stamp_ns=frame.stamp_ns,
+        body="LiDAR" if frame.has_lidar else None,
+        body_m=_ORIGIN,
         frustum=frustum(model, T_lidar_camera),
-        rows_m=rows_m,
-        rows_depth_m=rows_depth_m,
+        surface=surface,
+        rows_m=_rows(frame.depth_m, model, T_lidar_camera, row_step),
         matched_m=NO_SEGMENTS,
-        curve_m=polyline(beams_m),
+        curve_m=curve_m,
+        alone_m=alone_m,
         beams_m=beams_m,
+        pixels_m=np.full(beams_m.shape, np.nan, dtype=np.float32),
         pairs_m=NO_SEGMENTS,
         pairs_class=_NO_CODES,
+        marks_m=_NO_POINTS,
+        marks_class=_NO_CODES,
         moved_m=NO_SEGMENTS,
         moved_class=_NO_CODES,
         filled_m=_NO_POINTS,
         filled_class=_NO_CODES,
-        lowest_m=_lowest_m(rows_m),
+        lowest_m=_lowest_m(surface),
+    )
+
+
+def scan_geometry(scan: LaserScan) -> FrameGeometry:
+    """What is drawn of a scan without a depth image."""
+    beams_m = curve_points(scan, scan.ranges_m)
+    curve_m, alone_m = scan_curve(beams_m, scan.angle_increment_rad)
+    return replace(
+        _empty_geometry(scan.stamp_ns),
+        body="LiDAR",
+        curve_m=curve_m,
+        alone_m=alone_m,
+        beams_m=beams_m,
+        pixels_m=np.full(beams_m.shape, np.nan, dtype=np.float32),
+    )
+
+
+def robot_geometry(stamp_ns: int, position_m: tuple[float, float] | None) -> FrameGeometry:
+    """What is drawn of a robot of which poses alone are known: a dot on its path, if that is."""
+    empty = _empty_geometry(stamp_ns)
+    if position_m is None:
+        return empty
+    at_m = (*position_m, 0.0)
+    return replace(empty, body="robot", body_m=at_m, alone_m=np.array([at_m], dtype=np.float32))
+
+
+def _empty_geometry(stamp_ns: int) -> FrameGeometry:
+    return FrameGeometry(
+        camera=None,
+        stamp_ns=stamp_ns,
+        body=None,
+        body_m=_ORIGIN,
+        frustum=None,
+        surface=NO_SURFACE,
+        rows_m=NO_SEGMENTS,
+        matched_m=NO_SEGMENTS,
+        curve_m=NO_SEGMENTS,
+        alone_m=_NO_POINTS,
+        beams_m=_NO_POINTS,
+        pixels_m=_NO_POINTS,
+        pairs_m=NO_SEGMENTS,
+        pairs_class=_NO_CODES,
+        marks_m=_NO_POINTS,
+        marks_class=_NO_CODES,
+        moved_m=NO_SEGMENTS,
+        moved_class=_NO_CODES,
+        filled_m=_NO_POINTS,
+        filled_class=_NO_CODES,
+        lowest_m=float("nan"),
     )
 
 
@@ -225,6 +313,30 @@ def pair_segments(
     return segments[drawn].astype(np.float32), code[drawn]
 
 
+def class_marks(
+    frame: FusedFrame, pixels_m: FloatArray, classes: frozenset[NoiseClass]
+) -> tuple[Float32Array, IntArray]:
+    """Where the class of each pair stands, (K, 3), and the (K,) classes.
+
+    A pair has the worst class of its two sides: burr, then conflict, then hole, then good. It
+    stands at the beam's end: of the sensor that has a value, or, for a burr of the pixel alone,
+    where that pixel is seen. ``pixels_m``: (B, 3) the pixels' points.
+    """
+    pairs, noise = frame.match.correspondence, frame.classes
+    code = np.full(pairs.beam.size, int(NoiseClass.GOOD))
+    for worse in (NoiseClass.HOLE, NoiseClass.CONFLICT, NoiseClass.BURR):
+        code[(noise.lidar_class == worse) | (noise.depth_class == worse)] = worse
+    range_m = pairs.lidar_range_m
+    for other_m in (frame.repair.lidar_range_m, pairs.camera_range_m, pairs.depth_as_range_m):
+        range_m = np.where(np.isfinite(range_m), range_m, other_m)
+    marks_m = points_in_plane(pairs.azimuth_rad, range_m)
+    by_pixel = (code == NoiseClass.BURR) & (noise.lidar_class != NoiseClass.BURR)
+    by_pixel &= np.isfinite(pixels_m[:, 0])
+    marks_m[by_pixel] = pixels_m[by_pixel]
+    drawn = np.isfinite(marks_m[:, 0]) & _among(code, classes)
+    return marks_m[drawn].astype(np.float32), code[drawn]
+
+
 def repairs(
     frame: FusedFrame,
     camera: Camera,
@@ -257,6 +369,14 @@ def repairs(
     )
 
 
+def _rows(
+    depth_m: Float32Array, camera: Camera, T_lidar_camera: FloatArray, row_step: int | None
+) -> Segments:
+    return (
+        NO_SEGMENTS if row_step is None else ridge_lines(depth_m, camera, T_lidar_camera, row_step)
+    )
+
+
 def _ranges_m(scan: LaserScan, fused: FusedFrame | None) -> FloatArray:
     """(B,) the scan's ranges, with the repairs of a fused frame."""
     if fused is None:
@@ -270,6 +390,7 @@ def _among(code: IntArray, classes: frozenset[NoiseClass]) -> BoolArray:
     return np.isin(code, [int(noise_class) for noise_class in classes])
 
 
-def _lowest_m(rows_m: Segments) -> float:
+def _lowest_m(surface: DepthSurface) -> float:
     # Speckle below the floor is less than a hundredth of an image.
-    return float(np.percentile(rows_m[:, 0, 2], 1.0)) if len(rows_m) else float("nan")
+    heights_m = surface.points_m[:, 2]
+    return float(np.percentile(heights_m, 1.0)) if heights_m.size else float("nan")

@@ -7,14 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.model.conventions import Float32Array, FloatArray, IntArray, read_only
+from fusion_core.model.conventions import BoolArray, Float32Array, FloatArray, IntArray, read_only
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import LaserScan
 
 # Neighbours farther apart than this are an edge: no line joins them.
 _EDGE_M = 0.25
-# About so many points of a row are distinguishable on a screen.
-_MAX_COLUMNS = 320
+# A wall that is met at 20 degrees has its points three spacings of the beams apart.
+_SPACINGS = 3.0
+# Binomial: it halves the noise of single beams, and moves a corner of a wall by about a spacing.
+_SMOOTHING = np.array([1.0, 4.0, 6.0, 4.0, 1.0], dtype=np.float32) / np.float32(16.0)
+# So many points of a row show its course; the surface behind it shows each pixel.
+_MAX_COLUMNS = 160
 _BARB_M = 0.06
 # Poses of a path farther apart than this are a gap of the recording.
 _PATH_GAP_M = 1.0
@@ -43,11 +47,10 @@ class Frustum:
 
 def ridge_lines(
     depth_m: Float32Array, camera: Camera, T_lidar_camera: FloatArray, row_step: int
-) -> tuple[Segments, Float32Array]:
-    """Every ``row_step``-th row of a depth image as a line in space: (N, 2, 3) segments and the
-    (N,) depth of each.
+) -> Segments:
+    """Every ``row_step``-th row of a depth image as a line in space: (N, 2, 3) segments.
 
-    No line crosses a missing pixel or a jump of more than 0.25 m. Images of more than about 320
+    No line crosses a missing pixel or a jump of more than 0.25 m. Images of more than about 160
     columns are subsampled; the skipped pixels still decide where a line ends.
     """
     height, width = depth_m.shape
@@ -71,7 +74,7 @@ def ridge_lines(
     segments = np.empty((int(joined.sum()), 2, 3), dtype=np.float32)
     segments[:, 0] = points[:, :-1][joined]
     segments[:, 1] = points[:, 1:][joined]
-    return segments, depth[:, :-1][joined]
+    return segments
 
 
 def curve_points(scan: LaserScan, ranges_m: FloatArray) -> Float32Array:
@@ -84,10 +87,37 @@ def polyline(points_m: FloatArray | Float32Array, longest_m: float = _EDGE_M) ->
     """(N, 3) points, in order, as segments; none from or to NaN, none longer than that."""
     if len(points_m) < 2:
         return NO_SEGMENTS
-    segments = np.stack([points_m[:-1], points_m[1:]], axis=1).astype(np.float32)
     with np.errstate(invalid="ignore"):
-        joined = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1) <= longest_m
-    return np.asarray(segments[joined])
+        joined = np.linalg.norm(np.diff(points_m, axis=0), axis=1) <= longest_m
+    return _segments(points_m, joined)
+
+
+def _segments(points_m: FloatArray | Float32Array, joined: BoolArray) -> Segments:
+    """(N, 3) points as those segments from one to the next that are ``joined`` (N - 1,)."""
+    segments = np.stack([points_m[:-1], points_m[1:]], axis=1)
+    return np.asarray(segments[joined], dtype=np.float32)
+
+
+def scan_curve(points_m: Float32Array, increment_rad: float) -> tuple[Segments, Float32Array]:
+    """A scan's (B, 3) points as the segments of a curve, and the (M, 3) points that no segment
+    joins. It is broken where ranges jump, and joined where adjacent beams are far apart because
+    they end far away. It is smoothed over five beams, to be looked at and not to be measured."""
+    if len(points_m) < len(_SMOOTHING):
+        return NO_SEGMENTS, points_m[np.isfinite(points_m[:, 0])]
+    range_m = np.linalg.norm(points_m, axis=1)
+    with np.errstate(invalid="ignore"):
+        spacing_m = abs(increment_rad) * np.minimum(range_m[:-1], range_m[1:])
+        longest_m = np.maximum(_EDGE_M, _SPACINGS * spacing_m)
+        joined = np.linalg.norm(np.diff(points_m, axis=0), axis=1) <= longest_m
+    alone = np.isfinite(range_m)
+    alone[:-1] &= ~joined
+    alone[1:] &= ~joined
+    # Beams in the middle of five that are joined.
+    inner = joined[:-3] & joined[1:-2] & joined[2:-1] & joined[3:]
+    shown = points_m.copy()
+    windows = np.lib.stride_tricks.sliding_window_view(points_m, len(_SMOOTHING), axis=0)
+    shown[2:-2][inner] = windows[inner] @ _SMOOTHING
+    return _segments(shown, joined), points_m[alone]
 
 
 def arrow_segments(from_to_m: Segments, codes: IntArray) -> tuple[Segments, IntArray]:

@@ -7,10 +7,8 @@ from fusion_core.model.conventions import ByteArray, Float32Array
 from scanloom.plots.palette import Color
 from scanloom.scene.geometry import Segments
 
-# Depths are coloured over this span, the same in each frame, so that a colour is a distance.
-_NEAR_M, _FAR_M = 0.5, 8.0
-_DEPTH_COLORS = np.linspace((70.0, 92.0, 122.0), (160.0, 176.0, 196.0), 256).astype(np.uint8)
-
+# A browser draws points twice as wide as their size says.
+_SIZE_PER_WIDTH = 0.5
 
 _SRGB = np.arange(256) / 255.0
 _INTENSITIES = np.rint(
@@ -26,13 +24,24 @@ class SceneGeometry:
         self._filled, self._allowed = False, True
 
     def draw(self, points_m: Float32Array, colors: ByteArray | None = None) -> None:
-        """Set the points; ``colors``: one for each, None keeps those of a node in one colour."""
+        """Set the points; ``colors``: one for each, None keeps those of a node in one colour.
+        Nothing is sent while the layer is off."""
         self._filled = len(points_m) > 0
-        if self._filled:
+        if self._filled and self._allowed:
             self._handle.points = points_m
             if colors is not None:
                 self._handle.colors = colors
         self._handle.visible = self._filled and self._allowed
+
+    def recolor(self, color: Color) -> None:
+        """Another colour for a node in one colour."""
+        self._handle.colors = np.array(color, dtype=np.uint8)
+
+    def resize(self, size_m: float) -> None:
+        """Another width of points."""
+        half_m = _SIZE_PER_WIDTH * size_m
+        if isinstance(self._handle, viser.PointCloudHandle) and self._handle.point_size != half_m:
+            self._handle.point_size = half_m
 
     def empty(self) -> None:
         """Draw nothing."""
@@ -40,19 +49,13 @@ class SceneGeometry:
         self._handle.visible = False
 
     def allow(self, allowed: bool) -> None:
-        """Whether the node is to be seen where it has points."""
+        """Whether the node may be seen; what was drawn while it might not is to be drawn again."""
         self._allowed = allowed
-        self._handle.visible = self._filled and self._allowed
+        self._handle.visible = self._filled and allowed
 
     def remove(self) -> None:
         """Take the node out of the scene."""
         self._handle.remove()
-
-
-def depth_colors(depth_m: Float32Array) -> ByteArray:
-    """(N, 3) grey-blues of depths, darker where nearer."""
-    fraction = np.clip((depth_m - _NEAR_M) / (_FAR_M - _NEAR_M), 0.0, 1.0)
-    return np.asarray(_DEPTH_COLORS[(255.0 * fraction).astype(np.uint8)])
 
 
 def colors_of_segments(colors: ByteArray) -> ByteArray:
@@ -85,18 +88,34 @@ def lines(
     )
 
 
-def points(scene: viser.SceneApi, name: str, color: Color, *, size_m: float) -> SceneGeometry:
-    """Points, of one colour until they are given one each."""
+def points(scene: viser.SceneApi, name: str, color: Color) -> SceneGeometry:
+    """Dots of one colour, of a width that is still to be set."""
     return SceneGeometry(
         scene.add_point_cloud(
             name,
             np.zeros((1, 3), dtype=np.float32),
             color,
-            point_size=size_m,
+            point_size=0.01,
             point_shape="circle",
             point_shading="flat",
             # Half precision is 4 mm at 8 m, as much as a LiDAR's noise.
             precision="float32",
+            visible=False,
+        )
+    )
+
+
+def squares(scene: viser.SceneApi, name: str) -> SceneGeometry:
+    """Square points with a colour each, for surfaces: 4 mm exact within 8 m."""
+    return SceneGeometry(
+        scene.add_point_cloud(
+            name,
+            np.zeros((1, 3), dtype=np.float16),
+            np.zeros((1, 3), dtype=np.uint8),
+            point_size=0.02,
+            point_shape="square",
+            point_shading="flat",
+            precision="float16",
             visible=False,
         )
     )

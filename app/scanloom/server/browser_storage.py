@@ -1,6 +1,7 @@
 """Asynchronous requests for items of a browser's local storage."""
 
 import secrets
+import threading
 from collections.abc import Callable, Sequence
 
 import viser
@@ -37,3 +38,23 @@ def request_items(
             messages.LocalStorageGetItemRequestMessage(key=key, request_uuid=request)
         )
     client.flush()
+
+
+def call_when_taken_in(
+    client: viser.ClientHandle, action: Callable[[], None], timeout_s: float
+) -> None:
+    """Call ``action`` in a thread of its own once the browser has taken in all that it was sent
+    before, or after ``timeout_s``. A browser answers messages in their order."""
+    once = threading.Lock()
+
+    def act() -> None:
+        if once.acquire(blocking=False):
+            action()
+
+    def on_answer(_: Answers) -> None:
+        threading.Thread(target=act, name="taken in", daemon=True).start()
+
+    timer = threading.Timer(timeout_s, act)
+    timer.daemon = True
+    timer.start()
+    request_items(client, ("",), on_answer)

@@ -73,7 +73,13 @@ class ClientConnection(ServerConnection):
         super().__init__(*args, **options)
         self._connections = connections
         self._read_timer: asyncio.TimerHandle | None = None
+        self._takes_any_message = False
         self.host = ""
+
+    def take_any_message(self) -> None:
+        """Receive what is no message of viser's: its handler checks it. It is not pending."""
+        self._takes_any_message = True
+        self._connections.mark_ready(self)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
@@ -98,6 +104,8 @@ class ClientConnection(ServerConnection):
         """The next message that viser accepts. Invalid ones are dropped and logged."""
         while True:
             data = await super().recv(decode)
+            if self._takes_any_message:
+                return data
             check = check_message(data)
             if check.problem:
                 self._connections.error_log.report(

@@ -7,7 +7,7 @@ import time
 import traceback
 from collections.abc import Callable
 
-from scanloom.commands.terminal import printable
+from fusion_core.model.names import printable
 
 # A hostile browser can cause thousands of errors a second, from many addresses.
 _MIN_INTERVAL_S = 10.0

@@ -11,7 +11,7 @@ import hmac
 import json
 import re
 import secrets
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from http import HTTPStatus
@@ -21,12 +21,14 @@ from urllib.parse import parse_qs, urlencode
 
 import viser
 import websockets.asyncio.server
+from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from scanloom.server.connections import require_viser_version
 
 LINK_KEY = "link"
+SocketHandler = Callable[[ServerConnection], Awaitable[None]]
 # Longer than any link to a view; websockets limits the request line to 8192 bytes.
 _MAX_LINK_CHARACTERS = 6_000
 # Duplicates of these would be ambiguous.
@@ -117,9 +119,12 @@ def is_loopback(host: str) -> bool:
 
 
 @contextmanager
-def guarded(guard: Guard, **overrides: Any) -> Iterator[None]:
+def guarded(
+    guard: Guard, sockets: Mapping[str, SocketHandler] | None = None, **overrides: Any
+) -> Iterator[None]:
     """Have ``guard`` check every request of servers that are started within the block.
 
+    ``sockets``: handlers of WebSockets at paths of their own; all others are viser's.
     ``overrides``: options of websockets' ``serve`` that replace those of viser.
     """
     module: Any = websockets.asyncio.server
@@ -127,7 +132,7 @@ def guarded(guard: Guard, **overrides: Any) -> Iterator[None]:
 
     def serve(handler: Any, *args: Any, process_request: Any = None, **options: Any) -> Any:
         return original(
-            require_viser_version(handler, viser.__version__),
+            _by_path(sockets or {}, require_viser_version(handler, viser.__version__)),
             *args,
             process_request=_with_guard(guard, process_request),
             **options | overrides,
@@ -138,6 +143,14 @@ def guarded(guard: Guard, **overrides: Any) -> Iterator[None]:
         yield
     finally:
         module.serve = original
+
+
+def _by_path(sockets: Mapping[str, SocketHandler], other: SocketHandler) -> SocketHandler:
+    async def handle(connection: ServerConnection) -> None:
+        path = "" if connection.request is None else _path(connection.request)
+        await sockets.get(path, other)(connection)
+
+    return handle
 
 
 def _with_guard(guard: Guard, pages: Callable[..., Any] | None) -> Callable[..., Any]:

@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import viser
 from fusion_core.model.errors import ExportError, ScanLoomError
 from scanloom.client_session import STORED_VIEW, ClientSession
 from scanloom.panels.registry import add_panels
-from scanloom.resources import sample_path
+from scanloom.resources import SAMPLE_FRAME, sample_path
 from scanloom.server import browser_storage as storage
 from scanloom.server.connections import Connections
 from scanloom.server.error_log import ErrorLog, error_summary, websockets_logger
@@ -24,9 +25,13 @@ from scanloom.server.message_filter import (
     restrict_gui_updates,
 )
 from scanloom.server.security import LINK_KEY, Guard, guard_for, guarded
+from scanloom.server.upload_socket import UPLOAD_PATH, receive_upload
 from scanloom.state.library import Library
+from scanloom.state.uploads import DEFAULT_LIMIT_BYTES
 from scanloom.state.view import View, view_of_link
 
+# The alignment waits no longer for a browser that draws slowly, or not at all.
+_DRAWN_WITHIN_S = 3.0
 # At this width the panels' pictures are displayed at nearly their own size.
 _PANEL_PX = 460.0
 
@@ -41,6 +46,7 @@ class ServeOptions:
     port: int = 8080
     output_root: Path = Path("out")
     virtual_row: int | None = None
+    upload_limit_bytes: int = DEFAULT_LIMIT_BYTES
 
 
 class Workbench:
@@ -57,9 +63,15 @@ class Workbench:
         # Problems are reported before the server listens.
         _require_folder(options.output_root)
         self._port = free_port(options.host, options.port)
-        recordings = list(options.recordings) or [sample_path()]
-        self._library = Library(recordings, list(options.roots))
-        self._first_view = View(recording=self._library.names()[0], virtual_row=options.virtual_row)
+        recordings, first_frame = list(options.recordings), 0
+        if not recordings:
+            recordings, first_frame = [sample_path()], SAMPLE_FRAME
+        self._library = Library(recordings, list(options.roots), options.upload_limit_bytes)
+        self._first_view = View(
+            recording=self._library.names()[0],
+            frame_index=first_frame,
+            virtual_row=options.virtual_row,
+        )
         self._library.open(self._first_view)
         self.guard: Guard = guard_for(options.host)
         self._options = options
@@ -75,6 +87,7 @@ class Workbench:
         # viser prints a greeting, but stdout belongs to the command.
         serving = guarded(
             self.guard,
+            {UPLOAD_PATH: partial(receive_upload, uploads=self._library.uploads)},
             create_connection=self._connections.create,
             max_size=MAX_MESSAGE_BYTES,
             logger=websockets_logger(self._error_log),
@@ -149,7 +162,12 @@ class Workbench:
 
     def _start_session(self, client: viser.ClientHandle, links: list[str]) -> None:
         view, problem = self._view_for(links)
-        session = ClientSession(client, self._library, view)
+        session = ClientSession(
+            client,
+            self._library,
+            view,
+            after_drawing=lambda start: storage.call_when_taken_in(client, start, _DRAWN_WITHIN_S),
+        )
         add_panels(client, session, self._options.output_root)
         with self._lock:
             self._sessions[client.client_id] = session

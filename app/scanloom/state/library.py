@@ -1,7 +1,6 @@
 """The recordings, shared by all browsers: opened once, and aligned once for equal settings."""
 
 import os
-import stat
 import threading
 from collections import OrderedDict
 from collections.abc import Hashable
@@ -12,12 +11,23 @@ from pathlib import Path
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.names import escape_undecodable
 from fusion_core.model.recording import Recording
-from fusion_core.workflows.fuse.session import FuseOptions, Session, open_session
+from fusion_core.workflows.fuse.recorded_streams import RecordedStreams, open_recorded_streams
+from fusion_core.workflows.fuse.session import FuseOptions
 from fusion_core.workflows.source import open_source
+from scanloom.jobs.activity import Activity
 from scanloom.jobs.fair_semaphore import FairSemaphore
+from scanloom.state.allowed_paths import (
+    child_names,
+    path_below,
+    path_of_shown_name,
+    resolve_root,
+    shown_name,
+)
 from scanloom.state.file_stamp import FileStamp
 from scanloom.state.open_recording import OpenRecording
-from scanloom.state.view import View
+from scanloom.state.recording_details import DetailsReader
+from scanloom.state.uploads import DEFAULT_LIMIT_BYTES, Uploads
+from scanloom.state.view import MAX_NAME_CHARACTERS, View
 
 # A longer dropdown cannot be used.
 _MAX_LISTED = 500
@@ -31,7 +41,8 @@ _MAX_PARALLEL_ALIGNMENTS = 2
 
 
 class Library:
-    """The recordings that may be opened: those given at the start, and those below ``roots``.
+    """The recordings that may be opened: those given at the start, those below ``roots``, and what
+    browsers have uploaded.
 
     Any other name is refused, whatever path it spells. Hidden files and folders are excluded, and
     symbolic links are resolved. A recording stays open while it has viewers, and for a while
@@ -40,14 +51,23 @@ class Library:
     Raises RecordingError for a root that is no folder.
     """
 
-    def __init__(self, recordings: list[Path], roots: list[Path]) -> None:
+    def __init__(
+        self,
+        recordings: list[Path],
+        roots: list[Path],
+        upload_limit_bytes: int = DEFAULT_LIMIT_BYTES,
+    ) -> None:
+        # What people wait for, in any recording.
+        self.activity = Activity()
         # Unlike Path.resolve, realpath accepts a link to itself.
         self._named = {escape_undecodable(p.name): Path(os.path.realpath(p)) for p in recordings}
         if len(self._named) < len(recordings):
             self._named = {
                 escape_undecodable(str(p)): Path(os.path.realpath(p)) for p in recordings
             }
-        self._roots = [_folder(root) for root in roots]
+        self.roots = tuple(resolve_root(root) for root in roots)
+        self.uploads = Uploads(upload_limit_bytes)
+        self.details = DetailsReader(self.activity)
         self._alignment_semaphore = FairSemaphore(_MAX_PARALLEL_ALIGNMENTS)
         self._lock = threading.Lock()
         self._closed = False
@@ -61,7 +81,7 @@ class Library:
     def names(self) -> list[str]:
         """The names that ``open`` accepts."""
         found = dict.fromkeys(self._named)
-        for root in self._roots:
+        for root in self.roots:
             found.update(dict.fromkeys(_listed(root)))
         return list(found)
 
@@ -71,7 +91,8 @@ class Library:
         ``viewer``: keeps it open until they open another one or call ``release``. Without a viewer
         it may be closed as soon as another one is opened.
 
-        Raises RecordingError and MissingStream as opening a recording does.
+        Raises RecordingError for a file that is no recording, and MissingStream for a topic that it
+        has not.
         """
         path = self.path(view.recording)
         key = _key_of(path, view)
@@ -88,7 +109,10 @@ class Library:
                     if (opened := self._find_open(key, viewer)) is not None:
                         return opened
                 made = OpenRecording(
-                    _session_of(file.recording(), view), file.stamp, self._alignment_semaphore
+                    _streams_of(file.recording(), view),
+                    file.stamp,
+                    self._alignment_semaphore,
+                    self.activity,
                 )
                 with self._lock:
                     if self._closed:
@@ -111,7 +135,8 @@ class Library:
         _close(*unused)
 
     def close(self) -> None:
-        """Cancel the alignments and close the files."""
+        """Cancel the alignments, close the files, and delete uploads."""
+        self.details.close()
         with self._lock:
             self._closed = True
             opened = list(self._opened.values())
@@ -122,20 +147,56 @@ class Library:
         for one in opened:
             one.wait(_CANCEL_TIMEOUT_S)
         _close([], files)
+        self.uploads.close()
 
     def path(self, name: str) -> Path:
         """The path of a recording. Raises RecordingError for a name that may not be opened."""
         if name in self._named:
             return self._named[name]
-        # Only names in valid Unicode can be sent to a browser.
-        roots = self._roots if name == escape_undecodable(name) else []
-        for root in roots:
-            if (path := _path_below(root, name) or _listed(root).get(name)) is not None:
+        if (path := self.uploads.path(name)) is not None:
+            return path
+        for root in self.roots:
+            if (path := path_of_shown_name(root, name)) is not None:
+                return path
+        for root in self.roots:
+            prefix = f"{self.root_label(root)}/"
+            inner = name.removeprefix(prefix)
+            if inner != name and (path := path_of_shown_name(root, inner)) is not None:
                 return path
         raise RecordingError(
             f"{name[:200]!r} is not among the recordings of this server.",
             advice="Choose one of the list, or start scanloom view with its folder as --root.",
         )
+
+    def named(self) -> dict[str, Path]:
+        """The recordings given at the start."""
+        return dict(self._named)
+
+    def root_label(self, root: Path) -> str:
+        """What browsers are told of a root: its own name, with a number if it is not the only one
+        of that name."""
+        same = [other for other in self.roots if other.name == root.name]
+        number = f" ({same.index(root) + 1})" if len(same) > 1 else ""
+        return f"{escape_undecodable(root.name)}{number}"
+
+    def name_of(self, path: Path) -> str | None:
+        """The name that ``open`` accepts for a resolved path below a root, None if there is
+        none."""
+        for root in self.roots:
+            name = shown_name(root, path)
+            if name is None:
+                continue
+            # Another root, or a recording given at the start, may have the shorter name.
+            for candidate in (name, f"{self.root_label(root)}/{name}"):
+                if len(candidate) <= MAX_NAME_CHARACTERS and self._leads_to(candidate, path):
+                    return candidate
+        return None
+
+    def _leads_to(self, name: str, path: Path) -> bool:
+        try:
+            return self.path(name) == path
+        except RecordingError:
+            return False
 
     def _find_open(self, key: "_Key", viewer: Hashable) -> OpenRecording | None:
         """The open recording of a key, marked as recently used; None if there is none."""
@@ -182,13 +243,7 @@ class _Key:
 
 
 def _key_of(path: Path, view: View) -> _Key:
-    options = (
-        view.lidar_topic,
-        view.depth_topics,
-        view.virtual_row,
-        view.alignment_settings.read_by("alignment"),
-    )
-    return _Key(path, options)
+    return _Key(path, view.opened_by)
 
 
 class _File:
@@ -217,51 +272,24 @@ class _File:
             self._recording.close()
 
 
-def _folder(root: Path) -> Path:
-    if not root.is_dir():
-        raise RecordingError(
-            "is no folder.", file=root, advice="Name one that holds recordings as --root."
-        )
-    return Path(os.path.realpath(root))
-
-
 def _listed(root: Path) -> dict[str, Path]:
     """The recordings directly in a root, by the name that browsers are sent."""
     try:
-        children = sorted(child.name for child in root.iterdir())
+        children = sorted(child_names(root))
     except OSError:
         # The folder was removed after the start.
         return {}
-    below = ((escape_undecodable(name), _path_below(root, name)) for name in children)
+    below = ((escape_undecodable(name), path_below(root, name)) for name in children)
     return dict(islice(((name, path) for name, path in below if path is not None), _MAX_LISTED))
 
 
-def _path_below(root: Path, name: str) -> Path | None:
-    """The resolved path of a name below a root, None if it may not be opened.
-
-    Allowed are files and folders below the root, unless they or a folder above them are hidden.
-    """
-    if any(part.startswith(".") for part in Path(name).parts):
-        return None
-    try:
-        path = (root / name).resolve()
-        inner = path.relative_to(root).parts
-        if not inner or any(part.startswith(".") for part in inner):
-            return None
-        mode = path.stat().st_mode
-    except (OSError, RuntimeError, ValueError):
-        # An impossible name, a link that leads out of the root or to itself, or a missing file.
-        return None
-    return path if stat.S_ISREG(mode) or stat.S_ISDIR(mode) else None
-
-
-def _session_of(recording: Recording, view: View) -> Session:
+def _streams_of(recording: Recording, view: View) -> RecordedStreams:
     options = FuseOptions(
         lidar_topic=view.lidar_topic,
         depth_topics=view.depth_topics,
         virtual_lidar_row=view.virtual_row,
     )
-    return open_session(recording, options, view.alignment_settings)
+    return open_recorded_streams(recording, options, view.alignment_settings)
 
 
 def _close(opened: list[OpenRecording], files: list[_File]) -> None:

@@ -4,7 +4,7 @@ from typing import Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from fusion_core.workflows.fuse.session import Session
+from fusion_core.workflows.fuse.recorded_streams import RecordedStreams
 from fusion_core.workflows.map.estimators import SlamKind
 from fusion_core.workflows.map.motion_prior import MotionKind
 from fusion_core.workflows.map.scan_source import ScanKind
@@ -57,9 +57,9 @@ class SlamChoices(BaseModel):
         return f"{self.scan}, {self.motion}, {self.estimator}{many}"
 
 
-def streams_of(session: Session) -> frozenset[Stream]:
+def streams_of(opened: RecordedStreams) -> frozenset[Stream]:
     """Which of the streams that runs may need are in the recording."""
-    streams = session.streams
+    streams = opened.streams
     held: dict[Stream, bool] = {
         "lidar": streams.lidar is not None,
         "depth": bool(streams.depth),
@@ -78,6 +78,19 @@ def unsupported_reason(choices: SlamChoices, held: frozenset[Stream]) -> str | N
     if reason is None and choices.estimator == "none" and choices.motion == "none":
         return "Without SLAM and without motion there are no poses: choose one of the two."
     return reason
+
+
+def supported_choices(choices: SlamChoices, held: frozenset[Stream]) -> SlamChoices:
+    """The choices, with the first possible scan and motion instead of an impossible one.
+
+    Without any scan they stay as they are.
+    """
+    scan, motion = choices.scan, choices.motion
+    if not _is_met(_SCAN_NEEDS[scan], held):
+        scan = next((name for name in SCANS if _is_met(_SCAN_NEEDS[name], held)), scan)
+    if not _is_met(_MOTION_NEEDS[motion], held):
+        motion = next(name for name in MOTIONS if _is_met(_MOTION_NEEDS[name], held))
+    return choices.model_copy(update={"scan": scan, "motion": motion})
 
 
 def _missing_streams_reason(

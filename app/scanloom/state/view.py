@@ -9,7 +9,7 @@ import binascii
 import json
 import math
 import zlib
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -24,13 +24,30 @@ PanelName = Literal["Recording", "Match", "Register", "Repair", "Map"]
 PANELS: tuple[PanelName, ...] = get_args(PanelName)
 Scope = Literal["frame", "window", "recording"]
 MapMode = Literal["Fuse", "SLAM"]
+ColorScheme = Literal["auto", "light", "dark"]
 MAP_MODES: tuple[MapMode, ...] = get_args(MapMode)
+Layer = Literal[
+    "surface",
+    "rows",
+    "matched",
+    "curve",
+    "rays",
+    "pairs",
+    "classes",
+    "repairs",
+    "sensors",
+    "labels",
+    "floor",
+    "map",
+]
 # Unpacked size of a link; a view with every setting changed takes about a tenth of it.
 _MAX_LINK_CHARACTERS = 65_536
 # An error message names the refused field, whose name may come from a hostile link.
 _MAX_FIELD_PATH_CHARACTERS = 80
 # Beyond the samples of any curve and the rows of any image.
 _MAX_OFFSET = 100_000.0
+# Of a recording's name: Linux limits paths to as many bytes.
+MAX_NAME_CHARACTERS = 4096
 # An int32; browsers are sent integers of at most 64 bits.
 _MAX_INDEX = 2**31 - 1
 _INT64_LIMIT = 2**63
@@ -63,7 +80,7 @@ class View(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    recording: str = Field(max_length=4096)
+    recording: str = Field(max_length=MAX_NAME_CHARACTERS)
     frame_index: int = Field(0, ge=0, le=_MAX_INDEX, description="Index of the frame, from 0")
     panel: PanelName = "Recording"
     preset: PresetName = "default"
@@ -85,15 +102,20 @@ class View(BaseModel):
     draw_index: int = Field(0, ge=0, le=99_999, description="Index of the RANSAC draw, from 0")
     visible_classes: frozenset[NoiseClass] = frozenset(NoiseClass)
     show_repaired: bool = Field(True, description="Show repaired values, else raw ones")
-    show_raw_and_repaired: bool = Field(True, description="Show both depth images")
+    show_raw_and_repaired: bool = Field(False, description="Show both depth images")
     selected_beam: int | None = Field(
         None, ge=0, le=_MAX_INDEX, description="Index of the beam in the scan"
     )
     row_step: int = Field(
         6, ge=1, le=60, description="Draw every n-th row of the depth image in 3D"
     )
+    hidden_layers: frozenset[Layer] = Field(
+        frozenset(), description="Layers of the 3D scene that are switched off"
+    )
     playback_speed: float = Field(1.0, ge=0.1, le=8.0)
     loop_playback: bool = True
+    color_scheme: ColorScheme = "auto"
+    large_text: bool = Field(False, description="Large letters and lines, for a projector")
     map_mode: MapMode = "Fuse"
     slam: SlamChoices = SlamChoices()
 
@@ -124,6 +146,30 @@ class View(BaseModel):
                 validation_message(error), advice="The value before is kept."
             ) from error
 
+    def of_recording(self, name: str) -> "View":
+        """The first frame of another recording, with the streams that it offers itself. Raises
+        SettingsError for a name that is too long."""
+        return self.changed(
+            recording=name,
+            frame_index=0,
+            picked_offset=None,
+            lidar_topic=None,
+            depth_topics=(),
+            virtual_row=None,
+            selected_beam=None,
+        )
+
+    @property
+    def opened_by(self) -> Hashable:
+        """What a recording is opened with: its name, its streams, and how it is aligned."""
+        return (
+            self.recording,
+            self.lidar_topic,
+            self.depth_topics,
+            self.virtual_row,
+            self.alignment_settings.read_by("alignment"),
+        )
+
     def needs_alignment(self) -> bool:
         """Whether settings that the alignment depends on have changed since."""
         return self.settings.read_by("alignment") != self.alignment_settings.read_by("alignment")
@@ -149,7 +195,8 @@ class View(BaseModel):
         values["settings"] = self.preset_overrides()
         values["alignment_settings"] = self.preset_overrides(self.alignment_settings)
         # Sorted, so that equal views have equal links.
-        values["visible_classes"] = sorted(values["visible_classes"])
+        for name in ("visible_classes", "hidden_layers"):
+            values[name] = sorted(values[name])
         packed = zlib.compress(json.dumps(values, sort_keys=True).encode(), 9)
         return base64.urlsafe_b64encode(packed).decode().rstrip("=")
 

@@ -4,7 +4,7 @@ A result is cached by its input and the settings of its stage and those before i
 epsilon repeats classification and repair, but no search.
 """
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from fusion_core.alignment.search import MeanField
@@ -22,6 +22,8 @@ from fusion_core.workflows.fuse.settings import ChainSettings
 
 # A frame of 320 x 240 with its fields takes about 2 MiB.
 _FRAMES_KEPT = 48
+# Frames without a scan are few, and mostly at the start.
+_FRAMES_TRIED = 8
 # The frames of a panorama follow each other.
 _PANORAMAS_KEPT = 2
 
@@ -68,6 +70,15 @@ class CachedChain:
             lambda: self._match(self.pair(choice), choice, settings),
         )
 
+    def match_once(self, choice: FrameChoice, settings: ChainSettings) -> FrameMatch:
+        """As ``match``, for a pass over many frames: with fields and peaks only where pairs rest
+        on them, and it displaces none of the frames that are kept.
+
+        Raises as ``match``, and RecordingError for a frame that cannot be read.
+        """
+        paired = self.frames.pair(choice.number, choice.clock_offset_ms)
+        return self._match(paired, choice, settings, pairs_only=True)
+
     def fused(self, choice: FrameChoice, settings: ChainSettings) -> FusedFrame:
         """Classes and repairs of a frame. Raises as ``match``."""
         match = self.match(choice, settings)
@@ -75,6 +86,17 @@ class CachedChain:
             (choice, settings.read_by("repair")),
             lambda: classify_and_repair(match, self.alignment, settings),
         )
+
+    def prepare(self, check: Callable[[], None] = lambda: None) -> None:
+        """Fuse the first frame that can be, among some: what that compiles, later frames need not
+        wait for. ``check`` is called before each and may raise to end it."""
+        for number in range(min(len(self.frames), _FRAMES_TRIED)):
+            check()
+            try:
+                self.fused(FrameChoice(number=number), self.session.settings)
+            except ScanLoomError:
+                continue
+            return
 
     def fuse_all(
         self, settings: ChainSettings, clock_offset_ms: float = 0.0
@@ -96,15 +118,25 @@ class CachedChain:
                 yield paired
 
     def _match(
-        self, paired: PairedImage, choice: FrameChoice, settings: ChainSettings
+        self,
+        paired: PairedImage,
+        choice: FrameChoice,
+        settings: ChainSettings,
+        *,
+        pairs_only: bool = False,
     ) -> FrameMatch:
         numbers: tuple[int, ...] = (choice.number,)
         if self.alignment.panorama is not None:
             numbers = self.frames.panorama(choice.number)
         if len(numbers) > 1:
             matches = self._panoramas.get_or_compute(
-                (numbers, replace(choice, number=numbers[0]), settings.read_by("match")),
-                lambda: self._match_panorama(numbers, choice, settings),
+                (
+                    numbers,
+                    replace(choice, number=numbers[0]),
+                    settings.read_by("match"),
+                    pairs_only,
+                ),
+                lambda: self._match_panorama(numbers, choice, settings, pairs_only=pairs_only),
             )
             if matches is not None:
                 return matches[numbers.index(choice.number)]
@@ -119,10 +151,18 @@ class CachedChain:
                 f"no scan lies within {settings.time.max_gap_ms:g} ms of this depth image.",
                 advice="Widen time.max_gap_ms, or go to another frame.",
             )
-        return match_images((pair,), self.alignment, settings, picked=choice.picked_offset)[0]
+        picked = choice.picked_offset
+        return match_images(
+            (pair,), self.alignment, settings, picked=picked, pairs_only=pairs_only
+        )[0]
 
     def _match_panorama(
-        self, numbers: Sequence[int], choice: FrameChoice, settings: ChainSettings
+        self,
+        numbers: Sequence[int],
+        choice: FrameChoice,
+        settings: ChainSettings,
+        *,
+        pairs_only: bool,
     ) -> list[FrameMatch] | None:
         """The matches of the frames of one instant, None where they make no panorama."""
         group = [self.frames.pair(number, choice.clock_offset_ms) for number in numbers]
@@ -134,7 +174,8 @@ class CachedChain:
             pair = self.session.frame_pair(entry, self.frames.previous(number))
             assert pair is not None, "the image has a scan"
             pairs.append(pair)
-        return match_images(pairs, self.alignment, settings, picked=choice.picked_offset)
+        picked = choice.picked_offset
+        return match_images(pairs, self.alignment, settings, picked=picked, pairs_only=pairs_only)
 
 
 def mean_field_around(

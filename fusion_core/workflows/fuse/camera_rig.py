@@ -63,13 +63,20 @@ class _StoredCamera:
 
 
 def build_camera_rig(
-    recording: Recording, streams: Streams, sampling: SamplingSettings, *, virtual: bool = False
+    recording: Recording,
+    streams: Streams,
+    sampling: SamplingSettings,
+    *,
+    virtual: bool = False,
+    needs_lidar: bool = True,
 ) -> CameraRig:
     """Read what the rig needs: one image and CameraInfo of each camera, and the static transforms.
 
-    ``virtual``: the LiDAR is cut from the depth itself, so the views are cropped.
+    ``virtual``: the LiDAR is cut from the depth itself, so the views are cropped. ``needs_lidar``:
+    False for a rig of cameras alone.
 
-    Raises MissingStream where the recording has no depth, or no LiDAR and none is ``virtual``.
+    Raises MissingStream where the recording has no depth, or no LiDAR though one is needed and none
+    is ``virtual``.
     """
     if not streams.depth:
         raise MissingStream(
@@ -77,7 +84,7 @@ def build_camera_rig(
             file=recording.path,
             advice="Name a depth topic with --depth, or use a recording with a depth camera.",
         )
-    if streams.lidar is None and not virtual:
+    if streams.lidar is None and needs_lidar and not virtual:
         raise MissingStream(
             "has no 2D LiDAR.",
             file=recording.path,

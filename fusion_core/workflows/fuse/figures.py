@@ -43,6 +43,7 @@ from fusion_core.model.conventions import NS_PER_MS, ByteArray
 from fusion_core.model.errors import RecordingError, ScanLoomError
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.names import escape_undecodable
+from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import ColorImage
 from fusion_core.workflows.evaluate import evaluate
@@ -120,7 +121,27 @@ class FigureData:
     truth: Path | None
 
 
-def write_figures(folder: Path, data: FigureData) -> list[str]:
+class _Drawing:
+    """Counts the figures of a run as they are drawn."""
+
+    def __init__(self, total: int, progress: Progress) -> None:
+        self._done, self._total, self._progress = 0, total, progress
+
+    def next(self) -> None:
+        """The next figure is drawn from here on. Raises what the progress function raises."""
+        self._done += 1
+        self._progress(self._done, self._total, "drawing figures")
+
+
+def _count(data: FigureData) -> int:
+    """How many figures a run has."""
+    frame, count = data.collected.showcase, len(_FIG_4_SHEETS)
+    if frame is not None:
+        count += 3 + (frame.match.registration is not None)
+    return count + (data.truth is not None) + bool(data.grids)
+
+
+def write_figures(folder: Path, data: FigureData, progress: Progress = silent) -> list[str]:
     """Draw the figures that the data allow into ``folder``; return why others are left out.
 
     Raises ExportError where a file cannot be written.
@@ -134,19 +155,22 @@ def write_figures(folder: Path, data: FigureData) -> list[str]:
     notes: list[str] = []
     write_table_1(folder / "table1.csv", [table_1_row(name, data.collected.scores)])
     frame = data.collected.showcase
-    _write_similarity(folder, heading, session, data.alignment, frame)
+    drawing = _Drawing(_count(data), progress)
+    _write_similarity(folder, heading, data, drawing)
     if frame is None:
         notes.append("No frame to show: Figs. 3, 5, 7 and 8 are left out.")
     else:
-        _write_showcase(folder, heading, session, frame)
+        _write_showcase(folder, heading, session, frame, drawing)
         if frame.match.registration is None:
             notes.append(f"Fig. 5 is left out: {frame.match.refusal}")
     if truth is not None:
+        drawing.next()
         try:
             _write_recall(folder, heading, data.fuse_dir, truth)
         except ScanLoomError as error:
             notes.append(f"Fig. 6 is left out: {truth.name} {error.problem}")
     if data.grids:
+        drawing.next()
         _write_maps(folder, f"{heading}\nposes of {data.pose_source}", data.grids)
     return notes
 
@@ -156,13 +180,8 @@ def printable(name: str) -> str:
     return escape_undecodable(name).encode("latin-1", errors="replace").decode("latin-1")
 
 
-def _write_similarity(
-    folder: Path,
-    heading: str,
-    session: "Session",
-    alignment: RecordingAlignment,
-    frame: FusedFrame | None,
-) -> None:
+def _write_similarity(folder: Path, heading: str, data: FigureData, drawing: _Drawing) -> None:
+    session, alignment, frame = data.session, data.alignment, data.collected.showcase
     cameras = session.rig.cameras
     columns = {}
     for metric, name in _METRIC_NAMES.items():
@@ -202,6 +221,7 @@ def _write_similarity(
         shown += f"\n{searched}, its own peaks"
     kind = "frames" if len(cameras) == 1 else "panoramas"
     for file_name, metrics in _FIG_4_SHEETS.items():
+        drawing.next()
         write_similarity(
             folder / file_name,
             shown,
@@ -237,7 +257,9 @@ def _frame_name(session: "Session", frame: FusedFrame) -> str:
     return f"{topic} at {format_stamp(frame.match.stamp_ns)}"
 
 
-def _write_showcase(folder: Path, heading: str, session: "Session", frame: FusedFrame) -> None:
+def _write_showcase(
+    folder: Path, heading: str, session: "Session", frame: FusedFrame, drawing: _Drawing
+) -> None:
     match = frame.match
     about = f"{heading}\n{_frame_name(session, frame)}"
     found = _nearest_color_image(session, frame)
@@ -247,6 +269,7 @@ def _write_showcase(folder: Path, heading: str, session: "Session", frame: Fused
         else remap_color(found.rgb, session.rig.views[match.pair.camera_index])
     )
     after_ms = None if found is None else (found.stamp_ns - match.stamp_ns) / NS_PER_MS
+    drawing.next()
     write_aligned(
         folder / "fig3_aligned.png",
         f"Fig. 3, aligned in time\n{about}",
@@ -263,6 +286,7 @@ def _write_showcase(folder: Path, heading: str, session: "Session", frame: Fused
     )
     by_sample = session.settings.pairing == "frame"
     if match.registration is not None:
+        drawing.next()
         write_pairs(
             folder / "fig5_pairs.png",
             f"Fig. 5, pairs before and after RANSAC\n{about}",
@@ -299,12 +323,14 @@ def _write_showcase(folder: Path, heading: str, session: "Session", frame: Fused
         depth_as_range_m=match.correspondence.depth_as_range_m,
         camera_range_m=match.correspondence.camera_range_m,
     )
+    drawing.next()
     write_repair(
         folder / "fig7_repair.png",
         f"Fig. 7, before and after denoising\n{about}",
         match.depth_m,
         curve,
     )
+    drawing.next()
     write_fused_depth(
         folder / "fig8_fused_depth.png",
         f"Fig. 8, fused depth image\n{about}",

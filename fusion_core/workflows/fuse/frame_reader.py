@@ -1,5 +1,6 @@
 """Random access to the depth images of a session, each with the scans around it."""
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -8,6 +9,7 @@ from fusion_core.model.bounded_cache import BoundedCache
 from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.model.sensors import ColorImage, DepthImage, LaserScan
+from fusion_core.model.stamps import longest_ascending
 from fusion_core.workflows.fuse.pairing import (
     PairedImage,
     SamplingRates,
@@ -74,19 +76,39 @@ class FrameReader:
 
     def pair(self, number: int, clock_offset_ms: float = 0.0) -> PairedImage:
         """A frame and its scan, as a pass over the recording pairs them."""
+        return self._pair(number, clock_offset_ms, self._scan)
+
+    def raw_pair(self, number: int) -> PairedImage:
+        """A frame and its scan, from the messages logged about it alone.
+
+        It is that of ``pair`` without a clock offset, unless a stamp nearby is in order there and
+        out of order in the whole recording, or the reverse.
+        """
+        return self._pair(number, 0.0, self._scan_of_geometry)
+
+    def _pair(
+        self, number: int, clock_offset_ms: float, scan_at: Callable[[int], LaserScan | None]
+    ) -> PairedImage:
         image = self.image(number)
         if self._session.virtual_row is not None:
             return virtual_pair(self._session.rig, image, self._session.virtual_row)
         settings = self._session.settings.time
         offset_ns = round(clock_offset_ms * NS_PER_MS)
         camera = self.camera_of(number)
-        if settings.pair_by == "rates":
+        if settings.pair_by == "rates" and self._lidar is not None:
             counted = self._rates.scan_of(camera, int(self._index[number]))
-            return pair_by_number(camera, image, self._scan_or_none, counted, offset_ns)
+            count = self._scan_times_ns.size
+            return pair_by_number(
+                camera,
+                image,
+                lambda index: scan_at(index) if 0 <= index < count else None,
+                counted,
+                offset_ns,
+            )
         return pair_with(
             camera,
             image,
-            self._scans_near(int(self.times_ns[number]) - offset_ns),
+            self._scans_near(int(self.times_ns[number]) - offset_ns, scan_at),
             offset_ns,
             round(settings.max_gap_ms * NS_PER_MS),
         )
@@ -148,31 +170,43 @@ class FrameReader:
         value = self._session.recording.read(topic, nearest).value
         return value if isinstance(value, ColorImage) else None
 
-    def _scans_near(self, time_ns: int) -> list[LaserScan]:
+    def _scans_near(
+        self, time_ns: int, scan_at: Callable[[int], LaserScan | None]
+    ) -> list[LaserScan]:
         place = int(np.searchsorted(self._scan_times_ns, time_ns))
         first = max(0, place - _SCANS_BESIDE)
         last = min(self._scan_times_ns.size, place + _SCANS_BESIDE)
-        return [scan for i in range(first, last) if (scan := self._scan(i)) is not None]
+        scans = [scan for i in range(first, last) if (scan := scan_at(i)) is not None]
+        stamps_ns = np.array([scan.stamp_ns for scan in scans], dtype=np.int64)
+        return [
+            scan for scan, kept in zip(scans, longest_ascending(stamps_ns), strict=True) if kept
+        ]
 
     @cached_property
     def _rates(self) -> SamplingRates:
         assert self._lidar is not None, "a session without a LiDAR has a virtual one"
         return SamplingRates(self._session.recording, self._lidar, self._topics)
 
-    def _scan_or_none(self, index: int) -> LaserScan | None:
-        return self._scan(index) if 0 <= index < self._scan_times_ns.size else None
-
     def _scan(self, index: int) -> LaserScan | None:
         """A scan, None where it cannot be read, is stamped out of order or is of another geometry
         than the rig's."""
+        # As in a pass over the recording: where a scan is left out, the next nearest is taken.
+        lidar = self._lidar
+        assert lidar is not None, "a session without a LiDAR has a virtual one"
+        if not self._session.geometry_filter.is_in_order(lidar, index):
+            return None
+        return self._scan_of_geometry(index)
+
+    def _scan_of_geometry(self, index: int) -> LaserScan | None:
+        """A scan, None where it cannot be read or is of another geometry than the rig's.
+
+        Whether it is stamped in order only the stamps of the whole recording tell.
+        """
         lidar = self._lidar
         assert lidar is not None, "a session without a LiDAR has a virtual one"
         return self._scans.get_or_compute(index, lambda: self._read_scan(lidar, index))
 
     def _read_scan(self, topic: str, index: int) -> LaserScan | None:
-        # As in a pass over the recording: where a scan is left out, the next nearest is taken.
-        if not self._session.geometry_filter.is_in_order(topic, index):
-            return None
         try:
             value = self._session.recording.read(topic, index).value
         except RecordingError:

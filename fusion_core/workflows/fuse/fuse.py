@@ -109,7 +109,6 @@ def _run_chain(
     write_text(folder / "alignment.json", json.dumps(document, indent=2, allow_nan=False) + "\n")
     figure_notes: list[str] = []
     if options.figures:
-        progress(0, None, "drawing figures")
         shown = dict(grids)
         if grids and poses is not None and options.truth is not None:
             try:
@@ -133,6 +132,7 @@ def _run_chain(
                 fuse_dir=folder,
                 truth=options.truth,
             ),
+            progress,
         )
     return FuseSummary(
         output=folder,

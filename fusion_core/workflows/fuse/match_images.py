@@ -39,7 +39,7 @@ from fusion_core.workflows.fuse.align import (
     turned_rad,
 )
 from fusion_core.workflows.fuse.frame_match import FrameMatch, PastedPairs
-from fusion_core.workflows.fuse.offset_search import OffsetSearch, search_offset
+from fusion_core.workflows.fuse.offset_search import NO_SEARCH, OffsetSearch, search_offset
 from fusion_core.workflows.fuse.pairing import FramePair, PairedImage, UprightDepth, share_scan
 from fusion_core.workflows.fuse.settings import ChainSettings
 
@@ -64,12 +64,13 @@ def match_images(
     settings: ChainSettings,
     *,
     picked: tuple[float, float] | None = None,
+    pairs_only: bool = False,
 ) -> list[FrameMatch]:
     """Search, pair and register one image, or the images of a panorama: one of each camera, of
     nearly the same instant, which are searched as one.
 
     ``picked``: an offset (u, v), chosen by hand, of the row that is searched; the pairs are then
-    those of row v.
+    those of row v. ``pairs_only``: without fields and peaks where the pairs do not rest on them.
 
     Raises AlignmentFailed where the frame is paired by its own (u, v) and has none, and for a
     picked row that the image does not have.
@@ -85,7 +86,13 @@ def match_images(
         assert not isinstance(panorama, Panorama), "frames paired by themselves are pasted"
         searched, registered = _match_by_own_peak(pairs, panorama, alignment, settings, picked)
     else:
-        searched, registered = _match_by_mount(pairs, panorama, alignment, settings, picked)
+        mounted = [_pair_by_mount(pair, alignment, settings, picked=picked) for pair in pairs]
+        is_searched = not pairs_only or any(one.along_curve is None for one in mounted)
+        searched = _search_by_mount(mounted, panorama, alignment, settings, is_searched=is_searched)
+        offset = searched.offset(settings, picked)
+        registered = [
+            _register_mounted(one, searched, offset, alignment, settings) for one in mounted
+        ]
     return [
         FrameMatch(
             pair=one.pair,
@@ -139,50 +146,57 @@ class _RegisteredPair:
     pasted: PastedPairs | None = None
 
 
-def _match_by_mount(
-    pairs: Sequence[FramePair],
+def _search_by_mount(
+    mounted: Sequence["_MountedPair"],
     panorama: Panorama | PastedPanorama | None,
     alignment: RecordingAlignment,
     settings: ChainSettings,
-    picked: tuple[float, float] | None,
-) -> tuple[_Searched, list[_RegisteredPair]]:
-    """Pairs along the LiDAR's curve by the mount; in a row where that is not refined, and at a
-    picked offset."""
-    mounted = [_pair_by_mount(pair, alignment, settings, picked=picked) for pair in pairs]
+    *,
+    is_searched: bool,
+) -> _Searched:
+    """The search around the offset that the mount expects; empty unless ``is_searched``."""
+    pairs = [one.pair for one in mounted]
     scan = min(pairs, key=lambda pair: abs(pair.gap_ns)).aligned_scan
+    row = sample_row(pairs[0].camera, settings.sampling) if panorama is None else panorama.sampling
+    curve = sample_curve(scan, settings.sampling, width=row.columns.size)
+    if not is_searched:
+        return _Searched(curve=curve, row=row, search=NO_SEARCH)
     if panorama is None:
-        row = sample_row(pairs[0].camera, settings.sampling)
         rows_m = row_samples_m(pairs[0].depth_m, row)
     else:
-        row, rows_m = panorama.sampling, panorama.samples_m([pair.depth_m for pair in pairs])
-    curve = sample_curve(scan, settings.sampling, width=row.columns.size)
+        rows_m = panorama.samples_m([pair.depth_m for pair in pairs])
     prior_u = _expected_offset(mounted, curve, row, alignment, is_panorama=panorama is not None)
     search = search_offset(scan, curve, rows_m, prior_u, settings)
-    searched = _Searched(curve=curve, row=row, search=search)
-    offset = searched.offset(settings, picked)
-    registered = []
-    for paired in mounted:
-        own = paired.along_curve
-        if own is None:
-            own = _pair_in_row(paired, searched, offset, alignment)
-        registration, refusal = _register(
-            planar_points(own, own.lidar_range_m),
-            planar_points(own, own.depth_as_range_m),
-            settings,
-        )
-        if paired.along_curve is None and registration is not None:
-            own = map_through_A(own, registration.A, registration.A_inverse)
-        registered.append(
-            _RegisteredPair(
-                pair=paired.pair,
-                correspondence=own,
-                registration=registration,
-                refusal=refusal,
-                turn_rate_rad_s=paired.observation.turn_rate_rad_s,
-                turned_rad=paired.turned_rad,
-            )
-        )
-    return searched, registered
+    return _Searched(curve=curve, row=row, search=search)
+
+
+def _register_mounted(
+    paired: "_MountedPair",
+    searched: _Searched,
+    offset: tuple[float, float] | None,
+    alignment: RecordingAlignment,
+    settings: ChainSettings,
+) -> _RegisteredPair:
+    """Pairs along the LiDAR's curve by the mount; in a row where that is not refined, and at a
+    picked offset."""
+    own = paired.along_curve
+    if own is None:
+        own = _pair_in_row(paired, searched, offset, alignment)
+    registration, refusal = _register(
+        planar_points(own, own.lidar_range_m),
+        planar_points(own, own.depth_as_range_m),
+        settings,
+    )
+    if paired.along_curve is None and registration is not None:
+        own = map_through_A(own, registration.A, registration.A_inverse)
+    return _RegisteredPair(
+        pair=paired.pair,
+        correspondence=own,
+        registration=registration,
+        refusal=refusal,
+        turn_rate_rad_s=paired.observation.turn_rate_rad_s,
+        turned_rad=paired.turned_rad,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -35,6 +35,12 @@ class OffsetSearch:
     peaks_without_prior: dict[Metric, Peak]
 
 
+NO_SEARCH = OffsetSearch(
+    curve_m=np.empty(0), rows_m=np.empty((0, 0)), fields={}, peaks={}, peaks_without_prior={}
+)
+"""Of a frame that was not searched."""
+
+
 def search_offset(
     scan: LaserScan,
     curve: CurveSampling,

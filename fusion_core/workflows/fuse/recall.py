@@ -17,10 +17,10 @@ from fusion_core.workflows.fuse.pairing import PairedImage
 from fusion_core.workflows.fuse.settings import ChainSettings
 from fusion_core.workflows.fuse.tables import (
     FRAME_COLUMNS,
-    SAMPLE_SCHEMA,
     alignment_document,
     frame_row,
     sample_columns,
+    sample_schema,
     unpaired_row,
 )
 
@@ -73,7 +73,7 @@ def _write_frames(
     rig = chain.session.rig
     with (
         CsvTable(folder / "frames.csv", FRAME_COLUMNS) as frames,
-        ParquetTable(folder / "samples.parquet", SAMPLE_SCHEMA) as samples,
+        ParquetTable(folder / "samples.parquet", sample_schema()) as samples,
     ):
         for done, entry in enumerate(chain.fuse_all(settings, clock_offset_ms)):
             progress(done, len(chain.frames), "comparing with the truth")

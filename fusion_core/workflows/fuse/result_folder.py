@@ -4,16 +4,16 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import pyarrow as pa
-import pyarrow.parquet as pq
+from typing import TYPE_CHECKING, Any
 
 from fusion_core.evaluation.fuse_folder import open_fuse_folder, read_frames_table, read_mount
 from fusion_core.exporting.manifest import require_intact
 from fusion_core.files.regular_file import open_regular
 from fusion_core.model.errors import ExportError
 from fusion_core.model.rig import Mount
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 _TABLES_AND_DOCUMENTS = ("alignment.json", "frames.csv", "samples.parquet", "summary.json")
 
@@ -24,7 +24,7 @@ class FuseFiles:
     their errors. ``frames``: frames.csv, a row for each depth image."""
 
     mount: Mount
-    frames: pa.Table
+    frames: "pa.Table"
     notes: tuple[str, ...]
     alignment: Mapping[str, Any]
 
@@ -46,8 +46,11 @@ def read_fuse_folder(folder: Path) -> FuseFiles:
     )
 
 
-def read_samples(folder: Path) -> pa.Table:
+def read_samples(folder: Path) -> "pa.Table":
     """samples.parquet: a row for each beam in view of each frame. Raises ExportError."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     file = folder / "samples.parquet"
     try:
         with open_regular(file) as stream:

@@ -23,9 +23,9 @@ from fusion_core.workflows.fuse.sensor_maps import Confirmation, SensorMaps
 from fusion_core.workflows.fuse.session import Session
 from fusion_core.workflows.fuse.tables import (
     FRAME_COLUMNS,
-    SAMPLE_SCHEMA,
     frame_row,
     sample_columns,
+    sample_schema,
     unpaired_row,
 )
 from fusion_core.workflows.recorded_poses import PoseLookup
@@ -69,7 +69,7 @@ class ResultWriter:
             self._sample_table = stack.enter_context(
                 ParquetTable(
                     self._folder / "samples.parquet",
-                    SAMPLE_SCHEMA,
+                    sample_schema(),
                     rows_per_group=_SAMPLES_PER_GROUP,
                 )
             )

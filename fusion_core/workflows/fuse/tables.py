@@ -1,10 +1,9 @@
 """The rows that ``fuse`` writes: frames.csv, samples.parquet and alignment.json."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
 
 from fusion_core.alignment.panorama import PastedPanorama
 from fusion_core.model.classes import NoiseClass, RepairSource, is_repaired
@@ -14,6 +13,9 @@ from fusion_core.workflows.fuse.align import METRICS, RecordingAlignment
 from fusion_core.workflows.fuse.camera_rig import CameraRig
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.pairing import PairedImage
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 _CLASS_COUNTS = [
     f"{sensor}_{noise.name.lower()}" for sensor in ("lidar", "depth") for noise in NoiseClass
@@ -42,25 +44,32 @@ FRAME_COLUMNS: tuple[str, ...] = (
     "registration_refused",
 )
 
-SAMPLE_SCHEMA: dict[str, pa.DataType] = {
-    "camera": pa.dictionary(pa.int8(), pa.string()),
-    "stamp_ns": pa.int64(),
-    "scan_stamp_ns": pa.int64(),
-    "lidar_beam": pa.int32(),
-    "depth_row": pa.int32(),
-    "depth_column": pa.int32(),
-    "lidar_class": pa.int8(),
-    "depth_class": pa.int8(),
-    "lidar_confidence": pa.float32(),
-    "depth_confidence": pa.float32(),
-    "residual_m": pa.float64(),
-    "lidar_raw_m": pa.float64(),
-    "lidar_repaired_m": pa.float64(),
-    "lidar_source": pa.dictionary(pa.int8(), pa.string()),
-    "depth_raw_m": pa.float64(),
-    "depth_repaired_m": pa.float64(),
-    "depth_source": pa.dictionary(pa.int8(), pa.string()),
-}
+
+def sample_schema() -> "dict[str, pa.DataType]":
+    """The columns of samples.parquet and their Arrow types."""
+    import pyarrow as pa
+
+    return {
+        "camera": pa.dictionary(pa.int8(), pa.string()),
+        "stamp_ns": pa.int64(),
+        "scan_stamp_ns": pa.int64(),
+        "lidar_beam": pa.int32(),
+        "depth_row": pa.int32(),
+        "depth_column": pa.int32(),
+        "lidar_class": pa.int8(),
+        "depth_class": pa.int8(),
+        "lidar_confidence": pa.float32(),
+        "depth_confidence": pa.float32(),
+        "residual_m": pa.float64(),
+        "lidar_raw_m": pa.float64(),
+        "lidar_repaired_m": pa.float64(),
+        "lidar_source": pa.dictionary(pa.int8(), pa.string()),
+        "depth_raw_m": pa.float64(),
+        "depth_repaired_m": pa.float64(),
+        "depth_source": pa.dictionary(pa.int8(), pa.string()),
+    }
+
+
 _SOURCE_NAMES = np.array([source.name.lower() for source in RepairSource])
 
 

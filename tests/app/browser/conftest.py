@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, ViewportSize, expect, sync_playwright
 
+from fusion_core.workflows.convert import ConvertOptions, convert
 from scanloom.server.workbench import ServeOptions, Workbench
 from scanloom.state.view import View
 from tests.app.browser.person import ENOUGH_S, Person, at_session
@@ -67,6 +68,14 @@ def hostile(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 @pytest.fixture(scope="package")
+def lidar_alone(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recording's scans and odometry, without depth images."""
+    path = tmp_path_factory.mktemp("lidar") / "lidar alone.mcap"
+    convert(small_scene, path, ConvertOptions(topics=["/scan", "/odom"]), lambda *_: None)
+    return path
+
+
+@pytest.fixture(scope="package")
 def output_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Below which the server may write."""
     return tmp_path_factory.mktemp("out")
@@ -74,11 +83,10 @@ def output_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="package")
 def workbench(
-    small_scene: Path, damaged: Path, hostile: Path, output_root: Path
+    small_scene: Path, damaged: Path, hostile: Path, lidar_alone: Path, output_root: Path
 ) -> Iterator[Workbench]:
-    options = ServeOptions(
-        recordings=[small_scene, damaged, hostile], port=0, output_root=output_root
-    )
+    recordings = [small_scene, damaged, hostile, lidar_alone]
+    options = ServeOptions(recordings=recordings, port=0, output_root=output_root)
     with Workbench(options) as serving:
         yield serving
 

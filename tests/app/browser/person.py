@@ -5,6 +5,7 @@ import time
 from base64 import b64decode
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from fusion_core.workflows.fuse.cached_chain import FrameChoice
 from fusion_core.workflows.fuse.frame_match import FrameMatch
 from scanloom.client_session import STORED_VIEW, ClientSession
 from scanloom.frame_view import FrameView
+from scanloom.page.events import PictureName
 from scanloom.server.workbench import Workbench
 from scanloom.state.view import PanelName, View
 
@@ -69,25 +71,37 @@ class Person:
 
     def wait_for_peak(self, peak: tuple[float, float]) -> None:
         """Wait until the Match panel's words say it."""
-        expect(self.text("Peak u =")).to_be_visible()
+        self.unfold("Pick by hand")
+        expect(self.text("Best fit: u =")).to_be_visible()
         self.wait_until(lambda: self.peak() == peak)
 
     def wait_for_number(self, label: str, value: float, within: float) -> None:
         """Wait until a number's field shows a value, but for less than ``within``."""
         self.wait_until(lambda: abs(self.number(label) - value) < within)
 
-    def wait_for_picture(self, expected: np.ndarray, which: int = 0) -> None:
-        """Wait until a picture of the open panel is this one, (H, W, 3) RGB, to the pixel."""
-        self.wait_until(lambda: np.array_equal(self.picture(which)[..., ::-1], expected))
+    def wait_for_figure(self, expected: np.ndarray, which: int = 0) -> None:
+        """Wait until a figure of the open step is this one, (H, W, 3) RGB, to the pixel."""
+        self.wait_until(lambda: np.array_equal(self.figure(which)[..., ::-1], expected))
 
-    def wait_for_another_picture(self, than: np.ndarray) -> np.ndarray:
-        """The open panel's picture, once it is not ``than`` any more."""
-        self.wait_until(lambda: not np.array_equal(self.picture(), than))
-        return self.picture()
+    def wait_for_another_picture(self, name: PictureName, than: np.ndarray) -> np.ndarray:
+        """A picture that is always in sight, once it is not ``than`` any more."""
+        self.wait_until(lambda: not np.array_equal(self.picture(name), than))
+        return self.picture(name)
 
     def wait_for_panel(self, panel: PanelName) -> None:
         """Wait until a panel is shown."""
         self.wait_until(lambda: self.frame_view.view.panel == panel)
+
+    def open_step(self, name: PanelName) -> None:
+        """Open a step by its button at the top."""
+        self.page.get_by_label("Steps").get_by_role("button", name=name, exact=True).click()
+
+    def unfold(self, label: str) -> None:
+        """Open a folder if it is closed."""
+        head = self.page.get_by_text(label, exact=True).locator("visible=true").first
+        expect(head).to_be_visible()
+        if head.locator("svg.tabler-icon-chevron-down").count():
+            head.click()
 
     def press(self, name: str) -> None:
         self.button(name).click()
@@ -95,8 +109,13 @@ class Person:
     def button(self, name: str) -> Locator:
         return self.page.get_by_role("button", name=name, exact=True)
 
+    def open_recording(self, name: str) -> None:
+        """Choose a recording in the opening dialog."""
+        self.key("o")
+        self.page.locator(".scanloom-files").get_by_text(name, exact=True).click()
+
     def choose(self, label: str, option: str) -> None:
-        self.page.get_by_label(label, exact=True).click()
+        self.page.get_by_role("combobox", name=label, exact=True).click()
         self.page.get_by_role("option", name=option, exact=True).click()
 
     def thumb(self, label: str) -> Locator:
@@ -109,7 +128,7 @@ class Person:
         """Drag a slider, to the left by less than 0; return the value at which it stands then."""
         thumb = self.thumb(label)
         thumb.scroll_into_view_if_needed()
-        x, y = middle_of(thumb)
+        x, y = self.middle_at_rest(thumb)
         mouse = self.page.mouse
         mouse.move(x, y)
         mouse.down()
@@ -119,13 +138,25 @@ class Person:
         assert value is not None
         return float(value)
 
+    def middle_at_rest(self, place: Locator) -> tuple[float, float]:
+        """Where a place is once it does not move: a folder that has just been opened slides."""
+        seen = [middle_of(place)]
+
+        def is_at_rest() -> bool:
+            seen.append(middle_of(place))
+            return seen[-1] == seen[-2]
+
+        self.page.wait_for_timeout(50)
+        self.wait_until(is_at_rest)
+        return seen[-1]
+
     def number(self, label: str) -> float:
         """What a number's field shows."""
         return float(self.page.get_by_label(label, exact=True).input_value())
 
     def key(self, name: str) -> None:
         """Press a key after a click on some text: what is typed into a widget is for it."""
-        self.page.get_by_text(re.compile(r"frame \d+ of \d+")).first.click()
+        self.page.locator(".scanloom-verdict h2").click()
         self.page.keyboard.press(name)
 
     def text(self, words: str | re.Pattern[str]) -> Locator:
@@ -141,14 +172,29 @@ class Person:
 
     def peak(self) -> tuple[float, float]:
         """(u, v) of the peak in the Match panel's words."""
-        u, v = self.read("Peak u =", r"u = (-?[\d.]+), v = ([\d.]+)")
+        u, v = self.read("Best fit: u =", r"u = (-?[\d.]+), v = ([\d.]+)")
         return float(u), float(v)
 
-    def picture(self, which: int = 0) -> np.ndarray:
-        """(H, W, 3) BGR: a picture that the open panel shows, counted from its top."""
-        frame_view = self.page.locator("img[src^='blob:']").locator("visible=true").nth(which)
+    def picture(self, which: PictureName) -> np.ndarray:
+        """(H, W, 3) BGR: a picture that is always in sight."""
+        return self._content(self.live(which))
+
+    def panel(self, kind: type[Any]) -> Any:
+        """The session's panel of a class."""
+        return next(panel for panel in self.session.panels if isinstance(panel, kind))
+
+    def live(self, name: PictureName) -> Locator:
+        """The image of a picture that answers to the pointer."""
+        return self.page.locator(f"div:has(> [data-picture='{name}']) + div img")
+
+    def figure(self, which: int = 0) -> np.ndarray:
+        """(H, W, 3) BGR: a figure of the open step, counted from its top."""
+        own = "img[src^='blob:']:not(div:has(> [data-picture]) + div img)"
+        return self._content(self.page.locator(own).locator("visible=true").nth(which))
+
+    def _content(self, image: Locator) -> np.ndarray:
         deadline_s = time.monotonic() + ENOUGH_S
-        while (data := self.page.evaluate(FETCH, frame_view.element_handle())) is None:
+        while (data := self.page.evaluate(FETCH, image.element_handle())) is None:
             assert time.monotonic() < deadline_s, "no picture stayed"
         return decoded(b64decode(data))
 

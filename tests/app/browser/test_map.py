@@ -34,9 +34,9 @@ def test_a_build_shows_its_maps_and_exports_its_clouds(
     expect(person.button("Download .zip")).to_be_visible()
     expect(person.button("Cancel")).to_have_count(0)
     # The panel's picture is the file that was written.
-    person.wait_for_picture(picture_in(fused.output, "map_fused"))
+    person.wait_for_figure(picture_in(fused.output, "map_fused"))
     person.choose("Figure", "difference of the maps")
-    person.wait_for_picture(picture_in(fused.output, "map_difference"))
+    person.wait_for_figure(picture_in(fused.output, "map_difference"))
     # But for the last, which names the folder.
     for line in fused.lines()[:-1]:
         expect(person.text(line.replace("+-", "±"))).to_be_visible()
@@ -79,7 +79,7 @@ def clouds_in(folder: Path) -> dict[str, np.ndarray]:
 
 def begin_build(person: Person) -> None:
     # The scene's views have a button of that name, too.
-    person.button("Map").last.click()
+    person.open_step("Map")
     person.page.get_by_label("Figures", exact=True).uncheck()
     person.press("Build")
 
@@ -122,7 +122,7 @@ def test_a_cancelled_build_leaves_nothing_and_a_reload_finds_the_same_state(
 
     person.reload(workbench)
     assert person.session.view == view.changed(panel="Map")
-    expect(person.text(f"frame 11 of {count}")).to_be_visible()
-    expect(person.text("differs: noise.epsilon = 1.5")).to_be_visible()
+    expect(person.text(f"Frame 12 of {count}")).to_be_visible()
+    expect(person.text("with noise.epsilon = 1.5")).to_be_visible()
     expect(person.button("Build")).to_be_enabled()
     assert sorted(output_root.rglob("*")) == before

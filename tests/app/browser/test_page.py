@@ -10,17 +10,34 @@ from tests.app.browser.person import Person, colourful
 
 def test_the_page_shows_the_scene_and_the_panel(person: Person, small_scene: Path) -> None:
     expect(person.text(small_scene.name)).to_be_visible()
-    expect(person.text("settings of the preset default")).to_be_visible()
     canvas = person.page.locator("canvas[data-engine]").bounding_box()
     assert canvas is not None
-    assert canvas["width"] > 400
-    # Rows, pairs and image_planes are drawn over a white ground.
-    person.wait_until(lambda: 0.01 < coloured_fraction(person, canvas["width"]) < 0.9)
+    assert canvas["width"] > 200
+    left, right = canvas["x"], canvas["x"] + canvas["width"]
+    # Depth, curve and pairs are drawn over a white ground.
+    person.wait_until(lambda: 0.005 < coloured_fraction(person, left, right) < 0.9)
 
 
-def coloured_fraction(person: Person, width_px: float) -> float:
+def test_the_legend_over_the_scene_switches_a_layer(person: Person) -> None:
+    legend = person.page.get_by_role("group", name="Legend", exact=True).last
+    curve = legend.get_by_role("button", name="LiDAR curve")
+    expect(curve).to_have_attribute("aria-pressed", "true")
+    box = legend.bounding_box()
+    canvas = person.page.locator("canvas[data-engine]").bounding_box()
+    assert box is not None
+    assert canvas is not None
+    assert canvas["x"] <= box["x"] <= canvas["x"] + canvas["width"]
+    curve.press("Enter")
+    expect(curve).to_have_attribute("aria-pressed", "false")
+    assert person.session.view.hidden_layers == {"curve"}
+    curve.press("Enter")
+    expect(curve).to_have_attribute("aria-pressed", "true")
+
+
+def coloured_fraction(person: Person, left_px: float, right_px: float) -> float:
     """How much of the scene is neither ground nor grid."""
-    return float(colourful(person.screen()[:, : int(width_px / 2)]).mean())
+    # The screen's picture has half of the pixels.
+    return float(colourful(person.screen()[:, int(left_px / 2) : int(right_px / 2)]).mean())
 
 
 def test_the_streams_are_listed_with_their_counts(person: Person, small_scene: Path) -> None:
@@ -54,19 +71,19 @@ def test_the_keys_go_through_the_frames(person: Person) -> None:
     ):
         person.key(key)
         time_s = (times_ns[number] - times_ns[0]) / 1e9
-        expect(person.text(f"{time_s:.3f} s · frame {number} of {count}")).to_be_visible()
-        expect(person.thumb("Frame")).to_have_attribute("aria-valuenow", str(number))
+        expect(person.text(f"Frame {number + 1} of {count} · {time_s:.2f} s")).to_be_visible()
         assert person.session.view.frame_index == number
 
 
 def test_a_preset_changes_the_line_of_differences_and_undo_brings_it_back(person: Person) -> None:
     person.session.change_setting("noise", "epsilon", 2.5)
-    expect(person.text("differs: noise.epsilon = 2.5")).to_be_visible()
+    expect(person.text("with noise.epsilon = 2.5")).to_be_visible()
+    person.unfold("Settings and view")
     person.choose("Preset", "published")
-    expect(person.text("settings of the preset published")).to_be_visible()
+    expect(person.text("Settings: published")).to_be_visible()
     person.wait_until(lambda: person.frame_view.view.preset == "published")
-    person.press("Undo")
-    expect(person.text("differs: noise.epsilon = 2.5")).to_be_visible()
+    person.page.get_by_label("Undo the last change").click()
+    expect(person.text("with noise.epsilon = 2.5")).to_be_visible()
     assert person.page.get_by_label("Preset", exact=True).input_value() == "default"
-    person.press("Reset")
-    expect(person.text("settings of the preset default")).to_be_visible()
+    person.press("Reset to this preset")
+    expect(person.text("Settings: ")).to_have_count(0)

@@ -15,39 +15,42 @@ Counts = dict[str, tuple[int, int]]
 
 
 def test_a_dragged_epsilon_classifies_every_pair_again(person: Person) -> None:
-    person.look_at(person.session.view.changed(frame_index=NUMBER, panel="Repair"))
+    view = person.session.view.changed(frame_index=NUMBER, panel="Repair")
+    person.look_at(view.changed(show_raw_and_repaired=True))
+    person.unfold("Classes, before and after")
     before = expected_frame(person.frame_view, person.session.view)
     person.wait_until(lambda: counts_on(person) == counts_of(before))
-    frame_view = person.picture(1)
-    person.wait_for_picture(repaired_picture(before, person.session.view, frame_view).rgb, 1)
-    person.press("Register")
+    frame_view = person.figure(1)
+    person.wait_for_figure(repaired_picture(before, person.session.view, frame_view).rgb, 1)
+    person.open_step("Register")
     person.wait_until(lambda: threshold_on(person) == threshold_in(before))
     epsilon = person.drag("ε (σ)", -25.0)
     person.wait_until(lambda: person.frame_view.view.settings.noise.epsilon == epsilon)
-    expect(person.text(f"differs: noise.epsilon = {epsilon}")).to_be_visible()
+    expect(person.text(f"with noise.epsilon = {epsilon}")).to_be_visible()
     after = expected_frame(person.frame_view, person.session.view)
     assert threshold_in(after)[0] < threshold_in(before)[0]
     assert threshold_in(after)[1] > threshold_in(before)[1]
     person.wait_until(lambda: threshold_on(person) == threshold_in(after))
     assert counts_of(after) != counts_of(before)
-    person.press("Repair")
+    person.open_step("Repair")
+    person.unfold("Classes, before and after")
     person.wait_until(lambda: counts_on(person) == counts_of(after))
-    person.wait_for_picture(repaired_picture(after, person.session.view, frame_view).rgb, 1)
+    person.wait_for_figure(repaired_picture(after, person.session.view, frame_view).rgb, 1)
 
 
 def threshold_in(frame: FusedFrame) -> tuple[float, int, int]:
-    """Epsilon in metres, the pairs that disagree by more, and all that have both values."""
+    """Epsilon in cm, the pairs that disagree by more, and all that have both values."""
     residual_m, epsilon_m = frame.match.correspondence.residual_m, frame.classes.epsilon_m
     both = np.isfinite(residual_m)
     beyond = np.abs(residual_m[both]) > epsilon_m[both]
-    return round(float(np.median(epsilon_m[both])), 3), int(beyond.sum()), int(both.sum())
+    return round(100.0 * float(np.median(epsilon_m[both])), 1), int(beyond.sum()), int(both.sum())
 
 
 def threshold_on(person: Person) -> tuple[float, int, int]:
     """The same in the page's words."""
-    pattern = r"ε = ([\d.]+) m .*; (\d+) of (\d+) pairs disagree by more"
-    length_m, beyond, compared = person.read("pairs disagree by more", pattern)
-    return float(length_m), int(beyond), int(compared)
+    pattern = r"ε = ([\d.]+) cm .*; (\d+) of (\d+) pairs disagree by more"
+    length_cm, beyond, compared = person.read("pairs disagree by more", pattern)
+    return float(length_cm), int(beyond), int(compared)
 
 
 def counts_of(frame: FusedFrame) -> Counts:
@@ -75,11 +78,12 @@ def test_each_draw_is_shown_as_it_was_drawn(person: Person) -> None:
     assert best > 2
     inliers = [int(agreeing(found, index).sum()) for index in range(len(found.draws))]
     assert inliers[best] == max(inliers)
+    person.unfold("Draws, one by one")
     for button, index in (("", 0), ("Next", 1), ("Next", 2), ("Previous", 1), ("Best", best)):
         if button:
             person.press(button)
         wait_for_draw(person, index, inliers[index], found.valid)
-        person.wait_for_picture(picture_of_draw(found, index, person.picture(1)), 1)
+        person.wait_for_figure(picture_of_draw(found, index, person.figure(1)), 1)
         expect(person.thumb("Draw")).to_have_attribute("aria-valuenow", str(index))
         assert person.text("★ the best draw").count() == (index == best)
     expect(person.text(f"A agrees with {int(found.inliers.sum())}.")).to_be_visible()

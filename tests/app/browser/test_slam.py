@@ -55,12 +55,12 @@ def test_a_run_moves_and_ends_on_its_map(newcomer: Person, fake: FakeMap) -> Non
     person.press("Run")
     person.wait_until(begun.is_set)
     expect(person.text("Matching scans, ")).to_be_visible()
-    assert person.picture().shape[1] == 480
+    assert person.figure().shape[1] == 480
     go_on.set()
     finish(person, FIRST)
     # The panel's picture is the file that the run wrote.
     written = (fake.calls[0][1] / "trajectory.png").read_bytes()
-    person.wait_for_picture(decoded(written)[..., ::-1])
+    person.wait_for_figure(decoded(written)[..., ::-1])
     expect(person.text("10 scans do not fit the map")).to_be_visible()
     with person.page.expect_download() as arriving:
         person.press("Download run (.zip)")
@@ -88,7 +88,7 @@ def test_two_runs_are_compared(newcomer: Person, fake: FakeMap) -> None:
     finish(person, SECOND)
     expect(person.text("10.0 cm in the median, at most 20.0 cm")).to_be_visible()
     # The file of the run, and both runs; its effective number, and how far they are apart.
-    assert person.picture(1).shape[1] == 480
+    assert person.figure(1).shape[1] == 480
     for title in ("Effective number of particles", "Distance between A and B"):
         expect(person.text(title)).to_be_visible()
     person.choose("A", SECOND)

@@ -130,10 +130,10 @@ def with_values(values: np.ndarray, value: float, *where: int | slice) -> np.nda
 def test_a_pair_that_agrees() -> None:
     said = facts(with_values(wall(), 2.03, 20), wall_image())
     assert explain_beam_class(said, SETTINGS) == (
-        "Good: it differs from the camera by 3.0 cm, within epsilon (6.0 cm)."
+        "Good: it differs from the camera by 3.0 cm, within ε (6.0 cm)."
     )
     assert explain_pixel_class(said, SETTINGS) == (
-        "Good: it differs from the LiDAR by 3.0 cm, within epsilon (6.0 cm)."
+        "Good: it differs from the LiDAR by 3.0 cm, within ε (6.0 cm)."
     )
     assert explain_beam_repair(said, SETTINGS) == "Kept: good values are not changed."
     assert explain_pixel_repair(said, SETTINGS) == "Kept: good values are not changed."
@@ -142,12 +142,12 @@ def test_a_pair_that_agrees() -> None:
 def test_a_lone_beam_is_a_burr_and_its_pixel_good() -> None:
     said = facts(with_values(wall(), 1.69, 20), wall_image())
     assert explain_beam_class(said, SETTINGS) == (
-        "Burr: it disagrees with the camera by 31.0 cm, more than epsilon (6.0 cm), and the "
+        "Burr: it disagrees with the camera by 31.0 cm, more than ε (6.0 cm), and the "
         "evidence is against a surface (beside it -2.4, in time +0.0, by the camera -2.3): no "
         "adjacent beam supports it (beams two or three away: 0, scans before and after: 0)."
     )
     assert explain_pixel_class(said, SETTINGS) == (
-        "Good: it disagrees with the LiDAR by 31.0 cm, more than epsilon (6.0 cm), but 24 of the "
+        "Good: it disagrees with the LiDAR by 31.0 cm, more than ε (6.0 cm), but 24 of the "
         "24 depths around it support it. Its beam is the burr."
     )
 
@@ -198,7 +198,7 @@ def test_a_hole_that_nothing_fills() -> None:
 def test_a_conflict_keeps_both() -> None:
     said = facts(wall(), with_values(wall_image(), 1.2, slice(15, 26)))
     assert explain_beam_class(said, SETTINGS) == (
-        "Conflict: it disagrees with the camera by 80.0 cm, more than epsilon (6.0 cm), but the "
+        "Conflict: it disagrees with the camera by 80.0 cm, more than ε (6.0 cm), but the "
         "evidence is for a surface (beside it +4.8, in time +0.0, by the camera -2.3): both "
         "adjacent beams support it (beams two or three away: 4, scans before and after: 0). "
         "Each sensor sees another surface."
@@ -259,7 +259,7 @@ def test_a_pixel_that_looks_through_a_pane() -> None:
     )
     assert explain_beam_class(said, SETTINGS).endswith("Its pixel is the burr.")
     assert explain_pixel_class(said, SETTINGS) == (
-        "Burr: it disagrees with the LiDAR by 1.60 m, more than epsilon (6.0 cm), and its beam has "
+        "Burr: it disagrees with the LiDAR by 1.60 m, more than ε (6.0 cm), and its beam has "
         "met a surface that the camera shows nowhere around: it looks through it."
     )
 
@@ -295,7 +295,7 @@ def test_a_lone_pixel_is_a_burr_and_its_beam_good() -> None:
     image[ROW, 20] = 1.2
     said = facts(wall(), image, camera=wall())
     assert explain_pixel_class(said, SETTINGS) == (
-        "Burr: it disagrees with the LiDAR by 80.0 cm, more than epsilon (6.0 cm), and too few "
+        "Burr: it disagrees with the LiDAR by 80.0 cm, more than ε (6.0 cm), and too few "
         "pixels agree: 0 of the 24 depths around it support it."
     )
     assert explain_beam_class(said, SETTINGS).endswith("Its pixel is the burr.")
@@ -399,7 +399,7 @@ def test_in_the_paper_the_rougher_side_is_the_burr_and_the_other_sensor_is_prefe
 def test_a_frame_without_an_a_compares_nothing() -> None:
     said = facts(wall(), wall_image(), compared=False, settings=PUBLISHED)
     assert explain_beam_class(said, PUBLISHED) == (
-        "Good: this frame has no A, so that nothing is compared."
+        "Good: this frame has no transform A, so that nothing is compared."
     )
 
 

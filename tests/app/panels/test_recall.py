@@ -75,7 +75,7 @@ class Bench:
         (widget,) = (
             w
             for w in self.client.widgets.values()
-            if w.type == kind and FOLDER in self.client._around(w)
+            if w.type == kind and FOLDER in self.client.around(w)
         )
         return widget
 

@@ -190,10 +190,10 @@ def test_a_label_is_what_tells_a_topic_from_the_others(
 
 
 def test_another_recording_has_boxes_of_its_own(bench: Bench, small_scene: Path) -> None:
-    bench.client.set_value("Recording", small_scene.name)
+    bench.session.show_recording(small_scene.name)
     expected = {"Found by type": True, "/camera/depth/image_raw": True}
     bench.until(lambda: bench.boxes() == expected)
-    bench.client.set_value("Recording", bench.first.recording)
+    bench.session.show_recording(bench.first.recording)
     bench.until(lambda: len(bench.boxes()) == 5)
 
 
@@ -300,10 +300,16 @@ def test_nothing_of_the_recording_before_is_reported_while_another_is_aligned(
         recording=small_scene.name,
         alignment_settings=bench.first.with_setting("search", "min_overlap", 0.55).settings,
     )
-    bench.words("Aligning the recording")
-    texts = bench.texts()
-    assert not any("averaged in the recording's field" in text for text in texts)
-    assert not any("of the same instant" in text for text in texts)
+    assert bench.frame_view.is_being_aligned
+    bench.until(
+        lambda: (
+            not any(
+                words in text
+                for text in bench.texts()
+                for words in ("averaged in the recording's field", "of the same instant")
+            )
+        )
+    )
     go_on.set()
     bench.until(
         lambda: (

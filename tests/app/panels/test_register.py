@@ -23,13 +23,15 @@ from scanloom.panels import registration_text
 from scanloom.panels.epsilon import EpsilonControls
 from scanloom.panels.register import RegisterPanel
 from scanloom.panels.residual_plot import ResidualPlot
+from scanloom.plots.line_plot import css
+from scanloom.plots.theme import DARK, LIGHT
 from scanloom.state.view import View
 
 SIGMA_M = 0.04
 ALIGNMENT = SimpleNamespace(scale=NoiseScale(floor_m=SIGMA_M, fraction=0.0))
 # No truth stands beside it.
 RECORDING = SimpleNamespace(path=Path("no such recording.mcap"))
-OPENED = SimpleNamespace(fuse_session=SimpleNamespace(recording=RECORDING), recalls={})
+OPENED = SimpleNamespace(recording=RECORDING, recalls={})
 AZIMUTHS_RAD = np.linspace(0.5, -0.5, 60)
 LIDAR_M = np.stack([-np.linspace(-1.5, 1.5, 60), 2.0 + 0.4 * np.linspace(-1.5, 1.5, 60) ** 2], 1)
 
@@ -55,25 +57,25 @@ def words_of(found):
 
 def test_a_turn_and_a_shift_as_text():
     said = words_of(registered(moved(LIDAR_M, turn_deg=3.0, shift_m=(0.10, -0.05))))
-    assert "rotates the LiDAR's points by **3.00° to the left**" in said
+    assert "rotates the LiDAR's points by **3.0° to the left**" in said
     assert "translates the origin by **10.0 cm to the right and 5.0 cm back**" in said
     assert "scales" not in said
     other = words_of(registered(moved(LIDAR_M, turn_deg=-3.0, shift_m=(-0.10, 0.05))))
-    assert "**3.00° to the right**" in other
+    assert "**3.0° to the right**" in other
     assert "**10.0 cm to the left and 5.0 cm ahead**" in other
 
 
 def test_a_scale_as_text():
     said = words_of(registered(moved(LIDAR_M, scale=1.02), model="similarity"))
     assert "scales by **1.020**: distances become 2.0 % longer" in said
-    assert "rotates the LiDAR's points by **0.00°**" in said
+    assert "rotates the LiDAR's points by **0.0°**" in said
 
 
 def test_stretch_and_shear_as_text():
     sheared = LIDAR_M @ np.array([[1.1, 0.0], [0.1, 1.0]])
     said = words_of(registered(sheared, model="affine"))
     assert "scales x by **1.100** and z by **1.005**" in said
-    assert f"shears by **{np.rad2deg(np.arctan(0.1)):.2f}°**" in said
+    assert f"shears by **{np.rad2deg(np.arctan(0.1)):.1f}°**" in said
     assert "flattens" not in said
 
 
@@ -140,9 +142,9 @@ def epsilon_said(middle_m, E_m=0.05, unit="sigma", epsilon=2.6):
 )
 def test_the_papers_band_as_text(middle_m, where):
     said = epsilon_said(middle_m)
-    assert "The paper's band [E, √2 E] is [0.050, 0.071] m here" in said
+    assert "The paper's band [E, √2 E] is [5.0, 7.1] cm here" in said
     assert f"ε lies **{where}** it" in said
-    assert f"ε = **{middle_m:.3f} m** = 2.6 σ; **3** of 40 pairs disagree by more." in said
+    assert f"ε = **{100.0 * middle_m:.1f} cm** = 2.6 σ; **3** of 40 pairs disagree by more." in said
 
 
 def test_epsilon_without_an_E_as_text():
@@ -195,7 +197,7 @@ def frame_of(found, *, residual_m=None, epsilon_m=0.1, refusal=""):
     return SimpleNamespace(match=match, classes=classes, epsilon_m=epsilon_m)
 
 
-def frame_view(session, frame, failure=None):
+def frame_view(session, frame, failure=None, is_dark=False):
     chain = SimpleNamespace(alignment=ALIGNMENT)
     return SimpleNamespace(
         view=session.view,
@@ -204,6 +206,7 @@ def frame_view(session, frame, failure=None):
         match=None if frame is None else frame.match,
         fused=frame,
         failure=failure,
+        is_dark=is_dark,
     )
 
 
@@ -216,7 +219,7 @@ def test_the_panel_shows_a_frame(panel, session):
     found = registered(moved(LIDAR_M, turn_deg=2.0))
     panel.show(frame_view(session, frame_of(found)))
     assert panel._draw.max == 19
-    assert "2.00° to the left" in panel._summary.content
+    assert "2.0° to the left" in panel._summary.content
     assert panel._pairs.image.min() < 255
     assert "Draw **0** of 0…19" in panel._draw_text.content
 
@@ -232,6 +235,16 @@ def test_epsilon_alone_redraws_no_pairs(panel, session):
     assert panel._pairs.image is pairs
     assert panel._draw_picture.image is draw
     assert panel._residuals._plot.data[-1][0] == -200.0 != data[-1][0]
+
+
+def test_on_a_dark_page_pictures_and_plot_are_dark(panel, session):
+    frame = frame_of(registered(moved(LIDAR_M, turn_deg=2.0)))
+    for is_dark, theme in ((True, DARK), (False, LIGHT)):
+        panel.show(frame_view(session, frame, is_dark=is_dark))
+        for picture in (panel._pairs, panel._draw_picture):
+            assert tuple(picture.image[3, 3]) == theme.background
+        strokes = {axis.get("stroke") for axis in panel._residuals._plot.axes}
+        assert strokes == ({css(DARK.ink)} if is_dark else {None})
 
 
 def test_a_closed_panel_draws_nothing(panel, session):

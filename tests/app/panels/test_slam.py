@@ -23,6 +23,8 @@ from scanloom.client_session import ClientSession
 from scanloom.jobs import slam_run as job
 from scanloom.panels import slam as slam_panel
 from scanloom.panels.map import MapPanel
+from scanloom.plots.line_plot import css
+from scanloom.plots.theme import DARK, LIGHT
 from scanloom.state.library import Library
 from scanloom.state.slam_choices import SlamChoices
 from scanloom.state.slam_runs import MAX_RUNS
@@ -273,6 +275,13 @@ def test_two_runs_side_by_side(page: Page, fake: FakeMap) -> None:
     # Each with itself.
     page.client.set_value("A", "2: lidar, fused, particle-filter (30)")
     page.until_says("0.0 cm in the median, at most 0.0 cm")
+    results = page.panel._slam._results
+    assert tuple(results._both.image[3, 3]) == LIGHT.background
+    page.session.change(color_scheme="dark")
+    page.until(lambda: tuple(results._both.image[3, 3]) == DARK.background)
+    axes = results._distance.axes
+    assert axes is not None
+    assert {axis["stroke"] for axis in axes} == {css(DARK.ink)}
     page.client.set_value("Run shown", FIRST)
     page.until_says("2 closed, 1 dropped")
     page.until(lambda: page.frame_view()[2:6] == [True, False, False, False])

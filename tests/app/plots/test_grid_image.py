@@ -14,7 +14,7 @@ from scanloom.plots.grid_image import (
     grid_texture,
     paint_grid,
 )
-from scanloom.plots.text import INK
+from scanloom.plots.theme import LIGHT
 
 SURE = 30.0
 BOX = Box(10, 20, 320, 320)
@@ -107,7 +107,7 @@ def test_the_scale_bar_has_the_length_that_it_says() -> None:
     picture = axes(0.0, 10.0)
     assert grid_step_m(picture) == 2.0
     draw_scale_bar(picture, 360)
-    bar = (picture.rgb[360] == INK).all(axis=1)
+    bar = (picture.rgb[360] == LIGHT.ink).all(axis=1)
     assert np.flatnonzero(bar)[0] == BOX.left
     assert bar[: BOX.left + 66].sum() == round(2.0 * 32.0)
 

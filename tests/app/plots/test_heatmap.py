@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from scanloom.plots.axes import BELOW_PX
 from scanloom.plots.color_scale import hatch
-from scanloom.plots.heatmap import Heatmap, heatmap
+from scanloom.plots.heatmap import Heatmap, dock_heatmap, heatmap
 from scanloom.plots.palette import color_map
 from scanloom.plots.score_field import AzimuthAxis, Mark, MarkKind
+from scanloom.plots.theme import DARK
 
 AXIS = AzimuthAxis(first_deg=119.5, step_deg=-1.0)
 
@@ -199,7 +200,52 @@ def test_a_picture_has_its_own_canvas_and_is_not_shared() -> None:
     assert drawn(ramp()).rgb.any()
 
 
+@settings(max_examples=60)
+@given(
+    rows=st.integers(1, 300),
+    columns=st.integers(1, 300),
+    u_first=st.integers(-50, 50),
+    fraction=st.tuples(st.floats(0, 1), st.floats(0, 1)),
+    width_px=st.sampled_from([350, 410]),
+)
+def test_in_a_dock_place_and_offset_undo_each_other(
+    rows: int, columns: int, u_first: int, fraction: tuple[float, float], width_px: int
+) -> None:
+    field = Field(np.zeros((rows, columns)), u_first)
+    picture = dock_heatmap(field, (), width_px=width_px, height_px=330)
+    u, v = u_first + round(fraction[0] * (columns - 1)), round(fraction[1] * (rows - 1))
+    place = picture.place_of(u, v)
+    assert place is not None
+    assert picture.offset_at(*place) == pytest.approx((u, v), abs=1e-9)
+    for outside in ((u_first - 1, v), (u_first + columns, v), (u, -1), (u, rows)):
+        assert picture.place_of(*outside) is None
+    assert picture.place_of(float("nan"), v) is None
+
+
+def test_in_a_dock_a_field_takes_nearly_all_the_width_and_its_box_stays() -> None:
+    marks = [Mark("peak", 45.0, 30.0), Mark("runner_up", 3.0, 4.0), Mark("prior", 40.0)]
+    full = dock_heatmap(ramp(), marks, width_px=410, height_px=330)
+    assert full.rgb.shape == (330, 410, 3)
+    assert full.axes.box.width >= 370
+    assert full.axes.box.height >= 260
+    empty = Field(np.full((60, 90), np.nan))
+    dark = dock_heatmap(empty, (), width_px=410, height_px=330, theme=DARK)
+    assert dark.axes.box == full.axes.box
+    assert dark.limits is None
+    assert dark.rgb[1, 1].tolist() == list(DARK.background)
+
+
+def test_the_best_scores_take_most_of_the_colours() -> None:
+    picture = drawn(Field(np.linspace(0.0, 1.0, 101)[np.newaxis].repeat(20, axis=0)))
+    good, better, best = (np.array(color_at(picture, u, 5)) for u in (80, 90, 100))
+    bad, worse = (np.array(color_at(picture, u, 5)) for u in (20, 10))
+    assert np.abs(best - better).sum() > 4 * np.abs(bad - worse).sum()
+    assert np.abs(better - good).sum() > 4 * np.abs(bad - worse).sum()
+
+
 def test_too_small_a_picture_is_refused() -> None:
+    with pytest.raises(ValueError, match="px"):
+        dock_heatmap(ramp(), (), width_px=60, height_px=60)
     with pytest.raises(ValueError, match="px"):
         drawn(ramp(), width_px=120, height_px=120)
 

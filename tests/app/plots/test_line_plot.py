@@ -9,14 +9,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scanloom.plots.line_plot import (
+    INK,
+    NEUTRAL,
     PlotLabels,
     add_line_plot,
+    css,
     dots,
     line,
+    set_theme,
     set_y_limits,
     whole_limits,
     with_vertical_line,
 )
+from scanloom.plots.theme import DARK, LIGHT
 
 BLUE = (0, 0, 255)
 
@@ -77,3 +82,23 @@ def test_a_vertical_line_stands_at_its_place_and_moves_no_curve(
     inside = interpolate and 0.0 <= at <= 10.0
     expected = np.interp(at, x, curve) if inside else np.nan
     np.testing.assert_array_equal(new_curve[marked], [expected, expected])
+
+
+def test_a_theme_changes_axes_and_lines_and_back(gui: viser.GuiApi) -> None:
+    labels = PlotLabels(title="T", x="time (s)", x_short="s", y="gap (ms)")
+    plot = add_line_plot(gui, labels, (line("a", INK), dots("b", NEUTRAL), line("c", BLUE)))
+    axes, series = plot.axes, plot.series
+    set_theme(plot, DARK)
+    assert plot.axes is not None
+    assert [axis["label"] for axis in plot.axes] == ["time (s)", "gap (ms)"]
+    assert {axis["stroke"] for axis in plot.axes} == {css(DARK.ink)}
+    strokes = [one["stroke"] for one in plot.series[1:]]
+    assert strokes == [css(DARK.ink), css(DARK.neutral), css(BLUE)]
+    assert plot.series[2]["points"]["fill"] == css(DARK.neutral)
+    dark = plot.axes
+    set_theme(plot, DARK)
+    # The same theme is not sent again.
+    assert plot.axes is dark
+    set_theme(plot, LIGHT)
+    assert plot.axes == axes
+    assert plot.series == series

@@ -17,7 +17,6 @@ from scanloom.scene.frame_summary import (
     facts_of_beam,
     unwrapped_deg,
 )
-from scanloom.scene.range_curves import range_curves
 
 GOOD, HOLE, BURR, CONFLICT = NoiseClass
 RAW, OTHER, NEIGHBOURS, NONE = RepairSource
@@ -131,24 +130,3 @@ def test_azimuths_do_not_jump_where_the_camera_looks_back() -> None:
     np.testing.assert_allclose(np.diff(across), np.rad2deg(-0.1))
     assert abs(across.mean()) == pytest.approx(np.rad2deg(np.pi - 0.05), abs=1e-6)
     assert unwrapped_deg(np.empty(0)).size == 0
-
-
-def test_curves_rise_in_azimuth_and_show_the_chosen_classes() -> None:
-    curves = range_curves(frame(), ALL, 101)
-    assert (np.diff(curves.azimuth_deg) > 0.0).all()
-    np.testing.assert_array_equal(curves.raw_m[::-1], frame().match.correspondence.lidar_range_m)
-    np.testing.assert_array_equal(curves.repaired_m[::-1], frame().repair.lidar_range_m)
-    np.testing.assert_array_equal(
-        curves.camera_m[::-1], frame().match.correspondence.camera_range_m
-    )
-    np.testing.assert_array_equal(
-        curves.pixel_m[::-1], frame().match.correspondence.depth_as_range_m
-    )
-    # A hole is pointed at where it was filled.
-    np.testing.assert_array_equal(curves.selected_m[::-1], [NAN, 2.2, *[NAN] * 5])
-    assert curves.limits_m == (1.0, 4.0)
-    burrs = range_curves(frame(), frozenset({BURR}), None)
-    np.testing.assert_array_equal(burrs.raw_m[::-1], [NAN, NAN, 1.2, *[NAN] * 4])
-    np.testing.assert_array_equal(burrs.repaired_m[::-1], [NAN, NAN, 2.3, *[NAN] * 4])
-    np.testing.assert_array_equal(burrs.camera_m, curves.camera_m)
-    assert np.isnan(burrs.selected_m).all()

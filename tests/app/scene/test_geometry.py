@@ -1,5 +1,6 @@
 """Closed forms: what stands where, for a wall at a known distance."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,13 +21,16 @@ from fusion_core.model.sensors import CameraIntrinsics, LaserScan
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_match import FrameMatch
 from fusion_core.workflows.fuse.pairing import FramePair
+from scanloom.scene.camera_views import stage_extent, step_view
 from scanloom.scene.frame_geometry import (
     UnmatchedFrame,
     camera_pose,
+    class_marks,
     frame_geometry,
     pair_segments,
     pixel_points,
     repairs,
+    scan_geometry,
     unmatched_geometry,
 )
 from scanloom.scene.geometry import (
@@ -37,6 +41,7 @@ from scanloom.scene.geometry import (
     polyline,
     quaternion,
     ridge_lines,
+    scan_curve,
 )
 
 LENS = CameraIntrinsics(width=80, height=60, fx=70.0, fy=70.0, cx=39.5, cy=29.5)
@@ -117,11 +122,10 @@ def wall():
 
 def test_rows_of_a_wall_are_straight_lines_on_it():
     depth_m = wall_depth(T_LIDAR_CAMERA)
-    segments, depths_m = ridge_lines(depth_m, CAMERA, T_LIDAR_CAMERA, 10)
+    segments = ridge_lines(depth_m, CAMERA, T_LIDAR_CAMERA, 10)
     assert segments.shape == (6 * (LENS.width - 1), 2, 3)
     assert segments.dtype == np.float32
     np.testing.assert_allclose(segments[..., 0], WALL_M, atol=1e-5)
-    assert np.isclose(depths_m, depth_m[4::10, :-1].ravel()).all()
     row = segments[: LENS.width - 1]
     np.testing.assert_array_equal(row[1:, 0], row[:-1, 1])
     # Left to right as the camera sees it, on a line at one slope.
@@ -132,7 +136,7 @@ def test_rows_of_a_wall_are_straight_lines_on_it():
 
 def test_rows_agree_with_the_rays_of_their_pixels():
     depth_m = wall_depth(T_LIDAR_CAMERA)
-    segments, _ = ridge_lines(depth_m, CAMERA, T_LIDAR_CAMERA, 60)
+    segments = ridge_lines(depth_m, CAMERA, T_LIDAR_CAMERA, 60)
     rays = CAMERA.rays(np.full(LENS.width, 29), np.arange(LENS.width))
     expected = transform_points(T_LIDAR_CAMERA, depth_m[29, :, np.newaxis] * rays)
     np.testing.assert_allclose(segments[:, 0], expected[:-1], atol=1e-5)
@@ -144,7 +148,7 @@ def test_rows_break_at_edges_and_missing_pixels():
     depth_m[0, 20:] = 2.24
     depth_m[0, 40:] = 2.5
     depth_m[0, 60] = np.nan
-    segments, _ = ridge_lines(depth_m, CAMERA, T_LIDAR_CAMERA, 1)
+    segments = ridge_lines(depth_m, CAMERA, T_LIDAR_CAMERA, 1)
     assert len(segments) == LENS.width - 1 - 3
     in_camera = transform_points(invert_transform(T_LIDAR_CAMERA), segments.astype(np.float64))
     columns = np.rint(LENS.cx + LENS.fx * in_camera[:, 0, 0] / in_camera[:, 0, 2])
@@ -155,18 +159,16 @@ def test_thinned_rows_break_where_any_pixel_between_does():
     wide = CameraIntrinsics(width=640, height=1, fx=500.0, fy=500.0, cx=319.5, cy=0.0)
     camera = Camera(topic="/d", intrinsics=wide, T_rig_camera=CAMERA.T_rig_camera.copy())
     depth_m = np.full((1, 640), 2.0, dtype=np.float32)
-    segments, _ = ridge_lines(depth_m, camera, T_LIDAR_CAMERA, 1)
+    segments = ridge_lines(depth_m, camera, T_LIDAR_CAMERA, 1)
     depth_m[0, 102:] = 2.3
-    broken, _ = ridge_lines(depth_m, camera, T_LIDAR_CAMERA, 1)
-    assert len(segments) == 319
-    assert len(broken) == 318
+    broken = ridge_lines(depth_m, camera, T_LIDAR_CAMERA, 1)
+    assert len(segments) == 159
+    assert len(broken) == 158
 
 
 def test_an_image_without_depth_gives_no_rows():
     depth_m = np.full((60, 80), np.nan, dtype=np.float32)
-    segments, depths_m = ridge_lines(depth_m, CAMERA, T_LIDAR_CAMERA, 6)
-    assert segments.shape == (0, 2, 3)
-    assert depths_m.shape == (0,)
+    assert ridge_lines(depth_m, CAMERA, T_LIDAR_CAMERA, 6).shape == (0, 2, 3)
 
 
 def test_beams_lie_on_the_wall_in_their_plane():
@@ -183,6 +185,33 @@ def test_a_polyline_leaves_gaps_out():
     )
     np.testing.assert_allclose(polyline(points)[:, :, 0], [[0.0, 0.1], [0.3, 0.4]], rtol=1e-6)
     assert polyline(points[:1]).shape == (0, 2, 3)
+
+
+def test_a_curve_is_broken_at_jumps_and_joined_far_away():
+    angles_rad = np.deg2rad(np.arange(-20.0, 21.0))
+    range_m = np.full(41, 2.0)
+    range_m[20:] = 3.0
+    range_m[30] = np.nan
+    range_m[10] = 1.0
+    points = (range_m * np.stack([np.cos(angles_rad), np.sin(angles_rad), 0 * angles_rad])).T
+    curve, alone = scan_curve(points.astype(np.float32), np.deg2rad(1.0))
+    # 40 gaps between 41 beams: none at the jump, two at each beam that is alone or missing.
+    assert len(curve) == 40 - 1 - 2 - 2
+    np.testing.assert_allclose(np.linalg.norm(alone, axis=1), [1.0])
+    far, alone = scan_curve(10.0 * points[:10].astype(np.float32), np.deg2rad(1.0))
+    assert len(far) == 9
+    assert not len(alone)
+
+
+def test_a_curve_is_smoothed_but_not_at_its_ends():
+    rng = np.random.default_rng(3)
+    line = np.zeros((200, 3), dtype=np.float32)
+    line[:, 0] = 2.0 + rng.normal(0.0, 0.02, 200)
+    line[:, 1] = np.linspace(-1.0, 1.0, 200)
+    curve, _ = scan_curve(line, 0.005)
+    assert curve[:, 0, 0].std() < 0.7 * line[:, 0].std()
+    np.testing.assert_array_equal(curve[0, 0], line[0])
+    np.testing.assert_array_equal(curve[-1, 1], line[-1])
 
 
 def test_a_path_has_a_gap_where_poses_are_missing_or_far_apart():
@@ -217,6 +246,29 @@ def test_a_pair_is_what_its_worse_side_is(wall):
     assert len(segments) == 2
     assert (codes == NoiseClass.BURR).all()
     assert len(pair_segments(frame, pixels_m, frozenset())[0]) == 0
+
+
+def test_classes_stand_where_the_beam_ends(wall):
+    pairs = wall.match.correspondence
+    lidar_class = np.zeros(pairs.beam.size, dtype=np.int64)
+    depth_class = lidar_class.copy()
+    lidar_class[3], depth_class[4], depth_class[5] = (
+        NoiseClass.HOLE,
+        NoiseClass.BURR,
+        NoiseClass.HOLE,
+    )
+    range_m = pairs.lidar_range_m.copy()
+    range_m[3] = np.nan
+    pairs = replace(pairs, lidar_range_m=range_m)
+    frame = frame_of(pairs, wall.match.scan, wall.match.depth_m, lidar_class, depth_class)
+    pixels_m = np.zeros((pairs.beam.size, 3))
+    marks_m, codes = class_marks(frame, pixels_m, ALL)
+    assert codes[3:6].tolist() == [NoiseClass.HOLE, NoiseClass.BURR, NoiseClass.HOLE]
+    # A missing range is where the camera sees the beam end; a flying pixel is where it is seen.
+    np.testing.assert_allclose(marks_m[3, 0], WALL_M, atol=0.1)
+    np.testing.assert_array_equal(marks_m[4], 0.0)
+    np.testing.assert_allclose(marks_m[5, 0], WALL_M, rtol=1e-5)
+    assert len(class_marks(frame, pixels_m, frozenset({NoiseClass.BURR}))[0]) == 1
 
 
 def test_a_repaired_burr_moves_and_a_filled_hole_appears(wall):
@@ -273,6 +325,7 @@ def test_a_frame_without_pairs_in_view_is_drawn_at_the_mount():
     pairs = match_along_curve(nothing, empty, empty, CAMERA, T_LIDAR_CAMERA)
     shown = frame_geometry(frame_of(pairs, nothing, empty), RIG, ALIGNMENT, row_step=6)
     assert not len(shown.rows_m)
+    assert not len(shown.surface.points_m)
     assert not len(shown.pairs_m)
     assert np.isnan(shown.lowest_m)
     np.testing.assert_allclose(shown.frustum.position_m, T_LIDAR_CAMERA[:3, 3])
@@ -281,21 +334,33 @@ def test_a_frame_without_pairs_in_view_is_drawn_at_the_mount():
 def test_an_unmatched_frame_shows_its_depth_and_scan():
     depth_m = wall_depth(T_LIDAR_CAMERA)
     with_scan = unmatched_geometry(
-        UnmatchedFrame(camera=0, stamp_ns=7, depth_m=depth_m, scan=wall_scan()),
+        UnmatchedFrame(camera=0, stamp_ns=7, depth_m=depth_m, scan=wall_scan(), mount=MOUNT),
         RIG,
-        ALIGNMENT,
         row_step=6,
     )
     alone = unmatched_geometry(
-        UnmatchedFrame(camera=0, stamp_ns=7, depth_m=depth_m, scan=None),
+        UnmatchedFrame(camera=0, stamp_ns=7, depth_m=depth_m, scan=None, mount=MOUNT),
         RIG,
-        ALIGNMENT,
         row_step=6,
     )
     np.testing.assert_allclose(with_scan.rows_m[..., 0], WALL_M, atol=1e-5)
+    np.testing.assert_allclose(with_scan.surface.points_m[:, 0], WALL_M, atol=1e-5)
     np.testing.assert_allclose(with_scan.curve_m[..., 0], WALL_M, rtol=1e-5)
     assert alone.beams_m.shape == (0, 3)
     assert len(alone.rows_m)
+
+
+def test_a_scan_alone_shows_its_curve():
+    shown = scan_geometry(wall_scan())
+    assert shown.camera is None
+    assert shown.frustum is None
+    np.testing.assert_allclose(shown.curve_m[..., 0], WALL_M, rtol=1e-5)
+    assert shown.beams_m.shape == shown.pixels_m.shape == (161, 3)
+    extent = stage_extent(shown)
+    assert extent.yaw_rad == 0.0
+    assert len(extent.sensors_m) == 1
+    view = step_view("Recording", extent, 0.85)
+    assert view.position_m[2] > 1.0 > view.position_m[0]
 
 
 def test_the_frustum_is_the_cameras():

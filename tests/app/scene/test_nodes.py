@@ -1,23 +1,24 @@
 """A browser's scene is updated in place: what is sent, what is seen, and what a click means."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import viser
 
+from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import NS_PER_MS
 from fusion_core.model.geometry import invert_transform, transform_from_planar
 from scanloom.plots.palette import class_colors, color_of
+from scanloom.scene.camera_views import CameraView
+from scanloom.scene.depth_surface import DepthSurface
 from scanloom.scene.frame_geometry import FrameGeometry
 from scanloom.scene.geometry import Frustum
 from scanloom.scene.geometry_nodes import colors_of_segments
-from scanloom.scene.image_planes import Layout, layout_of
 from scanloom.scene.layers import LAYERS
 from scanloom.scene.nodes import MapPlane, SceneNodes
+from scanloom.scene.stage_colors import DARK, LIGHT
 
-LAYOUT = Layout(yaw_rad=0.0, view_range_m=4.0)
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
@@ -67,6 +68,25 @@ def segments(count: int, shift: float = 0.0) -> np.ndarray:
     return points
 
 
+def surface(count: int, shift: float = 0.0) -> DepthSurface:
+    points = segments(count, shift)[:, 0].copy()
+    return DepthSurface(
+        points_m=points,
+        depth_m=points[:, 0].copy(),
+        down=np.linspace(0.1, 0.9, count, dtype=np.float32),
+        right=np.full(count, 0.5, dtype=np.float32),
+        point_m=0.02,
+    )
+
+
+def rgb(count: int, value: int = 100) -> np.ndarray:
+    return np.full((count, 3), value, dtype=np.uint8)
+
+
+def show(nodes: SceneNodes, shown: FrameGeometry) -> None:
+    nodes.show(shown, rgb(len(shown.surface.points_m)))
+
+
 def frame(
     *, camera: int = 0, stamp_ns: int = 0, lines: int = 5, shift: float = 0.0, **other
 ) -> FrameGeometry:
@@ -82,18 +102,24 @@ def frame(
             wxyz=np.array([1.0, 0.0, 0.0, 0.0]),
             position_m=np.array([shift, 0.0, 0.0]),
         ),
+        "surface": surface(lines, shift),
         "rows_m": segments(lines, shift),
-        "rows_depth_m": np.full(lines, 2.0 + shift, dtype=np.float32),
         "matched_m": segments(2, shift),
         "curve_m": segments(2, shift),
+        "alone_m": segments(1, shift)[:, 0],
         "beams_m": beams,
+        "pixels_m": beams + np.float32(0.1),
         "pairs_m": segments(3, shift),
         "pairs_class": np.array([0, 2, 3]),
+        "marks_m": segments(4, shift)[:, 0],
+        "marks_class": np.array([0, 1, 2, 3]),
         "moved_m": segments(1, shift),
         "moved_class": np.array([2]),
         "filled_m": segments(1, shift)[:, 0],
         "filled_class": np.array([1]),
         "lowest_m": -0.4,
+        "body": "LiDAR",
+        "body_m": (0.0, 0.0, 0.0),
     }
     return FrameGeometry(**(values | other))
 
@@ -104,79 +130,162 @@ def node(scene: viser.SceneApi, name: str):
 
 def test_a_new_frame_updates_the_nodes_and_adds_none(scene, sent):
     nodes = SceneNodes(scene)
-    nodes.show(frame())
-    nodes.show_color(0, np.zeros((6, 8, 3), dtype=np.uint8))
-    before = {name: node(scene, name) for name in ("/cameras/0/rows", "/frame/curve")}
+    show(nodes, frame())
+    names = ("/cameras/0/surface", "/cameras/0/rows", "/frame/curve")
+    before = {name: node(scene, name) for name in names}
     sent.clear()
-    nodes.show(frame(shift=0.5, lines=9))
-    nodes.show_color(0, np.ones((6, 8, 3), dtype=np.uint8))
+    nodes.show(frame(shift=0.5, lines=9), rgb(9, 50))
     assert sent.kinds() <= {
         "SceneNodeUpdateMessage",
         "SetPositionMessage",
         "SetOrientationMessage",
         "SetSceneNodeVisibilityMessage",
     }
-    assert ("/cameras/0/rows", "points") in sent.updated()
-    assert ("/cameras/0/rows", "colors") in sent.updated()
+    assert ("/cameras/0/surface", "points") in sent.updated()
+    assert ("/cameras/0/surface", "colors") in sent.updated()
     assert all(node(scene, name) is handle for name, handle in before.items())
-    np.testing.assert_array_equal(node(scene, "/cameras/0/rows").points, segments(9, 0.5))
-    assert node(scene, "/cameras/0/rows").colors.shape == (9, 2, 3)
+    seen = node(scene, "/cameras/0/surface")
+    np.testing.assert_allclose(seen.points, surface(9, 0.5).points_m, atol=4e-3)
+    assert seen.points.dtype == np.float16
+    assert seen.colors.shape == (9, 3)
     assert node(scene, "/cameras/0/frustum").aspect == pytest.approx(1.8)
 
 
 def test_the_same_frame_sends_nothing(scene, sent):
     nodes = SceneNodes(scene)
-    nodes.show(frame())
+    show(nodes, frame())
     sent.clear()
-    nodes.show(frame())
+    show(nodes, frame())
     assert not sent.updated()
 
 
-def test_points_keep_their_millimetres(scene):
+def test_a_layer_that_is_off_is_not_sent(scene, sent):
     nodes = SceneNodes(scene)
-    nodes.show(frame(beams_m=np.array([[9.123, 0.0, 0.0]], dtype=np.float32)))
-    points = node(scene, "/frame/beams").points
-    assert points.dtype == np.float32
-    assert points[0, 0] == pytest.approx(9.123, abs=1e-6)
+    nodes.show_layers(frozenset({"curve"}))
+    show(nodes, frame())
+    sent.clear()
+    show(nodes, frame(shift=0.5))
+    names = {name for name, _ in sent.updated()}
+    assert "/frame/curve" in names
+    assert not names & {"/cameras/0/surface", "/cameras/0/rows", "/frame/pairs", "/frame/classes"}
+    nodes.show_layers(frozenset({"surface"}))
+    show(nodes, frame(shift=0.5))
+    np.testing.assert_allclose(
+        node(scene, "/cameras/0/surface").points, surface(5, 0.5).points_m, atol=4e-3
+    )
 
 
 def test_what_a_frame_has_none_of_is_hidden_until_it_comes_back(scene):
     nodes = SceneNodes(scene)
     nothing = np.empty((0, 2, 3), dtype=np.float32)
     no_codes = np.empty(0, dtype=np.int64)
-    nodes.show(frame())
-    nodes.show(frame(pairs_m=nothing, pairs_class=no_codes, moved_m=nothing, moved_class=no_codes))
+    show(nodes, frame())
+    show(nodes, frame(pairs_m=nothing, pairs_class=no_codes, moved_m=nothing, moved_class=no_codes))
     assert not node(scene, "/frame/pairs").visible
     assert not node(scene, "/frame/moved").visible
     assert node(scene, "/frame/filled").visible
-    nodes.show(frame())
+    show(nodes, frame())
     assert node(scene, "/frame/pairs").visible
 
 
 def test_layers_hide_and_show(scene):
     nodes = SceneNodes(scene)
-    nodes.show_image_plane(LAYOUT.depth_plane(np.zeros((3, 4, 3), dtype=np.uint8)))
     nodes.show_layers(frozenset({"curve"}))
-    nodes.show(frame())
-    shown = {
-        name
-        for name in ("/frame/curve", "/frame/beams", "/frame/pairs", "/cameras/0/rows", "/floor")
-        if node(scene, name).visible
-    }
-    assert shown == {"/frame/curve", "/frame/beams"}
-    assert not node(scene, "/images/depth").visible
+    show(nodes, frame())
+    names = (
+        "/frame/curve",
+        "/frame/curve_edge",
+        "/frame/alone",
+        "/frame/pairs",
+        "/frame/classes",
+        "/cameras/0/surface",
+        "/cameras/0/rows",
+        "/cameras/0/frustum",
+        "/labels/curve",
+        "/floor",
+    )
+    shown = {name for name in names if node(scene, name).visible}
+    assert shown == {"/frame/curve", "/frame/curve_edge", "/frame/alone"}
     nodes.show_layers(frozenset(LAYERS))
-    assert all(node(scene, name).visible for name in ("/cameras/0/rows", "/floor", "/images/depth"))
+    show(nodes, frame())
+    assert all(node(scene, name).visible for name in names)
 
 
-def test_pairs_have_their_class_colours(scene):
+def test_classes_have_their_colours_and_shapes(scene):
     nodes = SceneNodes(scene)
-    nodes.show(frame())
-    colors = node(scene, "/frame/pairs").colors
+    show(nodes, frame())
     codes = class_colors()[[0, 2, 3]]
-    np.testing.assert_array_equal(colors, colors_of_segments(codes))
-    np.testing.assert_array_equal(node(scene, "/frame/filled").colors, class_colors()[[1]])
+    np.testing.assert_array_equal(node(scene, "/frame/pairs").colors, colors_of_segments(codes))
     np.testing.assert_array_equal(node(scene, "/frame/curve").colors, color_of("lidar"))
+    np.testing.assert_array_equal(node(scene, "/frame/good").colors, color_of("good"))
+    drawn = {tuple(color) for color in node(scene, "/frame/classes").colors[:, 0]}
+    others = [NoiseClass.HOLE, NoiseClass.BURR, NoiseClass.CONFLICT]
+    assert drawn == {tuple(color) for color in colors_of_segments(class_colors()[others])[:, 0]}
+
+
+def test_lines_lie_before_the_surface_at_the_same_place_on_the_screen(scene):
+    nodes = SceneNodes(scene)
+    eye = np.array([-3.0, 1.0, 2.0])
+    nodes.face(CameraView(position_m=eye, look_at_m=np.zeros(3), up=np.array([0.0, 0.0, 1.0])))
+    show(nodes, frame())
+    drawn = node(scene, "/frame/curve").points.astype(float)
+    behind = node(scene, "/frame/curve_edge").points.astype(float)
+    true = segments(2)
+    for points in (drawn, behind):
+        along = np.cross(points - eye, true - eye)
+        np.testing.assert_allclose(along, 0.0, atol=1e-5)
+    distance = [np.linalg.norm(points - eye, axis=-1) for points in (drawn, behind, true)]
+    assert (distance[0] < distance[1]).all()
+    assert (distance[1] < distance[2]).all()
+    # 5 to 10 cm at the distance of a room.
+    assert 0.01 < 1.0 - (distance[0] / distance[2]).min() < 0.03
+
+
+def test_shapes_turn_to_a_viewer_who_walks_around(scene, sent):
+    nodes = SceneNodes(scene)
+    up = np.array([0.0, 0.0, 1.0])
+    there = CameraView(position_m=np.array([-3.0, 0.0, 2.0]), look_at_m=np.zeros(3), up=up)
+    nodes.face(there)
+    show(nodes, frame())
+    sent.clear()
+    nodes.face(CameraView(position_m=np.array([-3.0, 0.1, 2.0]), look_at_m=np.zeros(3), up=up))
+    assert not sent.updated()
+    nodes.face(CameraView(position_m=np.array([0.0, -3.0, 2.0]), look_at_m=np.zeros(3), up=up))
+    assert ("/frame/classes", "points") in sent.updated()
+    sent.clear()
+    nodes.face(CameraView(position_m=np.full(3, np.nan), look_at_m=np.zeros(3), up=up))
+    assert not sent.updated()
+
+
+def test_what_is_pointed_at_lights_up_and_little_is_sent(scene, sent):
+    nodes = SceneNodes(scene)
+    show(nodes, frame())
+    assert not node(scene, "/frame/hover").visible
+    sent.clear()
+    nodes.mark_hover(1)
+    hover = node(scene, "/frame/hover")
+    assert hover.visible
+    assert {name for name, _ in sent.updated()} == {"/frame/hover"}
+    # The ray, and a ring each around the beam's end and the camera's point.
+    assert len(hover.points) == 25
+    nodes.mark_hover(None, (0.5, 0.5))
+    assert len(hover.points) == 12
+    for nothing in (None, 3, 99, -1):
+        nodes.mark_hover(nothing)
+        assert not hover.visible
+
+
+def test_a_dark_ground_has_light_ink(scene):
+    nodes = SceneNodes(scene)
+    show(nodes, frame())
+    nodes.set_dark(True)
+    np.testing.assert_array_equal(node(scene, "/frame/mark").colors, DARK.ink)
+    assert tuple(node(scene, "/floor").cell_color) == DARK.cell
+    assert tuple(node(scene, "/cameras/0/frustum").color) == DARK.camera
+    show(nodes, frame(camera=1))
+    assert tuple(node(scene, "/cameras/1/frustum").color) == DARK.camera
+    nodes.set_dark(False)
+    np.testing.assert_array_equal(node(scene, "/frame/mark").colors, LIGHT.ink)
 
 
 def test_a_lines_colours_are_intensities():
@@ -187,28 +296,32 @@ def test_a_lines_colours_are_intensities():
 
 def test_cameras_of_one_instant_are_seen_together(scene):
     nodes = SceneNodes(scene)
-    nodes.show(frame(camera=0, stamp_ns=0))
-    nodes.show(frame(camera=1, stamp_ns=20 * NS_PER_MS))
-    assert node(scene, "/cameras/0/rows").visible
-    nodes.show(frame(camera=1, stamp_ns=2000 * NS_PER_MS))
-    assert not node(scene, "/cameras/0/rows").visible
+    show(nodes, frame(camera=0, stamp_ns=0))
+    show(nodes, frame(camera=1, stamp_ns=20 * NS_PER_MS))
+    assert node(scene, "/cameras/0/surface").visible
+    later = frame(camera=1, stamp_ns=2000 * NS_PER_MS, shift=0.5)
+    show(nodes, later)
+    np.testing.assert_allclose(
+        node(scene, "/cameras/1/surface").points, later.surface.points_m, atol=4e-3
+    )
+    assert not node(scene, "/cameras/0/surface").visible
     assert not node(scene, "/cameras/0/frustum").visible
-    assert node(scene, "/cameras/1/rows").visible
+    assert node(scene, "/cameras/1/surface").visible
 
 
 def test_the_floor_lies_under_the_lowest_that_was_seen(scene):
     nodes = SceneNodes(scene)
-    nodes.show(frame(lowest_m=float("nan")))
+    show(nodes, frame(lowest_m=float("nan")))
     assert not node(scene, "/floor").visible
     for lowest_m, floor_m in ((-0.3, -0.3), (-0.5, -0.5), (0.2, -0.5), (float("nan"), -0.5)):
-        nodes.show(frame(lowest_m=lowest_m))
+        show(nodes, frame(lowest_m=lowest_m))
         assert node(scene, "/floor").visible
         assert node(scene, "/floor").position[2] == floor_m
 
 
-def test_the_map_lies_on_the_floor_around_the_lidar(scene):
+def test_the_map_lies_in_the_lidars_plane_around_it(scene):
     nodes = SceneNodes(scene)
-    nodes.show(frame())
+    show(nodes, frame())
     picture = np.zeros((20, 40, 4), dtype=np.uint8)
     nodes.show_map(MapPlane(picture=picture, resolution_m=0.1, origin_m=(-1.0, -2.0)))
     nodes.show_path(np.array([[0.0, 0.0], [0.5, 0.0]]))
@@ -218,10 +331,10 @@ def test_the_map_lies_on_the_floor_around_the_lidar(scene):
     placed, shown = node(scene, "/in_map"), node(scene, "/in_map/map")
     assert placed.visible
     T_lidar_map = invert_transform(T_map_lidar)
-    np.testing.assert_allclose(placed.position, [*T_lidar_map[:2, 3], -0.4])
+    # Over the floor, parallax would move its walls.
+    np.testing.assert_allclose(placed.position, [*T_lidar_map[:2, 3], 0.0])
+    assert -0.05 < shown.position[2] < 0.0
     np.testing.assert_allclose(placed.wxyz, [np.cos(0.25), 0.0, 0.0, -np.sin(0.25)], atol=1e-9)
-    nodes.show(frame(lowest_m=-0.6))
-    np.testing.assert_allclose(placed.position, [*T_lidar_map[:2, 3], -0.6])
     assert (shown.render_width, shown.render_height) == (4.0, 2.0)
     np.testing.assert_allclose(shown.position[:2], [1.0, -1.0])
     larger = np.zeros((30, 40, 4), dtype=np.uint8)
@@ -238,107 +351,70 @@ def test_the_map_lies_on_the_floor_around_the_lidar(scene):
     assert not shown.visible
 
 
-def test_an_image_plane_takes_a_new_picture_in_place(scene, sent):
+def test_a_click_means_a_beam_of_a_curve_that_is_shown(scene):
     nodes = SceneNodes(scene)
-    nodes.show_image_plane(LAYOUT.depth_plane(np.zeros((30, 40, 3), dtype=np.uint8)))
-    shown = node(scene, "/images/depth")
-    sent.clear()
-    nodes.show_image_plane(LAYOUT.depth_plane(np.full((40, 40, 3), 9, dtype=np.uint8)))
-    assert node(scene, "/images/depth") is shown
-    assert "ImageMessage" not in sent.kinds()
-    assert ("/images/depth", "_data") in sent.updated()
-    assert shown.render_width == pytest.approx(shown.render_height)
-
-
-def test_a_click_means_the_image_plane_before_the_beam_behind_it(scene):
-    nodes = SceneNodes(scene)
-    image_plane = LAYOUT.heatmap_plane(np.zeros((30, 40, 3), dtype=np.uint8))
-    nodes.show_image_plane(image_plane)
-    target = image_plane.plane.at_pixel(7.0, 5.0)
-    eye = target - image_plane.plane.R_lidar_plane[:, 2]
-    behind = target + image_plane.plane.R_lidar_plane[:, 2]
-    nodes.show(frame(beams_m=behind[np.newaxis].astype(np.float32)))
-    picked = nodes.pick(eye, behind - eye)
-    assert picked is not None
-    assert (picked.plane, picked.beam) == ("heatmap", None)
-    assert picked.pixel == pytest.approx((7.0, 5.0))
-    nodes.show_layers(frozenset(LAYERS) - {"images"})
-    picked = nodes.pick(eye, behind - eye)
-    assert picked is not None
-    assert picked.beam == 0
+    eye = np.array([2.0, 0.0, 5.0])
+    assert nodes.pick(eye, DOWN) is None
+    show(nodes, frame())
+    assert nodes.pick(eye, DOWN) == 1
     nodes.show_layers(frozenset({"rows"}))
-    assert nodes.pick(eye, behind - eye) is None
+    assert nodes.pick(eye, DOWN) is None
 
 
 def test_a_marked_beam_is_pointed_at_in_each_frame(scene):
     nodes = SceneNodes(scene)
     nodes.mark_beam(1)
     assert not node(scene, "/frame/mark").visible
-    nodes.show(frame())
-    nodes.show(frame(shift=0.5))
+    show(nodes, frame())
+    show(nodes, frame(shift=0.5))
     mark = node(scene, "/frame/mark")
     assert mark.visible
-    np.testing.assert_allclose(mark.points[0, 1], [2.5, 0.0, 0.0])
+    # Drawn a little before it.
+    np.testing.assert_allclose(mark.points[0, 1], [2.5, 0.0, 0.0], atol=0.3)
     for beam in (3, 99, None):
         nodes.mark_beam(beam)
         assert not mark.visible
 
 
+def test_a_scan_alone_is_drawn_without_a_camera(scene):
+    nodes = SceneNodes(scene)
+    show(nodes, frame(camera=None, frustum=None, surface=surface(0), lowest_m=float("nan")))
+    assert node(scene, "/frame/curve").visible
+    assert node(scene, "/lidar").visible
+    assert node(scene, "/floor").position[2] == -0.2
+    assert node(scene, "/cameras/0/surface") is None
+    assert nodes.pick(np.array([2.0, 0.0, 5.0]), DOWN) == 1
+
+
 def test_a_hidden_frame_leaves_floor_and_map_until_the_next(scene):
     nodes = SceneNodes(scene)
-    nodes.show(frame())
+    show(nodes, frame())
     nodes.mark_beam(1)
     nodes.show_map(
         MapPlane(picture=np.zeros((4, 4, 3), np.uint8), resolution_m=1.0, origin_m=(0, 0))
     )
     nodes.place_map(np.eye(4))
-    of_frame = ("matched", "curve", "beams", "pairs", "moved", "filled", "mark")
-    names = [*(f"/frame/{name}" for name in of_frame), "/cameras/0/rows", "/cameras/0/frustum"]
+    of_frame = ("matched", "curve", "alone", "rays", "pairs", "good", "classes", "filled", "mark")
+    names = [*(f"/frame/{name}" for name in of_frame), "/cameras/0/surface", "/cameras/0/frustum"]
     assert all(node(scene, name).visible for name in names)
     nodes.hide_frame()
     assert not any(node(scene, name).visible for name in names)
     assert nodes.pick(np.array([2.0, 0.0, 5.0]), DOWN) is None
     assert node(scene, "/floor").visible
     assert node(scene, "/in_map").visible
-    nodes.show(frame())
+    show(nodes, frame())
     assert all(node(scene, name).visible for name in names)
-
-
-def test_a_hidden_image_plane_is_neither_seen_nor_picked_until_the_next(scene):
-    nodes = SceneNodes(scene)
-    image_plane = LAYOUT.depth_plane(np.zeros((30, 40, 3), dtype=np.uint8))
-    nodes.show_image_plane(image_plane)
-    middle = np.array(image_plane.plane.position_m)
-    eye = middle - image_plane.plane.R_lidar_plane[:, 2]
-    assert nodes.pick(eye, middle - eye) is not None
-    nodes.hide_image_plane("depth")
-    nodes.hide_image_plane("depth")
-    assert nodes.pick(eye, middle - eye) is None
-    assert node(scene, "/images/depth") is None
-    nodes.show_image_plane(image_plane)
-    assert nodes.pick(eye, middle - eye) is not None
 
 
 def test_clearing_leaves_nothing_to_be_seen_or_picked(scene):
     nodes = SceneNodes(scene)
-    nodes.show(frame())
-    nodes.show_image_plane(LAYOUT.depth_plane(np.zeros((3, 4, 3), dtype=np.uint8)))
+    show(nodes, frame())
     nodes.place_map(np.eye(4))
     nodes.clear()
     assert node(scene, "/cameras/0/rows") is None
-    assert node(scene, "/images/depth") is None
-    for name in ("/frame/curve", "/frame/beams", "/frame/pairs", "/lidar", "/floor", "/in_map"):
+    for name in ("/frame/curve", "/frame/alone", "/frame/pairs", "/lidar", "/floor", "/in_map"):
         assert not node(scene, name).visible
     assert nodes.pick(np.array([2.0, 0.0, 3.0]), DOWN) is None
-    nodes.show(frame(lowest_m=-0.2))
+    show(nodes, frame(lowest_m=-0.2))
     assert node(scene, "/floor").position[2] == -0.2
     assert node(scene, "/frame/curve").visible
-
-
-def test_a_layout_reaches_as_far_as_the_frame_sees():
-    near = layout_of(frame(lines=1), 0.3)
-    far = layout_of(replace(frame(lines=11)), 0.3)
-    assert (near.view_range_m, near.yaw_rad) == (2.0, 0.3)
-    assert far.view_range_m == pytest.approx(9.0)
-    nothing = frame(rows_m=segments(0), beams_m=np.empty((0, 3), dtype=np.float32))
-    assert layout_of(nothing, 0.0).view_range_m == 4.0

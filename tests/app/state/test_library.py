@@ -331,14 +331,15 @@ def test_a_recording_that_cannot_be_used_is_closed(
 
 
 class Gate:
-    """Replaces ``open_session``: lets nobody through a recording's gate before it is opened."""
+    """Replaces ``open_recorded_streams``: lets nobody through a recording's gate before it is
+    opened."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
         self.reached, self.go_on = threading.Event(), threading.Event()
         self.calls = 0
         self._name = name
-        self._open = library_module.open_session
-        monkeypatch.setattr(library_module, "open_session", self)
+        self._open = library_module.open_recorded_streams
+        monkeypatch.setattr(library_module, "open_recorded_streams", self)
 
     def __call__(self, recording: Recording, *args: Any) -> Any:
         if recording.path.name == self._name:

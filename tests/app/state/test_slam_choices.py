@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from fusion_core.workflows.fuse.session import FuseOptions, open_session
+from fusion_core.workflows.fuse.recorded_streams import open_recorded_streams
+from fusion_core.workflows.fuse.session import FuseOptions
 from fusion_core.workflows.fuse.settings import PRESETS
 from fusion_core.workflows.source import open_source
 from scanloom.state.slam_choices import (
@@ -58,6 +59,6 @@ def test_odometry_alone_is_a_recorded_motion() -> None:
 
 def test_the_streams_of_a_recording_are_found(small_scene: Path) -> None:
     with open_source(small_scene, None) as recording:
-        session = open_session(recording, FuseOptions(), PRESETS["default"])
+        opened = open_recorded_streams(recording, FuseOptions(), PRESETS["default"])
         roles = {topic.role for topic in recording.topics if topic.count}
-        assert streams_of(session) == roles & ALL
+        assert streams_of(opened) == roles & ALL

@@ -15,6 +15,7 @@ from fusion_core.alignment.search import Peak
 from fusion_core.alignment.upright import upright_view
 from fusion_core.exporting.figures import format_stamp
 from fusion_core.model.errors import RecordingError
+from fusion_core.model.progress import Progress
 from fusion_core.model.sensors import CameraIntrinsics, ColorImage
 from fusion_core.recordings.formats import open_recording
 from fusion_core.simulation.scenes import SceneSettings, write_scene
@@ -221,9 +222,15 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     """A short recording, fused, with what write_figures was called with."""
     called: dict[str, Any] = {}
 
-    def write_and_remember(folder: Path, data: figures.FigureData) -> list[str]:
+    drawn: list[tuple[int, int | None]] = []
+
+    def write_and_remember(folder: Path, data: figures.FigureData, progress: Progress) -> list[str]:
         called.update(data=data)
-        return write_figures(folder, data)
+        return write_figures(folder, data, progress)
+
+    def count(done: int, total: int | None, what: str) -> None:
+        if what == "drawing figures":
+            drawn.append((done, total))
 
     folder = tmp_path_factory.mktemp("figures")
     recording = folder / "room.mcap"
@@ -232,10 +239,31 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     truth = truth_path(recording)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fuse, "write_figures", write_and_remember)
-        summary = fuse.fuse(recording, folder / "fused", sessions.FuseOptions(truth=truth))
+        summary = fuse.fuse(recording, folder / "fused", sessions.FuseOptions(truth=truth), count)
     return SimpleNamespace(
-        recording=recording, truth=truth, output=folder / "fused", summary=summary, **called
+        recording=recording,
+        truth=truth,
+        output=folder / "fused",
+        summary=summary,
+        drawn=drawn,
+        **called,
     )
+
+
+def test_figures_are_counted_as_they_are_drawn(run: SimpleNamespace) -> None:
+    pictures = list((run.output / "figures").glob("*.png"))
+    assert run.drawn == [(number, len(pictures)) for number in range(1, len(pictures) + 1)]
+
+
+def test_drawing_ends_where_progress_raises(run: SimpleNamespace, tmp_path: Path) -> None:
+    def cancel(done: int, total: int | None, what: str) -> None:
+        if done == 2:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        write_figures(tmp_path / "figures", run.data, cancel)
+    written = {path.name for path in (tmp_path / "figures").glob("*.png")}
+    assert written == {"fig4_similarity.png"}
 
 
 @contextmanager

@@ -81,3 +81,55 @@ def test_for_a_damaged_scan_the_next_nearest_is_taken(filled, monkeypatch):
     assert frames.pair(2).window is None
     # With another clock the scan after it is near enough.
     assert frames.pair(2, clock_offset_ms=-40.0).gap_ns == -40 * NS_PER_MS
+
+
+@pytest.mark.parametrize("late_ms", [0.0, 400.0])
+def test_a_raw_frame_has_the_image_and_scan_of_the_aligned_one(log, late_ms):
+    log.info()
+    for index in range(12):
+        log.scan(100.0 * index, late_ms=late_ms)
+        log.image(100.0 * index + 20.0)
+    _, frames = reader_of(log)
+    raw = [frames.raw_pair(number) for number in range(len(frames))]
+    for number, own in enumerate(raw):
+        paired = frames.pair(number)
+        assert own.image.stamp_ns == paired.image.stamp_ns
+        assert own.gap_ns == paired.gap_ns
+        assert np.array_equal(own.image.depth_m, paired.image.depth_m)
+        assert own.window is not None
+        assert paired.window is not None
+        assert own.window.scan.stamp_ns == paired.window.scan.stamp_ns
+
+
+def test_a_raw_frame_takes_no_scan_whose_clock_has_jumped(log):
+    log.info()
+    for index in range(12):
+        # Scan 4 has the stamp of the image after scan 6.
+        log.scan(620.0 if index == 4 else 100.0 * index, late_ms=-220.0 if index == 4 else 0.0)
+        log.image(100.0 * index + 20.0)
+    _, frames = reader_of(log)
+    for number in range(len(frames)):
+        raw, paired = frames.raw_pair(number), frames.pair(number)
+        assert raw.gap_ns == paired.gap_ns
+        assert (raw.window is None) == (paired.window is None)
+
+
+def test_a_raw_frame_is_read_without_a_pass_over_the_recording(log, monkeypatch):
+    log.info()
+    for index in range(40):
+        log.scan(100.0 * index)
+        log.image(100.0 * index + 20.0)
+    session, frames = reader_of(log)
+    recording = session.recording
+    read, count = recording.read, []
+
+    def refuse(*_):
+        raise AssertionError("all messages would be read")
+
+    monkeypatch.setattr(recording, "stamps_ns", refuse)
+    monkeypatch.setattr(recording, "messages", refuse)
+    monkeypatch.setattr(
+        recording, "read", lambda topic, index: count.append(topic) or read(topic, index)
+    )
+    assert frames.raw_pair(20).window is not None
+    assert len(count) <= 13

@@ -14,6 +14,9 @@ from fusion_core.settings import StageSettings
 from scanloom.client_session import ClientSession
 from scanloom.state.view import View
 
+# No scan and no image has more beams or rows.
+_MAX_DIGITS = 7
+
 
 @dataclass(slots=True)
 class _Bound:
@@ -86,6 +89,20 @@ class Controls:
         )
         return handle
 
+    def optional_number(self, label: str, name: str, *, hint: str) -> viser.GuiInputHandle[str]:
+        """A field of text for a whole number of the view, from 0, or none where it is empty."""
+        handle = self._gui.add_text(label, _digits(getattr(self._session.view, name)), hint=hint)
+
+        def change(text: str) -> None:
+            # Anything else stays in the field and changes nothing.
+            if not text.strip():
+                self._session.change(**{name: None})
+            elif len(text.strip()) <= _MAX_DIGITS and text.strip().isdecimal():
+                self._session.change(**{name: int(text)})
+
+        self.bind(handle, lambda view: _digits(getattr(view, name)), change)
+        return handle
+
     def bind_field(
         self,
         handle: Any,
@@ -141,6 +158,10 @@ def update_widget(handle: Any, **values: Any) -> None:
     for name, value in values.items():
         if getattr(handle, name) != value:
             setattr(handle, name, value)
+
+
+def _digits(number: int | None) -> str:
+    return "" if number is None else str(number)
 
 
 def _stage(view: View, stage: str) -> StageSettings:

@@ -11,6 +11,7 @@ from fusion_core.model.progress import Progress
 from scanloom.client_session import ClientSession
 from scanloom.frame_view import as_failure, failure_summary
 from scanloom.jobs.long_job import LongJob
+from scanloom.jobs.time_left import TimeLeft, time_left_text
 from scanloom.panels.widgets.controls import update_widget
 from scanloom.panels.widgets.markup import paragraph
 
@@ -40,6 +41,7 @@ class PanelJob:
         self._job: LongJob | None = None
         self._is_cancelling = self._is_closed = False
         self._stage, self._advanced_s = "", 0.0
+        self._time_left = TimeLeft()
         self._progress_text = gui.add_html("", visible=False)
         self._progress = gui.add_progress_bar(0.0, visible=False)
         self._cancel_button = gui.add_button(cancel_label, color="gray", visible=False)
@@ -67,6 +69,7 @@ class PanelJob:
             if self._job is not None or self._is_closed:
                 return
             self._is_cancelling, self._stage = False, ""
+            self._time_left = TimeLeft()
             update_widget(self._outcome, content="")
             self._advance(0, None, "starting")
             self._set_running(True)
@@ -114,6 +117,7 @@ class PanelJob:
                 update_widget(self._progress_text, content=paragraph("Stopping at the next step …"))
 
     def _advance(self, done: int, total: int | None, what: str) -> None:
+        left_s = self._time_left.after(done, total, what)
         now_s = time.monotonic()
         if self._is_cancelling or (
             what == self._stage and now_s - self._advanced_s < UPDATE_INTERVAL_S
@@ -123,7 +127,11 @@ class PanelJob:
         percent = 100.0 * done / total if total else 100.0
         count = f", {done} of {total}" if total else f", {done}" if done else ""
         update_widget(self._progress, value=round(min(percent, 100.0), 1), animated=not total)
-        update_widget(self._progress_text, content=paragraph(f"{what.capitalize()}{count}"))
+        # The first letter alone: what is fused or drawn may be a name.
+        text = f"{what[:1].upper()}{what[1:]}{count}"
+        if left_s is not None:
+            text += f". {time_left_text(left_s)}"
+        update_widget(self._progress_text, content=paragraph(text))
 
     def _set_running(self, is_running: bool) -> None:
         for handle in (self._progress, self._progress_text, self._cancel_button):

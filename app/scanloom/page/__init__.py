@@ -1,0 +1,1 @@
+"""The page beyond viser's widgets: its script, pictures that answer to the pointer, its layout."""

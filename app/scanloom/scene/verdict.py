@@ -1,0 +1,157 @@
+"""What a step has found in the displayed frame: one sentence, before any number."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.model.classes import NoiseClass, RepairSource
+from fusion_core.model.conventions import wrap_angle
+from scanloom.frame_view import FrameView, failure_summary, missing_result_text
+from scanloom.scene.frame_summary import counts_of_beams
+from scanloom.scene.recording_text import alone_sentence, notes_of_streams
+from scanloom.state.possible_steps import why_not
+
+# Samples: nearer than this, the peak with and without the recording's offset are the same.
+_SAME_U = 2.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """``sentence`` and ``detail`` are plain text. ``counts``: beams by class, None without them."""
+
+    sentence: str
+    detail: str = ""
+    counts: dict[NoiseClass, int] | None = None
+
+
+def verdict_of(frame_view: FrameView) -> Verdict:
+    """The verdict of the view's step."""
+    reason = why_not(frame_view.view.panel, frame_view.open_recording)
+    if reason:
+        return Verdict(sentence=reason.removesuffix("."))
+    match frame_view.view.panel:
+        case "Recording":
+            return _recording(frame_view)
+        case "Match":
+            return _match(frame_view)
+        case "Register":
+            return _register(frame_view)
+        case "Repair":
+            return _repair(frame_view)
+        case "Map":
+            return _map(frame_view)
+
+
+def _recording(frame_view: FrameView) -> Verdict:
+    open_recording = frame_view.open_recording
+    notes = notes_of_streams(open_recording)
+    if not open_recording.can_be_fused:
+        detail = " ".join(filter(None, [_failure_text(frame_view), notes]))
+        return Verdict(sentence=alone_sentence(open_recording), detail=detail)
+    session, times_ns = open_recording.fuse_session, open_recording.frames.times_ns
+    count = len(times_ns)
+    duration_s = float(times_ns[-1] - times_ns[0]) / 1e9 if count > 1 else 0.0
+    cameras = len(session.rig.cameras)
+    seen_by = "one depth camera" if cameras == 1 else f"{cameras} depth cameras"
+    sentence = f"{count} depth images of {seen_by} in {duration_s:.0f} s, and a LiDAR"
+    if frame_view.chain is None:
+        missing = missing_result_text(frame_view)
+        return Verdict(sentence=sentence, detail=f"{missing} {notes}".rstrip())
+    yaw_deg = float(np.rad2deg(wrap_angle(frame_view.chain.alignment.mount.yaw_rad)))
+    side = "left" if yaw_deg > 0.0 else "right"
+    looks = "straight ahead" if abs(yaw_deg) < 0.5 else f"{abs(yaw_deg):.1f}° to the {side}"
+    return Verdict(
+        sentence=sentence,
+        detail=f"Seen from the LiDAR, the camera looks {looks}: found from the recording itself. "
+        f"{notes}".rstrip(),
+    )
+
+
+def _failure_text(frame_view: FrameView) -> str:
+    """Why the displayed frame of a recording that is not fused is missing; empty if it is there."""
+    failure = frame_view.failure
+    return "" if failure is None else f"{failure_summary(failure)} {failure.advice}"
+
+
+def _match(frame_view: FrameView) -> Verdict:
+    match = frame_view.match
+    if match is None:
+        return Verdict(sentence="Not matched", detail=missing_result_text(frame_view))
+    metric = frame_view.view.settings.search.metric
+    peak = match.search.peaks.get(metric)
+    if peak is None:
+        return Verdict(
+            sentence="No offset has enough samples on both sides",
+            detail="Lower the minimum overlap.",
+        )
+    if frame_view.view.picked_offset is not None:
+        u, v = frame_view.view.picked_offset
+        return Verdict(
+            sentence=f"Laid on row {v:.0f} by hand",
+            detail=f"At offset u = {u:.1f}; the best fit is at u = {peak.u:.1f}, v = {peak.v:.0f}.",
+        )
+    detail = f"At offset u = {peak.u:.1f} samples; similarity {peak.score:.2f} of 1."
+    alone = match.search.peaks_without_prior.get(metric)
+    if alone is not None and abs(alone.u - peak.u) > _SAME_U:
+        detail += (
+            f" Held near the recording's offset: elsewhere this frame scores more "
+            f"(u = {alone.u:.1f}, {alone.score:.2f})."
+        )
+    return Verdict(sentence=f"The LiDAR curve fits best at row {peak.v:.0f}", detail=detail)
+
+
+def _register(frame_view: FrameView) -> Verdict:
+    match = frame_view.match
+    if match is None:
+        return Verdict(sentence="Not registered", detail=missing_result_text(frame_view))
+    found = match.registration
+    if found is None:
+        return Verdict(
+            sentence="No transform fits this frame's pairs",
+            detail=f"{match.refusal} Beams and pixels are compared without it.",
+        )
+    inliers = int(found.inliers.sum())
+    return Verdict(
+        sentence=f"{inliers} of {found.valid} pairs of beam and pixel agree on one transform",
+        detail="After it LiDAR and camera differ by "
+        f"{100.0 * found.mean_error_m:.1f} cm in the mean.",
+    )
+
+
+def _repair(frame_view: FrameView) -> Verdict:
+    fused = frame_view.fused
+    if fused is None:
+        return Verdict(sentence="Not classified", detail=missing_result_text(frame_view))
+    counts = counts_of_beams(fused)
+    total = sum(counts.by_class.values())
+    good = counts.by_class[NoiseClass.GOOD]
+    other, near = RepairSource.OTHER_SENSOR, RepairSource.NEIGHBOURS
+    changed = counts.by_source[other] + counts.by_source[near]
+    return Verdict(
+        sentence=f"{good} of {total} beams agree with the camera",
+        detail=_repaired_text(total - good, changed),
+        counts=counts.by_class,
+    )
+
+
+def _repaired_text(other: int, changed: int) -> str:
+    if not other:
+        return "There is nothing to repair."
+    return (
+        f"{changed} of the other {other} {'beam' if other == 1 else 'beams'} filled or corrected, "
+        "from the camera or from neighbours."
+    )
+
+
+def _map(frame_view: FrameView) -> Verdict:
+    if not frame_view.open_recording.can_be_fused:
+        return Verdict(
+            sentence="Build a map by SLAM",
+            detail="Of the whole recording: the pose of every scan, and the map that they make.",
+        )
+    if frame_view.chain is None:
+        return Verdict(sentence="No map yet", detail=missing_result_text(frame_view))
+    return Verdict(
+        sentence="Build the map of the whole recording",
+        detail="From the LiDAR alone, the camera alone, and both.",
+    )

@@ -1,0 +1,294 @@
+// What the page does beyond viser: pictures that answer to the pointer, buttons in HTML, the
+// browser's wish for dark, its size, and the clipboard. Everything goes to the server through one
+// text field, whose value holds the latest actions and the latest place of the pointer.
+(() => {
+  if (window.scanloomPage) return;
+  window.scanloomPage = true;
+
+  const CHANNEL = "page events";
+  // viser sends a field's latest value every 50 ms: actions stay in it long enough to be seen.
+  const KEPT_ACTIONS = 8;
+  const CLICK_PX = 4;
+  const SVG = "http://www.w3.org/2000/svg";
+  const setValue = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set;
+  const actions = [];
+  let number = 0;
+  let pointer = null;
+  let held = null;
+
+  function channel() {
+    for (const label of document.querySelectorAll("label")) {
+      if (label.textContent !== CHANNEL) continue;
+      let row = label;
+      while (row && !row.querySelector("input")) row = row.parentElement;
+      return row && row.querySelector("input");
+    }
+    return null;
+  }
+
+  function send() {
+    const input = channel();
+    if (!input) return;
+    setValue.call(input, JSON.stringify({ actions, pointer }));
+    input.dispatchEvent(new Event("input", { bubbles: true }));
+  }
+
+  function act(action) {
+    actions.push({ ...action, number: ++number });
+    actions.splice(0, actions.length - KEPT_ACTIONS);
+    send();
+  }
+
+  // A picture is the image right after an element with its name.
+  function nameOf(image) {
+    const before = image.parentElement?.parentElement?.previousElementSibling;
+    return before?.querySelector("[data-picture]") ?? null;
+  }
+
+  function placeOn(image, event) {
+    const box = image.getBoundingClientRect();
+    return {
+      x_px: ((event.clientX - box.left) / box.width) * image.naturalWidth - 0.5,
+      y_px: ((event.clientY - box.top) / box.height) * image.naturalHeight - 0.5,
+    };
+  }
+
+  function point(image, kind, event) {
+    const picture = nameOf(image).dataset.picture;
+    pointer = { picture, kind, ...placeOn(image, event), number: ++number };
+    send();
+  }
+
+  function leave() {
+    if (pointer === null || pointer.kind === "leave") return;
+    pointer = { ...pointer, kind: "leave", number: ++number };
+    hideReadout();
+    send();
+  }
+
+  document.addEventListener("pointermove", (event) => {
+    if (held) {
+      moveReadout(event);
+      const far = Math.hypot(event.clientX - held.x, event.clientY - held.y) > CLICK_PX;
+      held.isDrag ||= far;
+      if (held.isDrag) point(held.image, "drag", event);
+      return;
+    }
+    const image = event.target instanceof HTMLImageElement ? event.target : null;
+    if (image && nameOf(image)) {
+      moveReadout(event);
+      point(image, "move", event);
+    } else {
+      leave();
+    }
+  }, true);
+
+  document.addEventListener("pointerdown", (event) => {
+    const image = event.target;
+    if (event.button !== 0 || !(image instanceof HTMLImageElement) || !nameOf(image)) return;
+    held = { image, x: event.clientX, y: event.clientY, isDrag: false };
+  }, true);
+
+  document.addEventListener("pointerup", (event) => {
+    if (!held) return;
+    const { image, isDrag } = held;
+    held = null;
+    if (isDrag || !image.isConnected) return;
+    act({ kind: "click", picture: nameOf(image).dataset.picture, ...placeOn(image, event) });
+  }, true);
+
+  document.addEventListener("pointercancel", () => { held = null; }, true);
+  // A drag of the browser's own would carry the picture away.
+  document.addEventListener("dragstart", (event) => {
+    if (event.target instanceof HTMLImageElement) event.preventDefault();
+  }, true);
+  document.documentElement.addEventListener("mouseleave", leave);
+
+  document.addEventListener("click", (event) => {
+    const button = event.target instanceof Element ? event.target.closest("[data-press]") : null;
+    if (!button) return;
+    act({ kind: "press", name: button.dataset.press, value: button.dataset.value ?? "" });
+    if (button.dataset.press === "link") copyLink(button);
+  }, true);
+
+  async function copyLink(button) {
+    const link = document.querySelector("[data-view-link]");
+    if (!link) return;
+    // In an inline handler plain "URL" is the document's own.
+    const text = new window.URL(link.dataset.viewLink, location.href).href;
+    try {
+      await navigator.clipboard.writeText(text);
+    } catch {
+      // Without HTTPS browsers keep the clipboard from pages, but not from a selection.
+      const field = document.createElement("textarea");
+      field.value = text;
+      document.body.append(field);
+      field.select();
+      document.execCommand("copy");
+      field.remove();
+    }
+    const said = button.textContent;
+    button.textContent = "Copied";
+    setTimeout(() => { button.textContent = said; }, 1500);
+  }
+
+  // A button that has the focus takes Space and Enter: they are no keys of the page then.
+  document.addEventListener("keydown", (event) => {
+    const onButton = event.target instanceof Element && event.target.closest("[data-press]");
+    if (onButton && (event.key === " " || event.key === "Enter")) event.stopPropagation();
+  }, true);
+
+  // A button that the server sends anew keeps the focus that it had.
+  let focused = null;
+  document.addEventListener("focusin", (event) => {
+    const button = event.target.closest("[data-press]");
+    focused = button && { press: button.dataset.press, value: button.dataset.value };
+  });
+  document.addEventListener("pointerdown", () => { focused = null; }, true);
+
+  function restoreFocus() {
+    if (!focused || document.activeElement !== document.body) return;
+    for (const button of document.querySelectorAll("[data-press]")) {
+      if (button.dataset.press === focused.press && button.dataset.value === focused.value) {
+        button.focus({ preventScroll: true });
+        return;
+      }
+    }
+  }
+
+  // viser's dialogues do not close on Escape.
+  document.addEventListener("keydown", (event) => {
+    if (event.key !== "Escape") return;
+    const buttons = [...document.querySelectorAll('[role="dialog"] button')];
+    buttons.find((button) => button.textContent.trim() === "Close")?.click();
+  });
+
+  // Marks over a picture, in its own pixels; they need no new picture.
+  function drawMarks(name) {
+    const outer = name.parentElement?.nextElementSibling;
+    const image = outer?.querySelector("img");
+    if (!image) return;
+    const box = image.parentElement;
+    let over = box.querySelector("svg.scanloom-marks");
+    if (!over) {
+      over = document.createElementNS(SVG, "svg");
+      over.setAttribute("class", "scanloom-marks");
+      over.setAttribute("preserveAspectRatio", "none");
+      box.append(over);
+    }
+    over.setAttribute("viewBox", `-0.5 -0.5 ${name.dataset.width} ${name.dataset.height}`);
+    over.replaceChildren(...JSON.parse(name.dataset.marks).flatMap(shapes));
+    if (pointer && pointer.kind !== "leave" && pointer.picture === name.dataset.picture) {
+      showReadout(name.dataset.readout);
+    }
+  }
+
+  function shapes({ kind, x_px, y_px }) {
+    const paths = {
+      cross: `M${x_px - 9} ${y_px}h6m6 0h6M${x_px} ${y_px - 9}v6m0 6v6`,
+      ring: `M${x_px - 8} ${y_px}a8 8 0 1 0 16 0a8 8 0 1 0 -16 0`,
+      column: `M${x_px} -10000v20000`,
+      row: `M-10000 ${y_px}h20000`,
+    };
+    return ["dark", "light"].map((shade) => {
+      const path = document.createElementNS(SVG, "path");
+      path.setAttribute("d", paths[kind]);
+      path.setAttribute("class", shade);
+      return path;
+    });
+  }
+
+  // The legend, written by the server among the controls, stands over the scene.
+  const legend = document.createElement("div");
+  legend.setAttribute("role", "group");
+  legend.setAttribute("aria-label", "Legend");
+  document.body.append(legend);
+
+  function showLegend(written) {
+    const focused = legend.contains(document.activeElement) && document.activeElement.dataset.value;
+    legend.className = `scanloom-over-scene ${written.classList.contains("dark") ? "dark" : ""}`;
+    legend.innerHTML = written.innerHTML;
+    // A pressed button keeps the focus, for the next press of its key.
+    if (focused) {
+      [...legend.children].find((button) => button.dataset.value === focused)?.focus();
+    }
+    placeLegend();
+  }
+
+  function placeLegend() {
+    const canvas = document.querySelector("canvas[data-engine]");
+    if (!canvas) return;
+    const box = canvas.getBoundingClientRect();
+    legend.style.left = `${box.left}px`;
+    legend.style.top = `${box.top}px`;
+    legend.style.maxWidth = `${box.width}px`;
+  }
+
+  const sized = new ResizeObserver(placeLegend);
+  sized.observe(document.documentElement);
+  const scene = setInterval(() => {
+    const canvas = document.querySelector("canvas[data-engine]");
+    if (!canvas) return;
+    clearInterval(scene);
+    sized.observe(canvas);
+  }, 100);
+
+  const readout = document.createElement("div");
+  readout.className = "scanloom-readout";
+  readout.hidden = true;
+  document.body.append(readout);
+
+  function showReadout(text) {
+    readout.textContent = text;
+    readout.hidden = !text;
+  }
+
+  function hideReadout() {
+    readout.hidden = true;
+  }
+
+  function moveReadout(event) {
+    const isRight = event.clientX > innerWidth / 2;
+    const isLow = event.clientY > innerHeight / 2;
+    readout.style.left = isRight ? "" : `${event.clientX + 16}px`;
+    readout.style.right = isRight ? `${innerWidth - event.clientX + 16}px` : "";
+    readout.style.top = isLow ? "" : `${event.clientY + 16}px`;
+    readout.style.bottom = isLow ? `${innerHeight - event.clientY + 16}px` : "";
+  }
+
+  new MutationObserver((changes) => {
+    restoreFocus();
+    for (const change of changes) {
+      for (const added of change.addedNodes) {
+        if (!(added instanceof Element)) continue;
+        const written = added.matches(".scanloom-legend") ? added
+          : added.querySelector(".scanloom-legend");
+        if (written) showLegend(written);
+        if (added.matches("[data-picture]")) drawMarks(added);
+        for (const name of added.querySelectorAll("[data-picture]")) drawMarks(name);
+        // The picture comes after its name.
+        if (added.querySelector("img") && !added.classList.contains("scanloom-marks")) {
+          const name = added.previousElementSibling?.querySelector("[data-picture]");
+          if (name) drawMarks(name);
+        }
+      }
+    }
+  }).observe(document.body, { childList: true, subtree: true });
+
+  const wish = matchMedia("(prefers-color-scheme: dark)");
+  const screen = () => act({
+    kind: "screen", width_px: innerWidth, height_px: innerHeight, prefers_dark: wish.matches,
+  });
+  wish.addEventListener("change", screen);
+  let resized = 0;
+  addEventListener("resize", () => {
+    clearTimeout(resized);
+    resized = setTimeout(screen, 200);
+  });
+  // The field may come after this script.
+  const arrival = setInterval(() => {
+    if (!channel()) return;
+    clearInterval(arrival);
+    screen();
+  }, 20);
+})();

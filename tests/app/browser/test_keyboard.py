@@ -1,0 +1,90 @@
+"""A day's work by the keyboard alone: no mouse, no touch, and nothing done behind the page."""
+
+from pathlib import Path
+
+from playwright.sync_api import expect
+
+from scanloom.scene.frame_summary import conflict_runs
+from tests.app.browser.person import Person
+
+# More controls than a page has.
+_MOST_TABS = 120
+
+
+def tab_to(person: Person, condition: str, *, backwards: bool = False) -> None:
+    """Press Tab until the focused element meets a condition in JavaScript, of ``it``."""
+    key = "Shift+Tab" if backwards else "Tab"
+    for _ in range(_MOST_TABS):
+        if person.page.evaluate(f"(it => Boolean({condition}))(document.activeElement)"):
+            return
+        person.page.keyboard.press(key)
+    raise AssertionError(f"Tab does not reach {condition}")
+
+
+def is_slider(label: str) -> str:
+    """The thumb of a slider, by the label beside it."""
+    return (
+        "it.getAttribute('role') === 'slider' && "
+        "[...document.querySelectorAll('label')].some(label => "
+        f"label.textContent.trim() === '{label}' && label.offsetParent && "
+        "document.getElementById(label.htmlFor)?.contains(it))"
+    )
+
+
+def is_button(name: str) -> str:
+    return f"it.tagName === 'BUTTON' && it.textContent.trim() === '{name}'"
+
+
+def has_conflict(person: Person) -> bool:
+    """Whether the frame that is shown has a conflict."""
+    fused = person.frame_view.fused
+    return fused is not None and bool(conflict_runs(fused))
+
+
+def test_the_whole_way_by_keyboard(person: Person, output_root: Path) -> None:
+    keyboard, session = person.page.keyboard, person.session
+    known = set(output_root.rglob("*"))
+
+    # Open the step, and the frame with the most noise.
+    keyboard.press("Alt+4")
+    person.wait_for_panel("Repair")
+    person.wait_until(lambda: "counting noise" not in person.page.inner_text("body"))
+    keyboard.press("Home")
+    person.wait_until(lambda: person.frame_view.view.frame_index == 0)
+    keyboard.press("m")
+    person.wait_until(lambda: person.frame_view.view.frame_index > 0)
+    worst = session.view.frame_index
+
+    # Change the tolerance.
+    before = session.view.settings.noise.epsilon
+    tab_to(person, is_slider("ε (σ)"))
+    for _ in range(3):
+        keyboard.press("ArrowRight")
+    person.wait_until(lambda: session.view.settings.noise.epsilon > before + 0.25)
+    assert session.view.frame_index == worst
+
+    # See why: a frame with a conflict, and what is said of a beam.
+    keyboard.press("n")
+    person.wait_until(lambda: has_conflict(person))
+    tab_to(person, is_button("Next"))
+    keyboard.press("Enter")
+    person.wait_until(lambda: session.view.selected_beam is not None)
+    expect(person.text(f"beam {session.view.selected_beam}, range")).to_be_visible()
+
+    # Undo: arrows pressed one after the other are one drag.
+    keyboard.press("Control+z")
+    person.wait_until(lambda: session.view.settings.noise.epsilon == before)
+
+    # Build the map, without figures, and export it.
+    keyboard.press("Alt+5")
+    person.wait_for_panel("Map")
+    tab_to(person, "it.type === 'checkbox' && it.labels?.[0]?.textContent.includes('Figures')")
+    keyboard.press("Space")
+    tab_to(person, is_button("Build"))
+    keyboard.press("Enter")
+    expect(person.button("Download .zip")).to_be_visible()
+    tab_to(person, is_button("Export clouds (PLY, PCD)"))
+    keyboard.press("Enter")
+    expect(person.text("Clouds: lidar")).to_be_visible()
+    written = {path.name for path in set(output_root.rglob("*")) - known}
+    assert {"alignment.json", "lidar.ply", "depth.ply"} <= written

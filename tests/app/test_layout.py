@@ -1,0 +1,22 @@
+"""The page's parts have room on every screen."""
+
+import pytest
+
+from scanloom.page.layout import page_sizes
+
+
+@pytest.mark.parametrize("is_large", [False, True])
+@pytest.mark.parametrize("window_px", [(1600, 900), (1280, 720), (390, 844), (1920, 1080), (1, 1)])
+def test_pictures_fit_their_panels(window_px: tuple[int, int], is_large: bool) -> None:
+    width_px, height_px = window_px
+    sizes = page_sizes(width_px, height_px, is_large=is_large)
+    assert sizes.picture_px[0] >= 270
+    assert sizes.picture_px[1] > 100
+    assert sizes.profile_px[1] >= 70
+    if width_px >= 1280:
+        # The scene keeps most of the width that the window leaves it, and half of a wide one.
+        assert sizes.left_px + sizes.right_px + sizes.between_px <= width_px
+        assert sizes.between_px >= 0.45 * width_px
+        assert sizes.picture_px[0] <= sizes.left_px
+        assert sizes.profile_px[0] <= sizes.between_px
+        assert 2 * sizes.bottom_px < height_px
