@@ -104,11 +104,29 @@
   }, true);
   document.documentElement.addEventListener("mouseleave", leave);
 
-  document.addEventListener("click", (event) => {
-    const button = event.target instanceof Element ? event.target.closest("[data-press]") : null;
-    if (!button) return;
+  const buttonAt = (target) => (target instanceof Element ? target.closest("[data-press]") : null);
+  const isSame = (one, other) =>
+    one.dataset.press === other.dataset.press && one.dataset.value === other.dataset.value;
+
+  function press(button) {
     act({ kind: "press", name: button.dataset.press, value: button.dataset.value ?? "" });
     if (button.dataset.press === "link") copyLink(button);
+  }
+
+  // The server may send a button anew while the mouse is down on it: the browser sees no click then.
+  let pressed = null;
+  document.addEventListener("pointerdown", (event) => {
+    pressed = event.button === 0 ? buttonAt(event.target) : null;
+  }, true);
+  document.addEventListener("pointerup", (event) => {
+    const before = pressed;
+    pressed = null;
+    const button = buttonAt(document.elementFromPoint(event.clientX, event.clientY));
+    if (before && button && button !== before && isSame(before, button)) press(button);
+  }, true);
+  document.addEventListener("click", (event) => {
+    const button = buttonAt(event.target);
+    if (button) press(button);
   }, true);
 
   async function copyLink(button) {
@@ -134,22 +152,21 @@
 
   // A button that has the focus takes Space and Enter: they are no keys of the page then.
   document.addEventListener("keydown", (event) => {
-    const onButton = event.target instanceof Element && event.target.closest("[data-press]");
-    if (onButton && (event.key === " " || event.key === "Enter")) event.stopPropagation();
+    if (buttonAt(event.target) && (event.key === " " || event.key === "Enter")) event.stopPropagation();
   }, true);
 
   // A button that the server sends anew keeps the focus that it had.
   let focused = null;
   document.addEventListener("focusin", (event) => {
-    const button = event.target.closest("[data-press]");
-    focused = button && { press: button.dataset.press, value: button.dataset.value };
+    const button = buttonAt(event.target);
+    focused = button && { dataset: { ...button.dataset } };
   });
   document.addEventListener("pointerdown", () => { focused = null; }, true);
 
   function restoreFocus() {
     if (!focused || document.activeElement !== document.body) return;
     for (const button of document.querySelectorAll("[data-press]")) {
-      if (button.dataset.press === focused.press && button.dataset.value === focused.value) {
+      if (isSame(button, focused)) {
         button.focus({ preventScroll: true });
         return;
       }
