@@ -112,24 +112,14 @@ def frame_geometry(
     T_lidar_camera = camera_pose(match, rig, alignment)
     surface = depth_surface(match.depth_m, camera, T_lidar_camera)
     pixels_m = pixel_points(match, camera, T_lidar_camera, match.correspondence.depth_m)
-    pairs_m, pairs_class = NO_SEGMENTS, _NO_CODES
-    marks_m, marks_class = _NO_POINTS, _NO_CODES
-    moved_m, moved_class, filled_m, filled_class = NO_SEGMENTS, _NO_CODES, _NO_POINTS, _NO_CODES
-    if fused is not None:
-        pairs_m, pairs_class = pair_segments(fused, pixels_m, classes)
-        marks_m, marks_class = class_marks(fused, pixels_m, classes)
-        moved_m, moved_class, filled_m, filled_class = repairs(
-            fused, camera, T_lidar_camera, classes
-        )
     beams_m = curve_points(match.scan, _ranges_m(match.scan, fused if repaired else None))
     curve_m, alone_m = scan_curve(beams_m, match.scan.angle_increment_rad)
     pixel_of_beam_m = np.full(beams_m.shape, np.nan, dtype=np.float32)
     pixel_of_beam_m[match.correspondence.beam] = pixels_m
-    return FrameGeometry(
+    matched = replace(
+        _empty_geometry(match.stamp_ns),
         camera=match.pair.camera_index,
-        stamp_ns=match.stamp_ns,
         body="LiDAR",
-        body_m=_ORIGIN,
         frustum=frustum(camera, T_lidar_camera),
         surface=surface,
         rows_m=_rows(match.depth_m, camera, T_lidar_camera, row_step),
@@ -138,6 +128,15 @@ def frame_geometry(
         alone_m=alone_m,
         beams_m=beams_m,
         pixels_m=pixel_of_beam_m,
+        lowest_m=_lowest_m(surface),
+    )
+    if fused is None:
+        return matched
+    pairs_m, pairs_class = pair_segments(fused, pixels_m, classes)
+    marks_m, marks_class = class_marks(fused, pixels_m, classes)
+    moved_m, moved_class, filled_m, filled_class = repairs(fused, camera, T_lidar_camera, classes)
+    return replace(
+        matched,
         pairs_m=pairs_m,
         pairs_class=pairs_class,
         marks_m=marks_m,
@@ -146,7 +145,6 @@ def frame_geometry(
         moved_class=moved_class,
         filled_m=filled_m,
         filled_class=filled_class,
-        lowest_m=_lowest_m(surface),
     )
 
 
@@ -170,31 +168,15 @@ def unmatched_geometry(
     model = rig.cameras[frame.camera]
     T_lidar_camera = T_lidar_camera_at(model, frame.mount, 0.0)
     surface = depth_surface(frame.depth_m, model, T_lidar_camera)
-    beams_m, curve_m, alone_m = _NO_POINTS, NO_SEGMENTS, _NO_POINTS
-    if frame.scan is not None:
-        beams_m = curve_points(frame.scan, frame.scan.ranges_m)
-        curve_m, alone_m = scan_curve(beams_m, frame.scan.angle_increment_rad)
-    return FrameGeometry(
+    of_scan = _empty_geometry(frame.stamp_ns) if frame.scan is None else scan_geometry(frame.scan)
+    return replace(
+        of_scan,
         camera=frame.camera,
         stamp_ns=frame.stamp_ns,
         body="LiDAR" if frame.has_lidar else None,
-        body_m=_ORIGIN,
         frustum=frustum(model, T_lidar_camera),
         surface=surface,
         rows_m=_rows(frame.depth_m, model, T_lidar_camera, row_step),
-        matched_m=NO_SEGMENTS,
-        curve_m=curve_m,
-        alone_m=alone_m,
-        beams_m=beams_m,
-        pixels_m=np.full(beams_m.shape, np.nan, dtype=np.float32),
-        pairs_m=NO_SEGMENTS,
-        pairs_class=_NO_CODES,
-        marks_m=_NO_POINTS,
-        marks_class=_NO_CODES,
-        moved_m=NO_SEGMENTS,
-        moved_class=_NO_CODES,
-        filled_m=_NO_POINTS,
-        filled_class=_NO_CODES,
         lowest_m=_lowest_m(surface),
     )
 
