@@ -281,16 +281,10 @@ def pixel_points(
 def pair_segments(
     frame: FusedFrame, pixels_m: FloatArray, classes: frozenset[NoiseClass]
 ) -> tuple[Segments, IntArray]:
-    """Lines from beams to their pixels' points (B, 3), and the (N,) class of each pair.
-
-    A pair has the worse class of its two sides: burr, then conflict, then good. Pairs with a hole
-    have no line.
-    """
-    pairs, noise = frame.match.correspondence, frame.classes
+    """Lines from beams to their pixels' points (B, 3), and the (N,) class of each pair; a pair with
+    a hole has no line."""
+    pairs, code = frame.match.correspondence, frame.pair_class
     segments = np.stack([points_in_plane(pairs.azimuth_rad, pairs.lidar_range_m), pixels_m], axis=1)
-    code = np.full(pairs.beam.size, int(NoiseClass.GOOD))
-    for worse in (NoiseClass.CONFLICT, NoiseClass.BURR):
-        code[(noise.lidar_class == worse) | (noise.depth_class == worse)] = worse
     drawn = np.isfinite(segments).all(axis=(1, 2)) & _among(code, classes)
     return segments[drawn].astype(np.float32), code[drawn]
 
@@ -300,19 +294,15 @@ def class_marks(
 ) -> tuple[Float32Array, IntArray]:
     """Where the class of each pair stands, (K, 3), and the (K,) classes.
 
-    A pair has the worst class of its two sides: burr, then conflict, then hole, then good. It
-    stands at the beam's end: of the sensor that has a value, or, for a burr of the pixel alone,
+    It stands at the beam's end: of the sensor that has a value, or, for a burr of the pixel alone,
     where that pixel is seen. ``pixels_m``: (B, 3) the pixels' points.
     """
-    pairs, noise = frame.match.correspondence, frame.classes
-    code = np.full(pairs.beam.size, int(NoiseClass.GOOD))
-    for worse in (NoiseClass.HOLE, NoiseClass.CONFLICT, NoiseClass.BURR):
-        code[(noise.lidar_class == worse) | (noise.depth_class == worse)] = worse
+    pairs, code = frame.match.correspondence, frame.pair_class
     range_m = pairs.lidar_range_m
     for other_m in (frame.repair.lidar_range_m, pairs.camera_range_m, pairs.depth_as_range_m):
         range_m = np.where(np.isfinite(range_m), range_m, other_m)
     marks_m = points_in_plane(pairs.azimuth_rad, range_m)
-    by_pixel = (code == NoiseClass.BURR) & (noise.lidar_class != NoiseClass.BURR)
+    by_pixel = (code == NoiseClass.BURR) & (frame.classes.lidar_class != NoiseClass.BURR)
     by_pixel &= np.isfinite(pixels_m[:, 0])
     marks_m[by_pixel] = pixels_m[by_pixel]
     drawn = np.isfinite(marks_m[:, 0]) & _among(code, classes)

@@ -231,10 +231,8 @@ class FrameSurvey:
 
 
 def pairs_by_class(frame: FusedFrame) -> IntArray:
-    """(4,) pairs by NoiseClass; a pair has the worse class of its two sides."""
-    # The codes grow worse; a beam without a pixel has the class -1 there.
-    worse = np.maximum(frame.classes.lidar_class, frame.classes.depth_class)
-    counts: IntArray = np.bincount(worse, minlength=len(NoiseClass))
+    """(4,) pairs by NoiseClass."""
+    counts: IntArray = np.bincount(frame.pair_class, minlength=len(NoiseClass))
     return counts
 
 

@@ -11,7 +11,7 @@ from fusion_core.denoising.correspondence import Correspondence
 from fusion_core.denoising.neighbourhood import FrameWindow
 from fusion_core.denoising.noise import Classification, classify
 from fusion_core.denoising.repair import Repair, repair
-from fusion_core.model.conventions import NS_PER_S, BoolArray
+from fusion_core.model.conventions import NS_PER_S, BoolArray, IntArray
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import LaserScan
@@ -43,6 +43,16 @@ class FusedFrame:
         """Median threshold over the pairs, NaN without pairs."""
         valid = self.classes.epsilon_m[np.isfinite(self.match.correspondence.residual_m)]
         return float(np.median(valid)) if valid.size else float("nan")
+
+    @property
+    def pair_class(self) -> IntArray:
+        """(B,): codes of NoiseClass, the worse of each pair's two sides.
+
+        Burr and conflict never meet in one pair: a conflict is on both of its sides.
+        """
+        # The codes grow worse; the pixel that a beam does not have is -1.
+        worse: IntArray = np.maximum(self.classes.lidar_class, self.classes.depth_class)
+        return worse
 
     @property
     def pixel_changed(self) -> BoolArray:

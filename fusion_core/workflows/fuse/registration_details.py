@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion_core.denoising.correspondence import planar_points
-from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.registration.models import apply_transform
 from fusion_core.registration.ransac import Registration
@@ -151,20 +150,16 @@ def decompose_registration(registration: Registration) -> TransformDecomposition
 
 def residual_curve(frame: FusedFrame) -> ResidualCurve:
     """The residuals of a frame with their thresholds and classes."""
-    pairs, classes = frame.match.correspondence, frame.classes
+    pairs = frame.match.correspondence
     shown = np.flatnonzero(np.isfinite(pairs.residual_m))
     # Beams on both sides of the scan's seam are neighbours where the camera looks backwards.
     middle_rad = float(np.angle(np.exp(1j * pairs.azimuth_rad).sum()))
     from_middle = np.angle(np.exp(1j * (pairs.azimuth_rad[shown] - middle_rad)))
     order = np.argsort(from_middle, kind="stable")
     shown = shown[order]
-    worst = np.full(shown.size, int(NoiseClass.GOOD))
-    for noise in (NoiseClass.CONFLICT, NoiseClass.BURR):
-        of_either = (classes.lidar_class[shown] == noise) | (classes.depth_class[shown] == noise)
-        worst[of_either] = noise
     return ResidualCurve(
         azimuth_deg=np.rad2deg(middle_rad + from_middle[order]),
         residual_mm=1e3 * pairs.residual_m[shown],
-        epsilon_mm=1e3 * classes.epsilon_m[shown],
-        pair_class=worst,
+        epsilon_mm=1e3 * frame.classes.epsilon_m[shown],
+        pair_class=frame.pair_class[shown],
     )

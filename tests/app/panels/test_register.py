@@ -12,6 +12,7 @@ from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.registration.ransac import PUBLISHED, RegistrationSettings, register
 from fusion_core.workflows.fuse.epsilon import EpsilonInFrame
+from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.registration_details import (
     consensus_probabilities,
     decompose_registration,
@@ -194,7 +195,7 @@ def frame_of(found, *, residual_m=None, epsilon_m=0.1, refusal=""):
         lidar_class=good, depth_class=good, epsilon_m=np.full(count, epsilon_m)
     )
     match = SimpleNamespace(registration=found, refusal=refusal, correspondence=pairs)
-    return SimpleNamespace(match=match, classes=classes, epsilon_m=epsilon_m)
+    return FusedFrame(match=match, classes=classes, repair=None)
 
 
 def frame_view(session, frame, failure=None, is_dark=False):

