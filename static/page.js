@@ -26,9 +26,15 @@
     return null;
   }
 
+  let later = 0;
   function send() {
+    clearTimeout(later);
     const input = channel();
-    if (!input) return;
+    if (!input) {
+      // The panels are being built anew.
+      later = setTimeout(send, 20);
+      return;
+    }
     setValue.call(input, JSON.stringify({ actions, pointer }));
     input.dispatchEvent(new Event("input", { bubbles: true }));
   }
@@ -273,24 +279,27 @@
     readout.style.bottom = isLow ? `${innerHeight - event.clientY + 16}px` : "";
   }
 
+  function take(added) {
+    const written = added.matches(".scanloom-legend") ? added
+      : added.querySelector(".scanloom-legend");
+    if (written) showLegend(written);
+    if (added.matches("[data-picture]")) drawMarks(added);
+    for (const name of added.querySelectorAll("[data-picture]")) drawMarks(name);
+    // The picture comes after its name.
+    if (added.querySelector("img") && !added.classList.contains("scanloom-marks")) {
+      const name = added.previousElementSibling?.querySelector("[data-picture]");
+      if (name) drawMarks(name);
+    }
+  }
+
   new MutationObserver((changes) => {
     restoreFocus();
     for (const change of changes) {
-      for (const added of change.addedNodes) {
-        if (!(added instanceof Element)) continue;
-        const written = added.matches(".scanloom-legend") ? added
-          : added.querySelector(".scanloom-legend");
-        if (written) showLegend(written);
-        if (added.matches("[data-picture]")) drawMarks(added);
-        for (const name of added.querySelectorAll("[data-picture]")) drawMarks(name);
-        // The picture comes after its name.
-        if (added.querySelector("img") && !added.classList.contains("scanloom-marks")) {
-          const name = added.previousElementSibling?.querySelector("[data-picture]");
-          if (name) drawMarks(name);
-        }
-      }
+      for (const added of change.addedNodes) if (added instanceof Element) take(added);
     }
   }).observe(document.body, { childList: true, subtree: true });
+  // Some of it may have come before this script.
+  take(document.body);
 
   const wish = matchMedia("(prefers-color-scheme: dark)");
   const screen = () => act({
@@ -302,10 +311,5 @@
     clearTimeout(resized);
     resized = setTimeout(screen, 200);
   });
-  // The field may come after this script.
-  const arrival = setInterval(() => {
-    if (!channel()) return;
-    clearInterval(arrival);
-    screen();
-  }, 20);
+  screen();
 })();

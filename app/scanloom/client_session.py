@@ -21,7 +21,7 @@ from scanloom.frame_view import FrameView, as_failure, compute_frame_view, failu
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.jobs.long_job import Cancelled
 from scanloom.scene.sample_readout import linked
-from scanloom.state.history import History
+from scanloom.state.history import PASSING_FRAMES, History
 from scanloom.state.hover import Hover
 from scanloom.state.library import Library
 from scanloom.state.open_recording import OpenRecording
@@ -35,6 +35,8 @@ _NOTIFICATION_S = 9.0
 _MAX_DISPLAY_INTERVAL_S = 0.1
 # The panels' last messages need the connection, which closes after the session.
 _CLOSE_TIMEOUT_S = 3.0
+# What sliders change beside settings.
+_DRAGGED = ("frame_index", "slam")
 
 
 class Panel(Protocol):
@@ -122,36 +124,31 @@ class ClientSession:
 
         An offset picked by hand belongs to its frame, unless it is locked.
         """
-        if "frame_index" in values and not self._view.lock_picked_offset:
-            values = {"picked_offset": None} | values
-        self._replace(lambda view: view.changed(**values), remember=False)
+        dragged = next((name for name in _DRAGGED if name in values), "")
+        self._change(values, dragged)
 
-    def change_settings(self, **values: Any) -> None:
-        """As ``change``, and ``undo`` takes it back."""
-        self._replace(lambda view: view.changed(**values), remember=True)
+    def pass_to_frame(self, frame_index: int) -> None:
+        """Go to a frame on the way to others. Undo takes the whole way as one step."""
+        self._change({"frame_index": frame_index}, PASSING_FRAMES)
 
     def show_recording(self, name: str) -> None:
         """Go to the first frame of another recording."""
-        self._replace(lambda view: view.of_recording(name), remember=False)
+        self._replace(lambda view: view.of_recording(name))
 
     def change_setting(self, stage: str, name: str, value: Any) -> None:
         """Change a setting of a stage ("" for the chain itself). Undo takes a drag as one step."""
-        self._replace(
-            lambda view: view.with_setting(stage, name, value),
-            remember=True,
-            dragged=f"{stage}.{name}",
-        )
+        self._replace(lambda view: view.with_setting(stage, name, value), f"{stage}.{name}")
 
     def apply_preset(self, preset: PresetName) -> None:
         """Reset all settings to a preset."""
         settings = PRESETS[preset]
-        self.change_settings(
+        self.change(
             preset=preset, settings=settings, alignment_settings=settings, picked_offset=None
         )
 
     def align_again(self) -> None:
         """Align the whole recording again, with the current settings."""
-        self.change_settings(alignment_settings=self._view.settings)
+        self.change(alignment_settings=self._view.settings)
 
     def set_prefers_dark(self, prefers_dark: bool) -> None:
         """Set what the browser asks for where the view leaves the choice to it."""
@@ -171,12 +168,12 @@ class ClientSession:
                 panel.show_hover(frame_view, complete)
 
     def undo(self) -> None:
-        """Undo the last change of settings."""
-        self._replace(lambda view: self._history.undo(view) or view, remember=False)
+        """Undo the last change of settings, frame, step or recording."""
+        self._return_to(self._history.undo)
 
     def redo(self) -> None:
         """Redo the change that was undone last."""
-        self._replace(lambda view: self._history.redo(view) or view, remember=False)
+        self._return_to(self._history.redo)
 
     def step(self, by: int) -> None:
         """Move by so many frames; stop at the ends, or wrap around if playback loops."""
@@ -186,7 +183,7 @@ class ClientSession:
                 return
             number = self._view.frame_index + by
             number = number % count if self._view.loop_playback else min(max(number, 0), count - 1)
-            self.change(frame_index=number)
+            self.pass_to_frame(number)
 
     def notify(
         self,
@@ -259,9 +256,17 @@ class ClientSession:
     def _hear_of_alignment(self) -> None:
         self._worker.submit(self._view)
 
-    def _replace(
-        self, change: Callable[[View], View], *, remember: bool, dragged: str = ""
-    ) -> None:
+    def _change(self, values: dict[str, Any], dragged: str) -> None:
+        if "frame_index" in values and not self._view.lock_picked_offset:
+            values = {"picked_offset": None} | values
+        self._replace(lambda view: view.changed(**values), dragged)
+
+    def _return_to(self, step: Callable[[View], View | None]) -> None:
+        with self._lock:
+            self._view = step(self._view) or self._view
+            self.refresh()
+
+    def _replace(self, change: Callable[[View], View], dragged: str = "") -> None:
         with self._lock:
             before = self._view
             try:
@@ -270,8 +275,7 @@ class ClientSession:
                 self._last_failure = ""
                 self.show_failure(error)
                 after = before
-            if remember and after != before:
-                self._history.add(before, dragged, time.monotonic())
+            self._history.add(before, after, dragged, time.monotonic())
             self._view = after
             self.refresh()
 

@@ -25,7 +25,7 @@ from scanloom.state.library import Library
 from scanloom.state.open_recording import OpenRecording
 from scanloom.state.view import View, view_of_link
 
-ENOUGH_S = 60.0
+ENOUGH_S = 240.0
 
 
 class FakeClient:
@@ -258,23 +258,39 @@ def test_a_refused_value_is_reported_each_time_and_the_view_stays(
     assert session.view == view
 
 
-def test_undo_takes_settings_back_and_leaves_the_place(session: ClientSession, view: View) -> None:
+def test_one_history_of_settings_frames_and_steps(session: ClientSession, view: View) -> None:
     session.change_setting("noise", "epsilon", 2.0)
+    session.change(frame_index=7)
+    session.change(panel="Repair")
+    # Pointing and showing are no changes.
+    session.change(selected_beam=12, playback_speed=2.0)
     session.change_setting("noise", "support_sigma", 3.0)
-    session.change(frame_index=7, panel="Repair")
+    after = session.view
+    pointed = view.changed(selected_beam=12, playback_speed=2.0)
+    was = [
+        pointed.with_setting("noise", "epsilon", 2.0).changed(frame_index=7, panel="Repair"),
+        pointed.with_setting("noise", "epsilon", 2.0).changed(frame_index=7),
+        pointed.with_setting("noise", "epsilon", 2.0),
+        pointed,
+    ]
+    for expected in was:
+        session.undo()
+        assert session.view == expected
     session.undo()
-    assert session.view == view.with_setting("noise", "epsilon", 2.0).changed(
-        frame_index=7, panel="Repair"
-    )
-    session.undo()
-    session.undo()
-    assert session.view == view.changed(frame_index=7, panel="Repair")
-    session.redo()
-    session.redo()
-    session.redo()
-    assert session.view.settings.noise.epsilon == 2.0
-    assert session.view.settings.noise.support_sigma == 3.0
-    assert session.view.frame_index == 7
+    assert session.view == pointed
+    for expected in [*was[-2::-1], after, after]:
+        session.redo()
+        assert session.view == expected
+
+
+def test_frames_that_pass_are_undone_at_once(session: ClientSession, view: View) -> None:
+    for _ in range(3):
+        session.step(1)
+    session.change(frame_index=9)
+    session.step(1)
+    for expected in (9, 3, 0):
+        session.undo()
+        assert session.view == view.changed(frame_index=expected)
 
 
 def test_one_drag_of_a_slider_is_undone_at_once(session: ClientSession, view: View) -> None:
@@ -309,12 +325,12 @@ def test_another_alignment_is_undone_before_the_setting_that_asked_for_it(
 
 
 def test_a_place_picked_by_hand_is_that_of_its_frame_unless_locked(session: ClientSession) -> None:
-    session.change_settings(picked_offset=(80.0, 40.0))
+    session.change(picked_offset=(80.0, 40.0))
     session.change(panel="Match")
     assert session.view.picked_offset == (80.0, 40.0)
     session.step(1)
     assert session.view.picked_offset is None
-    session.change_settings(picked_offset=(80.0, 40.0), lock_picked_offset=True)
+    session.change(picked_offset=(80.0, 40.0), lock_picked_offset=True)
     session.step(1)
     assert session.view.picked_offset == (80.0, 40.0)
 

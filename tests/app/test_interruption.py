@@ -18,7 +18,7 @@ from scanloom.resources import sample_path
 from tests.app.viser_client import connect
 
 ROOT = Path(__file__).parents[2]
-ENOUGH_S = 60.0
+ENOUGH_S = 240.0
 ENDS_S = 20.0
 
 

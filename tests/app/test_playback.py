@@ -9,7 +9,7 @@ import pytest
 
 from scanloom.jobs.playback import Playback
 
-ENOUGH_S = 10.0
+ENOUGH_S = 240.0
 
 
 class Film:

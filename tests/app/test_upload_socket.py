@@ -18,10 +18,7 @@ import websockets.sync.client
 from scanloom.server.workbench import ServeOptions, Workbench
 from tests.app.viser_client import ViserClient, connect
 
-# A page that is closed is not drawn any more.
-pytestmark = pytest.mark.filterwarnings("ignore:Queued a")
-
-ENOUGH_S = 60.0
+ENOUGH_S = 240.0
 LIMIT = 20_000_000
 FAILED = 'data-kind="failed" role="status"'
 

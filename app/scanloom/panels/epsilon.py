@@ -111,4 +111,4 @@ class EpsilonControls:
         changed = view.with_setting("noise", "epsilon_unit", unit).with_setting(
             "noise", "epsilon", round(on_slider, 3)
         )
-        self._session.change_settings(settings=changed.settings)
+        self._session.change(settings=changed.settings)

@@ -99,7 +99,7 @@ def _tools_html(view: View, *, is_dark: bool) -> str:
     virtual = "" if view.virtual_row is None else f" · virtual LiDAR from row {view.virtual_row}"
     name = html.escape(printable(f"{view.recording}{virtual}"))
     tools = [
-        _tool("undo", "↶", "Undo the last change of settings (Ctrl + Z)"),
+        _tool("undo", "↶", "Undo the last change of settings, frame, step or recording (Ctrl + Z)"),
         _tool("redo", "↷", "Redo it (Ctrl + Shift + Z)"),
         _tool("link", "Copy link", "Copy a link to this view, with frame, step and settings"),
         _tool("colours", "☀" if is_dark else "☾", "Light or dark (L)"),

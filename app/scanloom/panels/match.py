@@ -92,7 +92,7 @@ class MatchPanel(Panel):
         def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
             use = buttons.value == "Use"
             picked = (float(self._u.value), float(self._v.value)) if use else None
-            session.change_settings(picked_offset=picked)
+            session.change(picked_offset=picked)
 
     def show(self, frame_view: FrameView) -> None:
         """Draw the field, the curves and the summary of this view."""

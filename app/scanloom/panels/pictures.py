@@ -148,7 +148,7 @@ class SimilarityPanel(Panel):
         if kind == "move":
             self._session.hover(Hover(source="similarity", u=u, v=v, row=round(v)))
         else:
-            self._session.change_settings(picked_offset=(u, v))
+            self._session.change(picked_offset=(u, v))
 
 
 def _depth_caption(frame_view: FrameView) -> str:

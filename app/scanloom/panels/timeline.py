@@ -18,6 +18,7 @@ from scanloom.panels.widgets.controls import Controls, update_widget
 from scanloom.plots.frame_times import FrameTimes
 from scanloom.plots.theme import theme_of
 from scanloom.plots.time_strip import TimeStrip, time_strip
+from scanloom.scene.frame_summary import conflict_runs
 from scanloom.state.frame_survey import FrameCounts, FrameSurvey, SurveyInputs
 from scanloom.state.hover import Hover
 from scanloom.state.open_recording import OpenRecording
@@ -48,6 +49,8 @@ class TimelinePanel(Panel):
         self._drawn_of: tuple[object, ...] = ()
         self._width_px = _FIRST_WIDTH_PX
         self._hover = Hover()
+        # The frame whose conflict is selected once it is shown.
+        self._select_conflict_in: int | None = None
         self._is_closed = False
         self._playback = Playback(_SessionPlayer(session, self), self._redraw)
         self._row = gui.add_html("")
@@ -110,9 +113,11 @@ class TimelinePanel(Panel):
         self._go_to(worst, self._missing(self._counts, worst, "noise"))
 
     def go_to_conflict(self, direction: int = 1) -> None:
-        """Go to the next stretch with a conflict, or the previous one for -1."""
+        """Go to the next stretch with a conflict, or the previous one for -1, and select the beam
+        that it is about."""
         counts, at = self._counts, self._session.view.frame_index
         found = None if counts is None else counts.next_conflict(at, direction)
+        self._select_conflict_in = found
         self._go_to(found, self._missing(counts, found, "conflict"))
 
     def set_width(self, width_px: float) -> None:
@@ -144,6 +149,7 @@ class TimelinePanel(Panel):
             self._want_survey(frame_view)
             self._controls.show(frame_view.view)
             self._draw()
+        self._select_conflict(frame_view)
 
     def show_hover(self, frame_view: FrameView, hover: Hover) -> None:
         """Mark the frame under the pointer and say what is known of it."""
@@ -158,6 +164,15 @@ class TimelinePanel(Panel):
             self._playback.close()
             if self._frame_view is not None:
                 self._frame_view.open_recording.surveys.release(self)
+
+    def _select_conflict(self, frame_view: FrameView) -> None:
+        wanted = self._select_conflict_in
+        if wanted is None or wanted != self._session.view.frame_index:
+            self._select_conflict_in = None
+        elif wanted == frame_view.view.frame_index and frame_view.fused is not None:
+            self._select_conflict_in = None
+            if runs := conflict_runs(frame_view.fused):
+                self._session.change(selected_beam=runs[0].middle)
 
     def _show_recording(self, frame_view: FrameView) -> None:
         opened = frame_view.open_recording
@@ -329,7 +344,7 @@ class _SessionPlayer:
         return (frame_index + by) % (last + 1) if is_looping else min(frame_index + by, last)
 
     def show_frame(self, frame_index: int) -> None:
-        self._session.change(frame_index=frame_index)
+        self._session.pass_to_frame(frame_index)
 
     def wait(self, timeout_s: float) -> bool:
         return self._session.wait(timeout_s)

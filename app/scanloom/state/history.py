@@ -1,11 +1,30 @@
-"""Undo and redo of changes of the settings."""
+"""Undo and redo: of settings, and of where a person was."""
 
 from scanloom.state.view import View
 
 # Steps of undo; a view takes a few kilobytes.
 _MAX_STEPS = 200
-# Changes of one setting within this time belong to one drag of its slider.
+# Changes of one kind within this time belong to one drag of a slider.
 _DRAG_S = 1.0
+# Frames that pass one after the other, by keys or by playing, are one change however long it takes.
+PASSING_FRAMES = "passing frames"
+# The rest is how things are shown, and what was pointed at.
+_FIELDS = (
+    "recording",
+    "lidar_topic",
+    "depth_topics",
+    "virtual_row",
+    "frame_index",
+    "panel",
+    "preset",
+    "settings",
+    "alignment_settings",
+    "picked_offset",
+    "lock_picked_offset",
+    "apply_clock_offset",
+    "map_mode",
+    "slam",
+)
 
 
 class History:
@@ -16,44 +35,40 @@ class History:
         self._after: list[View] = []
         self._dragged, self._dragged_s = "", 0.0
 
-    def add(self, view: View, dragged: str = "", at_s: float = 0.0) -> None:
-        """Record ``view``, which is about to change.
+    def add(self, before: View, after: View, dragged: str = "", at_s: float = 0.0) -> None:
+        """Record a change, if it is one that undo takes back.
 
-        ``dragged``: the setting that a slider changes at the time ``at_s``; the changes of one drag
-        are one step.
+        ``dragged``: what a slider changes at the time ``at_s``; the changes of one drag are one
+        step.
         """
-        goes_on = dragged == self._dragged != "" and at_s - self._dragged_s < _DRAG_S
+        if after == _with_fields_of(after, before):
+            return
+        is_soon = dragged == PASSING_FRAMES or at_s - self._dragged_s < _DRAG_S
+        goes_on = is_soon and dragged == self._dragged != ""
         self._dragged, self._dragged_s = dragged, at_s
         self._after = []
         if not goes_on:
-            self._before = [*self._before[-_MAX_STEPS + 1 :], view]
+            self._before = [*self._before[-_MAX_STEPS + 1 :], before]
 
     def undo(self, view: View) -> View | None:
-        """``view`` with the settings before its last change, None if there was none."""
-        if not self._before:
-            return None
-        self._dragged = ""
-        self._after.append(view)
-        return _with_settings_of(view, self._before.pop())
+        """``view`` as it was before the last change, None if there was none."""
+        return self._go(view, self._before, self._after)
 
     def redo(self, view: View) -> View | None:
-        """``view`` with the settings that were undone last, None if there are none."""
-        if not self._after:
-            return None
+        """``view`` as it was before the last undo, None if there was none."""
+        return self._go(view, self._after, self._before)
+
+    def _go(self, view: View, taken: list[View], kept: list[View]) -> View | None:
         self._dragged = ""
-        self._before.append(view)
-        return _with_settings_of(view, self._after.pop())
+        while taken:
+            found = _with_fields_of(view, taken.pop())
+            # A recording that could not be opened was left already.
+            if found != view:
+                kept.append(view)
+                return found
+        return None
 
 
-def _with_settings_of(view: View, other: View) -> View:
-    """``view`` with the settings of ``other``; recording, frame and panel are kept."""
-    return view.model_copy(
-        update={
-            "preset": other.preset,
-            "settings": other.settings,
-            "alignment_settings": other.alignment_settings,
-            "picked_offset": other.picked_offset,
-            "lock_picked_offset": other.lock_picked_offset,
-            "apply_clock_offset": other.apply_clock_offset,
-        }
-    )
+def _with_fields_of(view: View, other: View) -> View:
+    """``view`` with what undo brings back as it is in ``other``."""
+    return view.model_copy(update={name: getattr(other, name) for name in _FIELDS})

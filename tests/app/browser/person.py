@@ -19,9 +19,8 @@ from scanloom.page.events import PictureName
 from scanloom.server.workbench import Workbench
 from scanloom.state.view import PanelName, View
 
-ENOUGH_S = 60.0
-# The first alignment of a fresh machine compiles what it calls.
-ALIGNED_S = 240.0
+# A fresh machine compiles what it calls first, beside other work.
+ENOUGH_S = 240.0
 
 # Null where another picture took the place of this one meanwhile.
 FETCH = """async image => {
@@ -205,7 +204,7 @@ class Person:
 
 def at_session(page: Page, workbench: Workbench, known: list[ClientSession]) -> Person:
     """The person at a page whose session is none of those known; their recording is aligned."""
-    deadline_s = time.monotonic() + ALIGNED_S
+    deadline_s = time.monotonic() + ENOUGH_S
     while time.monotonic() < deadline_s:
         for session in workbench.sessions:
             if (

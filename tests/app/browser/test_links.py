@@ -33,6 +33,8 @@ def test_a_reload_brings_everything_back(person: Person, workbench: Workbench) -
     person.reload(workbench)
     assert person.session is not before
     assert_shows(person, view)
+    legend = person.page.get_by_label("Legend")
+    expect(legend.get_by_role("button", name="LiDAR curve")).to_be_visible()
 
 
 @pytest.fixture(scope="module")

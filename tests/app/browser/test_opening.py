@@ -14,8 +14,8 @@ GIGABYTE = 1_000_000_000
 @pytest.fixture
 def dialog(person: Person) -> Iterator[Locator]:
     """The open dialog."""
-    # Notifications of viser's may lie over it.
-    person.page.get_by_label("Open another recording (O)").dispatch_event("click")
+    # Notifications of viser's may lie over it, and it is sent anew with the recording's name.
+    person.page.evaluate("document.querySelector('[data-press=open]').click()")
     dialog = person.page.get_by_role("dialog")
     expect(dialog.get_by_text("Upload a file…")).to_be_visible()
     yield dialog

@@ -14,10 +14,7 @@ from scanloom.panels.opening import STORED_RECENT
 from scanloom.server.workbench import ServeOptions, Workbench
 from tests.app.viser_client import ViserClient, connect
 
-# A page that is closed is not drawn any more.
-pytestmark = pytest.mark.filterwarnings("ignore:Queued a")
-
-ENOUGH_S = 60.0
+ENOUGH_S = 240.0
 HOSTILE = '<img src=x onerror="window.taken = 1"> ![a](b) \u202egpj.mcap'
 
 

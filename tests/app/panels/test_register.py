@@ -162,8 +162,6 @@ class RecordingSession:
     def change(self, **values) -> None:
         self.view = self.view.changed(**values)
 
-    change_settings = change
-
     def change_setting(self, stage, name, value) -> None:
         self.view = self.view.with_setting(stage, name, value)
 

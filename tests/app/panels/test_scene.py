@@ -22,7 +22,7 @@ from scanloom.state.library import Library
 from scanloom.state.view import PANELS, View, view_of_link
 from tests.app.viser_client import CAMERA, Received, ViserClient, connect
 
-ENOUGH_S = 60.0
+ENOUGH_S = 240.0
 MOVES = {"SetCameraPositionMessage"}
 
 

@@ -14,7 +14,7 @@ from scanloom.server.workbench import ServeOptions, Workbench
 from scanloom.state.frame_survey import FrameCounts, FrameStatus
 from tests.app.viser_client import ViserClient, connect
 
-ENOUGH_S = 60.0
+ENOUGH_S = 240.0
 
 
 class Visit:

@@ -28,7 +28,7 @@ from scanloom.state.open_recording import OpenRecording
 from scanloom.state.survey_runner import SurveyRunner
 from scanloom.state.view import View
 
-ENOUGH_S = 60.0
+ENOUGH_S = 240.0
 
 
 @pytest.fixture(scope="module")

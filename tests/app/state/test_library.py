@@ -22,7 +22,7 @@ from scanloom.state.open_recording import OpenRecording
 from scanloom.state.view import View
 from tests.hostile.names import NO_UTF8, SHOWN
 
-ENOUGH_S = 60.0
+ENOUGH_S = 240.0
 UNSEEN = library_module._MAX_UNVIEWED
 LIDAR = "/scan"
 

@@ -12,7 +12,7 @@ from scanloom.jobs.activity import Activity
 from scanloom.state import recording_details
 from scanloom.state.recording_details import DetailsReader, read_details
 
-ENOUGH_S = 30.0
+ENOUGH_S = 240.0
 
 
 @pytest.fixture
