@@ -99,8 +99,11 @@
     if (!held) return;
     const { image, isDrag } = held;
     held = null;
-    if (isDrag || !image.isConnected) return;
-    act({ kind: "click", picture: nameOf(image).dataset.picture, ...placeOn(image, event) });
+    if (!image.isConnected) return;
+    if (isDrag) point(image, "drag", event);
+    // The end of a drag too: the next place of the pointer must not take its place.
+    const kind = isDrag ? "drag" : "click";
+    act({ kind, picture: nameOf(image).dataset.picture, ...placeOn(image, event) });
   }, true);
 
   document.addEventListener("pointercancel", () => { held = null; }, true);

@@ -85,6 +85,16 @@ def test_a_pointer_that_was_overtaken_is_not_heard(bridge: PageBridge, field: Fi
     assert heard == [("move", 3.5, -0.5), ("leave", 3.5, -0.5)]
 
 
+def test_the_end_of_a_drag_is_heard_before_what_came_after(
+    bridge: PageBridge, field: Field
+) -> None:
+    heard: list[tuple[str, float]] = []
+    bridge.on_point("time", lambda kind, x, _: heard.append((kind, x)))
+    ended = {"kind": "drag", "picture": "time", "x_px": 7.0, "y_px": 1.0, "number": 2}
+    field.send(actions=[ended], pointer=POINT | {"picture": "time", "kind": "leave", "number": 3})
+    assert heard == [("drag", 7.0), ("leave", 3.5)]
+
+
 def test_a_size_told_before_anyone_hears_is_not_lost(bridge: PageBridge, field: Field) -> None:
     screen = {"kind": "screen", "width_px": 390, "height_px": 844, "prefers_dark": True}
     field.send(actions=[screen | {"number": 1}])

@@ -82,7 +82,7 @@ class PageBridge:
     def _act(self, action: Click | Press | Screen) -> None:
         match action:
             case Click():
-                self._point(action.picture, "click", action)
+                self._point(action.picture, action.kind, action)
             case Press() if action.name in self._on_press:
                 self._on_press[action.name](action.value)
             case Screen():

@@ -33,9 +33,9 @@ class Point(_Event):
 
 
 class Click(_Event):
-    """A click on a picture."""
+    """A click on a picture, or where a drag over it has ended."""
 
-    kind: Literal["click"]
+    kind: Literal["click", "drag"]
     picture: PictureName
     x_px: _Px
     y_px: _Px

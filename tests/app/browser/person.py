@@ -182,6 +182,16 @@ class Person:
         """The session's panel of a class."""
         return next(panel for panel in self.session.panels if isinstance(panel, kind))
 
+    def place_on(self, which: PictureName, x_px: float, y_px: float) -> tuple[float, float]:
+        """Where a pixel of a picture that answers to the pointer lies on the screen."""
+        image = self.live(which)
+        image.scroll_into_view_if_needed()
+        self.middle_at_rest(image)
+        box = image.bounding_box()
+        assert box is not None
+        zoom = box["width"] / image.evaluate("it => it.naturalWidth")
+        return box["x"] + (x_px + 0.5) * zoom, box["y"] + (y_px + 0.5) * zoom
+
     def live(self, name: PictureName) -> Locator:
         """The image of a picture that answers to the pointer."""
         return self.page.locator(f"div:has(> [data-picture='{name}']) + div img")
@@ -212,6 +222,7 @@ def at_session(page: Page, workbench: Workbench, known: list[ClientSession]) -> 
                 and session.frame_view is not None
                 and session.frame_view.chain is not None
             ):
+                page.wait_for_function("window.scanloomPage")
                 return Person(page, session)
         page.wait_for_timeout(50)
     shown = [session.frame_view and session.frame_view.failure for session in workbench.sessions]

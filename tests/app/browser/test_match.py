@@ -39,18 +39,12 @@ def test_a_click_on_the_similarity_picks_the_offset_under_it(person: Person) -> 
     expect(person.text("Best fit: u =")).to_be_visible()
     picture = person.picture("similarity")
     field = match_of(person.frame_view, person.session.view).search.fields["euclidean"]
-    box = person.live("similarity").bounding_box()
-    assert box is not None
-    picture_per_screen_px = picture.shape[1] / box["width"]
     rows, columns = field.scores.shape
     for right, down in ((0.6, 0.3), (0.3, 0.8)):
         shown = person.panel(SimilarityPanel)._drawn.axes.box
         left, top, width, height = shown.left, shown.top, shown.width, shown.height
         x_px, y_px = left + right * width, top + down * height
-        person.page.mouse.click(
-            box["x"] + (x_px + 0.5) / picture_per_screen_px,
-            box["y"] + (y_px + 0.5) / picture_per_screen_px,
-        )
+        person.page.mouse.click(*person.place_on("similarity", x_px, y_px))
         u = field.u_first + (x_px - left + 0.5) * columns / width - 0.5
         v = (y_px - top + 0.5) * rows / height - 0.5
         person.wait_for_number("u (samples)", u, within=1.5)

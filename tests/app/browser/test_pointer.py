@@ -19,13 +19,8 @@ def marks_of(person: Person, name: str) -> int:
 
 def place_of_pixel(person: Person, row: int, column: int) -> tuple[float, float]:
     """Where a pixel of the depth image lies on the screen."""
-    person.middle_at_rest(person.live("depth"))
     panel = person.panel(DepthImagePanel)
-    x_px, y_px = panel._drawn.axes.to_pixel(column, row)
-    box = person.live("depth").bounding_box()
-    assert box is not None
-    zoom = box["width"] / panel._drawn.rgb.shape[1]
-    return box["x"] + (x_px + 0.5) * zoom, box["y"] + (y_px + 0.5) * zoom
+    return person.place_on("depth", *panel._drawn.axes.to_pixel(column, row))
 
 
 def test_a_pixel_is_read_out_and_lights_up_elsewhere(person: Person) -> None:
