@@ -1,6 +1,7 @@
 """The 3D scene: the frame, the map, clicks, the legend and the viewpoints of the steps."""
 
 import threading
+from functools import partial
 
 import numpy as np
 import viser
@@ -40,7 +41,8 @@ _UNMOVED_M = 0.02
 # Screens of about one shape show the same.
 _ASPECT_RATIO = 1.08
 _PATH: frozenset[Layer] = frozenset({"map"})
-_VIEWS = ("Reset view", "From above", "As the camera")
+# Viewpoints, with their keys.
+_VIEWS = {"Reset view": "R", "From above": "T", "As the camera": "C"}
 
 
 class ScenePanel(Panel):
@@ -76,8 +78,8 @@ class ScenePanel(Panel):
         self._is_of_poses = False
         self._views = gui.add_button_group(
             "View",
-            _VIEWS,
-            hint="Back to the step's own viewpoint; straight down; from the depth camera",
+            tuple(_VIEWS),
+            hint="The step's own viewpoint (R), straight down (T), from the depth camera (C)",
         )
         self._controls = Controls(gui, session)
         self._rows = gui.add_slider(
@@ -91,6 +93,9 @@ class ScenePanel(Panel):
         self._legend = SceneLegend(gui, bridge, session)
         self._controls.bind_field(self._rows, "row_step", int)
         self._views.on_click(lambda _: self._look_by_name(self._views.value))
+        for name, key in _VIEWS.items():
+            command = gui.add_command(name, hotkey=key)  # type: ignore[arg-type]  # a letter
+            command.on_trigger(partial(self._go_to_view, name))
         client.scene.on_click()(self._clicked)
         client.camera.on_update(self._camera_moved)
 
@@ -233,6 +238,9 @@ class ScenePanel(Panel):
         T_map_lidar = None if pose is None else transform_from_planar(pose)
         self._T_lidar_map = None if T_map_lidar is None else invert_transform(T_map_lidar)
         self._nodes.place_map(T_map_lidar)
+
+    def _go_to_view(self, name: str, _: object) -> None:
+        self._look_by_name(name)
 
     def _look_by_name(self, name: str) -> None:
         extent, geometry = self._extent, self._geometry

@@ -111,6 +111,19 @@ def test_a_step_moves_the_camera_and_a_frame_does_not(bench: Bench) -> None:
     assert moves(bench.sent()) == 1
 
 
+def test_keys_go_to_the_viewpoints(bench: Bench) -> None:
+    bench.change(panel="Match")
+    camera = bench.session._client.camera
+    places = {}
+    for name in ("From above", "As the camera", "Reset view"):
+        bench.browser.drain()
+        bench.browser.trigger(name)
+        bench.browser.wait_for(lambda received: received.type in MOVES, ENOUGH_S)
+        places[name] = tuple(map(float, camera.position))
+    assert len(set(places.values())) == 3
+    assert places["From above"][2] == max(place[2] for place in places.values())
+
+
 def test_a_screen_of_another_shape_is_fitted_unless_a_person_has_moved(bench: Bench) -> None:
     bench.change(panel="Match")
     camera = bench.session._client.camera
