@@ -15,7 +15,7 @@ _GAP_PX = 12
 # With a smaller scene the floating panel is as wide as this.
 _LEAST_WIDTH_PX = 320
 # What viser takes of a panel for its head and its margins.
-_HEAD_PX, _MARGIN_PX = 100, 20
+_HEAD_PX, _LARGE_HEAD_PX, _MARGIN_PX = 100, 145, 20
 # What the time panel shows beside the range profile.
 _TIME_PX = 205
 _LEAST_PROFILE_PX = 90
@@ -49,9 +49,11 @@ def page_sizes(width_px: int, height_px: int, *, is_large: bool = False) -> Page
     between_px = max(width_px - left_px - right_px - 2 * _GAP_PX, _LEAST_WIDTH_PX)
     sheet_px = max(width_px - 2 * _MARGIN_PX, _LEAST_WIDTH_PX)
     picture_width_px = sheet_px if is_phone else left_px - _MARGIN_PX
-    picture_height_px = max(height_px // 2 - _HEAD_PX, 3 * picture_width_px // 5)
     profile_px = max(bottom_px - _TIME_PX, _LEAST_PROFILE_PX)
     zoom = _LARGE if is_large else 1.0
+    # Both pictures are seen whole, unless they would be flat.
+    free_px = height_px // 2 - (_LARGE_HEAD_PX if is_large else _HEAD_PX)
+    picture_height_px = max(free_px, 3 * picture_width_px // 5)
     drawn_width_px = max(picture_width_px / zoom, _LEAST_PICTURE_PX)
     picture_zoom = picture_width_px / drawn_width_px
     profile_width_px = sheet_px if is_phone else between_px - _MARGIN_PX

@@ -215,4 +215,4 @@ def _heatmap(
         height_px=size_px[1],
         theme=theme_of(is_dark=frame_view.is_dark),
     )
-    return drawn, f"{caption}: {metric.replace('_', ' ')} similarity of each offset and row"
+    return drawn, f"{caption}, {metric.replace('_', ' ')}"
