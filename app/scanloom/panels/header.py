@@ -101,7 +101,7 @@ def _tools_html(view: View, *, is_dark: bool) -> str:
     tools = [
         _tool("undo", "↶", "Undo the last change of settings, frame, step or recording (Ctrl + Z)"),
         _tool("redo", "↷", "Redo it (Ctrl + Shift + Z)"),
-        _tool("link", "Copy link", "Copy a link to this view, with frame, step and settings"),
+        _tool("link", "Link", "Copy a link to this view, with frame, step and settings"),
         _tool("colours", "☀" if is_dark else "☾", "Light or dark (L)"),
         _tool("projector", "A−" if view.large_text else "A+", "Large, for a projector (P)"),
         _tool("keys", "?", "Keys (H)"),
