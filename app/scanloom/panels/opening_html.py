@@ -9,11 +9,10 @@ from typing import Literal
 
 from fusion_core.model.names import printable
 from scanloom.page.bridge import press_attributes
+from scanloom.panels.widgets.markup import name_html
 from scanloom.state.folder_listing import FolderPage
 from scanloom.state.recording_details import RecordingDetails
 
-# A name is cut in the middle; the whole one is its title, as far as that can be read.
-_MAX_NAME_CHARACTERS, _MAX_TITLE_CHARACTERS = 90, 600
 _MINUTES_FROM_S = 120.0
 _FOLDER = (
     '<svg width="16" height="14" viewBox="0 0 16 14" aria-hidden="true" fill="currentColor">'
@@ -42,17 +41,6 @@ class OpeningStatus:
     kind: Literal["opening", "uploading", "failed"]
     text: str
     percent: float | None = None
-
-
-def name_html(name: str) -> str:
-    """A name as text in one line."""
-    whole = printable(name)
-    shown = whole
-    if len(whole) > _MAX_NAME_CHARACTERS:
-        half = _MAX_NAME_CHARACTERS // 2
-        shown = f"{whole[: half - 1]}…{whole[-half:]}"
-    title = html.escape(whole[:_MAX_TITLE_CHARACTERS])
-    return f'<bdi title="{title}">{html.escape(shown)}</bdi>'
 
 
 def status_html(status: OpeningStatus | None) -> str:

@@ -5,8 +5,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from fusion_core.workflows.stream_gaps import GAP_RATIO_MIN, StreamGaps
+from scanloom.panels.widgets.markup import name_html
 
-_CELL = "<td style='padding:0.1em 0.5em 0.1em 0;vertical-align:top;overflow-wrap:anywhere'>"
+_NAME = "<td style='padding:0.1em 0.5em 0.1em 0;vertical-align:top'>"
+_CELL = "<td style='padding:0.1em 0.5em 0.1em 0;vertical-align:top;white-space:nowrap'>"
 _GAP_ROW = "<tr><td colspan='4' style='padding:0 0 0.2em 1em;vertical-align:top;font-style:italic'>"
 
 
@@ -19,7 +21,7 @@ def stream_table(described: Mapping[str, Any], gaps: Mapping[str, StreamGaps]) -
     duration_s = described["duration_s"]
     time = "" if duration_s is None else f", {duration_s:.1f} s"
     return (
-        "<div style='padding:0 0.5em;font-size:0.85em'>"
+        "<div style='padding:0 0.5em;font-size:0.85em;overflow-wrap:anywhere'>"
         f"<div>{html.escape(described['format'])}{time}</div>"
         f"<table style='width:100%;font-size:0.95em'><tr>{head}</tr>{rows}</table>"
         + "".join(f"<p style='margin:0.3em 0'>{line}</p>" for line in lines)
@@ -30,8 +32,9 @@ def stream_table(described: Mapping[str, Any], gaps: Mapping[str, StreamGaps]) -
 def _row(topic: Mapping[str, Any]) -> str:
     rate_hz = topic["rate_hz"]
     rate = "–" if rate_hz is None else f"{rate_hz:.1f}"
-    cells = (html.escape(topic["name"]), topic["role"].replace("_", " "), topic["count"], rate)
-    return "<tr>" + "".join(f"{_CELL}{cell}</td>" for cell in cells) + "</tr>"
+    cells = (topic["role"].replace("_", " "), topic["count"], rate)
+    name = f"{_NAME}{name_html(topic['name'])}</td>"
+    return f"<tr>{name}{''.join(f'{_CELL}{cell}</td>' for cell in cells)}</tr>"
 
 
 def _gap_row(found: StreamGaps | None) -> str:

@@ -13,6 +13,7 @@ from fusion_core.workflows.convert import ConvertOptions, convert
 from scanloom.server.workbench import ServeOptions, Workbench
 from scanloom.state.view import View
 from tests.app.browser.person import ENOUGH_S, Person, at_session
+from tests.hostile.topics import write_with_hostile_names
 
 # The processor draws the scene, which asks for each next frame with the same function: five frames
 # a second are enough of it. What the page asks for once, as for a drag, comes at once.
@@ -72,9 +73,9 @@ def damaged(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 @pytest.fixture(scope="package")
 def hostile(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The recording under a name that is dangerous where it is not taken for text."""
+    """The recording with a name, topics and frame ids that do harm where they are not text."""
     path = tmp_path_factory.mktemp("hostile") / HOSTILE
-    path.write_bytes(small_scene.read_bytes())
+    write_with_hostile_names(small_scene, path)
     return path
 
 

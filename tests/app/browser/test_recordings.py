@@ -1,11 +1,11 @@
-"""Recordings that are not as they should be: cut off, named to do harm, or without a sensor."""
+"""Recordings that are not as they should be: cut off, or without a sensor."""
 
 from pathlib import Path
 
 from playwright.sync_api import expect
 
 from fusion_core.workflows.info import info
-from scanloom.state.view import PANELS, View
+from scanloom.state.view import View
 from tests.app.browser.person import Person, peak_of
 
 
@@ -23,20 +23,6 @@ def test_a_recording_cut_in_the_middle_warns_and_works(person: Person, damaged: 
     person.key("Home")
     person.open_step("Match")
     person.wait_for_peak(peak_of(person.frame_view, View(recording=damaged.name)))
-
-
-def test_a_hostile_name_is_text(person: Person, hostile: Path) -> None:
-    header = person.page.get_by_text(hostile.name, exact=True).locator("visible=true")
-    expect(header).to_have_count(0)
-    person.open_recording(hostile.name)
-    expect(header).to_have_count(1)
-    person.wait_until(lambda: person.frame_view.view.recording == hostile.name)
-    for number, panel in enumerate(PANELS):
-        person.key(f"Alt+{number + 1}")
-        person.wait_for_panel(panel)
-    assert person.page.evaluate("window.taken") is None
-    assert person.page.locator("img[src='x'], img[src='b']").count() == 0
-    assert person.page.locator("strong", has_text="bold").count() == 0
 
 
 def test_a_lidar_alone_is_shown_and_steps_without_a_camera_are_grey(

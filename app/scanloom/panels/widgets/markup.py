@@ -6,7 +6,7 @@ All arguments are plain text and are escaped: names from recordings may contain 
 import html
 import re
 
-from fusion_core.model.names import escape_undecodable
+from fusion_core.model.names import escape_undecodable, printable
 
 # All of ASCII's punctuation: CommonMark 2.4 lets each be escaped.
 _PUNCTUATION = re.compile(r"([!-/:-@\[-`{-~])")
@@ -22,6 +22,20 @@ _REPORT_LINE = (
     "padding-left:11ch;text-indent:-11ch;white-space:pre-wrap;overflow-wrap:anywhere;"
     "font-family:ui-monospace,monospace;font-size:0.9em"
 )
+
+# A name is cut in the middle; the whole one is its title, as far as that can be read.
+_MAX_NAME_CHARACTERS, _MAX_TITLE_CHARACTERS = 90, 600
+
+
+def name_html(name: str) -> str:
+    """A name as text in one line, isolated from the direction of writing around it."""
+    whole = printable(name)
+    shown = whole
+    if len(whole) > _MAX_NAME_CHARACTERS:
+        half = _MAX_NAME_CHARACTERS // 2
+        shown = f"{whole[: half - 1]}…{whole[-half:]}"
+    title = html.escape(whole[:_MAX_TITLE_CHARACTERS])
+    return f'<bdi title="{title}">{html.escape(shown)}</bdi>'
 
 
 def paragraph(text: str) -> str:
