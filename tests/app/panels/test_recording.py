@@ -21,7 +21,7 @@ from scanloom.state.library import Library
 from scanloom.state.view import View
 from tests.app.viser_client import ViserClient, Widget, connect
 
-LONG_S = 30.0
+LONG_S = 120.0
 
 
 class Bench:
