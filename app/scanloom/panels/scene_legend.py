@@ -4,42 +4,21 @@ import html
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
 
 import viser
 
 from fusion_core.model.classes import NoiseClass
 from scanloom.client_session import ClientSession
 from scanloom.page.bridge import PageBridge, press_attributes
+from scanloom.panels.swatches import Shape, class_swatch, swatch
 from scanloom.panels.widgets.controls import update_widget
-from scanloom.plots.palette import Color, class_color, color_of
+from scanloom.plots.palette import Color, color_of
 from scanloom.scene.layers import LAYERS
-from scanloom.scene.stage_colors import HOLLOW, OUTLINE, stage_colors
+from scanloom.scene.stage_colors import stage_colors
 from scanloom.state.view import Layer, PanelName, View
 
 _PRESS = "layer"
-Shape = Literal["line", "thin", "dot", "ring", "cross", "diamond", "square", "arrow"]
-# SVG of each shape in a box of 16 x 16, in the colours {fill} and {edge}.
-_SVG: dict[Shape, str] = {
-    "line": '<path d="M1 8H15" stroke="{edge}" stroke-width="7"/>'
-    '<path d="M1 8H15" stroke="{fill}" stroke-width="4"/>',
-    "thin": '<path d="M1 8H15" stroke="{fill}" stroke-width="1.5"/>',
-    "dot": '<circle cx="8" cy="8" r="4" fill="{fill}" stroke="{edge}" stroke-width="1.5"/>',
-    "ring": '<circle cx="8" cy="8" r="5" fill="none" stroke="{edge}" stroke-width="5"/>'
-    '<circle cx="8" cy="8" r="5" fill="none" stroke="{fill}" stroke-width="2.6"/>',
-    "cross": '<path d="M3 3L13 13M3 13L13 3" stroke="{edge}" stroke-width="5"/>'
-    '<path d="M3 3L13 13M3 13L13 3" stroke="{fill}" stroke-width="2.6"/>',
-    "diamond": '<path d="M8 2L14 8L8 14L2 8Z" fill="none" stroke="{edge}" stroke-width="4.6"/>'
-    '<path d="M8 2L14 8L8 14L2 8Z" fill="none" stroke="{fill}" stroke-width="2.2"/>',
-    "square": '<rect x="2" y="2" width="12" height="12" fill="{fill}"/>',
-    "arrow": '<path d="M1 8H14M9 3L14 8L9 13" fill="none" stroke="{fill}" stroke-width="2"/>',
-}
-_CLASS_SHAPES: dict[NoiseClass, Shape] = {
-    NoiseClass.GOOD: "dot",
-    NoiseClass.HOLE: "ring",
-    NoiseClass.BURR: "cross",
-    NoiseClass.CONFLICT: "diamond",
-}
+# The classes have a shape each.
 _LAYER_SHAPES: dict[Layer, Shape] = {
     "surface": "square",
     "curve": "line",
@@ -47,7 +26,6 @@ _LAYER_SHAPES: dict[Layer, Shape] = {
     "matched": "line",
     "rows": "thin",
     "pairs": "dot",
-    "classes": "diamond",
     "repairs": "arrow",
     "sensors": "square",
     "labels": "square",
@@ -58,21 +36,14 @@ _LAYER_SHAPES: dict[Layer, Shape] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LegendEntry:
-    """A line of the legend. ``toggle`` switches the layer, or shows or hides a class."""
+    """A line of the legend. ``swatch``: SVG. ``toggle`` switches the layer, or shows or hides a
+    class."""
 
     label: str
     help: str
-    color: Color
-    shape: Shape
+    swatch: str
     is_visible: bool
     toggle: Callable[[], None]
-
-    @property
-    def swatch(self) -> str:
-        """The shape in its colour, as SVG."""
-        colors = {"fill": _css(self.color), "edge": _css(OUTLINE)}
-        shape = _SVG[self.shape].format(**colors)
-        return f'<svg width="16" height="16" viewBox="0 0 16 16">{shape}</svg>'
 
 
 def legend_entries(
@@ -95,8 +66,7 @@ def legend_entries(
             LegendEntry(
                 label=info.label,
                 help=info.help,
-                color=_layer_color(layer, is_dark),
-                shape=_LAYER_SHAPES[layer],
+                swatch=swatch(_LAYER_SHAPES[layer], _layer_color(layer, is_dark)),
                 is_visible=layer not in view.hidden_layers,
                 toggle=partial(_switch_layer, session, layer),
             )
@@ -113,8 +83,7 @@ def _class_entry(session: ClientSession, view: View, noise: NoiseClass) -> Legen
     return LegendEntry(
         label=noise.name.capitalize(),
         help=LAYERS["classes"].help,
-        color=class_color(noise),
-        shape=_CLASS_SHAPES[noise],
+        swatch=class_swatch(noise),
         is_visible=noise in view.visible_classes,
         toggle=lambda: session.change(visible_classes=session.view.visible_classes ^ {noise}),
     )
@@ -129,7 +98,6 @@ def _layer_color(layer: Layer, is_dark: bool) -> Color:
         "matched": color_of("depth"),
         "rows": colors.row,
         "pairs": color_of("depth"),
-        "classes": HOLLOW,
         "repairs": colors.ink,
         "sensors": colors.camera,
         "labels": colors.ink,
@@ -137,10 +105,6 @@ def _layer_color(layer: Layer, is_dark: bool) -> Color:
         "map": (150, 154, 160),
     }
     return by_layer[layer]
-
-
-def _css(color: Color) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*color)
 
 
 class SceneLegend:
