@@ -212,7 +212,6 @@
   function shapes({ kind, x_px, y_px }) {
     const paths = {
       cross: `M${x_px - 9} ${y_px}h6m6 0h6M${x_px} ${y_px - 9}v6m0 6v6`,
-      ring: `M${x_px - 8} ${y_px}a8 8 0 1 0 16 0a8 8 0 1 0 -16 0`,
       column: `M${x_px} -10000v20000`,
       row: `M-10000 ${y_px}h20000`,
     };

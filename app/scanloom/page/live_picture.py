@@ -19,13 +19,15 @@ from scanloom.plots.png import show_picture
 # Marks move with the pointer; a tenth of a pixel is not seen.
 _DIGITS = 1
 
+MarkKind = Literal["cross", "row", "column"]
+"""A cross, or a line along the row or the column."""
+
 
 @dataclass(frozen=True, slots=True)
 class PictureMark:
-    """A mark at a place in a picture's pixels: a cross or a ring there, or a line through it along
-    its row or its column."""
+    """A mark at a place in a picture's pixels, or through it."""
 
-    kind: Literal["cross", "ring", "row", "column"]
+    kind: MarkKind
     x_px: float
     y_px: float
 

@@ -8,7 +8,7 @@ from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView, missing_result_text
 from scanloom.page.bridge import PageBridge
 from scanloom.page.events import PointKind
-from scanloom.page.live_picture import LivePicture, PictureMark
+from scanloom.page.live_picture import LivePicture, MarkKind, PictureMark
 from scanloom.panels.frame_readout import frame_name
 from scanloom.panels.widgets.controls import update_widget
 from scanloom.panels.widgets.markup import paragraph
@@ -64,12 +64,11 @@ class DepthImagePanel(Panel):
 
     def show_hover(self, frame_view: FrameView, hover: Hover) -> None:
         """Mark the pixel under the pointer, or that of the beam, or the row."""
-        marks: list[PictureMark] = []
-        drawn = self._drawn
-        if drawn is not None and hover.row is not None:
-            column = 0 if hover.column is None else hover.column
-            x_px, y_px = drawn.axes.to_pixel(column, hover.row)
-            marks.append(PictureMark("row" if hover.column is None else "cross", x_px, y_px))
+        place = None
+        if self._drawn is not None and hover.row is not None:
+            place = self._drawn.place_of(hover.row, 0 if hover.column is None else hover.column)
+        kind: MarkKind = "row" if hover.column is None else "cross"
+        marks = [] if place is None else [PictureMark(kind, *place)]
         is_here = hover.source == "depth"
         self._picture.mark(marks, readout_text(frame_view, hover) if is_here else "")
 
@@ -131,11 +130,12 @@ class SimilarityPanel(Panel):
 
     def show_hover(self, frame_view: FrameView, hover: Hover) -> None:
         """Mark the offset under the pointer, or the row of the pixel that is."""
-        marks: list[PictureMark] = []
+        place = None
         if self._drawn is not None and hover.v is not None:
             u = float(self._drawn.u_first) if hover.u is None else hover.u
-            x_px, y_px = self._drawn.axes.to_pixel(u, hover.v)
-            marks.append(PictureMark("row" if hover.u is None else "cross", x_px, y_px))
+            place = self._drawn.place_of(u, hover.v)
+        kind: MarkKind = "row" if hover.u is None else "cross"
+        marks = [] if place is None else [PictureMark(kind, *place)]
         is_here = hover.source == "similarity"
         self._picture.mark(marks, readout_text(frame_view, hover) if is_here else "")
 
