@@ -1,5 +1,7 @@
 """What is known of the sample under the pointer, in a few lines of text."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from fusion_core.model.classes import NoiseClass
@@ -18,13 +20,14 @@ def linked(frame_view: FrameView, hover: Hover) -> Hover:
     if not at.size:
         return hover
     row, column = int(pairs.row[at[0]]), int(pairs.column[at[0]])
-    return Hover(
-        source=hover.source, beam=hover.beam, row=row, column=column, u=hover.u, v=float(row)
-    )
+    return replace(hover, row=row, column=column, v=float(row))
 
 
 def readout_text(frame_view: FrameView, hover: Hover) -> str:
-    """The read-out of a sample, in lines; empty where nothing is known."""
+    """The read-out of a sample, in lines; empty where nothing is known.
+
+    The pointer may be on a picture of another frame: the place need not be in this one.
+    """
     lines = []
     if hover.source == "similarity":
         lines += _of_offset(frame_view, hover)
@@ -43,19 +46,26 @@ def _of_offset(frame_view: FrameView, hover: Hover) -> list[str]:
     if frame_view.view.field_scope != "frame":
         return [place]
     field = match.search.fields[frame_view.view.settings.search.metric]
-    score = float(field.scores[round(hover.v), round(hover.u) - field.u_first])
+    v, column = round(hover.v), round(hover.u) - field.u_first
+    rows, columns = field.scores.shape
+    if not (0 <= v < rows and 0 <= column < columns):
+        return [place]
+    score = float(field.scores[v, column])
     if np.isnan(score):
         return [place, "no score: too few samples on both sides"]
     return [place, f"similarity {score:.2f} of 1"]
 
 
 def _of_pixel(frame_view: FrameView, row: int, column: int) -> list[str]:
-    match = frame_view.match
-    if match is None or not (0 <= row < match.depth_m.shape[0]):
-        return [f"row {row}, column {column}"]
+    match, place = frame_view.match, f"row {row}, column {column}"
+    if match is None:
+        return [place]
+    rows, columns = match.depth_m.shape
+    if not (0 <= row < rows and 0 <= column < columns):
+        return [place]
     depth_m = float(match.depth_m[row, column])
     depth = "no depth" if np.isnan(depth_m) else f"depth {depth_m:.2f} m"
-    return [f"row {row}, column {column}: {depth}"]
+    return [f"{place}: {depth}"]
 
 
 def _of_beam(frame_view: FrameView, beam: int) -> list[str]:
