@@ -37,6 +37,21 @@ ALLOWED: dict[str, set[str]] = {
     "fusion_core.workflows": BASE | FILES | ALGORITHMS.keys() | SIDES.keys(),
     "scanloom": BASE | {"fusion_core.workflows"},
 }
+# The parts of the app, each level above what it may import; jobs and state know each other.
+APP_LEVELS: tuple[set[str], ...] = (
+    {"api", "resources"},
+    {"jobs", "state"},
+    {"plots"},
+    {"page"},
+    {"frame_view"},
+    {"scene"},
+    {"client_session"},
+    {"panels.widgets"},
+    {"panels"},
+    {"server"},
+    {"commands"},
+    {"cli", "the package"},
+)
 # The core serves the command line and the browser alike, and knows neither.
 NEVER_IN_CORE = {"scanloom", "viser", "tyro", "rich"}
 VAGUE_NAMES = {"utils", "util", "helpers", "helper", "common", "misc"}
@@ -76,6 +91,23 @@ def violations(module: str, source: str) -> list[str]:
     return found
 
 
+def part_of(name: str) -> str:
+    """The part of APP_LEVELS that a module of the app, or a name in it, belongs to."""
+    parts = name.split(".")[1:]
+    return "panels.widgets" if parts[:2] == ["panels", "widgets"] else (parts or ["the package"])[0]
+
+
+def upward_imports(module: str, source: str) -> list[str]:
+    """What ``source``, of the app, imports from parts of the app above its own."""
+    levels = {part: level for level, parts in enumerate(APP_LEVELS) for part in parts}
+    own = levels[part_of(module)]
+    return [
+        f"{module} imports {name}"
+        for name in imported(module, source)
+        if name.split(".")[0] == "scanloom" and levels[part_of(name)] > own
+    ]
+
+
 MODULES = {
     ".".join(path.relative_to(folder).with_suffix("").parts).removesuffix(".__init__"): path
     for folder, package in ((ROOT / "app", "scanloom"), (ROOT, "fusion_core"))
@@ -87,6 +119,24 @@ MODULES = {
 def test_imports_go_downwards(module: str) -> None:
     assert folder_of(module) in ALLOWED, f"{module} stands in a folder that the table lacks"
     assert violations(module, MODULES[module].read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize("module", [name for name in MODULES if folder_of(name) == "scanloom"])
+def test_the_apps_parts_import_downwards(module: str) -> None:
+    assert upward_imports(module, MODULES[module].read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("scanloom.page.live_picture", "from scanloom.panels.widgets.controls import Controls"),
+        ("scanloom.panels.widgets.controls", "from scanloom.panels.scene import ScenePanel"),
+        ("scanloom.panels.opening", "from scanloom.server import security"),
+        ("scanloom.state.view", "import scanloom.frame_view"),
+    ],
+)
+def test_the_check_sees_an_import_from_above(module: str, source: str) -> None:
+    assert len(upward_imports(module, source)) == 1
 
 
 def test_the_package_itself_imports_nothing() -> None:

@@ -1,1 +1,1 @@
-"""The page beyond viser's widgets: its script, pictures that answer to the pointer, its layout."""
+"""The page below the panels: its script and storage, layout, live pictures, markup."""

@@ -12,8 +12,8 @@ import viser
 from fusion_core.model.conventions import ByteArray
 from scanloom.page.bridge import OnPoint, PageBridge
 from scanloom.page.events import PictureName
-from scanloom.panels.widgets.controls import update_widget
-from scanloom.panels.widgets.markup import paragraph
+from scanloom.page.markup import paragraph
+from scanloom.page.update_widget import update_widget
 from scanloom.plots.png import show_picture
 
 # Marks move with the pointer; a tenth of a pixel is not seen.

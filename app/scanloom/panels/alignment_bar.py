@@ -7,7 +7,7 @@ import viser
 
 from scanloom.client_session import Panel
 from scanloom.frame_view import FrameView, alignment_progress_text, failure_summary
-from scanloom.panels.widgets.controls import update_widget
+from scanloom.page.update_widget import update_widget
 
 _BOX = "padding:0.3em 0.5em 0.5em;font-size:0.85em;overflow-wrap:anywhere"
 # Grey on any ground: the page may be light or dark.

@@ -13,8 +13,9 @@ from fusion_core.workflows.fuse.epsilon import (
 )
 from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView
+from scanloom.page.update_widget import update_widget
 from scanloom.panels.registration_text import epsilon_text
-from scanloom.panels.widgets.controls import Controls, update_widget
+from scanloom.panels.widgets.controls import Controls
 from scanloom.state.view import View
 
 # Range and step of each unit's slider, set by hand; a setting may lie outside.

@@ -12,7 +12,8 @@ from fusion_core.workflows.fuse.settings import PresetName
 from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView
 from scanloom.page.bridge import PageBridge, press_attributes
-from scanloom.panels.widgets.controls import Controls, update_widget
+from scanloom.page.update_widget import update_widget
+from scanloom.panels.widgets.controls import Controls
 from scanloom.panels.widgets.help import keys_text
 from scanloom.state.view import View
 

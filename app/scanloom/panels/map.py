@@ -27,10 +27,11 @@ from scanloom.jobs.build import (
     settings_in,
     zipped,
 )
+from scanloom.page.markup import paragraph, report_line, text_box
+from scanloom.page.update_widget import update_widget
 from scanloom.panels.command_line import fuse_command
 from scanloom.panels.slam import SlamPanel
-from scanloom.panels.widgets.controls import Controls, update_widget
-from scanloom.panels.widgets.markup import paragraph, report_line, text_box
+from scanloom.panels.widgets.controls import Controls
 from scanloom.panels.widgets.panel_job import PanelJob
 from scanloom.panels.widgets.result_figures import ResultFigures
 from scanloom.state.possible_steps import map_mode_of

@@ -6,9 +6,10 @@ import viser
 from fusion_core.workflows.fuse.frame_match import FrameMatch, curves_at
 from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView, missing_result_text
+from scanloom.page.markup import escape_markdown
+from scanloom.page.update_widget import update_widget
 from scanloom.panels.mount_text import mount_text
-from scanloom.panels.widgets.controls import Controls, update_widget
-from scanloom.panels.widgets.markup import escape_markdown
+from scanloom.panels.widgets.controls import Controls
 from scanloom.plots.line_plot import (
     PlotLabels,
     add_line_plot,

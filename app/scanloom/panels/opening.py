@@ -13,6 +13,8 @@ from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.jobs.long_job import Cancelled
 from scanloom.jobs.recording_opener import RecordingOpener
 from scanloom.page.bridge import PageBridge, script_html
+from scanloom.page.browser_storage import Answers, request_items
+from scanloom.page.update_widget import update_widget
 from scanloom.panels.opening_html import (
     READING_HTML,
     OpeningRow,
@@ -24,8 +26,6 @@ from scanloom.panels.opening_html import (
     status_html,
     upload_html,
 )
-from scanloom.panels.widgets.controls import update_widget
-from scanloom.server.browser_storage import Answers, request_items
 from scanloom.state.folder_listing import FolderPage, FolderPlace, read_page
 from scanloom.state.recent_names import parse_recent, with_recent
 from scanloom.state.uploads import UploadListener, UploadProgress

@@ -9,7 +9,7 @@ from typing import Literal
 
 from fusion_core.model.names import printable
 from scanloom.page.bridge import press_attributes
-from scanloom.panels.widgets.markup import name_html
+from scanloom.page.markup import name_html
 from scanloom.state.folder_listing import FolderPage
 from scanloom.state.recording_details import RecordingDetails
 

@@ -7,7 +7,7 @@ from fusion_core.model.conventions import NS_PER_S, FloatArray
 from fusion_core.workflows.fuse.pairing_gaps import PairingGaps, PairingStamps
 from fusion_core.workflows.fuse.settings import ChainSettings
 from scanloom.frame_view import FrameView, clock_offset_ms
-from scanloom.panels.widgets.controls import update_widget
+from scanloom.page.update_widget import update_widget
 from scanloom.plots.line_plot import (
     INK,
     NEUTRAL,

@@ -9,9 +9,9 @@ from scanloom.frame_view import FrameView, missing_result_text
 from scanloom.page.bridge import PageBridge
 from scanloom.page.events import PointKind
 from scanloom.page.live_picture import LivePicture, MarkKind, PictureMark
+from scanloom.page.markup import paragraph
+from scanloom.page.update_widget import update_widget
 from scanloom.panels.frame_readout import frame_name
-from scanloom.panels.widgets.controls import update_widget
-from scanloom.panels.widgets.markup import paragraph
 from scanloom.plots.depth_image import DepthPicture, PairOverlay, dock_depth_picture
 from scanloom.plots.heatmap import Heatmap, dock_heatmap
 from scanloom.plots.pair_pixels import pixels_of_match, repaired_depth_m

@@ -15,8 +15,8 @@ from fusion_core.workflows.fuse.recall import PAPER_BAND, RecallCurve, recall_of
 from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView, as_failure, clock_offset_ms, failure_summary
 from scanloom.jobs.long_job import LongJob
-from scanloom.panels.widgets.controls import update_widget
-from scanloom.panels.widgets.markup import paragraph
+from scanloom.page.markup import paragraph
+from scanloom.page.update_widget import update_widget
 from scanloom.plots.line_plot import (
     INK,
     PlotLabels,

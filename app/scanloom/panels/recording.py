@@ -7,10 +7,11 @@ from fusion_core.workflows.info import describe_recording
 from fusion_core.workflows.stream_gaps import stream_gaps
 from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView
+from scanloom.page.update_widget import update_widget
 from scanloom.panels.depth_cameras import DepthCameras
 from scanloom.panels.pairing_plot import PairingPlot
 from scanloom.panels.stream_table import stream_table
-from scanloom.panels.widgets.controls import Controls, update_widget
+from scanloom.panels.widgets.controls import Controls
 
 _PAIR_BY = ("nearest", "interpolated", "rates")
 _NOT_NAMED = "found by type"

@@ -15,12 +15,13 @@ from fusion_core.workflows.fuse.registration_details import (
 )
 from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView, missing_result_text
+from scanloom.page.markup import escape_markdown
+from scanloom.page.update_widget import update_widget
 from scanloom.panels import registration_text
 from scanloom.panels.epsilon import EpsilonControls
 from scanloom.panels.recall import RecallPanel
 from scanloom.panels.residual_plot import ResidualPlot
-from scanloom.panels.widgets.controls import Controls, update_widget
-from scanloom.panels.widgets.markup import escape_markdown
+from scanloom.panels.widgets.controls import Controls
 from scanloom.plots.pair_plot import PairPlot, pair_picture
 from scanloom.plots.png import show_picture
 from scanloom.plots.theme import LIGHT, Theme, theme_of

@@ -10,9 +10,10 @@ from fusion_core.model.classes import NoiseClass
 from fusion_core.workflows.fuse.frame import FusedFrame
 from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView, missing_result_text
+from scanloom.page.update_widget import update_widget
 from scanloom.panels.epsilon import EpsilonSliders
 from scanloom.panels.repair_tables import beam_table, class_table
-from scanloom.panels.widgets.controls import Controls, update_widget
+from scanloom.panels.widgets.controls import Controls
 from scanloom.plots.depth_image import PairOverlay, depth_limits_m, depth_picture
 from scanloom.plots.pair_pixels import pixels_of_match, repaired_depth_m
 from scanloom.plots.png import show_picture

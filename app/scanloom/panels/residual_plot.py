@@ -8,7 +8,7 @@ import viser
 from fusion_core.model.classes import NoiseClass
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.registration_details import ResidualCurve, residual_curve
-from scanloom.panels.widgets.controls import update_widget
+from scanloom.page.update_widget import update_widget
 from scanloom.plots.line_plot import (
     NEUTRAL,
     PlotLabels,

@@ -10,8 +10,8 @@ import viser
 from fusion_core.model.classes import NoiseClass
 from scanloom.client_session import ClientSession
 from scanloom.page.bridge import PageBridge, press_attributes
+from scanloom.page.update_widget import update_widget
 from scanloom.panels.swatches import Shape, class_swatch, swatch
-from scanloom.panels.widgets.controls import update_widget
 from scanloom.plots.palette import Color, color_of
 from scanloom.scene.layers import LAYERS
 from scanloom.scene.stage_colors import stage_colors

@@ -19,11 +19,12 @@ from scanloom.frame_view import FrameView, clock_offset_ms
 from scanloom.jobs.build import free_folder, results_in, settings_in
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.jobs.slam_run import SlamRequest, SlamRun, map_options, resampling_at, run_slam
+from scanloom.page.markup import paragraph, text_box
+from scanloom.page.update_widget import update_widget
 from scanloom.panels.command_line import map_command
 from scanloom.panels.slam_plots import add_effective_plot, show_effective
 from scanloom.panels.slam_results import SlamResults
-from scanloom.panels.widgets.controls import Controls, update_widget
-from scanloom.panels.widgets.markup import paragraph, text_box
+from scanloom.panels.widgets.controls import Controls
 from scanloom.panels.widgets.panel_job import UPDATE_INTERVAL_S, PanelJob
 from scanloom.plots.line_plot import set_theme
 from scanloom.plots.png import show_picture

@@ -7,7 +7,7 @@ import viser
 
 from fusion_core.model.conventions import NS_PER_S, FloatArray
 from scanloom.jobs.slam_run import SlamRun
-from scanloom.panels.widgets.controls import update_widget
+from scanloom.page.update_widget import update_widget
 from scanloom.plots.line_plot import (
     NEUTRAL,
     PlotLabels,

@@ -13,6 +13,8 @@ from fusion_core.model.errors import ScanLoomError
 from scanloom.client_session import ClientSession
 from scanloom.jobs.build import results_in, zip_folder
 from scanloom.jobs.slam_run import SlamRun, keep, resampling_at
+from scanloom.page.markup import paragraph, text_box
+from scanloom.page.update_widget import update_widget
 from scanloom.panels.slam_plots import (
     add_distance_plot,
     add_effective_plot,
@@ -22,8 +24,6 @@ from scanloom.panels.slam_plots import (
     show_weights,
 )
 from scanloom.panels.slam_text import run_distance_text, run_report_html
-from scanloom.panels.widgets.controls import update_widget
-from scanloom.panels.widgets.markup import paragraph, text_box
 from scanloom.panels.widgets.result_figures import ResultFigures
 from scanloom.plots.line_plot import set_theme
 from scanloom.plots.png import show_picture

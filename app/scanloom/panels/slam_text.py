@@ -7,7 +7,7 @@ import numpy as np
 
 from fusion_core.model.conventions import NS_PER_S
 from scanloom.jobs.slam_run import SlamRun
-from scanloom.panels.widgets.markup import report_line
+from scanloom.page.markup import report_line
 from scanloom.plots.run_comparison import TrajectoryDifference
 
 # Set by hand; report.json lists all.

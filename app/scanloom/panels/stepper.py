@@ -8,8 +8,8 @@ import viser
 from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView
 from scanloom.page.bridge import PageBridge, press_attributes
+from scanloom.page.update_widget import update_widget
 from scanloom.panels.verdict_html import verdict_html
-from scanloom.panels.widgets.controls import update_widget
 from scanloom.panels.widgets.help import help_text
 from scanloom.scene.verdict import verdict_of
 from scanloom.state.possible_steps import reasons_by_step

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from fusion_core.workflows.stream_gaps import GAP_RATIO_MIN, StreamGaps
-from scanloom.panels.widgets.markup import name_html
+from scanloom.page.markup import name_html
 
 _NAME = "<td style='padding:0.1em 0.5em 0.1em 0;vertical-align:top'>"
 _CELL = "<td style='padding:0.1em 0.5em 0.1em 0;vertical-align:top;white-space:nowrap'>"

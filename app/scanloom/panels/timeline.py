@@ -12,9 +12,10 @@ from scanloom.jobs.playback import Playback
 from scanloom.page.bridge import PageBridge
 from scanloom.page.events import PointKind
 from scanloom.page.live_picture import LivePicture, PictureMark
+from scanloom.page.update_widget import update_widget
 from scanloom.panels.frame_readout import frame_text, progress_text
 from scanloom.panels.timeline_html import PRESS, SPEEDS, RowState, line_html, row_html
-from scanloom.panels.widgets.controls import Controls, update_widget
+from scanloom.panels.widgets.controls import Controls
 from scanloom.plots.frame_times import FrameTimes
 from scanloom.plots.theme import theme_of
 from scanloom.plots.time_strip import TimeStrip, time_strip

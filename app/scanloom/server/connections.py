@@ -2,7 +2,7 @@
 
 websockets creates a ``ClientConnection`` for each request of a page or socket. A connection is
 pending until its browser has answered the server's first request
-(``scanloom.server.browser_storage``). When too many are pending, the oldest is closed, so that idle
+(``scanloom.page.browser_storage``). When too many are pending, the oldest is closed, so that idle
 clients cannot lock others out.
 """
 

@@ -13,9 +13,9 @@ import viser
 
 from fusion_core.model.errors import ExportError, ScanLoomError
 from scanloom.client_session import STORED_VIEW, ClientSession
+from scanloom.page import browser_storage as storage
 from scanloom.panels.registry import add_panels
 from scanloom.resources import SAMPLE_FRAME, sample_path
-from scanloom.server import browser_storage as storage
 from scanloom.server.connections import Connections
 from scanloom.server.error_log import ErrorLog, error_summary, websockets_logger
 from scanloom.server.listening import free_port

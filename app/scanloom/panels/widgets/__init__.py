@@ -1,1 +1,1 @@
-"""Building blocks of panels: bound controls, HTML, a job with its progress bar, help texts."""
+"""Building blocks of panels: bound controls, a job with its progress bar, help texts."""

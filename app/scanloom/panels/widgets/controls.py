@@ -12,6 +12,7 @@ import viser
 
 from fusion_core.settings import StageSettings
 from scanloom.client_session import ClientSession
+from scanloom.page.update_widget import update_widget
 from scanloom.state.view import View
 
 # No scan and no image has more beams or rows.
@@ -151,13 +152,6 @@ class Controls:
     def _help(self, stage: str, name: str) -> str | None:
         fields = type(_stage(self._session.view, stage)).model_fields
         return fields[name].description
-
-
-def update_widget(handle: Any, **values: Any) -> None:
-    """Set those properties of a widget that differ; each set property is sent to the browser."""
-    for name, value in values.items():
-        if getattr(handle, name) != value:
-            setattr(handle, name, value)
 
 
 def _digits(number: int | None) -> str:

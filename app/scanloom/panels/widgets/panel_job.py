@@ -12,8 +12,8 @@ from scanloom.client_session import ClientSession
 from scanloom.frame_view import as_failure, failure_summary
 from scanloom.jobs.long_job import LongJob
 from scanloom.jobs.time_left import TimeLeft, time_left_text
-from scanloom.panels.widgets.controls import update_widget
-from scanloom.panels.widgets.markup import paragraph
+from scanloom.page.markup import paragraph
+from scanloom.page.update_widget import update_widget
 
 # Interval of progress updates.
 UPDATE_INTERVAL_S = 0.2

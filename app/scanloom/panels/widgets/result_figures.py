@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from scanloom.panels.widgets.controls import update_widget
+from scanloom.page.update_widget import update_widget
 from scanloom.plots.png import show_png
 
 _TITLES = {
