@@ -13,7 +13,7 @@ from scanloom.page.markup import paragraph
 from scanloom.page.update_widget import update_widget
 from scanloom.panels.frame_readout import frame_name
 from scanloom.plots.depth_image import DepthPicture, PairOverlay, dock_depth_picture
-from scanloom.plots.heatmap import Heatmap, dock_heatmap
+from scanloom.plots.heatmap import Heatmap, heatmap
 from scanloom.plots.pair_pixels import pixels_of_match, repaired_depth_m
 from scanloom.plots.score_field import Mark, ScoreField
 from scanloom.plots.theme import theme_of
@@ -208,7 +208,7 @@ def _heatmap(
         marks += [Mark("peak", peak.u, peak.v)]
     if view.picked_offset is not None:
         marks += [Mark("picked", *view.picked_offset)]
-    drawn = dock_heatmap(
+    drawn = heatmap(
         field,
         marks,
         width_px=size_px[0],

@@ -9,7 +9,7 @@ import numpy as np
 from fusion_core.model.conventions import ByteArray, FloatArray, IntArray
 from scanloom.plots.canvas import LINE_PX, TITLE_PX, Box
 from scanloom.plots.palette import Color
-from scanloom.plots.text import Align, draw_text, draw_vertical_text, shorten, text_width
+from scanloom.plots.text import Align, draw_text, draw_vertical_text, shorten
 from scanloom.plots.theme import LIGHT, Theme
 from scanloom.plots.ticks import number_label, ticks_between, whole_ticks_between
 
@@ -98,16 +98,6 @@ class Axes:
         middle = self.box.left + 0.5 * self.box.width
         self._write(label, (middle, self.box.bottom + 28))
 
-    def draw_top_axis(self, label: str, ticks: Iterable[tuple[float, str]]) -> None:
-        """A second x axis above the box; ``ticks``: x with its label."""
-        for value, text in ticks:
-            x = round(self.to_pixel(value, 0.0)[0])
-            top = self.box.top
-            cv2.line(self.rgb, (x, top - 2), (x, top - 1 - _TICK_PX), self.theme.grey)
-            self._write(text, (x, top - _TICK_PX - 8))
-        middle = self.box.left + 0.5 * self.box.width
-        self._write(label, (middle, self.box.top - 29))
-
     def draw_y_axis(self, label: str, ticks: Iterable[float]) -> None:
         """Ticks with their values left of the box, and the axis' label left of those."""
         for value in ticks:
@@ -120,10 +110,6 @@ class Axes:
 
     def _write(self, text: str, place_px: tuple[float, float], *, align: Align = "middle") -> None:
         draw_text(self.rgb, text, place_px, align=align, color=self.theme.ink)
-
-    def fitting(self, label: str, short: str) -> str:
-        """``label``, or the shorter one where that is wider than the box."""
-        return label if text_width(label) <= self.box.width else short
 
     # Within the box
 

@@ -8,24 +8,20 @@ import cv2
 import numpy as np
 
 from fusion_core.model.conventions import ByteArray, FloatArray
-from scanloom.plots.axes import BELOW_PX, LEFT_PX, Axes, image_axes
+from scanloom.plots.axes import Axes, image_axes
 from scanloom.plots.canvas import (
     BLACK,
-    LINE_PX,
-    MARGIN_PX,
-    TITLE_PX,
     WHITE,
     blank_canvas,
-    box_between,
 )
-from scanloom.plots.color_scale import COLOR_BAR_PX, ColorScale
+from scanloom.plots.color_scale import ColorScale
 from scanloom.plots.dock_layout import DockLayout, draw_close_axes
-from scanloom.plots.legend import Legend, LegendEntry, Symbol, hatch_symbol, padded
+from scanloom.plots.legend import LegendEntry, Symbol
 from scanloom.plots.palette import Color, color_map
-from scanloom.plots.score_field import AzimuthAxis, Mark, MarkKind, ScoreField
-from scanloom.plots.text import draw_text, shorten
+from scanloom.plots.score_field import Mark, MarkKind, ScoreField
+from scanloom.plots.text import draw_text
 from scanloom.plots.theme import LIGHT, Theme
-from scanloom.plots.ticks import distinct_limits, number_label, ticks_between
+from scanloom.plots.ticks import distinct_limits
 
 _LABELS: dict[MarkKind, str] = {
     "peak": "best fit",
@@ -40,8 +36,6 @@ _DRAWING_ORDER: tuple[MarkKind, ...] = ("prior", "runner_up", "picked", "peak")
 # areas, and a linear scale spends its colours there. The peak then stands out, and the steps
 # between the best scores can be seen.
 _COLOR_POWER = 3.0
-# A label such as "-120°" with its gap.
-_DEGREES_PX = 52
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -77,59 +71,18 @@ class Heatmap:
 def heatmap(
     field: ScoreField,
     marks: Sequence[Mark],
-    azimuths: AzimuthAxis,
     *,
     width_px: int,
     height_px: int,
-    title: str = "",
     theme: Theme = LIGHT,
 ) -> Heatmap:
-    """Draw a field with its axes, its marks and their legend.
+    """Draw a field with its marks, and all kinds of marks in the legend, whether or not they exist;
+    one picked by hand only where it does.
 
     Raises ValueError where the picture is too small.
     """
     marks = [mark for mark in marks if mark.exists]
-    legend = Legend.of(_legend(field, marks), width_px - 2 * MARGIN_PX)
-    top = MARGIN_PX + (LINE_PX if title else 0) + BELOW_PX
-    bottom = height_px - MARGIN_PX // 2 - legend.height_px - BELOW_PX
-    box = box_between(LEFT_PX, top, width_px - COLOR_BAR_PX, bottom)
-    rgb = blank_canvas(width_px, height_px, theme)
-    rows, columns = field.scores.shape
-    axes = image_axes(rgb, box, (rows, columns), first_column=field.u_first, theme=theme)
-    if title:
-        text = shorten(title, width_px - 2 * MARGIN_PX, size_px=TITLE_PX)
-        place_px = MARGIN_PX, MARGIN_PX + LINE_PX // 2
-        draw_text(rgb, text, place_px, size_px=TITLE_PX, color=theme.ink)
-    scale = _scale_of(field, theme)
-    scale.paint(axes.inside, field.scores)
-    axes.draw_frame()
-    _draw_axes(axes, azimuths)
-    if scale.limits is None:
-        _explain_no_score(axes)
-    scale.draw_bar(rgb, box, "similarity")
-    _draw_marks(axes, field, marks)
-    legend.draw(rgb, MARGIN_PX, box.bottom + BELOW_PX, theme)
-    return Heatmap(
-        rgb=rgb, axes=axes, u_first=field.u_first, shape=(rows, columns), limits=scale.limits
-    )
-
-
-def dock_heatmap(
-    field: ScoreField,
-    marks: Sequence[Mark],
-    *,
-    width_px: int,
-    height_px: int,
-    theme: Theme = LIGHT,
-) -> Heatmap:
-    """Draw a field with its marks for a dock or a phone: as large as the width allows, without a
-    title.
-
-    ``field``, ``marks``, size and errors are those of ``heatmap``. All kinds of marks but one
-    picked by hand have their place in the legend, whether or not they exist.
-    """
-    marks = [mark for mark in marks if mark.exists]
-    layout = DockLayout.of(_dock_legend(marks), width_px, height_px)
+    layout = DockLayout.of(_legend(marks), width_px, height_px)
     rgb = blank_canvas(width_px, height_px, theme)
     rows, columns = field.scores.shape
     axes = image_axes(rgb, layout.space, (rows, columns), first_column=field.u_first, theme=theme)
@@ -177,18 +130,6 @@ def _draw_marks(axes: Axes, field: ScoreField, marks: Sequence[Mark]) -> None:
 def _limits_of(scores: FloatArray) -> tuple[float, float] | None:
     low, high = float(np.fmin.reduce(scores, axis=None)), float(np.fmax.reduce(scores, axis=None))
     return distinct_limits(low, high) if np.isfinite(low) else None
-
-
-def _draw_axes(axes: Axes, azimuths: AzimuthAxis) -> None:
-    label = axes.fitting("offset u along the LiDAR curve (samples)", "u (samples)")
-    axes.draw_x_axis(label, axes.x_ticks(whole=True))
-    axes.draw_y_axis("depth row v", axes.y_ticks(whole=True))
-    first, last = (azimuths.azimuth_deg(u) for u in axes.x_limits)
-    ticks = ticks_between(min(first, last), max(first, last), max(2, axes.box.width // _DEGREES_PX))
-    axes.draw_top_axis(
-        axes.fitting("azimuth in the LiDAR frame (°)", "azimuth (°)"),
-        [(azimuths.offset_of(degrees), f"{number_label(degrees)}°") for degrees in ticks],
-    )
 
 
 def _is_in_field(field: ScoreField, mark: Mark) -> bool:
@@ -256,23 +197,7 @@ _MARKS: dict[MarkKind, Callable[[ByteArray, tuple[int, int]], None]] = {
 }
 
 
-def _legend(field: ScoreField, marks: Sequence[Mark]) -> list[LegendEntry]:
-    """An entry for each mark, with its place, and one for cells without a score."""
-    entries = []
-    for mark in marks:
-        label = _LABELS[mark.kind]
-        u = f"{mark.u:.1f}".replace("-", "−")
-        if not _is_in_field(field, mark):
-            label += ": not in the field"
-        elif mark.v is None:
-            label += " " + padded(u, 5)
-        else:
-            label += " " + padded(f"({u}, {mark.v:.0f})", 12)
-        entries.append(LegendEntry(_symbol(mark.kind), label))
-    return [*entries, LegendEntry(hatch_symbol, "no score")]
-
-
-def _dock_legend(marks: Sequence[Mark]) -> list[LegendEntry]:
+def _legend(marks: Sequence[Mark]) -> list[LegendEntry]:
     kinds: list[MarkKind] = ["peak", "runner_up", "prior"]
     kinds += ["picked"] if any(mark.kind == "picked" for mark in marks) else []
     return [LegendEntry(_symbol(kind), _LABELS[kind]) for kind in kinds]

@@ -7,14 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scanloom.plots.axes import BELOW_PX
+from scanloom.plots.canvas import LINE_PX, MARGIN_PX
 from scanloom.plots.color_scale import hatch
-from scanloom.plots.heatmap import Heatmap, dock_heatmap, heatmap
+from scanloom.plots.heatmap import Heatmap, heatmap
 from scanloom.plots.palette import color_map
-from scanloom.plots.score_field import AzimuthAxis, Mark, MarkKind
+from scanloom.plots.score_field import Mark, MarkKind
 from scanloom.plots.theme import DARK
-
-AXIS = AzimuthAxis(first_deg=119.5, step_deg=-1.0)
 
 
 @dataclass
@@ -29,7 +27,7 @@ def ramp(rows: int = 60, columns: int = 90, u_first: int = 0) -> Field:
 
 
 def drawn(field: Field, *marks: Mark, width_px: int = 420, height_px: int = 380) -> Heatmap:
-    return heatmap(field, marks, AXIS, width_px=width_px, height_px=height_px, title="Frame 5")
+    return heatmap(field, marks, width_px=width_px, height_px=height_px)
 
 
 def color_at(picture: Heatmap, u: float, v: float) -> list[int]:
@@ -121,13 +119,13 @@ def test_a_mark_is_drawn_at_its_place_and_nowhere_outside_of_the_field(
 ) -> None:
     field = ramp()
     # So wide that the legend is of one line in both.
-    without = drawn(field, Mark("prior", 40.0), width_px=620)
-    picture = drawn(field, Mark("prior", 40.0), Mark(kind, *at), width_px=620)
+    without = drawn(field, Mark("prior", 40.0), width_px=800)
+    picture = drawn(field, Mark("prior", 40.0), Mark(kind, *at), width_px=800)
     assert picture.axes.box == without.axes.box
     box = picture.axes.box
     changed = (picture.rgb != without.rgb).any(axis=2)
     # The legend names the mark; everything else around the field stays.
-    changed[box.bottom + BELOW_PX :] = False
+    changed[-LINE_PX - MARGIN_PX :] = False
     assert changed.any()
     rows, columns = np.nonzero(changed)
     x, y = picture.axes.to_pixel(*at)
@@ -161,7 +159,8 @@ def test_the_prior_is_a_line_through_all_rows() -> None:
 @pytest.mark.parametrize("at", [(1e300, -1e300), (-500.0, None), (45.0, 60.0)])
 def test_a_mark_beyond_the_field_is_not_drawn_in_it(at: tuple[float, float | None]) -> None:
     # The legend is of one line in both.
-    picture, without = drawn(ramp(), Mark("picked", *at)), drawn(ramp(), Mark("prior", -9.0))
+    picture = drawn(ramp(), Mark("picked", *at), width_px=800)
+    without = drawn(ramp(), Mark("prior", -9.0), width_px=800)
     assert picture.axes.box == without.axes.box
     assert np.array_equal(picture.axes.box.view(picture.rgb), without.axes.box.view(without.rgb))
 
@@ -208,11 +207,11 @@ def test_a_picture_has_its_own_canvas_and_is_not_shared() -> None:
     fraction=st.tuples(st.floats(0, 1), st.floats(0, 1)),
     width_px=st.sampled_from([350, 410]),
 )
-def test_in_a_dock_place_and_offset_undo_each_other(
+def test_place_and_offset_undo_each_other(
     rows: int, columns: int, u_first: int, fraction: tuple[float, float], width_px: int
 ) -> None:
     field = Field(np.zeros((rows, columns)), u_first)
-    picture = dock_heatmap(field, (), width_px=width_px, height_px=330)
+    picture = heatmap(field, (), width_px=width_px, height_px=330)
     u, v = u_first + round(fraction[0] * (columns - 1)), round(fraction[1] * (rows - 1))
     place = picture.place_of(u, v)
     assert place is not None
@@ -222,14 +221,14 @@ def test_in_a_dock_place_and_offset_undo_each_other(
     assert picture.place_of(float("nan"), v) is None
 
 
-def test_in_a_dock_a_field_takes_nearly_all_the_width_and_its_box_stays() -> None:
+def test_a_field_takes_nearly_all_the_width_and_its_box_stays() -> None:
     marks = [Mark("peak", 45.0, 30.0), Mark("runner_up", 3.0, 4.0), Mark("prior", 40.0)]
-    full = dock_heatmap(ramp(), marks, width_px=410, height_px=330)
+    full = heatmap(ramp(), marks, width_px=410, height_px=330)
     assert full.rgb.shape == (330, 410, 3)
     assert full.axes.box.width >= 370
     assert full.axes.box.height >= 260
     empty = Field(np.full((60, 90), np.nan))
-    dark = dock_heatmap(empty, (), width_px=410, height_px=330, theme=DARK)
+    dark = heatmap(empty, (), width_px=410, height_px=330, theme=DARK)
     assert dark.axes.box == full.axes.box
     assert dark.limits is None
     assert dark.rgb[1, 1].tolist() == list(DARK.background)
@@ -245,15 +244,6 @@ def test_the_best_scores_take_most_of_the_colours() -> None:
 
 def test_too_small_a_picture_is_refused() -> None:
     with pytest.raises(ValueError, match="px"):
-        dock_heatmap(ramp(), (), width_px=60, height_px=60)
+        heatmap(ramp(), (), width_px=60, height_px=60)
     with pytest.raises(ValueError, match="px"):
-        drawn(ramp(), width_px=120, height_px=120)
-
-
-def test_degrees_fall_along_a_curve() -> None:
-    axis = AzimuthAxis.of_curve(left_rad=np.deg2rad(119.5), step_rad=np.deg2rad(1.0))
-    assert axis.azimuth_deg(0) == pytest.approx(119.5)
-    assert axis.azimuth_deg(84) == pytest.approx(35.5)
-    assert axis.offset_of(axis.azimuth_deg(12.25)) == pytest.approx(12.25)
-    with pytest.raises(ValueError, match="step"):
-        AzimuthAxis(0.0, 0.0)
+        drawn(ramp(), width_px=420, height_px=50)
