@@ -225,10 +225,6 @@ class ClientSession:
         # Otherwise viser waits up to 1/60 s for more.
         self._client.flush()
 
-    def recording_names(self) -> list[str]:
-        """The recordings that may be opened."""
-        return self._library.names()
-
     def recording_path(self, name: str) -> Path:
         """The file of a recording. Raises RecordingError for a name that may not be opened."""
         return self._library.path(name)

@@ -68,7 +68,7 @@ class Workbench:
             recordings, first_frame = [sample_path()], SAMPLE_FRAME
         self._library = Library(recordings, list(options.roots), options.upload_limit_bytes)
         self._first_view = View(
-            recording=self._library.names()[0],
+            recording=next(iter(self._library.named())),
             frame_index=first_frame,
             virtual_row=options.virtual_row,
         )

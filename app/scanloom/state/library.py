@@ -5,7 +5,6 @@ import threading
 from collections import OrderedDict
 from collections.abc import Hashable
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 
 from fusion_core.model.errors import RecordingError
@@ -17,8 +16,6 @@ from fusion_core.workflows.source import open_source
 from scanloom.jobs.activity import Activity
 from scanloom.jobs.fair_semaphore import FairSemaphore
 from scanloom.state.allowed_paths import (
-    child_names,
-    path_below,
     path_of_shown_name,
     resolve_root,
     shown_name,
@@ -29,8 +26,6 @@ from scanloom.state.recording_details import DetailsReader
 from scanloom.state.uploads import DEFAULT_LIMIT_BYTES, Uploads
 from scanloom.state.view import MAX_NAME_CHARACTERS, View
 
-# A longer dropdown cannot be used.
-_MAX_LISTED = 500
 # Open recordings without a viewer that are kept, for going back and for undo. The cached frames of
 # each take about 200 MB.
 _MAX_UNVIEWED = 3
@@ -78,13 +73,6 @@ class Library:
         # Replaced by other files at the same paths, but still in use.
         self._outdated: list[_File] = []
 
-    def names(self) -> list[str]:
-        """The names that ``open`` accepts."""
-        found = dict.fromkeys(self._named)
-        for root in self.roots:
-            found.update(dict.fromkeys(_listed(root)))
-        return list(found)
-
     def open(self, view: View, viewer: Hashable = None) -> OpenRecording:
         """Open the recording of a view with its streams and alignment settings.
 
@@ -95,7 +83,7 @@ class Library:
         has not.
         """
         path = self.path(view.recording)
-        key = _key_of(path, view)
+        key = _Key(path, view.opened_by)
         file: _File | None = None
         try:
             with self._lock:
@@ -169,7 +157,7 @@ class Library:
         )
 
     def named(self) -> dict[str, Path]:
-        """The recordings given at the start."""
+        """The recordings given at the start, by the names that ``open`` accepts."""
         return dict(self._named)
 
     def root_label(self, root: Path) -> str:
@@ -242,10 +230,6 @@ class _Key:
     options: Hashable
 
 
-def _key_of(path: Path, view: View) -> _Key:
-    return _Key(path, view.opened_by)
-
-
 class _File:
     """A file shared by several ``OpenRecording``.
 
@@ -270,17 +254,6 @@ class _File:
         """Close the file."""
         if self._recording is not None:
             self._recording.close()
-
-
-def _listed(root: Path) -> dict[str, Path]:
-    """The recordings directly in a root, by the name that browsers are sent."""
-    try:
-        children = sorted(child_names(root))
-    except OSError:
-        # The folder was removed after the start.
-        return {}
-    below = ((escape_undecodable(name), path_below(root, name)) for name in children)
-    return dict(islice(((name, path) for name, path in below if path is not None), _MAX_LISTED))
 
 
 def _streams_of(recording: Recording, view: View) -> RecordedStreams:

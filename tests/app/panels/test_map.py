@@ -38,7 +38,7 @@ class Bench:
         assert self.furnished.wait(LONG_S)
 
     def _welcome(self, client: viser.ClientHandle) -> None:
-        view = View(recording=self.library.names()[0], panel="Map")
+        view = View(recording=next(iter(self.library.named())), panel="Map")
         self.session = ClientSession(client, self.library, view)
         self.panel = MapPanel(client.gui, self.session, self.root, self.floor.append)
         self.session.panels = [self.panel]

@@ -114,7 +114,7 @@ def library(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iter
 @pytest.fixture
 def bench(library: Library) -> Iterator[Bench]:
     """A new browser before the first recording, which is aligned once and has no curve yet."""
-    first = View(recording=library.names()[0], panel="Register")
+    first = View(recording=next(iter(library.named())), panel="Register")
     # Seen by somebody all the time, it stays open.
     library.open(first, viewer="the tests").recalls.clear()
     bench = Bench(library, first)

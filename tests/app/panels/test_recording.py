@@ -29,7 +29,7 @@ class Bench:
 
     def __init__(self, recordings: list[Path]) -> None:
         self.library = Library(recordings, [])
-        self.first = View(recording=self.library.names()[0])
+        self.first = View(recording=next(iter(self.library.named())))
         self.furnished = threading.Event()
         self.server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         self.server.on_client_connect(self._welcome)

@@ -77,7 +77,7 @@ def module_bench() -> Iterator[Bench]:
 
     @server.on_client_connect
     def _(client: viser.ClientHandle) -> None:
-        view = View(recording=library.names()[0], panel="Repair", frame_index=FRAME)
+        view = View(recording=next(iter(library.named())), panel="Repair", frame_index=FRAME)
         session = ClientSession(client, library, view)
         panel = RepairPanel(client.gui, session)
         session.panels = [panel]

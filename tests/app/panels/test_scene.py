@@ -63,7 +63,7 @@ def module_bench(small_scene: Path) -> Iterator[Bench]:
 
     @server.on_client_connect
     def _(client: viser.ClientHandle) -> None:
-        session = ClientSession(client, library, View(recording=library.names()[0]))
+        session = ClientSession(client, library, View(recording=next(iter(library.named()))))
         bridge = PageBridge(client.gui)
         panel = ScenePanel(client, bridge, session)
         session.panels = [panel]

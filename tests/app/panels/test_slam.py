@@ -42,7 +42,7 @@ class Page:
     def __init__(self, client: viser.ClientHandle, library: Library, root: Path) -> None:
         self.floor: list[tuple[OccupancyGrid | None, PoseLookup | None]] = []
         self.client: ViserClient
-        view = View(recording=library.names()[0], panel="Map", map_mode="SLAM")
+        view = View(recording=next(iter(library.named())), panel="Map", map_mode="SLAM")
         self.session = ClientSession(client, library, view)
         self.panel = MapPanel(client.gui, self.session, root, self.take)
         self.session.panels = [self.panel]
