@@ -181,9 +181,7 @@ class ClientSession:
             count = len(self._open_recording.frames) if self._open_recording is not None else 0
             if not count:
                 return
-            number = self._view.frame_index + by
-            number = number % count if self._view.loop_playback else min(max(number, 0), count - 1)
-            self.pass_to_frame(number)
+            self.pass_to_frame(self._view.frame_after(self._view.frame_index, by, count))
 
     def notify(
         self,

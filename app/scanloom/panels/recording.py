@@ -125,7 +125,7 @@ class RecordingPanel(Panel):
             self._listed = listed
             described = describe_recording(opened.recording)
             if opened.why_not_fused:
-                # In its own words it names options of the command line.
+                # The description rests on the topics alone; a sensor may be unreadable.
                 described["can"] = [opened.why_not_fused, *opened.streams.notes]
             gaps = stream_gaps(opened.recording)
             update_widget(self._streams, content=stream_table(described, gaps))

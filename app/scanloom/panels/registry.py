@@ -68,7 +68,7 @@ from scanloom.state.view import PANELS, PanelName
 
 @dataclass(frozen=True, kw_only=True)
 class PanelContext:
-    """What panels are built from. ``scene`` takes the heatmap and the map that panels show."""
+    """What the steps' panels are built from. ``scene`` takes the map that they show."""
 
     gui: viser.GuiApi
     session: ClientSession

@@ -13,7 +13,7 @@ from fusion_core.workflows.recorded_poses import PoseLookup
 from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView
 from scanloom.page.bridge import PageBridge
-from scanloom.panels.scene_legend import LegendEntry, SceneLegend, legend_entries
+from scanloom.panels.scene_legend import SceneLegend
 from scanloom.panels.widgets.controls import Controls
 from scanloom.plots.grid_image import grid_texture
 from scanloom.plots.theme import LIGHT, Theme, theme_of
@@ -147,11 +147,6 @@ class ScenePanel(Panel):
             place = (hover.row + 0.5) / height, (hover.column + 0.5) / width
         with self._drawing:
             self._nodes.mark_hover(hover.beam, place)
-
-    def legend(self, frame_view: FrameView) -> list[LegendEntry]:
-        """The entries of the legend for a view, each with its switch."""
-        step = self._shown_step(frame_view)
-        return legend_entries(self._session, step, frame_view.view, frame_view.is_dark)
 
     def reset_view(self) -> None:
         """Look from the viewpoint of the open step at the current frame."""

@@ -94,9 +94,7 @@ class TimelinePanel(Panel):
 
     def play_or_pause(self) -> None:
         """Start or stop moving; from the end it starts at the beginning."""
-        view = self._session.view
-        is_at_end = not view.loop_playback and view.frame_index >= self.last_index
-        if is_at_end and not self._playback.is_playing:
+        if self.is_at_end and not self._playback.is_playing:
             self.first()
         self._playback.toggle()
 
@@ -137,6 +135,12 @@ class TimelinePanel(Panel):
     def last_index(self) -> int:
         """The last frame's index; 0 where there is none."""
         return 0 if self._times is None else self._times.times_s.size - 1
+
+    @property
+    def is_at_end(self) -> bool:
+        """Whether playback ends at the wanted frame."""
+        view = self._session.view
+        return not view.loop_playback and view.frame_index >= self.last_index
 
     @property
     def frames_hz(self) -> float:
@@ -342,13 +346,11 @@ class _SessionPlayer:
 
     @property
     def is_at_end(self) -> bool:
-        view = self._session.view
-        return not view.loop_playback and view.frame_index >= self._timeline.last_index
+        return self._timeline.is_at_end
 
     def frame_after(self, frame_index: int, by: int) -> int:
-        last = self._timeline.last_index
-        is_looping = self._session.view.loop_playback
-        return (frame_index + by) % (last + 1) if is_looping else min(frame_index + by, last)
+        count = self._timeline.last_index + 1
+        return self._session.view.frame_after(frame_index, by, count)
 
     def show_frame(self, frame_index: int) -> None:
         self._session.pass_to_frame(frame_index)

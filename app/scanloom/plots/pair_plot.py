@@ -174,8 +174,6 @@ def _legend(plot: PairPlot) -> list[LegendEntry]:
 _MIDDLE_PLACE = [SYMBOL_PX // 2 << FRACTION_BITS, 9 << FRACTION_BITS]
 _TWO_PLACES = np.array([[6, 9], [14, 9]], dtype=np.int32) << FRACTION_BITS
 
-_LINE_ENDS = np.array([[4, 12], [16, 6]], dtype=np.int32) << FRACTION_BITS
-
 
 def _dot_symbol(color: Color) -> Symbol:
     return lambda part, _theme: draw_dot(part, _MIDDLE_PLACE, color, 2.0 * _DOT_PX)

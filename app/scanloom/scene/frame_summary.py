@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion_core.model.classes import NoiseClass, RepairSource
-from fusion_core.model.conventions import FloatArray, IntArray
+from fusion_core.model.conventions import IntArray
 from fusion_core.workflows.fuse.frame import FusedFrame
 
 
@@ -168,15 +168,6 @@ def facts_of_beam(frame: FusedFrame, beam: int) -> BeamFacts | None:
         pixel_through=bool(classes.pixel_through[at]),
         evidence=(float(evidence[:2].sum()), float(evidence[2:4].sum()), float(evidence[4])),
     )
-
-
-def unwrapped_deg(azimuth_rad: FloatArray) -> FloatArray:
-    """(B,) degrees of azimuths that lie together, without a jump at ±180°."""
-    if not azimuth_rad.size:
-        return azimuth_rad
-    middle = np.angle(np.exp(1j * azimuth_rad).mean())
-    degrees: FloatArray = np.rad2deg(middle + np.angle(np.exp(1j * (azimuth_rad - middle))))
-    return degrees
 
 
 def _counts(noise_class: IntArray, source: IntArray) -> Counts:

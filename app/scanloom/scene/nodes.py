@@ -39,8 +39,6 @@ _EDGED_WIDTH = 1.45
 _WIDTH_STEP = 1.15
 # Set by hand: about so many beams are told apart as a fan.
 _MAX_RAYS = 72
-# Sizes in metres of the dots, per metre of view range.
-_DOT_SIZE = 0.012
 # What an eye sees as another direction: shapes are turned to it.
 _TURNED_COS = float(np.cos(np.deg2rad(8.0)))
 _DISTANCE_RATIO = 1.2

@@ -4,14 +4,18 @@ from fusion_core.workflows.fuse.session import Session
 from scanloom.state.open_recording import OpenRecording
 
 
+def fused_sentence(open_recording: OpenRecording) -> str:
+    """What a recording that can be fused holds."""
+    images = _counted(open_recording, "depth image", _of_cameras(open_recording.fuse_session))
+    return f"{images}, and a LiDAR"
+
+
 def alone_sentence(open_recording: OpenRecording) -> str:
     """What a recording that cannot be fused holds, and what it lacks."""
     opened = open_recording.opened
     streams = opened.streams
     if opened.session is not None:
-        cameras = len(opened.session.rig.cameras)
-        by_cameras = "a depth camera" if cameras == 1 else f"{cameras} depth cameras"
-        held = _counted(open_recording, "depth image", f"of {by_cameras}")
+        held = _counted(open_recording, "depth image", _of_cameras(opened.session))
         missing = "no LiDAR"
     elif streams.lidar is not None:
         held, missing = _counted(open_recording, "scan", "of a LiDAR"), "no depth camera"
@@ -47,6 +51,11 @@ def notes_of_streams(open_recording: OpenRecording) -> str:
 
 def _has_virtual_lidar(session: Session | None) -> bool:
     return session is not None and session.virtual_row is not None
+
+
+def _of_cameras(session: Session) -> str:
+    cameras = len(session.rig.cameras)
+    return "of a depth camera" if cameras == 1 else f"of {cameras} depth cameras"
 
 
 def _counted(open_recording: OpenRecording, what: str, whose: str) -> str:

@@ -8,7 +8,7 @@ from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.conventions import wrap_angle
 from scanloom.frame_view import FrameView, failure_summary, missing_result_text
 from scanloom.scene.frame_summary import counts_of_beams
-from scanloom.scene.recording_text import alone_sentence, notes_of_streams
+from scanloom.scene.recording_text import alone_sentence, fused_sentence, notes_of_streams
 from scanloom.state.possible_steps import why_not
 
 # Samples: nearer than this, the peak with and without the recording's offset are the same.
@@ -48,12 +48,7 @@ def _recording(frame_view: FrameView) -> Verdict:
     if not open_recording.can_be_fused:
         detail = " ".join(filter(None, [_failure_text(frame_view), notes]))
         return Verdict(sentence=alone_sentence(open_recording), detail=detail)
-    session, times_ns = open_recording.fuse_session, open_recording.frames.times_ns
-    count = len(times_ns)
-    duration_s = float(times_ns[-1] - times_ns[0]) / 1e9 if count > 1 else 0.0
-    cameras = len(session.rig.cameras)
-    seen_by = "one depth camera" if cameras == 1 else f"{cameras} depth cameras"
-    sentence = f"{count} depth images of {seen_by} in {duration_s:.0f} s, and a LiDAR"
+    sentence = fused_sentence(open_recording)
     if frame_view.chain is None:
         missing = missing_result_text(frame_view)
         return Verdict(sentence=sentence, detail=f"{missing} {notes}".rstrip())

@@ -146,6 +146,12 @@ class View(BaseModel):
                 validation_message(error), advice="The value before is kept."
             ) from error
 
+    def frame_after(self, frame_index: int, by: int, count: int) -> int:
+        """The frame so many after one of ``count``: at most the last or first one, or around the
+        ends if playback loops."""
+        number = frame_index + by
+        return number % count if self.loop_playback else min(max(number, 0), count - 1)
+
     def of_recording(self, name: str) -> "View":
         """The first frame of another recording, with the streams that it offers itself. Raises
         SettingsError for a name that is too long."""

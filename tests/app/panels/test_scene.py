@@ -169,7 +169,8 @@ def test_the_legend_is_the_switch_of_each_layer(bench: Bench) -> None:
     bench.browser.wait_until(lambda: "curve" in session.view.hidden_layers)
     assert session.wait(ENOUGH_S)
     assert not curve.visible
-    shown = {entry.label: entry.is_visible for entry in bench.panel.legend(session.frame_view)}
+    entries = legend_entries(session, session.view.panel, session.view, is_dark=False)
+    shown = {entry.label: entry.is_visible for entry in entries}
     assert not shown["LiDAR curve"]
     assert shown["Depth surface"]
     assert view_of_link(session.view.to_link()).hidden_layers == {"curve"}
@@ -182,7 +183,8 @@ def test_the_legend_is_the_switch_of_each_layer(bench: Bench) -> None:
 
 def test_classes_are_switched_one_by_one(bench: Bench) -> None:
     bench.change(panel="Repair")
-    labels = {entry.label for entry in bench.panel.legend(bench.session.frame_view)}
+    entries = legend_entries(bench.session, "Repair", bench.session.view, is_dark=False)
+    labels = {entry.label for entry in entries}
     assert {"Good", "Hole", "Burr", "Conflict"} <= labels
     bench.browser.press("layer", "Hole")
     bench.browser.wait_until(lambda: NoiseClass.HOLE not in bench.session.view.visible_classes)

@@ -15,7 +15,6 @@ from scanloom.scene.frame_summary import (
     counts_of_beams,
     counts_of_pixels,
     facts_of_beam,
-    unwrapped_deg,
 )
 
 GOOD, HOLE, BURR, CONFLICT = NoiseClass
@@ -123,10 +122,3 @@ def test_a_beam_may_have_no_pixel_or_lie_out_of_view() -> None:
     assert outside.pixel is None
     assert facts_of_beam(frame(), 104) is None
     assert facts_of_beam(frame(), 0) is None
-
-
-def test_azimuths_do_not_jump_where_the_camera_looks_back() -> None:
-    across = unwrapped_deg(frame(np.pi + 0.25).match.correspondence.azimuth_rad)
-    np.testing.assert_allclose(np.diff(across), np.rad2deg(-0.1))
-    assert abs(across.mean()) == pytest.approx(np.rad2deg(np.pi - 0.05), abs=1e-6)
-    assert unwrapped_deg(np.empty(0)).size == 0

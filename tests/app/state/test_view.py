@@ -465,3 +465,14 @@ def test_links_with_former_field_names_are_read() -> None:
 
 def test_a_former_name_beside_the_current_one_is_refused() -> None:
     assert "number" in refusal_of(link_of(values_of(VIEW) | {"number": 3}))
+
+
+@pytest.mark.parametrize(
+    ("frame_index", "by", "looping", "ending"),
+    [(3, 1, 4, 4), (4, 1, 0, 4), (0, -1, 4, 0), (2, 9, 1, 4), (2, -9, 3, 0)],
+)
+def test_steps_go_around_the_ends_or_stop_at_them(
+    frame_index: int, by: int, looping: int, ending: int
+) -> None:
+    assert VIEW.changed(loop_playback=True).frame_after(frame_index, by, 5) == looping
+    assert VIEW.changed(loop_playback=False).frame_after(frame_index, by, 5) == ending
