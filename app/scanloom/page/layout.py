@@ -12,6 +12,10 @@ _NARROW_LEFT_PX, _NARROW_RIGHT_PX = 300, 330
 _BOTTOM_PX, _LOW_BOTTOM_PX = 340, 300
 _LOW_SCREEN_PX = 800
 _GAP_PX = 12
+_USUAL_SCREEN_PX = 900
+COVERED_BELOW = (_BOTTOM_PX + _GAP_PX) / _USUAL_SCREEN_PX
+"""Share of a usual screen's height, at its lower edge, on which the time panel lies."""
+
 # With a smaller scene the floating panel is as wide as this.
 _LEAST_WIDTH_PX = 320
 # What viser takes of a panel for its head and its margins.

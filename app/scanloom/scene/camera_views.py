@@ -10,6 +10,7 @@ import numpy.typing as npt
 from fusion_core.model.conventions import Float32Array, FloatArray, read_only
 from fusion_core.model.geometry import rotation_from_quaternion, rotation_from_yaw_pitch_roll
 from fusion_core.model.geometry import transform_points as apply_transform
+from scanloom.page.layout import COVERED_BELOW
 from scanloom.scene.frame_geometry import FrameGeometry
 from scanloom.scene.geometry import Frustum
 from scanloom.scene.glyphs import USUAL_FOV_RAD, facing
@@ -18,8 +19,6 @@ from scanloom.state.view import PanelName
 # Narrow: from far above, what lies above or below the plane hardly moves sideways.
 _ABOVE_FOV_RAD = float(np.deg2rad(20.0))
 _LEAST_ASPECT = 0.5
-# Share of the screen's height, at its lower edge, on which the strip of time lies.
-_COVERED_BELOW = 0.4
 # Share of the half screen that is left free at each edge.
 _EDGE = 0.04
 # Set by hand for rooms; the default is for frames without a point.
@@ -251,7 +250,7 @@ def _fitted(
     """
     half = np.tan(0.5 * USUAL_FOV_RAD)
     side = (1.0 - _EDGE) * max(aspect, _LEAST_ASPECT) * half
-    top, bottom = (1.0 - _EDGE) * half, (1.0 - 2.0 * _COVERED_BELOW) * half
+    top, bottom = (1.0 - _EDGE) * half, (1.0 - 2.0 * COVERED_BELOW) * half
     seen_from = facing(np.zeros(3), ahead, _UP)
     axes = np.stack([seen_from.right, seen_from.up, ahead])
     may, must = may_m @ axes.T, must_m @ axes.T
@@ -279,8 +278,8 @@ def _fitted(
 
 def _above(middle_m: FloatArray, height_m: float, *, up: FloatArray) -> CameraView:
     """Straight down; the part of the screen that nothing covers shows ``height_m``."""
-    shown_m = 1.06 * height_m / (1.0 - _COVERED_BELOW)
-    middle_m = middle_m - 0.5 * _COVERED_BELOW * shown_m * np.asarray(up)
+    shown_m = 1.06 * height_m / (1.0 - COVERED_BELOW)
+    middle_m = middle_m - 0.5 * COVERED_BELOW * shown_m * np.asarray(up)
     away_m = np.array([0.0, 0.0, 0.5 * shown_m / float(np.tan(0.5 * _ABOVE_FOV_RAD))])
     return CameraView(
         position_m=middle_m + away_m, look_at_m=middle_m, up=up, fov_rad=_ABOVE_FOV_RAD
