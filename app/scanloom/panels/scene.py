@@ -31,7 +31,8 @@ from scanloom.scene.frame_stage import (
     surface_colors,
 )
 from scanloom.scene.layers import absent_layers, layers_of_step
-from scanloom.scene.nodes import MapPlane, SceneNodes
+from scanloom.scene.map_nodes import MapPlane
+from scanloom.scene.nodes import SceneNodes
 from scanloom.state.hover import Hover
 from scanloom.state.possible_steps import why_not
 from scanloom.state.view import Layer, PanelName
@@ -105,7 +106,7 @@ class ScenePanel(Panel):
         is_first = self._grid is None and grid is not None
         self._grid, self._map_poses = grid, poses
         with self._drawing:
-            self._nodes.show_map(None if grid is None else _plane_of(grid, self._map_theme))
+            self._nodes.map.show(None if grid is None else _plane_of(grid, self._map_theme))
         self._path_of = None
         if is_first and self._seen_step == "Map":
             # It is what the step is about: look at it once it is placed.
@@ -218,21 +219,21 @@ class ScenePanel(Panel):
         if self._grid is not None or is_robot:
             poses = frame_view.open_recording.poses if self._map_poses is None else self._map_poses
         if poses is None or stamp_ns is None:
-            self._nodes.place_map(None)
+            self._nodes.map.place(None)
             return
         if self._path_of is not poses:
             self._path_of = poses
             found = [poses.at(int(stamp)) for stamp in pose_stamps_ns(frame_view)]
             path = [pose for pose in found if pose is not None]
             self._path_m = np.array(path).reshape(-1, 3)[:, :2]
-            self._nodes.show_path(self._path_m)
+            self._nodes.map.show_path(self._path_m)
         pose = poses.at(stamp_ns)
         if is_robot:
-            self._nodes.place_map(np.eye(4))
+            self._nodes.map.place(np.eye(4))
             return
         T_map_lidar = None if pose is None else transform_from_planar(pose)
         self._T_lidar_map = None if T_map_lidar is None else invert_transform(T_map_lidar)
-        self._nodes.place_map(T_map_lidar)
+        self._nodes.map.place(T_map_lidar)
 
     def _go_to_view(self, name: str, _: object) -> None:
         self._look_by_name(name)

@@ -6,9 +6,18 @@ import viser
 from fusion_core.model.conventions import ByteArray, Float32Array
 from scanloom.plots.palette import Color
 from scanloom.scene.geometry import Segments
+from scanloom.scene.glyphs import Facing
+from scanloom.scene.stage_colors import OUTLINE
 
 # A browser draws points twice as wide as their size says.
 _SIZE_PER_WIDTH = 0.5
+
+# The edge of a line lies behind it by this share of its distance.
+_EDGE_BEHIND = 0.006
+# An edge of 1.3 px around a dot of 6 to 9 px.
+_EDGED_WIDTH = 1.45
+# Widths are steps of this ratio, so that they seldom change from frame to frame.
+_WIDTH_STEP = 1.15
 
 _SRGB = np.arange(256) / 255.0
 _INTENSITIES = np.rint(
@@ -58,6 +67,30 @@ class SceneGeometry:
         self._handle.remove()
 
 
+class EdgedGeometry:
+    """Lines or dots with a dark edge, which lies a little behind them."""
+
+    def __init__(self, fill: SceneGeometry, edge: SceneGeometry) -> None:
+        self.fill, self.edge = fill, edge
+
+    def draw(
+        self, points_m: Float32Array, eye: Facing, lift: float, colors: ByteArray | None = None
+    ) -> None:
+        """Draw (..., 3) points, moved towards the eye by a share of their distance."""
+        self.edge.draw(eye.lifted(points_m, lift - _EDGE_BEHIND))
+        self.fill.draw(eye.lifted(points_m, lift), colors)
+
+    def draw_dots(self, points_m: Float32Array, eye: Facing, width: float, lift: float) -> None:
+        """Draw (N, 3) dots, of a width per metre of their median distance."""
+        if len(points_m):
+            distance_m = float(np.median(eye.distance_m(points_m)))
+            width_m = width * max(distance_m, 0.1)
+            width_m = _WIDTH_STEP ** float(np.round(np.log(width_m) / np.log(_WIDTH_STEP)))
+            self.fill.resize(width_m)
+            self.edge.resize(_EDGED_WIDTH * width_m)
+        self.draw(points_m, eye, lift)
+
+
 def colors_of_segments(colors: ByteArray) -> ByteArray:
     """(N, 3) colours of segments as (N, 2, 3) of their ends.
 
@@ -103,6 +136,20 @@ def points(scene: viser.SceneApi, name: str, color: Color) -> SceneGeometry:
             visible=False,
         )
     )
+
+
+def edged_lines(
+    scene: viser.SceneApi, name: str, color: Color | None, *, thickness_px: float, edge_px: float
+) -> EdgedGeometry:
+    """As ``lines``, with an edge on both sides."""
+    edge = lines(scene, f"{name}_edge", OUTLINE, thickness_px=thickness_px + 2.0 * edge_px)
+    return EdgedGeometry(lines(scene, name, color, thickness_px=thickness_px), edge)
+
+
+def edged_dots(scene: viser.SceneApi, name: str, color: Color) -> EdgedGeometry:
+    """As ``points``, with an edge."""
+    edge = points(scene, f"{name}_edge", OUTLINE)
+    return EdgedGeometry(points(scene, name, color), edge)
 
 
 def squares(scene: viser.SceneApi, name: str) -> SceneGeometry:

@@ -1,42 +1,41 @@
 """The nodes of one browser's scene. Each is added once and then only given new values."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import viser
 
-from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray, read_only
+from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray
 from scanloom.plots.palette import Color, class_colors, color_of
 from scanloom.scene.camera_nodes import CameraNodes
 from scanloom.scene.camera_views import CameraView
 from scanloom.scene.depth_surface import point_at
 from scanloom.scene.frame_geometry import FrameGeometry
-from scanloom.scene.geometry import NO_SEGMENTS, Segments, arrow_segments, path_segments, quaternion
-from scanloom.scene.geometry_nodes import SceneGeometry, colors_of_segments, lines, points
-from scanloom.scene.glyphs import Facing, Glyphs, class_glyphs, facing, ring_segments
+from scanloom.scene.geometry import NO_SEGMENTS, Segments, arrow_segments
+from scanloom.scene.geometry_nodes import (
+    EdgedGeometry,
+    SceneGeometry,
+    colors_of_segments,
+    edged_dots,
+    edged_lines,
+    lines,
+)
+from scanloom.scene.glyphs import Glyphs, class_glyphs, facing, ring_segments
 from scanloom.scene.layers import LAYERS
+from scanloom.scene.map_nodes import MapNodes
 from scanloom.scene.picking import nearest_beam
-from scanloom.scene.stage_colors import HOLLOW, LIGHT, OUTLINE, stage_colors
+from scanloom.scene.stage_colors import HOLLOW, LIGHT, stage_colors
 from scanloom.state.view import Layer
 
-# Coplanar layers are drawn with a small offset against z-fighting.
-_APART_M = 0.01
 # Shares of its distance by which a line is moved towards the viewer, where it is seen at the same
-# place: more than the noise of the surface that it lies on, 5 cm at 4 m; the edge of a line behind
-# it.
+# place: more than the noise of the surface that it lies on, 5 cm at 4 m.
 _MATCHED_LIFT = 0.010
 _CURVE_LIFT = 0.020
 _DOT_LIFT = 0.024
 _GLYPH_LIFT = 0.032
 _MARK_LIFT = 0.036
-_EDGE_BEHIND = 0.006
 # Widths of dots per metre of distance: 6 to 9 px on a screen of 900 px.
 _SMALL_DOT, _LARGE_DOT = 0.0062, 0.0088
-# An edge of 1.3 px around such a dot.
-_EDGED_WIDTH = 1.45
-# Widths are steps of this ratio, so that they seldom change from frame to frame.
-_WIDTH_STEP = 1.15
 # Set by hand: about so many beams are told apart as a fan.
 _MAX_RAYS = 72
 # What an eye sees as another direction: shapes are turned to it.
@@ -52,52 +51,8 @@ _LABEL_STEP_M = 0.4
 _NOWHERE = np.empty((0, 3), dtype=np.float32)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MapPlane:
-    """A map as a picture, (H, W, 3) or (H, W, 4) uint8, its first row at the largest y.
-
-    ``origin_m``: (x, y) of its corner of least x and y in the map frame.
-    """
-
-    picture: ByteArray
-    resolution_m: float
-    origin_m: tuple[float, float]
-
-    def __post_init__(self) -> None:
-        read_only(self.picture)
-
-    @property
-    def size_m(self) -> FloatArray:
-        """(2,) extent along x and y."""
-        return self.resolution_m * np.array(self.picture.shape[1::-1], dtype=np.float64)
-
-
-class _Edged:
-    """Lines or dots with a dark edge, which lies a little behind them."""
-
-    def __init__(self, fill: SceneGeometry, edge: SceneGeometry) -> None:
-        self.fill, self.edge = fill, edge
-
-    def draw(
-        self, points_m: Float32Array, eye: Facing, lift: float, colors: ByteArray | None = None
-    ) -> None:
-        """Draw (..., 3) points, moved towards the eye by a share of their distance."""
-        self.edge.draw(eye.lifted(points_m, lift - _EDGE_BEHIND))
-        self.fill.draw(eye.lifted(points_m, lift), colors)
-
-    def draw_dots(self, points_m: Float32Array, eye: Facing, width: float) -> None:
-        """Draw (N, 3) dots, of a width per metre of their median distance."""
-        if len(points_m):
-            distance_m = float(np.median(eye.distance_m(points_m)))
-            width_m = width * max(distance_m, 0.1)
-            width_m = _WIDTH_STEP ** float(np.round(np.log(width_m) / np.log(_WIDTH_STEP)))
-            self.fill.resize(width_m)
-            self.edge.resize(_EDGED_WIDTH * width_m)
-        self.draw(points_m, eye, _DOT_LIFT)
-
-
 class SceneNodes:
-    """One browser's view of a frame. ``scene`` is the browser's own.
+    """One browser's view of a frame. ``scene`` is the browser's own; ``map`` is drawn in it.
 
     Calls come from one thread at a time, and inside the client's ``atomic()`` where the browser
     should see their effects together.
@@ -111,19 +66,16 @@ class SceneNodes:
         self._hovered: tuple[int | None, tuple[float, float] | None] = None, None
         self._floor_m = float("nan")
         self._labelled: set[str] = set()
-        self._in_a_map = False
         self._is_dark = False
         self._facing = facing(np.array([-4.0, 0.0, 4.0]), np.zeros(3), np.array([0.0, 0.0, 1.0]))
         scene.set_up_direction("+z")
         self._cameras: dict[int, CameraNodes] = {}
 
-        def edged(name: str, color: Color | None, *, px: float, edge_px: float) -> _Edged:
-            edge = lines(scene, f"/frame/{name}_edge", OUTLINE, thickness_px=px + 2.0 * edge_px)
-            return _Edged(lines(scene, f"/frame/{name}", color, thickness_px=px), edge)
+        def edged(name: str, color: Color | None, *, px: float, edge_px: float) -> EdgedGeometry:
+            return edged_lines(scene, f"/frame/{name}", color, thickness_px=px, edge_px=edge_px)
 
-        def dots(name: str, color: Color) -> _Edged:
-            edge = points(scene, f"/frame/{name}_edge", OUTLINE)
-            return _Edged(points(scene, f"/frame/{name}", color), edge)
+        def dots(name: str, color: Color) -> EdgedGeometry:
+            return edged_dots(scene, f"/frame/{name}", color)
 
         self._rays = lines(scene, "/frame/rays", LIGHT.ray, thickness_px=1.0)
         self._matched = edged("matched", color_of("depth"), px=9.0, edge_px=1.0)
@@ -138,7 +90,7 @@ class SceneNodes:
         self._filled = dots("filled", HOLLOW)
         self._mark = edged("mark", LIGHT.ink, px=2.0, edge_px=0.0)
         self._hover = edged("hover", LIGHT.ink, px=2.5, edge_px=0.0)
-        self._of_layer: dict[Layer, tuple[SceneGeometry | _Edged, ...]] = {
+        self._of_layer: dict[Layer, tuple[SceneGeometry | EdgedGeometry, ...]] = {
             "rays": (self._rays,),
             "matched": (self._matched,),
             "curve": (self._curve, self._alone, self._mark, self._hover),
@@ -176,9 +128,7 @@ class SceneNodes:
             shadow_opacity=0.0,
             visible=False,
         )
-        self._in_map = scene.add_frame("/in_map", show_axes=False, visible=False)
-        self._path = lines(scene, "/in_map/path", LIGHT.ink, thickness_px=3.0)
-        self._map: viser.ImageHandle | None = None
+        self.map = MapNodes(scene)
 
     def show(self, frame: FrameGeometry, surface_rgb: ByteArray) -> None:
         """Draw a frame instead of the one before. ``surface_rgb``: (N, 3) colours of its surface.
@@ -231,7 +181,7 @@ class SceneNodes:
         self._is_dark = is_dark
         colors = stage_colors(is_dark)
         self._rays.recolor(colors.ray)
-        self._path.recolor(colors.ink)
+        self.map.recolor_path(colors.ink)
         self._mark.fill.recolor(colors.ink)
         self._hover.fill.recolor(colors.ink)
         self._floor.cell_color, self._floor.section_color = colors.cell, colors.section
@@ -270,49 +220,6 @@ class SceneNodes:
         shown = np.concatenate(parts) if parts else NO_SEGMENTS
         self._hover.fill.draw(self._facing.lifted(shown, _MARK_LIFT))
 
-    def show_map(self, plane: MapPlane | None) -> None:
-        """A map in the LiDAR's plane, None for none."""
-        if plane is None:
-            if self._map is not None:
-                self._map.visible = False
-            return
-        width_m, height_m = map(float, plane.size_m)
-        if self._map is None:
-            self._map = self._scene.add_image(
-                "/in_map/map",
-                plane.picture,
-                width_m,
-                height_m,
-                format="png",
-                cast_shadow=False,
-                receive_shadow=False,
-                # Seen from above: its own axes are right, down and away from who looks.
-                wxyz=(0.0, 1.0, 0.0, 0.0),
-            )
-        else:
-            self._map.image = plane.picture
-            self._map.render_width, self._map.render_height = width_m, height_m
-        x_m, y_m = plane.origin_m
-        # Below the curve, which lies in the LiDAR's plane, too.
-        self._map.position = (x_m + 0.5 * width_m, y_m + 0.5 * height_m, -2.0 * _APART_M)
-        self._map.visible = True
-
-    def show_path(self, positions_in_map: FloatArray) -> None:
-        """The LiDAR's trajectory, (N, 2) or (N, 3), in its plane; NaN where no pose is known."""
-        in_plane = np.full((len(positions_in_map), 3), -_APART_M)
-        in_plane[:, :2] = positions_in_map[:, :2]
-        self._path.draw(path_segments(in_plane))
-
-    def place_map(self, T_map_lidar: FloatArray | None) -> None:
-        """Place map and path around the LiDAR by its pose in the map; None (no pose) hides them."""
-        if T_map_lidar is not None:
-            R_lidar_map = T_map_lidar[:3, :3].T
-            x_m, y_m, _ = -R_lidar_map @ T_map_lidar[:3, 3]
-            self._in_map.wxyz = quaternion(R_lidar_map)
-            self._in_map.position = (x_m, y_m, 0.0)
-        self._in_a_map = T_map_lidar is not None
-        self._in_map.visible = self._in_a_map and "map" in self._layers
-
     def show_layers(self, layers: frozenset[Layer]) -> None:
         """Show these layers and hide the others. What a layer shows of the current frame is drawn
         by the next ``show``."""
@@ -338,9 +245,7 @@ class SceneNodes:
             camera.remove()
         self._cameras = {}
         self._empty_frame()
-        self._path.empty()
-        self.show_map(None)
-        self.place_map(None)
+        self.map.clear()
         self._lidar.visible = self._floor.visible = False
 
     def _draw_facing(self) -> None:
@@ -349,23 +254,23 @@ class SceneNodes:
         assert frame is not None, "there is a frame to be drawn"
         self._matched.draw(frame.matched_m, eye, _MATCHED_LIFT)
         self._curve.draw(frame.curve_m, eye, _CURVE_LIFT)
-        self._alone.draw_dots(frame.alone_m, eye, _LARGE_DOT)
+        self._alone.draw_dots(frame.alone_m, eye, _LARGE_DOT, _DOT_LIFT)
         self._pairs.draw(
             eye.lifted(frame.pairs_m, _DOT_LIFT), colors_of_segments(codes[frame.pairs_class])
         )
-        self._pixel_dots.draw_dots(frame.pairs_m[:, 1], eye, _SMALL_DOT)
-        self._beam_dots.draw_dots(frame.pairs_m[:, 0], eye, _SMALL_DOT)
+        self._pixel_dots.draw_dots(frame.pairs_m[:, 1], eye, _SMALL_DOT, _DOT_LIFT)
+        self._beam_dots.draw_dots(frame.pairs_m[:, 0], eye, _SMALL_DOT, _DOT_LIFT)
         if "classes" in self._layers:
             self._draw_classes(class_glyphs(frame.marks_m, frame.marks_class, eye))
         arrows_m, arrows_class = arrow_segments(frame.moved_m, frame.moved_class)
         self._moved.draw(arrows_m, eye, _GLYPH_LIFT, colors_of_segments(codes[arrows_class]))
-        self._filled.draw_dots(frame.filled_m, eye, _SMALL_DOT)
+        self._filled.draw_dots(frame.filled_m, eye, _SMALL_DOT, _DOT_LIFT)
         self.mark_beam(self._marked)
         self.mark_hover(*self._hovered)
 
     def _draw_classes(self, shapes: Glyphs) -> None:
         colors = colors_of_segments(class_colors()[shapes.lines_class])
-        self._good_dots.draw_dots(shapes.dots_m, self._facing, _LARGE_DOT)
+        self._good_dots.draw_dots(shapes.dots_m, self._facing, _LARGE_DOT, _DOT_LIFT)
         self._glyphs.draw(shapes.lines_m, self._facing, _GLYPH_LIFT, colors)
 
     def _beam_end(self, beam: int | None) -> Float32Array | None:
@@ -386,7 +291,7 @@ class SceneNodes:
     def _nodes_of(self, layer: Layer) -> list[SceneGeometry]:
         nodes: list[SceneGeometry] = []
         for drawn in self._of_layer.get(layer, ()):
-            nodes += [drawn.edge, drawn.fill] if isinstance(drawn, _Edged) else [drawn]
+            nodes += [drawn.edge, drawn.fill] if isinstance(drawn, EdgedGeometry) else [drawn]
         return nodes
 
     def _place_floor(self, lowest_m: float) -> None:
@@ -432,7 +337,7 @@ class SceneNodes:
             )
         for name, label in self._labels.items():
             label.visible = frame is not None and "labels" in layers and name in self._labelled
-        self._in_map.visible = self._in_a_map and "map" in layers
+        self.map.allow("map" in layers)
         has_body = frame is not None and frame.body is not None
         self._lidar.visible = has_body and "sensors" in layers
         self._floor.visible = "floor" in layers and not np.isnan(self._floor_m)

@@ -16,7 +16,8 @@ from scanloom.scene.frame_geometry import FrameGeometry
 from scanloom.scene.geometry import Frustum
 from scanloom.scene.geometry_nodes import colors_of_segments
 from scanloom.scene.layers import LAYERS
-from scanloom.scene.nodes import MapPlane, SceneNodes
+from scanloom.scene.map_nodes import MapPlane
+from scanloom.scene.nodes import SceneNodes
 from scanloom.scene.stage_colors import DARK, LIGHT
 
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -323,11 +324,11 @@ def test_the_map_lies_in_the_lidars_plane_around_it(scene):
     nodes = SceneNodes(scene)
     show(nodes, frame())
     picture = np.zeros((20, 40, 4), dtype=np.uint8)
-    nodes.show_map(MapPlane(picture=picture, resolution_m=0.1, origin_m=(-1.0, -2.0)))
-    nodes.show_path(np.array([[0.0, 0.0], [0.5, 0.0]]))
+    nodes.map.show(MapPlane(picture=picture, resolution_m=0.1, origin_m=(-1.0, -2.0)))
+    nodes.map.show_path(np.array([[0.0, 0.0], [0.5, 0.0]]))
     assert not node(scene, "/in_map").visible
     T_map_lidar = transform_from_planar(np.array([1.0, 2.0, 0.5]))
-    nodes.place_map(T_map_lidar)
+    nodes.map.place(T_map_lidar)
     placed, shown = node(scene, "/in_map"), node(scene, "/in_map/map")
     assert placed.visible
     T_lidar_map = invert_transform(T_map_lidar)
@@ -338,16 +339,16 @@ def test_the_map_lies_in_the_lidars_plane_around_it(scene):
     assert (shown.render_width, shown.render_height) == (4.0, 2.0)
     np.testing.assert_allclose(shown.position[:2], [1.0, -1.0])
     larger = np.zeros((30, 40, 4), dtype=np.uint8)
-    nodes.show_map(MapPlane(picture=larger, resolution_m=0.1, origin_m=(-1.0, -2.0)))
+    nodes.map.show(MapPlane(picture=larger, resolution_m=0.1, origin_m=(-1.0, -2.0)))
     assert node(scene, "/in_map/map") is shown
     assert shown.render_height == 3.0
     nodes.show_layers(frozenset({"curve"}))
     assert not placed.visible
     nodes.show_layers(frozenset(LAYERS))
     assert placed.visible
-    nodes.place_map(None)
+    nodes.map.place(None)
     assert not placed.visible
-    nodes.show_map(None)
+    nodes.map.show(None)
     assert not shown.visible
 
 
@@ -390,10 +391,10 @@ def test_a_hidden_frame_leaves_floor_and_map_until_the_next(scene):
     nodes = SceneNodes(scene)
     show(nodes, frame())
     nodes.mark_beam(1)
-    nodes.show_map(
+    nodes.map.show(
         MapPlane(picture=np.zeros((4, 4, 3), np.uint8), resolution_m=1.0, origin_m=(0, 0))
     )
-    nodes.place_map(np.eye(4))
+    nodes.map.place(np.eye(4))
     of_frame = ("matched", "curve", "alone", "rays", "pairs", "good", "classes", "filled", "mark")
     names = [*(f"/frame/{name}" for name in of_frame), "/cameras/0/surface", "/cameras/0/frustum"]
     assert all(node(scene, name).visible for name in names)
@@ -409,7 +410,7 @@ def test_a_hidden_frame_leaves_floor_and_map_until_the_next(scene):
 def test_clearing_leaves_nothing_to_be_seen_or_picked(scene):
     nodes = SceneNodes(scene)
     show(nodes, frame())
-    nodes.place_map(np.eye(4))
+    nodes.map.place(np.eye(4))
     nodes.clear()
     assert node(scene, "/cameras/0/rows") is None
     for name in ("/frame/curve", "/frame/alone", "/frame/pairs", "/lidar", "/floor", "/in_map"):
