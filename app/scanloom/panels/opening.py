@@ -14,7 +14,6 @@ from scanloom.jobs.long_job import Cancelled
 from scanloom.jobs.recording_opener import RecordingOpener
 from scanloom.page.bridge import PageBridge, script_html
 from scanloom.page.browser_storage import Answers, request_items
-from scanloom.page.update_widget import update_widget
 from scanloom.panels.opening_html import (
     READING_HTML,
     OpeningRow,
@@ -24,8 +23,8 @@ from scanloom.panels.opening_html import (
     recent_html,
     rows_html,
     status_html,
-    upload_html,
 )
+from scanloom.panels.opening_window import OpeningWindow
 from scanloom.state.folder_listing import FolderPage, FolderPlace, read_page
 from scanloom.state.recent_names import parse_recent, with_recent
 from scanloom.state.uploads import UploadListener, UploadProgress
@@ -55,7 +54,7 @@ class OpeningDialog(Panel, UploadListener):
             self._library, self._on_opened, self._on_failed, self._on_dropped
         )
         self._lock = threading.RLock()
-        self._window: _Window | None = None
+        self._window: OpeningWindow | None = None
         # None for the list of places.
         self._place: FolderPlace | None = None
         self._starts: list[int] = []
@@ -117,7 +116,9 @@ class OpeningDialog(Panel, UploadListener):
         """Open the dialog where it was last."""
         with self._lock:
             if self._window is None:
-                self._window = _Window(self._gui, self._library.uploads.limit_bytes, self._find)
+                self._window = OpeningWindow(
+                    self._gui, self._library.uploads.limit_bytes, self._find
+                )
                 self._window.set_find(self._place)
                 self._read_again()
 
@@ -373,41 +374,6 @@ class _Reading:
     """A request to read a place."""
 
     place: FolderPlace | None
-
-
-class _Window:
-    """The widgets of the open dialog."""
-
-    def __init__(
-        self, gui: viser.GuiApi, upload_limit_bytes: int, on_find: Callable[[str], None]
-    ) -> None:
-        self._modal = gui.add_modal("Open a recording")
-        with self._modal:
-            self._status = gui.add_html("")
-            self._top = gui.add_html("")
-            self._find = gui.add_text("Find", "", hint="Only names with this text in them")
-            self._rows = gui.add_html("")
-            gui.add_html(upload_html(upload_limit_bytes))
-
-        @self._find.on_update
-        def _(event: viser.GuiEvent[viser.GuiTextHandle]) -> None:
-            if event.client is not None:
-                on_find(self._find.value)
-
-    def set_find(self, place: FolderPlace | None) -> None:
-        """Show the text that is looked for in a folder."""
-        update_widget(self._find, visible=place is not None)
-        update_widget(self._find, value="" if place is None else place.find)
-
-    def show(self, *, status: str, top: str, rows: str) -> None:
-        """Show these parts."""
-        update_widget(self._status, content=status)
-        update_widget(self._top, content=top)
-        update_widget(self._rows, content=rows)
-
-    def close(self) -> None:
-        """Close it for good."""
-        self._modal.close()
 
 
 def _index_of(token: str, serial: int, count: int) -> int | None:
