@@ -5,7 +5,6 @@ Figs. 3, 4, 5, 7 and 8 show one frame, the showcase; Fig. 6 needs a truth and Fi
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,7 +16,6 @@ from fusion_core.alignment.curves import (
 )
 from fusion_core.alignment.search import Peak
 from fusion_core.alignment.similarity import Metric, SimilarityField
-from fusion_core.alignment.upright import UprightView
 from fusion_core.evaluation.fuse_folder import open_fuse_folder, read_frames
 from fusion_core.exporting.figures import format_stamp
 from fusion_core.exporting.figures_alignment import (
@@ -38,23 +36,20 @@ from fusion_core.exporting.figures_registration import (
 from fusion_core.exporting.figures_repair import RepairedCurve, write_fused_depth, write_repair
 from fusion_core.exporting.tables import CsvTable
 from fusion_core.mapping.difference import compare_maps
-from fusion_core.model.classes import is_repaired
-from fusion_core.model.conventions import NS_PER_MS, ByteArray
-from fusion_core.model.errors import RecordingError, ScanLoomError
+from fusion_core.model.conventions import NS_PER_MS
+from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.names import escape_undecodable
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rig import Camera
-from fusion_core.model.sensors import ColorImage
 from fusion_core.workflows.evaluate import evaluate
 from fusion_core.workflows.fuse.align import RecordingAlignment
+from fusion_core.workflows.fuse.color_of_frame import nearest_color_image, remap_color
+from fusion_core.workflows.fuse.figure_collector import FigureCollector
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_match import curves_at
-from fusion_core.workflows.fuse.offset_search import OffsetSearch
-from fusion_core.workflows.fuse.table_1 import score_range, table_1_row, write_table_1
-
-if TYPE_CHECKING:
-    from fusion_core.workflows.fuse.session import Session
+from fusion_core.workflows.fuse.session import Session
+from fusion_core.workflows.fuse.table_1 import table_1_row, write_table_1
 
 _METRIC_NAMES: dict[Metric, str] = {
     "pearson": "Pearson, eq. (2)",
@@ -66,41 +61,6 @@ _FIG_4_SHEETS: dict[str, tuple[Metric, Metric]] = {
     "fig4_similarity.png": ("pearson", "euclidean"),
     "fig4_similarity_cosine.png": ("inverse_cosine", "cosine"),
 }
-# In the log, colour and depth images may be out of the order of their stamps by a few messages.
-_COLOR_NEIGHBOURS = 3
-
-
-class FigureCollector:
-    """Collects from the fused frames, in bounded memory, one frame to show and the counts of
-    Table 1, in which a panorama of several images counts once.
-
-    ``showcase`` is the frame with most repaired samples among those with an overlap of at least
-    half and a registration, the earliest of equal ones; where there is none, the same among all.
-    """
-
-    def __init__(self, alignment: RecordingAlignment) -> None:
-        self._alignment = alignment
-        self._rank = (False, -1)
-        self._counted: OffsetSearch | None = None
-        self.showcase: FusedFrame | None = None
-        self.scores = {"low": 0, "middle": 0, "high": 0, "not_positive": 0, "missing": 0}
-
-    def add(self, frame: FusedFrame) -> None:
-        """Count a frame, and keep it if it ranks first."""
-        # The images of a panorama follow each other and share its search.
-        if frame.match.search is not self._counted:
-            self._counted = frame.match.search
-            self.scores[score_range(self._counted.peaks_without_prior.get("pearson"))] += 1
-        peak = frame.match.search.peaks.get(self._alignment.metric)
-        is_sound = frame.match.registration is not None and peak is not None and peak.overlap >= 0.5
-        rank = (is_sound, _repaired_count(frame))
-        if rank > self._rank:
-            self._rank, self.showcase = rank, frame
-
-
-def _repaired_count(frame: FusedFrame) -> int:
-    sources = np.concatenate([frame.repair.lidar_source, frame.repair.depth_source])
-    return int(is_repaired(sources).sum())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,7 +71,7 @@ class FigureData:
     ``pose_source``. ``fuse_dir``: the result folder that ``truth``, if given, is compared with.
     """
 
-    session: "Session"
+    session: Session
     alignment: RecordingAlignment
     collected: FigureCollector
     grids: dict[str, OccupancyGrid]
@@ -252,17 +212,17 @@ def _field_panel(
     )
 
 
-def _frame_name(session: "Session", frame: FusedFrame) -> str:
+def _frame_name(session: Session, frame: FusedFrame) -> str:
     topic = printable(session.rig.cameras[frame.match.pair.camera_index].topic)
     return f"{topic} at {format_stamp(frame.match.stamp_ns)}"
 
 
 def _write_showcase(
-    folder: Path, heading: str, session: "Session", frame: FusedFrame, drawing: _Drawing
+    folder: Path, heading: str, session: Session, frame: FusedFrame, drawing: _Drawing
 ) -> None:
     match = frame.match
     about = f"{heading}\n{_frame_name(session, frame)}"
-    found = _nearest_color_image(session, frame)
+    found = nearest_color_image(session, frame)
     color = (
         None
         if found is None
@@ -338,47 +298,6 @@ def _write_showcase(
         depth_m=match.depth_m,
         curve=curve,
     )
-
-
-def _nearest_color_image(session: "Session", frame: FusedFrame) -> ColorImage | None:
-    """The colour image nearest in stamp among the few that were logged around the depth image."""
-    match = frame.match
-    topic = session.streams.color[
-        session.streams.depth.index(session.rig.cameras[match.pair.camera_index].topic)
-    ]
-    if topic is None:
-        return None
-    logged_ns = session.recording.received_ns(topic)
-    depth_ns = match.pair.image.received_ns
-    place = int(np.searchsorted(logged_ns, match.stamp_ns if depth_ns is None else depth_ns))
-    nearest: ColorImage | None = None
-    for index in range(
-        max(0, place - _COLOR_NEIGHBOURS), min(logged_ns.size, place + _COLOR_NEIGHBOURS)
-    ):
-        try:
-            value = session.recording.read(topic, index).value
-        except RecordingError:
-            # A damaged image is no reason to fail; reading it has left its own warning.
-            continue
-        if isinstance(value, ColorImage) and (
-            nearest is None
-            or abs(value.stamp_ns - match.stamp_ns) < abs(nearest.stamp_ns - match.stamp_ns)
-        ):
-            nearest = value
-    return nearest
-
-
-def remap_color(rgb: ByteArray, view: UprightView) -> ByteArray:
-    """A colour image in the depth image's upright view: pixel by pixel where both have one size,
-    else only turned upright."""
-    if rgb.shape[:2] != view.stored_shape:
-        right_x, right_y = np.rint(view.R_stored_view[:2, 0]).astype(int)
-        turns = {(1, 0): 0, (0, 1): 1, (-1, 0): 2, (0, -1): 3}[int(right_x), int(right_y)]
-        return np.ascontiguousarray(np.rot90(rgb, turns))
-    if view.stored_index is None:
-        return rgb
-    seen = rgb.reshape(-1, 3)[np.maximum(view.stored_index, 0)]
-    return np.where(view.stored_index[..., np.newaxis] >= 0, seen, np.uint8(0))
 
 
 def _write_recall(folder: Path, heading: str, fuse_dir: Path, truth: Path) -> None:

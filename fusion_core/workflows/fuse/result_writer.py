@@ -15,7 +15,7 @@ from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.recordings.ros2_writer import Ros2McapWriter
 from fusion_core.workflows.fuse.align import RecordingAlignment
 from fusion_core.workflows.fuse.camera_rig import CameraRig
-from fusion_core.workflows.fuse.figures import FigureCollector
+from fusion_core.workflows.fuse.figure_collector import FigureCollector
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.pairing import PairedImage
 from fusion_core.workflows.fuse.scan_queue import RepairedScanQueue
