@@ -166,7 +166,7 @@ class SessionUploads:
                 )
             upload = self._running = Upload(self, label, size_bytes)
         try:
-            upload.create(self._uploads.folder() / f"{secrets.token_hex(8)}{_suffix_of(name)}")
+            upload.create(self._uploads, f"{secrets.token_hex(8)}{_suffix_of(name)}")
         except BaseException:
             self.end(upload)
             raise
@@ -236,9 +236,10 @@ class Upload:
         """Whether all bytes have arrived."""
         return self._received_bytes == self._size_bytes
 
-    def create(self, path: Path) -> None:
+    def create(self, uploads: Uploads, file_name: str) -> None:
         """Create its file. Raises UploadRefused."""
         try:
+            path = uploads.folder() / file_name
             free_bytes = shutil.disk_usage(path.parent).free - _DISK_RESERVE_BYTES
             if self._size_bytes > free_bytes:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -214,6 +214,17 @@ def test_a_full_disk_is_named(
     assert files_below(temporary) == []
 
 
+def test_a_server_without_a_place_for_temporary_files_says_so(
+    session: SessionUploads, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as nowhere:
+        nowhere.setattr("tempfile.tempdir", str(tmp_path / "gone"))
+        with pytest.raises(UploadRefused, match="cannot be stored: No such file or directory"):
+            session.begin("a.mcap", 100)
+    # Nothing of it is left running.
+    session.end(session.begin("a.mcap", 100))
+
+
 def test_none_are_taken_where_the_limit_is_0() -> None:
     session = Uploads(0).new_session(Listener())
     with pytest.raises(UploadRefused, match="takes no uploads"):
