@@ -62,14 +62,12 @@ def time_strip(
     width_px: int,
     height_px: int,
     theme: Theme = LIGHT,
-    frame_index: int | None = None,
     has_pairs: bool = True,
 ) -> TimeStrip:
     """Draw the frames' shares of noise, or their times only while there are no counts.
 
-    ``frame_index``: draw a cursor there. ``has_pairs``: False for frames of one sensor alone, which
-    have no noise to be counted: then times and gaps are all there is. Raises ValueError where the
-    picture is too small.
+    ``has_pairs``: False for frames of one sensor alone, which have no noise to be counted: then
+    times and gaps are all there is. Raises ValueError where the picture is too small.
     """
     rgb = np.empty((height_px, width_px, 3), dtype=np.uint8)
     rgb[:] = theme.background
@@ -83,11 +81,7 @@ def time_strip(
     )
     _draw_axes(rgb, box, times, scale if has_pairs else None, theme)
     _draw_legend(rgb, box, columns, theme, has_pairs=has_pairs)
-    strip = TimeStrip(rgb=rgb, box=box, times=times)
-    place = None if frame_index is None else strip.place_of(frame_index)
-    if place is not None:
-        _draw_cursor(rgb, box, round(place[0]), theme)
-    return strip
+    return TimeStrip(rgb=rgb, box=box, times=times)
 
 
 def _to_px(box: Box, times: FrameTimes, time_s: FloatArray | float) -> FloatArray:
@@ -257,13 +251,6 @@ def _one_kind(kind: str) -> _Columns:
         is_unmatched=are("unmatched"),
         is_untrusted=are("untrusted"),
     )
-
-
-def _draw_cursor(rgb: ByteArray, box: Box, x: int, theme: Theme) -> None:
-    """A line of ink between lines of background."""
-    left, right = max(x - 2, 0), min(x + 3, rgb.shape[1])
-    rgb[box.top : box.bottom, left:right] = theme.background
-    rgb[box.top - 3 : box.bottom + 3, max(x - 1, 0) : x + 1] = theme.ink
 
 
 def _write(

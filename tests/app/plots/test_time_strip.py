@@ -206,16 +206,6 @@ def test_many_frames_of_a_column_are_one_share() -> None:
     )
 
 
-def test_the_cursor_is_drawn_where_the_frame_is() -> None:
-    times, counts = FrameTimes.of(regular(120)), counted(120, (100, 0, 0, 0))
-    without = time_strip(times, counts, **SIZE)
-    strip = time_strip(times, counts, frame_index=62, **SIZE)
-    changed = np.flatnonzero((without.rgb != strip.rgb).any(axis=(0, 2)))
-    place = strip.place_of(62)
-    assert place is not None
-    assert changed.mean() == pytest.approx(place[0], abs=1.0)
-
-
 @pytest.mark.parametrize("width_px", [100, 340, 800, 1900])
 def test_it_is_drawn_at_any_width(width_px: int) -> None:
     strip = time_strip(
