@@ -137,26 +137,29 @@ class FrameReader:
         own_ns = self.image(number).stamp_ns
         numbers, stamps_ns = [], []
         for camera in range(len(self._topics)):
-            found = number if camera == self.camera_of(number) else self._nearest(camera, number)
-            if found is None:
-                return (number,)
-            numbers.append(found)
-            stamps_ns.append(own_ns if found == number else self.image(found).stamp_ns)
+            found = (number, own_ns)
+            if camera != self.camera_of(number):
+                beside = self._nearest(camera, number, own_ns)
+                if beside is None:
+                    return (number,)
+                found = beside
+            numbers.append(found[0])
+            stamps_ns.append(found[1])
         together = max(stamps_ns) - min(stamps_ns) <= max_gap_ns
         return tuple(numbers) if together else (number,)
 
-    def _nearest(self, camera: int, number: int) -> int | None:
-        """The frame of a camera nearest in stamp to another one, among those logged beside it."""
-        own_ns = self.image(number).stamp_ns
+    def _nearest(self, camera: int, number: int, stamp_ns: int) -> tuple[int, int] | None:
+        """The frame of a camera nearest to a stamp, and its own, among those logged beside a frame
+        of another camera; the first of equally near ones."""
         of_camera = np.flatnonzero(self._owner == camera)
         place = int(np.searchsorted(of_camera, number))
         near: list[tuple[int, int]] = []
         for other in of_camera[max(0, place - 1) : place + 1]:
             try:
-                near.append((abs(self.image(int(other)).stamp_ns - own_ns), int(other)))
+                near.append((int(other), self.image(int(other)).stamp_ns))
             except RecordingError:
                 continue
-        return min(near)[1] if near else None
+        return min(near, key=lambda found: abs(found[1] - stamp_ns), default=None)
 
     def color(self, number: int) -> ColorImage | None:
         """The colour image of the frame's camera that was logged nearest in time."""
