@@ -32,8 +32,6 @@ from scanloom.state.view import View, view_of_link
 
 # The alignment waits no longer for a browser that draws slowly, or not at all.
 _DRAWN_WITHIN_S = 3.0
-# At this width the panels' pictures are displayed at nearly their own size.
-_PANEL_PX = 460.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,9 +100,8 @@ class Workbench:
         self._server.gui.configure_theme(
             control_width="large", show_logo=False, show_share_button=False, dark_mode=False
         )
-        # A floating panel would cover the right part of the scene.
+        # A floating panel would cover the right part of the scene until the page is laid out.
         self._server.gui.main_panel.dock_right()
-        self._server.gui.main_panel.set_width(_PANEL_PX)
         self._server.scene.set_up_direction("+z")
         self._server.on_client_connect(self._on_connect)
         self._server.on_client_disconnect(self._on_disconnect)
