@@ -69,8 +69,8 @@ WATCH = """() => {
         for (const { target } of changes) {
             if (!(target instanceof Element)) continue;
             if (target === readout) {
-                if (hover.readout !== null || readout.hidden || readout.textContent === text) continue;
-                hover.readout = hover.latest = now;
+                const isNew = !readout.hidden && readout.textContent !== text;
+                if (isNew && hover.readout === null) hover.readout = hover.latest = now;
             } else if (target.matches(".scanloom-marks")) {
                 hover.marks[pictureOf(target)] = hover.latest = now;
             }
