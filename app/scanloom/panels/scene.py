@@ -1,6 +1,7 @@
 """The 3D scene: the frame, the map, clicks, the legend and the viewpoints of the steps."""
 
 import threading
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -12,6 +13,7 @@ from fusion_core.model.grids import OccupancyGrid
 from fusion_core.workflows.recorded_poses import PoseLookup
 from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView
+from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.page.bridge import PageBridge
 from scanloom.panels.scene_legend import SceneLegend
 from scanloom.panels.widgets.controls import Controls
@@ -37,6 +39,11 @@ from scanloom.state.hover import Hover
 from scanloom.state.possible_steps import why_not
 from scanloom.state.view import Layer, PanelName
 
+# A change of the scene keeps the page from all else for about this long, so what is read out beside
+# the pointer goes before it.
+_READ_FIRST_S = 0.05
+# A beam of the scan and a place of the depth image, down and right, from 0 to 1.
+_Pointed = tuple[int | None, tuple[float, float] | None]
 # A camera that stands nearer than this to where it was put has not been moved by a person.
 _UNMOVED_M = 0.02
 # Screens of about one shape show the same.
@@ -67,6 +74,10 @@ class ScenePanel(Panel):
         self._seen_step: PanelName | None = None
         # Nodes are drawn in the session's worker, and turned and picked in viser's threads.
         self._drawing = threading.RLock()
+        self._closed = threading.Event()
+        self._pointing = LatestOnlyWorker(
+            f"pointer {client.client_id}", self._point_at, session.show_failure
+        )
         # The viewpoint of the step as it was applied, and the screen's shape that it was fitted to.
         self._fitted: tuple[CameraView, float] | None = None
         self._grid: OccupancyGrid | None = None
@@ -146,8 +157,18 @@ class ScenePanel(Panel):
         if hover.row is not None and hover.column is not None and match is not None:
             height, width = match.depth_m.shape
             place = (hover.row + 0.5) / height, (hover.column + 0.5) / width
-        with self._drawing:
-            self._nodes.mark_hover(hover.beam, place)
+        self._pointing.submit((hover.beam, place))
+
+    def close(self) -> None:
+        """Follow the pointer no more."""
+        self._closed.set()
+        self._pointing.close()
+
+    def _point_at(self, pointed: _Pointed, is_newest: Callable[[], bool]) -> None:
+        self._closed.wait(_READ_FIRST_S)
+        if is_newest():
+            with self._drawing, self._session.batch_updates():
+                self._nodes.mark_hover(*pointed)
 
     def reset_view(self) -> None:
         """Look from the viewpoint of the open step at the current frame."""

@@ -208,9 +208,9 @@ def test_what_is_pointed_at_lights_up(bench: Bench) -> None:
     hover = session._client.scene.get_handle_by_name("/frame/hover")
     row, column = int(pairs.row[found]), int(pairs.column[found])
     session.hover(Hover(source="depth", row=row, column=column))
-    assert hover.visible
+    bench.browser.wait_until(lambda: hover.visible, ENOUGH_S)
     session.hover(Hover())
-    assert not hover.visible
+    bench.browser.wait_until(lambda: not hover.visible, ENOUGH_S)
 
 
 def test_a_dark_page_has_a_dark_scene(bench: Bench) -> None:
