@@ -225,11 +225,11 @@ def test_the_scene_shows_what_there_is(page: Reader) -> None:
     page.open("odometry.mcap")
     assert (nodes._lidar.visible, nodes._body_label.text) == (True, "robot")
     # The path is shown in any step: it is all there is.
-    assert nodes._in_map.visible
+    assert nodes.map._frame.visible
     page.open("depth.mcap")
     assert not nodes._lidar.visible
     assert nodes._cameras
-    assert not nodes._in_map.visible
+    assert not nodes.map._frame.visible
     page.open("color.mcap")
     assert not nodes._lidar.visible
 
@@ -333,18 +333,18 @@ def test_a_map_of_a_lidar_alone_lies_around_it(page: Reader, client: ViserClient
     page.open("lidar.mcap", panel="Map")
     run = client.find("Run")
     client.wait_until(lambda: not run.props["disabled"], LONG_S)
-    assert not scene._nodes._in_map.visible
+    assert not scene._nodes.map._frame.visible
     client.click("Run")
-    client.wait_until(lambda: scene._nodes._in_map.visible, LONG_S)
+    client.wait_until(lambda: scene._nodes.map._frame.visible, LONG_S)
     assert scene._grid is not None
     assert len(scene._path_m)
-    before = tuple(scene._nodes._in_map.position)
+    before = tuple(scene._nodes.map._frame.position)
     page.show(frame_index=15)
-    assert scene._nodes._in_map.visible
-    assert tuple(scene._nodes._in_map.position) != before
+    assert scene._nodes.map._frame.visible
+    assert tuple(scene._nodes.map._frame.position) != before
     # It is this recording's.
     page.open("scans.mcap", panel="Map")
-    assert not scene._nodes._in_map.visible
+    assert not scene._nodes.map._frame.visible
 
 
 def test_a_link_that_names_a_topic_that_is_not_there(workbench: Workbench) -> None:

@@ -42,6 +42,8 @@ class Person:
         """Go there at once, and wait until it is shown."""
         self.session.change(**dict(view))
         self.wait_until(lambda: self.frame_view.view == view and self.frame_view.chain is not None)
+        # The browser keeps a view after it has taken in all that shows it.
+        self.wait_until(lambda: self.kept() == view.to_link())
 
     @property
     def frame_view(self) -> FrameView:

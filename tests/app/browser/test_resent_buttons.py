@@ -48,7 +48,9 @@ def wait_for_presses(person: Person, presses: Presses, expected: Presses) -> Non
 
 def resend_under(person: Person, button: Locator, change: Callable[[], None]) -> None:
     """Press the mouse on a button, and let it go when another one has taken its place."""
-    mouse, place = person.page.mouse, middle_of(button)
+    # At the top, so that what stands below it moves nothing.
+    button.evaluate("it => { for (; it; it = it.parentElement) it.scrollTop = 0; }")
+    mouse, place = person.page.mouse, person.middle_at_rest(button)
     mouse.move(*place)
     before = button.element_handle()
     mouse.down()
