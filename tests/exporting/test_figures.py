@@ -243,6 +243,7 @@ def test_the_workbench_has_the_same_colours() -> None:
     assert static == PALETTE
 
 
+@pytest.mark.slow
 def test_the_bytes_are_the_same_whatever_the_users_settings(drawn: Path, tmp_path: Path) -> None:
     with mpl.rc_context({"font.size": 20.0, "lines.linewidth": 9.0, "savefig.dpi": 300}):
         draw_all(tmp_path)

@@ -64,6 +64,7 @@ def test_a_link_brings_everything_into_another_browser(
     assert person.page.evaluate("navigator.clipboard.readText()") == link
 
 
+@pytest.mark.slow
 def test_what_one_does_changes_nothing_for_another(person: Person, friend: Person) -> None:
     first = person.session.view.changed(panel="Match")
     person.look_at(first)

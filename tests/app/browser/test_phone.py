@@ -68,7 +68,9 @@ def test_pictures_and_verdict_are_reached(phone: Person) -> None:
     expect(legend.get_by_role("button", name="LiDAR curve")).to_be_in_viewport(ratio=1.0)
 
 
-@pytest.mark.parametrize("large", [False, True], ids=["letters", "large letters"])
+@pytest.mark.parametrize(
+    "large", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["letters", "large letters"]
+)
 def test_nothing_is_wider_than_the_screen(phone: Person, large: bool) -> None:
     for name in PANELS:
         phone.look_at(phone.session.view.changed(panel=name, large_text=large))

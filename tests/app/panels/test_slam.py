@@ -290,6 +290,7 @@ def test_two_runs_side_by_side(page: Page, fake: FakeMap) -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_oldest_goes_with_a_note(page: Page, fake: FakeMap) -> None:
     for number in range(1, MAX_RUNS + 2):
         page.run(f"{number}: lidar, recorded, pose-graph")

@@ -227,6 +227,7 @@ def test_the_recall_table_is_what_evaluate_measures(run: SimpleNamespace) -> Non
         assert [float(row[name]) for row in rows] == over[name]
 
 
+@pytest.mark.slow
 def test_a_truth_without_a_mount_leaves_out_only_its_figure(
     run: SimpleNamespace, tmp_path: Path
 ) -> None:

@@ -391,6 +391,7 @@ def test_the_same_work_is_skipped_and_forced_and_foreign_files_are_refused(scene
         fuse(recording, folder, FuseOptions(**options, seed=9))
 
 
+@pytest.mark.slow
 def test_the_settings_of_a_result_repeat_it(scenes, tmp_path):
     recording = scenes("bedroom", duration_s=1.0)
     own = tmp_path / "own.toml"

@@ -34,6 +34,7 @@ def test_the_curve_is_that_of_evaluate(bedroom, chain):
     assert curve["noise_pairs"] > 0
 
 
+@pytest.mark.slow
 def test_epsilon_changes_nothing_and_the_map_does(bedroom, chain):
     def curve(stage, **values):
         settings = PRESETS["default"]
