@@ -1,8 +1,6 @@
 """The tools at the top of the page, and the preset with what differs from it."""
 
 import html
-from collections.abc import Callable
-from functools import partial
 from typing import get_args
 
 import viser
@@ -15,6 +13,7 @@ from scanloom.page.bridge import PageBridge, press_attributes
 from scanloom.page.update_widget import update_widget
 from scanloom.panels.widgets.controls import Controls
 from scanloom.panels.widgets.help import keys_text
+from scanloom.panels.widgets.keys import add_key
 from scanloom.state.view import View
 
 _MAX_DIFFERENCES = 6
@@ -42,8 +41,7 @@ class HeaderPanel(Panel):
             ("Light or dark", "L", self._switch_colours),
             ("Keys", "H", self._show_keys),
         ):
-            command = gui.add_command(label, hotkey=key)  # type: ignore[arg-type]  # a letter
-            command.on_trigger(partial(_call, action))
+            add_key(gui, label, key, action)
 
     def show(self, frame_view: FrameView) -> None:
         """Set the row of tools, and the page's colours and size."""
@@ -122,11 +120,6 @@ def _tool(name: str, text: str, meaning: str) -> str:
         f'<button {press_attributes(name)} title="{label}" aria-label="{label}">'
         f"{html.escape(text)}</button>"
     )
-
-
-def _call(action: Callable[[], None], _: object) -> None:
-    """``action`` as a callback that ignores the event."""
-    action()
 
 
 def _differences(view: View) -> str:

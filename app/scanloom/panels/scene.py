@@ -17,6 +17,7 @@ from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.page.bridge import PageBridge
 from scanloom.panels.scene_legend import SceneLegend
 from scanloom.panels.widgets.controls import Controls
+from scanloom.panels.widgets.keys import add_key
 from scanloom.plots.grid_image import grid_texture
 from scanloom.plots.theme import LIGHT, Theme, theme_of
 from scanloom.scene import camera_views
@@ -106,8 +107,7 @@ class ScenePanel(Panel):
         self._controls.bind_field(self._rows, "row_step", int)
         self._views.on_click(lambda _: self._look_by_name(self._views.value))
         for name, key in _VIEWS.items():
-            command = gui.add_command(name, hotkey=key)  # type: ignore[arg-type]  # a letter
-            command.on_trigger(partial(self._go_to_view, name))
+            add_key(gui, name, key, partial(self._look_by_name, name))
         client.scene.on_click()(self._clicked)
         client.camera.on_update(self._camera_moved)
 
@@ -255,9 +255,6 @@ class ScenePanel(Panel):
         T_map_lidar = None if pose is None else transform_from_planar(pose)
         self._T_lidar_map = None if T_map_lidar is None else invert_transform(T_map_lidar)
         self._nodes.map.place(T_map_lidar)
-
-    def _go_to_view(self, name: str, _: object) -> None:
-        self._look_by_name(name)
 
     def _look_by_name(self, name: str) -> None:
         extent, geometry = self._extent, self._geometry

@@ -16,6 +16,7 @@ from scanloom.page.update_widget import update_widget
 from scanloom.panels.frame_readout import frame_text, progress_text
 from scanloom.panels.timeline_html import PRESS, SPEEDS, RowState, line_html, row_html
 from scanloom.panels.widgets.controls import Controls
+from scanloom.panels.widgets.keys import add_key
 from scanloom.plots.frame_times import FrameTimes
 from scanloom.plots.theme import theme_of
 from scanloom.plots.time_strip import TimeStrip, time_strip
@@ -323,11 +324,11 @@ class TimelinePanel(Panel):
             ("Redo", "Z", "cmd/ctrl+shift", session.redo),
         )
         for label, hotkey, modifier, action in keys:
-            command = gui.add_command(label, hotkey=hotkey, modifier=modifier)  # type: ignore[arg-type]  # of viser's lists
-            command.on_trigger(_calling(action))
+            add_key(gui, label, hotkey, action, modifier)
         for number, name in enumerate(PANELS):
-            command = gui.add_command(f"Panel {name}", hotkey=str(number + 1), modifier="alt")  # type: ignore[arg-type]  # a digit
-            command.on_trigger(_calling(partial(session.change, panel=name)))
+            add_key(
+                gui, f"Panel {name}", str(number + 1), partial(session.change, panel=name), "alt"
+            )
 
 
 class _SessionPlayer:
@@ -357,11 +358,6 @@ class _SessionPlayer:
 
     def wait(self, timeout_s: float) -> bool:
         return self._session.wait(timeout_s)
-
-
-def _calling(action: Callable[[], None]) -> Callable[[object], None]:
-    """A callback that ignores the event."""
-    return lambda _: action()
 
 
 def _do_nothing() -> None:
