@@ -22,6 +22,7 @@ ALGORITHMS = {
     | {"fusion_core.registration", "fusion_core.motion", "fusion_core.mapping"},
 }
 SIDES = {
+    "fusion_core.annotation": BASE | FILES,
     "fusion_core.recordings": BASE | FILES,
     "fusion_core.exporting": BASE | FILES,
     "fusion_core.evaluation": BASE | FILES,

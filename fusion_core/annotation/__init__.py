@@ -1,0 +1,1 @@
+"""People's labels: their journal, its history, their agreement, and files that others read."""
