@@ -50,6 +50,32 @@ class UprightView:
         width = self.stored_shape[1]
         return np.where(inside, flat // width, -1), np.where(inside, flat % width, -1)
 
+    def stored_pixel_maps(self) -> tuple[IntArray, IntArray]:
+        """(H', W') stored row and stored column of every pixel of the view, -1 where it shows none.
+
+        Turning an image upright shows each stored pixel once; undistorting it may show one twice,
+        or not at all.
+        """
+        row, column = np.indices((self.intrinsics.height, self.intrinsics.width), dtype=np.int64)
+        return self.stored_pixels(row, column)
+
+    def view_pixels(self, row: IntArray, column: IntArray) -> tuple[IntArray, IntArray]:
+        """The view's (row, column) of stored pixels, -1 for those that it does not show.
+
+        Of several that show one stored pixel it is the first, by row, then column.
+        """
+        if self.stored_index is None:
+            return row, column
+        shown = np.flatnonzero(self.stored_index >= 0)
+        place = np.full(self.stored_shape, -1, dtype=np.int64)
+        # Assigned from the last to the first, which so remains.
+        place.ravel()[self.stored_index.ravel()[shown[::-1]]] = shown[::-1]
+        inside = row >= 0
+        flat = place[np.where(inside, row, 0), np.where(inside, column, 0)]
+        inside &= flat >= 0
+        width = self.intrinsics.width
+        return np.where(inside, flat // width, -1), np.where(inside, flat % width, -1)
+
 
 def upright_view(intrinsics: CameraIntrinsics, up_in_camera: FloatArray | None) -> UprightView:
     """The view of a camera. ``up_in_camera``: (3,) the world's up in the stored image's optical

@@ -170,3 +170,27 @@ def test_points_that_a_distortion_moves_far_outside_have_no_pixel() -> None:
     index = upright_view(intrinsics, None).stored_index
     assert index is not None
     assert (index < 0).mean() > 0.9
+
+
+@pytest.mark.parametrize("turns", UPS)
+@pytest.mark.parametrize("name", LENSES)
+def test_a_stored_pixel_is_found_where_the_view_first_shows_it(name: str, turns: int) -> None:
+    view = upright_view(LENSES[name], UPS[turns])
+    stored_row, stored_column = view.stored_pixel_maps()
+    numbers = np.arange(48 * 64, dtype=np.float32).reshape(48, 64)
+    shown = stored_row >= 0
+    np.testing.assert_array_equal(
+        view.remap(numbers)[shown], numbers[stored_row[shown], stored_column[shown]]
+    )
+    assert np.isnan(view.remap(numbers)[~shown]).all()
+    first: dict[tuple[int, int], tuple[int, int]] = {}
+    for row, column in np.argwhere(shown).tolist():
+        first.setdefault(
+            (int(stored_row[row, column]), int(stored_column[row, column])), (row, column)
+        )
+    row, column = np.indices((48, 64))
+    found = view.view_pixels(row.ravel(), column.ravel())
+    expected = [first.get(place, (-1, -1)) for place in np.ndindex(48, 64)]
+    np.testing.assert_array_equal(np.stack(found, axis=1), expected)
+    nothing = np.array([-1])
+    assert view.view_pixels(nothing, nothing) == (nothing, nothing)

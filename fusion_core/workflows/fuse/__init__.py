@@ -14,6 +14,7 @@ the two passes
     frame.py            pass 2: match, classify and repair an image, or the images of a panorama
     match_images.py     the matching within ``frame.py``: offset, pairs and A
     frame_match.py      ``FrameMatch``: what it gives for each image
+    captures.py         the recorded scan and image of a frame, and its beams and pixels in them
     offset_search.py    a frame's own (u, v), within ``match_images.py``
     cached_chain.py     pass 2 for one frame at a time, with caches, for the workbench
 what is written
