@@ -9,20 +9,21 @@ file that differs from its manifest is not a result: code that reads results cal
 import hashlib
 import json
 import platform
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, MutableMapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path, PurePosixPath
 from typing import Any, Self
 
+from fusion_core.files.file_state import FileState
 from fusion_core.files.regular_file import open_regular, read_regular
 from fusion_core.model.errors import ExportError, RecordingError, ScanLoomError
 from fusion_core.model.names import escape_undecodable
 from fusion_core.model.progress import Progress, silent
+from fusion_core.model.project import PROJECT, project_version
 
 MANIFEST_NAME = "manifest.json"
 
-_PROJECT = "scanloom"
 _LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "numba", "gtsam")
 _CHUNK_BYTES = 1 << 20
 # A data set of a million files has a line for each.
@@ -49,7 +50,7 @@ class RunIdentity:
     def to_json(self) -> dict[str, Any]:
         """As a manifest has it."""
         return {
-            "project": _PROJECT,
+            "project": PROJECT,
             "command": self.command,
             "version": project_version(),
             "seed": self.seed,
@@ -80,7 +81,7 @@ class Manifest:
                 file=file,
                 advice="Name another folder, or remove this file.",
             ) from error
-        is_own = isinstance(document, dict) and document.get("project") == _PROJECT
+        is_own = isinstance(document, dict) and document.get("project") == PROJECT
         return cls(folder=folder, content=content, document=document if is_own else {})
 
     @property
@@ -153,32 +154,32 @@ def require_intact(folder: Path, names: Collection[str], command: str | None = N
             )
 
 
-def project_version() -> str:
-    """The installed version, "0+not-installed" of a source tree that is not installed."""
-    try:
-        return version(_PROJECT)
-    except PackageNotFoundError:
-        return "0+not-installed"
-
-
-def digest_input(path: Path, progress: Progress = silent) -> InputDigest:
+def digest_input(
+    path: Path,
+    progress: Progress = silent,
+    known: MutableMapping[FileState, str] | None = None,
+) -> InputDigest:
     """Hash an input file, or every file below an input folder.
 
-    Raises RecordingError where it cannot be read.
+    ``known``: digests of files that are not read again; those of the others are added. Raises
+    RecordingError where a file cannot be read.
     """
     name = escape_undecodable(path.resolve().name)
     files = {escape_undecodable(below): path / below for below in files_below(path)} or {name: path}
-    sha256 = {}
+    sha256 = {} if known is None else known
     try:
-        total = sum(file.stat().st_size for file in files.values())
+        # As they stand before they are read: a file that is still written is read again next time.
+        states = {below: FileState.of(file, below) for below, file in files.items()}
+        unknown = [state for state in states.values() if state not in sha256]
+        total = sum(state.size for state in unknown)
         done = 0
-        for below, file in files.items():
-            sha256[below] = sha256_of_file(file)
-            done += file.stat().st_size
+        for state in unknown:
+            sha256[state] = sha256_of_file(files[state.name])
+            done += state.size
             progress(done, total, "hashing the input")
     except OSError as error:
         raise RecordingError(f"cannot be read: {error.strerror}.", file=path) from error
-    return InputDigest(name, sha256)
+    return InputDigest(name, {below: sha256[state] for below, state in states.items()})
 
 
 def sha256_of_file(path: Path) -> str:

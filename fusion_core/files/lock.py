@@ -1,9 +1,11 @@
-"""File locks, each held by one process until it releases it or ends.
+"""Locks on files and folders, each held by one process until it releases it or ends.
 
 The lock is the system's own (``flock``), so that a killed process leaves none behind.
 """
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 try:
@@ -37,6 +39,20 @@ def acquire_lock(path: Path, *, create: bool = True) -> int | None:
         if _is_still_at(path, descriptor):
             return descriptor
         # The previous holder has removed the file in between.
+        os.close(descriptor)
+
+
+@contextmanager
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Hold the lock on an existing folder, and wait until nobody else does. Nothing is written.
+
+    Raises OSError where the folder cannot be opened.
+    """
+    descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC | os.O_DIRECTORY)
+    try:
+        flock(descriptor, LOCK_EX)
+        yield
+    finally:
         os.close(descriptor)
 
 

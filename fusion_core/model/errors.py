@@ -44,6 +44,10 @@ class ExportError(ScanLoomError):
     """A result cannot be written to the requested place."""
 
 
+class LabelStoreError(ScanLoomError):
+    """A label store cannot be used, or an action in it cannot be taken back."""
+
+
 class FramesNotConnected(MissingStream):
     """No chain of recorded transforms leads from one frame to the other."""
 

@@ -1,6 +1,7 @@
 """The workflows of commands and workbench: the only folder that composes readers, stages, files.
 
-- ``fuse/``, ``map/``, ``evaluate/``: a folder for each large command; its docstring is its guide.
+- ``fuse/``, ``map/``, ``evaluate/``, ``labels/``: a folder for each large command; its docstring is
+  its guide.
 - ``info.py``, ``convert.py``, ``sample.py``, ``scan_matching.py``: the small commands.
 - ``source.py``: opens the recording, or the room of a data set, that a command works on.
 - What several commands read of a recording: ``stamp_filter.py`` (drops messages stamped out of

@@ -43,11 +43,16 @@ def open_source(path: Path, room: RoomChoice | None) -> Recording:
 
 
 def input_files(recording: Recording) -> list[Path]:
-    """The files and folders that a recording is read from: its own path and, for a sequence of
+    """The files and folders that a recording is read from."""
+    return paths_of(recording.path)
+
+
+def paths_of(path: Path) -> list[Path]:
+    """The files and folders of the recording at ``path``: the path itself and, for a sequence of
     Robot@Home, the folder of images beside it."""
-    images = recording.path.with_suffix("")
-    beside = recording.path.suffix == ".txt" and images.is_dir()
-    return [recording.path, images] if beside else [recording.path]
+    images = path.with_suffix("")
+    beside = path.suffix == ".txt" and images.is_dir()
+    return [path, images] if beside else [path]
 
 
 def rooms_of(path: Path, session: str | None) -> tuple[RoomSummary, ...]:
