@@ -137,6 +137,27 @@ def match_along_curve(
     )
 
 
+def pixels_met(
+    pairs: Correspondence, camera: Camera, T_lidar_camera: FloatArray
+) -> tuple[IntArray, IntArray]:
+    """(B,) row and column of the upright pixel that shows what each beam meets there, at
+    ``camera_range_m``; -1 where it meets nothing. In a row it is the pair's own pixel.
+
+    ``T_lidar_camera``: as for ``match_along_curve``.
+    """
+    if pairs.model == "row":
+        return pairs.row, pairs.column
+    points = _points_at_range(pairs.azimuth_rad, pairs.camera_range_m)
+    x, y, z = transform_points(invert_transform(T_lidar_camera), points).T
+    intrinsics = camera.intrinsics
+    return _nearest_pixel(
+        intrinsics.cx + intrinsics.fx * x / z,
+        intrinsics.cy + intrinsics.fy * y / z,
+        intrinsics.height,
+        intrinsics.width,
+    )
+
+
 def match_in_row(
     scan: LaserScan,
     depth_m: Float32Array,

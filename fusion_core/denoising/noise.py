@@ -51,7 +51,8 @@ class Classification:
     """Codes of NoiseClass for the B beams of the pairs and for their pixels.
 
     ``depth_class`` is -1 where the beam has no pixel. Confidences in [0, 1]. ``epsilon_m``: (B,).
-    ``lidar_steady``: beams whose value the scans before and after both confirm.
+    ``lidar_steady``: beams whose value the scans before and after both confirm. ``lidar_decided``,
+    ``depth_decided``: (B,) whose class is a person's (``overruling``).
 
     The evidence behind the classes: ``beam_evidence`` (B, 5), of the witnesses of
     ``evidence.WITNESSES``; ``beam_support`` (B, 3), how many adjacent beams, beams two and three
@@ -67,6 +68,8 @@ class Classification:
     depth_confidence: FloatArray
     epsilon_m: FloatArray
     lidar_steady: BoolArray
+    lidar_decided: BoolArray
+    depth_decided: BoolArray
     beam_evidence: FloatArray
     beam_support: IntArray
     pixel_support: IntArray
@@ -140,6 +143,8 @@ def classify(
         depth_confidence=_confidence(depth_class, agreement, pixel_fraction, has_lidar),
         epsilon_m=epsilon_m,
         lidar_steady=in_time == 2,
+        lidar_decided=np.zeros(pairs.beam.size, dtype=np.bool_),
+        depth_decided=np.zeros(pairs.beam.size, dtype=np.bool_),
         beam_evidence=around.evidence,
         beam_support=beam_support,
         pixel_support=np.stack([pixel_support, pixel_neighbours], axis=1),

@@ -9,7 +9,8 @@ A repair never removes an obstacle: a valid return is moved farther only where i
 least a set confidence, and conflicts are left as they are. Nor does it invent free space: no beam
 is filled behind what the LiDAR saw about its direction in this scan and the ones before and after,
 or behind what the camera saw before it, and a line across a gap needs those scans' confirmation
-(``nearby_returns``, ``openings``). What cannot be known stays a hole.
+(``nearby_returns``, ``openings``). What cannot be known stays a hole. A value that a person rejects
+counts as missing, whatever speaks for it (``overruling``).
 """
 
 from dataclasses import dataclass, fields
@@ -23,6 +24,7 @@ from fusion_core.denoising.neighbourhood import FrameWindow
 from fusion_core.denoising.noise import Classification
 from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.denoising.openings import find_openings, returns_in_openings
+from fusion_core.denoising.overruling import is_rejected
 from fusion_core.denoising.support import APPROACH_M
 from fusion_core.denoising.surfaces import fit_image_planes, interpolate_gaps, smooth_ranges
 from fusion_core.model.classes import NoiseClass, RepairSource
@@ -174,18 +176,19 @@ def _repair_lidar(
     window: FrameWindow, classes: Classification, scale: NoiseScale, settings: RepairSettings
 ) -> tuple[FloatArray, IntArray, FloatArray]:
     pairs = window.pairs
-    raw = pairs.lidar_range_m
+    raw = _unless_rejected(pairs.lidar_range_m, classes.lidar_class, classes.lidar_decided)
     burr = classes.lidar_class == NoiseClass.BURR
     if settings.prefer == "smaller_error":
         # A return that three consecutive scans confirm is kept, even if classified as a burr.
-        burr &= ~classes.lidar_steady
+        burr &= ~classes.lidar_steady | classes.lidar_decided
         # So is one whose range the camera sees beside it.
-        burr &= classes.beam_evidence[:, -1] <= 0.0
+        burr &= (classes.beam_evidence[:, -1] <= 0.0) | classes.lidar_decided
     # More than even odds name a burr; to change what a sensor measured asks for more.
     paired = np.isfinite(raw) & np.isfinite(pairs.depth_m)
     burr &= ~paired | (classes.lidar_confidence >= settings.lidar_burr_confidence)
     noisy = burr | (classes.lidar_class == NoiseClass.HOLE)
     support = np.isin(classes.lidar_class, (NoiseClass.GOOD, NoiseClass.CONFLICT))
+    support &= np.isfinite(raw)
     neighbours, gap_rad = interpolate_gaps(pairs.azimuth_rad, raw, support, settings.edge_m)
     neighbours = np.where(gap_rad <= np.deg2rad(settings.max_gap_deg), neighbours, np.nan)
     camera = pairs.camera_range_m
@@ -285,7 +288,7 @@ def _repair_depth(
     scale: NoiseScale,
     settings: RepairSettings,
 ) -> tuple[FloatArray, IntArray, FloatArray]:
-    raw = pairs.depth_m
+    raw = _unless_rejected(pairs.depth_m, classes.depth_class, classes.depth_decided)
     burr = classes.depth_class == NoiseClass.BURR
     burr &= classes.depth_confidence >= settings.depth_burr_confidence
     noisy = burr | (classes.depth_class == NoiseClass.HOLE)
@@ -331,6 +334,11 @@ def _repair_depth(
     from_lidar = _Estimate(value=lidar, error=lidar_error)
     from_neighbours = _Estimate(value=planes[:, 0], error=planes[:, 1])
     return _choose_source(samples, from_lidar, from_neighbours, settings)
+
+
+def _unless_rejected(value_m: FloatArray, classes: IntArray, decided: BoolArray) -> FloatArray:
+    """(B,) values, NaN where a person calls them a hole or a burr."""
+    return np.where(decided & is_rejected(classes), np.nan, value_m)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,8 +1,8 @@
 """``manifest.json``: what the results in a folder were computed from, and their digests.
 
 It names the command, the project's version, the libraries' versions, the seed, the digest of the
-settings, and the SHA-256 of every input and result. Names only: no absolute path, clock or host. A
-file that differs from its manifest is not a result: code that reads results calls
+settings and of the labels, and the SHA-256 of every input and result. Names only: no absolute path,
+clock or host. A file that differs from its manifest is not a result: code that reads results calls
 ``require_intact`` first.
 """
 
@@ -10,7 +10,7 @@ import hashlib
 import json
 import platform
 from collections.abc import Collection, MutableMapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path, PurePosixPath
 from typing import Any, Self
@@ -38,18 +38,30 @@ class InputDigest:
     sha256: dict[str, str]
 
 
+@dataclass(frozen=True, slots=True)
+class LabelsDigest:
+    """A layer of labels by its name and content."""
+
+    name: str
+    sha256: str
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunIdentity:
-    """What determines a run's results: runs of equal identity give the same bytes."""
+    """What determines a run's results: runs of equal identity give the same bytes.
+
+    ``labels``: a person's, None where the run takes none.
+    """
 
     command: str
     inputs: tuple[InputDigest, ...]
     settings_sha256: str
     seed: int
+    labels: LabelsDigest | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """As a manifest has it."""
-        return {
+        """As a manifest has it; without labels there is no such entry."""
+        document: dict[str, Any] = {
             "project": PROJECT,
             "command": self.command,
             "version": project_version(),
@@ -57,6 +69,9 @@ class RunIdentity:
             "settings_sha256": self.settings_sha256,
             "inputs": [{"name": digest.name, "sha256": digest.sha256} for digest in self.inputs],
         }
+        if self.labels is not None:
+            document["labels"] = asdict(self.labels)
+        return document
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,10 +121,11 @@ class Manifest:
 
     def matches(self, run: RunIdentity) -> bool:
         """Whether the folder holds the results of this run, all as written."""
-        own = self.document
+        own, wanted = self.document, run.to_json()
         return (
             bool(self.results)
-            and all(own.get(key) == value for key, value in run.to_json().items())
+            and own.get("labels") == wanted.get("labels")
+            and all(own.get(key) == value for key, value in wanted.items())
             and all(map(self.is_intact, self.results))
         )
 

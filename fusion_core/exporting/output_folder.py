@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 
 from fusion_core.exporting.manifest import (
     MANIFEST_NAME,
+    LabelsDigest,
     Manifest,
     RunIdentity,
     digest_input,
@@ -19,6 +20,7 @@ from fusion_core.files.atomic import write_text
 from fusion_core.files.inputs import real_path, require_apart
 from fusion_core.files.work_folder import WORK_NAME, clear_abandoned, work_folder
 from fusion_core.model.errors import ExportError
+from fusion_core.model.labels import LabelLayer
 from fusion_core.model.progress import Progress, silent
 
 
@@ -41,7 +43,8 @@ class RunRequest:
     """What a run is to compute, and from what.
 
     ``also_read``: files that are read besides the inputs: the settings file, whose content is
-    ``settings_text``, or the data set around the inputs; None for what was not given.
+    ``settings_text``, or the data set around the inputs; None for what was not given. ``labels``:
+    the layer that overrules classes, None where there is none.
     """
 
     command: str
@@ -49,6 +52,7 @@ class RunRequest:
     settings_text: str
     seed: int
     also_read: Collection[Path | None] = ()
+    labels: LabelLayer | None = None
 
 
 def plan_output(
@@ -61,8 +65,8 @@ def plan_output(
 ) -> OutputPlan:
     """Decide what a run does with an output folder, without changing its files.
 
-    A folder whose manifest has the same version, command, settings, seed and inputs, and whose
-    files are still as written, is skipped unless ``force``.
+    A folder whose manifest has the same version, command, settings, seed, inputs and labels, and
+    whose files are still as written, is skipped unless ``force``.
 
     Raises ExportError for a folder that is an input, lies inside one or holds one. Without
     ``overwrite`` also for one with the results of another command, or with files that its manifest
@@ -76,6 +80,7 @@ def plan_output(
         inputs=tuple(digest_input(path, progress) for path in request.inputs),
         settings_sha256=hashlib.sha256(request.settings_text.encode("utf-8")).hexdigest(),
         seed=request.seed,
+        labels=_labels_digest(request.labels),
     )
     manifest = Manifest.read(folder)
     skip = not force and manifest.matches(run)
@@ -107,6 +112,21 @@ def results_folder(plan: OutputPlan) -> Iterator[Path]:
             )
         yield work
         _publish(plan, work)
+
+
+def _labels_digest(layer: LabelLayer | None) -> LabelsDigest | None:
+    return None if layer is None else LabelsDigest(layer.name, layer.sha256)
+
+
+def require_same_labels(plan: OutputPlan, layer: LabelLayer | None) -> None:
+    """Raise ExportError where the layer has changed since the run was planned: its results would be
+    of no one state of the labels."""
+    if plan.run.labels != _labels_digest(layer):
+        raise ExportError(
+            "has no results: the labels were changed during the run.",
+            file=plan.folder,
+            advice="Call again when nobody is labelling.",
+        )
 
 
 def _file_names(folder: Path) -> list[str]:

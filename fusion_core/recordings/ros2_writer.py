@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, assert_never
 
 import numpy as np
 
-from fusion_core.model.conventions import NS_PER_S, Float32Array, FloatArray
+from fusion_core.model.conventions import NS_PER_S, Float32Array, FloatArray, IntArray
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.sensors import (
     CameraInfo,
@@ -106,6 +106,10 @@ class Ros2McapWriter:
         else:
             raise ValueError(f"depth is written as 16UC1 or 32FC1, not as {image.encoding}")
         self._write_image(topic, image, image.encoding, pixels)
+
+    def write_classes(self, topic: str, image: DepthImage, classes: IntArray) -> None:
+        """sensor_msgs/Image, 8SC1: a code from -1 for each pixel of a depth image, (H, W)."""
+        self._write_image(topic, image, "8SC1", classes.astype(np.int8))
 
     def write_color(self, topic: str, image: ColorImage) -> None:
         """sensor_msgs/Image, rgb8."""

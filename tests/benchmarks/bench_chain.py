@@ -72,7 +72,9 @@ def chain(session: Session, alignment: RecordingAlignment) -> int:
             topic = session.rig.cameras[entry.match.pair.camera_index].topic
             tables.frame_row(topic, entry, alignment, session.rig)
             tables.sample_columns(topic, entry, session.rig)
-            result_writer.repaired_image(entry, session.rig)
+            pair = entry.match.pair
+            view = session.rig.views[pair.camera_index]
+            result_writer.repaired_image(pair.image, entry, view)
     return pairs
 
 

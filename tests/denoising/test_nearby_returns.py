@@ -85,6 +85,8 @@ def repaired(window, settings_=SETTINGS, burr=()):
         depth_confidence=ones.copy(),
         epsilon_m=0.1 * ones,
         lidar_steady=np.zeros(beam.size, dtype=np.bool_),
+        lidar_decided=np.zeros(beam.size, dtype=np.bool_),
+        depth_decided=np.zeros(beam.size, dtype=np.bool_),
         beam_evidence=np.zeros((beam.size, 5)),
         beam_support=np.zeros((beam.size, 3), dtype=np.int64),
         pixel_support=np.zeros((beam.size, 2), dtype=np.int64),

@@ -76,6 +76,8 @@ def frame(
         depth_confidence=more.get("depth_confidence", ones.copy()),
         epsilon_m=0.1 * ones,
         lidar_steady=more.get("lidar_steady", np.zeros(ones.size, dtype=np.bool_)),
+        lidar_decided=more.get("lidar_decided", np.zeros(count, dtype=np.bool_)),
+        depth_decided=more.get("depth_decided", np.zeros(count, dtype=np.bool_)),
         beam_evidence=more.get("beam_evidence", np.zeros((count, 5))),
         beam_support=np.zeros((count, 3), dtype=np.int64),
         pixel_support=np.zeros((count, 2), dtype=np.int64),

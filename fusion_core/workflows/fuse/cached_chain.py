@@ -1,7 +1,7 @@
 """The chain on single frames with caches, for browsing a recording.
 
 A result is cached by its input and the settings of its stage and those before it, so that a new
-epsilon repeats classification and repair, but no search.
+epsilon or a new label repeats classification and repair, but no search.
 """
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
@@ -11,8 +11,10 @@ from fusion_core.alignment.search import MeanField
 from fusion_core.alignment.similarity import SimilarityField
 from fusion_core.model.bounded_cache import BoundedCache
 from fusion_core.model.errors import AlignmentFailed, RecordingError, ScanLoomError
+from fusion_core.model.labels import LabelLayer
 from fusion_core.workflows.fuse.align import RecordingAlignment
 from fusion_core.workflows.fuse.frame import FusedFrame, classify_and_repair
+from fusion_core.workflows.fuse.frame_labels import FrameLabels, SessionLabels
 from fusion_core.workflows.fuse.frame_match import FrameMatch
 from fusion_core.workflows.fuse.frame_reader import FrameReader
 from fusion_core.workflows.fuse.match_images import match_images, split_into_frames
@@ -79,13 +81,22 @@ class CachedChain:
         paired = self.frames.pair(choice.number, choice.clock_offset_ms)
         return self._match(paired, choice, settings, pairs_only=True)
 
-    def fused(self, choice: FrameChoice, settings: ChainSettings) -> FusedFrame:
-        """Classes and repairs of a frame. Raises as ``match``."""
+    def fused(
+        self, choice: FrameChoice, settings: ChainSettings, labels: LabelLayer | None = None
+    ) -> FusedFrame:
+        """Classes and repairs of a frame, by the labels that ``labels`` has now. Raises as
+        ``match``."""
         match = self.match(choice, settings)
+        judged = self._labels_of(match, labels)
         return self._fused.get_or_compute(
-            (choice, settings.read_by("repair")),
-            lambda: classify_and_repair(match, self.alignment, settings),
+            (choice, settings.read_by("repair"), None if judged is None else judged.sha256),
+            lambda: classify_and_repair(match, self.alignment, settings, judged),
         )
+
+    def _labels_of(self, match: FrameMatch, labels: LabelLayer | None) -> FrameLabels | None:
+        if labels is None:
+            return None
+        return SessionLabels(session=self.session, layer=labels).of_match(match)
 
     def prepare(self, check: Callable[[], None] = lambda: None) -> None:
         """Fuse the first frame that can be, among some: what that compiles, later frames need not
@@ -99,7 +110,10 @@ class CachedChain:
             return
 
     def fuse_all(
-        self, settings: ChainSettings, clock_offset_ms: float = 0.0
+        self,
+        settings: ChainSettings,
+        clock_offset_ms: float = 0.0,
+        labels: LabelLayer | None = None,
     ) -> Iterator[FusedFrame | PairedImage]:
         """All frames in order, those that could not be fused as they are; none of them is cached.
 
@@ -113,7 +127,8 @@ class CachedChain:
                 continue
             try:
                 match = self._match(paired, choice, settings)
-                yield classify_and_repair(match, self.alignment, settings)
+                judged = self._labels_of(match, labels)
+                yield classify_and_repair(match, self.alignment, settings, judged)
             except AlignmentFailed:
                 yield paired
 

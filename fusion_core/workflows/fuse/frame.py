@@ -4,18 +4,25 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
+import cv2
 import numpy as np
 
 from fusion_core.alignment.time import ScanWindow
-from fusion_core.denoising.correspondence import Correspondence
+from fusion_core.denoising.correspondence import Correspondence, pixels_met
 from fusion_core.denoising.neighbourhood import FrameWindow
 from fusion_core.denoising.noise import Classification, classify
+from fusion_core.denoising.overruling import is_rejected, overrule
 from fusion_core.denoising.repair import Repair, repair
-from fusion_core.model.conventions import NS_PER_S, BoolArray, IntArray
+from fusion_core.model.conventions import NS_PER_S, BoolArray, Float32Array, FloatArray, IntArray
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import LaserScan
-from fusion_core.workflows.fuse.align import RecordingAlignment
+from fusion_core.workflows.fuse.align import RecordingAlignment, T_lidar_camera_at
+from fusion_core.workflows.fuse.frame_labels import (
+    FrameLabels,
+    SessionLabels,
+    codes_of_pixels,
+)
 from fusion_core.workflows.fuse.frame_match import FrameMatch
 from fusion_core.workflows.fuse.match_images import match_images, split_into_frames
 from fusion_core.workflows.fuse.pairing import (
@@ -32,11 +39,16 @@ _Samples = TypeVar("_Samples", Classification, Repair)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FusedFrame:
-    """A matched depth image with its classified and repaired measurements."""
+    """A matched depth image with its classified and repaired measurements.
+
+    ``camera_range_m``: (B,) ranges at which the beams meet what the camera sees; NaN where they do
+    not, and where a person rejects the pixel.
+    """
 
     match: FrameMatch
     classes: Classification
     repair: Repair
+    camera_range_m: FloatArray
 
     @property
     def epsilon_m(self) -> float:
@@ -48,7 +60,8 @@ class FusedFrame:
     def pair_class(self) -> IntArray:
         """(B,): codes of NoiseClass, the worse of each pair's two sides.
 
-        Burr and conflict never meet in one pair: a conflict is on both of its sides.
+        Burr and conflict meet in no pair but one that a person labelled: else a conflict is on both
+        of its sides.
         """
         # The codes grow worse; the pixel that a beam does not have is -1.
         worse: IntArray = np.maximum(self.classes.lidar_class, self.classes.depth_class)
@@ -64,9 +77,15 @@ class FusedFrame:
 
 
 def fuse_frames(
-    session: Session, alignment: RecordingAlignment, clock_offset_ms: float = 0.0
+    session: Session,
+    alignment: RecordingAlignment,
+    clock_offset_ms: float = 0.0,
+    labels: SessionLabels | None = None,
 ) -> Iterator[LaserScan | PairedImage | FusedFrame]:
-    """Pass 2: scans as they arrive, fused frames, and the images that could not be fused."""
+    """Pass 2: scans as they arrive, fused frames, and the images that could not be fused.
+
+    ``labels``: a person's, which overrule the classes.
+    """
     cameras = 1 if alignment.panorama is None else len(session.rig.cameras)
     grouper = ImageGrouper(cameras, session.settings.time.max_gap_ms)
     previous: dict[int, UprightDepth] = {}
@@ -77,9 +96,9 @@ def fuse_frames(
         else:
             groups = grouper.push(entry)
         for group in groups:
-            yield from _fuse_group(group, previous, session, alignment)
+            yield from _fuse_group(group, previous, session, alignment, labels)
     for group in grouper.flush():
-        yield from _fuse_group(group, previous, session, alignment)
+        yield from _fuse_group(group, previous, session, alignment, labels)
 
 
 def _fuse_group(
@@ -87,6 +106,7 @@ def _fuse_group(
     previous: dict[int, UprightDepth],
     session: Session,
     alignment: RecordingAlignment,
+    labels: SessionLabels | None,
 ) -> Iterator[PairedImage | FusedFrame]:
     """The fused images of a group, or the images that have no scan or no peak. ``previous``: each
     camera's image before, which is brought up to date."""
@@ -97,7 +117,7 @@ def _fuse_group(
             yield from frame
             continue
         try:
-            yield from fuse_images(paired, alignment, session.settings)
+            yield from fuse_images(paired, alignment, session.settings, labels)
         except AlignmentFailed:
             yield from frame
         for pair in paired:
@@ -105,54 +125,104 @@ def _fuse_group(
 
 
 def fuse_images(
-    pairs: Sequence[FramePair], alignment: RecordingAlignment, settings: ChainSettings
+    pairs: Sequence[FramePair],
+    alignment: RecordingAlignment,
+    settings: ChainSettings,
+    labels: SessionLabels | None = None,
 ) -> list[FusedFrame]:
     """Match, classify and repair one image, or the images of a panorama. Raises as
     ``match_images``."""
     matches = match_images(pairs, alignment, settings)
+
+    def judged(match: FrameMatch) -> FrameLabels | None:
+        return None if labels is None else labels.of_match(match)
+
     if matches[0].pasted is None:
-        return [classify_and_repair(match, alignment, settings) for match in matches]
-    whole = _classify_and_repair(matches[0], alignment, settings)
+        return [classify_and_repair(match, alignment, settings, judged(match)) for match in matches]
+    whole = _classify_and_repair(matches[0], alignment, settings, judged(matches[0]))
     return [_part_of(match, *whole) for match in matches]
 
 
 def classify_and_repair(
-    match: FrameMatch, alignment: RecordingAlignment, settings: ChainSettings
+    match: FrameMatch,
+    alignment: RecordingAlignment,
+    settings: ChainSettings,
+    labels: FrameLabels | None = None,
 ) -> FusedFrame:
-    """Classify and repair an image that is matched already; of a pasted panorama its part."""
-    classes, repaired = _classify_and_repair(match, alignment, settings)
-    return _part_of(match, classes, repaired)
+    """Classify and repair an image that is matched already; of a pasted panorama its part.
+
+    ``labels``: a person's, which overrule the classes.
+    """
+    return _part_of(match, *_classify_and_repair(match, alignment, settings, labels))
 
 
 def _classify_and_repair(
-    match: FrameMatch, alignment: RecordingAlignment, settings: ChainSettings
-) -> tuple[Classification, Repair]:
-    """Classes and repairs of an image, or of the whole panorama of which it is a part."""
-    pair, rate, pasted = match.pair, match.turn_rate_rad_s, match.pasted
-    pairs, depth_m, previous = match.correspondence, pair.depth_m, pair.previous
+    match: FrameMatch,
+    alignment: RecordingAlignment,
+    settings: ChainSettings,
+    labels: FrameLabels | None,
+) -> tuple[Classification, Repair, FloatArray]:
+    """Classes, repairs and the camera's ranges of an image, or of the whole panorama of which it is
+    a part."""
+    scans, pasted = match.pair.window, match.pasted
+    pairs, depth_m = match.correspondence, match.pair.depth_m
     if pasted is not None:
-        pairs, depth_m, previous = pasted.correspondence, pasted.depth_m, pasted.previous
-    window, pairs = _with_seam_behind(pair.window, pairs)
-    scan = window.scan
+        pairs, depth_m = pasted.correspondence, pasted.depth_m
+    seen = _frame_window(match, scans, pairs, depth_m)
     registration = match.registration
-    seen = FrameWindow(
-        pairs=pairs,
-        scan=scan,
-        depth_m=depth_m,
-        scan_before=window.before,
-        scan_after=window.after,
-        shift_before=_beams_turned(window.before, scan, rate),
-        shift_after=_beams_turned(window.after, scan, rate),
-        depth_before_m=None if previous is None else previous.depth_m,
-        columns_before=_columns_turned(previous, match.stamp_ns, rate, pair.camera),
-    )
     classes = classify(
         seen,
         settings.noise,
         alignment.scale,
         registration.mean_error_m if registration is not None else float("nan"),
     )
-    return classes, repair(seen, classes, alignment.scale, settings.repair)
+    if labels is not None:
+        upright = labels.upright()
+        of_pixels = codes_of_pixels(upright, pairs.row, pairs.column)
+        classes = overrule(classes, labels.of_beams(pairs.beam), of_pixels)
+        # A value that a person rejects is no evidence for a repair.
+        rejected = is_rejected(upright) & np.isfinite(depth_m)
+        T_lidar_camera = T_lidar_camera_at(match.pair.camera, alignment.mount, match.turned_rad)
+        row, column = pixels_met(pairs, match.pair.camera, T_lidar_camera)
+        meets_rejected = (row >= 0) & _spread_to_missing(rejected, depth_m)[row, column]
+        depth_m = np.where(rejected, np.float32(np.nan), depth_m)
+        camera_range_m = np.where(meets_rejected, np.nan, pairs.camera_range_m)
+        seen = _frame_window(
+            match,
+            labels.without_rejected(scans),
+            replace(pairs, camera_range_m=camera_range_m),
+            depth_m,
+        )
+    repaired = repair(seen, classes, alignment.scale, settings.repair)
+    return classes, repaired, seen.pairs.camera_range_m
+
+
+def _spread_to_missing(rejected: BoolArray, depth_m: Float32Array) -> BoolArray:
+    """(H, W) rejected pixels, and the missing ones beside them: a ray that ends on one of those
+    follows the values around it."""
+    beside = cv2.dilate(rejected.astype(np.uint8), np.ones((3, 3), dtype=np.uint8)) > 0
+    return rejected | (np.isnan(depth_m) & beside)
+
+
+def _frame_window(
+    match: FrameMatch, scans: ScanWindow, pairs: Correspondence, depth_m: Float32Array
+) -> FrameWindow:
+    """The pairs of an image, or of its panorama, with what is around them in space and time."""
+    pair, rate = match.pair, match.turn_rate_rad_s
+    previous = pair.previous if match.pasted is None else match.pasted.previous
+    scans, pairs = _with_seam_behind(scans, pairs)
+    scan = scans.scan
+    return FrameWindow(
+        pairs=pairs,
+        scan=scan,
+        depth_m=depth_m,
+        scan_before=scans.before,
+        scan_after=scans.after,
+        shift_before=_beams_turned(scans.before, scan, rate),
+        shift_after=_beams_turned(scans.after, scan, rate),
+        depth_before_m=None if previous is None else previous.depth_m,
+        columns_before=_columns_turned(previous, match.stamp_ns, rate, pair.camera),
+    )
 
 
 def _with_seam_behind(
@@ -177,11 +247,14 @@ def _with_seam_behind(
     )
 
 
-def _part_of(match: FrameMatch, classes: Classification, repaired: Repair) -> FusedFrame:
+def _part_of(
+    match: FrameMatch, classes: Classification, repaired: Repair, camera_range_m: FloatArray
+) -> FusedFrame:
     if match.pasted is not None:
         own = match.pasted.camera == match.pair.camera_index
         classes, repaired = _subset(classes, own), _subset(repaired, own)
-    return FusedFrame(match=match, classes=classes, repair=repaired)
+        camera_range_m = camera_range_m[own]
+    return FusedFrame(match=match, classes=classes, repair=repaired, camera_range_m=camera_range_m)
 
 
 def _subset(of: _Samples, own: BoolArray) -> _Samples:

@@ -26,10 +26,12 @@ class PastedPairs:
     """The pairs of a pasted panorama.
 
     ``depth_m``: (H, W) its wide image, in which the pairs' columns count; ``previous``: that of the
-    images before, None where one is missing. ``camera``: (B,) whose pixel a pair has.
+    images before, None where one is missing. ``camera``: (B,) whose pixel a pair has. ``images``:
+    the pairs that were pasted, one of each camera.
     """
 
     panorama: PastedPanorama
+    images: tuple[FramePair, ...]
     depth_m: Float32Array
     previous: UprightDepth | None
     correspondence: Correspondence

@@ -12,15 +12,22 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from fusion_core.exporting.output_folder import RunRequest, plan_output, results_folder
+from fusion_core.exporting.output_folder import (
+    RunRequest,
+    plan_output,
+    require_same_labels,
+    results_folder,
+)
 from fusion_core.files.atomic import write_text
 from fusion_core.model.errors import AlignmentFailed, ScanLoomError
+from fusion_core.model.names import printable
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rig import MOUNT_PARAMETERS
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.align import RecordingAlignment, align_recording
 from fusion_core.workflows.fuse.figures import FigureData, write_figures
 from fusion_core.workflows.fuse.frame import fuse_frames
+from fusion_core.workflows.fuse.frame_labels import SessionLabels
 from fusion_core.workflows.fuse.reference_map import reference_map
 from fusion_core.workflows.fuse.result_writer import ResultWriter
 from fusion_core.workflows.fuse.session import FuseOptions, Session, open_session
@@ -51,6 +58,7 @@ def fuse(
             also_read=[recording, options.settings_file],
             settings_text=settings_text + _options_text(options),
             seed=settings.registration.seed,
+            labels=options.labels,
         )
         plan = plan_output(
             output, request, force=options.force, overwrite=options.overwrite, progress=progress
@@ -61,6 +69,7 @@ def fuse(
             write_text(folder / "settings.toml", settings_text)
             session = open_session(opened, options, settings)
             summary = _run_chain(session, folder, replace(options, preset=preset), progress)
+            require_same_labels(plan, options.labels)
             write_summary(folder, summary)
             return replace(summary, output=output)
 
@@ -92,8 +101,12 @@ def _run_chain(
     if options.maps and session.virtual_row is None:
         poses = recorded_poses(session.recording, session.streams, session.rig.lidar_frame)
         notes.append(f"Poses from {poses.source}." if poses else "No recorded poses: no maps.")
-    with ResultWriter(folder, session, alignment, poses) as results:
-        for entry in fuse_frames(session, alignment, clock_offset_ms):
+    labels: SessionLabels | None = None
+    if options.labels is not None:
+        labels = SessionLabels(session=session, layer=options.labels)
+        notes.append(f"The labels of {printable(options.labels.name)} overrule the classes.")
+    with ResultWriter(folder, session, alignment, poses, labels) as results:
+        for entry in fuse_frames(session, alignment, clock_offset_ms, labels):
             if not isinstance(entry, LaserScan):
                 progress(results.frames + 1, session.image_count, "fusing")
             results.add(entry)

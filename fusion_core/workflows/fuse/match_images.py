@@ -369,6 +369,7 @@ def _match_by_own_peak(
     if panorama is not None:
         pasted = PastedPairs(
             panorama=panorama,
+            images=tuple(pairs),
             depth_m=depth_m,
             previous=_paste_previous(panorama, pairs),
             correspondence=whole,

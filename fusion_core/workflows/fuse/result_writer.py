@@ -8,15 +8,19 @@ from types import TracebackType
 
 import numpy as np
 
+from fusion_core.alignment.upright import UprightView
+from fusion_core.denoising.overruling import is_rejected
 from fusion_core.exporting.tables import CsvTable, ParquetTable
 from fusion_core.model.classes import NoiseClass
+from fusion_core.model.conventions import IntArray
 from fusion_core.model.grids import OccupancyGrid
+from fusion_core.model.labels import CaptureLabels
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.recordings.ros2_writer import Ros2McapWriter
 from fusion_core.workflows.fuse.align import RecordingAlignment
-from fusion_core.workflows.fuse.camera_rig import CameraRig
 from fusion_core.workflows.fuse.figure_collector import FigureCollector
 from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.frame_labels import SessionLabels
 from fusion_core.workflows.fuse.pairing import PairedImage
 from fusion_core.workflows.fuse.scan_queue import RepairedScanQueue
 from fusion_core.workflows.fuse.sensor_maps import Confirmation, SensorMaps
@@ -37,6 +41,10 @@ _SAMPLES_PER_GROUP = 8192
 class ResultWriter:
     """Writes frames.csv, samples.parquet, fused.mcap and, where there are ``poses``, the maps.
 
+    ``labels``: a person's. They hold outside of all pairs too: what they reject is missing in
+    fused.mcap, and with them it has each image's classes on the topic TOPIC/class, an image of
+    codes of NoiseClass, -1 where a pixel has none.
+
     ``frames`` counts the depth images, ``paired`` those that were fused, ``lidar_counts`` the beams
     of each class. ``figures`` collects what the figures show.
     """
@@ -47,8 +55,10 @@ class ResultWriter:
         session: Session,
         alignment: RecordingAlignment,
         poses: PoseLookup | None,
+        labels: SessionLabels | None = None,
     ) -> None:
         self._folder = folder
+        self._labels = labels
         self._session = session
         self._alignment = alignment
         self._topics = [camera.topic for camera in session.rig.cameras]
@@ -88,7 +98,8 @@ class ResultWriter:
     def add(self, entry: LaserScan | PairedImage | FusedFrame) -> None:
         """Write what pass 2 yields: a scan, an image that could not be fused, or a fused frame."""
         if isinstance(entry, LaserScan):
-            self._queue.push(entry)
+            labels = self._labels
+            self._queue.push(entry, None if labels is None else labels.of_scan(entry))
             for raw, repaired in self._queue.pop_settled():
                 self._write_scan(raw, repaired)
             return
@@ -96,13 +107,13 @@ class ResultWriter:
         if isinstance(entry, PairedImage):
             topic = self._topics[entry.camera]
             self._frame_table.append(unpaired_row(topic, entry))
-            self._mcap.write_depth(topic, entry.image)
+            self._write_image(topic, entry.image, entry.camera, None)
             return
         self.paired += 1
         rig, topic = self._session.rig, self._topics[entry.match.pair.camera_index]
         self._frame_table.append(frame_row(topic, entry, self._alignment, rig))
         self._sample_table.append(sample_columns(topic, entry, rig))
-        self._mcap.write_depth(topic, repaired_image(entry, rig))
+        self._write_image(topic, entry.match.pair.image, entry.match.pair.camera_index, entry)
         self._queue.apply_repairs(entry)
         self.figures.add(entry)
         if self._maps is not None:
@@ -125,22 +136,57 @@ class ResultWriter:
             self._mcap.write_occupancy_grid("/map_fused", grids["fused"], self._last_stamp_ns)
         return grids, notes
 
+    def _write_image(
+        self, topic: str, image: DepthImage, camera: int, frame: FusedFrame | None
+    ) -> None:
+        """A depth image without what a person rejects, with the repairs of its ``frame``."""
+        view = self._session.rig.views[camera]
+        labels = None if self._labels is None else self._labels.of_image(image, camera)
+        if labels is not None:
+            rejected = is_rejected(labels.as_image())
+            image = replace(image, depth_m=np.where(rejected, np.float32(np.nan), image.depth_m))
+        if frame is not None:
+            image = repaired_image(image, frame, view)
+        self._mcap.write_depth(topic, image)
+        if self._labels is not None:
+            self._mcap.write_classes(
+                f"{topic}/class", image, pixel_classes(image, labels, frame, view)
+            )
+
     def _write_scan(self, raw: LaserScan, repaired: LaserScan) -> None:
         self._mcap.write_laser_scan(self._lidar_topic, repaired)
         if self._maps is not None:
             self._maps.add_scan(raw, repaired)
 
 
-def repaired_image(frame: FusedFrame, rig: CameraRig) -> DepthImage:
-    """The stored depth image with the repaired pixels of the curve."""
-    match = frame.match
-    depth_m = match.pair.image.depth_m.copy()
-    row, column = rig.views[match.pair.camera_index].stored_pixels(
-        match.correspondence.row, match.correspondence.column
-    )
+def repaired_image(image: DepthImage, frame: FusedFrame, view: UprightView) -> DepthImage:
+    """A stored depth image with the repaired pixels of its frame's curve."""
+    depth_m = image.depth_m.copy()
+    pairs = frame.match.correspondence
+    row, column = view.stored_pixels(pairs.row, pairs.column)
     changed = frame.pixel_changed & (row >= 0)
     depth_m[row[changed], column[changed]] = frame.repair.depth_m[changed]
-    return replace(match.pair.image, depth_m=depth_m)
+    return replace(image, depth_m=depth_m)
+
+
+def pixel_classes(
+    image: DepthImage,
+    labels: CaptureLabels | None,
+    frame: FusedFrame | None,
+    view: UprightView,
+) -> IntArray:
+    """(H, W) codes of NoiseClass of a stored image: a person's on any pixel, else those of its
+    frame's curve; -1 for a pixel without."""
+    classes = np.full(image.depth_m.shape, -1)
+    if frame is not None:
+        pairs = frame.match.correspondence
+        row, column = view.stored_pixels(pairs.row, pairs.column)
+        known = row >= 0
+        classes[row[known], column[known]] = frame.classes.depth_class[known]
+    if labels is not None:
+        decided = labels.subset(np.isin(labels.label, list(NoiseClass)))
+        classes[decided.row, decided.column] = decided.label
+    return classes
 
 
 def _sensor_maps(session: Session, alignment: RecordingAlignment, poses: PoseLookup) -> SensorMaps:

@@ -4,20 +4,26 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from fusion_core.denoising.overruling import is_rejected
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import FloatArray
+from fusion_core.model.labels import CaptureLabels
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.pairing import SCANS_KEPT
 
 
 class _WaitingScan:
-    def __init__(self, scan: LaserScan) -> None:
+    def __init__(self, scan: LaserScan, labels: CaptureLabels | None) -> None:
         self.scan = scan
         self.ranges_m = scan.ranges_m.copy()
         self.codes = np.where(
             np.isfinite(scan.ranges_m), float(NoiseClass.GOOD), float(NoiseClass.HOLE)
         )
+        if labels is not None:
+            code = labels.as_image()[0]
+            self.codes = np.where(np.isin(code, list(NoiseClass)), code, self.codes)
+            self.ranges_m[is_rejected(code)] = np.nan
         self.gap_ns: FloatArray = np.full(scan.ranges_m.size, np.inf)
 
 
@@ -31,9 +37,9 @@ class RepairedScanQueue:
         # By identity: some drivers give two scans one stamp.
         self._pending: dict[int, _WaitingScan] = {}
 
-    def push(self, scan: LaserScan) -> None:
-        """Add a scan of the recording."""
-        self._pending[id(scan)] = _WaitingScan(scan)
+    def push(self, scan: LaserScan, labels: CaptureLabels | None = None) -> None:
+        """Add a scan of the recording, whose ``labels`` hold outside of all images too."""
+        self._pending[id(scan)] = _WaitingScan(scan, labels)
 
     def apply_repairs(self, frame: FusedFrame) -> None:
         """Apply the repairs of one image, whose scan must still wait."""

@@ -1,7 +1,7 @@
 """LiDAR-only, camera-only and fused maps of one recording, from the same poses (Xu Fig. 9).
 
-In the fused map a return that neither the camera nor the scans before and after confirm clears no
-ray: its cell alone is marked, as not confirmed.
+In the fused map a return that neither the camera nor the scans before and after confirm, nor a
+person, clears no ray: its cell alone is marked, as not confirmed.
 """
 
 from collections import deque
@@ -41,11 +41,12 @@ class Confirmation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _RepairedScan:
-    """A raw scan at its pose, the ranges (N,) to trust of it, and what the camera confirmed."""
+    """A raw scan at its pose, the ranges (N,) to trust of it, and which of them the camera or a
+    person has confirmed."""
 
     raw: PlacedScan
     trusted_m: FloatArray
-    seen_by_both: BoolArray
+    is_confirmed: BoolArray
 
 
 class SensorMaps:
@@ -61,7 +62,7 @@ class SensorMaps:
     ) -> None:
         self._confirmation = confirmation
         # By identity: some drivers give two scans one stamp.
-        self._seen_by_both: dict[int, BoolArray] = {}
+        self._confirmed: dict[int, BoolArray] = {}
         self._recent: deque[_RepairedScan] = deque(maxlen=3)
         self._poses = poses
         self._side_max_m = settings.side_max_m
@@ -73,16 +74,19 @@ class SensorMaps:
     def add_camera(self, frame: FusedFrame) -> None:
         """Add the camera's ranges in the LiDAR's plane. Its scan must be added later."""
         pairs, scan = frame.match.correspondence, frame.match.scan
-        agree = (frame.classes.lidar_class == NoiseClass.GOOD) & np.isfinite(pairs.residual_m)
-        both = self._seen_by_both.setdefault(id(scan), np.zeros(scan.ranges_m.size, dtype=np.bool_))
-        both[pairs.beam[agree]] = True
+        classes = frame.classes
+        confirmed = (classes.lidar_class == NoiseClass.GOOD) & np.isfinite(pairs.residual_m)
+        by_person = np.isin(classes.lidar_class, (NoiseClass.GOOD, NoiseClass.CONFLICT))
+        confirmed |= classes.lidar_decided & by_person
+        of_scan = self._confirmed.setdefault(id(scan), np.zeros(scan.ranges_m.size, dtype=np.bool_))
+        of_scan[pairs.beam[confirmed]] = True
         pose = self._poses.at(frame.match.scan.stamp_ns)
         if pose is not None:
             self._add(
                 "camera",
                 pose,
                 frame.match.correspondence.azimuth_rad,
-                frame.match.correspondence.camera_range_m,
+                frame.camera_range_m,
                 frame.match.scan,
             )
 
@@ -90,7 +94,7 @@ class SensorMaps:
         """Add a scan, raw to the LiDAR's map and repaired to the fused one; scans come in order."""
         pose = self._poses.at(raw.stamp_ns)
         nothing = np.zeros(raw.ranges_m.size, dtype=np.bool_)
-        seen_by_both = self._seen_by_both.pop(id(raw), nothing)
+        is_confirmed = self._confirmed.pop(id(raw), nothing)
         if pose is None:
             self.scans_without_pose += 1
             return
@@ -99,7 +103,7 @@ class SensorMaps:
             _RepairedScan(
                 raw=PlacedScan(pose=pose, scan=raw),
                 trusted_m=ranges_without_burrs_m(raw, repaired),
-                seen_by_both=seen_by_both,
+                is_confirmed=is_confirmed,
             )
         )
         if len(self._recent) == 2:
@@ -120,7 +124,7 @@ class SensorMaps:
         unconfirmed_m = None
         if self._confirmation is not None and others:
             # What was repaired is confirmed already.
-            alone = (trusted_m == scan.ranges_m) & ~repaired.seen_by_both
+            alone = (trusted_m == scan.ranges_m) & ~repaired.is_confirmed
             tolerance_m = _SAME_RETURN_SIGMA * self._confirmation.scale.sigma_at(scan.ranges_m)
             fraction = confirmed_fraction(placed, [other.raw for other in others], tolerance_m)
             alone &= fraction < self._confirmation.least

@@ -7,6 +7,7 @@ from pathlib import Path
 from fusion_core.alignment.time import scan_at_image
 from fusion_core.alignment.virtual_lidar import mask_cut_rows
 from fusion_core.model.conventions import Float32Array
+from fusion_core.model.labels import LabelLayer
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import Streams, choose_streams
@@ -27,7 +28,8 @@ from fusion_core.workflows.source import RoomChoice
 class FuseOptions:
     """The options of a run; the chain's own settings are in the preset and the file.
 
-    ``seed`` overrides theirs unless None. ``room`` is a room of a data set.
+    ``seed`` overrides theirs unless None. ``room`` is a room of a data set. ``labels``: a person's
+    on this recording, which overrule the classes.
     """
 
     preset: PresetName = "default"
@@ -41,6 +43,7 @@ class FuseOptions:
     maps: bool = True
     figures: bool = True
     truth: Path | None = None
+    labels: LabelLayer | None = None
     seed: int | None = None
     force: bool = False
     overwrite: bool = False

@@ -6,7 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from fusion_core.exporting.output_folder import RunRequest, plan_output, results_folder
+from fusion_core.exporting.output_folder import (
+    RunRequest,
+    plan_output,
+    require_same_labels,
+    results_folder,
+)
 from fusion_core.files.atomic import write_text
 from fusion_core.model.errors import MappingFailed
 from fusion_core.model.progress import Progress, silent
@@ -52,6 +57,7 @@ def build_map(
             also_read=[recording, options.settings_file],
             settings_text=settings_text + options.identity(),
             seed=settings.particles.seed,
+            labels=options.labels,
         )
         plan = plan_output(
             output, request, force=options.force, overwrite=options.overwrite, progress=progress
@@ -62,6 +68,7 @@ def build_map(
         else:
             with results_folder(plan) as folder:
                 report, seconds = _map_into(folder, opened, options, settings, progress, observer)
+                require_same_labels(plan, options.labels)
                 write_text(folder / "settings.toml", settings_text)
     if report["trusted_share"] < _TRUSTED_FRACTION_MIN:
         raise _untrusted(report, output)

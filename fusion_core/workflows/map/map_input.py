@@ -68,6 +68,7 @@ def open_map_input(
         settings.virtual_scan,
         chain=settings,
         prior=recorded.at if recorded else None,
+        labels=options.labels,
         progress=progress,
     )
     motion = open_motion_prior(sensors, scans, options.motion, settings, progress)

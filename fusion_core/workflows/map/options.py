@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fusion_core.model.errors import MissingStream, SettingsError
+from fusion_core.model.labels import LabelLayer
 from fusion_core.workflows.fuse.settings import PresetName
 from fusion_core.workflows.map.estimators import SlamKind
 from fusion_core.workflows.map.motion_prior import MotionKind
@@ -19,7 +20,8 @@ class MapOptions:
     ``scan``: which scans are mapped. ``motion``: the odometry that predicts them, or that places
     them where there is no SLAM. ``slam``: the estimator. ``seed``: of the particle filter; it
     overrides the settings'. ``clock_offset_ms``: camera stamp - LiDAR stamp of one instant, which
-    is subtracted from the camera's stamps.
+    is subtracted from the camera's stamps. ``labels``: a person's, which overrule the classes of
+    the repair.
     """
 
     scan: ScanKind = "lidar"
@@ -33,6 +35,7 @@ class MapOptions:
     room: RoomChoice | None = None
     lidar_topic: str | None = None
     pose_topic: str | None = None
+    labels: LabelLayer | None = None
     force: bool = False
     overwrite: bool = False
 
@@ -64,12 +67,18 @@ class MapOptions:
         return json.dumps(identity)
 
     def require_consistent(self, recording: Path) -> None:
-        """Raise MissingStream without any source of poses, SettingsError for unused extrinsics."""
+        """Raise MissingStream without any source of poses, SettingsError for unused extrinsics or
+        labels."""
         if self.slam == "none" and self.motion == "none":
             raise MissingStream(
                 "without SLAM and without motion there are no poses.",
                 file=recording,
                 advice="Choose a --slam, or a --motion.",
+            )
+        if self.labels is not None and self.scan != "repaired":
+            raise SettingsError(
+                f"--scan {self.scan} takes no labels: they overrule the classes of the repair.",
+                advice="Leave --labels out, or use --scan repaired.",
             )
         if self.extrinsics_file is not None and not self.needs_extrinsics:
             raise SettingsError(

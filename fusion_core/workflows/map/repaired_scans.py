@@ -3,11 +3,14 @@
 from collections.abc import Iterator
 
 from fusion_core.model.errors import MissingStream
+from fusion_core.model.labels import LabelLayer
+from fusion_core.model.names import printable
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.align import align_recording
 from fusion_core.workflows.fuse.camera_rig import build_camera_rig
 from fusion_core.workflows.fuse.frame import FusedFrame, fuse_frames
+from fusion_core.workflows.fuse.frame_labels import SessionLabels
 from fusion_core.workflows.fuse.scan_queue import RepairedScanQueue, ranges_without_burrs_m
 from fusion_core.workflows.fuse.session import (
     session_of,
@@ -19,8 +22,8 @@ from fusion_core.workflows.map.recorded_sensors import RecordedSensors
 class RepairedScans:
     """Scans with the ranges that the images paired with them have repaired.
 
-    A scan without an image stays as it is. A burr that could not be repaired is NaN.
-    ``intensities`` are None.
+    A scan without an image stays as it is. A burr that could not be repaired is NaN, and so is what
+    ``labels`` reject and nothing fills. ``intensities`` are None.
     """
 
     def __init__(
@@ -28,6 +31,7 @@ class RepairedScans:
         sensors: RecordedSensors,
         settings: ChainSettings,
         *,
+        labels: LabelLayer | None = None,
         progress: Progress = silent,
     ) -> None:
         recording, streams = sensors.recording, sensors.streams
@@ -38,6 +42,9 @@ class RepairedScans:
         rig = build_camera_rig(recording, streams, settings.sampling)
         self._session = session_of(recording, streams, rig, settings)
         self._alignment = align_recording(self._session, progress)
+        self._labels: SessionLabels | None = None
+        if labels is not None:
+            self._labels = SessionLabels(session=self._session, layer=labels)
         self._sensors = sensors
         self.frame_id = rig.lidar_frame
         self.recorded_count = recording.received_ns(streams.lidar).size
@@ -47,6 +54,9 @@ class RepairedScans:
     def notes(self) -> tuple[str, ...]:
         rig_notes = self._session.rig.notes
         notes = [*rig_notes, *self._alignment.notes, *self._sensors.clock_note]
+        if self._labels is not None:
+            name = printable(self._labels.layer.name)
+            notes.append(f"The labels of {name} overrule the classes.")
         if self._with_image < self._scans:
             without = self._scans - self._with_image
             notes.append(f"{without} of {self._scans} scans have no image and stay as they were.")
@@ -61,9 +71,10 @@ class RepairedScans:
 
     def _repaired_pairs(self, queue: RepairedScanQueue) -> Iterator[tuple[LaserScan, LaserScan]]:
         paired: set[int] = set()
-        for entry in fuse_frames(self._session, self._alignment, self._sensors.clock_offset_ms):
+        labels, clock_offset_ms = self._labels, self._sensors.clock_offset_ms
+        for entry in fuse_frames(self._session, self._alignment, clock_offset_ms, labels):
             if isinstance(entry, LaserScan):
-                queue.push(entry)
+                queue.push(entry, None if labels is None else labels.of_scan(entry))
                 for raw, repaired in queue.pop_settled():
                     paired.discard(id(raw))
                     yield raw, repaired

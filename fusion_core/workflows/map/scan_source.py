@@ -5,6 +5,7 @@ from typing import Literal, Protocol
 
 from fusion_core.mapping.virtual_scan import VirtualScanSettings
 from fusion_core.model.errors import MissingStream
+from fusion_core.model.labels import LabelLayer
 from fusion_core.model.planar_poses import PosePrior
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
@@ -69,6 +70,7 @@ def open_scans(
     *,
     chain: ChainSettings | None = None,
     prior: PosePrior | None = None,
+    labels: LabelLayer | None = None,
     progress: Progress = silent,
 ) -> ScanSource:
     """The scans of a kind.
@@ -80,6 +82,7 @@ def open_scans(
     ``settings``: of virtual scans. ``chain``: of the repair, and of the alignment that finds the
     extrinsics where ``sensors`` have none. ``prior``: odometry of the scans' frame, which moves a
     camera's cloud to the stamp of its scan; without it only the turn between scans is taken out.
+    ``labels``: a person's, which overrule the classes of the repair.
 
     Raises MissingStream for what the recording lacks, AlignmentFailed where mount or floor cannot
     be found.
@@ -89,7 +92,7 @@ def open_scans(
     if kind == "lidar":
         return LidarScans(recording, streams)
     if kind == "repaired":
-        return RepairedScans(sensors, chain, progress=progress)
+        return RepairedScans(sensors, chain, labels=labels, progress=progress)
     if kind == "merged" and streams.lidar is None:
         raise MissingStream(
             "has no 2D LiDAR to merge the camera with.",

@@ -193,7 +193,7 @@ def frame_of(found, *, residual_m=None, epsilon_m=0.1, refusal=""):
         lidar_class=good, depth_class=good, epsilon_m=np.full(count, epsilon_m)
     )
     match = SimpleNamespace(registration=found, refusal=refusal, correspondence=pairs)
-    return FusedFrame(match=match, classes=classes, repair=None)
+    return FusedFrame(match=match, classes=classes, repair=None, camera_range_m=None)
 
 
 def frame_view(session, frame, failure=None, is_dark=False):

@@ -74,7 +74,12 @@ def match_of_stages() -> FrameMatch:
 def fused_of_stages() -> FusedFrame:
     """The same with classes and repairs."""
     values = stages()
-    return FusedFrame(match=match_of_stages(), classes=values["classes"], repair=values["repair"])
+    return FusedFrame(
+        match=match_of_stages(),
+        classes=values["classes"],
+        repair=values["repair"],
+        camera_range_m=np.empty(0),
+    )
 
 
 def test_a_fused_frame_gives_classes_and_what_was_repaired() -> None:

@@ -48,6 +48,8 @@ def frame(first_rad: float = 0.3) -> SimpleNamespace:
         depth_confidence=np.linspace(0.2, 0.8, 7),
         epsilon_m=np.full(7, 0.2),
         lidar_steady=np.array([True, False, False, True, True, True, False]),
+        lidar_decided=np.zeros(7, dtype=np.bool_),
+        depth_decided=np.zeros(7, dtype=np.bool_),
         beam_evidence=np.arange(35.0).reshape(7, 5),
         beam_support=np.arange(21).reshape(7, 3),
         pixel_support=np.arange(14).reshape(7, 2),

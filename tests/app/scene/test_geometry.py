@@ -109,7 +109,9 @@ def frame_of(pairs, scan, depth_m, lidar_class=None, depth_class=None, lidar_m=N
         refusal="",
         correspondence=pairs,
     )
-    return FusedFrame(match=match, classes=classes, repair=repair)
+    return FusedFrame(
+        match=match, classes=classes, repair=repair, camera_range_m=pairs.camera_range_m
+    )
 
 
 @pytest.fixture

@@ -28,5 +28,5 @@ def test_a_pair_has_the_class_of_its_worse_side():
     }
     lidar_class, depth_class = np.array(list(sides)).T
     classes = SimpleNamespace(lidar_class=lidar_class, depth_class=depth_class)
-    frame = FusedFrame(match=None, classes=classes, repair=None)
+    frame = FusedFrame(match=None, classes=classes, repair=None, camera_range_m=None)
     assert frame.pair_class.tolist() == list(sides.values())

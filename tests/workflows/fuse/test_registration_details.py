@@ -121,6 +121,7 @@ def frame(azimuth_rad, residual_m, *, lidar_class=None, depth_class=None, epsilo
             epsilon_m=epsilon,
         ),
         repair=None,
+        camera_range_m=None,
     )
 
 

@@ -11,7 +11,7 @@ from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.sensor_maps import Confirmation, SensorMaps
 
 BEAMS = 90
-GOOD, HOLE, BURR = range(3)
+GOOD, HOLE, BURR, CONFLICT = range(4)
 CONFIRMATION = Confirmation(scale=NoiseScale(floor_m=0.02, fraction=0.0), least=0.5)
 
 
@@ -46,12 +46,12 @@ def with_value(value, *beams):
 
 
 def built(scans, tmp_path, *, repaired=None, confirmation=CONFIRMATION, frames=()):
-    """Maps of scans (K, BEAMS), all from one pose. ``frames``: (scan, beams that a camera sees,
-    too)."""
+    """Maps of scans (K, BEAMS), all from one pose. ``frames``: a scan's number, its beams that a
+    camera sees and, where there is one, the class that a person gives them."""
     maps = SensorMaps(StandingStill(), GridSettings(), confirmation)
     raw = [scan_of(ranges_m, k) for k, ranges_m in enumerate(scans)]
-    for number, beams in frames:
-        maps.add_camera(frame_of(raw[number], np.array(beams)))
+    for number, beams, *decided in frames:
+        maps.add_camera(frame_of(raw[number], np.array(beams), *decided))
     for number, scan in enumerate(raw):
         values = (repaired or {}).get(number, scan.ranges_m)
         codes = np.where(np.isfinite(scan.ranges_m), float(GOOD), float(HOLE))
@@ -60,19 +60,23 @@ def built(scans, tmp_path, *, repaired=None, confirmation=CONFIRMATION, frames=(
     return grids
 
 
-def frame_of(scan, beams):
-    """The fields of a fused frame that the maps read."""
+def frame_of(scan, beams, decided=None):
+    """The fields of a fused frame that the maps read: good beams that the camera saw too or, with a
+    class that a person has ``decided``, has not."""
     return SimpleNamespace(
         match=SimpleNamespace(
             scan=scan,
             correspondence=SimpleNamespace(
                 beam=beams,
-                residual_m=np.zeros(beams.size),
+                residual_m=np.full(beams.size, 0.0 if decided is None else np.nan),
                 azimuth_rad=scan.angles_rad[beams],
-                camera_range_m=scan.ranges_m[beams],
             ),
         ),
-        classes=SimpleNamespace(lidar_class=np.full(beams.size, GOOD)),
+        classes=SimpleNamespace(
+            lidar_class=np.full(beams.size, GOOD if decided is None else decided),
+            lidar_decided=np.full(beams.size, decided is not None),
+        ),
+        camera_range_m=scan.ranges_m[beams],
     )
 
 
@@ -110,6 +114,15 @@ def test_what_the_camera_sees_too_needs_no_other_scan(tmp_path):
     grids = built(scans, tmp_path, frames=[(1, [44, 45])])
     alone = built(scans, tmp_path)
     assert cell(grids["fused"], 45, 2.0) > cell(alone["fused"], 45, 2.0)
+
+
+def test_what_a_person_calls_real_needs_no_other_scan(tmp_path):
+    scans = [wall(), with_value(2.0, 45), wall()]
+    alone = built(scans, tmp_path)
+    for decided, is_believed in ((GOOD, True), (CONFLICT, True), (BURR, False)):
+        grids = built(scans, tmp_path, frames=[(1, [44, 45], decided)])
+        higher = cell(grids["fused"], 45, 2.0) > cell(alone["fused"], 45, 2.0)
+        assert higher == is_believed
 
 
 def test_a_repaired_beam_is_in_the_map(tmp_path):
