@@ -71,18 +71,24 @@ def _format_field(value: object) -> str:
 class ParquetTable:
     """A Parquet file that appears when the ``with`` block ends without error.
 
-    ``schema`` names the columns and their Arrow types (``{"stamp_ns": pa.int64()}``). NaN becomes
-    null, in columns of whole numbers too. At most one row group is held in memory, and the bytes
-    do not depend on how the rows were split among the calls of ``append``.
+    ``schema`` names the columns and their Arrow types (``{"stamp_ns": pa.int64()}``), ``metadata``
+    stands beside it. NaN becomes null, in columns of whole numbers too. At most one row group is
+    held in memory, and the bytes do not depend on how the rows were split among the calls of
+    ``append``.
     """
 
     def __init__(
-        self, path: Path, schema: "Mapping[str, pa.DataType]", *, rows_per_group: int = 65_536
+        self,
+        path: Path,
+        schema: "Mapping[str, pa.DataType]",
+        *,
+        metadata: Mapping[str, str] | None = None,
+        rows_per_group: int = 65_536,
     ) -> None:
         import pyarrow as pa
 
         self._path = path
-        self._schema = pa.schema(list(schema.items()))
+        self._schema = pa.schema(list(schema.items()), metadata=metadata)
         self._rows_per_group = rows_per_group
         self._pending: list[Any] = []
         self._pending_rows = 0
