@@ -118,17 +118,6 @@ def _labels_digest(layer: LabelLayer | None) -> LabelsDigest | None:
     return None if layer is None else LabelsDigest(layer.name, layer.sha256)
 
 
-def require_same_labels(plan: OutputPlan, layer: LabelLayer | None) -> None:
-    """Raise ExportError where the layer has changed since the run was planned: its results would be
-    of no one state of the labels."""
-    if plan.run.labels != _labels_digest(layer):
-        raise ExportError(
-            "has no results: the labels were changed during the run.",
-            file=plan.folder,
-            advice="Call again when nobody is labelling.",
-        )
-
-
 def _file_names(folder: Path) -> list[str]:
     """Files of an output folder, without its manifest and unfinished work."""
     return [

@@ -8,6 +8,7 @@ from tyro import conf
 
 from fusion_core.model.progress import Progress
 from fusion_core.model.seeds import SEED_MAX
+from scanloom.commands.label_layer import LabelStoreOption, LayerOption, label_layer
 from scanloom.commands.options import (
     ROW_MAX,
     Flag,
@@ -20,6 +21,7 @@ from scanloom.commands.options import (
     SettingsOption,
     SubsessionOption,
     TopicOption,
+    WrongUsage,
     require_integer,
     room_choice,
 )
@@ -60,6 +62,8 @@ class Fuse:
     """Write no figures."""
     truth: Annotated[Path | None, conf.arg(metavar="TRUTH.npz", help_behavior_hint="")] = None
     """The ground truth of a simulated recording, for the figure of noise recall."""
+    labels: LayerOption = None
+    label_store: LabelStoreOption = None
     seed: Annotated[int | None, conf.arg(help_behavior_hint="")] = None
     """Seed of the random draws, overriding the settings'."""
     force: ForceFlag = False
@@ -69,29 +73,33 @@ class Fuse:
     def run(self, progress: Progress) -> Report:
         require_integer("--seed", self.seed, SEED_MAX)
         require_integer("--virtual-lidar", self.virtual_lidar, ROW_MAX)
+        if self.labels is not None and self.home is not None:
+            raise WrongUsage("--labels are of one recording, not of a data set (--home)")
         from fusion_core.workflows.fuse.fuse import FuseSummary, fuse
         from fusion_core.workflows.fuse.rooms import RoomsSummary, fuse_rooms
         from fusion_core.workflows.fuse.session import FuseOptions
 
-        options = FuseOptions(
-            preset=self.preset,
-            settings_file=self.settings,
-            room=room_choice(self.home, self.room, self.subsession),
-            virtual_lidar_row=self.virtual_lidar,
-            lidar_topic=self.lidar,
-            depth_topics=self.depth,
-            pose_topic=self.pose,
-            apply_clock_offset=self.apply_clock_offset,
-            maps=not self.no_maps,
-            figures=not self.no_figures,
-            truth=self.truth,
-            seed=self.seed,
-            force=self.force,
-            overwrite=self.overwrite,
-        )
         summary: FuseSummary | RoomsSummary
-        if self.home is not None and self.room is None:
-            summary = fuse_rooms(self.recording, self.home, self.output, options, progress)
-        else:
-            summary = fuse(self.recording, self.output, options, progress)
+        with label_layer(self.recording, self.labels, self.label_store, progress) as layer:
+            options = FuseOptions(
+                preset=self.preset,
+                settings_file=self.settings,
+                room=room_choice(self.home, self.room, self.subsession),
+                virtual_lidar_row=self.virtual_lidar,
+                lidar_topic=self.lidar,
+                depth_topics=self.depth,
+                pose_topic=self.pose,
+                apply_clock_offset=self.apply_clock_offset,
+                maps=not self.no_maps,
+                figures=not self.no_figures,
+                truth=self.truth,
+                labels=layer,
+                seed=self.seed,
+                force=self.force,
+                overwrite=self.overwrite,
+            )
+            if self.home is not None and self.room is None:
+                summary = fuse_rooms(self.recording, self.home, self.output, options, progress)
+            else:
+                summary = fuse(self.recording, self.output, options, progress)
         return Report(result=summary.to_json(), lines=summary.lines())

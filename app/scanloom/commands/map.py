@@ -8,6 +8,7 @@ from tyro import conf
 
 from fusion_core.model.progress import Progress
 from fusion_core.model.seeds import SEED_MAX
+from scanloom.commands.label_layer import LabelStoreOption, LayerOption, label_layer
 from scanloom.commands.options import (
     OFFSET_MAX_MS,
     ForceFlag,
@@ -53,6 +54,8 @@ class Map:
     """A TOML or JSON file with T_camera_lidar, used instead of the recording's transforms."""
     clock_offset_ms: Annotated[float, conf.arg(metavar="MS")] = 0.0
     """Camera stamp minus LiDAR stamp of the same instant; subtracted from the camera's stamps."""
+    labels: LayerOption = None
+    label_store: LabelStoreOption = None
     home: HomeOption = None
     """A session of a Robot@Home data set, such as alma-s1, with --room."""
     room: RoomOption = None
@@ -73,25 +76,31 @@ class Map:
             raise WrongUsage("--pose goes with --motion recorded")
         if self.home is not None and self.room is None:
             raise WrongUsage("--home needs --room, the one to map")
+        if self.labels is not None and self.scan != "repaired":
+            raise WrongUsage("--labels goes with --scan repaired: they overrule its classes")
+        if self.labels is not None and self.home is not None:
+            raise WrongUsage("--labels are of one recording, not of a data set (--home)")
         require_integer("--seed", self.seed, SEED_MAX)
         require_in_range("--clock-offset-ms", -OFFSET_MAX_MS, OFFSET_MAX_MS, self.clock_offset_ms)
         from fusion_core.workflows.map.build_map import build_map
         from fusion_core.workflows.map.options import MapOptions
 
-        options = MapOptions(
-            scan=self.scan,
-            motion=self.motion,
-            slam=self.slam,
-            preset=self.preset,
-            settings_file=self.settings,
-            seed=self.seed,
-            extrinsics_file=self.extrinsics,
-            clock_offset_ms=self.clock_offset_ms,
-            room=room_choice(self.home, self.room, self.subsession),
-            lidar_topic=self.lidar,
-            pose_topic=self.pose,
-            force=self.force,
-            overwrite=self.overwrite,
-        )
-        summary = build_map(self.recording, self.output, options, progress)
+        with label_layer(self.recording, self.labels, self.label_store, progress) as layer:
+            options = MapOptions(
+                scan=self.scan,
+                motion=self.motion,
+                slam=self.slam,
+                preset=self.preset,
+                settings_file=self.settings,
+                labels=layer,
+                seed=self.seed,
+                extrinsics_file=self.extrinsics,
+                clock_offset_ms=self.clock_offset_ms,
+                room=room_choice(self.home, self.room, self.subsession),
+                lidar_topic=self.lidar,
+                pose_topic=self.pose,
+                force=self.force,
+                overwrite=self.overwrite,
+            )
+            summary = build_map(self.recording, self.output, options, progress)
         return Report(result=summary.to_json(), lines=summary.lines())

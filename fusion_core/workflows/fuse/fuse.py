@@ -12,12 +12,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from fusion_core.exporting.output_folder import (
-    RunRequest,
-    plan_output,
-    require_same_labels,
-    results_folder,
-)
+from fusion_core.exporting.output_folder import RunRequest, plan_output, results_folder
 from fusion_core.files.atomic import write_text
 from fusion_core.model.errors import AlignmentFailed, ScanLoomError
 from fusion_core.model.names import printable
@@ -69,7 +64,6 @@ def fuse(
             write_text(folder / "settings.toml", settings_text)
             session = open_session(opened, options, settings)
             summary = _run_chain(session, folder, replace(options, preset=preset), progress)
-            require_same_labels(plan, options.labels)
             write_summary(folder, summary)
             return replace(summary, output=output)
 

@@ -6,12 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from fusion_core.exporting.output_folder import (
-    RunRequest,
-    plan_output,
-    require_same_labels,
-    results_folder,
-)
+from fusion_core.exporting.output_folder import RunRequest, plan_output, results_folder
 from fusion_core.files.atomic import write_text
 from fusion_core.model.errors import MappingFailed
 from fusion_core.model.progress import Progress, silent
@@ -68,7 +63,6 @@ def build_map(
         else:
             with results_folder(plan) as folder:
                 report, seconds = _map_into(folder, opened, options, settings, progress, observer)
-                require_same_labels(plan, options.labels)
                 write_text(folder / "settings.toml", settings_text)
     if report["trusted_share"] < _TRUSTED_FRACTION_MIN:
         raise _untrusted(report, output)

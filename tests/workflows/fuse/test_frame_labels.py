@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 from fusion_core.exporting.manifest import LabelsDigest, Manifest
 from fusion_core.exporting.output_folder import RunRequest, plan_output
 from fusion_core.model.classes import NoiseClass, RepairSource
-from fusion_core.model.errors import ExportError, SettingsError
+from fusion_core.model.errors import SettingsError
 from fusion_core.model.labels import NO_LABEL, CaptureLabels, Label
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.topics import choose_streams
@@ -318,20 +318,6 @@ def test_the_pixels_classes_stand_beside_the_repaired_image(labelled_run) -> Non
             np.testing.assert_array_equal(codes, expected)
             seen += bool(own.any())
     assert seen > 40
-
-
-def test_a_layer_that_changes_during_the_run_leaves_no_results(bedroom, tmp_path) -> None:
-    class Restless(MemoryLayer):
-        reads = 0
-
-        @property
-        def sha256(self):
-            self.reads += 1
-            return str(self.reads)
-
-    with pytest.raises(ExportError, match="labels were changed during the run"):
-        fuse(bedroom.recording, tmp_path / "out", FuseOptions(figures=False, labels=Restless()))
-    assert not (tmp_path / "out" / "samples.parquet").exists()
 
 
 def test_a_map_takes_labels_for_repaired_scans_alone(bedroom, tmp_path) -> None:
