@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from sqlalchemy.exc import DBAPIError, DisconnectionError, OperationalError
 
 from fusion_core.model.errors import ExportError, LabelStoreError, ScanLoomError
+from fusion_core.model.names import printable
 
 LOCK_TIMEOUT_S = 10.0
 """How long an action waits for those of others."""
@@ -36,7 +37,7 @@ def _explain(error: DBAPIError | DisconnectionError, place: str) -> ScanLoomErro
     """None for what is a fault of the program."""
     cause = getattr(error, "orig", None) or error
     code = getattr(cause, "sqlite_errorname", None) or getattr(cause, "sqlstate", None) or ""
-    reason = " ".join(str(cause).split()).rstrip(".")
+    reason = _one_line(str(cause))
     if code.startswith(_LOCKED):
         return ExportError(
             f"another program has kept it locked for {LOCK_TIMEOUT_S:.0f} s.",
@@ -73,7 +74,11 @@ def _explain(error: DBAPIError | DisconnectionError, place: str) -> ScanLoomErro
 def damaged(place: str, reason: str) -> LabelStoreError:
     """The error for a store with wrong content."""
     return LabelStoreError(
-        f"is damaged: {reason}.",
+        f"is damaged: {_one_line(reason)}.",
         file=place,
         advice="Restore it from a copy; it was left as it is.",
     )
+
+
+def _one_line(text: str) -> str:
+    return printable(" ".join(text.split()).rstrip("."))

@@ -7,7 +7,7 @@ from operator import itemgetter
 from typing import Any, cast
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, Select, exists, func, select
+from sqlalchemy import ColumnElement, Connection, Row, Select, Subquery, func, select
 
 from fusion_core.annotation import schema
 from fusion_core.annotation.identity import is_storable
@@ -75,12 +75,8 @@ def labels_of_capture(
     layer_id, capture_id = find_layer(connection, layer), find_capture(connection, capture)
     rows: Iterable[Row[Any]] = ()
     if layer_id is not None and capture_id is not None:
-        change = schema.change.c
-        rows = connection.execute(
-            _in_force(layer_id, upto, change.row, change.column, change.after)
-            .where(change.capture_id == capture_id)
-            .order_by(change.row, change.column)
-        )
+        own = schema.change.c.capture_id == capture_id
+        rows = connection.execute(_by_place(_in_force(layer_id, upto, own)))
     return _labels(capture, rows)
 
 
@@ -89,12 +85,13 @@ def all_labels(connection: Connection, layer: str, upto: int | None) -> Iterator
     layer_id = find_layer(connection, layer)
     if layer_id is None:
         return
-    change = schema.change.c
+    labelled = _in_force(layer_id, upto)
+    found = labelled.c
     place = (_CAPTURE.sensor, _CAPTURE.topic, _CAPTURE.stamp_ns, _CAPTURE["index"])
     statement = (
-        _in_force(layer_id, upto, change.row, change.column, change.after, *CAPTURE_COLUMNS)
-        .join(schema.capture, _CAPTURE.id == change.capture_id)
-        .order_by(*place, change.row, change.column)
+        select(found.row, found.column, found.after, *CAPTURE_COLUMNS)
+        .join(schema.capture, _CAPTURE.id == found.capture_id)
+        .order_by(*place, found.row, found.column)
     )
     streamed = connection.execute(statement, execution_options={"yield_per": ROWS_AT_ONCE})
     for identity, rows in groupby(streamed, key=itemgetter(slice(3, None))):
@@ -107,15 +104,15 @@ def codes_at(
     """(N,) codes that are in force for some samples of a capture, NO_LABEL where there is none."""
     change = schema.change.c
     row, column = samples.row, samples.column
-    rows = connection.execute(
-        _in_force(layer_id, None, change.row, change.column, change.after)
-        .where(change.capture_id == capture_id)
+    near = _in_force(
+        layer_id,
+        None,
+        change.capture_id == capture_id,
         # One sample among many of its capture is found without reading the others.
-        .where(change.row.between(int(row.min()), int(row.max())))
-        .where(change.column.between(int(column.min()), int(column.max())))
-        .order_by(change.row, change.column)
+        change.row.between(int(row.min()), int(row.max())),
+        change.column.between(int(column.min()), int(column.max())),
     )
-    labels = _labels(samples.capture, rows)
+    labels = _labels(samples.capture, connection.execute(_by_place(near)))
     codes: IntArray = np.full(len(row), NO_LABEL)
     columns = samples.capture.columns
     known, wanted = labels.row * columns + labels.column, row * columns + column
@@ -129,8 +126,8 @@ def count_codes(connection: Connection, layer: str) -> Counter[int]:
     layer_id = find_layer(connection, layer)
     if layer_id is None:
         return Counter()
-    after = schema.change.c.after
-    rows = connection.execute(_in_force(layer_id, None, after, func.count()).group_by(after))
+    after = _in_force(layer_id, None).c.after
+    rows = connection.execute(select(after, func.count()).group_by(after))
     return Counter({row.after: row[1] for row in rows})
 
 
@@ -153,24 +150,34 @@ def count_since(connection: Connection, layer: str, action_id: int) -> Counter[i
     return added
 
 
-def _in_force(layer_id: int, upto: int | None, *columns: ColumnElement[Any]) -> Select[Any]:
-    """Of each labelled sample of a layer the newest change."""
+def _in_force(layer_id: int, upto: int | None, *conditions: ColumnElement[bool]) -> Subquery:
+    """capture_id, row, column and after of the newest change of each labelled sample of a layer.
+
+    A window over the index ``change_state``, whose order it has: a query for each sample's newer
+    changes would make PostgreSQL compare all with all while it has no statistics of a young store.
+    """
     change = schema.change.c
-    newer = schema.change.alias("newer")
-    same_sample = (
-        (newer.c.layer_id == layer_id)
-        & (newer.c.capture_id == change.capture_id)
-        & (newer.c.row == change.row)
-        & (newer.c.column == change.column)
-        & (newer.c.action_id > change.action_id)
-    )
-    statement = select(*columns).select_from(schema.change).where(change.layer_id == layer_id)
     if upto is not None:
-        same_sample &= newer.c.action_id <= upto
-        statement = statement.where(change.action_id <= upto)
-    return statement.where(change.after != NO_LABEL).where(
-        ~exists().select_from(newer).where(same_sample)
+        conditions += (change.action_id <= upto,)
+    newer = func.lead(change.action_id).over(
+        partition_by=(change.layer_id, change.capture_id, change.row, change.column),
+        order_by=change.action_id,
     )
+    changes = (
+        select(change.capture_id, change.row, change.column, change.after, newer.label("newer"))
+        .where(change.layer_id == layer_id, *conditions)
+        .subquery()
+    ).c
+    return (
+        select(changes.capture_id, changes.row, changes.column, changes.after)
+        .where(changes.newer.is_(None), changes.after != NO_LABEL)
+        .subquery("in_force")
+    )
+
+
+def _by_place(labelled: Subquery) -> Select[Any]:
+    found = labelled.c
+    return select(found.row, found.column, found.after).order_by(found.row, found.column)
 
 
 def _labels(capture: Capture, rows: Iterable[Row[Any] | tuple[Any, ...]]) -> CaptureLabels:

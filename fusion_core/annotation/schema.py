@@ -146,9 +146,10 @@ def _sqlite_guards() -> Iterator[str]:
     guards = [(table.name, verb, "") for table in _APPEND_ONLY for verb in ("UPDATE", "DELETE")]
     # INSERT OR REPLACE deletes, and triggers of deletion do not see it.
     guards += [
-        ("action", "INSERT", "WHEN NEW.id <> (SELECT ifnull(max(id), 0) + 1 FROM action)"),
-        ("change", "INSERT", "WHEN NEW.action_id <> (SELECT max(id) FROM action)"),
+        (name, "INSERT", f"WHEN NEW.id <> (SELECT ifnull(max(id), 0) + 1 FROM {name})")
+        for name in (layer.name, capture.name, action.name)
     ]
+    guards.append(("change", "INSERT", "WHEN NEW.action_id <> (SELECT max(id) FROM action)"))
     for table, verb, condition in guards:
         yield f"""
             CREATE TRIGGER {table}_{verb.lower()} BEFORE {verb} ON "{table}" {condition}

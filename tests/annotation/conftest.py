@@ -37,14 +37,14 @@ def postgresql() -> Iterator[Server]:
 
 @pytest.fixture(scope="session")
 def new_database(postgresql: Server) -> NewAddress:
-    """Makes empty databases."""
+    """Makes empty schemas of one database, which is much faster than databases."""
     numbers = count()
 
     def make() -> str:
         name = f"labels_{next(numbers)}"
-        with psycopg.connect(postgresql.address("postgres"), autocommit=True) as connection:
-            connection.execute(f"CREATE DATABASE {name}".encode())
-        return postgresql.address(name)
+        with psycopg.connect(postgresql.address("postgres")) as connection:
+            connection.execute(f"CREATE SCHEMA {name}".encode())
+        return f"{postgresql.address('postgres')}?options=-csearch_path%3D{name}"
 
     return make
 
