@@ -9,6 +9,8 @@
   // viser sends a field's latest value every 50 ms: actions stay in it long enough to be seen.
   const KEPT_ACTIONS = 8;
   const CLICK_PX = 4;
+  // Places of a stroke in one action: all actions together must fit into the field.
+  const STROKE_PLACES = 48;
   const SVG = "http://www.w3.org/2000/svg";
   const setValue = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set;
   const actions = [];
@@ -72,12 +74,39 @@
     send();
   }
 
+  // A picture with a tool is drawn on: a box, or a stroke of a brush.
+  function strokePlace(image, event) {
+    const { x_px, y_px } = placeOn(image, event);
+    return [Math.round(x_px * 10) / 10, Math.round(y_px * 10) / 10];
+  }
+
+  function sendStroke() {
+    const { image, tool, places, event } = held;
+    const kept = tool === "box" ? [places[0], places.at(-1)] : places;
+    act({
+      kind: "stroke", picture: nameOf(image).dataset.picture, tool, places: kept,
+      is_added: event.shiftKey,
+    });
+    held.places = [places.at(-1)];
+  }
+
+  function drawOn(event) {
+    held.event = event;
+    held.places.push(strokePlace(held.image, event));
+    held.drawn.push(held.places.at(-1));
+    if (held.tool === "brush" && held.places.length >= STROKE_PLACES) sendStroke();
+    drawMarks(nameOf(held.image));
+  }
+
   document.addEventListener("pointermove", (event) => {
     if (held) {
       moveReadout(event);
       const far = Math.hypot(event.clientX - held.x, event.clientY - held.y) > CLICK_PX;
       held.isDrag ||= far;
-      if (held.isDrag) point(held.image, "drag", event);
+      if (held.isDrag && held.image.isConnected) {
+        if (held.tool) drawOn(event);
+        else point(held.image, "drag", event);
+      }
       return;
     }
     const image = event.target instanceof HTMLImageElement ? event.target : null;
@@ -92,12 +121,24 @@
   document.addEventListener("pointerdown", (event) => {
     const image = event.target;
     if (event.button !== 0 || !(image instanceof HTMLImageElement) || !nameOf(image)) return;
-    held = { image, x: event.clientX, y: event.clientY, isDrag: false };
+    const begin = strokePlace(image, event);
+    held = {
+      image, x: event.clientX, y: event.clientY, isDrag: false, event,
+      tool: nameOf(image).dataset.tool, places: [begin], drawn: [begin],
+    };
   }, true);
 
   document.addEventListener("pointerup", (event) => {
     if (!held) return;
-    const { image, isDrag } = held;
+    const { image, isDrag, tool } = held;
+    if (image.isConnected && tool && (isDrag || tool === "brush")) {
+      if (isDrag) held.places.push(strokePlace(image, event));
+      held.event = event;
+      sendStroke();
+      held = null;
+      drawMarks(nameOf(image));
+      return;
+    }
     held = null;
     if (!image.isConnected) return;
     if (isDrag) point(image, "drag", event);
@@ -203,7 +244,7 @@
       box.append(over);
     }
     over.setAttribute("viewBox", `-0.5 -0.5 ${name.dataset.width} ${name.dataset.height}`);
-    over.replaceChildren(...JSON.parse(name.dataset.marks).flatMap(shapes));
+    over.replaceChildren(...JSON.parse(name.dataset.marks).flatMap(shapes), ...strokeShapes(name, image));
     if (pointer && pointer.kind !== "leave" && pointer.picture === name.dataset.picture) {
       showReadout(name.dataset.readout);
     }
@@ -221,6 +262,22 @@
       path.setAttribute("class", shade);
       return path;
     });
+  }
+
+  // What is being drawn with a tool.
+  function strokeShapes(name, image) {
+    if (!held || held.image !== image || !held.tool || !held.isDrag) return [];
+    const path = document.createElementNS(SVG, "path");
+    const [first, last] = [held.drawn[0], held.drawn.at(-1)];
+    if (held.tool === "box") {
+      path.setAttribute("d", `M${first}H${last[0]}V${last[1]}H${first[0]}Z`);
+      path.setAttribute("class", "box");
+    } else {
+      path.setAttribute("d", `M${held.drawn.join("L")}`);
+      path.setAttribute("class", "brush");
+      path.setAttribute("stroke-width", 2 * Number(name.dataset.brushPx));
+    }
+    return [path];
   }
 
   // The legend, written by the server among the controls, stands over the scene.

@@ -6,7 +6,7 @@ to the panels. A failure is shown as a notification, and the session goes on.
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -20,11 +20,14 @@ from fusion_core.workflows.fuse.settings import PRESETS, PresetName
 from scanloom.frame_view import FrameView, as_failure, compute_frame_view, failure_summary
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.jobs.long_job import Cancelled
+from scanloom.page.events import ToolName
 from scanloom.scene.sample_readout import linked
 from scanloom.state.history import PASSING_FRAMES, History
 from scanloom.state.hover import Hover
 from scanloom.state.library import Library
 from scanloom.state.open_recording import OpenRecording
+from scanloom.state.review_choices import Answer
+from scanloom.state.review_overlay import ReviewOverlay
 from scanloom.state.view import View
 
 # Key of the view in the browser's local storage.
@@ -63,10 +66,50 @@ class Panel(Protocol):
         return
 
 
+class Review(Protocol):
+    """The review of labels in one browser."""
+
+    @property
+    def is_on(self) -> bool:
+        """Whether keys and clicks are about labels now."""
+        ...
+
+    def undo(self) -> None:
+        """Take back the last label."""
+        ...
+
+    def redo(self) -> None:
+        """Give it again."""
+        ...
+
+    def go(self, direction: int) -> None:
+        """To the next run, or to the previous one for -1."""
+        ...
+
+    def answer(self, answer: Answer) -> None:
+        """Say what the marked samples are."""
+        ...
+
+    def draw(
+        self, tool: ToolName, places: Sequence[tuple[float, float]], *, is_added: bool
+    ) -> None:
+        """Mark pixels of the upright depth image, drawn at (column, row)."""
+        ...
+
+    def mark_beams(self, beams: Sequence[int], *, is_added: bool) -> None:
+        """Mark beams of the displayed scan."""
+        ...
+
+    def overlay(self, frame_view: FrameView) -> ReviewOverlay | None:
+        """What a frame shows of it."""
+        ...
+
+
 class ClientSession:
     """The session of one browser. Thread-safe.
 
-    ``panels``: closed with the session. ``after_drawing``: calls a function once the browser has
+    ``panels``: closed with the session. ``review``: of the labels, once there is a panel for it.
+    ``after_drawing``: calls a function once the browser has
     taken in what it was sent.
     """
 
@@ -78,6 +121,7 @@ class ClientSession:
         after_drawing: Callable[[Callable[[], None]], None] = lambda start: start(),
     ) -> None:
         self.panels: list[Panel] = []
+        self.review: Review | None = None
         self.frame_view: FrameView | None = None
         self._client = client
         self._after_drawing = after_drawing
@@ -127,9 +171,10 @@ class ClientSession:
         dragged = next((name for name in _DRAGGED if name in values), "")
         self._change(values, dragged)
 
-    def pass_to_frame(self, frame_index: int) -> None:
-        """Go to a frame on the way to others. Undo takes the whole way as one step."""
-        self._change({"frame_index": frame_index}, PASSING_FRAMES)
+    def pass_to_frame(self, frame_index: int, **values: Any) -> None:
+        """Go to a frame on the way to others, with other fields of the view. Undo takes the whole
+        way as one step."""
+        self._change({"frame_index": frame_index} | values, PASSING_FRAMES)
 
     def show_recording(self, name: str) -> None:
         """Go to the first frame of another recording."""
@@ -168,12 +213,19 @@ class ClientSession:
                 panel.show_hover(frame_view, complete)
 
     def undo(self) -> None:
-        """Undo the last change of settings, frame, step or recording."""
-        self._return_to(self._history.undo)
+        """Undo the last label in the review, elsewhere the last change of settings, frame, step or
+        recording."""
+        if self.review is not None and self.review.is_on:
+            self.review.undo()
+        else:
+            self._return_to(self._history.undo)
 
     def redo(self) -> None:
-        """Redo the change that was undone last."""
-        self._return_to(self._history.redo)
+        """Redo what was undone last."""
+        if self.review is not None and self.review.is_on:
+            self.review.redo()
+        else:
+            self._return_to(self._history.redo)
 
     def step(self, by: int) -> None:
         """Move by so many frames; stop at the ends, or wrap around if playback loops."""
@@ -306,7 +358,8 @@ class ClientSession:
             self._open_recording, self._alignment_of = open_recording, None
         asked = self._asked
         frame_view = compute_frame_view(view, open_recording, self.raise_if_closed)
-        frame_view = replace(frame_view, is_dark=self._is_dark(view))
+        review = None if self.review is None else self.review.overlay(frame_view)
+        frame_view = replace(frame_view, is_dark=self._is_dark(view), review=review)
         is_overdue = time.monotonic() - self._displayed_s > _MAX_DISPLAY_INTERVAL_S
         if self._closed.is_set() or not (is_newest() or is_overdue):
             return

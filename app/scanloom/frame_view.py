@@ -14,6 +14,7 @@ from scanloom.jobs.long_job import Cancelled
 from scanloom.jobs.time_left import time_left_text
 from scanloom.state.open_recording import OpenRecording
 from scanloom.state.raw_frame import LoneFrame, RawFrame
+from scanloom.state.review_overlay import ReviewOverlay
 from scanloom.state.view import View
 
 
@@ -24,7 +25,8 @@ class FrameView:
     ``chain`` is None while the recording is being aligned, and where that failed: then ``raw`` is
     the frame as it was recorded. Of a recording without a LiDAR there is never more than ``raw``,
     of one without depth images never more than ``lone``. ``frame`` is a FrameMatch where the
-    classification or the repair failed. ``is_dark``: whether it is shown on a dark page.
+    classification or the repair failed, or is hidden in a blind review. ``review``: the frame's
+    labels, while it is reviewed. ``is_dark``: whether it is shown on a dark page.
     """
 
     view: View
@@ -37,6 +39,7 @@ class FrameView:
     is_dark: bool = False
     raw: RawFrame | None = None
     lone: LoneFrame | None = None
+    review: ReviewOverlay | None = None
 
     @property
     def is_being_aligned(self) -> bool:
@@ -72,6 +75,11 @@ def clock_offset_ms(view: View, chain: CachedChain) -> float:
     return chain.alignment.mount.clock_offset_ms if view.apply_clock_offset else 0.0
 
 
+def is_blind(view: View) -> bool:
+    """Whether the automatic classes are hidden."""
+    return view.panel == "Review" and view.review.blind
+
+
 def as_failure(error: Exception) -> ScanLoomError:
     """Any exception as an error with a message for the user."""
     if isinstance(error, ScanLoomError):
@@ -104,6 +112,8 @@ def missing_result_text(frame_view: FrameView) -> str:
         return f"{failure_summary(frame_view.failure)} {frame_view.failure.advice}"
     if not frame_view.open_recording.can_be_fused:
         return frame_view.open_recording.opened.why_not_fused
+    if is_blind(frame_view.view):
+        return "The automatic classes are hidden: this is a blind review."
     if frame_view.chain is None:
         return "The recording is still being aligned. The bar at the top says how far that is."
     return "This frame could not be classified."
@@ -136,7 +146,8 @@ def compute_frame_view(
         check()
         frame = chain.match(choice, view.settings)
         check()
-        frame = chain.fused(choice, view.settings)
+        if not is_blind(view):
+            frame = chain.fused(choice, view.settings)
         check()
     except Cancelled:
         raise

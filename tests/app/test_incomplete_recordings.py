@@ -23,7 +23,7 @@ from scanloom.state.view import View
 from tests.app.incomplete_recordings import LONG_S, TOPICS, Reader, plain, write_parts
 from tests.app.viser_client import ViserClient, connect
 
-MATCHING = ("Match", "Register", "Repair")
+MATCHING = ("Match", "Register", "Repair", "Review")
 NO_CAMERA = "The recording has no depth camera: there is nothing to match the LiDAR with"
 NO_LIDAR = "The recording has no 2D LiDAR: there is nothing to match the depth images with"
 NEITHER = "The recording has neither a 2D LiDAR nor a depth camera: there is nothing to match"

@@ -18,7 +18,7 @@ NO_CAMERA, NO_LIDAR = "no depth camera: nothing to match", "no LiDAR: nothing to
 NEITHER = "neither LiDAR nor depth camera: nothing to match"
 NOTHING = "Nothing that can be shown: no LiDAR, no depth camera, no odometry"
 EMPTY = "The recording holds no messages: there is nothing to show"
-MATCHING = ["Match", "Register", "Repair"]
+MATCHING = ["Match", "Register", "Repair", "Review"]
 ALL_GREY = [*MATCHING, "Map"]
 # Path, what the verdict says, and the grey steps.
 SHOWN = [

@@ -79,6 +79,11 @@ FORMULAS = {
         "A pair is noise where its residual exceeds epsilon. The LiDAR is repaired from the depth "
         "image by the inverse of A, the depth image from the LiDAR by A.",
     ),
+    "review": Formula(
+        ((r"\kappa=\dfrac{p_{o}-p_{e}}{1-p_{e}}", ""),),
+        "Kappa is the observed agreement less the one expected by chance, over one less the one "
+        "expected by chance.",
+    ),
     "map": Formula(
         (
             (r"p_{\mathrm{map}}=T_{\mathrm{map,\,lidar}}\;p_{\mathrm{lidar}}", ""),

@@ -35,6 +35,9 @@ class View:
     """Use this row (0-based) of the first recording's depth images as a virtual LiDAR."""
     upload_limit: Annotated[int, conf.arg(metavar="MB")] = DEFAULT_LIMIT_MB
     """The size in MB that a page may upload, of each file and of all together; 0 for none."""
+    labels: Annotated[str | None, conf.arg(metavar="STORE", help_behavior_hint="")] = None
+    """Keep labels in this file, or in a team's database (postgresql://…), instead of beside the
+    recording."""
     json: Flag = False
     """Print the address as a JSON object."""
 
@@ -57,6 +60,7 @@ class View:
             output_root=self.output,
             virtual_row=self.virtual_lidar,
             upload_limit_bytes=self.upload_limit * 1_000_000,
+            label_address=self.labels,
         )
         workbench = Workbench(options)
         silence_disconnect_warnings()

@@ -14,6 +14,7 @@ from scanloom.page.events import (
     PointKind,
     Press,
     Screen,
+    Stroke,
     parse_events,
 )
 from scanloom.resources import static_path
@@ -37,6 +38,7 @@ class PageBridge:
         self._lock = threading.Lock()
         self._last_action = self._last_point = 0
         self._on_point: dict[PictureName, OnPoint] = {}
+        self._on_stroke: dict[PictureName, Callable[[Stroke], None]] = {}
         self._on_press: dict[str, Callable[[str], None]] = {}
         self._screen: Screen | None = None
         self._on_screen: Callable[[Screen], None] = lambda _: None
@@ -48,6 +50,10 @@ class PageBridge:
     def on_point(self, picture: PictureName, call: OnPoint) -> None:
         """Call ``call(kind, x_px, y_px)`` for the pointer's events on a picture, in its pixels."""
         self._on_point[picture] = call
+
+    def on_stroke(self, picture: PictureName, call: Callable[[Stroke], None]) -> None:
+        """Call ``call`` with what is drawn on a picture that has a tool."""
+        self._on_stroke[picture] = call
 
     def on_press(self, name: str, call: Callable[[str], None]) -> None:
         """Call ``call(value)`` when a button of ``press_attributes(name, value)`` is pressed. A
@@ -79,10 +85,12 @@ class PageBridge:
                 self._last_point = point.number
                 self._point(point.picture, point.kind, point)
 
-    def _act(self, action: Click | Press | Screen) -> None:
+    def _act(self, action: Click | Stroke | Press | Screen) -> None:
         match action:
             case Click():
                 self._point(action.picture, action.kind, action)
+            case Stroke() if action.picture in self._on_stroke:
+                self._on_stroke[action.picture](action)
             case Press() if action.name in self._on_press:
                 self._on_press[action.name](action.value)
             case Screen():

@@ -6,11 +6,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 PictureName = Literal["depth", "similarity", "profile", "time"]
 PointKind = Literal["move", "drag", "leave", "click"]
+ToolName = Literal["box", "brush"]
 
 # Beyond any picture or screen.
 _MAX_PX = 100_000.0
 # The script keeps so many actions.
 _MAX_ACTIONS = 8
+# More than a script sends in one stroke.
+_MAX_PLACES = 64
 _Px = Annotated[float, Field(ge=-_MAX_PX, le=_MAX_PX)]
 _Number = Annotated[int, Field(ge=0, le=2**53)]
 
@@ -41,6 +44,17 @@ class Click(_Event):
     y_px: _Px
 
 
+class Stroke(_Event):
+    """What was drawn on a picture with a tool: two corners of a box, or the places that a brush has
+    passed. ``is_added``: to what was drawn before."""
+
+    kind: Literal["stroke"]
+    picture: PictureName
+    tool: ToolName
+    places: tuple[tuple[_Px, _Px], ...] = Field(min_length=1, max_length=_MAX_PLACES)
+    is_added: bool = False
+
+
 class Press(_Event):
     """A press of a button that the server has put on the page; both texts are its own."""
 
@@ -58,7 +72,7 @@ class Screen(_Event):
     prefers_dark: bool
 
 
-Action = Annotated[Click | Press | Screen, Field(discriminator="kind")]
+Action = Annotated[Click | Stroke | Press | Screen, Field(discriminator="kind")]
 
 
 class PageEvents(BaseModel):

@@ -2,7 +2,7 @@
 
 import html
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Literal
 
@@ -11,7 +11,7 @@ import viser
 
 from fusion_core.model.conventions import ByteArray
 from scanloom.page.bridge import OnPoint, PageBridge
-from scanloom.page.events import PictureName
+from scanloom.page.events import PictureName, Stroke, ToolName
 from scanloom.page.markup import paragraph
 from scanloom.page.update_widget import update_widget
 from scanloom.plots.png import show_picture
@@ -41,6 +41,8 @@ class LivePicture:
         self._size_px = (1, 1)
         self._marks: Sequence[PictureMark] = ()
         self._readout = ""
+        self._tool: ToolName | None = None
+        self._brush_px = 0.0
         self._missing = gui.add_html("", visible=False)
         # The script takes the image right after this element for the picture of that name.
         self._about = gui.add_html(self._about_html(), visible=False)
@@ -50,6 +52,17 @@ class LivePicture:
     def on_point(self, call: OnPoint) -> None:
         """Call ``call(kind, x_px, y_px)`` for the pointer's events on it."""
         self._bridge.on_point(self._name, call)
+
+    def on_stroke(self, call: Callable[[Stroke], None]) -> None:
+        """Call ``call`` with what is drawn on it while it has a tool."""
+        self._bridge.on_stroke(self._name, call)
+
+    def set_tool(self, tool: ToolName | None, brush_px: float = 0.0) -> None:
+        """What a drag draws, None for nothing. ``brush_px``: radius of the brush, in the picture's
+        pixels."""
+        if (tool, brush_px) != (self._tool, self._brush_px):
+            self._tool, self._brush_px = tool, brush_px
+            update_widget(self._about, content=self._about_html())
 
     def show(self, rgb: ByteArray | None, missing: str = "") -> None:
         """Show a picture, (H, W, 3) uint8, which becomes read-only; None for none, and then
@@ -76,8 +89,12 @@ class LivePicture:
             for mark in self._marks
         ]
         width_px, height_px = self._size_px
+        tool = (
+            f' data-tool="{self._tool}" data-brush-px="{self._brush_px:.1f}"' if self._tool else ""
+        )
         return (
-            f'<div data-picture="{self._name}" data-width="{width_px}" data-height="{height_px}" '
+            f'<div data-picture="{self._name}"{tool} '
+            f'data-width="{width_px}" data-height="{height_px}" '
             f'data-marks="{html.escape(json.dumps(marks))}" '
             f'data-readout="{html.escape(self._readout)}"></div>'
         )

@@ -98,7 +98,7 @@ def _tools_html(view: View, *, is_dark: bool) -> str:
     virtual = "" if view.virtual_row is None else f" · virtual LiDAR from row {view.virtual_row}"
     name = html.escape(printable(f"{view.recording}{virtual}"))
     tools = [
-        _tool("undo", "↶", "Undo the last change of settings, frame, step or recording (Ctrl + Z)"),
+        _tool("undo", "↶", f"Undo {_undone(view)} (Ctrl + Z)"),
         _tool("redo", "↷", "Redo it (Ctrl + Shift + Z)"),
         _tool("link", "Link", "Copy a link to this view, with frame, step and settings"),
         _tool("colours", "☀" if is_dark else "☾", "Light or dark (L)"),
@@ -108,6 +108,13 @@ def _tools_html(view: View, *, is_dark: bool) -> str:
     opening = _tool("open", "Open…", "Open another recording (O)")
     label = f'<span title="{name}"><bdi>{name}</bdi></span>'
     return f'<div class="scanloom-tools">{opening}{label}{"".join(tools)}</div>'
+
+
+def _undone(view: View) -> str:
+    """What undo takes back in the view's step."""
+    if view.panel == "Review":
+        return "your last label"
+    return "the last change of settings, frame, step or recording"
 
 
 def _link_html(view: View) -> str:

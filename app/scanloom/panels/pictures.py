@@ -7,7 +7,7 @@ from fusion_core.workflows.fuse.frame_match import FrameMatch
 from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView, missing_result_text
 from scanloom.page.bridge import PageBridge
-from scanloom.page.events import PointKind
+from scanloom.page.events import PointKind, Stroke
 from scanloom.page.live_picture import LivePicture, MarkKind, PictureMark
 from scanloom.page.markup import paragraph
 from scanloom.page.update_widget import update_widget
@@ -37,6 +37,7 @@ class DepthImagePanel(Panel):
         self._drawn: DepthPicture | None = None
         self._drawn_of: tuple[object, object] = None, None
         self._picture.on_point(self._pointed)
+        self._picture.on_stroke(self._drawn_on)
 
     def set_size(self, width_px: int, height_px: int) -> None:
         """Draw it at most this large, in CSS pixels, from the next view on."""
@@ -52,7 +53,9 @@ class DepthImagePanel(Panel):
             view.selected_beam,
             frame_view.is_dark,
             self._size_px,
+            frame_view.review,
         )
+        tool = None if frame_view.review is None else view.review.tool
         if self._drawn_of[0] is not frame or self._drawn_of[1] != inputs:
             self._drawn_of = frame, inputs
             self._drawn = _depth_picture(frame_view, self._size_px)
@@ -60,6 +63,9 @@ class DepthImagePanel(Panel):
             self._picture.show(None, missing_result_text(frame_view))
         else:
             self._picture.show(self._drawn.rgb)
+            zoom = self._drawn.axes.px_per_unit[0]
+            brush_px = view.review.brush_px * zoom
+            self._picture.set_tool(None if tool == "point" else tool, brush_px)
         update_widget(self._caption, content=_depth_caption(frame_view))
 
     def show_hover(self, frame_view: FrameView, hover: Hover) -> None:
@@ -84,6 +90,18 @@ class DepthImagePanel(Panel):
             self._session.change(selected_beam=beam)
         else:
             self._session.hover(Hover(source="depth", row=row, column=column, beam=beam, v=row))
+
+    def _drawn_on(self, stroke: Stroke) -> None:
+        drawn, review = self._drawn, self._session.review
+        if drawn is None or review is None or not review.is_on:
+            return
+        box, (zoom_x, zoom_y) = drawn.axes.box, drawn.axes.px_per_unit
+        # The centres of pixels are integers, and the image begins half a pixel before the first.
+        places = [
+            ((x_px + 0.5 - box.left) / zoom_x - 0.5, (y_px + 0.5 - box.top) / abs(zoom_y) - 0.5)
+            for x_px, y_px in stroke.places
+        ]
+        review.draw(stroke.tool, places, is_added=stroke.is_added)
 
 
 class SimilarityPanel(Panel):
@@ -181,6 +199,7 @@ def _depth_picture(frame_view: FrameView, size_px: tuple[int, int]) -> DepthPict
         overlay,
         width_px=size_px[0],
         height_px=size_px[1],
+        review=frame_view.review,
         theme=theme_of(is_dark=frame_view.is_dark),
     )
 

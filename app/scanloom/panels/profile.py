@@ -6,7 +6,7 @@ from fusion_core.model.sensors import LaserScan
 from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView
 from scanloom.page.bridge import PageBridge
-from scanloom.page.events import PointKind
+from scanloom.page.events import PointKind, Stroke
 from scanloom.page.live_picture import LivePicture, PictureMark
 from scanloom.plots.range_profile import RangeProfile, range_profile, scan_profile
 from scanloom.plots.theme import theme_of
@@ -27,6 +27,7 @@ class ProfilePanel(Panel):
         self._drawn: RangeProfile | None = None
         self._drawn_of: tuple[object, object] = None, None
         self._picture.on_point(self._pointed)
+        self._picture.on_stroke(self._drawn_on)
 
     def set_size(self, width_px: int, height_px: int) -> None:
         """Draw it this large, in CSS pixels, from the next view on."""
@@ -35,11 +36,15 @@ class ProfilePanel(Panel):
     def show(self, frame_view: FrameView) -> None:
         """Draw the profile of this view."""
         frame = frame_view.frame or frame_view.paired or frame_view.lone
-        inputs = frame_view.view.selected_beam, frame_view.is_dark, self._size_px
+        view, review = frame_view.view, frame_view.review
+        inputs = view.selected_beam, frame_view.is_dark, self._size_px, review
         if self._drawn_of[0] is not frame or self._drawn_of[1] != inputs:
             self._drawn_of = frame, inputs
             self._drawn = self._draw(frame_view)
         self._picture.show(None if self._drawn is None else self._drawn.rgb)
+        # A brush is for images: on the profile both tools mark what lies between two azimuths.
+        is_drawn_on = review is not None and view.review.tool != "point"
+        self._picture.set_tool("box" if is_drawn_on else None)
 
     def show_hover(self, frame_view: FrameView, hover: Hover) -> None:
         """Mark the beam under the pointer."""
@@ -55,7 +60,12 @@ class ProfilePanel(Panel):
         theme, beam = theme_of(is_dark=frame_view.is_dark), frame_view.view.selected_beam
         if frame_view.frame is not None:
             return range_profile(
-                frame_view.frame, width_px=width_px, height_px=height_px, beam=beam, theme=theme
+                frame_view.frame,
+                width_px=width_px,
+                height_px=height_px,
+                beam=beam,
+                review=frame_view.review,
+                theme=theme,
             )
         scan = _scan_of(frame_view)
         if scan is None:
@@ -76,6 +86,19 @@ class ProfilePanel(Panel):
             self._session.change(selected_beam=beam)
         else:
             self._session.hover(Hover(source="profile", beam=beam))
+
+    def _drawn_on(self, stroke: Stroke) -> None:
+        drawn, review = self._drawn, self._session.review
+        if drawn is None or review is None or not review.is_on:
+            return
+        ends_px = sorted((stroke.places[0][0], stroke.places[-1][0]))
+        x_px = [drawn.axes.to_pixel(azimuth, 0.0)[0] for azimuth in drawn.azimuth_deg.tolist()]
+        chosen = [
+            beam
+            for beam, at_px in zip(drawn.beam.tolist(), x_px, strict=True)
+            if ends_px[0] <= at_px <= ends_px[1]
+        ]
+        review.mark_beams(chosen, is_added=stroke.is_added)
 
 
 def _scan_of(frame_view: FrameView) -> LaserScan | None:

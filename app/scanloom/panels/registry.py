@@ -60,6 +60,7 @@ from scanloom.panels.profile import ProfilePanel
 from scanloom.panels.recording import RecordingPanel
 from scanloom.panels.register import RegisterPanel
 from scanloom.panels.repair import RepairPanel
+from scanloom.panels.review import ReviewPanel
 from scanloom.panels.scene import ScenePanel
 from scanloom.panels.stepper import StepperPanel
 from scanloom.panels.timeline import TimelinePanel
@@ -72,6 +73,8 @@ class PanelContext:
 
     gui: viser.GuiApi
     session: ClientSession
+    client: viser.ClientHandle
+    bridge: PageBridge
     scene: ScenePanel
     output_root: Path
 
@@ -81,6 +84,7 @@ _BUILDERS: Mapping[PanelName, Callable[[PanelContext], Panel]] = {
     "Match": lambda context: MatchPanel(context.gui, context.session),
     "Register": lambda context: RegisterPanel(context.gui, context.session),
     "Repair": lambda context: RepairPanel(context.gui, context.session),
+    "Review": lambda context: ReviewPanel(context.client, context.bridge, context.session),
     "Map": lambda context: MapPanel(
         context.gui, context.session, context.output_root, context.scene.set_map
     ),
@@ -106,7 +110,14 @@ def add_panels(client: viser.ClientHandle, session: ClientSession, output_root: 
     with gui.add_folder("Settings and view", expand_by_default=False):
         preset = PresetPanel(gui, session)
         scene = ScenePanel(client, bridge, session)
-    context = PanelContext(gui=gui, session=session, scene=scene, output_root=output_root)
+    context = PanelContext(
+        gui=gui,
+        session=session,
+        client=client,
+        bridge=bridge,
+        scene=scene,
+        output_root=output_root,
+    )
     steps: list[Panel] = []
     for name, folder in folders.items():
         with folder:

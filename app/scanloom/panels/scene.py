@@ -8,7 +8,12 @@ import numpy as np
 import viser
 
 from fusion_core.model.conventions import FloatArray
-from fusion_core.model.geometry import invert_transform, transform_from_planar
+from fusion_core.model.geometry import (
+    invert_transform,
+    make_transform,
+    rotation_from_quaternion,
+    transform_from_planar,
+)
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.workflows.recorded_poses import PoseLookup
 from scanloom.client_session import ClientSession, Panel
@@ -36,6 +41,7 @@ from scanloom.scene.frame_stage import (
 from scanloom.scene.layers import absent_layers, layers_of_step
 from scanloom.scene.map_nodes import MapPlane
 from scanloom.scene.nodes import SceneNodes
+from scanloom.scene.picking import points_in_box
 from scanloom.state.hover import Hover
 from scanloom.state.possible_steps import why_not
 from scanloom.state.view import Layer, PanelName
@@ -109,6 +115,8 @@ class ScenePanel(Panel):
         for name, key in _VIEWS.items():
             add_key(gui, name, key, partial(self._look_by_name, name))
         client.scene.on_click()(self._clicked)
+        self._scene = client.scene
+        self._is_boxed = False
         client.camera.on_update(self._camera_moved)
 
     def set_map(self, grid: OccupancyGrid | None, poses: PoseLookup | None = None) -> None:
@@ -136,6 +144,7 @@ class ScenePanel(Panel):
             layers |= _PATH - view.hidden_layers
         absent = frozenset[Layer]() if staged is None else absent_layers(staged.geometry)
         self._legend.show(step, view, is_dark, absent)
+        self._offer_box(is_offered=frame_view.review is not None)
         theme = theme_of(is_dark=is_dark)
         if theme is not self._map_theme:
             self._map_theme = theme
@@ -329,6 +338,29 @@ class ScenePanel(Panel):
             beam = self._nodes.pick(origin, direction)
         if beam is not None:
             self._session.change(selected_beam=beam)
+
+    def _offer_box(self, *, is_offered: bool) -> None:
+        """A drag with Shift draws a box in the review; elsewhere it turns the scene."""
+        if is_offered == self._is_boxed:
+            return
+        self._is_boxed = is_offered
+        if is_offered:
+            self._scene.on_rect_select(modifier="shift")(self._boxed)
+        else:
+            self._scene.remove_rect_select_callback(self._boxed)
+
+    def _boxed(self, event: viser.SceneRectSelectEvent) -> None:
+        """In the review, mark the beams that end within the box."""
+        review, geometry = self._session.review, self._geometry
+        box = (*event.screen_min, *event.screen_max)
+        if review is None or not review.is_on or geometry is None or not np.isfinite(box).all():
+            return
+        w, x, y, z = map(float, self._camera.wxyz)
+        T_world_camera = make_transform(
+            rotation_from_quaternion(x, y, z, w), np.array(self._camera.position)
+        )
+        beams = points_in_box(geometry.beams_m, T_world_camera, self._camera.fov, self._aspect, box)
+        review.mark_beams(beams.tolist(), is_added=False)
 
 
 def _is_of_poses_alone(frame_view: FrameView) -> bool:

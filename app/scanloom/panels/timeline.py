@@ -307,18 +307,32 @@ class TimelinePanel(Panel):
         else:
             self._session.notify("Not found", missing)
 
+    def _go_on(self, direction: int) -> None:
+        review = self._session.review
+        if review is not None and review.is_on:
+            review.go(direction)
+        else:
+            self._session.step(direction)
+
+    def _conflict_or_no(self) -> None:
+        review = self._session.review
+        if review is not None and review.is_on:
+            review.answer("reject")
+        else:
+            self.go_to_conflict()
+
     def _add_keys(self, gui: viser.GuiApi) -> None:
         session = self._session
         keys: tuple[tuple[str, str, str | None, Callable[[], None]], ...] = (
             ("Play or pause", "space", None, self.play_or_pause),
             ("Previous frame", "pageup", None, lambda: session.step(-1)),
             ("Next frame", "pagedown", None, lambda: session.step(1)),
-            ("Next frame (J)", "J", None, lambda: session.step(1)),
-            ("Previous frame (K)", "K", None, lambda: session.step(-1)),
+            ("Next frame (J; in the review: run)", "J", None, lambda: self._go_on(1)),
+            ("Previous frame (K; in the review: run)", "K", None, lambda: self._go_on(-1)),
             ("First frame", "home", None, self.first),
             ("Last frame", "end", None, self.last),
             ("Frame with the most noise", "M", None, self.go_to_worst),
-            ("Next conflict", "N", None, self.go_to_conflict),
+            ("Next conflict (in the review: no)", "N", None, self._conflict_or_no),
             ("Previous conflict", "N", "shift", lambda: self.go_to_conflict(-1)),
             ("Undo", "Z", "cmd/ctrl", session.undo),
             ("Redo", "Z", "cmd/ctrl+shift", session.redo),

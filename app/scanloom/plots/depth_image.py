@@ -13,12 +13,14 @@ from scanloom.plots.canvas import BLACK, MARGIN_PX, WHITE, Box, blank_canvas, bo
 from scanloom.plots.class_marks import class_symbol
 from scanloom.plots.color_scale import COLOR_BAR_PX, ColorScale
 from scanloom.plots.dock_layout import DockLayout, draw_close_axes
+from scanloom.plots.label_overlay import draw_labels
 from scanloom.plots.legend import Legend, LegendEntry, hatch_symbol, padded
 from scanloom.plots.lidar_curve import curve_symbol, draw_lidar_curve
 from scanloom.plots.pair_pixels import PairPixels
 from scanloom.plots.palette import color_map
 from scanloom.plots.theme import LIGHT, Theme
 from scanloom.plots.ticks import distinct_limits
+from scanloom.state.review_overlay import ReviewOverlay
 
 # The scale ends beyond nearly all depths: a few stray pixels must not take its colours.
 _BEYOND_FRACTION = 0.005
@@ -122,12 +124,14 @@ def dock_depth_picture(
     width_px: int,
     height_px: int,
     limits_m: tuple[float, float] | None = None,
+    review: ReviewOverlay | None = None,
     theme: Theme = LIGHT,
 ) -> DepthPicture:
     """Draw an image, (H, W) float32 metres, NaN where missing, for a dock or a phone: as large as
     the width allows, without a title.
 
-    ``overlay``: the frame's pairs, None while there are none. ``limits_m``, size and errors are
+    ``overlay``: the frame's pairs, None while there are none. ``review``: its labels, below them.
+    ``limits_m``, size and errors are
     those of ``depth_picture``. The size depends on the shape of the image alone.
     """
     scale = _scale_of(depth_m, limits_m, theme)
@@ -138,6 +142,8 @@ def dock_depth_picture(
     axes = image_axes(rgb, box, shape, theme=theme)
     scale.paint(axes.inside, depth_m)
     draw_close_axes(axes, "column", "row")
+    if review is not None:
+        draw_labels(axes, review)
     if overlay is not None:
         _draw_overlay(axes, shape, overlay)
         layout.draw_legend(axes)

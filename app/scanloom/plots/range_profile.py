@@ -7,6 +7,7 @@ import numpy as np
 
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import ByteArray, FloatArray, IntArray
+from fusion_core.model.labels import NO_LABEL, Label
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_match import FrameMatch
@@ -14,14 +15,18 @@ from scanloom.plots.axes import FRACTION_BITS, Axes
 from scanloom.plots.canvas import WHITE, blank_canvas, box_between
 from scanloom.plots.class_marks import class_symbol, draw_class_marks, spread_out
 from scanloom.plots.dock_layout import draw_close_axes
+from scanloom.plots.label_overlay import label_color
 from scanloom.plots.legend import Legend, LegendEntry, line_symbol
 from scanloom.plots.palette import color_of
 from scanloom.plots.theme import LIGHT, Theme
 from scanloom.plots.ticks import whole_ticks_between
+from scanloom.state.review_overlay import ReviewOverlay
 
 _MARGIN_PX, _LEFT_PX, _X_LINE_PX = 4, 32, 17
 # The lane of the classes' marks, at the bottom of the box.
 _LANE_PX = 17
+# The strip of a person's labels, at the top of the box.
+_LABEL_STRIP_PX = 7
 _MARK_SPACING_PX = 9
 _METRE_STEP_PX = 20
 # The camera's line shows on both sides of the LiDAR's where they agree.
@@ -100,13 +105,15 @@ def range_profile(
     width_px: int,
     height_px: int,
     beam: int | None = None,
+    review: ReviewOverlay | None = None,
     theme: Theme = LIGHT,
 ) -> RangeProfile:
     """Draw the beams within the camera's view: the LiDAR's ranges, the camera's depth as range
     along its curve, repaired ranges, and the classes of beams that are not good.
 
     ``frame``: with classes and repairs where it is fused. ``beam``: the selected one, an index in
-    the scan. Raises ValueError where the picture is too small.
+    the scan. ``review``: labels, as colours above the beams, and marked beams. Raises ValueError
+    where the picture is too small.
     """
     match = frame.match if isinstance(frame, FusedFrame) else frame
     pairs = match.correspondence
@@ -123,7 +130,7 @@ def range_profile(
         repaired_m=repaired_m,
         noise_class=noise_class,
     )
-    return _draw(curves, (width_px, height_px), beam, theme)
+    return _draw(curves, (width_px, height_px), beam, theme, review)
 
 
 def scan_profile(
@@ -151,7 +158,11 @@ def scan_profile(
 
 
 def _draw(
-    curves: _Curves, size_px: tuple[int, int], selected: int | None, theme: Theme
+    curves: _Curves,
+    size_px: tuple[int, int],
+    selected: int | None,
+    theme: Theme,
+    review: ReviewOverlay | None = None,
 ) -> RangeProfile:
     curves = curves.from_left()
     width_px, height_px = size_px
@@ -172,6 +183,8 @@ def _draw(
     axes.draw_grid(axes.x_ticks(whole=True), ticks_m)
     axes.inside[-_LANE_PX] = theme.edge
     draw_close_axes(axes, "azimuth (°), left +", "m", y_ticks=ticks_m)
+    if review is not None:
+        _draw_review(axes, curves, review)
     if selected is not None:
         _draw_selected(axes, curves, selected)
     _draw_curve(axes, curves.azimuth_deg, curves.camera_m, "depth", _CAMERA_PX)
@@ -252,6 +265,20 @@ def _draw_classes(axes: Axes, curves: _Curves) -> None:
         chosen = places[curves.noise_class == noise]
         chosen = chosen[spread_out(chosen, _MARK_SPACING_PX)]
         draw_class_marks(axes.inside, chosen, noise)
+
+
+def _draw_review(axes: Axes, curves: _Curves, review: ReviewOverlay) -> None:
+    """The labels in a strip at the top, and a grey ground below what is marked."""
+    half_deg = 0.5 * abs(axes.x_limits[0] - axes.x_limits[1]) / max(curves.beam.size, 1)
+    for beam, azimuth_deg in zip(curves.beam, curves.azimuth_deg, strict=True):
+        left = round(axes.to_pixel(azimuth_deg + half_deg, 0.0)[0]) - axes.box.left
+        right = round(axes.to_pixel(azimuth_deg - half_deg, 0.0)[0]) - axes.box.left
+        columns = slice(max(left, 0), max(right, left + 1, 1))
+        if review.selected_beams[beam]:
+            axes.inside[:, columns] = axes.theme.edge
+        if review.beam_labels[beam] != NO_LABEL:
+            color = label_color(Label(review.beam_labels[beam]))
+            axes.inside[:_LABEL_STRIP_PX, columns] = color
 
 
 def _draw_selected(axes: Axes, curves: _Curves, beam: int) -> None:

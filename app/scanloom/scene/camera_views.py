@@ -144,6 +144,7 @@ _ANGLES: dict[PanelName, _Angle] = {
     "Match": _Angle(above_deg=14.0, aside_deg=10.0, inside_percent=90.0, shows_sensors=False),
     "Register": _Angle(above_deg=52.0, aside_deg=8.0, inside_percent=97.0, shows_sensors=False),
     "Repair": _Angle(above_deg=20.0, aside_deg=12.0, inside_percent=80.0, shows_sensors=False),
+    "Review": _Angle(above_deg=20.0, aside_deg=12.0, inside_percent=80.0, shows_sensors=False),
     "Map": _Angle(above_deg=50.0, aside_deg=0.0, inside_percent=80.0, shows_sensors=True),
 }
 
@@ -164,7 +165,7 @@ def step_view(step: PanelName, extent: StageExtent, aspect: float) -> CameraView
     elif not len(may_m):
         may_m, angle = extent.near_m, _SCAN_ANGLE
     must_m: list[FloatArray | Float32Array] = [extent.sensors_m] if angle.shows_sensors else []
-    if step in {"Match", "Repair"}:
+    if step in {"Match", "Repair", "Review"}:
         must_m.append(extent.matched_m)
     yaw_rad = extent.yaw_rad - np.deg2rad(angle.aside_deg)
     ahead = rotation_from_yaw_pitch_roll(yaw_rad, np.deg2rad(angle.above_deg), 0.0)[:, 0]

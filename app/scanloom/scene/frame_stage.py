@@ -31,7 +31,7 @@ from scanloom.state.raw_frame import LoneFrame
 from scanloom.state.view import PanelName
 
 # Steps whose marks have colours of their own, under which the surface is grey.
-_MARKING_STEPS: frozenset[PanelName] = frozenset({"Register", "Repair"})
+_MARKING_STEPS: frozenset[PanelName] = frozenset({"Register", "Repair", "Review"})
 # The depths of a frame, without speckle, over which a surface is coloured.
 _DEPTH_PERCENTS = (2.0, 98.0)
 _DEFAULT_SPAN_M = (0.5, 8.0)

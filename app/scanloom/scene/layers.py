@@ -28,6 +28,7 @@ LAYERS: dict[Layer, LayerInfo] = {
         "Match",
         "Register",
         "Repair",
+        "Review",
     ),
     "curve": _layer(
         "LiDAR curve",
@@ -49,6 +50,7 @@ LAYERS: dict[Layer, LayerInfo] = {
         "Good, hole, burr or conflict, standing where the beam ends. Hole: a sensor has no value. "
         "Burr: a value that lies on no surface. Conflict: the sensors see different surfaces",
         "Repair",
+        "Review",
     ),
     "repairs": _layer(
         "Repairs",
@@ -61,7 +63,7 @@ LAYERS: dict[Layer, LayerInfo] = {
         "Recording",
         "Map",
     ),
-    "labels": _layer("Labels", "What is what", "Match", "Register", "Repair"),
+    "labels": _layer("Labels", "What is what", "Match", "Register", "Repair", "Review"),
     "floor": _layer(
         "Floor grid",
         "Squares of 1 m at the height of the lowest point seen",
@@ -69,6 +71,7 @@ LAYERS: dict[Layer, LayerInfo] = {
         "Match",
         "Register",
         "Repair",
+        "Review",
     ),
     "map": _layer("Map", "The map, at the height of the LiDAR, and the trajectory", "Map"),
 }

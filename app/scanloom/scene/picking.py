@@ -1,11 +1,35 @@
-"""Ray casting of clicks: the beam that a ray hits."""
+"""What a person points at in the scene: the beam that a click's ray hits, and those in a box."""
 
 import numpy as np
 
-from fusion_core.model.conventions import Float32Array, FloatArray
+from fusion_core.model.conventions import Float32Array, FloatArray, IntArray
+from fusion_core.model.geometry import invert_transform, transform_points
 
 # A click this far beside a point still means it.
 _CLICK_RAD = np.deg2rad(1.0)
+
+
+def points_in_box(
+    points_m: Float32Array,
+    T_world_camera: FloatArray,
+    fov_rad: float,
+    aspect: float,
+    box: tuple[float, float, float, float],
+) -> IntArray:
+    """Indices of the points, (N, 3), that a camera sees within a box of its picture.
+
+    ``T_world_camera``: (4, 4), of the optical frame; ``fov_rad``: vertical; ``aspect``: width over
+    height; ``box``: left, top, right, bottom, from 0 to 1.
+    """
+    x, y, z = transform_points(invert_transform(T_world_camera), points_m.astype(np.float64)).T
+    half = np.tan(0.5 * fov_rad)
+    # Behind the camera nothing is seen.
+    depth = np.where(z > 0.0, z, np.nan)
+    u = 0.5 + 0.5 * x / (depth * half * aspect)
+    v = 0.5 + 0.5 * y / (depth * half)
+    left, top, right, bottom = box
+    inside: IntArray = np.flatnonzero((u >= left) & (u <= right) & (v >= top) & (v <= bottom))
+    return inside
 
 
 def nearest_beam(

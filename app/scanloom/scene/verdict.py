@@ -6,6 +6,7 @@ import numpy as np
 
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.conventions import wrap_angle
+from fusion_core.model.labels import NO_LABEL
 from scanloom.frame_view import FrameView, failure_summary, missing_result_text
 from scanloom.scene.frame_summary import counts_of_beams
 from scanloom.scene.recording_text import alone_sentence, fused_sentence, notes_of_streams
@@ -38,6 +39,8 @@ def verdict_of(frame_view: FrameView) -> Verdict:
             return _register(frame_view)
         case "Repair":
             return _repair(frame_view)
+        case "Review":
+            return _review(frame_view)
         case "Map":
             return _map(frame_view)
 
@@ -135,6 +138,22 @@ def _repaired_text(other: int, changed: int) -> str:
     return (
         f"{changed} of the other {other} {'beam' if other == 1 else 'beams'} filled or corrected, "
         "from the camera or from neighbours."
+    )
+
+
+def _review(frame_view: FrameView) -> Verdict:
+    review = frame_view.review
+    if review is None:
+        return Verdict(
+            sentence="Say what is noise, and what is not",
+            detail="Run after run, by one key each. Your labels are kept as you give them, and a "
+            "repair can follow them.",
+        )
+    beams = int((review.beam_labels != NO_LABEL).sum())
+    pixels = int((review.pixel_labels != NO_LABEL).sum())
+    return Verdict(
+        sentence=f"{beams} beams and {pixels} pixels of this frame are labelled",
+        detail=missing_result_text(frame_view) if frame_view.fused is None else "",
     )
 
 

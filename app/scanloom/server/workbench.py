@@ -45,6 +45,7 @@ class ServeOptions:
     output_root: Path = Path("out")
     virtual_row: int | None = None
     upload_limit_bytes: int = DEFAULT_LIMIT_BYTES
+    label_address: str | None = None
 
 
 class Workbench:
@@ -64,7 +65,13 @@ class Workbench:
         recordings, first_frame = list(options.recordings), 0
         if not recordings:
             recordings, first_frame = [sample_path()], SAMPLE_FRAME
-        self._library = Library(recordings, list(options.roots), options.upload_limit_bytes)
+        self._library = Library(
+            recordings,
+            list(options.roots),
+            options.upload_limit_bytes,
+            label_address=options.label_address,
+            label_folder=options.output_root / "labels",
+        )
         self._first_view = View(
             recording=next(iter(self._library.named())),
             frame_index=first_frame,

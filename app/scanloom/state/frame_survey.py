@@ -11,11 +11,13 @@ from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import BoolArray, Float32Array, FloatArray, IntArray, read_only
 from fusion_core.model.errors import RecordingError
 from fusion_core.workflows.fuse.cached_chain import CachedChain, FrameChoice
+from fusion_core.workflows.fuse.captures import frame_captures
 from fusion_core.workflows.fuse.frame import FusedFrame, classify_and_repair
 from fusion_core.workflows.fuse.frame_match import FrameMatch
 from fusion_core.workflows.fuse.pairing_gaps import PairingStamps
 from fusion_core.workflows.fuse.settings import ChainSettings
 from scanloom.jobs.long_job import Cancelled
+from scanloom.state.frame_runs import FrameRuns, runs_of_frame
 
 # A strip on a wide screen has about as many columns; a frame takes 30 ms and more.
 MAX_SAMPLED = 2000
@@ -132,6 +134,7 @@ class FrameSurvey:
         self._status = np.full(len(frames), FrameStatus.UNKNOWN, dtype=np.int8)
         self._status[_without_scan(inputs)] = FrameStatus.NO_SCAN
         cameras = len(inputs.chain.session.rig.cameras)
+        self._runs: list[FrameRuns | None] = [None] * len(frames)
         self._order = visiting_order(len(frames), cameras).tolist()
         self._total = len(self._order)
         self._place = 0
@@ -149,6 +152,12 @@ class FrameSurvey:
                     total=self._total,
                 )
             return self._snapshot
+
+    @property
+    def runs(self) -> tuple[FrameRuns | None, ...]:
+        """The runs of each frame that is counted, None of the others."""
+        with self._lock:
+            return tuple(self._runs)
 
     @property
     def done(self) -> int:
@@ -227,6 +236,8 @@ class FrameSurvey:
         self._status[number] = status
         if frame is not None:
             self._counts[number] = pairs_by_class(frame)
+            captures = frame_captures(frame.match, self.inputs.chain.session)
+            self._runs[number] = runs_of_frame(frame, captures)
         self._snapshot = None
 
 

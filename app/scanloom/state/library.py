@@ -12,9 +12,11 @@ from fusion_core.model.names import escape_undecodable
 from fusion_core.model.recording import Recording
 from fusion_core.workflows.fuse.recorded_streams import RecordedStreams, open_recorded_streams
 from fusion_core.workflows.fuse.session import FuseOptions
+from fusion_core.workflows.labels.open_store import SUFFIX
 from fusion_core.workflows.source import open_source
 from scanloom.jobs.activity import Activity
 from scanloom.jobs.fair_semaphore import FairSemaphore
+from scanloom.resources import sample_path
 from scanloom.state.allowed_paths import (
     path_of_shown_name,
     resolve_root,
@@ -23,6 +25,7 @@ from scanloom.state.allowed_paths import (
 from scanloom.state.file_stamp import FileStamp
 from scanloom.state.open_recording import OpenRecording
 from scanloom.state.recording_details import DetailsReader
+from scanloom.state.recording_labels import RecordingLabels
 from scanloom.state.uploads import DEFAULT_LIMIT_BYTES, Uploads
 from scanloom.state.view import MAX_NAME_CHARACTERS, View
 
@@ -43,6 +46,10 @@ class Library:
     symbolic links are resolved. A recording stays open while it has viewers, and for a while
     after; an alignment is cancelled when its last viewer leaves. Thread-safe.
 
+    ``label_address``: where labels are kept, a file or a database; None for beside each recording.
+    ``label_folder``: for labels of uploads, which are deleted at the end, and of the built-in
+    sample, which belongs to the program.
+
     Raises RecordingError for a root that is no folder.
     """
 
@@ -51,7 +58,11 @@ class Library:
         recordings: list[Path],
         roots: list[Path],
         upload_limit_bytes: int = DEFAULT_LIMIT_BYTES,
+        label_address: str | None = None,
+        label_folder: Path | None = None,
     ) -> None:
+        self._label_address, self._label_folder = label_address, label_folder
+        self._labels: dict[Path, RecordingLabels] = {}
         # What people wait for, in any recording.
         self.activity = Activity()
         # Unlike Path.resolve, realpath accepts a link to itself.
@@ -115,6 +126,15 @@ class Library:
                 unused = self._take_unused()
             _close(*unused)
 
+    def labels(self, recording: Path) -> RecordingLabels:
+        """The labels of a recording, which all browsers share."""
+        address = self._label_address
+        is_own = recording == sample_path() or self.uploads.holds(recording)
+        if address is None and is_own and self._label_folder is not None:
+            address = str(self._label_folder / f"{recording.name}{SUFFIX}")
+        with self._lock:
+            return self._labels.setdefault(recording, RecordingLabels(recording, address))
+
     def release(self, viewer: Hashable) -> None:
         """A viewer no longer needs a recording."""
         with self._lock:
@@ -134,6 +154,8 @@ class Library:
             one.cancel()
         for one in opened:
             one.wait(_CANCEL_TIMEOUT_S)
+        for labels in self._labels.values():
+            labels.close()
         _close([], files)
         self.uploads.close()
 

@@ -88,6 +88,10 @@ class Uploads:
             sessions = list(self._sessions.values())
         return next((path for one in sessions if (path := one.path(name)) is not None), None)
 
+    def holds(self, path: Path) -> bool:
+        """Whether a file is an upload."""
+        return self._folder is not None and self._folder in path.parents
+
     def folder(self) -> Path:
         """The folder of all uploads, made when it is needed first. Raises OSError."""
         with self._lock:

@@ -6,6 +6,7 @@ line. A link holds a whole view; of the settings it holds those that differ from
 
 import base64
 import binascii
+import hashlib
 import json
 import math
 import zlib
@@ -17,10 +18,16 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.errors import SettingsError
 from fusion_core.settings import under_current_names
-from fusion_core.workflows.fuse.settings import PRESETS, ChainSettings, PresetName
+from fusion_core.workflows.fuse.settings import (
+    PRESETS,
+    ChainSettings,
+    PresetName,
+    settings_toml,
+)
+from scanloom.state.review_choices import ReviewChoices
 from scanloom.state.slam_choices import SlamChoices
 
-PanelName = Literal["Recording", "Match", "Register", "Repair", "Map"]
+PanelName = Literal["Recording", "Match", "Register", "Repair", "Review", "Map"]
 PANELS: tuple[PanelName, ...] = get_args(PanelName)
 Scope = Literal["frame", "window", "recording"]
 MapMode = Literal["Fuse", "SLAM"]
@@ -118,6 +125,7 @@ class View(BaseModel):
     large_text: bool = Field(False, description="Large letters and lines, for a projector")
     map_mode: MapMode = "Fuse"
     slam: SlamChoices = SlamChoices()
+    review: ReviewChoices = ReviewChoices()
 
     def with_setting(self, stage: str, name: str, value: Any) -> "View":
         """The view with one setting of one stage changed.
@@ -176,6 +184,12 @@ class View(BaseModel):
             self.alignment_settings.read_by("alignment"),
         )
 
+    @property
+    def settings_sha256(self) -> str:
+        """Digest of the settings of the displayed frame, as a run with them states it."""
+        text = settings_toml(self.preset, self.settings)
+        return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
     def needs_alignment(self) -> bool:
         """Whether settings that the alignment depends on have changed since."""
         return self.settings.read_by("alignment") != self.alignment_settings.read_by("alignment")
@@ -203,6 +217,7 @@ class View(BaseModel):
         # Sorted, so that equal views have equal links.
         for name in ("visible_classes", "hidden_layers"):
             values[name] = sorted(values[name])
+        values["review"]["classes"] = sorted(values["review"]["classes"])
         packed = zlib.compress(json.dumps(values, sort_keys=True).encode(), 9)
         return base64.urlsafe_b64encode(packed).decode().rstrip("=")
 

@@ -4,8 +4,9 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
+from fusion_core.annotation.action import Action
 from fusion_core.annotation.address import parse_address
-from fusion_core.annotation.identity import RecordingIdentity
+from fusion_core.annotation.identity import Author, RecordingIdentity, checked_name
 from fusion_core.annotation.input_cache import known_digests
 from fusion_core.annotation.store import LabelStore
 from fusion_core.exporting.manifest import InputDigest, digest_input
@@ -13,6 +14,17 @@ from fusion_core.files.inputs import require_apart
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.progress import Progress, silent
 from fusion_core.workflows.source import paths_of
+
+__all__ = [
+    "SUFFIX",
+    "Action",
+    "Author",
+    "LabelStore",
+    "checked_name",
+    "default_address",
+    "open_labels",
+    "recording_identity",
+]
 
 SUFFIX = ".labels.sqlite"
 

@@ -24,12 +24,15 @@ class Picture:
     def mark(self, marks: Any, readout: str = "") -> None:
         self.marks = marks
 
+    def set_tool(self, tool: Any) -> None:
+        assert tool is None, "nothing is reviewed"
+
 
 @pytest.fixture
 def panel(monkeypatch: pytest.MonkeyPatch) -> ProfilePanel:
     monkeypatch.setattr(
         "scanloom.panels.profile.LivePicture",
-        lambda *_: SimpleNamespace(on_point=lambda _: None),
+        lambda *_: SimpleNamespace(on_point=lambda _: None, on_stroke=lambda _: None),
     )
     made = ProfilePanel(None, None, SimpleNamespace())  # type: ignore[arg-type]  # none is used
     made._picture = Picture()  # type: ignore[assignment]  # as far as it is used
@@ -39,7 +42,7 @@ def panel(monkeypatch: pytest.MonkeyPatch) -> ProfilePanel:
 def frame_view(**values: Any) -> Any:
     none = {"frame": None, "paired": None, "lone": None, "match": None, "fused": None}
     view = View(recording=Path("a room").name)
-    return SimpleNamespace(**none | {"view": view, "is_dark": False} | values)
+    return SimpleNamespace(**none | {"view": view, "is_dark": False, "review": None} | values)
 
 
 def scan() -> LaserScan:

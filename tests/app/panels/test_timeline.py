@@ -147,7 +147,7 @@ def test_worst_frame_and_conflicts_are_where_the_counts_have_them(
         visit.until_at(index)
     for key, index in (
         ("First frame", 0),
-        ("Next conflict", 3),
+        ("Next conflict (in the review: no)", 3),
         ("Previous conflict", 12),
         ("First frame", 0),
         ("Frame with the most noise", 12),
@@ -188,7 +188,7 @@ def test_a_key_without_a_frame_to_go_to_says_why(
 ) -> None:
     monkeypatch.setattr(visit.panel, "_counts", None)
     visit.client.drain()
-    visit.client.trigger("Next conflict")
+    visit.client.trigger("Next conflict (in the review: no)")
     note = visit.client.wait_for(
         lambda received: received.type == "NotificationShowMessage", ENOUGH_S
     ).message

@@ -1,0 +1,371 @@
+"""The Review panel: a person says of runs, of marked beams and of marked pixels what they are."""
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import viser
+from fusion_core.workflows.labels.open_store import checked_name
+
+from fusion_core.model.classes import NoiseClass
+from fusion_core.model.labels import Label
+from scanloom.client_session import ClientSession, Panel
+from scanloom.frame_view import FrameView, clock_offset_ms
+from scanloom.page.bridge import PageBridge
+from scanloom.page.browser_storage import Answers, request_items
+from scanloom.page.markup import paragraph
+from scanloom.page.update_widget import update_widget
+from scanloom.panels.explanation import explain_beam_class, explain_pixel_class
+from scanloom.panels.review_desk import ReviewDesk, ReviewState
+from scanloom.panels.review_html import (
+    PRESS_ACTION,
+    PRESS_ANSWER,
+    ProgressText,
+    RunText,
+    answers_html,
+    progress_html,
+    run_html,
+)
+from scanloom.panels.widgets.controls import Controls
+from scanloom.panels.widgets.keys import add_key
+from scanloom.panels.widgets.panel_job import PanelJob
+from scanloom.scene.frame_summary import facts_of_beam
+from scanloom.state.frame_runs import SENSORS, class_name
+from scanloom.state.frame_survey import FrameSurvey, SurveyInputs
+from scanloom.state.open_recording import OpenRecording
+from scanloom.state.review_choices import QUEUE_ORDERS, QUEUE_SENSORS, TOOLS, Answer
+
+STORED_ANNOTATOR = "annotator"
+_ANSWERS: dict[str, Answer] = {
+    "accept": "accept",
+    "reject": "reject",
+    "clear": "clear",
+    **{label.name.lower(): label for label in Label},
+}
+
+
+class ReviewPanel(Panel):
+    """Begin with a name; then the queue, the run that is asked about, and the answers."""
+
+    def __init__(
+        self, client: viser.ClientHandle, bridge: PageBridge, session: ClientSession
+    ) -> None:
+        gui = client.gui
+        self._client, self._session = client, session
+        self._lock = threading.RLock()
+        self._desk = ReviewDesk(session)
+        session.review = self._desk
+        self._opened: OpenRecording | None = None
+        self._survey: FrameSurvey | None = None
+        self._name = gui.add_text("Your name", "", hint="Your labels are a layer of this name")
+        self._begin = gui.add_button("Begin the review")
+        self._job = PanelJob(gui, session, self._lock, lambda _: None)
+        self._progress = gui.add_html("", visible=False)
+        self._run = gui.add_html("", visible=False)
+        self._answers = gui.add_html("", visible=False)
+        self._controls = Controls(gui, session)
+        self._choices = gui.add_folder(None, visible=False)
+        with self._choices:
+            self._add_choices(gui)
+        self._begin.on_click(lambda _: self._start())
+        bridge.on_press(PRESS_ANSWER, self._answer)
+        actions: dict[str, Callable[[], None]] = {
+            "next": lambda: self._desk.go(1),
+            "previous": lambda: self._desk.go(-1),
+            "split": self._desk.split,
+            "unmark": self._desk.clear_selection,
+        }
+        bridge.on_press(PRESS_ACTION, lambda name: actions.get(name, _do_nothing)())
+        self._add_keys(gui, actions)
+        request_items(client, (STORED_ANNOTATOR,), self._take_name)
+
+    def show(self, frame_view: FrameView) -> None:
+        """Show the run that is asked about, while the step is open."""
+        view = frame_view.view
+        self._controls.show(view)
+        opened = frame_view.open_recording
+        if self._opened is not None and self._opened.recording.path != opened.recording.path:
+            self._desk.end()
+        if self._opened is not opened:
+            self._forget_survey()
+            self._opened = opened
+        if view.panel != "Review":
+            self._forget_survey()
+            return
+        self._want_survey(frame_view)
+        self._desk.follow(frame_view, self._survey)
+        has_begun = self._desk.labels is not None
+        for before in (self._name, self._begin):
+            update_widget(before, visible=not has_begun)
+        for after in (self._progress, self._run, self._answers, self._choices):
+            update_widget(after, visible=has_begun)
+        if has_begun:
+            self._show_state(frame_view, self._desk.state())
+
+    def close(self) -> None:
+        """Hear of no more labels."""
+        self._job.close()
+        self._desk.close()
+        self._forget_survey()
+
+    # Beginning
+
+    def _take_name(self, answers: Answers) -> None:
+        known = answers[STORED_ANNOTATOR]
+        if known is not None and not self._name.value:
+            update_widget(self._name, value=known[:80])
+
+    def _start(self) -> None:
+        opened = self._opened
+        if opened is None:
+            return
+        try:
+            name = checked_name(self._name.value, "an annotator")
+            labels = self._session.library.labels(opened.recording.path)
+        except Exception as error:  # noqa: BLE001  # told to the person
+            self._session.show_failure(error, until_dismissed=True)
+            return
+        self._client.local_storage.set_item(STORED_ANNOTATOR, name)
+        self._job.begin(
+            "labels",
+            lambda progress: self._desk.begin(labels, name, progress),
+            lambda _: self._job.end(),
+        )
+
+    # Showing
+
+    def _want_survey(self, frame_view: FrameView) -> None:
+        chain, view = frame_view.chain, frame_view.view
+        if chain is None:
+            return
+        inputs = SurveyInputs(
+            chain=chain,
+            settings=view.settings,
+            clock_offset_ms=clock_offset_ms(view, chain),
+            pairing=frame_view.open_recording.pairing,
+        )
+        surveys = frame_view.open_recording.surveys
+        self._survey = surveys.want(self, inputs, self._session.refresh)
+
+    def _forget_survey(self) -> None:
+        if self._opened is not None and self._survey is not None:
+            self._opened.surveys.release(self)
+        self._survey = None
+
+    def _show_state(self, frame_view: FrameView, state: ReviewState) -> None:
+        view = frame_view.view
+        progress = ProgressText(
+            done=state.progress.done,
+            total=state.progress.total,
+            counted=state.counted[0],
+            frames=state.counted[1],
+            a_minute=state.a_minute,
+        )
+        update_widget(self._progress, content=progress_html(progress))
+        text = self._run_text(frame_view, state)
+        content = paragraph(_nothing_asked(state)) if text is None else run_html(text)
+        update_widget(self._run, content=content)
+        is_marked = any(state.selected)
+        update_widget(
+            self._answers,
+            content=answers_html(
+                is_marked=is_marked, selected=state.selected, is_blind=view.review.blind
+            ),
+        )
+
+    def _run_text(self, frame_view: FrameView, state: ReviewState) -> RunText | None:
+        table, number = state.table, state.number
+        if table is None or number is None:
+            return None
+        runs, run = table.runs(number)
+        sensor = SENSORS[runs.sensor[run]]
+        beams = runs.beam[state.part]
+        is_blind = frame_view.view.review.blind
+        return RunText(
+            sensor=sensor,
+            first=int(beams.min()),
+            last=int(beams.max()),
+            samples=beams.size,
+            frame_index=int(table.frame[number]),
+            noise_class=None if is_blind else int(runs.noise_class[run]),
+            confidence=float(runs.confidence[run]),
+            why=self._why(frame_view, sensor, int(beams[beams.size // 2])),
+            elsewhere={} if is_blind else table.judged_elsewhere(number),
+            labelled=self._desk.label_of_run(number),
+            others={} if is_blind else self._desk.labels_of_others(number),
+        )
+
+    def _why(self, frame_view: FrameView, sensor: str, beam: int) -> list[str]:
+        fused = frame_view.fused
+        facts = None if fused is None else facts_of_beam(fused, beam)
+        if facts is None:
+            return []
+        explain = explain_beam_class if sensor == "lidar" else explain_pixel_class
+        return [explain(facts, frame_view.view.settings)]
+
+    # What a person chooses
+
+    def _add_choices(self, gui: viser.GuiApi) -> None:
+        review = self._session.view.review
+        with gui.add_folder("Marking"):
+            tool = gui.add_dropdown(
+                "Mark by",
+                TOOLS,
+                initial_value=review.tool,
+                hint="What a drag on the depth image or the range profile marks (B). In the scene "
+                "a drag with Shift marks a box. With Shift a box adds to what is marked",
+            )
+            brush = gui.add_slider(
+                "Brush (px)", 1, 40, 1, review.brush_px, hint="Radius of the brush on the image"
+            )
+        with gui.add_folder("Queue", expand_by_default=False):
+            order = gui.add_dropdown(
+                "Order",
+                QUEUE_ORDERS,
+                initial_value=review.order,
+                hint="Disagreement: runs to which two layers give different labels",
+            )
+            sensor = gui.add_dropdown(
+                "Sensor",
+                QUEUE_SENSORS,
+                initial_value=review.sensor,
+                hint="Runs of beams, of pixels along the curve, or both",
+            )
+            boxes = [
+                (
+                    noise,
+                    gui.add_checkbox(
+                        f"Ask about {class_name(noise)}",
+                        noise in review.classes,
+                        hint="Runs whose automatic class this is",
+                    ),
+                )
+                for noise in NoiseClass
+            ]
+            only_open = gui.add_checkbox(
+                "Unlabelled only", review.only_open, hint="Pass over runs that have your label"
+            )
+            advance = gui.add_checkbox(
+                "Go on after an answer", review.auto_advance, hint="To the next run of the queue"
+            )
+            self._all_answer = gui.add_dropdown(
+                "Say of all that is open",
+                tuple(_ANSWERS),
+                initial_value="accept",
+                hint="Accept: that the automatic class is right",
+            )
+            everything = gui.add_button("Label all open runs of the queue …")
+        with gui.add_folder("Neighbouring frames", expand_by_default=False):
+            self._beside = gui.add_slider(
+                "Frames on either side", 1, 30, 1, 5, hint="Before and after the displayed one"
+            )
+            self._around_answer = gui.add_dropdown(
+                "Say of this place there",
+                tuple(_ANSWERS),
+                initial_value="accept",
+                hint="Of samples of the run's sensor and class that look at the same place; the "
+                "recorded poses say where that is",
+            )
+            around = gui.add_button("Label run and neighbours (I)")
+        with gui.add_folder("Blind", expand_by_default=False):
+            blind = gui.add_checkbox(
+                "Hide the automatic classes",
+                review.blind,
+                hint="So that they do not sway you; choose all classes in the queue, too",
+            )
+        for name, handle in (
+            ("tool", tool),
+            ("brush_px", brush),
+            ("order", order),
+            ("sensor", sensor),
+            ("only_open", only_open),
+            ("auto_advance", advance),
+            ("blind", blind),
+        ):
+            self._bind(name, handle)
+        for noise, box in boxes:
+            self._bind_class(noise, box)
+        everything.on_click(lambda _: self._ask_for_all(gui))
+        around.on_click(lambda _: self._answer_around())
+
+    def _bind(self, name: str, handle: Any) -> None:
+        def change(value: Any) -> None:
+            review = self._session.view.review.model_copy(update={name: value})
+            self._session.change(review=review)
+
+        self._controls.bind(handle, lambda view: getattr(view.review, name), change)
+
+    def _bind_class(self, noise: NoiseClass, box: Any) -> None:
+        def change(checked: bool) -> None:
+            review = self._session.view.review
+            others = review.classes - {noise}
+            classes = others | {noise} if checked else others
+            self._session.change(review=review.model_copy(update={"classes": classes}))
+
+        self._controls.bind(box, lambda view: noise in view.review.classes, change)
+
+    def _ask_for_all(self, gui: viser.GuiApi) -> None:
+        count, answer = len(self._desk.open_numbers()), self._all_answer.value
+        with gui.add_modal("Label all that is open") as modal:
+            gui.add_html(
+                paragraph(
+                    f"{count} runs of the queue have no label. Say “{answer}” of all of them? It "
+                    "is one action, which undo takes back."
+                )
+            )
+            sure = gui.add_button(f"Label {count} runs", disabled=not count)
+            cancel = gui.add_button("Cancel", color="gray")
+        cancel.on_click(lambda _: modal.close())
+
+        @sure.on_click
+        def _(_: object) -> None:
+            modal.close()
+            self._desk.answer_all(_ANSWERS[answer])
+
+    def _answer(self, name: str) -> None:
+        if name in _ANSWERS:
+            self._desk.answer(_ANSWERS[name])
+
+    def _answer_around(self) -> None:
+        self._desk.answer_around(_ANSWERS[self._around_answer.value], int(self._beside.value))
+
+    def _add_keys(self, gui: viser.GuiApi, actions: dict[str, Callable[[], None]]) -> None:
+        def in_review(act: Callable[[], None]) -> Callable[[], None]:
+            return lambda: act() if self._desk.is_on else None
+
+        keys: tuple[tuple[str, str, Callable[[], None]], ...] = (
+            ("Review: yes, right", "Y", lambda: self._answer("accept")),
+            ("Review: unsure", "U", lambda: self._answer("unsure")),
+            *(
+                (f"Review: {class_name(noise)}", str(noise + 1), _naming(self._answer, noise))
+                for noise in NoiseClass
+            ),
+            ("Review: no label", "0", lambda: self._answer("clear")),
+            ("Review: split the run", "X", actions["split"]),
+            ("Review: unmark", "V", actions["unmark"]),
+            ("Review: label run and neighbours", "I", self._answer_around),
+            ("Review: point, box or brush", "B", self._next_tool),
+        )
+        for label, key, act in keys:
+            add_key(gui, label, key, in_review(act))
+
+    def _next_tool(self) -> None:
+        review = self._session.view.review
+        tool = TOOLS[(TOOLS.index(review.tool) + 1) % len(TOOLS)]
+        self._session.change(review=review.model_copy(update={"tool": tool}))
+
+
+def _naming(answer: Callable[[str], None], noise: NoiseClass) -> Callable[[], None]:
+    return lambda: answer(class_name(noise))
+
+
+def _nothing_asked(state: ReviewState) -> str:
+    if state.table is None:
+        return "The frames are not counted yet."
+    if state.progress.total and state.progress.done == state.progress.total:
+        return "All runs of this queue are labelled."
+    return "J begins with the first run; a click on a beam or a pixel asks about its run."
+
+
+def _do_nothing() -> None:
+    """A button that is not known, as from an older page."""

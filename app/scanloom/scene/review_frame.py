@@ -1,0 +1,48 @@
+"""A frame's labels and marked samples, as its pictures show them."""
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from fusion_core.model.conventions import BoolArray, IntArray
+from fusion_core.model.labels import NO_LABEL, Capture, CaptureLabels
+from fusion_core.workflows.fuse.captures import FrameCaptures, frame_captures
+from scanloom.frame_view import FrameView
+from scanloom.state.review_overlay import ReviewOverlay
+
+
+def captures_of(frame_view: FrameView) -> FrameCaptures | None:
+    """The captures of the displayed frame, None where it is not matched."""
+    match = frame_view.match
+    return None if match is None else frame_captures(match, frame_view.open_recording.fuse_session)
+
+
+def review_overlay(
+    frame_view: FrameView,
+    labels_of: Callable[[Capture], CaptureLabels],
+    marked: Iterable[CaptureLabels],
+) -> ReviewOverlay | None:
+    """What is shown of the labels in a frame, and of the marked samples, which may be those of
+    other frames. None where the frame is not matched."""
+    captures, match = captures_of(frame_view), frame_view.match
+    if captures is None or match is None:
+        return None
+    beams = match.scan.ranges_m.size
+    beam_labels: IntArray = np.full(beams, NO_LABEL)
+    if captures.scan is not None:
+        beam_labels = labels_of(captures.scan).as_image()[0]
+    chosen: dict[Capture | None, BoolArray] = {
+        labels.capture: labels.as_image() != NO_LABEL for labels in marked
+    }
+    selected_beams = chosen.get(captures.scan, np.zeros((1, beams), dtype=np.bool_))[0]
+    shape = captures.image.rows, captures.image.columns
+    selected = chosen.get(captures.image, np.zeros(shape, dtype=np.bool_))
+    row, column = captures.view.stored_pixel_maps()
+    shown = row >= 0
+    return ReviewOverlay(
+        beam_labels=beam_labels,
+        pixel_labels=np.where(shown, labels_of(captures.image).as_image()[row, column], NO_LABEL),
+        selected_beams=selected_beams,
+        selected_pixels=shown & selected[row, column],
+        is_blind=frame_view.view.review.blind,
+    )
