@@ -357,7 +357,8 @@ class ClientSession:
                 self._open_recording.remove_listener(self._hear_of_alignment)
             self._open_recording, self._alignment_of = open_recording, None
         asked = self._asked
-        frame_view = compute_frame_view(view, open_recording, self.raise_if_closed)
+        labels = self._library.labels(open_recording.recording.path)
+        frame_view = compute_frame_view(view, open_recording, self.raise_if_closed, labels.layer)
         review = None if self.review is None else self.review.overlay(frame_view)
         frame_view = replace(frame_view, is_dark=self._is_dark(view), review=review)
         is_overdue = time.monotonic() - self._displayed_s > _MAX_DISPLAY_INTERVAL_S

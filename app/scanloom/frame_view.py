@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fusion_core.model.errors import ScanLoomError
+from fusion_core.model.labels import LabelLayer
 from fusion_core.model.sensors import ColorImage
 from fusion_core.workflows.fuse.cached_chain import CachedChain, FrameChoice
 from fusion_core.workflows.fuse.frame import FusedFrame
@@ -120,9 +121,15 @@ def missing_result_text(frame_view: FrameView) -> str:
 
 
 def compute_frame_view(
-    view: View, open_recording: OpenRecording, check: Callable[[], None] = lambda: None
+    view: View,
+    open_recording: OpenRecording,
+    check: Callable[[], None] = lambda: None,
+    layer_of: Callable[[str], LabelLayer] | None = None,
 ) -> FrameView:
     """Compute the results of a view; if a stage fails, those of earlier stages are kept.
+
+    ``layer_of``: the layer of a name, whose labels overrule the classes where the view names one;
+    not in the review, which asks about the automatic ones.
 
     ``check`` is called between stages and may raise Cancelled. A frame index beyond the recording's
     end, as in an old link, means the last frame.
@@ -147,7 +154,10 @@ def compute_frame_view(
         frame = chain.match(choice, view.settings)
         check()
         if not is_blind(view):
-            frame = chain.fused(choice, view.settings)
+            labels = None
+            if layer_of is not None and view.label_layer and view.panel != "Review":
+                labels = layer_of(view.label_layer)
+            frame = chain.fused(choice, view.settings, labels)
         check()
     except Cancelled:
         raise

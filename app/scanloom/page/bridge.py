@@ -1,4 +1,4 @@
-"""The page's script, and the way back from it to the server."""
+"""The page's script and its keys, and the way back from them to the server."""
 
 import html
 import threading
@@ -7,6 +7,7 @@ from functools import cache
 
 import viser
 
+from scanloom.jobs.ordered_calls import OrderedCalls
 from scanloom.page.events import (
     Click,
     PictureName,
@@ -40,6 +41,8 @@ class PageBridge:
         self._on_point: dict[PictureName, OnPoint] = {}
         self._on_stroke: dict[PictureName, Callable[[Stroke], None]] = {}
         self._on_press: dict[str, Callable[[str], None]] = {}
+        self._gui = gui
+        self._keys = OrderedCalls(lambda run: gui._thread_executor.submit(run))
         self._screen: Screen | None = None
         self._on_screen: Callable[[Screen], None] = lambda _: None
         gui.add_html(_style() + script_html("page.js"))
@@ -59,6 +62,20 @@ class PageBridge:
         """Call ``call(value)`` when a button of ``press_attributes(name, value)`` is pressed. A
         browser may send any value."""
         self._on_press[name] = call
+
+    def add_key(
+        self, label: str, key: str, action: Callable[[], None], modifier: str | None = None
+    ) -> None:
+        """Call ``action`` when a key is pressed, or the command of this label is chosen. ``key``
+        and ``modifier`` are of viser's lists. Keys act one after the other, as they were pressed.
+        """
+        command = self._gui.add_command(label, hotkey=key, modifier=modifier)  # type: ignore[arg-type]  # lists of literals
+
+        # viser runs other functions in any order, but waits for this one.
+        async def pressed(_: object) -> None:
+            self._keys.add(action)
+
+        command.on_trigger(pressed)
 
     def on_screen(self, call: Callable[[Screen], None]) -> None:
         """Call ``call`` with the page's size and wish for dark, at first and at each change."""

@@ -18,6 +18,8 @@ _ADJACENT = (
 
 def explain_beam_class(facts: BeamFacts, settings: ChainSettings) -> str:
     """Why the beam has its class."""
+    if facts.lidar.is_decided:
+        return _decided(facts.lidar)
     published = settings.noise.burr_criterion == "rougher"
     support = _beam_support(facts)
     match facts.lidar.noise_class:
@@ -50,6 +52,8 @@ def explain_pixel_class(facts: BeamFacts, settings: ChainSettings) -> str:
     """Why the beam's pixel has its class."""
     if facts.pixel is None:
         return "No pixel: the beam's point lies outside the image."
+    if facts.pixel.is_decided:
+        return _decided(facts.pixel)
     published = settings.noise.burr_criterion == "rougher"
     support = _pixel_support(facts)
     match facts.pixel.noise_class:
@@ -163,6 +167,10 @@ def _repair_text(
     if preferred:
         return f"{text}. The other sensor is preferred, regardless of the neighbours."
     return f"{text}; {none}." if math.isinf(theirs) else f"{text} against {against}."
+
+
+def _decided(sample: SampleFacts) -> str:
+    return f"{sample.noise_class.name.capitalize()}: a person's label says so."
 
 
 def _no_pair(facts: BeamFacts) -> bool:

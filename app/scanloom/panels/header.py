@@ -13,7 +13,6 @@ from scanloom.page.bridge import PageBridge, press_attributes
 from scanloom.page.update_widget import update_widget
 from scanloom.panels.widgets.controls import Controls
 from scanloom.panels.widgets.help import keys_text
-from scanloom.panels.widgets.keys import add_key
 from scanloom.state.view import View
 
 _MAX_DIFFERENCES = 6
@@ -41,7 +40,7 @@ class HeaderPanel(Panel):
             ("Light or dark", "L", self._switch_colours),
             ("Keys", "H", self._show_keys),
         ):
-            add_key(gui, label, key, action)
+            bridge.add_key(label, key, action)
 
     def show(self, frame_view: FrameView) -> None:
         """Set the row of tools, and the page's colours and size."""

@@ -25,7 +25,6 @@ from scanloom.panels.opening_html import (
     status_html,
 )
 from scanloom.panels.opening_window import OpeningWindow
-from scanloom.panels.widgets.keys import add_key
 from scanloom.state.folder_listing import FolderPage, FolderPlace, read_page
 from scanloom.state.recent_names import parse_recent, with_recent
 from scanloom.state.uploads import UploadListener, UploadProgress
@@ -73,7 +72,7 @@ class OpeningDialog(Panel, UploadListener):
         ticket = self._uploads.ticket if self._library.uploads.limit_bytes else ""
         place = f'<div hidden data-upload="{ticket}"></div>' if ticket else ""
         self._gui.add_html(script_html("opening.js") + place)
-        add_key(self._gui, "Open a recording", "O", self.open)
+        bridge.add_key("Open a recording", "O", self.open)
         answers: dict[str, Callable[[str], None]] = {
             "open": lambda _: self.open(),
             "open-close": lambda _: self.close_window(),

@@ -24,6 +24,7 @@ from scanloom.state.view import View
 # Slightly wider than the panel, so that an enlarged picture stays sharp.
 _WIDTH_PX, _HEIGHT_PX = 480, 420
 _NO_CONFLICTS = "none in this frame"
+_NO_LAYER = "none: the automatic classes"
 
 
 class RepairPanel(Panel):
@@ -46,6 +47,17 @@ class RepairPanel(Panel):
             hint="Show repaired values on the stage and in the depth image, else those recorded",
         )
         controls.bind_field(repaired, "show_repaired", bool)
+        self._layers = gui.add_dropdown(
+            "Labels",
+            (_NO_LAYER,),
+            hint="A layer of people's labels, which overrule the classes here and so the repair",
+        )
+        controls.bind_field(
+            self._layers,
+            "label_layer",
+            lambda name: "" if name == _NO_LAYER else name,
+            lambda name: name or _NO_LAYER,
+        )
         with gui.add_folder("Why: one beam"):
             self._conflicts = gui.add_dropdown(
                 "Conflicts",
@@ -93,6 +105,7 @@ class RepairPanel(Panel):
     def show(self, frame_view: FrameView) -> None:
         """Draw the frame of this view, while the panel is open."""
         view = frame_view.view
+        self._show_layers(frame_view)
         self._controls.show(view)
         self._epsilon.show(view)
         if view.panel != "Repair":
@@ -113,6 +126,13 @@ class RepairPanel(Panel):
         update_widget(
             self._beam_details, content=beam_table(fused, view.selected_beam, view.settings)
         )
+
+    def _show_layers(self, frame_view: FrameView) -> None:
+        """Offer the layers of the recording's labels, where there are any."""
+        path, wanted = frame_view.open_recording.recording.path, frame_view.view.label_layer
+        layers = dict.fromkeys([*self._session.library.labels(path).known_layers, wanted])
+        names = [name for name in layers if name]
+        update_widget(self._layers, options=(_NO_LAYER, *names), visible=bool(names))
 
     def _show_pictures(self, frame: FusedFrame, view: View, theme: Theme) -> None:
         """Draw the depth image before and after, only while both are wanted: each takes as long as

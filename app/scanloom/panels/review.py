@@ -1,14 +1,15 @@
 """The Review panel: a person says of runs, of marked beams and of marked pixels what they are."""
 
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
 import viser
-from fusion_core.workflows.labels.open_store import checked_name
 
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.labels import Label
+from fusion_core.workflows.labels.open_store import checked_name
 from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView, clock_offset_ms
 from scanloom.page.bridge import PageBridge
@@ -27,7 +28,6 @@ from scanloom.panels.review_html import (
     run_html,
 )
 from scanloom.panels.widgets.controls import Controls
-from scanloom.panels.widgets.keys import add_key
 from scanloom.panels.widgets.panel_job import PanelJob
 from scanloom.scene.frame_summary import facts_of_beam
 from scanloom.state.frame_runs import SENSORS, class_name
@@ -36,6 +36,8 @@ from scanloom.state.open_recording import OpenRecording
 from scanloom.state.review_choices import QUEUE_ORDERS, QUEUE_SENSORS, TOOLS, Answer
 
 STORED_ANNOTATOR = "annotator"
+# viser's page sends texts every 50 ms; a slow network may take longer.
+_TYPED_WITHIN_S = 0.3
 _ANSWERS: dict[str, Answer] = {
     "accept": "accept",
     "reject": "reject",
@@ -58,6 +60,12 @@ class ReviewPanel(Panel):
         self._opened: OpenRecording | None = None
         self._survey: FrameSurvey | None = None
         self._name = gui.add_text("Your name", "", hint="Your labels are a layer of this name")
+        self._layer_name = gui.add_text(
+            "Layer",
+            "",
+            hint="Where your labels go: empty for a layer of your name; another, such as "
+            "adjudicated, for decisions on what several people have said",
+        )
         self._begin = gui.add_button("Begin the review")
         self._job = PanelJob(gui, session, self._lock, lambda _: None)
         self._progress = gui.add_html("", visible=False)
@@ -67,6 +75,8 @@ class ReviewPanel(Panel):
         self._choices = gui.add_folder(None, visible=False)
         with self._choices:
             self._add_choices(gui)
+            leave = gui.add_button("End this review", color="gray")
+        leave.on_click(lambda _: self._leave())
         self._begin.on_click(lambda _: self._start())
         bridge.on_press(PRESS_ANSWER, self._answer)
         actions: dict[str, Callable[[], None]] = {
@@ -76,7 +86,7 @@ class ReviewPanel(Panel):
             "unmark": self._desk.clear_selection,
         }
         bridge.on_press(PRESS_ACTION, lambda name: actions.get(name, _do_nothing)())
-        self._add_keys(gui, actions)
+        self._add_keys(bridge, actions)
         request_items(client, (STORED_ANNOTATOR,), self._take_name)
 
     def show(self, frame_view: FrameView) -> None:
@@ -95,7 +105,7 @@ class ReviewPanel(Panel):
         self._want_survey(frame_view)
         self._desk.follow(frame_view, self._survey)
         has_begun = self._desk.labels is not None
-        for before in (self._name, self._begin):
+        for before in (self._name, self._layer_name, self._begin):
             update_widget(before, visible=not has_begun)
         for after in (self._progress, self._run, self._answers, self._choices):
             update_widget(after, visible=has_begun)
@@ -119,8 +129,11 @@ class ReviewPanel(Panel):
         opened = self._opened
         if opened is None:
             return
+        # viser sends what is typed a little later than a press.
+        time.sleep(_TYPED_WITHIN_S)
         try:
             name = checked_name(self._name.value, "an annotator")
+            layer = checked_name(self._layer_name.value.strip() or name, "a layer")
             labels = self._session.library.labels(opened.recording.path)
         except Exception as error:  # noqa: BLE001  # told to the person
             self._session.show_failure(error, until_dismissed=True)
@@ -128,9 +141,13 @@ class ReviewPanel(Panel):
         self._client.local_storage.set_item(STORED_ANNOTATOR, name)
         self._job.begin(
             "labels",
-            lambda progress: self._desk.begin(labels, name, progress),
+            lambda progress: self._desk.begin(labels, name, layer, progress),
             lambda _: self._job.end(),
         )
+
+    def _leave(self) -> None:
+        self._desk.end()
+        self._session.refresh()
 
     # Showing
 
@@ -160,6 +177,7 @@ class ReviewPanel(Panel):
             counted=state.counted[0],
             frames=state.counted[1],
             a_minute=state.a_minute,
+            layer=self._desk.layer,
         )
         update_widget(self._progress, content=progress_html(progress))
         text = self._run_text(frame_view, state)
@@ -329,7 +347,7 @@ class ReviewPanel(Panel):
     def _answer_around(self) -> None:
         self._desk.answer_around(_ANSWERS[self._around_answer.value], int(self._beside.value))
 
-    def _add_keys(self, gui: viser.GuiApi, actions: dict[str, Callable[[], None]]) -> None:
+    def _add_keys(self, bridge: PageBridge, actions: dict[str, Callable[[], None]]) -> None:
         def in_review(act: Callable[[], None]) -> Callable[[], None]:
             return lambda: act() if self._desk.is_on else None
 
@@ -347,7 +365,7 @@ class ReviewPanel(Panel):
             ("Review: point, box or brush", "B", self._next_tool),
         )
         for label, key, act in keys:
-            add_key(gui, label, key, in_review(act))
+            bridge.add_key(label, key, in_review(act))
 
     def _next_tool(self) -> None:
         review = self._session.view.review

@@ -9,13 +9,13 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from fusion_core.workflows.labels.open_store import Author
 
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.labels import NO_LABEL, Capture, CaptureLabels, Label
 from fusion_core.model.progress import Progress
 from fusion_core.workflows.fuse.captures import FrameCaptures
+from fusion_core.workflows.labels.open_store import Author
 from scanloom.client_session import ClientSession
 from scanloom.frame_view import FrameView
 from scanloom.page.events import ToolName
@@ -54,15 +54,15 @@ class ReviewState:
 class ReviewDesk:
     """The review of one browser. Thread-safe.
 
-    It begins with a name: a person's labels are a layer of that name. Undo takes back that layer's
-    actions, by whatever window they were made.
+    It begins with a name: a person's labels are a layer of that name, unless they name another.
+    Undo takes back the person's actions in that layer, by whatever window they were made.
     """
 
     def __init__(self, session: ClientSession) -> None:
         self._session = session
         self._lock = threading.RLock()
         self._labels: RecordingLabels | None = None
-        self._annotator = ""
+        self._annotator = self._layer = ""
         self._survey: FrameSurvey | None = None
         self._counted = -1
         self._queue: ReviewQueue | None = None
@@ -78,9 +78,9 @@ class ReviewDesk:
     # Beginning and following
 
     @property
-    def annotator(self) -> str:
-        """Who reviews; empty before the beginning."""
-        return self._annotator
+    def layer(self) -> str:
+        """The layer that answers go into; empty before the beginning."""
+        return self._layer
 
     @property
     def labels(self) -> RecordingLabels | None:
@@ -92,12 +92,14 @@ class ReviewDesk:
         """Whether answers are taken: the step is open, and the person has begun."""
         return self._labels is not None and self._session.view.panel == "Review"
 
-    def begin(self, labels: RecordingLabels, annotator: str, progress: Progress) -> None:
-        """Open the labels and take this person's answers. Raises ScanLoomError for labels that
-        cannot be opened."""
+    def begin(
+        self, labels: RecordingLabels, annotator: str, layer: str, progress: Progress
+    ) -> None:
+        """Open the labels and take this person's answers into a layer. Raises ScanLoomError for
+        labels that cannot be opened."""
         labels.open(progress)
         with self._lock:
-            self._labels, self._annotator = labels, annotator
+            self._labels, self._annotator, self._layer = labels, annotator, layer
             self._queue, self._queue_of = None, ()
             labels.listen(self._hear)
 
@@ -116,7 +118,9 @@ class ReviewDesk:
                 return
             self._labels.take_in_others()
             self._update_queue(frame_view.view.review, survey)
-            view = frame_view.view
+            # What is asked for, which what is displayed lags behind: else each of several quick
+            # answers would be taken for a click on the run before.
+            view = self._session.view
             shown = view.frame_index, view.selected_beam
             if self._queue is not None and shown != self._shown_for:
                 self._shown_for = shown
@@ -141,7 +145,7 @@ class ReviewDesk:
         """The labels of the displayed frame and what is marked in it; None while there is no
         review."""
         with self._lock:
-            labels, layer = self._labels, self._annotator
+            labels, layer = self._labels, self._layer
             if labels is None or frame_view.view.panel != "Review":
                 return None
             marked = self._selection.labels(Label.GOOD)
@@ -157,7 +161,10 @@ class ReviewDesk:
         with self._lock:
             if self._queue is None:
                 return
-            found = self._queue.next(self._number, direction)
+            if self._number is None:
+                found = self._queue.first_from(self._session.view.frame_index)
+            else:
+                found = self._queue.next(self._number, direction)
             if found is None:
                 end = "after" if direction > 0 else "before"
                 self._session.notify("Review", f"There is no run {end} this one in the queue.")
@@ -280,13 +287,13 @@ class ReviewDesk:
 
     def label_of_run(self, number: int) -> str:
         """The person's labels of a run, in words; empty without any."""
-        return self._words(self._annotator, number)
+        return self._words(self._layer, number)
 
     def labels_of_others(self, number: int) -> dict[str, str]:
         """What other layers say of a run, by layer."""
         with self._lock:
             layers = () if self._labels is None else self._labels.layers
-        words = {name: self._words(name, number) for name in layers if name != self._annotator}
+        words = {name: self._words(name, number) for name in layers if name != self._layer}
         return {name: said for name, said in words.items() if said}
 
     def undo(self) -> None:
@@ -320,7 +327,7 @@ class ReviewDesk:
         """Write one action; whether it could be."""
         assert self._labels is not None, "the review has begun"
         try:
-            self._labels.label(self._annotator, labels, self._author(comment))
+            self._labels.label(self._layer, labels, self._author(comment))
         except ScanLoomError as error:
             self._session.show_failure(error, until_dismissed=True)
             return False
@@ -337,7 +344,7 @@ class ReviewDesk:
                 return
             act = self._labels.undo if step == "undo" else self._labels.redo
             try:
-                is_done = act(self._annotator, self._annotator)
+                is_done = act(self._layer, self._annotator)
             except ScanLoomError as error:
                 self._session.show_failure(error, until_dismissed=True)
                 return
@@ -346,7 +353,7 @@ class ReviewDesk:
 
     def _hear(self, layer: str, captures: Sequence[Capture]) -> None:
         with self._lock:
-            if layer == self._annotator and self._queue is not None:
+            if layer == self._layer and self._queue is not None:
                 self._queue.update(captures)
                 if self._number is not None:
                     self._part = self._queue.open_part(self._number)
@@ -362,9 +369,9 @@ class ReviewDesk:
             return
         self._queue_of = queue_of
         before, number = self._queue, self._number
-        others = [name for name in self._labels.layers if name != self._annotator]
+        others = [name for name in self._labels.layers if name != self._layer]
         table = RunTable(survey.runs)
-        self._queue = ReviewQueue(table, choices, self._labels, [self._annotator, *others])
+        self._queue = ReviewQueue(table, choices, self._labels, [self._layer, *others])
         self._number = None
         if before is not None and number is not None:
             # The same place, though its run may be another with other settings.

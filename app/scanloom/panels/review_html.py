@@ -17,13 +17,14 @@ PRESS_ANSWER, PRESS_ACTION = "answer", "review"
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProgressText:
     """``done`` of ``total`` runs of the queue; ``counted`` of ``frames`` frames have their runs.
-    ``a_minute``: answers, None where not known."""
+    ``a_minute``: answers, None where not known. ``layer``: which the answers go into."""
 
     done: int
     total: int
     counted: int
     frames: int
     a_minute: float | None
+    layer: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +49,8 @@ class RunText:
 def progress_html(text: ProgressText) -> str:
     """A bar, the counts, the rate and how long the rest takes."""
     percent = 100.0 * text.done / text.total if text.total else 0.0
-    words = [f"<b>{text.done}</b> of {text.total} runs"]
+    into = f"into <bdi>{html.escape(text.layer)}</bdi>"
+    words = [f"<b>{text.done}</b> of {text.total} runs {into}"]
     if text.a_minute is not None:
         words.append(f"{text.a_minute:.0f} a minute")
         if text.done < text.total:

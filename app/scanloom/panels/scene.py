@@ -22,7 +22,6 @@ from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.page.bridge import PageBridge
 from scanloom.panels.scene_legend import SceneLegend
 from scanloom.panels.widgets.controls import Controls
-from scanloom.panels.widgets.keys import add_key
 from scanloom.plots.grid_image import grid_texture
 from scanloom.plots.theme import LIGHT, Theme, theme_of
 from scanloom.scene import camera_views
@@ -113,7 +112,7 @@ class ScenePanel(Panel):
         self._controls.bind_field(self._rows, "row_step", int)
         self._views.on_click(lambda _: self._look_by_name(self._views.value))
         for name, key in _VIEWS.items():
-            add_key(gui, name, key, partial(self._look_by_name, name))
+            bridge.add_key(name, key, partial(self._look_by_name, name))
         client.scene.on_click()(self._clicked)
         self._scene = client.scene
         self._is_boxed = False

@@ -16,7 +16,6 @@ from scanloom.page.update_widget import update_widget
 from scanloom.panels.frame_readout import frame_text, progress_text
 from scanloom.panels.timeline_html import PRESS, SPEEDS, RowState, line_html, row_html
 from scanloom.panels.widgets.controls import Controls
-from scanloom.panels.widgets.keys import add_key
 from scanloom.plots.frame_times import FrameTimes
 from scanloom.plots.theme import theme_of
 from scanloom.plots.time_strip import TimeStrip, time_strip
@@ -89,7 +88,7 @@ class TimelinePanel(Panel):
             "previous_conflict": lambda: self.go_to_conflict(-1),
         } | {f"speed {s:g}": partial(session.change, playback_speed=s) for _, s in SPEEDS}
         bridge.on_press(PRESS, lambda value: self._actions.get(value, _do_nothing)())
-        self._add_keys(gui)
+        self._add_keys(bridge)
 
     # What people do
 
@@ -209,7 +208,10 @@ class TimelinePanel(Panel):
             pairing=opened.pairing,
         )
         self._survey = opened.surveys.want(self, inputs, self._redraw)
-        if frame_view.fused is not None and view.picked_offset is None:
+        is_automatic = view.picked_offset is None and (
+            not view.label_layer or view.panel == "Review"
+        )
+        if frame_view.fused is not None and is_automatic:
             self._survey.note(view.frame_index, frame_view.fused)
 
     def _redraw(self) -> None:
@@ -321,7 +323,7 @@ class TimelinePanel(Panel):
         else:
             self.go_to_conflict()
 
-    def _add_keys(self, gui: viser.GuiApi) -> None:
+    def _add_keys(self, bridge: PageBridge) -> None:
         session = self._session
         keys: tuple[tuple[str, str, str | None, Callable[[], None]], ...] = (
             ("Play or pause", "space", None, self.play_or_pause),
@@ -338,10 +340,10 @@ class TimelinePanel(Panel):
             ("Redo", "Z", "cmd/ctrl+shift", session.redo),
         )
         for label, hotkey, modifier, action in keys:
-            add_key(gui, label, hotkey, action, modifier)
+            bridge.add_key(label, hotkey, action, modifier)
         for number, name in enumerate(PANELS):
-            add_key(
-                gui, f"Panel {name}", str(number + 1), partial(session.change, panel=name), "alt"
+            bridge.add_key(
+                f"Panel {name}", str(number + 1), partial(session.change, panel=name), "alt"
             )
 
 

@@ -40,12 +40,14 @@ class ConflictRun:
 class SampleFacts:
     """One sample, a beam or its pixel: metres as it has them, NaN where missing.
 
-    ``from_other_m`` and ``from_neighbours_m``: expected errors of what each offered for a repair,
+    ``is_decided``: whether a person's label gives the class. ``from_other_m`` and
+    ``from_neighbours_m``: expected errors of what each offered for a repair,
     infinite if it had no value, NaN if no repair was needed.
     """
 
     noise_class: NoiseClass
     confidence: float
+    is_decided: bool
     raw_m: float
     repaired_m: float
     source: RepairSource
@@ -129,6 +131,7 @@ def facts_of_beam(frame: FusedFrame, beam: int) -> BeamFacts | None:
     lidar = SampleFacts(
         noise_class=NoiseClass(classes.lidar_class[at]),
         confidence=float(classes.lidar_confidence[at]),
+        is_decided=bool(classes.lidar_decided[at]),
         raw_m=float(pairs.lidar_range_m[at]),
         repaired_m=float(repair.lidar_range_m[at]),
         source=RepairSource(repair.lidar_source[at]),
@@ -140,6 +143,7 @@ def facts_of_beam(frame: FusedFrame, beam: int) -> BeamFacts | None:
         pixel = SampleFacts(
             noise_class=NoiseClass(classes.depth_class[at]),
             confidence=float(classes.depth_confidence[at]),
+            is_decided=bool(classes.depth_decided[at]),
             raw_m=float(pairs.depth_m[at]),
             repaired_m=float(repair.depth_m[at]),
             source=RepairSource(repair.depth_source[at]),

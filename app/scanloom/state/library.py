@@ -130,10 +130,12 @@ class Library:
         """The labels of a recording, which all browsers share."""
         address = self._label_address
         is_own = recording == sample_path() or self.uploads.holds(recording)
+        folder = None
         if address is None and is_own and self._label_folder is not None:
-            address = str(self._label_folder / f"{recording.name}{SUFFIX}")
+            folder = self._label_folder
+            address = str(folder / f"{recording.name}{SUFFIX}")
         with self._lock:
-            return self._labels.setdefault(recording, RecordingLabels(recording, address))
+            return self._labels.setdefault(recording, RecordingLabels(recording, address, folder))
 
     def release(self, viewer: Hashable) -> None:
         """A viewer no longer needs a recording."""

@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from fusion_core.model.labels import Capture, CaptureLabels, Label
+from fusion_core.model.labels import Capture, CaptureLabels, Label, LabelLayer
 from fusion_core.model.progress import Progress, silent
 from fusion_core.workflows.labels.open_store import Action, Author, LabelStore, open_labels
 
@@ -19,19 +19,25 @@ class RecordingLabels:
     Thread-safe.
     """
 
-    def __init__(self, recording: Path, address: str | None = None) -> None:
-        self._recording, self._address = recording, address
+    def __init__(
+        self, recording: Path, address: str | None = None, folder: Path | None = None
+    ) -> None:
+        """``folder``: of the store, made with it."""
+        self._recording, self._address, self._folder = recording, address, folder
         self._lock = threading.RLock()
         self._store: LabelStore | None = None
         self._head = 0
         self._listeners: list[OnChange] = []
 
-    def open(self, progress: Progress = silent) -> None:
-        """Open the store, or make it. Raises ScanLoomError for one that cannot be used."""
+    def open(self, progress: Progress = silent, *, create: bool = True) -> None:
+        """Open the store, made if it is missing and ``create``. Raises ScanLoomError for one that
+        cannot be used."""
         with self._lock:
             if self._store is None:
+                if create and self._folder is not None:
+                    self._folder.mkdir(parents=True, exist_ok=True)
                 self._store = open_labels(
-                    self._recording, self._address, create=True, progress=progress
+                    self._recording, self._address, create=create, progress=progress
                 )
                 self._head = self._store.head()
 
@@ -51,6 +57,19 @@ class RecordingLabels:
     def layers(self) -> tuple[str, ...]:
         """The names of the layers."""
         return self._opened.layers
+
+    @property
+    def known_layers(self) -> tuple[str, ...]:
+        """The names of the layers; none while the store is not open."""
+        with self._lock:
+            store = self._store
+        return () if store is None else store.layers
+
+    def layer(self, name: str) -> LabelLayer:
+        """A layer as it is now. Raises ScanLoomError where there is none of this name, or no
+        store."""
+        self.open(create=False)
+        return self._opened.layer(name)
 
     def labels_of(self, layer: str, capture: Capture) -> CaptureLabels:
         """The labels in force in one capture."""

@@ -149,9 +149,17 @@ class ReviewQueue:
         for capture in captures:
             self._mark(self._source.labels_of(self._layer, capture))
 
+    def first_from(self, frame_index: int) -> int | None:
+        """The run to begin with: in time the next one from a frame on, else the first."""
+        if self._choices.order != "time":
+            return self.next(None)
+        later = np.flatnonzero(self.table.frame[self._order] >= frame_index)
+        before = int(self._order[later[0] - 1]) if later.size and later[0] else None
+        return self.next(before) if later.size else self.next(None)
+
     def next(self, after: int | None, direction: int = 1) -> int | None:
-        """The next run, or the previous one for -1; open ones only, where so chosen. None where
-        there is none before the end."""
+        """The next run, an open one where so chosen, or the previous one for -1, labelled or not:
+        people go back for another look. None where there is none before the end."""
         order = self._order
         if after is None:
             place = -1 if direction > 0 else order.size
@@ -163,7 +171,7 @@ class ReviewQueue:
             place = int(later[0]) - (direction > 0) if later.size else order.size
         ahead = order[place + 1 :] if direction > 0 else order[: max(place, 0)][::-1]
         for number in ahead:
-            if not (self._choices.only_open and self.done[number]):
+            if direction < 0 or not (self._choices.only_open and self.done[number]):
                 return int(number)
         return None
 

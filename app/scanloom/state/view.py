@@ -126,6 +126,9 @@ class View(BaseModel):
     map_mode: MapMode = "Fuse"
     slam: SlamChoices = SlamChoices()
     review: ReviewChoices = ReviewChoices()
+    label_layer: str = Field(
+        "", max_length=80, description="Layer of labels that overrule the classes; empty for none"
+    )
 
     def with_setting(self, stage: str, name: str, value: Any) -> "View":
         """The view with one setting of one stage changed.
