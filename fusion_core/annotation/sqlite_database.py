@@ -1,7 +1,6 @@
 """Label stores in a file of SQLite, with a write-ahead log, flushed to disk at each commit.
 
-Formats are told by content: SQLite's own header, and ScanLoom's number in it
-(https://sqlite.org/fileformat2.html, §1.3).
+https://sqlite.org/wal.html; the file's header: https://sqlite.org/fileformat2.html, §1.3.
 """
 
 import os
@@ -17,12 +16,11 @@ from fusion_core.annotation.database_errors import LOCK_TIMEOUT_S, damaged, expl
 from fusion_core.annotation.identity import RecordingIdentity
 from fusion_core.annotation.store_check import make_store, require_recording, require_sound
 from fusion_core.files.atomic import atomic_path, cannot_write
+from fusion_core.files.label_store_header import APPLICATION_ID, is_label_store
 from fusion_core.files.lock import locked_folder
 from fusion_core.files.regular_file import read_head
 from fusion_core.model.errors import LabelStoreError, ScanLoomError
 
-_MAGIC = b"SQLite format 3\0"
-_APPLICATION_ID = 0x5363_4C6C  # "ScLl"
 _HEADER_BYTES = 100
 # Both of the file's format versions, for writing and for reading, are 2 where it has a
 # write-ahead log.
@@ -70,7 +68,7 @@ def _build(path: Path, recording: RecordingIdentity) -> None:
     with explained_errors(str(path)), engine.connect() as connection:
         # Nothing but the file itself: what is interrupted is thrown away whole.
         connection.exec_driver_sql("PRAGMA journal_mode = OFF")
-        connection.exec_driver_sql(f"PRAGMA application_id = {_APPLICATION_ID}")
+        connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
         connection.commit()
         with connection.begin():
             make_store(connection, recording)
@@ -114,8 +112,7 @@ def _require_own_file(path: Path) -> None:
             file=path,
             advice="Name another label store by --labels.",
         ) from error
-    own = header.startswith(_MAGIC) and header[68:72] == _APPLICATION_ID.to_bytes(4, "big")
-    if not own:
+    if not is_label_store(header):
         raise LabelStoreError(
             "is not a label store of ScanLoom.",
             file=path,

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
+from fusion_core.files.label_store_header import is_label_store
 from fusion_core.files.regular_file import read_head
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording
@@ -60,7 +61,10 @@ _FILE_FORMATS = (
     _FileFormat(lambda path, head: is_robot_at_home(path), open_only_room),
     _FileFormat(_begins_with(bag.MAGIC), open_rosbag1),
     _FileFormat(_begins_with(mcap_file.MAGIC), open_storage_file),
-    _FileFormat(_begins_with(sqlite_file.MAGIC), open_storage_file),
+    _FileFormat(
+        lambda path, head: head.startswith(sqlite_file.MAGIC) and not is_label_store(head),
+        open_storage_file,
+    ),
     _FileFormat(_begins_with(compressed_storage.ZSTD_MAGIC), open_storage_file),
     _FileFormat(_begins_with(compressed_storage.LZ4_MAGIC), open_storage_file),
     _FileFormat(lambda path, head: is_carmen_log(path), open_carmen_log),
@@ -152,6 +156,8 @@ def _open_file(path: Path) -> Recording:
 
 
 def _describe_head(head: bytes) -> str:
+    if is_label_store(head):
+        return "labels of a recording, which lies beside them"
     for magic, kind in _KNOWN_NON_RECORDINGS:
         if head.startswith(magic):
             return kind

@@ -11,6 +11,7 @@ from fusion_core.annotation.store import LabelStore
 from fusion_core.exporting import manifest
 from fusion_core.model.errors import ExportError, LabelStoreError, RecordingError
 from fusion_core.model.labels import Capture, CaptureLabels
+from fusion_core.recordings.formats import is_recording, open_recording
 from fusion_core.workflows.labels.open_store import open_labels
 
 LABELS = CaptureLabels.of_samples(
@@ -95,6 +96,14 @@ def test_what_has_changed_is_read_again_and_refused(recording: Path, read: list[
     changed.unlink()
     with pytest.raises((LabelStoreError, RecordingError)):
         open_labels(recording, create=True)
+
+
+def test_a_store_is_no_recording(tmp_path: Path) -> None:
+    (tmp_path / "room.mcap").write_bytes(b"1")
+    store = Path(open_labels(tmp_path / "room.mcap", create=True).place)
+    assert not is_recording(store)
+    with pytest.raises(RecordingError, match="is no recording: labels of a recording"):
+        open_recording(store)
 
 
 def test_a_folder_with_a_file_renamed_is_another_recording(tmp_path: Path) -> None:
