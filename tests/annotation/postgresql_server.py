@@ -34,10 +34,12 @@ def may_run() -> bool:
 class Server:
     """Made in an empty folder, not started."""
 
-    def __init__(self, programs: Path, folder: Path) -> None:
+    def __init__(self, programs: Path, folder: Path, *, flushes: bool = False) -> None:
+        """``flushes``: whether commits survive the machine's end too, not only the server's."""
         self._programs = programs
         self._data = folder / "data"
         self._log = folder / "log"
+        self._options = "" if flushes else "-F"
         self.port = _free_port()
         password = folder / "password"
         password.write_text(PASSWORD)
@@ -52,8 +54,7 @@ class Server:
 
     def start(self) -> None:
         """Start it, and wait until it answers."""
-        # What is not flushed outlives a killed server, if not the machine.
-        options = f"-F -h 127.0.0.1 -p {self.port} -k ''"
+        options = f"{self._options} -h 127.0.0.1 -p {self.port} -k ''"
         self._control("start", "-o", options, "-l", str(self._log))
 
     def stop(self, mode: str = "fast") -> None:
