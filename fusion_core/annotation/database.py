@@ -8,7 +8,7 @@ from threading import Lock
 from sqlalchemy import Connection, Engine, select
 
 from fusion_core.annotation import schema
-from fusion_core.annotation.database_errors import LOCK_TIMEOUT_S, explained_errors
+from fusion_core.annotation.database_errors import explained_errors
 from fusion_core.model.errors import ExportError
 
 SQLITE_BEGIN = "sqlite_begin"
@@ -58,8 +58,6 @@ class Database:
             connection.execution_options(**{SQLITE_BEGIN: "BEGIN IMMEDIATE"})
             with connection.begin():
                 if self.engine.dialect.name == "postgresql":
-                    timeout = f"SET LOCAL lock_timeout = {LOCK_TIMEOUT_S * 1000:.0f}"
-                    connection.exec_driver_sql(timeout)
                     connection.execute(select(schema.store.c.id).with_for_update())
                 yield connection
 

@@ -41,9 +41,9 @@ def append_labels(
     connection: Connection, layer: str, labels: Sequence[CaptureLabels], author: Author
 ) -> Action | None:
     """Label samples. What is labelled so already is left out; None where nothing is left."""
-    changes = []
+    layer_id, changes = find_layer(connection, layer), []
     for after in _by_capture(labels):
-        before = _labels_now(connection, layer, after)
+        before = _labels_now(connection, layer_id, after)
         changed = before.label != after.label
         if changed.any():
             changes.append(
@@ -128,12 +128,11 @@ def _by_capture(labels: Sequence[CaptureLabels]) -> Iterator[CaptureLabels]:
             )
 
 
-def _labels_now(connection: Connection, layer: str, samples: CaptureLabels) -> CaptureLabels:
+def _labels_now(
+    connection: Connection, layer_id: int | None, samples: CaptureLabels
+) -> CaptureLabels:
     """What is in force for these samples, NO_LABEL included."""
-    layer_id, capture_id = (
-        find_layer(connection, layer),
-        find_capture(connection, samples.capture),
-    )
+    capture_id = find_capture(connection, samples.capture)
     codes: IntArray = np.full(len(samples.row), NO_LABEL)
     if layer_id is not None and capture_id is not None:
         codes = codes_at(connection, layer_id, capture_id, samples)
@@ -145,7 +144,8 @@ def _labels_now(connection: Connection, layer: str, samples: CaptureLabels) -> C
 def _require_unchanged(
     connection: Connection, layer: str, kind: ActionKind, left: CaptureLabels
 ) -> None:
-    now = _labels_now(connection, layer, left)
+    layer_id = find_layer(connection, layer)
+    now = _labels_now(connection, layer_id, left)
     differing = np.flatnonzero(now.label != left.label)
     if not len(differing):
         return
@@ -154,7 +154,7 @@ def _require_unchanged(
         select(_ACTION.annotator, _ACTION.id)
         .join(schema.change, _CHANGE.action_id == _ACTION.id)
         .where(
-            _CHANGE.layer_id == find_layer(connection, layer),
+            _CHANGE.layer_id == layer_id,
             _CHANGE.capture_id == find_capture(connection, left.capture),
             _CHANGE.row == int(left.row[first]),
             _CHANGE.column == int(left.column[first]),

@@ -8,7 +8,7 @@ from sqlalchemy.exc import ArgumentError
 
 from fusion_core.annotation import schema
 from fusion_core.annotation.database import Database
-from fusion_core.annotation.database_errors import explained_errors
+from fusion_core.annotation.database_errors import LOCK_TIMEOUT_S, explained_errors
 from fusion_core.annotation.identity import RecordingIdentity
 from fusion_core.annotation.store_check import make_store, require_recording, require_sound
 from fusion_core.model.errors import LabelStoreError, SettingsError
@@ -94,6 +94,9 @@ def _engine(url: URL) -> Engine:
 
     @event.listens_for(engine, "connect")
     def connect(connection: Any, record: object) -> None:
+        connection.execute(f"SET lock_timeout = {LOCK_TIMEOUT_S * 1000:.0f}")
+        # What is streamed is read to its end: a plan for a quick first row takes minutes longer.
+        connection.execute("SET cursor_tuple_fraction = 1")
         # A commit is on disk, whatever the server's default; what is stricter stays.
         connection.execute(
             "SELECT set_config('synchronous_commit', 'on', false)"

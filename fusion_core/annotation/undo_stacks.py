@@ -17,7 +17,6 @@ from sqlalchemy import Connection, select
 
 from fusion_core.annotation import schema
 from fusion_core.annotation.action import ActionKind
-from fusion_core.annotation.labels_in_force import find_layer
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,15 +33,13 @@ class StackTops:
 
 def find_tops(connection: Connection, layer: str, annotator: str) -> StackTops:
     """The tops of an annotator's stacks in a layer."""
-    layer_id = find_layer(connection, layer)
-    if layer_id is None:
-        return StackTops()
     action = schema.action
     target = action.alias("target")
     newest = connection.execute(
         select(action, target.c.below_id.label("below_target"), target.c.target_id.label("undone"))
         .outerjoin(target, target.c.id == action.c.target_id)
-        .where(action.c.layer_id == layer_id, action.c.annotator == annotator)
+        .join(schema.layer, schema.layer.c.id == action.c.layer_id)
+        .where(schema.layer.c.name == layer, action.c.annotator == annotator)
         .order_by(action.c.id.desc())
         .limit(1)
     ).one_or_none()

@@ -24,7 +24,7 @@ def act(address: str, seed: int, count: int) -> int:
 def test_programs_that_label_at_once_share_one_journal(address: str) -> None:
     context = multiprocessing.get_context("forkserver")
     with context.Pool(2) as pool:
-        done = pool.starmap(act, [(address, 1, 40), (address, 2, 40)])
+        done = pool.starmap(act, [(address, 1, 30), (address, 2, 30)])
     assert min(done) > 0
     actions, layers = replay(address)
     assert actions == sum(done)
@@ -40,7 +40,7 @@ def test_programs_that_label_at_once_share_one_journal(address: str) -> None:
 
 def test_threads_share_a_store(address: str) -> None:
     def label(name: str, first: int) -> None:
-        for beam in range(first, 40, 2):
+        for beam in range(first, 24, 2):
             store.label("joint", [labels(WIDE, {(0, beam): 1})], Author(name))
             store.label(name, [labels(WIDE, {(0, beam): 2})], Author(name))
 
@@ -59,9 +59,9 @@ def test_threads_share_a_store(address: str) -> None:
                 assert len(seen.labels_of(WIDE).row) == done
         for thread in threads:
             thread.join()
-        assert len(state_of(store, "joint")[WIDE]) == 40
-        assert len(state_of(store, "ben")[WIDE]) == 20
-    assert replay(address)[0] == 80
+        assert len(state_of(store, "joint")[WIDE]) == 24
+        assert len(state_of(store, "ben")[WIDE]) == 12
+    assert replay(address)[0] == 48
 
 
 def test_two_windows_of_one_person_share_what_can_be_undone(address: str) -> None:

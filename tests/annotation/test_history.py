@@ -27,7 +27,7 @@ def operations() -> st.SearchStrategy[list[Operation]]:
     kinds: tuple[Literal["undo", "redo"], ...] = ("undo", "redo")
     back = st.builds(Operation, st.sampled_from(kinds), *who)
     do = st.builds(Operation, st.just("do"), *who, st.dictionaries(samples, codes, min_size=1))
-    return st.lists(do | do | back, max_size=25)
+    return st.lists(do | do | back, max_size=15)
 
 
 def labels_in(store: LabelStore, layer: str) -> dict[Sample, int]:
@@ -89,7 +89,7 @@ def test_any_history_is_as_in_plain_python(
 def test_a_long_history_is_as_in_plain_python(address: str) -> None:
     model, random = PlainLabels(), Random(7)
     with LabelStore.open(address, RECORDING, create=True) as store:
-        for _ in range(150):
+        for _ in range(100):
             operation = random_operation(random)
             assert operation.apply(store) == model.apply(operation)
         require_equal(store, model, address)

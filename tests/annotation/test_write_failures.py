@@ -15,7 +15,7 @@ import numpy as np
 import psycopg
 import pytest
 
-from fusion_core.annotation import database, sqlite_database
+from fusion_core.annotation import postgresql_database, sqlite_database
 from fusion_core.annotation.store import LabelStore
 from fusion_core.files.file_state import FileState
 from fusion_core.model.errors import ExportError
@@ -197,7 +197,7 @@ def test_a_store_that_others_keep_locked_is_told(
     address: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sqlite_database, "LOCK_TIMEOUT_S", 0.1)
-    monkeypatch.setattr(database, "LOCK_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(postgresql_database, "LOCK_TIMEOUT_S", 0.1)
     with LabelStore.open(address, RECORDING, create=True) as store:
         store.label("anna", [labels(SCAN, {(0, 1): 2})], ANNA)
         if address.startswith("postgresql"):
