@@ -29,7 +29,7 @@ def tree(tmp_path: Path) -> Path:
     # Nothing is to be installed on the machine that tests.
     system = tmp_path / "system"
     system.mkdir()
-    for name in ("apt-get", "chromium"):
+    for name in ("apt-get", "chromium", "initdb"):
         (system / name).symlink_to("/bin/true")
     return tmp_path
 
