@@ -8,7 +8,7 @@ from sqlalchemy.exc import DBAPIError, DisconnectionError, OperationalError
 from fusion_core.model.errors import ExportError, LabelStoreError, ScanLoomError
 from fusion_core.model.names import printable
 
-LOCK_TIMEOUT_S = 10.0
+LOCK_TIMEOUT_S = 30.0
 """How long an action waits for those of others."""
 
 _NOTHING = "Nothing of this action was written"

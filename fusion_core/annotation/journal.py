@@ -8,7 +8,7 @@ from operator import itemgetter
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Row, Table, func, insert, select
+from sqlalchemy import ARRAY, Connection, Integer, Row, Table, func, insert, literal, select
 
 from fusion_core.annotation import schema
 from fusion_core.annotation.action import Action, ActionKind, CaptureChange
@@ -214,17 +214,27 @@ def _append(
         capture_id = find_capture(connection, change.capture)
         if capture_id is None:
             capture_id = _insert_capture(connection, change.capture)
-        keys = (action.id, layer_id, capture_id)
-        columns = (change.after.row, change.after.column, change.before.label, change.after.label)
-        names = tuple(schema.change.c.keys())
-        connection.execute(
-            insert(schema.change),
-            [
-                dict(zip(names, (*keys, *values), strict=True))
-                for values in zip(*(array.tolist() for array in columns), strict=True)
-            ],
-        )
+        _insert_change(connection, (action.id, layer_id, capture_id), change)
     return action
+
+
+def _insert_change(
+    connection: Connection, keys: tuple[int, int, int], change: CaptureChange
+) -> None:
+    """``keys``: the numbers of action, layer and capture."""
+    columns = (change.after.row, change.after.column, change.before.label, change.after.label)
+    values = [array.tolist() for array in columns]
+    if connection.dialect.name == "postgresql":
+        # As arrays: a whole image row by row would hold the lock for longer than others wait.
+        arrays = [func.unnest(literal(column, ARRAY(Integer))) for column in values]
+        rows = select(*map(literal, keys), *arrays)
+        connection.execute(insert(schema.change).from_select(schema.change.c.keys(), rows))
+        return
+    names = schema.change.c.keys()
+    connection.execute(
+        insert(schema.change),
+        [dict(zip(names, (*keys, *row), strict=True)) for row in zip(*values, strict=True)],
+    )
 
 
 def _insert_capture(connection: Connection, capture: Capture) -> int:

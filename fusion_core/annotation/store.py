@@ -43,7 +43,7 @@ class LabelStore:
     """Labels in layers, by annotators. Threads may share it; other programs may have it open too.
 
     What writes raises ExportError where the store cannot be written (a full disk, a read-only
-    folder, locked for 10 s, a database that is down), with nothing of the action done;
+    folder, locked for 30 s, a database that is down), with nothing of the action done;
     SettingsError for names that cannot be kept. What reads a layer that does not exist finds no
     labels, but for ``layer``. Everything raises LabelStoreError where the store is damaged.
     """
