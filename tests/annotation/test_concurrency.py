@@ -4,7 +4,10 @@ import multiprocessing
 import threading
 from random import Random
 
+from fusion_core.annotation.address import open_database
 from fusion_core.annotation.identity import Author
+from fusion_core.annotation.journal import newest_action
+from fusion_core.annotation.labels_in_force import count_codes
 from fusion_core.annotation.store import LabelStore
 from fusion_core.model.labels import Capture
 from tests.annotation.plain_labels import random_operation
@@ -62,6 +65,17 @@ def test_threads_share_a_store(address: str) -> None:
         assert len(state_of(store, "joint")[WIDE]) == 24
         assert len(state_of(store, "ben")[WIDE]) == 12
     assert replay(address)[0] == 48
+
+
+def test_what_is_read_together_is_of_one_state(address: str) -> None:
+    with LabelStore.open(address, RECORDING, create=True) as store:
+        store.label("anna", [labels(SCAN, {(0, 1): 1})], Author("anna"))
+        database = open_database(address, RECORDING, create=False)
+        with database.reading() as connection:
+            head = newest_action(connection)
+            store.label("anna", [labels(SCAN, {(0, 2): 1})], Author("anna"))
+            assert count_codes(connection, "anna").total() == newest_action(connection) == head
+        database.close()
 
 
 def test_two_windows_of_one_person_share_what_can_be_undone(address: str) -> None:
