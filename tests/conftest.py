@@ -15,8 +15,13 @@ settings.register_profile("quick", deadline=None, derandomize=True, max_examples
 settings.register_profile("thorough", settings.get_profile("quick"), max_examples=100)
 settings.load_profile("quick")
 
-# Each of these is run by one process, which makes its browser, server and recordings once.
-TOGETHER = ("tests/app/browser/", "tests/workflows/fuse/", "tests/workflows/map/")
+# Each of these is run by one process, which makes its browser, servers and recordings once.
+TOGETHER = (
+    "tests/annotation/",
+    "tests/app/browser/",
+    "tests/workflows/fuse/",
+    "tests/workflows/map/",
+)
 # The longest come first, so that the processes end at the same time. While one of them compiles
 # what fuse calls, the other reads recordings, which needs none of it.
 FIRST = (

@@ -25,12 +25,12 @@ from tests.annotation.postgresql_server import Server
 from tests.annotation.replay import replay
 from tests.annotation.samples import ANNA, RECORDING, SCAN, labels, state_of
 
-LARGE = Capture("depth", "/depth", 1, 0, 100, 150)
+LARGE = Capture("depth", "/depth", 1, 0, 60, 100)
 
 
 def many(code: int) -> list[CaptureLabels]:
-    """Labels that need half a megabyte."""
-    return [CaptureLabels.of_image(LARGE, np.full((100, 150), code))]
+    """Labels that need some 200 kB."""
+    return [CaptureLabels.of_image(LARGE, np.full((60, 100), code))]
 
 
 def fill(store: LabelStore) -> ExportError:
@@ -72,7 +72,7 @@ def files_limited(count: int) -> Iterator[None]:
 def test_a_file_that_cannot_grow_is_told_and_keeps_what_it_has(tmp_path: Path) -> None:
     path = tmp_path / "room.labels.sqlite"
     with LabelStore.open(path, RECORDING, create=True) as store:
-        with files_limited(2 << 20):
+        with files_limited(1 << 20):
             error = str(fill(store))
         assert "\n" not in error
         assert str(path) in error
