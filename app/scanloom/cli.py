@@ -23,6 +23,7 @@ from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.names import escape_undecodable_values, printable
 from scanloom.commands.evaluate import Evaluate
 from scanloom.commands.interruption import Terminated, termination
+from scanloom.commands.labels import Labels
 from scanloom.commands.options import WrongUsage
 from scanloom.commands.subcommands import Scanloom
 from scanloom.commands.terminal import progress_on_stderr
@@ -70,7 +71,8 @@ def _run(args: Sequence[str]) -> int:
         return _WRONG_USAGE
     config = (conf.OmitArgPrefixes, conf.FlagCreatePairsOff, conf.DisallowNone)
     parsed = tyro.cli(Scanloom, prog="scanloom", args=args, config=config).command
-    command = parsed.measure if isinstance(parsed, Evaluate) else parsed
+    group = parsed.measure if isinstance(parsed, Evaluate) else parsed
+    command = group.action if isinstance(group, Labels) else group
     try:
         with progress_on_stderr() as progress:
             report = command.run(progress)

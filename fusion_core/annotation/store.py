@@ -91,6 +91,14 @@ class LabelStore:
         return self._database.read_only_because
 
     @property
+    def recording(self) -> RecordingIdentity:
+        """The recording that the labels belong to."""
+        store = schema.store.c
+        with self._database.reading() as connection:
+            own = connection.execute(select(store.recording_name, store.recording_sha256)).one()
+            return RecordingIdentity(own.recording_name, own.recording_sha256)
+
+    @property
     def layers(self) -> tuple[str, ...]:
         """All layers by name; one whose labels were all taken back is among them."""
         with self._database.reading() as connection:

@@ -89,7 +89,7 @@ def plan_output(
     else:
         require_apart(folder, [path for path in request.also_read if path is not None])
         if not overwrite:
-            _require_replaceable(manifest, request.command)
+            require_replaceable(manifest, request.command)
     return OutputPlan(folder=folder, run=run, is_done=skip, earlier_manifest=manifest)
 
 
@@ -127,7 +127,7 @@ def _file_names(folder: Path) -> list[str]:
     ]
 
 
-def _require_replaceable(manifest: Manifest, command: str) -> None:
+def require_replaceable(manifest: Manifest, command: str) -> None:
     """Raise ExportError for another command's results, and for files of unknown origin."""
     if manifest.document and manifest.command != command:
         raise ExportError(

@@ -30,6 +30,7 @@ from scanloom.commands.evaluate import (
 )
 from scanloom.commands.fuse import Fuse
 from scanloom.commands.info import Info
+from scanloom.commands.labels import Agreement, ExportLabels, ImportLabels, LabelLog
 from scanloom.commands.map import Map
 from scanloom.commands.sample import Sample
 from scanloom.commands.view import View
@@ -137,6 +138,18 @@ def test_help_is_quick_because_nothing_heavy_is_imported() -> None:
             ],
         ),
         (["evaluate", "relations"], ["TRAJECTORY", "RELATIONS", "--json"]),
+        (["labels"], ["export", "import", "merge", "agreement", "log", "stats"]),
+        (
+            ["labels", "export"],
+            [
+                *("RECORDING", "-o PATH", "--layer LAYER", "--labels ADDRESS", "--overwrite"),
+                "{csv,jsonl,parquet,coco,png,semantic-kitti}",
+            ],
+        ),
+        (["labels", "import"], ["RECORDING", "FILE", "--annotator NAME", "--replace"]),
+        (["labels", "merge"], ["RECORDING", "OTHER", "--layer LAYER", "--replace"]),
+        (["labels", "agreement"], ["RECORDING", "--layer LAYER", "--resamples N", "--seed INT"]),
+        (["labels", "log"], ["RECORDING", "--last N", "--layer LAYER", "--json"]),
         (["sample"], ["SCENE", "-o FILE", "--list", "--seed INT", "--json"]),
     ],
 )
@@ -176,6 +189,10 @@ def test_version_is_that_of_the_distribution(capsys: pytest.CaptureFixture[str])
         ["evaluate", "trajectory", "a.tum"],
         ["evaluate", "trajectory", "a.tum", "b.tum", "--align", "se4"],
         ["evaluate", "relations", "a.tum"],
+        ["labels"],
+        ["labels", "export", "a.bag"],
+        ["labels", "export", "a.bag", "-o", "a.xml", "--format", "voc"],
+        ["labels", "import", "a.bag"],
     ],
     ids=" ".join,
 )
@@ -223,6 +240,7 @@ def test_a_number_below_zero_is_wrong_usage(
 def test_advice_names_options_that_exist() -> None:
     commands = [View, Info, Convert, Fuse, Sample, Map, EvaluateAlignment, EvaluateNoise]
     commands += [EvaluateRepair, EvaluateTrajectory, EvaluateMap]
+    commands += [ExportLabels, ImportLabels, Agreement, LabelLog]
     known = {f"--{f.name.replace('_', '-')}" for c in commands for f in dataclasses.fields(c)}
     named = {
         option

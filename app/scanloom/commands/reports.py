@@ -47,7 +47,7 @@ def info_lines(info: Mapping[str, Any]) -> list[str]:
         unreadable = {topic["name"]: topic["unreadable"] for topic in check["topics"]}
         for row in rows:
             row.insert(3, str(unreadable[row[0]]))
-    lines += _table([header, *rows])
+    lines += table_lines([header, *rows])
     lines.append("")
     lines += info["can"]
     lines += [f"warning: {warning}" for warning in info["warnings"]]
@@ -80,7 +80,7 @@ def conversion_lines(conversion: Mapping[str, Any]) -> list[str]:
         (topic["name"], str(topic["count"]), str(topic["left_out"]), topic["type"])
         for topic in conversion["topics"]
     ]
-    lines += _table([("topic", "written", "left out", "type"), *rows])
+    lines += table_lines([("topic", "written", "left out", "type"), *rows])
     lines += [f"skipped: {topic['name']}: {topic['reason']}" for topic in conversion["skipped"]]
     lines += [f"note: {note}" for note in conversion["notes"]]
     return lines
@@ -88,21 +88,21 @@ def conversion_lines(conversion: Mapping[str, Any]) -> list[str]:
 
 def _room_table(rooms: Sequence[Mapping[str, Any]]) -> list[str]:
     columns = ("home", "session", "room", "subsession", "scans", "images", "depth_bits")
-    shown = [[_format_value(room[column]) for column in columns] for room in rooms]
-    return _table([[column.replace("_", " ") for column in columns], *shown])
+    shown = [[format_value(room[column]) for column in columns] for room in rooms]
+    return table_lines([[column.replace("_", " ") for column in columns], *shown])
 
 
 def scene_lines(listed: Mapping[str, Any]) -> list[str]:
     """The scenes, and the path of the built-in recording."""
     rows = [(scene["name"], scene["description"]) for scene in listed["scenes"]]
-    return [*_table(rows), "", f"built-in recording: {listed['built_in']}"]
+    return [*table_lines(rows), "", f"built-in recording: {listed['built_in']}"]
 
 
 def measure_lines(measures: Mapping[str, Any]) -> list[str]:
     """One line for each number, named by its path in the result; lists are only in ``--json``."""
     named = [(name, value) for name, value in _flatten(measures, "") if not isinstance(value, list)]
     width = max((len(name) for name, _ in named), default=0)
-    return [f"{name:<{width}}  {_format_value(value)}" for name, value in named]
+    return [f"{name:<{width}}  {format_value(value)}" for name, value in named]
 
 
 def trajectory_lines(evaluation: Mapping[str, Any]) -> list[str]:
@@ -132,7 +132,7 @@ def trajectory_lines(evaluation: Mapping[str, Any]) -> list[str]:
         if errors is not None
         for key, unit in (("translation_m", "m"), ("rotation_deg", "deg"))
     ]
-    lines += _table([("error", "unit", *statistics), *rows])
+    lines += table_lines([("error", "unit", *statistics), *rows])
     return lines + [f"warning: {warning}" for warning in evaluation["warnings"]]
 
 
@@ -153,7 +153,7 @@ def relation_lines(evaluation: Mapping[str, Any]) -> list[str]:
         )
     ]
     header = ("measure", "error", "translation (m)", "std", "rotation (deg)", "std")
-    lines += _table([header, *rows])
+    lines += table_lines([header, *rows])
     return lines + [f"warning: {warning}" for warning in evaluation["warnings"]]
 
 
@@ -169,13 +169,13 @@ def map_lines(evaluation: Mapping[str, Any]) -> list[str]:
     lines += [
         f"found      within {evaluation['reach_m']:.3f} m of an occupied cell",
         f"false      {_percentage(false)} of {evaluation['occupied_cells']} occupied cells lie "
-        f"farther from every outline: {_format_value(per_m2)} a square metre "
+        f"farther from every outline: {format_value(per_m2)} a square metre "
         f"of {evaluation['mapped_m2']:.1f} m2 mapped",
         "",
     ]
     parts = ("all", "visible", "visible_to_lidar", "visible_to_camera")
     rows = [(part.replace("_", " "), *_detection_cells(evaluation[part])) for part in parts]
-    lines += [*_table([("outline", "length (m)", "found (m)", "rate"), *rows]), ""]
+    lines += [*table_lines([("outline", "length (m)", "found (m)", "rate"), *rows]), ""]
     rows = [
         (
             obstacle["name"],
@@ -191,14 +191,14 @@ def map_lines(evaluation: Mapping[str, Any]) -> list[str]:
         "rate",
         *(part.replace("_", " ") for part in parts[1:]),
     )
-    lines += _table([header, *rows])
+    lines += table_lines([header, *rows])
     for kind, unit in (("lines", "m"), ("angles", "deg")):
         measures = evaluation[kind]
         if not measures["each"]:
             continue
         columns = (f"true_{unit}", f"measured_{unit}", f"error_{unit}")
         rows = [
-            (measure["name"], *(_format_value(measure[column]) for column in columns))
+            (measure["name"], *(format_value(measure[column]) for column in columns))
             for measure in measures["each"]
         ]
         titles = [f"{word} ({unit})" for word in ("true", "measured", "error")]
@@ -206,8 +206,8 @@ def map_lines(evaluation: Mapping[str, Any]) -> list[str]:
         relative = (
             f", relative {_percentage(measures['relative_error'])}" if kind == "lines" else ""
         )
-        lines += ["", *_table([(kind, *titles), *rows])]
-        error = f"; mean absolute error of these {_format_value(mean)} {unit}{relative}"
+        lines += ["", *table_lines([(kind, *titles), *rows])]
+        error = f"; mean absolute error of these {format_value(mean)} {unit}{relative}"
         counts = f"{measures['measured']} of {measures['total']} found"
         lines.append(counts + ("" if mean is None else error))
     return lines
@@ -229,13 +229,15 @@ def _flatten(measures: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, An
             yield f"{prefix}{name}", value
 
 
-def _format_value(value: Any) -> str:
+def format_value(value: Any) -> str:
+    """A number with four digits, "-" for None."""
     if value is None:
         return "-"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _table(rows: Sequence[Sequence[str]]) -> list[str]:
+def table_lines(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Rows of equal length, in columns."""
     widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
     return [
         "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()

@@ -13,6 +13,7 @@ from scanloom.commands.convert import Convert
 from scanloom.commands.evaluate import Evaluate
 from scanloom.commands.fuse import Fuse
 from scanloom.commands.info import Info
+from scanloom.commands.labels import Labels
 from scanloom.commands.map import Map
 from scanloom.commands.sample import Sample
 from scanloom.commands.view import View
@@ -31,5 +32,6 @@ class Scanloom:
         | Annotated[Fuse, conf.subcommand("fuse")]
         | Annotated[Map, conf.subcommand("map")]
         | Annotated[Evaluate, conf.subcommand("evaluate")]
+        | Annotated[Labels, conf.subcommand("labels")]
         | Annotated[Sample, conf.subcommand("sample")]
     ]

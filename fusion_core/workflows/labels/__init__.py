@@ -1,4 +1,9 @@
-"""Labels of people, of a recording:
+"""``scanloom labels``: the labels of people, of a recording.
 
-open_store.py       the label store of a recording, beside it or where it is named
+- ``open_store.py``: the label store of a recording, beside it or where it is named.
+- ``chosen_layers.py``: the layers of a store that a command works on.
+- ``export_labels.py``, ``import_labels.py``, ``merge_stores.py``: labels from and to files, and
+  from another store. What comes in never takes a label away unasked.
+- ``compare_layers.py``: agreement of layers.
+- ``read_journal.py``: the last actions, and what there is by class, layer and annotator.
 """

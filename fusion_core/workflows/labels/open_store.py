@@ -1,7 +1,7 @@
 """The label store of a recording: beside it, or where ``--labels`` names it."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fusion_core.annotation.action import Action
@@ -35,11 +35,13 @@ def open_labels(
     *,
     create: bool,
     progress: Progress = silent,
+    accept: Callable[[RecordingIdentity], object] = lambda recording: None,
 ) -> LabelStore:
     """Open the labels of a recording, made if they are missing and ``create``.
 
-    ``address``: as LabelStore.open has it; None for ``default_address``. The recording's files are
-    hashed, but for those that the store has seen as they are. Raises RecordingError where one
+    ``address``: as LabelStore.open has it; None for ``default_address``. ``accept`` is given the
+    recording before the store is opened or made; what it raises is raised. The recording's files
+    are hashed, but for those that the store has seen as they are. Raises RecordingError where one
     cannot be read, ExportError where the store would lie inside the recording, and as
     LabelStore.open.
     """
@@ -52,7 +54,9 @@ def open_labels(
         require_apart(place, inputs)
     known = known_digests(place)
     digests = [digest_input(path, progress, known) for path in inputs]
-    store = LabelStore.open(place, recording_identity(digests), create=create)
+    identity = recording_identity(digests)
+    accept(identity)
+    store = LabelStore.open(place, identity, create=create)
     store.remember_digests(known)
     return store
 
