@@ -197,6 +197,22 @@ def test_import_never_loses_a_label_unasked(
     assert state(recording, "anna") == before
 
 
+@pytest.mark.parametrize(
+    "codes",
+    [{SCANS[3]: [[1] * 8]}, {SCANS[0]: [[0, 0, 1, 2, 2, -1, 3, 4]]}],
+    ids=["missing in the file", "altered"],
+)
+def test_one_label_less_or_another_is_enough_to_refuse(
+    codes: Codes, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "anna.parquet"
+    label(recording, "anna", annas_codes())
+    run_json(capsys, "export", recording, "-o", file)
+    label(recording, "anna", codes)
+    assert run_json(capsys, "import", recording, file, code=1)["done"] is False
+    assert state(recording, "anna") == annas_codes() | codes
+
+
 def test_a_format_of_one_sensor_leaves_the_others_labels_alone(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from scanloom.commands.reports import format_value, table_lines
+from scanloom.commands.reports import table_lines
 
 _UNLABELLED = "none"
 _OF_PAIR = {
@@ -154,17 +154,27 @@ def statistics_lines(result: Mapping[str, Any]) -> list[str]:
         [layer, *(str(counts[name]) for name in names)]
         for layer, counts in result["layers"].items()
     ]
-    columns = ("actions", "samples", "minutes", "actions_per_minute")
     work = [
-        [found["annotator"], found["layer"], *(format_value(found[column]) for column in columns)]
+        [
+            found["annotator"],
+            found["layer"],
+            str(found["actions"]),
+            str(found["samples"]),
+            f"{found['minutes']:.1f}",
+            _rate(found["actions_per_minute"]),
+        ]
         for found in result["annotators"]
     ]
-    titles = [column.replace("_", " ") for column in columns]
+    titles = ("annotator", "layer", "actions", "samples", "minutes", "actions per minute")
     return [
         *table_lines([["layer", *names], *layers]),
         "",
-        *table_lines([["annotator", "layer", *titles], *work]),
+        *table_lines([titles, *work]),
     ]
+
+
+def _rate(per_minute: float | None) -> str:
+    return "-" if per_minute is None else f"{per_minute:.1f}"
 
 
 def _by_sensor(counts: Mapping[str, int]) -> str:

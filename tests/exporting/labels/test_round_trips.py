@@ -16,6 +16,7 @@ from pycocotools import mask as coco_mask
 from pycocotools.coco import COCO
 from ruamel.yaml import YAML
 
+from fusion_core.exporting.labels.capture_names import CaptureNames
 from fusion_core.exporting.labels.formats import FORMATS, open_labels_file, write_labels
 from fusion_core.exporting.labels.label_file import LabelHeader
 from fusion_core.exporting.labels.run_length import decode_mask, encode_mask, unpack_counts
@@ -103,6 +104,21 @@ def test_what_is_written_is_read(name: str, drawn: st.DataObject) -> None:
     left_out = len(samples_of(layer)) - len(samples_of(expected))
     assert sum(exported.left_out.values()) == left_out
     assert sum(exported.written.values()) == len(samples_of(expected))
+
+
+def test_topics_never_share_a_file_and_never_leave_the_folder() -> None:
+    names = CaptureNames()
+    captures = [Capture("lidar", topic, -5, index, 1, 1) for topic in TOPICS for index in (0, 2)]
+    found = [names.name(capture, ".label") for capture in captures]
+    # Also where letters of either case are one.
+    assert len({name.lower() for name in found}) == len(captures)
+    assert found[:2] == ["a_b/-5.label", "a_b/-5_2.label"]
+    for name in found:
+        folder, file = name.split("/")
+        assert folder.strip("._-") == folder
+        assert len(folder) < 120
+        assert file in ("-5.label", "-5_2.label")
+    assert [names.name(capture, ".label") for capture in captures] == found
 
 
 @given(masks)
