@@ -4,6 +4,7 @@
 - ``chosen_layers.py``: the layers of a store that a command works on.
 - ``export_labels.py``, ``import_labels.py``, ``merge_stores.py``: labels from and to files, and
   from another store. What comes in never takes a label away unasked.
-- ``compare_layers.py``: agreement of layers.
+- ``compare_layers.py``: agreement of layers; ``adjudicate_layers.py``: where they disagree, and a
+  layer of what most of them say.
 - ``read_journal.py``: the last actions, and what there is by class, layer and annotator.
 """
