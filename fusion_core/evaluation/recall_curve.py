@@ -16,7 +16,7 @@ from fusion_core.evaluation.fuse_folder import (
 )
 from fusion_core.evaluation.pairs import PairKind, true_pairs
 from fusion_core.evaluation.truth import Truth
-from fusion_core.model.conventions import FloatArray, IntArray, read_only
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 
 PAPER_BAND = (1.0, float(np.sqrt(2.0)))
 """Bounds of epsilon / E that Xu 2024 §2.3.2 gives."""
@@ -53,6 +53,42 @@ class RecallCurve:
         }
 
 
+class RecallCounter:
+    """Counts pairs as they come, as ``recall_over_epsilon`` thresholds them."""
+
+    def __init__(self, factors: FloatArray) -> None:
+        self._factors = factors
+        self._kept = np.zeros(factors.shape, dtype=np.int64)
+        self._found = np.zeros(factors.shape, dtype=np.int64)
+        self._good_pairs = self._noise_pairs = 0
+
+    def add(
+        self,
+        residual_m: FloatArray,
+        mean_error_m: FloatArray,
+        *,
+        is_good: BoolArray,
+        is_noise: BoolArray,
+    ) -> None:
+        """Add (n,) pairs, each with the E of its frame; both NaN where there is none."""
+        epsilon_m = mean_error_m[:, np.newaxis] * self._factors
+        residual_m = np.abs(residual_m)[:, np.newaxis]
+        self._kept += (residual_m[is_good] <= epsilon_m[is_good]).sum(axis=0)
+        self._found += (residual_m[is_noise] > epsilon_m[is_noise]).sum(axis=0)
+        self._good_pairs += int(is_good.sum())
+        self._noise_pairs += int(is_noise.sum())
+
+    def curve(self) -> RecallCurve:
+        """The curve of all pairs so far."""
+        return RecallCurve(
+            factors=self._factors.copy(),
+            good_kept=self._kept.copy(),
+            noise_found=self._found.copy(),
+            good_pairs=self._good_pairs,
+            noise_pairs=self._noise_pairs,
+        )
+
+
 def recall_over_epsilon(fuse_dir: Path, truth: Truth, factors: FloatArray) -> RecallCurve:
     """Threshold the recorded residuals at ``factors`` times each frame's own E.
 
@@ -64,27 +100,17 @@ def recall_over_epsilon(fuse_dir: Path, truth: Truth, factors: FloatArray) -> Re
     folder = open_fuse_folder(fuse_dir)
     associated = associate_truth(truth, folder)
     mean_error_m = _mean_errors_m(folder, associated)
-    kept = np.zeros(factors.shape, dtype=np.int64)
-    found = np.zeros(factors.shape, dtype=np.int64)
-    good_pairs = noise_pairs = 0
+    counter = RecallCounter(factors)
     for samples in read_samples(folder):
         row = samples.paired
         pairs = true_pairs(samples, associated)
-        epsilon_m = mean_error_m[samples.camera[row], pairs.image][:, np.newaxis] * factors
-        residual_m = np.abs(samples.residual_m[row])[:, np.newaxis]
-        good = pairs.kind == PairKind.GOOD
-        noise = pairs.kind >= PairKind.LIDAR_BURR
-        kept += (residual_m[good] <= epsilon_m[good]).sum(axis=0)
-        found += (residual_m[noise] > epsilon_m[noise]).sum(axis=0)
-        good_pairs += int(good.sum())
-        noise_pairs += int(noise.sum())
-    return RecallCurve(
-        factors=factors.copy(),
-        good_kept=kept,
-        noise_found=found,
-        good_pairs=good_pairs,
-        noise_pairs=noise_pairs,
-    )
+        counter.add(
+            samples.residual_m[row],
+            mean_error_m[samples.camera[row], pairs.image],
+            is_good=pairs.kind == PairKind.GOOD,
+            is_noise=pairs.kind >= PairKind.LIDAR_BURR,
+        )
+    return counter.curve()
 
 
 def pool_recall(curves: Sequence[RecallCurve]) -> RecallCurve:

@@ -87,3 +87,23 @@ def test_options_that_contradict_are_wrong_usage(
     command, *rest = args
     assert main([command, str(recording), "-o", str(tmp_path / "out"), *rest]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_a_layer_is_evaluated_with_what_was_asked(
+    recording: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with open_labels(recording, create=True) as store:
+        store.label("anna", [LABELS], Author("anna"))
+    seen = []
+
+    def evaluate(recording_: Path, layer, options, *, suggest, progress):
+        seen.append((layer.name, options.preset, suggest))
+        return {"layer": layer.name, "classes": {"lidar": {"recall": 0.25}}}
+
+    monkeypatch.setattr("fusion_core.workflows.labels.evaluate_layer.evaluate_layer", evaluate)
+    args = ["evaluate", "labels", str(recording), "--labels", "anna"]
+    assert main(args) == 0
+    assert "classes.lidar.recall" in capsys.readouterr().out
+    assert main([*args, "--suggest", "--preset", "published", "--json"]) == 0
+    assert '"recall": 0.25' in capsys.readouterr().out
+    assert seen == [("anna", "default", False), ("anna", "published", True)]

@@ -8,9 +8,8 @@ from typing import Annotated, Any, Literal
 from tyro import conf
 
 from fusion_core.model.progress import Progress
-from scanloom.commands.options import (
-    JsonFlag,
-)
+from scanloom.commands.label_layer import LabelStoreOption
+from scanloom.commands.options import Flag, JsonFlag, RecordingArgument, SettingsOption
 from scanloom.commands.reports import (
     Report,
     map_lines,
@@ -67,6 +66,39 @@ class EvaluateNoise(_Evaluation):
         from fusion_core.workflows.evaluate import evaluate
 
         return self._report(evaluate.noise)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateLabels:
+    """Precision and recall of the automatic classes against the labels of a person."""
+
+    recording: RecordingArgument
+    """A recording with labels."""
+    labels: Annotated[str, conf.arg(metavar="LAYER")]
+    """The layer of labels."""
+    label_store: LabelStoreOption = None
+    preset: Literal["default", "published"] = "default"
+    """The project's own settings, or those of Xu 2024."""
+    settings: SettingsOption = None
+    """A TOML file whose values override the preset's."""
+    suggest: Flag = False
+    """Fit epsilon and the other thresholds on half of the labels, and try them on the rest."""
+    json: JsonFlag = False
+
+    def run(self, progress: Progress) -> Report:
+        from fusion_core.workflows.fuse.session import FuseOptions
+        from fusion_core.workflows.labels.evaluate_layer import evaluate_layer
+        from fusion_core.workflows.labels.open_store import open_labels
+
+        options = FuseOptions(preset=self.preset, settings_file=self.settings)
+        with open_labels(
+            self.recording, self.label_store, create=False, progress=progress
+        ) as store:
+            layer = store.layer(self.labels)
+            result = evaluate_layer(
+                self.recording, layer, options, suggest=self.suggest, progress=progress
+            )
+        return Report(result=result, lines=measure_lines(result))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,6 +220,7 @@ class Evaluate:
     measure: conf.OmitSubcommandPrefixes[
         Annotated[EvaluateAlignment, conf.subcommand("alignment")]
         | Annotated[EvaluateNoise, conf.subcommand("noise")]
+        | Annotated[EvaluateLabels, conf.subcommand("labels")]
         | Annotated[EvaluateRepair, conf.subcommand("repair")]
         | Annotated[EvaluateTrajectory, conf.subcommand("trajectory")]
         | Annotated[EvaluateRelations, conf.subcommand("relations")]

@@ -11,6 +11,7 @@ from fusion_core.alignment.time import ScanWindow
 from fusion_core.denoising.correspondence import Correspondence, pixels_met
 from fusion_core.denoising.neighbourhood import FrameWindow
 from fusion_core.denoising.noise import Classification, classify
+from fusion_core.denoising.noise_settings import NoiseSettings
 from fusion_core.denoising.overruling import is_rejected, overrule
 from fusion_core.denoising.repair import Repair, repair
 from fusion_core.model.conventions import NS_PER_S, BoolArray, Float32Array, FloatArray, IntArray
@@ -164,18 +165,10 @@ def _classify_and_repair(
 ) -> tuple[Classification, Repair, FloatArray]:
     """Classes, repairs and the camera's ranges of an image, or of the whole panorama of which it is
     a part."""
-    scans, pasted = match.pair.window, match.pasted
-    pairs, depth_m = match.correspondence, match.pair.depth_m
-    if pasted is not None:
-        pairs, depth_m = pasted.correspondence, pasted.depth_m
+    scans = match.pair.window
+    pairs, depth_m = _pairs_and_depth(match)
     seen = _frame_window(match, scans, pairs, depth_m)
-    registration = match.registration
-    classes = classify(
-        seen,
-        settings.noise,
-        alignment.scale,
-        registration.mean_error_m if registration is not None else float("nan"),
-    )
+    classes = _classify(match, seen, alignment, settings.noise)
     if labels is not None:
         upright = labels.upright()
         of_pixels = codes_of_pixels(upright, pairs.row, pairs.column)
@@ -195,6 +188,32 @@ def _classify_and_repair(
         )
     repaired = repair(seen, classes, alignment.scale, settings.repair)
     return classes, repaired, seen.pairs.camera_range_m
+
+
+def classify_match(
+    match: FrameMatch, alignment: RecordingAlignment, noise: NoiseSettings
+) -> Classification:
+    """The automatic classes of an image that is matched already, of a pasted panorama its part."""
+    seen = _frame_window(match, match.pair.window, *_pairs_and_depth(match))
+    classes = _classify(match, seen, alignment, noise)
+    if match.pasted is None:
+        return classes
+    return _subset(classes, match.pasted.camera == match.pair.camera_index)
+
+
+def _classify(
+    match: FrameMatch, seen: FrameWindow, alignment: RecordingAlignment, noise: NoiseSettings
+) -> Classification:
+    registration = match.registration
+    mean_error_m = float("nan") if registration is None else registration.mean_error_m
+    return classify(seen, noise, alignment.scale, mean_error_m)
+
+
+def _pairs_and_depth(match: FrameMatch) -> tuple[Correspondence, Float32Array]:
+    """The pairs that are classified together, and the image whose pixels they name."""
+    if match.pasted is None:
+        return match.correspondence, match.pair.depth_m
+    return match.pasted.correspondence, match.pasted.depth_m
 
 
 def _spread_to_missing(rejected: BoolArray, depth_m: Float32Array) -> BoolArray:

@@ -14,6 +14,7 @@ from fusion_core.model.labels import NO_LABEL, CaptureLabels, LabelLayer
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.workflows.fuse.captures import image_capture, scan_capture
 from fusion_core.workflows.fuse.frame_match import FrameMatch
+from fusion_core.workflows.fuse.pairing import PairedImage
 from fusion_core.workflows.fuse.session import Session
 
 
@@ -76,8 +77,7 @@ class FrameLabels:
 
     def of_beams(self, beam: IntArray) -> IntArray:
         """(B,) codes of Label of some of the scan's beams."""
-        scan = self.scans.scan
-        return np.full(beam.shape, NO_LABEL) if scan is None else scan.as_image()[0, beam]
+        return _codes_of_beams(self.scans.scan, beam)
 
     def without_rejected(self, window: ScanWindow) -> ScanWindow:
         """The scans without the ranges that are labelled as holes or burrs (NaN there)."""
@@ -107,6 +107,25 @@ class SessionLabels:
         capture = image_capture(image, camera, self.session)
         return _unless_empty(self.layer.labels_of(capture))
 
+    def are_on(self, paired: PairedImage) -> bool:
+        """Whether an image or its scan has labels."""
+        scan = None if paired.window is None else paired.window.scan
+        image = self.of_image(paired.image, paired.camera)
+        return image is not None or self.of_scan(scan) is not None
+
+    def of_pairs(self, match: FrameMatch) -> tuple[IntArray, IntArray]:
+        """(B,) codes of Label of the beams and of the pixels of an image's own pairs."""
+        pairs, pair = match.correspondence, match.pair
+        scan = self.of_scan(match.scan)
+        image = ImageLabels(
+            stored=self.of_image(pair.image, pair.camera_index),
+            view=self.session.rig.views[pair.camera_index],
+        )
+        return (
+            _codes_of_beams(scan, pairs.beam),
+            codes_of_pixels(image.upright(), pairs.row, pairs.column),
+        )
+
     def of_match(self, match: FrameMatch) -> FrameLabels | None:
         """The labels of a matched frame, of a pasted panorama all; None where there are none."""
         window, pairs = match.pair.window, [match.pair]
@@ -128,6 +147,10 @@ class SessionLabels:
             ),
         )
         return labels if any(part is not None for part in labels.parts()) else None
+
+
+def _codes_of_beams(scan: CaptureLabels | None, beam: IntArray) -> IntArray:
+    return np.full(beam.shape, NO_LABEL) if scan is None else scan.as_image()[0, beam]
 
 
 def codes_of_pixels(upright: IntArray, row: IntArray, column: IntArray) -> IntArray:
