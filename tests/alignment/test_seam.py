@@ -15,14 +15,17 @@ from fusion_core.alignment.curves import sample_curve, sample_row
 from fusion_core.alignment.search import MeanField, find_peak
 from fusion_core.alignment.similarity import SimilarityField
 from fusion_core.alignment.time import ScanWindow, estimate_turn_rate_rad_s
+from fusion_core.alignment.upright import UprightView
 from fusion_core.denoising.correspondence import match_by_sample
 from fusion_core.denoising.noise_scale import DATASHEET_SCALE
 from fusion_core.model.conventions import NS_PER_MS, R_BODY_OPTICAL
 from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
+from fusion_core.model.labels import Capture, CaptureLabels, Label
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import CameraIntrinsics, DepthImage, LaserScan
 from fusion_core.workflows.fuse.align import RecordingAlignment
 from fusion_core.workflows.fuse.frame import fuse_images
+from fusion_core.workflows.fuse.frame_labels import FrameLabels, ImageLabels, ScanWindowLabels
 from fusion_core.workflows.fuse.pairing import FramePair
 from fusion_core.workflows.fuse.settings import PRESETS
 
@@ -92,7 +95,7 @@ def turned(window: ScanWindow, beams: int) -> ScanWindow:
     )
 
 
-def fused(window: ScanWindow, depth_m: np.ndarray, beams: int, preset: str):
+def fused(window: ScanWindow, depth_m: np.ndarray, beams: int, preset: str, labels=None):
     """The frame of a LiDAR that is mounted ``beams`` farther to the left."""
     chain = PRESETS[preset]
     if preset == "default":
@@ -131,7 +134,7 @@ def fused(window: ScanWindow, depth_m: np.ndarray, beams: int, preset: str):
         gap_ns=0,
         aligned_scan=own.scan,
     )
-    return fuse_images([pair], alignment, chain)[0]
+    return fuse_images([pair], alignment, chain, labels)[0]
 
 
 @pytest.fixture(scope="module")
@@ -183,6 +186,37 @@ def test_a_frame_is_the_same_wherever_the_seam_lies(seen, beams) -> None:
     if beams % 3 == 0:
         assert difference(turned_peak.u, peak.u + beams / 3.0) == pytest.approx(0.0, abs=1e-6)
         assert turned_peak.v == pytest.approx(peak.v)
+
+
+def labels_of_beams(beams: int):
+    """A person's labels of every third beam of the scans, mounted ``beams`` farther to the left."""
+    plain = np.arange(0, BEAMS, 3)
+    code = np.random.default_rng(7).choice([int(label) for label in Label], plain.size)
+
+    def of_scan(stamp_ns: int) -> CaptureLabels:
+        scan = Capture("lidar", "/scan", stamp_ns, 0, 1, BEAMS)
+        return CaptureLabels.of_samples(scan, np.zeros_like(plain), (plain - beams) % BEAMS, code)
+
+    lens = CAMERA.intrinsics
+    view = UprightView(
+        intrinsics=lens,
+        stored_shape=(lens.height, lens.width),
+        stored_index=None,
+        R_stored_view=np.eye(3),
+    )
+    scans = ScanWindowLabels(before=of_scan(1), scan=of_scan(2), after=of_scan(3))
+    labels = FrameLabels(scans=scans, images=(ImageLabels(stored=None, view=view),))
+    return SimpleNamespace(of_match=lambda match: labels)
+
+
+@settings(max_examples=10, deadline=None)
+@given(beams=ANY_TURN)
+def test_labels_hold_wherever_the_seam_lies(seen, beams) -> None:
+    window, depth_m, plain = seen
+    one = fused(window, depth_m, 0, "default", labels_of_beams(0))
+    assert one.classes.lidar_decided.sum() > 20
+    assert (one.repair.lidar_range_m != plain["default"].repair.lidar_range_m).sum() > 5
+    assert_same_frame(one, fused(window, depth_m, beams, "default", labels_of_beams(beams)), beams)
 
 
 def from_zero(scan: LaserScan) -> LaserScan:

@@ -7,9 +7,7 @@
 - ``compare_layers.py``: agreement of layers; ``adjudicate_layers.py``: where they disagree, and a
   layer of what most of them say.
 - ``read_journal.py``: the last actions, and what there is by class, layer and annotator.
-open_store.py       the label store of a recording, beside it or where it is named
-labelled_frames.py  the frames in which a layer has labels, matched by the chain
-measures.py         the classes and Fig. 6 of Xu 2024 by a layer in place of a truth
-suggestions.py      thresholds of the classes fitted on a layer
-evaluate_layer.py   all of these of one recording
+- ``evaluate_layer.py``: a recording's classes against a layer, and better thresholds, of
+  ``labelled_frames.py``: the frames with labels, matched by the chain; ``measures.py``: the classes
+  and Fig. 6 of Xu 2024 by a layer in place of a truth; ``suggestions.py``: thresholds fitted on it.
 """
