@@ -371,7 +371,8 @@ class ReviewDesk:
         before, number = self._queue, self._number
         others = [name for name in self._labels.layers if name != self._layer]
         table = RunTable(survey.runs)
-        self._queue = ReviewQueue(table, choices, self._labels, [self._layer, *others])
+        layers = [self._layer, *others]
+        self._queue = ReviewQueue(table, choices, self._labels, layers, before)
         self._number = None
         if before is not None and number is not None:
             # The same place, though its run may be another with other settings.

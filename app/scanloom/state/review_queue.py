@@ -117,14 +117,23 @@ class ReviewQueue:
     """The chosen runs of a table in order. ``done``: (N,) runs whose every sample is labelled."""
 
     def __init__(
-        self, table: RunTable, choices: ReviewChoices, source: LabelSource, layers: Sequence[str]
+        self,
+        table: RunTable,
+        choices: ReviewChoices,
+        source: LabelSource,
+        layers: Sequence[str],
+        before: "ReviewQueue | None" = None,
     ) -> None:
-        """``layers``: the person's own first, then those to be compared with it."""
+        """``layers``: the person's own first, then those to be compared with it. ``before``: an up
+        to date queue of the same layer, whose frames need not be looked up again."""
         self.table, self._choices = table, choices
         self._source, self._layer = source, layers[0]
         self.done: BoolArray = np.zeros(len(table), dtype=np.bool_)
-        for labels in source.labelled(self._layer):
-            self._mark(labels)
+        if before is None:
+            for labels in source.labelled(self._layer):
+                self._mark(labels)
+        else:
+            self.update(self._take_over(before))
         self._order = self._ordered(layers)
         # The place of each chosen run in the order, -1 of the others.
         self._place = np.full(len(table), -1)
@@ -195,6 +204,18 @@ class ReviewQueue:
         closed = np.flatnonzero(~is_open[first:])
         size = int(closed[0]) if closed.size else is_open.size - first
         return slice(whole.start + first, whole.start + first + size)
+
+    def _take_over(self, before: "ReviewQueue") -> set[Capture]:
+        """Take what is known of frames that are as they were; the captures of the others."""
+        others: set[Capture] = set()
+        for index, runs in enumerate(self.table.frames):
+            if runs is None:
+                continue
+            if index < len(before.table.frames) and before.table.frames[index] is runs:
+                self.done[self.table.of_frame(index)] = before.done[before.table.of_frame(index)]
+            else:
+                others |= {capture for capture in (runs.scan, runs.image) if capture is not None}
+        return others
 
     def _mark(self, labels: CaptureLabels) -> None:
         for number in self.table.of_capture(labels.capture):

@@ -185,6 +185,12 @@ def test_labelled_runs_are_passed_over_and_counted(table: RunTable) -> None:
     # A queue that is made anew says the same.
     np.testing.assert_array_equal(queue_of(table, labels).done, queue.done)
     assert first in walked(queue_of(table, labels, only_open=False))
+    # And so does one that takes over what another knows, of frames that both have.
+    known = queue_of(table, labels)
+    more = RunTable([*table.frames, *table.frames[:1]])
+    taken = ReviewQueue(more, ReviewChoices(), labels, ["anna"], known)
+    np.testing.assert_array_equal(taken.done, queue_of(more, labels).done)
+    assert taken.done.sum() > known.done.sum()
     # Somebody else's labels are not this person's.
     assert not queue_of(table, labels, "ben", "anna").done.any()
 
