@@ -131,21 +131,22 @@ def count_codes(connection: Connection, layer: str) -> Counter[int]:
     return Counter({row.after: row[1] for row in rows})
 
 
-def count_since(connection: Connection, layer: str, action_id: int) -> Counter[int]:
-    """What the changes of later actions add to ``count_codes``; negative where they take away."""
+def count_between(connection: Connection, layer: str, after: int, upto: int) -> Counter[int]:
+    """What the changes of the actions after ``after``, up to ``upto``, add to ``count_codes``;
+    negative where they take away."""
     change, name = schema.change.c, schema.layer.c.name
     rows = connection.execute(
         select(name, change.before, change.after, func.count())
         .join(schema.layer, schema.layer.c.id == change.layer_id)
-        # Without a condition on the layer: the later actions are found by their number alone.
-        .where(change.action_id > action_id)
+        # Without a condition on the layer: the actions are found by their numbers alone.
+        .where(change.action_id.between(after + 1, upto))
         .group_by(name, change.before, change.after)
     )
     added: Counter[int] = Counter()
-    for changed_layer, before, after, count in rows:
+    for changed_layer, old, new, count in rows:
         if changed_layer == layer:
-            added[before] -= count
-            added[after] += count
+            added[old] -= count
+            added[new] += count
     del added[NO_LABEL]
     return added
 

@@ -28,8 +28,8 @@ from fusion_core.annotation.journal import (
 )
 from fusion_core.annotation.labels_in_force import (
     all_labels,
+    count_between,
     count_codes,
-    count_since,
     labels_of_capture,
 )
 from fusion_core.annotation.layer_view import LayerView
@@ -156,7 +156,7 @@ class LabelStore:
             head = newest_action(connection)
             if name in self._counts:
                 counted_to, counts = self._counts[name]
-                counts.update(count_since(connection, name, counted_to))
+                counts.update(count_between(connection, name, counted_to, head))
             else:
                 counts = count_codes(connection, name)
             self._counts[name] = head, counts

@@ -13,7 +13,7 @@ All windows of one person thus share the stacks, and they outlive the program.
 
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, func, select
 
 from fusion_core.annotation import schema
 from fusion_core.annotation.action import ActionKind
@@ -35,13 +35,14 @@ def find_tops(connection: Connection, layer: str, annotator: str) -> StackTops:
     """The tops of an annotator's stacks in a layer."""
     action = schema.action
     target = action.alias("target")
+    layer_id = select(schema.layer.c.id).where(schema.layer.c.name == layer).scalar_subquery()
+    # The last entry of the index, whatever the database knows of the size of the tables.
+    own = (action.c.layer_id == layer_id, action.c.annotator == annotator)
+    newest_id = select(func.max(action.c.id)).where(*own).scalar_subquery()
     newest = connection.execute(
         select(action, target.c.below_id.label("below_target"), target.c.target_id.label("undone"))
         .outerjoin(target, target.c.id == action.c.target_id)
-        .join(schema.layer, schema.layer.c.id == action.c.layer_id)
-        .where(schema.layer.c.name == layer, action.c.annotator == annotator)
-        .order_by(action.c.id.desc())
-        .limit(1)
+        .where(action.c.id == newest_id)
     ).one_or_none()
     if newest is None:
         return StackTops()
