@@ -223,9 +223,10 @@
     }
   }
 
-  // viser's dialogues do not close on Escape.
+  // viser's dialogues do not close on Escape, nor do its text fields give the keys back.
   document.addEventListener("keydown", (event) => {
     if (event.key !== "Escape") return;
+    if (event.target instanceof HTMLInputElement) event.target.blur();
     const buttons = [...document.querySelectorAll('[role="dialog"] button')];
     buttons.find((button) => button.textContent.trim() === "Close")?.click();
   });

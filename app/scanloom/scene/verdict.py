@@ -11,6 +11,7 @@ from scanloom.frame_view import FrameView, failure_summary, missing_result_text
 from scanloom.scene.frame_summary import counts_of_beams
 from scanloom.scene.recording_text import alone_sentence, fused_sentence, notes_of_streams
 from scanloom.state.possible_steps import why_not
+from scanloom.state.review_overlay import ReviewOverlay
 
 # Samples: nearer than this, the peak with and without the recording's offset are the same.
 _SAME_U = 2.0
@@ -151,10 +152,30 @@ def _review(frame_view: FrameView) -> Verdict:
         )
     beams = int((review.beam_labels != NO_LABEL).sum())
     pixels = int((review.pixel_labels != NO_LABEL).sum())
+    detail = missing_result_text(frame_view) if frame_view.fused is None else ""
     return Verdict(
-        sentence=f"{beams} beams and {pixels} pixels of this frame are labelled",
-        detail=missing_result_text(frame_view) if frame_view.fused is None else "",
+        sentence=f"{_count(beams, 'beam')} and {_count(pixels, 'pixel')} of this frame labelled",
+        detail=f"{_unpaired_text(frame_view, review)} {detail}".strip(),
     )
+
+
+def _unpaired_text(frame_view: FrameView, review: ReviewOverlay) -> str:
+    """Labels that belong to no pair of the frame, as the mount and the settings are now."""
+    match = frame_view.match
+    if match is None:
+        return ""
+    pairs = match.correspondence
+    is_beam, is_pixel = review.beam_labels != NO_LABEL, review.pixel_labels != NO_LABEL
+    is_beam[pairs.beam] = False
+    has_pixel = pairs.row >= 0
+    is_pixel[pairs.row[has_pixel], pairs.column[has_pixel]] = False
+    beams, pixels = int(is_beam.sum()), int(is_pixel.sum())
+    said = [_count(number, what) for number, what in ((beams, "beam"), (pixels, "pixel")) if number]
+    return f"Of these {' and '.join(said)} without a pair now." if said else ""
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def _map(frame_view: FrameView) -> Verdict:

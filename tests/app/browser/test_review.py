@@ -100,6 +100,7 @@ def test_box_and_brush_label_pixels_off_the_curve(anna: Person, store: LabelStor
     expect(anna.text("what you have marked: 0 beams, 189 pixels")).to_be_visible()
     anna.key("3")
     anna.wait_until(lambda: actions(store, "boris") == 1)
+    expect(anna.text("189 pixels without a pair now")).to_be_visible()
     (labels,) = store.labelled("boris")
     assert labels.capture.sensor == "depth"
     expected = np.full((labels.capture.rows, labels.capture.columns), NO_LABEL)
@@ -118,6 +119,26 @@ def test_box_and_brush_label_pixels_off_the_curve(anna: Person, store: LabelStor
     assert (image[30 - radius + 1 : 30 + radius, 50:61] == Label.HOLE).all()
     assert not (image[:, 61 + radius + 1 :] == Label.HOLE).any()
     np.testing.assert_array_equal(image[20:29, 10:31], expected[20:29, 10:31])
+
+
+def test_keys_go_to_a_field_that_has_the_focus_until_escape(
+    anna: Person, store: LabelStore
+) -> None:
+    begin(anna, "cleo")
+    anna.key("j")
+    expect(anna.text("Automatic:")).to_be_visible()
+    said = anna.page.locator(".scanloom-keys-off")
+    expect(said).to_be_hidden()
+    field = anna.page.get_by_role("textbox").locator("visible=true").first
+    field.focus()
+    expect(said).to_be_visible()
+    anna.page.keyboard.press("3")
+    anna.page.keyboard.press("Escape")
+    expect(said).to_be_hidden()
+    anna.page.keyboard.press("2")
+    anna.wait_until(lambda: actions(store, "cleo") == 1)
+    assert store.counts("cleo")[Label.BURR] == 0
+    assert store.counts("cleo")[Label.HOLE] > 0
 
 
 def test_a_drag_on_the_profile_marks_beams(anna: Person, store: LabelStore) -> None:
