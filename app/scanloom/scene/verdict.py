@@ -153,6 +153,8 @@ def _review(frame_view: FrameView) -> Verdict:
     beams = int((review.beam_labels != NO_LABEL).sum())
     pixels = int((review.pixel_labels != NO_LABEL).sum())
     detail = missing_result_text(frame_view) if frame_view.fused is None else ""
+    if not beams and not pixels:
+        return Verdict(sentence="Nothing of this frame is labelled yet", detail=detail)
     return Verdict(
         sentence=f"{_count(beams, 'beam')} and {_count(pixels, 'pixel')} of this frame labelled",
         detail=f"{_unpaired_text(frame_view, review)} {detail}".strip(),
