@@ -17,6 +17,7 @@ from scanloom.page.browser_storage import Answers, request_items
 from scanloom.page.markup import paragraph
 from scanloom.page.update_widget import update_widget
 from scanloom.panels.explanation import explain_beam_class, explain_pixel_class
+from scanloom.panels.known_answers import KnownAnswersControls
 from scanloom.panels.review_desk import ReviewDesk, ReviewState
 from scanloom.panels.review_html import (
     PRESS_ACTION,
@@ -68,6 +69,7 @@ class ReviewPanel(Panel):
         )
         self._begin = gui.add_button("Begin the review")
         self._job = PanelJob(gui, session, self._lock, lambda _: None)
+        self._known_answers = KnownAnswersControls(gui, session, self._desk, self._job)
         self._progress = gui.add_html("", visible=False)
         self._run = gui.add_html("", visible=False)
         self._answers = gui.add_html("", visible=False)
@@ -96,6 +98,7 @@ class ReviewPanel(Panel):
         opened = frame_view.open_recording
         if self._opened is not None and self._opened.recording.path != opened.recording.path:
             self._desk.end()
+            self._known_answers.forget()
         if self._opened is not opened:
             self._forget_survey()
             self._opened = opened
@@ -110,6 +113,7 @@ class ReviewPanel(Panel):
         for after in (self._progress, self._run, self._answers, self._choices):
             update_widget(after, visible=has_begun)
         if has_begun:
+            self._known_answers.show(view)
             self._show_state(frame_view, self._desk.state())
 
     def close(self) -> None:
@@ -139,6 +143,7 @@ class ReviewPanel(Panel):
             self._session.show_failure(error, until_dismissed=True)
             return
         self._client.local_storage.set_item(STORED_ANNOTATOR, name)
+        self._known_answers.forget()
         self._job.begin(
             "labels",
             lambda progress: self._desk.begin(labels, name, layer, progress),
@@ -285,12 +290,13 @@ class ReviewPanel(Panel):
                 "recorded poses say where that is",
             )
             around = gui.add_button("Label run and neighbours (I)")
-        with gui.add_folder("Blind", expand_by_default=False):
+        with gui.add_folder("Blind and known answers", expand_by_default=False):
             blind = gui.add_checkbox(
                 "Hide the automatic classes",
                 review.blind,
                 hint="So that they do not sway you; choose all classes in the queue, too",
             )
+            self._known_answers.add_controls(gui, self._controls)
         for name, handle in (
             ("tool", tool),
             ("brush_px", brush),

@@ -51,6 +51,17 @@ class ReviewState:
     """Frames whose runs are known, of how many."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownAnswers:
+    """What a person's ``layer`` of ``labels`` is to be scored against: ``known``, another layer.
+    ``runs``: with a known answer, how many of them are labelled."""
+
+    labels: RecordingLabels
+    layer: str
+    known: str
+    runs: QueueProgress
+
+
 class ReviewDesk:
     """The review of one browser. Thread-safe.
 
@@ -81,6 +92,25 @@ class ReviewDesk:
     def layer(self) -> str:
         """The layer that answers go into; empty before the beginning."""
         return self._layer
+
+    @property
+    def gold_layer(self) -> str:
+        """The layer whose labels are known answers; empty for none."""
+        with self._lock:
+            return self._gold_layer(self._session.view.review)
+
+    @property
+    def other_layers(self) -> tuple[str, ...]:
+        """All layers but the person's own."""
+        with self._lock:
+            layers = () if self._labels is None else self._labels.layers
+            return tuple(name for name in layers if name != self._layer)
+
+    @property
+    def told_layers(self) -> tuple[str, ...]:
+        """The other layers that the person may know of: all but that of known answers."""
+        gold = self.gold_layer
+        return tuple(name for name in self.other_layers if name != gold)
 
     @property
     def labels(self) -> RecordingLabels | None:
@@ -125,6 +155,18 @@ class ReviewDesk:
             if self._queue is not None and shown != self._shown_for:
                 self._shown_for = shown
                 self._take_clicked(view.frame_index, view.selected_beam)
+
+    def end_with_known_answers(self) -> KnownAnswers | None:
+        """End the review, for its score; None, and it goes on, where there are no known answers."""
+        with self._lock:
+            known = self.gold_layer
+            if self._labels is None or self._queue is None or not known:
+                return None
+            answers = KnownAnswers(
+                labels=self._labels, layer=self._layer, known=known, runs=self._queue.gold_progress
+            )
+            self.end()
+        return answers
 
     def state(self) -> ReviewState:
         """What is to be shown."""
@@ -290,10 +332,8 @@ class ReviewDesk:
         return self._words(self._layer, number)
 
     def labels_of_others(self, number: int) -> dict[str, str]:
-        """What other layers say of a run, by layer."""
-        with self._lock:
-            layers = () if self._labels is None else self._labels.layers
-        words = {name: self._words(name, number) for name in layers if name != self._layer}
+        """What other layers say of a run, by layer, but for known answers."""
+        words = {name: self._words(name, number) for name in self.told_layers}
         return {name: said for name, said in words.items() if said}
 
     def undo(self) -> None:
@@ -309,6 +349,9 @@ class ReviewDesk:
         self.end()
 
     # Inside, with the lock held
+
+    def _gold_layer(self, choices: ReviewChoices) -> str:
+        return choices.gold_layer if choices.gold_layer in self.other_layers else ""
 
     def _words(self, layer: str, number: int) -> str:
         with self._lock:
@@ -369,10 +412,11 @@ class ReviewDesk:
             return
         self._queue_of = queue_of
         before, number = self._queue, self._number
-        others = [name for name in self._labels.layers if name != self._layer]
+        gold = self._gold_layer(choices)
         table = RunTable(survey.runs)
-        layers = [self._layer, *others]
-        self._queue = ReviewQueue(table, choices, self._labels, layers, before)
+        layers = [self._layer, *self.told_layers]
+        chosen = choices.model_copy(update={"gold_layer": gold})
+        self._queue = ReviewQueue(table, chosen, self._labels, layers, before)
         self._number = None
         if before is not None and number is not None:
             # The same place, though its run may be another with other settings.

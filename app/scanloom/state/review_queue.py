@@ -7,12 +7,13 @@ from typing import Protocol
 import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
-from fusion_core.model.labels import NO_LABEL, Capture, CaptureLabels
+from fusion_core.model.labels import NO_LABEL, Capture, CaptureLabels, Label
 from scanloom.state.frame_runs import SENSORS, FrameRuns
 from scanloom.state.review_choices import ReviewChoices
 
-# One known answer among so many runs; set by hand.
-_GOLD_EVERY = 10
+# Of the known answers that the queue would not ask about, one for so many runs joins it; set by
+# hand.
+_RUNS_PER_GOLD = 9
 
 
 class LabelSource(Protocol):
@@ -114,7 +115,8 @@ class QueueProgress:
 
 
 class ReviewQueue:
-    """The chosen runs of a table in order. ``done``: (N,) runs whose every sample is labelled."""
+    """The chosen runs of a table in order. ``done``: (N,) runs whose every sample is labelled.
+    ``gold``: (N,) those of the queue that have a known answer."""
 
     def __init__(
         self,
@@ -134,6 +136,7 @@ class ReviewQueue:
                 self._mark(labels)
         else:
             self.update(self._take_over(before))
+        self.gold: BoolArray = np.zeros(len(table), dtype=np.bool_)
         self._order = self._ordered(layers)
         # The place of each chosen run in the order, -1 of the others.
         self._place = np.full(len(table), -1)
@@ -147,6 +150,11 @@ class ReviewQueue:
     def progress(self) -> QueueProgress:
         """How far the person is."""
         return QueueProgress(done=int(self.done[self._order].sum()), total=self._order.size)
+
+    @property
+    def gold_progress(self) -> QueueProgress:
+        """How many of the known answers the person has given."""
+        return QueueProgress(done=int(self.done[self.gold].sum()), total=int(self.gold.sum()))
 
     @property
     def chosen(self) -> IntArray:
@@ -224,23 +232,36 @@ class ReviewQueue:
 
     def _ordered(self, layers: Sequence[str]) -> IntArray:
         table, choices = self.table, self._choices
-        chosen = np.isin(table.noise_class, [int(noise) for noise in choices.classes])
+        of_class = np.isin(table.noise_class, [int(noise) for noise in choices.classes])
+        of_sensor = np.ones(len(table), dtype=np.bool_)
         if choices.sensor != "both":
-            chosen &= table.sensor == SENSORS.index(choices.sensor)
+            of_sensor = table.sensor == SENSORS.index(choices.sensor)
         if choices.order == "disagreement":
             # Whatever the automatic class is.
             chosen = _disputed(table, self._source, layers)
+        else:
+            chosen = of_class & of_sensor
+        if choices.gold_layer:
+            known = self._known() & of_sensor
+            if not choices.blind:
+                # The class that is shown would tell it from the others.
+                known &= of_class
+            chosen[_drawn(known & ~chosen, int(chosen.sum()))] = True
+            self.gold = known & chosen
         order: IntArray = np.flatnonzero(chosen)
         if choices.order == "least confident":
             order = order[np.argsort(table.confidence[order], kind="stable")]
-        if choices.gold_layer:
-            gold = np.zeros(len(table), dtype=np.bool_)
-            for labels in self._source.labelled(choices.gold_layer):
-                for number in table.of_capture(labels.capture):
-                    runs, run = table.runs(number)
-                    gold[number] = _has_label(runs, runs.samples(run), labels).all()
-            order = _mixed(order[~gold[order]], np.flatnonzero(gold))
         return order
+
+    def _known(self) -> BoolArray:
+        """(N,) runs whose every sample the gold layer decided on."""
+        known: BoolArray = np.zeros(len(self.table), dtype=np.bool_)
+        for labels in self._source.labelled(self._choices.gold_layer):
+            decided = labels.subset(labels.label != Label.UNSURE)
+            for number in self.table.of_capture(labels.capture):
+                runs, run = self.table.runs(number)
+                known[number] = _has_label(runs, runs.samples(run), decided).all()
+        return known
 
 
 def _has_label(runs: FrameRuns, own: slice, labels: CaptureLabels) -> BoolArray:
@@ -272,11 +293,12 @@ def _disputed(table: RunTable, source: LabelSource, layers: Collection[str]) -> 
     return disputed
 
 
-def _mixed(order: IntArray, gold: IntArray) -> IntArray:
-    """``order`` with runs of known answers evenly among it."""
-    places = np.arange(1, gold.size + 1) * (_GOLD_EVERY - 1)
-    mixed: IntArray = np.insert(order, np.minimum(places, order.size), gold)
-    return mixed
+def _drawn(candidates: BoolArray, runs: int) -> IntArray:
+    """Some of the candidates, by chance, to join a queue of so many runs."""
+    numbers = np.flatnonzero(candidates)
+    count = min(numbers.size, -(-runs // _RUNS_PER_GOLD))
+    drawn: IntArray = np.random.default_rng(0).choice(numbers, count, replace=False)
+    return drawn
 
 
 def _joined(parts: Sequence[IntArray]) -> IntArray:

@@ -232,16 +232,67 @@ def test_disagreements_are_those_of_two_layers(table: RunTable) -> None:
         assert own & set(beside.column[beside.samples(beside_run)].tolist())
 
 
-def test_known_answers_are_mixed_in(table: RunTable) -> None:
+def known(table: RunTable, numbers: list[int], label: int = Label.GOOD) -> Labels:
+    """A layer "gold" that knows these runs."""
     labels = Labels()
-    good = [n for n in range(len(table)) if table.noise_class[n] == NoiseClass.GOOD][:2]
-    for number in good:
+    for number in numbers:
         runs, run = table.runs(number)
-        labels.give("gold", runs.labels(run, Label.GOOD))
+        labels.give("gold", runs.labels(run, label))
+    return labels
+
+
+def test_known_answers_join_a_blind_queue_in_its_order(table: RunTable) -> None:
+    good = [n for n in range(len(table)) if table.noise_class[n] == NoiseClass.GOOD]
+    labels = known(table, good)
     plain = walked(queue_of(table, labels))
-    mixed = walked(queue_of(table, labels, gold_layer="gold"))
-    assert sorted(mixed) == sorted({*plain, *good})
-    assert mixed.index(good[0]) == 9
+    for order in ("time", "least confident"):
+        queue = queue_of(table, labels, gold_layer="gold", blind=True, order=order)
+        mixed = walked(queue)
+        added = set(mixed) - set(plain)
+        # One for nine, of many.
+        assert len(added) == -(-len(plain) // 9) < len(good)
+        assert added <= set(good)
+        assert set(plain) <= set(mixed)
+        expected = sorted(mixed)
+        if order == "least confident":
+            expected = sorted(expected, key=lambda number: table.confidence[number])
+        assert mixed == expected
+        assert set(np.flatnonzero(queue.gold).tolist()) >= added
+        assert queue.gold_progress.total == queue.gold.sum()
+
+
+def test_known_answers_are_not_told_by_their_class_or_sensor(table: RunTable) -> None:
+    labels = known(table, list(range(len(table))))
+    for choices in ({}, {"sensor": "lidar"}):
+        plain = walked(queue_of(table, labels, **choices))
+        queue = queue_of(table, labels, gold_layer="gold", **choices)
+        assert walked(queue) == plain
+        assert queue.gold[plain].all()
+    blind = walked(queue_of(table, labels, gold_layer="gold", blind=True, sensor="lidar"))
+    assert len(blind) > len(plain)
+    assert {SENSORS[table.sensor[number]] for number in blind} == {"lidar"}
+
+
+def test_what_the_gold_layer_leaves_open_is_no_known_answer(table: RunTable) -> None:
+    numbers = walked(queue_of(table, Labels()))
+    queue = queue_of(table, known(table, numbers, Label.UNSURE), gold_layer="gold")
+    assert walked(queue) == numbers
+    assert not queue.gold.any()
+
+
+def test_answers_to_known_runs_are_counted(table: RunTable) -> None:
+    numbers = walked(queue_of(table, Labels()))[:3]
+    labels = known(table, numbers)
+    queue = queue_of(table, labels, gold_layer="gold")
+    total = queue.gold_progress.total
+    assert total >= 3
+    assert queue.gold_progress.done == 0
+    runs, run = table.runs(numbers[1])
+    labels.give("anna", runs.labels(run, Label.HOLE))
+    queue.update([runs.capture(run)])
+    assert queue.gold_progress.done >= 1
+    assert queue.done[numbers[1]]
+    assert queue.gold_progress.total == total
 
 
 def _size(table: RunTable, number: int) -> int:

@@ -1,0 +1,167 @@
+"""The folders of the Review panel on a small room, worked by a browser's messages."""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import viser
+
+from fusion_core.model.labels import CaptureLabels, Label
+from fusion_core.workflows.labels.open_store import Author
+from scanloom.client_session import ClientSession
+from scanloom.page.bridge import PageBridge
+from scanloom.panels.review import ReviewPanel
+from scanloom.panels.review_desk import ReviewDesk
+from scanloom.state.library import Library
+from scanloom.state.recording_labels import RecordingLabels
+from scanloom.state.review_choices import ReviewChoices
+from scanloom.state.view import View
+from tests.app.viser_client import ViserClient, connect
+
+LONG_S = 120.0
+# All frames are aligned and counted first.
+pytestmark = pytest.mark.slow
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A browser at a session with nothing but this panel, whose frames are all counted."""
+
+    session: ClientSession
+    panel: ReviewPanel
+    browser: ViserClient
+    labels: RecordingLabels
+
+    @property
+    def desk(self) -> ReviewDesk:
+        return self.panel._desk
+
+    def until(self, condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
+        """Wait for what a message of the browser brings about, and until that is shown."""
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < deadline, f"not so within {timeout_s} s"
+            time.sleep(0.005)
+        assert self.session.wait(timeout_s)
+
+    def choose(self, **choices: object) -> None:
+        review = ReviewChoices.model_validate(choices)
+        self.session.change(review=review)
+        assert self.session.wait(10.0)
+
+    def begin(self, name: str) -> None:
+        """Begin as a person does, and go to the first run."""
+        self.browser.set_value("Your name", name)
+        self.browser.set_value("Layer", "")
+        self.browser.click("Begin the review")
+        self.until(lambda: self.desk.layer == name and self.desk.labels is not None)
+        self.until(self.is_counted, LONG_S)
+        self.desk.go(1)
+        self.until(lambda: self.desk.state().number is not None)
+
+    def is_counted(self) -> bool:
+        counted, frames = self.desk.state().counted
+        return 0 < frames == counted
+
+    def run(self) -> CaptureLabels:
+        """The samples that are asked about, as labels of the automatic class."""
+        state = self.desk.state()
+        assert state.table is not None
+        assert state.number is not None
+        runs, run = state.table.runs(state.number)
+        return runs.labels(run, int(runs.noise_class[run]), state.part)
+
+    def shown(self) -> str:
+        """All that the browser shows as HTML."""
+        widgets = list(self.browser.widgets.values())
+        return "".join(
+            str(w.props.get("content", "")) for w in widgets if w.props.get("visible", True)
+        )
+
+
+@pytest.fixture(scope="module")
+def module_bench(small_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    address = str(tmp_path_factory.mktemp("labels") / "labels.sqlite")
+    library = Library([small_scene], [], label_address=address)
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    built: list[tuple[ClientSession, ReviewPanel]] = []
+
+    @server.on_client_connect
+    def _(client: viser.ClientHandle) -> None:
+        view = View(recording=small_scene.name, panel="Review")
+        session = ClientSession(client, library, view)
+        panel = ReviewPanel(client, PageBridge(client.gui), session)
+        session.panels = [panel]
+        session.refresh()
+        built.append((session, panel))
+
+    with connect(f"http://127.0.0.1:{server.get_port()}") as browser:
+        browser.find("Begin the review")
+        labels = library.labels(library.path(small_scene.name))
+        labels.open()
+        yield Bench(*built[0], browser, labels)
+        built[0][0].close()
+    server.stop()
+    library.close()
+
+
+@pytest.fixture
+def bench(module_bench: Bench) -> Iterator[Bench]:
+    """The bench, with no review."""
+    module_bench.choose()
+    yield module_bench
+    module_bench.desk.end()
+    module_bench.session.refresh()
+    assert module_bench.session.wait(10.0)
+
+
+def test_known_answers_are_told_at_the_end_alone(bench: Bench) -> None:
+    bench.begin("anna")
+    first = bench.run()
+    codes = [label for label in Label if label not in (int(first.label[0]), Label.UNSURE)]
+    wrong, right = codes[0], int(codes[1])
+    image = first.as_image()
+    image[first.row, first.column] = right
+    bench.labels.label("gold", [CaptureLabels.of_image(first.capture, image)], Author("expert"))
+    bench.until(lambda: "gold</bdi>: " in bench.shown())
+    bench.browser.set_value("Known answers", "gold")
+    bench.until(lambda: bench.session.view.review.gold_layer == "gold")
+    bench.until(lambda: "gold</bdi>: " not in bench.shown())
+    bench.choose(gold_layer="gold", auto_advance=False)
+    bench.desk.answer(wrong)
+    bench.until(lambda: "Your label: " in bench.shown())
+    assert "gold" not in bench.shown()
+    # Not even that it disagrees.
+    for gold_layer, is_told in (("gold", False), ("", True)):
+        bench.choose(gold_layer=gold_layer, order="disagreement", only_open=False)
+        assert (bench.desk.state().progress.total > 0) == is_told
+    bench.choose(gold_layer="gold")
+    bench.labels.label("ben", [first], Author("ben"))
+    bench.until(lambda: "ben</bdi>: " in bench.shown())
+
+    samples = first.label.size
+    bench.browser.click("End and score")
+    bench.until(lambda: "anna" in bench.shown() and "recall" in bench.shown())
+    shown = bench.shown()
+    assert f"Of {samples} samples that both labelled, 0.00 are right" in shown
+    assert "runs with a known answer are labelled" in shown
+    assert not bench.desk.is_on
+    assert bench.browser.find("Begin the review").props["visible"]
+    bench.begin("anna")
+    assert "recall" not in bench.shown()
+
+
+def test_without_known_answers_the_review_does_not_end(bench: Bench) -> None:
+    bench.begin("carla")
+    assert bench.browser.find("End and score").props["disabled"]
+    for name in ("carla", "nobody"):
+        bench.choose(gold_layer=name)
+        assert bench.desk.gold_layer == ""
+        bench.browser.click("End and score")
+        assert bench.desk.end_with_known_answers() is None
+        assert bench.desk.is_on
+    offered = bench.browser.find("Known answers")
+    bench.browser.wait_until(lambda: "nobody" in offered.props["options"])
+    assert "carla" not in offered.props["options"]
