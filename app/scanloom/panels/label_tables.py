@@ -1,9 +1,10 @@
-"""Scores and agreement of layers of labels as HTML tables."""
+"""Scores and agreement of layers of labels as HTML."""
 
 import html
 from collections.abc import Sequence
 
-from fusion_core.workflows.labels.compare_layers import Estimate
+from fusion_core.model.classes import NoiseClass
+from fusion_core.workflows.labels.compare_layers import Agreement, Estimate, PairAgreement
 from fusion_core.workflows.labels.score_layer import AnswerScore
 from scanloom.page.markup import name_html
 from scanloom.panels.swatches import class_swatch
@@ -24,7 +25,7 @@ def score_html(score: AnswerScore, layer: str, known: str, runs: QueueProgress) 
     known answer."""
     rows = [
         (
-            f"{class_swatch(one.noise_class)} {class_name(one.noise_class)}",
+            _class_html(class_name(one.noise_class)),
             [
                 str(one.known),
                 str(one.said),
@@ -42,6 +43,65 @@ def score_html(score: AnswerScore, layer: str, known: str, runs: QueueProgress) 
     )
 
 
+def agreement_html(agreement: Agreement) -> str:
+    """Agreement of all layers, then of each pair; by class where that is unfolded."""
+    overall = agreement.coefficients
+    rows = [
+        ("Pairs of labels that agree", [estimate_html(overall["percent"])]),
+        ("Krippendorff's α", [estimate_html(overall["krippendorff_alpha"])]),
+        ("Fleiss' κ", [estimate_html(overall["fleiss_kappa"])]),
+    ]
+    by_class = [
+        (_class_html(name), [estimate_html(found["krippendorff_alpha"])])
+        for name, found in agreement.by_class.items()
+    ]
+    by_layer = [
+        (
+            f"{name_html(name)}, with all others: κ",
+            [estimate_html(layer.coefficients["cohen_kappa"])],
+        )
+        for name, layer in agreement.layers.items()
+    ]
+    inside = _details(
+        "By class and by layer", _table(["Class", "α"], by_class) + _table(["", ""], by_layer)
+    )
+    return (
+        f"{_BOX}<p><b>{len(agreement.layers)} layers</b>, {agreement.captures} scans and images, "
+        f"{agreement.complete_samples} samples that all decided on</p>"
+        f"{_table(['', ''], rows)}"
+        f"{inside}"
+        f"{''.join(_pair_html(pair) for pair in agreement.pairs)}{_INTERVALS}</div>"
+    )
+
+
+def _pair_html(pair: PairAgreement) -> str:
+    found = pair.coefficients
+    rows = [
+        ("Labels that agree", [estimate_html(found["percent"])]),
+        ("Cohen's κ", [estimate_html(found["cohen_kappa"])]),
+        ("IoU of matched runs", [estimate_html(found["matched_iou"])]),
+    ]
+    by_class = [
+        (_class_html(name), [estimate_html(own["cohen_kappa"]), estimate_html(own["matched_iou"])])
+        for name, own in pair.by_class.items()
+    ]
+    confusion = [
+        (_class_html(name), [str(count) for count in counts])
+        for name, counts in zip(pair.by_class, pair.confusion.tolist(), strict=True)
+    ]
+    confused = _table([name_html(pair.first), *pair.by_class], confusion)
+    return (
+        f"<p><b>{name_html(pair.first)} and {name_html(pair.second)}</b>: "
+        f"{int(pair.confusion.sum())} samples that both decided on</p>{_table(['', ''], rows)}"
+        + _details(
+            "By class",
+            f"{_table(['Class', 'κ', 'IoU'], by_class)}"
+            f"<p>Samples by the class of {name_html(pair.first)} (rows) and of "
+            f"{name_html(pair.second)} (columns)</p>{confused}",
+        )
+    )
+
+
 def estimate_html(estimate: Estimate) -> str:
     """A value with its interval; why there is none as the title of a dash."""
     if estimate.value is None:
@@ -51,12 +111,21 @@ def estimate_html(estimate: Estimate) -> str:
     return f"{estimate.value:.2f} ({estimate.low:.2f}–{estimate.high:.2f})"
 
 
+def _class_html(name: str) -> str:
+    return f"{class_swatch(NoiseClass[name.upper()])} {name}"
+
+
+def _details(summary: str, content: str) -> str:
+    return f"<details><summary>{summary}</summary>{content}</details>"
+
+
 def _table(head: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]) -> str:
-    """``rows``: the name and the cells of each, as HTML."""
+    """``head``: empty names for none. ``rows``: the name and the cells of each, as HTML."""
     first, *others = head
     heads = _FIRST_HEAD.format(first) + "".join(_HEAD.format(name) for name in others)
+    headline = f"<tr>{heads}</tr>" if any(head) else ""
     body = "".join(
         f"<tr>{_ROW_NAME.format(name)}{''.join(_CELL.format(cell) for cell in cells)}</tr>"
         for name, cells in rows
     )
-    return f"{_TABLE}<tr>{heads}</tr>{body}</table>"
+    return f"{_TABLE}{headline}{body}</table>"

@@ -16,6 +16,7 @@ from scanloom.page.bridge import PageBridge
 from scanloom.page.browser_storage import Answers, request_items
 from scanloom.page.markup import paragraph
 from scanloom.page.update_widget import update_widget
+from scanloom.panels.agreement import AgreementControls
 from scanloom.panels.explanation import explain_beam_class, explain_pixel_class
 from scanloom.panels.known_answers import KnownAnswersControls
 from scanloom.panels.review_desk import ReviewDesk, ReviewState
@@ -114,11 +115,13 @@ class ReviewPanel(Panel):
             update_widget(after, visible=has_begun)
         if has_begun:
             self._known_answers.show(view)
+            self._agreement.show()
             self._show_state(frame_view, self._desk.state())
 
     def close(self) -> None:
         """Hear of no more labels."""
         self._job.close()
+        self._agreement.close()
         self._desk.close()
         self._forget_survey()
 
@@ -297,6 +300,7 @@ class ReviewPanel(Panel):
                 hint="So that they do not sway you; choose all classes in the queue, too",
             )
             self._known_answers.add_controls(gui, self._controls)
+        self._agreement = AgreementControls(gui, self._session, self._desk, self._lock)
         for name, handle in (
             ("tool", tool),
             ("brush_px", brush),

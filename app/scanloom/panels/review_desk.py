@@ -4,7 +4,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -320,6 +320,24 @@ class ReviewDesk:
             if self._write(whole, comment) and self._session.view.review.auto_advance:
                 self._go_on(number)
         self._session.refresh()
+
+    def majority(self, least_decisions: int) -> int:
+        """How many samples ``adjudicate`` would label now."""
+        if self._labels is None:
+            return 0
+        added = self._labels.majority(self.told_layers, self._layer, least_decisions)
+        return sum(labels.label.size for labels in added)
+
+    def adjudicate(self, least_decisions: int) -> int:
+        """Label what has no label in the layer as most of the others say, where so many of them
+        decided, in one action; how many samples. Raises ScanLoomError where it cannot be written.
+        """
+        if self._labels is None:
+            return 0
+        author = replace(
+            self._author(f"what most say of {', '.join(self.told_layers)}"), source="automatic"
+        )
+        return self._labels.adjudicate(self.told_layers, self._layer, author, least_decisions)
 
     def open_numbers(self) -> list[int]:
         """The runs of the queue that are not labelled."""

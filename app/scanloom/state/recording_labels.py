@@ -6,6 +6,7 @@ from pathlib import Path
 
 from fusion_core.model.labels import Capture, CaptureLabels, Label, LabelLayer
 from fusion_core.model.progress import Progress, silent
+from fusion_core.workflows.labels.adjudicate_layers import adjudicate_layers, majority_labels
 from fusion_core.workflows.labels.open_store import Action, Author, LabelStore, open_labels
 
 OnChange = Callable[[str, Sequence[Capture]], None]
@@ -87,6 +88,22 @@ class RecordingLabels:
         """Write one action; whether it has changed anything. Raises ScanLoomError where it cannot
         be written."""
         return self._told(self._opened.label(layer, labels, author))
+
+    def majority(
+        self, layers: Sequence[str], into: str, least_decisions: int
+    ) -> list[CaptureLabels]:
+        """What ``adjudicate`` would add."""
+        return majority_labels(self._opened, layers, into, least_decisions=least_decisions)
+
+    def adjudicate(
+        self, layers: Sequence[str], into: str, author: Author, least_decisions: int
+    ) -> int:
+        """Add what most of the layers say to ``into``, in one action; how many labels. Raises
+        ScanLoomError where it cannot be written."""
+        action = adjudicate_layers(
+            self._opened, layers, into, author, least_decisions=least_decisions
+        )
+        return action.samples if action is not None and self._told(action) else 0
 
     def undo(self, layer: str, annotator: str) -> bool:
         """Take back the annotator's last action; whether there was one."""

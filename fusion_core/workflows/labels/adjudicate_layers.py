@@ -16,6 +16,20 @@ def disagreements_of(store: LabelStore, layers: Sequence[str]) -> Iterator[Disag
     return disagreements(_aligned(store, layers))
 
 
+def majority_labels(
+    store: LabelStore, layers: Sequence[str], into: str, *, least_decisions: int = 1
+) -> list[CaptureLabels]:
+    """What most of the layers say of samples that have no label in ``into``, as ``adjudicate`` has
+    it: somebody may have decided a disagreement there."""
+    settled = adjudicate(_aligned(store, layers), least_decisions=least_decisions)
+    added: list[CaptureLabels] = []
+    for change in differing_samples(store.labelled(into), settled):
+        is_new = change.before.label == NO_LABEL
+        if is_new.any():
+            added.append(change.after.subset(is_new))
+    return added
+
+
 def adjudicate_layers(
     store: LabelStore,
     layers: Sequence[str],
@@ -24,17 +38,9 @@ def adjudicate_layers(
     *,
     least_decisions: int = 1,
 ) -> Action | None:
-    """Label in ``into`` what most of the layers say, as ``adjudicate`` has it, in one action.
-
-    Labels that ``into`` has stay: somebody may have decided a disagreement there. None where there
-    is nothing to add. Raises as ``LabelStore.label``.
-    """
-    settled = adjudicate(_aligned(store, layers), least_decisions=least_decisions)
-    added: list[CaptureLabels] = []
-    for change in differing_samples(store.labelled(into), settled):
-        is_new = change.before.label == NO_LABEL
-        if is_new.any():
-            added.append(change.after.subset(is_new))
+    """Add the ``majority_labels`` to ``into``, in one action. None where there is nothing to add.
+    Raises as ``LabelStore.label``."""
+    added = majority_labels(store, layers, into, least_decisions=least_decisions)
     return store.label(into, added, author)
 
 

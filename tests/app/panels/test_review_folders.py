@@ -1,14 +1,17 @@
 """The folders of the Review panel on a small room, worked by a browser's messages."""
 
+import re
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 import viser
 
-from fusion_core.model.labels import CaptureLabels, Label
+from fusion_core.model.labels import NO_LABEL, CaptureLabels, Label
+from fusion_core.workflows.labels.compare_layers import agreement_of
 from fusion_core.workflows.labels.open_store import Author
 from scanloom.client_session import ClientSession
 from scanloom.page.bridge import PageBridge
@@ -165,3 +168,81 @@ def test_without_known_answers_the_review_does_not_end(bench: Bench) -> None:
     offered = bench.browser.find("Known answers")
     bench.browser.wait_until(lambda: "nobody" in offered.props["options"])
     assert "carla" not in offered.props["options"]
+
+
+def give(bench: Bench, layer: str, labels: CaptureLabels, codes: list[int]) -> None:
+    """Label the first samples of some labels."""
+    few = np.arange(labels.row.size) < len(codes)
+    own = labels.subset(few)
+    given = CaptureLabels.of_samples(
+        own.capture, own.row, own.column, np.array(codes, dtype=np.int64)
+    )
+    bench.labels.label(layer, [given], Author(layer))
+
+
+def whole_scan(bench: Bench) -> CaptureLabels:
+    """All beams of the scan that is asked about."""
+    capture = bench.run().capture
+    beams = np.arange(capture.columns)
+    return CaptureLabels.of_samples(capture, np.zeros_like(beams), beams, Label.GOOD)
+
+
+def test_layers_are_compared_without_known_answers(bench: Bench) -> None:
+    bench.choose(sensor="lidar")
+    bench.begin("dora")
+    scan = whole_scan(bench)
+    for layer, codes in (
+        ("dora", [0, 0, 1, 1, 2, 2, 0, 0]),
+        ("emil", [0, 0, 1, 1, 2, 0, 0, 0]),
+        ("frida", [0, 0, 1, 1, 2, 2, 3]),
+    ):
+        give(bench, layer, scan, codes)
+    bench.choose(gold_layer="gold")
+    layers = [name for name in bench.labels.layers if name != "gold"]
+    bench.browser.click("Compare layers")
+    bench.until(lambda: "Krippendorff" in bench.shown())
+    shown = bench.shown()
+    expected = agreement_of(bench.labels, layers)
+    assert f"{expected.coefficients['krippendorff_alpha'].value:.2f}" in shown
+    # 7 of 8, and κ by hand: 0.875 agree, (4 * 5 + 2 * 2 + 2 * 1) / 64 by chance.
+    pair = shown[shown.index("emil", shown.index("dora</bdi> and")) :]
+    assert "8 samples that both decided on" in pair[:200]
+    assert re.search(r"agree</th><td[^>]*>0\.88<", pair)
+    assert re.search(rf"Cohen's κ</th><td[^>]*>{(7 / 8 - 26 / 64) / (1 - 26 / 64):.2f}<", pair)
+    assert "gold" not in shown
+    # Other layers make it another table.
+    bench.choose()
+    bench.until(lambda: "Krippendorff" not in bench.shown())
+
+
+def test_a_majority_is_counted_then_written_in_one_action(bench: Bench) -> None:
+    bench.choose(sensor="lidar", gold_layer="gold")
+    bench.begin("agreed")
+    scan = whole_scan(bench)
+    before = bench.labels.counts("agreed")
+    for layer, codes in (
+        ("gisela", [3, 3, 3, 2, 2, 1]),
+        ("hugo", [3, 3, 3, 2, 1]),
+        ("gold", [1, 1, 1, 1, 1, 1]),
+    ):
+        give(bench, layer, scan, codes)
+    # Somebody has decided here.
+    give(bench, "agreed", scan, [0])
+    assert sum(before.values()) == 0
+    own = bench.labels.labels_of
+    others = [own(name, scan.capture).as_image()[0] for name in bench.desk.told_layers]
+    votes = np.stack([[(own == code) for own in others] for code in range(4)]).sum(axis=1)
+    decided = (votes.sum(axis=0) >= 2) & (2 * votes.max(axis=0) > votes.sum(axis=0))
+    decided[0] = False
+    count = bench.desk.majority(2)
+    assert count >= decided.sum() > 1
+    bench.browser.click("Adjudicate by majority …")
+    bench.browser.click(f"Label {count} samples")
+    bench.until(lambda: sum(bench.labels.counts("agreed").values()) == count + 1)
+    image = own("agreed", scan.capture).as_image()[0]
+    np.testing.assert_array_equal(image[decided], votes.argmax(axis=0)[decided])
+    assert (image[1:][~decided[1:]] == NO_LABEL).all()
+    assert image[0] == Label.GOOD
+    assert "gold" not in bench.shown()
+    bench.session.undo()
+    bench.until(lambda: sum(bench.labels.counts("agreed").values()) == 1)
