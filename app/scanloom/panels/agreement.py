@@ -1,6 +1,7 @@
 """How far the layers of a recording's labels agree, and a layer of what most of them say."""
 
 import threading
+from collections.abc import Sequence
 
 import viser
 
@@ -11,6 +12,7 @@ from scanloom.page.update_widget import update_widget
 from scanloom.panels.label_tables import agreement_html
 from scanloom.panels.review_desk import ReviewDesk
 from scanloom.panels.widgets.panel_job import PanelJob
+from scanloom.state.annotated_layer import AnnotatedLayer
 
 # The slider's end: no larger team has labelled one recording.
 _LAYERS_MAX = 10
@@ -61,19 +63,22 @@ class AgreementControls:
         self._job.close()
 
     def _layers(self) -> tuple[object, ...]:
-        desk = self._desk
-        return desk.labels, desk.layer, *desk.told_layers
+        own = self._desk.own
+        return () if own is None else (own.labels, own.name, *self._told(own))
+
+    def _told(self, own: AnnotatedLayer) -> tuple[str, ...]:
+        return own.told(self._session.view.review)
 
     def _offer(self, is_running: bool) -> None:
         for button in self._buttons:
             update_widget(button, disabled=is_running)
 
     def _compare(self) -> None:
-        labels, compared = self._desk.labels, self._layers()
-        own = self._desk.layer
-        if labels is None:
+        own, compared = self._desk.own, self._layers()
+        if own is None:
             return
-        names = [name for name in labels.layers if name == own or name in self._desk.told_layers]
+        # A layer has no labels before the first answer.
+        names = sorted({own.name, *self._told(own)} & {*own.labels.layers})
 
         def show(agreement: Agreement) -> None:
             with self._lock:
@@ -81,25 +86,27 @@ class AgreementControls:
             update_widget(self._table, content=agreement_html(agreement))
             self._job.end()
 
-        self._job.begin("agreement", lambda _: agreement_of(labels, names), show)
+        self._job.begin("agreement", lambda _: agreement_of(own.labels, names), show)
 
     def _count_majority(self) -> None:
-        least = int(self._least.value)
+        own, least = self._desk.own, int(self._least.value)
+        if own is None:
+            return
+        layers = self._told(own)
 
         def ask(count: int) -> None:
             self._job.end()
-            self._ask(count, least)
+            self._ask(own, layers, count, least)
 
-        self._job.begin("majority", lambda _: self._desk.majority(least), ask)
+        self._job.begin("majority", lambda _: own.majority(layers, least), ask)
 
-    def _ask(self, count: int, least: int) -> None:
-        layer = self._desk.layer
+    def _ask(self, own: AnnotatedLayer, layers: Sequence[str], count: int, least: int) -> None:
         with self._gui.add_modal("Adjudicate by majority") as modal:
             self._gui.add_html(
                 paragraph(
-                    f"{count} samples without a label in {layer} are labelled alike by more than "
-                    f"half of the other layers, of {least} or more that decided. Label them so in "
-                    f"{layer}? It is one action, which undo takes back."
+                    f"{count} samples without a label in {own.name} are labelled alike by more "
+                    f"than half of the other layers, of {least} or more that decided. Label them "
+                    f"so in {own.name}? It is one action, which undo takes back."
                 )
             )
             sure = self._gui.add_button(f"Label {count} samples", disabled=not count)
@@ -109,8 +116,9 @@ class AgreementControls:
         @sure.on_click
         def _(_: object) -> None:
             modal.close()
+            settings_sha256 = self._session.view.settings_sha256
             self._job.begin(
                 "adjudication",
-                lambda _: self._desk.adjudicate(least),
-                lambda labelled: self._job.end(f"{labelled} samples are labelled in {layer}."),
+                lambda _: own.adjudicate(layers, settings_sha256, least),
+                lambda labelled: self._job.end(f"{labelled} samples are labelled in {own.name}."),
             )

@@ -44,7 +44,9 @@ class KnownAnswersControls:
 
     def show(self, view: View) -> None:
         """Offer the recording's layers."""
-        layers = dict.fromkeys([*self._desk.other_layers, view.review.gold_layer])
+        own = self._desk.own
+        others = () if own is None else own.others
+        layers = dict.fromkeys([*others, view.review.gold_layer])
         update_widget(self._layers, options=(_NO_LAYER, *(name for name in layers if name)))
         update_widget(self._end, disabled=not self._desk.gold_layer)
 

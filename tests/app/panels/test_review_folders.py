@@ -230,11 +230,13 @@ def test_a_majority_is_counted_then_written_in_one_action(bench: Bench) -> None:
     give(bench, "agreed", scan, [0])
     assert sum(before.values()) == 0
     own = bench.labels.labels_of
-    others = [own(name, scan.capture).as_image()[0] for name in bench.desk.told_layers]
+    assert bench.desk.own is not None
+    told = bench.desk.own.told(bench.session.view.review)
+    others = [own(name, scan.capture).as_image()[0] for name in told]
     votes = np.stack([[(own == code) for own in others] for code in range(4)]).sum(axis=1)
     decided = (votes.sum(axis=0) >= 2) & (2 * votes.max(axis=0) > votes.sum(axis=0))
     decided[0] = False
-    count = bench.desk.majority(2)
+    count = bench.desk.own.majority(told, 2)
     assert count >= decided.sum() > 1
     bench.browser.click("Adjudicate by majority …")
     bench.browser.click(f"Label {count} samples")
