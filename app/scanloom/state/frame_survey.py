@@ -195,11 +195,10 @@ class FrameSurvey:
 
     def note(self, number: int, frame: FusedFrame) -> None:
         """Take over a frame that was computed for somebody, with the inputs' settings."""
-        is_trusted = is_offset_trusted(frame.match, self.inputs.settings)
-        status = FrameStatus.COUNTED if is_trusted else FrameStatus.UNTRUSTED
+        found = self._found_in(frame)
         with self._lock:
             if self._status[number] == FrameStatus.UNKNOWN:
-                self._set(number, status, frame)
+                self._set(number, found)
 
     def _numbers_with(self, number: int) -> tuple[int, ...]:
         """The frames that are matched together with one: the chain keeps them for a moment."""
@@ -212,33 +211,47 @@ class FrameSurvey:
 
     def _count(self, number: int, give_way: Callable[[], None]) -> None:
         chain, settings = self.inputs.chain, self.inputs.settings
-        frame: FusedFrame | None = None
         try:
             choice = FrameChoice(number=number, clock_offset_ms=self.inputs.clock_offset_ms)
             if chain.frames.pair(number, self.inputs.clock_offset_ms).window is None:
-                status = FrameStatus.NO_SCAN
+                found = _Found(status=FrameStatus.NO_SCAN)
             else:
                 match = chain.match_once(choice, settings)
                 give_way()
-                frame = classify_and_repair(match, chain.alignment, settings)
-                is_trusted = is_offset_trusted(match, settings)
-                status = FrameStatus.COUNTED if is_trusted else FrameStatus.UNTRUSTED
+                found = self._found_in(classify_and_repair(match, chain.alignment, settings))
         except RecordingError:
-            status = FrameStatus.UNREADABLE
+            found = _Found(status=FrameStatus.UNREADABLE)
         except Cancelled:
             raise
         except Exception:  # noqa: BLE001  # whoever goes to the frame is told why
-            status = FrameStatus.UNMATCHED
+            found = _Found(status=FrameStatus.UNMATCHED)
         with self._lock:
-            self._set(number, status, frame)
+            self._set(number, found)
 
-    def _set(self, number: int, status: FrameStatus, frame: FusedFrame | None) -> None:
-        self._status[number] = status
-        if frame is not None:
-            self._counts[number] = pairs_by_class(frame)
-            captures = frame_captures(frame.match, self.inputs.chain.session)
-            self._runs[number] = runs_of_frame(frame, captures)
+    def _found_in(self, frame: FusedFrame) -> "_Found":
+        is_trusted = is_offset_trusted(frame.match, self.inputs.settings)
+        captures = frame_captures(frame.match, self.inputs.chain.session)
+        return _Found(
+            status=FrameStatus.COUNTED if is_trusted else FrameStatus.UNTRUSTED,
+            counts=pairs_by_class(frame),
+            runs=runs_of_frame(frame, captures),
+        )
+
+    def _set(self, number: int, found: "_Found") -> None:
+        self._status[number] = found.status
+        if found.counts is not None:
+            self._counts[number] = found.counts
+        self._runs[number] = found.runs
         self._snapshot = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Found:
+    """What is known of one frame; no counts and no runs of one that could not be matched."""
+
+    status: FrameStatus
+    counts: IntArray | None = None
+    runs: FrameRuns | None = None
 
 
 def pairs_by_class(frame: FusedFrame) -> IntArray:
