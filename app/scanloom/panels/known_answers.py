@@ -1,5 +1,7 @@
 """Known answers among the runs of a review, and at its end how many of them the person gave."""
 
+from typing import Any
+
 import viser
 
 from fusion_core.workflows.labels.score_layer import AnswerScore, score_layer
@@ -15,8 +17,8 @@ _NO_LAYER = "none"
 
 
 class KnownAnswersControls:
-    """A list of layers to take known answers from, a button that ends the review, and the score,
-    which stands where this is made and stays when the review has ended."""
+    """A folder with what is hidden, a list of layers to take known answers from, and a button that
+    ends the review; the score, which stands where this is made and stays then."""
 
     def __init__(
         self, gui: viser.GuiApi, session: ClientSession, desk: ReviewDesk, job: PanelJob
@@ -24,8 +26,20 @@ class KnownAnswersControls:
         self._session, self._desk, self._job = session, desk, job
         self._score = gui.add_html("", visible=False)
 
-    def add_controls(self, gui: viser.GuiApi, controls: Controls) -> None:
-        """Add the list and the button to the folder that is being filled."""
+    def add_folder(self, gui: viser.GuiApi, controls: Controls) -> None:
+        """Add a folder with what is hidden, the list and the button."""
+        with gui.add_folder("Blind and known answers", expand_by_default=False):
+            self._add_controls(gui, controls)
+
+    def _add_controls(self, gui: viser.GuiApi, controls: Controls) -> None:
+        blind = gui.add_checkbox(
+            "Hide the automatic classes",
+            self._session.view.review.blind,
+            hint="So that they do not sway you; choose all classes in the queue, too",
+        )
+        controls.bind(
+            blind, lambda view: view.review.blind, lambda is_blind: self._choose("blind", is_blind)
+        )
         self._layers = gui.add_dropdown(
             "Known answers",
             (_NO_LAYER,),
@@ -33,7 +47,9 @@ class KnownAnswersControls:
             "all others; its labels are not told before the end",
         )
         controls.bind(
-            self._layers, lambda view: view.review.gold_layer or _NO_LAYER, self._choose_layer
+            self._layers,
+            lambda view: view.review.gold_layer or _NO_LAYER,
+            lambda name: self._choose("gold_layer", "" if name == _NO_LAYER else name),
         )
         self._end = gui.add_button(
             "End and score",
@@ -54,9 +70,8 @@ class KnownAnswersControls:
         """Show no score: it is of another review."""
         update_widget(self._score, visible=False)
 
-    def _choose_layer(self, name: str) -> None:
-        layer = "" if name == _NO_LAYER else name
-        review = self._session.view.review.model_copy(update={"gold_layer": layer})
+    def _choose(self, name: str, value: Any) -> None:
+        review = self._session.view.review.model_copy(update={name: value})
         self._session.change(review=review)
 
     def _end_and_score(self) -> None:

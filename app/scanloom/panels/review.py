@@ -3,12 +3,10 @@
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
 
 import viser
 
 from fusion_core.model.classes import NoiseClass
-from fusion_core.model.labels import Label
 from fusion_core.workflows.labels.open_store import checked_name
 from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView, clock_offset_ms
@@ -19,6 +17,7 @@ from scanloom.page.update_widget import update_widget
 from scanloom.panels.agreement import AgreementControls
 from scanloom.panels.explanation import explain_beam_class, explain_pixel_class
 from scanloom.panels.known_answers import KnownAnswersControls
+from scanloom.panels.review_controls import ANSWERS, ReviewControls
 from scanloom.panels.review_desk import ReviewDesk, ReviewState
 from scanloom.panels.review_html import (
     PRESS_ACTION,
@@ -35,17 +34,10 @@ from scanloom.scene.frame_summary import facts_of_beam
 from scanloom.state.frame_runs import SENSORS, class_name
 from scanloom.state.frame_survey import FrameSurvey, SurveyInputs
 from scanloom.state.open_recording import OpenRecording
-from scanloom.state.review_choices import QUEUE_ORDERS, QUEUE_SENSORS, TOOLS, Answer
 
 STORED_ANNOTATOR = "annotator"
 # viser's page sends texts every 50 ms; a slow network may take longer.
 _TYPED_WITHIN_S = 0.3
-_ANSWERS: dict[str, Answer] = {
-    "accept": "accept",
-    "reject": "reject",
-    "clear": "clear",
-    **{label.name.lower(): label for label in Label},
-}
 
 
 class ReviewPanel(Panel):
@@ -77,7 +69,9 @@ class ReviewPanel(Panel):
         self._controls = Controls(gui, session)
         self._choices = gui.add_folder(None, visible=False)
         with self._choices:
-            self._add_choices(gui)
+            self._review_controls = ReviewControls(gui, session, self._desk, self._controls)
+            self._known_answers.add_folder(gui, self._controls)
+            self._agreement = AgreementControls(gui, session, self._desk, self._lock)
             leave = gui.add_button("End this review", color="gray")
         leave.on_click(lambda _: self._leave())
         self._begin.on_click(lambda _: self._start())
@@ -114,6 +108,7 @@ class ReviewPanel(Panel):
         for after in (self._progress, self._run, self._answers, self._choices):
             update_widget(after, visible=has_begun)
         if has_begun:
+            self._review_controls.show()
             self._known_answers.show(view)
             self._agreement.show()
             self._show_state(frame_view, self._desk.state())
@@ -229,133 +224,11 @@ class ReviewPanel(Panel):
         explain = explain_beam_class if sensor == "lidar" else explain_pixel_class
         return [explain(facts, frame_view.view.settings)]
 
-    # What a person chooses
-
-    def _add_choices(self, gui: viser.GuiApi) -> None:
-        review = self._session.view.review
-        with gui.add_folder("Marking"):
-            tool = gui.add_dropdown(
-                "Mark by",
-                TOOLS,
-                initial_value=review.tool,
-                hint="What a drag on the depth image or the range profile marks (B). In the scene "
-                "a drag with Shift marks a box. With Shift a box adds to what is marked",
-            )
-            brush = gui.add_slider(
-                "Brush (px)", 1, 40, 1, review.brush_px, hint="Radius of the brush on the image"
-            )
-        with gui.add_folder("Queue", expand_by_default=False):
-            order = gui.add_dropdown(
-                "Order",
-                QUEUE_ORDERS,
-                initial_value=review.order,
-                hint="Disagreement: runs to which two layers give different labels",
-            )
-            sensor = gui.add_dropdown(
-                "Sensor",
-                QUEUE_SENSORS,
-                initial_value=review.sensor,
-                hint="Runs of beams, of pixels along the curve, or both",
-            )
-            boxes = [
-                (
-                    noise,
-                    gui.add_checkbox(
-                        f"Ask about {class_name(noise)}",
-                        noise in review.classes,
-                        hint="Runs whose automatic class this is",
-                    ),
-                )
-                for noise in NoiseClass
-            ]
-            only_open = gui.add_checkbox(
-                "Unlabelled only", review.only_open, hint="Pass over runs that have your label"
-            )
-            advance = gui.add_checkbox(
-                "Go on after an answer", review.auto_advance, hint="To the next run of the queue"
-            )
-            self._all_answer = gui.add_dropdown(
-                "Say of all that is open",
-                tuple(_ANSWERS),
-                initial_value="accept",
-                hint="Accept: that the automatic class is right",
-            )
-            everything = gui.add_button("Label all open runs of the queue …")
-        with gui.add_folder("Neighbouring frames", expand_by_default=False):
-            self._beside = gui.add_slider(
-                "Frames on either side", 1, 30, 1, 5, hint="Before and after the displayed one"
-            )
-            self._around_answer = gui.add_dropdown(
-                "Say of this place there",
-                tuple(_ANSWERS),
-                initial_value="accept",
-                hint="Of samples of the run's sensor and class that look at the same place; the "
-                "recorded poses say where that is",
-            )
-            around = gui.add_button("Label run and neighbours (I)")
-        with gui.add_folder("Blind and known answers", expand_by_default=False):
-            blind = gui.add_checkbox(
-                "Hide the automatic classes",
-                review.blind,
-                hint="So that they do not sway you; choose all classes in the queue, too",
-            )
-            self._known_answers.add_controls(gui, self._controls)
-        self._agreement = AgreementControls(gui, self._session, self._desk, self._lock)
-        for name, handle in (
-            ("tool", tool),
-            ("brush_px", brush),
-            ("order", order),
-            ("sensor", sensor),
-            ("only_open", only_open),
-            ("auto_advance", advance),
-            ("blind", blind),
-        ):
-            self._bind(name, handle)
-        for noise, box in boxes:
-            self._bind_class(noise, box)
-        everything.on_click(lambda _: self._ask_for_all(gui))
-        around.on_click(lambda _: self._answer_around())
-
-    def _bind(self, name: str, handle: Any) -> None:
-        def change(value: Any) -> None:
-            review = self._session.view.review.model_copy(update={name: value})
-            self._session.change(review=review)
-
-        self._controls.bind(handle, lambda view: getattr(view.review, name), change)
-
-    def _bind_class(self, noise: NoiseClass, box: Any) -> None:
-        def change(checked: bool) -> None:
-            review = self._session.view.review
-            others = review.classes - {noise}
-            classes = others | {noise} if checked else others
-            self._session.change(review=review.model_copy(update={"classes": classes}))
-
-        self._controls.bind(box, lambda view: noise in view.review.classes, change)
-
-    def _ask_for_all(self, gui: viser.GuiApi) -> None:
-        count, answer = len(self._desk.open_numbers()), self._all_answer.value
-        with gui.add_modal("Label all that is open") as modal:
-            gui.add_html(
-                paragraph(
-                    f"{count} runs of the queue have no label. Say “{answer}” of all of them? It "
-                    "is one action, which undo takes back."
-                )
-            )
-            sure = gui.add_button(f"Label {count} runs", disabled=not count)
-            cancel = gui.add_button("Cancel", color="gray")
-        cancel.on_click(lambda _: modal.close())
-
-        @sure.on_click
-        def _(_: object) -> None:
-            modal.close()
-            self._desk.answer_all(_ANSWERS[answer])
+    # Answers
 
     def _answer(self, name: str) -> None:
-        if name in _ANSWERS:
-            self._desk.answer(_ANSWERS[name])
-
-    def _answer_around(self) -> None:
-        self._desk.answer_around(_ANSWERS[self._around_answer.value], int(self._beside.value))
+        if name in ANSWERS:
+            self._desk.answer(ANSWERS[name])
 
     def _add_keys(self, bridge: PageBridge, actions: dict[str, Callable[[], None]]) -> None:
         def in_review(act: Callable[[], None]) -> Callable[[], None]:
@@ -371,16 +244,11 @@ class ReviewPanel(Panel):
             ("Review: no label", "0", lambda: self._answer("clear")),
             ("Review: split the run", "X", actions["split"]),
             ("Review: unmark", "V", actions["unmark"]),
-            ("Review: label run and neighbours", "I", self._answer_around),
-            ("Review: point, box or brush", "B", self._next_tool),
+            ("Review: label run and neighbours", "I", self._review_controls.answer_around),
+            ("Review: point, box or brush", "B", self._review_controls.next_tool),
         )
         for label, key, act in keys:
             bridge.add_key(label, key, in_review(act))
-
-    def _next_tool(self) -> None:
-        review = self._session.view.review
-        tool = TOOLS[(TOOLS.index(review.tool) + 1) % len(TOOLS)]
-        self._session.change(review=review.model_copy(update={"tool": tool}))
 
 
 def _naming(answer: Callable[[str], None], noise: NoiseClass) -> Callable[[], None]:

@@ -70,6 +70,7 @@ class ReviewDesk:
         self._own: AnnotatedLayer | None = None
         self._asked = AskedRun()
         self._selection = Selection()
+        self._comment = ""
         self._rate = AnswerRate()
 
     # Beginning and following
@@ -96,6 +97,15 @@ class ReviewDesk:
         return "" if own is None else own.gold(self._session.view.review)
 
     @property
+    def comment(self) -> str:
+        """What the journal is to keep with the next answer; it is about that answer alone."""
+        return self._comment
+
+    @comment.setter
+    def comment(self, text: str) -> None:
+        self._comment = text
+
+    @property
     def is_on(self) -> bool:
         """Whether answers are taken: the step is open, and the person has begun."""
         return self._own is not None and self._session.view.panel == "Review"
@@ -116,7 +126,7 @@ class ReviewDesk:
         with self._lock:
             if self._own is not None:
                 self._own.labels.remove_listener(self._hear)
-            self._own = None
+            self._own, self._comment = None, ""
             self._asked.forget()
             self._selection.clear()
 
@@ -272,8 +282,8 @@ class ReviewDesk:
             around = labels_around(frame_view, queue.table, number, part, label, beside)
             # The run's own last, which counts.
             whole = united_by_capture((*around, *own))
-            comment = f"the same place in up to {beside} frames before and after"
-            if self._write(whole, comment):
+            scope = f"the same place in up to {beside} frames before and after"
+            if self._write(whole, scope):
                 self._go_on(number)
         self._session.refresh()
 
@@ -314,14 +324,17 @@ class ReviewDesk:
 
     # Inside, with the lock held
 
-    def _write(self, labels: Sequence[CaptureLabels], comment: str = "") -> bool:
-        """Write one action; whether it could be."""
+    def _write(self, labels: Sequence[CaptureLabels], scope: str = "") -> bool:
+        """Write one action; whether it could be. ``scope``: what the comment says beside the
+        person's own."""
         assert self._own is not None, "the review has begun"
+        comment = ": ".join(text for text in (scope, self._comment.strip()) if text)
         try:
             self._own.write(labels, self._session.view.settings_sha256, comment)
         except ScanLoomError as error:
             self._session.show_failure(error, until_dismissed=True)
             return False
+        self._comment = ""
         self._rate.count()
         return True
 

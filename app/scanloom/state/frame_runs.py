@@ -41,6 +41,12 @@ class FrameRuns:
     def __len__(self) -> int:
         return self.sensor.size
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays."""
+        arrays = (getattr(self, field.name) for field in fields(self))
+        return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
+
     def capture(self, run: int) -> Capture:
         """The scan or the image that a run is in."""
         if SENSORS[self.sensor[run]] == "depth":

@@ -135,6 +135,7 @@ class FrameSurvey:
         self._status[_without_scan(inputs)] = FrameStatus.NO_SCAN
         cameras = len(inputs.chain.session.rig.cameras)
         self._runs: list[FrameRuns | None] = [None] * len(frames)
+        self._runs_bytes = 0
         self._order = visiting_order(len(frames), cameras).tolist()
         self._total = len(self._order)
         self._place = 0
@@ -158,6 +159,12 @@ class FrameSurvey:
         """The runs of each frame that is counted, None of the others."""
         with self._lock:
             return tuple(self._runs)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of what is kept of all frames, but for Python's objects around it."""
+        with self._lock:
+            return self._counts.nbytes + self._status.nbytes + self._runs_bytes
 
     @property
     def done(self) -> int:
@@ -241,6 +248,8 @@ class FrameSurvey:
         self._status[number] = found.status
         if found.counts is not None:
             self._counts[number] = found.counts
+        for runs, sign in ((self._runs[number], -1), (found.runs, 1)):
+            self._runs_bytes += 0 if runs is None else sign * runs.nbytes
         self._runs[number] = found.runs
         self._snapshot = None
 

@@ -21,8 +21,10 @@ _LONGEST_WAIT_S = 4.0
 _LOOK_S = 0.25
 # A strip need not grow more smoothly.
 _NOTIFY_S = 0.5
-# For going back to former settings and for undo; a survey takes 17 bytes a frame.
+# For going back to former settings and for undo: as many as fit, of those that nobody wants now.
+# The runs of 640 paired beams take 19 kB a frame, a survey of 2000 such frames 38 MB.
 _SURVEYS_KEPT = 6
+_KEPT_BYTES = 50_000_000
 
 
 @dataclass(slots=True)
@@ -97,7 +99,8 @@ class SurveyRunner:
     def _forget_oldest(self) -> None:
         wanted = {wish.key for wish in self._wishes.values()}
         for key in [key for key in self._surveys if key not in wanted]:
-            if len(self._surveys) > _SURVEYS_KEPT:
+            kept = sum(survey.nbytes for survey in self._surveys.values())
+            if len(self._surveys) > _SURVEYS_KEPT or kept > _KEPT_BYTES:
                 del self._surveys[key]
 
     def _run(self) -> None:

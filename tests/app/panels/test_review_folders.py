@@ -187,6 +187,31 @@ def whole_scan(bench: Bench) -> CaptureLabels:
     return CaptureLabels.of_samples(capture, np.zeros_like(beams), beams, Label.GOOD)
 
 
+def test_a_comment_goes_with_the_next_answer_alone(bench: Bench) -> None:
+    bench.begin("ida")
+    store = bench.labels._opened
+    field = bench.browser.find("Comment")
+    bench.browser.set_value("Comment", " a chair's leg ")
+    bench.until(lambda: bench.desk.comment.strip() == "a chair's leg")
+    assert field.value == " a chair's leg "
+    # Nothing is written, so it stays.
+    bench.desk.mark_beams([1, 2], is_added=False)
+    bench.desk.answer("accept")
+    assert bench.desk.comment == field.value
+    bench.desk.answer(Label.BURR)
+    bench.browser.wait_until(lambda: field.value == "")
+    bench.desk.answer(Label.GOOD)
+    bench.browser.set_value("Comment", "as before")
+    bench.until(lambda: bench.desk.comment == "as before")
+    bench.desk.answer_around(Label.HOLE, 2)
+    comments = [action.comment for action in store.actions("ida")]
+    assert comments == [
+        "a chair's leg",
+        "",
+        "the same place in up to 2 frames before and after: as before",
+    ]
+
+
 def test_layers_are_compared_without_known_answers(bench: Bench) -> None:
     bench.choose(sensor="lidar")
     bench.begin("dora")

@@ -348,6 +348,30 @@ def test_former_surveys_are_kept_for_a_while_only(
     assert ran.want("a", with_epsilon(inputs, epsilons[0])) is not surveys[0]
 
 
+def test_large_former_surveys_are_kept_as_far_as_they_fit(
+    inputs: SurveyInputs, ran: Ran, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(runner_module, "_DEBOUNCE_S", 3600.0)
+    epsilons = [1.0, 1.1, 1.2]
+    surveys = []
+    for epsilon in epsilons:
+        surveys.append(ran.want("a", with_epsilon(inputs, epsilon)))
+        empty = surveys[-1].nbytes
+        for _ in range(2):
+            surveys[-1].advance()
+    runs = [one for one in surveys[0].runs if one is not None]
+    assert surveys[0].nbytes == empty + sum(one.nbytes for one in runs)
+    assert sum(one.nbytes for one in runs) > 500
+    # One beside the one that is wanted.
+    fitting = surveys[1].nbytes + surveys[2].nbytes
+    monkeypatch.setattr(runner_module, "_KEPT_BYTES", fitting)
+    assert ran.want("a", with_epsilon(inputs, epsilons[2])) is surveys[2]
+    assert ran.want("a", with_epsilon(inputs, epsilons[1])) is surveys[1]
+    monkeypatch.setattr(runner_module, "_KEPT_BYTES", 0)
+    assert ran.want("a", with_epsilon(inputs, epsilons[1])) is surveys[1]
+    assert ran.want("a", with_epsilon(inputs, epsilons[0])) is not surveys[0]
+
+
 def test_an_opened_recording_that_is_closed_ends_its_survey(small_scene: Path) -> None:
     library = Library([small_scene], [])
     open_recording = library.open(View(recording=small_scene.name), viewer="a")
