@@ -11,7 +11,7 @@ from scanloom.panels.swatches import class_swatch
 from scanloom.state.frame_runs import class_name
 from scanloom.state.review_queue import QueueProgress
 
-_BOX = "<div style='padding:0.2em 0.6em 0.6em;font-size:0.85em;line-height:1.45'>"
+BOX = "<div style='padding:0.2em 0.6em 0.6em;font-size:0.85em;line-height:1.45'>"
 _TABLE = "<table style='width:100%;border-collapse:collapse;font-variant-numeric:tabular-nums'>"
 _CELL = "<td style='padding:0.05em 0 0.05em 0.6em;text-align:right'>{}</td>"
 _HEAD = "<th scope='col' style='padding:0.05em 0 0.05em 0.6em;text-align:right'>{}</th>"
@@ -35,9 +35,9 @@ def score_html(score: AnswerScore, layer: str, known: str, runs: QueueProgress) 
         )
         for one in score.classes
     ]
-    table = _table(["Class", "known", "said", "recall", "precision"], rows)
+    table = table_html(["Class", "known", "said", "recall", "precision"], rows)
     return (
-        f"{_BOX}<p><b>{name_html(layer)} against {name_html(known)}</b>: {runs.done} of "
+        f"{BOX}<p><b>{name_html(layer)} against {name_html(known)}</b>: {runs.done} of "
         f"{runs.total} runs with a known answer are labelled. Of {score.samples} samples that both "
         f"labelled, {estimate_html(score.percent)} are right.</p>{table}{_INTERVALS}</div>"
     )
@@ -63,12 +63,13 @@ def agreement_html(agreement: Agreement) -> str:
         for name, layer in agreement.layers.items()
     ]
     inside = _details(
-        "By class and by layer", _table(["Class", "α"], by_class) + _table(["", ""], by_layer)
+        "By class and by layer",
+        table_html(["Class", "α"], by_class) + table_html(["", ""], by_layer),
     )
     return (
-        f"{_BOX}<p><b>{len(agreement.layers)} layers</b>, {agreement.captures} scans and images, "
+        f"{BOX}<p><b>{len(agreement.layers)} layers</b>, {agreement.captures} scans and images, "
         f"{agreement.complete_samples} samples that all decided on</p>"
-        f"{_table(['', ''], rows)}"
+        f"{table_html(['', ''], rows)}"
         f"{inside}"
         f"{''.join(_pair_html(pair) for pair in agreement.pairs)}{_INTERVALS}</div>"
     )
@@ -89,13 +90,13 @@ def _pair_html(pair: PairAgreement) -> str:
         (_class_html(name), [str(count) for count in counts])
         for name, counts in zip(pair.by_class, pair.confusion.tolist(), strict=True)
     ]
-    confused = _table([name_html(pair.first), *pair.by_class], confusion)
+    confused = table_html([name_html(pair.first), *pair.by_class], confusion)
     return (
         f"<p><b>{name_html(pair.first)} and {name_html(pair.second)}</b>: "
-        f"{int(pair.confusion.sum())} samples that both decided on</p>{_table(['', ''], rows)}"
+        f"{int(pair.confusion.sum())} samples that both decided on</p>{table_html(['', ''], rows)}"
         + _details(
             "By class",
-            f"{_table(['Class', 'κ', 'IoU'], by_class)}"
+            f"{table_html(['Class', 'κ', 'IoU'], by_class)}"
             f"<p>Samples by the class of {name_html(pair.first)} (rows) and of "
             f"{name_html(pair.second)} (columns)</p>{confused}",
         )
@@ -119,7 +120,7 @@ def _details(summary: str, content: str) -> str:
     return f"<details><summary>{summary}</summary>{content}</details>"
 
 
-def _table(head: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]) -> str:
+def table_html(head: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]) -> str:
     """``head``: empty names for none. ``rows``: the name and the cells of each, as HTML."""
     first, *others = head
     heads = _FIRST_HEAD.format(first) + "".join(_HEAD.format(name) for name in others)

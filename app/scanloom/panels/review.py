@@ -28,6 +28,7 @@ from scanloom.panels.review_html import (
     progress_html,
     run_html,
 )
+from scanloom.panels.suggestions import SuggestionControls
 from scanloom.panels.widgets.controls import Controls
 from scanloom.panels.widgets.panel_job import PanelJob
 from scanloom.scene.frame_summary import facts_of_beam
@@ -72,6 +73,7 @@ class ReviewPanel(Panel):
             self._review_controls = ReviewControls(gui, session, self._desk, self._controls)
             self._known_answers.add_folder(gui, self._controls)
             self._agreement = AgreementControls(gui, session, self._desk, self._lock)
+            self._suggestions = SuggestionControls(gui, bridge, session, self._desk, self._lock)
             leave = gui.add_button("End this review", color="gray")
         leave.on_click(lambda _: self._leave())
         self._begin.on_click(lambda _: self._start())
@@ -94,6 +96,7 @@ class ReviewPanel(Panel):
         if self._opened is not None and self._opened.recording.path != opened.recording.path:
             self._desk.end()
             self._known_answers.forget()
+            self._suggestions.forget()
         if self._opened is not opened:
             self._forget_survey()
             self._opened = opened
@@ -111,12 +114,14 @@ class ReviewPanel(Panel):
             self._review_controls.show()
             self._known_answers.show(view)
             self._agreement.show()
+            self._suggestions.show(frame_view)
             self._show_state(frame_view, self._desk.state())
 
     def close(self) -> None:
         """Hear of no more labels."""
         self._job.close()
         self._agreement.close()
+        self._suggestions.close()
         self._desk.close()
         self._forget_survey()
 

@@ -11,8 +11,12 @@ import pytest
 import viser
 
 from fusion_core.model.labels import NO_LABEL, CaptureLabels, Label
+from fusion_core.workflows.fuse.cached_chain import FrameChoice
+from fusion_core.workflows.fuse.captures import frame_captures
 from fusion_core.workflows.labels.compare_layers import agreement_of
+from fusion_core.workflows.labels.labelled_frames import labelled_frames
 from fusion_core.workflows.labels.open_store import Author
+from fusion_core.workflows.labels.suggestions import suggest_thresholds
 from scanloom.client_session import ClientSession
 from scanloom.page.bridge import PageBridge
 from scanloom.panels.review import ReviewPanel
@@ -273,3 +277,63 @@ def test_a_majority_is_counted_then_written_in_one_action(bench: Bench) -> None:
     assert "gold" not in bench.shown()
     bench.session.undo()
     bench.until(lambda: sum(bench.labels.counts("agreed").values()) == 1)
+
+
+def test_a_suggestion_is_shown_and_applied_by_one_press(bench: Bench) -> None:
+    bench.begin("jana")
+    frame_view = bench.session.frame_view
+    assert frame_view is not None
+    assert frame_view.chain is not None
+    noise = frame_view.view.settings.noise
+    # Whoever calls every side of a pair that differs by much a burr, and all else good.
+    table = bench.desk.state().table
+    assert table is not None
+    for frame in range(0, len(table.frames), 3):
+        fused = frame_view.chain.fused(FrameChoice(number=frame), frame_view.view.settings)
+        captures = frame_captures(fused.match, frame_view.chain.session)
+        pairs = fused.match.correspondence
+        differs = np.abs(pairs.lidar_range_m - pairs.depth_m) > 0.3
+        assert captures.scan is not None
+        codes = np.where(differs, Label.BURR, Label.GOOD)
+        row = np.zeros_like(captures.beam)
+        bench.labels.label(
+            "jana",
+            [CaptureLabels.of_samples(captures.scan, row, captures.beam, codes)],
+            Author("jana"),
+        )
+    bench.browser.set_value("By the labels of", "jana")
+    bench.browser.click("Suggest ε and thresholds")
+    bench.until(lambda: "By the labels of <bdi" in bench.shown(), LONG_S)
+    expected = suggest_thresholds(
+        labelled_frames(frame_view.chain, frame_view.view.settings, bench.labels.layer("jana")),
+        frame_view.chain.alignment,
+        noise,
+    )
+    fit = expected[0].fit
+    assert fit is not None
+    assert fit.value != noise.epsilon
+    score = f"{fit.score_of_current:.2f} → {fit.score_of_value:.2f}"
+    assert f"{fit.value:.3g} ({fit.low:.3g}–{fit.high:.3g})" in bench.shown()
+    assert score in bench.shown()
+    bench.browser.press("suggestion", "epsilon")
+    bench.until(lambda: bench.session.view.settings.noise.epsilon == fit.value)
+    bench.browser.wait_until(lambda: "in use" in bench.shown())
+    # What no suggestion is called changes nothing.
+    before = bench.session.view.settings
+    bench.browser.press("suggestion", "epsilon_unit")
+    bench.browser.press("suggestion", "max_gap_deg")
+    # In another unit it is another setting.
+    bench.session.change_setting("noise", "epsilon_unit", "m")
+    bench.until(lambda: "By the labels of <bdi" not in bench.shown())
+    bench.session.change(settings=frame_view.view.settings)
+    assert before.model_copy(update={"noise": noise}) == frame_view.view.settings
+
+
+def test_labels_of_one_kind_suggest_nothing(bench: Bench) -> None:
+    bench.begin("karl")
+    bench.desk.mark_beams([1, 2, 3], is_added=False)
+    bench.desk.answer(Label.GOOD)
+    bench.browser.set_value("By the labels of", "karl")
+    bench.browser.click("Suggest ε and thresholds")
+    bench.until(lambda: "The labels do not tell" in bench.shown(), LONG_S)
+    assert "Apply</button>" not in bench.shown()
