@@ -79,7 +79,7 @@ def test_the_whole_way_by_keyboard(person: Person, output_root: Path) -> None:
     assert session.view.frame_index == worst
 
     # Build the map, without figures, and export it.
-    keyboard.press("Alt+5")
+    keyboard.press("Alt+6")
     person.wait_for_panel("Map")
     tab_to(person, "it.type === 'checkbox' && it.labels?.[0]?.textContent.includes('Figures')")
     keyboard.press("Space")

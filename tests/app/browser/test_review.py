@@ -121,6 +121,7 @@ def test_box_and_brush_label_pixels_off_the_curve(anna: Person, store: LabelStor
     np.testing.assert_array_equal(image[20:29, 10:31], expected[20:29, 10:31])
 
 
+@pytest.mark.slow
 def test_keys_go_to_a_field_that_has_the_focus_until_escape(
     anna: Person, store: LabelStore
 ) -> None:
@@ -141,6 +142,7 @@ def test_keys_go_to_a_field_that_has_the_focus_until_escape(
     assert store.counts("cleo")[Label.HOLE] > 0
 
 
+@pytest.mark.slow
 def test_a_drag_on_the_profile_marks_beams(anna: Person, store: LabelStore) -> None:
     begin(anna, "carla")
     anna.key("b")
@@ -174,6 +176,7 @@ def test_a_blind_review_tells_no_class(anna: Person, store: LabelStore) -> None:
     anna.wait_until(lambda: store.counts("dora")[Label.BURR] > 0)
 
 
+@pytest.mark.slow
 def test_two_people_at_once_see_each_others_answers(
     anna: Person, arrive: Callable[..., Person], store: LabelStore
 ) -> None:
@@ -197,6 +200,7 @@ def test_two_people_at_once_see_each_others_answers(
     ben.page.context.close()
 
 
+@pytest.mark.slow
 def test_a_second_window_of_one_person_stays_consistent(
     anna: Person, arrive: Callable[..., Person], store: LabelStore
 ) -> None:
