@@ -109,7 +109,12 @@ def estimate_html(estimate: Estimate) -> str:
         return f'<span title="{html.escape(estimate.undefined)}">–</span>'
     if estimate.low is None or estimate.high is None:
         return f"{estimate.value:.2f}"
-    return f"{estimate.value:.2f} ({estimate.low:.2f}–{estimate.high:.2f})"
+    return f"{estimate.value:.2f} {unbroken(f'({estimate.low:.2f}–{estimate.high:.2f})')}"
+
+
+def unbroken(text: str) -> str:
+    """Text of numbers in one line."""
+    return f'<span style="white-space:nowrap">{text}</span>'
 
 
 def _class_html(name: str) -> str:

@@ -14,7 +14,7 @@ from scanloom.frame_view import FrameView, clock_offset_ms
 from scanloom.page.bridge import PageBridge, press_attributes
 from scanloom.page.markup import name_html
 from scanloom.page.update_widget import update_widget
-from scanloom.panels.label_tables import BOX, table_html
+from scanloom.panels.label_tables import BOX, table_html, unbroken
 from scanloom.panels.review_desk import ReviewDesk
 from scanloom.panels.widgets.panel_job import PanelJob
 
@@ -130,13 +130,13 @@ def suggestions_html(suggested: Sequence[Suggestion], layer: str, settings: Chai
                 f"<button {press_attributes(PRESS_APPLY, one.setting)} "
                 f'title="Undo in another step takes it back">Apply</button>'
             )
-        score = f"{fit.score_of_current:.2f} → {fit.score_of_value:.2f}"
+        score = unbroken(f"{fit.score_of_current:.2f} → {fit.score_of_value:.2f}")
         rows.append(
             (
                 name,
                 [
                     f"{fit.current:g}",
-                    f"{fit.value:.3g} ({fit.low:.3g}–{fit.high:.3g})",
+                    f"{fit.value:.3g} {unbroken(f'({fit.low:.3g}–{fit.high:.3g})')}",
                     f"<b>{score}</b>" if fit.is_better else score,
                     button,
                 ],

@@ -313,7 +313,8 @@ def test_a_suggestion_is_shown_and_applied_by_one_press(bench: Bench) -> None:
     assert fit is not None
     assert fit.value != noise.epsilon
     score = f"{fit.score_of_current:.2f} → {fit.score_of_value:.2f}"
-    assert f"{fit.value:.3g} ({fit.low:.3g}–{fit.high:.3g})" in bench.shown()
+    assert f">{fit.value:.3g} <" in bench.shown()
+    assert f"({fit.low:.3g}–{fit.high:.3g})" in bench.shown()
     assert score in bench.shown()
     bench.browser.press("suggestion", "epsilon")
     bench.until(lambda: bench.session.view.settings.noise.epsilon == fit.value)
