@@ -3,6 +3,8 @@
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
 
 import viser
 
@@ -41,6 +43,15 @@ STORED_ANNOTATOR = "annotator"
 _TYPED_WITHIN_S = 0.3
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Folders:
+    """What stands below the answers."""
+
+    controls: ReviewControls
+    agreement: AgreementControls
+    suggestions: SuggestionControls
+
+
 class ReviewPanel(Panel):
     """Begin with a name; then the queue, the run that is asked about, and the answers."""
 
@@ -69,13 +80,9 @@ class ReviewPanel(Panel):
         self._answers = gui.add_html("", visible=False)
         self._controls = Controls(gui, session)
         self._choices = gui.add_folder(None, visible=False)
-        with self._choices:
-            self._review_controls = ReviewControls(gui, session, self._desk, self._controls)
-            self._known_answers.add_folder(gui, self._controls)
-            self._agreement = AgreementControls(gui, session, self._desk, self._lock)
-            self._suggestions = SuggestionControls(gui, bridge, session, self._desk, self._lock)
-            leave = gui.add_button("End this review", color="gray")
-        leave.on_click(lambda _: self._leave())
+        # The page opens the sooner for what is built when somebody reviews.
+        self._folders: _Folders | None = None
+        self._gui, self._bridge = gui, bridge
         self._begin.on_click(lambda _: self._start())
         bridge.on_press(PRESS_ANSWER, self._answer)
         actions: dict[str, Callable[[], None]] = {
@@ -96,7 +103,8 @@ class ReviewPanel(Panel):
         if self._opened is not None and self._opened.recording.path != opened.recording.path:
             self._desk.end()
             self._known_answers.forget()
-            self._suggestions.forget()
+            if self._folders is not None:
+                self._folders.suggestions.forget()
         if self._opened is not opened:
             self._forget_survey()
             self._opened = opened
@@ -111,17 +119,15 @@ class ReviewPanel(Panel):
         for after in (self._progress, self._run, self._answers, self._choices):
             update_widget(after, visible=has_begun)
         if has_begun:
-            self._review_controls.show()
-            self._known_answers.show(view)
-            self._agreement.show()
-            self._suggestions.show(frame_view)
+            self._show_folders(frame_view)
             self._show_state(frame_view, self._desk.state())
 
     def close(self) -> None:
         """Hear of no more labels."""
         self._job.close()
-        self._agreement.close()
-        self._suggestions.close()
+        if self._folders is not None:
+            self._folders.agreement.close()
+            self._folders.suggestions.close()
         self._desk.close()
         self._forget_survey()
 
@@ -158,6 +164,24 @@ class ReviewPanel(Panel):
         self._session.refresh()
 
     # Showing
+
+    def _show_folders(self, frame_view: FrameView) -> None:
+        if self._folders is None:
+            gui, bridge, session = self._gui, self._bridge, self._session
+            with self._choices:
+                controls = ReviewControls(gui, session, self._desk, self._controls)
+                self._known_answers.add_folder(gui, self._controls)
+                self._folders = _Folders(
+                    controls=controls,
+                    agreement=AgreementControls(gui, session, self._desk, self._lock),
+                    suggestions=SuggestionControls(gui, bridge, session, self._desk, self._lock),
+                )
+                leave = gui.add_button("End this review", color="gray")
+            leave.on_click(lambda _: self._leave())
+        self._folders.controls.show()
+        self._known_answers.show(frame_view.view)
+        self._folders.agreement.show()
+        self._folders.suggestions.show(frame_view)
 
     def _want_survey(self, frame_view: FrameView) -> None:
         chain, view = frame_view.chain, frame_view.view
@@ -235,6 +259,11 @@ class ReviewPanel(Panel):
         if name in ANSWERS:
             self._desk.answer(ANSWERS[name])
 
+    def _by_controls(self, what: Literal["around", "tool"]) -> None:
+        if self._folders is not None:
+            controls = self._folders.controls
+            (controls.answer_around if what == "around" else controls.next_tool)()
+
     def _add_keys(self, bridge: PageBridge, actions: dict[str, Callable[[], None]]) -> None:
         def in_review(act: Callable[[], None]) -> Callable[[], None]:
             return lambda: act() if self._desk.is_on else None
@@ -249,8 +278,8 @@ class ReviewPanel(Panel):
             ("Review: no label", "0", lambda: self._answer("clear")),
             ("Review: split the run", "X", actions["split"]),
             ("Review: unmark", "V", actions["unmark"]),
-            ("Review: label run and neighbours", "I", self._review_controls.answer_around),
-            ("Review: point, box or brush", "B", self._review_controls.next_tool),
+            ("Review: label run and neighbours", "I", lambda: self._by_controls("around")),
+            ("Review: point, box or brush", "B", lambda: self._by_controls("tool")),
         )
         for label, key, act in keys:
             bridge.add_key(label, key, in_review(act))
