@@ -5,8 +5,6 @@ are neighbours too, diagonal ones are not.
 """
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from fusion_core.annotation.aligned_layers import AlignedLabels
 from fusion_core.model.conventions import BoolArray, IntArray
@@ -43,6 +41,10 @@ def _number_all(
     numbers: IntArray = np.cumsum(starts) - 1
     if (row == 0).all():
         return numbers
+    # Loading these takes a quarter of a second, for which whoever opens the workbench would wait.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     rows = np.array([one.rows for one in aligned.captures])[capture]
     below = np.minimum(np.searchsorted(place, place + columns), place.size - 1)
     # Without the rows the sample below the last row would lie in the next capture.
