@@ -28,7 +28,13 @@ def may_run() -> bool:
         pwd.getpwnam(_OWNER)
     except KeyError:
         return False
-    return shutil.which("runuser") is not None
+    return _runuser() is not None
+
+
+def _runuser() -> str | None:
+    """Debian's own, which stands with what only root calls."""
+    folders = [os.environ.get("PATH", os.defpath), "/usr/sbin", "/sbin"]
+    return shutil.which("runuser", path=os.pathsep.join(folders))
 
 
 class Server:
@@ -71,7 +77,7 @@ class Server:
     def _run(self, program: str, *arguments: str) -> None:
         command: Sequence[str] = (str(self._programs / program), *arguments)
         if not os.geteuid():
-            command = ("runuser", "-u", _OWNER, "--", *command)
+            command = (str(_runuser()), "-u", _OWNER, "--", *command)
         # The server lives on with what it inherits: no pipe may wait for its end.
         subprocess.run(
             command,

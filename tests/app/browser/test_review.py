@@ -162,6 +162,7 @@ def test_a_drag_on_the_profile_marks_beams(anna: Person, store: LabelStore) -> N
     assert not {int(beam) for beam in [*drawn.beam[:9], *drawn.beam[32:]]} & marked
 
 
+@pytest.mark.slow
 def test_a_blind_review_tells_no_class(anna: Person, store: LabelStore) -> None:
     begin(anna, "dora")
     anna.key("j")
