@@ -18,6 +18,8 @@ from scanloom.server.workbench import ServeOptions, Workbench
 from scanloom.state.frame_runs import SENSORS
 from tests.app.viser_client import ViserClient, connect
 
+pytestmark = pytest.mark.slow
+
 ENOUGH_S = 240.0
 
 

@@ -48,6 +48,7 @@ def exported(bedroom, tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_clouds_lie_on_the_surfaces_of_the_map(bedroom, exported):
     assert {path.name for path in exported.iterdir()} == {
         "lidar.ply",

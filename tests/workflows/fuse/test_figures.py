@@ -162,6 +162,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     )
 
 
+@pytest.mark.slow
 def test_figures_are_counted_as_they_are_drawn(run: SimpleNamespace) -> None:
     pictures = list((run.output / "figures").glob("*.png"))
     assert run.drawn == [(number, len(pictures)) for number in range(1, len(pictures) + 1)]

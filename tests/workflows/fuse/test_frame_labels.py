@@ -31,6 +31,8 @@ from fusion_core.workflows.map.recorded_sensors import RecordedSensors
 from fusion_core.workflows.map.repaired_scans import RepairedScans
 from tests.workflows.label_layer import MemoryLayer
 
+pytestmark = pytest.mark.slow
+
 GOOD, HOLE, BURR, CONFLICT = NoiseClass
 DEFAULT, PUBLISHED = PRESETS["default"], PRESETS["published"]
 
@@ -203,7 +205,6 @@ def test_what_a_person_rejects_fills_no_gap(chain) -> None:
     assert (plain.repair.depth_source == RepairSource.NEIGHBOURS).any()
 
 
-@pytest.mark.slow
 def test_a_pass_gives_the_frames_of_the_chain(chain) -> None:
     layer = layer_of_classes(chain, range(18, 24), [BURR, CONFLICT])
     labels = SessionLabels(session=chain.session, layer=layer)
@@ -269,7 +270,6 @@ def test_a_run_with_labels_says_so_and_is_another_run(bedroom, labelled_run) -> 
     assert Manifest.read(folder).matches(own)
 
 
-@pytest.mark.slow
 def test_labels_of_nothing_change_no_result(bedroom, tmp_path) -> None:
     output = tmp_path / "results"
     fuse(bedroom.recording, output, FuseOptions(figures=False, labels=MemoryLayer()))
@@ -328,7 +328,6 @@ def test_a_map_takes_labels_for_repaired_scans_alone(bedroom, tmp_path) -> None:
             build_map(bedroom.recording, tmp_path, MapOptions(scan=kind, labels=MemoryLayer()))
 
 
-@pytest.mark.slow
 def test_repaired_scans_of_a_map_are_those_of_fuse(bedroom, labelled_run) -> None:
     layer, folder = labelled_run
     fused_scans = topic_values(folder / "fused.mcap", "/scan")
