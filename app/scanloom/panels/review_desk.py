@@ -1,6 +1,7 @@
 """What a person does in the review: which run is asked about, what is marked, and the answers."""
 
 import threading
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -20,7 +21,7 @@ from scanloom.scene.propagation import labels_around
 from scanloom.scene.review_frame import captures_of, review_overlay
 from scanloom.state.annotated_layer import AnnotatedLayer
 from scanloom.state.answer_rate import AnswerRate
-from scanloom.state.answered_labels import label_of_answer, united_by_capture
+from scanloom.state.answered_labels import label_of_answer
 from scanloom.state.asked_run import AskedRun
 from scanloom.state.frame_survey import FrameSurvey
 from scanloom.state.recording_labels import RecordingLabels
@@ -72,6 +73,8 @@ class ReviewDesk:
         self._selection = Selection()
         self._comment = ""
         self._rate = AnswerRate()
+        # Where labels of which layer have changed, not taken in yet.
+        self._heard: deque[tuple[str, Sequence[Capture]]] = deque()
 
     # Beginning and following
 
@@ -147,6 +150,7 @@ class ReviewDesk:
             if self._own is None or survey is None:
                 return
             self._own.labels.take_in_others()
+            self._take_in_heard()
             choices = frame_view.view.review
             self._asked.follow(survey, choices, self._own)
             # What is asked for, which what is displayed lags behind: else each of several quick
@@ -184,6 +188,7 @@ class ReviewDesk:
     def go(self, direction: int) -> None:
         """Go to the next run of the queue, or to the previous one for -1."""
         with self._lock:
+            self._take_in_heard()
             if self._asked.queue is None:
                 return
             found = self._asked.neighbour(direction, self._session.view.frame_index)
@@ -246,6 +251,7 @@ class ReviewDesk:
         with self._lock:
             if not self.is_on:
                 return
+            self._take_in_heard()
             is_marked = bool(self._selection)
             labels = self._labels_of_marked(answer) if is_marked else self._labels_of_asked(answer)
             before = self._asked.number
@@ -263,7 +269,7 @@ class ReviewDesk:
             if self._own is None or self._asked.queue is None:
                 return
             found = [self._labels_of_run(number, answer, None) for number in self.open_numbers()]
-            labels = united_by_capture(one for one in found if one is not None)
+            labels = [one for one in found if one is not None]
             self._write(labels, "all that the queue showed")
         self._session.refresh()
 
@@ -281,9 +287,8 @@ class ReviewDesk:
             label = int(own[0].label[0])
             around = labels_around(frame_view, queue.table, number, part, label, beside)
             # The run's own last, which counts.
-            whole = united_by_capture((*around, *own))
             scope = f"the same place in up to {beside} frames before and after"
-            if self._write(whole, scope):
+            if self._write([*around, *own], scope):
                 self._go_on(number)
         self._session.refresh()
 
@@ -322,6 +327,11 @@ class ReviewDesk:
         """Hear of no more labels."""
         self.end()
 
+    def _hear(self, layer: str, captures: Sequence[Capture]) -> None:
+        # Without the lock: whoever tells of it holds that of their own desk.
+        self._heard.append((layer, captures))
+        self._session.refresh()
+
     # Inside, with the lock held
 
     def _write(self, labels: Sequence[CaptureLabels], scope: str = "") -> bool:
@@ -334,6 +344,7 @@ class ReviewDesk:
         except ScanLoomError as error:
             self._session.show_failure(error, until_dismissed=True)
             return False
+        self._take_in_heard()
         self._comment = ""
         self._rate.count()
         return True
@@ -354,11 +365,11 @@ class ReviewDesk:
         if not is_done:
             self._session.notify("Labels", f"There is nothing to {step}.")
 
-    def _hear(self, layer: str, captures: Sequence[Capture]) -> None:
-        with self._lock:
+    def _take_in_heard(self) -> None:
+        while self._heard:
+            layer, captures = self._heard.popleft()
             if self._own is not None and layer == self._own.name:
                 self._asked.update(captures)
-        self._session.refresh()
 
     def _ask(self, number: int) -> None:
         frame, beam = self._asked.ask(number)
