@@ -109,8 +109,7 @@ class ClientSession:
     """The session of one browser. Thread-safe.
 
     ``panels``: closed with the session. ``review``: of the labels, once there is a panel for it.
-    ``after_drawing``: calls a function once the browser has
-    taken in what it was sent.
+    ``after_drawing``: calls a function once the browser has taken in what it was sent.
     """
 
     def __init__(
@@ -152,6 +151,12 @@ class ClientSession:
     def view(self) -> View:
         """The requested view; ``frame_view`` may lag behind by one computation."""
         return self._view
+
+    @property
+    def active_review(self) -> Review | None:
+        """The review while keys and clicks are about labels, else None."""
+        review = self.review
+        return review if review is not None and review.is_on else None
 
     def refresh(self) -> None:
         """Compute and display the view again."""
@@ -215,15 +220,17 @@ class ClientSession:
     def undo(self) -> None:
         """Undo the last label in the review, elsewhere the last change of settings, frame, step or
         recording."""
-        if self.review is not None and self.review.is_on:
-            self.review.undo()
+        review = self.active_review
+        if review is not None:
+            review.undo()
         else:
             self._return_to(self._history.undo)
 
     def redo(self) -> None:
         """Redo what was undone last."""
-        if self.review is not None and self.review.is_on:
-            self.review.redo()
+        review = self.active_review
+        if review is not None:
+            review.redo()
         else:
             self._return_to(self._history.redo)
 

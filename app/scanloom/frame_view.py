@@ -13,6 +13,7 @@ from fusion_core.workflows.fuse.frame_match import FrameMatch
 from fusion_core.workflows.fuse.pairing import PairedImage
 from scanloom.jobs.long_job import Cancelled
 from scanloom.jobs.time_left import time_left_text
+from scanloom.state.frame_survey import SurveyInputs
 from scanloom.state.open_recording import OpenRecording
 from scanloom.state.raw_frame import LoneFrame, RawFrame
 from scanloom.state.review_overlay import ReviewOverlay
@@ -74,6 +75,20 @@ class FrameView:
 def clock_offset_ms(view: View, chain: CachedChain) -> float:
     """The offset subtracted from the camera's stamps: the mount's if applied, else 0."""
     return chain.alignment.mount.clock_offset_ms if view.apply_clock_offset else 0.0
+
+
+def survey_inputs(frame_view: FrameView) -> SurveyInputs | None:
+    """What a survey of the recording counts with the settings of a view; None before it is
+    aligned."""
+    chain, view = frame_view.chain, frame_view.view
+    if chain is None:
+        return None
+    return SurveyInputs(
+        chain=chain,
+        settings=view.settings,
+        clock_offset_ms=clock_offset_ms(view, chain),
+        pairing=frame_view.open_recording.pairing,
+    )
 
 
 def is_blind(view: View) -> bool:

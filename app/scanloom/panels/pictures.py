@@ -92,8 +92,8 @@ class DepthImagePanel(Panel):
             self._session.hover(Hover(source="depth", row=row, column=column, beam=beam, v=row))
 
     def _drawn_on(self, stroke: Stroke) -> None:
-        drawn, review = self._drawn, self._session.review
-        if drawn is None or review is None or not review.is_on:
+        drawn, review = self._drawn, self._session.active_review
+        if drawn is None or review is None:
             return
         box, (zoom_x, zoom_y) = drawn.axes.box, drawn.axes.px_per_unit
         # The centres of pixels are integers, and the image begins half a pixel before the first.

@@ -88,8 +88,8 @@ class ProfilePanel(Panel):
             self._session.hover(Hover(source="profile", beam=beam))
 
     def _drawn_on(self, stroke: Stroke) -> None:
-        drawn, review = self._drawn, self._session.review
-        if drawn is None or review is None or not review.is_on:
+        drawn, review = self._drawn, self._session.active_review
+        if drawn is None or review is None:
             return
         ends_px = sorted((stroke.places[0][0], stroke.places[-1][0]))
         x_px = [drawn.axes.to_pixel(azimuth, 0.0)[0] for azimuth in drawn.azimuth_deg.tolist()]

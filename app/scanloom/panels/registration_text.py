@@ -12,6 +12,7 @@ from fusion_core.workflows.fuse.registration_details import (
     Registration,
     TransformDecomposition,
 )
+from scanloom.scene.verdict import counted
 
 # Set by hand: a transform that shrinks a distance below this fraction has an unstable inverse.
 _FLATTENS = 0.5
@@ -54,7 +55,7 @@ def transform_text(found: Registration, meaning: TransformDecomposition) -> str:
     quality = (
         f"Mean error **E = {_length(found.mean_error_m)}** over {found.valid} pairs; σ = "
         f"{_length(found.sigma_m)} per axis over {int(found.inliers.sum())} inliers. Condition "
-        f"{found.condition:.3g}; {_counted(found.refits, 'refit')}{settled}."
+        f"{found.condition:.3g}; {counted(found.refits, 'refit')}{settled}."
     )
     return f"A ({found.model}){near}:\n\n" + _listed(lines) + f"\n\n{quality}" + _refused(found)
 
@@ -90,7 +91,7 @@ def draw_text(draw: RansacDraw, found: Registration) -> str:
     after = ""
     if draw.index == best:
         after = (
-            f" After {_counted(found.refits, 'refit')} to its inliers, A agrees with "
+            f" After {counted(found.refits, 'refit')} to its inliers, A agrees with "
             f"{int(found.inliers.sum())}."
         )
     return f"Draw **{draw.index}** of 0…{count - 1}{mark}: {outcome}.{after} Pairs {numbers}."
@@ -151,10 +152,6 @@ def _refused(found: Registration) -> str:
 
 def _listed(lines: Iterable[str]) -> str:
     return "\n".join(f"- {line}" for line in lines)
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def _turn(angle_rad: float) -> str:

@@ -4,14 +4,13 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import viser
 
 from fusion_core.model.classes import NoiseClass
 from fusion_core.workflows.labels.open_store import checked_name
 from scanloom.client_session import ClientSession, Panel
-from scanloom.frame_view import FrameView, clock_offset_ms
+from scanloom.frame_view import FrameView, survey_inputs
 from scanloom.page.bridge import PageBridge
 from scanloom.page.browser_storage import Answers, request_items
 from scanloom.page.markup import paragraph
@@ -35,7 +34,7 @@ from scanloom.panels.widgets.controls import Controls
 from scanloom.panels.widgets.panel_job import PanelJob
 from scanloom.scene.frame_summary import facts_of_beam
 from scanloom.state.frame_runs import SENSORS, class_name
-from scanloom.state.frame_survey import FrameSurvey, SurveyInputs
+from scanloom.state.frame_survey import FrameSurvey
 from scanloom.state.open_recording import OpenRecording
 
 STORED_ANNOTATOR = "annotator"
@@ -184,17 +183,10 @@ class ReviewPanel(Panel):
         self._folders.suggestions.show(frame_view)
 
     def _want_survey(self, frame_view: FrameView) -> None:
-        chain, view = frame_view.chain, frame_view.view
-        if chain is None:
-            return
-        inputs = SurveyInputs(
-            chain=chain,
-            settings=view.settings,
-            clock_offset_ms=clock_offset_ms(view, chain),
-            pairing=frame_view.open_recording.pairing,
-        )
-        surveys = frame_view.open_recording.surveys
-        self._survey = surveys.want(self, inputs, self._session.refresh)
+        inputs = survey_inputs(frame_view)
+        if inputs is not None:
+            surveys = frame_view.open_recording.surveys
+            self._survey = surveys.want(self, inputs, self._session.refresh)
 
     def _forget_survey(self) -> None:
         if self._opened is not None and self._survey is not None:
@@ -259,10 +251,9 @@ class ReviewPanel(Panel):
         if name in ANSWERS:
             self._desk.answer(ANSWERS[name])
 
-    def _by_controls(self, what: Literal["around", "tool"]) -> None:
+    def _by_controls(self, act: Callable[[ReviewControls], None]) -> None:
         if self._folders is not None:
-            controls = self._folders.controls
-            (controls.answer_around if what == "around" else controls.next_tool)()
+            act(self._folders.controls)
 
     def _add_keys(self, bridge: PageBridge, actions: dict[str, Callable[[], None]]) -> None:
         def in_review(act: Callable[[], None]) -> Callable[[], None]:
@@ -278,8 +269,16 @@ class ReviewPanel(Panel):
             ("Review: no label", "0", lambda: self._answer("clear")),
             ("Review: split the run", "X", actions["split"]),
             ("Review: unmark", "V", actions["unmark"]),
-            ("Review: label run and neighbours", "I", lambda: self._by_controls("around")),
-            ("Review: point, box or brush", "B", lambda: self._by_controls("tool")),
+            (
+                "Review: label run and neighbours",
+                "I",
+                lambda: self._by_controls(ReviewControls.answer_around),
+            ),
+            (
+                "Review: point, box or brush",
+                "B",
+                lambda: self._by_controls(ReviewControls.next_tool),
+            ),
         )
         for label, key, act in keys:
             bridge.add_key(label, key, in_review(act))

@@ -350,9 +350,9 @@ class ScenePanel(Panel):
 
     def _boxed(self, event: viser.SceneRectSelectEvent) -> None:
         """In the review, mark the beams that end within the box."""
-        review, geometry = self._session.review, self._geometry
+        review, geometry = self._session.active_review, self._geometry
         box = (*event.screen_min, *event.screen_max)
-        if review is None or not review.is_on or geometry is None or not np.isfinite(box).all():
+        if review is None or geometry is None or not np.isfinite(box).all():
             return
         w, x, y, z = map(float, self._camera.wxyz)
         T_world_camera = make_transform(

@@ -7,7 +7,7 @@ from functools import partial
 import viser
 
 from scanloom.client_session import ClientSession, Panel
-from scanloom.frame_view import FrameView, clock_offset_ms
+from scanloom.frame_view import FrameView, survey_inputs
 from scanloom.jobs.playback import Playback
 from scanloom.page.bridge import PageBridge
 from scanloom.page.events import PointKind
@@ -20,7 +20,7 @@ from scanloom.plots.frame_times import FrameTimes
 from scanloom.plots.theme import theme_of
 from scanloom.plots.time_strip import TimeStrip, time_strip
 from scanloom.scene.frame_summary import conflict_runs
-from scanloom.state.frame_survey import FrameCounts, FrameSurvey, SurveyInputs
+from scanloom.state.frame_survey import FrameCounts, FrameSurvey
 from scanloom.state.hover import Hover
 from scanloom.state.open_recording import OpenRecording
 from scanloom.state.view import PANELS
@@ -198,15 +198,9 @@ class TimelinePanel(Panel):
         update_widget(self._frame, max=max(self.last_index + 1, 2))
 
     def _want_survey(self, frame_view: FrameView) -> None:
-        chain, opened, view = frame_view.chain, frame_view.open_recording, frame_view.view
-        if chain is None or self._is_closed:
+        opened, view, inputs = frame_view.open_recording, frame_view.view, survey_inputs(frame_view)
+        if inputs is None or self._is_closed:
             return
-        inputs = SurveyInputs(
-            chain=chain,
-            settings=view.settings,
-            clock_offset_ms=clock_offset_ms(view, chain),
-            pairing=opened.pairing,
-        )
         self._survey = opened.surveys.want(self, inputs, self._redraw)
         is_automatic = view.picked_offset is None and (
             not view.label_layer or view.panel == "Review"
@@ -310,15 +304,15 @@ class TimelinePanel(Panel):
             self._session.notify("Not found", missing)
 
     def _go_on(self, direction: int) -> None:
-        review = self._session.review
-        if review is not None and review.is_on:
+        review = self._session.active_review
+        if review is not None:
             review.go(direction)
         else:
             self._session.step(direction)
 
     def _conflict_or_no(self) -> None:
-        review = self._session.review
-        if review is not None and review.is_on:
+        review = self._session.active_review
+        if review is not None:
             review.answer("reject")
         else:
             self.go_to_conflict()

@@ -4,9 +4,10 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from fusion_core.model.conventions import BoolArray, IntArray
+from fusion_core.model.conventions import IntArray
 from fusion_core.model.labels import NO_LABEL, Capture, CaptureLabels
 from fusion_core.workflows.fuse.captures import FrameCaptures, frame_captures
+from fusion_core.workflows.fuse.frame_labels import ImageLabels
 from scanloom.frame_view import FrameView
 from scanloom.state.review_overlay import ReviewOverlay
 
@@ -31,18 +32,15 @@ def review_overlay(
     beam_labels: IntArray = np.full(beams, NO_LABEL)
     if captures.scan is not None:
         beam_labels = labels_of(captures.scan).as_image()[0]
-    chosen: dict[Capture | None, BoolArray] = {
-        labels.capture: labels.as_image() != NO_LABEL for labels in marked
-    }
-    selected_beams = chosen.get(captures.scan, np.zeros((1, beams), dtype=np.bool_))[0]
-    shape = captures.image.rows, captures.image.columns
-    selected = chosen.get(captures.image, np.zeros(shape, dtype=np.bool_))
-    row, column = captures.view.stored_pixel_maps()
-    shown = row >= 0
+    chosen: dict[Capture | None, CaptureLabels] = {labels.capture: labels for labels in marked}
+    selected_beams = np.zeros(beams, dtype=np.bool_)
+    if (on_scan := chosen.get(captures.scan)) is not None:
+        selected_beams[on_scan.column] = True
+    selected = chosen.get(captures.image)
     return ReviewOverlay(
         beam_labels=beam_labels,
-        pixel_labels=np.where(shown, labels_of(captures.image).as_image()[row, column], NO_LABEL),
+        pixel_labels=ImageLabels(stored=labels_of(captures.image), view=captures.view).upright(),
         selected_beams=selected_beams,
-        selected_pixels=shown & selected[row, column],
+        selected_pixels=ImageLabels(stored=selected, view=captures.view).upright() != NO_LABEL,
         is_blind=frame_view.view.review.blind,
     )

@@ -156,7 +156,7 @@ def _review(frame_view: FrameView) -> Verdict:
     if not beams and not pixels:
         return Verdict(sentence="Nothing of this frame is labelled yet", detail=detail)
     return Verdict(
-        sentence=f"{_count(beams, 'beam')} and {_count(pixels, 'pixel')} of this frame labelled",
+        sentence=f"{counted(beams, 'beam')} and {counted(pixels, 'pixel')} of this frame labelled",
         detail=f"{_unpaired_text(frame_view, review)} {detail}".strip(),
     )
 
@@ -172,11 +172,14 @@ def _unpaired_text(frame_view: FrameView, review: ReviewOverlay) -> str:
     has_pixel = pairs.row >= 0
     is_pixel[pairs.row[has_pixel], pairs.column[has_pixel]] = False
     beams, pixels = int(is_beam.sum()), int(is_pixel.sum())
-    said = [_count(number, what) for number, what in ((beams, "beam"), (pixels, "pixel")) if number]
+    said = [
+        counted(number, what) for number, what in ((beams, "beam"), (pixels, "pixel")) if number
+    ]
     return f"Of these {' and '.join(said)} without a pair now." if said else ""
 
 
-def _count(number: int, what: str) -> str:
+def counted(number: int, what: str) -> str:
+    """A number of things, in words that agree with it."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
