@@ -18,8 +18,11 @@ def test_the_sample_is_what_its_seed_gives(tmp_path):
     short = scene.settings.model_copy(update={"duration_s": 0.4})
     write_scene("furnished_room", tmp_path / "a.mcap", settings=short)
     again = dict(np.load(tmp_path / "a.truth.npz"))
-    for key in ("scan_true", "scan_kind", "depth_true", "depth_kind", "pose"):
-        np.testing.assert_array_equal(again[key], kept[key][: len(again[key])], err_msg=key)
+    for key in ("scan_true", "depth_true", "pose"):
+        np.testing.assert_allclose(again[key], kept[key][: len(again[key])], 1e-6, err_msg=key)
+    for key in ("scan_kind", "depth_kind"):
+        # A sine's last bit is the processor's own, and decides where a draw meets its chance.
+        assert np.mean(again[key] != kept[key][: len(again[key])]) < 1e-4, key
 
 
 def test_the_sample_is_small_and_has_every_kind():
