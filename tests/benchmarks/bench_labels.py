@@ -1,4 +1,4 @@
-"""What a journal of a million actions costs: opening, acting, reading, counting, streaming.
+"""What a journal of a million actions costs: opening, acting, reading, counting, exporting.
 
     python -m tests.benchmarks.bench_labels [--actions 1000000] [--captures 2000]
         [--postgresql postgresql://USER@HOST/EMPTY_DATABASE]
@@ -8,6 +8,7 @@ are inserted in bulk; everything that is timed goes through LabelStore.
 """
 
 import argparse
+import hashlib
 import multiprocessing
 import sys
 import tempfile
@@ -26,8 +27,10 @@ from fusion_core.annotation.address import open_database
 from fusion_core.annotation.identity import Author, RecordingIdentity
 from fusion_core.annotation.store import LabelStore
 from fusion_core.model.labels import NO_LABEL, Capture, CaptureLabels, Label
+from fusion_core.model.progress import silent
+from fusion_core.workflows.labels.export_labels import ExportOptions, export_labels
 
-RECORDING = RecordingIdentity("benchmark.mcap", "00" * 32)
+RECORDING = RecordingIdentity("benchmark.mcap", hashlib.sha256(b"").hexdigest())
 ANNA = Author("anna")
 BEAMS = 1000
 AT_ONCE = 20_000
@@ -150,7 +153,16 @@ def stream_all(store: LabelStore) -> str:
     return f"{samples} labels of {captures} captures"
 
 
-def measure(address: str, expected: dict[Label, int], captures: int) -> None:
+def export(address: str, folder: Path, format: str) -> str:
+    """What ``scanloom labels export`` does, with an empty file as the recording."""
+    recording = folder / RECORDING.name
+    recording.touch()
+    options = ExportOptions(address=address, format=format)
+    exported = export_labels(recording, folder / f"exported_{format}", options, silent)
+    return f"{exported['written']} labels"
+
+
+def measure(address: str, folder: Path, expected: dict[Label, int], captures: int) -> None:
     """Print a line for each thing that is timed. In a process of its own: what the preparation has
     freed would hide what memory is taken."""
     print(f"resident at the start {resident_mib():.1f} MiB")
@@ -184,7 +196,9 @@ def measure(address: str, expected: dict[Label, int], captures: int) -> None:
         once("all labels, streamed", lambda: stream_all(store))
         once("digest of the layer", lambda: store.layer("anna").sha256[:12])
         once("all actions, streamed", lambda: sum(1 for _ in store.actions()))
-        print(f"resident at the end {resident_mib():.1f} MiB")
+    for format in ("csv", "jsonl", "parquet"):
+        once(f"export as {format}", lambda format=format: export(address, folder, format))
+    print(f"resident at the end {resident_mib():.1f} MiB")
 
 
 def main() -> None:
@@ -202,7 +216,7 @@ def main() -> None:
         if options.postgresql is None:
             print(f"the file has {path.stat().st_size / MIB:.0f} MiB")
         child = multiprocessing.get_context("spawn").Process(
-            target=measure, args=(address, expected, options.captures)
+            target=measure, args=(address, Path(folder), expected, options.captures)
         )
         child.start()
         child.join()
