@@ -27,7 +27,7 @@ import numpy as np
 
 from fusion_core.model.progress import silent
 from fusion_core.recordings.formats import open_recording
-from fusion_core.workflows.fuse import frame, result_writer, tables
+from fusion_core.workflows.fuse import frame, match_images, result_writer, tables
 from fusion_core.workflows.fuse import session as session_module
 from fusion_core.workflows.fuse.align import RecordingAlignment, align_recording
 from fusion_core.workflows.fuse.frame import FusedFrame, fuse_frames
@@ -40,19 +40,18 @@ from fusion_core.workflows.fuse.settings import PRESETS
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "furnished_room.mcap"
 ROUNDS = 7
-BAR, AIM = 100, 150
+BAR, AIM = 150, 200
 # Where pass 2 looks each of its stages up.
 STAGES = {
-    "search": ((frame, "search_offset"),),
-    "turn rate": ((frame, "estimate_turn_rate_rad_s"),),
-    "mount frame": ((frame, "mount_observation"),),
-    "frame yaw check": ((frame, "turned_rad"),),
+    "search": ((match_images, "search_offset"),),
+    "mount observation": ((match_images, "observe_mount"),),
+    "frame yaw check": ((match_images, "turned_rad"),),
     "correspondence": (
-        (frame, "match_along_curve"),
-        (frame, "match_in_row"),
-        (frame, "map_through_A"),
+        (match_images, "match_along_curve"),
+        (match_images, "match_in_row"),
+        (match_images, "map_through_A"),
     ),
-    "registration": ((frame, "register"),),
+    "registration": ((match_images, "register"),),
     "classify": ((frame, "classify"),),
     "repair": ((frame, "repair"),),
     "tables": (
