@@ -5,7 +5,7 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from itertools import groupby
 from operator import itemgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from sqlalchemy import ARRAY, Connection, Integer, Row, Table, func, insert, literal, select
@@ -31,6 +31,19 @@ _ACTION = schema.action.c
 _CHANGE = schema.change.c
 
 
+class _Layer(NamedTuple):
+    id: int
+    name: str
+
+
+class _Link(NamedTuple):
+    """How an action lies in its annotator's stacks: see undo_stacks."""
+
+    kind: ActionKind
+    target: int | None
+    below: int | None
+
+
 def newest_action(connection: Connection) -> int:
     """The number of the newest action, 0 where there is none."""
     newest = connection.execute(select(func.max(_ACTION.id))).scalar_one()
@@ -49,7 +62,12 @@ def append_labels(
             changes.append(
                 CaptureChange(before=before.subset(changed), after=after.subset(changed))
             )
-    return _append(connection, layer, "do", None, changes, author) if changes else None
+    if not changes:
+        return None
+    if layer_id is None:
+        layer_id = _insert_numbered(connection, schema.layer, {"name": layer})
+    link = _Link("do", None, find_tops(connection, layer, author.annotator).below("do"))
+    return _append(connection, _Layer(layer_id, layer), link, changes, author)
 
 
 def append_inverse(
@@ -63,10 +81,13 @@ def append_inverse(
     target = tops.undo if kind == "undo" else tops.redo
     if target is None:
         return None
+    layer_id = find_layer(connection, layer)
+    assert layer_id is not None, "the target is an action in it"
     changes = [change.inverse for change in changes_of_action(connection, target)]
     for change in changes:
-        _require_unchanged(connection, layer, kind, change.before)
-    return _append(connection, layer, kind, target, changes, Author(annotator))
+        _require_unchanged(connection, _Layer(layer_id, layer), kind, change.before)
+    link = _Link(kind, target, tops.below(kind))
+    return _append(connection, _Layer(layer_id, layer), link, changes, Author(annotator))
 
 
 def changes_of_action(connection: Connection, action_id: int) -> tuple[CaptureChange, ...]:
@@ -142,10 +163,9 @@ def _labels_now(
 
 
 def _require_unchanged(
-    connection: Connection, layer: str, kind: ActionKind, left: CaptureLabels
+    connection: Connection, layer: _Layer, kind: ActionKind, left: CaptureLabels
 ) -> None:
-    layer_id = find_layer(connection, layer)
-    now = _labels_now(connection, layer_id, left)
+    now = _labels_now(connection, layer.id, left)
     differing = np.flatnonzero(now.label != left.label)
     if not len(differing):
         return
@@ -154,7 +174,7 @@ def _require_unchanged(
         select(_ACTION.annotator, _ACTION.id)
         .join(schema.change, _CHANGE.action_id == _ACTION.id)
         .where(
-            _CHANGE.layer_id == layer_id,
+            _CHANGE.layer_id == layer.id,
             _CHANGE.capture_id == find_capture(connection, left.capture),
             _CHANGE.row == int(left.row[first]),
             _CHANGE.column == int(left.column[first]),
@@ -163,7 +183,7 @@ def _require_unchanged(
         .limit(1)
     ).one()
     raise LabelStoreError(
-        f"{kind} would overwrite what {newest.annotator} has labelled in layer {layer} since "
+        f"{kind} would overwrite what {newest.annotator} has labelled in layer {layer.name} since "
         f"(action {newest.id}: {left.capture.topic} at {left.capture.stamp_ns} ns).",
         advice=f"Ask {newest.annotator} to undo it, or label these samples anew.",
     )
@@ -171,21 +191,16 @@ def _require_unchanged(
 
 def _append(
     connection: Connection,
-    layer: str,
-    kind: ActionKind,
-    target: int | None,
+    layer: _Layer,
+    link: _Link,
     changes: Sequence[CaptureChange],
     author: Author,
 ) -> Action:
-    below = find_tops(connection, layer, author.annotator).below(kind)
-    layer_id = find_layer(connection, layer)
-    if layer_id is None:
-        layer_id = _insert_numbered(connection, schema.layer, {"name": layer})
     action = Action(
         id=newest_action(connection) + 1,
-        layer=layer,
-        kind=kind,
-        target=target,
+        layer=layer.name,
+        kind=link.kind,
+        target=link.target,
         time_utc=datetime.now(UTC),
         annotator=author.annotator,
         source=author.source,
@@ -198,10 +213,10 @@ def _append(
     connection.execute(
         insert(schema.action).values(
             id=action.id,
-            layer_id=layer_id,
-            kind=kind,
-            target_id=target,
-            below_id=below,
+            layer_id=layer.id,
+            kind=link.kind,
+            target_id=link.target,
+            below_id=link.below,
             time_utc=action.time_utc.isoformat(timespec="microseconds"),
             annotator=action.annotator,
             source=action.source,
@@ -214,7 +229,7 @@ def _append(
         capture_id = find_capture(connection, change.capture)
         if capture_id is None:
             capture_id = _insert_capture(connection, change.capture)
-        _insert_change(connection, (action.id, layer_id, capture_id), change)
+        _insert_change(connection, (action.id, layer.id, capture_id), change)
     return action
 
 
