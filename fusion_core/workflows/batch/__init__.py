@@ -1,1 +1,0 @@
-"""``scanloom batch``: one command over many recordings."""
