@@ -7,7 +7,7 @@ from functools import partial
 import viser
 
 from scanloom.client_session import ClientSession, Panel
-from scanloom.frame_view import FrameView, survey_inputs
+from scanloom.frame_view import FrameView, is_blind, survey_inputs
 from scanloom.jobs.playback import Playback
 from scanloom.page.bridge import PageBridge
 from scanloom.page.events import PointKind
@@ -218,9 +218,10 @@ class TimelinePanel(Panel):
     def _draw(self) -> None:
         frame_view, times = self._frame_view, self._times
         assert frame_view is not None, "a view was shown"
-        self._counts = None if self._survey is None else self._survey.counts
-        has_pairs = frame_view.open_recording.can_be_fused
-        drawn_of = (times, self._counts, self._width_px, frame_view.is_dark)
+        is_hidden = is_blind(frame_view.view)
+        self._counts = None if self._survey is None or is_hidden else self._survey.counts
+        has_pairs = frame_view.open_recording.can_be_fused and not is_hidden
+        drawn_of = (times, self._counts, has_pairs, self._width_px, frame_view.is_dark)
         if times is None:
             self._strip = None
             self._picture.show(None)
@@ -248,6 +249,8 @@ class TimelinePanel(Panel):
         opened = None if self._frame_view is None else self._frame_view.open_recording
         if opened is not None and not opened.can_be_fused:
             return opened.opened.why_not_fused
+        if is_blind(self._session.view):
+            return "Noise is not told in a blind review."
         return _missing(counts, found, what)
 
     def _row_state(self, frame_view: FrameView) -> RowState:

@@ -174,6 +174,11 @@ def test_a_blind_review_tells_no_class(anna: Person, store: LabelStore) -> None:
     expect(anna.text("The automatic class is hidden.")).to_be_visible()
     expect(anna.page.get_by_text("Automatic:")).to_have_count(0)
     assert anna.frame_view.fused is None
+    # Neither does the line below the strip of time, nor the buttons beside it.
+    line = anna.page.locator(".scanloom-frame")
+    expect(line).to_contain_text("Frame ")
+    expect(line).not_to_contain_text(re.compile("pairs|noise|holes?|burrs?|conflicts?"))
+    expect(anna.page.locator('[data-value="worst"]')).to_be_disabled()
     anna.key("3")
 
     anna.wait_until(lambda: store.counts("dora")[Label.BURR] > 0)
