@@ -1,0 +1,1 @@
+"""``scanloom batch``: one command over many recordings."""
