@@ -67,7 +67,8 @@ def time_strip(
     """Draw the frames' shares of noise, or their times only while there are no counts.
 
     ``has_pairs``: False for frames of one sensor alone, which have no noise to be counted, and
-    where noise is not to be told: then times and gaps are all there is. Raises ValueError where the picture is too small.
+    where noise is not to be told: then times and gaps are all there is. Raises ValueError where the
+    picture is too small.
     """
     rgb = np.empty((height_px, width_px, 3), dtype=np.uint8)
     rgb[:] = theme.background
