@@ -8,7 +8,7 @@ from tyro import conf
 
 from fusion_core.model.progress import Progress
 from fusion_core.model.seeds import SEED_MAX
-from scanloom.commands.label_layer import LabelStoreOption, LayerOption, label_layer
+from scanloom.commands.label_layer import LabelStoreOption, LayerOption, label_layer, require_layer
 from scanloom.commands.options import (
     ROW_MAX,
     Flag,
@@ -70,11 +70,17 @@ class Fuse:
     overwrite: OverwriteFolderFlag = False
     json: JsonFlag = False
 
-    def run(self, progress: Progress) -> Report:
+    def require_usage(self) -> None:
+        """Raises WrongUsage for options that cannot be, whatever the recording."""
         require_integer("--seed", self.seed, SEED_MAX)
         require_integer("--virtual-lidar", self.virtual_lidar, ROW_MAX)
+        require_layer(self.labels, self.label_store)
+        room_choice(self.home, self.room, self.subsession)
         if self.labels is not None and self.home is not None:
             raise WrongUsage("--labels are of one recording, not of a data set (--home)")
+
+    def run(self, progress: Progress) -> Report:
+        self.require_usage()
         from fusion_core.workflows.fuse.fuse import FuseSummary, fuse
         from fusion_core.workflows.fuse.rooms import RoomsSummary, fuse_rooms
         from fusion_core.workflows.fuse.session import FuseOptions

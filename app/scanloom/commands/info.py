@@ -30,6 +30,10 @@ class Info:
     is damaged or unreadable."""
     json: JsonFlag = False
 
+    def require_usage(self) -> None:
+        """Raises WrongUsage for options that cannot be, whatever the recording."""
+        room_choice(self.home, self.room, self.subsession)
+
     def run(self, progress: Progress) -> Report:
         from fusion_core.workflows.info import info
 

@@ -32,6 +32,12 @@ LabelStoreOption = Annotated[
 ]
 
 
+def require_layer(layer: str | None, store: str | None) -> None:
+    """Raises WrongUsage for a store without a layer."""
+    if layer is None and store is not None:
+        raise WrongUsage("--label-store goes with --labels, which names a layer in it")
+
+
 @contextmanager
 def label_layer(
     recording: Path, layer: str | None, store: str | None, progress: Progress
@@ -40,9 +46,8 @@ def label_layer(
 
     Raises WrongUsage for a store without a layer, and as ``open_labels``.
     """
+    require_layer(layer, store)
     if layer is None:
-        if store is not None:
-            raise WrongUsage("--label-store goes with --labels, which names a layer in it")
         yield None
         return
     from fusion_core.workflows.labels.open_store import open_labels

@@ -8,7 +8,7 @@ from tyro import conf
 
 from fusion_core.model.progress import Progress
 from fusion_core.model.seeds import SEED_MAX
-from scanloom.commands.label_layer import LabelStoreOption, LayerOption, label_layer
+from scanloom.commands.label_layer import LabelStoreOption, LayerOption, label_layer, require_layer
 from scanloom.commands.options import (
     OFFSET_MAX_MS,
     ForceFlag,
@@ -69,7 +69,10 @@ class Map:
     overwrite: OverwriteFolderFlag = False
     json: JsonFlag = False
 
-    def run(self, progress: Progress) -> Report:
+    def require_usage(self) -> None:
+        """Raises WrongUsage for options that cannot be, whatever the recording."""
+        require_layer(self.labels, self.label_store)
+        room_choice(self.home, self.room, self.subsession)
         if self.slam == "none" and self.motion == "none":
             raise WrongUsage("--slam none needs a --motion")
         if self.pose is not None and self.motion != "recorded":
@@ -82,6 +85,9 @@ class Map:
             raise WrongUsage("--labels are of one recording, not of a data set (--home)")
         require_integer("--seed", self.seed, SEED_MAX)
         require_in_range("--clock-offset-ms", -OFFSET_MAX_MS, OFFSET_MAX_MS, self.clock_offset_ms)
+
+    def run(self, progress: Progress) -> Report:
+        self.require_usage()
         from fusion_core.workflows.map.build_map import build_map
         from fusion_core.workflows.map.options import MapOptions
 
