@@ -14,17 +14,18 @@ import os
 import sys
 import threading
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NoReturn
 
 import tyro
-from tyro import conf
 
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.names import escape_undecodable_values, printable
+from scanloom.commands.batch import Batch, split_options
 from scanloom.commands.evaluate import Evaluate
 from scanloom.commands.interruption import Terminated, termination
 from scanloom.commands.labels import Labels
-from scanloom.commands.options import WrongUsage
+from scanloom.commands.options import PARSER_CONFIG, WrongUsage
 from scanloom.commands.subcommands import Scanloom
 from scanloom.commands.terminal import progress_on_stderr
 
@@ -69,8 +70,10 @@ def _run(args: Sequence[str]) -> int:
     if any(len(arg) > _ARGUMENT_MAX for arg in args):
         sys.stderr.write(f"an argument is longer than {_ARGUMENT_MAX} characters\n")
         return _WRONG_USAGE
-    config = (conf.OmitArgPrefixes, conf.FlagCreatePairsOff, conf.DisallowNone)
-    parsed = tyro.cli(Scanloom, prog="scanloom", args=args, config=config).command
+    args, command_options = split_options(args)
+    parsed = tyro.cli(Scanloom, prog="scanloom", args=args, config=PARSER_CONFIG).command
+    if isinstance(parsed, Batch):
+        parsed = replace(parsed, command_options=command_options)
     group = parsed.measure if isinstance(parsed, Evaluate) else parsed
     command = group.action if isinstance(group, Labels) else group
     try:

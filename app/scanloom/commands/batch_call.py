@@ -7,7 +7,6 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import tyro
-from tyro import conf
 
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.names import escape_undecodable
@@ -29,9 +28,7 @@ from scanloom.commands.evaluate import (
 from scanloom.commands.fuse import Fuse
 from scanloom.commands.info import Info
 from scanloom.commands.map import Map
-from scanloom.commands.options import WrongUsage
-
-PARSER_CONFIG = (conf.OmitArgPrefixes, conf.FlagCreatePairsOff, conf.DisallowNone)
+from scanloom.commands.options import PARSER_CONFIG, WrongUsage
 
 _Parsed = (
     Info

@@ -13,6 +13,9 @@ class WrongUsage(Exception):
     """Invalid or contradictory options (exit code 2)."""
 
 
+PARSER_CONFIG = (conf.OmitArgPrefixes, conf.FlagCreatePairsOff, conf.DisallowNone)
+"""How every command line is parsed."""
+
 # Without a hint tyro would print "(default: False)" or "(default: None)".
 Flag = Annotated[bool, conf.arg(help_behavior_hint="")]
 RecordingArgument = Annotated[conf.Positional[Path], conf.arg(metavar="RECORDING")]

@@ -11,6 +11,11 @@ from fusion_core.workflows.batch.outcome import BatchCommand
 RUNS, OUTCOMES = "runs", "outcomes"
 
 
+def outcome_path(folder: Path, item: BatchItem) -> Path:
+    """The file of an item's outcome in the folder of a batch."""
+    return folder / OUTCOMES / f"{item.name}.json"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CallResult:
     """``result``: what the command prints under ``--json``. ``damage``: why the recording failed
@@ -58,7 +63,7 @@ class BatchTask:
 
     @property
     def outcome_file(self) -> Path:
-        return self.folder / OUTCOMES / f"{self.item.name}.json"
+        return outcome_path(self.folder, self.item)
 
     def request(self) -> dict[str, Any]:
         """What determines the outcome, ready for JSON."""

@@ -1,0 +1,70 @@
+"""``scanloom batch``: a command over many recordings, on the cores of this machine or a cluster."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro import conf
+
+from fusion_core.model.progress import Progress
+from scanloom.commands.options import JsonFlag, require_in_range, require_integer
+from scanloom.commands.reports import Report
+
+_WORKERS_MAX = 1024
+_MEMORY_MAX_GIB = 65_536.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batch:
+    """Run info, fuse, map or evaluate over many recordings. Its own options follow --, as in
+    `scanloom batch data -o out --run fuse -- --no-figures`. In their values {recording}, {name} and
+    {stem} stand for each recording's path, its name in the batch and its name without a suffix.
+    Called again, it does only what failed or has changed."""
+
+    recordings: Annotated[conf.Positional[tuple[str, ...]], conf.arg(metavar="RECORDINGS")] = ()
+    """Recordings, folders that are searched for recordings, patterns, or the root of a Robot@Home
+    data set, each room of which is one."""
+    output: Annotated[Path, conf.arg(aliases=["-o"], metavar="DIR")]
+    """The folder for the results: runs/NAME of each recording, and outcomes/NAME.json."""
+    run_command: Annotated[Literal["info", "fuse", "map", "evaluate"], conf.arg(name="run")]
+    """The command."""
+    list: Annotated[Path | None, conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    """A text file with one recording a line, besides RECORDINGS."""
+    scheduler: Annotated[str | None, conf.arg(metavar="ADDRESS", help_behavior_hint="")] = None
+    """A Dask scheduler that runs, such as tcp://10.0.0.5:8786, whose workers see DIR and the
+    recordings under the same paths (default: workers of this machine)."""
+    workers: Annotated[int | None, conf.arg(metavar="N", help_behavior_hint="")] = None
+    """Worker processes of this machine (default: one a core)."""
+    memory_gib: Annotated[float | None, conf.arg(metavar="GIB", help_behavior_hint="")] = None
+    """Memory of a worker process of this machine, which is ended above it (default: all of the
+    machine's, shared out)."""
+    command_options: conf.Suppress[tuple[str, ...]] = ()
+    json: JsonFlag = False
+
+    def run(self, progress: Progress) -> Report:
+        require_integer("--workers", self.workers, _WORKERS_MAX, least=1)
+        require_in_range("--memory-gib", 0.01, _MEMORY_MAX_GIB, self.memory_gib)
+        from scanloom.commands.batch_call import parse_call
+
+        call = parse_call(self.run_command, self.command_options)
+        from fusion_core.workflows.batch.batch import run_batch
+        from fusion_core.workflows.batch.items import find_items
+        from fusion_core.workflows.batch.settings import BatchSettings
+
+        items = find_items(self.recordings, self.list, self.output)
+        settings = BatchSettings(workers=self.workers or 0, memory_gib=self.memory_gib or 0.0)
+        summary = run_batch(
+            items, call, self.output, settings, scheduler=self.scheduler, progress=progress
+        )
+        return Report(
+            result=summary.to_json(), lines=summary.lines(), failed=bool(summary.failures)
+        )
+
+
+def split_options(args: Sequence[str]) -> tuple[Sequence[str], tuple[str, ...]]:
+    """The arguments of ``scanloom batch`` before ``--``, and those of its command behind it."""
+    if not args or args[0] != "batch" or "--" not in args:
+        return args, ()
+    at = list(args).index("--")
+    return args[:at], tuple(args[at + 1 :])
