@@ -17,18 +17,21 @@ _MEMORY_MAX_GIB = 65_536.0
 
 @dataclass(frozen=True, kw_only=True)
 class Batch:
-    """Run info, fuse, map or evaluate over many recordings. Its own options follow --, as in
-    `scanloom batch data -o out --run fuse -- --no-figures`. In their values {recording}, {name} and
-    {stem} stand for each recording's path, its name in the batch and its name without a suffix.
-    Called again, it does only what failed or has changed."""
+    """Run info, fuse, map or evaluate over many recordings. Called again, it does only what failed
+    or has changed."""
 
-    recordings: Annotated[conf.Positional[tuple[str, ...]], conf.arg(metavar="RECORDINGS")] = ()
+    recordings: Annotated[
+        conf.Positional[tuple[str, ...]],
+        conf.arg(metavar="RECORDINGS", help_behavior_hint=""),
+    ] = ()
     """Recordings, folders that are searched for recordings, patterns, or the root of a Robot@Home
     data set, each room of which is one."""
     output: Annotated[Path, conf.arg(aliases=["-o"], metavar="DIR")]
-    """The folder for the results: runs/NAME of each recording, and outcomes/NAME.json."""
+    """The folder for the results: of each recording runs/NAME, and outcomes/NAME.json."""
     run_command: Annotated[Literal["info", "fuse", "map", "evaluate"], conf.arg(name="run")]
-    """The command."""
+    """The command. Its own options follow --, as in `--run fuse -- --no-figures`; {recording},
+    {name} and {stem} in their values stand for each recording's path, its NAME and its file's name
+    without the suffix."""
     list: Annotated[Path | None, conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """A text file with one recording a line, besides RECORDINGS."""
     scheduler: Annotated[str | None, conf.arg(metavar="ADDRESS", help_behavior_hint="")] = None

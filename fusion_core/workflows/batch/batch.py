@@ -94,9 +94,8 @@ def run_batch(
         first = next(tasks, None)
         if first is not None:
             with _workers(folder, scheduler, settings) as client:
-                ended = 0
-                for ending in endings(client, chain([first], tasks), settings):
-                    ended += 1
+                flow = endings(client, chain([first], tasks), settings)
+                for ended, ending in enumerate(flow, start=1):
                     if ending.error is not None:
                         failures.append(ending)
                     progress(skipped + ended, len(items), _STAGE)

@@ -81,7 +81,7 @@ def workers_of(scheduler: str, folder: Path, settings: BatchSettings) -> Iterato
 
 def thread_count(client: Client) -> int:
     """How many recordings the workers that are there now do at a time; 1 where there is none."""
-    return max(1, sum(client.nthreads().values()))
+    return max(1, sum(map(int, client.nthreads().values())))
 
 
 def _connect(scheduler: str, settings: BatchSettings) -> Client:

@@ -24,9 +24,9 @@ def endings(
     """
     # Another batch may give the same names to the same scheduler.
     group = f"scanloom-{secrets.token_hex(8)}"
-    on_their_way: dict[Future, BatchTask] = {}
+    on_their_way: dict[Future[Ending], BatchTask] = {}
 
-    def submit(task: BatchTask) -> Future:
+    def submit(task: BatchTask) -> "Future[Ending]":
         future = client.submit(run_one, task, key=(group, task.item.name), pure=False)
         on_their_way[future] = task
         return future
@@ -50,7 +50,7 @@ def endings(
         client.cancel(list(on_their_way))
 
 
-def _ending(client: Client, future: Future, task: BatchTask) -> Ending:
+def _ending(client: Client, future: "Future[Ending]", task: BatchTask) -> Ending:
     if future.status == "finished":
         ending: Ending = future.result()
         if ending.stop is not None:
