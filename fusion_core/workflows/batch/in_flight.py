@@ -35,34 +35,35 @@ def endings(
         return settings.tasks_per_worker * thread_count(client) - len(on_their_way)
 
     try:
-        ended = as_completed(map(submit, islice(tasks, room())), loop=client.loop)
+        # With its result: a worker that dies right after a recording takes the bare future back.
+        first = [submit(task) for task in islice(tasks, room())]
+        ended = as_completed(first, loop=client.loop, with_results=True, raise_errors=False)
         since_count = 0
-        for future in ended:
-            task = on_their_way.pop(future)
-            yield _ending(client, future, task)
+        for future, answer in ended:
+            yield _ending(client, on_their_way.pop(future), answer)
             since_count += 1
             # Workers come and go; to count them for each recording would cost a message each.
-            count = 1 if since_count < len(on_their_way) else max(1, room())
-            since_count = 0 if count != 1 else since_count
-            for each in islice(tasks, count):
-                ended.add(submit(each))
+            is_due = since_count > len(on_their_way)
+            since_count = 0 if is_due else since_count
+            for task in islice(tasks, max(1, room()) if is_due else 1):
+                ended.add(submit(task))
     finally:
         client.cancel(list(on_their_way))
 
 
-def _ending(client: Client, future: "Future[Ending]", task: BatchTask) -> Ending:
-    if future.status == "finished":
-        ending: Ending = future.result()
-        if ending.stop is not None:
-            raise ScanLoomError(f"{ending.stop} What was done until then stays.")
-        return ending
-    if future.status != "error":
+def _ending(client: Client, task: BatchTask, answer: object) -> Ending:
+    """``answer``: what the worker sent, or why there is nothing."""
+    if isinstance(answer, Ending):
+        if answer.stop is not None:
+            raise ScanLoomError(f"{answer.stop} What was done until then stays.")
+        return answer
+    if not isinstance(answer, tuple):
         raise ScanLoomError(
             "the scheduler is lost.",
             file=client.scheduler.address if client.scheduler else None,
             advice="Call again: what is done is not done again.",
         )
-    raised = future.exception()
+    _, raised, _ = answer
     if isinstance(raised, KilledWorker):
         error = ScanLoomError(
             f"its worker process died {raised.allowed_failures + 1} times, the last one on "

@@ -13,7 +13,7 @@ from fusion_core.model.errors import ExportError, ScanLoomError
 from fusion_core.model.names import escape_undecodable_values, printable
 from fusion_core.model.project import project_version
 from fusion_core.workflows.batch.outcome import Outcome
-from fusion_core.workflows.batch.outcome_file import write_outcome
+from fusion_core.workflows.batch.outcome_file import is_done, write_outcome
 from fusion_core.workflows.batch.task import BatchTask, CallResult
 from fusion_core.workflows.source import paths_of
 
@@ -32,6 +32,9 @@ class Ending:
 
 def run_one(task: BatchTask) -> Ending:
     """Run the command on a recording and write the outcome; raises nothing."""
+    if is_done(task):
+        # By a worker that died before it could tell.
+        return Ending(name=task.item.name)
     # A process for each core is busy already.
     cv2.setNumThreads(1)
     start_s = time.perf_counter()

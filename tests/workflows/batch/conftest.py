@@ -1,0 +1,110 @@
+"""Workers for batches: threads of the test's own process, and a scheduler with processes."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+from distributed import Client, LocalCluster
+
+from tests.workflows.batch.stub_call import StubCall
+
+
+@pytest.fixture
+def stub(tmp_path: Path) -> StubCall:
+    counts = tmp_path / "counts"
+    counts.mkdir()
+    return StubCall(counts=counts)
+
+
+@pytest.fixture(scope="module")
+def threads() -> Iterator[Client]:
+    """Two workers of a thread each, in this process."""
+    with (
+        LocalCluster(
+            n_workers=2,
+            threads_per_worker=1,
+            processes=False,
+            dashboard_address=None,
+            worker_dashboard_address=None,
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        yield client
+
+
+@dataclass
+class Cluster:
+    """A scheduler and its workers, all processes of their own, on the loopback address."""
+
+    folder: Path
+    processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
+    address: str = ""
+
+    def start(self, *command: str, **env: str) -> subprocess.Popen[bytes]:
+        import os
+
+        number = len(self.processes)
+        with (self.folder / f"{number}.log").open("wb") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "dask", *command],
+                stdout=log,
+                stderr=log,
+                env=os.environ | env,
+                cwd=self.folder,
+            )
+        self.processes.append(process)
+        return process
+
+    def start_scheduler(self) -> subprocess.Popen[bytes]:
+        told = self.folder / "scheduler.json"
+        options = ("--host", "127.0.0.1", "--port", "0", "--no-dashboard")
+        scheduler = self.start("scheduler", *options, "--scheduler-file", str(told))
+        import json
+
+        while True:
+            try:
+                self.address = json.loads(told.read_text())["address"]
+                return scheduler
+            except (OSError, ValueError):
+                assert scheduler.poll() is None, "the scheduler has ended"
+                time.sleep(0.02)
+
+    def start_worker(self, **env: str) -> subprocess.Popen[bytes]:
+        options = ("--host", "127.0.0.1", "--nthreads", "1", "--no-dashboard")
+        return self.start("worker", self.address, *options, **env)
+
+    def wait_for_workers(self, count: int) -> None:
+        with Client(self.address, set_as_default=False) as client:
+            client.wait_for_workers(count, timeout=120)
+
+    def stop(self) -> None:
+        for process in reversed(self.processes):
+            process.terminate()
+        for process in self.processes:
+            try:
+                process.wait(20)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    """A scheduler without workers."""
+    folder = tmp_path / "cluster"
+    folder.mkdir()
+    made = Cluster(folder)
+    try:
+        made.start_scheduler()
+        yield made
+    finally:
+        made.stop()
+
+
+@pytest.fixture
+def finished() -> Callable[[subprocess.Popen[bytes]], bool]:
+    return lambda process: process.poll() is not None
