@@ -35,6 +35,8 @@ def local_workers(settings: BatchSettings) -> Iterator[Client]:
         # Of a worker that dies, only the recording at work is suspected, not the next one.
         "distributed.scheduler.worker-saturation": 1.0,
         "distributed.nanny.pre-spawn-environ.NUMBA_NUM_THREADS": 1,
+        "distributed.scheduler.http.routes": [],
+        "distributed.worker.http.routes": [],
     }
     memory: str | int = "auto" if settings.memory_gib == 0 else int(settings.memory_gib * _GIB)
     with (
@@ -45,8 +47,10 @@ def local_workers(settings: BatchSettings) -> Iterator[Client]:
             threads_per_worker=1,
             processes=True,
             host=_LOOPBACK,
-            dashboard_address=None,
-            worker_dashboard_address=None,
+            # Without pages, and without an address their server would listen on all.
+            dashboard_address=f"{_LOOPBACK}:0",
+            worker_dashboard_address=f"{_LOOPBACK}:0",
+            scheduler_kwargs={"dashboard": False},
             memory_limit=memory,
             security=True,
             silence_logs=logging.CRITICAL,

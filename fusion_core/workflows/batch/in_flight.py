@@ -1,7 +1,7 @@
 """Tasks on their way: a bounded number of them, so that nobody's memory grows with their count."""
 
 import secrets
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import islice
 
 from distributed import Client, Future, KilledWorker, as_completed
@@ -22,6 +22,24 @@ def endings(
     When the caller stops, those on their way are cancelled. Raises ScanLoomError where the
     scheduler is lost, or nothing more can be written.
     """
+    suspects = []
+    for task, answer in _answers(
+        client, tasks, lambda: settings.tasks_per_worker * thread_count(client)
+    ):
+        if _worker_died(answer):
+            suspects.append(task)
+        else:
+            yield _ending(client, task, answer)
+    # Whatever else was on the worker is suspected with it. Alone, each shows what it does.
+    for task, answer in _answers(client, iter(suspects), lambda: 1):
+        yield _ending(client, task, answer)
+
+
+def _answers(
+    client: Client, tasks: Iterator[BatchTask], greatest: Callable[[], int]
+) -> Iterator[tuple[BatchTask, object]]:
+    """Each task with what the worker sent, or with why it sent nothing. ``greatest``: how many may
+    be on their way as there are workers now."""
     # Another batch may give the same names to the same scheduler.
     group = f"scanloom-{secrets.token_hex(8)}"
     on_their_way: dict[Future[Ending], BatchTask] = {}
@@ -31,28 +49,30 @@ def endings(
         on_their_way[future] = task
         return future
 
-    def room() -> int:
-        return settings.tasks_per_worker * thread_count(client) - len(on_their_way)
-
     try:
         # With its result: a worker that dies right after a recording takes the bare future back.
-        first = [submit(task) for task in islice(tasks, room())]
+        first = [submit(task) for task in islice(tasks, greatest())]
         ended = as_completed(first, loop=client.loop, with_results=True, raise_errors=False)
         since_count = 0
         for future, answer in ended:
-            yield _ending(client, on_their_way.pop(future), answer)
+            yield on_their_way.pop(future), answer
             since_count += 1
+            room = 1
             # Workers come and go; to count them for each recording would cost a message each.
-            is_due = since_count > len(on_their_way)
-            since_count = 0 if is_due else since_count
-            for task in islice(tasks, max(1, room()) if is_due else 1):
+            if since_count > len(on_their_way):
+                since_count = 0
+                room = max(0, greatest() - len(on_their_way))
+            for task in islice(tasks, room):
                 ended.add(submit(task))
     finally:
         client.cancel(list(on_their_way))
 
 
+def _worker_died(answer: object) -> bool:
+    return isinstance(answer, tuple) and isinstance(answer[1], KilledWorker)
+
+
 def _ending(client: Client, task: BatchTask, answer: object) -> Ending:
-    """``answer``: what the worker sent, or why there is nothing."""
     if isinstance(answer, Ending):
         if answer.stop is not None:
             raise ScanLoomError(f"{answer.stop} What was done until then stays.")
@@ -66,8 +86,7 @@ def _ending(client: Client, task: BatchTask, answer: object) -> Ending:
     _, raised, _ = answer
     if isinstance(raised, KilledWorker):
         error = ScanLoomError(
-            f"its worker process died {raised.allowed_failures + 1} times, the last one on "
-            f"{raised.last_worker.address}.",
+            "its worker process died each time, though it ran alone.",
             advice="It may need more memory than a worker has: use fewer workers.",
         )
     else:

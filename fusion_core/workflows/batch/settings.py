@@ -20,9 +20,9 @@ class BatchSettings(StageSettings):
         2, "Recordings that are sent to a worker ahead", unit="recordings", ge=1, le=100
     )
     worker_deaths_max: int = setting(
-        3,
-        "How often a recording is tried again after its worker process died, on workers of this "
-        "machine; another scheduler decides for itself",
+        1,
+        "How often a recording is tried again after its worker process died, among the others and "
+        "then alone; another scheduler decides for itself",
         unit="times",
         ge=0,
         le=100,

@@ -1,9 +1,11 @@
 """Workers for batches: threads of the test's own process, and a scheduler with processes."""
 
+import json
+import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,8 +30,8 @@ def threads() -> Iterator[Client]:
             n_workers=2,
             threads_per_worker=1,
             processes=False,
-            dashboard_address=None,
-            worker_dashboard_address=None,
+            dashboard_address="127.0.0.1:0",
+            worker_dashboard_address="127.0.0.1:0",
         ) as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
@@ -45,8 +47,6 @@ class Cluster:
     address: str = ""
 
     def start(self, *command: str, **env: str) -> subprocess.Popen[bytes]:
-        import os
-
         number = len(self.processes)
         with (self.folder / f"{number}.log").open("wb") as log:
             process = subprocess.Popen(
@@ -63,8 +63,6 @@ class Cluster:
         told = self.folder / "scheduler.json"
         options = ("--host", "127.0.0.1", "--port", "0", "--no-dashboard")
         scheduler = self.start("scheduler", *options, "--scheduler-file", str(told))
-        import json
-
         while True:
             try:
                 self.address = json.loads(told.read_text())["address"]
@@ -103,8 +101,3 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
         yield made
     finally:
         made.stop()
-
-
-@pytest.fixture
-def finished() -> Callable[[subprocess.Popen[bytes]], bool]:
-    return lambda process: process.poll() is not None

@@ -1,10 +1,12 @@
 """A batch over recordings of which some fail, with a command that does what they say."""
 
 import json
+import os
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import psutil
 import pytest
 from distributed import Client
 
@@ -12,15 +14,17 @@ from fusion_core.files.lock import acquire_lock
 from fusion_core.model.errors import ExportError, ScanLoomError
 from fusion_core.model.project import project_version
 from fusion_core.workflows.batch.batch import BatchSummary, run_batch, stored_outcomes
+from fusion_core.workflows.batch.cluster import local_workers, thread_count
 from fusion_core.workflows.batch.in_flight import endings
 from fusion_core.workflows.batch.input_state import InputStates
 from fusion_core.workflows.batch.items import find_items
+from fusion_core.workflows.batch.outcome_file import is_done
 from fusion_core.workflows.batch.run_one import run_one
 from fusion_core.workflows.batch.settings import BatchSettings
 from fusion_core.workflows.batch.task import BatchTask
 from tests.workflows.batch.stub_call import StubCall, write_recordings
 
-SETTINGS = BatchSettings(workers=2, worker_deaths_max=1)
+SETTINGS = BatchSettings(workers=2, worker_deaths_max=0)
 
 
 def batch(data: Path, call: StubCall, output: Path) -> BatchSummary:
@@ -50,7 +54,7 @@ def test_a_failure_costs_its_recording_alone(stub: StubCall, tmp_path: Path) -> 
     assert "ZeroDivisionError: of this test" in told["bug_1.mcap"]
     assert told["damage_1.mcap"] == "is damaged."
     assert told["error_1.mcap"] == "holds\\nnothing."
-    assert "its worker process died 2 times" in told["kill_1.mcap"]
+    assert "its worker process died each time" in told["kill_1.mcap"]
     assert "needs more memory" in told["memory_1.mcap"]
     assert not any("\n" in line for line in summary.lines())
     assert stub.count("kill_1.mcap") == 2
@@ -68,7 +72,7 @@ def test_a_failure_costs_its_recording_alone(stub: StubCall, tmp_path: Path) -> 
     again = batch(data, stub, output)
     assert (again.total, again.done, again.skipped) == (8, 4, 4)
     assert [stub.count(f"good_{i}.mcap") for i in range(4)] == [1, 1, 1, 1]
-    assert stub.count("error_1.mcap") == 2
+    assert stub.count("error_1.mcap") >= 2
 
 
 def test_what_changed_is_done_again(stub: StubCall, tmp_path: Path) -> None:
@@ -76,8 +80,6 @@ def test_what_changed_is_done_again(stub: StubCall, tmp_path: Path) -> None:
     output = tmp_path / "out"
 
     def is_skipped(call: StubCall) -> bool:
-        from fusion_core.workflows.batch.outcome_file import is_done
-
         return is_done(task_of(data, call, output))
 
     assert not is_skipped(stub)
@@ -94,8 +96,6 @@ def test_what_changed_is_done_again(stub: StubCall, tmp_path: Path) -> None:
 
 
 def test_results_that_are_gone_are_made_again(stub: StubCall, tmp_path: Path) -> None:
-    from fusion_core.workflows.batch.outcome_file import is_done
-
     task = task_of(
         write_recordings(tmp_path / "robot", "good"),
         replace(stub, command="fuse"),
@@ -174,3 +174,18 @@ def test_a_folder_is_of_one_batch_at_a_time_and_of_one_command(
         batch(data, stub, output)
     with pytest.raises(ExportError, match="holds files that no batch has written"):
         batch(data, stub, data)
+
+
+def test_workers_listen_on_the_loopback_address_alone() -> None:
+    with local_workers(SETTINGS) as client:
+        own = psutil.Process()
+        listening = {
+            connection.laddr.ip
+            for process in (own, *own.children(recursive=True))
+            for connection in process.net_connections()
+            if connection.status == psutil.CONN_LISTEN
+        }
+        assert listening == {"127.0.0.1"}
+        assert client.scheduler_info()["address"].startswith("tls://")
+        assert set(client.run(os.environ.get, "NUMBA_NUM_THREADS").values()) == {"1"}
+        assert thread_count(client) == 2
