@@ -143,7 +143,7 @@ def test_a_full_disk_ends_the_batch_and_keeps_what_is_done(
     data = write_recordings(tmp_path / "robot", "a_good", "full_1", *(f"z_{i}" for i in range(20)))
     (tmp_path / "out" / "outcomes").mkdir(parents=True)
     items = find_items([str(data)])
-    tasks = (
+    tasks = [
         BatchTask(
             item=item,
             call=stub,
@@ -152,9 +152,11 @@ def test_a_full_disk_ends_the_batch_and_keeps_what_is_done(
             input_state="x",
         )
         for item in items
-    )
+    ]
+    settings = BatchSettings(tasks_per_worker=1)
+    assert len(list(endings(threads, iter(tasks[:1]), settings))) == 1
     with pytest.raises(ScanLoomError, match="No space left on device") as raised:
-        list(endings(threads, tasks, BatchSettings(tasks_per_worker=1)))
+        list(endings(threads, iter(tasks[1:]), settings))
     assert "\n" not in str(raised.value)
     outcome = json.loads((tmp_path / "out" / "outcomes" / "a_good.mcap.json").read_text())
     assert outcome["outcome"]["error"] is None
