@@ -20,6 +20,7 @@ import pytest
 from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.workflows.source import RoomChoice
 from scanloom.cli import main
+from scanloom.commands.batch import Batch
 from scanloom.commands.convert import Convert
 from scanloom.commands.evaluate import (
     EvaluateAlignment,
@@ -240,7 +241,7 @@ def test_a_number_below_zero_is_wrong_usage(
 def test_advice_names_options_that_exist() -> None:
     commands = [View, Info, Convert, Fuse, Sample, Map, EvaluateAlignment, EvaluateNoise]
     commands += [EvaluateRepair, EvaluateTrajectory, EvaluateMap]
-    commands += [ExportLabels, ImportLabels, Agreement, LabelLog]
+    commands += [ExportLabels, ImportLabels, Agreement, LabelLog, Batch]
     known = {f"--{f.name.replace('_', '-')}" for c in commands for f in dataclasses.fields(c)}
     named = {
         option
@@ -250,7 +251,8 @@ def test_advice_names_options_that_exist() -> None:
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
         for option in re.findall(r"(?<![\w-])--[a-z][a-z-]+", node.value)
     }
-    assert named - known == {"--help", "--version"}
+    # A field cannot have the name of the method "run".
+    assert named - known == {"--help", "--version", "--run"}
 
 
 SEED = ["--seed", str(2**63)]

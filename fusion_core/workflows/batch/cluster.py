@@ -76,7 +76,7 @@ def workers_of(scheduler: str, folder: Path, settings: BatchSettings) -> Iterato
                 raise ScanLoomError(
                     f"has had no worker for {settings.connect_s:g} s.",
                     file=scheduler,
-                    advice=f"Start some with `dask worker {scheduler} --nthreads 1`.",
+                    advice=f"Start some with `dask worker {scheduler}`.",
                 ) from error
             _require_same_versions(client)
             _require_folder(client, folder)
