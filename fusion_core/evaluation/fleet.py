@@ -12,7 +12,13 @@ import numpy as np
 
 from fusion_core.evaluation.fleet_quantities import QUANTITIES, FlagKind, FleetSettings, Quantity
 from fusion_core.evaluation.fleet_spread import qn_scale, z_threshold
-from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
+from fusion_core.model.conventions import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    read_only,
+    wrap_angle,
+)
 
 # Of more recordings one does not move the median and the spread of the others: they have one each.
 _LEAVE_ONE_OUT_MAX = 200
@@ -182,19 +188,13 @@ def _to_scale(
         return values, 0.0
     # Sorted, so that the sum does not depend on the order of the recordings.
     origin = float(np.angle(np.exp(1j * np.sort(values)).sum()))
-    return wrap(values - origin), origin
+    return wrap_angle(values - origin), origin
 
 
 def _from_scale(median: FloatArray, origin: float, quantity: Quantity) -> FloatArray:
     if quantity.scale == "factor":
         return np.exp(median)
-    return wrap(median + origin) if quantity.scale == "angle" else median
-
-
-def wrap(angle_rad: FloatArray) -> FloatArray:
-    """The same angles within [-pi, pi)."""
-    wrapped: FloatArray = (angle_rad + np.pi) % (2.0 * np.pi) - np.pi
-    return wrapped
+    return wrap_angle(median + origin) if quantity.scale == "angle" else median
 
 
 def _thresholds(others: FloatArray, settings: FleetSettings) -> FloatArray:
@@ -221,7 +221,7 @@ def _is_bad(
         if quantity.scale == "factor":
             shift = np.log(np.maximum(value, settings.share_floor)) - np.log(middle)
         else:
-            shift = wrap(value - middle) if quantity.scale == "angle" else value - middle
+            shift = wrap_angle(value - middle) if quantity.scale == "angle" else value - middle
         side = {"both": np.abs(shift), "above": shift, "below": -shift}[quantity.side]
         is_bad[:, column] = side >= quantity.smallest_shift(settings)
     return is_bad
