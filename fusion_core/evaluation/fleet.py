@@ -53,14 +53,15 @@ class FleetValues:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flag:
-    """A quantity of a recording that differs. ``median``: of the other recordings of the rig, in
-    the quantity's unit; ``spread``: theirs, of the compared scale (for a share a logarithm)."""
+    """A quantity of a recording that differs. ``median``: of the other recordings of the rig;
+    ``low`` and ``high``: one spread below and above it."""
 
     recording: int
     quantity: Quantity
     value: float
     median: float
-    spread: float
+    low: float
+    high: float
     z: float
     threshold: float
 
@@ -75,7 +76,8 @@ class FleetDeviations:
 
     ``rig``: (N,) number of the rig that a recording is compared within, its label in
     ``rig_labels``. ``values``, ``median``, ``spread``, ``z``, ``threshold``: (N, Q), NaN where
-    nothing is compared; ``is_flagged``: (N, Q). ``notes``: what was not compared, and why.
+    nothing is compared; ``spread`` is of the compared scale. ``is_flagged``: (N, Q). ``notes``:
+    what was not compared, and why.
     """
 
     rig: IntArray
@@ -93,13 +95,15 @@ class FleetDeviations:
         columns = np.flatnonzero(self.is_flagged[recording])
         ratio = np.abs(self.z[recording]) / self.threshold[recording]
         for column in sorted(columns, key=lambda column: -ratio[column]):
-            at = recording, int(column)
+            at, quantity = (recording, int(column)), QUANTITIES[column]
+            middle = quantity.to_scale(self.median[at])
             yield Flag(
                 recording=recording,
-                quantity=QUANTITIES[column],
+                quantity=quantity,
                 value=float(self.values[at]),
                 median=float(self.median[at]),
-                spread=float(self.spread[at]),
+                low=float(quantity.from_scale(middle - self.spread[at])),
+                high=float(quantity.from_scale(middle + self.spread[at])),
                 z=float(self.z[at]),
                 threshold=float(self.threshold[at]),
             )
@@ -127,7 +131,7 @@ def find_deviations(fleet: FleetValues, settings: FleetSettings) -> FleetDeviati
         notes += _notes(label, members.size, unknown, settings)
     threshold = _thresholds(others, settings)
     with np.errstate(invalid="ignore"):
-        is_flagged = (np.abs(z) > threshold) & _is_bad(fleet.values, median, z, settings)
+        is_flagged = (np.abs(z) > threshold) & _is_bad(fleet.values, median, settings)
     return FleetDeviations(
         rig=rig,
         rig_labels=tuple(labels),
@@ -162,7 +166,12 @@ def _compare(
     values: FloatArray, sd: FloatArray, quantity: Quantity, settings: FleetSettings
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Median, spread and z of (n,) values, each against the others."""
-    scaled, origin = _to_scale(values, quantity, settings)
+    origin = 0.0
+    if quantity.scale == "angle":
+        # Sorted, so that the sum does not depend on the order of the recordings.
+        origin = float(np.angle(np.exp(1j * np.sort(values)).sum()))
+        values = wrap_angle(values - origin)
+    scaled = quantity.to_scale(values)
     order = np.argsort(scaled, kind="stable")
     ordered = scaled[order]
     median, spread = np.empty(values.size), np.empty(values.size)
@@ -172,29 +181,21 @@ def _compare(
         for place, index in enumerate(order):
             rest = np.delete(ordered, place)
             median[index], spread[index] = np.median(rest), qn_scale(rest)
-    smallest = _SPREAD_MIN_OF_SHIFT * quantity.smallest_shift(settings)
-    spread = np.maximum(spread, smallest)
+    spread = np.maximum(spread, _SPREAD_MIN_OF_SHIFT * _smallest_step(quantity, settings))
     z = (scaled - median) / np.hypot(spread, sd)
-    return _from_scale(median, origin, quantity), spread, z
+    centre = quantity.from_scale(median)
+    return wrap_angle(centre + origin) if quantity.scale == "angle" else centre, spread, z
 
 
-def _to_scale(
-    values: FloatArray, quantity: Quantity, settings: FleetSettings
-) -> tuple[FloatArray, float]:
-    """(n,) values on the scale on which they are compared, and its origin."""
-    if quantity.scale == "factor":
-        return np.log(np.maximum(values, settings.share_floor)), 0.0
-    if quantity.scale == "linear":
-        return values, 0.0
-    # Sorted, so that the sum does not depend on the order of the recordings.
-    origin = float(np.angle(np.exp(1j * np.sort(values)).sum()))
-    return wrap_angle(values - origin), origin
-
-
-def _from_scale(median: FloatArray, origin: float, quantity: Quantity) -> FloatArray:
-    if quantity.scale == "factor":
-        return np.exp(median)
-    return wrap_angle(median + origin) if quantity.scale == "angle" else median
+def _smallest_step(quantity: Quantity, settings: FleetSettings) -> float:
+    """The smallest shift that matters on the compared scale, where it is longest for a share."""
+    smallest = quantity.smallest_shift(settings)
+    if quantity.scale != "proportion":
+        return smallest
+    low = settings.share_floor if quantity.is_factor else 0.0
+    high = low * smallest if quantity.is_factor else smallest
+    step = np.diff(quantity.to_scale(np.array([low, min(high, 1.0)])))
+    return float(step[0])
 
 
 def _thresholds(others: FloatArray, settings: FleetSettings) -> FloatArray:
@@ -211,19 +212,12 @@ def _thresholds(others: FloatArray, settings: FleetSettings) -> FloatArray:
     return threshold
 
 
-def _is_bad(
-    values: FloatArray, median: FloatArray, z: FloatArray, settings: FleetSettings
-) -> BoolArray:
+def _is_bad(values: FloatArray, median: FloatArray, settings: FleetSettings) -> BoolArray:
     """(N, Q) whether a shift is large enough to matter, and to the bad side."""
     is_bad = np.zeros(values.shape, dtype=np.bool_)
     for column, quantity in enumerate(QUANTITIES):
-        value, middle = values[:, column], median[:, column]
-        if quantity.scale == "factor":
-            shift = np.log(np.maximum(value, settings.share_floor)) - np.log(middle)
-        else:
-            shift = wrap_angle(value - middle) if quantity.scale == "angle" else value - middle
-        side = {"both": np.abs(shift), "above": shift, "below": -shift}[quantity.side]
-        is_bad[:, column] = side >= quantity.smallest_shift(settings)
+        shift = quantity.shift(values[:, column], median[:, column], settings)
+        is_bad[:, column] = shift >= quantity.smallest_shift(settings)
     return is_bad
 
 

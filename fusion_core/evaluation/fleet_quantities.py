@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 
+from fusion_core.model.conventions import FloatArray, wrap_angle
 from fusion_core.settings import StageSettings, setting
 
 FlagKind = Literal["mount moved", "clock drifts", "lens went blind", "sensors disagree"]
@@ -46,14 +47,17 @@ class FleetSettings(StageSettings):
         2.0, "Smallest factor of a share of holes, burrs or conflicts that matters", gt=1.0, le=1e3
     )
     share_floor: float = setting(
-        0.005, "Shares of holes, burrs or conflicts below this count as this", gt=0.0, le=0.5
+        0.005,
+        "Shares of holes, burrs or conflicts below this count as this for the factor",
+        gt=0.0,
+        le=0.5,
     )
     untrusted_rise_min: float = setting(
         0.1, "Smallest rise of the share of frames not trusted that matters", gt=0.0, le=1.0
     )
 
 
-Scale = Literal["linear", "angle", "factor"]
+Scale = Literal["linear", "angle", "proportion"]
 Side = Literal["both", "above", "below"]
 
 
@@ -62,8 +66,10 @@ class Quantity:
     """A value of a recording that is compared with the others of its rig.
 
     ``name``: as in the rows of a batch, with its unit. ``shift_setting``: the setting that holds
-    the smallest shift that matters, in ``setting_unit`` units of the quantity. ``scale``: "factor"
-    is compared as a logarithm, "angle" modulo a turn. ``side``: where a shift is bad.
+    the smallest shift that matters, in ``setting_unit`` units of the quantity; with ``is_factor``
+    it is a factor. ``scale``: an "angle" is compared modulo a turn, a "proportion" as the arc sine
+    of its root, on which the chance of counting varies equally everywhere. ``side``: where a shift
+    is bad.
     """
 
     name: str
@@ -73,11 +79,29 @@ class Quantity:
     setting_unit: float = 1.0
     scale: Scale = "linear"
     side: Side = "both"
+    is_factor: bool = False
 
     def smallest_shift(self, settings: FleetSettings) -> float:
-        """The smallest shift that matters, on the compared scale."""
-        value = float(getattr(settings, self.shift_setting)) * self.setting_unit
-        return float(np.log(value)) if self.scale == "factor" else value
+        """The smallest shift that matters, in the quantity's unit; a factor where ``is_factor``."""
+        return float(getattr(settings, self.shift_setting)) * self.setting_unit
+
+    def shift(self, values: FloatArray, median: FloatArray, settings: FleetSettings) -> FloatArray:
+        """How far values lie from a median, or by which factor, positive to the bad side."""
+        if self.is_factor:
+            floor = settings.share_floor
+            return np.asarray(np.maximum(values, floor) / np.maximum(median, floor))
+        apart = wrap_angle(values - median) if self.scale == "angle" else values - median
+        return {"both": np.abs(apart), "above": apart, "below": -apart}[self.side]
+
+    def to_scale(self, values: FloatArray) -> FloatArray:
+        """Values on the scale on which they are compared."""
+        return np.arcsin(np.sqrt(values)) if self.scale == "proportion" else values
+
+    def from_scale(self, scaled: FloatArray) -> FloatArray:
+        """The reverse of ``to_scale``, beyond its ends the value there."""
+        if self.scale != "proportion":
+            return scaled
+        return np.asarray(np.sin(np.clip(scaled, 0.0, 0.5 * np.pi)) ** 2)
 
 
 def _mount(name: str, label: str) -> Quantity:
@@ -98,8 +122,9 @@ def _share(name: str, label: str, kind: FlagKind) -> Quantity:
         label=label,
         kind=kind,
         shift_setting="share_factor_min",
-        scale="factor",
+        scale="proportion",
         side="above",
+        is_factor=True,
     )
 
 
@@ -120,6 +145,7 @@ QUANTITIES: tuple[Quantity, ...] = (
         label="agreement",
         kind="lens went blind",
         shift_setting="agreement_drop_min",
+        scale="proportion",
         side="below",
     ),
     _share("lidar_hole_share", "LiDAR holes", "lens went blind"),
@@ -133,6 +159,7 @@ QUANTITIES: tuple[Quantity, ...] = (
         label="frames not trusted",
         kind="sensors disagree",
         shift_setting="untrusted_rise_min",
+        scale="proportion",
         side="above",
     ),
 )

@@ -47,8 +47,8 @@ def sound(seed: int, count: int = 12) -> FloatArray:
     values = np.empty((count, len(QUANTITIES)))
     for index, quantity in enumerate(QUANTITIES):
         noise = rng.normal(size=count)
-        if quantity.scale == "factor":
-            values[:, index] = 0.05 * np.exp(0.2 * noise)
+        if quantity.scale == "proportion":
+            values[:, index] = np.sin(0.4 + 0.03 * noise) ** 2
         else:
             values[:, index] = 0.3 + quantity.smallest_shift(SETTINGS) * 0.2 * noise
     return values
@@ -117,6 +117,7 @@ def test_sound_batches_are_flagged_at_most_at_the_wanted_rate() -> None:
         agreement_drop_min=1e-9,
         untrusted_rise_min=1e-9,
         share_factor_min=1.0 + 1e-9,
+        share_floor=1e-6,
     )
     trials = 60
     flagged = sum(
@@ -130,7 +131,7 @@ def test_each_shift_is_found_and_named() -> None:
     values = sound(0)
     values[2, YAW] += np.deg2rad(2.0)
     values[5, CLOCK] -= 90.0
-    values[7, HOLES] *= 9.0
+    values[7, HOLES] *= 4.0
     found = find_deviations(fleet_of(values), SETTINGS)
     kinds = {row: [flag.kind for flag in found.flags(row)] for row in range(12)}
     assert {row: kind for row, kind in kinds.items() if kind} == {
@@ -143,7 +144,9 @@ def test_each_shift_is_found_and_named() -> None:
     assert flag.value == values[7, HOLES]
     # The others are eleven: their median is one of them.
     assert flag.median == pytest.approx(np.median(others))
-    assert flag.z == pytest.approx((np.log(flag.value) - np.log(flag.median)) / flag.spread)
+    value, median, low, high = np.arcsin(np.sqrt([flag.value, flag.median, flag.low, flag.high]))
+    assert flag.z == pytest.approx((value - median) / (high - median))
+    assert high - median == pytest.approx(median - low)
 
 
 def test_fewer_holes_are_no_failure_of_the_lens() -> None:

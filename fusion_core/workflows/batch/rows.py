@@ -54,7 +54,7 @@ def read_row(outcome: Outcome, run_folder: Path) -> Row:
     if outcome.command in readers:
         try:
             readers[outcome.command](row, outcome.result, run_folder)
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, LookupError, TypeError) as error:
             text = escape_undecodable(f"{type(error).__name__}: {error}")
             row["warnings"].append(printable(f"The results cannot be read back: {text}"))
     return row
@@ -73,7 +73,7 @@ def _read_map(row: Row, result: Mapping[str, Any], folder: Path) -> None:
         paired=_whole(result["scans"]),
         untrusted_stretches=len(result["untrusted"]),
     )
-    trusted = _number(result["trusted_share"])
+    trusted = _proportion(result["trusted_share"])
     row["untrusted_share"] = None if trusted is None else 1.0 - trusted
     first = read_head(folder / "trajectory.tum", _LINE_BYTES).split(maxsplit=1)[0].decode()
     seconds, _, fraction = first.partition(".")
@@ -88,7 +88,7 @@ def _read_fuse(row: Row, result: Mapping[str, Any], folder: Path) -> None:
     row.update(
         frames=_whole(result["frames"]),
         paired=_whole(result["paired"]),
-        agreement=_number(alignment["agreement"]),
+        agreement=_proportion(alignment["agreement"]),
         peak_score=_number(alignment["score"]),
         geometry=describe_geometry(alignment),
     )
@@ -212,6 +212,12 @@ def _number(value: Any) -> float | None:
     """A finite number, or None."""
     is_known = isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
     return float(value) if is_known else None
+
+
+def _proportion(value: Any) -> float | None:
+    """A number from 0 to 1, or None."""
+    number = _number(value)
+    return number if number is not None and 0.0 <= number <= 1.0 else None
 
 
 def _whole(value: Any) -> int | None:
