@@ -36,6 +36,11 @@ class Column:
     def is_number(self) -> bool:
         return self.show not in ("text", "texts", "instant", "no")
 
+    @property
+    def shown_unit(self) -> str:
+        """The unit in which a number is shown, "" where it has none."""
+        return self.label.partition(", ")[2]
+
     def shown_number(self, value: float) -> float:
         """A value in the unit that is shown."""
         if self.show == "degrees":
@@ -49,7 +54,7 @@ class Column:
         if self.show == "instant":
             return format_instant(int(value))
         if self.show == "texts":
-            return ", ".join(value)
+            return "; ".join(value)
         if self.show == "whole":
             return str(int(value))
         if self.is_number:

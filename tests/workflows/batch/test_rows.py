@@ -226,7 +226,7 @@ def test_rows_become_a_table_with_units_and_nulls(tmp_path: Path) -> None:
         ("recorded_bytes", 12_345_678, "12.3"),
         ("frames", 0, "0"),
         ("frames", None, UNKNOWN_TEXT),
-        ("flags", ["mount moved", "clock drifts"], "mount moved, clock drifts"),
+        ("flags", ["mount moved", "clock drifts"], "mount moved; clock drifts"),
     ],
 )
 def test_values_as_they_are_shown(name: str, value: Any, text: str) -> None:
