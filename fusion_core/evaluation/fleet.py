@@ -128,7 +128,8 @@ def find_deviations(fleet: FleetValues, settings: FleetSettings) -> FleetDeviati
                 fleet.values[at], np.nan_to_num(fleet.sd[at]), quantity, settings
             )
             others[at] = known.size - 1
-        notes += _notes(label, members.size, unknown, settings)
+        if np.isfinite(fleet.values[members]).any():
+            notes += _notes(label, members.size, unknown, settings)
     threshold = _thresholds(others, settings)
     with np.errstate(invalid="ignore"):
         is_flagged = (np.abs(z) > threshold) & _is_bad(fleet.values, median, settings)

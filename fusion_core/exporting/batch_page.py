@@ -67,14 +67,17 @@ class Attention:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchPage:
-    """``facts``: label and value of each number at the top. ``line_labels``: what each line of the
-    charts belongs to, by its number. ``command_note``: where the commands are to be typed."""
+    """``facts``: label and value of each number at the top. ``constants``: what is not drawn since
+    it does not vary. ``line_labels``: what each line of the charts belongs to, by its number.
+    ``command_note``: where the commands are to be typed.
+    """
 
     title: str
     facts: Sequence[tuple[str, str]]
     attention: Sequence[Attention]
     attention_left_out: int
     charts: Sequence[Chart]
+    constants: Sequence[str]
     line_labels: Sequence[str]
     columns: Sequence[PageColumn]
     rows: Sequence[PageRow]
@@ -101,7 +104,8 @@ def page_html(page: BatchPage) -> str:
         ),
         attention=_attention(page),
         legend=_legend(page),
-        charts="".join(map(chart_html, page.charts)) or "<p>There are no values to draw.</p>",
+        charts="".join(map(chart_html, page.charts)) or "<p>Nothing varies.</p>",
+        constants=_constants(page),
         kinds="".join(
             f'<option value="{html.escape(kind)}">{html.escape(kind)}</option>'
             for kind in sorted({flag for row in page.rows for flag in row.flags})
@@ -139,6 +143,12 @@ def _opening(command: str, link: str) -> str:
     if not link:
         return code
     return f'{code} <a href="{html.escape(link)}" rel="noreferrer">open</a>'
+
+
+def _constants(page: BatchPage) -> str:
+    if not page.constants:
+        return ""
+    return f'<p class="note">Equal in all: {html.escape("; ".join(page.constants))}.</p>'
 
 
 def _legend(page: BatchPage) -> str:

@@ -13,7 +13,7 @@ from fusion_core.exporting.palette import BURR, CONFLICT, DEPTH, GOOD, LIDAR
 OUTLIER_COLOR = BURR
 _WIDTH, _HEIGHT = 340.0, 150.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 50.0, 12.0, 10.0, 20.0
-_TICKS = 3
+_TICKS_MAX = 5
 # More points than pixels show nothing more: of each pixel's the lowest and the highest are drawn.
 _BINS = 300
 _POINTS_MAX = 2 * _BINS
@@ -115,7 +115,7 @@ class _Place:
 
 
 def _padded(low: float, high: float) -> tuple[float, float]:
-    margin = 0.08 * (high - low) or max(abs(high) * 0.1, 1e-3)
+    margin = 0.08 * (high - low) or 0.1 * abs(high) or 1.0
     return low - margin, high + margin
 
 
@@ -139,7 +139,7 @@ def _axes(chart: Chart, place: _Place) -> str:
 
 def _ticks(low: float, high: float) -> list[tuple[float, str]]:
     """Round values between two, at equal steps of 1, 2 or 5 times a power of ten."""
-    rough = (high - low) / _TICKS
+    rough = (high - low) / _TICKS_MAX
     power = 10.0 ** floor(log10(rough))
     step = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= rough)
     digits = max(0, -floor(log10(step) + 1e-9))

@@ -10,6 +10,7 @@ from fusion_core.evaluation.fleet import FleetDeviations
 from fusion_core.evaluation.fleet_quantities import QUANTITIES, Quantity
 from fusion_core.exporting.batch_page import Attention, BatchPage, PageCell, PageColumn, PageRow
 from fusion_core.exporting.small_multiples import Chart, ChartLine, ChartPoint
+from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.workflows.batch.columns import (
     COLUMNS,
     UNKNOWN_TEXT,
@@ -43,6 +44,7 @@ def build_page(
     """The page of a batch's table, whose rows are in the order of ``found``."""
     failed = [n for n, state in enumerate(table["state"].to_pylist()) if state == "failed"]
     labels = _line_labels(table, found)
+    varying = _varying(found)
     shown = _shown_rows(table.num_rows, [row.number for row in flagged], failed)
     columns = [column for column in COLUMNS if _is_shown(column, table)]
     attention = list(_attention(table, flagged, failed, link))
@@ -51,7 +53,8 @@ def build_page(
         facts=_facts(table, len(flagged), len(failed)),
         attention=attention,
         attention_left_out=len(flagged) + len(failed) - len(attention),
-        charts=list(_charts(table, found, labels)),
+        charts=list(_charts(table, found, labels, varying)),
+        constants=list(_constants(found, varying)),
         line_labels=labels,
         columns=[_page_column(column) for column in columns],
         rows=[_page_row(row, columns, link) for row in _rows(table, shown)],
@@ -92,7 +95,7 @@ def _facts(table: "pa.Table", flagged: int, failed: int) -> list[tuple[str, str]
         facts.append(("recorded", _duration(length_s)))
     work_s = pc.sum(table["seconds"]).as_py()
     if work_s is not None:
-        facts.append(("work of one processor", _duration(work_s)))
+        facts.append(("computing time", _duration(work_s)))
     return facts
 
 
@@ -112,7 +115,7 @@ def _shown_rows(count: int, flagged: Sequence[int], failed: Sequence[int]) -> li
 
 
 def _rows(table: "pa.Table", numbers: Sequence[int]) -> Iterator[Row]:
-    yield from table.take(list(numbers)).to_pylist()
+    yield from table.take(np.array(numbers, dtype=np.int64)).to_pylist()
 
 
 def _is_shown(column: Column, table: "pa.Table") -> bool:
@@ -185,10 +188,11 @@ def _attention(
 def _line_labels(table: "pa.Table", found: FleetDeviations) -> list[str]:
     """The robots of the batch, those with the most recordings first; a rig without a robot is
     named for its sensors."""
-    counts: dict[str, int] = {}
-    for label in _line_of_rows(table, found):
-        counts[label] = counts.get(label, 0) + 1
-    return sorted(counts, key=lambda label: (-counts[label], label))
+    is_known: BoolArray = np.isfinite(found.values).any(axis=1)
+    counts = dict.fromkeys(_line_of_rows(table, found), 0)
+    for label, known in zip(_line_of_rows(table, found), is_known, strict=True):
+        counts[label] += int(known)
+    return sorted(filter(counts.get, counts), key=lambda label: (-counts[label], label))
 
 
 def _line_of_rows(table: "pa.Table", found: FleetDeviations) -> list[str]:
@@ -199,19 +203,41 @@ def _line_of_rows(table: "pa.Table", found: FleetDeviations) -> list[str]:
     ]
 
 
-def _charts(table: "pa.Table", found: FleetDeviations, labels: Sequence[str]) -> Iterator[Chart]:
-    """A chart for each quantity that is known of two recordings at least."""
+def _varying(found: FleetDeviations) -> list[int]:
+    """The quantities with more than one value."""
+    columns = range(len(QUANTITIES))
+    return [n for n in columns if np.unique(_finite(found.values[:, n])).size > 1]
+
+
+def _finite(values: FloatArray) -> FloatArray:
+    return values[np.isfinite(values)]
+
+
+def _constants(found: FleetDeviations, varying: Sequence[int]) -> Iterator[str]:
+    for place, quantity in enumerate(QUANTITIES):
+        values = _finite(found.values[:, place])
+        if place not in varying and values.size:
+            column = column_of(quantity.name)
+            yield f"{quantity.label} {column.format(values[0])} {column.shown_unit}".strip()
+
+
+def _charts(
+    table: "pa.Table", found: FleetDeviations, labels: Sequence[str], varying: Sequence[int]
+) -> Iterator[Chart]:
+    """A chart for each quantity that varies."""
     number_of = {label: number for number, label in enumerate(labels)}
-    lines = np.array([number_of[label] for label in _line_of_rows(table, found)], dtype=np.int64)
+    # Of what has no values no line is drawn.
+    line_of_rows = _line_of_rows(table, found)
+    lines = np.array([number_of.get(label, -1) for label in line_of_rows], dtype=np.int64)
     names = table["name"].to_pylist()
     x, x_labels = _axis(table)
-    for place, quantity in enumerate(QUANTITIES):
+    for place in varying:
         known = np.flatnonzero(np.isfinite(found.values[:, place]) & np.isfinite(x))
-        if known.size < 2:
-            continue
         order = known[np.argsort(x[known], kind="stable")]
+        if not order.size:
+            continue
         yield Chart(
-            title=_chart_title(quantity),
+            title=_chart_title(QUANTITIES[place]),
             x_ends=(float(np.nanmin(x)), float(np.nanmax(x))),
             x_labels=x_labels,
             lines=[
