@@ -10,7 +10,7 @@ from fusion_core.evaluation.fleet import FleetDeviations
 from fusion_core.evaluation.fleet_quantities import QUANTITIES, Quantity
 from fusion_core.exporting.batch_page import Attention, BatchPage, PageCell, PageColumn, PageRow
 from fusion_core.exporting.small_multiples import Chart, ChartLine, ChartPoint
-from fusion_core.model.conventions import BoolArray, FloatArray
+from fusion_core.model.conventions import FloatArray
 from fusion_core.workflows.batch.columns import (
     COLUMNS,
     UNKNOWN_TEXT,
@@ -188,7 +188,7 @@ def _attention(
 def _line_labels(table: "pa.Table", found: FleetDeviations) -> list[str]:
     """The robots of the batch, those with the most recordings first; a rig without a robot is
     named for its sensors."""
-    is_known: BoolArray = np.isfinite(found.values).any(axis=1)
+    is_known = [bool(np.isfinite(values).any()) for values in found.values]
     counts = dict.fromkeys(_line_of_rows(table, found), 0)
     for label, known in zip(_line_of_rows(table, found), is_known, strict=True):
         counts[label] += int(known)
