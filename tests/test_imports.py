@@ -11,6 +11,7 @@ ROOT = Path(__file__).parents[1]
 
 # What each folder may import of the project, beside itself.
 BASE = {"fusion_core.model", "fusion_core.settings", "fusion_core.compiled"}
+PROCESSES = {"fusion_core.worker_processes"}
 FILES = {"fusion_core.files"}
 ALGORITHMS = {
     "fusion_core.alignment": BASE,
@@ -33,9 +34,10 @@ ALLOWED: dict[str, set[str]] = {
     "fusion_core.settings": {"fusion_core.model"},
     "fusion_core.files": {"fusion_core.model"},
     "fusion_core.compiled": set(),
+    "fusion_core.worker_processes": {"fusion_core.model"},
     **ALGORITHMS,
     **SIDES,
-    "fusion_core.workflows": BASE | FILES | ALGORITHMS.keys() | SIDES.keys(),
+    "fusion_core.workflows": BASE | FILES | PROCESSES | ALGORITHMS.keys() | SIDES.keys(),
     "scanloom": BASE | {"fusion_core.workflows"},
 }
 # The parts of the app, each level above what it may import; jobs and state know each other.

@@ -1,6 +1,7 @@
 """Typed errors. Each names the file or value at fault and what to do about it."""
 
 from pathlib import Path
+from typing import Any
 
 from fusion_core.model.names import escape_undecodable
 
@@ -18,6 +19,19 @@ class ScanLoomError(Exception):
         where = f"{self.file}: " if self.file else ""
         then = f" {self.advice}" if advice else ""
         super().__init__(f"{where}{self.problem}{then}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Errors of other processes come pickled, those whose arguments have names too.
+        return _unpickled, (type(self), self.args, vars(self))
+
+
+def _unpickled(
+    kind: type[ScanLoomError], args: tuple[Any, ...], values: dict[str, Any]
+) -> ScanLoomError:
+    error = kind.__new__(kind, *args)
+    error.args = args
+    vars(error).update(values)
+    return error
 
 
 class RecordingError(ScanLoomError):
@@ -46,6 +60,10 @@ class ExportError(ScanLoomError):
 
 class LabelStoreError(ScanLoomError):
     """A label store cannot be used, or an action in it cannot be taken back."""
+
+
+class WorkerFailed(ScanLoomError):
+    """A process that shared in the work has ended before its time."""
 
 
 class FramesNotConnected(MissingStream):

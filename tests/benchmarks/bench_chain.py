@@ -30,7 +30,8 @@ from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.fuse import frame, match_images, result_writer, tables
 from fusion_core.workflows.fuse import session as session_module
 from fusion_core.workflows.fuse.align import RecordingAlignment, align_recording
-from fusion_core.workflows.fuse.frame import FusedFrame, fuse_frames
+from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.frame_tasks import fuse_frames
 from fusion_core.workflows.fuse.session import (
     FuseOptions,
     Session,

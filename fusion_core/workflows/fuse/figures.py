@@ -3,7 +3,9 @@
 Figs. 3, 4, 5, 7 and 8 show one frame, the showcase; Fig. 6 needs a truth and Fig. 9 maps.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -42,14 +44,17 @@ from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.names import escape_undecodable
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rig import Camera
+from fusion_core.worker_processes import WorkerPool
 from fusion_core.workflows.evaluate import evaluate
 from fusion_core.workflows.fuse.align import RecordingAlignment
 from fusion_core.workflows.fuse.color_of_frame import nearest_color_image, remap_color
-from fusion_core.workflows.fuse.figure_collector import FigureCollector
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_match import curves_at
 from fusion_core.workflows.fuse.session import Session
 from fusion_core.workflows.fuse.table_1 import table_1_row, write_table_1
+
+# What drawing imports.
+FIGURE_MODULES = (__name__, "matplotlib.style", "matplotlib.backends.backend_agg")
 
 _METRIC_NAMES: dict[Metric, str] = {
     "pearson": "Pearson, eq. (2)",
@@ -67,13 +72,16 @@ _FIG_4_SHEETS: dict[str, tuple[Metric, Metric]] = {
 class FigureData:
     """The results of a run that the figures show.
 
-    ``grids``: maps by name, the truth's as "reference", empty without poses, which come from
-    ``pose_source``. ``fuse_dir``: the result folder that ``truth``, if given, is compared with.
+    ``showcase``: the frame that is shown, None where none was fused; ``scores``: the counts of
+    Table 1. ``grids``: maps by name, the truth's as "reference", empty without poses, which come
+    from ``pose_source``. ``fuse_dir``: the result folder that ``truth``, if given, is compared
+    with.
     """
 
     session: Session
     alignment: RecordingAlignment
-    collected: FigureCollector
+    showcase: FusedFrame | None
+    scores: dict[str, int]
     grids: dict[str, OccupancyGrid]
     pose_source: str | None
     preset: str
@@ -81,58 +89,47 @@ class FigureData:
     truth: Path | None
 
 
-class _Drawing:
-    """Counts the figures of a run as they are drawn."""
-
-    def __init__(self, total: int, progress: Progress) -> None:
-        self._done, self._total, self._progress = 0, total, progress
-
-    def next(self) -> None:
-        """The next figure is drawn from here on. Raises what the progress function raises."""
-        self._done += 1
-        self._progress(self._done, self._total, "drawing figures")
+# A figure yet to be drawn, by any process: it returns why it was left out, None where it was not.
+_Figure = Callable[[], str | None]
 
 
-def _count(data: FigureData) -> int:
-    """How many figures a run has."""
-    frame, count = data.collected.showcase, len(_FIG_4_SHEETS)
-    if frame is not None:
-        count += 3 + (frame.match.registration is not None)
-    return count + (data.truth is not None) + bool(data.grids)
-
-
-def write_figures(folder: Path, data: FigureData, progress: Progress = silent) -> list[str]:
+def write_figures(
+    folder: Path, data: FigureData, pool: WorkerPool, progress: Progress = silent
+) -> list[str]:
     """Draw the figures that the data allow into ``folder``; return why others are left out.
 
-    Raises ExportError where a file cannot be written.
+    Raises ExportError where a file cannot be written, and what the progress function raises.
     """
-    session, truth = data.session, data.truth
+    session, truth, frame = data.session, data.truth, data.showcase
     folder.mkdir(exist_ok=True)
     name = session.recording.path.resolve().name
     heading = f"{printable(name)}, preset {data.preset}"
     if session.virtual_row is not None:
         heading += f", virtual LiDAR, row {session.virtual_row}"
     notes: list[str] = []
-    write_table_1(folder / "table1.csv", [table_1_row(name, data.collected.scores)])
-    frame = data.collected.showcase
-    drawing = _Drawing(_count(data), progress)
-    _write_similarity(folder, heading, data, drawing)
+    write_table_1(folder / "table1.csv", [table_1_row(name, data.scores)])
+    drawn = _similarity_figures(folder, heading, data)
     if frame is None:
         notes.append("No frame to show: Figs. 3, 5, 7 and 8 are left out.")
     else:
-        _write_showcase(folder, heading, session, frame, drawing)
+        drawn += _showcase_figures(folder, heading, session, frame)
         if frame.match.registration is None:
             notes.append(f"Fig. 5 is left out: {frame.match.refusal}")
     if truth is not None:
-        drawing.next()
-        try:
-            _write_recall(folder, heading, data.fuse_dir, truth)
-        except ScanLoomError as error:
-            notes.append(f"Fig. 6 is left out: {truth.name} {error.problem}")
+        drawn.append(partial(_write_recall, folder, heading, data.fuse_dir, truth))
     if data.grids:
-        drawing.next()
-        _write_maps(folder, f"{heading}\nposes of {data.pose_source}", data.grids)
+        maps_heading = f"{heading}\nposes of {data.pose_source}"
+        drawn.append(partial(_write_maps, folder, maps_heading, data.grids))
+    left_out = pool.in_order(_draw, drawn, lambda figure: figure)
+    for number in range(1, len(drawn) + 1):
+        progress(number, len(drawn), "drawing figures")
+        _, note = next(left_out)
+        notes += [] if note is None else [note]
     return notes
+
+
+def _draw(figure: _Figure) -> str | None:
+    return figure()
 
 
 def printable(name: str) -> str:
@@ -140,8 +137,8 @@ def printable(name: str) -> str:
     return escape_undecodable(name).encode("latin-1", errors="replace").decode("latin-1")
 
 
-def _write_similarity(folder: Path, heading: str, data: FigureData, drawing: _Drawing) -> None:
-    session, alignment, frame = data.session, data.alignment, data.collected.showcase
+def _similarity_figures(folder: Path, heading: str, data: FigureData) -> list[_Figure]:
+    session, alignment, frame = data.session, data.alignment, data.showcase
     cameras = session.rig.cameras
     columns = {}
     for metric, name in _METRIC_NAMES.items():
@@ -180,14 +177,16 @@ def _write_similarity(folder: Path, heading: str, data: FigureData, drawing: _Dr
             searched = f"panorama of {frame.match.images} images at {stamp}"
         shown += f"\n{searched}, its own peaks"
     kind = "frames" if len(cameras) == 1 else "panoramas"
-    for file_name, metrics in _FIG_4_SHEETS.items():
-        drawing.next()
-        write_similarity(
+    return [
+        partial(
+            write_similarity,
             folder / file_name,
             shown,
             [columns[metric] for metric in metrics],
             mean_of=f"{alignment.frames} {kind}",
         )
+        for file_name, metrics in _FIG_4_SHEETS.items()
+    ]
 
 
 def _field_panel(
@@ -217,9 +216,9 @@ def _frame_name(session: Session, frame: FusedFrame) -> str:
     return f"{topic} at {format_stamp(frame.match.stamp_ns)}"
 
 
-def _write_showcase(
-    folder: Path, heading: str, session: Session, frame: FusedFrame, drawing: _Drawing
-) -> None:
+def _showcase_figures(
+    folder: Path, heading: str, session: Session, frame: FusedFrame
+) -> list[_Figure]:
     match = frame.match
     about = f"{heading}\n{_frame_name(session, frame)}"
     found = nearest_color_image(session, frame)
@@ -229,8 +228,8 @@ def _write_showcase(
         else remap_color(found.rgb, session.rig.views[match.pair.camera_index])
     )
     after_ms = None if found is None else (found.stamp_ns - match.stamp_ns) / NS_PER_MS
-    drawing.next()
-    write_aligned(
+    aligned = partial(
+        write_aligned,
         folder / "fig3_aligned.png",
         f"Fig. 3, aligned in time\n{about}",
         SynchronizedFrame(
@@ -244,10 +243,11 @@ def _write_showcase(
             has_nominal_stamps=session.recording.stamps_are_nominal,
         ),
     )
+    drawn: list[_Figure] = [aligned]
     by_sample = session.settings.pairing == "frame"
     if match.registration is not None:
-        drawing.next()
-        write_pairs(
+        pairs = partial(
+            write_pairs,
             folder / "fig5_pairs.png",
             f"Fig. 5, pairs before and after RANSAC\n{about}",
             RansacPairs(
@@ -268,6 +268,7 @@ def _write_showcase(
                 ),
             ),
         )
+        drawn.append(pairs)
     curve = RepairedCurve(
         azimuth_rad=match.correspondence.azimuth_rad,
         row=match.correspondence.row,
@@ -283,26 +284,28 @@ def _write_showcase(
         depth_as_range_m=match.correspondence.depth_as_range_m,
         camera_range_m=match.correspondence.camera_range_m,
     )
-    drawing.next()
-    write_repair(
-        folder / "fig7_repair.png",
-        f"Fig. 7, before and after denoising\n{about}",
-        match.depth_m,
-        curve,
-    )
-    drawing.next()
-    write_fused_depth(
-        folder / "fig8_fused_depth.png",
-        f"Fig. 8, fused depth image\n{about}",
-        color=color,
-        depth_m=match.depth_m,
-        curve=curve,
-    )
+    about_repair = f"Fig. 7, before and after denoising\n{about}"
+    about_depth = f"Fig. 8, fused depth image\n{about}"
+    drawn += [
+        partial(write_repair, folder / "fig7_repair.png", about_repair, match.depth_m, curve),
+        partial(
+            write_fused_depth,
+            folder / "fig8_fused_depth.png",
+            about_depth,
+            color=color,
+            depth_m=match.depth_m,
+            curve=curve,
+        ),
+    ]
+    return drawn
 
 
-def _write_recall(folder: Path, heading: str, fuse_dir: Path, truth: Path) -> None:
-    """Fig. 6. Raises ScanLoomError where the truth cannot be used."""
-    measured = evaluate.noise(fuse_dir, truth)
+def _write_recall(folder: Path, heading: str, fuse_dir: Path, truth: Path) -> str | None:
+    """Fig. 6, or why the truth cannot be used for it."""
+    try:
+        measured = evaluate.noise(fuse_dir, truth)
+    except ScanLoomError as error:
+        return f"Fig. 6 is left out: {truth.name} {error.problem}"
     over = measured["over_epsilon"]
     factors = np.array(over["epsilon_over_E"])
     numbers = read_frames(open_fuse_folder(fuse_dir)).number
@@ -329,6 +332,7 @@ def _write_recall(folder: Path, heading: str, fuse_dir: Path, truth: Path) -> No
             factors, over["xi"] or missing, over["eta"] or missing, strict=True
         ):
             table.append({"epsilon_over_E": factor, "xi": xi, "eta": eta})
+    return None
 
 
 def _write_maps(folder: Path, heading: str, grids: dict[str, OccupancyGrid]) -> None:

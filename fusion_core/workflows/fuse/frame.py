@@ -1,6 +1,6 @@
-"""Pass 2: scans and depth images as they come, matched, classified and repaired."""
+"""An image and its scan, matched, classified and repaired."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
@@ -15,24 +15,17 @@ from fusion_core.denoising.noise_settings import NoiseSettings
 from fusion_core.denoising.overruling import is_rejected, overrule
 from fusion_core.denoising.repair import Repair, repair
 from fusion_core.model.conventions import NS_PER_S, BoolArray, Float32Array, FloatArray, IntArray
-from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.align import RecordingAlignment, T_lidar_camera_at
 from fusion_core.workflows.fuse.frame_labels import (
     FrameLabels,
-    SessionLabels,
+    MatchLabels,
     codes_of_pixels,
 )
 from fusion_core.workflows.fuse.frame_match import FrameMatch
-from fusion_core.workflows.fuse.match_images import match_images, split_into_frames
-from fusion_core.workflows.fuse.pairing import (
-    FramePair,
-    ImageGrouper,
-    PairedImage,
-    UprightDepth,
-)
-from fusion_core.workflows.fuse.session import Session
+from fusion_core.workflows.fuse.match_images import match_images
+from fusion_core.workflows.fuse.pairing import FramePair, UprightDepth
 from fusion_core.workflows.fuse.settings import ChainSettings
 
 _Samples = TypeVar("_Samples", Classification, Repair)
@@ -77,59 +70,11 @@ class FusedFrame:
         return changed
 
 
-def fuse_frames(
-    session: Session,
-    alignment: RecordingAlignment,
-    clock_offset_ms: float = 0.0,
-    labels: SessionLabels | None = None,
-) -> Iterator[LaserScan | PairedImage | FusedFrame]:
-    """Pass 2: scans as they arrive, fused frames, and the images that could not be fused.
-
-    ``labels``: a person's, which overrule the classes.
-    """
-    cameras = 1 if alignment.panorama is None else len(session.rig.cameras)
-    grouper = ImageGrouper(cameras, session.settings.time.max_gap_ms)
-    previous: dict[int, UprightDepth] = {}
-    for entry in session.pairs(clock_offset_ms):
-        if isinstance(entry, LaserScan):
-            yield entry
-            groups = grouper.pass_scan()
-        else:
-            groups = grouper.push(entry)
-        for group in groups:
-            yield from _fuse_group(group, previous, session, alignment, labels)
-    for group in grouper.flush():
-        yield from _fuse_group(group, previous, session, alignment, labels)
-
-
-def _fuse_group(
-    group: Sequence[PairedImage],
-    previous: dict[int, UprightDepth],
-    session: Session,
-    alignment: RecordingAlignment,
-    labels: SessionLabels | None,
-) -> Iterator[PairedImage | FusedFrame]:
-    """The fused images of a group, or the images that have no scan or no peak. ``previous``: each
-    camera's image before, which is brought up to date."""
-    for frame in split_into_frames(group, session.settings):
-        pairs = [session.frame_pair(entry, previous.get(entry.camera)) for entry in frame]
-        paired = [pair for pair in pairs if pair is not None]
-        if not paired:
-            yield from frame
-            continue
-        try:
-            yield from fuse_images(paired, alignment, session.settings, labels)
-        except AlignmentFailed:
-            yield from frame
-        for pair in paired:
-            previous[pair.camera_index] = pair.upright
-
-
 def fuse_images(
     pairs: Sequence[FramePair],
     alignment: RecordingAlignment,
     settings: ChainSettings,
-    labels: SessionLabels | None = None,
+    labels: MatchLabels | None = None,
 ) -> list[FusedFrame]:
     """Match, classify and repair one image, or the images of a panorama. Raises as
     ``match_images``."""

@@ -1,8 +1,9 @@
 """A person's labels of the samples that a frame is made of."""
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from fusion_core.model.labels import NO_LABEL, CaptureLabels, LabelLayer
 from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.workflows.fuse.captures import image_capture, scan_capture
 from fusion_core.workflows.fuse.frame_match import FrameMatch
-from fusion_core.workflows.fuse.pairing import PairedImage
+from fusion_core.workflows.fuse.pairing import FramePair, PairedImage
 from fusion_core.workflows.fuse.session import Session
 
 
@@ -90,6 +91,50 @@ class FrameLabels:
         )
 
 
+class MatchLabels(Protocol):
+    """Finds the labels of matched frames."""
+
+    def of_match(self, match: FrameMatch) -> FrameLabels | None:
+        """The labels of a frame, of a pasted panorama all; None where there are none."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PairLabels:
+    """The labels of an image, as it is stored, and of the scans of its pair."""
+
+    scans: ScanWindowLabels
+    stored: CaptureLabels | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TaskLabels:
+    """The labels of the images that are fused together, by the number of the camera. ``views``:
+    those of all cameras of the rig."""
+
+    of_camera: Mapping[int, PairLabels]
+    views: Sequence[UprightView]
+
+    def of_match(self, match: FrameMatch) -> FrameLabels | None:
+        """As MatchLabels."""
+        cameras = [pair.camera_index for pair in _pairs_judged(match)]
+        labels = FrameLabels(
+            scans=self.of_camera[match.pair.camera_index].scans,
+            images=tuple(
+                ImageLabels(stored=self.of_camera[camera].stored, view=self.views[camera])
+                for camera in cameras
+            ),
+        )
+        return labels if any(part is not None for part in labels.parts()) else None
+
+
+def _pairs_judged(match: FrameMatch) -> list[FramePair]:
+    """The pairs whose samples are classified together, from left to right."""
+    if match.pasted is None:
+        return [match.pair]
+    own = {pair.camera.topic: pair for pair in match.pasted.images}
+    return [own[camera.topic] for camera in match.pasted.panorama.from_left]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionLabels:
     """A layer of labels on the recording of a session."""
@@ -126,27 +171,24 @@ class SessionLabels:
             codes_of_pixels(image.upright(), pairs.row, pairs.column),
         )
 
-    def of_match(self, match: FrameMatch) -> FrameLabels | None:
-        """The labels of a matched frame, of a pasted panorama all; None where there are none."""
-        window, pairs = match.pair.window, [match.pair]
-        if match.pasted is not None:
-            own = {pair.camera.topic: pair for pair in match.pasted.images}
-            pairs = [own[camera.topic] for camera in match.pasted.panorama.from_left]
-        labels = FrameLabels(
+    def of_pair(self, window: ScanWindow, image: DepthImage, camera: int) -> PairLabels:
+        """The labels of a stored image and of its scans."""
+        return PairLabels(
             scans=ScanWindowLabels(
                 before=self.of_scan(window.before),
                 scan=self.of_scan(window.scan),
                 after=self.of_scan(window.after),
             ),
-            images=tuple(
-                ImageLabels(
-                    stored=self.of_image(pair.image, pair.camera_index),
-                    view=self.session.rig.views[pair.camera_index],
-                )
-                for pair in pairs
-            ),
+            stored=self.of_image(image, camera),
         )
-        return labels if any(part is not None for part in labels.parts()) else None
+
+    def of_match(self, match: FrameMatch) -> FrameLabels | None:
+        """As MatchLabels."""
+        of_camera = {
+            pair.camera_index: self.of_pair(pair.window, pair.image, pair.camera_index)
+            for pair in _pairs_judged(match)
+        }
+        return TaskLabels(of_camera=of_camera, views=self.session.rig.views).of_match(match)
 
 
 def _codes_of_beams(scan: CaptureLabels | None, beam: IntArray) -> IntArray:

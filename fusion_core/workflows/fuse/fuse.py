@@ -1,9 +1,10 @@
 """``scanloom fuse``: the chain of Xu 2024 over a whole recording. The entry is ``fuse``.
 
 Pass 1, ``align_recording``: the offset (u, v), the mount and the noise scale of the recording.
-Pass 2, ``fuse_frames``: each depth image with its scan (a FramePair) is matched (``match_images``:
-search, correspondence, registration), classified and repaired (``classify_and_repair``). The images
-of cameras side by side are searched as one panorama.
+Pass 2, ``fused_results``: each depth image with its scan (a FramePair) is matched
+(``match_images``: search, correspondence, registration), classified and repaired
+(``classify_and_repair``), by several processes where there are cores for them. The images of
+cameras side by side are searched as one panorama.
 ``ResultWriter`` turns what comes out into tables, a repaired recording and maps; ``write_figures``
 draws the paper's figures.
 """
@@ -19,10 +20,12 @@ from fusion_core.model.names import printable
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rig import MOUNT_PARAMETERS
 from fusion_core.model.sensors import LaserScan
+from fusion_core.worker_processes import WorkerPool
 from fusion_core.workflows.fuse.align import RecordingAlignment, align_recording
-from fusion_core.workflows.fuse.figures import FigureData, write_figures
-from fusion_core.workflows.fuse.frame import fuse_frames
+from fusion_core.workflows.fuse.figures import FIGURE_MODULES, FigureData, write_figures
 from fusion_core.workflows.fuse.frame_labels import SessionLabels
+from fusion_core.workflows.fuse.frame_tasks import FrameFuser
+from fusion_core.workflows.fuse.fused_results import WORKER_MODULES, fused_results
 from fusion_core.workflows.fuse.reference_map import reference_map
 from fusion_core.workflows.fuse.result_writer import ResultWriter
 from fusion_core.workflows.fuse.session import FuseOptions, Session, open_session
@@ -41,7 +44,8 @@ def fuse(
     """Fuse a recording into a folder of results.
 
     Raises ScanLoomError: RecordingError and MissingStream for the input, SettingsError,
-    AlignmentFailed where LiDAR and depth cannot be aligned, ExportError for the folder.
+    AlignmentFailed where LiDAR and depth cannot be aligned, ExportError for the folder,
+    WorkerFailed where a process of ``options.workers`` dies.
     """
     preset, settings = chain_settings(options.preset, options.settings_file, options.seed)
     settings_text = settings_toml(preset, settings)
@@ -60,10 +64,11 @@ def fuse(
         )
         if plan.is_done:
             return read_summary(output)
-        with results_folder(plan) as folder:
+        with results_folder(plan) as folder, WorkerPool(options.workers) as pool:
+            pool.start(*WORKER_MODULES, *(FIGURE_MODULES if options.figures else ()))
             write_text(folder / "settings.toml", settings_text)
             session = open_session(opened, options, settings)
-            summary = _run_chain(session, folder, replace(options, preset=preset), progress)
+            summary = _run_chain(session, folder, replace(options, preset=preset), pool, progress)
             write_summary(folder, summary)
             return replace(summary, output=output)
 
@@ -85,7 +90,7 @@ def _options_text(options: FuseOptions) -> str:
 
 
 def _run_chain(
-    session: Session, folder: Path, options: FuseOptions, progress: Progress
+    session: Session, folder: Path, options: FuseOptions, pool: WorkerPool, progress: Progress
 ) -> FuseSummary:
     """Run both passes and write all results into ``folder``."""
     alignment = align_recording(session, progress)
@@ -100,7 +105,7 @@ def _run_chain(
         labels = SessionLabels(session=session, layer=options.labels)
         notes.append(f"The labels of {printable(options.labels.name)} overrule the classes.")
     with ResultWriter(folder, session, alignment, poses, labels) as results:
-        for entry in fuse_frames(session, alignment, clock_offset_ms, labels):
+        for entry in fused_results(session, alignment, pool, clock_offset_ms, labels):
             if not isinstance(entry, LaserScan):
                 progress(results.frames + 1, session.image_count, "fusing")
             results.add(entry)
@@ -131,7 +136,10 @@ def _run_chain(
             FigureData(
                 session=session,
                 alignment=alignment,
-                collected=results.figures,
+                showcase=results.figures.showcase(
+                    FrameFuser(setup=session.setup, alignment=alignment)
+                ),
+                scores=results.figures.scores,
                 grids=shown,
                 # Which topic; how it was joined to the LiDAR is in the notes.
                 pose_source=None if poses is None else poses.source.split(" (")[0],
@@ -139,6 +147,7 @@ def _run_chain(
                 fuse_dir=folder,
                 truth=options.truth,
             ),
+            pool,
             progress,
         )
     return FuseSummary(

@@ -8,7 +8,6 @@ from types import TracebackType
 
 import numpy as np
 
-from fusion_core.alignment.upright import UprightView
 from fusion_core.denoising.overruling import is_rejected
 from fusion_core.exporting.tables import CsvTable, ParquetTable
 from fusion_core.model.classes import NoiseClass
@@ -19,19 +18,14 @@ from fusion_core.model.sensors import DepthImage, LaserScan
 from fusion_core.recordings.ros2_writer import Ros2McapWriter
 from fusion_core.workflows.fuse.align import RecordingAlignment
 from fusion_core.workflows.fuse.figure_collector import FigureCollector
-from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_labels import SessionLabels
+from fusion_core.workflows.fuse.frame_result import FrameResult
+from fusion_core.workflows.fuse.fused_results import TaskResults
 from fusion_core.workflows.fuse.pairing import PairedImage
 from fusion_core.workflows.fuse.scan_queue import RepairedScanQueue
 from fusion_core.workflows.fuse.sensor_maps import Confirmation, SensorMaps
 from fusion_core.workflows.fuse.session import Session
-from fusion_core.workflows.fuse.tables import (
-    FRAME_COLUMNS,
-    frame_row,
-    sample_columns,
-    sample_schema,
-    unpaired_row,
-)
+from fusion_core.workflows.fuse.tables import FRAME_COLUMNS, sample_schema, unpaired_row
 from fusion_core.workflows.recorded_poses import PoseLookup
 
 # Small row groups, since the rows of an unfinished one are held in memory.
@@ -69,7 +63,7 @@ class ResultWriter:
         self._last_stamp_ns = 0
         self.frames = self.paired = 0
         self.lidar_counts: Counter[str] = Counter()
-        self.figures = FigureCollector(alignment)
+        self.figures = FigureCollector()
 
     def __enter__(self) -> "ResultWriter":
         with ExitStack() as stack:
@@ -95,33 +89,44 @@ class ResultWriter:
     ) -> None:
         self._stack.__exit__(kind, error, trace)
 
-    def add(self, entry: LaserScan | PairedImage | FusedFrame) -> None:
-        """Write what pass 2 yields: a scan, an image that could not be fused, or a fused frame."""
+    def add(self, entry: LaserScan | PairedImage | TaskResults) -> None:
+        """Write what pass 2 yields: a scan, an image without one, or what came of a task."""
         if isinstance(entry, LaserScan):
             labels = self._labels
             self._queue.push(entry, None if labels is None else labels.of_scan(entry))
             for raw, repaired in self._queue.pop_settled():
                 self._write_scan(raw, repaired)
             return
-        self.frames += 1
         if isinstance(entry, PairedImage):
-            topic = self._topics[entry.camera]
-            self._frame_table.append(unpaired_row(topic, entry))
-            self._write_image(topic, entry.image, entry.camera, None)
+            self._add_unfused(entry)
             return
-        self.paired += 1
-        rig, topic = self._session.rig, self._topics[entry.match.pair.camera_index]
-        self._frame_table.append(frame_row(topic, entry, self._alignment, rig))
-        self._sample_table.append(sample_columns(topic, entry, rig))
-        self._write_image(topic, entry.match.pair.image, entry.match.pair.camera_index, entry)
-        self._queue.apply_repairs(entry)
+        if not entry.results:
+            for image in entry.task.images:
+                self._add_unfused(image)
         self.figures.add(entry)
+        images = {image.camera: image.image for image in entry.task.images}
+        for result in entry.results:
+            self._add_fused(images[result.camera], entry.task.scan_of(result.camera), result)
+
+    def _add_unfused(self, entry: PairedImage) -> None:
+        self.frames += 1
+        topic = self._topics[entry.camera]
+        self._frame_table.append(unpaired_row(topic, entry))
+        self._write_image(topic, entry.image, entry.camera, None)
+
+    def _add_fused(self, image: DepthImage, scan: LaserScan, result: FrameResult) -> None:
+        self.frames += 1
+        self.paired += 1
+        self._frame_table.append(result.row)
+        self._sample_table.append(result.samples)
+        self._write_image(self._topics[result.camera], image, result.camera, result)
+        self._queue.apply_repairs(scan, result)
         if self._maps is not None:
-            self._maps.add_camera(entry)
-        per_class = np.bincount(entry.classes.lidar_class, minlength=len(NoiseClass))
+            self._maps.add_camera(scan, result)
+        per_class = np.bincount(result.lidar_class, minlength=len(NoiseClass))
         for noise_class, count in zip(NoiseClass, per_class, strict=True):
             self.lidar_counts[noise_class.name.lower()] += int(count)
-        self._last_stamp_ns = max(self._last_stamp_ns, entry.match.stamp_ns)
+        self._last_stamp_ns = max(self._last_stamp_ns, result.stamp_ns)
 
     def finish(self) -> tuple[dict[str, OccupancyGrid], list[str]]:
         """Write the scans that still wait and the maps; the maps, and notes for people."""
@@ -137,21 +142,18 @@ class ResultWriter:
         return grids, notes
 
     def _write_image(
-        self, topic: str, image: DepthImage, camera: int, frame: FusedFrame | None
+        self, topic: str, image: DepthImage, camera: int, result: FrameResult | None
     ) -> None:
-        """A depth image without what a person rejects, with the repairs of its ``frame``."""
-        view = self._session.rig.views[camera]
+        """A depth image without what a person rejects, with the repairs of its frame."""
         labels = None if self._labels is None else self._labels.of_image(image, camera)
         if labels is not None:
             rejected = is_rejected(labels.as_image())
             image = replace(image, depth_m=np.where(rejected, np.float32(np.nan), image.depth_m))
-        if frame is not None:
-            image = repaired_image(image, frame, view)
+        if result is not None:
+            image = repaired_image(image, result)
         self._mcap.write_depth(topic, image)
         if self._labels is not None:
-            self._mcap.write_classes(
-                f"{topic}/class", image, pixel_classes(image, labels, frame, view)
-            )
+            self._mcap.write_classes(f"{topic}/class", image, pixel_classes(image, labels, result))
 
     def _write_scan(self, raw: LaserScan, repaired: LaserScan) -> None:
         self._mcap.write_laser_scan(self._lidar_topic, repaired)
@@ -159,30 +161,23 @@ class ResultWriter:
             self._maps.add_scan(raw, repaired)
 
 
-def repaired_image(image: DepthImage, frame: FusedFrame, view: UprightView) -> DepthImage:
+def repaired_image(image: DepthImage, result: FrameResult) -> DepthImage:
     """A stored depth image with the repaired pixels of its frame's curve."""
     depth_m = image.depth_m.copy()
-    pairs = frame.match.correspondence
-    row, column = view.stored_pixels(pairs.row, pairs.column)
-    changed = frame.pixel_changed & (row >= 0)
-    depth_m[row[changed], column[changed]] = frame.repair.depth_m[changed]
+    changed = np.isfinite(result.pixel_repaired_m)
+    row, column = result.pixel_row[changed], result.pixel_column[changed]
+    depth_m[row, column] = result.pixel_repaired_m[changed]
     return replace(image, depth_m=depth_m)
 
 
 def pixel_classes(
-    image: DepthImage,
-    labels: CaptureLabels | None,
-    frame: FusedFrame | None,
-    view: UprightView,
+    image: DepthImage, labels: CaptureLabels | None, result: FrameResult | None
 ) -> IntArray:
     """(H, W) codes of NoiseClass of a stored image: a person's on any pixel, else those of its
     frame's curve; -1 for a pixel without."""
     classes = np.full(image.depth_m.shape, -1)
-    if frame is not None:
-        pairs = frame.match.correspondence
-        row, column = view.stored_pixels(pairs.row, pairs.column)
-        known = row >= 0
-        classes[row[known], column[known]] = frame.classes.depth_class[known]
+    if result is not None:
+        classes[result.pixel_row, result.pixel_column] = result.pixel_class
     if labels is not None:
         decided = labels.subset(np.isin(labels.label, list(NoiseClass)))
         classes[decided.row, decided.column] = decided.label

@@ -9,7 +9,7 @@ from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.labels import CaptureLabels
 from fusion_core.model.sensors import LaserScan
-from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.frame_result import FrameResult
 from fusion_core.workflows.fuse.pairing import SCANS_KEPT
 
 
@@ -41,15 +41,14 @@ class RepairedScanQueue:
         """Add a scan of the recording, whose ``labels`` hold outside of all images too."""
         self._pending[id(scan)] = _WaitingScan(scan, labels)
 
-    def apply_repairs(self, frame: FusedFrame) -> None:
-        """Apply the repairs of one image, whose scan must still wait."""
-        pending = self._pending[id(frame.match.scan)]
-        beam = frame.match.correspondence.beam
-        nearer = abs(frame.match.pair.gap_ns) < pending.gap_ns[beam]
-        beam = beam[nearer]
-        pending.gap_ns[beam] = abs(frame.match.pair.gap_ns)
-        pending.ranges_m[beam] = frame.repair.lidar_range_m[nearer]
-        pending.codes[beam] = frame.classes.lidar_class[nearer]
+    def apply_repairs(self, scan: LaserScan, result: FrameResult) -> None:
+        """Apply the repairs of one image to its scan, which must still wait."""
+        pending = self._pending[id(scan)]
+        nearer = abs(result.gap_ns) < pending.gap_ns[result.beam]
+        beam = result.beam[nearer]
+        pending.gap_ns[beam] = abs(result.gap_ns)
+        pending.ranges_m[beam] = result.lidar_repaired_m[nearer]
+        pending.codes[beam] = result.lidar_class[nearer]
 
     def pop_settled(self) -> Iterator[tuple[LaserScan, LaserScan]]:
         """Raw and repaired scans that no image can be paired with any more, in order of arrival."""

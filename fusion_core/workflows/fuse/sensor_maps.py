@@ -17,12 +17,11 @@ from fusion_core.exporting.ros_map import write_ros_map
 from fusion_core.mapping.confirmation import PlacedScan, confirmed_fraction
 from fusion_core.mapping.difference import compare_maps
 from fusion_core.mapping.grid import GridBuilder, GridSettings
-from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.model.errors import MappingFailed
 from fusion_core.model.grids import MapDifference, OccupancyGrid
 from fusion_core.model.sensors import LaserScan
-from fusion_core.workflows.fuse.frame import FusedFrame
+from fusion_core.workflows.fuse.frame_result import FrameResult
 from fusion_core.workflows.fuse.scan_queue import ranges_without_burrs_m
 from fusion_core.workflows.recorded_poses import PoseLookup
 
@@ -71,24 +70,13 @@ class SensorMaps:
         self._builders = {name: GridBuilder(settings) for name in ("lidar", "camera", "fused")}
         self.scans_without_pose = 0
 
-    def add_camera(self, frame: FusedFrame) -> None:
-        """Add the camera's ranges in the LiDAR's plane. Its scan must be added later."""
-        pairs, scan = frame.match.correspondence, frame.match.scan
-        classes = frame.classes
-        confirmed = (classes.lidar_class == NoiseClass.GOOD) & np.isfinite(pairs.residual_m)
-        by_person = np.isin(classes.lidar_class, (NoiseClass.GOOD, NoiseClass.CONFLICT))
-        confirmed |= classes.lidar_decided & by_person
+    def add_camera(self, scan: LaserScan, result: FrameResult) -> None:
+        """Add the camera's ranges in the LiDAR's plane. Their ``scan`` must be added later."""
         of_scan = self._confirmed.setdefault(id(scan), np.zeros(scan.ranges_m.size, dtype=np.bool_))
-        of_scan[pairs.beam[confirmed]] = True
-        pose = self._poses.at(frame.match.scan.stamp_ns)
+        of_scan[result.beam[result.is_confirmed]] = True
+        pose = self._poses.at(scan.stamp_ns)
         if pose is not None:
-            self._add(
-                "camera",
-                pose,
-                frame.match.correspondence.azimuth_rad,
-                frame.camera_range_m,
-                frame.match.scan,
-            )
+            self._add("camera", pose, result.azimuth_rad, result.camera_range_m, scan)
 
     def add_scan(self, raw: LaserScan, repaired: LaserScan) -> None:
         """Add a scan, raw to the LiDAR's map and repaired to the fused one; scans come in order."""

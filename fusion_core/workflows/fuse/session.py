@@ -29,7 +29,8 @@ class FuseOptions:
     """The options of a run; the chain's own settings are in the preset and the file.
 
     ``seed`` overrides theirs unless None. ``room`` is a room of a data set. ``labels``: a person's
-    on this recording, which overrule the classes.
+    on this recording, which overrule the classes. ``workers``: processes that share in the work,
+    None for one a core; the results are the same for each number.
     """
 
     preset: PresetName = "default"
@@ -45,33 +46,18 @@ class FuseOptions:
     truth: Path | None = None
     labels: LabelLayer | None = None
     seed: int | None = None
+    workers: int | None = 1
     force: bool = False
     overwrite: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
-class Session:
-    """An opened recording with its streams, its rig and its settings."""
+class FrameSetup:
+    """A rig and its settings: all that a frame needs of a session, and no file."""
 
-    recording: Recording
-    streams: Streams
     rig: CameraRig
-    geometry_filter: GeometryFilter
     settings: ChainSettings
     virtual_row: int | None
-
-    def pairs(self, clock_offset_ms: float = 0.0) -> Iterator[LaserScan | PairedImage]:
-        """A new pass over scans and images."""
-        if self.virtual_row is not None:
-            return virtual_pairs(self.recording, self.rig, self.geometry_filter, self.virtual_row)
-        return paired_images(
-            self.recording,
-            self.streams,
-            self.rig,
-            self.geometry_filter,
-            self.settings.time,
-            clock_offset_ms,
-        )
 
     def frame_pair(
         self, paired: PairedImage, previous: UprightDepth | None = None
@@ -94,6 +80,33 @@ class Session:
         """(H', W') upright view of a stored image, without the rows of a virtual LiDAR."""
         depth_m = self.rig.views[camera].remap(stored_m)
         return depth_m if self.virtual_row is None else mask_cut_rows(depth_m, self.virtual_row)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Session(FrameSetup):
+    """An opened recording with its streams, its rig and its settings."""
+
+    recording: Recording
+    streams: Streams
+    geometry_filter: GeometryFilter
+
+    def pairs(self, clock_offset_ms: float = 0.0) -> Iterator[LaserScan | PairedImage]:
+        """A new pass over scans and images."""
+        if self.virtual_row is not None:
+            return virtual_pairs(self.recording, self.rig, self.geometry_filter, self.virtual_row)
+        return paired_images(
+            self.recording,
+            self.streams,
+            self.rig,
+            self.geometry_filter,
+            self.settings.time,
+            clock_offset_ms,
+        )
+
+    @property
+    def setup(self) -> FrameSetup:
+        """What frames need, without the recording."""
+        return FrameSetup(rig=self.rig, settings=self.settings, virtual_row=self.virtual_row)
 
     @property
     def image_count(self) -> int:

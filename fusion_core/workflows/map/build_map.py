@@ -12,6 +12,7 @@ from fusion_core.model.errors import MappingFailed
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.slam_view import SlamObserver, no_observer
+from fusion_core.worker_processes import WorkerPool
 from fusion_core.workflows.fuse.figures import printable
 from fusion_core.workflows.map.estimators import place_scans
 from fusion_core.workflows.map.map_input import open_map_input
@@ -61,8 +62,10 @@ def build_map(
             report = json.loads((output / _REPORT_NAME).read_text(encoding="utf-8"))
             seconds: dict[str, float] = {}
         else:
-            with results_folder(plan) as folder:
-                report, seconds = _map_into(folder, opened, options, settings, progress, observer)
+            with results_folder(plan) as folder, WorkerPool(options.workers) as pool:
+                report, seconds = _map_into(
+                    folder, opened, options, settings, pool, progress, observer
+                )
                 write_text(folder / "settings.toml", settings_text)
     if report["trusted_share"] < _TRUSTED_FRACTION_MIN:
         raise _untrusted(report, output)
@@ -74,13 +77,14 @@ def _map_into(
     recording: Recording,
     options: MapOptions,
     settings: MapSettings,
+    pool: WorkerPool,
     progress: Progress,
     observer: SlamObserver,
 ) -> tuple[dict[str, Any], dict[str, float]]:
     """Map a recording into an empty folder: its report, and the seconds of each stage."""
     # The scans, and the odometry that predicts them.
     start_s = time.perf_counter()
-    inputs = open_map_input(recording, options, settings, progress)
+    inputs = open_map_input(recording, options, settings, pool, progress)
     prior = None if inputs.motion is None else inputs.motion.at
     seconds = {"motion": time.perf_counter() - start_s}
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from fusion_core.model.progress import Progress
 from fusion_core.model.recording import Recording
 from fusion_core.recordings.topics import Streams
+from fusion_core.worker_processes import WorkerPool
 from fusion_core.workflows.map.extrinsics import find_extrinsics
 from fusion_core.workflows.map.motion_prior import (
     MotionPrior,
@@ -45,9 +46,14 @@ class MapInput:
 
 
 def open_map_input(
-    recording: Recording, options: MapOptions, settings: MapSettings, progress: Progress
+    recording: Recording,
+    options: MapOptions,
+    settings: MapSettings,
+    pool: WorkerPool,
+    progress: Progress,
 ) -> MapInput:
-    """Open the scans and estimate their odometry by the options of a run."""
+    """Open the scans and estimate their odometry by the options of a run. ``pool``: the processes
+    that repair the scans."""
     streams = choose_map_streams(recording, options.lidar_topic, options.pose_topic)
     sensors = RecordedSensors(
         recording=recording, streams=streams, clock_offset_ms=options.clock_offset_ms
@@ -69,6 +75,7 @@ def open_map_input(
         chain=settings,
         prior=recorded.at if recorded else None,
         labels=options.labels,
+        pool=pool,
         progress=progress,
     )
     motion = open_motion_prior(sensors, scans, options.motion, settings, progress)

@@ -21,7 +21,8 @@ class MapOptions:
     them where there is no SLAM. ``slam``: the estimator. ``seed``: of the particle filter; it
     overrides the settings'. ``clock_offset_ms``: camera stamp - LiDAR stamp of one instant, which
     is subtracted from the camera's stamps. ``labels``: a person's, which overrule the classes of
-    the repair.
+    the repair. ``workers``: processes that share in the repair, None for one a core; the results
+    are the same for each number.
     """
 
     scan: ScanKind = "lidar"
@@ -36,6 +37,7 @@ class MapOptions:
     lidar_topic: str | None = None
     pose_topic: str | None = None
     labels: LabelLayer | None = None
+    workers: int | None = 1
     force: bool = False
     overwrite: bool = False
 

@@ -7,14 +7,13 @@ from fusion_core.model.labels import LabelLayer
 from fusion_core.model.names import printable
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.sensors import LaserScan
+from fusion_core.worker_processes import WorkerPool
 from fusion_core.workflows.fuse.align import align_recording
 from fusion_core.workflows.fuse.camera_rig import build_camera_rig
-from fusion_core.workflows.fuse.frame import FusedFrame, fuse_frames
 from fusion_core.workflows.fuse.frame_labels import SessionLabels
+from fusion_core.workflows.fuse.fused_results import WORKER_MODULES, TaskResults, fused_results
 from fusion_core.workflows.fuse.scan_queue import RepairedScanQueue, ranges_without_burrs_m
-from fusion_core.workflows.fuse.session import (
-    session_of,
-)
+from fusion_core.workflows.fuse.session import session_of
 from fusion_core.workflows.fuse.settings import ChainSettings
 from fusion_core.workflows.map.recorded_sensors import RecordedSensors
 
@@ -23,7 +22,8 @@ class RepairedScans:
     """Scans with the ranges that the images paired with them have repaired.
 
     A scan without an image stays as it is. A burr that could not be repaired is NaN, and so is what
-    ``labels`` reject and nothing fills. ``intensities`` are None.
+    ``labels`` reject and nothing fills. ``intensities`` are None. ``pool``: what repairs them, by
+    default this process.
     """
 
     def __init__(
@@ -32,6 +32,7 @@ class RepairedScans:
         settings: ChainSettings,
         *,
         labels: LabelLayer | None = None,
+        pool: WorkerPool | None = None,
         progress: Progress = silent,
     ) -> None:
         recording, streams = sensors.recording, sensors.streams
@@ -39,6 +40,8 @@ class RepairedScans:
             raise MissingStream(
                 "has no 2D LiDAR to repair.", file=recording.path, advice="Use --scan camera."
             )
+        self._pool = pool or WorkerPool(1)
+        self._pool.start(*WORKER_MODULES)
         rig = build_camera_rig(recording, streams, settings.sampling)
         self._session = session_of(recording, streams, rig, settings)
         self._alignment = align_recording(self._session, progress)
@@ -72,15 +75,19 @@ class RepairedScans:
     def _repaired_pairs(self, queue: RepairedScanQueue) -> Iterator[tuple[LaserScan, LaserScan]]:
         paired: set[int] = set()
         labels, clock_offset_ms = self._labels, self._sensors.clock_offset_ms
-        for entry in fuse_frames(self._session, self._alignment, clock_offset_ms, labels):
+        for entry in fused_results(
+            self._session, self._alignment, self._pool, clock_offset_ms, labels
+        ):
             if isinstance(entry, LaserScan):
                 queue.push(entry, None if labels is None else labels.of_scan(entry))
                 for raw, repaired in queue.pop_settled():
                     paired.discard(id(raw))
                     yield raw, repaired
-            elif isinstance(entry, FusedFrame):
-                # Two images of one scan count once.
-                self._with_image += id(entry.match.scan) not in paired
-                paired.add(id(entry.match.scan))
-                queue.apply_repairs(entry)
+            elif isinstance(entry, TaskResults):
+                for result in entry.results:
+                    scan = entry.task.scan_of(result.camera)
+                    # Two images of one scan count once.
+                    self._with_image += id(scan) not in paired
+                    paired.add(id(scan))
+                    queue.apply_repairs(scan, result)
         yield from queue.flush()

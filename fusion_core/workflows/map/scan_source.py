@@ -11,6 +11,7 @@ from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import LaserScan
 from fusion_core.recordings.topics import Streams
+from fusion_core.worker_processes import WorkerPool
 from fusion_core.workflows.fuse.settings import ChainSettings
 from fusion_core.workflows.map.extrinsics import find_extrinsics
 from fusion_core.workflows.map.recorded_sensors import RecordedSensors
@@ -71,6 +72,7 @@ def open_scans(
     chain: ChainSettings | None = None,
     prior: PosePrior | None = None,
     labels: LabelLayer | None = None,
+    pool: WorkerPool | None = None,
     progress: Progress = silent,
 ) -> ScanSource:
     """The scans of a kind.
@@ -82,7 +84,8 @@ def open_scans(
     ``settings``: of virtual scans. ``chain``: of the repair, and of the alignment that finds the
     extrinsics where ``sensors`` have none. ``prior``: odometry of the scans' frame, which moves a
     camera's cloud to the stamp of its scan; without it only the turn between scans is taken out.
-    ``labels``: a person's, which overrule the classes of the repair.
+    ``labels``: a person's, which overrule the classes of the repair. ``pool``: the processes that
+    repair, by default this one.
 
     Raises MissingStream for what the recording lacks, AlignmentFailed where mount or floor cannot
     be found.
@@ -92,7 +95,7 @@ def open_scans(
     if kind == "lidar":
         return LidarScans(recording, streams)
     if kind == "repaired":
-        return RepairedScans(sensors, chain, labels=labels, progress=progress)
+        return RepairedScans(sensors, chain, labels=labels, pool=pool, progress=progress)
     if kind == "merged" and streams.lidar is None:
         raise MissingStream(
             "has no 2D LiDAR to merge the camera with.",

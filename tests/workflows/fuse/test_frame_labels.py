@@ -19,9 +19,10 @@ from fusion_core.recordings.topics import choose_streams
 from fusion_core.workflows.fuse.align import align_recording
 from fusion_core.workflows.fuse.cached_chain import CachedChain, FrameChoice
 from fusion_core.workflows.fuse.captures import frame_captures, image_capture, scan_capture
-from fusion_core.workflows.fuse.frame import FusedFrame, fuse_frames
+from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_labels import SessionLabels
 from fusion_core.workflows.fuse.frame_reader import FrameReader
+from fusion_core.workflows.fuse.frame_tasks import fuse_frames
 from fusion_core.workflows.fuse.fuse import fuse
 from fusion_core.workflows.fuse.session import FuseOptions, open_session
 from fusion_core.workflows.fuse.settings import PRESETS

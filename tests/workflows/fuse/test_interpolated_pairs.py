@@ -10,8 +10,9 @@ from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.fuse import align
 from fusion_core.workflows.fuse.align import align_recording, observe_mount
 from fusion_core.workflows.fuse.cached_chain import CachedChain, FrameChoice
-from fusion_core.workflows.fuse.frame import FusedFrame, fuse_frames
+from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_reader import FrameReader
+from fusion_core.workflows.fuse.frame_tasks import fuse_frames
 from fusion_core.workflows.fuse.session import FuseOptions, open_session
 from fusion_core.workflows.fuse.settings import PRESETS
 

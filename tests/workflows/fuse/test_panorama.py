@@ -13,7 +13,7 @@ from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.evaluate import evaluate
 from fusion_core.workflows.fuse import align as align_module
 from fusion_core.workflows.fuse.align import align_recording
-from fusion_core.workflows.fuse.frame import fuse_frames
+from fusion_core.workflows.fuse.frame_tasks import fuse_frames
 from fusion_core.workflows.fuse.pairing import PairedImage
 from fusion_core.workflows.fuse.session import (
     FuseOptions,

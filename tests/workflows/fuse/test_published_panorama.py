@@ -12,8 +12,9 @@ from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.fuse.align import align_recording
 from fusion_core.workflows.fuse.cached_chain import CachedChain, FrameChoice
-from fusion_core.workflows.fuse.frame import FusedFrame, fuse_frames
+from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_reader import FrameReader
+from fusion_core.workflows.fuse.frame_tasks import fuse_frames
 from fusion_core.workflows.fuse.session import FuseOptions, open_session
 from fusion_core.workflows.fuse.settings import PRESETS
 from tests.benchmarks.bench_published_panorama import (

@@ -1,0 +1,194 @@
+"""Work in other processes, which end with the one that asked for it."""
+
+import itertools
+import multiprocessing
+import multiprocessing.connection
+import os
+import pickle
+import signal
+import tempfile
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from importlib import import_module
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Generic, TypeVar
+
+from threadpoolctl import threadpool_limits
+
+from fusion_core.model.errors import WorkerFailed
+
+_Argument = TypeVar("_Argument")
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+_Value = TypeVar("_Value")
+
+# Tasks that are asked for ahead of the one whose result is waited for, for each worker: one in
+# work, one that waits for it.
+_AHEAD = 2
+
+
+def usable_cores() -> int:
+    """The cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Shared(Generic[_Value]):
+    """A value that many tasks need. A worker reads it once, from a file of its pool."""
+
+    def __init__(self, value: _Value, file: Path) -> None:
+        self._value, self._file = value, file
+        self._is_written = False
+
+    @property
+    def value(self) -> _Value:
+        """The value, of this process."""
+        return self._value
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if not self._is_written:
+            self._file.write_bytes(pickle.dumps(self._value, protocol=pickle.HIGHEST_PROTOCOL))
+            self._is_written = True
+        return _read_shared, (self._file,)
+
+
+# Of this process: the last value is the one of the work that goes on.
+_last_read: tuple[Path, Any] | None = None
+
+
+def _read_shared(file: Path) -> Shared[Any]:
+    global _last_read
+    if _last_read is None or _last_read[0] != file:
+        _last_read = (file, pickle.loads(file.read_bytes()))
+    return Shared(_last_read[1], file)
+
+
+class WorkerPool:
+    """Processes for functions whose arguments and results can be pickled.
+
+    ``workers``: how many, by default one for each core that may be used. With one there is no other
+    process: each task is done where its result is asked for. The processes start with the first
+    task, or before it with ``start``.
+
+    A worker that dies, as when the system has no memory left, ends the work: WorkerFailed.
+    """
+
+    def __init__(self, workers: int | None = None) -> None:
+        if workers is not None and workers < 1:
+            raise ValueError("a pool has a worker")
+        self.workers = workers or usable_cores()
+        self._executor: ProcessPoolExecutor | None = None
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._number = itertools.count()
+
+    def __enter__(self) -> "WorkerPool":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        executor, self._executor = self._executor, None
+        if executor is not None:
+            if kind is not None:
+                # Nobody wants what they are at.
+                for process in list(executor._processes.values()):
+                    process.terminate()
+            executor.shutdown(cancel_futures=True)
+        folder, self._folder = self._folder, None
+        if folder is not None:
+            folder.cleanup()
+
+    @property
+    def is_parallel(self) -> bool:
+        """Whether tasks are done in other processes."""
+        return self.workers > 1
+
+    def start(self, *modules: str) -> None:
+        """Start the processes and let them import ``modules``, without waiting for them."""
+        if self.is_parallel:
+            for _ in range(self.workers):
+                self._running().submit(_import_all, modules)
+
+    def share(self, value: _Value) -> Shared[_Value]:
+        """A value for the arguments of many tasks."""
+        if self._folder is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="scanloom-")
+        return Shared(value, Path(self._folder.name) / f"{next(self._number)}.pickle")
+
+    def in_order(
+        self,
+        function: Callable[[_Argument], _Result],
+        items: Iterable[_Item],
+        argument_of: Callable[[_Item], _Argument],
+    ) -> Iterator[tuple[_Item, _Result]]:
+        """Each item with the result of its task, in the order of the items.
+
+        Items are taken a few ahead, so that memory does not grow with their number.
+        """
+        if not self.is_parallel:
+            for item in items:
+                yield item, function(argument_of(item))
+            return
+        waiting: deque[tuple[_Item, Future[_Result]]] = deque()
+        for item in items:
+            waiting.append((item, self._submit(function, argument_of(item))))
+            if len(waiting) >= _AHEAD * self.workers:
+                first, future = waiting.popleft()
+                yield first, _result_of(future)
+        while waiting:
+            first, future = waiting.popleft()
+            yield first, _result_of(future)
+
+    def _submit(self, function: Callable[..., _Result], *values: Any) -> "Future[_Result]":
+        try:
+            return self._running().submit(function, *values)
+        except BrokenProcessPool as error:
+            raise _died() from error
+
+    def _running(self) -> ProcessPoolExecutor:
+        if self._executor is None:
+            # A fork would copy the locks of other threads as they are.
+            self._executor = ProcessPoolExecutor(
+                self.workers, multiprocessing.get_context("spawn"), initializer=_begin
+            )
+        return self._executor
+
+
+def _result_of(future: "Future[_Result]") -> _Result:
+    try:
+        return future.result()
+    except BrokenProcessPool as error:
+        raise _died() from error
+
+
+def _died() -> WorkerFailed:
+    return WorkerFailed(
+        "a worker process has died, perhaps for lack of memory.",
+        advice="Use fewer --workers: with 1 there are no other processes.",
+    )
+
+
+def _begin() -> None:
+    """The first that a worker does: an interruption is its parent's to answer, its parent's end is
+    its own, and it uses one core."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threadpool_limits(1)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None, "a worker has one"
+    multiprocessing.connection.wait([parent.sentinel])
+    os._exit(1)
+
+
+def _import_all(modules: tuple[str, ...]) -> None:
+    for module in modules:
+        import_module(module)
