@@ -27,7 +27,7 @@ import numpy as np
 
 from fusion_core.model.progress import silent
 from fusion_core.recordings.formats import open_recording
-from fusion_core.workflows.fuse import frame, match_images, result_writer, tables
+from fusion_core.workflows.fuse import frame, frame_result, match_images, result_writer
 from fusion_core.workflows.fuse import session as session_module
 from fusion_core.workflows.fuse.align import RecordingAlignment, align_recording
 from fusion_core.workflows.fuse.frame import FusedFrame
@@ -56,8 +56,7 @@ STAGES = {
     "classify": ((frame, "classify"),),
     "repair": ((frame, "repair"),),
     "tables": (
-        (tables, "frame_row"),
-        (tables, "sample_columns"),
+        (frame_result, "results_of"),
         (result_writer, "repaired_image"),
     ),
 }
@@ -69,12 +68,8 @@ def chain(session: Session, alignment: RecordingAlignment) -> int:
     for entry in fuse_frames(session, alignment):
         if isinstance(entry, FusedFrame):
             pairs += 1
-            topic = session.rig.cameras[entry.match.pair.camera_index].topic
-            tables.frame_row(topic, entry, alignment, session.rig)
-            tables.sample_columns(topic, entry, session.rig)
-            pair = entry.match.pair
-            view = session.rig.views[pair.camera_index]
-            result_writer.repaired_image(pair.image, entry, view)
+            (result,) = frame_result.results_of([entry], alignment, session)
+            result_writer.repaired_image(entry.match.pair.image, result)
     return pairs
 
 

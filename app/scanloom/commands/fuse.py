@@ -11,6 +11,7 @@ from fusion_core.model.seeds import SEED_MAX
 from scanloom.commands.label_layer import LabelStoreOption, LayerOption, label_layer, require_layer
 from scanloom.commands.options import (
     ROW_MAX,
+    WORKERS_MAX,
     Flag,
     ForceFlag,
     HomeOption,
@@ -21,6 +22,7 @@ from scanloom.commands.options import (
     SettingsOption,
     SubsessionOption,
     TopicOption,
+    WorkersOption,
     WrongUsage,
     require_integer,
     room_choice,
@@ -66,6 +68,7 @@ class Fuse:
     label_store: LabelStoreOption = None
     seed: Annotated[int | None, conf.arg(help_behavior_hint="")] = None
     """Seed of the random draws, overriding the settings'."""
+    workers: WorkersOption = None
     force: ForceFlag = False
     overwrite: OverwriteFolderFlag = False
     json: JsonFlag = False
@@ -73,6 +76,7 @@ class Fuse:
     def require_usage(self) -> None:
         """Raises WrongUsage for options that cannot be, whatever the recording."""
         require_integer("--seed", self.seed, SEED_MAX)
+        require_integer("--workers", self.workers, WORKERS_MAX, least=1)
         require_integer("--virtual-lidar", self.virtual_lidar, ROW_MAX)
         require_layer(self.labels, self.label_store)
         room_choice(self.home, self.room, self.subsession)
@@ -101,6 +105,7 @@ class Fuse:
                 truth=self.truth,
                 labels=layer,
                 seed=self.seed,
+                workers=self.workers,
                 force=self.force,
                 overwrite=self.overwrite,
             )

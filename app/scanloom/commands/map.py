@@ -11,6 +11,7 @@ from fusion_core.model.seeds import SEED_MAX
 from scanloom.commands.label_layer import LabelStoreOption, LayerOption, label_layer, require_layer
 from scanloom.commands.options import (
     OFFSET_MAX_MS,
+    WORKERS_MAX,
     ForceFlag,
     HomeOption,
     JsonFlag,
@@ -20,6 +21,7 @@ from scanloom.commands.options import (
     SettingsOption,
     SubsessionOption,
     TopicOption,
+    WorkersOption,
     WrongUsage,
     require_in_range,
     require_integer,
@@ -65,6 +67,7 @@ class Map:
     pose: TopicOption = None
     """The topic of recorded poses, or a frame of TF such as map (default: the odom frame of TF,
     else odometry)."""
+    workers: WorkersOption = None
     force: ForceFlag = False
     overwrite: OverwriteFolderFlag = False
     json: JsonFlag = False
@@ -84,6 +87,7 @@ class Map:
         if self.labels is not None and self.home is not None:
             raise WrongUsage("--labels are of one recording, not of a data set (--home)")
         require_integer("--seed", self.seed, SEED_MAX)
+        require_integer("--workers", self.workers, WORKERS_MAX, least=1)
         require_in_range("--clock-offset-ms", -OFFSET_MAX_MS, OFFSET_MAX_MS, self.clock_offset_ms)
 
     def run(self, progress: Progress) -> Report:
@@ -100,6 +104,7 @@ class Map:
                 settings_file=self.settings,
                 labels=layer,
                 seed=self.seed,
+                workers=self.workers,
                 extrinsics_file=self.extrinsics,
                 clock_offset_ms=self.clock_offset_ms,
                 room=room_choice(self.home, self.room, self.subsession),

@@ -42,12 +42,22 @@ OverwriteFolderFlag = Annotated[
         help_behavior_hint="",
     ),
 ]
+WorkersOption = Annotated[
+    int | None,
+    conf.arg(
+        metavar="N",
+        help="Processes that share in the work (default: one a core); the results are the same.",
+        help_behavior_hint="",
+    ),
+]
 JsonFlag = Annotated[bool, conf.arg(help="Print one JSON object on stdout.", help_behavior_hint="")]
 
 # The largest side of an image in the formats that are read.
 ROW_MAX = 65_535
 # Robot@Home numbers subsessions with one or two digits.
 SUBSESSION_MAX = 99
+# More than any machine has cores.
+WORKERS_MAX = 1024
 # One day: clocks farther apart are not those of one recording.
 OFFSET_MAX_MS = 86_400_000.0
 # 30 years, beyond the length of any recording.

@@ -84,18 +84,18 @@ def _result_of(
         azimuth_rad=pairs.azimuth_rad,
         lidar_repaired_m=frame.repair.lidar_range_m,
         lidar_class=classes.lidar_class,
-        is_confirmed=_confirmed(frame),
+        is_confirmed=confirmed_beams(frame),
         camera_range_m=frame.camera_range_m,
         pixel_row=row[known],
         pixel_column=column[known],
         pixel_class=classes.depth_class[known],
         pixel_repaired_m=repaired_m[known],
         score_range=scores_in,
-        rank=_rank(frame, alignment),
+        rank=rank_of(frame, alignment),
     )
 
 
-def _confirmed(frame: FusedFrame) -> BoolArray:
+def confirmed_beams(frame: FusedFrame) -> BoolArray:
     """(B,) beams whose returns the camera or a person confirms."""
     classes = frame.classes
     confirmed: BoolArray = classes.lidar_class == NoiseClass.GOOD
@@ -104,7 +104,7 @@ def _confirmed(frame: FusedFrame) -> BoolArray:
     return confirmed | (classes.lidar_decided & by_person)
 
 
-def _rank(frame: FusedFrame, alignment: RecordingAlignment) -> tuple[bool, int]:
+def rank_of(frame: FusedFrame, alignment: RecordingAlignment) -> tuple[bool, int]:
     """Frames with an overlap of at least half and a registration first, then those with most
     repaired samples."""
     peak = frame.match.search.peaks.get(alignment.metric)

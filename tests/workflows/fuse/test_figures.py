@@ -17,6 +17,7 @@ from fusion_core.model.progress import Progress
 from fusion_core.recordings.formats import open_recording
 from fusion_core.simulation.scenes import SceneSettings, write_scene
 from fusion_core.simulation.truth import truth_path
+from fusion_core.worker_processes import WorkerPool
 from fusion_core.workflows.evaluate import evaluate
 from fusion_core.workflows.fuse import figures, fuse
 from fusion_core.workflows.fuse import session as sessions
@@ -25,6 +26,7 @@ from fusion_core.workflows.fuse.figures import (
     printable,
     write_figures,
 )
+from fusion_core.workflows.fuse.frame_result import rank_of
 from fusion_core.workflows.fuse.settings import ChainSettings
 from fusion_core.workflows.fuse.table_1 import score_range, table_1_row, write_table_1
 
@@ -70,7 +72,7 @@ def test_table_1_has_the_papers_half_open_ranges(found: Peak | None, column: str
 def frame(
     repaired: int, *, overlap: float | None = 0.9, registered: bool = True, alone: float = 0.7
 ) -> Any:
-    """What the collector reads of a frame: ``repaired`` samples, half of them of each sensor."""
+    """What the rank of a frame is made of: ``repaired`` samples, half of them of each sensor."""
     source = np.zeros(40, dtype=np.int64)
     source[: repaired // 2] = 1
     other = np.full(40, 3)
@@ -88,11 +90,16 @@ def frame(
 
 
 def showcase_of(*frames: Any) -> Any:
+    """The one that is shown of frames that are a task each."""
     alignment: Any = SimpleNamespace(metric="euclidean")
-    collector = FigureCollector(alignment)
-    for entry in frames:
+    collector = FigureCollector()
+    for shown in frames:
+        shown.match.pair = SimpleNamespace(camera_index=0)
+        result = SimpleNamespace(rank=rank_of(shown, alignment), camera=0, score_range=None)
+        entry: Any = SimpleNamespace(task=shown, results=(result,))
         collector.add(entry)
-    return collector.showcase
+    fuser: Any = SimpleNamespace(fuse=lambda task: [task])
+    return collector.showcase(fuser)
 
 
 def test_the_showcase_has_most_repaired_samples_and_ties_go_to_the_earliest() -> None:
@@ -116,12 +123,16 @@ def test_no_frame_is_shown_where_there_is_none() -> None:
     assert showcase_of() is None
 
 
-def test_scores_are_counted_whatever_is_shown() -> None:
-    alignment: Any = SimpleNamespace(metric="euclidean")
-    collector = FigureCollector(alignment)
-    for score in (0.1, 0.5, 0.9, 0.95, -0.1):
-        collector.add(frame(0, alone=score))
-    assert collector.scores == {"low": 1, "middle": 1, "high": 2, "not_positive": 1, "missing": 0}
+def test_table_1_counts_an_image_once_and_a_panorama_once() -> None:
+    collector = FigureCollector()
+    for columns in (("low",), ("high", None, None), ("high",), ("missing",)):
+        results = tuple(
+            SimpleNamespace(rank=(False, 0), camera=camera, score_range=column)
+            for camera, column in enumerate(columns)
+        )
+        entry: Any = SimpleNamespace(task=None, results=results)
+        collector.add(entry)
+    assert collector.scores == {"low": 1, "middle": 0, "high": 2, "not_positive": 0, "missing": 1}
 
 
 def test_names_are_written_in_the_letters_of_the_font() -> None:
@@ -136,9 +147,11 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
 
     drawn: list[tuple[int, int | None]] = []
 
-    def write_and_remember(folder: Path, data: figures.FigureData, progress: Progress) -> list[str]:
+    def write_and_remember(
+        folder: Path, data: figures.FigureData, pool: WorkerPool, progress: Progress
+    ) -> list[str]:
         called.update(data=data)
-        return write_figures(folder, data, progress)
+        return write_figures(folder, data, pool, progress)
 
     def count(done: int, total: int | None, what: str) -> None:
         if what == "drawing figures":
@@ -174,7 +187,7 @@ def test_drawing_ends_where_progress_raises(run: SimpleNamespace, tmp_path: Path
             raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        write_figures(tmp_path / "figures", run.data, cancel)
+        write_figures(tmp_path / "figures", run.data, WorkerPool(1), cancel)
     written = {path.name for path in (tmp_path / "figures").glob("*.png")}
     assert written == {"fig4_similarity.png"}
 
@@ -236,17 +249,16 @@ def test_a_truth_without_a_mount_leaves_out_only_its_figure(
         without_mount = {name: arrays[name] for name in arrays.files if name != "T_lidar_camera"}
     truth = tmp_path / "truth.npz"
     np.savez(truth, **without_mount)
-    collected = FigureCollector(run.data.alignment)
     with opened(run) as session:
         data = replace(
             run.data,
             session=session,
-            collected=collected,
+            showcase=None,
             grids={},
             fuse_dir=run.output,
             truth=truth,
         )
-        notes = write_figures(tmp_path / "figures", data)
+        notes = write_figures(tmp_path / "figures", data, WorkerPool(1))
     assert [note.split(":")[0] for note in notes] == ["No frame to show", "Fig. 6 is left out"]
     assert "no mount" in notes[1]
     assert str(tmp_path) not in notes[1]
@@ -273,14 +285,10 @@ def test_the_headings_say_preset_frame_and_virtual_lidar(
         monkeypatch.setattr(figures, name, note_heading)
     with opened(run, sessions.FuseOptions(virtual_lidar_row=60)) as session:
         data = replace(run.data, session=session, preset="published", truth=None)
-        write_figures(tmp_path / "figures", data)
+        write_figures(tmp_path / "figures", data, WorkerPool(1))
     assert len(headings) == 7
     for heading in headings:
         assert "room.mcap, preset published, virtual LiDAR, row 60" in heading
     assert (
-        sum(
-            format_stamp(run.data.collected.showcase.match.stamp_ns) in heading
-            for heading in headings
-        )
-        == 6
+        sum(format_stamp(run.data.showcase.match.stamp_ns) in heading for heading in headings) == 6
     )

@@ -27,17 +27,14 @@ def scan(stamp_ns, *, lost=()):
     )
 
 
-def frame(of, gap_ns, beams, range_m, noise):
-    """The fields of a fused frame that the queue reads."""
+def result(gap_ns, beams, range_m, noise):
+    """The fields of a frame's result that the queue reads."""
     count = len(beams)
     return SimpleNamespace(
-        match=SimpleNamespace(
-            scan=of,
-            pair=SimpleNamespace(gap_ns=gap_ns),
-            correspondence=SimpleNamespace(beam=np.array(beams)),
-        ),
-        repair=SimpleNamespace(lidar_range_m=np.full(count, range_m)),
-        classes=SimpleNamespace(lidar_class=np.full(count, noise)),
+        gap_ns=gap_ns,
+        beam=np.array(beams),
+        lidar_repaired_m=np.full(count, range_m),
+        lidar_class=np.full(count, noise),
     )
 
 
@@ -57,9 +54,9 @@ def test_the_image_nearer_in_time_decides_beam_by_beam():
         merge = RepairedScanQueue()
         raw = scan(5, lost=(0,))
         merge.push(raw)
-        near, far = frame(raw, -10, [0, 1, 2], 8.0, BURR), frame(raw, 40, [2, 3], 7.0, CONFLICT)
+        near, far = result(-10, [0, 1, 2], 8.0, BURR), result(40, [2, 3], 7.0, CONFLICT)
         for index in order:
-            merge.apply_repairs((near, far)[index])
+            merge.apply_repairs(raw, (near, far)[index])
         ((_, repaired),) = merge.flush()
         np.testing.assert_array_equal(repaired.ranges_m, [8.0, 8.0, 8.0, 7.0, 5.0, 6.0])
         np.testing.assert_array_equal(repaired.intensities, [BURR, BURR, BURR, CONFLICT, 0, 0])
@@ -84,7 +81,7 @@ def test_two_scans_of_one_stamp_are_two_scans():
     first, second = scan(5), scan(5)
     merge.push(first)
     merge.push(second)
-    merge.apply_repairs(frame(second, 0, [3], 8.5, BURR))
+    merge.apply_repairs(second, result(0, [3], 8.5, BURR))
     (_, untouched), (_, repaired) = merge.flush()
     np.testing.assert_array_equal(untouched.ranges_m, first.ranges_m)
     assert repaired.ranges_m[3] == 8.5

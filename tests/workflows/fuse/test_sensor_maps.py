@@ -8,6 +8,7 @@ import pytest
 from fusion_core.denoising.noise_scale import NoiseScale
 from fusion_core.mapping.grid import GridSettings
 from fusion_core.model.sensors import LaserScan
+from fusion_core.workflows.fuse.frame_result import confirmed_beams
 from fusion_core.workflows.fuse.sensor_maps import Confirmation, SensorMaps
 
 BEAMS = 90
@@ -51,7 +52,7 @@ def built(scans, tmp_path, *, repaired=None, confirmation=CONFIRMATION, frames=(
     maps = SensorMaps(StandingStill(), GridSettings(), confirmation)
     raw = [scan_of(ranges_m, k) for k, ranges_m in enumerate(scans)]
     for number, beams, *decided in frames:
-        maps.add_camera(frame_of(raw[number], np.array(beams), *decided))
+        maps.add_camera(raw[number], result_of(raw[number], np.array(beams), *decided))
     for number, scan in enumerate(raw):
         values = (repaired or {}).get(number, scan.ranges_m)
         codes = np.where(np.isfinite(scan.ranges_m), float(GOOD), float(HOLE))
@@ -60,22 +61,24 @@ def built(scans, tmp_path, *, repaired=None, confirmation=CONFIRMATION, frames=(
     return grids
 
 
-def frame_of(scan, beams, decided=None):
-    """The fields of a fused frame that the maps read: good beams that the camera saw too or, with a
-    class that a person has ``decided``, has not."""
-    return SimpleNamespace(
+def result_of(scan, beams, decided=None):
+    """The fields of a frame's result that the maps read: good beams that the camera saw too or,
+    with a class that a person has ``decided``, has not."""
+    frame = SimpleNamespace(
         match=SimpleNamespace(
-            scan=scan,
             correspondence=SimpleNamespace(
-                beam=beams,
-                residual_m=np.full(beams.size, 0.0 if decided is None else np.nan),
-                azimuth_rad=scan.angles_rad[beams],
-            ),
+                residual_m=np.full(beams.size, 0.0 if decided is None else np.nan)
+            )
         ),
         classes=SimpleNamespace(
             lidar_class=np.full(beams.size, GOOD if decided is None else decided),
             lidar_decided=np.full(beams.size, decided is not None),
         ),
+    )
+    return SimpleNamespace(
+        beam=beams,
+        azimuth_rad=scan.angles_rad[beams],
+        is_confirmed=confirmed_beams(frame),
         camera_range_m=scan.ranges_m[beams],
     )
 

@@ -1,0 +1,156 @@
+"""Work in other processes: in order, in bounded memory, and with one clear end."""
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from fusion_core.model.errors import ExportError, ScanLoomError, StampOutsideRange, WorkerFailed
+from fusion_core.worker_processes import Shared, WorkerPool
+
+
+def squared(number: int) -> int:
+    return number * number
+
+
+def process_of(_: int) -> int:
+    return os.getpid()
+
+
+def killed(number: int) -> int:
+    if number == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def refused(number: int) -> int:
+    if number == 2:
+        raise StampOutsideRange("the pose", stamp_ns=5, start_ns=7, end_ns=9)
+    return number
+
+
+def added(work: tuple[Shared[list[int]], int]) -> tuple[int, int]:
+    return sum(work[0].value) + work[1], id(work[0].value)
+
+
+def itself(value: int) -> int:
+    return value
+
+
+@pytest.fixture(scope="module")
+def pool() -> Iterator[WorkerPool]:
+    with WorkerPool(2) as running:
+        yield running
+
+
+def test_results_come_in_the_order_of_the_items(pool: WorkerPool) -> None:
+    found = list(pool.in_order(squared, range(40), itself))
+    assert found == [(number, number * number) for number in range(40)]
+
+
+def test_with_one_worker_all_is_done_here_and_when_it_is_asked_for() -> None:
+    taken = []
+
+    def items() -> Iterator[int]:
+        for number in range(5):
+            taken.append(number)
+            yield number
+
+    with WorkerPool(1) as alone:
+        alone.start("fusion_core.model.errors")
+        found = alone.in_order(process_of, items(), itself)
+        assert next(found) == (0, os.getpid())
+        assert taken == [0]
+
+
+def test_items_are_taken_no_further_ahead_than_the_workers_need(pool: WorkerPool) -> None:
+    taken = []
+
+    def items() -> Iterator[int]:
+        for number in range(100):
+            taken.append(number)
+            yield number
+
+    for done, _ in pool.in_order(squared, items(), itself):
+        assert len(taken) - done <= 2 * pool.workers
+
+
+def test_the_work_is_done_elsewhere(pool: WorkerPool) -> None:
+    processes = {process for _, process in pool.in_order(process_of, range(40), itself)}
+    assert os.getpid() not in processes
+    assert len(processes) <= 2
+
+
+def test_a_shared_value_is_read_once_by_a_worker(pool: WorkerPool) -> None:
+    for values in ([1, 2, 3], [4, 5, 6]):
+        work = [(pool.share(values), 0)] * 20
+        found = [result for _, result in pool.in_order(added, work, lambda argument: argument)]
+        assert {total for total, _ in found} == {sum(values)}
+        assert len({identity for _, identity in found}) <= 2
+
+
+def test_an_error_of_a_worker_comes_whole(pool: WorkerPool) -> None:
+    found = pool.in_order(refused, range(5), itself)
+    with pytest.raises(StampOutsideRange) as caught:
+        list(found)
+    assert (caught.value.start_ns, caught.value.end_ns) == (7, 9)
+    assert str(caught.value) == "the pose at 5 ns: known from 7 to 9 ns."
+
+
+@pytest.mark.parametrize("raised", [ScanLoomError("a."), ExportError("b.", file="x", advice="Do.")])
+def test_errors_are_the_same_after_a_journey(raised: ScanLoomError) -> None:
+    kind, args = raised.__reduce__()
+    error = kind(*args)
+    assert (type(error), str(error), vars(error)) == (type(raised), str(raised), vars(raised))
+
+
+def test_a_worker_that_dies_is_one_clear_error() -> None:
+    before = set(multiprocessing.active_children())
+    with WorkerPool(2) as dying, pytest.raises(WorkerFailed, match="a worker process has died"):
+        list(dying.in_order(killed, range(20), itself))
+    assert set(multiprocessing.active_children()) <= before
+
+
+def test_no_process_stays_when_the_work_is_given_up() -> None:
+    def interrupted(number: int) -> int:
+        if number == 9:
+            raise KeyboardInterrupt
+        return number
+
+    before = set(multiprocessing.active_children())
+    with pytest.raises(KeyboardInterrupt), WorkerPool(2) as given_up:
+        list(given_up.in_order(squared, range(1000), interrupted))
+    assert set(multiprocessing.active_children()) <= before
+
+
+PARENT = """
+import multiprocessing, sys, time
+sys.path[:0] = [{root!r}]
+from fusion_core.worker_processes import WorkerPool
+from tests.test_worker_processes import itself, process_of
+if __name__ == "__main__":
+    with WorkerPool(2) as pool:
+        pids = {{p for _, p in pool.in_order(process_of, range(40), itself)}}
+        print(*[child.pid for child in multiprocessing.active_children()], flush=True)
+        sys.stdin.read()
+"""
+
+
+def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
+    root = str(Path(__file__).parents[1])
+    script = tmp_path / "parent.py"
+    script.write_text(PARENT.format(root=root), encoding="utf-8")
+    with subprocess.Popen(
+        [sys.executable, script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=root
+    ) as parent:
+        assert parent.stdout is not None
+        children = [int(pid) for pid in parent.stdout.readline().split()]
+        assert len(children) == 2
+        parent.kill()
+        # The workers hold the other end of the pipe: it is closed once both are gone.
+        assert parent.stdout.read() == b""
