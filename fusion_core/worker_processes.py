@@ -29,6 +29,7 @@ _Value = TypeVar("_Value")
 # Tasks that are asked for ahead of the one whose result is waited for, for each worker: one in
 # work, one that waits for it.
 _AHEAD = 2
+_THREADS_OF_LIBRARIES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def usable_cores() -> int:
@@ -37,9 +38,10 @@ def usable_cores() -> int:
 
 
 class Shared(Generic[_Value]):
-    """A value that many tasks need. A worker reads it once, from a file of its pool."""
+    """A value that many tasks need. A worker reads it once, from a ``file`` of its pool; a pool
+    without processes has none."""
 
-    def __init__(self, value: _Value, file: Path) -> None:
+    def __init__(self, value: _Value, file: Path | None) -> None:
         self._value, self._file = value, file
         self._is_written = False
 
@@ -49,6 +51,7 @@ class Shared(Generic[_Value]):
         return self._value
 
     def __reduce__(self) -> tuple[Any, ...]:
+        assert self._file is not None, "a pool without processes pickles nothing"
         if not self._is_written:
             self._file.write_bytes(pickle.dumps(self._value, protocol=pickle.HIGHEST_PROTOCOL))
             self._is_written = True
@@ -117,6 +120,8 @@ class WorkerPool:
 
     def share(self, value: _Value) -> Shared[_Value]:
         """A value for the arguments of many tasks."""
+        if not self.is_parallel:
+            return Shared(value, None)
         if self._folder is None:
             self._folder = tempfile.TemporaryDirectory(prefix="scanloom-")
         return Shared(value, Path(self._folder.name) / f"{next(self._number)}.pickle")
@@ -178,6 +183,8 @@ def _begin() -> None:
     """The first that a worker does: an interruption is its parent's to answer, its parent's end is
     its own, and it uses one core."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Of libraries that are loaded later, and of those that are loaded already.
+    os.environ.update(dict.fromkeys(_THREADS_OF_LIBRARIES, "1"))
     threadpool_limits(1)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 

@@ -454,6 +454,7 @@ def test_options_of_fuse_reach_the_workflow(
             "truth": None,
             "labels": None,
             "seed": None,
+            "workers": None,
             "force": False,
             "overwrite": False,
         },
@@ -461,8 +462,8 @@ def test_options_of_fuse_reach_the_workflow(
     every = (
         "--preset published --settings s.toml --home alma-s1 --room bedroom1 --subsession 2 "
         "--virtual-lidar 240 --lidar /s --depth /a --depth /b "
-        "--pose /p --apply-clock-offset --no-maps --no-figures --truth t.npz --seed 7 --force "
-        "--overwrite --json --output"
+        "--pose /p --apply-clock-offset --no-maps --no-figures --truth t.npz --seed 7 "
+        "--workers 3 --force --overwrite --json --output"
     )
     assert main(["fuse", *every.split(), "out", "a.bag"]) == 0
     assert json.loads(capsys.readouterr().out) == {"frames": 3}
@@ -483,6 +484,7 @@ def test_options_of_fuse_reach_the_workflow(
             "truth": Path("t.npz"),
             "labels": None,
             "seed": 7,
+            "workers": 3,
             "force": True,
             "overwrite": True,
         },

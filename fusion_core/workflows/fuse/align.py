@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from fusion_core.alignment.curves import (
     CurveSampling,
@@ -183,6 +184,14 @@ def align_recording(
     Raises AlignmentFailed where nothing pairs in time or no offset has a score, and RecordingError
     where most of a sensor's stamps are out of order.
     """
+    # Sums of several threads would depend on the number of cores.
+    with threadpool_limits(1, user_api="blas"):
+        return _align(session, progress, stamps)
+
+
+def _align(
+    session: Session, progress: Progress, stamps: PairingStamps | None
+) -> RecordingAlignment:
     rig, settings = session.rig, session.settings
     lidar = session.streams.lidar if session.virtual_row is None else None
     cameras = [camera.topic for camera in rig.cameras]

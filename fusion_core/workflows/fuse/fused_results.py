@@ -47,7 +47,8 @@ def fused_results(
     entries = frame_tasks(session, alignment, clock_offset_ms, labels)
     fuser = pool.share(FrameFuser(setup=session.setup, alignment=alignment))
     chunks = _chunks(entries, _IMAGES_PER_CHUNK if pool.is_parallel else 1)
-    # The products of a frame are too small for several threads.
+    # The products of a frame are too small for several threads, whose sums would depend on how many
+    # cores there are.
     with threadpool_limits(1, user_api="blas"):
         for chunk, fused in pool.in_order(_fuse, chunks, lambda chunk: (fuser, _tasks_in(chunk))):
             results = iter(fused)

@@ -186,8 +186,10 @@ def test_drawing_ends_where_progress_raises(run: SimpleNamespace, tmp_path: Path
         if done == 2:
             raise InterruptedError
 
-    with pytest.raises(InterruptedError):
-        write_figures(tmp_path / "figures", run.data, WorkerPool(1), cancel)
+    with opened(run) as session:
+        data = replace(run.data, session=session)
+        with pytest.raises(InterruptedError):
+            write_figures(tmp_path / "figures", data, WorkerPool(1), cancel)
     written = {path.name for path in (tmp_path / "figures").glob("*.png")}
     assert written == {"fig4_similarity.png"}
 

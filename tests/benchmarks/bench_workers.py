@@ -1,0 +1,145 @@
+"""``fuse`` with one worker and with several: time, memory, and whether the bytes are the same.
+
+    python -m tests.benchmarks.bench_workers [RECORDING ...] [--minutes N ...] [--workers N]
+
+By default the built-in sample; ``--minutes`` generates recordings of that length. Each run is a
+process of its own, after one that is not counted. "rest" is all but the alignment, which one
+process does. Memory is the most that the processes ever held, each by itself, added up.
+"""
+
+import argparse
+import hashlib
+import json
+import multiprocessing
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+from fusion_core.simulation.scenes import SceneSettings, write_scene
+from fusion_core.workflows.fuse import fuse as module
+from fusion_core.workflows.fuse.session import FuseOptions
+
+SAMPLE = Path(__file__).parents[2] / "samples" / "furnished_room.mcap"
+BAR_SPEED_UP, BAR_MIB_A_WORKER = 1.7, 250.0
+ROUNDS = 3
+
+
+def highest_mib(pid: int) -> float:
+    """The most that a process has held so far, 0 once it has ended."""
+    try:
+        status = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
+    except (FileNotFoundError, ProcessLookupError):
+        return 0.0
+    _, _, rest = status.partition("VmHWM:")
+    return int(rest.split()[0]) / 1024.0 if rest else 0.0
+
+
+def run_once(recording: Path, workers: int, *, figures: bool) -> None:
+    """Fuse, and print what it took as JSON."""
+    held: dict[int, float] = {}
+    aligned_s = 0.0
+    is_over = threading.Event()
+
+    def watch() -> None:
+        while not is_over.wait(0.05):
+            for child in multiprocessing.active_children():
+                if child.pid is not None:
+                    held[child.pid] = max(held.get(child.pid, 0.0), highest_mib(child.pid))
+
+    def timed(*args: Any, **named: Any) -> Any:
+        nonlocal aligned_s
+        begin = time.perf_counter()
+        try:
+            return align(*args, **named)
+        finally:
+            aligned_s = time.perf_counter() - begin
+
+    align = module.align_recording
+    threading.Thread(target=watch, daemon=True).start()
+    with tempfile.TemporaryDirectory() as folder, patch.object(module, "align_recording", timed):
+        output = Path(folder) / "fused"
+        begin = time.perf_counter()
+        summary = module.fuse(recording, output, FuseOptions(workers=workers, figures=figures))
+        whole_s = time.perf_counter() - begin
+        digest = hashlib.sha256()
+        for file in sorted(output.rglob("*")):
+            if file.is_file():
+                digest.update(f"{file.relative_to(output)}\n".encode())
+                digest.update(file.read_bytes())
+    is_over.set()
+    own = highest_mib(multiprocessing.current_process().pid or 0)
+    print(
+        json.dumps(
+            {
+                "pairs": summary.paired,
+                "align_s": aligned_s,
+                "rest_s": whole_s - aligned_s,
+                "own_mib": own,
+                "workers_mib": list(held.values()),
+                "digest": digest.hexdigest(),
+            }
+        )
+    )
+
+
+def measured(recording: Path, workers: int, rounds: int, *, figures: bool) -> dict[str, Any]:
+    """The fastest of some runs."""
+    command = [sys.executable, "-m", "tests.benchmarks.bench_workers", "--once", str(workers)]
+    command += [str(recording)] + ([] if figures else ["--no-figures"])
+    runs = []
+    for _ in range(rounds):
+        done = subprocess.run(command, check=True, capture_output=True, text=True)
+        runs.append(json.loads(done.stdout))
+    assert len({run["digest"] for run in runs}) == 1, "two runs differ"
+    best: dict[str, Any] = min(runs, key=lambda run: float(run["rest_s"]))
+    return best
+
+
+def compare(recording: Path, workers: int, rounds: int, *, figures: bool) -> None:
+    """Print a line for a recording."""
+    one = measured(recording, 1, rounds, figures=figures)
+    many = measured(recording, workers, rounds, figures=figures)
+    more_mib = (many["own_mib"] + sum(many["workers_mib"]) - one["own_mib"]) / workers
+    print(
+        f"{recording.name:24}{'with' if figures else 'no':>5} figures {one['pairs']:6} pairs   "
+        f"1 worker: align {one['align_s']:6.2f} s, rest {one['rest_s']:7.2f} s, "
+        f"{one['own_mib']:4.0f} MiB   {workers} workers: align {many['align_s']:6.2f} s, rest "
+        f"{many['rest_s']:7.2f} s, {many['own_mib']:4.0f} MiB + {more_mib:4.0f} MiB a worker "
+        f"(at most {BAR_MIB_A_WORKER:.0f})   speed-up {one['rest_s'] / many['rest_s']:.2f} "
+        f"(bar {BAR_SPEED_UP})   same bytes: {one['digest'] == many['digest']}",
+        flush=True,
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("recordings", nargs="*", type=Path)
+    parser.add_argument("--minutes", nargs="*", type=float, default=[])
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--rounds", type=int, default=ROUNDS)
+    parser.add_argument("--no-figures", action="store_true")
+    parser.add_argument("--once", type=int, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.once is not None:
+        run_once(given.recordings[0], given.once, figures=not given.no_figures)
+        return
+    kinds = [False] if given.no_figures else [False, True]
+    for recording in given.recordings or ([] if given.minutes else [SAMPLE]):
+        for figures in kinds:
+            compare(recording, given.workers, given.rounds, figures=figures)
+    with tempfile.TemporaryDirectory() as folder:
+        for minutes in given.minutes:
+            recording = Path(folder) / f"{minutes:g}_minutes.mcap"
+            settings = SceneSettings(duration_s=60.0 * minutes, camera_rate_hz=10.0)
+            write_scene("furnished_room", recording, settings=settings)
+            for figures in kinds:
+                compare(recording, given.workers, 1, figures=figures)
+
+
+if __name__ == "__main__":
+    main()
