@@ -86,6 +86,14 @@ def test_the_work_is_done_elsewhere(pool: WorkerPool) -> None:
     assert len(processes) <= 2
 
 
+def test_after_a_restart_other_processes_do_the_work() -> None:
+    with WorkerPool(2) as restarted:
+        before = {process for _, process in restarted.in_order(process_of, range(40), itself)}
+        restarted.restart("fusion_core.model.errors")
+        after = {process for _, process in restarted.in_order(process_of, range(40), itself)}
+    assert before.isdisjoint(after)
+
+
 def test_a_shared_value_is_read_once_by_a_worker(pool: WorkerPool) -> None:
     for values in ([1, 2, 3], [4, 5, 6]):
         work = [(pool.share(values), 0)] * 20

@@ -1,7 +1,9 @@
 """What the figures need of the fused frames: one to show, and the counts of Table 1."""
 
+from collections.abc import Callable
+
 from fusion_core.workflows.fuse.frame import FusedFrame
-from fusion_core.workflows.fuse.frame_tasks import FrameFuser, FrameTask
+from fusion_core.workflows.fuse.frame_tasks import FrameTask
 from fusion_core.workflows.fuse.fused_results import TaskResults
 
 
@@ -25,11 +27,11 @@ class FigureCollector:
             if result.rank > self._rank:
                 self._rank, self._best = result.rank, (entry.task, result.camera)
 
-    def showcase(self, fuser: FrameFuser) -> FusedFrame | None:
+    def showcase(self, fuse: Callable[[FrameTask], list[FusedFrame] | None]) -> FusedFrame | None:
         """The frame to show, fused once more: its fields are too large to be kept for each frame
         that ranks first for a while. None where no frame was fused."""
         if self._best is None:
             return None
         task, camera = self._best
-        frames = fuser.fuse(task) or ()
+        frames = fuse(task) or ()
         return next(frame for frame in frames if frame.match.pair.camera_index == camera)

@@ -23,9 +23,9 @@ from fusion_core.model.sensors import LaserScan
 from fusion_core.worker_processes import WorkerPool
 from fusion_core.workflows.fuse.align import RecordingAlignment, align_recording
 from fusion_core.workflows.fuse.figures import FIGURE_MODULES, FigureData, write_figures
+from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_labels import SessionLabels
-from fusion_core.workflows.fuse.frame_tasks import FrameFuser
-from fusion_core.workflows.fuse.fused_results import WORKER_MODULES, fused_results
+from fusion_core.workflows.fuse.fused_results import WORKER_MODULES, fuse_again, fused_results
 from fusion_core.workflows.fuse.reference_map import reference_map
 from fusion_core.workflows.fuse.result_writer import ResultWriter
 from fusion_core.workflows.fuse.session import FuseOptions, Session, open_session
@@ -65,7 +65,7 @@ def fuse(
         if plan.is_done:
             return read_summary(output)
         with results_folder(plan) as folder, WorkerPool(options.workers) as pool:
-            pool.start(*WORKER_MODULES, *(FIGURE_MODULES if options.figures else ()))
+            pool.start(*WORKER_MODULES)
             write_text(folder / "settings.toml", settings_text)
             session = open_session(opened, options, settings)
             summary = _run_chain(session, folder, replace(options, preset=preset), pool, progress)
@@ -109,6 +109,12 @@ def _run_chain(
             if not isinstance(entry, LaserScan):
                 progress(results.frames + 1, session.image_count, "fusing")
             results.add(entry)
+        showcase: FusedFrame | None = None
+        if options.figures:
+            showcase = results.figures.showcase(
+                lambda task: fuse_again(task, session, alignment, pool)
+            )
+            pool.restart(*FIGURE_MODULES)
         grids, map_notes = results.finish()
     notes.extend(map_notes)
     document = alignment_document(
@@ -136,9 +142,7 @@ def _run_chain(
             FigureData(
                 session=session,
                 alignment=alignment,
-                showcase=results.figures.showcase(
-                    FrameFuser(setup=session.setup, alignment=alignment)
-                ),
+                showcase=showcase,
                 scores=results.figures.scores,
                 grids=shown,
                 # Which topic; how it was joined to the LiDAR is in the notes.

@@ -8,6 +8,7 @@ from threadpoolctl import threadpool_limits
 from fusion_core.model.sensors import LaserScan
 from fusion_core.worker_processes import Shared, WorkerPool
 from fusion_core.workflows.fuse.align import RecordingAlignment
+from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_labels import SessionLabels
 from fusion_core.workflows.fuse.frame_result import FrameResult, results_of
 from fusion_core.workflows.fuse.frame_tasks import FrameFuser, FrameTask, frame_tasks
@@ -19,7 +20,7 @@ _IMAGES_PER_CHUNK = 8
 # Scans, and images without one, that are kept back at most.
 _ENTRIES_PER_CHUNK = 256
 # What a worker imports while the recording is aligned.
-WORKER_MODULES = (__name__, "numba", "scipy.spatial")
+WORKER_MODULES = (__name__, "numba", "scipy.linalg", "scipy.special")
 
 _Entry = LaserScan | PairedImage | FrameTask
 
@@ -64,6 +65,21 @@ def _fuse(work: tuple[Shared[FrameFuser], list[FrameTask]]) -> list[list[FrameRe
     shared, tasks = work
     fuser = shared.value
     return [results_of(fuser.fuse(task) or (), fuser.alignment, fuser.setup) for task in tasks]
+
+
+def fuse_again(
+    task: FrameTask, session: Session, alignment: RecordingAlignment, pool: WorkerPool
+) -> list[FusedFrame] | None:
+    """The fused images of a task whole, None where they have no offset."""
+    fuser = pool.share(FrameFuser(setup=session.setup, alignment=alignment))
+    with threadpool_limits(1, user_api="blas"):
+        ((_, fused),) = pool.in_order(_fuse_whole, [(fuser, task)], lambda work: work)
+    return fused
+
+
+def _fuse_whole(work: tuple[Shared[FrameFuser], FrameTask]) -> list[FusedFrame] | None:
+    fuser, task = work
+    return fuser.value.fuse(task)
 
 
 def _tasks_in(chunk: Iterable[_Entry]) -> list[FrameTask]:
