@@ -10,7 +10,7 @@ import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from importlib import import_module
 from pathlib import Path
@@ -26,9 +26,11 @@ _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 _Value = TypeVar("_Value")
 
-# Tasks that are asked for ahead of the one whose result is waited for, for each worker: one in
-# work, one that waits for it.
-_AHEAD = 2
+# For each other process: a task in work, and one that waits for it.
+_SUBMITTED_AHEAD = 2
+# For each worker: tasks whose results wait for an earlier one's, as for that of a process which is
+# still starting.
+_TAKEN_AHEAD = 4
 _THREADS_OF_LIBRARIES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -72,9 +74,9 @@ def _read_shared(file: Path) -> Shared[Any]:
 class WorkerPool:
     """Processes for functions whose arguments and results can be pickled.
 
-    ``workers``: how many, by default one for each core that may be used. With one there is no other
-    process: each task is done where its result is asked for. The processes start with the first
-    task, or before it with ``start``.
+    ``workers``: how many, this process among them; by default one for each core that may be used.
+    With one there is no other: each task is done where its result is asked for. The others start
+    with the first task, or before it with ``start``.
 
     A worker that dies, as when the system has no memory left, ends the work: WorkerFailed.
     """
@@ -115,7 +117,7 @@ class WorkerPool:
     def start(self, *modules: str) -> None:
         """Start the processes and let them import ``modules``, without waiting for them."""
         if self.is_parallel:
-            for _ in range(self.workers):
+            for _ in range(self.workers - 1):
                 self._running().submit(_import_all, modules)
 
     def restart(self, *modules: str) -> None:
@@ -142,21 +144,34 @@ class WorkerPool:
     ) -> Iterator[tuple[_Item, _Result]]:
         """Each item with the result of its task, in the order of the items.
 
-        Items are taken a few ahead, so that memory does not grow with their number.
+        While this process would wait for a result, it does tasks itself. Items are taken a bounded
+        number ahead, so that memory does not grow with theirs.
         """
         if not self.is_parallel:
             for item in items:
                 yield item, function(argument_of(item))
             return
-        waiting: deque[tuple[_Item, Future[_Result]]] = deque()
-        for item in items:
-            waiting.append((item, self._submit(function, argument_of(item))))
-            if len(waiting) >= _AHEAD * self.workers:
-                first, future = waiting.popleft()
-                yield first, _result_of(future)
-        while waiting:
-            first, future = waiting.popleft()
-            yield first, _result_of(future)
+        others = self.workers - 1
+        coming = iter(items)
+        taken: deque[tuple[_Item, Future[_Result]]] = deque()
+        is_over = False
+        while not is_over or taken:
+            elsewhere = sum(not future.done() for _, future in taken)
+            if taken and taken[0][1].done():
+                item, future = taken.popleft()
+                yield item, _result_of(future)
+            elif is_over or len(taken) >= _TAKEN_AHEAD * self.workers:
+                wait([taken[0][1]])
+            else:
+                try:
+                    item = next(coming)
+                except StopIteration:
+                    is_over = True
+                    continue
+                if elsewhere < _SUBMITTED_AHEAD * others:
+                    taken.append((item, self._submit(function, argument_of(item))))
+                else:
+                    taken.append((item, _done_here(function, argument_of(item))))
 
     def _submit(self, function: Callable[..., _Result], *values: Any) -> "Future[_Result]":
         try:
@@ -168,9 +183,19 @@ class WorkerPool:
         if self._executor is None:
             # A fork would copy the locks of other threads as they are.
             self._executor = ProcessPoolExecutor(
-                self.workers, multiprocessing.get_context("spawn"), initializer=_begin
+                self.workers - 1, multiprocessing.get_context("spawn"), initializer=_begin
             )
         return self._executor
+
+
+def _done_here(function: Callable[[_Argument], _Result], argument: _Argument) -> "Future[_Result]":
+    """A task as it is done by this process: an error waits for its turn too."""
+    future: Future[_Result] = Future()
+    try:
+        future.set_result(function(argument))
+    except Exception as error:  # noqa: BLE001  # raised where the result is asked for
+        future.set_exception(error)
+    return future
 
 
 def _result_of(future: "Future[_Result]") -> _Result:

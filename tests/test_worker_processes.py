@@ -23,7 +23,7 @@ def process_of(_: int) -> int:
 
 
 def killed(number: int) -> int:
-    if number == 3:
+    if multiprocessing.parent_process() is not None:
         os.kill(os.getpid(), signal.SIGKILL)
     return number
 
@@ -31,6 +31,13 @@ def killed(number: int) -> int:
 def refused(number: int) -> int:
     if number == 2:
         raise StampOutsideRange("the pose", stamp_ns=5, start_ns=7, end_ns=9)
+    return number
+
+
+def fails_at_home(work: tuple[int, int]) -> int:
+    number, home = work
+    if os.getpid() == home:
+        raise ExportError("at home.")
     return number
 
 
@@ -77,13 +84,22 @@ def test_items_are_taken_no_further_ahead_than_the_workers_need(pool: WorkerPool
             yield number
 
     for done, _ in pool.in_order(squared, items(), itself):
-        assert len(taken) - done <= 2 * pool.workers
+        assert len(taken) - done <= 4 * pool.workers
 
 
-def test_the_work_is_done_elsewhere(pool: WorkerPool) -> None:
+def test_this_process_and_another_share_the_work(pool: WorkerPool) -> None:
+    # A task that only the other process can do is waited for.
     processes = {process for _, process in pool.in_order(process_of, range(40), itself)}
-    assert os.getpid() not in processes
-    assert len(processes) <= 2
+    assert len(processes) == 2
+    assert os.getpid() in processes
+
+
+def test_an_error_of_this_process_waits_for_its_turn(pool: WorkerPool) -> None:
+    found = pool.in_order(fails_at_home, range(40), lambda number: (number, os.getpid()))
+    # The first two are done elsewhere while this process fails at the third.
+    assert [next(found), next(found)] == [(0, 0), (1, 1)]
+    with pytest.raises(ExportError, match="at home"):
+        list(found)
 
 
 def test_after_a_restart_other_processes_do_the_work() -> None:
@@ -91,7 +107,7 @@ def test_after_a_restart_other_processes_do_the_work() -> None:
         before = {process for _, process in restarted.in_order(process_of, range(40), itself)}
         restarted.restart("fusion_core.model.errors")
         after = {process for _, process in restarted.in_order(process_of, range(40), itself)}
-    assert before.isdisjoint(after)
+    assert before & after == {os.getpid()}
 
 
 def test_a_shared_value_is_read_once_by_a_worker(pool: WorkerPool) -> None:
@@ -99,7 +115,7 @@ def test_a_shared_value_is_read_once_by_a_worker(pool: WorkerPool) -> None:
         work = [(pool.share(values), 0)] * 20
         found = [result for _, result in pool.in_order(added, work, lambda argument: argument)]
         assert {total for total, _ in found} == {sum(values)}
-        assert len({identity for _, identity in found}) <= 2
+        assert len({identity for _, identity in found}) == 2
 
 
 def test_an_error_of_a_worker_comes_whole(pool: WorkerPool) -> None:
@@ -142,7 +158,7 @@ sys.path[:0] = [{root!r}]
 from fusion_core.worker_processes import WorkerPool
 from tests.test_worker_processes import itself, process_of
 if __name__ == "__main__":
-    with WorkerPool(2) as pool:
+    with WorkerPool(3) as pool:
         pids = {{p for _, p in pool.in_order(process_of, range(40), itself)}}
         print(*[child.pid for child in multiprocessing.active_children()], flush=True)
         sys.stdin.read()

@@ -4,13 +4,15 @@
 
 By default the built-in sample; ``--minutes`` generates recordings of that length. Each run is a
 process of its own, after one that is not counted. "rest" is all but the alignment, which one
-process does. Memory is the most that the processes ever held, each by itself, added up.
+process does. Memory is the most that all processes held together, with the pages that they share
+counted in each.
 """
 
 import argparse
 import hashlib
 import json
 import multiprocessing
+import os
 import subprocess
 import sys
 import tempfile
@@ -29,27 +31,28 @@ BAR_SPEED_UP, BAR_MIB_A_WORKER = 1.7, 250.0
 ROUNDS = 3
 
 
-def highest_mib(pid: int) -> float:
-    """The most that a process has held so far, 0 once it has ended."""
+def resident_mib(pid: int) -> float:
+    """What a process holds, 0 once it has ended."""
     try:
         status = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
     except (FileNotFoundError, ProcessLookupError):
         return 0.0
-    _, _, rest = status.partition("VmHWM:")
+    _, _, rest = status.partition("VmRSS:")
     return int(rest.split()[0]) / 1024.0 if rest else 0.0
 
 
 def run_once(recording: Path, workers: int, *, figures: bool) -> None:
     """Fuse, and print what it took as JSON."""
-    held: dict[int, float] = {}
+    own_pid = os.getpid()
+    most_mib = 0.0
     aligned_s = 0.0
     is_over = threading.Event()
 
     def watch() -> None:
-        while not is_over.wait(0.05):
-            for child in multiprocessing.active_children():
-                if child.pid is not None:
-                    held[child.pid] = max(held.get(child.pid, 0.0), highest_mib(child.pid))
+        nonlocal most_mib
+        while not is_over.wait(0.02):
+            pids = [own_pid, *(child.pid or 0 for child in multiprocessing.active_children())]
+            most_mib = max(most_mib, sum(map(resident_mib, pids)))
 
     def timed(*args: Any, **named: Any) -> Any:
         nonlocal aligned_s
@@ -72,15 +75,13 @@ def run_once(recording: Path, workers: int, *, figures: bool) -> None:
                 digest.update(f"{file.relative_to(output)}\n".encode())
                 digest.update(file.read_bytes())
     is_over.set()
-    own = highest_mib(multiprocessing.current_process().pid or 0)
     print(
         json.dumps(
             {
                 "pairs": summary.paired,
                 "align_s": aligned_s,
                 "rest_s": whole_s - aligned_s,
-                "own_mib": own,
-                "workers_mib": list(held.values()),
+                "mib": most_mib,
                 "digest": digest.hexdigest(),
             }
         )
@@ -104,12 +105,12 @@ def compare(recording: Path, workers: int, rounds: int, *, figures: bool) -> Non
     """Print a line for a recording."""
     one = measured(recording, 1, rounds, figures=figures)
     many = measured(recording, workers, rounds, figures=figures)
-    more_mib = (many["own_mib"] + sum(many["workers_mib"]) - one["own_mib"]) / workers
+    more_mib = (many["mib"] - one["mib"]) / (workers - 1)
     print(
         f"{recording.name:24}{'with' if figures else 'no':>5} figures {one['pairs']:6} pairs   "
         f"1 worker: align {one['align_s']:6.2f} s, rest {one['rest_s']:7.2f} s, "
-        f"{one['own_mib']:4.0f} MiB   {workers} workers: align {many['align_s']:6.2f} s, rest "
-        f"{many['rest_s']:7.2f} s, {many['own_mib']:4.0f} MiB + {more_mib:4.0f} MiB a worker "
+        f"{one['mib']:4.0f} MiB   {workers} workers: align {many['align_s']:6.2f} s, rest "
+        f"{many['rest_s']:7.2f} s, {more_mib:4.0f} MiB more for each "
         f"(at most {BAR_MIB_A_WORKER:.0f})   speed-up {one['rest_s'] / many['rest_s']:.2f} "
         f"(bar {BAR_SPEED_UP})   same bytes: {one['digest'] == many['digest']}",
         flush=True,

@@ -16,7 +16,7 @@ from fusion_core.workflows.fuse.pairing import PairedImage
 from fusion_core.workflows.fuse.session import Session
 
 # Images that one task of a worker has: with more of them handing over costs less, and more wait.
-_IMAGES_PER_CHUNK = 8
+_IMAGES_PER_CHUNK = 4
 # Scans, and images without one, that are kept back at most.
 _ENTRIES_PER_CHUNK = 256
 # What a worker imports while the recording is aligned.

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fusion_core.alignment.time import scan_at_image
 from fusion_core.alignment.virtual_lidar import mask_cut_rows
@@ -21,7 +22,10 @@ from fusion_core.workflows.fuse.pairing import (
 )
 from fusion_core.workflows.fuse.settings import ChainSettings, PresetName
 from fusion_core.workflows.sensor_geometry import GeometryFilter
-from fusion_core.workflows.source import RoomChoice
+
+if TYPE_CHECKING:
+    # It knows all formats, which a worker process need not load.
+    from fusion_core.workflows.source import RoomChoice
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +39,7 @@ class FuseOptions:
 
     preset: PresetName = "default"
     settings_file: Path | None = None
-    room: RoomChoice | None = None
+    room: "RoomChoice | None" = None
     virtual_lidar_row: int | None = None
     lidar_topic: str | None = None
     depth_topics: tuple[str, ...] = ()
