@@ -10,9 +10,9 @@ import numpy as np
 
 from fusion_core.alignment.similarity import Metric, SimilarityField
 from fusion_core.alignment.time import parabola_offset
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import AlignmentFailed
-from fusion_core.model.polar import unwrap_towards
 from fusion_core.settings import StageSettings, setting
 
 
@@ -73,27 +73,25 @@ def find_peak(
 
     Raises AlignmentFailed where the field has no score there.
     """
-    best_of_offset = np.fmax.reduce(field.scores, axis=0)
-    allowed = np.isfinite(best_of_offset)
-    if prior_u is not None:
-        # Half a sample: with prior_samples = 0 the nearest whole offset is still allowed.
-        allowed &= _distances(field, prior_u) <= max(settings.prior_samples, 0.5)
-    if not allowed.any():
+    # Half a sample: with prior_samples = 0 the nearest whole offset is still allowed.
+    reach = np.inf if prior_u is None else max(settings.prior_samples, 0.5)
+    row, column, other_row, other = _highest_cells(
+        field.scores,
+        0.0 if prior_u is None else prior_u - field.u_first,
+        reach,
+        settings.runner_up_distance,
+        np.inf if field.turn_samples is None else field.turn_samples,
+    )
+    if row < 0:
         raise AlignmentFailed(
             "no offset (u, v) has enough samples valid on both sides.",
             advice="Lower search.min_overlap, or check that both sensors see the same side.",
         )
-    column = int(np.argmax(np.where(allowed, best_of_offset, -np.inf)))
-    row = int(np.nanargmax(field.scores[:, column]))
     score = float(field.scores[row, column])
-    away = _distances(field, field.u_first + column) >= settings.runner_up_distance
-    away &= np.isfinite(best_of_offset)
     runner_u = runner_v = runner_score = float("nan")
-    if away.any():
-        other = int(np.argmax(np.where(away, best_of_offset, -np.inf)))
-        runner_u = float(field.u_first + other)
-        runner_v = float(np.nanargmax(field.scores[:, other]))
-        runner_score = float(best_of_offset[other])
+    if other_row >= 0:
+        runner_u, runner_v = float(field.u_first + other), float(other_row)
+        runner_score = float(field.scores[other_row, other])
     u, v = float(field.u_first + column), float(row)
     if refine:
         u += _offset_to_the_side(field, row, column)
@@ -109,13 +107,43 @@ def find_peak(
     )
 
 
-def _distances(field: SimilarityField, u: float) -> FloatArray:
-    """(U,) how far each column's offset is from ``u``, around a full circle."""
-    off = field.u_first + np.arange(field.scores.shape[1], dtype=np.float64) - u
-    if field.turn_samples is not None:
-        off = unwrap_towards(off, 0.0, field.turn_samples)
-    away: FloatArray = np.abs(off)
-    return away
+@compiled()
+def _highest_cells(
+    scores: FloatArray, about: float, reach: float, away: float, turn: float
+) -> tuple[int, int, int, int]:
+    """Row and column of the highest score among the columns at most ``reach`` from the column
+    ``about``, and of the highest one among those at least ``away`` from that; -1 where there is
+    none. Of equal ones the first column, and in it the first row. ``turn``: the columns of a full
+    circle, infinite where the curve has ends."""
+    height, width = scores.shape
+    best, best_row = np.full(width, -np.inf), np.zeros(width, dtype=np.int64)
+    for v in range(height):
+        for u in range(width):
+            # NaN compares false.
+            is_better = scores[v, u] > best[u]
+            best[u] = scores[v, u] if is_better else best[u]
+            best_row[u] = v if is_better else best_row[u]
+    column = _highest_column(best, about, 0.0, reach, turn)
+    if column < 0:
+        return -1, -1, -1, -1
+    other = _highest_column(best, float(column), away, np.inf, turn)
+    return best_row[column], column, best_row[other] if other >= 0 else -1, other
+
+
+@compiled()
+def _highest_column(
+    best: FloatArray, about: float, nearest: float, farthest: float, turn: float
+) -> int:
+    """The column of the highest finite value from ``nearest`` to ``farthest`` columns away."""
+    column = -1
+    for u in range(best.size):
+        off = u - about
+        if turn < np.inf:
+            off -= turn * np.rint(off / turn)
+        allowed = nearest <= abs(off) <= farthest and np.isfinite(best[u])
+        if allowed and (column < 0 or best[u] > best[column]):
+            column = u
+    return column
 
 
 def _offset_to_the_side(field: SimilarityField, row: int, column: int) -> float:

@@ -7,6 +7,7 @@ measured from consecutive scans: no odometry is needed. Interpolation goes one s
 scan of the image's own instant, from its two neighbours in time.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -106,12 +107,12 @@ def parabola_offset(values: FloatArray, best: int) -> float:
     """
     if best == 0 or best == values.size - 1:
         return 0.0
-    left, middle, right = values[best - 1 : best + 2]
+    left, middle, right = values[best - 1 : best + 2].tolist()
     curvature = left - 2.0 * middle + right
     on_slope = (left - middle) * (right - middle) < 0.0
-    if not np.isfinite(curvature) or curvature == 0.0 or on_slope:
+    if not math.isfinite(curvature) or curvature == 0.0 or on_slope:
         return 0.0
-    return float(np.clip(0.5 * (left - right) / curvature, -0.5, 0.5))
+    return float(min(0.5, max(-0.5, 0.5 * (left - right) / curvature)))
 
 
 def scan_at_image(window: ScanWindow, gap_ns: int, settings: TimeSettings) -> LaserScan:
