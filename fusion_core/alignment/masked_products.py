@@ -5,124 +5,106 @@ have: n, ΣD, ΣD², ΣL, ΣL² and ΣDL. With holes as zeros, ΣDL is one matri
 field. In the other five at least one factor is a mask, and a mask is a few runs of holes: each sum
 is a total less one difference of cumulative sums for each run. Where holes come in runs that costs
 a fraction of five further products; with every other sample missing, the worst case, twice as much.
+At a few offsets it costs more than five such narrow products, which are then taken instead.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from fusion_core.alignment.centred_curves import CentredCurves, centre
+from fusion_core.alignment.masked_scores import score_row
 from fusion_core.compiled import compiled
-from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
-
-PEARSON, COSINE, INVERSE_COSINE, EUCLIDEAN = range(4)
-
-# Squares that sum to less than this fraction of those of the whole row (or curve) are rounding, not
-# signal: over 10⁴ samples the cumulative sums are good to about 10⁻¹³ of their total.
-_NEGLIGIBLE = 1e-12
+from fusion_core.model.conventions import FloatArray, IntArray
 
 
-class _CentredCurves(NamedTuple):
-    """H curves of N samples, each less the mean of its valid samples, holes as 0.
-
-    ``values``: (H, N). ``means``: (H,). ``runs``: (K, 2) first hole and first valid sample after
-    it; those of curve v are ``first_run[v]`` up to ``first_run[v + 1]``. ``flat`` and ``zero``:
-    (H,) sums of squares, about the mean and about zero, that count as none.
-    """
-
-    values: FloatArray
-    means: FloatArray
-    runs: IntArray
-    first_run: IntArray
-    flat: FloatArray
-    zero: FloatArray
-
-
-def masked_scores(
-    curve: FloatArray, rows: FloatArray, scores: Sequence[int], min_samples: int
+def scores_along_curve(
+    curve: FloatArray, rows: CentredCurves, scores: Sequence[int], min_samples: int
 ) -> tuple[FloatArray, FloatArray]:
     """Score each row at each offset along the curve, over the samples valid on both sides.
 
-    ``curve``: (Ψ,), ``rows``: (H, W) with W <= Ψ, NaN where missing. ``scores``: any of
-    ``PEARSON``, ``COSINE``, ``INVERSE_COSINE``, ``EUCLIDEAN``.
+    ``curve``: (Ψ,), NaN where missing. ``rows``: H of W <= Ψ samples. ``scores``: any of the kinds
+    of ``masked_scores``.
 
     Returns (len(scores), H, Ψ - W + 1) scores and the (H, Ψ - W + 1) fraction of a row's samples
     that are valid on both sides. A score is NaN where there are fewer than ``min_samples`` or
     where either side has no variance (Pearson) or no norm (the others).
     """
-    along, across = _centre(curve[np.newaxis]), _centre(rows)
+    along = centre(curve[np.newaxis])
     line = along.values[0]
-    cumulative = np.array(
-        [_cumulative(np.isfinite(curve)), _cumulative(line), _cumulative(line**2)]
-    )
+    cumulative = np.zeros((3, line.size + 1))
+    np.cumsum([np.isfinite(curve), line, line**2], axis=1, out=cumulative[:, 1:])
     # windows[w, u] = line[w + u]
-    windows = np.ascontiguousarray(sliding_window_view(line, line.size - rows.shape[1] + 1))
-    field, overlap = _score_rows(
-        along,
-        cumulative,
-        across,
-        across.values @ windows,
-        np.array(scores, dtype=np.int64),
-        min_samples,
-    )
+    windows = np.ascontiguousarray(sliding_window_view(line, line.size - rows.width + 1))
+    kinds = np.array(scores, dtype=np.int64)
+    field, overlap = _score_rows(along, cumulative, rows, rows.values @ windows, kinds, min_samples)
     return field, overlap
 
 
-def _centre(curves: FloatArray) -> _CentredCurves:
-    """Centring keeps a small variance that sits on a large offset."""
-    height, width = curves.shape
-    values, hole, counts, means, squares = _centre_rows(curves)
-    edges = np.flatnonzero(hole[:, 1:] != hole[:, :-1]).reshape(-1, 2)
-    return _CentredCurves(
-        values=values,
-        means=means,
-        runs=edges % (width + 1),
-        first_run=np.searchsorted(edges[:, 0], np.arange(height + 1) * (width + 1)),
-        # The mean is rounded too, so a constant row is constant only relative to its mean.
-        flat=_NEGLIGIBLE * (squares + _NEGLIGIBLE * counts * means**2),
-        zero=_NEGLIGIBLE * (squares + counts * means**2),
+def scores_of_windows(
+    curves: FloatArray, rows: CentredCurves, scores: Sequence[int], min_samples: int
+) -> tuple[FloatArray, FloatArray]:
+    """The same for a few offsets along K curves, (K, Ψ) with W <= Ψ.
+
+    Returns (len(scores), H, K, Ψ - W + 1) scores and (H, K, Ψ - W + 1) fractions.
+    """
+    # One mean for all curves is as good as their own.
+    along = centre(curves.reshape(1, -1))
+    offsets = curves.shape[1] - rows.width + 1
+
+    def windows_of(values: FloatArray) -> FloatArray:
+        """(W, K * U)."""
+        windows = sliding_window_view(values.reshape(curves.shape), offsets, axis=1)
+        return windows.swapaxes(0, 1).reshape(rows.width, -1)
+
+    line, seen = windows_of(along.values), windows_of(np.isfinite(curves).astype(np.float64))
+    valid = 1.0 - rows.hole[:, 1:-1]
+    n, sum_l, sum_ll = valid @ seen, valid @ line, valid @ line**2
+    sum_d, sum_dd, sum_dl = rows.values @ seen, rows.values**2 @ seen, rows.values @ line
+    kinds = np.array(scores, dtype=np.int64)
+    field, overlap = _score_sums(
+        along, rows, (n, sum_d, sum_dd, sum_l, sum_ll, sum_dl), kinds, min_samples
     )
+    places = rows.values.shape[0], curves.shape[0], offsets
+    return field.reshape(-1, *places), overlap.reshape(places)
 
 
-# Sums in any order, so that they are vectorised; not-a-number keeps its meaning.
-@compiled(error_model="numpy", fastmath={"reassoc"})
-def _centre_rows(
-    curves: FloatArray,
-) -> tuple[FloatArray, BoolArray, IntArray, FloatArray, FloatArray]:
-    """Centred values (0 in holes), holes with one False at either end, counts, means, squares."""
-    height, width = curves.shape
-    values, hole = np.empty((height, width)), np.zeros((height, width + 2), dtype=np.bool_)
-    counts = np.zeros(height, dtype=np.int64)
-    means, squares = np.zeros(height), np.zeros(height)
+@compiled(error_model="numpy")
+def _score_sums(
+    along: CentredCurves,
+    across: CentredCurves,
+    sums: tuple[FloatArray, ...],
+    scores: IntArray,
+    min_samples: int,
+) -> tuple[FloatArray, FloatArray]:
+    """The scores from sums (H, U) that are known."""
+    n, sum_d, sum_dd, sum_l, sum_ll, sum_dl = sums
+    height, offsets = n.shape
+    overlap = n / across.values.shape[1]
+    field = np.empty((len(scores), height, offsets))
+    moved = np.empty((3, offsets))
     for v in range(height):
-        curve, out = curves[v], values[v]
-        total, holes = 0.0, 0
-        for w in range(width):
-            missing = not np.isfinite(curve[w])
-            total += 0.0 if missing else curve[w]
-            holes += missing
-            hole[v, w + 1] = missing
-        counts[v] = width - holes
-        mean = total / max(counts[v], 1)
-        square = 0.0
-        for w in range(width):
-            out[w] = curve[w] - mean if np.isfinite(curve[w]) else 0.0
-            square += out[w] * out[w]
-        means[v], squares[v] = mean, square
-    return values, hole, counts, means, squares
-
-
-def _cumulative(values: FloatArray) -> FloatArray:
-    """(N + 1,) sums of the first 0 … N values."""
-    return np.concatenate([[0.0], np.cumsum(values, dtype=np.float64)])
+        for u in range(offsets):
+            if n[v, u] < min_samples:
+                n[v, u] = np.nan
+        score_row(
+            scores,
+            (n[v], sum_d[v], sum_dd[v], sum_l[v], sum_ll[v], sum_dl[v]),
+            (across.means[v], across.flat[v], across.zero[v]),
+            (along.means[0], along.flat[0], along.zero[0]),
+            moved,
+            field,
+            v,
+        )
+    return field, overlap
 
 
 @compiled(error_model="numpy")
 def _score_rows(
-    along: _CentredCurves,
+    along: CentredCurves,
     cumulative: FloatArray,
-    across: _CentredCurves,
+    across: CentredCurves,
     products: FloatArray,
     scores: IntArray,
     min_samples: int,
@@ -137,6 +119,7 @@ def _score_rows(
     windows = cumulative[:, width:] - cumulative[:, :offsets]
     n, sum_l, sum_ll = np.empty(offsets), np.empty(offsets), np.empty(offsets)
     sum_d, sum_dd = np.empty(offsets), np.empty(offsets)
+    moved = np.empty((3, offsets))
     field = np.empty((len(scores), height, offsets))
     overlap = np.empty((height, offsets))
     for v in range(height):
@@ -146,19 +129,16 @@ def _score_rows(
         for u in range(offsets):
             overlap[v, u] = n[u] / width
             if n[u] < min_samples:
-                n[u] = np.nan  # So is every score that is made from it.
-        for k in range(len(scores)):
-            sums = n, sum_d, sum_dd, sum_l, sum_ll, products[v]
-            if scores[k] == PEARSON:
-                _pearson(sums, across.flat[v], along.flat[0], field[k, v])
-            else:
-                _about_zero(
-                    scores[k],
-                    sums,
-                    (across.means[v], along.means[0]),
-                    (across.zero[v], along.zero[0]),
-                    field[k, v],
-                )
+                n[u] = np.nan
+        score_row(
+            scores,
+            (n, sum_d, sum_dd, sum_l, sum_ll, products[v]),
+            (across.means[v], across.flat[v], across.zero[v]),
+            (along.means[0], along.flat[0], along.zero[0]),
+            moved,
+            field,
+            v,
+        )
     return field, overlap
 
 
@@ -216,40 +196,3 @@ def _sum_row(row: FloatArray, holes: IntArray, sum_d: FloatArray, sum_dd: FloatA
             at_start, at_end = margin + width + first - start, margin + width + first - end
             _subtract_run(sum_d[first:last], below, at_start, at_end)
             _subtract_run(sum_dd[first:last], below_squares, at_start, at_end)
-
-
-@compiled(error_model="numpy")
-def _pearson(sums: tuple[FloatArray, ...], flat_d: float, flat_l: float, out: FloatArray) -> None:
-    """Xu 2024 eq. (2)."""
-    n, sum_d, sum_dd, sum_l, sum_ll, sum_dl = sums
-    for u in range(out.size):
-        inverse_n = 1.0 / n[u]
-        spread_d = sum_dd[u] - inverse_n * sum_d[u] * sum_d[u]
-        spread_l = sum_ll[u] - inverse_n * sum_l[u] * sum_l[u]
-        score = (sum_dl[u] - inverse_n * sum_d[u] * sum_l[u]) / np.sqrt(spread_d * spread_l)
-        score = min(1.0, max(-1.0, score))
-        out[u] = score if (spread_d > flat_d) & (spread_l > flat_l) else np.nan
-
-
-@compiled(error_model="numpy")
-def _about_zero(
-    kind: int,
-    sums: tuple[FloatArray, ...],
-    means: tuple[float, float],
-    zeros: tuple[float, float],
-    out: FloatArray,
-) -> None:
-    """Xu 2024 eqs. (3) and (4), from the sums moved back from the means to zero."""
-    n, sum_d, sum_dd, sum_l, sum_ll, sum_dl = sums
-    mean_d, mean_l = means
-    zero_d, zero_l = zeros
-    for u in range(out.size):
-        dd = sum_dd[u] + mean_d * (2.0 * sum_d[u] + n[u] * mean_d)
-        ll = sum_ll[u] + mean_l * (2.0 * sum_l[u] + n[u] * mean_l)
-        dl = sum_dl[u] + mean_d * sum_l[u] + mean_l * (sum_d[u] + n[u] * mean_d)
-        if kind == EUCLIDEAN:
-            score = 1.0 - np.sqrt(max(0.0, dd - 2.0 * dl + ll) / max(dd, ll))
-        else:
-            cosine = min(1.0, max(-1.0, dl / np.sqrt(dd * ll)))
-            score = cosine if kind == COSINE else 1.0 - cosine
-        out[u] = score if (dd > zero_d) & (ll > zero_l) else np.nan

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import get_args
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -10,7 +9,6 @@ from threadpoolctl import threadpool_limits
 from fusion_core.alignment.curves import (
     CurveSampling,
     RowSampling,
-    curve_samples_m,
     offset_of_yaw,
     row_samples_m,
     sample_curve,
@@ -21,22 +19,21 @@ from fusion_core.alignment.mount import MountEstimate, estimate_mount, frame_yaw
 from fusion_core.alignment.mount_observation import MountObservation, mount_observation
 from fusion_core.alignment.panorama import Panorama, PastedPanorama, are_side_by_side
 from fusion_core.alignment.search import MeanField, Peak, SearchSettings, find_peak
-from fusion_core.alignment.similarity import Metric, SimilarityField, similarity_fields
+from fusion_core.alignment.similarity import Metric, SimilarityField
 from fusion_core.alignment.time import estimate_turn_rate_rad_s, scan_at_image
 from fusion_core.denoising.correspondence import match_along_curve
 from fusion_core.denoising.noise_scale import DATASHEET_SCALE, NoiseScale, learn_noise_scale
 from fusion_core.model.conventions import FloatArray
-from fusion_core.model.errors import AlignmentFailed, SettingsError
+from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import LaserScan
 from fusion_core.workflows.fuse.pairing import FramePair, ImageGrouper, PairedImage
 from fusion_core.workflows.fuse.pairing_gaps import PairingStamps
+from fusion_core.workflows.fuse.row_search import METRICS, rows_to_search, search_rows
 from fusion_core.workflows.fuse.session import Session
 from fusion_core.workflows.fuse.settings import ChainSettings
-
-METRICS: tuple[Metric, ...] = get_args(Metric)
 
 # Angles are shown to this.
 _SHOWN_DEG = 0.01
@@ -120,57 +117,6 @@ def _mount_notes(estimate: MountEstimate) -> Iterator[str]:
 def mount_not_used(refusal: str) -> str:
     """The note for people on a recorded mount that is refused."""
     return f"The recorded mount is not used: {refusal}."
-
-
-def search_rows(
-    scan: LaserScan,
-    curve: CurveSampling,
-    rows_m: FloatArray,
-    settings: ChainSettings,
-    metrics: Iterable[Metric] = METRICS,
-) -> dict[Metric, SimilarityField]:
-    """The fields of one frame over all its rows; rows outside the searched band have no score.
-
-    Raises SettingsError where the band holds no row, AlignmentFailed for too short a curve.
-    """
-    height = rows_m.shape[0]
-    first = max(settings.sampling.row_first, round((1.0 - settings.sampling.row_band) * height))
-    if first >= height:
-        raise SettingsError(
-            f"sampling.row_first = {settings.sampling.row_first}: the depth images have {height} "
-            "rows.",
-            advice="Lower it, or raise sampling.row_band.",
-        )
-    curve_m = curve_samples_m(scan, curve)
-    searched_m = rows_m[first:]
-    if not settings.search.mask_holes:
-        curve_m, searched_m = np.nan_to_num(curve_m, nan=0.0), np.nan_to_num(searched_m, nan=0.0)
-    fields = similarity_fields(
-        curve_m,
-        searched_m,
-        metrics=tuple(metrics),
-        min_overlap=settings.search.min_overlap,
-        # At a full circle no row reaches beyond an end.
-        partial=curve.turn_samples is None
-        and (settings.search.allow_partial or rows_m.shape[1] > curve_m.size),
-    )
-    return {
-        metric: replace(_pad_rows_above(field, first), turn_samples=curve.turn_samples)
-        for metric, field in fields.items()
-    }
-
-
-def _pad_rows_above(field: SimilarityField, first: int) -> SimilarityField:
-    """The field with ``first`` rows without scores above it, so that v counts from the image's
-    top."""
-    if first == 0:
-        return field
-    above = np.full((first, field.scores.shape[1]), np.nan)
-    return SimilarityField(
-        scores=np.vstack([above, field.scores]),
-        overlap=np.vstack([np.zeros_like(above), field.overlap]),
-        u_first=field.u_first,
-    )
 
 
 def align_recording(
@@ -331,7 +277,8 @@ def _collect(
                     panorama.samples_m(depths_m) if panorama else row_samples_m(depths_m[0], row)
                 )
                 aligned = scan_at_image(entry.window, entry.gap_ns, settings.time)
-                collected.mean.add(search_rows(aligned, collected.curve, rows_m, settings))
+                rows = rows_to_search(rows_m, settings)
+                collected.mean.add(search_rows(aligned, collected.curve, rows, settings))
     return collected
 
 

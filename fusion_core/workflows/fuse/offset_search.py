@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,10 +13,16 @@ from fusion_core.alignment.curves import (
 )
 from fusion_core.alignment.search import Peak, find_peak
 from fusion_core.alignment.similarity import Metric, SimilarityField
-from fusion_core.model.conventions import FloatArray
+from fusion_core.model.conventions import FloatArray, IntArray
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.sensors import LaserScan
-from fusion_core.workflows.fuse.align import METRICS, search_rows
+from fusion_core.workflows.fuse.row_search import (
+    METRICS,
+    SearchedRows,
+    rows_to_search,
+    search_rows,
+    search_windows,
+)
 from fusion_core.workflows.fuse.settings import ChainSettings
 
 
@@ -49,7 +56,8 @@ def search_offset(
     settings: ChainSettings,
 ) -> OffsetSearch:
     """Search one frame. ``rows_m``: (H, W) samples of its rows, on which ``prior_u`` counts."""
-    fields = search_rows(scan, curve, rows_m, settings)
+    rows = rows_to_search(rows_m, settings)
+    fields = search_rows(scan, curve, rows, settings)
     alone = _peaks(fields, settings, None)
     near = alone
     metric = settings.search.metric
@@ -58,7 +66,7 @@ def search_offset(
         half_width = settings.search.prior_samples
         window = (prior_u - half_width, prior_u + half_width)
         near = _peaks(fields, settings, prior_u)
-        near = _refine_to_subsample(near, scan, curve, rows_m, window, METRICS, settings)
+        near = _refine_to_subsample(near, scan, curve, rows, window, METRICS, settings)
         expected = (
             metric in alone
             and metric in near
@@ -70,7 +78,7 @@ def search_offset(
     elif metric in alone:
         u = alone[metric].u
         window = (u - 1.0, u + 1.0)
-        alone = _refine_to_subsample(alone, scan, curve, rows_m, window, (metric,), settings)
+        alone = _refine_to_subsample(alone, scan, curve, rows, window, (metric,), settings)
     peaks = near if settings.search.use_prior else alone
     return OffsetSearch(
         curve_m=curve_samples_m(scan, curve),
@@ -85,7 +93,7 @@ def _refine_to_subsample(
     peaks: dict[Metric, Peak],
     scan: LaserScan,
     whole: CurveSampling,
-    rows_m: FloatArray,
+    rows: SearchedRows,
     between: tuple[float, float],
     metrics: Sequence[Metric],
     settings: ChainSettings,
@@ -99,39 +107,64 @@ def _refine_to_subsample(
     best = dict(peaks)
     if settings.sampling.by == "index":
         return best
-    width = rows_m.shape[1]
-    for part in range(1, settings.search.sub_samples):
-        shift = part / settings.search.sub_samples
-        first, last = int(np.ceil(between[0] - shift)), int(np.floor(between[1] - shift))
-        turn = whole.turn_samples
-        if turn is None:
-            curve = sample_curve(scan, settings.sampling, shift=shift)
-            first, last = max(0, first), min(curve.beams.size - width, last)
-            begin = first
-        else:
-            # A full circle may be sampled from any place on.
-            last = max(first, last)
-            begin, span = 0, last - first + width
-            curve = sample_curve(scan, settings.sampling, shift=first + shift, width=span)
-        if last < first:
-            continue
-        window = replace(
-            curve,
-            beams=curve.beams[begin : begin + last - first + width].copy(),
-            turn_samples=None,
+    windows = [
+        window
+        for part in range(1, settings.search.sub_samples)
+        if (
+            window := _window(
+                scan, whole, rows, between, part / settings.search.sub_samples, settings
+            )
         )
-        fields = search_rows(scan, window, rows_m, settings, metrics)
-        for metric, peak in _peaks(fields, settings, None).items():
-            if metric not in best or peak.score > best[metric].score:
-                coarse = peaks.get(metric, peak)
-                best[metric] = replace(
-                    coarse,
-                    u=whole.on_curve(peak.u + first + shift),
-                    v=peak.v,
-                    score=peak.score,
-                    overlap=peak.overlap,
-                )
+    ]
+    # Nearly always all are of one size, and one comparison serves them all.
+    for size in sorted({window.beams.size for window in windows}):
+        group = [window for window in windows if window.beams.size == size]
+        beams = np.stack([window.beams for window in group])
+        found = search_windows(scan, beams, rows, settings, metrics)
+        for window, fields in zip(group, found, strict=True):
+            for metric, peak in _peaks(fields, settings, None).items():
+                if metric not in best or peak.score > best[metric].score:
+                    coarse = peaks.get(metric, peak)
+                    best[metric] = replace(
+                        coarse,
+                        u=whole.on_curve(peak.u + window.first_u),
+                        v=peak.v,
+                        score=peak.score,
+                        overlap=peak.overlap,
+                    )
     return best
+
+
+class _Window(NamedTuple):
+    """A piece of the curve, sampled between two whole samples: ``beams`` (N,), from the offset
+    ``first_u`` on."""
+
+    beams: IntArray
+    first_u: float
+
+
+def _window(
+    scan: LaserScan,
+    whole: CurveSampling,
+    rows: SearchedRows,
+    between: tuple[float, float],
+    shift: float,
+    settings: ChainSettings,
+) -> _Window | None:
+    """The offsets ``between`` that lie ``shift`` of a sample to the right of a whole one; None
+    where there are none."""
+    width = rows.samples.width
+    first, last = int(np.ceil(between[0] - shift)), int(np.floor(between[1] - shift))
+    if whole.turn_samples is None:
+        curve = sample_curve(scan, settings.sampling, shift=shift)
+        first, last = max(0, first), min(curve.beams.size - width, last)
+        if last < first:
+            return None
+        return _Window(curve.beams[first : last + width], first + shift)
+    # A full circle may be sampled from any place on.
+    span = max(0, last - first) + width
+    curve = sample_curve(scan, settings.sampling, shift=first + shift, width=span)
+    return _Window(curve.beams[:span], first + shift)
 
 
 def _peaks(

@@ -9,10 +9,11 @@ from fusion_core.alignment.panorama import PastedPanorama
 from fusion_core.model.classes import NoiseClass, RepairSource, is_repaired
 from fusion_core.model.conventions import NS_PER_MS, FloatArray
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
-from fusion_core.workflows.fuse.align import METRICS, RecordingAlignment
+from fusion_core.workflows.fuse.align import RecordingAlignment
 from fusion_core.workflows.fuse.camera_rig import CameraRig
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.pairing import PairedImage
+from fusion_core.workflows.fuse.row_search import METRICS
 
 if TYPE_CHECKING:
     import pyarrow as pa
