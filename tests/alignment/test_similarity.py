@@ -10,7 +10,13 @@ from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 from skimage.registration._masked_phase_cross_correlation import cross_correlate_masked
 
-from fusion_core.alignment.similarity import Metric, similarity_field, similarity_fields
+from fusion_core.alignment.centred_curves import centre
+from fusion_core.alignment.similarity import (
+    Metric,
+    similarity_field,
+    similarity_fields,
+    similarity_of_windows,
+)
 from fusion_core.model.errors import AlignmentFailed
 
 METRICS: tuple[Metric, ...] = ("pearson", "cosine", "inverse_cosine", "euclidean")
@@ -132,6 +138,25 @@ def test_field_is_the_papers_formula_on_the_common_samples(
         np.testing.assert_allclose(
             fields[metric].scores, scores, rtol=0, atol=TOLERANCE[metric], err_msg=metric
         )
+
+
+@settings(max_examples=100)
+@given(st.lists(curves_and_rows(), min_size=1, max_size=3), st.sampled_from([0.0, 0.5, 1.0]))
+def test_windows_have_the_papers_scores_too(
+    pairs: list[tuple[np.ndarray, np.ndarray]], min_overlap: float
+) -> None:
+    rows = pairs[0][1]
+    width = rows.shape[1]
+    curves = np.stack([np.resize(curve, width + 2) for curve, _ in pairs])
+    least = max(1, int(np.ceil(min_overlap * width - 1e-9)))
+    found = similarity_of_windows(curves, centre(rows), metrics=METRICS, min_overlap=min_overlap)
+    for curve, fields in zip(curves, found, strict=True):
+        for metric in METRICS:
+            scores, overlap = brute_force(curve, rows, metric, range(3), least)
+            np.testing.assert_allclose(fields[metric].overlap, overlap, rtol=0, atol=1e-15)
+            np.testing.assert_allclose(
+                fields[metric].scores, scores, rtol=0, atol=TOLERANCE[metric], err_msg=metric
+            )
 
 
 @pytest.mark.parametrize(
