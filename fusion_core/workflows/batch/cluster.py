@@ -1,5 +1,6 @@
 """The workers of a batch: processes of this machine, or those of a Dask scheduler that runs."""
 
+import asyncio
 import logging
 import os
 import platform
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import dask
-from distributed import Client, LocalCluster
+from distributed import Client, LocalCluster, rpc
 
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.project import PROJECT, project_version
@@ -19,8 +20,6 @@ from fusion_core.workflows.batch.settings import BatchSettings
 
 _LOOPBACK = "127.0.0.1"
 _GIB = 1 << 30
-# Failures to reach a scheduler: none there, not one of ours, another protocol.
-_UNREACHABLE = (OSError, TimeoutError, ValueError, RuntimeError, TypeError)
 
 
 @contextmanager
@@ -90,13 +89,20 @@ def thread_count(client: Client) -> int:
 
 def _connect(scheduler: str, settings: BatchSettings) -> Client:
     try:
+        # The handshake of a client waits for ever where something silent listens.
+        asyncio.run(asyncio.wait_for(_greet(scheduler), settings.connect_s))
         return Client(scheduler, timeout=settings.connect_s, set_as_default=False)
-    except _UNREACHABLE as error:
+    except Exception as error:
         raise ScanLoomError(
             f"no scheduler answers within {settings.connect_s:g} s.",
             file=scheduler,
             advice="Start one with `dask scheduler`, and give its address, as tcp://10.0.0.5:8786.",
         ) from error
+
+
+async def _greet(scheduler: str) -> None:
+    async with rpc(scheduler) as remote:
+        await remote.identity()
 
 
 def _require_same_versions(client: Client) -> None:

@@ -35,10 +35,24 @@ def test_nobody_listens(tmp_path: Path) -> None:
     assert told.startswith(f"tcp://127.0.0.1:{port}: no scheduler answers within 0.5 s.")
 
 
-def test_something_else_listens(tmp_path: Path) -> None:
+def test_what_listens_says_nothing(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         assert "no scheduler answers" in message_of(f"tcp://127.0.0.1:{port}", tmp_path)
+
+
+def test_what_listens_is_a_web_server(tmp_path: Path) -> None:
+    def refuse(server: socket.socket) -> None:
+        connection, _ = server.accept()
+        with connection:
+            connection.sendall(b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n")
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        answering = threading.Thread(target=refuse, args=[server])
+        answering.start()
+        port = server.getsockname()[1]
+        assert "no scheduler answers" in message_of(f"tcp://127.0.0.1:{port}", tmp_path)
+        answering.join()
 
 
 @pytest.mark.parametrize("address", ["", "here", "http://127.0.0.1:1", "tcp://127.0.0.1:none"])
