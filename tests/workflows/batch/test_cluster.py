@@ -64,7 +64,7 @@ def test_there_is_no_worker(cluster: Cluster, tmp_path: Path) -> None:
     assert "has had no worker for 0.5 s." in message_of(cluster.address, tmp_path)
 
 
-@pytest.mark.parametrize("what", ["project", "python"])
+@pytest.mark.parametrize("what", ["project", pytest.param("python", marks=pytest.mark.slow)])
 def test_a_worker_of_another_version_is_named(what: str, cluster: Cluster, tmp_path: Path) -> None:
     earlier = tmp_path / "earlier"
     if what == "project":
