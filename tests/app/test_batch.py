@@ -1,6 +1,7 @@
 """``scanloom batch``: a command over many recordings, as it is typed."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -8,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet as pq
 import pytest
 
 from fusion_core.workflows.batch.items import BatchItem
@@ -15,6 +17,7 @@ from scanloom.cli import main
 from scanloom.commands.batch import split_options
 from scanloom.commands.batch_call import parse_call
 from scanloom.commands.options import WrongUsage
+from scanloom.state.view import view_of_link
 from tests.workflows.box_recording import turning, write_boxes
 
 OPTIONS = ("--motion", "none")
@@ -57,6 +60,18 @@ def test_a_batch_writes_what_single_runs_write_and_is_resumed(
     assert (told["recordings"], told["done"], told["skipped"]) == (4, 3, 0)
     (failure,) = told["failures"]
     assert failure["name"] == "robot_2-broken.mcap"
+    assert Path(told["table"]) == output / "batch.parquet"
+    rows = pq.read_table(told["table"]).to_pylist()
+    assert [(row["name"], row["robot"], row["state"]) for row in rows] == [
+        ("robot_1-run_1.mcap", "robot_1", "done"),
+        ("robot_1-run_2.mcap", "robot_1", "done"),
+        ("robot_2-broken.mcap", "robot_2", "failed"),
+        ("robot_2-run_3.mcap", "robot_2", "done"),
+    ]
+    assert rows[2]["error"] == failure["error"]
+    assert all(row["frames"] > 0 and row["start_ns"] > 0 for row in rows if not row["error"])
+    assert "robot_2/broken.mcap" in Path(told["report"]).read_text(encoding="utf-8")
+
     names = sorted(path.name for path in (output / "runs").iterdir())
     assert names == ["robot_1-run_1.mcap", "robot_1-run_2.mcap", "robot_2-run_3.mcap"]
 
@@ -152,3 +167,33 @@ def test_help_is_fast_to_load() -> None:
     script = "import sys; sys.argv[1:] = ['batch', '--help']\nfrom scanloom.cli import main\n"
     script += "try: main()\nexcept SystemExit: pass\nassert 'distributed' not in sys.modules"
     subprocess.run([sys.executable, "-c", script], check=True, stdout=subprocess.DEVNULL)
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:8080", "javascript:alert(1)", "http://"])
+def test_an_address_that_is_none_is_told_before_anything_runs(
+    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], address: str
+) -> None:
+    output = tmp_path / "out"
+    command = ["batch", str(recordings), "-o", str(output), "--run", "info"]
+    assert main([*command, "--workbench", address]) == 2
+    assert f"--workbench {address}" in capsys.readouterr().err
+    assert not output.exists()
+
+
+def test_the_settings_of_the_fleet_come_from_a_file(
+    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output, settings = tmp_path / "out", tmp_path / "fleet.toml"
+    command = ("batch", recordings / "robot_1", "-o", output, "--run", "info", "--workers", 1)
+    settings.write_text("[fleet]\nrecordings_min = 2\n", encoding="utf-8")
+    assert main([*map(str, command), "--settings", str(settings)]) == 1
+    assert "recordings_min" in capsys.readouterr().err
+    assert not output.exists()
+    settings.write_text("[fleet]\nfalse_alarm_rate = 0.01\n", encoding="utf-8")
+    link = ("--workbench", "http://127.0.0.1:8080/")
+    told = run_json(capsys, *command, "--settings", settings, *link)
+    metadata = pq.read_schema(told["table"]).metadata
+    assert json.loads(metadata[b"fleet_settings"])["false_alarm_rate"] == 0.01
+    page = Path(told["report"]).read_text(encoding="utf-8")
+    (view, *_) = re.findall(r'href="http://127.0.0.1:8080/go\?view=([^"]+)"', page)
+    assert view_of_link(view).recording == "run_1.mcap"

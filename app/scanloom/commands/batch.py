@@ -1,14 +1,21 @@
 """``scanloom batch``: a command over many recordings, on the cores of this machine or a cluster."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
+from urllib.parse import urlsplit
 
 from tyro import conf
 
 from fusion_core.model.progress import Progress
-from scanloom.commands.options import JsonFlag, require_in_range, require_integer
+from scanloom.commands.options import (
+    JsonFlag,
+    SettingsOption,
+    WrongUsage,
+    require_in_range,
+    require_integer,
+)
 from scanloom.commands.reports import Report
 
 _WORKERS_MAX = 1024
@@ -27,7 +34,8 @@ class Batch:
     """Recordings, folders that are searched for recordings, patterns, or the root of a Robot@Home
     data set, each room of which is one."""
     output: Annotated[Path, conf.arg(aliases=["-o"], metavar="DIR")]
-    """The folder for the results: of each recording runs/NAME, and outcomes/NAME.json."""
+    """The folder for the results: of each recording runs/NAME, and outcomes/NAME.json; of all of
+    them batch.parquet, a row for each, and report.html."""
     run_command: Annotated[Literal["info", "fuse", "map", "evaluate"], conf.arg(name="run")]
     """The command. Its own options follow --, as in `--run fuse -- --no-figures`; {recording},
     {name} and {stem} in their values stand for each recording's path, its NAME and its file's name
@@ -42,27 +50,56 @@ class Batch:
     memory_gib: Annotated[float | None, conf.arg(metavar="GIB", help_behavior_hint="")] = None
     """Memory of a worker process of this machine, which is ended above it (default: all of the
     machine's, shared out)."""
+    settings: SettingsOption = None
+    """A TOML file whose table [fleet] says from when on a recording is flagged, such as
+    angle_shift_min_deg = 0.2."""
+    workbench: Annotated[str | None, conf.arg(metavar="ADDRESS", help_behavior_hint="")] = None
+    """The address of a workbench, such as http://127.0.0.1:8080: report.html then has links that
+    open each recording in it."""
     command_options: conf.Suppress[tuple[str, ...]] = ()
     json: JsonFlag = False
 
     def run(self, progress: Progress) -> Report:
         require_integer("--workers", self.workers, _WORKERS_MAX, least=1)
         require_in_range("--memory-gib", 0.01, _MEMORY_MAX_GIB, self.memory_gib)
+        link = None if self.workbench is None else _link_to(self.workbench)
         from scanloom.commands.batch_call import parse_call
 
         call = parse_call(self.run_command, self.command_options)
-        from fusion_core.workflows.batch.batch import run_batch
+        from fusion_core.workflows.batch.batch import run_batch, stored_outcomes
         from fusion_core.workflows.batch.items import find_items
+        from fusion_core.workflows.batch.report import load_fleet_settings, write_report
         from fusion_core.workflows.batch.settings import BatchSettings
 
+        fleet = load_fleet_settings(self.settings)
         items = find_items(self.recordings, self.list, self.output)
         settings = BatchSettings(workers=self.workers or 0, memory_gib=self.memory_gib or 0.0)
         summary = run_batch(
             items, call, self.output, settings, scheduler=self.scheduler, progress=progress
         )
-        return Report(
-            result=summary.to_json(), lines=summary.lines(), failed=bool(summary.failures)
+        report = write_report(
+            self.output,
+            stored_outcomes(self.output, items),
+            settings=fleet,
+            link=link,
+            progress=progress,
         )
+        return Report(
+            result={**summary.to_json(), **report.to_json()},
+            lines=[*summary.lines(), *report.lines()],
+            failed=bool(summary.failures),
+        )
+
+
+def _link_to(address: str) -> Callable[[str], str]:
+    """The address of a recording's view in a workbench. Raises WrongUsage."""
+    parts = urlsplit(address)
+    if parts.scheme not in ("http", "https") or not parts.netloc:
+        raise WrongUsage(f"--workbench {address}: give an address as http://127.0.0.1:8080")
+    from scanloom.state.view import View
+
+    base = f"{parts.scheme}://{parts.netloc}"
+    return lambda recording: f"{base}/go?view={View(recording=recording).to_link()}"
 
 
 def split_options(args: Sequence[str]) -> tuple[Sequence[str], tuple[str, ...]]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from fusion_core.evaluation.fleet_quantities import FleetSettings
 from fusion_core.exporting.batch_page import page_html
+from fusion_core.exporting.settings_file import load_toml
 from fusion_core.files.atomic import atomic_stream, write_text
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.project import PROJECT
@@ -54,8 +55,6 @@ class ReportSummary:
         return {
             "table": str(self.table),
             "report": str(self.report),
-            "recordings": self.recordings,
-            "failed": self.failed,
             "flagged": list(self.flagged),
             "notes": list(self.notes),
         }
@@ -67,6 +66,16 @@ class ReportSummary:
             f"table       {self.table}",
             f"report      {self.report}",
         ]
+
+
+def load_fleet_settings(file: Path | None) -> FleetSettings:
+    """The settings of the table [fleet] of a file, the defaults without one. Raises
+    SettingsError."""
+    base = FleetSettings()
+    if file is None:
+        return base
+    loaded = load_toml(file, {"fleet": FleetSettings}, {"fleet": base})
+    return FleetSettings.model_validate(loaded["fleet"].model_dump())
 
 
 def write_report(

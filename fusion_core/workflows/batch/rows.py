@@ -75,8 +75,9 @@ def _read_map(row: Row, result: Mapping[str, Any], folder: Path) -> None:
     )
     trusted = _proportion(result["trusted_share"])
     row["untrusted_share"] = None if trusted is None else 1.0 - trusted
-    first = read_head(folder / "trajectory.tum", _LINE_BYTES).split(maxsplit=1)[0].decode()
-    seconds, _, fraction = first.partition(".")
+    lines = read_head(folder / "trajectory.tum", _LINE_BYTES).decode().splitlines()
+    first = next(line for line in [*lines, "no pose"] if not line.startswith("#"))
+    seconds, _, fraction = first.split(maxsplit=1)[0].partition(".")
     row["start_ns"] = int(seconds) * NS_PER_S + int(fraction.ljust(9, "0")[:9])
 
 

@@ -180,7 +180,8 @@ def test_numbers_that_are_none_are_null(tmp_path: Path) -> None:
 
 
 def test_a_map_is_told_by_its_report(tmp_path: Path) -> None:
-    (tmp_path / "trajectory.tum").write_text("1700000000.0125 0 0 0 0 0 0 1\n", encoding="utf-8")
+    trajectory = "# timestamp tx ty tz qx qy qz qw\n1700000000.012500000 0 0 0 0 0 0 1\n"
+    (tmp_path / "trajectory.tum").write_text(trajectory, encoding="utf-8")
     result = {
         "duration_s": 7.5,
         "scans": 70,
