@@ -20,6 +20,7 @@ from scanloom.commands.reports import Report
 
 _WORKERS_MAX = 1024
 _MEMORY_MAX_GIB = 65_536.0
+_CACHE_MIN_GIB, _CACHE_MAX_GIB = 0.001, 1_000_000.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,8 +32,8 @@ class Batch:
         conf.Positional[tuple[str, ...]],
         conf.arg(metavar="RECORDINGS", help_behavior_hint=""),
     ] = ()
-    """Recordings, folders that are searched for recordings, patterns, or the root of a Robot@Home
-    data set, each room of which is one."""
+    """Recordings, folders that are searched for recordings, patterns, addresses such as
+    s3://bucket/robot_1, or the root of a Robot@Home data set, each room of which is one."""
     output: Annotated[Path, conf.arg(aliases=["-o"], metavar="DIR")]
     """The folder for the results: of each recording runs/NAME, and outcomes/NAME.json; of all of
     them batch.parquet, a row for each, and report.html."""
@@ -56,6 +57,10 @@ class Batch:
     workbench: Annotated[str | None, conf.arg(metavar="ADDRESS", help_behavior_hint="")] = None
     """The address of a workbench, such as http://127.0.0.1:8080: report.html then has links that
     open each recording in it."""
+    cache: Annotated[Path | None, conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """Where remote recordings are copied to while they are read (default: ~/.cache/scanloom)."""
+    cache_gib: Annotated[float, conf.arg(metavar="GIB")] = 20.0
+    """The most that these copies take on a machine."""
     command_options: conf.Suppress[tuple[str, ...]] = ()
     json: JsonFlag = False
 
@@ -63,6 +68,7 @@ class Batch:
         require_integer("--workers", self.workers, _WORKERS_MAX, least=1)
         require_in_range("--memory-gib", 0.01, _MEMORY_MAX_GIB, self.memory_gib)
         link = None if self.workbench is None else _link_to(self.workbench)
+        require_in_range("--cache-gib", _CACHE_MIN_GIB, _CACHE_MAX_GIB, self.cache_gib)
         from scanloom.commands.batch_call import parse_call
 
         call = parse_call(self.run_command, self.command_options)
@@ -73,9 +79,19 @@ class Batch:
 
         fleet = load_fleet_settings(self.settings)
         items = find_items(self.recordings, self.list, self.output)
-        settings = BatchSettings(workers=self.workers or 0, memory_gib=self.memory_gib or 0.0)
+        settings = BatchSettings(
+            workers=self.workers or 0,
+            memory_gib=self.memory_gib or 0.0,
+            cache_gib=self.cache_gib,
+        )
         summary = run_batch(
-            items, call, self.output, settings, scheduler=self.scheduler, progress=progress
+            items,
+            call,
+            self.output,
+            settings,
+            scheduler=self.scheduler,
+            cache_folder=self.cache,
+            progress=progress,
         )
         report = write_report(
             self.output,

@@ -12,16 +12,19 @@ from distributed import Client
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.project import project_version
 from fusion_core.workflows.batch.batch_folder import batch_folder
+from fusion_core.workflows.batch.cache import RemoteCache
 from fusion_core.workflows.batch.cluster import local_workers, workers_of
 from fusion_core.workflows.batch.in_flight import endings
 from fusion_core.workflows.batch.input_state import InputStates
 from fusion_core.workflows.batch.items import BatchItem
 from fusion_core.workflows.batch.outcome_file import StoredOutcomes, is_done
+from fusion_core.workflows.batch.remote import default_cache_folder
 from fusion_core.workflows.batch.run_one import Ending
 from fusion_core.workflows.batch.settings import BatchSettings
 from fusion_core.workflows.batch.task import BatchCall, BatchTask, outcome_path
 
 _STAGE = "recordings"
+_GIB = 1 << 30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,24 +69,30 @@ def run_batch(
     settings: BatchSettings,
     *,
     scheduler: str | None = None,
+    cache_folder: Path | None = None,
     progress: Progress = silent,
 ) -> BatchSummary:
     """Run ``call`` on each recording: results in ``output``/runs/NAME, and what became of it in
     ``output``/outcomes/NAME.json. What an earlier batch has done and is unchanged is skipped.
 
     ``scheduler``: the address of one that runs; without it, worker processes are started here.
+    ``cache_folder``: where workers copy remote recordings to while they read them.
     Raises ScanLoomError where the folder or the workers cannot be used, or the disk is full: what
     is done until then stays. A recording that fails is in the summary.
     """
     # As the workers know it, whose working folder may be another.
     folder = output.resolve()
+    cache = RemoteCache(
+        folder=(cache_folder or default_cache_folder()).resolve(),
+        bytes_max=int(settings.cache_gib * _GIB),
+    )
     with batch_folder(folder, call.command):
         skipped = 0
         failures: list[Ending] = []
 
         def left() -> Iterator[BatchTask]:
             nonlocal skipped
-            for task in _tasks(items, call, folder):
+            for task in _tasks(items, call, folder, cache):
                 if is_done(task):
                     skipped += 1
                     progress(skipped, len(items), "done before")
@@ -112,7 +121,9 @@ def stored_outcomes(output: Path, items: Sequence[BatchItem]) -> StoredOutcomes:
     return StoredOutcomes([outcome_path(output, item) for item in items])
 
 
-def _tasks(items: Sequence[BatchItem], call: BatchCall, folder: Path) -> Iterator[BatchTask]:
+def _tasks(
+    items: Sequence[BatchItem], call: BatchCall, folder: Path, cache: RemoteCache
+) -> Iterator[BatchTask]:
     states = InputStates()
     for item in items:
         yield BatchTask(
@@ -121,6 +132,7 @@ def _tasks(items: Sequence[BatchItem], call: BatchCall, folder: Path) -> Iterato
             folder=folder,
             version=project_version(),
             input_state=states.of(item, call),
+            cache=cache,
         )
 
 

@@ -7,7 +7,9 @@ from pathlib import Path
 
 from fusion_core.exporting.manifest import files_below
 from fusion_core.files.file_state import FileState
+from fusion_core.model.errors import RecordingError
 from fusion_core.workflows.batch.items import BatchItem
+from fusion_core.workflows.batch.remote import remote_state
 from fusion_core.workflows.batch.task import BatchCall
 from fusion_core.workflows.source import paths_of
 
@@ -24,9 +26,12 @@ class InputStates:
     def of(self, item: BatchItem, call: BatchCall) -> str:
         """A digest of names, sizes and times of change; "" where a file cannot be looked at."""
         try:
-            states = [self._state_of(path) for path in paths_of(Path(item.place))]
+            if item.is_remote:
+                states = [remote_state(item.place)]
+            else:
+                states = [self._state_of(path) for path in paths_of(Path(item.place))]
             states += [self._state_of(path) for path in call.files(item)]
-        except OSError:
+        except (OSError, RecordingError):
             return ""
         return _digest(states)
 

@@ -15,6 +15,8 @@ from fusion_core.recordings.formats import READABLE_FORMATS
 from fusion_core.recordings.robot_at_home.rooms import is_robot_at_home
 from fusion_core.recordings.rosbag2.compressed_storage import is_storage_file
 from fusion_core.workflows.batch.item_names import item_names
+from fusion_core.workflows.batch.remote import find_remote, is_address
+from fusion_core.workflows.batch.suffixes import has_recording_suffix
 from fusion_core.workflows.source import (
     RoomChoice,
     is_recording,
@@ -25,17 +27,16 @@ from fusion_core.workflows.source import (
 
 # A list of a million addresses.
 _LIST_BYTES_MAX = 256 << 20
-_SUFFIXES = (".bag", ".mcap", ".db3")
-_PACKED_SUFFIXES = ("", ".zstd", ".zst", ".lz4")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchItem:
     """A recording of a batch.
 
-    ``name``: of its results, unique in the batch. ``place``: its absolute path. ``recording``: its
-    path relative to the folder that all recordings of the batch lie in. ``robot``: the folder above
-    it in that one, "" where there is none. ``room``: which room of the data set at ``place``.
+    ``name``: of its results, unique in the batch. ``place``: its absolute path, or its address.
+    ``recording``: its path relative to the folder that all recordings of the batch lie in, or its
+    address. ``robot``: the folder above it in that one, "" where there is none. ``room``: which
+    room of the data set at ``place``.
     """
 
     name: str
@@ -43,6 +44,10 @@ class BatchItem:
     recording: str
     robot: str
     room: RoomChoice | None = None
+
+    @property
+    def is_remote(self) -> bool:
+        return is_address(self.place)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +61,22 @@ class _Found:
     room: RoomChoice | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class _Remote:
+    """Addresses of a recording, and of the folder that names start from."""
+
+    address: str
+    root: str
+
+
 def find_items(
     sources: Sequence[str], list_file: Path | None = None, output: Path | None = None
 ) -> tuple[BatchItem, ...]:
     """The recordings that ``sources`` and the lines of ``list_file`` name, sorted by their places.
 
     Each is the path of a recording, a folder that is searched for recordings, the root of a data
-    set of rooms, or a pattern such as ``robot_*/*.mcap``. Found are files and folders whose content
+    set of rooms, or a pattern such as ``robot_*/*.mcap``; or an address of the first two, or a
+    pattern of addresses, such as ``s3://bucket/robot_*/*.mcap``. Found are files and folders whose content
     is that of a recording, and files with a recording's suffix even if they are damaged. Hidden
     files and folders of results are passed over. A line of the list that names nothing is an item
     all the same, and fails in its turn.
@@ -70,14 +84,25 @@ def find_items(
     Raises RecordingError where nothing is found, and ExportError where ``output`` lies in one of
     them or holds one.
     """
-    found = [each for source in sources for each in _at(source, is_listed=False)]
-    if list_file is not None:
-        found += [each for line in _lines(list_file) for each in _at(line, is_listed=True)]
-    if not found:
+    lines = [] if list_file is None else list(_lines(list_file))
+    given = [(source, False) for source in sources] + [(line, True) for line in lines]
+    found = [
+        each
+        for text, is_listed in given
+        if not is_address(text)
+        for each in _at(text, is_listed=is_listed)
+    ]
+    remote = [
+        _Remote(*each)
+        for text, is_listed in given
+        if is_address(text)
+        for each in _at_address(text, is_listed=is_listed)
+    ]
+    if not found and not remote:
         raise RecordingError("no recording is named.", advice="Name some, or give a --list.")
     if output is not None:
         require_apart(output, {each.given for each in found})
-    return _named(found)
+    return _named(found, remote)
 
 
 def _lines(list_file: Path) -> Iterator[str]:
@@ -112,6 +137,13 @@ def _at(source: str, *, is_listed: bool) -> Iterator[_Found]:
         yield _Found(path, path.parent, path)
     else:
         raise RecordingError("does not exist.", file=source, advice="Check the path.")
+
+
+def _at_address(address: str, *, is_listed: bool) -> list[tuple[str, str]]:
+    """As ``find_remote``; a line of a list with a recording's suffix is not looked at."""
+    if is_listed and has_recording_suffix(address) and not glob.has_magic(address):
+        return [(address, address.rpartition("/")[0])]
+    return find_remote(address)
 
 
 def _given(path: Path) -> Iterator[_Found]:
@@ -155,12 +187,6 @@ def _search(path: Path, root: Path, given: Path, visited: set[str]) -> Iterator[
             yield from _search(child, root, given, visited)
 
 
-def has_recording_suffix(name: str) -> bool:
-    """Whether a file's name is that of a bag or of a storage file of ROS 2, plain or packed."""
-    suffixes = tuple(suffix + packed for suffix in _SUFFIXES for packed in _PACKED_SUFFIXES)
-    return name.lower().endswith(suffixes)
-
-
 def _is_one(folder: Path) -> bool:
     """Whether a folder is one recording or one data set, rather than a folder of several files."""
     if not is_recording(folder):
@@ -185,17 +211,26 @@ def _rooms_or_one(path: Path, root: Path, given: Path) -> Iterator[_Found]:
     yield _Found(path, root, given)
 
 
-def _named(found: Sequence[_Found]) -> tuple[BatchItem, ...]:
+def _named(found: Sequence[_Found], remote: Sequence[_Remote]) -> tuple[BatchItem, ...]:
     """Each once, however often it was found."""
-    common = Path(os.path.commonpath({each.root for each in found}))
-    distinct = {(os.path.realpath(each.path), each.room): each for each in found}
-    kept = sorted(distinct.values(), key=lambda each: (str(each.path), str(each.room)))
+    local = {(os.path.realpath(each.path), each.room): each for each in found}
+    kept = sorted(local.values(), key=lambda each: (str(each.path), str(each.room)))
+    common = os.path.commonpath({each.root for each in kept} or {"/"})
     places = [each.path.relative_to(common).as_posix() for each in kept]
-    full = [
-        place if each.room is None else f"{place}/{each.room}"
-        for place, each in zip(places, kept, strict=True)
-    ]
-    return tuple(
+    rooms = [None if each.room is None else str(each.room) for each in kept]
+    full = [place + (f"/{room}" if room else "") for place, room in zip(places, rooms, strict=True)]
+
+    addresses = sorted({each.address: each for each in remote}.values(), key=lambda e: e.address)
+    roots = {_path_of(each.root) for each in addresses}
+    below = [_path_of(each.address) for each in addresses]
+    if addresses and not kept:
+        shared = os.path.commonpath(roots)
+        below = [str(PurePosixPath(path).relative_to(shared)) for path in below]
+    else:
+        # Beside local ones, an address is told by the whole of it.
+        below = [path.lstrip("/") for path in below]
+    names = item_names([*full, *below])
+    items = [
         BatchItem(
             name=name,
             place=str(each.path),
@@ -203,8 +238,19 @@ def _named(found: Sequence[_Found]) -> tuple[BatchItem, ...]:
             robot=_robot(place) if each.room is None else each.room.session,
             room=each.room,
         )
-        for name, each, place, recording in zip(item_names(full), kept, places, full, strict=True)
-    )
+        for name, each, place, recording in zip(names[: len(kept)], kept, places, full, strict=True)
+    ]
+    items += [
+        BatchItem(name=name, place=each.address, recording=each.address, robot=_robot(place))
+        for name, each, place in zip(names[len(kept) :], addresses, below, strict=True)
+    ]
+    return tuple(items)
+
+
+def _path_of(address: str) -> str:
+    """An address as an absolute path, its scheme the first part."""
+    scheme, _, path = address.partition("://")
+    return "/".join(["", scheme, *PurePosixPath(path.lstrip("/")).parts])
 
 
 def _robot(place: str) -> str:

@@ -3,6 +3,7 @@
 import errno
 import os
 import time
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from fusion_core.model.names import escape_undecodable_values, printable
 from fusion_core.model.project import project_version
 from fusion_core.workflows.batch.outcome import Outcome
 from fusion_core.workflows.batch.outcome_file import is_done, write_outcome
+from fusion_core.workflows.batch.remote import local_copy
 from fusion_core.workflows.batch.task import BatchTask, CallResult
 from fusion_core.workflows.source import paths_of
 
@@ -44,9 +46,9 @@ def run_one(task: BatchTask) -> Ending:
     stop: str | None = None
     try:
         _require_version(task)
-        recording = Path(task.item.place)
-        recorded_bytes = _bytes_of(recording) if task.item.room is None else None
-        result = task.call.run(task.item, recording, task.output)
+        with _opened(task) as recording:
+            recorded_bytes = _bytes_of(recording) if task.item.room is None else None
+            result = task.call.run(task.item, recording, task.output)
         if result.damage is not None:
             error = ScanLoomError(result.damage, file=recording)
     except Exception as raised:  # noqa: BLE001  It must not end the work on other recordings.
@@ -112,6 +114,13 @@ def describe_failure(error: Exception) -> ScanLoomError:
         f"failed unexpectedly: {type(error).__name__}: {error}.",
         advice="Run the command on it alone to see where.",
     )
+
+
+def _opened(task: BatchTask) -> AbstractContextManager[Path]:
+    """The recording as a file or folder of this machine."""
+    if task.item.is_remote:
+        return local_copy(task.item.place, task.cache)
+    return nullcontext(Path(task.item.place))
 
 
 def _require_version(task: BatchTask) -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from fusion_core.workflows.batch.cache import RemoteCache
 from fusion_core.workflows.batch.items import BatchItem
 from fusion_core.workflows.batch.outcome import BatchCommand
 
@@ -49,13 +50,14 @@ class BatchCall(Protocol):
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchTask:
     """``folder``: of the whole batch. ``version``: of the project that sends it. ``input_state``:
-    of all files that are read, "" where it is not known."""
+    of all files that are read, "" where it is not known. ``cache``: for what is remote."""
 
     item: BatchItem
     call: BatchCall
     folder: Path
     version: str
     input_state: str
+    cache: RemoteCache
 
     @property
     def output(self) -> Path:

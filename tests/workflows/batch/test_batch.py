@@ -14,6 +14,7 @@ from fusion_core.files.lock import acquire_lock
 from fusion_core.model.errors import ExportError, ScanLoomError
 from fusion_core.model.project import project_version
 from fusion_core.workflows.batch.batch import BatchSummary, run_batch, stored_outcomes
+from fusion_core.workflows.batch.cache import RemoteCache
 from fusion_core.workflows.batch.cluster import local_workers, thread_count
 from fusion_core.workflows.batch.in_flight import endings
 from fusion_core.workflows.batch.input_state import InputStates
@@ -24,6 +25,7 @@ from fusion_core.workflows.batch.settings import BatchSettings
 from fusion_core.workflows.batch.task import BatchTask
 from tests.workflows.batch.stub_call import StubCall, write_recordings
 
+CACHE = RemoteCache(folder=Path("/nonexistent"), bytes_max=0)
 SETTINGS = BatchSettings(workers=2, worker_deaths_max=0)
 
 
@@ -40,6 +42,7 @@ def task_of(data: Path, call: StubCall, output: Path) -> BatchTask:
         folder=output,
         version=project_version(),
         input_state=InputStates().of(item, call),
+        cache=CACHE,
     )
 
 
@@ -150,6 +153,7 @@ def test_a_full_disk_ends_the_batch_and_keeps_what_is_done(
             folder=tmp_path / "out",
             version=project_version(),
             input_state="x",
+            cache=CACHE,
         )
         for item in items
     ]
