@@ -76,10 +76,10 @@ def find_items(
 
     Each is the path of a recording, a folder that is searched for recordings, the root of a data
     set of rooms, or a pattern such as ``robot_*/*.mcap``; or an address of the first two, or a
-    pattern of addresses, such as ``s3://bucket/robot_*/*.mcap``. Found are files and folders whose content
-    is that of a recording, and files with a recording's suffix even if they are damaged. Hidden
-    files and folders of results are passed over. A line of the list that names nothing is an item
-    all the same, and fails in its turn.
+    pattern of addresses, such as ``s3://bucket/robot_*/*.mcap``. Found are files and folders whose
+    content is that of a recording, and files with a recording's suffix even if they are damaged.
+    Hidden files and folders of results are passed over. A line of the list that names nothing is
+    an item all the same, and fails in its turn.
 
     Raises RecordingError where nothing is found, and ExportError where ``output`` lies in one of
     them or holds one.
@@ -215,7 +215,7 @@ def _named(found: Sequence[_Found], remote: Sequence[_Remote]) -> tuple[BatchIte
     """Each once, however often it was found."""
     local = {(os.path.realpath(each.path), each.room): each for each in found}
     kept = sorted(local.values(), key=lambda each: (str(each.path), str(each.room)))
-    common = os.path.commonpath({each.root for each in kept} or {"/"})
+    common = os.path.commonpath({str(each.root) for each in found} or {"/"})
     places = [each.path.relative_to(common).as_posix() for each in kept]
     rooms = [None if each.room is None else str(each.room) for each in kept]
     full = [place + (f"/{room}" if room else "") for place, room in zip(places, rooms, strict=True)]

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-import fsspec
+import fsspec.core
 
 from fusion_core.model.errors import RecordingError, ScanLoomError
 from fusion_core.recordings.rosbag2.metadata import METADATA
@@ -113,7 +113,7 @@ def _reached(address: str) -> Iterator[tuple[Any, str]]:
         raise RecordingError(
             "does not exist.", file=address, advice="Check the address."
         ) from error
-    except Exception as error:  # noqa: BLE001  Each store raises errors of its own.
+    except Exception as error:  # Each store raises errors of its own.
         raise RecordingError(
             f"cannot be read: {type(error).__name__}: {error}.",
             file=address,
