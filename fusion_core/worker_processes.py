@@ -26,8 +26,9 @@ _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 _Value = TypeVar("_Value")
 
-# For each other process: a task in work, and one that waits for it.
-_SUBMITTED_AHEAD = 2
+# For each other process: a task in work, and some that wait for it while this process is busy with
+# what came before.
+_SUBMITTED_AHEAD = 4
 # For each worker: tasks whose results wait for an earlier one's, as for that of a process which is
 # still starting.
 _TAKEN_AHEAD = 4
@@ -124,7 +125,7 @@ class WorkerPool:
         """Let other processes import ``modules`` and take the places of the present ones, whose
         memory is freed. All results were taken."""
         if self._executor is not None:
-            self._executor.shutdown()
+            self._executor.shutdown(wait=False)
             self._executor = None
             self.start(*modules)
 
@@ -141,11 +142,13 @@ class WorkerPool:
         function: Callable[[_Argument], _Result],
         items: Iterable[_Item],
         argument_of: Callable[[_Item], _Argument],
+        submitted_ahead: int = _SUBMITTED_AHEAD,
     ) -> Iterator[tuple[_Item, _Result]]:
         """Each item with the result of its task, in the order of the items.
 
         While this process would wait for a result, it does tasks itself. Items are taken a bounded
-        number ahead, so that memory does not grow with theirs.
+        number ahead, so that memory does not grow with theirs. ``submitted_ahead``: tasks that each
+        other process has at a time; 1 shares a few long ones best.
         """
         if not self.is_parallel:
             for item in items:
@@ -168,7 +171,7 @@ class WorkerPool:
                 except StopIteration:
                     is_over = True
                     continue
-                if elsewhere < _SUBMITTED_AHEAD * others:
+                if elsewhere < submitted_ahead * others:
                     taken.append((item, self._submit(function, argument_of(item))))
                 else:
                     taken.append((item, _done_here(function, argument_of(item))))

@@ -5,7 +5,8 @@
 By default the built-in sample; ``--minutes`` generates recordings of that length. Each run is a
 process of its own, after one that is not counted. "rest" is all but the alignment, which one
 process does. Memory is the most that all processes held together, with the pages that they share
-counted in each.
+counted in each. Single runs side by side share nothing: their throughput, as a multiple of one
+run's, is what the machine gives at most.
 """
 
 import argparse
@@ -101,10 +102,20 @@ def measured(recording: Path, workers: int, rounds: int, *, figures: bool) -> di
     return best
 
 
+def side_by_side_s(recording: Path, count: int, *, figures: bool) -> float:
+    """Seconds that single-worker runs at the same time take for the rest: what the machine's cores
+    give when nothing has to be shared."""
+    command = [sys.executable, "-m", "tests.benchmarks.bench_workers", "--once", "1"]
+    command += [str(recording)] + ([] if figures else ["--no-figures"])
+    runs = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(count)]
+    return max(float(json.loads(run.communicate()[0])["rest_s"]) for run in runs)
+
+
 def compare(recording: Path, workers: int, rounds: int, *, figures: bool) -> None:
     """Print a line for a recording."""
     one = measured(recording, 1, rounds, figures=figures)
     many = measured(recording, workers, rounds, figures=figures)
+    together_s = side_by_side_s(recording, workers, figures=figures)
     more_mib = (many["mib"] - one["mib"]) / (workers - 1)
     print(
         f"{recording.name:24}{'with' if figures else 'no':>5} figures {one['pairs']:6} pairs   "
@@ -112,7 +123,8 @@ def compare(recording: Path, workers: int, rounds: int, *, figures: bool) -> Non
         f"{one['mib']:4.0f} MiB   {workers} workers: align {many['align_s']:6.2f} s, rest "
         f"{many['rest_s']:7.2f} s, {more_mib:4.0f} MiB more for each "
         f"(at most {BAR_MIB_A_WORKER:.0f})   speed-up {one['rest_s'] / many['rest_s']:.2f} "
-        f"(bar {BAR_SPEED_UP})   same bytes: {one['digest'] == many['digest']}",
+        f"(bar {BAR_SPEED_UP}; as many single runs side by side: "
+        f"{workers * one['rest_s'] / together_s:.2f})   same bytes: {one['digest'] == many['digest']}",
         flush=True,
     )
 

@@ -120,7 +120,7 @@ def write_figures(
     if data.grids:
         maps_heading = f"{heading}\nposes of {data.pose_source}"
         drawn.append(partial(_write_maps, folder, maps_heading, data.grids))
-    left_out = pool.in_order(_draw, drawn, lambda figure: figure)
+    left_out = pool.in_order(_draw, drawn, lambda figure: figure, submitted_ahead=1)
     for number in range(1, len(drawn) + 1):
         progress(number, len(drawn), "drawing figures")
         _, note = next(left_out)
