@@ -124,7 +124,8 @@ def compare(recording: Path, workers: int, rounds: int, *, figures: bool) -> Non
         f"{many['rest_s']:7.2f} s, {more_mib:4.0f} MiB more for each "
         f"(at most {BAR_MIB_A_WORKER:.0f})   speed-up {one['rest_s'] / many['rest_s']:.2f} "
         f"(bar {BAR_SPEED_UP}; as many single runs side by side: "
-        f"{workers * one['rest_s'] / together_s:.2f})   same bytes: {one['digest'] == many['digest']}",
+        f"{workers * one['rest_s'] / together_s:.2f})   "
+        f"same bytes: {one['digest'] == many['digest']}",
         flush=True,
     )
 
