@@ -12,6 +12,7 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
+from fusion_core.model.errors import ScanLoomError
 from fusion_core.workflows.batch.items import BatchItem
 from scanloom.cli import main
 from scanloom.commands.batch import split_options
@@ -99,6 +100,22 @@ def test_the_lines_name_each_failure_with_its_reason(
     assert lines[1] == "failed      empty.bag  is empty."
 
 
+def test_each_recording_is_the_work_of_one_process(tmp_path: Path, recordings: Path) -> None:
+    """Those of a cluster may start none."""
+    given: dict[str, Any] = {}
+
+    def note(recording: Path, output: Path, options: Any, progress: Any) -> Any:
+        given.update(workers=options.workers)
+        raise ScanLoomError("was noted.")
+
+    item = BatchItem(name="a", place=str(recordings), recording="a", robot="")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fusion_core.workflows.fuse.fuse.fuse", note)
+        with pytest.raises(ScanLoomError, match="was noted"):
+            parse_call("fuse", []).run(item, recordings, tmp_path)
+    assert given == {"workers": 1}
+
+
 @pytest.mark.parametrize(
     ("given", "problem"),
     [
@@ -107,6 +124,7 @@ def test_the_lines_name_each_failure_with_its_reason(
         (["--run", "fuse", "--", "--label-store", "a.db"], "--label-store goes with --labels"),
         (["--run", "fuse", "--", "--home", "alma-s1"], "each room of a data set"),
         (["--run", "fuse", "--", "-o", "elsewhere"], "one -o"),
+        (["--run", "fuse", "--", "--workers", "2"], "one --workers"),
         (["--run", "evaluate", "--", "noise", "fused", "truth.npz"], "the same for each"),
         (["--run", "evaluate", "--", "noise", "{run}", "truth.npz"], "stands for nothing"),
         (["--run", "info", "--workers", "0"], "--workers must be 1 or more"),

@@ -45,7 +45,9 @@ _Parsed = (
 )
 _RECORDING, _OUTPUT = "{recording}", "{output}"
 _PLACEHOLDERS = ("recording", "name", "stem")
-_NO_OPTIONS = {"recording", "output", "json", "force", "overwrite", "home", "room", "subsession"}
+_NO_OPTIONS = {
+    *("recording", "output", "json", "force", "overwrite", "home", "room", "subsession", "workers")
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,6 +92,9 @@ class CommandCall:
         }
         if "output" in given:
             given["output"] = output
+        if "workers" in given:
+            # The batch has a process for each core already.
+            given["workers"] = 1
         if item.room is not None and not isinstance(self.parsed, Info | Fuse | Map):
             raise ScanLoomError(
                 "is a room of a data set, which evaluate does not open.", file=recording
@@ -134,6 +139,8 @@ def parse_call(command: BatchCommand, options: Sequence[str]) -> CommandCall:
         parsed.require_usage()
         if parsed.home is not None:
             raise WrongUsage("a batch takes each room of a data set: leave --home and --room out")
+        if given.get("workers") is not None:
+            raise WrongUsage("a batch has one --workers, before the --: recordings are shared out")
         if given.get("output", Path(_OUTPUT)) != Path(_OUTPUT):
             raise WrongUsage(
                 "a batch has one -o, before the --: each recording gets a folder there"
