@@ -116,7 +116,10 @@ class MountCost:
         """(groups, 4): the same for any groups of points, (N,) by their numbers; below 0 a point
         belongs to none."""
         mount = Mount.from_vector(values)
-        return self._tallies(invert_transform(mount.T_lidar_rig), mount, group, groups)
+        turn = _yaw_transforms(-self.turned_rad(mount))
+        T_camera_lidar = self._T_camera_rig @ invert_transform(mount.T_lidar_rig) @ turn
+        tallies: FloatArray = self._tallies(T_camera_lidar[np.newaxis], group, groups)[0]
+        return tallies
 
     def costs_at_yaws(self, mount: Mount, yaws_rad: FloatArray) -> FloatArray:
         """(K,) cost of all frames for the mount at other yaws."""
@@ -124,10 +127,11 @@ class MountCost:
         back = np.eye(4)
         back[:3, 3] = -mount.T_lidar_rig[:3, 3]
         T_rig_lidar = invert_transform(pitched.T_lidar_rig) @ _yaw_transforms(-yaws_rad) @ back
-        group = self.frame_of_point
-        return np.array(
-            [self._tallies(T, mount, group, self.frames)[:, 0].sum() for T in T_rig_lidar]
-        )
+        turn = _yaw_transforms(-self.turned_rad(mount))
+        T_camera_lidar = self._T_camera_rig @ T_rig_lidar[:, np.newaxis] @ turn
+        tallies = self._tallies(T_camera_lidar, self.frame_of_point, self.frames)
+        costs: FloatArray = tallies[:, :, 0].sum(axis=1)
+        return costs
 
     @property
     def turn_rate_sd_rad_s(self) -> float:
@@ -205,18 +209,16 @@ class MountCost:
         column, row = np.rint(cx + fx * x / ahead), np.rint(cy + fy * y / ahead)
         return (depth >= _MIN_DEPTH_M) & (column >= 0) & (column < width), column, row
 
-    def _tallies(
-        self, T_rig_lidar: FloatArray, mount: Mount, group: IntArray, groups: int
-    ) -> FloatArray:
+    def _tallies(self, T_camera_lidar: FloatArray, group: IntArray, groups: int) -> FloatArray:
+        """(K, groups, 4) under K mounts, (K, F, 4, 4)."""
         self._on_step()
-        turned_rad = self.turned_rad(mount)
         tallies: FloatArray = _tally_points(
             self.points,
             self._first_point,
             self._pixels,
             self._first_pixel,
             self._intrinsics,
-            self._T_camera_rig @ T_rig_lidar @ _yaw_transforms(-turned_rad),
+            T_camera_lidar,
             group,
             groups,
             self._settings.tolerance_m,
@@ -279,39 +281,40 @@ def _tally_points(
     occlusion_cost: float,
     no_depth_cost: float,
 ) -> FloatArray:
-    """Per group of points (none below 0): cost, points in front, points on valid depth, points
-    within 2.5 tolerances."""
-    frames = intrinsics.shape[0]
-    out = np.zeros((groups, 4))
-    for frame in range(frames):
-        fx, fy, cx, cy, width, height = intrinsics[frame]
-        T = T_camera_lidar[frame]
-        for index in range(first_point[frame], first_point[frame + 1]):
-            to = group[index]
-            if to < 0:
-                continue
-            x, y = points[index]
-            depth = T[2, 0] * x + T[2, 1] * y + T[2, 3]
-            if depth < _MIN_DEPTH_M:
-                continue
-            u = cx + fx * (T[0, 0] * x + T[0, 1] * y + T[0, 3]) / depth
-            if u < -0.5 or u >= width - 0.5:
-                continue
-            v = cy + fy * (T[1, 0] * x + T[1, 1] * y + T[1, 3]) / depth
-            out[to, 1] += 1.0
-            if v < -0.5 or v >= height - 0.5:
-                out[to, 0] += no_depth_cost
-                continue
-            column = int(np.floor(u + 0.5))
-            row = int(np.floor(v + 0.5))
-            seen = pixels[first_pixel[frame] + row * int(width) + column]
-            if np.isnan(seen):
-                out[to, 0] += no_depth_cost
-                continue
-            out[to, 2] += 1.0
-            off = (seen - depth) / (tolerance_m + tolerance_fraction * depth)
-            loss = 1.0 - np.exp(-_WELSCH * off * off)
-            out[to, 0] += loss if off > 0.0 else occlusion_cost * loss
-            if abs(off) < _AGREE_TOLERANCES:
-                out[to, 3] += 1.0
+    """Under each of K mounts, per group of points (none below 0): cost, points in front, points on
+    valid depth, points within 2.5 tolerances."""
+    mounts, frames = T_camera_lidar.shape[:2]
+    out = np.zeros((mounts, groups, 4))
+    for k in range(mounts):
+        for frame in range(frames):
+            fx, fy, cx, cy, width, height = intrinsics[frame]
+            T = T_camera_lidar[k, frame]
+            for index in range(first_point[frame], first_point[frame + 1]):
+                to = group[index]
+                if to < 0:
+                    continue
+                x, y = points[index]
+                depth = T[2, 0] * x + T[2, 1] * y + T[2, 3]
+                if depth < _MIN_DEPTH_M:
+                    continue
+                u = cx + fx * (T[0, 0] * x + T[0, 1] * y + T[0, 3]) / depth
+                if u < -0.5 or u >= width - 0.5:
+                    continue
+                v = cy + fy * (T[1, 0] * x + T[1, 1] * y + T[1, 3]) / depth
+                out[k, to, 1] += 1.0
+                if v < -0.5 or v >= height - 0.5:
+                    out[k, to, 0] += no_depth_cost
+                    continue
+                column = int(np.floor(u + 0.5))
+                row = int(np.floor(v + 0.5))
+                seen = pixels[first_pixel[frame] + row * int(width) + column]
+                if np.isnan(seen):
+                    out[k, to, 0] += no_depth_cost
+                    continue
+                out[k, to, 2] += 1.0
+                off = (seen - depth) / (tolerance_m + tolerance_fraction * depth)
+                loss = 1.0 - np.exp(-_WELSCH * off * off)
+                out[k, to, 0] += loss if off > 0.0 else occlusion_cost * loss
+                if abs(off) < _AGREE_TOLERANCES:
+                    out[k, to, 3] += 1.0
     return out

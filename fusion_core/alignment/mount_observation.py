@@ -5,7 +5,14 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from fusion_core.model.conventions import NS_PER_S, Float32Array, FloatArray, read_only
+from fusion_core.compiled import compiled
+from fusion_core.model.conventions import (
+    NS_PER_S,
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    read_only,
+)
 from fusion_core.model.polar import points_from_polar
 from fusion_core.model.rig import Camera
 from fusion_core.model.sensors import LaserScan
@@ -66,15 +73,55 @@ def remove_speckle(depth_m: Float32Array) -> Float32Array:
     A hole among at least four valid pixels of one surface in the 5 x 5 around becomes their mean
     (dark furniture may return every other pixel only); other holes stay.
     """
-    zeroed = np.where(np.isfinite(depth_m), depth_m, np.float32(0.0))
+    zeroed, valid = _zero_holes(depth_m)
     filtered = cv2.medianBlur(zeroed, 3)
-    square = np.ones((5, 5), dtype=np.uint8)
-    valid = (zeroed > 0.0).astype(np.float32)
     count = cv2.boxFilter(valid, -1, (5, 5), normalize=False)
-    total = cv2.boxFilter(zeroed, -1, (5, 5), normalize=False)
-    highest = cv2.dilate(zeroed, square)
-    lowest = cv2.erode(np.where(valid > 0.0, zeroed, np.float32(1e6)), square)
-    mean = total / np.maximum(count, 1.0)
-    one_surface = (count >= 4.0) & (highest - lowest < 0.05 * mean)
-    filled = np.where((filtered <= 0.0) & one_surface, mean, filtered)
-    return np.where(filled > 0.0, filled, np.float32(np.nan)).astype(np.float32)
+    # Beyond its border the image is mirrored, as it is for the count.
+    padded = cv2.copyMakeBorder(zeroed, 2, 2, 2, 2, cv2.BORDER_REFLECT_101)
+    cleaned: Float32Array = _fill_lone_holes(filtered, padded, count)
+    return cleaned
+
+
+@compiled()
+def _zero_holes(depth_m: Float32Array) -> tuple[Float32Array, ByteArray]:
+    """(H, W) depths with 0 for holes, and 1 where there is a depth, else 0."""
+    zeroed = np.empty(depth_m.shape, dtype=np.float32)
+    valid = np.empty(depth_m.shape, dtype=np.uint8)
+    for row in range(depth_m.shape[0]):
+        source, out, has_depth = depth_m[row], zeroed[row], valid[row]
+        for column in range(source.size):
+            value = source[column] if np.isfinite(source[column]) else np.float32(0.0)
+            out[column] = value
+            has_depth[column] = value > 0.0
+    return zeroed, valid
+
+
+@compiled()
+def _fill_lone_holes(
+    filtered: Float32Array, padded: Float32Array, count: ByteArray
+) -> Float32Array:
+    """(H, W) ``filtered`` with its holes, where there are enough valid pixels of one surface
+    around, as the mean of those, and NaN in the others. ``padded``: (H + 4, W + 4) all pixels, 0
+    for holes. ``count``: valid ones of the 5 x 5."""
+    height, width = filtered.shape
+    out = np.empty(filtered.shape, dtype=np.float32)
+    for row in range(height):
+        for column in range(width):
+            value = filtered[row, column]
+            if value > 0.0:
+                out[row, column] = value
+                continue
+            out[row, column] = np.nan
+            if count[row, column] < 4:
+                continue
+            total = 0.0
+            lowest, highest = np.float32(np.inf), np.float32(0.0)
+            for r in range(row, row + 5):
+                for near in padded[r, column : column + 5]:
+                    total += near
+                    lowest = min(lowest, near if near > 0.0 else np.float32(np.inf))
+                    highest = max(highest, near)
+            mean = np.float32(np.float32(total) / np.float32(count[row, column]))
+            if highest - lowest < np.float32(0.05) * mean:
+                out[row, column] = mean
+    return out

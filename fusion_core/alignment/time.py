@@ -192,19 +192,17 @@ def _shift_costs(
 ) -> FloatArray:
     """Mean capped range difference of second[i] and first[i + s] for s in -reach..reach."""
     beams = first.size
-    cost = np.full(2 * reach + 1, np.nan)
-    for column in range(2 * reach + 1):
-        shift = column - reach
-        total = 0.0
-        count = 0
-        start, stop = max(0, -shift), min(beams, beams - shift)
-        if is_full_circle:
-            start, stop = 0, beams
-        for beam in range(start, stop):
-            difference = abs(second[beam] - first[(beam + shift) % beams])
-            if difference == difference:
-                total += min(difference, _MAX_DIFFERENCE_M)
-                count += 1
-        if count * 4 >= beams:
-            cost[column] = total / count
-    return cost
+    # Beam 0 of ``first`` at index ``reach``, so that every shift is a slice.
+    padded = np.full(beams + 2 * reach, np.nan)
+    padded[reach : reach + beams] = first
+    if is_full_circle:
+        padded[:reach], padded[reach + beams :] = first[beams - reach :], first[:reach]
+    totals, counts = np.zeros(2 * reach + 1), np.zeros(2 * reach + 1)
+    for beam in range(beams):
+        own, others = second[beam], padded[beam : beam + 2 * reach + 1]
+        for column in range(2 * reach + 1):
+            difference = abs(own - others[column])
+            is_known = difference == difference
+            totals[column] += min(difference, _MAX_DIFFERENCE_M) if is_known else 0.0
+            counts[column] += 1.0 if is_known else 0.0
+    return np.where(counts * 4.0 >= beams, totals / np.maximum(counts, 1.0), np.nan)
