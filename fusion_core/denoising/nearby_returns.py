@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fusion_core.compiled import compiled
 from fusion_core.denoising.neighbourhood import FrameWindow
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
-from fusion_core.model.sensors import LaserScan
 
 # The turn between scans is known to half a beam, and a mixed pixel covers two.
 _BEAMS_BESIDE = 1
@@ -80,19 +80,10 @@ class NearbyReturns:
 
 def nearby_returns(window: FrameWindow) -> NearbyReturns:
     """Collect the returns about every beam of the window's scan."""
-    beam = np.arange(window.scan.ranges_m.size)
-    beside_m, _ = returns_at(window.scan, window, beam[:, np.newaxis] + np.array([-1, 1]))
-    about = np.arange(-_BEAMS_ABOUT, _BEAMS_ABOUT + 1)
-    beside = np.abs(about) <= _BEAMS_BESIDE
-    in_time_m = np.full((beam.size, 2, int(beside.sum())), np.nan)
-    looked, looked_about, returned = np.zeros((3, beam.size), dtype=np.int64)
-    scans = ((window.scan_before, window.shift_before), (window.scan_after, window.shift_after))
-    for place, (scan, shift) in enumerate(scans):
-        found_m, exists = returns_at(scan, window, beam[:, np.newaxis] + shift + about)
-        in_time_m[:, place] = found_m[:, beside]
-        looked += exists[:, beside].sum(axis=1)
-        looked_about += exists.sum(axis=1)
-        returned += np.isfinite(found_m).sum(axis=1)
+    ranges_m, exists = scans_about(window)
+    beside_m, in_time_m, looked, looked_about, returned = _collect_returns(
+        ranges_m, exists, np.array([window.shift_before, 0, window.shift_after])
+    )
     return NearbyReturns(
         beside_m=beside_m,
         in_time_m=in_time_m,
@@ -101,14 +92,46 @@ def nearby_returns(window: FrameWindow) -> NearbyReturns:
     )
 
 
-def returns_at(
-    scan: LaserScan | None, window: FrameWindow, beams: IntArray
-) -> tuple[FloatArray, BoolArray]:
-    """(B, K) ranges of a scan's beams, and whether it has such beams."""
-    if scan is None or scan.ranges_m.size != window.scan.ranges_m.size:
-        return np.full(beams.shape, np.nan), np.zeros(beams.shape, dtype=np.bool_)
-    exists = (beams >= 0) & (beams < scan.ranges_m.size)
-    return np.where(exists, scan.ranges_m[np.where(exists, beams, 0)], np.nan), exists
+def scans_about(window: FrameWindow) -> tuple[FloatArray, BoolArray]:
+    """(3, N) ranges of the scan before, the scan and the one after, and which of them there are:
+    those of as many beams."""
+    count = window.scan.ranges_m.size
+    ranges_m, exists = np.full((3, count), np.nan), np.zeros(3, dtype=np.bool_)
+    for place, scan in enumerate((window.scan_before, window.scan, window.scan_after)):
+        if scan is not None and scan.ranges_m.size == count:
+            ranges_m[place], exists[place] = scan.ranges_m, True
+    return ranges_m, exists
+
+
+@compiled()
+def _collect_returns(
+    ranges_m: FloatArray, exists: BoolArray, shifts: IntArray
+) -> tuple[FloatArray, FloatArray, IntArray, IntArray, IntArray]:
+    """(N, 2) beside, (N, 2, 3) in time, and (N,) how many beams looked, how many of those up to
+    three away, and how many of these returned. ``ranges_m``: (3, N)."""
+    count = ranges_m.shape[1]
+    beside_m, in_time_m = np.full((count, 2), np.nan), np.full((count, 2, 3), np.nan)
+    looked = np.zeros(count, dtype=np.int64)
+    looked_about, returned = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    for beam in range(count):
+        if beam > 0:
+            beside_m[beam, 0] = ranges_m[1, beam - 1]
+        if beam < count - 1:
+            beside_m[beam, 1] = ranges_m[1, beam + 1]
+        for side in range(2):
+            place = 2 * side
+            if not exists[place]:
+                continue
+            for step in range(-_BEAMS_ABOUT, _BEAMS_ABOUT + 1):
+                other = beam + shifts[place] + step
+                if not 0 <= other < count:
+                    continue
+                looked_about[beam] += 1
+                returned[beam] += np.isfinite(ranges_m[place, other])
+                if abs(step) <= _BEAMS_BESIDE:
+                    looked[beam] += 1
+                    in_time_m[beam, side, step + _BEAMS_BESIDE] = ranges_m[place, other]
+    return beside_m, in_time_m, looked, looked_about, returned
 
 
 def _median_of_three(values: FloatArray) -> FloatArray:

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.denoising.nearby_returns import NearbyReturns, returns_at
+from fusion_core.compiled import compiled
+from fusion_core.denoising.nearby_returns import NearbyReturns, scans_about
 from fusion_core.denoising.neighbourhood import FrameWindow
 from fusion_core.denoising.surfaces import interpolate_gaps
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
@@ -101,35 +102,52 @@ def returns_in_openings(
 
     ``across_m``, ``tolerance_m``: (N,), as in Openings.
     """
-    beam = np.arange(across_m.size)
-    known = np.isfinite(np.pad(across_m, _BEAMS_OF_SIDE, constant_values=np.nan))
-    within = np.lib.stride_tricks.sliding_window_view(known, 2 * _BEAMS_OF_SIDE + 1).all(axis=1)
-    scans = (
-        (window.scan_before, window.shift_before),
-        (window.scan, 0),
-        (window.scan_after, window.shift_after),
-    )
-    looked, returned, on_line = np.zeros((3, beam.size, len(scans)), dtype=np.bool_)
-    for place, (scan, shift) in enumerate(scans):
-        range_m, exists = returns_at(scan, window, beam + shift)
-        looked[:, place] = within & exists
-        returned[:, place] = within & np.isfinite(range_m)
-        on_line[:, place] = within & (np.abs(range_m - across_m) <= tolerance_m)
+    ranges_m, exists = scans_about(window)
     reach = int(reach_rad / abs(window.scan.angle_increment_rad))
-    return ReturnsInOpening(
-        looked=_sum_about(looked, reach),
-        returned=_sum_about(returned, reach),
-        on_line=_sum_about(on_line, reach),
+    looked, returned, on_line = _count_in_openings(
+        ranges_m,
+        exists,
+        np.array([window.shift_before, 0, window.shift_after]),
+        across_m,
+        tolerance_m,
+        reach,
     )
+    return ReturnsInOpening(looked=looked, returned=returned, on_line=on_line)
 
 
-def _sum_about(is_counted: BoolArray, reach: int) -> IntArray:
-    """(N, K): how many are counted of the beams about each of (N, K), up to ``reach`` away."""
-    total = np.pad(np.cumsum(is_counted, axis=0), ((1, 0), (0, 0)))
-    index = np.arange(len(is_counted))
-    last = np.minimum(index + reach + 1, index.size)
-    about: IntArray = total[last] - total[np.maximum(index - reach, 0)]
-    return about
+@compiled()
+def _count_in_openings(
+    ranges_m: FloatArray,
+    exists: BoolArray,
+    shifts: IntArray,
+    across_m: FloatArray,
+    tolerance_m: FloatArray,
+    reach: int,
+) -> tuple[IntArray, IntArray, IntArray]:
+    """The counts of ReturnsInOpening. ``ranges_m``: (3, N), of the scans that there are."""
+    count = across_m.size
+    # One more beam at the front, so that a difference of two sums is the number between them.
+    upto = np.zeros((count + 1, 3, 3), dtype=np.int64)
+    for beam in range(count):
+        within = _BEAMS_OF_SIDE <= beam < count - _BEAMS_OF_SIDE
+        for other in range(beam - _BEAMS_OF_SIDE, beam + _BEAMS_OF_SIDE + 1):
+            within = within and np.isfinite(across_m[other])
+        upto[beam + 1] = upto[beam]
+        if not within:
+            continue
+        for place in range(3):
+            other = beam + shifts[place]
+            if not exists[place] or not 0 <= other < count:
+                continue
+            range_m = ranges_m[place, other]
+            upto[beam + 1, 0, place] += 1
+            upto[beam + 1, 1, place] += np.isfinite(range_m)
+            upto[beam + 1, 2, place] += abs(range_m - across_m[beam]) <= tolerance_m[beam]
+    about = np.empty((3, count, 3), dtype=np.int64)
+    for beam in range(count):
+        first, last = max(0, beam - reach), min(count, beam + reach + 1)
+        about[:, beam] = upto[last] - upto[first]
+    return about[0], about[1], about[2]
 
 
 def _farther_side_m(range_m: FloatArray) -> FloatArray:

@@ -92,57 +92,72 @@ def interpolate_gaps(
     width. An end is the mean point of up to three supporting beams of one surface. NaN where an
     end is missing, the ends lie on different surfaces, or a return within the gap is nearer: it
     may be all that is seen of a dark table leg."""
-    count = range_m.size
-    index = np.arange(count)
-    good = np.flatnonzero(support)
-    filled = np.full(count, np.nan)
-    width = np.full(count, np.inf)
-    if good.size < 2:
-        return filled, width
-    order = np.searchsorted(good, index)
-    inner = (order > 0) & (order < good.size) & ~support
-    left, right = order[inner] - 1, order[inner]
-    points = range_m[good, np.newaxis] * np.stack(
-        [np.cos(azimuth_rad[good]), np.sin(azimuth_rad[good])], axis=1
-    )
-    left_end = _end_points(points, range_m[good], left, -1, edge_m)
-    right_end = _end_points(points, range_m[good], right, 1, edge_m)
-    chord = right_end - left_end
-    direction = np.stack([np.cos(azimuth_rad[inner]), np.sin(azimuth_rad[inner])], axis=1)
-    turn = direction[:, 0] * chord[:, 1] - direction[:, 1] * chord[:, 0]
-    reach = left_end[:, 0] * chord[:, 1] - left_end[:, 1] * chord[:, 0]
-    crossing = np.full(turn.size, np.nan)
-    np.divide(reach, turn, out=crossing, where=np.abs(turn) > 1e-6)
-    gap = np.abs(azimuth_rad[good[right]] - azimuth_rad[good[left]])
-    step = np.abs(range_m[good[right]] - range_m[good[left]])
-    # A slanted wall changes its range across a wide gap; an edge jumps.
-    one_surface = step <= edge_m + gap * np.minimum(range_m[good[right]], range_m[good[left]])
-    low = np.minimum(range_m[good[right]], range_m[good[left]]) - edge_m
-    high = np.maximum(range_m[good[right]], range_m[good[left]]) + edge_m
-    lost = np.where(np.isfinite(range_m[inner]), range_m[inner], np.inf)
-    nearest = np.full(good.size + 1, np.inf)
-    np.minimum.at(nearest, order[inner], lost)
-    hides = nearest[order[inner]] < crossing - edge_m
-    usable = one_surface & (crossing > low) & (crossing < high) & ~hides
-    filled[inner] = np.where(usable, crossing, np.nan)
-    width[inner] = gap
+    direction = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1)
+    filled, width = _interpolate(azimuth_rad, direction, range_m, support, edge_m)
     return filled, width
 
 
-def _end_points(
-    points: FloatArray, ranges: FloatArray, nearest: IntArray, step: int, edge_m: float
-) -> FloatArray:
-    """(N, 2) mean of the good beam ``nearest`` and up to two more away from the gap."""
-    total = points[nearest].copy()
-    count = np.ones(nearest.size)
+@compiled()
+def _interpolate(
+    azimuth_rad: FloatArray,
+    direction: FloatArray,
+    range_m: FloatArray,
+    support: BoolArray,
+    edge_m: float,
+) -> tuple[FloatArray, FloatArray]:
+    filled, width = np.full(range_m.size, np.nan), np.full(range_m.size, np.inf)
+    good = np.flatnonzero(support)
+    for order in range(1, good.size):
+        left, right = good[order - 1], good[order]
+        if right == left + 1:
+            continue
+        left_x, left_y = _end_point(direction, range_m, good, order - 1, -1, edge_m)
+        right_x, right_y = _end_point(direction, range_m, good, order, 1, edge_m)
+        chord_x, chord_y = right_x - left_x, right_y - left_y
+        gap = abs(azimuth_rad[right] - azimuth_rad[left])
+        near = min(range_m[right], range_m[left])
+        far = max(range_m[right], range_m[left])
+        # A slanted wall changes its range across a wide gap; an edge jumps.
+        one_surface = far - near <= edge_m + gap * near
+        nearest = np.inf
+        for beam in range(left + 1, right):
+            if np.isfinite(range_m[beam]):
+                nearest = min(nearest, range_m[beam])
+        for beam in range(left + 1, right):
+            width[beam] = gap
+            turn = direction[beam, 0] * chord_y - direction[beam, 1] * chord_x
+            if not one_surface or abs(turn) <= 1e-6:
+                continue
+            crossing = (left_x * chord_y - left_y * chord_x) / turn
+            hides = nearest < crossing - edge_m
+            if near - edge_m < crossing < far + edge_m and not hides:
+                filled[beam] = crossing
+    return filled, width
+
+
+@compiled()
+def _end_point(
+    direction: FloatArray,
+    range_m: FloatArray,
+    good: IntArray,
+    order: int,
+    step: int,
+    edge_m: float,
+) -> tuple[float, float]:
+    """Mean of the good beam ``order`` and up to two more away from the gap."""
+    nearest = good[order]
+    x, y = range_m[nearest] * direction[nearest, 0], range_m[nearest] * direction[nearest, 1]
+    count = 1.0
     for away in (1, 2):
-        other = nearest + step * away
-        inside = (other >= 0) & (other < ranges.size)
-        clipped = np.clip(other, 0, ranges.size - 1)
-        same = inside & (np.abs(ranges[clipped] - ranges[nearest]) < 0.5 * edge_m)
-        total += np.where(same[:, np.newaxis], points[clipped], 0.0)
-        count += same
-    return total / count[:, np.newaxis]
+        other = order + step * away
+        if not 0 <= other < good.size:
+            continue
+        beam = good[other]
+        if abs(range_m[beam] - range_m[nearest]) < 0.5 * edge_m:
+            x += range_m[beam] * direction[beam, 0]
+            y += range_m[beam] * direction[beam, 1]
+            count += 1.0
+    return x / count, y / count
 
 
 @compiled()
