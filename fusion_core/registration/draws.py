@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fusion_core.compiled import compiled
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.registration.models import TransformModel, residuals, solve_least_squares
 
@@ -94,13 +95,29 @@ def find_valid_pairs(lidar_points_m: FloatArray, depth_points_m: FloatArray) -> 
 def draw_samples(pairs: int, sample_size: int, draws: int, seed: tuple[int, int]) -> IntArray:
     """(draws, sample_size) distinct indices below ``pairs``, each subset equally likely."""
     generator = np.random.default_rng(seed)
-    samples = np.empty((draws, sample_size), dtype=np.int64)
-    for k in range(sample_size):
-        # A rank among the pairs not drawn yet, moved past the drawn ones in rising order.
-        index = generator.integers(0, pairs - k, size=draws)
-        for taken in np.sort(samples[:, :k], axis=1).T:
-            index += index >= taken
-        samples[:, k] = index
+    ranks = [generator.integers(0, pairs - k, size=draws) for k in range(sample_size)]
+    samples: IntArray = _samples_of_ranks(np.stack(ranks, axis=1))
+    return samples
+
+
+@compiled()
+def _samples_of_ranks(ranks: IntArray) -> IntArray:
+    """(draws, sample_size) indices: each rank is among the pairs not drawn yet, and is moved past
+    the drawn ones in rising order."""
+    draws, size = ranks.shape
+    samples = np.empty((draws, size), dtype=np.int64)
+    taken = np.empty(size, dtype=np.int64)
+    for draw in range(draws):
+        for k in range(size):
+            index = ranks[draw, k]
+            place = 0
+            while place < k and index >= taken[place]:
+                index += 1
+                place += 1
+            for moved in range(k, place, -1):
+                taken[moved] = taken[moved - 1]
+            taken[place] = index
+            samples[draw, k] = index
     return samples
 
 
