@@ -3,11 +3,14 @@
 import json
 import os
 import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import fsspec
+import psutil
 import pytest
 from moto.server import ThreadedMotoServer
 
@@ -160,3 +163,40 @@ def test_a_fleet_in_an_object_store(
     assert main(["batch", store, "-o", str(remote), *options]) == 1
     assert f"{GOOD} done ({GOOD} of them before)" in capsys.readouterr().out
     assert times(remote) == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_batch_that_is_stopped_keeps_what_is_done_and_leaves_nobody_behind(
+    number: signal.Signals, recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "out"
+    command = ["batch", str(recordings), "-o", str(output), "--run", "map", "--", *OPTIONS]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "scanloom.cli", *command],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+    tick = threading.Event()
+    while len(list(output.glob("outcomes/*.json"))) < 3:
+        assert process.poll() is None
+        tick.wait(0.02)
+    workers = psutil.Process(process.pid).children(recursive=True)
+    # As a terminal does: to all of them.
+    os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == (130 if number == signal.SIGINT else 128 + number)
+    assert said.splitlines()[-1] in (b"interrupted", b"ended by a signal")
+    assert b"Traceback" not in said
+    _, alive = psutil.wait_procs(workers, timeout=60)
+    assert alive == []
+
+    before = times(output)
+    assert 0 < len(list((output / "outcomes").iterdir())) < ALL
+    assert main(command) == 1
+    assert f"{GOOD} done" in capsys.readouterr().out
+    after = times(output)
+    outcomes = [name for name in before if "/outcomes/" in name]
+    assert outcomes
+    assert {name: after[name] for name in outcomes} == {name: before[name] for name in outcomes}

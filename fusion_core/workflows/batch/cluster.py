@@ -16,6 +16,7 @@ from distributed import Client, LocalCluster, rpc
 
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.project import PROJECT, project_version
+from fusion_core.workflows.batch import ignore_interrupts
 from fusion_core.workflows.batch.settings import BatchSettings
 
 _LOOPBACK = "127.0.0.1"
@@ -34,6 +35,7 @@ def local_workers(settings: BatchSettings) -> Iterator[Client]:
         # Of a worker that dies, only the recording at work is suspected, not the next one.
         "distributed.scheduler.worker-saturation": 1.0,
         "distributed.nanny.pre-spawn-environ.NUMBA_NUM_THREADS": 1,
+        "distributed.worker.preload": [ignore_interrupts.__name__],
         "distributed.scheduler.http.routes": [],
         "distributed.worker.http.routes": [],
     }
