@@ -16,6 +16,7 @@ from distributed import Client, LocalCluster, rpc
 
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.project import PROJECT, project_version
+from fusion_core.worker_processes import usable_cores
 from fusion_core.workflows.batch import ignore_interrupts
 from fusion_core.workflows.batch.settings import BatchSettings
 
@@ -44,7 +45,7 @@ def local_workers(settings: BatchSettings) -> Iterator[Client]:
         dask.config.set(config),
         _quiet_logs(),
         LocalCluster(
-            n_workers=settings.workers or os.cpu_count() or 1,
+            n_workers=settings.workers or usable_cores(),
             threads_per_worker=1,
             processes=True,
             host=_LOOPBACK,
