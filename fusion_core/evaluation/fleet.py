@@ -182,21 +182,10 @@ def _compare(
         for place, index in enumerate(order):
             rest = np.delete(ordered, place)
             median[index], spread[index] = np.median(rest), qn_scale(rest)
-    spread = np.maximum(spread, _SPREAD_MIN_OF_SHIFT * _smallest_step(quantity, settings))
+    spread = np.maximum(spread, _SPREAD_MIN_OF_SHIFT * quantity.smallest_step(median, settings))
     z = (scaled - median) / np.hypot(spread, sd)
     centre = quantity.from_scale(median)
     return wrap_angle(centre + origin) if quantity.scale == "angle" else centre, spread, z
-
-
-def _smallest_step(quantity: Quantity, settings: FleetSettings) -> float:
-    """The smallest shift that matters on the compared scale, where it is longest for a share."""
-    smallest = quantity.smallest_shift(settings)
-    if quantity.scale != "proportion":
-        return smallest
-    low = settings.share_floor if quantity.is_factor else 0.0
-    high = low * smallest if quantity.is_factor else smallest
-    step = np.diff(quantity.to_scale(np.array([low, min(high, 1.0)])))
-    return float(step[0])
 
 
 def _thresholds(others: FloatArray, settings: FleetSettings) -> FloatArray:
@@ -217,8 +206,8 @@ def _is_bad(values: FloatArray, median: FloatArray, settings: FleetSettings) -> 
     """(N, Q) whether a shift is large enough to matter, and to the bad side."""
     is_bad = np.zeros(values.shape, dtype=np.bool_)
     for column, quantity in enumerate(QUANTITIES):
-        shift = quantity.shift(values[:, column], median[:, column], settings)
-        is_bad[:, column] = shift >= quantity.smallest_shift(settings)
+        shift = quantity.shift(values[:, column], median[:, column])
+        is_bad[:, column] = shift >= quantity.smallest_shift(median[:, column], settings)
     return is_bad
 
 

@@ -46,11 +46,11 @@ class FleetSettings(StageSettings):
     share_factor_min: float = setting(
         2.0, "Smallest factor of a share of holes, burrs or conflicts that matters", gt=1.0, le=1e3
     )
-    share_floor: float = setting(
-        0.005,
-        "Shares of holes, burrs or conflicts below this count as this for the factor",
+    share_rise_min: float = setting(
+        0.05,
+        "Smallest rise of a share of holes, burrs or conflicts that matters, besides its factor",
         gt=0.0,
-        le=0.5,
+        le=1.0,
     )
     untrusted_rise_min: float = setting(
         0.1, "Smallest rise of the share of frames not trusted that matters", gt=0.0, le=1.0
@@ -67,9 +67,9 @@ class Quantity:
 
     ``name``: as in the rows of a batch, with its unit. ``shift_setting``: the setting that holds
     the smallest shift that matters, in ``setting_unit`` units of the quantity; with ``is_factor``
-    it is a factor. ``scale``: an "angle" is compared modulo a turn, a "proportion" as the arc sine
-    of its root, on which the chance of counting varies equally everywhere. ``side``: where a shift
-    is bad.
+    a shift must be by ``share_factor_min`` too. ``scale``: an "angle" is compared modulo a turn, a
+    "proportion" as the arc sine of its root, on which the chance of counting varies equally
+    everywhere. ``side``: where a shift is bad.
     """
 
     name: str
@@ -81,17 +81,26 @@ class Quantity:
     side: Side = "both"
     is_factor: bool = False
 
-    def smallest_shift(self, settings: FleetSettings) -> float:
-        """The smallest shift that matters, in the quantity's unit; a factor where ``is_factor``."""
-        return float(getattr(settings, self.shift_setting)) * self.setting_unit
+    def smallest_shift(self, median: FloatArray, settings: FleetSettings) -> FloatArray:
+        """The smallest shifts from medians that matter, in the quantity's unit."""
+        smallest = float(getattr(settings, self.shift_setting)) * self.setting_unit
+        factor = settings.share_factor_min if self.is_factor else 1.0
+        return np.maximum(smallest, (factor - 1.0) * median)
 
-    def shift(self, values: FloatArray, median: FloatArray, settings: FleetSettings) -> FloatArray:
-        """How far values lie from a median, or by which factor, positive to the bad side."""
-        if self.is_factor:
-            floor = settings.share_floor
-            return np.asarray(np.maximum(values, floor) / np.maximum(median, floor))
+    def shift(self, values: FloatArray, median: FloatArray) -> FloatArray:
+        """How far values lie from medians, positive to the bad side."""
         apart = wrap_angle(values - median) if self.scale == "angle" else values - median
         return {"both": np.abs(apart), "above": apart, "below": -apart}[self.side]
+
+    def smallest_step(self, scaled: FloatArray, settings: FleetSettings) -> FloatArray:
+        """The smallest shifts from medians that matter, medians and shifts on the compared
+        scale."""
+        median = self.from_scale(scaled)
+        shift = self.smallest_shift(median, settings)
+        shifted = median + (-shift if self.side == "below" else shift)
+        if self.scale == "proportion":
+            shifted = np.clip(shifted, 0.0, 1.0)
+        return np.abs(self.to_scale(shifted) - scaled)
 
     def to_scale(self, values: FloatArray) -> FloatArray:
         """Values on the scale on which they are compared."""
@@ -121,7 +130,7 @@ def _share(name: str, label: str, kind: FlagKind) -> Quantity:
         name=name,
         label=label,
         kind=kind,
-        shift_setting="share_factor_min",
+        shift_setting="share_rise_min",
         scale="proportion",
         side="above",
         is_factor=True,

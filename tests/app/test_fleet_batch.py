@@ -20,9 +20,10 @@ from fusion_core.simulation.sensor_mounts import SensorMounts, home_robot
 from fusion_core.workflows.batch.fleet_flags import FleetTable
 from scanloom.cli import main
 
-RECORDINGS = 12
+RECORDINGS = 15
 TURNED, LATE, DUSTY = 3, 6, 9
-DUST = DepthNoise(patches=90.0)
+# Three fifths of the pixels are lost; of more, nothing is left to align.
+DUST = DepthNoise(patches=50.0)
 
 
 def turned_mount() -> SensorMounts:

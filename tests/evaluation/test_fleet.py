@@ -50,7 +50,9 @@ def sound(seed: int, count: int = 12) -> FloatArray:
         if quantity.scale == "proportion":
             values[:, index] = np.sin(0.4 + 0.03 * noise) ** 2
         else:
-            values[:, index] = 0.3 + quantity.smallest_shift(SETTINGS) * 0.2 * noise
+            values[:, index] = (
+                0.3 + float(quantity.smallest_shift(np.zeros(1), SETTINGS)[0]) * 0.2 * noise
+            )
     return values
 
 
@@ -117,7 +119,7 @@ def test_sound_batches_are_flagged_at_most_at_the_wanted_rate() -> None:
         agreement_drop_min=1e-9,
         untrusted_rise_min=1e-9,
         share_factor_min=1.0 + 1e-9,
-        share_floor=1e-6,
+        share_rise_min=1e-9,
     )
     trials = 60
     flagged = sum(
@@ -219,6 +221,18 @@ def test_a_shift_that_does_not_matter_is_not_flagged() -> None:
     assert np.argwhere(find_deviations(fleet_of(values), SETTINGS).is_flagged).tolist() == [
         [4, YAW]
     ]
+
+
+def test_a_share_must_rise_by_points_and_by_a_factor() -> None:
+    for others, value, is_flagged in (
+        (0.001, 0.04, False),
+        (0.001, 0.06, True),
+        (0.3, 0.5, False),
+        (0.3, 0.61, True),
+    ):
+        values = column(HOLES, np.full(12, others))
+        values[4, HOLES] = value
+        assert find_deviations(fleet_of(values), SETTINGS).is_flagged.any() == is_flagged
 
 
 def test_too_few_recordings_have_no_flags_and_a_note() -> None:

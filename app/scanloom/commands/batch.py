@@ -73,7 +73,7 @@ class Batch:
 
         call = parse_call(self.run_command, self.command_options)
         from fusion_core.workflows.batch.batch import run_batch, stored_outcomes
-        from fusion_core.workflows.batch.items import find_items
+        from fusion_core.workflows.batch.items import common_folder, find_items
         from fusion_core.workflows.batch.report import load_fleet_settings, write_report
         from fusion_core.workflows.batch.settings import BatchSettings
 
@@ -97,6 +97,7 @@ class Batch:
             self.output,
             stored_outcomes(self.output, items),
             settings=fleet,
+            recordings=common_folder(items),
             link=link,
             progress=progress,
         )

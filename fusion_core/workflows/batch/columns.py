@@ -265,6 +265,35 @@ def column_of(name: str) -> Column:
 _BY_NAME = {column.name: column for column in COLUMNS}
 
 
+# Told beside the list, or at its rows.
+_NOT_IN_LIST = {"recording", "command", "reasons", "geometry", "advice"}
+_ALWAYS_IN_LIST = {"name", "state", "flags"}
+
+
+def shown_columns(table: "pa.Table") -> list[Column]:
+    """The columns of a list for people: those that hold anything, without deviations."""
+    return [
+        column
+        for column in COLUMNS
+        if column.sd_of is None
+        and column.name not in _NOT_IN_LIST
+        and (column.name in _ALWAYS_IN_LIST or _holds_anything(table[column.name]))
+    ]
+
+
+def _holds_anything(values: "pa.ChunkedArray") -> bool:
+    return any(value not in (None, "", []) for value in values.to_pylist())
+
+
+def format_with_deviation(column: Column, row: Row) -> str:
+    """A value of a row as text, with its standard deviation where it has one."""
+    value, sd = row[column.name], row.get(f"{column.name}_sd")
+    text = column.format(value)
+    if value is None or sd is None:
+        return text
+    return f"{text} ± {column_of(f'{column.name}_sd').format(sd)}"
+
+
 def unknown_row() -> Row:
     """A row in which nothing is known yet."""
     row: Row = dict.fromkeys(_BY_NAME)

@@ -97,8 +97,9 @@ def settings_notes(settings: FleetSettings, comparisons: int) -> list[str]:
         f"{settings.angle_shift_min_deg:g}° or {settings.position_shift_min_m * 100:g} cm of the "
         f"mount, {settings.clock_shift_min_ms:g} ms of the clock, "
         f"{settings.agreement_drop_min * 100:g} points of agreement, "
-        f"{settings.untrusted_rise_min * 100:g} points of images not trusted, or a factor of "
-        f"{settings.share_factor_min:g} of holes, burrs or conflicts.",
+        f"{settings.untrusted_rise_min * 100:g} points of images not trusted, and "
+        f"{settings.share_rise_min * 100:g} points or a factor of {settings.share_factor_min:g} of "
+        "holes, burrs or conflicts.",
         "What a recording does not show is neither flagged nor counted.",
     ]
 

@@ -50,6 +50,18 @@ class BatchItem:
         return is_address(self.place)
 
 
+def common_folder(items: Sequence[BatchItem]) -> Path | None:
+    """The folder that all recordings lie in; None where there is none, or one is not on disk."""
+    folders = set()
+    for item in items:
+        depth = len(Path(item.recording).parts)
+        parents = Path(item.place).parents
+        if "://" in item.place or depth > len(parents):
+            return None
+        folders.add(parents[depth - 1])
+    return folders.pop() if len(folders) == 1 else None
+
+
 @dataclass(frozen=True, slots=True)
 class _Found:
     """``root``: the folder that names start from. ``given``: what was named and is read.

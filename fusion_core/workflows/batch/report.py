@@ -5,6 +5,7 @@ their length.
 """
 
 import json
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from fusion_core.evaluation.fleet_quantities import FleetSettings
 from fusion_core.exporting.batch_page import page_html
 from fusion_core.exporting.settings_file import load_toml
 from fusion_core.files.atomic import atomic_stream, write_text
+from fusion_core.model.names import escape_undecodable
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.project import PROJECT
 from fusion_core.workflows.batch.columns import Row, arrow_batch, arrow_schema
@@ -28,11 +30,12 @@ from fusion_core.workflows.batch.fleet_flags import (
 from fusion_core.workflows.batch.outcome import Outcome
 from fusion_core.workflows.batch.report_page import build_page
 from fusion_core.workflows.batch.rows import read_row
+from fusion_core.workflows.batch.table_file import RECORDINGS_KEY, TABLE_NAME
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-TABLE_NAME, REPORT_NAME = "batch.parquet", "report.html"
+REPORT_NAME = "report.html"
 _RUNS = "runs"
 # Rows that are held as dictionaries at a time.
 _BLOCK_ROWS = 1000
@@ -83,13 +86,16 @@ def write_report(
     outcomes: Sequence[Outcome],
     *,
     settings: FleetSettings | None = None,
+    recordings: Path | None = None,
     link: Callable[[str], str] | None = None,
     progress: Progress = silent,
 ) -> ReportSummary:
     """Write ``folder``/batch.parquet and ``folder``/report.html.
 
-    The results of each recording are read in ``folder``/runs/NAME. ``link``: the address that opens
-    a recording in a workbench that runs; without it the report has no links.
+    The results of each recording are read in ``folder``/runs/NAME. ``recordings``: the folder that
+    all of them lie in, None where they lie in none; the table holds the way there from ``folder``.
+    ``link``: the address that opens a recording in a workbench that runs; without it the report has
+    no links.
     Raises ExportError where a file cannot be written.
     """
     settings = FleetSettings() if settings is None else settings
@@ -99,7 +105,14 @@ def write_report(
     flagged = flagged_rows(found)
     comparisons = int(np.isfinite(found.z).sum())
     notes = (*settings_notes(settings, comparisons), *found.notes)
-    table = _with_flags(blocks, flagged, settings, notes)
+    metadata = {
+        "project": PROJECT,
+        "notes": json.dumps(list(notes)),
+        "fleet_settings": json.dumps(settings.model_dump(mode="json")),
+    }
+    if recordings is not None:
+        metadata[RECORDINGS_KEY] = escape_undecodable(os.path.relpath(recordings, folder))
+    table = _with_flags(blocks, flagged, metadata)
     _write_table(folder / TABLE_NAME, table)
     page = build_page(table, found, flagged, notes, link)
     write_text(folder / REPORT_NAME, page_html(page))
@@ -129,19 +142,11 @@ def _read_blocks(
 
 
 def _with_flags(
-    blocks: list["pa.RecordBatch"],
-    flagged: Sequence[FlaggedRow],
-    settings: FleetSettings,
-    notes: Sequence[str],
+    blocks: list["pa.RecordBatch"], flagged: Sequence[FlaggedRow], metadata: dict[str, str]
 ) -> "pa.Table":
-    """One table of all rows, with flags and reasons, and how they came about as its metadata."""
+    """One table of all rows, with flags and reasons."""
     import pyarrow as pa
 
-    metadata = {
-        "project": PROJECT,
-        "notes": json.dumps(list(notes)),
-        "fleet_settings": json.dumps(settings.model_dump(mode="json")),
-    }
     schema = arrow_schema(metadata)
     table = pa.Table.from_batches(blocks, schema=arrow_schema())
     for name, texts in (

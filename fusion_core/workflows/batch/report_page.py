@@ -12,12 +12,13 @@ from fusion_core.exporting.batch_page import Attention, BatchPage, PageCell, Pag
 from fusion_core.exporting.small_multiples import Chart, ChartLine, ChartPoint
 from fusion_core.model.conventions import FloatArray
 from fusion_core.workflows.batch.columns import (
-    COLUMNS,
     UNKNOWN_TEXT,
     Column,
     Row,
     column_of,
     format_instant,
+    format_with_deviation,
+    shown_columns,
 )
 from fusion_core.workflows.batch.fleet_flags import FlaggedRow
 
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 # A browser sorts and filters so many without delay; batch.parquet holds them all.
 ROWS_MAX = 5000
 _ATTENTION_MAX = 50
-# Told beside the table, or in a column of its own.
-_NOT_IN_TABLE = {"recording", "command", "reasons", "geometry", "advice"}
 _LIST_CHARACTERS_MAX = 200
 
 Link = Callable[[str], str]
@@ -46,7 +45,7 @@ def build_page(
     labels = _line_labels(table, found)
     varying = _varying(found)
     shown = _shown_rows(table.num_rows, [row.number for row in flagged], failed)
-    columns = [column for column in COLUMNS if _is_shown(column, table)]
+    columns = shown_columns(table)
     attention = list(_attention(table, flagged, failed, link))
     return BatchPage(
         title=f"Batch of {_commands(table)}, {_count(table.num_rows, 'recording')}",
@@ -118,15 +117,6 @@ def _rows(table: "pa.Table", numbers: Sequence[int]) -> Iterator[Row]:
     yield from table.take(np.array(numbers, dtype=np.int64)).to_pylist()
 
 
-def _is_shown(column: Column, table: "pa.Table") -> bool:
-    """Whether a column of the table holds anything."""
-    if column.sd_of is not None or column.name in _NOT_IN_TABLE:
-        return False
-    if column.name in ("name", "state", "flags"):
-        return True
-    return any(value not in (None, "", []) for value in table[column.name].to_pylist())
-
-
 def _page_column(column: Column) -> PageColumn:
     return PageColumn(label=column.label, help=column.help, is_number=column.is_number)
 
@@ -144,11 +134,8 @@ def _page_row(row: Row, columns: Sequence[Column], link: Link | None) -> PageRow
 
 def _cell(column: Column, row: Row) -> PageCell:
     value = row[column.name]
-    text = column.format(value)
+    text = format_with_deviation(column, row)
     if column.is_number or column.show == "instant":
-        sd = row.get(f"{column.name}_sd")
-        if value is not None and sd is not None:
-            text = f"{text} ± {column_of(f'{column.name}_sd').format(sd)}"
         return PageCell(text=text, order=None if value is None else float(value))
     title = {"name": row["recording"], "flags": "\n".join(row["reasons"])}.get(column.name, "")
     if column.name == "error" and value is not None:

@@ -24,7 +24,8 @@ from fusion_core.workflows.batch import report as report_module
 from fusion_core.workflows.batch import report_page
 from fusion_core.workflows.batch.columns import COLUMNS
 from fusion_core.workflows.batch.outcome import Outcome
-from fusion_core.workflows.batch.report import REPORT_NAME, TABLE_NAME, write_report
+from fusion_core.workflows.batch.report import REPORT_NAME, write_report
+from fusion_core.workflows.batch.table_file import TABLE_NAME
 from tests.workflows.batch.made_outcomes import DAY_NS, MONDAY_NS, failed, fleet, frame, fused
 
 HOSTILE = "<script>alert(1)</script>\"'&`$title"
