@@ -14,18 +14,23 @@ from scanloom.jobs.long_job import Cancelled
 from scanloom.jobs.recording_opener import RecordingOpener
 from scanloom.page.bridge import PageBridge, script_html
 from scanloom.page.browser_storage import Answers, request_items
+from scanloom.panels.batch_html import batch_html
+from scanloom.panels.batch_walk import BatchWalkPanel
 from scanloom.panels.opening_html import (
     READING_HTML,
     OpeningRow,
     OpeningStatus,
+    index_of,
     pages_html,
     places_html,
     recent_html,
     rows_html,
     status_html,
 )
+from scanloom.panels.opening_rows import BatchPage, BatchReader, folder_rows, place_rows
 from scanloom.panels.opening_window import OpeningWindow
-from scanloom.state.folder_listing import FolderPage, FolderPlace, read_page
+from scanloom.state.batch_list import BatchWalk, is_batch
+from scanloom.state.folder_listing import FolderPage, FolderPlace
 from scanloom.state.recent_names import parse_recent, with_recent
 from scanloom.state.uploads import UploadListener, UploadProgress
 from scanloom.state.view import View
@@ -34,7 +39,6 @@ from scanloom.state.view import View
 STORED_RECENT = "recent"
 _ALL_PLACES = "All places"
 _MAX_FIND_CHARACTERS = 200
-_NO_NAME = "Its name cannot be told from another's: rename it."
 _REFUSED_DROPS = {
     "folder": "A folder cannot be uploaded: start scanloom view with --root and its folder.",
     "several": "Only one file can be uploaded at a time.",
@@ -45,7 +49,11 @@ class OpeningDialog(Panel, UploadListener):
     """Chooses another recording. What is displayed stays until the other one is open."""
 
     def __init__(
-        self, client: viser.ClientHandle, bridge: PageBridge, session: ClientSession
+        self,
+        client: viser.ClientHandle,
+        bridge: PageBridge,
+        session: ClientSession,
+        walk: BatchWalkPanel,
     ) -> None:
         self._client, self._gui, self._session = client, client.gui, session
         self._library = session.library
@@ -60,6 +68,10 @@ class OpeningDialog(Panel, UploadListener):
         self._starts: list[int] = []
         self._page: FolderPage | None = None
         self._rows: list[OpeningRow] = []
+        self._batches = BatchReader(self._library)
+        self._batch_page: BatchPage | None = None
+        self._walk = walk
+        walk.set_opener(self._open_recording)
         self._is_reading = False
         self._recent: list[str] = []
         # Of the rows: a press on a row of a former list is ignored.
@@ -83,6 +95,7 @@ class OpeningDialog(Panel, UploadListener):
             "open-file": self._choose,
             "open-recent": self._choose_recent,
             "open-page": self._turn_page,
+            "batch-sort": self._sort,
             "upload-refused": lambda reason: self._fail(_REFUSED_DROPS.get(reason, "")),
         }
         for name, answer in answers.items():
@@ -204,27 +217,19 @@ class OpeningDialog(Panel, UploadListener):
             if not is_newest():
                 raise Cancelled
 
-        page = None
+        page, batch_page = None, None
         if place is None:
             rows = self._places()
+        elif is_batch(place.folder):
+            page, rows, batch_page = self._batches.read(place)
         else:
-            page = read_page(place, check)
-            rows = [
-                OpeningRow(
-                    label=row.label,
-                    name=(name := self._library.name_of(row.path) if row.is_recording else None),
-                    path=row.path,
-                    is_recording=row.is_recording,
-                    can_enter=row.is_folder,
-                    problem="" if name or not row.is_recording else _NO_NAME,
-                )
-                for row in page.rows
-            ]
+            page, rows = folder_rows(self._library, place, check)
         check()
         with self._lock:
             if self._window is None:
                 return
             self._page, self._rows, self._is_reading = page, rows, False
+            self._batch_page = batch_page
             self._serial += 1
             self._render()
         wanted = [row.path for row in rows if row.is_recording and row.path is not None]
@@ -233,32 +238,40 @@ class OpeningDialog(Panel, UploadListener):
     def _places(self) -> list[OpeningRow]:
         """Uploads, the recordings given at the start, and the roots."""
         uploads = {name: self._uploads.path(name) for name in self._uploads.names()}
-        rows = [
-            OpeningRow(label=self._label(name), name=name, path=path, is_recording=True)
-            for name, path in {**uploads, **self._library.named()}.items()
-        ]
-        for root in self._library.roots:
-            label = self._library.root_label(root)
-            rows.append(OpeningRow(label=label, path=root, can_enter=True))
-        return rows
+        found = {**uploads, **self._library.named()}
+        labels = ((name, self._label(name), path) for name, path in found.items())
+        return place_rows(self._library, labels)
+
+    def _sort(self, column: str) -> None:
+        with self._lock:
+            place = self._place
+            self._batches.sort(column)
+        if place is not None:
+            self._go_to(replace(place, start=0))
 
     # What is chosen
 
     def _choose(self, token: str) -> None:
-        row = self._row_of(token)
-        if row is not None and row.name is not None:
-            self._open_recording(row.name)
+        with self._lock:
+            index = index_of(token, self._serial, len(self._rows))
+            name = None if index is None else self._rows[index].name
+            page, place = self._batch_page, self._place
+        if index is None or name is None:
+            return
+        if page is not None and place is not None:
+            self._walk.begin(BatchWalk(page.batch, page.numbers, place.start + index), name)
+        self._open_recording(name)
 
     def _choose_recent(self, token: str) -> None:
         with self._lock:
-            index = _index_of(token, self._serial, len(self._recent))
+            index = index_of(token, self._serial, len(self._recent))
             name = None if index is None else self._recent[index]
         if name is not None:
             self._open_recording(name)
 
     def _row_of(self, token: str) -> OpeningRow | None:
         with self._lock:
-            index = _index_of(token, self._serial, len(self._rows))
+            index = index_of(token, self._serial, len(self._rows))
             return None if index is None else self._rows[index]
 
     def _open_recording(self, name: str) -> None:
@@ -359,7 +372,12 @@ class OpeningDialog(Panel, UploadListener):
                 else None
                 for row in self._rows
             ]
-            listed = rows_html(self._rows, details, self._serial) + below
+            if self._batch_page is not None and not self._is_reading:
+                page_rows = zip(self._batch_page.rows, self._rows, strict=True)
+                columns, order = self._batch_page.batch.columns, self._batch_page.order
+                listed = batch_html(columns, order, list(page_rows), self._serial) + below
+            else:
+                listed = rows_html(self._rows, details, self._serial) + below
             with self._session.batch_updates():
                 self._window.show(
                     status=status_html(self._status),
@@ -373,11 +391,3 @@ class _Reading:
     """A request to read a place."""
 
     place: FolderPlace | None
-
-
-def _index_of(token: str, serial: int, count: int) -> int | None:
-    """The place in a list of a button's token, None if it is of another list or of none."""
-    of, _, index = token.partition(".")
-    if of != str(serial) or not index.isdecimal() or len(index) > 4 or int(index) >= count:
-        return None
-    return int(index)

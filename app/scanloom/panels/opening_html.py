@@ -174,3 +174,11 @@ def _size_text(size_bytes: int) -> str:
     if size_bytes >= 1_000_000_000:
         return f"{size_bytes / 1e9:.1f} GB"
     return f"{size_bytes / 1e6:.1f} MB" if size_bytes >= 100_000 else f"{size_bytes / 1e3:.1f} kB"
+
+
+def index_of(token: str, serial: int, count: int) -> int | None:
+    """The place in a list of a button's token, None if it is of another list or of none."""
+    of, _, index = token.partition(".")
+    if of != str(serial) or not index.isdecimal() or len(index) > 4 or int(index) >= count:
+        return None
+    return int(index)

@@ -51,6 +51,7 @@ from scanloom.page.bridge import PageBridge
 from scanloom.page.layout import PageLayout
 from scanloom.panels.alignment_bar import AlignmentBar
 from scanloom.panels.arrangement import ArrangementPanel
+from scanloom.panels.batch_walk import BatchWalkPanel
 from scanloom.panels.header import HeaderPanel, PresetPanel
 from scanloom.panels.map import MapPanel
 from scanloom.panels.match import MatchPanel
@@ -104,6 +105,7 @@ def add_panels(client: viser.ClientHandle, session: ClientSession, output_root: 
         timeline = TimelinePanel(gui, bridge, session)
         profile = ProfilePanel(gui, bridge, session)
     header = HeaderPanel(gui, bridge, session)
+    walk = BatchWalkPanel(gui, bridge, session)
     bar = AlignmentBar(gui)
     stepper = StepperPanel(gui, bridge, session)
     folders = {name: stepper.folder(name) for name in PANELS}
@@ -124,9 +126,9 @@ def add_panels(client: viser.ClientHandle, session: ClientSession, output_root: 
             steps.append(_BUILDERS[name](context))
         stepper.add_help(name)
 
-    opening = OpeningDialog(client, bridge, session)
+    opening = OpeningDialog(client, bridge, session, walk)
     # The scene displays what the panels have just drawn. The bar goes once all is aligned.
     pictures = depth, similarity
     arrangement = ArrangementPanel(bridge, session, layout, pictures, timeline, profile)
-    top = [arrangement, header, stepper, preset]
+    top = [arrangement, header, walk, stepper, preset]
     session.panels = [*top, timeline, profile, *pictures, *steps, scene, bar, opening]

@@ -128,6 +128,11 @@ class BatchWalk:
     def count(self) -> int:
         return int(self._numbers.size)
 
+    @property
+    def label(self) -> str:
+        """What the list is called."""
+        return self._batch.folder.name
+
     def next_name(self, library: Library, direction: int) -> tuple[int, str] | None:
         """The place and the name of the next recording that can be opened, of the previous one for
         -1; None at the end."""
