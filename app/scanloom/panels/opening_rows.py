@@ -85,7 +85,7 @@ class BatchReader:
         page = FolderPage(
             next_start=end if end < numbers.size else None,
             count=int(numbers.size),
-            problem="" if rows else "No recording of the batch has this text.",
+            problem=f"{numbers.size:,} of {batch.count:,} recordings: ◆ flagged, ✕ failed.",
         )
         return (
             page,

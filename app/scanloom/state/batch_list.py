@@ -74,9 +74,7 @@ class BatchList:
             ("key", "descending" if order.is_descending else "ascending"),
             ("name", "ascending"),
         ]
-        sorted_: IntArray = np.asarray(
-            pc.sort_indices(keyed, sort_keys=keys, null_placement="at_end")
-        ).astype(np.int64)
+        sorted_: IntArray = np.asarray(pc.sort_indices(keyed, sort_keys=keys)).astype(np.int64)
         wanted = find.strip().casefold()
         if not wanted:
             return sorted_
