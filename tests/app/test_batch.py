@@ -17,9 +17,7 @@ from fusion_core.workflows.batch.items import BatchItem
 from scanloom.cli import main
 from scanloom.commands.batch import split_options
 from scanloom.commands.batch_call import parse_call
-from scanloom.commands.fuse import Fuse
 from scanloom.commands.options import WrongUsage
-from scanloom.commands.reports import Report
 from scanloom.state.view import view_of_link
 from tests.workflows.box_recording import turning, write_boxes
 
@@ -158,22 +156,6 @@ def test_an_output_among_the_recordings_is_one_error(
     captured = capsys.readouterr()
     assert "which is never changed" in captured.err
     assert captured.err.count("\n") == 1
-
-
-def test_a_worker_of_a_batch_starts_no_processes_of_its_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen: list[int | None] = []
-
-    def run(self: Fuse, progress: object) -> Report:
-        seen.append(self.workers)
-        return Report(result={}, lines=[])
-
-    monkeypatch.setattr(Fuse, "run", run)
-    item = BatchItem(name="a", place="/data/a.mcap", recording="a.mcap", robot="")
-    for options in ([], ["--workers", "4"]):
-        parse_call("fuse", options).run(item, Path(item.place), tmp_path)
-    assert seen == [1, 1]
 
 
 def test_placeholders_stand_for_each_recording(tmp_path: Path) -> None:

@@ -56,7 +56,7 @@ def common_folder(items: Sequence[BatchItem]) -> Path | None:
     for item in items:
         depth = len(Path(item.recording).parts)
         parents = Path(item.place).parents
-        if "://" in item.place or depth > len(parents):
+        if item.is_remote or depth > len(parents):
             return None
         folders.add(parents[depth - 1])
     return folders.pop() if len(folders) == 1 else None
