@@ -15,7 +15,8 @@ import pytest
 from moto.server import ThreadedMotoServer
 
 from scanloom.cli import main
-from tests.workflows.batch.conftest import Cluster, cluster
+from tests.workflows.batch.cluster_processes import Cluster
+from tests.workflows.batch.conftest import cluster
 from tests.workflows.box_recording import turning, write_boxes
 
 __all__ = ["cluster"]

@@ -13,7 +13,7 @@ from fusion_core.workflows.batch.batch import BatchSummary, run_batch
 from fusion_core.workflows.batch.cluster import workers_of
 from fusion_core.workflows.batch.items import find_items
 from fusion_core.workflows.batch.settings import BatchSettings
-from tests.workflows.batch.conftest import Cluster
+from tests.workflows.batch.cluster_processes import Cluster
 from tests.workflows.batch.stub_call import StubCall, write_recordings
 
 SOON = BatchSettings(connect_s=0.5)

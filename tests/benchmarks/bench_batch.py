@@ -1,0 +1,100 @@
+"""What a batch adds to the work itself: time a recording, and memory of its scheduler and client.
+
+    python -m tests.benchmarks.bench_batch [RECORDINGS...]
+
+Files of eight bytes go through a scheduler and two workers, each a process of its own, to a command
+that returns their size; the outcome of each is a file, flushed to disk. Prints a row for each count
+(1,000, 3,000 and 10,000 unless given), and the exponent of the time against the count. The second
+time is that of the same batch called again, when all is done.
+"""
+
+import math
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import psutil
+
+from fusion_core.workflows.batch.batch import run_batch
+from fusion_core.workflows.batch.items import find_items
+from fusion_core.workflows.batch.settings import BatchSettings
+from tests.workflows.batch.cluster_processes import Cluster
+from tests.workflows.batch.stub_call import StubCall, write_recordings
+
+COUNTS = (1_000, 3_000, 10_000)
+WORKERS = 2
+_MIB = 1 << 20
+_LOOK_EVERY = 200
+
+
+def rss_mib(pid: int) -> float:
+    """Of a process and those that it started."""
+    process = psutil.Process(pid)
+    family = [process, *process.children(recursive=True)]
+    return sum(each.memory_info().rss for each in family) / _MIB
+
+
+def measure(count: int, folder: Path) -> float:
+    """One row of the table; the seconds of the batch."""
+    data = write_recordings(folder / "data", *(f"good_{number:06}" for number in range(count)))
+    (folder / "counts").mkdir()
+    (folder / "cluster").mkdir()
+    call = StubCall(counts=folder / "counts")
+    cluster = Cluster(folder / "cluster")
+    try:
+        scheduler = cluster.start_scheduler()
+        for _ in range(WORKERS):
+            cluster.start_worker()
+        cluster.wait_for_workers(WORKERS)
+        started_s = time.perf_counter()
+        items = find_items([str(data)])
+        found_s = time.perf_counter() - started_s
+        first = {"scheduler": rss_mib(scheduler.pid), "client": rss_mib(psutil.Process().pid)}
+        greatest = dict(first)
+
+        def look(done: int, total: int | None, what: str) -> None:
+            if done % _LOOK_EVERY == 0:
+                greatest["scheduler"] = max(greatest["scheduler"], rss_mib(scheduler.pid))
+                own = psutil.Process().memory_info().rss / _MIB
+                greatest["client"] = max(greatest["client"], own)
+
+        def batch() -> float:
+            begun_s = time.perf_counter()
+            summary = run_batch(
+                items,
+                call,
+                folder / "out",
+                BatchSettings(),
+                scheduler=cluster.address,
+                progress=look,
+            )
+            assert summary.done == count
+            return time.perf_counter() - begun_s
+
+        seconds, again_s = batch(), batch()
+    finally:
+        cluster.stop()
+    print(
+        f"{count:>10,} {found_s:>8.1f} {seconds:>8.1f} {1e3 * seconds / count:>8.2f} "
+        f"{again_s:>8.1f} {first['scheduler']:>10.0f} {greatest['scheduler']:>8.0f} "
+        f"{greatest['client']:>8.0f}",
+        flush=True,
+    )
+    return seconds
+
+
+def main() -> None:
+    counts = [int(text) for text in sys.argv[1:]] or list(COUNTS)
+    print("recordings  found s  batch s  ms each  again s  scheduler MiB: first, most; client MiB")
+    times = []
+    for count in counts:
+        with tempfile.TemporaryDirectory() as folder:
+            times.append(measure(count, Path(folder)))
+    if len(counts) > 1:
+        exponent = math.log(times[-1] / times[0]) / math.log(counts[-1] / counts[0])
+        print(f"time grows with the recordings to the power of {exponent:.2f}")
+
+
+if __name__ == "__main__":
+    main()
