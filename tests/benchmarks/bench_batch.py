@@ -9,6 +9,7 @@ time is that of the same batch called again, when all is done.
 """
 
 import math
+import os
 import sys
 import tempfile
 import time
@@ -29,10 +30,7 @@ _LOOK_EVERY = 200
 
 
 def rss_mib(pid: int) -> float:
-    """Of a process and those that it started."""
-    process = psutil.Process(pid)
-    family = [process, *process.children(recursive=True)]
-    return sum(each.memory_info().rss for each in family) / _MIB
+    return float(psutil.Process(pid).memory_info().rss) / _MIB
 
 
 def measure(count: int, folder: Path) -> float:
@@ -50,14 +48,13 @@ def measure(count: int, folder: Path) -> float:
         started_s = time.perf_counter()
         items = find_items([str(data)])
         found_s = time.perf_counter() - started_s
-        first = {"scheduler": rss_mib(scheduler.pid), "client": rss_mib(psutil.Process().pid)}
+        first = {"scheduler": rss_mib(scheduler.pid), "client": rss_mib(os.getpid())}
         greatest = dict(first)
 
         def look(done: int, total: int | None, what: str) -> None:
             if done % _LOOK_EVERY == 0:
                 greatest["scheduler"] = max(greatest["scheduler"], rss_mib(scheduler.pid))
-                own = psutil.Process().memory_info().rss / _MIB
-                greatest["client"] = max(greatest["client"], own)
+                greatest["client"] = max(greatest["client"], rss_mib(os.getpid()))
 
         def batch() -> float:
             begun_s = time.perf_counter()
@@ -77,8 +74,8 @@ def measure(count: int, folder: Path) -> float:
         cluster.stop()
     print(
         f"{count:>10,} {found_s:>8.1f} {seconds:>8.1f} {1e3 * seconds / count:>8.2f} "
-        f"{again_s:>8.1f} {first['scheduler']:>10.0f} {greatest['scheduler']:>8.0f} "
-        f"{greatest['client']:>8.0f}",
+        f"{again_s:>8.1f} {first['scheduler']:>8.0f} -> {greatest['scheduler']:<4.0f}"
+        f"{first['client']:>8.0f} -> {greatest['client']:<4.0f}",
         flush=True,
     )
     return seconds
@@ -86,7 +83,7 @@ def measure(count: int, folder: Path) -> float:
 
 def main() -> None:
     counts = [int(text) for text in sys.argv[1:]] or list(COUNTS)
-    print("recordings  found s  batch s  ms each  again s  scheduler MiB: first, most; client MiB")
+    print("recordings  found s  batch s  ms each  again s  scheduler MiB    client MiB")
     times = []
     for count in counts:
         with tempfile.TemporaryDirectory() as folder:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +13,7 @@ from fusion_core.files.regular_file import read_regular
 from fusion_core.model.errors import ExportError
 from fusion_core.model.project import PROJECT
 from fusion_core.workflows.batch.outcome import BatchCommand
-from fusion_core.workflows.batch.task import OUTCOMES, RUNS
+from fusion_core.workflows.batch.task import OUTCOMES, RUNS, UNFINISHED
 
 _MARK_NAME = "batch.json"
 _LOCK_NAME = ".batch.lock"
@@ -43,6 +44,7 @@ def batch_folder(folder: Path, command: BatchCommand) -> Iterator[None]:
         _prepare(folder, command)
         yield
     finally:
+        shutil.rmtree(folder / UNFINISHED, ignore_errors=True)
         lock.unlink(missing_ok=True)
         os.close(descriptor)
 

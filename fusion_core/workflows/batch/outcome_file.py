@@ -1,7 +1,9 @@
 """The file of an outcome: it is written by the worker, and read again to resume and to report."""
 
 import json
+import secrets
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import overload
@@ -9,20 +11,34 @@ from typing import overload
 from pydantic import TypeAdapter, ValidationError
 
 from fusion_core.exporting.manifest import MANIFEST_NAME
-from fusion_core.files.atomic import write_text
+from fusion_core.files.atomic import cannot_write
 from fusion_core.files.regular_file import read_regular
 from fusion_core.model.errors import ExportError
 from fusion_core.workflows.batch.outcome import Outcome
-from fusion_core.workflows.batch.task import BatchTask
+from fusion_core.workflows.batch.task import UNFINISHED, BatchTask
 
 _BYTES_MAX = 64 << 20
 _OUTCOME = TypeAdapter(Outcome)
 
 
 def write_outcome(task: BatchTask, outcome: Outcome) -> None:
-    """Raises ExportError."""
+    """Raises ExportError.
+
+    It is not flushed to disk, which would take longer than a short task: an outcome that a power
+    failure has cut is one that is not done. Nor is its folder looked through, which holds as many
+    files as the batch has recordings.
+    """
     document = {"request": task.request(), "outcome": asdict(outcome)}
-    write_text(task.outcome_file, json.dumps(document, indent=1, allow_nan=False) + "\n")
+    text = json.dumps(document, indent=1, allow_nan=False) + "\n"
+    aside = task.folder / UNFINISHED / f"{task.item.name}.{secrets.token_hex(4)}"
+    try:
+        aside.parent.mkdir(exist_ok=True)
+        aside.write_text(text, encoding="utf-8")
+        aside.replace(task.outcome_file)
+    except OSError as error:
+        with suppress(OSError):
+            aside.unlink()
+        raise cannot_write(task.outcome_file, error) from error
 
 
 def is_done(task: BatchTask) -> bool:

@@ -10,6 +10,8 @@ from fusion_core.workflows.batch.items import BatchItem
 from fusion_core.workflows.batch.outcome import BatchCommand
 
 RUNS, OUTCOMES = "runs", "outcomes"
+UNFINISHED = ".unfinished"
+"""Where outcomes are written aside."""
 
 
 def outcome_path(folder: Path, item: BatchItem) -> Path:
