@@ -8,13 +8,14 @@ that the process ever held. For workers they are those of the clock, over a batc
 recordings. A run before these compiles.
 """
 
-import math
 import os
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+
+import numpy as np
 
 from fusion_core.simulation.scenes import SceneSettings, find_scene, write_scene
 
@@ -49,10 +50,10 @@ def fuse(recording: Path, output: Path) -> tuple[float, float]:
     return run("fuse", recording, "-o", output, "--no-figures", "--workers", 1)
 
 
-def print_growth(sizes: list[float], seconds: list[float], what: str) -> None:
-    slope = (seconds[-1] - seconds[0]) / (sizes[-1] - sizes[0])
-    exponent = math.log(seconds[-1] / seconds[0]) / math.log(sizes[-1] / sizes[0])
-    print(f"time grows with the {what} to the power of {exponent:.2f}, {1e3 * slope:.3g} ms each")
+def print_growth(sizes: list[float], seconds: list[float], what: str, unit: float = 1.0) -> None:
+    """The straight line through the measured points."""
+    slope, fixed = np.polyfit(sizes, seconds, 1)
+    print(f"{fixed:.1f} s, and {1e3 * slope * unit:.1f} ms for each {what}")
 
 
 def frames(folder: Path) -> None:
@@ -65,7 +66,7 @@ def frames(folder: Path) -> None:
         counts.append(duration_s * find_scene(SCENE).settings.camera_rate_hz)
         seconds.append(cpu_s)
         print(f"{counts[-1]:>6.0f} {cpu_s:>6.1f} {most_mib:>9.0f}", flush=True)
-    print_growth(counts, seconds, "images")
+    print_growth(counts, seconds, "image")
 
 
 def pixels(folder: Path) -> None:
@@ -78,7 +79,7 @@ def pixels(folder: Path) -> None:
         counts.append(round(640 * scale) * round(480 * scale))
         seconds.append(cpu_s)
         print(f"{counts[-1]:>6.0f} {cpu_s:>6.1f} {most_mib:>9.0f}", flush=True)
-    print_growth(counts, seconds, "pixels")
+    print_growth(counts, seconds, "thousand pixels of all images", 1e3)
 
 
 def workers(folder: Path) -> None:
