@@ -34,11 +34,12 @@ ALLOWED: dict[str, set[str]] = {
     "fusion_core.settings": {"fusion_core.model"},
     "fusion_core.files": {"fusion_core.model"},
     "fusion_core.compiled": set(),
-    "fusion_core.worker_processes": {"fusion_core.model"},
+    "fusion_core.freed_memory": set(),
+    "fusion_core.worker_processes": {"fusion_core.model", "fusion_core.freed_memory"},
     **ALGORITHMS,
     **SIDES,
     "fusion_core.workflows": BASE | FILES | PROCESSES | ALGORITHMS.keys() | SIDES.keys(),
-    "scanloom": BASE | {"fusion_core.workflows"},
+    "scanloom": BASE | {"fusion_core.freed_memory", "fusion_core.workflows"},
 }
 # The parts of the app, each level above what it may import; jobs and state know each other.
 APP_LEVELS: tuple[set[str], ...] = (

@@ -19,6 +19,7 @@ from typing import NoReturn
 
 import tyro
 
+from fusion_core.freed_memory import keep_freed_memory
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.names import escape_undecodable_values, printable
 from scanloom.commands.batch import Batch, split_options
@@ -42,6 +43,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
+    keep_freed_memory()
     try:
         with termination():
             code = _run(sys.argv[1:] if args is None else args)

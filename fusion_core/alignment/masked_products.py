@@ -122,10 +122,14 @@ def _score_rows(
     moved = np.empty((3, offsets))
     field = np.empty((len(scores), height, offsets))
     overlap = np.empty((height, offsets))
+    margin = 0
+    for k in range(len(along.runs)):
+        margin = max(margin, along.runs[k, 1] - along.runs[k, 0])
+    below = np.empty((2, width + 2 * margin + 1))
     for v in range(height):
         holes = across.runs[across.first_run[v] : across.first_run[v + 1]]
         _sum_curve(cumulative, windows, holes, n, sum_l, sum_ll)
-        _sum_row(across.values[v], along.runs, sum_d, sum_dd)
+        _sum_row(across.values[v], along.runs, margin, below, sum_d, sum_dd)
         for u in range(offsets):
             overlap[v, u] = n[u] / width
             if n[u] < min_samples:
@@ -169,30 +173,36 @@ def _sum_curve(
 
 
 @compiled()
-def _sum_row(row: FloatArray, holes: IntArray, sum_d: FloatArray, sum_dd: FloatArray) -> None:
+def _sum_row(
+    row: FloatArray,
+    holes: IntArray,
+    margin: int,
+    below: FloatArray,
+    sum_d: FloatArray,
+    sum_dd: FloatArray,
+) -> None:
     """ΣD, ΣD² at each offset: those of the whole row less those below the curve's holes.
 
     As the offset rises a hole of the curve moves to the left along the row, so the cumulative
-    sums are laid out backwards: index ``margin + width - w`` holds the sum of the first w samples.
-    The margins let a run reach over either end of the row.
+    sums are laid out backwards, in ``below`` (2, W + 2 ``margin`` + 1) to work in: index ``margin +
+    W - w`` holds the sum of the first w samples. The margins, as wide as the widest hole, let a run
+    reach over either end of the row.
     """
     width, offsets = row.size, sum_d.size
-    margin = 0
-    for k in range(len(holes)):
-        margin = max(margin, holes[k, 1] - holes[k, 0])
-    below, below_squares = np.zeros(width + 2 * margin + 1), np.zeros(width + 2 * margin + 1)
+    sums, squares = below[0], below[1]
+    sums[margin + width :], squares[margin + width :] = 0.0, 0.0
     total, total_squares = 0.0, 0.0
     for w in range(width):
         total += row[w]
         total_squares += row[w] * row[w]
-        below[margin + width - 1 - w] = total
-        below_squares[margin + width - 1 - w] = total_squares
-    below[:margin], below_squares[:margin] = total, total_squares
+        sums[margin + width - 1 - w] = total
+        squares[margin + width - 1 - w] = total_squares
+    sums[:margin], squares[:margin] = total, total_squares
     sum_d[:], sum_dd[:] = total, total_squares
     for k in range(len(holes)):
-        start, end = holes[k]
+        start, end = holes[k, 0], holes[k, 1]
         first, last = max(0, start - width + 1), min(offsets, end)
         if first < last:
             at_start, at_end = margin + width + first - start, margin + width + first - end
-            _subtract_run(sum_d[first:last], below, at_start, at_end)
-            _subtract_run(sum_dd[first:last], below_squares, at_start, at_end)
+            _subtract_run(sum_d[first:last], sums, at_start, at_end)
+            _subtract_run(sum_dd[first:last], squares, at_start, at_end)

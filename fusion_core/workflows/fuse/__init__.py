@@ -16,6 +16,7 @@ the two passes
     frame_match.py      ``FrameMatch``: what it gives for each image
     captures.py         the recorded scan and image of a frame, and its beams and pixels in them
     offset_search.py    a frame's own (u, v), within ``match_images.py``
+    row_search.py       the fields of a scan's curve over an image's rows
     frame_labels.py     a person's labels of a frame, which overrule its classes
     cached_chain.py     pass 2 for one frame at a time, with caches, for the workbench
 what is written
