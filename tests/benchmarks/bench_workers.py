@@ -149,7 +149,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for minutes in given.minutes:
             recording = Path(folder) / f"{minutes:g}_minutes.mcap"
-            settings = SceneSettings(duration_s=60.0 * minutes, camera_rate_hz=10.0)
+            settings = SceneSettings(
+                duration_s=60.0 * minutes, camera_rate_hz=10.0, image_scale=0.5
+            )
             write_scene("furnished_room", recording, settings=settings)
             for figures in kinds:
                 compare(recording, given.workers, 1, figures=figures)
