@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[1]
 
 # What each folder may import of the project, beside itself.
 BASE = {"fusion_core.model", "fusion_core.settings", "fusion_core.compiled"}
-PROCESSES = {"fusion_core.worker_processes"}
+PROCESSES = {"fusion_core.worker_processes", "fusion_core.freed_memory"}
 FILES = {"fusion_core.files"}
 ALGORITHMS = {
     "fusion_core.alignment": BASE,

@@ -21,11 +21,11 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 from distributed import Client
-from tests.app.test_fleet_batch import DUSTY, LATE, TURNED, scene_of
 
 from fusion_core.simulation.faults import FaultSettings
 from fusion_core.simulation.recorder import record_run
 from fusion_core.simulation.scenes import SceneSettings, plan_run
+from tests.app.test_fleet_batch import DUSTY, LATE, TURNED, scene_of
 
 SIMULATED = 24
 BAGS = ("guardian_3.bag", "jarvis_circular_path_fast.bag", "nav2_turtlebot.mcap")

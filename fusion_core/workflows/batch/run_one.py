@@ -10,6 +10,7 @@ from typing import Any
 
 import cv2
 
+from fusion_core.freed_memory import give_freed_memory_back
 from fusion_core.model.errors import ExportError, ScanLoomError
 from fusion_core.model.names import escape_undecodable_values, printable
 from fusion_core.model.project import project_version
@@ -65,6 +66,7 @@ def run_one(task: BatchTask) -> Ending:
         write_outcome(task, outcome)
     except (ExportError, OSError) as raised:
         stop = stop or str(describe_failure(raised))
+    give_freed_memory_back()
     return Ending(name=task.item.name, error=outcome.error, stop=stop)
 
 
