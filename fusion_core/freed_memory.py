@@ -26,7 +26,7 @@ def keep_freed_memory() -> None:
 
 def give_freed_memory_back() -> None:
     """Have malloc give back what it keeps. Call it between pieces of work that share nothing: what
-    one of them leaves between the blocks still in use would add up. No effect with C libraries other
-    than glibc."""
+    one of them leaves between the blocks still in use would add up. No effect with C libraries
+    other than glibc."""
     with suppress(AttributeError, OSError):
         ctypes.CDLL(None).malloc_trim(0)
