@@ -95,28 +95,38 @@ def test_a_recording_larger_than_the_cache_is_refused(root: str, tmp_path: Path)
         pass
 
 
-def test_the_cache_is_never_fuller_than_its_bound(cache: RemoteCache) -> None:
-    within, greatest = 0, 0
-    counting = threading.Lock()
-    full = threading.Barrier(2)
+def test_the_cache_is_never_fuller_than_its_bound(
+    cache: RemoteCache, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waits, entered = threading.Event(), threading.Event()
 
     def use() -> None:
-        nonlocal within, greatest
         with cache_space(cache, 50):
-            with counting:
-                within += 1
-                greatest = max(greatest, within)
-            # Two at a time have room, so that four come in pairs.
-            full.wait(timeout=30)
-            with counting:
-                within -= 1
+            entered.set()
 
-    threads = [threading.Thread(target=use) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert greatest == 2
+    third = threading.Thread(target=use)
+    with cache_space(cache, 50), cache_space(cache, 50):
+        monkeypatch.setattr("fusion_core.workflows.batch.cache.time.sleep", lambda _: waits.set())
+        third.start()
+        assert waits.wait(timeout=30)
+        assert not entered.is_set()
+    third.join()
+    assert entered.is_set()
+    assert list(cache.folder.iterdir()) == []
+
+
+def test_a_recording_that_changes_while_it_is_copied_is_refused(
+    root: str, cache: RemoteCache, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = fsspec.filesystem("memory")
+    monkeypatch.setattr(
+        type(files), "get_file", lambda _, remote, local: Path(local).write_bytes(b"short")
+    )
+    with (
+        pytest.raises(RecordingError, match="was changed while it was copied"),
+        local_copy(f"{root}/robot_1/good_1.mcap", cache),
+    ):
+        pass
     assert list(cache.folder.iterdir()) == []
 
 
