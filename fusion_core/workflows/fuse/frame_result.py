@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fusion_core.model.classes import NoiseClass, is_repaired
+from fusion_core.model.classes import NoiseClass, is_one_of, is_repaired
 from fusion_core.model.conventions import BoolArray, Float32Array, FloatArray, IntArray
 from fusion_core.workflows.fuse.align import RecordingAlignment
 from fusion_core.workflows.fuse.frame import FusedFrame
@@ -100,7 +100,7 @@ def confirmed_beams(frame: FusedFrame) -> BoolArray:
     classes = frame.classes
     confirmed: BoolArray = classes.lidar_class == NoiseClass.GOOD
     confirmed &= np.isfinite(frame.match.correspondence.residual_m)
-    by_person = np.isin(classes.lidar_class, (NoiseClass.GOOD, NoiseClass.CONFLICT))
+    by_person = is_one_of(classes.lidar_class, NoiseClass.GOOD, NoiseClass.CONFLICT)
     return confirmed | (classes.lidar_decided & by_person)
 
 

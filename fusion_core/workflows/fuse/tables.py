@@ -123,8 +123,9 @@ def frame_row(
         ("lidar", frame.classes.lidar_class),
         ("depth", frame.classes.depth_class[stored]),
     ):
+        counts = np.bincount(classes[classes >= 0], minlength=len(NoiseClass)).tolist()
         for noise in NoiseClass:
-            row[f"{name}_{noise.name.lower()}"] = int((classes == noise).sum())
+            row[f"{name}_{noise.name.lower()}"] = counts[noise]
     for metric in METRICS:
         if metric in match.search.peaks:
             row[f"u_{metric}"] = match.search.peaks[metric].u + match.u_of_rig
