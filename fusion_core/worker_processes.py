@@ -19,7 +19,6 @@ from typing import Any, Generic, TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from fusion_core.freed_memory import keep_freed_memory
 from fusion_core.model.errors import WorkerFailed
 
 _Argument = TypeVar("_Argument")
@@ -126,7 +125,7 @@ class WorkerPool:
         """Let other processes import ``modules`` and take the places of the present ones, whose
         memory is freed. All results were taken."""
         if self._executor is not None:
-            self._executor.shutdown(wait=False)
+            self._executor.shutdown()
             self._executor = None
             self.start(*modules)
 
@@ -218,8 +217,7 @@ def _died() -> WorkerFailed:
 
 def _begin() -> None:
     """The first that a worker does: an interruption is its parent's to answer, its parent's end is
-    its own, it uses one core, and it keeps the memory of one task for the next."""
-    keep_freed_memory()
+    its own, and it uses one core."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Of libraries that are loaded later, and of those that are loaded already.
     os.environ.update(dict.fromkeys(_THREADS_OF_LIBRARIES, "1"))

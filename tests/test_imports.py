@@ -35,7 +35,7 @@ ALLOWED: dict[str, set[str]] = {
     "fusion_core.files": {"fusion_core.model"},
     "fusion_core.compiled": set(),
     "fusion_core.freed_memory": set(),
-    "fusion_core.worker_processes": {"fusion_core.model", "fusion_core.freed_memory"},
+    "fusion_core.worker_processes": {"fusion_core.model"},
     **ALGORITHMS,
     **SIDES,
     "fusion_core.workflows": BASE | FILES | PROCESSES | ALGORITHMS.keys() | SIDES.keys(),
