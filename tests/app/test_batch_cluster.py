@@ -17,13 +17,13 @@ from moto.server import ThreadedMotoServer
 from scanloom.cli import main
 from tests.workflows.batch.cluster_processes import Cluster
 from tests.workflows.batch.conftest import cluster
+from tests.workflows.batch.unreadable_files import unreadable_files
 from tests.workflows.box_recording import turning, write_boxes
 
 __all__ = ["cluster"]
 
 GOOD, ALL = 36, 40
 OPTIONS = ("--motion", "none")
-MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 
 @pytest.fixture(scope="module")
@@ -35,15 +35,9 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
         robot.mkdir(parents=True, exist_ok=True)
         duration_s = 0.3 + 0.1 * (number // 4 % 3)
         write_boxes(robot / f"run_{number:02}.mcap", drive=turning, duration_s=duration_s)
-    whole = (folder / "robot_0" / "run_00.mcap").read_bytes()
-    (folder / "robot_0" / "truncated.mcap").write_bytes(whole[:60])
-    (folder / "robot_1" / "empty.bag").write_bytes(b"")
-    (folder / "robot_2" / "wrong_bytes.db3").write_bytes(bytes(range(256)) * 40)
-    # A chunk that claims to hold four exabytes.
-    huge = (1 << 62).to_bytes(8, "little")
-    (folder / "robot_3" / "bomb.mcap").write_bytes(
-        MCAP_MAGIC + b"\x06" + huge + bytes(16) + huge + bytes(4) + b"\x04\0\0\0zstd" + huge
-    )
+    whole = folder / "robot_0" / "run_00.mcap"
+    for number, (name, content) in enumerate(unreadable_files(whole).items()):
+        (folder / f"robot_{number}" / name).write_bytes(content)
     return folder
 
 

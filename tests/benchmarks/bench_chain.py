@@ -31,13 +31,13 @@ from fusion_core.workflows.fuse import frame, frame_result, match_images, result
 from fusion_core.workflows.fuse import session as session_module
 from fusion_core.workflows.fuse.align import RecordingAlignment, align_recording
 from fusion_core.workflows.fuse.frame import FusedFrame
-from fusion_core.workflows.fuse.frame_tasks import fuse_frames
 from fusion_core.workflows.fuse.session import (
     FuseOptions,
     Session,
     open_session,
 )
 from fusion_core.workflows.fuse.settings import PRESETS
+from tests.workflows.fuse.fused_frames import fuse_frames
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "furnished_room.mcap"
 ROUNDS = 7

@@ -20,16 +20,16 @@ import time
 from pathlib import Path
 
 import pyarrow.parquet as pq
-from distributed import Client
 
 from fusion_core.simulation.faults import FaultSettings
 from fusion_core.simulation.recorder import record_run
 from fusion_core.simulation.scenes import SceneSettings, plan_run
 from tests.app.test_fleet_batch import DUSTY, LATE, TURNED, scene_of
+from tests.workflows.batch.cluster_processes import Cluster
+from tests.workflows.batch.unreadable_files import unreadable_files
 
 SIMULATED = 24
 BAGS = ("guardian_3.bag", "jarvis_circular_path_fast.bag", "nav2_turtlebot.mcap")
-MCAP_MAGIC = b"\x89MCAP0\r\n"
 KILLED_AFTER = 10
 
 
@@ -48,23 +48,8 @@ def write_all(folder: Path, data: Path) -> None:
             (folder / "rooms" / room.name).symlink_to(room)
     for name in BAGS:
         (folder / "bags" / name).symlink_to(data / "real" / "bags" / name)
-    whole = (folder / "robot" / "run_00.mcap").read_bytes()
-    (folder / "broken" / "truncated.mcap").write_bytes(whole[:60])
-    (folder / "broken" / "empty.bag").write_bytes(b"")
-    (folder / "broken" / "wrong_bytes.db3").write_bytes(bytes(range(256)) * 40)
-    huge = (1 << 62).to_bytes(8, "little")
-    (folder / "broken" / "bomb.mcap").write_bytes(
-        MCAP_MAGIC + b"\x06" + huge + bytes(16) + huge + bytes(4) + b"\x04\0\0\0zstd" + huge
-    )
-
-
-def started(*args: str) -> "subprocess.Popen[bytes]":
-    return subprocess.Popen(
-        [sys.executable, "-m", "distributed.cli." + args[0], *args[1:]],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    for name, content in unreadable_files(folder / "robot" / "run_00.mcap").items():
+        (folder / "broken" / name).write_bytes(content)
 
 
 def batch(folder: Path, output: Path, scheduler: str) -> None:
@@ -92,48 +77,28 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder, output = Path(name) / "data", Path(name) / "out"
         write_all(folder, Path(given.data))
-        address_file = Path(name) / "scheduler.json"
-        processes = [
-            started(
-                "dask_scheduler",
-                *("--host", "127.0.0.1", "--port", "0", "--no-dashboard"),
-                *("--scheduler-file", str(address_file)),
-            )
-        ]
+        cluster = Cluster(Path(name))
         try:
-            while not address_file.exists():
-                time.sleep(0.1)
+            cluster.start_scheduler()
             for _ in range(2):
-                processes.append(
-                    started(
-                        "dask_worker",
-                        *("--scheduler-file", str(address_file), "--nthreads", "1"),
-                        *("--host", "127.0.0.1", "--no-dashboard"),
-                        *("--local-directory", str(Path(name) / "dask")),
-                    )
-                )
-            with Client(scheduler_file=str(address_file)) as client:
-                client.wait_for_workers(2)
-                scheduler = str(client.scheduler_info()["address"])
+                cluster.start_worker()
+            cluster.wait_for_workers(2)
 
             def kill() -> None:
                 while len(list(output.glob("outcomes/*.json"))) < KILLED_AFTER:
                     time.sleep(0.05)
-                os.killpg(processes[1].pid, signal.SIGKILL)
+                os.killpg(cluster.processes[1].pid, signal.SIGKILL)
                 print(f"a worker was killed after {KILLED_AFTER} recordings", flush=True)
 
             killer = threading.Thread(target=kill)
             killer.start()
-            batch(folder, output, scheduler)
+            batch(folder, output, cluster.address)
             killer.join()
             before = changed_at(output)
-            batch(folder, output, scheduler)
+            batch(folder, output, cluster.address)
             print(f"results redone: {sum(changed_at(output)[f] != t for f, t in before.items())}")
         finally:
-            for process in processes:
-                if process.poll() is None:
-                    os.killpg(process.pid, signal.SIGTERM)
-                process.wait()
+            cluster.stop()
         rows = pq.read_table(output / "batch.parquet").to_pylist()
         print(f"rows {len(rows)}")
         for row in rows:

@@ -10,6 +10,7 @@ from tyro import conf
 
 from fusion_core.model.progress import Progress
 from scanloom.commands.options import (
+    WORKERS_MAX,
     JsonFlag,
     SettingsOption,
     WrongUsage,
@@ -18,7 +19,6 @@ from scanloom.commands.options import (
 )
 from scanloom.commands.reports import Report
 
-_WORKERS_MAX = 1024
 _MEMORY_MAX_GIB = 65_536.0
 _CACHE_MIN_GIB, _CACHE_MAX_GIB = 0.001, 1_000_000.0
 
@@ -65,7 +65,7 @@ class Batch:
     json: JsonFlag = False
 
     def run(self, progress: Progress) -> Report:
-        require_integer("--workers", self.workers, _WORKERS_MAX, least=1)
+        require_integer("--workers", self.workers, WORKERS_MAX, least=1)
         require_in_range("--memory-gib", 0.01, _MEMORY_MAX_GIB, self.memory_gib)
         link = None if self.workbench is None else _link_to(self.workbench)
         require_in_range("--cache-gib", _CACHE_MIN_GIB, _CACHE_MAX_GIB, self.cache_gib)

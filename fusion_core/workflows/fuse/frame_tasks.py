@@ -128,20 +128,3 @@ class FrameFuser:
         return UprightDepth(
             stamp_ns=image.stamp_ns, depth_m=self.setup.depth_of(camera, image.depth_m)
         )
-
-
-def fuse_frames(
-    session: Session,
-    alignment: RecordingAlignment,
-    clock_offset_ms: float = 0.0,
-    labels: SessionLabels | None = None,
-) -> Iterator[LaserScan | PairedImage | FusedFrame]:
-    """Pass 2 in this process: scans as they arrive, fused frames whole, and the images that could
-    not be fused."""
-    fuser = FrameFuser(setup=session.setup, alignment=alignment)
-    for entry in frame_tasks(session, alignment, clock_offset_ms, labels):
-        if isinstance(entry, FrameTask):
-            fused = fuser.fuse(entry)
-            yield from entry.images if fused is None else fused
-        else:
-            yield entry

@@ -11,10 +11,10 @@ from fusion_core.workflows.fuse.align import align_recording
 from fusion_core.workflows.fuse.captures import frame_captures, image_capture, scan_capture
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_reader import FrameReader
-from fusion_core.workflows.fuse.frame_tasks import fuse_frames
 from fusion_core.workflows.fuse.pairing import PairedImage
 from fusion_core.workflows.fuse.session import FuseOptions, open_session
 from fusion_core.workflows.fuse.settings import PRESETS
+from tests.workflows.fuse.fused_frames import fuse_frames
 
 
 @pytest.fixture(scope="module", params=["default", "published"])

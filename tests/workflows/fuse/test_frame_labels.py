@@ -22,7 +22,6 @@ from fusion_core.workflows.fuse.captures import frame_captures, image_capture, s
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_labels import SessionLabels
 from fusion_core.workflows.fuse.frame_reader import FrameReader
-from fusion_core.workflows.fuse.frame_tasks import fuse_frames
 from fusion_core.workflows.fuse.fuse import fuse
 from fusion_core.workflows.fuse.session import FuseOptions, open_session
 from fusion_core.workflows.fuse.settings import PRESETS
@@ -30,6 +29,7 @@ from fusion_core.workflows.map.build_map import build_map
 from fusion_core.workflows.map.options import MapOptions
 from fusion_core.workflows.map.recorded_sensors import RecordedSensors
 from fusion_core.workflows.map.repaired_scans import RepairedScans
+from tests.workflows.fuse.fused_frames import fuse_frames
 from tests.workflows.label_layer import MemoryLayer
 
 pytestmark = pytest.mark.slow

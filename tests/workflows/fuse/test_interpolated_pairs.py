@@ -12,9 +12,9 @@ from fusion_core.workflows.fuse.align import align_recording, observe_mount
 from fusion_core.workflows.fuse.cached_chain import CachedChain, FrameChoice
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_reader import FrameReader
-from fusion_core.workflows.fuse.frame_tasks import fuse_frames
 from fusion_core.workflows.fuse.session import FuseOptions, open_session
 from fusion_core.workflows.fuse.settings import PRESETS
+from tests.workflows.fuse.fused_frames import fuse_frames
 
 
 def chain_of(preset, pair_by="interpolated"):

@@ -13,13 +13,13 @@ from fusion_core.recordings.formats import open_recording
 from fusion_core.workflows.evaluate import evaluate
 from fusion_core.workflows.fuse import align as align_module
 from fusion_core.workflows.fuse.align import align_recording
-from fusion_core.workflows.fuse.frame_tasks import fuse_frames
 from fusion_core.workflows.fuse.pairing import PairedImage
 from fusion_core.workflows.fuse.session import (
     FuseOptions,
     open_session,
 )
 from fusion_core.workflows.fuse.settings import PRESETS
+from tests.workflows.fuse.fused_frames import fuse_frames
 
 TOPICS = [f"/camera_{number}/depth/image_raw" for number in (1, 2, 3, 4)]
 

@@ -14,7 +14,6 @@ from fusion_core.workflows.fuse.align import align_recording
 from fusion_core.workflows.fuse.cached_chain import CachedChain, FrameChoice
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_reader import FrameReader
-from fusion_core.workflows.fuse.frame_tasks import fuse_frames
 from fusion_core.workflows.fuse.session import FuseOptions, open_session
 from fusion_core.workflows.fuse.settings import PRESETS
 from tests.benchmarks.bench_published_panorama import (
@@ -24,6 +23,7 @@ from tests.benchmarks.bench_published_panorama import (
     compare,
     panorama_rows,
 )
+from tests.workflows.fuse.fused_frames import fuse_frames
 
 PUBLISHED = PRESETS["published"]
 
