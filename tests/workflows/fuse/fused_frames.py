@@ -17,8 +17,7 @@ def fuse_frames(
     clock_offset_ms: float = 0.0,
     labels: SessionLabels | None = None,
 ) -> Iterator[LaserScan | PairedImage | FusedFrame]:
-    """Scans as they arrive, fused frames whole, and the images that could
-    not be fused."""
+    """Scans as they arrive, fused frames whole, and the images that could not be fused."""
     fuser = FrameFuser(setup=session.setup, alignment=alignment)
     for entry in frame_tasks(session, alignment, clock_offset_ms, labels):
         if isinstance(entry, FrameTask):
