@@ -50,6 +50,10 @@ class RegistrationFailed(ScanLoomError):
     """No acceptable map A explains the pairs of a frame, or no motion two sweeps."""
 
 
+class CalibrationFailed(ScanLoomError):
+    """The data do not determine the extrinsics or the intrinsics."""
+
+
 class MissingStream(ScanLoomError):
     """The recording lacks a required stream, or has none of the given name."""
 

@@ -1,0 +1,93 @@
+"""Points of a camera's frame to pixels, with the distortion of its lens."""
+
+import cv2
+import numpy as np
+
+from fusion_core.model.conventions import BoolArray, FloatArray
+from fusion_core.model.sensors import CameraIntrinsics
+
+FISHEYE_MODELS = ("equidistant", "fisheye")
+# How finely the image's diagonal is searched for the place where the distortion folds back.
+_FOLD_STEPS = 2000
+
+
+def camera_matrix(intrinsics: CameraIntrinsics) -> FloatArray:
+    """(3, 3) K."""
+    return np.array(
+        [[intrinsics.fx, 0.0, intrinsics.cx], [0.0, intrinsics.fy, intrinsics.cy], [0.0, 0.0, 1.0]]
+    )
+
+
+def opencv_distortion(intrinsics: CameraIntrinsics) -> FloatArray:
+    """The coefficients in one of the lengths that OpenCV's functions of the model take."""
+    given = intrinsics.distortion
+    is_fisheye = intrinsics.distortion_model in FISHEYE_MODELS
+    lengths = (4,) if is_fisheye else (4, 5, 8, 12, 14)
+    padded = np.zeros(next((n for n in lengths if n >= len(given)), lengths[-1]))
+    padded[: len(given)] = given[: padded.size]
+    return padded
+
+
+def project_points(points_in_camera_m: FloatArray, intrinsics: CameraIntrinsics) -> FloatArray:
+    """(N, 2) pixels (u, v) of (N, 3) points in the optical frame, inside the image or not.
+
+    NaN for a point that is not ahead, and for one so far from the axis that the polynomial of the
+    distortion folds back there: it would appear where the lens does not show it.
+    """
+    pixels = np.full((points_in_camera_m.shape[0], 2), np.nan)
+    seen = points_in_camera_m[:, 2] > 0.0
+    radius = np.hypot(points_in_camera_m[seen, 0], points_in_camera_m[seen, 1])
+    seen[seen] = radius < _largest_radius(intrinsics) * points_in_camera_m[seen, 2]
+    if not seen.any():
+        return pixels
+    ahead = np.ascontiguousarray(points_in_camera_m[seen], np.float64).reshape(-1, 1, 3)
+    K = camera_matrix(intrinsics)
+    coefficients = opencv_distortion(intrinsics)
+    none = np.zeros(3)
+    if intrinsics.distortion_model in FISHEYE_MODELS:
+        projected, _ = cv2.fisheye.projectPoints(ahead, none, none, K, coefficients)
+    else:
+        projected, _ = cv2.projectPoints(ahead, none, none, K, coefficients)
+    pixels[seen] = projected.reshape(-1, 2)
+    return pixels
+
+
+def inside_image(pixels: FloatArray, intrinsics: CameraIntrinsics) -> BoolArray:
+    """(N,) whether pixels lie in the image; NaN does not."""
+    u, v = pixels[:, 0], pixels[:, 1]
+    right, below = intrinsics.width - 0.5, intrinsics.height - 0.5
+    inside: BoolArray = (u >= -0.5) & (u < right) & (v >= -0.5) & (v < below)
+    return inside
+
+
+def _largest_radius(intrinsics: CameraIntrinsics) -> float:
+    """The tangent of the angle from the axis up to which the distortion grows with the angle."""
+    coefficients = opencv_distortion(intrinsics)
+    if not coefficients.any() and intrinsics.distortion_model not in FISHEYE_MODELS:
+        return np.inf
+    if intrinsics.distortion_model in FISHEYE_MODELS:
+        angle = np.linspace(0.0, 0.5 * np.pi, _FOLD_STEPS, endpoint=False)
+        powers = angle[:, np.newaxis] ** (2 * np.arange(1, 5))
+        distorted = angle * (1.0 + powers @ coefficients)
+        return float(np.tan(angle[_last_growing(distorted)]))
+    # The tangential terms are left out: they are small, and have no one radius.
+    k = np.zeros(8)
+    k[: min(8, coefficients.size)] = coefficients[:8]
+    corner = max(
+        np.hypot(u - intrinsics.cx, (v - intrinsics.cy) * intrinsics.fx / intrinsics.fy)
+        for u in (0, intrinsics.width)
+        for v in (0, intrinsics.height)
+    )
+    # Twice the image: what lies beyond cannot be seen by a lens that the model describes.
+    radius = np.linspace(0.0, 2.0 * corner / intrinsics.fx, _FOLD_STEPS)
+    r2 = radius**2
+    above = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+    below = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distorted = radius * above / below
+    return float(radius[_last_growing(distorted)])
+
+
+def _last_growing(values: FloatArray) -> int:
+    falls = np.flatnonzero(~(np.diff(values) > 0.0))
+    return int(falls[0]) if falls.size else values.size - 1
