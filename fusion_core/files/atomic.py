@@ -83,6 +83,15 @@ def atomic_stream(path: Path) -> Iterator[BinaryIO]:
         stream.close()
 
 
+def require_folder_of(path: Path) -> None:
+    """Raise ExportError where the folder of a file to be written does not exist; to be asked before
+    long work."""
+    if not path.parent.is_dir():
+        raise ExportError(
+            "there is no such folder.", file=path.parent, advice="Make it, or name another."
+        )
+
+
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a whole file."""
     with atomic_stream(path) as stream:

@@ -54,6 +54,10 @@ class CalibrationFailed(ScanLoomError):
     """The data do not determine the extrinsics or the intrinsics."""
 
 
+class EvaluationFailed(ScanLoomError):
+    """The data do not determine what is to be measured."""
+
+
 class MissingStream(ScanLoomError):
     """The recording lacks a required stream, or has none of the given name."""
 

@@ -5,7 +5,14 @@ from math import copysign, isfinite, pi, remainder, tau
 
 import numpy as np
 
-from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray, IntArray, read_only
+from fusion_core.model.conventions import (
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    RingArray,
+    read_only,
+)
 from fusion_core.model.sweep import is_full_circle, require_plausible_sweep
 
 # From a fisheye image of a few pixels to pixels of 1 µm at a focal length of 1 m.
@@ -233,6 +240,9 @@ class PointCloud:
     ``xyz_m``: (N, 3) float32; a point without a position is NaN in all three, and keeps its place,
     since its index gives ring and azimuth in drivers of spinning scanners.
     ``intensity``: (N,) float32 in the driver's own unit, or None where the cloud has none.
+    ``offsets_s``: (N,) float64, when each point was measured, in seconds since ``stamp_ns``, NaN
+    where a point has no instant; None where the cloud gives none. ``rings``: (N,) uint16, the laser
+    that measured it, or None.
     """
 
     stamp_ns: int
@@ -240,6 +250,8 @@ class PointCloud:
     frame_id: str
     xyz_m: Float32Array
     intensity: Float32Array | None = None
+    offsets_s: FloatArray | None = None
+    rings: RingArray | None = None
 
     def __post_init__(self) -> None:
         if self.xyz_m.ndim != 2 or self.xyz_m.shape[1] != 3 or self.xyz_m.dtype != np.float32:
@@ -248,6 +260,14 @@ class PointCloud:
             if self.intensity.shape != self.xyz_m.shape[:1] or self.intensity.dtype != np.float32:
                 raise ValueError(f"intensity must be (N,) float32, got {self.intensity.shape}")
             read_only(self.intensity)
+        for name, values, dtype in (
+            ("offsets_s", self.offsets_s, np.float64),
+            ("rings", self.rings, np.uint16),
+        ):
+            if values is not None:
+                if values.shape != self.xyz_m.shape[:1] or values.dtype != dtype:
+                    raise ValueError(f"{name} must be (N,) {np.dtype(dtype)}, got {values.shape}")
+                read_only(values)
         read_only(self.xyz_m)
 
 

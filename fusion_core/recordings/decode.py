@@ -36,7 +36,7 @@ from fusion_core.recordings.messages.image_pixels import (
     read_depth_pixels,
     read_rgb_pixels,
 )
-from fusion_core.recordings.messages.point_cloud import read_points
+from fusion_core.recordings.messages.point_cloud import read_offsets, read_points, read_rings
 from fusion_core.recordings.messages.rows import PoseNumbers, PoseRow, ScanRow
 from fusion_core.recordings.units import depth_m_from_metres, depth_m_from_millimetres, ranges_m
 
@@ -328,12 +328,15 @@ def _transform_row(entry: RawMessage) -> PoseRow:
 
 def _point_cloud(raw: RawMessage, received_ns: int | None) -> PointCloud:
     xyz_m, intensity = read_points(raw)
+    stamp_ns = _header_stamp_ns(raw.header)
     return PointCloud(
-        stamp_ns=_header_stamp_ns(raw.header),
+        stamp_ns=stamp_ns,
         received_ns=received_ns,
         frame_id=_clean_frame_name(raw.header.frame_id),
         xyz_m=xyz_m,
         intensity=intensity,
+        offsets_s=read_offsets(raw, stamp_ns),
+        rings=read_rings(raw),
     )
 
 

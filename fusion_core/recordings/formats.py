@@ -10,7 +10,9 @@ from fusion_core.files.regular_file import read_head
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.recording import Recording
 from fusion_core.recordings.archives import detect_compression
+from fusion_core.recordings.calibration_files.contents import describe_calibration
 from fusion_core.recordings.carmen.log import is_carmen_log, open_carmen_log
+from fusion_core.recordings.clouds.formats import cloud_format
 from fusion_core.recordings.images.frame_folder import frame_layout, open_frame_folder
 from fusion_core.recordings.images.image_folder import is_image_folder, open_image_folder
 from fusion_core.recordings.images.tum_folder import is_tum_folder, open_tum_folder
@@ -83,8 +85,6 @@ _KNOWN_NON_RECORDINGS = (
     (b"\x89PNG", "a single PNG image"),
     (b"\xff\xd8\xff", "a single JPEG image"),
     (b"P5", "a single PGM image"),
-    (b"# .PCD", "a point cloud (PCD)"),
-    (b"ply", "a point cloud or mesh (PLY)"),
     (b"PK\x03\x04", "a ZIP archive; unpack it first"),
     (b"BZh", "a bzip2 archive without a CARMEN log that can be read; unpack it first"),
     (b"\x1f\x8b", "a gzip archive without a CARMEN log that can be read; unpack it first"),
@@ -151,18 +151,22 @@ def _open_file(path: Path) -> Recording:
         if format.matches(path, head):
             return format.open(path)
     raise RecordingError(
-        f"is no recording: {_describe_head(head)}.", file=path, advice=READABLE_FORMATS
+        f"is no recording: {_describe_other(path, head)}.", file=path, advice=READABLE_FORMATS
     )
 
 
-def _describe_head(head: bytes) -> str:
+def _describe_other(path: Path, head: bytes) -> str:
+    """What a file without a recording is instead."""
     if is_label_store(head):
         return "labels of a recording, which lies beside them"
     for magic, kind in _KNOWN_NON_RECORDINGS:
         if head.startswith(magic):
             return kind
-    is_text = b"\0" not in head and not any(byte < 9 for byte in head)
-    return "a text file" if is_text else "its content is of no known format"
+    if cloud := cloud_format(path, head, path.stat().st_size):
+        return f"a point cloud ({cloud}), which calibrate camera and evaluate room read"
+    if b"\0" in head or any(byte < 9 for byte in head):
+        return "its content is of no known format"
+    return describe_calibration(path) or "a text file"
 
 
 def _open_folder(path: Path) -> Recording:

@@ -27,7 +27,7 @@ from fusion_core.recordings.units import millimetres_from_depth_m
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-_POINT_FIELD_FLOAT32 = 7
+_POINT_FIELDS = {"<u2": 4, "<f4": 7}
 
 
 @cache
@@ -221,29 +221,41 @@ class Ros2McapWriter:
         self._write(topic, message, stamp_ns, received_ns)
 
     def write_point_cloud(self, topic: str, cloud: PointCloud) -> None:
-        """sensor_msgs/PointCloud2: one row of x, y, z and, where it is known, intensity."""
-        columns = [cloud.xyz_m] if cloud.intensity is None else [cloud.xyz_m, cloud.intensity]
-        points = np.column_stack(columns).astype("<f4")
-        names = ("x", "y", "z", "intensity")[: points.shape[1]]
+        """sensor_msgs/PointCloud2: one row of x, y, z and, as far as they are known, intensity,
+        ring and time (seconds since the stamp), as Velodyne's driver has them."""
+        columns: dict[str, np.ndarray[Any, Any]] = dict(zip("xyz", cloud.xyz_m.T, strict=True))
+        if cloud.intensity is not None:
+            columns["intensity"] = cloud.intensity
+        if cloud.rings is not None:
+            columns["ring"] = cloud.rings
+        if cloud.offsets_s is not None:
+            columns["time"] = cloud.offsets_s
+        formats = {name: "<u2" if name == "ring" else "<f4" for name in columns}
+        layout = np.dtype(list(formats.items()))
+        sizes = [np.dtype(kind).itemsize for kind in formats.values()]
+        offsets = np.cumsum([0, *sizes[:-1]]).tolist()
+        points = np.zeros(cloud.xyz_m.shape[0], layout)
+        for name, values in columns.items():
+            points[name] = values
         message = _message(
             "sensor_msgs/msg/PointCloud2",
             header=_header(cloud.stamp_ns, cloud.frame_id),
             height=1,
-            width=points.shape[0],
+            width=points.size,
             fields=[
                 _message(
                     "sensor_msgs/msg/PointField",
                     name=name,
-                    offset=points.itemsize * place,
-                    datatype=_POINT_FIELD_FLOAT32,
+                    offset=offset,
+                    datatype=_POINT_FIELDS[kind],
                     count=1,
                 )
-                for place, name in enumerate(names)
+                for (name, kind), offset in zip(formats.items(), offsets, strict=True)
             ],
             is_bigendian=False,
-            point_step=points.itemsize * len(names),
+            point_step=layout.itemsize,
             row_step=points.nbytes,
-            data=points.reshape(-1).view(np.uint8),
+            data=points.view(np.uint8),
             is_dense=bool(np.isfinite(cloud.xyz_m).all()),
         )
         self._write(topic, message, cloud.stamp_ns, cloud.received_ns)

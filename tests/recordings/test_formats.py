@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from fusion_core.model.errors import RecordingError
@@ -19,6 +20,13 @@ NO_RECORDINGS = {
     "map.yaml": (b"image: map.pgm\nresolution: 0.05\n", "text file"),
     "cloud.pcd": (b"# .PCD v0.7\nVERSION 0.7\n", "PCD"),
     "cloud.ply": (b"ply\nformat ascii 1.0\n", "PLY"),
+    "cloud.bin": (np.arange(40, dtype="<f4").tobytes(), "evaluate room"),
+    "camera.yaml": (b"K: [9, 0, 4, 0, 9, 4, 0, 0, 1]\nwidth: 8\nheight: 8\n", "the intrinsics of"),
+    "calib.txt": (
+        b"K: 9 0 4 0 9 4 0 0 1\nT: 1 0 0 0 0 1 0 0 0 0 1 0\n",
+        "the intrinsics and extrinsics of",
+    ),
+    "guess.json": (b'{"R": [[1,0,0],[0,1,0],[0,0,1]], "t": [0,0,0]}', "the extrinsics of a calib"),
     "picture.png": (b"\x89PNG\r\n\x1a\n" + bytes(20), "PNG"),
     "picture.jpg": (b"\xff\xd8\xff\xe0" + bytes(20), "JPEG"),
     "log.clf.bz2": (b"BZh91AY&SY" + bytes(20), "unpack"),

@@ -193,3 +193,36 @@ def test_clouds_that_contradict_themselves(changes: dict[str, Any], named: str) 
 def test_fields_that_are_not_used_may_be_anything() -> None:
     odd = [field("rgb", 2**32 - 1, 99, 2**32 - 1), field("x", 8)]
     assert read(cloud([1, 2, 3], fields=[*XYZ, *odd])).xyz_m.tolist() == [[1, 2, 3]]
+
+
+TIMES = [("time", "<f4", 7, 0.025), ("t", "<u4", 6, 25_000_000), ("offset_time", "<u4", 6, 25e6)]
+STAMP_NS = 7_000_000_005
+TIMES += [
+    ("timestamp", "<f8", 8, STAMP_NS * 1e-9 + 0.025),
+    ("timestamp", "<f8", 8, 1.7e18),
+    ("time", "<f8", 8, math.nan),
+    ("time", "<f4", 7, 1e30),
+]
+
+
+@pytest.mark.parametrize(("name", "kind", "datatype", "value"), TIMES)
+def test_a_point_knows_its_instant(name: str, kind: str, datatype: int, value: float) -> None:
+    """As Velodyne, Ouster, Livox and Hesai write it; what is no instant of the scan is NaN."""
+    layout = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), (name, kind), ("ring", "<u2")])
+    points = np.zeros(2, layout)
+    points["x"], points[name], points["ring"] = 1.0, value, [3, 15]
+    fields = [*XYZ, field(name, 12, datatype), field("ring", layout.itemsize - 2, 4)]
+    raw = cloud([], width=2, fields=fields, point_step=layout.itemsize, row_step=0)
+    raw.data = points.view(np.uint8)
+    read_back = read(raw)
+    expected = 0.025 if 0 < value < 1e9 or value == 25e6 else math.nan
+    if value == 1.7e18:
+        expected = math.nan
+    np.testing.assert_allclose(read_back.offsets_s, [expected] * 2, atol=1e-6)
+    assert read_back.rings.tolist() == [3, 15]
+
+
+def test_a_cloud_without_instants_and_rings_has_none() -> None:
+    value = read(cloud([1, 2, 3]))
+    assert value.offsets_s is None
+    assert value.rings is None

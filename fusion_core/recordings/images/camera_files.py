@@ -4,13 +4,14 @@ Every function raises RecordingError with the file's name.
 """
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from fusion_core.model.errors import RecordingError
 from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.recordings.calibration_files.document import NUMBERS_ALONE
+from fusion_core.recordings.calibration_files.stated_camera import stated_camera
 from fusion_core.recordings.images.frame_files import read_text
 from fusion_core.recordings.safe_yaml import load_yaml, require_number
 
@@ -24,11 +25,7 @@ _STEMS = (
     "intrinsics",
 )
 _MAX_TEXT_BYTES = 64 << 10
-_MAX_SIDE = 1 << 16
 _SCALE_KEYS = ("depth_scale", "depth_factor")
-_DISTORTION_KEYS = ("distortion_coefficients", "distortion")
-# Numbers of coefficients in OpenCV's models.
-_DISTORTION_SIZES = (0, 4, 5, 8, 12, 14)
 # Set by hand: coarser units do not resolve a wall, with finer ones 16 bits end below 1 m.
 _UNITS_PER_METRE = (100.0, 100_000.0)
 
@@ -118,16 +115,7 @@ def _units_from_scale(depth_scale: float) -> float:
 
 def _camera_from_text(text: str) -> CameraFile:
     values = [float(word) for word in text.split()]
-    if len(values) == 4:
-        fx, fy, cx, cy = values
-        return CameraFile(pinhole=(fx, fy, cx, cy))
-    return CameraFile(pinhole=_pinhole_from_matrix(values))
-
-
-def _pinhole_from_matrix(k: Sequence[float]) -> tuple[float, float, float, float]:
-    if len(k) != 9 or [k[1], k[3], *k[6:]] != [0.0, 0.0, 0.0, 0.0, 1.0]:
-        raise ValueError(f"{len(k)} numbers are no 3 x 3 matrix fx 0 cx, 0 fy cy, 0 0 1")
-    return k[0], k[4], k[2], k[5]
+    return CameraFile(pinhole=stated_camera({NUMBERS_ALONE: values}).pinhole)
 
 
 def _camera_from_json(text: str) -> CameraFile:
@@ -148,47 +136,16 @@ def _camera_from_mapping(camera: object) -> CameraFile:
     units_per_metre = _units_from_scale(require_number(camera, scale_key)) if scale_key else None
     if scale_key is not None and len(camera) == 1:
         return CameraFile(units_per_metre=units_per_metre)
-    if "intrinsic_matrix" in camera:
-        by_column = _numbers(camera, "intrinsic_matrix")
-        pinhole = _pinhole_from_matrix([*by_column[0::3], *by_column[1::3], *by_column[2::3]])
-    elif "camera_matrix" in camera:
-        pinhole = _pinhole_from_matrix(_numbers(camera, "camera_matrix"))
-    else:
-        fx, fy, cx, cy = (require_number(camera, key) for key in ("fx", "fy", "cx", "cy"))
-        pinhole = (fx, fy, cx, cy)
-    width, height = (
-        _pixels(camera, key if key in camera else f"image_{key}") for key in ("width", "height")
-    )
-    key = next((key for key in _DISTORTION_KEYS if key in camera), None)
-    distortion = tuple(_numbers(camera, key)) if key else ()
-    if len(distortion) not in _DISTORTION_SIZES:
-        raise ValueError(f"it has {len(distortion)} distortion coefficients")
+    stated = stated_camera(camera)
+    if stated.size is None:
+        raise ValueError("width is missing or no finite number")
     return CameraFile(
-        pinhole=pinhole,
-        shape=(height, width),
-        distortion_model=str(camera.get("distortion_model") or "plumb_bob"),
-        distortion=distortion,
+        pinhole=stated.pinhole,
+        shape=(stated.size[1], stated.size[0]),
+        distortion_model=stated.distortion_model,
+        distortion=stated.distortion,
         units_per_metre=units_per_metre,
     )
-
-
-def _pixels(camera: dict[Any, Any], key: str) -> int:
-    value = require_number(camera, key)
-    if not value.is_integer() or not 0 < value <= _MAX_SIDE:
-        raise ValueError(f"{key} {value:g} is no number of pixels")
-    return int(value)
-
-
-def _numbers(camera: dict[Any, Any], key: str) -> list[float]:
-    """A list of numbers, flat or by rows, or a ROS matrix, whose list is under ``data``."""
-    value = camera[key]
-    if isinstance(value, dict):
-        value = value.get("data")
-    rows = value if isinstance(value, list) else []
-    flat = [v for row in rows for v in (row if isinstance(row, list) else [row])]
-    if not isinstance(value, list):
-        raise ValueError(f"{key} holds no list of numbers")
-    return [require_number({key: number}, key) for number in flat]
 
 
 _PARSERS: dict[str, Callable[[str], CameraFile]] = {

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion_core.model.conventions import Float32Array
+from fusion_core.model.conventions import NS_PER_S, Float32Array, FloatArray, RingArray
 from fusion_core.recordings.messages.bad_message import BadMessage
 
 # Set by hand, above any scanner's cloud; keeps the values and masks well below 256 MiB.
@@ -12,6 +12,11 @@ MAX_POINTS = 1 << 23
 # PointField's INT8 to FLOAT64.
 _DTYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _AXES = ("x", "y", "z")
+_TIME_FIELDS = ("time", "t", "offset_time", "timestamp")
+_RING_FIELDS = ("ring", "line")
+# The year 5138 in seconds: what is greater is nanoseconds.
+_SECONDS_MAX = 1e11
+_OFFSET_MAX_S = 10.0
 
 
 def read_points(raw: Any) -> tuple[Float32Array, Float32Array | None]:
@@ -45,6 +50,44 @@ def read_points(raw: Any) -> tuple[Float32Array, Float32Array | None]:
             intensity[~np.isfinite(intensity)] = np.nan
         xyz_m[~np.isfinite(xyz_m).all(axis=1) | ~xyz_m.any(axis=1)] = np.nan
     return xyz_m, intensity
+
+
+def read_offsets(raw: Any, stamp_ns: int) -> FloatArray | None:
+    """(N,) seconds from a cloud's stamp to each point's instant; None where no field gives it.
+
+    Drivers have ``time`` in seconds (Velodyne) or ``t`` and ``offset_time`` in whole nanoseconds
+    (Ouster, Livox) since the stamp, or ``timestamp`` in seconds or nanoseconds since 1970. NaN
+    where a value is not finite or is further from the stamp than a scan lasts.
+    """
+    fields = {field.name: field for field in reversed(raw.fields)}
+    name = next((name for name in _TIME_FIELDS if name in fields), None)
+    if name is None or int(raw.width) * int(raw.height) == 0:
+        return None
+    # Checked when the coordinates were read.
+    values = _column(raw, fields, name)
+    is_whole = values.dtype.kind in "iu"
+    with np.errstate(over="ignore", invalid="ignore"):
+        if name == "timestamp":
+            # In float64 a time of today is exact to a fraction of a microsecond.
+            scale = 1.0 if is_whole or np.nanmax(np.abs(values)) > _SECONDS_MAX else NS_PER_S
+            since = values - (stamp_ns if scale == 1.0 else stamp_ns / NS_PER_S)
+            offsets = since.astype(np.float64) * (scale / NS_PER_S)
+        else:
+            offsets = values.astype(np.float64) / (NS_PER_S if is_whole else 1.0)
+        offsets[~(np.abs(offsets) <= _OFFSET_MAX_S)] = np.nan
+    return offsets.reshape(-1)
+
+
+def read_rings(raw: Any) -> RingArray | None:
+    """(N,) the number of the laser of each point; None where no field gives it."""
+    fields = {field.name: field for field in reversed(raw.fields)}
+    name = next((name for name in _RING_FIELDS if name in fields), None)
+    if name is None or int(raw.width) * int(raw.height) == 0:
+        return None
+    values = _column(raw, fields, name)
+    if values.dtype.kind not in "iu":
+        return None
+    return values.reshape(-1).astype(np.uint16)
 
 
 def _check_data(raw: Any, width: int, height: int) -> None:

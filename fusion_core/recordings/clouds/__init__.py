@@ -1,0 +1,1 @@
+"""Files with one point cloud: PCD, PLY and KITTI's .bin."""
