@@ -11,6 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fusion_core.alignment.in_plane_mount import (
+    CLOCK,
+    OBSERVABLE_SD,
+    InPlaneMount,
+    fit_in_plane,
+)
 from fusion_core.alignment.mount_cost import MIN_POINTS, MountCost
 from fusion_core.alignment.mount_floor import find_floor_pitch
 from fusion_core.alignment.mount_height import (
@@ -19,7 +25,7 @@ from fusion_core.alignment.mount_height import (
     sample_heights,
 )
 from fusion_core.alignment.mount_observation import MountObservation
-from fusion_core.alignment.mount_refinement import IN_PLANE, ScanLines, refine_in_plane
+from fusion_core.alignment.mount_refinement import ScanLines
 from fusion_core.alignment.mount_search import (
     SAME_YAW_RAD,
     angle_between_rad,
@@ -29,19 +35,12 @@ from fusion_core.alignment.mount_search import (
     search_mounts,
 )
 from fusion_core.alignment.mount_settings import MountPriors, MountSettings
-from fusion_core.alignment.mount_uncertainty import choose_optimum, in_plane_covariance
 from fusion_core.alignment.recorded_mount import find_refusal
 from fusion_core.alignment.time import parabola_offset
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import AlignmentFailed
 from fusion_core.model.rig import Mount
 
-# Beyond these standard deviations (in the order of MOUNT_PARAMETERS) a value is not observable: its
-# error would change the noise classes and repairs that use it. Set by hand.
-_OBSERVABLE_SD = np.array([np.deg2rad(1.5), 0.15, 0.10, 0.10, np.deg2rad(2.0), 25.0])
-
-# Of MOUNT_PARAMETERS, the clock offset.
-_CLOCK = 5
 # The search may move the floor's pitch by this, so that it is not caught in a narrow valley.
 _SEARCHED_PITCH_SD_RAD = float(np.deg2rad(0.5))
 
@@ -55,6 +54,8 @@ class MountEstimate:
     ``refusal``: why a recorded mount is not used, as part of a sentence, "" where there is none.
     ``yaw_per_delay_rad_s``: where the clock offset is not observable, by how much a delay that the
     stamps do not show would turn the best yaw; the yaw's deviation does not count that.
+    ``is_given``: a person gave it; ``is_confirmed``: whether enough points agree under it;
+    ``contradictions``: what speaks against it, as parts of a sentence.
     """
 
     mount: Mount
@@ -65,6 +66,9 @@ class MountEstimate:
     delta_z_profile: FloatArray
     refusal: str = ""
     yaw_per_delay_rad_s: float = 0.0
+    is_given: bool = False
+    is_confirmed: bool = True
+    contradictions: tuple[str, ...] = ()
 
 
 def estimate_mount(
@@ -106,7 +110,7 @@ def estimate_mount(
             refusal = _reason_to_prefer_free_fit(problem, found.values, free.values, settings)
         if found is None or refusal:
             found = free
-    sd = np.where(found.sd <= _OBSERVABLE_SD, found.sd, np.inf)
+    sd = np.where(found.sd <= OBSERVABLE_SD, found.sd, np.inf)
     if not np.isfinite(sd[0]):
         # Forward and left are along the yaw.
         sd[[2, 3]] = np.inf
@@ -122,28 +126,16 @@ def estimate_mount(
         is_from_recorded=recorded is not None and not refusal,
         delta_z_profile=delta_z_profile(problem, found.values, heights_m)[:, 1:],
         refusal=refusal,
-        yaw_per_delay_rad_s=0.0 if np.isfinite(sd[_CLOCK]) else found.yaw_per_delay_rad_s,
+        yaw_per_delay_rad_s=0.0 if np.isfinite(sd[CLOCK]) else found.yaw_per_delay_rad_s,
     )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Found:
-    """A mount (6,), its deviations, infinite where unknown, and how a delay turns its yaw."""
-
-    values: FloatArray
-    sd: FloatArray
-    yaw_per_delay_rad_s: float
-
-    def agreement(self, problem: MountCost) -> float:
-        return problem.agreement_and_visibility(self.values)[0]
 
 
 def _refine_recorded(
     problem: MountCost, lines: ScanLines, recorded: Mount, settings: MountSettings
-) -> _Found:
+) -> InPlaneMount:
     """A recorded mount, moved in the LiDAR's plane as far as its doubt lets the data move it."""
     priors = MountPriors.from_recorded(recorded, settings)
-    found = _fit_in_plane(problem, lines, [recorded.vector()], priors)
+    found = fit_in_plane(problem, lines, [recorded.vector()], priors)
     values, sd = found.values, found.sd.copy()
     sd[[1, 4]] = priors.sd[[1, 4]]
     # What looks along with the pitch's doubt.
@@ -161,7 +153,7 @@ def _find_mount(
     heights_m: FloatArray,
     frames: Sequence[MountObservation],
     settings: MountSettings,
-) -> _Found:
+) -> InPlaneMount:
     """The mount where nothing is recorded of it."""
     priors = MountPriors.without_recorded(yaw_rad, settings)
     floor = find_floor_pitch(frames, problem.headings_rad(), settings)
@@ -178,7 +170,7 @@ def _find_mount(
         for fit in fits
         if angle_between_rad(fit[0], best[0]) < SAME_YAW_RAD
     ]
-    found = _fit_in_plane(problem, lines, [heights.best, *starts], priors)
+    found = fit_in_plane(problem, lines, [heights.best, *starts], priors)
     sd = found.sd.copy()
     heights = sample_heights(problem, found.values, heights_m, priors)
     spread = np.sqrt(np.mean((heights.mounts - heights.best) ** 2, axis=0))
@@ -190,39 +182,6 @@ def _find_mount(
     if is_yaw_ambiguous:
         sd[0] = np.inf
     return replace(found, values=heights.best, sd=sd)
-
-
-def _fit_in_plane(
-    problem: MountCost, lines: ScanLines, starts: list[FloatArray], priors: MountPriors
-) -> _Found:
-    """The best of the optima in the LiDAR's plane, with the first start's height and pitch.
-
-    The clock offset is part of it where the recording shows it. Otherwise it stays as the priors
-    have it, the stamps are believed, and the yaw is that which belongs to them: what pairs need.
-    """
-    sd = np.full(starts[0].size, np.inf)
-    for free in (np.ones(IN_PLANE.size, dtype=bool), IN_PLANE != _CLOCK):
-        refined = []
-        for start in starts:
-            begin = start.copy()
-            begin[_CLOCK] = priors.centre[_CLOCK]
-            refined.append(refine_in_plane(lines, begin, priors, free))
-        fits = [fit for fit in refined if fit is not None]
-        if not fits:
-            return _Found(values=starts[0], sd=sd, yaw_per_delay_rad_s=0.0)
-        best, apart = choose_optimum(fits)
-        covariance = in_plane_covariance(best, free)
-        if covariance is None:
-            continue
-        sd[IN_PLANE] = np.where(free, np.maximum(np.sqrt(np.diag(covariance)), apart), np.inf)
-        if sd[_CLOCK] <= _OBSERVABLE_SD[_CLOCK]:
-            break
-    # Delay and yaw follow from turns: an error of the turn rates grows with the delay.
-    rate_sd, delay_ms = problem.turn_rate_sd_rad_s, abs(float(best.values[_CLOCK]))
-    spread = max(float(np.std(problem.turn_rates_rad_s)), 1e-6)
-    sd[0] = np.hypot(sd[0], 1e-3 * delay_ms * rate_sd)
-    sd[_CLOCK] = np.hypot(sd[_CLOCK], delay_ms * rate_sd / spread)
-    return _Found(values=best.values, sd=sd, yaw_per_delay_rad_s=best.yaw_per_delay_rad_s)
 
 
 def frame_yaw_offset_rad(frame: MountObservation, mount: Mount, settings: MountSettings) -> float:

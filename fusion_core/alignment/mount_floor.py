@@ -14,9 +14,9 @@ import numpy as np
 from fusion_core.alignment.mount_cost import PLACE_RAD
 from fusion_core.alignment.mount_observation import MountObservation
 from fusion_core.alignment.mount_settings import MountSettings
-from fusion_core.alignment.mount_uncertainty import frame_blocks, two_way_covariance
 from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.model.robust import robust_sigma
+from fusion_core.model.two_way_covariance import frame_blocks, two_way_covariance
 
 # So many frames, and rows of each with columns as far apart: more have the same errors.
 _FRAMES = 24

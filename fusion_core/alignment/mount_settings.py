@@ -136,6 +136,12 @@ class MountPriors:
         return cls(centre=centre, sd=np.array(sd), stretch_sd=settings.depth_scale_sd)
 
     @classmethod
+    def around(cls, mount: Mount, settings: MountSettings) -> "MountPriors":
+        """Around a mount that may be wrong, with the doubt of one of which nothing is known."""
+        unknown = cls.without_recorded(mount.yaw_rad, settings)
+        return cls(centre=mount.vector(), sd=unknown.sd.copy(), stretch_sd=unknown.stretch_sd)
+
+    @classmethod
     def from_recorded(cls, recorded: Mount, settings: MountSettings) -> "MountPriors":
         """Around a mount from a drawing or a calibration, which knows no clock."""
         angle_rad = float(np.deg2rad(settings.recorded_angle_sd_deg))

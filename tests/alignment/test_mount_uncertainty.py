@@ -9,8 +9,8 @@ from fusion_core.alignment.mount import estimate_mount
 from fusion_core.alignment.mount_cost import MountCost
 from fusion_core.alignment.mount_floor import find_floor_pitch
 from fusion_core.alignment.mount_height import keep_sight
-from fusion_core.alignment.mount_uncertainty import correlation_length, two_way_covariance
 from fusion_core.model.rig import Mount
+from fusion_core.model.two_way_covariance import correlation_length, two_way_covariance
 from tests.alignment.test_mount import SETTINGS, drive, random_mount
 
 

@@ -54,6 +54,9 @@ class Fuse:
     pose: TopicOption = None
     """The topic of the poses for the maps, or a frame of TF such as map (default: the odom frame of
     TF, else odometry)."""
+    extrinsics: Annotated[Path | None, conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    """A TOML or JSON file with T_camera_lidar, used instead of the recording's transforms and of a
+    mount estimated from scans and images."""
     virtual_lidar: Annotated[int | None, conf.arg(metavar="ROW", help_behavior_hint="")] = None
     """Use this row (0-based) of the depth images as a virtual LiDAR."""
     apply_clock_offset: Flag = False
@@ -80,6 +83,8 @@ class Fuse:
         require_integer("--virtual-lidar", self.virtual_lidar, ROW_MAX)
         require_layer(self.labels, self.label_store)
         room_choice(self.home, self.room, self.subsession)
+        if self.extrinsics is not None and self.virtual_lidar is not None:
+            raise WrongUsage("--extrinsics has no LiDAR to place with --virtual-lidar")
         if self.labels is not None and self.home is not None:
             raise WrongUsage("--labels are of one recording, not of a data set (--home)")
 
@@ -99,6 +104,7 @@ class Fuse:
                 lidar_topic=self.lidar,
                 depth_topics=self.depth,
                 pose_topic=self.pose,
+                extrinsics_file=self.extrinsics,
                 apply_clock_offset=self.apply_clock_offset,
                 maps=not self.no_maps,
                 figures=not self.no_figures,

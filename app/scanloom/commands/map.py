@@ -53,7 +53,8 @@ class Map:
     seed: Annotated[int | None, conf.arg(metavar="N", help_behavior_hint="")] = None
     """Seed of the particle filter, overriding the settings'."""
     extrinsics: Annotated[Path | None, conf.arg(metavar="FILE", help_behavior_hint="")] = None
-    """A TOML or JSON file with T_camera_lidar, used instead of the recording's transforms."""
+    """A TOML or JSON file with T_camera_lidar, used instead of the recording's transforms and of
+    a mount estimated from scans and images."""
     clock_offset_ms: Annotated[float, conf.arg(metavar="MS")] = 0.0
     """Camera stamp minus LiDAR stamp of the same instant; subtracted from the camera's stamps."""
     labels: LayerOption = None

@@ -47,6 +47,25 @@ def map_command(recording: Path, output: Path, options: MapOptions) -> str:
     return " ".join(map(_shell_quoted, arguments))
 
 
+def calibrate_command(recording: Path, output: Path, guess: Path | None) -> str:
+    """A line for a POSIX shell that finds the LiDAR's pose from walls and floor."""
+    arguments = ["scanloom", "calibrate", "planar", str(recording), "--output", str(output)]
+    arguments += [] if guess is None else [f"--guess={guess}"]
+    return " ".join(map(_shell_quoted, arguments))
+
+
+def calibrate_camera_command(recording: Path, image_topic: str, output: Path) -> str:
+    """A line for a POSIX shell that finds a turning LiDAR's pose in a camera's frame."""
+    arguments = ["scanloom", "calibrate", "camera", str(recording), image_topic]
+    return " ".join(map(_shell_quoted, [*arguments, "--output", str(output)]))
+
+
+def view_command(recording: Path, extrinsics: Path) -> str:
+    """A line for a POSIX shell that opens a recording with extrinsics from a file."""
+    arguments = ["scanloom", "view", str(recording), f"--extrinsics={extrinsics}"]
+    return " ".join(map(_shell_quoted, arguments))
+
+
 def _shell_quoted(argument: str) -> str:
     """Quote an argument; bytes of a path that are not UTF-8 become escapes of bash and zsh."""
     if escape_undecodable(argument) == argument:
@@ -68,6 +87,7 @@ def _fuse_arguments(options: FuseOptions) -> Iterator[str]:
         ("--lidar", options.lidar_topic),
         *(("--depth", topic) for topic in options.depth_topics),
         ("--pose", options.pose_topic),
+        ("--extrinsics", options.extrinsics_file),
         ("--virtual-lidar", options.virtual_lidar_row),
         ("--truth", options.truth),
         ("--seed", options.seed),

@@ -16,8 +16,8 @@ class RawFrame:
     """A depth image and its scan, at a mount that no alignment has checked.
 
     ``paired``: the image as stored, and the scan nearest to it in time. ``depth_m``: (H, W) upright
-    view of it. ``mount``: the recording's own; without one, a level camera at the LiDAR that looks
-    along its zero azimuth, and ``is_mount_recorded`` is False.
+    view of it. ``mount``: the given or the recorded one; without, a level camera at the LiDAR that
+    looks along its zero azimuth, and ``is_mount_recorded`` is False.
     """
 
     paired: PairedImage
@@ -50,7 +50,7 @@ def raw_frame(session: Session, frames: FrameReader, number: int) -> RawFrame:
     Raises RecordingError for a frame that cannot be read.
     """
     paired = frames.raw_pair(number)
-    recorded = session.rig.recorded_mount
+    recorded = session.rig.known_mount
     return RawFrame(
         paired=paired,
         depth_m=session.depth_of(paired.camera, paired.image.depth_m),

@@ -15,6 +15,7 @@ from fusion_core.alignment.curves import (
     sample_row,
     yaw_of_offset_rad,
 )
+from fusion_core.alignment.given_mount import given_mount_sd, hold_given_mount
 from fusion_core.alignment.mount import MountEstimate, estimate_mount, frame_yaw_offset_rad
 from fusion_core.alignment.mount_observation import MountObservation, mount_observation
 from fusion_core.alignment.panorama import Panorama, PastedPanorama, are_side_by_side
@@ -49,6 +50,7 @@ class RecordingAlignment:
     cameras). ``fields`` are the mean fields, ``peaks`` their peaks anywhere; ``peak`` is
     that of the metric that decides, at the mount's yaw. ``lidar``: a scan, for its geometry.
     ``panorama``: how a frame's images are searched together, None where each is by itself.
+    ``unused_given``: the note on given extrinsics by which no pairs are taken.
     """
 
     fields: dict[Metric, SimilarityField]
@@ -63,6 +65,7 @@ class RecordingAlignment:
     lidar: LaserScan
     frames: int
     panorama: Panorama | PastedPanorama | None = None
+    unused_given: tuple[str, ...] = ()
 
     def panorama_for(self, settings: ChainSettings) -> Panorama | PastedPanorama | None:
         """The panorama of a frame's images with these settings, None where each is by itself."""
@@ -83,7 +86,7 @@ class RecordingAlignment:
     def notes(self) -> tuple[str, ...]:
         """For people."""
         if self.estimate is None:
-            return ()
+            return self.unused_given
         return tuple(_mount_notes(self.estimate)) + tuple(self._offset_notes())
 
     def _offset_notes(self) -> Iterator[str]:
@@ -96,6 +99,17 @@ class RecordingAlignment:
 
 
 def _mount_notes(estimate: MountEstimate) -> Iterator[str]:
+    if estimate.contradictions:
+        yield (
+            "The given extrinsics are used, but scans and images contradict them: "
+            f"{'; '.join(estimate.contradictions)}."
+        )
+    elif not estimate.is_confirmed:
+        yield (
+            "The given extrinsics are used, but scans and images do not confirm them: "
+            f"{estimate.visible:.0%} of the points in front of the camera are visible, and "
+            f"{estimate.agreement:.0%} of these agree."
+        )
     if estimate.refusal:
         found = "The mount is found from scans and images instead."
         yield f"{mount_not_used(estimate.refusal)} {found}"
@@ -162,6 +176,7 @@ def _align(
     peak = known[metric]
     mount = Mount(yaw_rad=yaw_rad, sd=(np.deg2rad(1.0), *(None,) * 5))
     estimate = None
+    unused_given: tuple[str, ...] = ()
     scale = DATASHEET_SCALE
     calibrated = all(camera.calibrated for camera in rig.cameras)
     if session.virtual_row is None and calibrated and settings.pairing == "mount":
@@ -169,17 +184,16 @@ def _align(
         def on_step() -> None:
             progress(0, None, "refining the mount")
 
-        estimate = estimate_mount(
-            collected.kept,
-            settings.mount,
-            yaw_rad=yaw_rad,
-            recorded=rig.recorded_mount,
-            on_step=on_step,
-        )
+        estimate = _estimate_mount(collected.kept, session, yaw_rad, on_step)
         mount = estimate.mount
         u = offset_of_yaw(mount.yaw_rad, collected.curve, collected.row)
         peak = _peak_at(fields[metric], peak, u, settings.search)
         scale = _learn_scale(collected.kept, mount, settings, on_step)
+    elif rig.given is not None:
+        mount = rig.given.mount
+        unused_given = (
+            "Beams and pixels are paired by each frame's own (u, v), not by the given extrinsics.",
+        )
     return RecordingAlignment(
         fields=fields,
         peaks=known,
@@ -193,6 +207,25 @@ def _align(
         lidar=collected.scan,
         frames=collected.mean.frames,
         panorama=collected.panorama if are_side_by_side(rig.cameras) else None,
+        unused_given=unused_given,
+    )
+
+
+def _estimate_mount(
+    kept: list[MountObservation], session: Session, yaw_rad: float, on_step: Callable[[], None]
+) -> MountEstimate:
+    """The given mount where there is one, else that of scans and images."""
+    rig, settings = session.rig, session.settings.mount
+    if rig.given is not None:
+        return hold_given_mount(
+            kept,
+            settings,
+            given=rig.given.mount,
+            sd=given_mount_sd(rig.given.poses, settings),
+            on_step=on_step,
+        )
+    return estimate_mount(
+        kept, settings, yaw_rad=yaw_rad, recorded=rig.recorded_mount, on_step=on_step
     )
 
 
@@ -216,6 +249,13 @@ def _peak_at(field: SimilarityField, peak: Peak, u: float, search: SearchSetting
         return find_peak(field, search, prior_u=u)
     except AlignmentFailed:
         return peak
+
+
+def peak_of_mount(alignment: RecordingAlignment, mount: Mount, search: SearchSettings) -> Peak:
+    """The peak of the deciding metric's mean field at another mount's offset."""
+    metric = alignment.metric
+    u = offset_of_yaw(mount.yaw_rad, alignment.curve, alignment.row)
+    return _peak_at(alignment.fields[metric], alignment.peaks[metric], u, search)
 
 
 class _AlignmentData:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from fusion_core.alignment.search import MeanField
 from fusion_core.alignment.similarity import SimilarityField
 from fusion_core.model.bounded_cache import BoundedCache
+from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import AlignmentFailed, RecordingError, ScanLoomError
 from fusion_core.model.labels import LabelLayer
 from fusion_core.workflows.fuse.align import RecordingAlignment
@@ -18,6 +19,7 @@ from fusion_core.workflows.fuse.frame_labels import FrameLabels, SessionLabels
 from fusion_core.workflows.fuse.frame_match import FrameMatch
 from fusion_core.workflows.fuse.frame_reader import FrameReader
 from fusion_core.workflows.fuse.match_images import match_images, split_into_frames
+from fusion_core.workflows.fuse.moved_rig import align_moved
 from fusion_core.workflows.fuse.pairing import PairedImage
 from fusion_core.workflows.fuse.session import Session
 from fusion_core.workflows.fuse.settings import ChainSettings
@@ -54,6 +56,14 @@ class CachedChain:
         self._panoramas: BoundedCache[Hashable, list[FrameMatch] | None] = BoundedCache(
             _PANORAMAS_KEPT
         )
+
+    def moved(self, T_lidar_camera: FloatArray) -> "CachedChain":
+        """The chain with the first camera at this pose (4, 4). It shares what was read, and keeps
+        results of its own."""
+        session, alignment = align_moved(self.alignment, self.session, T_lidar_camera)
+        chain = CachedChain(session, self.frames, alignment)
+        chain._pairs = self._pairs
+        return chain
 
     def pair(self, choice: FrameChoice) -> PairedImage:
         """The frame and its scan. Raises RecordingError for a frame that cannot be read."""

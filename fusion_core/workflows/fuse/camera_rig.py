@@ -1,4 +1,5 @@
-"""The rig of a recording: its cameras, and their mount by the recording's own transforms."""
+"""The rig of a recording: its cameras, and their mount by the recording's own transforms or by
+extrinsics that a person gives instead."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,8 +10,13 @@ from fusion_core.alignment.curves import SamplingSettings
 from fusion_core.alignment.upright import UprightView, upright_view
 from fusion_core.alignment.virtual_lidar import crop_view
 from fusion_core.model.conventions import R_BODY_OPTICAL, FloatArray
-from fusion_core.model.errors import MissingStream, ScanLoomError
-from fusion_core.model.geometry import make_transform, rotation_from_yaw_pitch_roll
+from fusion_core.model.errors import MissingStream, ScanLoomError, SettingsError
+from fusion_core.model.geometry import (
+    invert_transform,
+    make_transform,
+    rotation_from_yaw_pitch_roll,
+)
+from fusion_core.model.given_extrinsics import CameraPose, GivenExtrinsics
 from fusion_core.model.recording import Recording
 from fusion_core.model.rig import Camera, Mount
 from fusion_core.model.sensors import (
@@ -34,11 +40,25 @@ _T_LEVEL = make_transform(R_BODY_OPTICAL, np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class GivenMount:
+    """The mount by extrinsics that a person gives. ``source``: where from, for people. ``poses``:
+    of the rig's cameras, in their order."""
+
+    source: str
+    mount: Mount
+    poses: tuple[CameraPose, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CameraRig:
-    """Cameras in upright views on one frame. ``recorded`` is the mount by the recording's own
-    transforms, None where they do not connect it with the LiDAR. ``full_views`` are not cropped
-    for a virtual LiDAR. ``depth_quantum_m``: the coarsest step between depths that a camera's file
-    can tell apart, None where all are fine. ``notes`` are for people."""
+    """Cameras in upright views on one frame. ``recorded_mount`` is the mount by the recording's own
+    transforms, None where they do not connect it with the LiDAR or where another is ``given``.
+    ``full_views`` are not cropped for a virtual LiDAR. ``depth_quantum_m``: the coarsest step
+    between depths that a camera's file can tell apart, None where all are fine. ``notes`` are for
+    people.
+
+    What a mount does not have of the cameras' poses, such as their roll, is in their
+    ``T_rig_camera``: a known transform is kept in all six degrees of freedom."""
 
     cameras: tuple[Camera, ...]
     views: tuple[UprightView, ...]
@@ -49,6 +69,12 @@ class CameraRig:
     depth_quantum_m: float | None
     recorded_mount: Mount | None
     notes: tuple[str, ...]
+    given: GivenMount | None = None
+
+    @property
+    def known_mount(self) -> Mount | None:
+        """The mount that is known without scans and images."""
+        return self.recorded_mount if self.given is None else self.given.mount
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,14 +95,16 @@ def build_camera_rig(
     *,
     virtual: bool = False,
     needs_lidar: bool = True,
+    given: GivenExtrinsics | None = None,
 ) -> CameraRig:
     """Read what the rig needs: one image and CameraInfo of each camera, and the static transforms.
 
     ``virtual``: the LiDAR is cut from the depth itself, so the views are cropped. ``needs_lidar``:
-    False for a rig of cameras alone.
+    False for a rig of cameras alone. ``given``: extrinsics that replace the recording's transforms;
+    cameras that they do not place are left out.
 
     Raises MissingStream where the recording has no depth, or no LiDAR though one is needed and none
-    is ``virtual``.
+    is ``virtual``, and SettingsError for extrinsics that are not of these cameras.
     """
     if not streams.depth:
         raise MissingStream(
@@ -92,6 +120,20 @@ def build_camera_rig(
         )
     notes = list(streams.notes)
     topics = list(zip(streams.depth, streams.camera_info, strict=True))
+    poses: dict[str, CameraPose] = {}
+    if given is not None:
+        if virtual or streams.lidar is None:
+            raise SettingsError(
+                "there is no LiDAR to which these extrinsics could apply.",
+                file=given.file,
+                advice="Leave the extrinsics out, or name the LiDAR's topic.",
+            )
+        poses = given.of_topics(streams.depth)
+        left_out = [topic for topic in streams.depth if topic not in poses]
+        notes.append(f"Extrinsics from {given.source}.")
+        if left_out:
+            notes.append(f"{', '.join(left_out)} left out: {given.source} does not place them.")
+        topics = [(topic, info) for topic, info in topics if topic in poses]
     if virtual and len(topics) > 1:
         notes.append(f"The virtual LiDAR is cut from {topics[0][0]}; other cameras are left out.")
         topics = topics[:1]
@@ -104,17 +146,27 @@ def build_camera_rig(
     if streams.lidar is not None and not virtual:
         lidar_frame = first_scan(recording, streams.lidar).frame_id
         geometry = most_common_geometry(recording, streams.lidar)
-    T_base_camera, base = _find_camera_poses(transforms, stored, lidar_frame, notes)
+    if given is None:
+        T_base_camera, base = _find_camera_poses(transforms, stored, lidar_frame, notes)
+    else:
+        T_base_camera, base = _given_camera_poses(stored, poses, given), "lidar"
     if T_base_camera is None:
         if len(stored) > 1:
-            left_out = ", ".join(camera.topic for camera in stored[1:])
+            others = ", ".join(camera.topic for camera in stored[1:])
             notes.append(
                 f"No static transforms connect the cameras: {stored[0].topic} alone is used, not "
-                f"{left_out}."
+                f"{others}."
             )
         stored = stored[:1]
         T_base_camera = [_T_LEVEL]
-    cameras, views, recorded = _assemble(stored, T_base_camera, base == "lidar" and not virtual)
+    cameras, views, recorded = _assemble(
+        stored, T_base_camera, base == "lidar" and not virtual, pitch_in_mount=given is not None
+    )
+    given_mount = None
+    if given is not None and recorded is not None:
+        own = tuple(poses[camera.topic] for camera in stored)
+        given_mount = GivenMount(source=given.source, mount=recorded, poses=own)
+        recorded = None
     full_views = tuple(views)
     quanta = [camera.quantum_m for camera in stored if camera.quantum_m is not None]
     if virtual:
@@ -138,6 +190,7 @@ def build_camera_rig(
         depth_quantum_m=max(quanta, default=None),
         recorded_mount=recorded,
         notes=tuple(notes),
+        given=given_mount,
     )
 
 
@@ -215,21 +268,57 @@ def _find_camera_poses(
     return None, ""
 
 
+def _given_camera_poses(
+    cameras: Sequence[_StoredCamera], poses: dict[str, CameraPose], given: GivenExtrinsics
+) -> list[FloatArray]:
+    """Each camera's given (4, 4) pose in the LiDAR's frame."""
+    found = []
+    for camera in cameras:
+        if not camera.calibrated:
+            raise SettingsError(
+                f"{camera.topic} has no usable intrinsics, without which extrinsics do not say "
+                "where a LiDAR's points are in its images.",
+                file=given.file,
+                advice="Record its CameraInfo, or leave the extrinsics out.",
+            )
+        T_lidar_camera = invert_transform(poses[camera.topic].T_camera_lidar)
+        if abs(T_lidar_camera[2, 2]) >= _VIEW_Z_MAX:
+            raise SettingsError(
+                f"by these extrinsics {camera.topic} looks straight "
+                f"{'up' if T_lidar_camera[2, 2] > 0.0 else 'down'} from the LiDAR.",
+                file=given.file,
+                advice="T_camera_lidar maps the LiDAR's points to the camera's optical frame (x "
+                "right, y down, z ahead).",
+            )
+        found.append(T_lidar_camera)
+    return found
+
+
 def _assemble(
-    stored: Sequence[_StoredCamera], T_base_camera: Sequence[FloatArray], base_is_lidar: bool
+    stored: Sequence[_StoredCamera],
+    T_base_camera: Sequence[FloatArray],
+    base_is_lidar: bool,
+    *,
+    pitch_in_mount: bool,
 ) -> tuple[list[Camera], list[UprightView], Mount | None]:
     """Cameras on a rig frame whose origin is the mean optical centre. One camera looks along the
-    rig's x; several keep the axes of the base that their poses share."""
+    rig's x, level unless ``pitch_in_mount``; several keep the axes of the base that their poses
+    share."""
     centre = np.mean([T[:3, 3] for T in T_base_camera], axis=0)
-    yaw_rad = 0.0
+    yaw_rad = pitch_rad = 0.0
     if len(stored) == 1:
-        yaw_rad = float(np.arctan2(T_base_camera[0][1, 2], T_base_camera[0][0, 2]))
-    R_rig_base = rotation_from_yaw_pitch_roll(-yaw_rad, 0.0, 0.0)
+        axis = T_base_camera[0][:3, 2]
+        yaw_rad = float(np.arctan2(axis[1], axis[0]))
+        if pitch_in_mount:
+            pitch_rad = float(-np.arcsin(np.clip(axis[2], -1.0, 1.0)))
+    R_rig_base = rotation_from_yaw_pitch_roll(0.0, -pitch_rad, 0.0) @ rotation_from_yaw_pitch_roll(
+        -yaw_rad, 0.0, 0.0
+    )
     cameras = []
     views = []
     for camera, T in zip(stored, T_base_camera, strict=True):
         R_rig_stored = R_rig_base @ T[:3, :3]
-        view = upright_view(camera.intrinsics, R_rig_stored[2, :])
+        view = upright_view(camera.intrinsics, T[2, :3])
         views.append(view)
         cameras.append(
             Camera(
@@ -245,6 +334,7 @@ def _assemble(
     if base_is_lidar:
         recorded = Mount(
             yaw_rad=yaw_rad,
+            pitch_rad=pitch_rad,
             forward_m=float(centre[0]),
             left_m=float(centre[1]),
             delta_z_m=float(centre[2]),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion_core.evaluation.fuse_folder import open_fuse_folder, read_mount
+from fusion_core.evaluation.fuse_folder import FuseFolder, open_fuse_folder, read_mount
 from fusion_core.exporting.clouds import write_cloud
 from fusion_core.exporting.manifest import require_intact
 from fusion_core.exporting.output_folder import RunRequest, plan_output, results_folder
@@ -16,7 +16,8 @@ from fusion_core.mapping.voxel_cloud import VoxelCloud
 from fusion_core.model.classes import NoiseClass
 from fusion_core.model.conventions import NS_PER_MS, FloatArray
 from fusion_core.model.errors import MissingStream, RecordingError
-from fusion_core.model.geometry import transform_from_planar, transform_points
+from fusion_core.model.geometry import invert_transform, transform_from_planar, transform_points
+from fusion_core.model.given_extrinsics import CameraPose, GivenExtrinsics
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.rig import Mount
 from fusion_core.model.sensors import DepthImage, LaserScan
@@ -62,7 +63,7 @@ def export_clouds(
     mount = read_mount(fuse_folder)
     fused_file = results / "fused.mcap"
     with open_source(recording, options.room) as opened, open_recording(fused_file) as fused:
-        session = open_session(opened, options, settings)
+        session = open_session(opened, options, settings, _given_extrinsics(fuse_folder))
         poses = None
         if session.virtual_row is None:
             poses = recorded_poses(opened, session.streams, session.rig.lidar_frame)
@@ -112,6 +113,19 @@ def export_clouds(
     return CloudExport(
         output=output, points=points, notes=tuple(_notes(session, fuse_folder.alignment))
     )
+
+
+def _given_extrinsics(folder: FuseFolder) -> GivenExtrinsics | None:
+    """Those that a person gave to the run, None where it had none."""
+    source = folder.alignment.get("given_extrinsics")
+    if source is None:
+        return None
+    cameras: dict[str | None, CameraPose] = {
+        camera.topic: CameraPose(T_camera_lidar=invert_transform(camera.T_lidar_camera))
+        for camera in folder.cameras
+        if camera.T_lidar_camera is not None
+    }
+    return GivenExtrinsics(source=str(source), cameras=cameras)
 
 
 def _raw_scans(session: Session) -> Iterator[LaserScan]:

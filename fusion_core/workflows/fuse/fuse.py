@@ -49,8 +49,10 @@ def fuse(
     """
     preset, settings = chain_settings(options.preset, options.settings_file, options.seed)
     settings_text = settings_toml(preset, settings)
+    given = options.given_extrinsics()
     with open_source(recording, options.room) as opened:
-        inputs = input_files(opened) + ([] if options.truth is None else [options.truth])
+        files = (options.truth, options.extrinsics_file)
+        inputs = [*input_files(opened), *(file for file in files if file is not None)]
         request = RunRequest(
             command="fuse",
             inputs=inputs,
@@ -67,7 +69,7 @@ def fuse(
         with results_folder(plan) as folder, WorkerPool(options.workers) as pool:
             pool.start(*WORKER_MODULES)
             write_text(folder / "settings.toml", settings_text)
-            session = open_session(opened, options, settings)
+            session = open_session(opened, options, settings, given)
             summary = _run_chain(session, folder, replace(options, preset=preset), pool, progress)
             write_summary(folder, summary)
             return replace(summary, output=output)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 from fusion_core.model.errors import MissingStream
+from fusion_core.model.given_extrinsics import GivenExtrinsics
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import PoseSample
 from fusion_core.recordings.topics import Streams, choose_streams
@@ -32,15 +33,18 @@ class RecordedStreams:
 
 
 def open_recorded_streams(
-    recording: Recording, options: FuseOptions, settings: ChainSettings
+    recording: Recording,
+    options: FuseOptions,
+    settings: ChainSettings,
+    given: GivenExtrinsics | None = None,
 ) -> RecordedStreams:
-    """Choose the streams, and build the rig as far as there is one.
+    """Choose the streams, and build the rig as far as there is one. ``given``: as ``open_session``.
 
     Raises MissingStream for a topic that is not there or of another kind, and for a virtual LiDAR
-    without depth images.
+    without depth images, SettingsError for extrinsics that are not of these cameras.
     """
     try:
-        session = open_session(recording, options, settings)
+        session = open_session(recording, options, settings, given)
     except MissingStream as error:
         # A wrong name has no streams at all: it is reported.
         streams = choose_streams(

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 from fusion_core.alignment.time import scan_at_image
 from fusion_core.alignment.virtual_lidar import mask_cut_rows
 from fusion_core.model.conventions import Float32Array
+from fusion_core.model.given_extrinsics import GivenExtrinsics
 from fusion_core.model.labels import LabelLayer
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import LaserScan
+from fusion_core.recordings.calibration_files.extrinsics import read_given_extrinsics
 from fusion_core.recordings.topics import Streams, choose_streams
 from fusion_core.workflows.fuse.camera_rig import CameraRig, build_camera_rig
 from fusion_core.workflows.fuse.pairing import (
@@ -32,9 +34,11 @@ if TYPE_CHECKING:
 class FuseOptions:
     """The options of a run; the chain's own settings are in the preset and the file.
 
-    ``seed`` overrides theirs unless None. ``room`` is a room of a data set. ``labels``: a person's
-    on this recording, which overrule the classes. ``workers``: processes that share in the work,
-    None for one a core; the results are the same for each number.
+    ``seed`` overrides theirs unless None. ``room`` is a room of a data set. ``extrinsics_file``:
+    where the LiDAR is in the cameras' frames, instead of the recording's transforms and of what
+    scans and images show. ``labels``: a person's on this recording, which overrule the classes.
+    ``workers``: processes that share in the work, None for one a core; the results are the same for
+    each number.
     """
 
     preset: PresetName = "default"
@@ -44,6 +48,7 @@ class FuseOptions:
     lidar_topic: str | None = None
     depth_topics: tuple[str, ...] = ()
     pose_topic: str | None = None
+    extrinsics_file: Path | None = None
     apply_clock_offset: bool = False
     maps: bool = True
     figures: bool = True
@@ -53,6 +58,10 @@ class FuseOptions:
     workers: int | None = 1
     force: bool = False
     overwrite: bool = False
+
+    def given_extrinsics(self) -> GivenExtrinsics | None:
+        """Those of the file, None without one. Raises SettingsError for what it has wrong."""
+        return None if self.extrinsics_file is None else read_given_extrinsics(self.extrinsics_file)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,8 +128,14 @@ class Session(FrameSetup):
         return sum(topic.count for topic in self.recording.topics if topic.name in wanted)
 
 
-def open_session(recording: Recording, options: FuseOptions, settings: ChainSettings) -> Session:
-    """Choose the streams and build the rig."""
+def open_session(
+    recording: Recording,
+    options: FuseOptions,
+    settings: ChainSettings,
+    given: GivenExtrinsics | None = None,
+) -> Session:
+    """Choose the streams and build the rig. ``given``: extrinsics instead of those of the options'
+    file. Raises MissingStream and SettingsError as ``build_camera_rig``."""
     streams = choose_streams(
         recording,
         lidar=options.lidar_topic,
@@ -128,7 +143,8 @@ def open_session(recording: Recording, options: FuseOptions, settings: ChainSett
         pose=options.pose_topic,
     )
     virtual = options.virtual_lidar_row is not None
-    rig = build_camera_rig(recording, streams, settings.sampling, virtual=virtual)
+    given = given or options.given_extrinsics()
+    rig = build_camera_rig(recording, streams, settings.sampling, virtual=virtual, given=given)
     return session_of(recording, streams, rig, settings, options.virtual_lidar_row)
 
 

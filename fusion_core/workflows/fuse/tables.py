@@ -198,6 +198,7 @@ def alignment_document(
         "visible": None if estimate is None else estimate.visible,
         "mount_used": dict(zip(MOUNT_PARAMETERS, mount.vector().tolist(), strict=True)),
         "recorded_mount_used": estimate is not None and estimate.is_from_recorded,
+        **({} if rig.given is None else {"given_extrinsics": rig.given.source}),
         "noise_scale": {"floor_m": alignment.scale.floor_m, "share": alignment.scale.fraction},
         "frames": alignment.frames,
         "lidar": {

@@ -6,7 +6,7 @@ Begin with ``build_map.py``, which holds the whole run on one screen. Its steps:
 - Input: ``map_input.py`` opens what the options choose: the scans (``scan_source.py``; with cameras
   ``virtual_scans.py``, repaired ``repaired_scans.py``) and their odometry (``motion_prior.py``, the
   camera's images in ``rgbd_frames.py``).
-- Where the cameras are: ``extrinsics.py`` (from a file by ``extrinsics_file.py``, from TF after
+- Where the cameras are: ``extrinsics.py`` (from a file, from TF after
   ``recorded_mount_check.py``, or from the alignment), ``floor_alignment.py`` (their height and tilt
   above the floor), ``recorded_sensors.py`` (all of it with the clock offset, as one value).
 - SLAM: ``estimators.py`` gives each scan a pose in the map.

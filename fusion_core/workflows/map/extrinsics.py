@@ -14,6 +14,7 @@ from fusion_core.model.geometry import invert_transform, make_transform
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
+from fusion_core.recordings.calibration_files.extrinsics import read_given_extrinsics
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.fuse.align import align_recording, mount_not_used
 from fusion_core.workflows.fuse.camera_rig import CameraRig, build_camera_rig
@@ -22,7 +23,6 @@ from fusion_core.workflows.fuse.session import (
     session_of,
 )
 from fusion_core.workflows.fuse.settings import ChainSettings
-from fusion_core.workflows.map.extrinsics_file import read_extrinsics
 from fusion_core.workflows.map.recorded_mount_check import recorded_mount_problem
 from fusion_core.workflows.recorded_transforms import RecordedTransforms, frame_name
 
@@ -178,20 +178,12 @@ def _level_extrinsics(
 def _extrinsics_from_file(
     file: Path, rig: CameraRig, streams: Streams, mounting: _LidarMounting
 ) -> CameraExtrinsics:
-    given = read_extrinsics(file)
+    given = read_given_extrinsics(file).of_topics(streams.depth)
     intrinsics = {
         camera.topic: stored
         for camera, stored in zip(rig.cameras, rig.stored_intrinsics, strict=True)
     }
-    if None in given:
-        if len(streams.depth) > 1:
-            raise SettingsError(
-                f"holds one transform for {len(streams.depth)} depth cameras.",
-                file=file,
-                advice=f'Name one with --depth, or write a table cameras."{streams.depth[0]}".',
-            )
-        given = {rig.cameras[0].topic: given[None]}
-    known: dict[str, FloatArray] = {t: T for t, T in given.items() if t in intrinsics}
+    known = {t: pose.T_camera_lidar for t, pose in given.items() if t in intrinsics}
     if not known:
         raise SettingsError(
             f"names none of the depth topics {', '.join(intrinsics)}.", file=file, advice=_GIVE_FILE

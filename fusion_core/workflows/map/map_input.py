@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 from fusion_core.model.progress import Progress
 from fusion_core.model.recording import Recording
+from fusion_core.recordings.calibration_files.extrinsics import read_given_extrinsics
 from fusion_core.recordings.topics import Streams
 from fusion_core.worker_processes import WorkerPool
 from fusion_core.workflows.map.extrinsics import find_extrinsics
@@ -68,6 +69,8 @@ def open_map_input(
             recording, streams, settings, file=options.extrinsics_file, progress=progress
         )
         sensors = replace(sensors, extrinsics=extrinsics)
+    if options.extrinsics_file is not None:
+        sensors = replace(sensors, given=read_given_extrinsics(options.extrinsics_file))
     scans = open_scans(
         sensors,
         options.scan,

@@ -54,7 +54,8 @@ class MapOptions:
     @property
     def needs_extrinsics(self) -> bool:
         """Whether the cameras' extrinsics are used."""
-        return self.has_virtual_scans or self.motion in ("visual", "fused")
+        uses_images = self.has_virtual_scans or self.motion in ("visual", "fused")
+        return uses_images or self.scan == "repaired"
 
     def identity(self) -> str:
         """The options that determine the results, besides settings and input files, as JSON."""
@@ -86,6 +87,6 @@ class MapOptions:
             raise SettingsError(
                 f"--scan {self.scan} with --motion {self.motion} takes no extrinsics.",
                 file=self.extrinsics_file,
-                advice="Leave --extrinsics out, or use --scan merged or camera, or "
-                "--motion visual.",
+                advice="Leave --extrinsics out, or use --scan merged, camera or repaired, "
+                "or --motion visual.",
             )

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from fusion_core.model.conventions import NS_PER_MS
+from fusion_core.model.given_extrinsics import GivenExtrinsics
 from fusion_core.model.recording import Recording
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.map.extrinsics import CameraExtrinsics
@@ -12,13 +13,15 @@ from fusion_core.workflows.map.extrinsics import CameraExtrinsics
 class RecordedSensors:
     """The streams of a recording with what relates cameras and LiDAR.
 
-    ``extrinsics``: None where they were not looked for. ``clock_offset_ms``: camera stamp - LiDAR
+    ``extrinsics``: None where they were not looked for. ``given``: those that a person gave, which
+    the chain of ``fuse`` uses, None where there are none. ``clock_offset_ms``: camera stamp - LiDAR
     stamp of one instant, which is subtracted from the camera's stamps.
     """
 
     recording: Recording
     streams: Streams
     extrinsics: CameraExtrinsics | None = None
+    given: GivenExtrinsics | None = None
     clock_offset_ms: float = 0.0
 
     @property

@@ -42,7 +42,7 @@ class RepairedScans:
             )
         self._pool = pool or WorkerPool(1)
         self._pool.start(*WORKER_MODULES)
-        rig = build_camera_rig(recording, streams, settings.sampling)
+        rig = build_camera_rig(recording, streams, settings.sampling, given=sensors.given)
         self._session = session_of(recording, streams, rig, settings)
         self._alignment = align_recording(self._session, progress)
         self._labels: SessionLabels | None = None

@@ -1,0 +1,64 @@
+"""The mount's place in the LiDAR's plane with its deviations, and with the clock offset where the
+recording shows that."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.alignment.mount_cost import MountCost
+from fusion_core.alignment.mount_refinement import IN_PLANE, ScanLines, refine_in_plane
+from fusion_core.alignment.mount_settings import MountPriors
+from fusion_core.alignment.mount_uncertainty import choose_optimum, in_plane_covariance
+from fusion_core.model.conventions import FloatArray
+
+OBSERVABLE_SD = np.array([np.deg2rad(1.5), 0.15, 0.10, 0.10, np.deg2rad(2.0), 25.0])
+"""Beyond these standard deviations (in the order of MOUNT_PARAMETERS) a value is not observable:
+its error would change the noise classes and repairs that use it. Set by hand."""
+
+CLOCK = 5
+"""Of MOUNT_PARAMETERS, the clock offset."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InPlaneMount:
+    """A mount (6,), its deviations, infinite where unknown, and how a delay turns its yaw."""
+
+    values: FloatArray
+    sd: FloatArray
+    yaw_per_delay_rad_s: float
+
+    def agreement(self, problem: MountCost) -> float:
+        return problem.agreement_and_visibility(self.values)[0]
+
+
+def fit_in_plane(
+    problem: MountCost, lines: ScanLines, starts: list[FloatArray], priors: MountPriors
+) -> InPlaneMount:
+    """The best of the optima in the LiDAR's plane, with the first start's height and pitch.
+
+    The clock offset is part of it where the recording shows it. Otherwise it stays as the priors
+    have it, the stamps are believed, and the yaw is that which belongs to them: what pairs need.
+    """
+    sd = np.full(starts[0].size, np.inf)
+    for free in (np.ones(IN_PLANE.size, dtype=bool), IN_PLANE != CLOCK):
+        refined = []
+        for start in starts:
+            begin = start.copy()
+            begin[CLOCK] = priors.centre[CLOCK]
+            refined.append(refine_in_plane(lines, begin, priors, free))
+        fits = [fit for fit in refined if fit is not None]
+        if not fits:
+            return InPlaneMount(values=starts[0], sd=sd, yaw_per_delay_rad_s=0.0)
+        best, apart = choose_optimum(fits)
+        covariance = in_plane_covariance(best, free)
+        if covariance is None:
+            continue
+        sd[IN_PLANE] = np.where(free, np.maximum(np.sqrt(np.diag(covariance)), apart), np.inf)
+        if sd[CLOCK] <= OBSERVABLE_SD[CLOCK]:
+            break
+    # Delay and yaw follow from turns: an error of the turn rates grows with the delay.
+    rate_sd, delay_ms = problem.turn_rate_sd_rad_s, abs(float(best.values[CLOCK]))
+    spread = max(float(np.std(problem.turn_rates_rad_s)), 1e-6)
+    sd[0] = np.hypot(sd[0], 1e-3 * delay_ms * rate_sd)
+    sd[CLOCK] = np.hypot(sd[CLOCK], delay_ms * rate_sd / spread)
+    return InPlaneMount(values=best.values, sd=sd, yaw_per_delay_rad_s=best.yaw_per_delay_rad_s)

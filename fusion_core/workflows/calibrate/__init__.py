@@ -1,0 +1,1 @@
+"""``scanloom calibrate``: a LiDAR and a camera put into one frame."""
