@@ -15,6 +15,8 @@ class RandomStream(IntEnum):
     CAMERA = 4
     FAULTS = 5
     FEATURES = 6
+    TURNING_RIG = 7
+    TEXTURES = 8
 
 
 def make_generator(seed: int, stream: RandomStream, *indices: int) -> np.random.Generator:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray
+from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray, IntArray
 from fusion_core.simulation.solids import Mesh, join_meshes
 from fusion_core.simulation.worlds import World
 
@@ -20,17 +20,18 @@ class Hits:
 
     ``distance``: (N,) in units of the ray's direction vector, inf where nothing is met.
     ``incidence_cos``: (N,) in [0, 1], 1 is head on. ``normals``: (N, 3) unit.
-    ``materials``: (N,) uint8.
+    ``materials``: (N,) uint8. ``triangles``: (N,) index in the mesh, -1 where nothing is met.
     """
 
     distance: FloatArray
     incidence_cos: FloatArray
     normals: FloatArray
     materials: ByteArray
+    triangles: IntArray
 
 
-class _Geometry:
-    """A mesh ready for rays."""
+class MeshCaster:
+    """Casts rays against a mesh that does not move."""
 
     def __init__(self, mesh: Mesh) -> None:
         # Open3D takes most of a second to import, and only simulation needs it.
@@ -50,6 +51,7 @@ class _Geometry:
         self._materials = mesh.materials
 
     def cast(self, origins_m: FloatArray, directions: FloatArray) -> Hits:
+        """First triangles met by rays from (N, 3) or (3,) along (N, 3), of any length."""
         answer = self._scene.cast_rays(self._rays(origins_m, directions))
         triangle = answer["primitive_ids"].numpy().astype(np.int64)
         met = np.isfinite(answer["t_hit"].numpy())
@@ -59,9 +61,12 @@ class _Geometry:
         height = self._offsets[triangle] - np.einsum("ij,ij->i", normals, origins_m)
         distance = np.divide(height, slope, out=np.full(len(met), np.inf), where=met)
         length = np.sqrt(np.einsum("ij,ij->i", directions, directions))
-        return Hits(distance, np.abs(slope) / length, normals, self._materials[triangle])
+        incidence_cos = np.abs(slope) / length
+        materials = self._materials[triangle]
+        return Hits(distance, incidence_cos, normals, materials, np.where(met, triangle, -1))
 
     def blocked(self, origins_m: FloatArray, directions: FloatArray) -> BoolArray:
+        """(N,) whether a triangle lies on the way from each origin to origin + direction."""
         rays = self._rays(origins_m, directions)
         blocked: BoolArray = self._scene.test_occlusions(rays, tnear=0.0, tfar=1.0).numpy()
         return blocked
@@ -78,7 +83,7 @@ class RayCaster:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._static = _Geometry(world.mesh)
+        self._static = MeshCaster(world.mesh)
 
     def cast(self, origins_m: FloatArray, directions: FloatArray, time_s: float) -> Hits:
         """First surfaces met by rays.
@@ -98,6 +103,8 @@ class RayCaster:
             np.where(nearer, other.incidence_cos, hits.incidence_cos),
             np.where(nearer[:, None], other.normals, hits.normals),
             np.where(nearer, other.materials, hits.materials),
+            # The triangles of the people are numbered after those of the world.
+            np.where(nearer, other.triangles + self._world.mesh.materials.size, hits.triangles),
         )
 
     def blocked(self, origins_m: FloatArray, target_m: FloatArray, time_s: float) -> BoolArray:
@@ -111,7 +118,7 @@ class RayCaster:
         moving = self._moving(time_s)
         return blocked if moving is None else blocked | moving.blocked(origins_m, directions)
 
-    def _moving(self, time_s: float) -> _Geometry | None:
+    def _moving(self, time_s: float) -> MeshCaster | None:
         if not self._world.walkers:
             return None
-        return _Geometry(join_meshes([walker.mesh_at(time_s) for walker in self._world.walkers]))
+        return MeshCaster(join_meshes([walker.mesh_at(time_s) for walker in self._world.walkers]))

@@ -9,7 +9,14 @@ from fusion_core.model.errors import ExportError
 from fusion_core.model.progress import Progress
 from fusion_core.recordings.world_file import world_path
 from fusion_core.settings import StageSettings
+from fusion_core.simulation.board_recording import (
+    BOARD_SCENE,
+    BoardSceneSettings,
+    write_board_recording,
+)
+from fusion_core.simulation.board_recording import DESCRIPTION as BOARD_DESCRIPTION
 from fusion_core.simulation.faults import FaultSettings
+from fusion_core.simulation.rig_recorder import record_turning_rig
 from fusion_core.simulation.scenes import (
     SceneSettings,
     SimulatedScene,
@@ -18,17 +25,29 @@ from fusion_core.simulation.scenes import (
     write_scene,
 )
 from fusion_core.simulation.truth import truth_path
+from fusion_core.simulation.turning_rig import TurningRigSettings
+
+SONG_RIG = "song_rig"
+_SONG_RIG_DESCRIPTION = (
+    "Song 2022: a VLP-16 on a turning axis and a camera in a textured room; mounting error unknown"
+)
+_SONG_RIG_SEED = 1
 
 
 def scenes() -> list[dict[str, Any]]:
     """Name, description and settings of each scene, ready for JSON."""
+    listed: list[tuple[str, str, StageSettings]] = [
+        (scene.name, scene.description, scene.settings) for scene in list_scenes()
+    ]
+    listed.append((SONG_RIG, _SONG_RIG_DESCRIPTION, TurningRigSettings()))
+    listed.append((BOARD_SCENE, BOARD_DESCRIPTION, BoardSceneSettings()))
     return [
         {
-            "name": scene.name,
-            "description": scene.description,
-            "settings": scene.settings.model_dump(mode="json"),
+            "name": name,
+            "description": description,
+            "settings": settings.model_dump(mode="json"),
         }
-        for scene in list_scenes()
+        for name, description, settings in listed
     ]
 
 
@@ -44,18 +63,18 @@ def write(
     """Write the scene ``name`` to ``output`` (.mcap), its truth and its world beside it.
 
     The scene's own settings are changed by the table ``[scene]`` of ``settings_file``, its seed by
-    ``seed``; the table ``[faults]`` says what goes wrong. The result says what was written. Raises
-    SettingsError for an unknown scene or setting, ExportError where a file stands in the way
-    (unless ``overwrite``) or cannot be written; ``seed`` is 0 or more.
+    ``seed``; the table ``[faults]`` says what goes wrong. The scenes for calibrations have neither
+    faults nor a world. The result says what was written. Raises SettingsError for an unknown scene
+    or setting, ExportError where a file stands in the way (unless ``overwrite``) or cannot be
+    written; ``seed`` is 0 or more.
     """
+    if name == SONG_RIG:
+        return _write_rig(output, settings_file, seed, overwrite=overwrite, progress=progress)
+    if name == BOARD_SCENE:
+        return _write_board(output, settings_file, seed, overwrite=overwrite, progress=progress)
     settings, faults = _settings(find_scene(name), settings_file, seed)
-    if output.suffix != ".mcap":
-        raise ExportError("is no name for a recording.", file=output, advice="End it in .mcap.")
     truth, world = truth_path(output), world_path(output)
-    for path in (output, truth, world):
-        require_apart(path, [] if settings_file is None else [settings_file])
-        if path.exists() and not overwrite:
-            raise ExportError("exists.", file=path, advice="Choose another name, or --overwrite.")
+    _require_free((output, truth, world), settings_file, overwrite=overwrite)
     write_scene(name, output, settings=settings, faults=faults, progress=progress)
     return {
         "scene": name,
@@ -65,6 +84,65 @@ def write(
         "settings": settings.model_dump(mode="json"),
         "faults": faults.model_dump(mode="json"),
     }
+
+
+def _write_rig(
+    output: Path,
+    settings_file: Path | None,
+    seed: int | None,
+    *,
+    overwrite: bool,
+    progress: Progress,
+) -> dict[str, Any]:
+    settings = TurningRigSettings()
+    if settings_file is not None:
+        loaded = load_toml(settings_file, {"scene": TurningRigSettings}, {"scene": settings})
+        settings = TurningRigSettings.model_validate(loaded["scene"])
+    truth = truth_path(output)
+    _require_free((output, truth), settings_file, overwrite=overwrite)
+    used_seed = _SONG_RIG_SEED if seed is None else seed
+    record_turning_rig(settings, used_seed, output, progress)
+    return {
+        "scene": SONG_RIG,
+        "recording": str(output),
+        "truth": str(truth),
+        "settings": {"seed": used_seed, **settings.model_dump(mode="json")},
+    }
+
+
+def _write_board(
+    output: Path,
+    settings_file: Path | None,
+    seed: int | None,
+    *,
+    overwrite: bool,
+    progress: Progress,
+) -> dict[str, Any]:
+    settings = BoardSceneSettings()
+    if settings_file is not None:
+        loaded = load_toml(settings_file, {"scene": BoardSceneSettings}, {"scene": settings})
+        settings = BoardSceneSettings.model_validate(loaded["scene"])
+    if seed is not None:
+        settings = BoardSceneSettings.model_validate({**settings.model_dump(), "seed": seed})
+    truth = truth_path(output)
+    _require_free((output, truth), settings_file, overwrite=overwrite)
+    write_board_recording(output, settings, progress)
+    return {
+        "scene": BOARD_SCENE,
+        "recording": str(output),
+        "truth": str(truth),
+        "settings": settings.model_dump(mode="json"),
+    }
+
+
+def _require_free(paths: tuple[Path, ...], settings_file: Path | None, *, overwrite: bool) -> None:
+    """Raise ExportError where the first path is no recording's, or a file stands in the way."""
+    if paths[0].suffix != ".mcap":
+        raise ExportError("is no name for a recording.", file=paths[0], advice="End it in .mcap.")
+    for path in paths:
+        require_apart(path, [] if settings_file is None else [settings_file])
+        if path.exists() and not overwrite:
+            raise ExportError("exists.", file=path, advice="Choose another name, or --overwrite.")
 
 
 def _settings(

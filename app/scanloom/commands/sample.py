@@ -59,5 +59,6 @@ class Sample:
             overwrite=self.overwrite,
             progress=progress,
         )
-        lines = [f"{name:<11}{written[name]}" for name in ("recording", "truth", "world")]
+        files = ("recording", "truth", "world")
+        lines = [f"{name:<11}{written[name]}" for name in files if name in written]
         return Report(result=written, lines=lines)
