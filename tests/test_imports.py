@@ -16,7 +16,7 @@ FILES = {"fusion_core.files"}
 ALGORITHMS = {
     "fusion_core.alignment": BASE,
     "fusion_core.registration": BASE,
-    "fusion_core.mapping": BASE,
+    "fusion_core.mapping": BASE | {"fusion_core.registration"},
     "fusion_core.calibration": BASE | {"fusion_core.registration"},
     "fusion_core.denoising": BASE | {"fusion_core.alignment", "fusion_core.registration"},
     "fusion_core.motion": BASE | {"fusion_core.registration"},

@@ -28,9 +28,9 @@ from typing import Literal
 import numpy as np
 
 from fusion_core.compiled import compiled
-from fusion_core.mapping.radius_filter import has_neighbours
 from fusion_core.model.conventions import BoolArray, FloatArray, wrap_angle
 from fusion_core.model.sensors import LaserScan
+from fusion_core.registration.radius_filter import has_neighbours
 from fusion_core.settings import StageSettings, setting
 
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from fusion_core.mapping.radius_filter import has_neighbours
+from fusion_core.registration.radius_filter import has_neighbours
 
 
 @given(
