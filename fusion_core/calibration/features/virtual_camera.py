@@ -1,0 +1,111 @@
+"""The virtual camera that a cloud's intensity image is seen by (Song 2022 §2.2.1, Fig. 5)."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fusion_core.model.conventions import R_BODY_OPTICAL, FloatArray, read_only
+from fusion_core.model.geometry import make_transform, transform_points
+
+# Nearer points stand on the sensor's own housing, and project anywhere.
+_NEAREST_M = 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class VirtualCamera:
+    """A pinhole camera without distortion; pixel centres are integers.
+
+    ``T_view_lidar``: (4, 4) LiDAR points to its optical frame. ``focal_px``: of its own pixels.
+    """
+
+    T_view_lidar: FloatArray
+    focal_px: float
+    width: int
+    height: int
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        read_only(self.T_view_lidar)
+
+    def project(self, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(N, 2) pixels and (N,) depths of (N, 3) points of the LiDAR; NaN behind the camera."""
+        seen = transform_points(self.T_view_lidar, points_m)
+        depth_m = np.where(seen[:, 2] > _NEAREST_M, seen[:, 2], np.nan)
+        pixels = self.focal_px * seen[:, :2] / depth_m[:, np.newaxis] + (self.cx, self.cy)
+        return pixels, depth_m
+
+    def rays(self, pixels: FloatArray) -> FloatArray:
+        """(N, 3) directions with z = 1, in the virtual camera's frame, of (N, 2) pixels."""
+        plane = (pixels - (self.cx, self.cy)) / self.focal_px
+        return np.concatenate([plane, np.ones((len(plane), 1))], axis=1)
+
+    def with_pixel_size(self, pixel_size: float) -> "VirtualCamera":
+        """The same field of view in pixels that are ``pixel_size`` times as wide.
+
+        (9) and (10), 0-based: L = round((u'_max - u'_min) / dx); the paper names height and width
+        the other way round there than in (11) and (12).
+        """
+        return VirtualCamera(
+            T_view_lidar=self.T_view_lidar,
+            focal_px=self.focal_px / pixel_size,
+            width=max(1, round(self.width / pixel_size)),
+            height=max(1, round(self.height / pixel_size)),
+            # The image's edge, half a pixel before the first centre, stays where it is.
+            cx=(self.cx + 0.5) / pixel_size - 0.5,
+            cy=(self.cy + 0.5) / pixel_size - 0.5,
+        )
+
+
+def camera_towards(
+    direction: FloatArray, *, focal_px: float, width: int, height: int
+) -> VirtualCamera:
+    """A virtual camera at the LiDAR's origin that looks along a (3,) direction, z of the LiDAR up
+    in its image as far as the direction allows."""
+    azimuth = float(np.arctan2(direction[1], direction[0]))
+    elevation = float(np.arctan2(direction[2], np.hypot(direction[0], direction[1])))
+    body = Rotation.from_euler("ZY", [azimuth, -elevation]).as_matrix()
+    return VirtualCamera(
+        T_view_lidar=make_transform((body @ R_BODY_OPTICAL).T, np.zeros(3)),
+        focal_px=focal_px,
+        width=width,
+        height=height,
+        cx=(width - 1) / 2,
+        cy=(height - 1) / 2,
+    )
+
+
+def cloud_directions(points_m: FloatArray, field_of_view_rad: float) -> Iterator[FloatArray]:
+    """Directions in which virtual cameras look so that together they see the cloud.
+
+    First the paper's, to the cloud's centre (the mean direction of its points), where they have
+    one; then, for a cloud that is wider than one field of view, rows of directions over the sphere,
+    half a field of view apart, those with points alone.
+    """
+    rays = points_m / np.linalg.norm(points_m, axis=1, keepdims=True)
+    mean = rays.mean(axis=0)
+    length = float(np.linalg.norm(mean))
+    half = 0.5 * field_of_view_rad
+    if length > 0.0:
+        centre = mean / length
+        if np.quantile(rays @ centre, 0.02) > np.cos(half):
+            yield centre
+            return
+    occupied_min = 0.002 * len(rays)
+    # The horizon first, where most cameras look.
+    steps = max(0, int(np.ceil((0.5 * np.pi - half) / half)))
+    for step in sorted(range(-steps, steps + 1), key=lambda k: (abs(k), -k)):
+        elevation = step * half
+        around = max(1, round(2.0 * np.pi * np.cos(elevation) / half))
+        for azimuth in 2.0 * np.pi * np.arange(around) / around:
+            direction = np.array(
+                [
+                    np.cos(elevation) * np.cos(azimuth),
+                    np.cos(elevation) * np.sin(azimuth),
+                    np.sin(elevation),
+                ]
+            )
+            if np.count_nonzero(rays @ direction > np.cos(0.5 * half)) >= occupied_min:
+                yield direction
