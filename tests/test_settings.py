@@ -36,7 +36,7 @@ CLASSES = sorted(
         for c in subclasses(StageSettings)
         if c.__module__.split(".")[0] in ("scanloom", "fusion_core")
     },
-    key=lambda settings_class: settings_class.__qualname__,
+    key=lambda settings_class: (settings_class.__qualname__, settings_class.__module__),
 )
 FIELDS = [
     pytest.param(field, id=f"{settings_class.__qualname__}.{name}")

@@ -23,6 +23,7 @@ from fusion_core.freed_memory import keep_freed_memory
 from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.names import escape_undecodable_values, printable
 from scanloom.commands.batch import Batch, split_options
+from scanloom.commands.calibrate import Calibrate
 from scanloom.commands.evaluate import Evaluate
 from scanloom.commands.interruption import Terminated, termination
 from scanloom.commands.labels import Labels
@@ -77,7 +78,8 @@ def _run(args: Sequence[str]) -> int:
     if isinstance(parsed, Batch):
         parsed = replace(parsed, command_options=command_options)
     group = parsed.measure if isinstance(parsed, Evaluate) else parsed
-    command = group.action if isinstance(group, Labels) else group
+    inner = group.target if isinstance(group, Calibrate) else group
+    command = inner.action if isinstance(inner, Labels) else inner
     try:
         with progress_on_stderr() as progress:
             report = command.run(progress)

@@ -21,6 +21,8 @@ from fusion_core.model.errors import MissingStream, RecordingError
 from fusion_core.workflows.source import RoomChoice
 from scanloom.cli import main
 from scanloom.commands.batch import Batch
+from scanloom.commands.calibrate_intrinsics import CalibrateIntrinsics
+from scanloom.commands.calibrate_planar import CalibratePlanar
 from scanloom.commands.convert import Convert
 from scanloom.commands.evaluate import (
     EvaluateAlignment,
@@ -242,6 +244,7 @@ def test_advice_names_options_that_exist() -> None:
     commands = [View, Info, Convert, Fuse, Sample, Map, EvaluateAlignment, EvaluateNoise]
     commands += [EvaluateRepair, EvaluateTrajectory, EvaluateMap]
     commands += [ExportLabels, ImportLabels, Agreement, LabelLog, Batch]
+    commands += [CalibratePlanar, CalibrateIntrinsics]
     known = {f"--{f.name.replace('_', '-')}" for c in commands for f in dataclasses.fields(c)}
     named = {
         option
@@ -287,6 +290,14 @@ def test_a_number_out_of_range_is_wrong_usage(
     assert len(shown.err) < 200
 
 
+@pytest.mark.parametrize("command", [["view", "a.bag"], ["fuse", "a.bag", "-o", "out"]])
+def test_extrinsics_of_a_lidar_that_is_cut_from_the_camera_are_wrong_usage(
+    command: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*command, "--extrinsics", "a.json", "--virtual-lidar", "3"]) == 2
+    assert capsys.readouterr().err.startswith("--extrinsics has no LiDAR to place")
+
+
 def test_an_argument_without_end_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fuse", "a.bag", "-o", "out", "--seed", "9" * 10_000]) == 2
     assert capsys.readouterr().err == "an argument is longer than 4096 characters\n"
@@ -310,6 +321,7 @@ def test_an_output_folder_that_leads_to_itself_is_refused(
     [
         ["fuse", str(sample_path()), "-o", "{}/o", "--settings", "{}/pipe"],
         ["fuse", str(sample_path()), "-o", "{}/o", "--truth", "{}/pipe"],
+        ["fuse", str(sample_path()), "-o", "{}/o", "--extrinsics", "{}/pipe"],
         ["map", str(sample_path()), "-o", "{}/o", "--scan", "merged", "--extrinsics", "{}/pipe"],
         ["evaluate", "alignment", "{}/o", "{}/pipe"],
         ["evaluate", "trajectory", "{}/pipe", "{}/pipe"],
@@ -317,6 +329,7 @@ def test_an_output_folder_that_leads_to_itself_is_refused(
         ["evaluate", "map", "{}/pipe", "{}/pipe"],
         ["evaluate", "odometry", "{}/o", "{}/pipe"],
         ["evaluate", "odometry", "{}/o", "{}/pipe.npz"],
+        ["evaluate", "room", "{}/pipe"],
         ["info", "{}/pipe"],
         ["info", "{}"],
     ],
@@ -448,6 +461,7 @@ def test_options_of_fuse_reach_the_workflow(
             "lidar_topic": None,
             "depth_topics": (),
             "pose_topic": None,
+            "extrinsics_file": None,
             "apply_clock_offset": False,
             "maps": True,
             "figures": True,
@@ -478,6 +492,7 @@ def test_options_of_fuse_reach_the_workflow(
             "lidar_topic": "/s",
             "depth_topics": ("/a", "/b"),
             "pose_topic": "/p",
+            "extrinsics_file": None,
             "apply_clock_offset": True,
             "maps": False,
             "figures": False,
@@ -489,6 +504,11 @@ def test_options_of_fuse_reach_the_workflow(
             "overwrite": True,
         },
     )
+    # There is no LiDAR to place where one is cut from the images.
+    assert main(["fuse", "a.bag", "-o", "out", "--extrinsics", "e.json"]) == 0
+    assert calls.pop()[2]["extrinsics_file"] == Path("e.json")
+    with_virtual = ["--extrinsics", "e.json", "--virtual-lidar", "240"]
+    assert main(["fuse", "a.bag", "-o", "out", *with_virtual]) == 2
     # A session without a room is all its rooms.
     assert main(["fuse", "root", "--home", "alma-s1", "-o", "out"]) == 0
     assert calls.pop()[0] == Path("root/alma-s1")

@@ -15,6 +15,7 @@ from scanloom.commands.reports import (
     map_lines,
     measure_lines,
     relation_lines,
+    room_lines,
     trajectory_lines,
 )
 
@@ -214,6 +215,29 @@ class EvaluateOdometry:
 
 
 @dataclass(frozen=True, kw_only=True)
+class EvaluateRoom:
+    """Length, width and height of a box-shaped room from a cloud of it (Song 2022, Table 3)."""
+
+    cloud: Annotated[conf.Positional[Path], conf.arg(metavar="CLOUD")]
+    """A PCD, PLY or KITTI .bin file that shows six walls, in metres. Height is what is nearest to
+    its z."""
+    true: Annotated[
+        tuple[float, float, float] | None,
+        conf.arg(metavar="LENGTH WIDTH HEIGHT", help_behavior_hint=""),
+    ] = None
+    """The dimensions as measured otherwise (m), for the errors."""
+    settings: SettingsOption = None
+    """A TOML file with a table [room]: what counts as a wall."""
+    json: JsonFlag = False
+
+    def run(self, progress: Progress) -> Report:
+        from fusion_core.workflows.evaluate import evaluate
+
+        result = evaluate.room(self.cloud, self.true, self.settings)
+        return Report(result=result, lines=room_lines(result))
+
+
+@dataclass(frozen=True, kw_only=True)
 class Evaluate:
     """Compare a result with ground truth, a reference trajectory or relations."""
 
@@ -226,4 +250,5 @@ class Evaluate:
         | Annotated[EvaluateRelations, conf.subcommand("relations")]
         | Annotated[EvaluateMap, conf.subcommand("map")]
         | Annotated[EvaluateOdometry, conf.subcommand("odometry")]
+        | Annotated[EvaluateRoom, conf.subcommand("room")]
     ]

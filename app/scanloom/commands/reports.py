@@ -157,6 +157,33 @@ def relation_lines(evaluation: Mapping[str, Any]) -> list[str]:
     return lines + [f"warning: {warning}" for warning in evaluation["warnings"]]
 
 
+def room_lines(room: Mapping[str, Any]) -> list[str]:
+    """Each dimension with its uncertainty, and its error where the truth is known."""
+    named = [(name, room[name]) for name in ("length", "width", "height")]
+    header = ["", "m", "sd (mm)", "noise (mm)", "points", "parallel (deg)"]
+    rows = [
+        [
+            name,
+            f"{found['m']:.4f}",
+            f"{found['sd_m'] * 1000.0:.1f}",
+            f"{found['scatter_m'] * 1000.0:.1f}",
+            str(found["inliers"]),
+            f"{found['parallel_deg']:.2f}",
+        ]
+        for name, found in named
+    ]
+    if "error_m" in room["length"]:
+        header += ["true (m)", "error (mm)"]
+        for row, (_, found) in zip(rows, named, strict=True):
+            row += [f"{found['true_m']:.4f}", f"{found['error_m'] * 1000.0:+.1f}"]
+    return [
+        *table_lines([header, *rows]),
+        "",
+        f"by {room['points']} points",
+        *(f"warning: {warning}" for warning in room["warnings"]),
+    ]
+
+
 def map_lines(evaluation: Mapping[str, Any]) -> list[str]:
     """Alignment, detection rates by outline and by obstacle, false obstacles, and the errors of
     lines and angles with how many of them the map shows."""

@@ -10,6 +10,7 @@ from typing import Annotated
 from tyro import conf
 
 from scanloom.commands.batch import Batch
+from scanloom.commands.calibrate import Calibrate
 from scanloom.commands.convert import Convert
 from scanloom.commands.evaluate import Evaluate
 from scanloom.commands.fuse import Fuse
@@ -32,6 +33,7 @@ class Scanloom:
         | Annotated[Convert, conf.subcommand("convert")]
         | Annotated[Fuse, conf.subcommand("fuse")]
         | Annotated[Map, conf.subcommand("map")]
+        | Annotated[Calibrate, conf.subcommand("calibrate")]
         | Annotated[Evaluate, conf.subcommand("evaluate")]
         | Annotated[Batch, conf.subcommand("batch")]
         | Annotated[Labels, conf.subcommand("labels")]

@@ -23,14 +23,17 @@ from fusion_core.evaluation.recall_curve import recall_over_epsilon
 from fusion_core.evaluation.relations import evaluate_relations
 from fusion_core.evaluation.relative_pose import Step, StepUnit
 from fusion_core.evaluation.repair import evaluate_repair
+from fusion_core.evaluation.room_dimensions import DIMENSIONS, RoomSettings, measure_room
 from fusion_core.evaluation.trajectories import MAX_GAP_S, Alignment, evaluate_trajectory
 from fusion_core.evaluation.truth import LeverArm, Truth, load_truth
 from fusion_core.exporting.manifest import require_intact
+from fusion_core.exporting.settings_file import load_toml
 from fusion_core.model.conventions import Float32Array
-from fusion_core.model.errors import SettingsError
+from fusion_core.model.errors import EvaluationFailed, SettingsError
 from fusion_core.model.planar_poses import transform_planar_points
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import DepthImage
+from fusion_core.recordings.clouds.formats import read_cloud
 from fusion_core.recordings.formats import open_recording
 from fusion_core.recordings.relation_file import read_relations
 from fusion_core.recordings.ros_map import read_ros_map
@@ -164,6 +167,35 @@ def ros_map(
         **evaluate_outlines(cells, outline).to_json(),
         **evaluate_measures(cells, outline).to_json(),
     }
+
+
+def room(
+    cloud: Path,
+    true_m: tuple[float, float, float] | None = None,
+    settings_file: Path | None = None,
+) -> dict[str, Any]:
+    """Length, width and height of a box-shaped room from a cloud of it (Table 3 of Song 2022).
+
+    ``true_m``: the same as they were measured otherwise, for the errors. ``settings_file``: TOML
+    with a table ``room``.
+    """
+    settings = RoomSettings()
+    if settings_file is not None:
+        loaded = load_toml(settings_file, {"room": RoomSettings})["room"]
+        assert isinstance(loaded, RoomSettings)
+        settings = loaded
+    if true_m is not None and not (np.isfinite(true_m).all() and min(true_m) > 0.0):
+        raise SettingsError(f"the true dimensions must be positive, got {true_m}.")
+    warnings: list[str] = []
+    points = read_cloud(cloud, warnings)
+    try:
+        result = measure_room(points.xyz_m, settings).to_json()
+    except EvaluationFailed as error:
+        raise EvaluationFailed(error.problem, file=cloud, advice=error.advice) from error
+    if true_m is not None:
+        for name, true in zip(DIMENSIONS, true_m, strict=True):
+            result[name] |= {"true_m": true, "error_m": result[name]["m"] - true}
+    return {**result, "warnings": warnings}
 
 
 def map_cells(
