@@ -22,6 +22,7 @@ from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.jobs.long_job import Cancelled
 from scanloom.page.events import ToolName
 from scanloom.scene.sample_readout import linked
+from scanloom.state.hand_pose import HandPose
 from scanloom.state.history import PASSING_FRAMES, History
 from scanloom.state.hover import Hover
 from scanloom.state.library import Library
@@ -180,6 +181,11 @@ class ClientSession:
         """Go to a frame on the way to others, with other fields of the view. Undo takes the whole
         way as one step."""
         self._change({"frame_index": frame_index} | values, PASSING_FRAMES)
+
+    def adjust(self, pose: HandPose, part: str) -> None:
+        """Set the camera's pose by hand. ``part``: what of it; undo takes the changes of one part
+        that follow each other as one step."""
+        self._change({"extrinsics": pose}, part)
 
     def show_recording(self, name: str) -> None:
         """Go to the first frame of another recording."""

@@ -5,16 +5,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fusion_core.model.errors import ScanLoomError
+from fusion_core.model.given_extrinsics import CameraPose, GivenExtrinsics
 from fusion_core.model.labels import LabelLayer
 from fusion_core.model.sensors import ColorImage
 from fusion_core.workflows.fuse.cached_chain import CachedChain, FrameChoice
 from fusion_core.workflows.fuse.frame import FusedFrame
 from fusion_core.workflows.fuse.frame_match import FrameMatch
 from fusion_core.workflows.fuse.pairing import PairedImage
+from fusion_core.workflows.fuse.session import Session
 from scanloom.jobs.long_job import Cancelled
 from scanloom.jobs.time_left import time_left_text
+from scanloom.state.calibration_view import CalibrationView, pose_view
 from scanloom.state.frame_survey import SurveyInputs
 from scanloom.state.open_recording import OpenRecording
+from scanloom.state.possible_steps import why_not
 from scanloom.state.raw_frame import LoneFrame, RawFrame
 from scanloom.state.review_overlay import ReviewOverlay
 from scanloom.state.view import View
@@ -28,7 +32,8 @@ class FrameView:
     the frame as it was recorded. Of a recording without a LiDAR there is never more than ``raw``,
     of one without depth images never more than ``lone``. ``frame`` is a FrameMatch where the
     classification or the repair failed, or is hidden in a blind review. ``review``: the frame's
-    labels, while it is reviewed. ``is_dark``: whether it is shown on a dark page.
+    labels, while it is reviewed. ``calibration``: in that step alone. ``is_dark``: whether it is
+    shown on a dark page.
     """
 
     view: View
@@ -42,6 +47,7 @@ class FrameView:
     raw: RawFrame | None = None
     lone: LoneFrame | None = None
     review: ReviewOverlay | None = None
+    calibration: CalibrationView | None = None
 
     @property
     def is_being_aligned(self) -> bool:
@@ -62,6 +68,14 @@ class FrameView:
         )
 
     @property
+    def session(self) -> Session:
+        """The depth images with their rig, where the view has it. Raises MissingStream without
+        depth images."""
+        if self.chain is not None:
+            return self.chain.session
+        return self.open_recording.session_at(self.view.hand_pose)
+
+    @property
     def match(self) -> FrameMatch | None:
         """The matched frame, None if it could not be matched."""
         return self.frame.match if isinstance(self.frame, FusedFrame) else self.frame
@@ -75,6 +89,21 @@ class FrameView:
 def clock_offset_ms(view: View, chain: CachedChain) -> float:
     """The offset subtracted from the camera's stamps: the mount's if applied, else 0."""
     return chain.alignment.mount.clock_offset_ms if view.apply_clock_offset else 0.0
+
+
+def given_extrinsics(
+    frame_view: FrameView, of_server: GivenExtrinsics | None
+) -> GivenExtrinsics | None:
+    """The extrinsics that a person gives for a view: by hand, else ``of_server``, those with which
+    its recording is opened; None where they are the recording's own."""
+    if frame_view.view.hand_pose is None or not frame_view.open_recording.can_be_fused:
+        return of_server
+    rig = frame_view.session.rig
+    assert rig.given is not None, "a moved rig is given"
+    poses: dict[str | None, CameraPose] = {
+        camera.topic: pose for camera, pose in zip(rig.cameras, rig.given.poses, strict=True)
+    }
+    return GivenExtrinsics(source=rig.given.source, cameras=poses)
 
 
 def survey_inputs(frame_view: FrameView) -> SurveyInputs | None:
@@ -152,7 +181,7 @@ def compute_frame_view(
     view = view.model_copy(
         update={"frame_index": max(min(view.frame_index, len(open_recording.frames) - 1), 0)}
     )
-    chain = open_recording.chain
+    chain = open_recording.chain_at(view.hand_pose)
     if chain is None:
         return _raw_frame_view(view, open_recording)
     choice = FrameChoice(
@@ -178,6 +207,12 @@ def compute_frame_view(
         raise
     except Exception as error:  # noqa: BLE001  # results of earlier stages are displayed
         failure = as_failure(open_recording.explain_read_error(error))
+    calibration = None
+    try:
+        if view.panel == "Calibrate" and paired is not None:
+            calibration = _calibration_view(view, open_recording, chain, paired)
+    except Exception as error:  # noqa: BLE001  # the frame itself is displayed
+        failure = failure or as_failure(open_recording.explain_read_error(error))
     try:
         color = open_recording.color(choice.number)
     except Exception as error:  # noqa: BLE001  # the colour image is only displayed
@@ -190,7 +225,21 @@ def compute_frame_view(
         frame=frame,
         color=color,
         failure=failure,
+        calibration=calibration,
     )
+
+
+def _calibration_view(
+    view: View, open_recording: OpenRecording, chain: CachedChain, paired: PairedImage
+) -> CalibrationView | None:
+    """None where there is nothing to calibrate."""
+    if why_not("Calibrate", open_recording):
+        return None
+    sampled = open_recording.sampled_scans(clock_offset_ms(view, chain))
+    base, before = open_recording.chain, None
+    if base is not None and base is not chain:
+        before = pose_view(base, paired, sampled)
+    return CalibrationView(now=pose_view(chain, paired, sampled), before=before)
 
 
 def _raw_frame_view(view: View, open_recording: OpenRecording) -> FrameView:
@@ -198,7 +247,7 @@ def _raw_frame_view(view: View, open_recording: OpenRecording) -> FrameView:
     raw = lone = color = failure = None
     try:
         lone = open_recording.lone(view.frame_index)
-        raw = open_recording.raw(view.frame_index)
+        raw = open_recording.raw(view.frame_index, view.hand_pose)
         color = open_recording.color(view.frame_index)
     except Exception as error:  # noqa: BLE001  # what could be read is displayed
         failure = as_failure(open_recording.explain_read_error(error))

@@ -1,22 +1,29 @@
 """Builds: what the workbench writes into its output root, and what it never touches."""
 
 import io
+import json
 import shlex
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from fusion_core.model.errors import ExportError, ScanLoomError
+from fusion_core.model.geometry import invert_transform
+from fusion_core.model.given_extrinsics import CameraPose, GivenExtrinsics
 from fusion_core.model.progress import silent
 from fusion_core.workflows.fuse.settings import PRESETS, chain_settings, settings_toml
 from scanloom import cli
 from scanloom.jobs import build as building
 from scanloom.jobs.build import Build, build, folder_name, free_folder, zipped
 from scanloom.jobs.long_job import Cancelled
+from scanloom.jobs.slam_run import map_options
 from scanloom.panels.command_line import fuse_command
+from scanloom.state.hand_pose import HandPose
+from scanloom.state.slam_choices import SlamChoices
 from scanloom.state.view import View
 
 VIEW = View(recording="small room.mcap")
@@ -48,6 +55,37 @@ def test_a_build_writes_the_bytes_that_its_command_writes(
     assert files_below(built.results) == by_command
     assert {"frames.csv", "fused.mcap", "map_fused.pgm", "map_difference.png"} <= by_command.keys()
     assert b"resolution: 0.1\n" in by_command["map_fused.yaml"]
+
+
+def test_a_build_with_a_pose_by_hand_is_placed_by_it_and_its_command_too(
+    small_scene: Path, tmp_path: Path
+) -> None:
+    pose = HandPose(yaw_deg=6.0, pitch_deg=1.0, roll_deg=2.0, forward_m=0.05, up_m=0.6)
+    view = VIEW.changed(extrinsics=pose)
+    topic = "/camera/depth/image_raw"
+    camera = CameraPose(T_camera_lidar=invert_transform(pose.T_lidar_camera))
+    by_hand = GivenExtrinsics(source="by hand", cameras={topic: camera})
+    made = build(view, small_scene, tmp_path / "root", silent, figures=False, given=by_hand)
+    assert made.options.extrinsics_file == made.folder / "extrinsics.json"
+    document = json.loads((made.results / "alignment.json").read_text())
+    (placed,) = document["cameras"]
+    np.testing.assert_allclose(placed["T_lidar_camera"], pose.T_lidar_camera, atol=1e-9)
+    command = shlex.split(fuse_command(small_scene, tmp_path / "again", made.options))
+    assert cli.main(command[1:]) == 0
+    assert files_below(made.results) == files_below(tmp_path / "again")
+
+
+def test_extrinsics_with_a_file_are_read_from_it(tmp_path: Path) -> None:
+    camera = CameraPose(T_camera_lidar=np.eye(4))
+    own = GivenExtrinsics(source="x.json", cameras={None: camera}, file=Path("x.json"))
+    options = building.fuse_options(VIEW, tmp_path / "settings.toml", given=own)
+    assert options.extrinsics_file == Path("x.json")
+    building.write_extrinsics_in(tmp_path, own)
+    assert list(tmp_path.iterdir()) == []
+    # Where no camera takes part, SLAM has no use for it.
+    for scan, used in (("lidar", None), ("merged", Path("x.json"))):
+        slam = View(recording="a", slam=SlamChoices(scan=scan))
+        assert map_options(slam, tmp_path / "settings.toml", given=own).extrinsics_file == used
 
 
 @pytest.mark.parametrize("pairing", ["mount", "frame"])

@@ -18,8 +18,8 @@ NO_CAMERA, NO_LIDAR = "no depth camera: nothing to match", "no LiDAR: nothing to
 NEITHER = "neither LiDAR nor depth camera: nothing to match"
 NOTHING = "Nothing that can be shown: no LiDAR, no depth camera, no odometry"
 EMPTY = "The recording holds no messages: there is nothing to show"
-MATCHING = ["Match", "Register", "Repair", "Review"]
-ALL_GREY = [*MATCHING, "Map"]
+MATCHING = ["Match", "Register", "Repair", "Review", "Calibrate"]
+ALL_GREY = [*MATCHING[:-1], "Map", "Calibrate"]
 # Path, what the verdict says, and the grey steps.
 SHOWN = [
     ("carmen/intel.clf.bz2", f"13,631 scans of a LiDAR in 2691 s; {NO_CAMERA}", MATCHING),

@@ -96,6 +96,18 @@ FORMULAS = {
         "the sum of their squared weights. The poses x are those for which the errors e of all "
         "edges, squared and weighted by their information Omega, have the least sum.",
     ),
+    "calibrate": Formula(
+        (
+            (
+                r"z\,\left(u,\,v,\,1\right)^{T}=K\,\left(R\,p_{\mathrm{lidar}}+t\right)",
+                "",
+            ),
+            (r"|\,D(u,v)-z\,|\,\leq\,3\,\mathrm{cm}+0.02\,r", ""),
+        ),
+        "A point of the LiDAR, turned by R and moved by t into the camera and multiplied by the "
+        "camera's matrix K, is z times the pixel u, v. It agrees where the image's depth D at that "
+        "pixel differs from z by at most 3 centimetres and 2 percent of the range r.",
+    ),
 }
 
 

@@ -10,7 +10,7 @@ from typing import Annotated
 from tyro import conf
 
 from fusion_core.model.progress import Progress
-from scanloom.commands.options import ROW_MAX, Flag, require_integer
+from scanloom.commands.options import ROW_MAX, Flag, WrongUsage, require_integer
 from scanloom.commands.terminal import silence_disconnect_warnings
 from scanloom.server.listening import LAST_PORT
 from scanloom.server.malloc_arenas import limit_arenas
@@ -33,6 +33,9 @@ class View:
     """The folder for exports."""
     virtual_lidar: Annotated[int | None, conf.arg(metavar="ROW", help_behavior_hint="")] = None
     """Use this row (0-based) of the first recording's depth images as a virtual LiDAR."""
+    extrinsics: Annotated[Path | None, conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    """Where the LiDAR is in the depth cameras' frames, instead of what the named recordings say and
+    show: a result of calibrate, or any file that fuse and map read."""
     upload_limit: Annotated[int, conf.arg(metavar="MB")] = DEFAULT_LIMIT_MB
     """The size in MB that a page may upload, of each file and of all together; 0 for none."""
     labels: Annotated[str | None, conf.arg(metavar="STORE", help_behavior_hint="")] = None
@@ -43,6 +46,8 @@ class View:
 
     def run(self, progress: Progress) -> None:
         require_integer("--virtual-lidar", self.virtual_lidar, ROW_MAX)
+        if self.extrinsics is not None and self.virtual_lidar is not None:
+            raise WrongUsage("--extrinsics has no LiDAR to place with --virtual-lidar")
         require_integer("--port", self.port, LAST_PORT)
         require_integer("--upload-limit", self.upload_limit, MAX_LIMIT_MB)
         # The matrix products are small: more BLAS threads use more cores without being faster.
@@ -61,6 +66,7 @@ class View:
             virtual_row=self.virtual_lidar,
             upload_limit_bytes=self.upload_limit * 1_000_000,
             label_address=self.labels,
+            extrinsics_file=self.extrinsics,
         )
         workbench = Workbench(options)
         silence_disconnect_warnings()

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fusion_core.model.errors import ExportError
+from fusion_core.model.given_extrinsics import GivenExtrinsics
 from fusion_core.model.progress import Progress
+from fusion_core.workflows.calibrate.given_file import write_given_extrinsics
 from fusion_core.workflows.fuse.export_clouds import CloudExport, export_clouds
 from fusion_core.workflows.fuse.fuse import FuseSummary, fuse
 from fusion_core.workflows.fuse.session import FuseOptions
@@ -21,6 +23,7 @@ from scanloom.state.view import View
 MAX_DOWNLOAD_BYTES = 50_000_000
 
 _RESULTS, _CLOUDS, _SETTINGS = "results", "clouds", "settings.toml"
+_EXTRINSICS = "extrinsics.json"
 # Well below the 255 bytes that file systems allow, with a suffix and multi-byte letters.
 _MAX_NAME_CHARACTERS = 60
 # Rather an error than an endless search.
@@ -53,13 +56,36 @@ def results_in(folder: Path) -> Path:
     return folder / _RESULTS
 
 
+def extrinsics_in(folder: Path) -> Path:
+    """The file of extrinsics in a build's folder, where a person has set them."""
+    return folder / _EXTRINSICS
+
+
+def extrinsics_file(given: GivenExtrinsics | None, folder: Path) -> Path | None:
+    """The file of given extrinsics: their own, or one in a build's folder; None without any."""
+    return None if given is None else given.file or extrinsics_in(folder)
+
+
+def write_extrinsics_in(folder: Path, given: GivenExtrinsics | None) -> None:
+    """Write extrinsics that have no file of their own. Raises ExportError."""
+    if given is not None and given.file is None:
+        write_given_extrinsics(extrinsics_in(folder), given)
+
+
 def settings_in(folder: Path) -> Path:
     """The settings file in a build's folder."""
     return folder / _SETTINGS
 
 
-def fuse_options(view: View, settings_file: Path, *, figures: bool = True) -> FuseOptions:
-    """The options of ``fuse`` for a view; ``settings_file`` is used unless a preset suffices."""
+def fuse_options(
+    view: View,
+    settings_file: Path,
+    *,
+    figures: bool = True,
+    given: GivenExtrinsics | None = None,
+) -> FuseOptions:
+    """The options of ``fuse`` for a view; ``settings_file`` is used unless a preset suffices.
+    ``given``: extrinsics, in their own file or in one beside the settings."""
     preset = base_preset(view)
     is_preset = view.settings == PRESETS[preset]
     return FuseOptions(
@@ -68,6 +94,7 @@ def fuse_options(view: View, settings_file: Path, *, figures: bool = True) -> Fu
         virtual_lidar_row=view.virtual_row,
         lidar_topic=view.lidar_topic,
         depth_topics=view.depth_topics,
+        extrinsics_file=extrinsics_file(given, settings_file.parent),
         apply_clock_offset=view.apply_clock_offset,
         figures=figures,
     )
@@ -108,14 +135,22 @@ def free_folder(root: Path, recording: Path) -> Path:
 
 
 def build(
-    view: View, recording: Path, root: Path, progress: Progress, *, figures: bool = True
+    view: View,
+    recording: Path,
+    root: Path,
+    progress: Progress,
+    *,
+    figures: bool = True,
+    given: GivenExtrinsics | None = None,
 ) -> Build:
-    """Fuse a recording with the settings of a view. A failed or cancelled build leaves no files.
+    """Fuse a recording with the settings of a view and ``given`` extrinsics. A failed or cancelled
+    build leaves no files.
 
     Raises ExportError for the folder, and what ``fuse`` raises.
     """
     with new_folder(root, recording) as folder:
-        options = fuse_options(view, settings_in(folder), figures=figures)
+        options = fuse_options(view, settings_in(folder), figures=figures, given=given)
+        write_extrinsics_in(folder, given)
         if options.settings_file is not None:
             text = settings_toml(base_preset(view), view.settings)
             options.settings_file.write_text(text, encoding="utf-8")

@@ -1,10 +1,11 @@
 """A run of odometry and SLAM: ``build_map`` into a new folder, observed while it runs."""
 
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fusion_core.model.errors import ExportError, MappingFailed, ScanLoomError
+from fusion_core.model.given_extrinsics import GivenExtrinsics
 from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import SlamObserver, SlamView
 from fusion_core.workflows.map.build_map import build_map
@@ -12,7 +13,15 @@ from fusion_core.workflows.map.options import MapOptions
 from fusion_core.workflows.map.report import MapSummary
 from fusion_core.workflows.map.result_folder import MapResults, read_map_results
 from fusion_core.workflows.map.settings import MAP_PRESETS, MapSettings, map_settings_toml
-from scanloom.jobs.build import base_preset, new_folder, results_in, settings_in
+from scanloom.jobs.build import (
+    base_preset,
+    extrinsics_file,
+    extrinsics_in,
+    new_folder,
+    results_in,
+    settings_in,
+    write_extrinsics_in,
+)
 from scanloom.state.slam_choices import SlamChoices
 from scanloom.state.view import View
 
@@ -59,10 +68,17 @@ def settings_of(view: View) -> MapSettings:
     return base.model_copy(update=view.settings.stages() | {"particles": particles})
 
 
-def map_options(view: View, settings_file: Path, clock_offset_ms: float = 0.0) -> MapOptions:
-    """The options of ``map`` for a view; ``settings_file`` is used unless a preset suffices."""
+def map_options(
+    view: View,
+    settings_file: Path,
+    clock_offset_ms: float = 0.0,
+    given: GivenExtrinsics | None = None,
+) -> MapOptions:
+    """The options of ``map`` for a view; ``settings_file`` is used unless a preset suffices.
+    ``given``: extrinsics, where a camera takes part; in their own file or in one beside the
+    settings."""
     choices, preset = view.slam, base_preset(view)
-    return MapOptions(
+    options = MapOptions(
         scan=choices.scan,
         motion=choices.motion,
         slam=choices.estimator,
@@ -71,6 +87,9 @@ def map_options(view: View, settings_file: Path, clock_offset_ms: float = 0.0) -
         clock_offset_ms=clock_offset_ms,
         lidar_topic=view.lidar_topic,
     )
+    if not options.needs_extrinsics:
+        return options
+    return replace(options, extrinsics_file=extrinsics_file(given, settings_file.parent))
 
 
 def resampling_at(view: View) -> float:
@@ -80,12 +99,14 @@ def resampling_at(view: View) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class SlamRequest:
-    """What to run: the options of ``view`` on ``recording``. ``number``: unique in the session."""
+    """What to run: the options of ``view`` on ``recording`` with ``given`` extrinsics.
+    ``number``: unique in the session."""
 
     number: int
     view: View
     recording: Path
     clock_offset_ms: float = 0.0
+    given: GivenExtrinsics | None = None
 
 
 def run_slam(
@@ -111,7 +132,9 @@ def run_slam(
 
     with new_folder(root, Path(f"run-{request.number}")) as folder:
         settings_file = settings_in(folder)
-        options = map_options(request.view, settings_file, request.clock_offset_ms)
+        options = map_options(request.view, settings_file, request.clock_offset_ms, request.given)
+        if options.extrinsics_file is not None:
+            write_extrinsics_in(folder, request.given)
         if options.settings_file is not None:
             text = map_settings_toml(settings_of(request.view), options.preset)
             settings_file.write_text(text, encoding="utf-8")
@@ -145,8 +168,9 @@ def keep(run: SlamRun, recording: Path, root: Path) -> Path:
     with new_folder(root, recording) as folder:
         try:
             shutil.copytree(results_in(run.folder), results_in(folder))
-            if settings_in(run.folder).exists():
-                shutil.copy(settings_in(run.folder), settings_in(folder))
+            for place in (settings_in, extrinsics_in):
+                if place(run.folder).exists():
+                    shutil.copy(place(run.folder), place(folder))
         except OSError as error:
             raise ExportError(
                 f"cannot be written: {error.strerror or error}.",

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-PictureName = Literal["depth", "similarity", "profile", "time"]
+PictureName = Literal["depth", "similarity", "profile", "time", "matches"]
 PointKind = Literal["move", "drag", "leave", "click"]
 ToolName = Literal["box", "brush"]
 

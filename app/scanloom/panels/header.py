@@ -13,6 +13,7 @@ from scanloom.page.bridge import PageBridge, press_attributes
 from scanloom.page.update_widget import update_widget
 from scanloom.panels.widgets.controls import Controls
 from scanloom.panels.widgets.help import keys_text
+from scanloom.state.hand_pose import HandPose
 from scanloom.state.view import View
 
 _MAX_DIFFERENCES = 6
@@ -129,16 +130,28 @@ def _tool(name: str, text: str, meaning: str) -> str:
 
 
 def _differences(view: View) -> str:
-    """The settings that differ from the default ones, in one line; nothing where none do."""
+    """The settings that differ from the default ones, and a pose by hand, in a line each; nothing
+    where none do."""
     changed = [
         f"{stage}.{name} = {value}" if stage else f"{name} = {value}"
         for stage, values in view.preset_overrides().items()
         for name, value in values.items()
     ]
+    pose = view.hand_pose
+    by_hand = "" if pose is None else f'<div class="scanloom-differs">{_pose_text(pose)}</div>'
     if not changed and view.preset == "default":
-        return ""
+        return by_hand
     more = len(changed) - _MAX_DIFFERENCES
     tail = f" and {more} more" if more > 0 else ""
     differs = ", ".join(changed[:_MAX_DIFFERENCES]) + tail
     text = f"Settings: {view.preset}" + (f", with {differs}" if changed else "")
-    return f'<div class="scanloom-differs">{html.escape(text)}</div>'
+    return f'<div class="scanloom-differs">{html.escape(text)}</div>{by_hand}'
+
+
+def _pose_text(pose: HandPose) -> str:
+    """A pose that all steps use instead of the recording's own."""
+    return (
+        f"Camera set by hand: yaw {pose.yaw_deg:.2f}°, pitch {pose.pitch_deg:.2f}°, roll "
+        f"{pose.roll_deg:.2f}°; {pose.forward_m:.3f} m ahead, {pose.left_m:.3f} m left, "
+        f"{pose.up_m:.3f} m up"
+    )

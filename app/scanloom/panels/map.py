@@ -10,13 +10,14 @@ from typing import Any, Protocol
 import viser
 
 from fusion_core.model.errors import ScanLoomError
+from fusion_core.model.given_extrinsics import GivenExtrinsics
 from fusion_core.model.grids import OccupancyGrid
 from fusion_core.model.progress import Progress
 from fusion_core.workflows.fuse.export_clouds import CloudExport
 from fusion_core.workflows.map.result_folder import TrajectoryPoses
 from fusion_core.workflows.recorded_poses import PoseLookup
 from scanloom.client_session import ClientSession, Panel
-from scanloom.frame_view import FrameView
+from scanloom.frame_view import FrameView, given_extrinsics
 from scanloom.jobs.build import (
     Build,
     build,
@@ -66,6 +67,8 @@ class MapPanel(Panel):
         self._lock = threading.RLock()
         self._built: Build | None = None
         self._clouds = ""
+        # Of the view that is shown.
+        self._given: GivenExtrinsics | None = None
         # What the widgets display; most changes of the view leave it unchanged.
         self._drawn: Build | None = None
         self._floor_grid: OccupancyGrid | None = None
@@ -139,6 +142,8 @@ class MapPanel(Panel):
             if frame_view.view.panel != "Map":
                 return
             self._controls.show(frame_view.view)
+            of_server = self._session.library.given_of(frame_view.view)
+            self._given = given_extrinsics(frame_view, of_server)
             # SLAM is the only mode of a recording that cannot be fused.
             update_widget(self._mode, visible=opened.can_be_fused)
             update_widget(
@@ -177,11 +182,11 @@ class MapPanel(Panel):
             self._on_map(grid, poses)
 
     def _begin_build(self) -> None:
-        view, figures = self._session.view, bool(self._figures.value)
+        view, figures, given = self._session.view, bool(self._figures.value), self._given
 
         def work(progress: Progress) -> Build:
             recording = self._session.recording_path(view.recording)
-            return build(view, recording, self._root, progress, figures=figures)
+            return build(view, recording, self._root, progress, figures=figures, given=given)
 
         def done(built: Build) -> None:
             with self._lock:
@@ -218,11 +223,15 @@ class MapPanel(Panel):
             folder, options = built.folder, built.options
         else:
             folder = free_folder(self._root, recording)
-            options = fuse_options(view, settings_in(folder), figures=bool(self._figures.value))
+            options = fuse_options(
+                view, settings_in(folder), figures=bool(self._figures.value), given=self._given
+            )
         command = fuse_command(recording, results_in(folder), options)
         notes = []
         if options.settings_file is not None and not options.settings_file.exists():
             notes.append("The settings file is written by Build.")
+        if options.extrinsics_file is not None and not options.extrinsics_file.exists():
+            notes.append("The file of the camera's pose is written by Build.")
         if view.picked_offset is not None:
             notes.append("A build does not use the offset picked by hand; it finds its own.")
         self._command.content = text_box(command) + "".join(map(paragraph, notes))
@@ -267,6 +276,7 @@ def _build_inputs(view: View) -> tuple[object, ...]:
         view.lidar_topic,
         view.depth_topics,
         view.virtual_row,
+        view.extrinsics,
         view.apply_clock_offset,
         view.picked_offset is None,
     )

@@ -3,12 +3,13 @@
 import numpy as np
 import viser
 
+from fusion_core.workflows.fuse.cached_chain import CachedChain
 from fusion_core.workflows.fuse.frame_match import FrameMatch, curves_at
 from scanloom.client_session import ClientSession, Panel
 from scanloom.frame_view import FrameView, missing_result_text
 from scanloom.page.markup import escape_markdown
 from scanloom.page.update_widget import update_widget
-from scanloom.panels.mount_text import mount_text
+from scanloom.panels.mount_text import given_text, mount_text
 from scanloom.panels.widgets.controls import Controls
 from scanloom.plots.line_plot import (
     PlotLabels,
@@ -20,6 +21,7 @@ from scanloom.plots.line_plot import (
 )
 from scanloom.plots.palette import color_of
 from scanloom.plots.theme import theme_of
+from scanloom.state.calibration_view import pose_of
 from scanloom.state.view import Scope
 
 # What the similarity is of, by the view's name for it.
@@ -107,8 +109,7 @@ class MatchPanel(Panel):
         if frame_view.view.panel == "Match":
             update_widget(self._summary, content=_peak_text(frame_view, match))
             self._show_curves(frame_view, match)
-            alignment = frame_view.chain.alignment
-            update_widget(self._mount, content=mount_text(alignment.mount, alignment.notes))
+            update_widget(self._mount, content=_mount_text(frame_view.chain))
 
     def _show_curves(self, frame_view: FrameView, match: FrameMatch) -> None:
         place = _place(frame_view, match)
@@ -121,6 +122,13 @@ class MatchPanel(Panel):
         set_y_limits(self._curves, *whole_limits(lidar_m, depth_m))
         update_widget(self._u, value=round(place[0], 2))
         update_widget(self._v, value=round(place[1], 1))
+
+
+def _mount_text(chain: CachedChain) -> str:
+    alignment, given = chain.alignment, chain.session.rig.given
+    if given is not None:
+        return given_text(pose_of(chain), given.source, alignment.notes)
+    return mount_text(alignment.mount, alignment.notes)
 
 
 def _place(frame_view: FrameView, match: FrameMatch) -> tuple[float, float] | None:

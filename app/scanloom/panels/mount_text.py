@@ -5,6 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from fusion_core.model.rig import MOUNT_PARAMETERS, Mount
+from scanloom.page.markup import escape_markdown
+from scanloom.state.hand_pose import HandPose
 
 _NAMES = {
     "yaw_rad": (
@@ -29,6 +31,24 @@ _UNKNOWN = {
     "pitch_rad": "how far it looks down",
     "clock_offset_ms": "how late its stamps are",
 }
+
+
+def given_text(pose: HandPose, source: str, notes: Sequence[str] = ()) -> str:
+    """A pose that a person gives, and the notes on it, as Markdown. ``source``: where from."""
+    lines = [
+        f"- It looks **{_aside(pose.yaw_deg, 'to the left', 'to the right', '°', 2)}**.",
+        f"- It looks **{_aside(pose.pitch_deg, 'down', 'up', '°', 2)}**, rolled "
+        f"{pose.roll_deg:.2f}°.",
+        f"- It sits **{_aside(pose.forward_m, 'in front of', 'behind', ' m', 3)}** the LiDAR, "
+        f"**{_aside(pose.left_m, 'to the left', 'to the right', ' m', 3)}**, "
+        f"**{_aside(pose.up_m, 'above', 'below', ' m', 3)}**.",
+    ]
+    lines += [f"- {escape_markdown(note)}" for note in notes]
+    return f"The camera, by {escape_markdown(source)}:\n\n" + "\n".join(lines)
+
+
+def _aside(value: float, positive: str, negative: str, unit: str, decimals: int) -> str:
+    return f"{abs(value):.{decimals}f}{unit} {positive if value >= 0.0 else negative}"
 
 
 def mount_text(mount: Mount, notes: Sequence[str] = ()) -> str:

@@ -185,7 +185,7 @@ def _depth_picture(frame_view: FrameView, size_px: tuple[int, int]) -> DepthPict
     if match is not None:
         depth_m, pairs = match.depth_m, pixels_of_match(match, frame_view.fused)
     elif paired is not None:
-        session = frame_view.open_recording.fuse_session
+        session = frame_view.session
         depth_m, pairs = session.depth_of(paired.camera, paired.image.depth_m), None
     else:
         return None

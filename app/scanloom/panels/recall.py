@@ -84,7 +84,7 @@ class RecallPanel:
         if chain is None or truth is None:
             return
         settings, offset_ms = frame_view.view.settings, clock_offset_ms(frame_view.view, chain)
-        key = settings.read_by("match"), offset_ms
+        key = settings.read_by("match"), offset_ms, frame_view.view.hand_pose
         curve = frame_view.open_recording.recalls.get(key)
 
         def work(progress: Progress) -> RecallCurve:

@@ -52,6 +52,8 @@ from scanloom.page.layout import PageLayout
 from scanloom.panels.alignment_bar import AlignmentBar
 from scanloom.panels.arrangement import ArrangementPanel
 from scanloom.panels.batch_walk import BatchWalkPanel
+from scanloom.panels.calibrate import CalibratePanel
+from scanloom.panels.camera_gizmo import CameraGizmo
 from scanloom.panels.header import HeaderPanel, PresetPanel
 from scanloom.panels.map import MapPanel
 from scanloom.panels.match import MatchPanel
@@ -88,6 +90,9 @@ _BUILDERS: Mapping[PanelName, Callable[[PanelContext], Panel]] = {
     "Review": lambda context: ReviewPanel(context.client, context.bridge, context.session),
     "Map": lambda context: MapPanel(
         context.gui, context.session, context.output_root, context.scene.set_map
+    ),
+    "Calibrate": lambda context: CalibratePanel(
+        context.client, context.bridge, context.session, context.output_root
     ),
 }
 
@@ -131,4 +136,5 @@ def add_panels(client: viser.ClientHandle, session: ClientSession, output_root: 
     pictures = depth, similarity
     arrangement = ArrangementPanel(bridge, session, layout, pictures, timeline, profile)
     top = [arrangement, header, walk, stepper, preset]
-    session.panels = [*top, timeline, profile, *pictures, *steps, scene, bar, opening]
+    gizmo = CameraGizmo(client, session)
+    session.panels = [*top, timeline, profile, *pictures, *steps, scene, gizmo, bar, opening]

@@ -37,7 +37,7 @@ from scanloom.scene.frame_stage import (
     staged_frame,
     surface_colors,
 )
-from scanloom.scene.layers import absent_layers, layers_of_step
+from scanloom.scene.layers import LAYERS, absent_layers, layers_of_step
 from scanloom.scene.map_nodes import MapPlane
 from scanloom.scene.nodes import SceneNodes
 from scanloom.scene.picking import points_in_box
@@ -142,6 +142,8 @@ class ScenePanel(Panel):
             # The trajectory is all there is, in any step.
             layers |= _PATH - view.hidden_layers
         absent = frozenset[Layer]() if staged is None else absent_layers(staged.geometry)
+        if frame_view.open_recording.has_turning_lidar:
+            absent = frozenset(LAYERS)
         self._legend.show(step, view, is_dark, absent)
         self._offer_box(is_offered=frame_view.review is not None)
         theme = theme_of(is_dark=is_dark)

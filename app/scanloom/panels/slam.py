@@ -12,10 +12,11 @@ import viser
 
 from fusion_core.model.conventions import NS_PER_S
 from fusion_core.model.errors import ExportError
+from fusion_core.model.given_extrinsics import GivenExtrinsics
 from fusion_core.model.progress import Progress
 from fusion_core.model.slam_view import SlamView
 from scanloom.client_session import ClientSession
-from scanloom.frame_view import FrameView, clock_offset_ms
+from scanloom.frame_view import FrameView, clock_offset_ms, given_extrinsics
 from scanloom.jobs.build import free_folder, results_in, settings_in
 from scanloom.jobs.latest_only_worker import LatestOnlyWorker
 from scanloom.jobs.slam_run import SlamRequest, SlamRun, map_options, resampling_at, run_slam
@@ -74,6 +75,7 @@ class SlamPanel:
         self._held: frozenset[Stream] = frozenset()
         self._mode: MapMode = session.view.map_mode
         self._clock_offset_ms = 0.0
+        self._given: GivenExtrinsics | None = None
         self._command_inputs: object = None
 
         gui.add_html(paragraph(_ABOUT))
@@ -151,6 +153,8 @@ class SlamPanel:
             update_widget(
                 self._choose_button, visible=self._why_not is not None and can_choose is None
             )
+            of_server = self._session.library.given_of(view)
+            self._given = given_extrinsics(frame_view, of_server)
             self._clock_offset_ms = 0.0
             if frame_view.chain is not None:
                 self._clock_offset_ms = clock_offset_ms(view, frame_view.chain)
@@ -195,7 +199,7 @@ class SlamPanel:
                 self._job.fail(_no_folder(error))
                 return
             root, number = self._folder, self._runs.next_number()
-            offset_ms = self._clock_offset_ms
+            offset_ms, given = self._clock_offset_ms, self._given
             self._of_run, self._window = view, None
             self._submitted_s = 0.0
             live = LatestOnlyWorker(f"run {number}", self._draw, self._session.show_failure)
@@ -204,7 +208,11 @@ class SlamPanel:
             def work(progress: Progress) -> SlamRun:
                 recording = self._session.recording_path(view.recording)
                 request = SlamRequest(
-                    number=number, view=view, recording=recording, clock_offset_ms=offset_ms
+                    number=number,
+                    view=view,
+                    recording=recording,
+                    clock_offset_ms=offset_ms,
+                    given=given,
                 )
                 return run_slam(request, root, progress, self._observe)
 
@@ -278,10 +286,12 @@ class SlamPanel:
             return
         self._command_inputs = key
         folder = saved or free_folder(self._root, recording)
-        options = map_options(view, settings_in(folder), self._clock_offset_ms)
+        options = map_options(view, settings_in(folder), self._clock_offset_ms, self._given)
         notes = []
         if options.settings_file is not None and not options.settings_file.exists():
             notes.append("The settings file is written by “Save to the output folder”.")
+        if options.extrinsics_file is not None and not options.extrinsics_file.exists():
+            notes.append("So is the file of the camera's pose.")
         command = map_command(recording, results_in(folder), options)
         self._command.content = text_box(command) + "".join(map(paragraph, notes))
 
@@ -308,5 +318,6 @@ def slam_inputs(view: View) -> tuple[object, ...]:
         view.preset,
         view.settings,
         view.lidar_topic,
+        view.extrinsics,
         view.apply_clock_offset,
     )

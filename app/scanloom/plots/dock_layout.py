@@ -118,5 +118,5 @@ def _write(axes: Axes, text: str, end_px: tuple[float, float]) -> None:
 def _few(ticks: Iterable[float], most: int) -> list[float]:
     """Every k-th of rising ticks, at most so many."""
     every = list(ticks)
-    step = -(-len(every) // max(most, 2))
+    step = max(1, -(-len(every) // max(most, 2)))
     return every[::step]

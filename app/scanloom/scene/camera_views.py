@@ -27,6 +27,8 @@ _MIN_VIEW_RANGE_M, _DEFAULT_VIEW_RANGE_M, _MAX_VIEW_RANGE_M = 2.0, 4.0, 12.0
 _FITTED_POINTS = 800
 # A robot that stands still is seen with its surroundings.
 _LEAST_PATH_M = 4.0
+# From a sensor to the ends of its handles.
+_HANDLES_M = 0.35
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -146,6 +148,7 @@ _ANGLES: dict[PanelName, _Angle] = {
     "Repair": _Angle(above_deg=20.0, aside_deg=12.0, inside_percent=80.0, shows_sensors=False),
     "Review": _Angle(above_deg=20.0, aside_deg=12.0, inside_percent=80.0, shows_sensors=False),
     "Map": _Angle(above_deg=50.0, aside_deg=0.0, inside_percent=80.0, shows_sensors=True),
+    "Calibrate": _Angle(above_deg=30.0, aside_deg=20.0, inside_percent=90.0, shows_sensors=True),
 }
 
 
@@ -172,6 +175,10 @@ def step_view(step: PanelName, extent: StageExtent, aspect: float) -> CameraView
     if not len(may_m):
         may_m = np.array([extent.ahead(extent.view_range_m, 0.0, 0.0)])
         must_m = [extent.sensors_m]
+    if step == "Calibrate":
+        # The sensors whole, with the handles at the camera.
+        around = np.concatenate([np.eye(3), -np.eye(3)]) * _HANDLES_M
+        must_m += [extent.sensors_m + offset for offset in around]
     must: FloatArray = np.concatenate([np.empty((0, 3)), *must_m])
     return _fitted(ahead, may_m, must, aspect=aspect, inside_percent=angle.inside_percent)
 

@@ -53,7 +53,7 @@ def staged_frame(frame_view: FrameView, *, with_rows: bool) -> StagedCamera | No
         return StagedCamera(geometry=_lone_geometry(frame_view, frame_view.lone), color=None)
     if mount is None or paired is None:
         return None
-    session = frame_view.open_recording.fuse_session
+    session = frame_view.session
     row_step = view.row_step if with_rows else None
     if frame_view.chain is not None and frame_view.frame is not None:
         geometry = frame_geometry(
@@ -87,7 +87,7 @@ def other_cameras(
     mount = _mount(frame_view)
     if isinstance(frames, LoneStream) or frame_view.paired is None or mount is None:
         return
-    session = frame_view.open_recording.fuse_session
+    session = frame_view.session
     if len(session.rig.cameras) == 1:
         return
     for other in frames.panorama(number):
@@ -119,7 +119,7 @@ def surface_colors(
     in the steps that mark classes."""
     surface = staged.geometry.surface
     if staged.color is not None and staged.geometry.camera is not None:
-        rig = frame_view.open_recording.fuse_session.rig
+        rig = frame_view.session.rig
         image = upright_color(staged.color.rgb, rig, staged.geometry.camera)
         colors = colors_by_image(surface, image)
     else:

@@ -29,6 +29,7 @@ LAYERS: dict[Layer, LayerInfo] = {
         "Register",
         "Repair",
         "Review",
+        "Calibrate",
     ),
     "curve": _layer(
         "LiDAR curve",
@@ -62,6 +63,7 @@ LAYERS: dict[Layer, LayerInfo] = {
         "The LiDAR, and the depth camera with its field of view",
         "Recording",
         "Map",
+        "Calibrate",
     ),
     "labels": _layer("Labels", "What is what", "Match", "Register", "Repair", "Review"),
     "floor": _layer(
@@ -72,6 +74,7 @@ LAYERS: dict[Layer, LayerInfo] = {
         "Register",
         "Repair",
         "Review",
+        "Calibrate",
     ),
     "map": _layer("Map", "The map, at the height of the LiDAR, and the trajectory", "Map"),
 }

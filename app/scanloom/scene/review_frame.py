@@ -15,7 +15,7 @@ from scanloom.state.review_overlay import ReviewOverlay
 def captures_of(frame_view: FrameView) -> FrameCaptures | None:
     """The captures of the displayed frame, None where it is not matched."""
     match = frame_view.match
-    return None if match is None else frame_captures(match, frame_view.open_recording.fuse_session)
+    return None if match is None else frame_captures(match, frame_view.session)
 
 
 def review_overlay(

@@ -7,6 +7,7 @@ import numpy as np
 from fusion_core.model.classes import NoiseClass, RepairSource
 from fusion_core.model.conventions import wrap_angle
 from fusion_core.model.labels import NO_LABEL
+from fusion_core.workflows.fuse.cached_chain import CachedChain
 from scanloom.frame_view import FrameView, failure_summary, missing_result_text
 from scanloom.scene.frame_summary import counts_of_beams
 from scanloom.scene.recording_text import alone_sentence, fused_sentence, notes_of_streams
@@ -44,6 +45,8 @@ def verdict_of(frame_view: FrameView) -> Verdict:
             return _review(frame_view)
         case "Map":
             return _map(frame_view)
+        case "Calibrate":
+            return _calibrate(frame_view)
 
 
 def _recording(frame_view: FrameView) -> Verdict:
@@ -61,9 +64,14 @@ def _recording(frame_view: FrameView) -> Verdict:
     looks = "straight ahead" if abs(yaw_deg) < 0.5 else f"{abs(yaw_deg):.1f}° to the {side}"
     return Verdict(
         sentence=sentence,
-        detail=f"Seen from the LiDAR, the camera looks {looks}: found from the recording itself. "
+        detail=f"Seen from the LiDAR, the camera looks {looks}: {_source(frame_view.chain)}. "
         f"{notes}".rstrip(),
     )
+
+
+def _source(chain: CachedChain) -> str:
+    given = chain.session.rig.given
+    return "found from the recording itself" if given is None else f"by {given.source}"
 
 
 def _failure_text(frame_view: FrameView) -> str:
@@ -195,3 +203,32 @@ def _map(frame_view: FrameView) -> Verdict:
         sentence="Build the map of the whole recording",
         detail="From the LiDAR alone, the camera alone, and both.",
     )
+
+
+def _calibrate(frame_view: FrameView) -> Verdict:
+    shown = frame_view.calibration
+    if frame_view.open_recording.has_turning_lidar:
+        return Verdict(
+            sentence="A turning LiDAR and a camera: find their pose",
+            detail="From what both see of the scene, without a target.",
+        )
+    if shown is None:
+        return Verdict(sentence="No pose yet", detail=missing_result_text(frame_view))
+    now = shown.now.agreement
+    if not now.on_depth:
+        return Verdict(
+            sentence="By this pose the camera sees nothing that the LiDAR measures",
+            detail="Undo, or reset the pose.",
+        )
+    where = f"of the LiDAR's points in {counted(now.frames, 'image')} lie on what the camera sees"
+    detail = (
+        f"Of {now.on_depth} points where the image has depth; half of them differ by less than "
+        f"{100.0 * now.median_m:.1f} cm."
+    )
+    before = None if shown.before is None else shown.before.agreement
+    if before is not None and before.on_depth:
+        detail += (
+            f" Before: {before.fraction:.0%}, {100.0 * before.median_m:.1f} cm. "
+            "All steps use the pose as it is now."
+        )
+    return Verdict(sentence=f"{now.fraction:.0%} {where}", detail=detail)

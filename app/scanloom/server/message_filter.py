@@ -39,6 +39,9 @@ _ACCEPTED_MESSAGES: dict[str, type[Any]] = {
         messages.CommandTriggerMessage,
         messages.SceneNodeClickMessage,
         messages.ScenePointerMessage,
+        messages.TransformControlsDragStartMessage,
+        messages.TransformControlsUpdateMessage,
+        messages.TransformControlsDragEndMessage,
     )
 }
 # Set by hand, far above any screen.

@@ -12,6 +12,7 @@ from typing import Any
 import viser
 
 from fusion_core.model.errors import ExportError, ScanLoomError
+from fusion_core.workflows.fuse.session import FuseOptions
 from scanloom.client_session import STORED_VIEW, ClientSession
 from scanloom.page import browser_storage as storage
 from scanloom.panels.registry import add_panels
@@ -32,6 +33,8 @@ from scanloom.state.view import View, view_of_link
 
 # The alignment waits no longer for a browser that draws slowly, or not at all.
 _DRAWN_WITHIN_S = 3.0
+# The end of the server waits no longer for a session that is being opened or closed.
+_END_TIMEOUT_S = 15.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +49,7 @@ class ServeOptions:
     virtual_row: int | None = None
     upload_limit_bytes: int = DEFAULT_LIMIT_BYTES
     label_address: str | None = None
+    extrinsics_file: Path | None = None
 
 
 class Workbench:
@@ -71,6 +75,7 @@ class Workbench:
             options.upload_limit_bytes,
             label_address=options.label_address,
             label_folder=options.output_root / "labels",
+            given=FuseOptions(extrinsics_file=options.extrinsics_file).given_extrinsics(),
         )
         self._first_view = View(
             recording=next(iter(self._library.named())),
@@ -83,6 +88,8 @@ class Workbench:
         self._sessions: dict[int, ClientSession] = {}
         self._lock = threading.Lock()
         self._is_closed = False
+        # They open or close a session.
+        self._threads: set[threading.Thread] = set()
         self._error_log = ErrorLog()
         self._connections = Connections(self._error_log)
 
@@ -131,6 +138,11 @@ class Workbench:
         """Stop the server and close the recordings."""
         with self._lock:
             self._is_closed = True
+            at_work = list(self._threads)
+        # A page takes clicks before it is built whole: then its session closes itself.
+        for thread in at_work:
+            thread.join(_END_TIMEOUT_S)
+        with self._lock:
             client_ids = list(self._sessions)
         for client_id in client_ids:
             self._close_session(client_id)
@@ -153,7 +165,7 @@ class Workbench:
             if answers[LINK_KEY] is not None:
                 client.local_storage.remove_item(LINK_KEY)
             links = [link for key in (LINK_KEY, STORED_VIEW) if (link := answers[key]) is not None]
-            _run_in_thread("connect", self._open_session, client, links)
+            self._run_in_thread("connect", self._open_session, client, links)
 
         storage.request_items(client, (LINK_KEY, STORED_VIEW), on_answer)
 
@@ -198,7 +210,20 @@ class Workbench:
         return self._first_view, problem
 
     async def _on_disconnect(self, client: viser.ClientHandle) -> None:
-        _run_in_thread("disconnect", self._close_session, client.client_id)
+        self._run_in_thread("disconnect", self._close_session, client.client_id)
+
+    def _run_in_thread(self, name: str, work: Callable[..., None], *args: Any) -> None:
+        def run() -> None:
+            try:
+                work(*args)
+            finally:
+                with self._lock:
+                    self._threads.discard(threading.current_thread())
+
+        thread = threading.Thread(target=run, name=name, daemon=True)
+        with self._lock:
+            self._threads.add(thread)
+        thread.start()
 
     def _close_session(self, client_id: int) -> None:
         with self._lock:
@@ -209,10 +234,6 @@ class Workbench:
 
 def _ignore_refusal(client_id: int, reason: str) -> None:
     """A refused value changes nothing. Typing passes through such values: no message."""
-
-
-def _run_in_thread(name: str, work: Callable[..., None], *args: Any) -> None:
-    threading.Thread(target=work, args=args, name=name, daemon=True).start()
 
 
 def _require_folder(output_root: Path) -> None:

@@ -116,8 +116,10 @@ class SurveyInputs:
 
     @property
     def key(self) -> Hashable:
-        """All that the counts of one chain depend on."""
-        return self.settings.read_by("repair"), self.clock_offset_ms
+        """All that the counts of one recording depend on."""
+        mount, camera = self.chain.alignment.mount, self.chain.session.rig.cameras[0]
+        pose = mount.vector().tobytes(), camera.T_rig_camera.tobytes()
+        return self.settings.read_by("repair"), self.clock_offset_ms, pose
 
 
 class FrameSurvey:

@@ -8,12 +8,15 @@ _MAX_STEPS = 200
 _DRAG_S = 1.0
 # Frames that pass one after the other, by keys or by playing, are one change however long it takes.
 PASSING_FRAMES = "passing frames"
+# So do the changes of one gesture in the scene; each has a number.
+GESTURE = "gesture"
 # The rest is how things are shown, and what was pointed at.
 _FIELDS = (
     "recording",
     "lidar_topic",
     "depth_topics",
     "virtual_row",
+    "extrinsics",
     "frame_index",
     "panel",
     "preset",
@@ -43,7 +46,8 @@ class History:
         """
         if after == _with_fields_of(after, before):
             return
-        is_soon = dragged == PASSING_FRAMES or at_s - self._dragged_s < _DRAG_S
+        is_one = dragged == PASSING_FRAMES or dragged.startswith(GESTURE)
+        is_soon = is_one or at_s - self._dragged_s < _DRAG_S
         goes_on = is_soon and dragged == self._dragged != ""
         self._dragged, self._dragged_s = dragged, at_s
         self._after = []

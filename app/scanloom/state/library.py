@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fusion_core.model.errors import RecordingError
+from fusion_core.model.given_extrinsics import GivenExtrinsics
 from fusion_core.model.names import escape_undecodable
 from fusion_core.model.recording import Recording
 from fusion_core.workflows.fuse.recorded_streams import RecordedStreams, open_recorded_streams
@@ -50,6 +51,9 @@ class Library:
     ``label_folder``: for labels of uploads, which are deleted at the end, and of the built-in
     sample, which belongs to the program.
 
+    ``given``: extrinsics of the recordings given at the start, unless a view asks for a recording's
+    own.
+
     Raises RecordingError for a root that is no folder.
     """
 
@@ -60,7 +64,9 @@ class Library:
         upload_limit_bytes: int = DEFAULT_LIMIT_BYTES,
         label_address: str | None = None,
         label_folder: Path | None = None,
+        given: GivenExtrinsics | None = None,
     ) -> None:
+        self._given = given
         self._label_address, self._label_folder = label_address, label_folder
         self._labels: dict[Path, RecordingLabels] = {}
         # What people wait for, in any recording.
@@ -85,13 +91,13 @@ class Library:
         self._outdated: list[_File] = []
 
     def open(self, view: View, viewer: Hashable = None) -> OpenRecording:
-        """Open the recording of a view with its streams and alignment settings.
+        """Open the recording of a view with its streams, extrinsics and alignment settings.
 
         ``viewer``: keeps it open until they open another one or call ``release``. Without a viewer
         it may be closed as soon as another one is opened.
 
-        Raises RecordingError for a file that is no recording, and MissingStream for a topic that it
-        has not.
+        Raises RecordingError for a file that is no recording, MissingStream for a topic that it
+        has not, and SettingsError for given extrinsics that are not of its cameras.
         """
         path = self.path(view.recording)
         key = _Key(path, view.opened_by)
@@ -108,7 +114,7 @@ class Library:
                     if (opened := self._find_open(key, viewer)) is not None:
                         return opened
                 made = OpenRecording(
-                    _streams_of(file.recording(), view),
+                    _streams_of(file.recording(), view, self.given_of(view)),
                     file.stamp,
                     self._alignment_semaphore,
                     self.activity,
@@ -125,6 +131,16 @@ class Library:
                     file.users -= 1
                 unused = self._take_unused()
             _close(*unused)
+
+    def given_of(self, view: View) -> GivenExtrinsics | None:
+        """The extrinsics given at the start that a view's recording is opened with, if any."""
+        is_given = self._given is not None and view.recording in self._named
+        return self._given if is_given and view.extrinsics != "recording" else None
+
+    @property
+    def given_file(self) -> Path | None:
+        """The file of the given extrinsics, None without any."""
+        return None if self._given is None else self._given.file
 
     def labels(self, recording: Path) -> RecordingLabels:
         """The labels of a recording, which all browsers share."""
@@ -280,13 +296,13 @@ class _File:
             self._recording.close()
 
 
-def _streams_of(recording: Recording, view: View) -> RecordedStreams:
+def _streams_of(recording: Recording, view: View, given: GivenExtrinsics | None) -> RecordedStreams:
     options = FuseOptions(
         lidar_topic=view.lidar_topic,
         depth_topics=view.depth_topics,
         virtual_lidar_row=view.virtual_row,
     )
-    return open_recorded_streams(recording, options, view.alignment_settings)
+    return open_recorded_streams(recording, options, view.alignment_settings, given)
 
 
 def _close(opened: list[OpenRecording], files: list[_File]) -> None:

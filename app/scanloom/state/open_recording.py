@@ -2,18 +2,23 @@
 
 import threading
 import time
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+
+import numpy as np
 
 from fusion_core.model.bounded_cache import BoundedCache
 from fusion_core.model.errors import MissingStream, RecordingError, ScanLoomError
 from fusion_core.model.progress import Progress
 from fusion_core.model.recording import Recording
 from fusion_core.model.sensors import ColorImage
+from fusion_core.workflows.calibrate.turning_rig import image_topic_of
 from fusion_core.workflows.fuse.align import RecordingAlignment, align_recording
 from fusion_core.workflows.fuse.cached_chain import CachedChain
+from fusion_core.workflows.fuse.curve_in_image import SeenScan, seen_scan
 from fusion_core.workflows.fuse.frame_reader import FrameReader
+from fusion_core.workflows.fuse.moved_rig import move_session
 from fusion_core.workflows.fuse.pairing_gaps import PairingStamps
 from fusion_core.workflows.fuse.recall import RecallCurve
 from fusion_core.workflows.fuse.recorded_streams import RecordedStreams
@@ -25,12 +30,17 @@ from scanloom.jobs.fair_semaphore import FairSemaphore
 from scanloom.jobs.long_job import Cancelled, LongJob
 from scanloom.jobs.time_left import TimeLeft
 from scanloom.state.file_stamp import FileStamp
+from scanloom.state.hand_pose import HandPose
 from scanloom.state.raw_frame import LoneFrame, RawFrame, lone_frame, raw_frame
 from scanloom.state.survey_runner import SurveyRunner
 
 # The alignment reports often, and each report asks for the displayed frame again. A few more serve
 # several browsers.
 _RAW_FRAMES_KEPT = 8
+# Poses set by hand, for undo: each keeps the frames that were looked at.
+_MOVED_KEPT = 6
+# Frames over which a pose is judged: read once, in half a second.
+_SAMPLED_FRAMES = 12
 # A listener redraws a progress bar: more often, it would be less readable and cost the browser.
 _NOTIFIED_EVERY_S = 0.4
 
@@ -90,7 +100,9 @@ class OpenRecording:
         self.surveys = SurveyRunner(activity)
         self._time_left = TimeLeft()
         self._notified_s = 0.0
-        self._raw: BoundedCache[int, RawFrame] = BoundedCache(_RAW_FRAMES_KEPT)
+        self._raw: BoundedCache[Hashable, RawFrame] = BoundedCache(_RAW_FRAMES_KEPT)
+        self._sampled: BoundedCache[float, tuple[SeenScan, ...]] = BoundedCache(1)
+        self._moved: BoundedCache[HandPose, CachedChain] = BoundedCache(_MOVED_KEPT)
         self._listeners: list[Callable[[], None]] = []
         self._lock = threading.Lock()
         self._job: LongJob | None = None
@@ -104,6 +116,12 @@ class OpenRecording:
     def can_be_fused(self) -> bool:
         """Whether it has a LiDAR and depth images; else ``opened.why_not_fused`` says why not."""
         return not self.opened.why_not_fused
+
+    @cached_property
+    def has_turning_lidar(self) -> bool:
+        """Whether it is of a 3D LiDAR on a turning axis with a camera, and of no 2D LiDAR with a
+        depth camera."""
+        return not self.can_be_fused and bool(image_topic_of(self.recording))
 
     @property
     def fuse_session(self) -> Session:
@@ -123,14 +141,46 @@ class OpenRecording:
             return None
         return recorded_poses(opened.recording, opened.streams, opened.body_frame)
 
-    def raw(self, number: int) -> RawFrame | None:
-        """A frame without alignment, None without depth images. Raises RecordingError for one that
-        cannot be read."""
+    def chain_at(self, pose: HandPose | None) -> CachedChain | None:
+        """The chain with the camera at a pose, None for that of the alignment; None until the
+        recording is aligned."""
+        chain = self.chain
+        if chain is None or pose is None:
+            return chain
+        return self._moved.get_or_compute(pose, lambda: chain.moved(pose.T_lidar_camera))
+
+    def sampled_scans(self, clock_offset_ms: float = 0.0) -> tuple[SeenScan, ...]:
+        """Scans with their images, spread over the recording. Those that cannot be read are left
+        out."""
+        return self._sampled.get_or_compute(
+            clock_offset_ms, lambda: tuple(self._sample_scans(clock_offset_ms))
+        )
+
+    def _sample_scans(self, clock_offset_ms: float) -> Iterator[SeenScan]:
+        frames = self.frames
+        assert isinstance(frames, FrameReader), "poses are of depth cameras"
+        count = min(_SAMPLED_FRAMES, len(frames))
+        for number in np.unique(np.linspace(0, len(frames) - 1, count).round().astype(int)):
+            try:
+                seen = seen_scan(self.fuse_session, frames.pair(int(number), clock_offset_ms))
+            except ScanLoomError:
+                continue
+            if seen is not None:
+                yield seen
+
+    def session_at(self, pose: HandPose | None) -> Session:
+        """``fuse_session`` with the camera at a pose, None for where it is without one."""
+        session = self.fuse_session
+        return session if pose is None else move_session(session, pose.T_lidar_camera)
+
+    def raw(self, number: int, pose: HandPose | None = None) -> RawFrame | None:
+        """A frame without alignment, None without depth images. ``pose``: of the camera, where a
+        person has set it. Raises RecordingError for one that cannot be read."""
         frames = self.frames
         if isinstance(frames, LoneStream):
             return None
         return self._raw.get_or_compute(
-            number, lambda: raw_frame(self.fuse_session, frames, number)
+            (number, pose), lambda: raw_frame(self.session_at(pose), frames, number)
         )
 
     def lone(self, number: int) -> LoneFrame | None:

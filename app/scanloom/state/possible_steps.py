@@ -15,8 +15,24 @@ def why_not(step: PanelName, open_recording: OpenRecording) -> str:
         case "Map":
             has_scans = streams_of(open_recording.opened) & {"lidar", "depth"}
             return "" if has_scans else _NO_SCANS
+        case "Calibrate":
+            if open_recording.has_turning_lidar:
+                return ""
+            return open_recording.opened.why_not_fused or _why_not_calibrated(open_recording)
         case _:
             return open_recording.opened.why_not_fused
+
+
+def _why_not_calibrated(open_recording: OpenRecording) -> str:
+    session = open_recording.fuse_session
+    if session.virtual_row is not None:
+        return "The scan is cut from the depth image itself: there is nothing to calibrate."
+    if not all(camera.calibrated for camera in session.rig.cameras):
+        return (
+            "The camera's intrinsics are not recorded: where the LiDAR's points are in its image "
+            "is not known."
+        )
+    return ""
 
 
 def reasons_by_step(open_recording: OpenRecording) -> dict[PanelName, str]:

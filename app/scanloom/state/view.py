@@ -24,14 +24,16 @@ from fusion_core.workflows.fuse.settings import (
     PresetName,
     settings_toml,
 )
+from scanloom.state.hand_pose import HandPose
 from scanloom.state.review_choices import ReviewChoices
 from scanloom.state.slam_choices import SlamChoices
 
-PanelName = Literal["Recording", "Match", "Register", "Repair", "Review", "Map"]
+PanelName = Literal["Recording", "Match", "Register", "Repair", "Review", "Map", "Calibrate"]
 PANELS: tuple[PanelName, ...] = get_args(PanelName)
 Scope = Literal["frame", "window", "recording"]
 MapMode = Literal["Fuse", "SLAM"]
 ColorScheme = Literal["auto", "light", "dark"]
+CalibrationPictures = Literal["now", "before", "both"]
 MAP_MODES: tuple[MapMode, ...] = get_args(MapMode)
 Layer = Literal[
     "surface",
@@ -96,6 +98,11 @@ class View(BaseModel):
     lidar_topic: str | None = Field(None, max_length=4096)
     depth_topics: tuple[str, ...] = Field((), max_length=64)
     virtual_row: int | None = Field(None, ge=0, le=100_000)
+    extrinsics: HandPose | Literal["recording"] | None = Field(
+        None,
+        description="The camera's pose by hand; the recording's own; else that of the server's "
+        "file, if it has one",
+    )
     apply_clock_offset: bool = False
     field_scope: Scope = "frame"
     picked_offset: (
@@ -126,6 +133,11 @@ class View(BaseModel):
     map_mode: MapMode = "Fuse"
     slam: SlamChoices = SlamChoices()
     review: ReviewChoices = ReviewChoices()
+    overlay_opacity: float = Field(
+        0.85, ge=0.0, le=1.0, description="Opacity of the LiDAR's points over the image"
+    )
+    calibration_pictures: CalibrationPictures = "now"
+    show_gizmo: bool = Field(True, description="Show the handles of the camera in 3D")
     label_layer: str = Field(
         "", max_length=80, description="Layer of labels that overrule the classes; empty for none"
     )
@@ -174,6 +186,7 @@ class View(BaseModel):
             depth_topics=(),
             virtual_row=None,
             selected_beam=None,
+            extrinsics=None,
         )
 
     @property
@@ -184,8 +197,14 @@ class View(BaseModel):
             self.lidar_topic,
             self.depth_topics,
             self.virtual_row,
+            self.extrinsics == "recording",
             self.alignment_settings.read_by("alignment"),
         )
+
+    @property
+    def hand_pose(self) -> HandPose | None:
+        """The camera's pose by hand, None where it is not set by hand."""
+        return self.extrinsics if isinstance(self.extrinsics, HandPose) else None
 
     @property
     def settings_sha256(self) -> str:

@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 from threading import Event
+from typing import Any
 
 import numpy as np
 import open3d as o3d
@@ -90,7 +91,7 @@ def test_a_cancelled_build_leaves_nothing_and_a_reload_finds_the_same_state(
     begun, cancelled = Event(), Event()
 
     def build_slowly(
-        view: View, recording: Path, root: Path, progress: Progress, *, figures: bool
+        view: View, recording: Path, root: Path, progress: Progress, **how: Any
     ) -> Build:
         """The build, which waits at its fifth frame until it is cancelled."""
 
@@ -100,7 +101,7 @@ def test_a_cancelled_build_leaves_nothing_and_a_reload_finds_the_same_state(
                 begun.set()
                 assert cancelled.wait(ENOUGH_S), "nobody cancelled"
 
-        return build(view, recording, root, report, figures=figures)
+        return build(view, recording, root, report, **how)
 
     monkeypatch.setattr("scanloom.panels.map.build", build_slowly)
     view = person.session.view.with_setting("noise", "epsilon", 1.5).changed(frame_index=11)

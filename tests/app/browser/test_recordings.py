@@ -33,7 +33,7 @@ def test_a_lidar_alone_is_shown_and_steps_without_a_camera_are_grey(
     expect(person.text("20 scans of a LiDAR in 2 s; no depth camera")).to_be_visible()
     steps = person.page.get_by_label("Steps")
     grey = steps.locator("button[aria-disabled=true]")
-    expect(grey).to_have_count(4)
+    expect(grey).to_have_count(5)
     expect(grey.first).to_have_attribute("title", f"{reason}. (Alt + 2)")
     legend = person.page.get_by_role("group", name="Legend")
     expect(legend.get_by_role("button", name="LiDAR curve")).to_be_visible()

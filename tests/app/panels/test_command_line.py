@@ -54,6 +54,7 @@ OPTIONS = st.builds(
     lidar_topic=st.none() | TEXT,
     depth_topics=st.lists(TEXT, max_size=3).map(tuple),
     pose_topic=st.none() | TEXT,
+    extrinsics_file=st.none() | PATHS,
     apply_clock_offset=st.booleans(),
     maps=st.booleans(),
     figures=st.booleans(),
@@ -61,7 +62,7 @@ OPTIONS = st.builds(
     seed=st.none() | COUNTS,
     force=st.booleans(),
     overwrite=st.booleans(),
-)
+).filter(lambda options: options.extrinsics_file is None or options.virtual_lidar_row is None)
 
 
 class Captured(Exception):

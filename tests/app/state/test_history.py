@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scanloom.state.history import PASSING_FRAMES, History
+from scanloom.state.hand_pose import HandPose
+from scanloom.state.history import GESTURE, PASSING_FRAMES, History
 from scanloom.state.view import View
 
 START = View(recording="a")
@@ -116,3 +117,15 @@ def test_the_history_is_bounded() -> None:
         view, undone = before, undone + 1
     assert undone == 200
     assert view.settings.noise.epsilon == pytest.approx(1.299)
+
+
+def test_a_gesture_is_one_step_however_long_it_takes_and_the_next_is_another() -> None:
+    history, at = History(), START
+    for gesture, yaw_deg, at_s in ((0, 1.0, 0.0), (0, 2.0, 7.0), (1, 3.0, 7.5)):
+        moved = at.changed(extrinsics=HandPose(yaw_deg=yaw_deg))
+        history.add(at, moved, f"{GESTURE} {gesture}", at_s)
+        at = moved
+    undone = history.undo(at)
+    assert undone is not None
+    assert undone.hand_pose == HandPose(yaw_deg=2.0)
+    assert history.undo(undone) == START

@@ -1,0 +1,58 @@
+"""What a calibration has found, as HTML: the verdict first, then how sure each number is."""
+
+import html
+
+import numpy as np
+
+from fusion_core.model.extrinsics import POSE_PARAMETERS, ExtrinsicsEstimate
+from fusion_core.model.names import printable
+
+# Errors are along the camera's axes: x right, y down, z ahead.
+_NAMES = {
+    "rotation_x_rad": "pitch, about the camera's right",
+    "rotation_y_rad": "yaw, about its down",
+    "rotation_z_rad": "roll, about its line of sight",
+    "x_m": "to the camera's right",
+    "y_m": "down",
+    "z_m": "ahead",
+}
+
+
+def result_html(estimate: ExtrinsicsEstimate, agreement: str) -> str:
+    """``agreement``: of the sensors before and now, plain text."""
+    head = "A pose was found"
+    if estimate.T_guess is not None:
+        head = "A better pose was found" if estimate.improved else "The guess is kept"
+    parts = [
+        f"<h3>{head}</h3>",
+        _paragraph(estimate.verdict),
+        _paragraph(agreement),
+        _deviations(estimate),
+    ]
+    if estimate.basin is not None:
+        parts.append(
+            _paragraph(f"Of disturbed starts {estimate.basin:.0%} come back to this pose.")
+        )
+    if estimate.notes:
+        notes = "".join(_paragraph(note) for note in estimate.notes)
+        parts.append(f"<details><summary>Notes</summary>{notes}</details>")
+    return f'<div class="scanloom-result">{"".join(parts)}</div>'
+
+
+def _deviations(estimate: ExtrinsicsEstimate) -> str:
+    """One standard deviation of each number, or that it is not observable."""
+    rows = "".join(
+        f"<tr><td>{html.escape(_NAMES[name])}</td><td>{_deviation(name, sd)}</td></tr>"
+        for name, sd in zip(POSE_PARAMETERS, estimate.sd, strict=True)
+    )
+    return f"<table><caption>How sure (one standard deviation)</caption>{rows}</table>"
+
+
+def _deviation(name: str, sd: float | None) -> str:
+    if sd is None:
+        return "<b>not observable</b>"
+    return f"± {np.rad2deg(sd):.3f}°" if name.endswith("_rad") else f"± {1000.0 * sd:.1f} mm"
+
+
+def _paragraph(text: str) -> str:
+    return f"<p>{html.escape(printable(text))}</p>" if text else ""
