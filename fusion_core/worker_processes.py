@@ -6,6 +6,7 @@ import multiprocessing.connection
 import os
 import pickle
 import signal
+import sys
 import tempfile
 import threading
 from collections import deque
@@ -105,6 +106,9 @@ class WorkerPool:
                 # Nobody wants what they are at.
                 for process in list(executor._processes.values()):
                     process.terminate()
+                if sys.version_info < (3, 11, 5):
+                    # There a thread that writes a task to them would wait for ever.
+                    vars(executor)["_call_queue"]._reader.close()
             executor.shutdown(cancel_futures=True)
         folder, self._folder = self._folder, None
         if folder is not None:
