@@ -42,6 +42,9 @@ def test_the_camera_is_turned_by_keys_seen_undone_and_saved(
     person.wait_for_number("Yaw (°)", begin.yaw_deg, within=0.006)
     person.key("Control+Shift+z")
     person.wait_until(lambda: person.session.view.hand_pose is not None)
+    # What is saved is what is shown.
+    person.wait_for_number("Yaw (°)", begin.yaw_deg + 4.0, within=0.02)
+    person.wait_until(lambda: person.frame_view.view.hand_pose is not None)
     person.press("Save as file")
     person.wait_until(lambda: len(list(output_root.rglob("extrinsics.json"))) == 1)
     (file,) = output_root.rglob("extrinsics.json")
