@@ -222,8 +222,9 @@ class Workbench:
 
         thread = threading.Thread(target=run, name=name, daemon=True)
         with self._lock:
+            # One that is seen can be joined.
             self._threads.add(thread)
-        thread.start()
+            thread.start()
 
     def _close_session(self, client_id: int) -> None:
         with self._lock:
