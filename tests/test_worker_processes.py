@@ -115,7 +115,8 @@ def test_a_shared_value_is_read_once_by_a_worker(pool: WorkerPool) -> None:
         work = [(pool.share(values), 0)] * 20
         found = [result for _, result in pool.in_order(added, work, lambda argument: argument)]
         assert {total for total, _ in found} == {sum(values)}
-        assert len({identity for _, identity in found}) == 2
+        # Two processes, of which one may do all.
+        assert len({identity for _, identity in found}) <= 2
 
 
 def test_an_error_of_a_worker_comes_whole(pool: WorkerPool) -> None:
