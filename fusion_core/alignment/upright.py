@@ -134,12 +134,10 @@ def _undistort_index(
 ) -> tuple[IntArray, CameraIntrinsics]:
     """The (H, W) indices under the pixels of the undistorted image, -1 outside, and its
     intrinsics."""
-    K = np.array(
-        [[intrinsics.fx, 0.0, intrinsics.cx], [0.0, intrinsics.fy, intrinsics.cy], [0.0, 0.0, 1.0]]
-    )
+    K = intrinsics.matrix
     size = (intrinsics.width, intrinsics.height)
     coefficients = np.array(intrinsics.distortion)
-    if intrinsics.distortion_model in ("equidistant", "fisheye"):
+    if intrinsics.is_fisheye:
         u, v = cv2.fisheye.initUndistortRectifyMap(
             K, coefficients[:4], np.eye(3), K, size, cv2.CV_32FC1
         )

@@ -1,28 +1,21 @@
 """Points of a camera's frame to pixels, with the distortion of its lens."""
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 
 from fusion_core.model.conventions import BoolArray, FloatArray
 from fusion_core.model.sensors import CameraIntrinsics
 
-FISHEYE_MODELS = ("equidistant", "fisheye")
 # How finely the image's diagonal is searched for the place where the distortion folds back.
 _FOLD_STEPS = 2000
-
-
-def camera_matrix(intrinsics: CameraIntrinsics) -> FloatArray:
-    """(3, 3) K."""
-    return np.array(
-        [[intrinsics.fx, 0.0, intrinsics.cx], [0.0, intrinsics.fy, intrinsics.cy], [0.0, 0.0, 1.0]]
-    )
 
 
 def opencv_distortion(intrinsics: CameraIntrinsics) -> FloatArray:
     """The coefficients in one of the lengths that OpenCV's functions of the model take."""
     given = intrinsics.distortion
-    is_fisheye = intrinsics.distortion_model in FISHEYE_MODELS
-    lengths = (4,) if is_fisheye else (4, 5, 8, 12, 14)
+    lengths = (4,) if intrinsics.is_fisheye else (4, 5, 8, 12, 14)
     padded = np.zeros(next((n for n in lengths if n >= len(given)), lengths[-1]))
     padded[: len(given)] = given[: padded.size]
     return padded
@@ -41,10 +34,10 @@ def project_points(points_in_camera_m: FloatArray, intrinsics: CameraIntrinsics)
     if not seen.any():
         return pixels
     ahead = np.ascontiguousarray(points_in_camera_m[seen], np.float64).reshape(-1, 1, 3)
-    K = camera_matrix(intrinsics)
+    K = intrinsics.matrix
     coefficients = opencv_distortion(intrinsics)
     none = np.zeros(3)
-    if intrinsics.distortion_model in FISHEYE_MODELS:
+    if intrinsics.is_fisheye:
         projected, _ = cv2.fisheye.projectPoints(ahead, none, none, K, coefficients)
     else:
         projected, _ = cv2.projectPoints(ahead, none, none, K, coefficients)
@@ -60,12 +53,13 @@ def inside_image(pixels: FloatArray, intrinsics: CameraIntrinsics) -> BoolArray:
     return inside
 
 
+@lru_cache(maxsize=16)
 def _largest_radius(intrinsics: CameraIntrinsics) -> float:
     """The tangent of the angle from the axis up to which the distortion grows with the angle."""
     coefficients = opencv_distortion(intrinsics)
-    if not coefficients.any() and intrinsics.distortion_model not in FISHEYE_MODELS:
+    if not coefficients.any() and not intrinsics.is_fisheye:
         return np.inf
-    if intrinsics.distortion_model in FISHEYE_MODELS:
+    if intrinsics.is_fisheye:
         angle = np.linspace(0.0, 0.5 * np.pi, _FOLD_STEPS, endpoint=False)
         powers = angle[:, np.newaxis] ** (2 * np.arange(1, 5))
         distorted = angle * (1.0 + powers @ coefficients)

@@ -24,10 +24,7 @@ def write_camera_info(
         "image_width": intrinsics.width,
         "image_height": intrinsics.height,
         "camera_name": name,
-        "camera_matrix": _matrix(
-            3,
-            [intrinsics.fx, 0.0, intrinsics.cx, 0.0, intrinsics.fy, intrinsics.cy, 0.0, 0.0, 1.0],
-        ),
+        "camera_matrix": _matrix(3, intrinsics.matrix.ravel().tolist()),
         "distortion_model": intrinsics.distortion_model,
         "distortion_coefficients": _matrix(1, _coefficients(intrinsics)),
         "rectification_matrix": _matrix(3, [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]),

@@ -99,11 +99,7 @@ def intrinsics_document(intrinsics: CameraIntrinsics) -> dict[str, Any]:
     return {
         "width": intrinsics.width,
         "height": intrinsics.height,
-        "K": [
-            [intrinsics.fx, 0.0, intrinsics.cx],
-            [0.0, intrinsics.fy, intrinsics.cy],
-            [0.0, 0.0, 1.0],
-        ],
+        "K": intrinsics.matrix.tolist(),
         "distortion_model": intrinsics.distortion_model,
         "distortion": list(intrinsics.distortion),
     }

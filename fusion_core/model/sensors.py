@@ -102,6 +102,10 @@ class LaserScan:
         return replace(self, ranges_m=ranges_m, intensities=intensities)
 
 
+FISHEYE_MODELS = ("equidistant", "fisheye")
+"""The names of OpenCV's fisheye model."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraIntrinsics:
     """Pinhole model of an image of ``width`` x ``height`` pixels; pixel centres are integers.
@@ -138,6 +142,16 @@ class CameraIntrinsics:
                 raise ValueError(
                     f"the distortion coefficient {value:g} is larger than {_MAX_DISTORTION:g}"
                 )
+
+    @property
+    def matrix(self) -> FloatArray:
+        """(3, 3) K."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def is_fisheye(self) -> bool:
+        """Whether the distortion is that of OpenCV's fisheye model."""
+        return self.distortion_model in FISHEYE_MODELS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

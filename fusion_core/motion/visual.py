@@ -262,16 +262,10 @@ class _VisualOdometry:
     def _normalised_coordinates(self, pixels: Float32Array) -> FloatArray:
         """(M, 2) normalised image coordinates of the pixels, undistorted."""
         intrinsics = self._intrinsics
-        K = np.array(
-            [
-                [intrinsics.fx, 0.0, intrinsics.cx],
-                [0.0, intrinsics.fy, intrinsics.cy],
-                [0.0, 0.0, 1.0],
-            ]
-        )
+        K = intrinsics.matrix
         coefficients = np.array(intrinsics.distortion or (0.0,) * 4)
         stacked = pixels.astype(np.float64)[:, np.newaxis, :]
-        if intrinsics.distortion_model in ("equidistant", "fisheye"):
+        if intrinsics.is_fisheye:
             ideal = cv2.fisheye.undistortPoints(stacked, K, coefficients[:4])
         else:
             ideal = cv2.undistortPoints(stacked, K, coefficients)

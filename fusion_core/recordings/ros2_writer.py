@@ -120,7 +120,7 @@ class Ros2McapWriter:
         k, p = np.zeros((3, 3)), np.zeros((3, 4))
         camera = info.intrinsics
         if camera is not None:
-            k[:] = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
+            k = camera.matrix
             p[:, :3] = k
         message = _message(
             "sensor_msgs/msg/CameraInfo",

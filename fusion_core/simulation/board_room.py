@@ -205,13 +205,7 @@ class BoardImages:
         """(H, W, 3) RGB with blur, uneven light and noise."""
         scale = _SUPERSAMPLING
         T = self._T_camera_lidar @ T_lidar_board
-        K = np.array(
-            [
-                [INTRINSICS.fx, 0.0, INTRINSICS.cx],
-                [0.0, INTRINSICS.fy, INTRINSICS.cy],
-                [0.0, 0.0, 1.0],
-            ]
-        )
+        K = INTRINSICS.matrix
         per_px = 1.0 / _TEXTURE_PX_PER_M
         to_board = np.array(
             [

@@ -368,9 +368,7 @@ def _take_image(
     """(H, W, 3): four rays a pixel, lit by a lamp under the ceiling and by what it scatters."""
     length, width, height = room.size_m
     lamp_m = np.array([0.5 * length, 0.5 * width, height - 0.15])
-    K = np.array(
-        [[intrinsics.fx, 0, intrinsics.cx], [0, intrinsics.fy, intrinsics.cy], [0, 0, 1.0]]
-    )
+    K = intrinsics.matrix
     distortion = np.array(intrinsics.distortion or (0.0,) * 5)
     image = np.zeros((intrinsics.height, intrinsics.width, 3))
     column, row = np.meshgrid(

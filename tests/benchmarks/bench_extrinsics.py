@@ -127,13 +127,7 @@ def by_boards(data: TurningRigData, seed: int) -> Row:
     _, rotation, place = cv2.solvePnP(
         all_points,
         all_pixels,
-        np.array(
-            [
-                [data.intrinsics.fx, 0, data.intrinsics.cx],
-                [0, data.intrinsics.fy, data.intrinsics.cy],
-                [0, 0, 1],
-            ]
-        ),
+        data.intrinsics.matrix,
         None,
         flags=cv2.SOLVEPNP_SQPNP,
     )

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from fusion_core.calibration.coloring import ColoringSettings, color_points
-from fusion_core.calibration.projection import camera_matrix
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.geometry import make_transform
 from fusion_core.model.sensors import CameraIntrinsics
@@ -41,7 +40,7 @@ def test_a_wall_has_the_colours_of_its_pixels() -> None:
         points,
         rotation,
         T_CAMERA_LIDAR[:3, 3],
-        camera_matrix(CAMERA),
+        CAMERA.matrix,
         np.array(CAMERA.distortion),
     )
     for (u, v), color, is_seen in zip(pixels.reshape(-1, 2), rgb, seen, strict=True):

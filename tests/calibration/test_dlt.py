@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from fusion_core.calibration.features.dlt import pose_from_projection, solve_pose, solve_projection
 from fusion_core.calibration.pose_error import pose_error
-from fusion_core.calibration.projection import camera_matrix, project_points
+from fusion_core.calibration.projection import project_points
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.geometry import invert_transform, make_transform, transform_points
@@ -48,14 +48,14 @@ def test_exact_pairs_give_the_pose(seed: int, count: int) -> None:
 def test_the_matrix_fulfils_the_equations() -> None:
     T = pose(1)
     points = points_before(T, 30, 1)
-    K = camera_matrix(CAMERA)
+    K = CAMERA.matrix
     seen = transform_points(T, points) @ K.T
     M = solve_projection(points, seen[:, :2] / seen[:, 2:])
     np.testing.assert_allclose(M, K @ T[:3], rtol=1e-6, atol=1e-6)
 
 
 def test_a_matrix_of_any_scale_has_a_proper_rotation() -> None:
-    K = camera_matrix(CAMERA)
+    K = CAMERA.matrix
     T = pose(2)
     noisy = 3.7 * (K @ T[:3]) * (1.0 + 0.01 * np.random.default_rng(0).normal(size=(3, 4)))
     estimate = pose_from_projection(noisy, K)

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from fusion_core.calibration.board.pose_minimiser import minimise_pose
-from fusion_core.calibration.board.undistortion import undistort_pixels
-from fusion_core.calibration.projection import FISHEYE_MODELS, camera_matrix, opencv_distortion
+from fusion_core.calibration.projection import opencv_distortion
+from fusion_core.calibration.undistortion import undistort_pixels
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.geometry import make_transform, transform_points
 from fusion_core.model.sensors import CameraIntrinsics
@@ -74,8 +74,8 @@ def project_with_jacobian(
 ) -> tuple[FloatArray, FloatArray]:
     """(N, 2) pixels and (N, 2, 3) their derivatives by the point, both by OpenCV's models."""
     given = np.ascontiguousarray(points_in_camera_m, np.float64).reshape(-1, 1, 3)
-    K, coefficients, none = camera_matrix(intrinsics), opencv_distortion(intrinsics), np.zeros(3)
-    if intrinsics.distortion_model in FISHEYE_MODELS:
+    K, coefficients, none = intrinsics.matrix, opencv_distortion(intrinsics), np.zeros(3)
+    if intrinsics.is_fisheye:
         pixels, jacobian = cv2.fisheye.projectPoints(given, none, none, K, coefficients)
         by_translation = jacobian[:, 11:14]
     else:

@@ -7,7 +7,6 @@ M (3 x 4) of (8) has twelve entries, eleven up to its scale. Each pair gives two
 import numpy as np
 
 from fusion_core.calibration.features.pixel_rays import ideal_pixels
-from fusion_core.calibration.projection import camera_matrix
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.geometry import make_transform
@@ -84,7 +83,7 @@ def solve_pose(
     ideal = ideal_pixels(pixels, intrinsics)
     known = np.isfinite(ideal).all(axis=1)
     M = solve_projection(points_m[known], ideal[known])
-    K = camera_matrix(intrinsics)
+    K = intrinsics.matrix
     return pose_from_projection(M, K), np.vstack([np.linalg.solve(K, M), [0.0, 0.0, 0.0, 1.0]])
 
 

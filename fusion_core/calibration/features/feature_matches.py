@@ -14,7 +14,7 @@ from fusion_core.calibration.features.feature_points import (
 from fusion_core.calibration.features.intensity_image import IntensityImage, equalise
 from fusion_core.calibration.features.matched_pairs import MatchedPairs
 from fusion_core.calibration.features.pixel_rays import ideal_pixels
-from fusion_core.calibration.projection import camera_matrix, project_points
+from fusion_core.calibration.projection import project_points
 from fusion_core.model.conventions import BoolArray, ByteArray, FloatArray, IntArray
 from fusion_core.model.geometry import transform_points
 from fusion_core.model.seeds import SEED_MAX
@@ -201,7 +201,7 @@ def _geometric_check(
         found, _, _, chosen = cv2.solvePnPRansac(
             np.ascontiguousarray(points_m[order]),
             a,
-            camera_matrix(intrinsics),
+            intrinsics.matrix,
             None,
             iterationsCount=settings.draws_max,
             reprojectionError=settings.threshold_px,

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from fusion_core.calibration.board.undistortion import undistort_pixels
 from fusion_core.calibration.projection import project_points
+from fusion_core.calibration.undistortion import undistort_pixels
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.sensors import CameraIntrinsics
 

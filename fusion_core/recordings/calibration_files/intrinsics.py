@@ -12,15 +12,14 @@
 from pathlib import Path
 
 from fusion_core.model.errors import SettingsError
-from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.model.sensors import FISHEYE_MODELS, CameraIntrinsics
 from fusion_core.recordings.calibration_files.document import read_document
 from fusion_core.recordings.calibration_files.stated_camera import StatedCamera, stated_camera
 from fusion_core.recordings.quoting import quote_clipped
 
 _ADVICE = "It needs K (3 x 3) or fx, fy, cx, cy, in pixels; width and height; and the distortion."
-_FISHEYE_MODELS = ("equidistant", "fisheye")
 # OpenCV's model under the names of ROS, Kalibr and others.
-_MODELS = ("plumb_bob", "rational_polynomial", "radtan", "pinhole", "none", *_FISHEYE_MODELS)
+_MODELS = ("plumb_bob", "rational_polynomial", "radtan", "pinhole", "none", *FISHEYE_MODELS)
 # A file that does not state its images' size is checked by the image's centre: that of a lens lies
 # near the middle of the whole image, and would not in one of half or twice the size.
 _CENTRE_MIN, _CENTRE_MAX = 0.3, 0.7
@@ -105,7 +104,7 @@ def _require_model(camera: StatedCamera, path: Path) -> None:
             file=path,
             advice=f"Known are {', '.join(_MODELS)}.",
         )
-    if model in _FISHEYE_MODELS and len(camera.distortion) not in (0, 4):
+    if model in FISHEYE_MODELS and len(camera.distortion) not in (0, 4):
         raise SettingsError(
             f"has {len(camera.distortion)} distortion coefficients of the model {model}.",
             file=path,

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from fusion_core.calibration.projection import FISHEYE_MODELS, camera_matrix, opencv_distortion
+from fusion_core.calibration.projection import opencv_distortion
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.sensors import CameraIntrinsics
 
@@ -16,8 +16,8 @@ def undistort_pixels(pixels: FloatArray, intrinsics: CameraIntrinsics) -> FloatA
     given = np.ascontiguousarray(pixels, np.float64).reshape(1, -1, 2)
     if given.size == 0:
         return np.empty((0, 2))
-    K, coefficients = camera_matrix(intrinsics), opencv_distortion(intrinsics)
-    if intrinsics.distortion_model in FISHEYE_MODELS:
+    K, coefficients = intrinsics.matrix, opencv_distortion(intrinsics)
+    if intrinsics.is_fisheye:
         rays = cv2.fisheye.undistortPoints(given, K, coefficients, criteria=_UNTIL)
     else:
         rays = cv2.undistortPoints(given, K, coefficients, criteria=_UNTIL)
