@@ -1,7 +1,7 @@
 """Synthetic recordings with truth."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from fusion_core.exporting.settings_file import load_toml
 from fusion_core.files.inputs import require_apart
@@ -26,6 +26,8 @@ from fusion_core.simulation.scenes import (
 )
 from fusion_core.simulation.truth import truth_path
 from fusion_core.simulation.turning_rig import TurningRigSettings
+
+_Settings = TypeVar("_Settings", bound=StageSettings)
 
 SONG_RIG = "song_rig"
 _SONG_RIG_DESCRIPTION = (
@@ -94,10 +96,7 @@ def _write_rig(
     overwrite: bool,
     progress: Progress,
 ) -> dict[str, Any]:
-    settings = TurningRigSettings()
-    if settings_file is not None:
-        loaded = load_toml(settings_file, {"scene": TurningRigSettings}, {"scene": settings})
-        settings = TurningRigSettings.model_validate(loaded["scene"])
+    settings = _with_file(TurningRigSettings(), settings_file)
     truth = truth_path(output)
     _require_free((output, truth), settings_file, overwrite=overwrite)
     used_seed = _SONG_RIG_SEED if seed is None else seed
@@ -118,10 +117,7 @@ def _write_board(
     overwrite: bool,
     progress: Progress,
 ) -> dict[str, Any]:
-    settings = BoardSceneSettings()
-    if settings_file is not None:
-        loaded = load_toml(settings_file, {"scene": BoardSceneSettings}, {"scene": settings})
-        settings = BoardSceneSettings.model_validate(loaded["scene"])
+    settings = _with_file(BoardSceneSettings(), settings_file)
     if seed is not None:
         settings = BoardSceneSettings.model_validate({**settings.model_dump(), "seed": seed})
     truth = truth_path(output)
@@ -133,6 +129,15 @@ def _write_board(
         "truth": str(truth),
         "settings": settings.model_dump(mode="json"),
     }
+
+
+def _with_file(settings: _Settings, settings_file: Path | None) -> _Settings:
+    """A scene's settings, changed by the table ``[scene]`` of a file."""
+    if settings_file is None:
+        return settings
+    kind = type(settings)
+    loaded = load_toml(settings_file, {"scene": kind}, {"scene": settings})
+    return kind.model_validate(loaded["scene"])
 
 
 def _require_free(paths: tuple[Path, ...], settings_file: Path | None, *, overwrite: bool) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import viser
 
 from fusion_core.model.conventions import ByteArray, Float32Array
-from fusion_core.model.errors import ExportError, ScanLoomError
+from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.extrinsics import ExtrinsicsEstimate
 from fusion_core.workflows.fuse.color_of_frame import remap_color
 from scanloom.client_session import ClientSession, Panel
@@ -24,6 +24,7 @@ from scanloom.panels.natural_calibration import NaturalCalibration
 from scanloom.panels.pose_controls import PoseControls
 from scanloom.panels.pose_sources import PoseSources
 from scanloom.panels.widgets.controls import Controls
+from scanloom.panels.widgets.saved_file import send_saved_file
 from scanloom.plots.curve_overlay import curve_overlay_picture, range_limits_m
 from scanloom.plots.png import show_picture
 from scanloom.plots.theme import theme_of
@@ -188,15 +189,8 @@ class CalibratePanel(Panel):
 
     def _send(self) -> None:
         path = self._save()
-        if path is None:
-            return
-        try:
-            content = path.read_bytes()
-        except OSError as error:
-            problem = f"cannot be read: {error.strerror or error}."
-            self._session.show_failure(ExportError(problem, file=path))
-            return
-        self._session.send_file(f"{path.parent.name}-{path.name}", content)
+        if path is not None:
+            send_saved_file(self._session, path)
 
     def _show_file(self, frame_view: FrameView) -> None:
         """The file of the displayed pose, and the command that uses it."""

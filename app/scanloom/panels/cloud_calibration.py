@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import viser
 
-from fusion_core.model.errors import ExportError, ScanLoomError
+from fusion_core.model.errors import ScanLoomError
 from fusion_core.model.progress import Progress
 from fusion_core.workflows.calibrate.turning_rig import image_topic_of
 from scanloom.client_session import ClientSession
@@ -26,6 +26,7 @@ from scanloom.panels.calibration_result import result_html
 from scanloom.panels.command_line import calibrate_camera_command
 from scanloom.panels.widgets.controls import Controls
 from scanloom.panels.widgets.panel_job import PanelJob
+from scanloom.panels.widgets.saved_file import send_saved_file
 from scanloom.plots.cloud_overlay import cloud_overlay_picture
 from scanloom.plots.line_plot import (
     PlotLabels,
@@ -284,15 +285,8 @@ class CloudCalibration:
 
     def _send(self) -> None:
         path = self._write()
-        if path is None:
-            return
-        try:
-            content = path.read_bytes()
-        except OSError as error:
-            problem = f"cannot be read: {error.strerror or error}."
-            self._session.show_failure(ExportError(problem, file=path))
-            return
-        self._session.send_file(f"{path.parent.name}-{path.name}", content)
+        if path is not None:
+            send_saved_file(self._session, path)
 
 
 def _reason_text(reason: str) -> str:
