@@ -53,6 +53,14 @@ def inside_image(pixels: FloatArray, intrinsics: CameraIntrinsics) -> BoolArray:
     return inside
 
 
+def reprojection_rms(residuals_px: FloatArray) -> float:
+    """Song 2022, (18), of (N, 2) residuals: sqrt(m_u² + m_v²) with the mean squares m_u², m_v²;
+    NaN for no pairs."""
+    if not len(residuals_px):
+        return float("nan")
+    return float(np.sqrt((residuals_px**2).mean(axis=0).sum()))
+
+
 @lru_cache(maxsize=16)
 def _largest_radius(intrinsics: CameraIntrinsics) -> float:
     """The tangent of the angle from the axis up to which the distortion grows with the angle."""

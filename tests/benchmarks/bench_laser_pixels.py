@@ -17,9 +17,9 @@ from fusion_core.calibration.board.laser_pixel_noise import Pairs
 from fusion_core.calibration.board.laser_pixels import (
     LaserPixelSettings,
     calibrate_laser_pixels,
-    rms_px,
 )
 from fusion_core.calibration.pose_error import pose_error
+from fusion_core.calibration.projection import reprojection_rms
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.geometry import invert_transform, make_transform
 from fusion_core.recordings.calibration_files.intrinsics import read_intrinsics
@@ -28,7 +28,7 @@ from fusion_core.recordings.laser_pixel_file import read_laser_pixels
 
 def describe(errors_px: FloatArray) -> str:
     sizes = np.linalg.norm(errors_px, axis=1)
-    return f"{rms_px(errors_px):8.2f}  {np.median(sizes):8.2f}  {sizes.max():8.2f}"
+    return f"{reprojection_rms(errors_px):8.2f}  {np.median(sizes):8.2f}  {sizes.max():8.2f}"
 
 
 def main() -> None:
@@ -48,7 +48,7 @@ def main() -> None:
         ("LiDAR to camera", given),
         ("camera to LiDAR", invert_transform(given)),
     ):
-        print(f"  {name:42}{rms_px(pairs.residuals_px(T)):10.2f}")
+        print(f"  {name:42}{reprojection_rms(pairs.residuals_px(T)):10.2f}")
     guessed = calibrate_laser_pixels(points_m, pixels, camera, T_guess=given)
     plain = LaserPixelSettings(huber=100.0, starts=0)
     least_squares = calibrate_laser_pixels(points_m, pixels, camera, plain)
@@ -67,7 +67,9 @@ def main() -> None:
     rows = [(f"{number}", order[number::10]) for number in range(10)]
     print("  tenth     " + "".join(f"{name:>8}" for name, _ in rows))
     for name, errors in (("published", published_px), ("ours", guessed.held_out_px)):
-        print(f"  {name:10}" + "".join(f"{rms_px(errors[part]):8.2f}" for _, part in rows))
+        print(
+            f"  {name:10}" + "".join(f"{reprojection_rms(errors[part]):8.2f}" for _, part in rows)
+        )
     estimate = guessed.estimate
     difference = pose_error(given, estimate.T_camera_lidar)
     sd = np.array(estimate.sd, dtype=np.float64)

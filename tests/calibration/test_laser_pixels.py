@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 from fusion_core.calibration.board.laser_pixels import (
     LaserPixelSettings,
     calibrate_laser_pixels,
-    rms_px,
 )
 from fusion_core.calibration.pose_error import apply_pose_error, pose_error
+from fusion_core.calibration.projection import reprojection_rms
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.extrinsics import POSE_PARAMETERS
 from fusion_core.model.geometry import make_transform
@@ -91,7 +91,7 @@ def test_a_guess_that_is_better_is_kept():
     assert not found.estimate.improved
     np.testing.assert_array_equal(found.estimate.T_camera_lidar, T)
     assert found.estimate.verdict.startswith("The guess is kept")
-    assert found.estimate.reprojection_rms_px == pytest.approx(rms_px(found.guess_px))
+    assert found.estimate.reprojection_rms_px == pytest.approx(reprojection_rms(found.guess_px))
 
 
 def test_a_worse_guess_is_improved():
@@ -157,5 +157,5 @@ def test_the_published_result_is_improved(data_folder):
     published = make_transform(Rotation.from_quat(values[:4]).as_matrix(), values[4:])
     found = calibrate_laser_pixels(points, pixels, camera, T_guess=published)
     assert found.estimate.improved
-    assert rms_px(found.guess_px) == pytest.approx(15.09, abs=0.01)
-    assert found.estimate.reprojection_rms_px < 0.6 * rms_px(found.guess_px)
+    assert reprojection_rms(found.guess_px) == pytest.approx(15.09, abs=0.01)
+    assert found.estimate.reprojection_rms_px < 0.6 * reprojection_rms(found.guess_px)

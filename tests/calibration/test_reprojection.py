@@ -8,7 +8,6 @@ from fusion_core.calibration.features.guess_check import keep_better
 from fusion_core.calibration.features.pose_fit import (
     pose_jacobian,
     reprojection_residuals,
-    reprojection_rms,
 )
 from fusion_core.calibration.features.reprojection import (
     PUBLISHED,
@@ -20,7 +19,7 @@ from fusion_core.calibration.features.reprojection import (
     reprojection_curve,
 )
 from fusion_core.calibration.pose_error import apply_pose_error, pose_error
-from fusion_core.calibration.projection import project_points
+from fusion_core.calibration.projection import project_points, reprojection_rms
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.extrinsics import ExtrinsicsEstimate

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from fusion_core.calibration.board.pose_minimiser import minimise_pose
-from fusion_core.calibration.projection import opencv_distortion
+from fusion_core.calibration.projection import opencv_distortion, reprojection_rms
 from fusion_core.calibration.undistortion import undistort_pixels
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.geometry import make_transform, transform_points
@@ -25,7 +25,7 @@ class PlanePose:
     @property
     def rms_px(self) -> float:
         """Root mean square of the distances, Song's (18)."""
-        return float(np.sqrt((self.residuals_px**2).sum(axis=1).mean()))
+        return reprojection_rms(self.residuals_px)
 
     def errors_px(
         self, points_m: FloatArray, pixels: FloatArray, intrinsics: CameraIntrinsics

@@ -11,6 +11,7 @@ import numpy as np
 
 from fusion_core.calibration.board.board import Board
 from fusion_core.calibration.board.board_pose import PlanePose, fit_plane_pose
+from fusion_core.calibration.projection import reprojection_rms
 from fusion_core.model.conventions import BoolArray, FloatArray, read_only
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.sensors import CameraIntrinsics
@@ -125,7 +126,9 @@ def estimate_intrinsics(
         values=values,
         sd=sd,
         rms_held_out_px=trial.held_out_px,
-        rms_used_px=_rms([pose.residuals_px for pose in poses.values()]),
+        rms_used_px=reprojection_rms(
+            np.concatenate([pose.residuals_px for pose in poses.values()])
+        ),
         image_rms_px=_image_rms(problem, trial, kept),
         outliers=outliers,
         residuals_px=tuple(
@@ -192,7 +195,7 @@ class _Trial:
 
     @property
     def held_out_px(self) -> float:
-        return _rms(list(self.held_out.values()))
+        return reprojection_rms(np.concatenate(list(self.held_out.values())))
 
     def jackknife_sd(self) -> FloatArray:
         """The jackknife over groups: g fits, each without one of them."""
@@ -236,7 +239,7 @@ def _trial(
         without.append((left_out, fitted))
         for index in left_out:
             held_out[index] = problem.held_out(index, fitted)
-    if not np.isfinite(_rms(list(held_out.values()))):
+    if not np.isfinite(reprojection_rms(np.concatenate(list(held_out.values())))):
         return None
     return _Trial(whole, without, held_out)
 
@@ -364,7 +367,7 @@ def _require_tilts(problem: _Problem, trial: _Trial, settings: IntrinsicsSetting
 
 
 def _without_outliers(problem: _Problem, trial: _Trial, settings: IntrinsicsSettings) -> list[int]:
-    rms_px = {index: _rms([errors]) for index, errors in trial.held_out.items()}
+    rms_px = {index: reprojection_rms(errors) for index, errors in trial.held_out.items()}
     limit_px = settings.outlier_ratio * float(np.median(list(rms_px.values())))
     kept = [index for index in problem.seen if rms_px[index] <= limit_px]
     return kept if len(kept) >= 3 else problem.seen
@@ -376,7 +379,7 @@ def _image_rms(problem: _Problem, trial: _Trial, kept: list[int]) -> FloatArray:
         errors = trial.held_out[index] if index in kept else None
         if errors is None:
             errors = problem.held_out(index, trial.intrinsics)
-        rms_px[index] = _rms([errors])
+        rms_px[index] = reprojection_rms(errors)
     return rms_px
 
 
@@ -413,7 +416,3 @@ def _notes(problem: _Problem, trial: _Trial, kept: list[int]) -> tuple[str, ...]
             f"no corners in the image's {', '.join(empty)}: the distortion there is extrapolated"
         )
     return tuple(notes)
-
-
-def _rms(errors_px: list[FloatArray]) -> float:
-    return float(np.sqrt((np.concatenate(errors_px) ** 2).sum(axis=1).mean()))

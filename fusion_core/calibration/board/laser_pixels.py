@@ -16,6 +16,7 @@ from fusion_core.calibration.board.observability import (
     unobservable_parameters,
 )
 from fusion_core.calibration.pose_error import rotation_angle_rad
+from fusion_core.calibration.projection import reprojection_rms
 from fusion_core.model.conventions import BoolArray, FloatArray, read_only
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.extrinsics import POSE_PARAMETERS, ExtrinsicsEstimate
@@ -136,8 +137,8 @@ def calibrate_laser_pixels(
         verdict=_verdict(fit, held_out_px, None if improved else guess_px, unobservable),
         improved=improved,
         T_guess=None if T_guess is None else T_guess.copy(),
-        reprojection_rms_px=rms_px(kept_px),
-        reprojection_rms_used_px=rms_px(fit.residuals_px),
+        reprojection_rms_px=reprojection_rms(kept_px),
+        reprojection_rms_used_px=reprojection_rms(fit.residuals_px),
         unobservable=unobservable,
         notes=_notes(fit, solutions[1:], settings),
     )
@@ -148,11 +149,6 @@ def calibrate_laser_pixels(
         guess_px=guess_px,
         noise=fit.noise,
     )
-
-
-def rms_px(residuals_px: FloatArray) -> float:
-    """Song's (18) over (N, 2) residuals."""
-    return float(np.sqrt((residuals_px**2).sum(axis=1).mean()))
 
 
 def _require_plausible(
@@ -237,16 +233,18 @@ def _verdict(
     kept_guess_px: FloatArray | None,
     unobservable: tuple[str, ...],
 ) -> str:
-    count = len(held_out_px)
+    count, held_out_rms_px = len(held_out_px), reprojection_rms(held_out_px)
     if kept_guess_px is not None:
+        guess_rms_px = reprojection_rms(kept_guess_px)
         verdict = (
-            f"The guess is kept: its {count} pairs are {rms_px(kept_guess_px):.2f} px off, against"
-            f" {rms_px(held_out_px):.2f} px of a result that has not seen them."
+            f"The guess is kept: its {count} pairs are {guess_rms_px:.2f} px off, against"
+            f" {held_out_rms_px:.2f} px of a result that has not seen them."
         )
     else:
+        used_rms_px = reprojection_rms(fit.residuals_px)
         verdict = (
-            f"Found from {count} pairs: {rms_px(held_out_px):.2f} px on pairs that were left out,"
-            f" {rms_px(fit.residuals_px):.2f} px on those used."
+            f"Found from {count} pairs: {held_out_rms_px:.2f} px on pairs that were left out,"
+            f" {used_rms_px:.2f} px on those used."
         )
     if unobservable:
         verdict += f" Not observable, and as in the guess: {', '.join(unobservable)}."

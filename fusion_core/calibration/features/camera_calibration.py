@@ -36,7 +36,7 @@ from fusion_core.calibration.features.intensity_image import (
 )
 from fusion_core.calibration.features.matched_pairs import MatchedPairs
 from fusion_core.calibration.features.patch_matches import PatchSettings, camera_view, match_patches
-from fusion_core.calibration.features.pose_fit import reprojection_residuals, reprojection_rms
+from fusion_core.calibration.features.pose_fit import reprojection_residuals
 from fusion_core.calibration.features.reprojection import (
     FilteredPose,
     ReprojectionCurve,
@@ -48,6 +48,7 @@ from fusion_core.calibration.features.reprojection import (
     reprojection_curve,
 )
 from fusion_core.calibration.features.virtual_camera import camera_towards, cloud_directions
+from fusion_core.calibration.projection import reprojection_rms
 from fusion_core.model.conventions import ByteArray, FloatArray
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.extrinsics import ExtrinsicsEstimate

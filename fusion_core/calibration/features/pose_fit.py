@@ -50,13 +50,6 @@ def reprojection_residuals(
     return np.nan_to_num(projected - pixels, nan=_LOST_PX)
 
 
-def reprojection_rms(residuals_px: FloatArray) -> float:
-    """(18): sqrt(m_u² + m_v²) with the mean squares m_u², m_v²; NaN for no pairs."""
-    if not len(residuals_px):
-        return float("nan")
-    return float(np.sqrt((residuals_px**2).mean(axis=0).sum()))
-
-
 def pose_without_start(
     points_m: FloatArray, pixels: FloatArray, intrinsics: CameraIntrinsics
 ) -> FloatArray:

@@ -13,9 +13,9 @@ from fusion_core.calibration.features.pose_fit import (
     pose_jacobian,
     pose_without_start,
     reprojection_residuals,
-    reprojection_rms,
 )
 from fusion_core.calibration.pose_error import pose_error
+from fusion_core.calibration.projection import reprojection_rms
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.seeds import SEED_MAX

@@ -7,22 +7,21 @@ the guess, and disturbed starts show from how far it is found (``natural_evidenc
 
 from dataclasses import replace
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from fusion_core.calibration.planar.natural_settings import NaturalSettings
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import AlignmentFailed, CalibrationFailed, MissingStream
 from fusion_core.model.extrinsics import ExtrinsicsEstimate
-from fusion_core.model.geometry import invert_transform, make_transform
+from fusion_core.model.geometry import invert_transform
 from fusion_core.model.given_extrinsics import CameraPose, GivenExtrinsics
 from fusion_core.model.progress import Progress, silent
 from fusion_core.model.recording import Recording
-from fusion_core.model.rig import Mount
 from fusion_core.recordings.topics import choose_streams
 from fusion_core.workflows.calibrate.natural_evidence import judge_fit, keep_guess
 from fusion_core.workflows.calibrate.natural_fit import UprightImages, find_pose
-from fusion_core.workflows.fuse.camera_rig import CameraRig, build_camera_rig
+from fusion_core.workflows.fuse.camera_rig import build_camera_rig
+from fusion_core.workflows.fuse.moved_rig import camera_pose_of
 from fusion_core.workflows.fuse.session import Session, session_of
 from fusion_core.workflows.fuse.settings import PRESETS
 
@@ -93,7 +92,7 @@ def _open(
             advice="Record its CameraInfo.",
         )
     if T_guess is None and rig.recorded_mount is not None:
-        T_guess = _pose_of(rig, rig.recorded_mount)
+        T_guess = invert_transform(camera_pose_of(rig, rig.recorded_mount))
     if T_guess is not None:
         given = GivenExtrinsics(
             source="the guess", cameras={None: CameraPose(T_camera_lidar=T_guess.copy())}
@@ -101,11 +100,3 @@ def _open(
         rig = build_camera_rig(recording, streams, chain.sampling, given=given)
     unknown = replace(rig, recorded_mount=None, given=None)
     return session_of(recording, streams, unknown, chain), T_guess
-
-
-def _pose_of(rig: CameraRig, mount: Mount) -> FloatArray:
-    """T_camera_lidar of the first camera, as its images are stored."""
-    T_lidar_view = mount.T_lidar_rig @ rig.cameras[0].T_rig_camera
-    back = make_transform(rig.views[0].R_stored_view, np.zeros(3))
-    T_camera_lidar: FloatArray = back @ invert_transform(T_lidar_view)
-    return T_camera_lidar

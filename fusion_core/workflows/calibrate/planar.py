@@ -17,10 +17,10 @@ from fusion_core.calibration.board.laser_board import LaserBoardSettings, calibr
 from fusion_core.calibration.board.laser_pixels import (
     LaserPixelSettings,
     calibrate_laser_pixels,
-    rms_px,
 )
 from fusion_core.calibration.board.laser_segments import SegmentSettings
 from fusion_core.calibration.planar.natural_settings import NaturalSettings
+from fusion_core.calibration.projection import reprojection_rms
 from fusion_core.exporting.extrinsics_files import extrinsics_document
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import CalibrationFailed, SettingsError
@@ -173,8 +173,8 @@ def _from_pairs(
     more = {
         "way": "pairs",
         "pairs": len(pixels),
-        "guess_rms_px": None if found.guess_px is None else rms_px(found.guess_px),
-        "result_held_out_rms_px": rms_px(found.held_out_px),
+        "guess_rms_px": None if found.guess_px is None else reprojection_rms(found.guess_px),
+        "result_held_out_rms_px": reprojection_rms(found.held_out_px),
         "pixel_sd_px": found.noise.pixel_px,
         "laser_sd_m": found.noise.laser_m,
         "input_notes": notes,

@@ -11,6 +11,7 @@ import numpy as np
 
 from fusion_core.alignment.mount_settings import MountSettings
 from fusion_core.alignment.time import estimate_turn_rate_rad_s
+from fusion_core.calibration.projection import inside_image
 from fusion_core.model.conventions import (
     NS_PER_S,
     BoolArray,
@@ -92,10 +93,9 @@ def curve_in_image(
     z_m = np.where(in_camera_m[:, 2] > _MIN_DEPTH_M, in_camera_m[:, 2], np.nan)
     u = intrinsics.cx + intrinsics.fx * in_camera_m[:, 0] / z_m
     v = intrinsics.cy + intrinsics.fy * in_camera_m[:, 1] / z_m
-    height, width = seen.depth_m.shape
-    with np.errstate(invalid="ignore"):
-        inside = (u >= -0.5) & (u < width - 0.5) & (v >= -0.5) & (v < height - 0.5)
-    pixels, range_m = np.stack([u, v], axis=1)[inside], np.hypot(*seen.points_m[inside, :2].T)
+    pixels = np.stack([u, v], axis=1)
+    inside = inside_image(pixels, intrinsics)
+    pixels, range_m = pixels[inside], np.hypot(*seen.points_m[inside, :2].T)
     column, row = np.rint(pixels.T).astype(np.int64)
     difference_m = seen.depth_m[row, column].astype(np.float64) - z_m[inside]
     tolerance_m = settings.tolerance_m + settings.tolerance_fraction * range_m
