@@ -23,13 +23,13 @@ class ExtrinsicsEstimate:
     """A LiDAR's pose in the optical frame of a camera, as its images are stored.
 
     ``T_camera_lidar``: (4, 4). ``covariance``: (6, 6) of POSE_PARAMETERS, NaN in the row and column
-    of each of ``unobservable``, which keep the guess's value. ``reprojection_rms_px``: Song's (18)
-    over pairs that the estimate has not seen, ``reprojection_rms_used_px`` over those that it has;
-    None where the method has no pairs. ``basin``: fraction of disturbed starts that come back, None
-    where it was not tried. ``T_guess``: (4, 4) the initial guess, None without one. ``improved``:
-    whether the result is better than the guess by evidence that was held out; where it is not,
-    ``T_camera_lidar`` is the guess. ``verdict``: a sentence or two for people. ``method``: how it
-    was found.
+    of each of ``unobservable``, whose values are the guess's or, without one, assumed.
+    ``reprojection_rms_px``: Song's (18) over pairs that the estimate has not seen,
+    ``reprojection_rms_used_px`` over those that it has; None where the method has no pairs.
+    ``basin``: fraction of disturbed starts that come back, None where it was not tried.
+    ``T_guess``: (4, 4) the initial guess, None without one. ``improved``: whether the result is
+    better than the guess by evidence that was held out; where it is not, ``T_camera_lidar`` is the
+    guess. ``verdict``: a sentence or two for people. ``method``: how it was found.
     """
 
     T_camera_lidar: FloatArray
