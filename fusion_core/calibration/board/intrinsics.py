@@ -4,24 +4,19 @@ Brown) and Kannala and Brandt 2006 (fisheye), both by OpenCV, judged on images t
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
-import cv2
 import numpy as np
 
 from fusion_core.calibration.board.board import Board
 from fusion_core.calibration.board.board_pose import PlanePose, fit_plane_pose
+from fusion_core.calibration.board.lens_fit import CameraModel, fit_lens
 from fusion_core.calibration.projection import reprojection_rms
 from fusion_core.model.conventions import BoolArray, FloatArray, read_only
 from fusion_core.model.errors import CalibrationFailed
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.settings import StageSettings, setting
 
-CameraModel = Literal["pinhole", "fisheye"]
 _NAMES = {"plumb_bob": ("k1", "k2", "p1", "p2", "k3"), "equidistant": ("k1", "k2", "k3", "k4")}
-_UNTIL = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 200, 1e-10)
-# Fisheye lenses that fill the image with 60 to 200 degrees: starts, as fractions of its width.
-_FISHEYE_STARTS = (1.0 / np.pi, 0.5, 1.0)
 # Cells of the coverage, along the image's sides.
 COVERAGE_CELLS = (12, 8)
 
@@ -181,6 +176,16 @@ class _Problem:
             )
         return pose
 
+    def fit(
+        self,
+        used: list[int],
+        model: CameraModel,
+        higher: bool,
+        start: CameraIntrinsics | None = None,
+    ) -> CameraIntrinsics | None:
+        corners = [self.corners(index) for index in used]
+        return fit_lens(self.board.points_m(), corners, self.shape, model, higher, start)
+
     def held_out(self, index: int, intrinsics: CameraIntrinsics) -> FloatArray:
         return held_out_residuals_px(self.board, self.corners(index), intrinsics)
 
@@ -225,7 +230,7 @@ def _better_order(problem: _Problem, used: list[int], settings: IntrinsicsSettin
 def _trial(
     problem: _Problem, used: list[int], settings: IntrinsicsSettings, higher: bool
 ) -> _Trial | None:
-    whole = _fit(problem, used, settings.model, higher)
+    whole = problem.fit(used, settings.model, higher)
     if whole is None:
         return None
     groups = min(settings.folds, len(used))
@@ -233,7 +238,7 @@ def _trial(
     for group in range(groups):
         left_out = used[group::groups]
         rest = [index for index in used if index not in left_out]
-        fitted = _fit(problem, rest, settings.model, higher, start=whole)
+        fitted = problem.fit(rest, settings.model, higher, start=whole)
         if fitted is None:
             return None
         without.append((left_out, fitted))
@@ -242,108 +247,6 @@ def _trial(
     if not np.isfinite(reprojection_rms(np.concatenate(list(held_out.values())))):
         return None
     return _Trial(whole, without, held_out)
-
-
-def _fit(
-    problem: _Problem,
-    used: list[int],
-    model: CameraModel,
-    higher: bool,
-    start: CameraIntrinsics | None = None,
-) -> CameraIntrinsics | None:
-    """OpenCV's fit, None where it finds none."""
-    fit = _fit_pinhole if model == "pinhole" else _fit_fisheye
-    points = problem.board.points_m()
-    corners = [problem.corners(index) for index in used]
-    try:
-        return fit(points, corners, problem.shape, higher, start)
-    except (cv2.error, ValueError):
-        # ValueError: the fit ran off to intrinsics that no camera has.
-        return None
-
-
-def _fit_pinhole(
-    points_m: FloatArray,
-    corners_px: list[FloatArray],
-    shape: tuple[int, int],
-    higher: bool,
-    start: CameraIntrinsics | None,
-) -> CameraIntrinsics:
-    objects = [points_m.astype(np.float32)] * len(corners_px)
-    images = [corners.astype(np.float32) for corners in corners_px]
-    K, coefficients, flags = _start_matrix(start), np.zeros(5), 0
-    if start is not None:
-        coefficients[: len(start.distortion)] = start.distortion
-        flags |= cv2.CALIB_USE_INTRINSIC_GUESS
-    if not higher:
-        flags |= cv2.CALIB_FIX_K3
-    _, fitted, distortion, _, _ = cv2.calibrateCamera(
-        objects, images, shape[::-1], K, coefficients, flags=flags, criteria=_UNTIL
-    )
-    kept = np.asarray(distortion, np.float64).ravel()[: 5 if higher else 4]
-    return _intrinsics(np.asarray(fitted, np.float64), kept, shape, "plumb_bob")
-
-
-def _fit_fisheye(
-    points_m: FloatArray,
-    corners_px: list[FloatArray],
-    shape: tuple[int, int],
-    higher: bool,
-    start: CameraIntrinsics | None,
-) -> CameraIntrinsics:
-    # OpenCV 5 takes one row of points for each image, not one column.
-    objects = [points_m.reshape(1, -1, 3)] * len(corners_px)
-    images = [corners.reshape(1, -1, 2) for corners in corners_px]
-    flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_FIX_SKEW
-    if not higher:
-        flags |= cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_K4
-    starts = []
-    if start is None:
-        for focal_px in (fraction * max(shape) for fraction in _FISHEYE_STARTS):
-            K = np.diag([focal_px, focal_px, 1.0])
-            K[:2, 2] = 0.5 * (np.array(shape[::-1]) - 1.0)
-            starts.append((K, np.zeros((4, 1))))
-    else:
-        known = np.zeros((4, 1))
-        known[: len(start.distortion), 0] = start.distortion
-        starts.append((_start_matrix(start), known))
-    fits = []
-    for K, coefficients in starts:
-        try:
-            fits.append(
-                cv2.fisheye.calibrate(
-                    objects, images, shape[::-1], K, coefficients, flags=flags, criteria=_UNTIL
-                )[:3]
-            )
-        except cv2.error:
-            continue
-    if not fits:
-        raise ValueError("no start converges")
-    _, fitted, distortion = min(fits, key=lambda fit: fit[0])
-    kept = np.asarray(distortion, np.float64).ravel()[: 4 if higher else 2]
-    return _intrinsics(np.asarray(fitted, np.float64), kept, shape, "equidistant")
-
-
-def _start_matrix(start: CameraIntrinsics | None) -> FloatArray:
-    K = np.eye(3)
-    if start is not None:
-        K[0, 0], K[1, 1], K[0, 2], K[1, 2] = start.fx, start.fy, start.cx, start.cy
-    return K
-
-
-def _intrinsics(
-    K: FloatArray, coefficients: FloatArray, shape: tuple[int, int], model: str
-) -> CameraIntrinsics:
-    return CameraIntrinsics(
-        width=shape[1],
-        height=shape[0],
-        fx=float(K[0, 0]),
-        fy=float(K[1, 1]),
-        cx=float(K[0, 2]),
-        cy=float(K[1, 2]),
-        distortion_model=model,
-        distortion=tuple(map(float, coefficients)),
-    )
 
 
 def _vector(intrinsics: CameraIntrinsics) -> FloatArray:

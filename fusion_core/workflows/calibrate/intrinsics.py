@@ -11,11 +11,11 @@ from pydantic import ConfigDict
 from fusion_core.calibration.board.board import BoardImages, find_boards, parse_board
 from fusion_core.calibration.board.intrinsics import (
     COVERAGE_CELLS,
-    CameraModel,
     IntrinsicsEstimate,
     IntrinsicsSettings,
     estimate_intrinsics,
 )
+from fusion_core.calibration.board.lens_fit import CameraModel
 from fusion_core.exporting.camera_info import require_suffix, write_camera_info
 from fusion_core.exporting.figures_intrinsics import Coverage, joined, write_coverage
 from fusion_core.files.atomic import require_folder_of
