@@ -27,6 +27,7 @@ from fusion_core.model.geometry import (
 )
 from fusion_core.model.planar_poses import compose_poses
 from fusion_core.model.progress import Progress, silent
+from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.motion.keyframe_chain import KeyframeChain
 from fusion_core.motion.odometry_trajectory import OdometryTrajectory
@@ -158,18 +159,8 @@ class VisualOdometrySettings(StageSettings):
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class GrayDepth:
-    """An image with its depth. ``gray``: (H, W) uint8. ``depth_m``: (h, w) of the same view, NaN
-    where missing; its size may differ."""
-
-    stamp_ns: int
-    gray: ByteArray
-    depth_m: Float32Array
-
-
 def visual_odometry(
-    frames: Iterable[GrayDepth],
+    frames: Iterable[RgbdFrame],
     intrinsics: CameraIntrinsics,
     T_lidar_camera: FloatArray,
     settings: VisualOdometrySettings | None = None,
@@ -220,7 +211,7 @@ class _VisualOdometry:
         self._last: _Features | None = None
         self._misses = self._found_most = 0
 
-    def add(self, frame: GrayDepth) -> None:
+    def add(self, frame: RgbdFrame) -> None:
         """Place the next image."""
         pose = self._chain.poses[-1].copy() if self._chain.poses else np.zeros(3)
         self._stamps_ns.append(frame.stamp_ns)
@@ -244,7 +235,7 @@ class _VisualOdometry:
             return
         self._accept_match(features, *found)
 
-    def _extract_features(self, frame: GrayDepth, pose: FloatArray) -> _Features | str:
+    def _extract_features(self, frame: RgbdFrame, pose: FloatArray) -> _Features | str:
         keypoints, descriptors = self._orb.detectAndCompute(frame.gray, None)
         if descriptors is None or len(keypoints) < self._settings.inliers_min:
             return "too few features"
@@ -418,7 +409,7 @@ class _VisualOdometry:
         )
 
 
-def _sample_depths_m(frame: GrayDepth, pixels: Float32Array) -> FloatArray:
+def _sample_depths_m(frame: RgbdFrame, pixels: Float32Array) -> FloatArray:
     """(M,) depth at pixels of the grey image, NaN where it is missing or at a depth edge."""
     (height, width), (rows, columns) = frame.gray.shape, frame.depth_m.shape
     column = np.floor((pixels[:, 0].astype(np.float64) + 0.5) * columns / width).astype(np.int64)

@@ -15,10 +15,11 @@ from fusion_core.model.geometry import (
     transform_points,
 )
 from fusion_core.model.planar_poses import relative_pose
+from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraIntrinsics
 from fusion_core.motion.planar_reprojection import FeatureNoise, estimate_planar_step
 from fusion_core.motion.steps import integrate_steps
-from fusion_core.motion.visual import GrayDepth, VisualOdometrySettings, visual_odometry
+from fusion_core.motion.visual import VisualOdometrySettings, visual_odometry
 from tests.motion.simulated_motion import STEP_NS, stamps, step_errors
 
 INTRINSICS = CameraIntrinsics(width=320, height=240, fx=288.0, fy=288.0, cx=159.5, cy=119.5)
@@ -48,7 +49,7 @@ def _texture() -> np.ndarray:
 TEXTURE = _texture()
 
 
-def frame(pose: FloatArray, number: int, *, light: float = 1.0, depth_scale: int = 1) -> GrayDepth:
+def frame(pose: FloatArray, number: int, *, light: float = 1.0, depth_scale: int = 1) -> RgbdFrame:
     """What the camera sees at a pose of the LiDAR: the wall at x = WALL_M, and the depth of it."""
     T_camera_map = invert_transform(transform_from_planar(pose) @ T_LIDAR_CAMERA)
     # Wall pixels (a, b) lie at y = 4 - a / PX_PER_M, z = 4 - b / PX_PER_M.
@@ -76,7 +77,7 @@ def frame(pose: FloatArray, number: int, *, light: float = 1.0, depth_scale: int
     depth_m += random.normal(0.0, 0.003, depth_m.shape) * depth_m**2
     depth_m[random.uniform(size=depth_m.shape) < 0.05] = np.nan
     stamp_ns = int(stamps(1)[0]) + number * STEP_NS
-    return GrayDepth(stamp_ns=stamp_ns, gray=noisy, depth_m=depth_m.astype(np.float32))
+    return RgbdFrame(stamp_ns=stamp_ns, gray=noisy, depth_m=depth_m.astype(np.float32))
 
 
 STEPS = np.stack(
@@ -119,7 +120,7 @@ def test_dark_images_are_not_measured_and_what_follows_is_right_again() -> None:
 
 def test_without_depth_or_images_there_is_nothing_to_follow() -> None:
     blind = [
-        GrayDepth(stamp_ns=f.stamp_ns, gray=f.gray, depth_m=np.full_like(f.depth_m, np.nan))
+        RgbdFrame(stamp_ns=f.stamp_ns, gray=f.gray, depth_m=np.full_like(f.depth_m, np.nan))
         for f in (frame(p, k) for k, p in enumerate(POSES[:3]))
     ]
     trajectory = visual_odometry(blind, INTRINSICS, T_LIDAR_CAMERA)
@@ -137,7 +138,7 @@ def test_two_runs_give_the_same_bytes() -> None:
 
 def test_a_wall_without_texture_is_not_measured() -> None:
     flat = [
-        GrayDepth(stamp_ns=f.stamp_ns, gray=np.full_like(f.gray, 90), depth_m=f.depth_m)
+        RgbdFrame(stamp_ns=f.stamp_ns, gray=np.full_like(f.gray, 90), depth_m=f.depth_m)
         for f in (frame(p, k) for k, p in enumerate(POSES[:3]))
     ]
     trajectory = visual_odometry(flat, INTRINSICS, T_LIDAR_CAMERA, VisualOdometrySettings())

@@ -11,9 +11,9 @@ from fusion_core.model.conventions import NS_PER_MS, ByteArray, FloatArray
 from fusion_core.model.errors import MissingStream
 from fusion_core.model.geometry import invert_transform, make_transform
 from fusion_core.model.recording import Recording
+from fusion_core.model.rgbd_frame import RgbdFrame
 from fusion_core.model.sensors import CameraInfo, CameraIntrinsics, ColorImage, DepthImage
 from fusion_core.model.stamps import nearest_stamp
-from fusion_core.motion.visual import GrayDepth
 from fusion_core.recordings.topics import Streams
 from fusion_core.workflows.fuse.align import mount_not_used
 from fusion_core.workflows.fuse.camera_rig import build_camera_rig
@@ -99,7 +99,7 @@ class RgbdFrames:
             )
         return _scaled_intrinsics(intrinsics, _scaled_shape(height, width))
 
-    def __iter__(self) -> Iterator[GrayDepth]:
+    def __iter__(self) -> Iterator[RgbdFrame]:
         """Depth images, each with the colour image nearest in time; those without one are left
         out, and so is what is stamped out of order."""
         waiting: deque[DepthImage] = deque()
@@ -123,7 +123,7 @@ class RgbdFrames:
             if frame is not None:
                 yield frame
 
-    def _joined_frame(self, depth: DepthImage, colors: deque[ColorImage]) -> GrayDepth | None:
+    def _joined_frame(self, depth: DepthImage, colors: deque[ColorImage]) -> RgbdFrame | None:
         nearest = nearest_stamp(
             [image.stamp_ns for image in colors], depth.stamp_ns, _COLOR_GAP_MAX_NS
         )
@@ -134,12 +134,13 @@ class RgbdFrames:
         if (height, width) != (self.intrinsics.height, self.intrinsics.width):
             # Of another rig than the first.
             return None
-        gray = cv2.cvtColor(color.rgb, cv2.COLOR_RGB2GRAY)
-        if gray.shape != (height, width):
-            gray = cv2.resize(gray, (width, height), interpolation=cv2.INTER_AREA)
-        image: ByteArray = np.asarray(gray, dtype=np.uint8)
+        rgb = color.rgb
+        if (height, width) != rgb.shape[:2]:
+            resized = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA)
+            rgb = np.asarray(resized, dtype=np.uint8)
+        gray: ByteArray = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
         stamp_ns = depth.stamp_ns - self._clock_offset_ns
-        return GrayDepth(stamp_ns=stamp_ns, gray=image, depth_m=depth.depth_m)
+        return RgbdFrame(stamp_ns=stamp_ns, gray=gray, depth_m=depth.depth_m, rgb=rgb)
 
 
 def _scaled_shape(height: int, width: int) -> tuple[int, int]:
