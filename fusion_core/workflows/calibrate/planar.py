@@ -45,7 +45,7 @@ _INTRINSICS_ADVICE = "Give --intrinsics FILE, as scanloom calibrate intrinsics w
 
 
 class PlanarSettings(SettingsGroup):
-    """The settings of every way."""
+    """The settings of every method."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -171,7 +171,7 @@ def _from_pairs(
         points_m, pixels, intrinsics, settings.laser_pixels, T_guess=T_guess
     )
     more = {
-        "way": "pairs",
+        "method": "pairs",
         "pairs": len(pixels),
         "guess_rms_px": None if found.guess_px is None else reprojection_rms(found.guess_px),
         "result_held_out_rms_px": reprojection_rms(found.held_out_px),
@@ -233,7 +233,7 @@ def _from_board(
     )
     progress(1, 1, "estimating")
     more = {
-        "way": "board",
+        "method": "board",
         "board": {
             "columns": recorded.board.columns,
             "rows": recorded.board.rows,
@@ -283,7 +283,7 @@ def _from_natural_scene(
             for topic in (streams.depth[0], streams.lidar)
         ]
         warnings = list(recording.warnings)
-    more = {"way": "natural scene", "input_notes": warnings}
+    more = {"method": "natural scene", "input_notes": warnings}
     return PlanarOutcome(
         estimate=estimate,
         intrinsics=None,
