@@ -96,14 +96,21 @@ def calibrate_turn(
 
     Raises CalibrationFailed.
     """
-    turn, result, notes = _estimate(source, settings, progress)
-    if source.lacks_instants:
-        source.spread_points = True
-        spread = _estimate(source, settings, progress)
-        source.spread_points = spread[1].sigma_m < result.sigma_m
-        if source.spread_points:
-            turn, result, notes = spread
-    return turn, result, notes
+    fits: dict[bool, tuple[Turn, SelfCalibration, list[str]]] = {}
+    failure: CalibrationFailed | None = None
+    for source.spread_points in (False, True):
+        try:
+            fits[source.spread_points] = _estimate(source, settings, progress)
+        except CalibrationFailed as error:
+            # Points at wrong instants blur the planes, so much that none may be found.
+            failure = failure or error
+        if not source.lacks_instants:
+            break
+    if not fits:
+        assert failure is not None
+        raise failure
+    source.spread_points = min(fits, key=lambda spread: fits[spread][1].sigma_m)
+    return fits[source.spread_points]
 
 
 def lidar_lines(document: dict[str, Any]) -> list[str]:
