@@ -2,6 +2,7 @@
 recordings of SCANLOOM_TEST_DATA."""
 
 import os
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,17 @@ class FoldersThenFiles(LoadFileScheduling):
     def _split_scope(self, nodeid: str) -> str:
         folder = next((folder for folder in TOGETHER if nodeid.startswith(folder)), None)
         return folder or super()._split_scope(nodeid)
+
+
+def pytest_configure() -> None:
+    # What runs in the background, or beyond a terminal, ignores these, and hands that on to all
+    # that the tests start.
+    for number, handler in (
+        (signal.SIGINT, signal.default_int_handler),
+        (signal.SIGHUP, signal.SIG_DFL),
+    ):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, handler)
 
 
 @pytest.hookimpl(optionalhook=True)
