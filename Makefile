@@ -5,7 +5,7 @@ PYTHON := $(VENV)/bin/python
 READY := $(VENV)/.ready
 READY_FOR_TESTS := $(VENV)/.ready-for-tests
 
-.PHONY: demo test test-all clean
+.PHONY: demo test test-all lint types pytest clean
 
 demo: $(READY)
 	@$(VENV)/bin/scanloom view
@@ -13,10 +13,18 @@ demo: $(READY)
 # What is slow, and more examples of each property, are left to test-all.
 test: PYTEST := -m "not slow"
 test-all: PYTEST := --hypothesis-profile=thorough
-test test-all: $(READY_FOR_TESTS)
+# The type checker uses one core: it runs beside the tests, not before them.
+MAKEFLAGS += --jobs=2
+test test-all: types pytest
+
+lint: $(READY_FOR_TESTS)
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
+
+types: lint
 	$(PYTHON) -m mypy
+
+pytest: lint
 	$(PYTHON) -m pytest -n 2 --dist loadfile $(PYTEST)
 
 $(READY): pyproject.toml .ci/setup

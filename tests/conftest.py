@@ -1,14 +1,18 @@
 """What all tests share: reproducible examples, how they are shared out among processes, and the
 recordings of SCANLOOM_TEST_DATA."""
 
+import gc
 import os
 import signal
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import settings
 from xdist.scheduler import LoadFileScheduling
+
+from fusion_core import worker_processes
 
 # The same examples in each run, and no clock: a slow machine is no failure. For more of them:
 # --hypothesis-profile=thorough.
@@ -63,11 +67,36 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadFileSche
     return FoldersThenFiles(config, log)
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Keep the garbage collector from what lives to the end: the tests, millions of objects.
+
+    To look through them again and again takes as long as to collect them, and some of each test.
+    """
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     def place(item: pytest.Item) -> int:
         return next((n for n, f in enumerate(FIRST) if item.nodeid.startswith(f)), len(FIRST))
 
     items.sort(key=place)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_core() -> Iterator[None]:
+    """Work that could be shared out stays in this process, unless a test asks for workers.
+
+    The cores are taken by the other tests, and a new process imports everything for a little work.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(worker_processes, "usable_cores", lambda: 1)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -10,11 +10,16 @@ ROOT = Path(__file__).parents[1]
 
 def test_the_hooks_of_pre_commit_are_the_lines_of_make_test() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    recipe = re.search(r"^test test-all:.*\n((?:\t.*\n)+)", makefile, flags=re.MULTILINE)
+    assert re.search(r"^test test-all: types pytest$", makefile, flags=re.MULTILINE)
+    recipes = re.findall(r"^(?:lint|types|pytest):.*\n((?:\t.*\n)+)", makefile, flags=re.MULTILINE)
     own_choice = re.search(r"^test: PYTEST := (.*)$", makefile, flags=re.MULTILINE)
-    assert recipe is not None
+    assert len(recipes) == 3
     assert own_choice is not None
-    text = recipe[1].replace("$(PYTHON)", ".venv/bin/python").replace("$(PYTEST)", own_choice[1])
+    text = (
+        "".join(recipes)
+        .replace("$(PYTHON)", ".venv/bin/python")
+        .replace("$(PYTEST)", own_choice[1])
+    )
     lines = [line.strip() for line in text.split("\n") if line]
     (own,) = YAML(typ="safe").load(ROOT / ".pre-commit-config.yaml")["repos"]
     assert [hook["entry"] for hook in own["hooks"]] == lines

@@ -39,11 +39,13 @@ def calls_of(tree: Path, *targets: str) -> list[str]:
     calls = tree / "calls"
     calls.unlink(missing_ok=True)
     path = f"{tree / 'system'}:{os.environ['PATH']}"
+    # Not a part of the make that runs the tests.
+    env = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
     for target in targets:
         done = subprocess.run(
             ["make", target],
             cwd=tree,
-            env=os.environ | {"CALLS": str(calls), "PATH": path},
+            env=env | {"CALLS": str(calls), "PATH": path},
             capture_output=True,
             text=True,
             timeout=60,

@@ -1,6 +1,9 @@
 """Fixtures of the tests of all readers; the recordings themselves are built in ``samples``."""
 
+import shutil
 from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +14,39 @@ from tests.recordings import robot_at_home_trees as robot_at_home_trees_module
 from tests.recordings.samples.formats import SAMPLE_BUILDERS
 from tests.recordings.samples.sample import Sample, same
 
+NewSample = Callable[[str, Path], Sample]
+
+
+@pytest.fixture(scope="session")
+def new_sample(tmp_path_factory: pytest.TempPathFactory) -> NewSample:
+    """Put a recording of a format, by its name in SAMPLE_BUILDERS, into an empty folder.
+
+    Each is built once and copied.
+    """
+
+    @cache
+    def built(name: str) -> tuple[Path, Sample]:
+        folder = tmp_path_factory.mktemp("sample")
+        return folder, SAMPLE_BUILDERS[name](folder)
+
+    def copied(name: str, folder: Path) -> Sample:
+        source, sample = built(name)
+        shutil.copytree(source, folder, dirs_exist_ok=True)
+        return replace(sample, path=folder / sample.path.relative_to(source))
+
+    return copied
+
 
 @pytest.fixture(params=list(SAMPLE_BUILDERS))
-def sample(request: pytest.FixtureRequest, tmp_path: Path) -> Sample:
+def sample(request: pytest.FixtureRequest, new_sample: NewSample, tmp_path: Path) -> Sample:
     """One recording in each format."""
-    return SAMPLE_BUILDERS[request.param](tmp_path)
+    return new_sample(request.param, tmp_path)
 
 
 @pytest.fixture
-def build(tmp_path: Path) -> Callable[[str], Sample]:
+def build(new_sample: NewSample, tmp_path: Path) -> Callable[[str], Sample]:
     """Build a recording of a format by its name in SAMPLE_BUILDERS."""
-    return lambda name: SAMPLE_BUILDERS[name](tmp_path)
+    return lambda name: new_sample(name, tmp_path)
 
 
 @pytest.fixture

@@ -37,7 +37,7 @@ def test_a_folder_of_images_becomes_a_camera_file(tmp_path, folder):
 
 
 def test_json_holds_the_same(tmp_path, folder):
-    images = sorted(folder.iterdir())[:5]
+    images = sorted(folder.iterdir())[:4]
     for name in ("a.json", "b.json"):
         calibrate_intrinsics(images, tmp_path / name, board="8x6", square_m=0.1, model="fisheye")
     assert (tmp_path / "a_coverage.png").read_bytes() == (tmp_path / "b_coverage.png").read_bytes()
@@ -76,7 +76,8 @@ def test_an_empty_folder(tmp_path):
 
 
 def test_a_wrong_size_of_the_board(tmp_path, folder):
-    assert "Give --board 7x5" in problem([folder], tmp_path / "c.yaml", board="5x4")
+    images = sorted(folder.iterdir())[:3]
+    assert "Give --board 7x5" in problem(images, tmp_path / "c.yaml", board="5x4")
 
 
 def test_a_name_of_no_known_form(tmp_path, folder):

@@ -21,7 +21,7 @@ from fusion_core.workflows.map.options import MapOptions
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("workers") / "room.mcap"
-    settings = SceneSettings(seed=21, duration_s=2.0, camera_rate_hz=15.0, image_scale=0.25)
+    settings = SceneSettings(seed=21, duration_s=1.0, camera_rate_hz=15.0, image_scale=0.25)
     write_scene("furnished_room", path, settings=settings)
     return path
 
