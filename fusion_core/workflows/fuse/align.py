@@ -110,6 +110,11 @@ def _mount_notes(estimate: MountEstimate) -> Iterator[str]:
             f"{estimate.visible:.0%} of the points in front of the camera are visible, and "
             f"{estimate.agreement:.0%} of these agree."
         )
+    if estimate.moved_from_given:
+        yield (
+            "The given extrinsics are moved within their covariance to where scans and images agree"
+            f" best: {estimate.moved_from_given}."
+        )
     if estimate.refusal:
         found = "The mount is found from scans and images instead."
         yield f"{mount_not_used(estimate.refusal)} {found}"
@@ -214,7 +219,8 @@ def _align(
 def _estimate_mount(
     kept: list[MountObservation], session: Session, yaw_rad: float, on_step: Callable[[], None]
 ) -> MountEstimate:
-    """The given mount where there is one, else that of scans and images."""
+    """The given mount where there is one, within its covariance where that is given too; else that
+    of scans and images."""
     rig, settings = session.rig, session.settings.mount
     if rig.given is not None:
         return hold_given_mount(
@@ -222,6 +228,7 @@ def _estimate_mount(
             settings,
             given=rig.given.mount,
             sd=given_mount_sd(rig.given.poses, settings),
+            within_doubt=all(pose.covariance is not None for pose in rig.given.poses),
             on_step=on_step,
         )
     return estimate_mount(

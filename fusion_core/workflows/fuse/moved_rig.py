@@ -100,6 +100,7 @@ def align_moved(
             is_given=True,
             is_confirmed=True,
             contradictions=(),
+            moved_from_given="",
         )
     panorama = alignment.panorama
     if panorama is not None:
