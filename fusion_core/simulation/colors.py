@@ -1,8 +1,9 @@
-"""The colours that a camera sees: a base per material, a pattern fixed to the surface, light."""
+"""The colours that a camera sees: a base per material, a pattern or paint on the surface, light."""
 
 import numpy as np
 
 from fusion_core.model.conventions import ByteArray, FloatArray
+from fusion_core.simulation.paint import PaintReader
 from fusion_core.simulation.ray_casting import Hits
 from fusion_core.simulation.solids import Material
 
@@ -39,9 +40,29 @@ def shade(points_m: FloatArray, hits: Hits, *, fine: bool = False) -> ByteArray:
     if fine:
         grey = 0.5 * (grey + cell_draw(inside_m, _FINE_CELL_M))
         contrast = _FINE_CONTRAST
-    lit = 0.6 + 0.4 * np.abs(hits.normals @ _LIGHT)
-    brightness = lit * (1.0 - contrast * grey)
-    rgb = _TABLE[hits.materials] * brightness[:, None]
+    brightness = _light(hits) * (1.0 - contrast * grey)
+    return _rounded(_TABLE[hits.materials] * brightness[:, None])
+
+
+def shade_painted(
+    points_m: FloatArray, hits: Hits, paint: PaintReader, footprint_m: FloatArray
+) -> ByteArray:
+    """(N, 3) uint8 RGB of surface points (N, 3) of a painted world: its paint, elsewhere plain.
+
+    ``footprint_m``: (N,) the size of the patch that a pixel sees there.
+    """
+    rgb = _TABLE[hits.materials]
+    colors, painted = paint.rgb(hits.triangles, points_m, footprint_m)
+    rgb[painted] = colors
+    return _rounded(rgb * _light(hits)[:, None])
+
+
+def _light(hits: Hits) -> FloatArray:
+    lit: FloatArray = 0.6 + 0.4 * np.abs(hits.normals @ _LIGHT)
+    return lit
+
+
+def _rounded(rgb: FloatArray) -> ByteArray:
     return np.rint(np.clip(rgb, 0.0, 255.0)).astype(np.uint8)
 
 

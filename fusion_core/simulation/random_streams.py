@@ -17,6 +17,7 @@ class RandomStream(IntEnum):
     FEATURES = 6
     TURNING_RIG = 7
     TEXTURES = 8
+    COLOR = 9
 
 
 def make_generator(seed: int, stream: RandomStream, *indices: int) -> np.random.Generator:

@@ -12,10 +12,11 @@ from fusion_core.model.geometry import (
     transform_points,
 )
 from fusion_core.simulation import depth_camera, lidar
-from fusion_core.simulation.colors import cell_draw, shade
+from fusion_core.simulation.colors import cell_draw, shade, shade_painted
 from fusion_core.simulation.corners import corner_distance_in_image, corner_distance_in_sweep
 from fusion_core.simulation.depth_camera import DepthNoise, DepthView
 from fusion_core.simulation.lidar import LidarNoise, LidarView
+from fusion_core.simulation.paint import PaintReader
 from fusion_core.simulation.paths import RobotPath
 from fusion_core.simulation.random_streams import RandomStream, make_generator
 from fusion_core.simulation.ray_casting import Hits, RayCaster
@@ -34,7 +35,8 @@ class SimulationSetup:
 
     ``lidar_skew``: whether the robot moves during a sweep; otherwise all beams share one pose.
     ``rolling_s``: time from the first to the last row of a depth image, 0 for one instant. People
-    stand still during one sweep or image.
+    stand still during one sweep or image. ``color_sigma``: standard deviation of a colour's noise,
+    of 255.
     """
 
     world: World
@@ -45,6 +47,7 @@ class SimulationSetup:
     rolling_s: float = 0.0
     lidar_noise: LidarNoise = field(default_factory=LidarNoise)
     depth_noise: DepthNoise = field(default_factory=DepthNoise)
+    color_sigma: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,6 +89,8 @@ class SensorSimulator:
     def __init__(self, simulation: SimulationSetup) -> None:
         self._simulation = simulation
         self._caster = RayCaster(simulation.world)
+        paint = simulation.world.paint
+        self._paint = None if paint is None else PaintReader(paint)
         self._rays = [
             depth_camera.pixel_rays(camera.intrinsics) for camera in simulation.mounts.cameras
         ]
@@ -149,10 +154,12 @@ class SensorSimulator:
         sunlit[second.rays] = self._sunlit(second.points_m, time_s)
         surface_draw = np.zeros(depth_m.size)
         surface_draw[second.rays] = cell_draw(points_m[second.rays], _PATCH_M)
-        rgb = shade(points_m, hits, fine=simulation.world.fine_texture)
+        focal_px = mount.intrinsics.fx
+        rgb = self._shade(points_m, hits, depth_m / focal_px)
         mirrored = hits.materials[second.rays] == Material.MIRROR
-        seen_in_mirrors = shade(second.points_m, second.hits, fine=simulation.world.fine_texture)
+        seen_in_mirrors = self._shade(second.points_m, second.hits, second.distance / focal_px)
         rgb[second.rays[mirrored]] = seen_in_mirrors[mirrored]
+        rgb = self._with_color_noise(rgb, camera, index)
         noisy = depth_camera.add_noise(
             DepthView(
                 true_m=depth_m.reshape(shape),
@@ -218,6 +225,23 @@ class SensorSimulator:
         eyes_m = np.repeat(T_rows[:, :3, 3], width, axis=0)
         projectors_m = np.repeat(T_rows[:, :3, :3] @ baseline_m + T_rows[:, :3, 3], width, axis=0)
         return eyes_m, rows, projectors_m
+
+    def _shade(self, points_m: FloatArray, hits: Hits, across_m: FloatArray) -> ByteArray:
+        """(N, 3) RGB of surface points (N, 3); ``across_m``: (N,) the width of a pixel there."""
+        if self._paint is None:
+            return shade(points_m, hits, fine=self._simulation.world.fine_texture)
+        # Seen from the side the patch is longer by 1 / cos.
+        footprint_m = across_m / np.sqrt(np.maximum(hits.incidence_cos, 1e-3))
+        return shade_painted(points_m, hits, self._paint, footprint_m)
+
+    def _with_color_noise(self, rgb: ByteArray, camera: int, index: int) -> ByteArray:
+        sigma = self._simulation.color_sigma
+        if sigma == 0.0:
+            return rgb
+        rng = make_generator(self._simulation.seed, RandomStream.COLOR, camera, index)
+        noisy: Float32Array = rgb + np.float32(sigma) * rng.standard_normal(rgb.shape, np.float32)
+        rounded: ByteArray = np.rint(noisy.clip(0.0, 255.0)).astype(np.uint8)
+        return rounded
 
     def _sunlit(self, points_m: FloatArray, time_s: float) -> BoolArray:
         """(N,) whether it is day or the sun shines on surface points (N, 3)."""

@@ -78,6 +78,14 @@ class SolidObject:
         """The same object under another name."""
         return SolidObject(name, self.mesh, self.prisms)
 
+    def moved(self, x_m: float, y_m: float) -> "SolidObject":
+        """The same object elsewhere on the floor."""
+        step = np.array([x_m, y_m])
+        surface = self.mesh.corners_m.copy()
+        surface[..., :2] += step
+        prisms = tuple(Prism(prism.corners_m + step, prism.heights_m) for prism in self.prisms)
+        return SolidObject(self.name, Mesh(surface, self.mesh.materials), prisms)
+
     def rotated(self, yaw_rad: float) -> "SolidObject":
         """The same object, rotated anticlockwise about the middle of its footprint's bounds."""
         corners = np.concatenate([prism.corners_m for prism in self.prisms])

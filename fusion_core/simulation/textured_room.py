@@ -11,30 +11,16 @@ import numpy as np
 
 from fusion_core.model.conventions import ByteArray, Float32Array, FloatArray, read_only
 from fusion_core.simulation import textures
+from fusion_core.simulation.panels import TRIANGLES_PER_PANEL, Panel, read_paint
 from fusion_core.simulation.random_streams import RandomStream, make_generator
 from fusion_core.simulation.ray_casting import Hits, MeshCaster
-from fusion_core.simulation.solids import Material, Mesh, join_meshes, quad
+from fusion_core.simulation.solids import join_meshes
 from fusion_core.simulation.textures import Painter, Texture
 
 SONG_ROOM_M = (6.453, 6.214, 2.582)
 """Length, width and height of Song 2022, Table 3, by a laser distance meter."""
 _TEXEL_M = 0.003
 _FLOOR_TEXEL_M = 0.006
-_TRIANGLES_PER_PANEL = 2
-
-
-@dataclass(frozen=True, slots=True)
-class Panel:
-    """A painted rectangle: a corner and, from it, two edges (3,) at right angles."""
-
-    corner_m: FloatArray
-    edge_a_m: FloatArray
-    edge_b_m: FloatArray
-    texture: Texture
-
-    def __post_init__(self) -> None:
-        for array in (self.corner_m, self.edge_a_m, self.edge_b_m):
-            read_only(array)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +46,7 @@ class RoomCaster:
 
     def __init__(self, room: TexturedRoom, footprint_m: float) -> None:
         panels = room.panels
-        quads = [_mesh(panel) for panel in panels]
+        quads = [panel.mesh() for panel in panels]
         self._caster = MeshCaster(join_meshes(quads))
         self._panels = panels
         self._infrared = [_blurred(panel, footprint_m) for panel in panels]
@@ -82,20 +68,9 @@ class RoomCaster:
     def _sample(
         self, images: Sequence[ByteArray | Float32Array], hits: Hits, points_m: FloatArray
     ) -> FloatArray:
-        channels = 1 if images[0].ndim == 2 else images[0].shape[2]
-        result = np.zeros((len(points_m), channels))
-        panel_of = hits.triangles // _TRIANGLES_PER_PANEL
-        for index in np.unique(panel_of[hits.triangles >= 0]):
-            panel, image = self._panels[index], images[index]
-            chosen = np.flatnonzero(panel_of == index)
-            from_corner = points_m[chosen] - panel.corner_m
-            height, width = image.shape[:2]
-            along_a = from_corner @ panel.edge_a_m / (panel.edge_a_m @ panel.edge_a_m)
-            along_b = from_corner @ panel.edge_b_m / (panel.edge_b_m @ panel.edge_b_m)
-            result[chosen] = _read_pixels(
-                image, along_a * width - 0.5, (1.0 - along_b) * height - 0.5
-            )
-        return result
+        # The triangle -1 of a ray that hits nothing belongs to panel -1.
+        panel_of = hits.triangles // TRIANGLES_PER_PANEL
+        return read_paint(self._panels, images, panel_of, points_m)
 
 
 def make_textured_room(seed: int, size_m: tuple[float, float, float]) -> TexturedRoom:
@@ -285,36 +260,8 @@ def _overlap(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> bool
 
 def _blurred(panel: Panel, footprint_m: float) -> Float32Array:
     image = panel.texture.infrared
-    texel_m = float(np.linalg.norm(panel.edge_a_m)) / image.shape[1]
     # A disc of diameter d has a standard deviation of d/4 along each axis.
-    sigma = 0.25 * footprint_m / texel_m
+    sigma = 0.25 * footprint_m / panel.texel_m
     if sigma < 0.2:
         return image
     return cv2.GaussianBlur(image, (0, 0), sigma).astype(np.float32)
-
-
-def _mesh(panel: Panel) -> Mesh:
-    corner_m, edge_a_m, edge_b_m = (
-        [float(value) for value in array]
-        for array in (panel.corner_m, panel.edge_a_m, panel.edge_b_m)
-    )
-    return quad(corner_m, edge_a_m, edge_b_m, Material.WALL)
-
-
-def _read_pixels(
-    image: ByteArray | Float32Array, column: FloatArray, row: FloatArray
-) -> FloatArray:
-    """(N, C) values at pixel coordinates, bilinear; centres are integers, edges are repeated."""
-    # cv2.remap takes maps of less than 2^15 a side.
-    side = 1 << 14
-    parts = [
-        cv2.remap(
-            image,
-            column[i : i + side].astype(np.float32).reshape(-1, 1),
-            row[i : i + side].astype(np.float32).reshape(-1, 1),
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        ).reshape(-1, 1 if image.ndim == 2 else image.shape[2])
-        for i in range(0, len(column), side)
-    ]
-    return np.concatenate(parts).astype(np.float64)

@@ -70,6 +70,19 @@ def hang(
     return Texture(rgb, infrared)
 
 
+def stand_on_skirting(wall: Texture, height: int) -> Texture:
+    """A wall with a dark skirting board of ``height`` texels along its foot."""
+    rgb, infrared = wall.rgb.copy(), wall.infrared.copy()
+    rgb[-height:], infrared[-height:] = (70, 62, 55), 0.3
+    rgb[-height : -height + 2] = (30, 28, 26)
+    return Texture(rgb, infrared)
+
+
+def mirrored(texture: Texture) -> Texture:
+    """The same from left to right, for a surface that is seen from its other side."""
+    return Texture(texture.rgb[:, ::-1].copy(), texture.infrared[:, ::-1].copy())
+
+
 def poster(shape: tuple[int, int], rng: np.random.Generator) -> _Painting:
     """Shapes, lines and letters of many sizes."""
     height, width = shape
@@ -208,6 +221,29 @@ def tiles(shape: tuple[int, int], rng: np.random.Generator) -> _Painting:
     palette = np.outer(np.linspace(0.5, 1.1, 12), (125, 105, 90))
     palette[0] = 60
     return _with_palette(image, np.clip(palette, 5, 250), rng)
+
+
+def carpet(shape: tuple[int, int], rng: np.random.Generator) -> _Painting:
+    """A floor of carpet tiles, each of its own shade, with light and dark flecks."""
+    side = 165
+    rows, columns = -(-shape[0] // side), -(-shape[1] // side)
+    shades = np.kron(rng.normal(0.0, 0.8, (rows, columns)), np.ones((side, side)))
+    threads = _smooth_noise(shape, 2, rng) + 0.8 * _smooth_noise(shape, 7, rng)
+    image = np.clip(np.rint(7.5 + 1.5 * threads + shades[: shape[0], : shape[1]]), 0, 15)
+    flecks = _smooth_noise(shape, 3, rng)
+    image[flecks > 2.0], image[flecks < -2.0] = 15, 0
+    palette = np.outer(np.linspace(0.6, 1.4, 16), rng.uniform(0.8, 1.2, 3) * (105, 110, 120))
+    return _with_palette(image.astype(np.uint8), np.clip(palette, 5, 250), rng)
+
+
+def cloth(shape: tuple[int, int], rng: np.random.Generator) -> _Painting:
+    """A weave with stains and a seam."""
+    row, column = np.indices(shape)
+    weave = ((row // 3 + column // 3) % 2).astype(np.float64)
+    image = np.clip(np.rint(4.0 + weave + 1.5 * _smooth_noise(shape, 24, rng)), 0, 9)
+    image[shape[0] // 3 :: max(4, shape[0] // 2)] = 0
+    palette = np.outer(np.linspace(0.7, 1.25, 10), rng.uniform(40, 170, 3))
+    return _with_palette(image.astype(np.uint8), np.clip(palette, 5, 250), rng)
 
 
 def _with_palette(

@@ -14,6 +14,7 @@ from fusion_core.model.world_outline import MeasuredAngle, MeasuredLine, Obstacl
 from fusion_core.simulation import furniture
 from fusion_core.simulation.floor_plan import FloorPlan
 from fusion_core.simulation.obstacle_outlines import obstacle_outlines, outer_wall_edges
+from fusion_core.simulation.paint import Paint
 from fusion_core.simulation.random_streams import RandomStream, make_generator
 from fusion_core.simulation.solids import (
     Material,
@@ -72,7 +73,8 @@ class World:
     ``blocks_m``: (B, 4) footprints x0, y0, x1, y1 of the furniture and inner walls.
     ``route_m``: (W, 2) waypoints of a closed curve on which a robot touches nothing.
     ``obstacles``: the outlines of all that the robot could run into; ``lines`` and ``angles`` are
-    to be measured in a map of it. ``fine_texture``: surfaces have a finer pattern too.
+    to be measured in a map of it. ``fine_texture``: surfaces have a finer pattern too. ``paint``:
+    what is painted on the mesh instead of the pattern, or None.
     ``openings``: those of each outer wall, from the one along y = 0 on, anticlockwise.
     ``sunlight``: the sun that shines through its windows, or None.
     """
@@ -88,6 +90,7 @@ class World:
     fine_texture: bool = False
     openings: tuple[tuple[Opening, ...], ...] = _NO_OPENINGS
     sunlight: Sunlight | None = None
+    paint: Paint | None = None
 
     def __post_init__(self) -> None:
         read_only(self.blocks_m)

@@ -1,5 +1,6 @@
 """Whole recordings: what is in them, in which order, and always the same bytes."""
 
+import zipfile
 from collections import Counter
 from pathlib import Path
 
@@ -45,6 +46,18 @@ def read(path: Path):
 
 def truth_of(path: Path) -> dict[str, np.ndarray]:
     return dict(np.load(truth_path(path)))
+
+
+def header_of(path: Path) -> dict[str, tuple[np.dtype, int]]:
+    """Type and number of dimensions of each array of an npz; the arrays stay packed."""
+    found = {}
+    with zipfile.ZipFile(path) as archive:
+        for name in archive.namelist():
+            with archive.open(name) as array:
+                assert np.lib.format.read_magic(array) == (1, 0)
+                shape, _, dtype = np.lib.format.read_array_header_1_0(array)
+            found[name.removesuffix(".npy")] = (dtype, len(shape))
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -178,18 +191,15 @@ def test_scan_and_depth_truth_meet_where_a_beam_meets_a_pixel(recorded):
 
 @pytest.mark.data
 def test_the_truth_has_the_form_of_the_rooms(recorded, room_truth_path):
-    room = dict(np.load(room_truth_path))
-    ours = truth_of(recorded / "furnished_room.mcap")
+    room = header_of(room_truth_path)
+    ours = header_of(truth_path(recorded / "furnished_room.mcap"))
     assert room.keys() == ROOM_KEYS
     assert ours.keys() >= ROOM_KEYS
     for key, theirs in room.items():
-        assert ours[key].dtype == theirs.dtype, key
-        assert ours[key].ndim == theirs.ndim, key
+        assert ours[key] == theirs, key
 
 
 def test_truth_needs_no_pickle_and_has_no_dates(recorded):
-    import zipfile
-
     path = truth_path(recorded / "bedroom.mcap")
     with zipfile.ZipFile(path) as archive:
         assert {entry.date_time for entry in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
