@@ -51,9 +51,11 @@ def write_maps(
     heading: str,
     grids: Mapping[str, OccupancyGrid],
     difference: MapDifference | None,
+    sources: Mapping[str, str] = _SOURCES,
 ) -> None:
     """Fig. 9: maps by name ("lidar", "fused", ...) side by side, and below them, as wide as the
-    figure, where two of them differ."""
+    figure, where two of them differ. ``sources``: what maps were drawn of, where that is not what
+    it is in ``fuse``."""
     from matplotlib.patches import Patch
 
     shown = [name for name in _NAMES if name in grids]
@@ -75,7 +77,9 @@ def write_maps(
         for letter, name in zip("abcd", shown, strict=False):
             prepare_map_axes(panels[name], extent, ticks=columns == 1)
             show_grid(panels[name], grids[name])
-            panels[name].set_title(f"({letter}) {_NAMES[name]}: {_SOURCES[name]}")
+            panels[name].set_title(
+                f"({letter}) {_NAMES[name]}: {sources.get(name, _SOURCES[name])}"
+            )
         handles = [
             Patch(facecolor=UNKNOWN, label="unknown"),
             Patch(facecolor="white", edgecolor="0.6", linewidth=0.3, label="free"),
@@ -86,7 +90,7 @@ def write_maps(
             axes = panels["difference"]
             prepare_map_axes(axes, extent, ticks=True)
             handles += _show_difference(axes, difference)
-            first, second = (_NAMES[name] for name in difference.names)
+            first, second = (_name_of(name) for name in difference.names)
             axes.set_title(
                 f"({'abcde'[len(shown)]}) obstacles of {first} and {second}, differences enlarged"
             )
@@ -96,6 +100,10 @@ def write_maps(
             panels[empty[0]].legend(handles=handles, loc="center", frameon=False)
         else:
             figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
+
+
+def _name_of(name: str) -> str:
+    return _NAMES.get(name, f"{name} map")
 
 
 def _extent_of(grids: Mapping[str, OccupancyGrid], difference: MapDifference | None) -> Extent:
@@ -130,6 +138,6 @@ def _show_difference(axes: "Axes", difference: MapDifference) -> "list[Patch]":
             color=color,
             ms=2.2,
         )
-        name = _NAMES[difference.names[mask - 1]]
+        name = _name_of(difference.names[mask - 1])
         handles.append(Patch(facecolor=color, label=f"only in the {name}: {rows.size} cells"))
     return handles

@@ -12,6 +12,10 @@ OCCUPIED_PIXEL = 0
 FREE_PIXEL = 254
 UNKNOWN_PIXEL = 205
 
+# By default a cell is drawn as occupied or free with these probabilities, and as unknown between.
+OCCUPIED_ABOVE = 0.65
+FREE_BELOW = 0.25
+
 # The reader compares (255 - pixel) / 255 with the thresholds of the YAML file, and pixel 205 gives
 # 0.19608: with 0.25 it would read unknown cells as free. 0.65 and 0.196 separate the three pixel
 # values, whatever the thresholds by which the cells were classified.
@@ -24,8 +28,8 @@ def write_ros_map(
     name: str,
     grid: OccupancyGrid,
     *,
-    occupied_above: float = 0.65,
-    free_below: float = 0.25,
+    occupied_above: float = OCCUPIED_ABOVE,
+    free_below: float = FREE_BELOW,
 ) -> tuple[Path, Path]:
     """Write ``name.pgm`` and ``name.yaml`` (mode trinary) and return their paths.
 
@@ -51,7 +55,9 @@ def write_ros_map(
     return image, yaml
 
 
-def trinary_pixels(grid: OccupancyGrid, *, occupied_above: float, free_below: float) -> ByteArray:
+def trinary_pixels(
+    grid: OccupancyGrid, *, occupied_above: float = OCCUPIED_ABOVE, free_below: float = FREE_BELOW
+) -> ByteArray:
     """(rows, columns) grey values; row 0 is the largest y, as in a picture."""
     probability = grid.probability
     pixels = np.full(probability.shape, UNKNOWN_PIXEL, dtype=np.uint8)

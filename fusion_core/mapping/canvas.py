@@ -1,10 +1,9 @@
-"""Aligned occupancy grids padded to one common extent, and their cell-wise merge."""
+"""Aligned occupancy grids padded to one common extent."""
 
 from collections.abc import Mapping
 
 import numpy as np
 
-from fusion_core.model.conventions import FloatArray
 from fusion_core.model.grids import OccupancyGrid
 
 # In cells: rounding of an origin in a YAML file is far below, another raster far above.
@@ -45,22 +44,3 @@ def pad_to_common_canvas(grids: Mapping[str, OccupancyGrid]) -> dict[str, Occupa
             frame_id=first.frame_id,
         )
     return laid
-
-
-def merge_keeping_obstacles(plane: OccupancyGrid, heights: OccupancyGrid) -> OccupancyGrid:
-    """Cell-wise merge: the higher log-odds where either grid is occupied, else the lower.
-
-    A cell that is unknown in one grid is taken from the other. A beam that passes over a low box
-    does not show that the cell is free, so obstacles of the LiDAR's plane and of all heights are
-    both kept. Raises ValueError as ``pad_to_common_canvas`` does.
-    """
-    laid = pad_to_common_canvas({"plane": plane, "heights": heights})
-    both = laid["plane"].log_odds, laid["heights"].log_odds
-    highest: FloatArray = np.fmax(*both)
-    # NaN compares false, and stays.
-    return OccupancyGrid(
-        resolution_m=plane.resolution_m,
-        origin_m=laid["plane"].origin_m,
-        log_odds=np.where(highest > 0.0, highest, np.fmin(*both)),
-        frame_id=plane.frame_id,
-    )

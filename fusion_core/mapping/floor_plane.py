@@ -96,7 +96,7 @@ def find_floor(
     Raises AlignmentFailed where no level plane is seen, or too few images agree on one.
     """
     up = up / np.linalg.norm(up)
-    found = [_level_patches(depth_m, intrinsics, up, tilt_max_rad) for depth_m in depths_m]
+    found = [level_patches(depth_m, intrinsics, up, tilt_max_rad) for depth_m in depths_m]
     image_of: IntArray = np.repeat(
         np.arange(len(found), dtype=np.int64), [len(points_m) for points_m in found]
     )
@@ -172,7 +172,7 @@ def _require_fixed_camera(
         )
 
 
-def _level_patches(
+def level_patches(
     depth_m: Float32Array, intrinsics: CameraIntrinsics, up: FloatArray, tilt_max_rad: float
 ) -> FloatArray:
     """(K, 3) points below the camera whose local surface normal is vertical."""

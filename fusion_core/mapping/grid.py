@@ -3,6 +3,7 @@
 import numpy as np
 
 from fusion_core.mapping.growing_grid import CellBounds, GrowingGrid, LogOddsUpdate, log_odds
+from fusion_core.mapping.height_bands import BeamHeights
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import MappingFailed
 from fusion_core.model.grids import OccupancyGrid
@@ -29,6 +30,10 @@ class GridSettings(StageSettings):
         return self.resolution_m * float(np.sqrt(self.cells_max))
 
 
+# Hornung et al. 2013; Fu 2024 (8) leaves the increments to OctoMap.
+OCTOMAP = GridSettings(p_hit=0.7, p_miss=0.4, p_lowest=0.1192, p_highest=0.971)
+
+
 class GridBuilder:
     """Adds scans to a map one by one. Memory follows the mapped area, not the number of scans.
 
@@ -47,13 +52,19 @@ class GridBuilder:
         self._grid = GrowingGrid(update, cells_max=settings.cells_max)
 
     def add_scan(
-        self, pose: FloatArray, angles_rad: FloatArray, ranges_m: FloatArray, range_max_m: float
+        self,
+        pose: FloatArray,
+        angles_rad: FloatArray,
+        ranges_m: FloatArray,
+        range_max_m: float,
+        heights: BeamHeights | None = None,
     ) -> None:
         """Add one scan.
 
         ``pose``: (3,) x, y, yaw of T_map_lidar. ``angles_rad``, ``ranges_m``: (N,), NaN where
         missing: such a beam adds nothing, since unknown is not free. A range beyond
-        ``range_max_m`` frees the cells up to there and hits none.
+        ``range_max_m`` frees the cells up to there and hits none. ``heights``: of the N beams of a
+        camera, which then frees no cell for what it does not look at, and hits the surfaces behind.
 
         Raises MappingFailed where the map would exceed ``cells_max``.
         """
@@ -69,8 +80,25 @@ class GridBuilder:
         reached_m = np.minimum(ranges_m[valid], range_max_m)
         origin = np.ascontiguousarray(pose[:2] / self._settings.resolution_m, dtype=np.float64)
         ends = self._ends_of(pose, angles_rad[valid], reached_m)
-        self._grid.reserve(self._bounds_of(np.vstack([origin[np.newaxis], ends])))
-        self._grid.add_scan(origin, ends, ranges_m[valid] <= range_max_m)
+        is_hit = ranges_m[valid] <= range_max_m
+        if heights is None:
+            self._grid.reserve(self._bounds_of(np.vstack([origin[np.newaxis], ends])))
+            self._grid.add_scan(origin, ends, is_hit)
+            return
+        further = heights.behind_m <= range_max_m
+        behind = self._ends_of(
+            pose, np.broadcast_to(angles_rad, further.shape)[further], heights.behind_m[further]
+        )
+        self._grid.reserve(self._bounds_of(np.vstack([origin[np.newaxis], ends, behind])))
+        self._grid.add_scan_with_heights(
+            origin,
+            ends,
+            is_hit,
+            heights.of(valid),
+            behind,
+            heights.behind_surfaces_m[further],
+            self._settings.resolution_m,
+        )
 
     def mark_unconfirmed(
         self, pose: FloatArray, angles_rad: FloatArray, ranges_m: FloatArray

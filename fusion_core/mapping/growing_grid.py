@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fusion_core.mapping.rays import update_cells
+from fusion_core.mapping.height_bands import BeamHeights
+from fusion_core.mapping.rays import update_cells, update_cells_in_view
 from fusion_core.model.conventions import BoolArray, FloatArray, IntArray
 
 # Padding on each side when a grid grows: at least so many cells, else the largest of these
@@ -73,7 +74,8 @@ class GrowingGrid:
 
     ``bounds``: of the arrays. ``reached``: of the cells that were reserved, None before the first.
     ``log_odds``: (rows, columns). ``border``: cells that are kept about those that were reserved.
-    ``cells_max``: no padding is added beyond this number of cells.
+    ``cells_max``: no padding is added beyond this number of cells. ``seen_m``: (rows, columns, 2)
+    the heights at which something was seen in each cell, None before a scan with heights.
     """
 
     def __init__(
@@ -84,6 +86,7 @@ class GrowingGrid:
         self.reached: CellBounds | None = None
         self.log_odds: FloatArray = np.empty((0, 0))
         self.updated_in_scan: npt.NDArray[np.int32] = np.empty((0, 0), dtype=np.int32)
+        self.seen_m: FloatArray | None = None
         self.scans = 0
 
     def reserve(self, needed: CellBounds) -> bool:
@@ -103,6 +106,10 @@ class GrowingGrid:
             new, old = before.slices_in(bounds), before.slices_in(self.bounds)
             cells[new] = self.log_odds[old]
             updated_in_scan[new] = self.updated_in_scan[old]
+            if self.seen_m is not None:
+                seen_m = np.full((*bounds.shape, 2), np.nan)
+                seen_m[new] = self.seen_m[old]
+                self.seen_m = seen_m
         self.bounds, self.log_odds, self.updated_in_scan = bounds, cells, updated_in_scan
         return True
 
@@ -123,6 +130,41 @@ class GrowingGrid:
             ends,
             is_hit,
             self._update,
+        )
+
+    def add_scan_with_heights(
+        self,
+        origin: FloatArray,
+        ends: FloatArray,
+        is_hit: BoolArray,
+        heights: BeamHeights,
+        behind: FloatArray,
+        behind_surfaces_m: FloatArray,
+        resolution_m: float,
+    ) -> None:
+        """The same; a beam frees only cells in which nothing was seen beyond the heights that it
+        looks at. ``heights``: of the n rays. ``behind``: (m, 2) further points, in cell units, and
+        (m, 2) their heights."""
+        if self.seen_m is None:
+            self.seen_m = np.full((*self.bounds.shape, 2), np.nan)
+        self.scans += 1
+        column, row = self.bounds.low.tolist()
+        update_cells_in_view(
+            self.log_odds,
+            self.updated_in_scan,
+            self.seen_m,
+            (row, column),
+            self.scans,
+            origin,
+            ends,
+            is_hit,
+            self._update,
+            heights.surfaces_m,
+            heights.lower,
+            heights.upper,
+            behind,
+            behind_surfaces_m,
+            resolution_m,
         )
 
     def mark_undecided(self, points: FloatArray) -> None:

@@ -84,3 +84,77 @@ def update_cells(
                 updated_in_scan[row, column] = scan
                 before = log_odds[row, column]
                 log_odds[row, column] = max((0.0 if math.isnan(before) else before) + miss, lowest)
+
+
+@compiled()
+def update_cells_in_view(
+    log_odds: FloatArray,
+    updated_in_scan: npt.NDArray[np.int32],
+    seen_m: FloatArray,
+    first: tuple[int, int],
+    scan: int,
+    origin: FloatArray,
+    ends: FloatArray,
+    is_hit: BoolArray,
+    update: tuple[float, float, float, float],
+    surfaces_m: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    behind: FloatArray,
+    behind_surfaces_m: FloatArray,
+    resolution_m: float,
+) -> None:
+    """``update_cells`` by beams that look at a band of heights: a cell in which something was seen
+    is freed only by a beam that looks at one of the heights at which it was.
+
+    ``seen_m``: (rows, columns, 2) the lowest and the highest point seen in each cell, NaN where
+    none was; updated in place. ``surfaces_m``, ``lower``, ``upper``: those of ``BeamHeights``.
+    ``behind``: (M, 2) further points hit, to which no ray frees anything, and (M, 2) their heights.
+    """
+    hit, miss, lowest, highest = update
+    first_row, first_column = first
+    for i in range(behind.shape[0]):
+        column = math.floor(behind[i, 0]) - first_column
+        row = math.floor(behind[i, 1]) - first_row
+        if updated_in_scan[row, column] != scan:
+            updated_in_scan[row, column] = scan
+            before = log_odds[row, column]
+            log_odds[row, column] = min((0.0 if math.isnan(before) else before) + hit, highest)
+        if not seen_m[row, column, 0] <= behind_surfaces_m[i, 0]:
+            seen_m[row, column, 0] = behind_surfaces_m[i, 0]
+        if not seen_m[row, column, 1] >= behind_surfaces_m[i, 1]:
+            seen_m[row, column, 1] = behind_surfaces_m[i, 1]
+    for i in range(ends.shape[0]):
+        column = math.floor(ends[i, 0]) - first_column
+        row = math.floor(ends[i, 1]) - first_row
+        if is_hit[i]:
+            if updated_in_scan[row, column] != scan:
+                updated_in_scan[row, column] = scan
+                before = log_odds[row, column]
+                log_odds[row, column] = min((0.0 if math.isnan(before) else before) + hit, highest)
+            # A NaN compares false both ways.
+            if not seen_m[row, column, 0] <= surfaces_m[i, 0]:
+                seen_m[row, column, 0] = surfaces_m[i, 0]
+            if not seen_m[row, column, 1] >= surfaces_m[i, 1]:
+                seen_m[row, column, 1] = surfaces_m[i, 1]
+    cells = np.empty((log_odds.shape[0] + log_odds.shape[1], 2), dtype=np.int64)
+    for i in range(ends.shape[0]):
+        count = trace_ray(origin[0], origin[1], ends[i, 0], ends[i, 1], cells)
+        for k in range(count - 1):
+            row, column = cells[k, 0] - first_row, cells[k, 1] - first_column
+            if updated_in_scan[row, column] == scan:
+                continue
+            away_m = resolution_m * math.hypot(
+                cells[k, 1] + 0.5 - origin[0], cells[k, 0] + 0.5 - origin[1]
+            )
+            low_m = max(
+                lower[i, 0, 0] + lower[i, 0, 1] * away_m, lower[i, 1, 0] + lower[i, 1, 1] * away_m
+            )
+            high_m = min(
+                upper[i, 0, 0] + upper[i, 0, 1] * away_m, upper[i, 1, 0] + upper[i, 1, 1] * away_m
+            )
+            if seen_m[row, column, 1] < low_m or seen_m[row, column, 0] > high_m:
+                continue
+            updated_in_scan[row, column] = scan
+            before = log_odds[row, column]
+            log_odds[row, column] = max((0.0 if math.isnan(before) else before) + miss, lowest)

@@ -19,19 +19,28 @@ points are too sparse for a radius that suits the camera. The nearest of many no
 towards the sensor, so the range of an angle is the mean over the surface of its nearest point;
 where the LiDAR measured that surface, its range is kept.
 
-Space before the nearest point of an angle counts as free, although a camera does not see the floor
-just before its robot. An angle without any point is NaN.
+Space before the nearest point of an angle counts as free, but for cells in which something was seen
+at heights that the camera does not see at that distance (``height_bands``). An angle without any
+point is NaN.
 """
 
-from typing import Literal
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any, Literal
 
 import numpy as np
 
 from fusion_core.compiled import compiled
+from fusion_core.mapping.height_bands import BeamHeights, ImageEdges, VirtualScan, seen_bands
 from fusion_core.model.conventions import BoolArray, FloatArray, wrap_angle
 from fusion_core.model.sensors import LaserScan
 from fusion_core.registration.radius_filter import has_neighbours
 from fusion_core.settings import StageSettings, setting
+
+# Surfaces in one direction behind the nearest: under a seat the far edge, then the wall.
+_SURFACES_BEHIND = 2
+# Two cells of the usual map: in a narrower gap it shows no free cell.
+_GAP_M = 0.1
 
 
 class VirtualScanSettings(StageSettings):
@@ -125,11 +134,13 @@ def merge_camera_cloud(
     cloud_m: FloatArray,
     settings: VirtualScanSettings,
     lidar_height_m: float | None = None,
-) -> LaserScan:
+    cameras: Sequence[ImageEdges] = (),
+) -> VirtualScan:
     """The LiDAR's scan with the obstacles that only the camera saw, at the LiDAR's own angles.
 
     ``cloud_m``: (N, 3) as above, at the scan's stamp. ``lidar_height_m``: the LiDAR's plane above
-    the floor; None where unknown: the filter then treats the two clouds separately.
+    the floor; None where unknown: the filter then treats the two clouds separately. ``cameras``:
+    whose cloud it is; without them the scan knows no heights.
 
     A range beyond ``range_max_m`` (a beam without a return) is kept unless the camera saw something
     nearer. ``intensities`` are 1 where the camera saw something in a beam's angle, else 0.
@@ -149,33 +160,146 @@ def merge_camera_cloud(
     ranges_m[beams[~kept_lidar]] = np.nan
     cloud_m = cloud_m[kept]
     # 6)
-    seen_m = _nearest_on_scan_m(scan, cloud_m, settings)
-    added_m = _nearest_on_scan_m(
-        scan, cloud_m[~_is_seen_by_lidar(cloud_m, lidar_m[kept_lidar], settings)], settings
-    )
+    seen_m, seen_heights_m = _nearest_on_scan(scan, cloud_m, settings)
+    known = _is_seen_by_lidar(cloud_m, lidar_m[kept_lidar], settings)
+    added_m, added_heights_m = _nearest_on_scan(scan, cloud_m[~known], settings)
     # Where the nearest surface that the camera saw was measured by the LiDAR, points behind it are
     # dropped; a beam without a return takes that surface's range from the camera.
     met = ranges_m <= scan.range_max_m
     limit_m = settings.same_surface_m + settings.same_surface_per_m2 * seen_m**2
     added_m[added_m > seen_m + limit_m] = np.nan
+    own_m = ranges_m
     ranges_m = np.fmin(ranges_m, np.where(met, added_m, seen_m))
-    return scan.with_ranges(ranges_m, np.isfinite(seen_m).astype(np.float64))
+    heights_m = np.where((met & (ranges_m < own_m))[:, None], added_heights_m, seen_heights_m)
+    # Where the LiDAR's return stays it shows its own plane, too.
+    if lidar_height_m is not None:
+        stays = ranges_m == own_m
+        apart = stays & ~(np.abs(own_m - seen_m) <= limit_m)
+        heights_m[apart] = lidar_height_m
+        heights_m[stays, 0] = np.minimum(heights_m[stays, 0], lidar_height_m)
+        heights_m[stays, 1] = np.maximum(heights_m[stays, 1], lidar_height_m)
+    merged = scan.with_ranges(ranges_m, np.isfinite(seen_m).astype(np.float64))
+    heights = _beam_heights(cameras, merged, heights_m, cloud_m[~known], settings)
+    return VirtualScan(**_values_of(merged), heights=heights)
 
 
-def _nearest_on_scan_m(
+def _values_of(scan: LaserScan) -> dict[str, Any]:
+    return {field.name: getattr(scan, field.name) for field in fields(LaserScan)}
+
+
+def _beam_heights(
+    cameras: Sequence[ImageEdges],
+    scan: LaserScan,
+    surfaces_m: FloatArray,
+    cloud_m: FloatArray,
+    settings: VirtualScanSettings,
+) -> BeamHeights | None:
+    """``surfaces_m``: of what ends the scan's beams. ``cloud_m``: where to look for more behind."""
+    if not cameras:
+        return None
+    lower, upper = seen_bands(
+        cameras,
+        scan.angles_rad,
+        lowest=(settings.height_min_m, settings.height_min_per_m),
+        highest_m=settings.height_max_m,
+    )
+    behind_m, behind_surfaces_m = _surfaces_behind(scan, cloud_m, settings)
+    return BeamHeights(
+        surfaces_m=surfaces_m,
+        lower=lower,
+        upper=upper,
+        behind_m=behind_m,
+        behind_surfaces_m=behind_surfaces_m,
+    )
+
+
+def _surfaces_behind(
     scan: LaserScan, cloud_m: FloatArray, settings: VirtualScanSettings
-) -> FloatArray:
-    """(beams,) ranges from the camera's points alone, at a scan's angles and within its range."""
-    nearest_m = nearest_per_angle(
-        cloud_m[:, :2],
+) -> tuple[FloatArray, FloatArray]:
+    """(K, N) ranges and (K, N, 2) heights of the next surfaces behind those that end the beams.
+
+    A camera looks over a low box, and below a seat: one range for an angle would lose what it sees
+    there. What follows without a gap of ``_GAP_M`` belongs to the surface before: the top of a box.
+    """
+    reached_m = np.hypot(cloud_m[:, 0], cloud_m[:, 1])
+    azimuths_rad = np.arctan2(cloud_m[:, 1], cloud_m[:, 0])
+    direction = 1.0 if scan.angle_increment_rad > 0.0 else -1.0
+    after_first_rad = np.mod(direction * (azimuths_rad - scan.angle_min_rad), 2.0 * np.pi)
+    order = np.argsort(reached_m, kind="stable")
+    ranges_m, lowest_m, highest_m = _find_behind(
+        reached_m[order],
+        np.ascontiguousarray(cloud_m[order, 2]),
+        after_first_rad[order],
+        abs(scan.angle_increment_rad),
+        scan.ranges_m,
+        _surface_thickness_m(cloud_m, settings)[order],
+        scan.range_max_m,
+    )
+    return ranges_m, np.stack([lowest_m, highest_m], axis=2)
+
+
+@compiled(error_model="numpy")
+def _find_behind(
+    ranges_m: FloatArray,
+    heights_m: FloatArray,
+    after_first_rad: FloatArray,
+    step_rad: float,
+    ends_m: FloatArray,
+    thickness_m: FloatArray,
+    range_max_m: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points in the order of their ranges, each of the beam nearest to it; see above."""
+    beams = ends_m.size
+    shape = (_SURFACES_BEHIND, beams)
+    nearest_m = np.full(shape, np.nan)
+    lowest_m = np.full(shape, np.nan)
+    highest_m = np.full(shape, np.nan)
+    sums_m = np.zeros(shape)
+    counts = np.zeros(shape)
+    number = np.full(beams, -1)
+    last_m = ends_m.copy()
+    turn = 2.0 * np.pi / step_rad
+    for i in range(ranges_m.size):
+        beam = int(np.rint(np.mod(after_first_rad[i] / step_rad, turn)))
+        if beam >= beams:
+            # Angles repeat after a full turn: past the last beam lies the first.
+            beam = 0 if beam - turn > -0.5 else beams
+        if beam >= beams or ranges_m[i] > range_max_m:
+            continue
+        # A beam that nothing has ended begins with its first surface. A NaN compares false.
+        if not ranges_m[i] <= last_m[beam] + _GAP_M:
+            number[beam] += 1
+            if number[beam] < _SURFACES_BEHIND:
+                nearest_m[number[beam], beam] = ranges_m[i]
+        last_m[beam] = np.fmax(last_m[beam], ranges_m[i])
+        own = number[beam]
+        if own < 0 or own >= _SURFACES_BEHIND:
+            continue
+        if ranges_m[i] <= nearest_m[own, beam] + thickness_m[i]:
+            sums_m[own, beam] += ranges_m[i]
+            counts[own, beam] += 1.0
+            if not lowest_m[own, beam] <= heights_m[i]:
+                lowest_m[own, beam] = heights_m[i]
+            if not highest_m[own, beam] >= heights_m[i]:
+                highest_m[own, beam] = heights_m[i]
+    return np.where(counts > 0.0, sums_m / counts, np.nan), lowest_m, highest_m
+
+
+def _nearest_on_scan(
+    scan: LaserScan, cloud_m: FloatArray, settings: VirtualScanSettings
+) -> tuple[FloatArray, FloatArray]:
+    """``nearest_surfaces`` of the camera's points, at a scan's angles and within its range."""
+    nearest_m, heights_m = nearest_surfaces(
+        cloud_m,
         scan.angle_min_rad,
         scan.angle_increment_rad,
         scan.ranges_m.size,
         half_width_m=settings.half_width_m,
         thickness_m=_surface_thickness_m(cloud_m, settings),
     )
-    nearest_m[nearest_m > scan.range_max_m] = np.nan
-    return nearest_m
+    beyond = nearest_m > scan.range_max_m
+    nearest_m[beyond], heights_m[beyond] = np.nan, np.nan
+    return nearest_m, heights_m
 
 
 def make_camera_scan(
@@ -185,17 +309,19 @@ def make_camera_scan(
     stamp_ns: int,
     received_ns: int | None,
     frame_id: str,
-) -> LaserScan:
+    cameras: Sequence[ImageEdges] = (),
+) -> VirtualScan:
     """The scan of the camera alone, all around with a step of about ``step_deg``.
 
-    ``cloud_m``: (N, 3) as above. Angles in which the camera saw nothing are NaN.
+    ``cloud_m``: (N, 3) as above. Angles in which the camera saw nothing are NaN. ``cameras``: whose
+    cloud it is; without them the scan knows no heights.
     """
     beams = round(360.0 / settings.step_deg)
     increment_rad = 2.0 * np.pi / beams
     kept = has_neighbours(cloud_m, cloud_m, settings.radius_m, settings.neighbours_min)
     cloud_m = cloud_m[kept]
-    ranges_m = nearest_per_angle(
-        cloud_m[:, :2],
+    ranges_m, heights_m = nearest_surfaces(
+        cloud_m,
         -np.pi,
         increment_rad,
         beams,
@@ -205,7 +331,7 @@ def make_camera_scan(
     # Away from the optical axis a point's distance exceeds its depth.
     range_max_m = 2.0 * settings.depth_max_m
     ranges_m[ranges_m > range_max_m] = np.nan
-    return LaserScan(
+    scan = LaserScan(
         stamp_ns=stamp_ns,
         received_ns=received_ns,
         frame_id=frame_id,
@@ -215,6 +341,8 @@ def make_camera_scan(
         range_max_m=range_max_m,
         ranges_m=ranges_m,
     )
+    heights = _beam_heights(cameras, scan, heights_m, cloud_m, settings)
+    return VirtualScan(**_values_of(scan), heights=heights)
 
 
 def nearest_per_angle(
@@ -232,32 +360,58 @@ def nearest_per_angle(
     side, for those within. ``thickness_m``: (N,) how far behind the nearest a point may lie to be
     of the same surface, whose mean distance is then taken.
     """
+    nearest_m, _ = nearest_surfaces(
+        np.column_stack([points_m, np.zeros(len(points_m))]),
+        angle_min_rad,
+        angle_increment_rad,
+        beams,
+        half_width_m=half_width_m,
+        thickness_m=thickness_m,
+    )
+    return nearest_m
+
+
+def nearest_surfaces(
+    points_m: FloatArray,
+    angle_min_rad: float,
+    angle_increment_rad: float,
+    beams: int,
+    *,
+    half_width_m: float = 0.0,
+    thickness_m: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """``nearest_per_angle`` of (N, 3) points, and (beams, 2) the lowest and the highest point of
+    each beam's surface, NaN without any."""
     ranges_m = np.hypot(points_m[:, 0], points_m[:, 1])
     # Measured in the direction of increasing beam index, from the first beam.
     azimuths_rad = np.arctan2(points_m[:, 1], points_m[:, 0])
     direction = 1.0 if angle_increment_rad > 0.0 else -1.0
     after_first_rad = np.mod(direction * (azimuths_rad - angle_min_rad), 2.0 * np.pi)
-    nearest_m: FloatArray = _nearest_per_angle(
+    nearest_m, lowest_m, highest_m = _nearest_per_angle(
         ranges_m,
+        np.ascontiguousarray(points_m[:, 2]),
         after_first_rad,
         abs(angle_increment_rad),
         beams,
         half_width_m,
         np.zeros(ranges_m.size) if thickness_m is None else thickness_m,
     )
-    return nearest_m
+    return nearest_m, np.stack([lowest_m, highest_m], axis=1)
 
 
 @compiled(error_model="numpy")
 def _nearest_per_angle(
     ranges_m: FloatArray,
+    heights_m: FloatArray,
     after_first_rad: FloatArray,
     step_rad: float,
     beams: int,
     half_width_m: float,
     thickness_m: FloatArray,
-) -> FloatArray:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     nearest_m = np.full(beams, np.inf)
+    lowest_m = np.full(beams, np.nan)
+    highest_m = np.full(beams, np.nan)
     sums_m = np.zeros(beams)
     counts = np.zeros(beams)
     turn = 2.0 * np.pi / step_rad
@@ -279,7 +433,12 @@ def _nearest_per_angle(
                     elif ranges_m[i] <= nearest_m[beam] + thickness_m[i]:
                         sums_m[beam] += ranges_m[i]
                         counts[beam] += 1.0
-    return np.where(counts > 0.0, sums_m / counts, np.nan)
+                        # A NaN compares false both ways.
+                        if not lowest_m[beam] <= heights_m[i]:
+                            lowest_m[beam] = heights_m[i]
+                        if not highest_m[beam] >= heights_m[i]:
+                            highest_m[beam] = heights_m[i]
+    return np.where(counts > 0.0, sums_m / counts, np.nan), lowest_m, highest_m
 
 
 def _surface_thickness_m(cloud_m: FloatArray, settings: VirtualScanSettings) -> FloatArray:

@@ -93,3 +93,7 @@ class StampOutsideRange(ScanLoomError):
 
 class MappingFailed(ScanLoomError):
     """The scans give no map, or one that is larger than the settings allow."""
+
+
+class VolumeTooLarge(MappingFailed):
+    """A map in space takes more memory than the settings allow; a coarser one may fit."""

@@ -42,6 +42,7 @@ def describe_capabilities(recording: Recording, streams: Streams) -> list[str]:
     return [
         *_describe_fusion(streams),
         *_describe_pose_sources(recording, streams),
+        *_describe_visual_slam(streams),
         *(["Its stamps are made from frame numbers."] if recording.stamps_are_nominal else []),
         *streams.notes,
     ]
@@ -63,6 +64,17 @@ def _describe_fusion(streams: Streams) -> list[str]:
         f"It can be fused with a virtual LiDAR, cut from a row of {depths}: there is no 2D LiDAR.",
         *lacking,
     ]
+
+
+def _describe_visual_slam(streams: Streams) -> list[str]:
+    if not streams.depth:
+        return []
+    depth, color, intrinsics = streams.depth[0], streams.color[0], streams.camera_info[0]
+    if color is None:
+        return [f"It cannot be mapped by its images: {depth} has no colour images beside it."]
+    if intrinsics is None:
+        return [f"It cannot be mapped by its images: {depth} has no intrinsics."]
+    return [f"It can be mapped by its images, {color} with {depth} (map --slam visual)."]
 
 
 def _describe_pose_sources(recording: Recording, streams: Streams) -> list[str]:

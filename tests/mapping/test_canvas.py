@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion_core.mapping.canvas import merge_keeping_obstacles, pad_to_common_canvas
+from fusion_core.mapping.canvas import pad_to_common_canvas
 from fusion_core.model.grids import OccupancyGrid
 
 CELL_M = 0.1
@@ -36,17 +36,6 @@ def cells(grid: OccupancyGrid) -> dict[tuple[int, int], float]:
 
 
 @given(grids, grids)
-def test_the_merge_keeps_obstacles_in_each_cell(
-    first: OccupancyGrid, second: OccupancyGrid
-) -> None:
-    expected = cells(first)
-    for place, value in cells(second).items():
-        values = [value, expected.get(place, value)]
-        expected[place] = max(values) if max(values) > 0.0 else min(values)
-    assert cells(merge_keeping_obstacles(first, second)) == expected
-
-
-@given(grids, grids)
 def test_a_canvas_changes_no_cell(first: OccupancyGrid, second: OccupancyGrid) -> None:
     laid = pad_to_common_canvas({"a": first, "b": second})
     assert cells(laid["a"]) == cells(first)
@@ -58,4 +47,4 @@ def test_a_canvas_changes_no_cell(first: OccupancyGrid, second: OccupancyGrid) -
 def test_another_raster_is_refused() -> None:
     shifted = OccupancyGrid(resolution_m=CELL_M, origin_m=(0.04, 0.0), log_odds=np.zeros((1, 1)))
     with pytest.raises(ValueError, match="do not lie on those"):
-        merge_keeping_obstacles(_grid(0, 0, 1, 1, 0), shifted)
+        pad_to_common_canvas({"a": _grid(0, 0, 1, 1, 0), "b": shifted})

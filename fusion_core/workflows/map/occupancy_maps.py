@@ -5,8 +5,9 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from fusion_core.mapping.canvas import merge_keeping_obstacles
+from fusion_core.mapping.bayes import fuse_grids_by
 from fusion_core.mapping.grid import GridBuilder, GridSettings
+from fusion_core.mapping.height_bands import VirtualScan
 from fusion_core.model.conventions import FloatArray
 from fusion_core.model.errors import MappingFailed
 from fusion_core.model.grids import OccupancyGrid
@@ -77,10 +78,15 @@ class CameraBeams:
 
 
 def overlay_camera_map(grids: dict[str, OccupancyGrid]) -> dict[str, OccupancyGrid]:
-    """The map of the camera's beams ("merged") overlaid on that of the LiDAR's plane."""
+    """The map of the camera's beams ("merged") laid over that of the LiDAR's plane by Table 3.
+
+    Where the LiDAR measured what the camera saw, both maps have the LiDAR's range: the states of
+    Table 3 may share it, the sum of (10) may not.
+    """
     if "lidar" not in grids or "merged" not in grids:
         return grids
-    return {**grids, "merged": merge_keeping_obstacles(grids["lidar"], grids["merged"])}
+    layers = {name: grids[name] for name in ("lidar", "merged")}
+    return {**grids, "merged": fuse_grids_by("table", layers)}
 
 
 def _build_map(
@@ -95,7 +101,7 @@ def _build_map(
         progress(done, None, "drawing the map")
         pose = placed.pose_at(scan.stamp_ns)
         if pose is not None:
-            builder.add_scan(
-                pose, scan.angles_rad, scan.ranges_m, min(scan.range_max_m, range_max_m)
-            )
+            heights = scan.heights if isinstance(scan, VirtualScan) else None
+            reach_m = min(scan.range_max_m, range_max_m)
+            builder.add_scan(pose, scan.angles_rad, scan.ranges_m, reach_m, heights)
     return builder.build()

@@ -7,6 +7,7 @@ import numpy as np
 
 from fusion_core.alignment.time import ScanWindow, TimeSettings, estimate_turn_rate_rad_s
 from fusion_core.mapping.camera_points import project_to_cloud
+from fusion_core.mapping.height_bands import ImageEdges
 from fusion_core.mapping.virtual_scan import (
     VirtualScanSettings,
     make_camera_scan,
@@ -61,6 +62,7 @@ class CameraScans:
                 stamp_ns=stamp_ns,
                 received_ns=image.received_ns,
                 frame_id=self.frame_id,
+                cameras=clouds.image_edges,
             )
 
 
@@ -102,6 +104,7 @@ class MergedScans:
                 clouds.cloud_at(scan.stamp_ns, window),
                 clouds.settings,
                 clouds.lidar_height_m,
+                clouds.image_edges,
             )
 
 
@@ -151,7 +154,8 @@ class _CloudReader:
     """The cameras' clouds at the times of the messages that trigger a scan, pass after pass.
 
     ``cameras``: aligned to the floor. ``lidar_height_m``: of its plane above the floor, None where
-    it is not known. ``image_shapes``: by depth topic.
+    it is not known. ``image_edges``: of each camera, none where heights play no part.
+    ``image_shapes``: by depth topic.
     """
 
     def __init__(
@@ -164,6 +168,12 @@ class _CloudReader:
         self.sensors, self.settings = sensors, settings
         floor = align_to_floor(sensors.recording, extrinsics, settings)
         self.cameras, self.lidar_height_m = floor.cameras, floor.lidar_height_m
+        # As published, a beam frees whatever it passes.
+        self.image_edges = (
+            tuple(ImageEdges.of(c.view.intrinsics, c.T_floor_camera) for c in self.cameras)
+            if settings.layers
+            else ()
+        )
         self.image_shapes = {camera.topic: camera.view.stored_shape for camera in self.cameras}
         self._prior = prior
         self._max_gap_ns = settings.max_gap_ms * NS_PER_MS
