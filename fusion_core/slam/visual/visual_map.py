@@ -4,6 +4,8 @@ Landmarks are held as columns of arrays, one row each; a feature points to its l
 Numbers of keyframes and landmarks stay what they are: what is culled is marked, not moved.
 """
 
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,6 +18,7 @@ from fusion_core.model.conventions import (
     IntArray,
     read_only,
 )
+from fusion_core.model.geometry import invert_transform
 
 NO_LANDMARK = -1
 """Of a feature that sees no landmark."""
@@ -57,7 +60,8 @@ class Keyframe:
     ``index``: its number in ``VisualMap.keyframes``. ``T_map_camera``: (4, 4), as estimated so
     far. ``landmarks``: (F,) the landmark that each feature sees, or NO_LANDMARK. ``parent``: the
     keyframe that saw most of its landmarks when it was made, None for the first of a map: the
-    spanning tree of the essential graph. ``is_culled``: left out of all that follows.
+    spanning tree of the essential graph. ``is_culled``: left out of all that follows; its pose then
+    follows its parent's by ``T_parent_camera``, (4, 4), None for a keyframe that is kept.
     """
 
     index: int
@@ -67,6 +71,7 @@ class Keyframe:
     landmarks: IntArray
     parent: int | None = None
     is_culled: bool = False
+    T_parent_camera: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -89,16 +94,257 @@ class LoopClosure:
             read_only(array)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Observations:
+    """O sightings of landmarks: of ``keyframes[o]`` by its feature ``features[o]``.
+
+    ``keyframes``, ``features``, ``landmarks``: (O,), ordered by keyframe, then by feature.
+    ``pixels``: (O, 2). ``depths_m``: (O,), NaN where missing. ``octaves``: (O,).
+    """
+
+    keyframes: IntArray
+    features: IntArray
+    landmarks: IntArray
+    pixels: FloatArray
+    depths_m: FloatArray
+    octaves: IntArray
+
+    def __post_init__(self) -> None:
+        for array in (
+            self.keyframes,
+            self.features,
+            self.landmarks,
+            self.pixels,
+            self.depths_m,
+            self.octaves,
+        ):
+            read_only(array)
+
+    def __len__(self) -> int:
+        return len(self.landmarks)
+
+
 @dataclass(slots=True, eq=False)
 class VisualMap:
     """Keyframes and landmarks.
 
     ``positions_in_map_m``: (M, 3) of the landmarks. ``landmark_descriptors``: (M, 32).
-    ``is_landmark_culled``: (M,). ``loops``: in the order in which they were closed.
+    ``is_landmark_culled``: (M,). ``loops``: in the order in which they were closed. Which feature
+    sees which landmark is changed by the methods alone.
     """
 
     keyframes: list[Keyframe] = field(default_factory=list)
     loops: list[LoopClosure] = field(default_factory=list)
-    positions_in_map_m: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
-    landmark_descriptors: ByteArray = field(default_factory=lambda: np.empty((0, 32), np.uint8))
-    is_landmark_culled: BoolArray = field(default_factory=lambda: np.empty(0, np.bool_))
+    # With room for more rows than are used: rows are appended often.
+    _positions: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    _descriptors: ByteArray = field(default_factory=lambda: np.empty((0, 32), np.uint8))
+    _is_culled: BoolArray = field(default_factory=lambda: np.empty(0, np.bool_))
+    # Of each landmark: the feature by which each keyframe sees it.
+    _observers: list[dict[int, int]] = field(default_factory=list)
+
+    @property
+    def positions_in_map_m(self) -> FloatArray:
+        """(M, 3) of the landmarks, a view: writing to it moves them."""
+        return self._positions[: len(self._observers)]
+
+    @property
+    def landmark_descriptors(self) -> ByteArray:
+        """(M, 32), a view: writing to it changes them."""
+        return self._descriptors[: len(self._observers)]
+
+    @property
+    def is_landmark_culled(self) -> BoolArray:
+        """(M,), a view."""
+        return self._is_culled[: len(self._observers)]
+
+    @property
+    def kept_keyframes(self) -> list[Keyframe]:
+        """Those that are not culled, in order."""
+        return [keyframe for keyframe in self.keyframes if not keyframe.is_culled]
+
+    def add_keyframe(
+        self,
+        stamp_ns: int,
+        features: FrameFeatures,
+        T_map_camera: FloatArray,
+        landmarks: IntArray,
+        parent: int | None = None,
+    ) -> Keyframe:
+        """A new keyframe whose features see ``landmarks``, (F,) with NO_LANDMARK for none.
+
+        Where two features are given one landmark, the first keeps it.
+        """
+        keyframe = Keyframe(
+            index=len(self.keyframes),
+            stamp_ns=stamp_ns,
+            features=features,
+            T_map_camera=np.array(T_map_camera, dtype=np.float64),
+            landmarks=np.full(len(features), NO_LANDMARK, dtype=np.int64),
+            parent=parent,
+        )
+        self.keyframes.append(keyframe)
+        seen = np.flatnonzero(landmarks != NO_LANDMARK)
+        self.observe(keyframe.index, seen, landmarks[seen])
+        return keyframe
+
+    def add_landmarks(self, positions_in_map_m: FloatArray, descriptors: ByteArray) -> IntArray:
+        """(N,) rows of N new landmarks, which no keyframe sees yet; (N, 3) and (N, 32)."""
+        first, count = len(self._observers), len(positions_in_map_m)
+        rows = np.arange(first, first + count)
+        if first + count > len(self._positions):
+            room = max(1024, 2 * len(self._positions), first + count) - len(self._positions)
+            self._positions = np.concatenate([self._positions, np.zeros((room, 3))])
+            self._descriptors = np.concatenate([self._descriptors, np.zeros((room, 32), np.uint8)])
+            self._is_culled = np.concatenate([self._is_culled, np.zeros(room, np.bool_)])
+        self._positions[rows] = positions_in_map_m
+        self._descriptors[rows] = descriptors
+        self._observers += [{} for _ in range(count)]
+        return rows
+
+    def observe(self, keyframe: int, features: IntArray, landmarks: IntArray) -> None:
+        """Let features, (N,), of a keyframe see landmarks, (N,).
+
+        A feature that sees another landmark leaves it; a landmark that the keyframe sees by another
+        feature keeps that one.
+        """
+        row = self.keyframes[keyframe].landmarks
+        for feature, landmark in zip(features.tolist(), landmarks.tolist(), strict=True):
+            observers = self._observers[landmark]
+            if keyframe in observers or self._is_culled[landmark]:
+                continue
+            if row[feature] != NO_LANDMARK:
+                self._observers[row[feature]].pop(keyframe, None)
+            row[feature] = landmark
+            observers[keyframe] = feature
+
+    def forget(self, keyframe: int, features: IntArray) -> None:
+        """Let features, (N,), of a keyframe see nothing; a landmark that nobody sees is culled."""
+        row = self.keyframes[keyframe].landmarks
+        for feature in features.tolist():
+            landmark = int(row[feature])
+            if landmark == NO_LANDMARK:
+                continue
+            row[feature] = NO_LANDMARK
+            self._observers[landmark].pop(keyframe, None)
+            if not self._observers[landmark]:
+                self._is_culled[landmark] = True
+
+    def observers_of(self, landmark: int) -> dict[int, int]:
+        """The feature by which each keyframe sees it."""
+        return dict(self._observers[landmark])
+
+    def observer_counts(self, landmarks: IntArray) -> IntArray:
+        """(N,) how many keyframes see each of (N,) landmarks."""
+        observers = self._observers
+        return np.array([len(observers[row]) for row in landmarks.tolist()], dtype=np.int64)
+
+    def landmarks_of(self, keyframes: Iterable[int]) -> IntArray:
+        """(L,) the landmarks that any of the keyframes sees, ascending."""
+        rows = [self.keyframes[index].landmarks for index in keyframes]
+        if not rows:
+            return np.empty(0, np.int64)
+        seen: IntArray = np.unique(np.concatenate(rows))
+        kept: IntArray = seen[seen != NO_LANDMARK]
+        return kept
+
+    def covisible(self, keyframe: int, shared_min: int = 15) -> tuple[IntArray, IntArray]:
+        """(C,) the keyframes that share at least ``shared_min`` landmarks with one, most first,
+        and (C,) how many. ORB-SLAM2 takes 15."""
+        row = self.keyframes[keyframe].landmarks
+        return self._most_sharing(row[row != NO_LANDMARK], shared_min, keyframe)
+
+    def sharing(self, landmarks: IntArray, shared_min: int = 1) -> tuple[IntArray, IntArray]:
+        """(C,) the keyframes that see at least ``shared_min`` of (N,) landmarks, most first, and
+        (C,) how many."""
+        return self._most_sharing(landmarks, shared_min, None)
+
+    def _most_sharing(
+        self, landmarks: IntArray, shared_min: int, without: int | None
+    ) -> tuple[IntArray, IntArray]:
+        counts: Counter[int] = Counter()
+        for landmark in landmarks.tolist():
+            counts.update(self._observers[landmark].keys())
+        if without is not None:
+            counts.pop(without, None)
+        # Of equal counts the newer keyframe first, so that the order is one and the same.
+        ordered = sorted(
+            ((count, index) for index, count in counts.items() if count >= shared_min),
+            reverse=True,
+        )
+        return (
+            np.array([index for _, index in ordered], dtype=np.int64),
+            np.array([count for count, _ in ordered], dtype=np.int64),
+        )
+
+    def observations(self, keyframes: Iterable[int] | None = None) -> Observations:
+        """The sightings by some keyframes, or by all that are kept."""
+        if keyframes is None:
+            keyframes = [keyframe.index for keyframe in self.kept_keyframes]
+        indices = sorted(keyframes)
+        seen = [np.flatnonzero(self.keyframes[i].landmarks != NO_LANDMARK) for i in indices]
+        of = [(self.keyframes[i], rows) for i, rows in zip(indices, seen, strict=True)]
+        if not of:
+            none = np.empty(0, np.int64)
+            return Observations(
+                keyframes=none,
+                features=none,
+                landmarks=none,
+                pixels=np.empty((0, 2)),
+                depths_m=np.empty(0),
+                octaves=none,
+            )
+        return Observations(
+            keyframes=np.concatenate([np.full(len(rows), k.index) for k, rows in of]),
+            features=np.concatenate(seen),
+            landmarks=np.concatenate([k.landmarks[rows] for k, rows in of]),
+            pixels=np.concatenate([k.features.pixels[rows] for k, rows in of]),
+            depths_m=np.concatenate([k.features.depths_m[rows] for k, rows in of]),
+            octaves=np.concatenate([k.features.octaves[rows] for k, rows in of]),
+        )
+
+    def merge_landmarks(self, kept: int, merged: int) -> None:
+        """Let what sees ``merged`` see ``kept``; ``merged`` is culled.
+
+        Nothing, if they are one, or if either is culled already.
+        """
+        if kept == merged or self._is_culled[kept] or self._is_culled[merged]:
+            return
+        for keyframe, feature in self._observers[merged].items():
+            row = self.keyframes[keyframe].landmarks
+            if keyframe in self._observers[kept]:
+                row[feature] = NO_LANDMARK
+            else:
+                row[feature] = kept
+                self._observers[kept][keyframe] = feature
+        self._observers[merged] = {}
+        self._is_culled[merged] = True
+
+    def cull_landmarks(self, landmarks: IntArray) -> None:
+        """Let no feature see (N,) landmarks any more."""
+        for landmark in landmarks.tolist():
+            for keyframe, feature in self._observers[landmark].items():
+                self.keyframes[keyframe].landmarks[feature] = NO_LANDMARK
+            self._observers[landmark] = {}
+            self._is_culled[landmark] = True
+
+    def cull_keyframe(self, index: int) -> None:
+        """Leave out a keyframe that has a parent; its children go to that parent."""
+        keyframe = self.keyframes[index]
+        if keyframe.is_culled:
+            return
+        if keyframe.parent is None:
+            raise ValueError("the first keyframe of a map cannot be culled")
+        self.forget(index, np.flatnonzero(keyframe.landmarks != NO_LANDMARK))
+        T_parent_map = invert_transform(self.keyframes[keyframe.parent].T_map_camera)
+        keyframe.T_parent_camera = T_parent_map @ keyframe.T_map_camera
+        keyframe.is_culled = True
+        for child in self.keyframes:
+            if child.parent == index and not child.is_culled:
+                child.parent = keyframe.parent
+
+    def pose_of(self, index: int) -> FloatArray:
+        """(4, 4) T_map_camera of a keyframe; of a culled one as its parent carries it."""
+        keyframe = self.keyframes[index]
+        if keyframe.T_parent_camera is None or keyframe.parent is None:
+            return keyframe.T_map_camera
+        return self.pose_of(keyframe.parent) @ keyframe.T_parent_camera

@@ -1,0 +1,373 @@
+"""Bundle adjustment of keyframes and landmarks, by Levenberg-Marquardt and the Schur complement.
+
+ORB-SLAM2 (Mur-Artal & Tardos 2017), §III-B: a robust sum over the errors of u, v and inverse depth
+of all observations. Landmarks are eliminated first: what is left is a dense system of six unknowns
+a free keyframe, small enough for a local map. A small motion acts on T_camera_map from the left.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.compiled import compiled
+from fusion_core.model.conventions import BoolArray, FloatArray, IntArray, read_only
+from fusion_core.slam.visual.observation_noise import CHI2_DEPTH, CHI2_PIXEL
+from fusion_core.slam.visual.pose_optimisation import exp_se3, multiply_transforms, orthonormalise
+
+_DAMPING_START = 1e-6
+_DAMPING_MAX = 1e6
+# Of the cost; below it another iteration changes nothing that is seen.
+_COST_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BundleProblem:
+    """K keyframes, L landmarks, O observations.
+
+    ``T_camera_map``: (K, 4, 4). ``is_fixed``: (K,), at least one is. ``points_in_map_m``: (L, 3).
+    Of each observation: ``keyframes``, ``landmarks``: (O,), rows of the former; ``pixels``: (O, 2);
+    ``depths_m``: (O,), NaN where missing; ``pixel_sigmas``: (O,). ``camera``: (4,) fx, fy, cx, cy.
+    ``depth_sigma_per_m2``: see ``ObservationNoise``.
+    """
+
+    T_camera_map: FloatArray
+    is_fixed: BoolArray
+    points_in_map_m: FloatArray
+    keyframes: IntArray
+    landmarks: IntArray
+    pixels: FloatArray
+    depths_m: FloatArray
+    pixel_sigmas: FloatArray
+    camera: FloatArray
+    depth_sigma_per_m2: float
+
+    def __post_init__(self) -> None:
+        if not self.is_fixed.any():
+            raise ValueError("a bundle adjustment needs a fixed keyframe")
+        for array in (
+            self.T_camera_map,
+            self.is_fixed,
+            self.points_in_map_m,
+            self.keyframes,
+            self.landmarks,
+            self.pixels,
+            self.depths_m,
+            self.pixel_sigmas,
+            self.camera,
+        ):
+            read_only(array)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BundleResult:
+    """``T_camera_map``: (K, 4, 4). ``points_in_map_m``: (L, 3). ``is_inlier``: (O,) of the
+    observations. ``cost``: half the robust sum of squares, before and after."""
+
+    T_camera_map: FloatArray
+    points_in_map_m: FloatArray
+    is_inlier: BoolArray
+    cost: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        for array in (self.T_camera_map, self.points_in_map_m, self.is_inlier):
+            read_only(array)
+
+
+def adjust_bundle(problem: BundleProblem, iterations: int, rounds: int = 2) -> BundleResult:
+    """Adjust the free keyframes and all landmarks.
+
+    After each of ``rounds`` outliers are told apart and left out of the next; each takes at most
+    ``iterations``.
+    """
+    order = np.argsort(problem.landmarks, kind="stable")
+    counts = np.bincount(problem.landmarks, minlength=len(problem.points_in_map_m))
+    starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    free = np.full(len(problem.is_fixed), -1, np.int64)
+    free[~problem.is_fixed] = np.arange(np.count_nonzero(~problem.is_fixed))
+    poses, points, inlier, before, after = _adjust(
+        np.array(problem.T_camera_map, np.float64),
+        free,
+        np.array(problem.points_in_map_m, np.float64),
+        starts,
+        problem.keyframes[order],
+        problem.pixels[order].astype(np.float64),
+        problem.depths_m[order],
+        problem.pixel_sigmas[order],
+        problem.camera,
+        problem.depth_sigma_per_m2,
+        iterations,
+        rounds,
+        CHI2_PIXEL,
+        CHI2_DEPTH,
+        _DAMPING_START,
+        _DAMPING_MAX,
+        _COST_TOLERANCE,
+    )
+    is_inlier = np.empty(len(order), np.bool_)
+    is_inlier[order] = inlier
+    return BundleResult(
+        T_camera_map=poses, points_in_map_m=points, is_inlier=is_inlier, cost=(before, after)
+    )
+
+
+@compiled(nogil=True)
+def _residual(
+    T: FloatArray,
+    point: FloatArray,
+    pixel: FloatArray,
+    depth: float,
+    sigma: float,
+    inverse_depth_sigma: float,
+    camera: FloatArray,
+    r: FloatArray,
+    p: FloatArray,
+) -> bool:
+    """Normalised errors into ``r`` (3,), the point before the camera into ``p`` (3,); whether it
+    lies before it."""
+    for i in range(3):
+        p[i] = T[i, 0] * point[0] + T[i, 1] * point[1] + T[i, 2] * point[2] + T[i, 3]
+    if p[2] < 0.01:
+        return False
+    r[0] = (camera[0] * p[0] / p[2] + camera[2] - pixel[0]) / sigma
+    r[1] = (camera[1] * p[1] / p[2] + camera[3] - pixel[1]) / sigma
+    r[2] = 0.0 if np.isnan(depth) else (1.0 / p[2] - 1.0 / depth) / inverse_depth_sigma
+    return True
+
+
+@compiled(nogil=True)
+def _cost(
+    poses: FloatArray,
+    points: FloatArray,
+    starts: IntArray,
+    keyframes: IntArray,
+    pixels: FloatArray,
+    depths: FloatArray,
+    sigmas: FloatArray,
+    inlier: BoolArray,
+    camera: FloatArray,
+    inverse_depth_sigma: float,
+    chi2_pixel: float,
+    chi2_depth: float,
+) -> float:
+    r, p = np.zeros(3), np.zeros(3)
+    total = 0.0
+    for landmark in range(len(points)):
+        for o in range(starts[landmark], starts[landmark + 1]):
+            if not inlier[o]:
+                continue
+            limit = chi2_pixel if np.isnan(depths[o]) else chi2_depth
+            if not _residual(
+                poses[keyframes[o]],
+                points[landmark],
+                pixels[o],
+                depths[o],
+                sigmas[o],
+                inverse_depth_sigma,
+                camera,
+                r,
+                p,
+            ):
+                # As bad as a gross outlier, so that a step that throws points behind is refused.
+                total += 100.0 * limit
+                continue
+            chi2 = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
+            total += 0.5 * chi2 if chi2 <= limit else np.sqrt(limit * chi2) - 0.5 * limit
+    return total
+
+
+@compiled(nogil=True)
+def _adjust(
+    poses: FloatArray,
+    free: IntArray,
+    points: FloatArray,
+    starts: IntArray,
+    keyframes: IntArray,
+    pixels: FloatArray,
+    depths: FloatArray,
+    sigmas: FloatArray,
+    camera: FloatArray,
+    inverse_depth_sigma: float,
+    iterations: int,
+    rounds: int,
+    chi2_pixel: float,
+    chi2_depth: float,
+    damping_start: float,
+    damping_max: float,
+    cost_tolerance: float,
+) -> tuple[FloatArray, FloatArray, BoolArray, float, float]:
+    fx, fy = camera[0], camera[1]
+    observations, landmarks = len(keyframes), len(points)
+    inlier = np.ones(observations, np.bool_)
+    unknowns = 6 * (free.max() + 1)
+    cross = np.zeros((observations, 6, 3))
+    inverses = np.zeros((landmarks, 3, 3))
+    gradients = np.zeros((landmarks, 3))
+    r, p = np.zeros(3), np.zeros(3)
+    Jp, Jl = np.zeros((3, 6)), np.zeros((3, 3))
+    WH = np.zeros((6, 3))
+    first_cost = -1.0
+    cost = 0.0
+    for _ in range(rounds):
+        damping = damping_start
+        cost = _cost(
+            poses, points, starts, keyframes, pixels, depths, sigmas, inlier, camera,
+            inverse_depth_sigma, chi2_pixel, chi2_depth,
+        )  # fmt: skip
+        if first_cost < 0.0:
+            first_cost = cost
+        for _ in range(iterations):
+            # The blocks of the normal equations, undamped; S holds those of the poses.
+            S0 = np.zeros((unknowns, unknowns))
+            b0 = np.zeros(unknowns)
+            Hll = np.zeros((landmarks, 3, 3))
+            for landmark in range(landmarks):
+                gradients[landmark] = 0.0
+                for o in range(starts[landmark], starts[landmark + 1]):
+                    cross[o] = 0.0
+                    k = keyframes[o]
+                    if not inlier[o] or not _residual(
+                        poses[k], points[landmark], pixels[o], depths[o], sigmas[o],
+                        inverse_depth_sigma, camera, r, p,
+                    ):  # fmt: skip
+                        continue
+                    has_depth = not np.isnan(depths[o])
+                    chi2 = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
+                    limit = chi2_depth if has_depth else chi2_pixel
+                    weight = 1.0 if chi2 <= limit else np.sqrt(limit / chi2)
+                    x, y, z = p[0], p[1], p[2]
+                    iz, w = 1.0 / z, 1.0 / sigmas[o]
+                    a, b = fx * iz * w, -fx * x * iz * iz * w
+                    c, d = fy * iz * w, -fy * y * iz * iz * w
+                    e = -iz * iz / inverse_depth_sigma if has_depth else 0.0
+                    T = poses[k]
+                    for j in range(3):
+                        Jl[0, j] = a * T[0, j] + b * T[2, j]
+                        Jl[1, j] = c * T[1, j] + d * T[2, j]
+                        Jl[2, j] = e * T[2, j]
+                    for i in range(3):
+                        for m in range(3):
+                            gradients[landmark, i] += weight * Jl[m, i] * r[m]
+                            for j in range(3):
+                                Hll[landmark, i, j] += weight * Jl[m, i] * Jl[m, j]
+                    row = 6 * free[k]
+                    if row < 0:
+                        continue
+                    Jp[0, 0], Jp[0, 1], Jp[0, 2] = b * y, a * z - b * x, -a * y
+                    Jp[0, 3], Jp[0, 4], Jp[0, 5] = a, 0.0, b
+                    Jp[1, 0], Jp[1, 1], Jp[1, 2] = -c * z + d * y, -d * x, c * x
+                    Jp[1, 3], Jp[1, 4], Jp[1, 5] = 0.0, c, d
+                    Jp[2, 0], Jp[2, 1], Jp[2, 2] = e * y, -e * x, 0.0
+                    Jp[2, 3], Jp[2, 4], Jp[2, 5] = 0.0, 0.0, e
+                    for i in range(6):
+                        for m in range(3):
+                            wj = weight * Jp[m, i]
+                            b0[row + i] += wj * r[m]
+                            for j in range(6):
+                                S0[row + i, row + j] += wj * Jp[m, j]
+                            for j in range(3):
+                                cross[o, i, j] += wj * Jl[m, j]
+            accepted = False
+            gain = 0.0
+            while not accepted and damping <= damping_max:
+                S, b = S0.copy(), b0.copy()
+                for i in range(unknowns):
+                    S[i, i] += damping * S0[i, i] + 1e-12
+                for landmark in range(landmarks):
+                    first, last = starts[landmark], starts[landmark + 1]
+                    V = Hll[landmark].copy()
+                    for i in range(3):
+                        V[i, i] += damping * V[i, i] + 1e-9
+                    inverse = _inverse(V)
+                    inverses[landmark] = inverse
+                    for o in range(first, last):
+                        row = 6 * free[keyframes[o]]
+                        if row < 0 or not inlier[o]:
+                            continue
+                        for i in range(6):
+                            for j in range(3):
+                                WH[i, j] = (
+                                    cross[o, i, 0] * inverse[0, j]
+                                    + cross[o, i, 1] * inverse[1, j]
+                                    + cross[o, i, 2] * inverse[2, j]
+                                )
+                            for j in range(3):
+                                b[row + i] -= WH[i, j] * gradients[landmark, j]
+                        for q in range(first, last):
+                            column = 6 * free[keyframes[q]]
+                            # The upper half alone: the other is its mirror image.
+                            if column < row or not inlier[q]:
+                                continue
+                            for i in range(6):
+                                for j in range(6):
+                                    S[row + i, column + j] -= (
+                                        WH[i, 0] * cross[q, j, 0]
+                                        + WH[i, 1] * cross[q, j, 1]
+                                        + WH[i, 2] * cross[q, j, 2]
+                                    )
+                for i in range(unknowns):
+                    for j in range(i):
+                        S[i, j] = S[j, i]
+                step = np.linalg.solve(S, -b)
+                new_poses, new_points = poses.copy(), points.copy()
+                for k in range(len(free)):
+                    if free[k] >= 0:
+                        new_poses[k] = multiply_transforms(
+                            exp_se3(step[6 * free[k] : 6 * free[k] + 6]), poses[k]
+                        )
+                        orthonormalise(new_poses[k])
+                for landmark in range(landmarks):
+                    g = gradients[landmark].copy()
+                    for o in range(starts[landmark], starts[landmark + 1]):
+                        row = 6 * free[keyframes[o]]
+                        if row < 0 or not inlier[o]:
+                            continue
+                        for j in range(3):
+                            for i in range(6):
+                                g[j] += cross[o, i, j] * step[row + i]
+                    for i in range(3):
+                        for j in range(3):
+                            new_points[landmark, i] -= inverses[landmark, i, j] * g[j]
+                new_cost = _cost(
+                    new_poses, new_points, starts, keyframes, pixels, depths, sigmas, inlier,
+                    camera, inverse_depth_sigma, chi2_pixel, chi2_depth,
+                )  # fmt: skip
+                if new_cost <= cost:
+                    gain = cost - new_cost
+                    poses, points, cost = new_poses, new_points, new_cost
+                    damping = max(damping * 0.1, 1e-12)
+                    accepted = True
+                else:
+                    damping *= 10.0
+            if not accepted or gain <= cost_tolerance * cost:
+                break
+        for landmark in range(landmarks):
+            for o in range(starts[landmark], starts[landmark + 1]):
+                limit = chi2_pixel if np.isnan(depths[o]) else chi2_depth
+                inlier[o] = (
+                    _residual(
+                        poses[keyframes[o]], points[landmark], pixels[o], depths[o], sigmas[o],
+                        inverse_depth_sigma, camera, r, p,
+                    )
+                    and r[0] * r[0] + r[1] * r[1] + r[2] * r[2] <= limit
+                )  # fmt: skip
+    return poses, points, inlier, first_cost, cost
+
+
+@compiled(nogil=True)
+def _inverse(V: FloatArray) -> FloatArray:
+    """(3, 3) of a symmetric positive definite matrix, by cofactors."""
+    inverse = np.empty((3, 3))
+    inverse[0, 0] = V[1, 1] * V[2, 2] - V[1, 2] * V[2, 1]
+    inverse[0, 1] = V[0, 2] * V[2, 1] - V[0, 1] * V[2, 2]
+    inverse[0, 2] = V[0, 1] * V[1, 2] - V[0, 2] * V[1, 1]
+    inverse[1, 0] = inverse[0, 1]
+    inverse[1, 1] = V[0, 0] * V[2, 2] - V[0, 2] * V[2, 0]
+    inverse[1, 2] = V[0, 2] * V[1, 0] - V[0, 0] * V[1, 2]
+    inverse[2, 0] = inverse[0, 2]
+    inverse[2, 1] = inverse[1, 2]
+    inverse[2, 2] = V[0, 0] * V[1, 1] - V[0, 1] * V[1, 0]
+    determinant = V[0, 0] * inverse[0, 0] + V[0, 1] * inverse[1, 0] + V[0, 2] * inverse[2, 0]
+    for i in range(3):
+        for j in range(3):
+            inverse[i, j] /= determinant
+    return inverse

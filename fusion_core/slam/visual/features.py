@@ -1,0 +1,166 @@
+"""ORB features spread evenly over the image, with the depth below each."""
+
+import cv2
+import numpy as np
+
+from fusion_core.model.conventions import Float32Array, FloatArray, IntArray
+from fusion_core.model.rgbd_frame import RgbdFrame
+from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.settings import StageSettings, setting
+from fusion_core.slam.visual.visual_map import FrameFeatures
+
+SCALE_FACTOR = 1.2
+"""Between neighbouring levels of the pyramid, as in ORB-SLAM2."""
+
+
+def octave_scales(octaves: IntArray) -> FloatArray:
+    """(N,) the size of a pixel of each level, (N,), in pixels of the image."""
+    scales: FloatArray = np.power(SCALE_FACTOR, octaves.astype(np.float64))
+    return scales
+
+
+# ORB finds this many times the corners that are kept: what is spread evenly must be chosen from.
+_CANDIDATES_PER_FEATURE = 6
+# Halvings of the search for the size of a cell: to a pixel in a VGA image.
+_CELL_SEARCH_STEPS = 9
+# Offsets (row, column) of the pixels whose depth must agree with a feature's: itself and its four
+# neighbours.
+_DEPTH_NEIGHBOURS = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
+# Several times the depth noise at 8 m (0.003 · 8 = 2.4 %), below most steps between surfaces.
+# Set by hand.
+_DEPTH_EDGE_RATIO = 0.05
+
+
+class FeatureSettings(StageSettings):
+    """Settings of ``FeatureExtractor``."""
+
+    features_max: int = setting(
+        1000, "Most ORB features per image", unit="features", ge=50, le=20_000
+    )
+    levels: int = setting(8, "Levels of the image pyramid", unit="levels", ge=1, le=16)
+    fast_threshold: int = setting(7, "FAST corner threshold", unit="grey levels", ge=1, le=100)
+    depth_min_m: float = setting(0.2, "Least depth of a feature", unit="m", ge=1e-6, le=100.0)
+    depth_max_m: float = setting(8.0, "Greatest depth of a feature", unit="m", ge=1e-6, le=100.0)
+
+
+class FeatureExtractor:
+    """Extracts the features of a camera's images.
+
+    A corner is kept as the strongest of its cell; the cells are as small as the wanted number
+    allows, so that a textured corner of the image does not take all features.
+    """
+
+    def __init__(self, intrinsics: CameraIntrinsics, settings: FeatureSettings) -> None:
+        self._intrinsics, self._settings = intrinsics, settings
+        self._orb = cv2.ORB.create(
+            nfeatures=_CANDIDATES_PER_FEATURE * settings.features_max,
+            scaleFactor=SCALE_FACTOR,
+            nlevels=settings.levels,
+            fastThreshold=settings.fast_threshold,
+            scoreType=cv2.ORB_FAST_SCORE,
+        )
+        # Each level's part, in proportion to its side, as in ORB-SLAM2's pyramid.
+        sides = SCALE_FACTOR ** -np.arange(settings.levels, dtype=np.float64)
+        self._quotas = np.round(settings.features_max * sides / sides.sum()).astype(np.int64)
+
+    def extract(self, frame: RgbdFrame) -> FrameFeatures:
+        """The features of an image, by falling response within each level; none may be found."""
+        found = self._orb.detect(frame.gray, None)
+        pixels: Float32Array = np.array([point.pt for point in found], np.float32).reshape(-1, 2)
+        responses = np.array([point.response for point in found], np.float64)
+        octaves = np.array([point.octave for point in found], np.int64)
+        kept = self._spread_evenly(pixels, responses, octaves)
+        keypoints, descriptors = self._orb.compute(frame.gray, [found[i] for i in kept.tolist()])
+        if descriptors is None or not keypoints:
+            return FrameFeatures(
+                pixels=np.empty((0, 2)),
+                depths_m=np.empty(0),
+                octaves=np.empty(0, np.int64),
+                angles_deg=np.empty(0, np.float32),
+                descriptors=np.empty((0, 32), np.uint8),
+            )
+        pixels = np.array([point.pt for point in keypoints], np.float32)
+        depths_m = sample_depths_m(frame, pixels)
+        is_usable = (depths_m > self._settings.depth_min_m) & (
+            depths_m < self._settings.depth_max_m
+        )
+        return FrameFeatures(
+            pixels=undistort_pixels(pixels, self._intrinsics),
+            depths_m=np.where(is_usable, depths_m, np.nan),
+            octaves=np.array([point.octave for point in keypoints], np.int64),
+            angles_deg=np.array([point.angle for point in keypoints], np.float32),
+            descriptors=np.ascontiguousarray(descriptors, dtype=np.uint8),
+        )
+
+    def _spread_evenly(
+        self, pixels: Float32Array, responses: FloatArray, octaves: IntArray
+    ) -> IntArray:
+        """(F,) the candidates that are kept, level by level."""
+        kept = []
+        for octave, quota in enumerate(self._quotas.tolist()):
+            of_level = np.flatnonzero(octaves == octave)
+            # Ties by place, so that the order does not depend on the detector's.
+            order = np.lexsort((pixels[of_level, 0], pixels[of_level, 1], -responses[of_level]))
+            of_level = of_level[order]
+            kept.append(of_level[spread_evenly(pixels[of_level], quota)])
+        return np.concatenate(kept)
+
+
+def spread_evenly(pixels: Float32Array, count: int) -> IntArray:
+    """(K,) at most ``count`` of the (N, 2) pixels, which are given strongest first, ascending.
+
+    The strongest of each square cell is kept, with the smallest cells that keep no more than
+    ``count``; the rest of the count goes to the strongest of those left.
+    """
+    if len(pixels) <= count:
+        return np.arange(len(pixels))
+    low, high = 1.0, float(np.ptp(pixels, axis=0).max()) + 1.0
+    kept = np.zeros(1, np.int64)
+    for _ in range(_CELL_SEARCH_STEPS):
+        side = 0.5 * (low + high)
+        first = _first_of_cells(pixels, side)
+        if len(first) <= count:
+            kept, high = first, side
+        else:
+            low = side
+    is_left = np.ones(len(pixels), np.bool_)
+    is_left[kept] = False
+    rest = np.flatnonzero(is_left)[: count - len(kept)]
+    return np.sort(np.concatenate([kept, rest]))
+
+
+def _first_of_cells(pixels: Float32Array, side: float) -> IntArray:
+    cells = np.floor(pixels / side).astype(np.int64)
+    _, first = np.unique(cells[:, 0] + (cells[:, 1] << 32), return_index=True)
+    return np.asarray(first, np.int64)
+
+
+def sample_depths_m(frame: RgbdFrame, pixels: Float32Array) -> FloatArray:
+    """(M,) depth at (M, 2) pixels of the grey image; NaN where missing or at a depth edge."""
+    (height, width), (rows, columns) = frame.gray.shape, frame.depth_m.shape
+    column = np.floor((pixels[:, 0].astype(np.float64) + 0.5) * columns / width).astype(np.int64)
+    row = np.floor((pixels[:, 1].astype(np.float64) + 0.5) * rows / height).astype(np.int64)
+    beside = np.stack(
+        [
+            frame.depth_m[np.clip(row + down, 0, rows - 1), np.clip(column + right, 0, columns - 1)]
+            for down, right in _DEPTH_NEIGHBOURS
+        ]
+    ).astype(np.float64)
+    # A corner at a depth edge may be given the depth of the surface behind it. NaN compares false.
+    is_flat = (np.abs(beside - beside[0]) < _DEPTH_EDGE_RATIO * beside[0]).all(axis=0)
+    return np.where(is_flat, beside.mean(axis=0), np.nan)
+
+
+def undistort_pixels(pixels: Float32Array, intrinsics: CameraIntrinsics) -> FloatArray:
+    """(M, 2) the pixels as the camera matrix alone would show them."""
+    coefficients = np.array(intrinsics.distortion or (0.0,) * 4, np.float64)
+    stacked = pixels.astype(np.float64)
+    if not np.any(coefficients):
+        return stacked
+    K = intrinsics.matrix
+    stacked = stacked[:, np.newaxis, :]
+    if intrinsics.is_fisheye:
+        ideal = cv2.fisheye.undistortPoints(stacked, K, coefficients[:4], P=K)
+    else:
+        ideal = cv2.undistortPoints(stacked, K, coefficients, P=K)
+    return np.asarray(ideal, np.float64).reshape(-1, 2)

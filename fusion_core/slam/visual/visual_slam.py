@@ -1,0 +1,412 @@
+"""Visual SLAM of an RGB-D camera in six degrees of freedom.
+
+After ORB-SLAM2 (Mur-Artal & Tardos 2017), on which Fu 2024 §3 builds: images are tracked in the
+local map; keyframes extend and adjust it; a place seen again closes a loop. Mapping may run on a
+second thread behind tracking: its results are taken over a fixed number of images after a keyframe,
+so that they are the same with and without it.
+"""
+
+import time
+from collections.abc import Iterable
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_core.model.conventions import (
+    BoolArray,
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    read_only,
+)
+from fusion_core.model.errors import MappingFailed
+from fusion_core.model.geometry import invert_transform, transform_points
+from fusion_core.model.progress import Progress, silent
+from fusion_core.model.rgbd_frame import RgbdFrame
+from fusion_core.model.sensors import CameraIntrinsics
+from fusion_core.model.visual_slam_view import VisualSlamObserver, VisualSlamView, unobserved
+from fusion_core.settings import StageSettings, setting
+from fusion_core.slam.visual.features import FeatureExtractor, FeatureSettings
+from fusion_core.slam.visual.image_trajectory import (
+    ImageTrajectory,
+    Jump,
+    LostStretch,
+    find_jumps,
+    find_lost_stretches,
+)
+from fusion_core.slam.visual.keyframe_policy import KeyframePolicy, wants_keyframe
+from fusion_core.slam.visual.local_map import LocalMap, take_local_map
+from fusion_core.slam.visual.local_mapping import (
+    LocalMapping,
+    LocalMappingSettings,
+    new_landmarks,
+)
+from fusion_core.slam.visual.loop_closing import LoopCloser, RefusedLoop, VisualLoopSettings
+from fusion_core.slam.visual.observation_noise import ObservationNoise
+from fusion_core.slam.visual.relocalisation import LastKnownPose, relocalise
+from fusion_core.slam.visual.sampled_cloud import sample_cloud
+from fusion_core.slam.visual.tracked_frame import TrackedFrame, camera_parameters
+from fusion_core.slam.visual.tracking import Tracker, TrackingLoss, TrackingSettings
+from fusion_core.slam.visual.visual_map import (
+    NO_LANDMARK,
+    FrameFeatures,
+    VisualMap,
+)
+
+# A keyframe does not wait for mapping where less than this part of the landmarks is left in sight;
+# set by hand.
+_URGENT_RATIO = 0.5
+
+
+class VisualMappingSettings(StageSettings):
+    """Settings of ``visual_slam`` itself."""
+
+    delay_images: int = setting(
+        4,
+        "Images from a keyframe until tracking takes over what mapping has made of it",
+        unit="images",
+        ge=1,
+        le=100,
+    )
+    local_keyframes_max: int = setting(
+        20, "Most keyframes of the local map", unit="keyframes", ge=2, le=200
+    )
+    refresh_images: int = setting(
+        4, "Images after which the local map is taken anew", unit="images", ge=1, le=100
+    )
+
+
+class VisualSlamSettings(VisualLoopSettings):
+    """Every stage's settings."""
+
+    features: FeatureSettings = FeatureSettings()
+    observation_noise: ObservationNoise = ObservationNoise()
+    tracking: TrackingSettings = TrackingSettings()
+    keyframes: KeyframePolicy = KeyframePolicy()
+    local_mapping: LocalMappingSettings = LocalMappingSettings()
+    visual_mapping: VisualMappingSettings = VisualMappingSettings()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class VisualSlamResult:
+    """``stamps_ns``: (N,) of all images. ``T_map_camera``: (N, 4, 4) of the camera's optical frame,
+    the map being that of the first keyframe; NaN where ``is_tracked``, (N,), is false.
+    ``visual_map``: its keyframes and landmarks. ``refused_loops``: keyframes that look alike and
+    were not joined. ``seconds``: wall-clock time of each stage, which overlap where mapping has a
+    thread of its own. ``notes``: for people.
+    """
+
+    stamps_ns: IntArray
+    T_map_camera: FloatArray
+    is_tracked: BoolArray
+    visual_map: VisualMap
+    lost: tuple[LostStretch, ...]
+    jumps: tuple[Jump, ...]
+    refused_loops: tuple[RefusedLoop, ...]
+    seconds: dict[str, float]
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for array in (self.stamps_ns, self.T_map_camera, self.is_tracked):
+            read_only(array)
+
+
+def visual_slam(
+    frames: Iterable[RgbdFrame],
+    intrinsics: CameraIntrinsics,
+    settings: VisualSlamSettings | None = None,
+    progress: Progress = silent,
+    observer: VisualSlamObserver = unobserved,
+    *,
+    executor: Executor | None = None,
+) -> VisualSlamResult:
+    """Track a camera's images, whose stamps increase, and map what they see.
+
+    ``intrinsics``: of the grey images. ``executor``: on which mapping runs behind tracking; without
+    it mapping runs in between, with the same result.
+
+    Raises MappingFailed where no image can start a map.
+    """
+    run = _VisualSlam(
+        intrinsics,
+        settings or VisualSlamSettings(),
+        observer,
+        executor,
+    )
+    for count, frame in enumerate(frames, start=1):
+        run.add(frame)
+        progress(count, None, "visual SLAM")
+    return run.result()
+
+
+class _VisualSlam:
+    def __init__(
+        self,
+        intrinsics: CameraIntrinsics,
+        settings: VisualSlamSettings,
+        observer: VisualSlamObserver,
+        executor: Executor | None,
+    ) -> None:
+        self._intrinsics, self._settings, self._observer = intrinsics, settings, observer
+        self._executor = executor
+        self._camera = camera_parameters(intrinsics)
+        noise, levels = settings.observation_noise, settings.features.levels
+        self._extractor = FeatureExtractor(intrinsics, settings.features)
+        self._tracker = Tracker(intrinsics, settings.tracking, noise, levels)
+        self._mapping = LocalMapping(intrinsics, settings.local_mapping, noise, levels)
+        self._map = VisualMap()
+        self._loops = LoopCloser(self._map, intrinsics, noise, settings)
+        self._trajectory = ImageTrajectory()
+        self._local: LocalMap | None = None
+        self._last: TrackedFrame | None = None
+        self._velocity: FloatArray | None = None
+        # Counts of images: since the last keyframe, and since the local map was taken.
+        self._since_keyframe = self._since_local_map = 0
+        # Of the images since the last keyframe.
+        self._most_in_sight = 0
+        self._job: Future[None] | None = None
+        self._is_mapping = False
+        self._clouds: list[tuple[Float32Array, ByteArray]] = []
+        self._seconds = dict.fromkeys(
+            ("features", "tracking", "local map", "waiting for mapping", "mapping"), 0.0
+        )
+
+    def add(self, frame: RgbdFrame) -> None:
+        """Place the next image."""
+        with _Timer(self._seconds, "features"):
+            features = self._extractor.extract(frame)
+        if self._local is None:
+            self._start(frame, features)
+            return
+        self._since_keyframe += 1
+        self._since_local_map += 1
+        if self._is_mapping and self._since_keyframe >= self._settings.visual_mapping.delay_images:
+            self._take_over_mapping()
+        elif (
+            not self._is_mapping
+            and self._since_local_map >= self._settings.visual_mapping.refresh_images
+        ):
+            self._take_local_map()
+        with _Timer(self._seconds, "tracking"):
+            found = self._tracker.track(features, self._last, self._velocity, self._local)
+            if isinstance(found, TrackingLoss) and self._last is None:
+                found = self._relocalised(frame.stamp_ns, features, found)
+        if isinstance(found, TrackingLoss):
+            self._trajectory.append_lost(frame.stamp_ns, found.reason)
+            self._last = self._velocity = None
+            return
+        self._accept(frame, found)
+
+    def _start(self, frame: RgbdFrame, features: FrameFeatures) -> None:
+        """The first keyframe, if the image has enough to see."""
+        first = TrackedFrame(
+            features=features,
+            T_map_camera=np.eye(4),
+            landmarks=np.full(len(features), NO_LANDMARK, np.int64),
+            positions_in_map_m=np.full((len(features), 3), np.nan),
+        )
+        with_depth = np.count_nonzero(np.isfinite(features.depths_m))
+        if with_depth < self._settings.tracking.start_features_min:
+            self._trajectory.append_lost(
+                frame.stamp_ns, f"too few features with depth to start a map ({with_depth})"
+            )
+            return
+        first.add_points_by_depth(self._camera)
+        self._last = first
+        self._add_keyframe(frame, first)
+        self._take_local_map()
+
+    def _accept(self, frame: RgbdFrame, tracked: TrackedFrame) -> None:
+        assert self._local is not None, "tracked images have a local map"
+        T_reference_map = invert_transform(self._local.T_map_reference)
+        before = self._last
+        self._velocity = None
+        if before is not None:
+            self._velocity = invert_transform(tracked.T_map_camera) @ before.T_map_camera
+        self._last = tracked
+        if self._wants_keyframe(tracked):
+            self._add_keyframe(frame, tracked)
+            return
+        self._trajectory.append(
+            frame.stamp_ns, self._local.reference, T_reference_map @ tracked.T_map_camera
+        )
+
+    def _wants_keyframe(self, tracked: TrackedFrame) -> bool:
+        self._most_in_sight = max(self._most_in_sight, tracked.in_sight)
+        if not wants_keyframe(
+            tracked, self._most_in_sight, self._since_keyframe, self._settings.keyframes
+        ):
+            return False
+        # In a fast turn the map leaves the sight before the usual delay is over.
+        if self._is_mapping and tracked.in_sight < _URGENT_RATIO * self._most_in_sight:
+            self._take_over_mapping()
+        return not self._is_mapping
+
+    def _add_keyframe(self, frame: RgbdFrame, tracked: TrackedFrame) -> None:
+        parent = None if self._local is None else self._local.reference
+        keyframe = self._map.add_keyframe(
+            frame.stamp_ns, tracked.features, tracked.T_map_camera, tracked.landmarks, parent
+        )
+        made = new_landmarks(self._map, keyframe, tracked.positions_in_map_m)
+        tracked.landmarks = keyframe.landmarks.copy()
+        self._trajectory.append(frame.stamp_ns, keyframe.index, np.eye(4))
+        self._since_keyframe = self._most_in_sight = 0
+        self._show(frame, tracked)
+        # The new keyframe is seen by tracking at once; what mapping makes of it, later.
+        self._take_local_map()
+        self._is_mapping = True
+        if self._executor is None:
+            self._map_keyframe(keyframe.index, made)
+        else:
+            self._job = self._executor.submit(self._map_keyframe, keyframe.index, made)
+
+    def _map_keyframe(self, index: int, made: tuple[int, int]) -> None:
+        with _Timer(self._seconds, "mapping"):
+            self._mapping.include(self._map, index, made)
+            self._loops.add(index)
+
+    def _take_over_mapping(self) -> None:
+        """Let tracking see what mapping has made of the newest keyframe."""
+        assert self._local is not None, "mapping follows a keyframe"
+        with _Timer(self._seconds, "waiting for mapping"):
+            self._finish_mapping()
+        if self._last is not None:
+            T_reference_last = invert_transform(self._local.T_map_reference) @ (
+                self._last.T_map_camera
+            )
+            self._last.follow_map(
+                self._map, self._map.pose_of(self._local.reference) @ T_reference_last
+            )
+        self._take_local_map()
+
+    def _finish_mapping(self) -> None:
+        if self._job is not None:
+            self._job.result()
+        self._job, self._is_mapping = None, False
+
+    def _take_local_map(self) -> None:
+        newest = next(k.index for k in reversed(self._map.keyframes) if not k.is_culled)
+        landmarks = np.empty(0, np.int64)
+        reference = newest if self._local is None else self._local.reference
+        if self._map.keyframes[reference].is_culled:
+            reference = newest
+        if self._last is not None:
+            landmarks = self._last.landmarks[self._last.landmarks != NO_LANDMARK]
+            landmarks = landmarks[~self._map.is_landmark_culled[landmarks]]
+        with _Timer(self._seconds, "local map"):
+            self._local = take_local_map(
+                self._map,
+                reference,
+                landmarks,
+                self._settings.visual_mapping.local_keyframes_max,
+            )
+        self._since_local_map = 0
+
+    def _relocalised(
+        self, stamp_ns: int, features: FrameFeatures, loss: TrackingLoss
+    ) -> TrackedFrame | TrackingLoss:
+        if self._is_mapping:
+            self._take_over_mapping()
+        settings = self._settings
+        before = self._trajectory.last_tracked()
+        found = relocalise(
+            self._map,
+            self._loops.index,
+            features,
+            self._intrinsics,
+            settings.observation_noise,
+            settings.relative_pose,
+            settings.relocalisation,
+            last_known=LastKnownPose(
+                T_map_camera=self._trajectory.pose_of(before, self._map),
+                lost_ns=stamp_ns - self._trajectory.stamps_ns[before],
+            ),
+            lost_motion=settings.lost_motion,
+        )
+        if isinstance(found, str):
+            return loss
+        T_map_camera = found.T_map_camera
+        self._local = take_local_map(
+            self._map,
+            _nearest_keyframe(self._map, T_map_camera),
+            np.empty(0, np.int64),
+            self._settings.visual_mapping.local_keyframes_max,
+        )
+        return self._tracker.track_at(features, invert_transform(T_map_camera), self._local)
+
+    def _show(self, frame: RgbdFrame, tracked: TrackedFrame) -> None:
+        if self._observer is unobserved:
+            return
+        self._clouds.append(sample_cloud(frame, self._camera))
+        poses = self._trajectory.poses(self._map)
+        of_keyframes = np.stack([self._map.pose_of(k.index) for k in self._map.keyframes])
+        points = [
+            transform_points(T, cloud.astype(np.float64))
+            for T, (cloud, _) in zip(of_keyframes, self._clouds, strict=True)
+        ]
+        known = np.isfinite(poses[:, 0, 0])
+        self._observer(
+            VisualSlamView(
+                stage="tracking",
+                stamps_ns=np.array(self._trajectory.stamps_ns, np.int64)[known],
+                T_map_camera=poses[known],
+                keyframe_stamps_ns=np.array([k.stamp_ns for k in self._map.keyframes], np.int64),
+                T_map_keyframe=of_keyframes,
+                loops=np.array(
+                    [(loop.first, loop.second) for loop in self._map.loops], np.int64
+                ).reshape(-1, 2),
+                points_in_map_m=np.concatenate(points).astype(np.float32),
+                rgb=np.concatenate([rgb for _, rgb in self._clouds]),
+            )
+        )
+
+    def result(self) -> VisualSlamResult:
+        """The trajectory and the map of all images so far."""
+        self._finish_mapping()
+        with _Timer(self._seconds, "mapping"):
+            self._loops.finish()
+        trajectory = self._trajectory
+        stamps_ns = np.array(trajectory.stamps_ns, np.int64)
+        if not self._map.keyframes:
+            reason = next(iter(trajectory.losses.values()), "there are no images")
+            raise MappingFailed(
+                f"no image can start a map: {reason}.",
+                advice="Visual SLAM needs textured images with depth.",
+            )
+        poses = trajectory.poses(self._map)
+        is_tracked = np.isfinite(poses[:, 0, 0])
+        lost = find_lost_stretches(stamps_ns, trajectory.losses)
+        return VisualSlamResult(
+            stamps_ns=stamps_ns,
+            T_map_camera=poses,
+            is_tracked=is_tracked,
+            visual_map=self._map,
+            lost=lost,
+            jumps=find_jumps(stamps_ns, poses, is_tracked),
+            refused_loops=tuple(self._loops.refused),
+            seconds=dict(self._seconds),
+        )
+
+
+class _Timer:
+    """Adds the time of a block to a stage's seconds."""
+
+    def __init__(self, seconds: dict[str, float], stage: str) -> None:
+        self._seconds, self._stage = seconds, stage
+
+    def __enter__(self) -> None:
+        self._start_s = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self._seconds[self._stage] += time.perf_counter() - self._start_s
+
+
+def _nearest_keyframe(visual_map: VisualMap, T_map_camera: FloatArray) -> int:
+    """The keyframe whose camera stands nearest, a radian of turn counted as a metre."""
+    kept = visual_map.kept_keyframes
+    T_camera_keyframe = invert_transform(T_map_camera) @ np.stack([k.T_map_camera for k in kept])
+    cosines = 0.5 * (np.trace(T_camera_keyframe[:, :3, :3], axis1=1, axis2=2) - 1.0)
+    far = np.linalg.norm(T_camera_keyframe[:, :3, 3], axis=1) + np.arccos(np.clip(cosines, -1, 1))
+    return kept[int(np.argmin(far))].index
